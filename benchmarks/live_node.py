@@ -21,7 +21,7 @@ from pathlib import Path
 
 from benchmarks.publish_traffic import MARKER_M
 from trajeval_ros.diagnosis.warnings import reasons
-from trajeval_ros.geometry.trajectory import add_counts
+from trajeval_ros.geometry.dropped_counts import add_counts
 
 HERE = Path(__file__).parent
 SETTLE_S = 4.0

@@ -14,7 +14,8 @@ import numpy as np
 
 from benchmarks.tum_pairs import RATE_HZ, estimate_of, flight
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.trajectory import Trajectory, travelled_distance
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.metrics.relative_errors import relative_errors
 from trajeval_ros.metrics.statistics import statistics_of
 from trajeval_ros.metrics.sub_trajectories import Selection, select

@@ -50,6 +50,15 @@ class Rrd:
     def strips(self, entity: str) -> tuple[np.ndarray, list[list[np.ndarray]]]:
         return self.rows(entity, "LineStrips3D:strips")
 
+    def path(self, entity: str, now: int) -> list[np.ndarray]:
+        """Return the strips of a live path that are in sight at a time."""
+        found = []
+        for part in sorted(each for each in self.entities if each.startswith(f"{entity}/path/")):
+            stamps, rows = self.strips(part)
+            until = int(np.searchsorted(stamps, now, side="right"))
+            found += [strip for row in rows[max(until - 1, 0) : until] for strip in row]
+        return found
+
     def transforms(self, entity: str) -> tuple[np.ndarray, list[tuple[Any, Any, float]]]:
         """Return stamps, and rotation (3, 3), translation and scale of each."""
         stamps, turns = self.rows(entity, "Transform3D:mat3x3")

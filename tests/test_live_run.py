@@ -28,6 +28,7 @@ from trajeval_ros.metrics.settings import protocol_from
 from trajeval_ros.online.intake import Limits
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.reports import Update
+from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.ros.marker_body import MarkerBody
 from trajeval_ros.ros.output_folder import Autosave, Finisher
@@ -35,6 +36,7 @@ from trajeval_ros.ros.poses import PoseStream
 from trajeval_ros.ros.segmentation import Segmentation
 from trajeval_ros.ros.sides import Side, TimeAt
 from trajeval_ros.ros.subscriptions import ReceivedMessages
+from trajeval_ros.ros.unused_messages import why_no_pair
 
 TRUTH, ESTIMATE = "/truth", "/vio"
 COUNT = 160
@@ -98,6 +100,7 @@ class Live:
             new_folder=new_folder,
         )
         self._now_ns = 0
+        self.watch: Callable[[LiveEstimate, Update], object] = lambda *_: None
 
     def feed(self, messages: Sequence[Message]) -> list[Update]:
         """Let messages arrive together; returns what was published of them."""
@@ -109,6 +112,7 @@ class Live:
         updates = []
         for estimate, update in self.run.update():
             estimate.digest()
+            self.watch(estimate, update)
             updates.append(update)
         return updates
 
@@ -303,7 +307,7 @@ def test_poses_without_stamps_are_told(tmp_path: Path) -> None:
     assert [each.text for each in stream.news] == [
         "/vio: no message with a valid pose: 10 zero stamp"
     ]
-    assert live.run.why_no_pair().endswith(
+    assert why_no_pair(live.run).endswith(
         f"{len(pair.groundtruth)} poses on /truth, 0 poses on /vio ({count} zero stamp)"
     )
     live.feed(messages_of(pair.estimate, ESTIMATE, ODOM))

@@ -227,10 +227,10 @@ def test_a_reset_by_time_goes_on_in_another_folder(tmp_path: Path) -> None:
     ended = []
     for message in (each for loop in loops for each in loop):
         live.feed([message])
-        ended += live.run.ended()
+        ended += live.run.folders.complete()
     live.end()
     assert [each.folder for each in ended] == [tmp_path / "live"]
-    assert live.run.finisher.folder == other
+    assert live.run.folders.finisher.folder == other
     for folder, loop in ((tmp_path / "live", loops[0]), (other, loops[1])):
         live.folder = folder
         told = assert_segments(live, [expected_of(tmp_path / f"{folder.name}_", loop)])
@@ -250,10 +250,10 @@ def test_an_end_soon_after_a_reset_by_time_leaves_the_results_before(tmp_path: P
         live.feed([message])
     assert live.run.has_pairs
     live.feed([each for each in loops[1] if each[0] == TRUTH][:20])
-    assert live.run.finisher.folder == tmp_path / "other"
-    assert live.run.ended() == []
+    assert live.run.folders.finisher.folder == tmp_path / "other"
+    assert live.run.folders.complete() == []
     live.end()
-    assert [each.folder for each in live.run.ended()] == [tmp_path / "live"]
+    assert [each.folder for each in live.run.folders.complete()] == [tmp_path / "live"]
     assert not live.run.has_pairs
     assert_segments(live, [expected_of(tmp_path / "expected", loops[0])])
 

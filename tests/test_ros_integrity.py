@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+from consistency_runs import with_growing_covariances
 from ros_bags import ODOM, POSE, messages_of, write_messages
 from ros_processes import ODOMETRY, TRUTH, Peer, evaluating
 
@@ -29,9 +28,7 @@ def test_protection_levels_are_published_as_the_recording_has_them(
     from std_msgs.msg import Float64
 
     flown = simulate(7, 25.0)
-    growing = np.linspace(0.01, 0.1, len(flown.estimate))[:, None, None] ** 2
-    covariances = growing * np.diag([1.0, 1.5, 2.0, 0.1, 0.1, 0.3])
-    estimate = dataclasses.replace(flown.estimate, covariances=covariances)
+    estimate = with_growing_covariances(flown.estimate)
     bag = tmp_path / "bag"
     both = [
         *messages_of(flown.groundtruth[::2], TRUTH, POSE),

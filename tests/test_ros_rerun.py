@@ -26,6 +26,8 @@ from ros_processes import (
 from waiting import PATIENCE_S
 
 from trajeval_ros.formatting.install_command import extra_command
+from trajeval_ros.io.live.pair_file import read_pairs
+from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.visual_inertial.drifting_odometry import simulate
 
 pytest.importorskip(
@@ -97,6 +99,32 @@ def test_fixes_are_on_the_map(peer: Peer, environment: dict[str, str], tmp_path:
     np.testing.assert_array_equal(points[-1], fixes.fixes.places[:, :2])
     _, tracks = picture.rows(f"map/estimate/{NAME}", "GeoLineStrings:line_strings")
     assert sum(map(len, tracks[-1])) > 0.8 * len(fixes)
+
+
+def test_a_second_loop_of_a_bag_is_drawn(
+    flights: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    folder = tmp_path / "out"
+    with evaluating(folder, environment, gauge="yaw", rerun="file") as evaluator:
+        replay(flights / "mcap", environment, "--rate", 5)
+        replay(flights / "mcap", environment, "--rate", 5, "--end", 12)
+        evaluator.wait_for("segment 2 starts")
+        assert evaluator.end() == 0
+    picture, pairs = Rrd(folder / "run.rrd"), read_pairs(folder / f"{NAME}.2.pairs")
+    truth = read_trajectory(f"{flights / 'mcap'}:{TRUTH}")
+    frame = f"world/estimate/{NAME}"
+    for entity, positions in (
+        ("world/groundtruth", truth.positions[truth.seconds < 12.0]),
+        (frame, pairs.estimate[:, :3]),
+    ):
+        stamps, poses = picture.rows(f"{entity}/pose", "Transform3D:translation")
+        assert (np.diff(stamps) > 0).all()
+        # The newest time shows the end of the second loop, and its path alone.
+        assert np.linalg.norm(poses[-1][0] - positions[-1]) < 1.0
+        path = np.concatenate(picture.path(entity, int(stamps[-1])))
+        distances = np.linalg.norm(path[:, None] - positions, axis=2)
+        assert distances.min(axis=1).max() < 1e-4
+        assert distances.min(axis=0).max() < 1.0
 
 
 @pytest.mark.parametrize(

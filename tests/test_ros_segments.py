@@ -6,8 +6,8 @@ import dataclasses
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
+from consistency_runs import with_growing_covariances
 from ros_bags import ODOM, POSE, Message, messages_of, write_messages
 from ros_processes import ODOMETRY, TRUTH, Peer, assert_same, evaluating, offline
 from waiting import until
@@ -44,9 +44,7 @@ def test_a_loop_with_covariances_and_stamps_of_the_future(
     peer: Peer, environment: dict[str, str], tmp_path: Path
 ) -> None:
     flown = simulate(7, 25.0)
-    growing = np.linspace(0.01, 0.1, len(flown.estimate))[:, None, None] ** 2
-    covariances = growing * np.diag([1.0, 1.5, 2.0, 0.1, 0.1, 0.3])
-    estimate = dataclasses.replace(flown.estimate, covariances=covariances)
+    estimate = with_growing_covariances(flown.estimate)
     bag = tmp_path / "bag"
     feed = [
         *with_wrong_stamps(flown.groundtruth[::2], TRUTH, POSE, [300, 700]),

@@ -12,7 +12,9 @@ from scipy.spatial.transform import Rotation
 from strategies import SAME_ROTATION_RAD, make_groundtruth, seeds
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.geometry.trajectory import Trajectory, add_counts, travelled_distance
+from trajeval_ros.geometry.dropped_counts import add_counts
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.io.bags.transform_tree import Edge
 from trajeval_ros.metrics.association import AssociationRule, associate
 from trajeval_ros.online.dense_pairing import DensePairing

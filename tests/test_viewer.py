@@ -9,6 +9,7 @@ import sys
 import threading
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.state_rows import states
-from trajeval_ros.viewer import colours, entity_data, live_path, scene_entities
+from trajeval_ros.viewer import appearance, colours, entity_data, live_path, scene_entities
 from trajeval_ros.viewer.live_path import LivePath, RowHistory, Thinning
 from trajeval_ros.viewer.live_scene import LiveScene
 from trajeval_ros.viewer.paths import gaps, pieces
@@ -103,39 +104,80 @@ def test_thinning_takes_one_pose_of_each_slot_in_any_batches(steps: list[int], s
     assert picked.tolist() == stamps[np.unique(slots, return_index=True)[1]].tolist()
 
 
-def test_growing_path_is_whole_at_every_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Strips(list):
-        def row(self) -> list[np.ndarray]:
-            return [np.asarray(each) for each in self]
+class DrawnPath:
+    """A live path, and the rows that it has drawn."""
 
-    monkeypatch.setattr(entity_data, "lines", Strips)
-    rows: list[tuple[int, str, list[np.ndarray]]] = []
-    entities = scene_entities.PathEntities.below("world/x")
-    path = LivePath(entities, lambda stamp, entity, strips: rows.append((stamp, entity, strips)))
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        class Strips(list):
+            def row(self) -> list[np.ndarray]:
+                return [np.asarray(each) for each in self]
+
+        monkeypatch.setattr(entity_data, "lines", lambda strips, look=None: Strips(strips))
+        self.rows: list[tuple[int, str, list[np.ndarray]]] = []
+        self.entities = scene_entities.PathEntities.below("world/x")
+        self.path = LivePath(
+            self.entities, lambda *row: self.rows.append(row), appearance.GROUNDTRUTH_PATH
+        )
+
+    def shown(self, now: int) -> list[np.ndarray]:
+        """Return the strips in sight at a time."""
+        newest = {entity: strips for stamp, entity, strips in self.rows if stamp <= now}
+        return [each for strips in newest.values() for each in strips]
+
+
+def is_of(strips: list[np.ndarray], points: np.ndarray) -> bool:
+    """Return whether strips have all these points and no others."""
+    return {tuple(point) for strip in strips for point in strip} == {*map(tuple, points)}
+
+
+@pytest.mark.parametrize("piece", [3, 200])
+def test_growing_path_is_whole_at_every_time(piece: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_path, "_PIECE", piece)
+    drawn = DrawnPath(monkeypatch)
     points = np.random.default_rng(0).normal(size=(1000, 3))
     stamps = np.arange(1000) * 100_000_000
     stamps[600:] += 5_000_000_000
     told = []
     for stamp, point in zip(stamps.tolist(), points, strict=True):
-        told.append(path.add(stamp, point))
-        path.draw_to(stamp, point)
+        told.append(drawn.path.add(stamp, point))
+        drawn.path.draw_to(stamp, point)
     assert [gap for gap in told if gap] == [5_100_000_000]
     for now in (0, 1, 19, 20, 21, 199, 200, 201, 599, 600, 601, 999):
-        shown: list[np.ndarray] = []
-        for part in (entities.past, entities.recent, entities.newest):
-            until = [
-                strips for stamp, entity, strips in rows if entity == part and stamp <= stamps[now]
-            ]
-            shown += [
-                each
-                for strips in (until if part == entities.past else until[-1:])
-                for each in strips
-            ]
-        seen = {tuple(point) for strip in shown for point in strip}
-        assert seen == {tuple(each) for each in points[: now + 1]}
+        shown = drawn.shown(int(stamps[now]))
+        assert is_of(shown, points[: now + 1])
         for strip in shown:
             ends = [np.flatnonzero((points == each).all(axis=1))[0] for each in strip]
             assert not (min(ends) < 600 <= max(ends))
+    # Another recording has the same, and after a while of drawing only the next path is in sight.
+    end, before = int(stamps[-1]), drawn.rows.copy()
+    drawn.rows.clear()
+    drawn.path.draw_again()
+    assert is_of(drawn.shown(end), points)
+    drawn.rows[:0] = before
+    drawn.path.clear(end + 1)
+    assert drawn.shown(end + 1) == []
+    for row in range(30):
+        drawn.path.add(end + (1 + row) * 100_000_000, points[row])
+    drawn.path.draw_to(end + 3_000_000_000, points[29])
+    assert is_of(drawn.shown(end + 3_000_000_000), points[:30])
+
+
+def test_a_path_of_days_is_drawn_with_few_poses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_path, "_PIECE", 10)
+    drawn = DrawnPath(monkeypatch)
+    points = np.random.default_rng(0).normal(size=(100_000, 3))
+    for row, point in enumerate(points):
+        drawn.path.add(row * 100_000_000, point)
+    shown = drawn.shown(100_000 * 100_000_000)
+    assert sum(map(len, shown)) < 40_000
+    assert max(map(len, shown)) <= 2 * 10 + 1
+    # The newest poses are all there, and the first pose, and no line leads past a dropped piece.
+    assert {*map(tuple, points[-500:-20])} <= {tuple(each) for strip in shown for each in strip}
+    ends = {tuple(strip[0]) for strip in shown} ^ {tuple(strip[-1]) for strip in shown}
+    assert tuple(points[0]) in ends
+    assert len(ends) <= 4
+    sent = sum(len(strip) for _, entity, strips in drawn.rows for strip in strips)
+    assert sent < 20 * len(points)
 
 
 def test_memory_keeps_the_run_and_its_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -299,8 +341,12 @@ def test_two_hours_stay_few_rows(tmp_path: Path) -> None:
 
 
 def test_a_sparse_stream_is_a_line_and_not_gaps(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(LivePath, "_draw", lambda *_: None)
-    path = LivePath(scene_entities.PathEntities.below("world/x"), lambda *_: None)
+    monkeypatch.setattr(entity_data, "lines", lambda *_: SimpleNamespace(row=list))
+    path = LivePath(
+        scene_entities.PathEntities.below("world/x"),
+        lambda *_: None,
+        appearance.GROUNDTRUTH_PATH,
+    )
     seconds = [*np.arange(0.0, 20.0), *np.arange(40.0, 60.0), *np.arange(60.0, 70.0, 0.1)]
     seconds += [*np.arange(70.0, 90.0)]
     gaps_s = [path.add(round(1e9 * each), np.zeros(3)) / 1e9 for each in seconds]

@@ -188,16 +188,6 @@ def test_file_stays_small(tmp_path: Path) -> None:
     assert (tmp_path / "run.rrd").stat().st_size / 45.0 <= 10_000.0
 
 
-def shown_at(picture: Rrd, now: int) -> np.ndarray:
-    """Return the points of the estimate's path that are in sight at a time, in its own frame."""
-    points = []
-    for part in ("past", "recent", "newest"):
-        stamps, rows = picture.strips(f"{FRAME}/path/{part}")
-        until = rows[: int(np.searchsorted(stamps, now, side="right"))]
-        points += [strip for row in (until if part == "past" else until[-1:]) for strip in row]
-    return np.concatenate([*points, np.empty((0, 3))])
-
-
 def test_whole_past_stands_at_the_last_alignment_at_every_time(
     finished: tuple[Rrd, dict[str, Any], Path],
 ) -> None:
@@ -214,7 +204,7 @@ def test_whole_past_stands_at_the_last_alignment_at_every_time(
         assert scale == 1.0
         assert rotation == pytest.approx(wanted[:9].reshape(3, 3), abs=1e-6)
         assert translation == pytest.approx(wanted[9:], abs=1e-5)
-        points = shown_at(picture, now)
+        points = np.concatenate([*picture.path(FRAME, now), np.empty((0, 3))])
         past = estimate.positions[estimate.stamps <= now]
         # Every pose so far is on the path, but for those between two that are drawn.
         from_path = np.linalg.norm(past[::5, None] - points[None], axis=2).min(axis=1)
@@ -331,9 +321,9 @@ def test_viewer_that_is_killed_and_restarted(port: int, tmp_path: Path) -> None:
     assert report["dropped"][0] == 0 < report["dropped"][1]
     assert_whole(tmp_path / "run.rrd", report)
     # The path that it has missed is drawn anew for the second.
-    _, rows = Rrd(second).strips(f"{FRAME}/path/past")
+    strips = Rrd(second).path(FRAME, last)
     begin = simulate(0, 60.0).estimate.positions[:5]
-    assert min(np.linalg.norm(begin - row[0][0], axis=1).min() for row in rows) < 1e-3
+    assert min(np.linalg.norm(begin - strip[0], axis=1).min() for strip in strips) < 1e-3
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.trajectory import step_angles, step_lengths
+from trajeval_ros.geometry.travelled import step_angles, step_lengths
 
 LEAST_JUMP_M = 1.0
 LEAST_JUMP_DEG = 30.0

@@ -11,7 +11,8 @@ import numpy as np
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.geometry.thinning import evenly
-from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory, step_lengths
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.travelled import step_lengths
 from trajeval_ros.metrics.statistics import median
 
 _ENOUGH = 2000  # steps, for a median

@@ -14,8 +14,9 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
+from trajeval_ros.geometry.dropped_counts import add_counts
 from trajeval_ros.geometry.geodesy import Datum, east_north_up, turned_covariances
-from trajeval_ros.geometry.trajectory import Trajectory, add_counts
+from trajeval_ros.geometry.trajectory import Trajectory
 
 # sensor_msgs/NavSatStatus and the covariance types of sensor_msgs/NavSatFix.
 STATUS_UNKNOWN, STATUS_NO_FIX = -2, -1

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.geometry.trajectory import Trajectory, add_counts
+from trajeval_ros.geometry.dropped_counts import add_counts
+from trajeval_ros.geometry.trajectory import Trajectory
 
 _ROWS = (
     "positions", "quaternions", "velocities", "gyroscope_biases", "accelerometer_biases",

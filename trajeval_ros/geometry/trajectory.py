@@ -12,10 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats
+from trajeval_ros.geometry.dropped_counts import add_counts
 from trajeval_ros.geometry.repeated_stamps import Conflicts, conflicts_of
+from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
+from trajeval_ros.geometry.valid_poses import LARGEST, at_length_one, judge_poses
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -23,21 +25,7 @@ if TYPE_CHECKING:
     from trajeval_ros.geometry.fixes import Fixes
 
 NANOSECONDS = 1_000_000_000
-# Largest position or velocity, m or m/s. No robot exceeds it, and its square is representable.
-LARGEST = 1e12
-_SHORTEST = 1e-6  # least length of a quaternion
 _UNIT = 1e-9  # largest error of the mean squared length of unit quaternions
-# Largest error of the squared length of a normalised quaternion, from rounding.
-_ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
-# Reasons for dropping what is no state of its own; coverage does not count it.
-NO_STATE = (
-    "duplicate_stamp",
-    "lone_stamp",
-    "not_finite",
-    "undecodable",
-    "zero_quaternion",
-    "zero_stamp",
-)
 # Shape of a row by column.
 _COLUMNS: dict[str, tuple[int, ...]] = {
     "stamps": (),
@@ -189,7 +177,7 @@ class Trajectory:
                 for name, value in columns.items()
             }
         if quaternion_rows is not None:
-            quaternion_rows = _at_length_one(quaternion_rows)
+            quaternion_rows = at_length_one(quaternion_rows)
         trajectory = cls(stamps, position_rows, quaternion_rows, **columns)  # type: ignore[arg-type]
         return dataclasses.replace(
             trajectory, dropped=add_counts(trajectory.dropped, dropped)
@@ -327,86 +315,3 @@ class Trajectory:
                 f"{name} has positions that are not finite or beyond {LARGEST:g} m; remove these "
                 "states"
             )
-
-
-def _at_length_one(quaternions: Floats) -> Floats:
-    """Return quaternions (N, 4) scaled to length 1, unchanged if they have this length already.
-
-    Written quaternions are therefore read back without a change of digits.
-    """
-
-    def at(rows: Floats) -> tuple[Floats]:
-        excess = np.abs(np.einsum("ni,ni->n", rows, rows) - 1.0)
-        return (np.where((excess <= _ROUNDING)[:, None], rows, lie.normalized(rows)),)
-
-    return lie.by_blocks(at, quaternions)[0]
-
-
-def judge_poses(positions: Floats, quaternions: Floats | None = None) -> tuple[Booleans, Booleans]:
-    """Return which rows are finite, (N,), and which have a quaternion of non-zero length, (N,).
-
-    A diverged estimate can have finite numbers whose squares overflow; they count as infinite.
-
-    Args:
-        positions: (N, 3), metres.
-        quaternions: (N, 4), or None.
-    """
-
-    def finite_at(rows: Floats) -> tuple[Booleans]:
-        return (np.logical_and.reduce(np.abs(rows) <= LARGEST, axis=1),)
-
-    finite: Booleans = lie.by_blocks(finite_at, positions)[0]
-    if quaternions is None:
-        return finite, np.ones(len(positions), dtype=bool)
-    with np.errstate(over="ignore", invalid="ignore"):
-        squared_length = np.einsum("ni,ni->n", quaternions, quaternions)
-    finite &= np.isfinite(squared_length)
-    return finite, squared_length > _SHORTEST**2
-
-
-def travelled_distance(positions: Floats) -> Floats:
-    """Return the path length up to every position (N, 3), (N,), metres."""
-    travelled = np.zeros(len(positions))
-    np.cumsum(step_lengths(positions), out=travelled[1:])
-    return travelled
-
-
-def step_lengths(positions: Floats) -> Floats:
-    """Return the distances (N,) between consecutive positions (N + 1, 3), metres."""
-
-    def at(begins: Floats, ends: Floats) -> tuple[Floats]:
-        steps = ends - begins
-        return (np.sqrt(np.einsum("ni,ni->n", steps, steps)),)
-
-    return lie.by_blocks(at, positions[:-1], positions[1:])[0]
-
-
-def turned_angle(quaternions: Floats) -> Floats:
-    """Return the accumulated rotation up to every orientation (N, 4), xyzw, (N,), radians."""
-    turned = np.zeros(len(quaternions))
-    np.cumsum(step_angles(quaternions), out=turned[1:])
-    return turned
-
-
-def step_angles(quaternions: Floats) -> Floats:
-    """Return the angles (N,) between consecutive orientations (N + 1, 4), xyzw, radians."""
-
-    def at(begins: Floats, ends: Floats) -> tuple[Floats]:
-        return (lie.angle(lie.multiply(lie.conjugate(begins), ends)),)
-
-    return lie.by_blocks(at, quaternions[:-1], quaternions[1:])[0]
-
-
-def count_up(counts: dict[str, int], reason: str, count: int) -> None:
-    """Add to the count of a reason; a count of zero adds no key."""
-    if count:
-        counts[reason] = counts.get(reason, 0) + count
-
-
-def add_counts(*counts: Mapping[str, int]) -> dict[str, int]:
-    """Return the sums of counts by reason, without zeros."""
-    total: dict[str, int] = {}
-    for part in counts:
-        for reason, count in part.items():
-            count_up(total, reason, count)
-    return total

@@ -21,7 +21,8 @@ from trajeval_ros.continuous_time.samples import Noise
 from trajeval_ros.exceptions import NoMatchError, SettingsError, require_one_of
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Indices
-from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory, add_counts
+from trajeval_ros.geometry.dropped_counts import add_counts
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.bracket import between, bracket_stamps
 from trajeval_ros.metrics.completeness import completeness
 from trajeval_ros.metrics.coverage import Coverage, coverage_of

@@ -13,7 +13,8 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.trajectory import Trajectory, turned_angle
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.travelled import turned_angle
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import Association
 from trajeval_ros.metrics.drift import PooledDrift, statistics_per_length

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import ClassVar
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.trajectory import NANOSECONDS, travelled_distance
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.metrics.coverage import time_without_gaps
 from trajeval_ros.metrics.pair_steps import StampedPoses
 from trajeval_ros.online.intake import Intake, Limits

@@ -10,9 +10,10 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.dropped_counts import NO_STATE, add_counts
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import HandEye
-from trajeval_ros.geometry.trajectory import NANOSECONDS, NO_STATE, add_counts
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 from trajeval_ros.geometry.upright import between_own_axes
 from trajeval_ros.metrics.absolute_errors import AbsoluteErrors, absolute_errors

@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.trajectory import LARGEST, NANOSECONDS, count_up
+from trajeval_ros.geometry.dropped_counts import count_up
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.geometry.valid_poses import LARGEST
 from trajeval_ros.online.state_buffer import NEVER
 from trajeval_ros.online.state_rows import POSITION, QUATERNION, VELOCITY
 

@@ -16,7 +16,7 @@ import numpy as np
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
-from trajeval_ros.geometry.trajectory import add_counts, count_up
+from trajeval_ros.geometry.dropped_counts import add_counts, count_up
 from trajeval_ros.metrics.bracket import Bracket, bracket_stamps, mix
 from trajeval_ros.metrics.interpolation import Interpolation
 from trajeval_ros.metrics.pair_steps import StampedPoses

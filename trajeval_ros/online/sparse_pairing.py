@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.trajectory import add_counts, travelled_distance
+from trajeval_ros.geometry.dropped_counts import add_counts
+from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.metrics.interpolation import Interpolation, InterpolationMeter
 from trajeval_ros.metrics.pair_steps import POSE, StampedPoses
 from trajeval_ros.online.intake import Intake, Limits

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.trajectory import Trajectory, judge_poses
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
+from trajeval_ros.geometry.valid_poses import judge_poses
 
 # Columns of a state: position, quaternion xyzw, velocity; NaN if not measured.
 POSITION, QUATERNION, VELOCITY = slice(0, 3), slice(3, 7), slice(7, 10)

@@ -7,7 +7,7 @@ from typing import Any
 
 from trajeval_ros.diagnosis.warnings import reasons
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry.trajectory import add_counts
+from trajeval_ros.geometry.dropped_counts import add_counts
 from trajeval_ros.online.alarms import LIMITED_QUANTITIES, Peak, alarms
 from trajeval_ros.online.error_topics import status_values
 from trajeval_ros.online.notices import ERROR, OK, STALE, WARN, Notice, gravest_first
@@ -16,6 +16,7 @@ from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.ros.recorded_state import sync_risk_m
 from trajeval_ros.ros.status_message import status_message
+from trajeval_ros.ros.unused_messages import groundtruth_dropped
 
 
 def diagnose(
@@ -178,7 +179,7 @@ def _about_run(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> Iter
         yield Notice("loss", WARN, f"{counted(lost, 'message')} lost")
     if forgotten := estimate.evaluator.buffer.why_forgotten:
         yield Notice("delay", WARN, forgotten)
-    trouble = estimate.writer.trouble or (snapshot.pairs and run.finisher.trouble)
+    trouble = estimate.files.pairs.trouble or (snapshot.pairs and run.folders.finisher.trouble)
     if trouble:
         yield Notice("disk", ERROR, f"results can't be written: {trouble}")
 
@@ -193,7 +194,7 @@ def _values(
         "segment": estimate.segment,
         **status_values(snapshot, newest),
         "dropped": reasons(add_counts(estimate.stream.status.dropped, snapshot.dropped)) or None,
-        "groundtruth dropped": reasons(run.groundtruth_dropped(estimate)) or None,
+        "groundtruth dropped": reasons(groundtruth_dropped(run, estimate)) or None,
         f"waiting for {estimate.evaluator.buffer.interpolated}": snapshot.waiting,
         "messages lost": estimate.side.lost,
         "groundtruth messages lost": run.groundtruth.lost,
@@ -206,5 +207,5 @@ def _values(
         "hand eye": run.body.source if run.body.hand_eye is not None else None,
         "sync risk [m]": sync_risk_m(run.groundtruth, estimate.side, estimate.evaluator.buffer),
         "latency p95 [s]": estimate.latency.p95_s,
-        "results": run.finisher.folder,
+        "results": run.folders.finisher.folder,
     }

@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from trajeval_ros.consistency.marginal_covariances import unknown_covariances
 from trajeval_ros.diagnosis.vertical import doubt_of
 from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.dropped_counts import add_counts
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import BODYS_VELOCITIES
-from trajeval_ros.geometry.trajectory import NANOSECONDS, add_counts, judge_poses
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import UpAxis
-from trajeval_ros.io.bags.pose_messages import COVARIANCE_TYPES, decode_poses
-from trajeval_ros.io.live.pair_file import SUFFIX, PairWriter
-from trajeval_ros.io.live.revised_file import REVISED_SUFFIX, write_revised
-from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH
 from trajeval_ros.online.alarms import Peaks
 from trajeval_ros.online.evaluator import OnlineEvaluator
@@ -32,18 +25,13 @@ from trajeval_ros.online.notices import Standing
 from trajeval_ros.online.pairing import Pairing
 from trajeval_ros.online.reports import Snapshot, Update, united
 from trajeval_ros.online.revised import RevisedPath
-from trajeval_ros.online.state_rows import (
-    COVARIANCE,
-    POSITION,
-    QUATERNION,
-    Pairs,
-    states,
-    trajectory,
-)
+from trajeval_ros.online.state_rows import Pairs, trajectory
 from trajeval_ros.online.trail import Trail
 from trajeval_ros.ros.held_messages import HeldCall, HeldMessages
 from trajeval_ros.ros.marker_body import MarkerBody
 from trajeval_ros.ros.poses import PoseStream, StateColumns
+from trajeval_ros.ros.position_uncertainty import position_uncertainty
+from trajeval_ros.ros.segment_files import SegmentFiles
 from trajeval_ros.ros.sides import Side
 from trajeval_ros.ros.slow_evaluation import SlowEvaluation
 from trajeval_ros.ros.timing import Latency
@@ -58,6 +46,7 @@ class LiveEstimate:
         segment: Number of the segment in the folder, from 1.
         epoch: Number of steps back of time before this segment.
         following: Pairing of the next segment, if this one ended with a jump.
+        files: Its files.
         stream: Decodes its messages.
         evaluator: Its evaluation.
         latency: Time from arrival to publication of its errors.
@@ -111,7 +100,7 @@ class LiveEstimate:
         self.side, self.name, self.stream = side, side.name, side.stream
         self._body, self._worker = body, worker
         self.began_by = began_by
-        self.folder, self.place = folder, place
+        self.folder = folder
         self.segment: int = 1 if after is None or after.folder != folder else after.segment + 1
         self.epoch: int = 0 if after is None else after.epoch
         self.following: Pairing | None = None
@@ -119,24 +108,18 @@ class LiveEstimate:
         self._dropped_before = {
             id(each): dict(each.status.dropped) for each in (side.stream, groundtruth.stream)
         }
-        self._stem = self.name if self.segment == 1 else f"{self.name}.{self.segment}"
-        description = {
-            "groundtruth": groundtruth.source,
-            "estimate": side.source,
-            "place": place,
-            "segment": self.segment,
-        }
-        self.writer = PairWriter(folder / f"{self._stem}{SUFFIX}", description)
+        description = {"groundtruth": groundtruth.source, "estimate": side.source, "place": place}
+        self.files = SegmentFiles(folder, self.name, self.segment, description)
         # The evaluator has no reference to this segment, so a complete segment can be freed.
         self.evaluator = OnlineEvaluator(
             settings,
-            record_waypoints=self.writer.append_waypoints,
+            record_waypoints=self.files.pairs.append_waypoints,
             buffer=None if after is None else after.following,
         )
         self.latency = Latency()
         self.jumps, self.trail = JumpDetector(), Trail()
         self.revised: RevisedPath | None = None
-        self.watch: Callable[[Pairs], object] | None = None
+        self.watch: Callable[[LiveEstimate, Pairs], object] | None = None
         self.clock = OnlineClock(settings.protocol.gauge, worker)
         self.peaks, self.standing = Peaks(), Standing()
         self.slow = SlowEvaluation()
@@ -148,7 +131,6 @@ class LiveEstimate:
         self.offset_ns = round(settings.protocol.association.time_offset_s * NANOSECONDS)
         self.newest: tuple[str, bytes] | None = None
         self._undigested: list[Pairs] = []
-        self._state: Mapping[str, Any] = {}
         if after is not None:
             self._follow(after)
 
@@ -321,39 +303,16 @@ class LiveEstimate:
         Returns:
             None if there is no message, or its covariance is unknown.
         """
-        if self.newest is None or self.newest[0] not in COVARIANCE_TYPES:
+        told = self.newest and position_uncertainty(*self.newest, self._body)
+        if not told:
             return None
-        message_type, payload = self.newest
-        pose = decode_poses([payload], message_type, covariance=True)
-        if not len(pose.stamps) or pose.covariances is None or pose.stamps[0] == 0:
-            return None
-        # `unknown_covariances` accepts zeros in the first covariance, so it is passed twice.
-        if not judge_poses(pose.positions)[0][0] or unknown_covariances(
-            pose.covariances.repeat(2, 0)
-        ):
-            return None
-        row = np.hstack(
-            [states(pose.positions, pose.quaternions), pose.covariances.reshape(1, 36)]
-        )
-        [moved] = self._body.estimated(row)
-        if not np.isfinite(moved[POSITION]).all():
-            return None
-        covariance = moved[COVARIANCE].reshape(6, 6)[:3, :3]
-        return int(pose.stamps[0]) + self.offset_ns, moved[POSITION], covariance
+        stamp, position, covariance = told
+        return stamp + self.offset_ns, position, covariance
 
     def dropped_since_begun(self, stream: PoseStream) -> dict[str, int]:
         """Return the number of messages without a pose since this segment started, by reason."""
         before, now = self._dropped_before[id(stream)], stream.status.dropped
         return add_counts({each: count - before.get(each, 0) for each, count in now.items()})
-
-    def write_state(self, state: Mapping[str, Any]) -> None:
-        """Write what `trajeval finish` needs besides pairs (`recorded_state`), if it changed."""
-        if state == self._state:
-            self.writer.write()
-            return
-        self._state = state
-        none = np.empty((0, 10))
-        self.writer.append(np.empty(0, dtype=np.int64), none, none, state)
 
     @property
     def why_not_revised(self) -> str:
@@ -373,22 +332,16 @@ class LiveEstimate:
         Raises:
             InputError: It can't be written.
         """
-        path = self.revised
-        if path is None or not len(path.stamps) or self.why_not_revised:
-            return
-        stamps, positions = path.stamps + self.offset_ns, path.states[:, POSITION]
-        write_whole(
-            self.folder / f"{self._stem}{REVISED_SUFFIX}",
-            lambda file: write_revised(file, stamps, positions, path.states[:, QUATERNION]),
-        )
+        if self.revised is not None and not self.why_not_revised:
+            self.files.write_path(self.revised, self.offset_ns)
 
     def _record(self, pairs: Pairs) -> None:
         """Write new pairs to disk before anything else."""
-        self.writer.append(*pairs)
+        self.files.pairs.append(*pairs)
         pairs = pairs.without_covariances()
         self._undigested.append(pairs)
         if self.watch is not None:
-            self.watch(pairs)
+            self.watch(self, pairs)
 
     def take_path(self, path: StateColumns, arrived_ns: int) -> None:
         """Add a path: evaluate its new poses, and store the revision of the others."""
@@ -418,7 +371,7 @@ class LiveEstimate:
         try:
             self.write_revised()
         finally:
-            self.writer.close()
+            self.files.pairs.close()
 
     def _evaluate(self, poses: StateColumns, received: Stamps) -> None:
         self.latency.arrive(poses.stamps + self.offset_ns, received)

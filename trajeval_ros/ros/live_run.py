@@ -8,15 +8,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from trajeval_ros.diagnosis.warnings import reasons
 from trajeval_ros.exceptions import TrajevalError
-from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.arrays import Stamps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import MARKERS_VELOCITIES
-from trajeval_ros.geometry.trajectory import NANOSECONDS, add_counts
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import UpAxis
-from trajeval_ros.io.live.fix_file import FixWriter
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.notices import OK, Notice
 from trajeval_ros.online.reports import Update
@@ -24,9 +21,9 @@ from trajeval_ros.online.time_steps import TimeSteps
 from trajeval_ros.ros.estimate_segments import EstimateSegments
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.marker_body import MarkerBody
-from trajeval_ros.ros.output_folder import Finisher
 from trajeval_ros.ros.poses import StateColumns
 from trajeval_ros.ros.recorded_state import recorded_state
+from trajeval_ros.ros.run_folders import RunFolders
 from trajeval_ros.ros.segmentation import Segmentation
 from trajeval_ros.ros.sides import Side, TimeAt
 from trajeval_ros.ros.start_decision import StartDecision
@@ -40,9 +37,10 @@ class LiveRun:
 
     Attributes:
         groundtruth: Source of the groundtruth.
-        finisher: Writes result.json in another process.
+        folders: Its output folders.
         news: Notices that are not published yet.
-        watch: Receives the states of the groundtruth, to draw them.
+        watch: Receives the states of the groundtruth, and the number of steps back of its time, to
+            draw them.
         body: The body that is evaluated.
     """
 
@@ -76,19 +74,18 @@ class LiveRun:
         Raises:
             InputError: The files can't be made.
         """
-        self.groundtruth, self.finisher = groundtruth, Finisher(folder)
+        self._segmentation = segmentation or Segmentation()
+        resets = self._segmentation.on_time_jump == "reset"
+        self.folders = RunFolders(folder, new_folder if resets else None)
+        self.groundtruth = groundtruth
         self.words = words
         self._given_up = None if settings.up is None else settings.up[0]
-        self.watch: Callable[[StateColumns], object] | None = None
+        self.watch: Callable[[StateColumns, int], object] | None = None
         self.body = body or MarkerBody()
         self._start = StartDecision(self.body, find_offset=find_offset)
-        self._settings, self._new_folder = settings, new_folder
-        self._segmentation = segmentation or Segmentation()
+        self._settings = settings
         self._time = TimeSteps()
-        self._leaving: list[Finisher] = []  # folders that still get pairs
-        self._closed: list[Finisher] = []
         self._troubles: list[str] = []
-        self._has_closed_pairs = False
         self.news: list[Notice] = []
         self._worker = ThreadPoolExecutor(1, "clocks")
         self._tracks = [
@@ -107,10 +104,9 @@ class LiveRun:
         ]
         for side in (groundtruth, *sides):
             side.stream.begins_anew = self._segmentation.on_time_jump != "ignore"
-        self._fix_writers: dict[Path, FixWriter] = {}
         self._gauge_is_default = words["gauge"] is None and words["modality"] is None
         for each in self.estimates:
-            each.write_state(recorded_state(self, each))
+            each.files.write_state(recorded_state(self, each))
 
     @property
     def groundtruth_up(self) -> UpAxis:
@@ -170,7 +166,7 @@ class LiveRun:
     def write_states(self) -> None:
         """Write the state that `trajeval finish` needs besides pairs."""
         for each in self._open:
-            each.write_state(recorded_state(self, each))
+            each.files.write_state(recorded_state(self, each))
 
     def save(self) -> None:
         """Start to write result.json; requires pairs and no running process.
@@ -181,7 +177,7 @@ class LiveRun:
         self.write_states()
         for each in self.estimates:
             each.write_revised()
-        self.finisher.save()
+        self.folders.finisher.save()
 
     def drain(self, time_at: TimeAt | None) -> None:
         """Receive and evaluate the last messages, including those in transit."""
@@ -213,36 +209,8 @@ class LiveRun:
         self.write_states()
         self._worker.shutdown(wait=False, cancel_futures=True)
         troubles = [_trouble(each.close) for each in self._open]
-        troubles += [_trouble(each.close) for each in self._fix_writers.values()]
-        self._closed, self._leaving = [*self._closed, *self._leaving], []
+        troubles += [_trouble(close) for close in self.folders.close()]
         return [each for each in [*self._troubles, *troubles] if each]
-
-    def missing(self, estimate: LiveEstimate) -> str:
-        """Return a source without any message so far; empty if there is none."""
-        sides = (self.groundtruth, estimate.side)
-        return next((each.source for each in sides if each.silent_s is None), "")
-
-    def groundtruth_dropped(self, estimate: LiveEstimate) -> dict[str, int]:
-        """Return the number of groundtruth states that an estimate does not use, by reason."""
-        dropped = estimate.dropped_since_begun(self.groundtruth.stream)
-        return add_counts(dropped, estimate.evaluator.buffer.groundtruth_intake.dropped)
-
-    def why_no_pair(self) -> str:
-        """Return why there are no pairs: the number of poses per topic, and reasons."""
-        dropped = [
-            self.groundtruth_dropped(self.estimates[0]),
-            *(
-                add_counts(each.stream.status.dropped, each.evaluator.buffer.dropped)
-                for each in self.estimates
-            ),
-        ]
-        sides = [self.groundtruth, *(each.side for each in self.estimates)]
-        counts = [
-            f"{counted(side.stream.status.poses, 'pose')} on {side.source}"
-            + (f" ({reasons(of)})" if of else "")
-            for side, of in zip(sides, dropped, strict=True)
-        ]
-        return "no pairs of estimate and groundtruth, no result: " + ", ".join(counts)
 
     @property
     def holds(self) -> bool:
@@ -262,13 +230,7 @@ class LiveRun:
     @property
     def has_pairs(self) -> bool:
         """Whether there are pairs in the present folder."""
-        here = [each for each in self._open if each.folder == self.finisher.folder]
-        return self._has_closed_pairs or any(each.evaluator.pairs for each in here)
-
-    def ended(self) -> list[Finisher]:
-        """Return the finishers of folders that were completed since the last call."""
-        closed, self._closed = self._closed, []
-        return closed
+        return self.folders.has_pairs(self._open)
 
     def _feed(self, poses: StateColumns) -> None:
         """Pass groundtruth states to all estimates."""
@@ -277,7 +239,7 @@ class LiveRun:
         ]
         if poses.fixes is not None and len(poses.stamps):
             for folder in dict.fromkeys(each.folder for each in fed):
-                self._keep_fixes(folder, poses.stamps, poses.fixes)
+                self.folders.keep_fixes(folder, poses.stamps, poses.fixes)
         for each in fed:
             each.evaluator.groundtruth_up = self.groundtruth_up
             each.add_groundtruth(poses.stamps, poses.states)
@@ -287,13 +249,8 @@ class LiveRun:
         if self.body.leaves_out_velocities_of(poses.states, is_truth=True):
             self.groundtruth.stream.status.note(MARKERS_VELOCITIES)
         if self.watch is not None:
-            self.watch(poses._replace(states=self.body.truth(poses.states)))
-
-    def _keep_fixes(self, folder: Path, stamps: Stamps, fixes: Floats) -> None:
-        """Write the original fixes to disk, because pairs do not contain their quality."""
-        if folder not in self._fix_writers:
-            self._fix_writers[folder] = FixWriter(folder)
-        self._fix_writers[folder].append(stamps, fixes)
+            moved = poses._replace(states=self.body.truth(poses.states))
+            self.watch(moved, self._time.count)
 
     def _keep_upright(self) -> None:
         """Set the yaw gauge if none is set, because errors in heights of fixes cause a tilt."""
@@ -317,20 +274,14 @@ class LiveRun:
             return
         if self.holds:
             self._conclude_clocks()
-        folder = self.finisher.folder
-        if self._segmentation.on_time_jump == "reset" and self._new_folder is not None:
-            if track.current.folder == folder:  # the first estimate that leaves it
-                self._leaving.append(self.finisher)
-                self.finisher = Finisher(self._new_folder())
-                self._has_closed_pairs = False
-            folder = self.finisher.folder
+        folder = self.folders.after_step_back(track.current)
         said = f"time stepped back by {side.back_ns / NANOSECONDS:.1f} s"
         track.begin(epoch, said, self._settings, folder)
         self._tell_begun([track.current])
 
     def _tell_begun(self, begun: Sequence[LiveEstimate]) -> None:
         for each in begun:
-            each.write_state(recorded_state(self, each))
+            each.files.write_state(recorded_state(self, each))
             said = f"{each.name}: {each.began_by}; segment {each.segment} starts"
             values: dict[str, float | int | str] = {
                 "segment": each.segment,
@@ -344,13 +295,10 @@ class LiveRun:
             for each in track.complete(self._time):
                 each.update(at_end=True)
                 each.digest()
-                each.write_state(recorded_state(self, each))
-                here = each.folder == self.finisher.folder
-                self._has_closed_pairs |= here and each.evaluator.pairs > 0
+                each.files.write_state(recorded_state(self, each))
+                self.folders.see_closed(each)
                 self._troubles.append(_trouble(each.close))
-        left = {each.folder for each in self._open}
-        self._closed += [each for each in self._leaving if each.folder not in left]
-        self._leaving = [each for each in self._leaving if each.folder in left]
+        self.folders.leave(self._open)
 
     def _conclude_clocks(self) -> None:
         """Decide on clocks and body now, because no further messages follow."""

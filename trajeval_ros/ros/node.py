@@ -12,7 +12,7 @@ from trajeval_ros.exceptions import SettingsError, TrajevalError
 from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.online.jump_detector import Jump
 from trajeval_ros.online.notices import OK, WARN, Notice
-from trajeval_ros.online.reports import Snapshot, Update
+from trajeval_ros.online.reports import Update
 from trajeval_ros.ros import parameters
 from trajeval_ros.ros.advertise import advertise
 from trajeval_ros.ros.diagnostics import diagnose, notices_about
@@ -21,19 +21,19 @@ from trajeval_ros.ros.frame_broadcaster import FrameBroadcaster
 from trajeval_ros.ros.graph import about_twins
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_fixes import LiveFixes
+from trajeval_ros.ros.live_outputs import LiveOutputs
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.ros.marker_body import MarkerBody
 from trajeval_ros.ros.node_log import log
 from trajeval_ros.ros.output_folder import make_folder
 from trajeval_ros.ros.parameter_table import PARAMETERS, RESET, SAVE
-from trajeval_ros.ros.publishers import Outputs
 from trajeval_ros.ros.rerun_output import RerunOutput
 from trajeval_ros.ros.result_writing import ResultWriting
-from trajeval_ros.ros.revised_outputs import RevisedOutputs
 from trajeval_ros.ros.sides import Side, TimeAt, name_apart
 from trajeval_ros.ros.simulated_clock import SimulatedClock
 from trajeval_ros.ros.static_transform import StaticTransform
 from trajeval_ros.ros.terminal import StatusLine, seconds, summary
+from trajeval_ros.ros.unused_messages import missing_source, why_no_pair
 from trajeval_ros.ros.watching import Watching
 
 _SNAPSHOTS_SHARE = 0.05  # largest share of a core; with the whole run as window, cost increases
@@ -55,7 +55,8 @@ class EvaluatorNode:
         """
         self._node, self._values = node, values
         self._settings = parameters.settings_of(self._values)
-        self._broadcaster = (
+        # It refuses a gauge with a scale before the output folder is made.
+        broadcaster = (
             FrameBroadcaster(self._node, self._settings.protocol.gauge)
             if self._values["broadcast_tf"]
             else None
@@ -66,18 +67,16 @@ class EvaluatorNode:
         self._watching = Watching(self._node, self._values, self._events, self._log)
         self._run = self._new_run()
         self._picture = self._new_picture()
-        judges = self._settings.covariances.source != "none"
-        self._outputs = {
-            each.name: Outputs(self._node, each.name, judges=judges)
-            for each in self._run.estimates
-        }
-        self._revised: dict[str, RevisedOutputs] = {}
-        self._snapshots: dict[str, Snapshot] = {}
-        self._newest: dict[str, Update] = {}
+        self._outputs = LiveOutputs(
+            self._node,
+            [each.name for each in self._run.estimates],
+            broadcaster,
+            judges=self._settings.covariances.source != "none",
+        )
         self._snapshot_at = 0.0
         self._results = ResultWriting(lambda: self._run, self._log)
         self._advertise()
-        self._log(f"output folder: {self._run.finisher.folder}")
+        self._log(f"output folder: {self._run.folders.finisher.folder}")
 
     def finish(self) -> bool:
         """Evaluate the last messages and write everything; return whether it was written."""
@@ -97,9 +96,9 @@ class EvaluatorNode:
         for each in troubles:
             self._log_error(each)
         if not self._run.has_pairs:
-            self._log_error(self._run.why_no_pair())
+            self._log_error(why_no_pair(self._run))
             return False
-        return self._run.finisher.finish(quiet=False) and not troubles
+        return self._run.folders.finisher.finish(quiet=False) and not troubles
 
     def _new_run(self) -> LiveRun:
         gauge = self._settings.protocol.gauge
@@ -135,8 +134,7 @@ class EvaluatorNode:
         from diagnostic_msgs.msg import DiagnosticArray
         from std_srvs.srv import Trigger
 
-        for each in self._outputs.values():
-            each.advertise_lengths(self._lengths)
+        self._outputs.advertise_lengths(self._lengths)
         self._diagnostics = advertise(self._node, DiagnosticArray, "/diagnostics")
         # A call of ~/save that waits must not delay other services.
         asked = ReentrantCallbackGroup()
@@ -164,21 +162,7 @@ class EvaluatorNode:
         for estimate, update in self._run.update():
             if update.stamp is None:
                 continue
-            self._newest[estimate.name] = update
-            self._outputs[estimate.name].publish_update(
-                update,
-                self._run.groundtruth.stream.status.frame,
-                estimate.offset_ns,
-                knows_up=not estimate.doubt,
-            )
-            if self._broadcaster is not None and estimate.evaluator.alignment is not None:
-                self._broadcaster.publish(
-                    estimate.name,
-                    estimate.evaluator.alignment.similarity,
-                    update.stamp - estimate.offset_ns,
-                    self._run.groundtruth.stream.status.frame,
-                    estimate.stream.status.frame,
-                )
+            self._outputs.publish_update(self._run, estimate, update)
             self._picture.update(estimate, update)
             latency_s = estimate.latency.publish(update.stamp, time.time_ns())
             estimate.peaks.see("latency_s", latency_s)
@@ -199,37 +183,12 @@ class EvaluatorNode:
         if begin < self._snapshot_at:
             return
         for estimate in self._run.estimates:
-            snapshot = estimate.snapshot()
-            self._snapshots[estimate.name] = snapshot
-            estimate.peaks.see_snapshot(snapshot)
-            outputs = self._outputs[estimate.name]
-            outputs.publish_snapshot(snapshot)
-            self._picture.snapshot(estimate, snapshot, self._publish_revised(estimate))
-            if snapshot.alignment is not None:
-                outputs.publish_geometry(
-                    estimate.trail,
-                    snapshot.alignment.similarity,
-                    self._run.groundtruth.stream.status.frame,
-                    estimate.stream.status.frame,
-                )
+            snapshot = self._outputs.publish_snapshot(estimate)
+            revised_m = self._outputs.publish_revised(self._run, estimate)
+            self._picture.snapshot(estimate, snapshot, revised_m)
+            self._outputs.publish_geometry(self._run, estimate, snapshot)
         took = time.monotonic() - begin
         self._snapshot_at = begin + took / _SNAPSHOTS_SHARE
-
-    def _publish_revised(self, estimate: LiveEstimate) -> float | None:
-        """Publish the errors of the newest path if it is new; return its position ATE, metres."""
-        truth = self._run.groundtruth.stream.status
-        is_new = estimate.renew_slow(truth.child_frame)
-        revised = estimate.slow.revised
-        if revised is None:
-            return None
-        name = estimate.name
-        if name not in self._revised:
-            self._revised[name] = RevisedOutputs(self._node, name)
-        if is_new:
-            frames = truth.frame, estimate.stream.status.frame
-            self._revised[name].publish(revised, (self._run.groundtruth_up, estimate.up), *frames)
-        position = revised.ate["position_m"]
-        return None if position is None else position.rmse
 
     def _tell_of_segments(self) -> None:
         """Report new segments, and write the results of complete folders."""
@@ -260,15 +219,14 @@ class EvaluatorNode:
         message.header.stamp = self._node.get_clock().now().to_msg()
         parts = []
         for estimate in self._run.estimates:
-            snapshot = self._snapshots.get(estimate.name)
+            snapshot = self._outputs.snapshots.get(estimate.name)
             if snapshot is None:
                 continue
-            update = self._newest.get(estimate.name, Update())
+            update = self._outputs.newest.get(estimate.name, Update())
             peaks = estimate.peaks.take()
             notices = notices_about(self._run, estimate, snapshot, peaks, self._values)
             notices += twins
-            if self._broadcaster is not None:
-                notices += self._broadcaster.notices(estimate.name)
+            notices += self._outputs.notices(estimate)
             # Every jump was published as an event.
             standing = [each for each in notices if each.kind != "jump"]
             told = estimate.standing.renew(standing)
@@ -293,7 +251,7 @@ class EvaluatorNode:
                     snapshot,
                     self._values["window"],
                     update.position_m,
-                    self._run.missing(estimate),
+                    missing_source(self._run, estimate),
                 )
             )
         message.status += self._watching.statuses()
@@ -330,11 +288,11 @@ class EvaluatorNode:
             ended.body.transform.leave()
         self._match()
         self._picture = self._new_picture(self._picture)
-        self._snapshots, self._newest = {}, {}
+        self._outputs.begin_run()
         self._results.finish(ended)
         said = (
-            f"previous results are in {ended.finisher.folder}, new results in "
-            f"{self._run.finisher.folder}"
+            f"previous results are in {ended.folders.finisher.folder}, new results in "
+            f"{self._run.folders.finisher.folder}"
         )
         self._log(said)
         self._events.publish("run", Notice("restart", OK, said))
@@ -356,8 +314,7 @@ class EvaluatorNode:
         except SettingsError as error:
             return SetParametersResult(successful=False, reason=one_line(str(error)))
         self._values, self._settings = values, settings
-        for outputs in self._outputs.values():
-            outputs.advertise_lengths(self._lengths)
+        self._outputs.advertise_lengths(self._lengths)
         self._run.change(settings, parameters.words_of(values))
         return SetParametersResult(successful=True)
 

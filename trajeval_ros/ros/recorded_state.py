@@ -9,11 +9,13 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry.trajectory import NANOSECONDS, add_counts
+from trajeval_ros.geometry.dropped_counts import add_counts
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.online.pairing import Pairing
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_fixes import LiveFixes
 from trajeval_ros.ros.sides import Side
+from trajeval_ros.ros.unused_messages import groundtruth_dropped
 
 if TYPE_CHECKING:
     from trajeval_ros.ros.live_run import LiveRun
@@ -57,7 +59,7 @@ def _groundtruth(run: LiveRun, estimate: LiveEstimate) -> dict[str, Any]:
         "frame": status.frame,
         "child_frame": status.child_frame,
         "up": asdict(run.groundtruth_up),
-        "dropped": run.groundtruth_dropped(estimate),
+        "dropped": groundtruth_dropped(run, estimate),
         "notes": list(status.notes),
     }
 
@@ -109,10 +111,10 @@ def _warnings(run: LiveRun, estimate: LiveEstimate) -> list[str]:
     forgotten = estimate.evaluator.buffer.why_forgotten
     known = run.about_clocks, estimate.why_not_revised, run.body.said, forgotten
     warnings += filter(None, known)
-    if estimate.writer.lost:
+    if estimate.files.pairs.lost:
         warnings.append(
-            f"{counted(estimate.writer.lost, 'pair')} missing, since the disk could not be "
-            f"written: {estimate.writer.why_lost}"
+            f"{counted(estimate.files.pairs.lost, 'pair')} missing, since the disk could not be "
+            f"written: {estimate.files.pairs.why_lost}"
         )
     return warnings
 

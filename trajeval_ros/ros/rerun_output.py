@@ -46,7 +46,7 @@ class RerunOutput:
         self._streams: list[tuple[DrawingThread, LiveScene]] = []
         self._told: set[str] = set()
         self.trouble = self.address = ""
-        folder = run.finisher.folder
+        folder = run.folders.finisher.folder
         names = [each.name for each in run.estimates]
         try:
             for place, sink in enumerate(sinks_for(value, folder / FILE, str(uuid.uuid4()))):
@@ -61,7 +61,7 @@ class RerunOutput:
             give_way()
             run.watch = self._groundtruth
             for each in run.estimates:
-                each.watch = functools.partial(self._pairs, each.name)
+                each.watch = self._pairs
 
     def update(self, estimate: LiveEstimate, update: Update) -> None:
         """Show the errors of the newest pair."""
@@ -70,17 +70,19 @@ class RerunOutput:
 
     def jump(self, estimate: LiveEstimate, jump: Jump) -> None:
         """Show a jump of an estimate."""
-        text = f"{estimate.name} jumps by {jump.position_m:.2f} m and {jump.rotation_deg:.0f} deg"
-        self._put(lambda scene: scene.event(jump.stamp, text))
+        name = estimate.name
+        text = f"{name} jumps by {jump.position_m:.2f} m and {jump.rotation_deg:.0f} deg"
+        self._put(lambda scene: scene.event(name, jump.stamp, text))
 
     def snapshot(
         self, estimate: LiveEstimate, snapshot: Snapshot, revised_m: float | None
     ) -> None:
         """Show the errors of the window, the alignment, and the estimate's covariance."""
         name, stamps = estimate.name, estimate.evaluator.store.stamps()
-        if len(stamps):
-            stamp = int(stamps[-1])
-            self._put(lambda scene: scene.snapshot(name, stamp, snapshot, revised_m))
+        if not len(stamps):
+            return
+        stamp = int(stamps[-1])
+        self._put(lambda scene: scene.snapshot(name, stamp, snapshot, revised_m))
         uncertain = estimate.uncertainty() if self._streams else None
         if uncertain is not None:
             self._put(lambda scene: scene.uncertainty(name, *uncertain))
@@ -113,16 +115,17 @@ class RerunOutput:
         stream.end()
         return stream
 
-    def _groundtruth(self, poses: StateColumns) -> None:
+    def _groundtruth(self, poses: StateColumns, epoch: int) -> None:
         up, datum = self._run.groundtruth_up, self._run.groundtruth.stream.fixes.datum
-        self._put(lambda scene: scene.groundtruth(poses.stamps, poses.states, up))
+        self._put(lambda scene: scene.groundtruth(poses.stamps, poses.states, up, epoch))
         if poses.fixes is not None and datum is not None:
             as_sent = fixes_of_rows(poses.fixes[:, :3], poses.fixes[:, 3:])
             fixes = replace(as_sent, datum=datum)
             self._put(lambda scene: scene.fixes(poses.stamps, fixes))
 
-    def _pairs(self, name: str, pairs: Pairs) -> None:
-        self._put(lambda scene: scene.pairs(name, *pairs))
+    def _pairs(self, estimate: LiveEstimate, pairs: Pairs) -> None:
+        name, segment = estimate.name, (estimate.epoch, estimate.segment)
+        self._put(lambda scene: scene.pairs(name, *pairs, segment))
 
     def _put(self, draw: Callable[[LiveScene], object]) -> None:
         for stream, scene in self._streams:

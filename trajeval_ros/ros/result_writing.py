@@ -9,6 +9,7 @@ from rclpy.task import Future
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.ros.output_folder import Autosave, Finisher
+from trajeval_ros.ros.unused_messages import why_no_pair
 
 Log = Callable[[str, bool], object]
 
@@ -32,7 +33,7 @@ class ResultWriting:
     def tell(self, period_s: float) -> None:
         """Report written results, and start to write again after a period, seconds."""
         self._complain()
-        finisher = self._current().finisher
+        finisher = self._current().folders.finisher
         if finisher.poll():
             self._wake()
         for each in self._past:
@@ -46,26 +47,27 @@ class ResultWriting:
 
     async def saved(self) -> tuple[bool, str]:
         """Write result.json; return whether it was written, and where or why not."""
-        while self._current().finisher.is_busy:  # a running process does not have the newest pairs
+        # A running process does not have the newest pairs.
+        while self._current().folders.finisher.is_busy:
             await self._saved
-        finisher = self._current().finisher
+        finisher = self._current().folders.finisher
         if why_not := self._begin():
             return False, why_not
         await self._saved
         result = finisher.folder / "result.json"
-        if finisher is not self._current().finisher:
+        if finisher is not self._current().folders.finisher:
             return False, f"{result}, interrupted by ~/reset, is now written"
         return not finisher.trouble, finisher.trouble or str(result)
 
     def finish(self, run: LiveRun) -> None:
         """Start to write the final results of a run that a reset has ended."""
         if run.has_pairs:
-            self._finish(run.finisher)
+            self._finish(run.folders.finisher)
         self._wake()
 
     def finish_left_folders(self, run: LiveRun) -> None:
         """Start to write the final results of folders that a run has left."""
-        for finisher in run.ended():
+        for finisher in run.folders.complete():
             self._log(f"results of {finisher.folder} are complete", False)
             self._finish(finisher)
 
@@ -77,7 +79,7 @@ class ResultWriting:
         """Start to write result.json; return the reason if that is not possible, else ""."""
         run = self._current()
         if not run.has_pairs:
-            return run.why_no_pair()
+            return why_no_pair(run)
         self._autosaving.saved()
         try:
             run.save()
@@ -94,12 +96,12 @@ class ResultWriting:
     def _complain(self) -> None:
         """Report once that the disk can't be written, and once that it can be written again."""
         run = self._current()
-        troubles = [each.writer.trouble for each in run.estimates if each.writer.trouble]
-        if run.has_pairs and run.finisher.trouble:
-            troubles.append(run.finisher.trouble)
+        troubles = [each.files.pairs.trouble for each in run.estimates if each.files.pairs.trouble]
+        if run.has_pairs and run.folders.finisher.trouble:
+            troubles.append(run.folders.finisher.trouble)
         complaint = troubles[0] if troubles else ""
         if complaint != self._complaint:
-            folder = run.finisher.folder
+            folder = run.folders.finisher.folder
             said = f"results can't be written to {folder}: {complaint}" if complaint else ""
             self._log(said or f"results are written to {folder} again", bool(complaint))
         self._complaint = complaint

@@ -10,7 +10,7 @@ import numpy as np
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.viewer import colours
-from trajeval_ros.viewer.entity_data import marker
+from trajeval_ros.viewer.entity_data import LineLook, marker
 from trajeval_ros.viewer.legend import declare_legend
 from trajeval_ros.viewer.scene_entities import (
     ALIGNMENT_YAW,
@@ -36,10 +36,21 @@ from trajeval_ros.viewer.sdk import sdk
 
 _AXES_M = 0.4
 _ON_MAP = 2.0
+GROUNDTRUTH_PATH = LineLook(colours.GROUNDTRUTH, 1.2)
+
+
+def path_of_estimate(colour: colours.Colour, estimates: int) -> LineLook:
+    """Return the look of the path of one of N estimates; a single one is coloured by error."""
+    return LineLook(colour, 1.0 if estimates == 1 else 1.6)
 
 
 def declare(
-    recording: Any, estimates: Sequence[EstimateEntities], gauge: Gauge, up: UpAxis
+    recording: Any,
+    estimates: Sequence[EstimateEntities],
+    gauge: Gauge,
+    up: UpAxis,
+    *,
+    is_live: bool,
 ) -> None:
     """Log the styles of all entities, and the up axis of the world.
 
@@ -50,18 +61,20 @@ def declare(
     view = f"RIGHT_HAND_{up.name[-1].upper()}_{way}"
     recording.log(WORLD, getattr(rerun.ViewCoordinates, view), static=True)
     declare_legend(recording, estimates)
-    _declare_path(recording, GroundtruthEntities.path, colours.GROUNDTRUTH, 1.2)
+    _declare_path(recording, GroundtruthEntities.path, GROUNDTRUTH_PATH, is_live=is_live)
     recording.log(
         GroundtruthEntities.pose, marker(np.zeros(3), colours.GROUNDTRUTH, ""), static=True
     )
     for each in estimates:
-        _declare_path(recording, each.path, each.colour, 1.0 if len(estimates) == 1 else 1.6)
+        look = path_of_estimate(each.colour, len(estimates))
+        _declare_path(recording, each.path, look, is_live=is_live)
         # Labels of several estimates overlap; their names are in the legend.
         label = each.name if len(estimates) == 1 else ""
         looks = marker(np.zeros(3), each.colour, label), rerun.TransformAxes3D(_AXES_M)
         recording.log(each.pose, *looks, static=True)
-        _declare_lines(recording, each.by_error, None, 2.6)
-        _declare_lines(recording, each.correspondences, None, 0.8)
+        for entity, width in ((each.by_error, 2.6), (each.correspondences, 0.8)):
+            radii = [rerun.Radius.ui_points(width)]
+            recording.log(entity, rerun.LineStrips3D.from_fields(radii=radii), static=True)
         _declare_ellipsoids(recording, each.covariance, each.colour)
         _declare_series(recording, each)
         if gauge.has_scale:
@@ -121,25 +134,11 @@ def _declare_ellipsoids(recording: Any, entity: str, colour: colours.Colour) -> 
     recording.log(entity, ellipsoids, static=True)
 
 
-def _declare_path(
-    recording: Any, path: PathEntities, colour: colours.Colour, radius: float
-) -> None:
-    for each in (path.past, path.recent, path.newest):
-        _declare_lines(recording, each, colour, radius)
-
-
-def _declare_lines(
-    recording: Any, entity: str, colour: colours.Colour | None, radius: float
-) -> None:
+def _declare_path(recording: Any, path: PathEntities, look: LineLook, *, is_live: bool) -> None:
+    """Log the style of a path; the past of a live path has it in its few rows."""
     rerun, _ = sdk()
-    recording.log(
-        entity,
-        rerun.LineStrips3D.from_fields(
-            colors=None if colour is None else [colour],
-            radii=[rerun.Radius.ui_points(radius)],
-        ),
-        static=True,
-    )
+    for entity in (path.recent, path.newest) if is_live else (path.past,):
+        recording.log(entity, rerun.LineStrips3D.from_fields(**look.fields), static=True)
 
 
 def _declare_series(recording: Any, estimate: EstimateEntities) -> None:

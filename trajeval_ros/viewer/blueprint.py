@@ -120,14 +120,8 @@ def _space(
     bounds: tuple[Floats, Floats] | None,
 ) -> Any:
     _, layout = sdk()
-    growing = [
-        scene_entities.GroundtruthEntities.path.past,
-        *(each.path.past for each in estimates),
-    ]
-    if not is_live:
-        growing += [each.by_error for each in estimates]
-        growing += [each.correspondences for each in estimates]
-        growing += [each.uncertainty for each in estimates]
+    # Live, only the latest rows are visible: their entities are drawn again as they grow.
+    growing = [] if is_live else _drawn_once(estimates)
     overrides: dict[str, list[Any]] = {each: [until_now()] for each in growing}
     if len(estimates) > _MOST_COLOURED:
         hidden = [each.by_error for each in estimates]
@@ -143,6 +137,17 @@ def _space(
         line_grid=layout.LineGrid3D(visible=True, color=colours.GRID, spacing=_spacing(bounds)),
         eye_controls=_eye(bounds, 1.0 if len(estimates) == 1 else 1.2),
     )
+
+
+def _drawn_once(estimates: Sequence[scene_entities.EstimateEntities]) -> list[str]:
+    """Return the entities of a recorded picture whose rows stay visible."""
+    return [
+        scene_entities.GroundtruthEntities.path.past,
+        *(each.path.past for each in estimates),
+        *(each.by_error for each in estimates),
+        *(each.correspondences for each in estimates),
+        *(each.uncertainty for each in estimates),
+    ]
 
 
 def _plot(name: str, *quantities: str, legend: bool = False) -> Any:

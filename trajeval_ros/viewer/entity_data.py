@@ -53,10 +53,30 @@ def log(recording: Any, entity: str, stamp: int, row: Any) -> None:
     recording.log(entity, row)
 
 
-def lines(strips: Sequence[Floats] | Floats) -> EntityData:
-    """Return lines through points, each (P, 3)."""
+@dataclass(frozen=True)
+class LineLook:
+    """The look of lines.
+
+    Attributes:
+        colour: Their colour.
+        radius: Half of their width, in points of the screen.
+    """
+
+    colour: colours.Colour
+    radius: float
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """Arguments of Rerun's lines."""
+        rerun, _ = sdk()
+        return {"colors": [self.colour], "radii": [rerun.Radius.ui_points(self.radius)]}
+
+
+def lines(strips: Sequence[Floats] | Floats, look: LineLook | None = None) -> EntityData:
+    """Return lines through points, each (P, 3), with their look unless it is declared."""
     rerun, _ = sdk()
-    return EntityData(rerun.LineStrips3D, {"strips": strips})
+    fields = {} if look is None else look.fields
+    return EntityData(rerun.LineStrips3D, {"strips": strips, **fields})
 
 
 def path_by_error(points: Floats, errors: Floats, rows: Indices, full_m: float) -> EntityData:

@@ -10,14 +10,16 @@ from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.viewer import entity_data
+from trajeval_ros.viewer.entity_data import LineLook
 from trajeval_ros.viewer.paths import is_gap
 from trajeval_ros.viewer.scene_entities import PathEntities
 
 Log = Callable[[int, str, Any], None]
 
 DRAWN_EVERY_NS = 100_000_000  # poses closer in time are dropped
-_PIECE = 200  # poses of a row that stays visible
-_HEAD = 20  # poses that are sent again with every new one
+_PIECE = 300  # poses of a complete piece
+_ROWS_OF_LEVEL = 4
+_HEAD = 24  # poses that are sent again with every new one
 _MOST_ROWS = 100_000  # of a history
 _NEVER = np.iinfo(np.int64).min
 
@@ -41,18 +43,22 @@ class Thinning:
 class LivePath:
     """Draws one path, pose by pose.
 
-    Complete pieces are `past`, and are sent once. `recent` is the piece that grows, and `newest`
-    its end. Both are sent again as they grow, `newest` often and `recent` rarely.
+    Only the latest row of every entity is visible. `recent` is the piece that grows, and `newest`
+    its end. Both are sent again as they grow, `newest` often and `recent` rarely. Complete pieces
+    are `past`, on levels like the digits of a number: four rows of one level become one row of the
+    next level. Every pose is therefore sent about twice per level, and few rows have the path.
     """
 
-    def __init__(self, entities: PathEntities, log: Log) -> None:
+    def __init__(self, entities: PathEntities, log: Log, look: LineLook) -> None:
         """Create it without a pose.
 
         Args:
             entities: Where it is drawn.
             log: Draws an archetype at a stamp.
+            look: Look of the past, which `appearance.declare` does not declare.
         """
-        self._entities, self._log = entities, log
+        self._entities, self._log, self._look = entities, log, look
+        self._past: list[list[list[Floats]]] = [[] for _ in entities.levels]
         self._piece: list[Floats] = []
         self._stamp = _NEVER
         self._usual_ns = 0.0
@@ -84,14 +90,57 @@ class LivePath:
             head = np.array([*self._piece[begin:], point])
             self._draw(stamp, self._entities.newest, [head])
 
+    def draw_again(self) -> None:
+        """Draw the path on a new recording."""
+        for level, rows in enumerate(self._past):
+            if rows:
+                self._draw_level(level)
+        if len(self._piece) > 1:
+            self._draw(self._stamp, self._entities.recent, [np.array(self._piece)])
+
+    def clear(self, stamp: int) -> None:
+        """Remove the path at a stamp; the next position starts another one."""
+        self._stamp, self._piece = stamp, []
+        for level, rows in enumerate(self._past):
+            if rows:
+                rows.clear()
+                self._draw_level(level)
+        self._draw(stamp, self._entities.recent, [])
+        self._draw(stamp, self._entities.newest, [])
+
     def _end_piece(self) -> None:
         if len(self._piece) > 1:
-            self._draw(self._stamp, self._entities.past, [np.array(self._piece)])
+            self._keep([np.array(self._piece)])
             self._draw(self._stamp, self._entities.recent, [])
             self._draw(self._stamp, self._entities.newest, [])
 
+    def _keep(self, strips: list[Floats]) -> None:
+        """Add strips to the past; the last level drops every second pose when it is full."""
+        last = len(self._past) - 1
+        for level, rows in enumerate(self._past):
+            rows.append(strips)
+            is_full = len(rows) == _ROWS_OF_LEVEL
+            if is_full:
+                strips = [strip for row in rows for strip in row]
+                rows.clear()
+            if is_full and level == last:
+                rows.append([_halved(each) for each in strips])
+            self._draw_level(level)
+            if not is_full:
+                return
+
+    def _draw_level(self, level: int) -> None:
+        strips = [strip for row in self._past[level] for strip in row]
+        row = entity_data.lines(strips, self._look).row()
+        self._log(self._stamp, self._entities.levels[level], row)
+
     def _draw(self, stamp: int, entity: str, strips: list[Floats]) -> None:
         self._log(stamp, entity, entity_data.lines(strips).row())
+
+
+def _halved(strip: Floats) -> Floats:
+    """Return every second position of a strip (N, 3), with its ends."""
+    return np.concatenate([strip[:-1:2], strip[-1:]])
 
 
 class RowHistory:

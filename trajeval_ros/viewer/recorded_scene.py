@@ -89,7 +89,9 @@ def _draw(
     origin: Floats,
 ) -> None:
     first = evaluations[0]
-    appearance.declare(recording, estimates, first.protocol.gauge, first.groundtruth.up)
+    appearance.declare(
+        recording, estimates, first.protocol.gauge, first.groundtruth.up, is_live=False
+    )
     full_m = colours.scale_for(np.concatenate([each.absolute.position_m for each in evaluations]))
     entity, row = legend.scale(full_m)
     recording.log(entity, row, static=True)

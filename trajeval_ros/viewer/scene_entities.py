@@ -1,6 +1,7 @@
 """The entities of the picture, live and recorded.
 
-    world/groundtruth/path/{past,recent,newest}   path of the body, in the groundtruth's frame
+    world/groundtruth/path/{past,recent,newest}   path of the body, in the groundtruth's frame;
+                                                  live, the past is past/0, past/1, ...
     world/groundtruth/start                       its first position
     world/groundtruth/pose                        its newest pose
     world/estimate/NAME                           the alignment: transforms all entities below it
@@ -18,8 +19,8 @@
 `appearance` defines the styles, `entity_data` the logged data.
 
 A growing path is drawn in few rows, because the viewer needs 20 us per row and frame. Complete
-pieces are `past`, visible over all time. Later poses are in `recent` and `newest`, of which only
-the latest row is visible. Positions are logged once, without alignment. A new alignment is one
+pieces are `past`: in a recorded picture visible over all time, live on levels (`live_path`). Later
+poses are in `recent` and `newest`. Positions are logged without alignment. A new alignment is one
 small row and moves the whole path.
 """
 
@@ -38,6 +39,7 @@ SUMMARY, EVENTS, LEGEND = "summary", "events", "legend"
 MAP = "map"
 MAP_FIXES = f"{MAP}/fixes"
 SIGMAS = 3.0
+_LEVELS = 5
 
 # Quantities, with the names of the node's topics.
 POSITION_ERROR, ROTATION_ERROR = "position_error", "rotation_error"
@@ -56,6 +58,11 @@ class PathEntities:
     past: str
     recent: str
     newest: str
+
+    @property
+    def levels(self) -> tuple[str, ...]:
+        """The levels of the past of a live path."""
+        return tuple(f"{self.past}/{level}" for level in range(_LEVELS))
 
     @classmethod
     def below(cls, entity: str) -> PathEntities:

@@ -19,7 +19,6 @@ from trajeval_ros.watchdog.recent import (
     POSE_WIDTH,
     POSITION,
     QUATERNION,
-    REMEMBERED_S,
     SINCE,
     TIME,
     Recent,
@@ -78,16 +77,14 @@ class InertialSignals:
         """Add rows of the IMU (N, 8); return the signals at states that the IMU covers."""
         if not self.usable:
             return {}
-        self._raw.append(rows)
-        self._raw.forget(rows[-1, TIME] - REMEMBERED_S)
+        self._raw.remember(rows)
         return self._advance()
 
     def add(self, rows: Floats) -> Signals:
         """Add states (N, 9 or more); return the signals at states that the IMU covers."""
         if not self.usable:
             return {}
-        self._waiting.append(rows[:, :POSE_WIDTH])
-        self._waiting.forget(rows[-1, TIME] - REMEMBERED_S)
+        self._waiting.remember(rows[:, :POSE_WIDTH])
         return self._advance()
 
     def _advance(self) -> Signals:

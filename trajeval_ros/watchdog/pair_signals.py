@@ -13,7 +13,6 @@ from trajeval_ros.watchdog.recent import (
     POSE_WIDTH,
     POSITION,
     QUATERNION,
-    REMEMBERED_S,
     SINCE,
     TIME,
     Recent,
@@ -85,16 +84,14 @@ class PairSignals:
         """Add states of the partner (N, 9); return the signals at states that it covers."""
         if not self.usable:
             return {}
-        self._partner.append(rows)
-        self._partner.forget(rows[-1, TIME] - REMEMBERED_S)
+        self._partner.remember(rows)
         return self._advance()
 
     def add(self, rows: Floats) -> Signals:
         """Add states (N, 9 or more); return the signals at states that the partner covers."""
         if not self.usable:
             return {}
-        self._states.append(rows[:, :POSE_WIDTH])
-        self._states.forget(rows[-1, TIME] - REMEMBERED_S)
+        self._states.remember(rows[:, :POSE_WIDTH])
         return self._advance()
 
     def _advance(self) -> Signals:

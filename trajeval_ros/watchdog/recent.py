@@ -49,6 +49,11 @@ class Recent:
         self._store[self._end : self._end + len(rows)] = rows
         self._end += len(rows)
 
+    def remember(self, rows: Floats) -> None:
+        """Add rows (N, width), N > 0, and remove those that no source waits for any longer."""
+        self.append(rows)
+        self.forget(rows[-1, TIME] - REMEMBERED_S)
+
     def forget(self, before: float) -> None:
         """Remove the rows before a time, s."""
         self._begin += int(np.searchsorted(self.rows[:, TIME], before))

@@ -11,7 +11,8 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Booleans, Stamps
 from trajeval_ros.geometry.inertial import InertialReadings
-from trajeval_ros.geometry.trajectory import LARGEST, NANOSECONDS
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.geometry.valid_poses import LARGEST
 from trajeval_ros.io.bags.bag import Advance, Bag
 from trajeval_ros.io.bags.cdr import CdrPlan
 from trajeval_ros.io.bags.cdr_columns import Columns

@@ -12,9 +12,10 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.dropped_counts import add_counts
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.stamp_trust import LONE, trusted_states
-from trajeval_ros.geometry.trajectory import Trajectory, add_counts
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.bags.bag import Advance, Bag
 from trajeval_ros.io.bags.pose_2d import POSE_2D, POSE_2D_NOTE

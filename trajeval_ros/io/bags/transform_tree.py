@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.trajectory import NANOSECONDS, judge_poses
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.geometry.valid_poses import judge_poses
 from trajeval_ros.io.checks import nearest, times
 
 EdgeKey = tuple[str, str]

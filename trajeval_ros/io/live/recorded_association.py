@@ -11,15 +11,10 @@ import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
-from trajeval_ros.geometry.trajectory import (
-    LARGEST,
-    NANOSECONDS,
-    NO_STATE,
-    Trajectory,
-    add_counts,
-    judge_poses,
-)
+from trajeval_ros.geometry.dropped_counts import NO_STATE, add_counts
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.geometry.valid_poses import LARGEST, judge_poses
 from trajeval_ros.io.checks import judge_rotations
 from trajeval_ros.io.live.pair_file import RecordedPairs
 from trajeval_ros.io.live.revised_file import read_revised

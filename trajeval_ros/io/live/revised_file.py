@@ -9,10 +9,8 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.trajectory import (
-    Trajectory,
-    judge_poses,
-)
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.valid_poses import judge_poses
 from trajeval_ros.io.npz_file import read_arrays, write_arrays
 
 REVISED_SUFFIX = ".revised.npz"

@@ -21,7 +21,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.similarity import Similarity
-from trajeval_ros.geometry.trajectory import LARGEST
+from trajeval_ros.geometry.valid_poses import LARGEST
 from trajeval_ros.io.yaml_file import read_mapping, require_known
 
 _WHAT = "transform"
