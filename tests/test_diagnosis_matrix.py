@@ -71,6 +71,7 @@ def test_drift_is_no_mistake(kind: str, drift: str, worse: float) -> None:
         (1050146, "car", "heavy", 129.2),  # an offset at which noise is interpolated away
         (3000466, "car", "heavy", 84.09),  # a turn at once, without a jump
         (3010238, "car", "t1.2", 126.65483503379976),  # likewise at the first pose
+        (1050089, "handheld", "loops", 37.045043946653),  # a correction to the first pose
         (3010021, "handheld", "t1.2", 103.62757833798808),  # bad rates
     ],
 )

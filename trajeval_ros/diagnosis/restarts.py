@@ -71,18 +71,19 @@ def restart(truth: MotionTrack, estimate: MotionTrack) -> Examined:
     near = lengths(some.positions - some.positions[0]) < _HOME * size
     at_first = near[1:] & ~near[:-1]
     far = excess > limit
-    # A restart resets the position and the heading; drift and corrections change one of them.
-    resets = far & (spun | at_first) if oriented else far
-    jumps = np.flatnonzero(both & (resets | (spun & at_first)))
+    jumps = np.flatnonzero(both & (far | (spun & at_first)))
     if not 0 < len(jumps) <= _MOST:
         return Examined(_NAME, {"jumps": float(len(jumps))})
     scores = {"jumps": float(len(jumps))}
-    metres, rows = np.where(far, excess, 0.0), np.flatnonzero(kept)
-    found = (_Jump(rows[j], rows[j + 1], metres[j], turned[j]) for j in jumps)
+    sizes, rows = np.where(far, excess, 0.0), np.flatnonzero(kept)
+    found = (_Jump(rows[j], rows[j + 1], sizes[j], turned[j]) for j in jumps)
     jumps = jumps[[each.stays(truth, estimate, unit) for each in found]]
     if not len(jumps):
         return Examined(_NAME, scores)
     worst = jumps[int(np.argmax(excess[jumps] / max(extent, 1e-9) + turned[jumps] / 180.0))]
+    # A restart resets the position and the heading; drift and corrections change one of them.
+    if oriented and not (at_first | spun)[worst]:
+        return Examined(_NAME, scores)
     cut = int(worst) + 1
     if (some.positions[cut - 1] == some.positions[max(cut - 3, 0)]).all():
         return Examined(_NAME, why_not="the jump ends an interval of repeated poses")
