@@ -19,7 +19,14 @@ import numpy as np
 from benchmarks.diagnosis_cost import cost
 from benchmarks.diagnosis_further import FURTHER
 from benchmarks.diagnosis_mistakes import MISTAKES, Mistake
-from benchmarks.diagnosis_runs import DRIFTS, KINDS, Pair, recorded, simulated
+from benchmarks.diagnosis_runs import (
+    DRIFTS,
+    KINDS,
+    Pair,
+    recorded,
+    simulated,
+    with_outliers,
+)
 from trajeval_ros.diagnosis.evaluation_diagnosis import diagnose_evaluation, diagnose_sides
 from trajeval_ros.diagnosis.findings import Diagnosis
 from trajeval_ros.diagnosis.mending import changes_by
@@ -102,6 +109,13 @@ def right(
         kind, drift = KINDS[number % 4], drifts[number // 4 % len(drifts)]
         duration_s = random.uniform(20.0, 150.0)
         yield simulated(10_000 * (seed + 1) + number, kind, drift, duration_s, worse=worse)
+
+
+def spoilt(pairs: list[Pair], count: int, *, lost: bool) -> Iterator[Pair]:
+    """Yield right recordings with 1 and with 3 series of 1 and of up to 5 outliers."""
+    for pair in right(pairs, 403, count, 1.0):
+        for seed, (number, longest) in enumerate(itertools.product((1, 3), (1, 5))):
+            yield with_outliers(pair, seed, number, longest, lost=lost)
 
 
 def alarms(title: str, pairs: Iterable[Pair]) -> None:
@@ -265,8 +279,11 @@ def main() -> None:
         alarms("drift 5 times worse, more", right([], 104, 2 * options.count, 5.0))
         # No threshold was ever chosen on these.
         alarms("drift 5 times worse, fresh seeds", right([], 205, 4 * options.count, 5.0))
-        heavier = right([], 206, 2 * options.count, 5.0, ("heavier",))
-        alarms("drift 5 times worse, heavier tails", heavier)
+        for number, tail in enumerate(("t2", "heavier", "t1.2")):
+            heavier = right([], 400 + number, 2 * options.count, 5.0, (tail,))
+            alarms(f"drift 5 times worse, tails {tail}", heavier)
+        for lost in (False, True):
+            alarms("series of outliers" + ", lost" * lost, spoilt(real, options.count, lost=lost))
         positions = (_positions(each) for each in right(real, 3, options.count, 1.0))
         alarms("positions only", positions)
         alarms("2 Hz", (_every(each, 0.5) for each in real))

@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 EPOCH = 1_700_000_000_000_000_123
 KINDS = ("drone", "handheld", "car", "robot")
 DRIFTS = ("walk", "heavy", "loops", "scale", "tilt")
-# Degrees of freedom of Student's t; the second one is for judging alone.
-_TAILS = {"heavy": 2.2, "heavier": 1.5}
+# Degrees of freedom of Student's t; the others than the first one are for judging alone.
+_TAILS = {"heavy": 2.2, "t2": 2.0, "heavier": 1.5, "t1.2": 1.2}
 # What each moves like: reach in metres, and rates in Hz of its slow and fast motion.
 _REACH = {"drone": (4.0, 0.01, 0.25), "handheld": (1.5, 0.02, 0.6)}
 _FINE_HZ, _TRUTH_HZ, _ESTIMATE_HZ = 200, 100, 20
@@ -114,7 +114,7 @@ def simulated(
     Args:
         seed: Of everything.
         kind: One of `KINDS`.
-        drift: One of `DRIFTS`, or "heavier".
+        drift: One of `DRIFTS`, or "t2", "heavier" or "t1.2".
         duration_s: How long it is.
         worse: How many times larger the drift is.
     """
@@ -132,6 +132,33 @@ def simulated(
     )
     estimate = _odometry(random, times[seen], positions[seen], quaternions[seen], drift, worse)
     return Pair(f"{kind} {drift} {seed}", groundtruth, estimate)
+
+
+def with_outliers(pair: Pair, seed: int, number: int, longest: int, *, lost: bool) -> Pair:
+    """Return a pair with series of outliers of the estimate, after which it goes on as before.
+
+    Args:
+        pair: A right recording.
+        seed: Of places, lengths and sizes.
+        number: How many series.
+        longest: The most poses in a series.
+        lost: Whether outliers repeat the first pose, as of an estimator that lost tracking;
+            otherwise they are off by some metres and up to 60 deg.
+    """
+    random = np.random.default_rng(seed)
+    positions, quaternions = pair.estimate.positions.copy(), pair.estimate.quaternions
+    assert quaternions is not None
+    quaternions = quaternions.copy()
+    for row in random.integers(5, len(positions) - longest, number):
+        rows = slice(row, row + int(random.integers(1, longest + 1)))
+        if lost:
+            positions[rows], quaternions[rows] = positions[0], quaternions[0]
+        else:
+            positions[rows] += random.normal(0.0, 3.0, 3)
+            turn = lie.from_rotation_vector(random.normal(0.0, np.radians(20.0), 3))
+            quaternions[rows] = lie.multiply(turn, quaternions[rows])
+    estimate = dataclasses.replace(pair.estimate, positions=positions, quaternions=quaternions)
+    return dataclasses.replace(pair, name=f"{pair.name} {number}x{longest}", estimate=estimate)
 
 
 def _stamps(seconds: Array) -> NDArray[np.int64]:

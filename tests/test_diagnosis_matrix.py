@@ -11,7 +11,7 @@ import pytest
 from benchmarks.diagnosis import found, mended
 from benchmarks.diagnosis_further import FURTHER
 from benchmarks.diagnosis_mistakes import MISTAKES
-from benchmarks.diagnosis_runs import DRIFTS, KINDS, Pair, simulated
+from benchmarks.diagnosis_runs import DRIFTS, KINDS, Pair, simulated, with_outliers
 from trajeval_ros.diagnosis.findings import Diagnosis
 from trajeval_ros.geometry.trajectory import Trajectory
 
@@ -70,12 +70,49 @@ def test_drift_is_no_mistake(kind: str, drift: str, worse: float) -> None:
         (1050218, "car", "tilt", 132.31448168796436),  # likewise a tilt
         (1050146, "car", "heavy", 129.2),  # an offset at which noise is interpolated away
         (3000466, "car", "heavy", 84.09),  # a turn at once, without a jump
+        (3010238, "car", "t1.2", 126.65483503379976),  # likewise at the first pose
+        (1050089, "handheld", "loops", 37.045043946653),  # a correction to the first pose
+        (3010021, "handheld", "t1.2", 103.62757833798808),  # bad rates
     ],
 )
 def test_large_drift_that_looked_like_a_mistake(
     seed: int, kind: str, drift: str, duration_s: float
 ) -> None:
     assert not causes(found(simulated(seed, kind, drift, duration_s, worse=5.0)))
+
+
+@pytest.mark.parametrize("lost", [False, True])
+@pytest.mark.parametrize("longest", [1, 5])
+@pytest.mark.parametrize("pair", [DRONE, CAR], ids=["drone", "car"])
+def test_outliers_are_no_restart(pair: Pair, longest: int, lost: bool) -> None:
+    for seed in range(3):
+        assert not causes(found(with_outliers(pair, seed, 1, longest, lost=lost)))
+
+
+def test_outliers_do_not_hide_a_restart() -> None:
+    restarted = MISTAKES["restart"].make(DRONE)
+    finding = found(with_outliers(restarted, 0, 1, 5, lost=False)).named("restart")
+    assert finding is not None
+    assert finding.evidence["at_s"] == pytest.approx(55.0, abs=0.2)
+
+
+def test_a_restart_after_a_gap_is_found() -> None:
+    restarted = MISTAKES["restart"].make(DRONE)
+    row = int(0.55 * len(DRONE.estimate))
+    kept = np.delete(np.arange(len(DRONE.estimate)), np.arange(row - 60, row))
+    pair = dataclasses.replace(restarted, estimate=restarted.estimate[kept])
+    assert causes(found(pair)) == ["restart"]
+
+
+@pytest.mark.parametrize("oriented", [True, False])
+def test_a_jump_with_the_same_heading_is_no_restart(oriented: bool) -> None:
+    """Without orientations, a jump is all that shows a restart."""
+    positions = DRONE.estimate.positions.copy()
+    positions[len(positions) // 2 :] += [20.0, 5.0, 0.0]
+    truth = DRONE.truth if oriented else dataclasses.replace(DRONE.truth, quaternions=None)
+    estimate = dataclasses.replace(DRONE.estimate, positions=positions)
+    pair = dataclasses.replace(DRONE, truth=truth, estimate=estimate)
+    assert causes(found(pair)) == ([] if oriented else ["restart"])
 
 
 @pytest.mark.parametrize("first", ["mirrored", "wxyz, estimate", "clock +18 s"])

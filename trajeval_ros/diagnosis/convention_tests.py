@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from trajeval_ros.diagnosis.clock_tests import SMALL_S
 from trajeval_ros.diagnosis.evidence import Examined, Seen, Value
 from trajeval_ros.diagnosis.hypotheses import (
     AXES_MIXED,
@@ -56,7 +57,7 @@ def conventions(
     other = min(others, key=lambda each: each.cost + _CHANGE * each.changes)
     scores = _scores(hypotheses, kinds)
     if other.cost > _UNLIKE * kinds and as_read.cost > _UNLIKE * kinds:
-        if match is not None and match.peak < _UNLIKE_RATES and match.overlap_s > _LONG_S:
+        if match is not None and _is_of_another_run(match):
             values: dict[str, Value] = {"peak": match.peak, "agreement": _percent(as_read, kinds)}
             return Examined(NAME, scores, (Seen("other_run", 1.0, values),))
         return Examined(NAME, scores, why_not="the motions do not agree with any convention")
@@ -115,6 +116,15 @@ _MENDS: dict[str, dict[str, dict[str, Value]]] = {
     },
     INVERSE: {side: {"inverse": side} for side in (ESTIMATE, GROUNDTRUTH)},
 }
+
+
+def _is_of_another_run(match: ClockMatch) -> bool:
+    """Return whether the rates of motion hardly correlate.
+
+    The rates of one run correlate most without an offset, even if the estimate is bad.
+    """
+    apart = abs(match.offset_s) > SMALL_S
+    return apart and match.peak < _UNLIKE_RATES and match.overlap_s > _LONG_S
 
 
 def _percent(hypothesis: Hypothesis, kinds: int) -> float:
