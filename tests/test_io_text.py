@@ -296,6 +296,15 @@ BAD_FILES: dict[str, tuple[bytes, str]] = {
     "no matrix": (b"1 2 3 4 5 6 7 8 9 10 11 12\n", "but not 3 x 4 pose matrices"),
     "milliseconds": (b"1700000000000 1 2 3 0 0 0 1\n1700000000005 1 2 3 0 0 0 1\n", "neither"),
     "zero bytes at the end": (f"{FIRST}\n{SECOND}\n".encode() + bytes(70000), "zero bytes"),
+    "carriage returns alone": (
+        GOOD.replace("\n", "\r").encode(),
+        "line 1: 8 columns expected, found 24",
+    ),
+    "carriage returns and a comment": (
+        GOOD.replace("\n", "\r", 1).replace("\n", "\r# lost\r").encode(),
+        "line 1: 8 columns expected, found 24",
+    ),
+    "a long line of spaces": (b"a," + b" " * 60_000 + b"b\n1 2 3 4 5\n", "unknown layout with 5"),
     "one endless line": (b"1 " * 1_000_000, "unknown layout|is not a trajectory"),
 }
 
