@@ -35,7 +35,7 @@ def read_camera(path: Path) -> CalibratedCamera:
     """
     values = read_mapping(path, "calibration of a camera")
     model, distortion = values.get("camera_model"), values.get("distortion_model")
-    if model != "pinhole" or distortion not in _DISTORTIONS:
+    if model != "pinhole" or not isinstance(distortion, str) or distortion not in _DISTORTIONS:
         raise InputError(
             f"{path}: camera_model {model!r} with distortion_model {distortion!r} is not "
             "supported; use pinhole with radial-tangential or equidistant"
@@ -72,7 +72,7 @@ def _pose(path: Path, value: Any) -> Floats:
 def _numbers(path: Path, values: Mapping[str, Any], name: str, count: int) -> Floats:
     try:
         numbers = np.array(values.get(name), dtype=np.float64).ravel()
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         numbers = np.zeros(0)
     if len(numbers) != count or not np.isfinite(numbers).all():
         raise InputError(f"{path}: {name} must be {count} numbers")
