@@ -96,13 +96,9 @@ SUBPACKAGES = {
         "app verbs verb_classes exit_status": "command_line",
     },
     "watchdog": {
-        "alarm_book engine error_spans limits recent signal_history signals unseen": (
-            "watchdog watch_cli"
-        ),
-        "correction_signals pair_signals pose_signals twist_signals": "watchdog watch_cli",
-        "inertial_mounting inertial_signals rotations_over_time turning_axis": (
-            "watchdog watch_cli"
-        ),
+        "alarm_book error_spans limits recent signal_history signals unseen correction_signals "
+        "pair_signals pose_signals twist_signals inertial_mounting inertial_signals "
+        "rotations_over_time turning_axis engine": "watchdog_parts watchdog",
         "recording": "watchdog watch_sources watch_cli",
     },
     "visual_inertial": {
