@@ -90,7 +90,7 @@ SUBPACKAGES = {
         "ros1_to_cdr": "io_playback",
         "cdr cdr_batch cdr_columns cdr_steps cdr_strings": "io_cdr",
     },
-    "io/tracks": {"camera_file tracks_folder": "tracks_folder"},
+    "io/tracks": {"camera_file tracks_folder": "tracks_reading tracks_folder"},
     "cli": {
         "evaluation_folder": "cli_outputs",
         "app verbs verb_classes exit_status": "command_line",
@@ -103,7 +103,7 @@ SUBPACKAGES = {
     },
     "visual_inertial": {
         "lens keyframe_selection outliers covariance_tests residual_groups sensor_recording": (
-            "tracks_folder visual_inertial_measurements"
+            "tracks_reading tracks_folder visual_inertial_measurements"
         ),
     },
 }

@@ -23,6 +23,7 @@ _DISTORTIONS = {
     "equi": "equidistant",
     "kannala-brandt": "equidistant",
 }
+_MOST_PIXELS = 1 << 16  # along an edge
 _ROTATION_TOLERANCE = 1e-3
 
 
@@ -48,8 +49,10 @@ def read_camera(path: Path) -> CalibratedCamera:
     width, height = _numbers(path, values, "resolution", 2)
     intrinsics = _numbers(path, values, "intrinsics", 4)
     coefficients = _numbers(path, values, "distortion_coefficients", 4)
-    if min(*intrinsics[:2], width, height) <= 0.0:
-        raise InputError(f"{path}: focal lengths and resolution must be greater than zero")
+    if not (intrinsics[:2] > 0.0).all():
+        raise InputError(f"{path}: focal lengths must be greater than zero")
+    if not (1.0 <= min(width, height) and max(width, height) <= _MOST_PIXELS):
+        raise InputError(f"{path}: resolution must be from 1 to {_MOST_PIXELS} pixels")
     lens = Lens(intrinsics[:2], intrinsics[2:], _DISTORTIONS[distortion], coefficients)
     return CalibratedCamera(lens, int(width), int(height), pose[:3, :3], pose[:3, 3])
 

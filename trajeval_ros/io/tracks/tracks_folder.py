@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from trajeval_ros.exceptions import InputError
+from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.text.decimals import RowFormat, parse_rows
@@ -30,6 +30,7 @@ _NAMES = {
     "camera": ("cam*.yaml", "mav0/cam0/sensor.yaml"),
 }
 _LARGEST = 1 << 30  # bytes
+_LARGEST_ID = 1 << 53  # larger whole numbers are not exact as float64
 
 
 def read_tracks_folder(folder: Path) -> SensorRecording:
@@ -45,6 +46,13 @@ def read_tracks_folder(folder: Path) -> SensorRecording:
         raise InputError(
             f"{folder} is not a folder; give a folder with tracks, IMU and groundtruth"
         )
+    try:
+        return _recording_in(folder)
+    except OSError as error:
+        raise InputError(f"{error.filename} can't be read: {reason_of(error)}") from error
+
+
+def _recording_in(folder: Path) -> SensorRecording:
     paths = {what: _only(folder, what) for what in _NAMES}
     imu_path, tracks_path = paths["IMU samples"], paths["tracks"]
     imu_stamps, samples = _read_rows(imu_path, "stamp_ns,wx,wy,wz,ax,ay,az")
@@ -130,8 +138,10 @@ def _read_rows(path: Path, names: str) -> tuple[Stamps, Floats]:
 
 
 def _track_names(path: Path, column: Floats) -> Stamps:
-    if (column != np.rint(column)).any():
-        raise InputError(f"{path}: track ids (second column) must be whole numbers")
+    if (column != np.rint(column)).any() or np.abs(column).max() > _LARGEST_ID:
+        raise InputError(
+            f"{path}: track ids (second column) must be whole numbers up to {_LARGEST_ID}"
+        )
     return column.astype(np.int64)
 
 
