@@ -92,8 +92,9 @@ SUBPACKAGES = {
     },
     "io/tracks": {"camera_file tracks_folder": "tracks_reading tracks_folder"},
     "cli": {
-        "evaluation_folder": "cli_outputs",
-        "app verbs verb_classes exit_status": "command_line",
+        "evaluation_folder": "evaluation_folder cli_outputs",
+        "exit_status": "exit_status",
+        "app verbs verb_classes": "start_up command_line",
     },
     "watchdog": {
         "alarm_book error_spans limits recent signal_history signals unseen correction_signals "

@@ -51,7 +51,7 @@ def read_camera(path: Path) -> CalibratedCamera:
     coefficients = _numbers(path, values, "distortion_coefficients", 4)
     if not (intrinsics[:2] > 0.0).all():
         raise InputError(f"{path}: focal lengths must be greater than zero")
-    if not (1.0 <= min(width, height) and max(width, height) <= _MOST_PIXELS):
+    if not (min(width, height) >= 1.0 and max(width, height) <= _MOST_PIXELS):
         raise InputError(f"{path}: resolution must be from 1 to {_MOST_PIXELS} pixels")
     lens = Lens(intrinsics[:2], intrinsics[2:], _DISTORTIONS[distortion], coefficients)
     return CalibratedCamera(lens, int(width), int(height), pose[:3, :3], pose[:3, 3])
