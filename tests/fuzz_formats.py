@@ -194,7 +194,7 @@ def make_text(random: Random, folder: Path) -> Changed:
         elif kind == "missing":
             cells.pop()
         elif kind == "nan":
-            cells[int(random.integers(1, len(cells)))] = pick(random, ["nan", "inf", "-nan"])
+            cells[int(random.integers(len(cells)))] = pick(random, ["nan", "inf", "-nan"])
         elif kind == "number":
             cells[int(random.integers(len(cells)))] = (
                 f"{random.normal() * 10.0 ** random.integers(99)}"

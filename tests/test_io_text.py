@@ -98,6 +98,14 @@ def test_every_layout_gives_the_same_poses(layout: str, tmp_path: Path) -> None:
         np.testing.assert_array_equal(trajectory.accelerometer_biases, BIASES[:, 3:])
 
 
+@pytest.mark.parametrize("end", ["# end", " # end", "  ", "\t", "%", "# end\r", "\r\n# end\r\n"])
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_what_follows_the_last_row_is_no_row(layout: str, end: str, tmp_path: Path) -> None:
+    path = tmp_path / "t"
+    path.write_bytes(LAYOUTS[layout].encode() + end.encode())
+    np.testing.assert_array_equal(read_trajectory(path).positions, POSITIONS)
+
+
 @pytest.mark.parametrize("layout", ["euroc 17", "vins-mono", "openvins state"])
 def test_velocities_are_read(layout: str, tmp_path: Path) -> None:
     path = tmp_path / "t"

@@ -106,7 +106,8 @@ def parse_rows(block: bytes, rows: RowFormat) -> ParsedRows:
     try:
         values = np.empty((len(timed), 0))
         if rows.values:
-            values = _parse_numbers(tokens[every, rows.pick]).reshape(len(timed), -1)
+            # A block may have no row: the last one, if a comment ends the file.
+            values = _parse_numbers(tokens[every, rows.pick]).reshape(-1, len(rows.values))
         if rows.time is not None:
             parse = _parse_dates if rows.dates else _parse_stamps
             stamps, timed = parse(tokens[every, rows.time])
