@@ -302,6 +302,7 @@ BAD_FILES: dict[str, tuple[bytes, str]] = {
     "utf-16": (GOOD.encode("utf-16"), "UTF-16"),
     "five columns": (b"1 2 3 4 5\n", "unknown layout with 5 columns"),
     "no matrix": (b"1 2 3 4 5 6 7 8 9 10 11 12\n", "but not 3 x 4 pose matrices"),
+    "a huge matrix": (b"1e200 -1e200 3 4 5 6 7 8 9 10 11 12\n", "but not 3 x 4 pose matrices"),
     "milliseconds": (b"1700000000000 1 2 3 0 0 0 1\n1700000000005 1 2 3 0 0 0 1\n", "neither"),
     "zero bytes at the end": (f"{FIRST}\n{SECOND}\n".encode() + bytes(70000), "zero bytes"),
     "carriage returns alone": (
@@ -317,6 +318,7 @@ BAD_FILES: dict[str, tuple[bytes, str]] = {
 }
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("case", BAD_FILES)
 def test_bad_files_are_refused_with_one_sentence(case: str, tmp_path: Path) -> None:
     content, message = BAD_FILES[case]
