@@ -99,10 +99,12 @@ def test_every_layout_gives_the_same_poses(layout: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("end", ["# end", " # end", "  ", "\t", "%", "# end\r", "\r\n# end\r\n"])
-@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("layout", [*LAYOUTS, "dates"])
 def test_what_follows_the_last_row_is_no_row(layout: str, end: str, tmp_path: Path) -> None:
     path = tmp_path / "t"
-    path.write_bytes(LAYOUTS[layout].encode() + end.encode())
+    dates = [f"2024-03-{day}T10:00:00.5" for day in range(10, 10 + len(POSITIONS))]
+    dated = "date,x,y,z\n" + table(POSITIONS, times=dates, separator=",")
+    path.write_bytes(LAYOUTS.get(layout, dated).encode() + end.encode())
     np.testing.assert_array_equal(read_trajectory(path).positions, POSITIONS)
 
 

@@ -16,6 +16,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.io.tracks.camera_file import read_camera
 from trajeval_ros.io.tracks.tracks_folder import read_tracks_folder
+from trajeval_ros.visual_inertial.covariance_tests import split_half_nees
 from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
 from trajeval_ros.visual_inertial.keyframe_selection import KeyframeSelection, select
 from trajeval_ros.visual_inertial.outliers import (
@@ -92,6 +93,19 @@ def test_the_order_of_rows_and_a_header_change_nothing(
     np.testing.assert_array_equal(*tables)
 
 
+@pytest.mark.parametrize("name", ["imu.csv", "tracks.csv", "groundtruth.csv"])
+def test_comments_are_no_rows(name: str, folder: Path, recording: SensorRecording) -> None:
+    edit(folder / name, lambda text: text.replace("\n", "\n# a, comment\n", 5) + "# end")
+    found = read_tracks_folder(folder)
+    np.testing.assert_array_equal(found.pixels, recording.pixels)
+    np.testing.assert_array_equal(found.accelerations, recording.accelerations)
+    np.testing.assert_array_equal(found.groundtruth.stamps, recording.groundtruth.stamps)
+    edit(folder / name, lambda text: text.replace("# end", "1,2"))
+    if name != "groundtruth.csv":
+        rows = len((folder / name).read_text().splitlines())
+        assert f"{name}, line {rows}: " in refusal(folder)
+
+
 @pytest.mark.parametrize("name", ["imu.csv", "tracks.csv", "groundtruth.csv", "camera.yaml"])
 def test_files_that_cannot_be_read(name: str, folder: Path) -> None:
     (folder / name).unlink()
@@ -102,7 +116,7 @@ def test_files_that_cannot_be_read(name: str, folder: Path) -> None:
     assert "can't be read: is a directory" in refusal(folder)
 
 
-@pytest.mark.parametrize("name", ["1e300", str(2**53 + 2), "-1e300", "0.5"])
+@pytest.mark.parametrize("name", ["1e300", str(2**53 + 2), "-1e300", "0.5", "0.7"])
 def test_names_of_tracks_are_exact(name: str, folder: Path) -> None:
     edit(folder / "tracks.csv", lambda text: text.replace(",0,", f",{name},"))
     assert "must be whole numbers up to 9007199254740992" in refusal(folder)
@@ -160,6 +174,8 @@ def test_samples_of_the_imu_must_rise(folder: Path) -> None:
     spoilt = ",".join([*cells[:-1], "inf"])
     (folder / "imu.csv").write_text("\n".join([head, *rows[:7], spoilt, *rows[8:]]))
     assert "row 8 is not finite" in refusal(folder)
+    (folder / "imu.csv").write_text("\n".join([head, rows[0], spoilt]))
+    assert "row 2 is not finite" in refusal(folder)
 
 
 def test_files_of_this_package_come_before_those_of_euroc(folder: Path) -> None:
@@ -208,6 +224,8 @@ def test_a_calibration(folder: Path) -> None:
     path = folder / "camera.yaml"
     camera = read_camera(path)
     assert (camera.width, camera.height) == (752, 480)
+    edit(path, lambda text: text.replace("[752, 480]", "[1, 65536]"))
+    assert (read_camera(path).width, read_camera(path).height) == (1, 65536)
     assert camera.lens.focal_px.tolist() == [458.0, 457.0]
     assert camera.lens.centre_px.tolist() == [367.0, 248.0]
     np.testing.assert_allclose(camera.lever_arm, LEVER_ARM)
@@ -447,6 +465,14 @@ def test_planted_outliers_are_dropped_and_nothing_else(recording: SensorRecordin
     # They also move their landmarks, by which other errors grow.
     assert 1.0 - 6 * len(rows) / first[0] < found.within_3px <= 1.0 - len(rows) / first[0]
     np.testing.assert_allclose(found.state.positions, clean.state.positions, atol=2e-3)
+    # Smaller errors pass the first, coarse test, and are dropped until none are left.
+    wrong.pixels[rows] += [-20.0, 6.0]
+    slow = reject_outliers(selected(wrong))
+    assert slow.rounds[1][0] > first[0] - len(rows)
+    assert slow.rounds[-1] == slow.rounds[-2] < slow.rounds[1]
+    assert slow.rounds[-1][0] > first[0] - 3 * len(rows)
+    judged = slow.selection.with_noise(TRACKER_NOISE_PX)
+    assert _is_good(judged, slow.state, 1.01 * CHI2_LIMIT).all()
     few = dataclasses.replace(recording, pixels=recording.pixels.copy())
     few.pixels[recording.track_of >= 49] += np.random.default_rng(0).uniform(
         50.0, 90.0, (int(np.count_nonzero(recording.track_of >= 49)), 2)
@@ -473,6 +499,22 @@ def test_correlation_along_tracks_by_its_definition(recording: SensorRecording) 
         expected.append(np.vdot(one, other) / np.linalg.norm(one) / np.linalg.norm(other))
     np.testing.assert_allclose(track_correlation(problem, state, (1, 4)), expected, rtol=1e-9)
     assert np.isnan(track_correlation(problem, state, (problem.keyframes,))).all()
+
+
+@pytest.mark.parametrize("landmarks", [39, 40])
+def test_halves_of_landmarks_have_at_least_twenty(
+    landmarks: int, recording: SensorRecording
+) -> None:
+    whole = selected(recording)
+    few, _ = whole.kept(whole.landmark_of < landmarks)
+    assert few.landmarks == landmarks
+    generator = np.random.default_rng(1)
+    if landmarks < 40:
+        with pytest.raises(InputError, match=r"39 landmarks are too few .* at least 40 are"):
+            split_half_nees(few, triangulated(few), 1, generator)
+        return
+    (nees,) = split_half_nees(few, triangulated(few), 1, generator)
+    assert 0.5 < nees < 2.0
 
 
 def test_a_singular_lens_is_not_inverted() -> None:

@@ -15,7 +15,7 @@ from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.text.decimals import RowFormat, parse_rows
-from trajeval_ros.io.text.head import read_head
+from trajeval_ros.io.text.head import COMMENT, read_head
 from trajeval_ros.io.text.reader import read_text
 from trajeval_ros.io.text.stamps import to_nanoseconds
 from trajeval_ros.io.text.tokens import RowError
@@ -121,8 +121,9 @@ def _read_rows(path: Path, names: str) -> tuple[Stamps, Floats]:
         raise InputError(f"{path} is too large; use a part of the recording")
     start = read_head(path).start
     content = path.read_bytes()
+    table = COMMENT.sub(b"", content[start:])
     try:
-        rows = parse_rows(content[start:], RowFormat(columns, 0, tuple(range(1, columns))))
+        rows = parse_rows(table, RowFormat(columns, 0, tuple(range(1, columns))))
     except RowError as error:
         line = content[:start].count(b"\n") + error.line + 1
         raise InputError(f"{path}, line {line}: {error.reason}; use the columns {names}") from None
