@@ -20,7 +20,7 @@ PLACES = places_of(POSITIONS)
 
 
 def sentence(body: str) -> str:
-    checksum = functools.reduce(operator.xor, body.encode())
+    checksum = functools.reduce(operator.xor, body.encode(), 0)
     return f"${body}*{checksum:02X}"
 
 

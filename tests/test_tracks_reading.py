@@ -265,6 +265,18 @@ def test_instants_less_than_a_microsecond_apart_are_one() -> None:
         at_instants(known, np.array([11_001, 15_000, 0]), "fix")
 
 
+def with_samples(
+    recording: SensorRecording, kept: np.ndarray, stamps: np.ndarray | None = None
+) -> SensorRecording:
+    """Return a recording with some samples of the IMU, at other times if given."""
+    return dataclasses.replace(
+        recording,
+        imu_stamps=recording.imu_stamps[kept] if stamps is None else stamps,
+        angular_velocities=recording.angular_velocities[kept],
+        accelerations=recording.accelerations[kept],
+    )
+
+
 def test_keyframes_are_every_nth_image_that_both_cover(recording: SensorRecording) -> None:
     whole = selected(recording)
     count = len(recording.image_stamps)
@@ -278,25 +290,25 @@ def test_keyframes_are_every_nth_image_that_both_cover(recording: SensorRecordin
     assert whole.notes == ()
     few = selected(recording, most=5)
     np.testing.assert_array_equal(few.truth.positions, truth.positions[:15:3])
-    # An IMU that starts at image 4 less a microsecond covers it, and a nanosecond later does not.
+    # An IMU that starts a microsecond after image 4 covers it, and one nanosecond later does not.
     stamps = recording.imu_stamps
     for late_ns, first in ((SAME_INSTANT_NS, 4), (SAME_INSTANT_NS + 1, 5)):
-        begin = int(np.searchsorted(stamps, recording.image_stamps[4]))
-        moved = stamps[begin:].copy()
+        moved = stamps[stamps >= recording.image_stamps[4]].copy()
         moved[0] += late_ns
-        late = dataclasses.replace(
-            recording,
-            imu_stamps=moved,
-            angular_velocities=recording.angular_velocities[begin:],
-            accelerations=recording.accelerations[begin:],
-        )
-        part = selected(late, most=5)
+        part = selected(with_samples(recording, stamps >= recording.image_stamps[4], moved), 3, 5)
         np.testing.assert_array_equal(
             part.truth.positions, truth.positions[first : first + 15 : 3]
         )
         assert part.notes == (
             f"images outside the time span of IMU or groundtruth, dropped: {first}",
         )
+    for early_ns, last in ((SAME_INSTANT_NS, 40), (SAME_INSTANT_NS + 1, 39)):
+        kept = stamps <= recording.image_stamps[40]
+        moved = stamps[kept].copy()
+        moved[-1] -= early_ns
+        part = selected(with_samples(recording, kept, moved), 1, 100)
+        np.testing.assert_array_equal(part.truth.positions, truth.positions[: last + 1])
+        assert part.notes[-1].endswith(f"dropped: {count - 1 - last}")
     assert len(selected(recording, every=20).truth.positions) == 3
     with pytest.raises(InputError, match=r"only 2 keyframes \(47 of 47 images .*, one in 24"):
         selected(recording, every=24)
@@ -405,12 +417,7 @@ def test_a_gap_of_the_imu_is_refused(
     """Samples are 5 ms apart, and a gap may last 0.1 s."""
     kept = np.ones(len(recording.imu_stamps), dtype=bool)
     kept[100 : 100 + removed] = False
-    part = dataclasses.replace(
-        recording,
-        imu_stamps=recording.imu_stamps[kept],
-        angular_velocities=recording.angular_velocities[kept],
-        accelerations=recording.accelerations[kept],
-    )
+    part = with_samples(recording, kept)
     if is_read:
         assert selected(part).preintegrated.durations_s == pytest.approx(np.full(15, 0.15))
         return
