@@ -28,7 +28,7 @@ from trajeval_ros.visual_inertial.outliers import (
     triangulated,
 )
 from trajeval_ros.visual_inertial.preintegration import GRAVITY, ImuNoise
-from trajeval_ros.visual_inertial.residual_groups import track_correlation
+from trajeval_ros.visual_inertial.residual_groups import residual_groups, track_correlation
 from trajeval_ros.visual_inertial.sensor_recording import (
     SAME_INSTANT_NS,
     SensorRecording,
@@ -486,6 +486,44 @@ def test_planted_outliers_are_dropped_and_nothing_else(recording: SensorRecordin
     )
     with pytest.raises(InputError, match=r"only \d+ of 150 tracks have three keyframes"):
         reject_outliers(selected(few))
+
+
+@pytest.mark.parametrize("bias_noise", [None, BIAS_NOISE])
+def test_redundancies_by_the_hat_matrix(
+    bias_noise: BiasNoise | None, recording: SensorRecording
+) -> None:
+    """Of all residuals, with their Jacobian by differences."""
+    whole = selected(recording, most=4, bias_noise=bias_noise)
+    few, _ = whole.kept(whole.landmark_of < 15)
+    problem, state = few.problem(), triangulated(few)
+
+    def residuals(step: np.ndarray) -> list[np.ndarray]:
+        moved = state.moved(step)
+        inertial = problem.inertial(moved)[0]
+        biases = np.concatenate([inertial[:, 9:].ravel(), problem.first_biases(moved)[0].ravel()])
+        kinds = [inertial[:, begin : begin + 3].ravel() for begin in (0, 3, 6)]
+        return [problem.residuals(moved)[0].ravel(), *kinds, biases]
+
+    size = problem.width * problem.keyframes + 3 * problem.landmarks
+    columns = [
+        (np.concatenate(residuals(step)) - np.concatenate(residuals(-step))) / 2e-6
+        for step in 1e-6 * np.eye(size)
+    ]
+    basis, singular, _ = np.linalg.svd(np.stack(columns, axis=1), full_matrices=False)
+    used = np.square(basis[:, : size - 4]).sum(axis=1)  # four directions are undetermined
+    assert singular[size - 4] < 1e-4 * singular[size - 5]
+    parts = residuals(np.zeros(size))
+    ends = np.cumsum([len(part) for part in parts])
+    groups = residual_groups(problem, state)
+    assert [group.name for group in groups] == [
+        "pixels", "IMU rotation", "IMU velocity", "IMU position", "IMU biases",
+    ][: len(groups)]  # fmt: skip
+    assert len(groups) == (4 if bias_noise is None else 5)
+    for group, part, share in zip(groups, parts, np.split(used, ends), strict=False):
+        assert group.count == len(part)
+        assert group.chi2 == pytest.approx(part @ part, rel=1e-9)
+        assert group.redundancy == pytest.approx(len(part) - share.sum(), abs=1e-3)
+        assert group.ratio == group.chi2 / group.redundancy
 
 
 def test_correlation_along_tracks_by_its_definition(recording: SensorRecording) -> None:
