@@ -25,6 +25,7 @@ from trajeval_ros.batch.record_store import RECORDS, SUFFIX, RecordStore
 from trajeval_ros.batch.records import Record
 from trajeval_ros.batch.source_hash import hash_of_package
 from trajeval_ros.exceptions import InputError, SettingsError, reason_of
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.io.json_file import mapping_in
 from trajeval_ros.io.schema import require_schema
 from trajeval_ros.io.writing import refused_by_disk, write_whole
@@ -169,7 +170,9 @@ def merged(folders: Sequence[Path]) -> FinishedComparison:
     if missing is not None:
         raise InputError(f"run {missing + 1} of {total} is missing in the shards; {_MEND}")
     if len(runs) > total:
-        raise InputError(f"the shards have {len(runs)} runs instead of {total}; {_MEND}")
+        raise InputError(
+            f"the shards have {counted(len(runs), 'run')} instead of {total}; {_MEND}"
+        )
     settings = mapping_in(heads[first]["settings"])
     assert settings is not None
     return FinishedComparison(
