@@ -25,6 +25,7 @@ from trajeval_ros.watchdog.recording import watched
 from trajeval_ros.watchdog.rotations_over_time import angles_deg, running_products, slerp_at
 from trajeval_ros.watchdog.signal_history import SignalHistory
 from trajeval_ros.watchdog.signals import (
+    SIGNALS,
     Readings,
     in_order,
     joined,
@@ -96,9 +97,9 @@ def test_rotations_over_time() -> None:
     assert max((a.inv() * b).magnitude() for a, b in zip(found, expected, strict=True)) < 1e-12
     assert running_products(first.as_quat(), np.zeros((0, 4))).shape == (0, 4)
     times = np.arange(3.0)
-    turned = lie.from_rotation_vector(np.outer(times, [0.0, 0.0, 0.2]))
+    turned = lie.from_rotation_vector(np.outer([0.0, 0.2, 0.8], [0.0, 0.0, 1.0]))
     found = slerp_at(times, turned, np.array([-1.0, 0.5, 1.25, 9.0]))
-    np.testing.assert_allclose(lie.rotation_vector(found)[:, 2], [0.0, 0.1, 0.25, 0.4], atol=1e-12)
+    np.testing.assert_allclose(lie.rotation_vector(found)[:, 2], [0.0, 0.1, 0.35, 0.8], atol=1e-12)
     axis = np.array([0.6, 0.0, 0.8])
     angles = np.array([0.0, 10.0, 179.0, 181.0, 350.0, 370.0])
     about = lie.from_rotation_vector(np.outer(np.radians(angles), axis))
@@ -122,14 +123,14 @@ def test_the_history_has_the_largest_value_of_each_second() -> None:
     assert history.by_second == {"gap": [(0, 3.0), (1, 2.0), (3, 4.0)], "speed": []}
     assert history.latest == {"gap": 4.0}
     whole, parts = SignalHistory(), SignalHistory()
-    seconds = np.arange(1000.0) / 10.0
+    seconds = 1000.0 + np.arange(1000.0) / 10.0
     values = np.random.default_rng(0).random(1000)
     whole.add({"gap": Readings(seconds, values)})
     for begin in range(0, 1000, 7):
         rows = slice(begin, begin + 7)
         parts.add({"gap": Readings(seconds[rows], values[rows])})
     expected = [
-        (second, values[10 * second : 10 * second + 10].max()) for second in range(40, 100)
+        (1000 + second, values[10 * second : 10 * second + 10].max()) for second in range(40, 100)
     ]
     assert whole.by_second == parts.by_second == {"gap": expected}
 
@@ -140,6 +141,20 @@ def test_minimum_healthy_values_increase_with_the_window() -> None:
         "pair_deg_1s": 0.12, "gyro_deg_5s": 0.2, "pair_angle_deg_20s": 0.5,
     }  # fmt: skip
     assert {name: signal_of(name).floor for name in floors} == pytest.approx(floors)
+    # Of the others, as in docs/watchdog.md.
+    others = {
+        "pair_scale": 0.02, "gyro_slip_ms": 3.0, "twist_scale": 0.01, "smooth": 30.0,
+        "freeze_hard_s": 0.25, "jump_m": 0.01, "jump_deg": 0.1, "gap": 1.5, "jitter": 0.02,
+        "gravity_deg_1s": 0.5, "gravity_deg_5s": 0.3, "gravity_mps2_5s": 0.05, "speed": 1.0,
+        "standstill_m": 0.005,
+    }  # fmt: skip
+    assert {
+        each.name: each.floor
+        for each in SIGNALS
+        if not each.name.startswith(("pair_m", "pair_deg", "pair_angle", "gyro_deg", "twist_m",
+                                     "map_"))
+    } == others  # fmt: skip
+    assert {each.name for each in SIGNALS if each.least_factor} == {"pair_scale", "jump_deg"}
     assert signal_of("twist_m_5s.x").unit == "m"
     assert signal_of("gyro_deg_1s").unit == "deg"
 
@@ -150,6 +165,8 @@ def test_names_of_signals_and_sources() -> None:
     assert source_words("pair.wheel") == "second estimate wheel"
     assert source_words("pair") == "second estimate"
     assert in_order(["gap", "pair_m_1s.b", "pair_m_1s"]) == ["pair_m_1s.b", "pair_m_1s", "gap"]
+    assert pair_sources(["wheel"]) == ["pair"]
+    assert pair_sources(["vio", "wheel"]) == ["pair.vio", "pair.wheel"]
     with pytest.raises(SettingsError, match="have the name b; remove"):
         pair_sources(["a", "b", "b"])
     parts = [
@@ -358,6 +375,18 @@ def test_the_body_of_a_partner_by_its_definition() -> None:
     assert found.scale == pytest.approx(1.7)
 
 
+def test_the_body_of_a_partner_of_a_robot_that_turns_about_one_axis() -> None:
+    generator = np.random.default_rng(2)
+    own = Rotation.from_rotvec(np.outer(generator.normal(0.0, 0.5, 80), [0.0, 0.0, 1.0]))
+    steps = generator.normal(0.0, 1.0, (80, 3)) * [1.0, 1.0, 0.0]
+    rotation, lever = Rotation.from_rotvec([0.0, 0.0, 0.7]), np.array([0.3, -0.2, 0.0])
+    other_steps = rotation.inv().apply(steps - lever + own.apply(lever)) / 1.7
+    found = body_difference(own.as_quat(), steps, own.as_quat(), other_steps)
+    assert (Rotation.from_quat(found.rotation).inv() * rotation).magnitude() < 1e-6
+    np.testing.assert_allclose(found.lever_m, lever, atol=1e-6)
+    assert found.scale == pytest.approx(1.7)
+
+
 def test_a_robot_that_hardly_turns_has_no_lever_arm() -> None:
     generator = np.random.default_rng(2)
     turns = lie.from_rotation_vector(generator.normal(0.0, 1e-4, (80, 3)))
@@ -388,6 +417,21 @@ def test_a_partner_with_one_state_is_waited_for() -> None:
     found = pair.add_partner(poses(times, other))
     assert found["pair_m_1s"].values.max() == pytest.approx(0.1)
     assert found["pair_m_1s"].seconds[found["pair_m_1s"].values.argmax()] >= 36.0
+
+
+def test_the_scale_of_a_partner_is_compared_while_the_robot_moves() -> None:
+    times = np.arange(0.0, 120.0, 0.1)
+    path = np.where(times < 80.0, times, 80.0)
+    positions = np.column_stack([np.sin(path), np.cos(0.7 * path), 0.1 * path])
+    scales = np.where(times < 50.0, 1.0, 1.5)
+    steps = np.diff(positions, axis=0, prepend=positions[:1]) * scales[:, None]
+    pair = PairSignals("pair", 0.1, 30.0)
+    pair.add(poses(times, positions))
+    seconds, values = pair.add_partner(poses(times, np.cumsum(steps, axis=0)))["pair_scale"]
+    assert values[seconds < 50.0].max() < 1e-9
+    # After 10 s all of the window has the other scale.
+    assert values[(seconds > 62.0) & (seconds < 80.0)] == pytest.approx(np.log(1.5))
+    assert values[seconds > 92.0].max() == values[seconds > 92.0].min() == 0.0
 
 
 def test_too_little_of_a_partner_is_said() -> None:
