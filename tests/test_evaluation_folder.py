@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -136,3 +137,31 @@ def test_what_is_in_the_folder_is_said(tmp_path: Path, monkeypatch: pytest.Monke
     assert contents(tmp_path) == (
         f"result.json, errors.npz, errors.parquet and figures are in {tmp_path}"
     )
+
+
+def test_figures_are_of_what_was_computed_and_numbered_if_there_are_several_runs(
+    outcome: Outcome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `plot`")
+    drawn: list[tuple[str, str]] = []
+    monkeypatch.setattr(evaluation_folder, "_HAVE_FIGURES", True)
+    monkeypatch.setattr(evaluation_folder, "error_files", lambda outcome: {})
+    monkeypatch.setattr("trajeval_ros.report.figures.write_figures", lambda *_: None)
+    for module, name in (("consistency_figure", "consistency"), ("stanford_figure", "stanford")):
+        monkeypatch.setattr(
+            f"trajeval_ros.report.{module}.write_{name}",
+            lambda *given, name=name: drawn.append((name, given[-2])),
+        )
+    (plain,) = outcome.runs
+    tested = dataclasses.replace(plain, consistency=object())  # type: ignore[arg-type]
+    judged = dataclasses.replace(tested, integrity=object())  # type: ignore[arg-type]
+    for runs, expected in (
+        ([plain], []),
+        ([judged], [("consistency", ""), ("stanford", "")]),
+        ([plain, judged], [("consistency", "_2"), ("stanford", "_2")]),
+        ([tested, judged], [("consistency", "_1"), ("consistency", "_2"), ("stanford", "_2")]),
+    ):
+        drawn.clear()
+        several = dataclasses.replace(outcome, runs=tuple(runs))
+        write_folder(tmp_path, result_of(outcome), several, FigureStyle())
+        assert drawn == expected
