@@ -1,6 +1,7 @@
 """Coverage-guided fuzzing of what reads strangers' bytes: `make fuzz-bytes`.
 
-Whatever the bytes, the CDR decoder raises nothing, and the MCAP reader nothing but InputError.
+Whatever the bytes, the CDR decoder raises nothing, and the readers of MCAP and of ROS 1 bags
+nothing but errors about the file.
 
 Usage: python tests/fuzz_bags.py CORPUS [options of libFuzzer]
 """
@@ -17,6 +18,7 @@ import atheris
 with atheris.instrument_imports(include=["trajeval_ros.io"]):
     from trajeval_ros.exceptions import InputError
     from trajeval_ros.io.bags.cdr import CdrPlan
+    from trajeval_ros.io.bags.damaged_bytes import DamagedError
     from trajeval_ros.io.bags.foxglove import TYPES, FoxglovePlan
     from trajeval_ros.io.bags.mcap_index import McapReader
     from trajeval_ros.io.bags.message_definitions import STANDARD, ros1_fields
@@ -26,17 +28,21 @@ with atheris.instrument_imports(include=["trajeval_ros.io"]):
         decode_transforms,
         plan_of,
     )
+    from trajeval_ros.io.bags.ros1_bag import Ros1Reader
     from trajeval_ros.io.bags.selection import TopicSelection, are_of
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
+from rosbags.rosbag1 import Writer as Ros1Writer
 
 POSE = "geometry_msgs/msg/PoseStamped"
 KINDS = sorted(STANDARD)
 PLANS = [CdrPlan(STANDARD[kind]) for kind in KINDS]
 PLANS += [CdrPlan(ros1_fields(STANDARD[kind]), is_ros1=True) for kind in KINDS]
 POSES = plan_of(None, POSE)
+ROS1_POSES = plan_of(None, POSE, is_ros1=True)
 FOXGLOVE = [FoxglovePlan(kind, "json") for kind in TYPES]
+ROS1 = 253  # the first byte of an input that is a bag of ROS 1
 JSON = 254  # the first byte of messages in JSON
 MCAP = 255  # the first byte of an input that is a file
 
@@ -68,6 +74,9 @@ def one_input(data: bytes) -> None:
     if data[0] == MCAP:
         for strict in (False, True):
             read_file(data[1:], strict=strict)
+        return
+    if data[0] == ROS1:
+        read_ros1(data[1:])
         return
     if data[0] == JSON:
         for each in FOXGLOVE:
@@ -104,6 +113,17 @@ def read_file(data: bytes, *, strict: bool) -> None:
         assert (alone.damage, alone.notes) == (selection.damage, selection.notes)
 
 
+def read_ros1(data: bytes) -> None:
+    try:
+        reader = Ros1Reader(Memory(data))
+    except (InputError, DamagedError):
+        return
+    selection = TopicSelection(frozenset(each.id for each in reader.connections))
+    for _, block in reader.blocks([selection]):
+        assert (block.begins + block.sizes <= len(block.buffer)).all()
+        ROS1_POSES.decode_at(block.buffer, block.begins, block.sizes)
+
+
 def seeds(folder: Path) -> None:
     """Write inputs to begin with: small files of all kinds, and messages."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -115,6 +135,19 @@ def seeds(folder: Path) -> None:
         bytes([JSON]) + b'{"timestamp": {"sec": 1, "nsec": 2}, "frame_id": "map", "pose": '
         b'{"position": {"x": 1, "y": 2, "z": 3}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}}}'
     )
+    for ros1_compression in (None, *Ros1Writer.CompressionFormat):
+        path = folder / f"ros1_{ros1_compression}"
+        path.unlink(missing_ok=True)
+        old = Ros1Writer(path)
+        if ros1_compression is not None:
+            old.set_compression(ros1_compression)
+        with old:
+            topic = old.add_connection(
+                "/pose", POSE, msgdef="# nothing", md5sum="d3812c3cbc69362b77dc0b19b345f8f5"
+            )
+            for row in range(4):
+                old.write(topic, row, payload)
+        path.write_bytes(bytes([ROS1]) + path.read_bytes())
     for compression in CompressionType:
         for chunked in (True, False):
             output = io.BytesIO()

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from ruamel.yaml import YAML
+
+from trajeval_ros.geometry.trajectory import Trajectory
 
 Random = np.random.Generator
 ODD: tuple[Any, ...] = (
@@ -16,6 +20,24 @@ ODD: tuple[Any, ...] = (
     {"a": {}},
 )  # fmt: skip
 _NUMBERS = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**62, 2**64 - 1)
+
+
+@dataclass(frozen=True)
+class Changed:
+    """A changed input.
+
+    Attributes:
+        what: What was done to it.
+        read: Reads it, and returns the trajectory if it is one.
+        poses: Number of poses that are to be read, or told of.
+    """
+
+    what: str
+    read: Callable[[bool], Trajectory | None]
+    poses: int = 0
+
+
+Make = Callable[[Random, Path], Changed]
 
 
 def pick(random: Random, several: Sequence[Any]) -> Any:
@@ -71,6 +93,42 @@ def _changed(random: Random, tree: Any) -> Any:
     else:
         copy[key] = _changed(random, copy[key])
     return copy
+
+
+def with_other_cells(
+    random: Random, lines: Sequence[str], separator: str, first: int = 0
+) -> tuple[list[str], str]:
+    """Return a table in which one or two cells or rows are others, and what was done.
+
+    Args:
+        random: Chooses.
+        lines: The table.
+        separator: Of its cells.
+        first: The first line that may change.
+    """
+    changed, what = list(lines), []
+    for _ in range(int(random.integers(1, 3))):
+        place = int(random.integers(first, len(changed)))
+        cells = changed[place].split(separator)
+        at = int(random.integers(len(cells)))
+        kind = pick(random, ["odd", "odd", "number", "less", "more", "twice", "gone", "noise"])
+        what.append(f"{kind} in line {place + 1}")
+        if kind == "odd":
+            cells[at] = str(pick(random, ODD))
+        elif kind == "number":
+            cells[at] = f"{random.normal() * 10.0 ** random.integers(-30, 300)}"
+        elif kind == "less":
+            cells.pop(at)
+        elif kind == "more":
+            cells.insert(at, cells[at])
+        elif kind == "noise":
+            cells = [random.bytes(20).decode("latin-1")]
+        changed[place] = separator.join(cells)
+        if kind == "twice":
+            changed.insert(place, changed[place])
+        elif kind == "gone" and len(changed) > first + 1:
+            changed.pop(place)
+    return changed, ", ".join(what)
 
 
 def yaml_of(tree: Any) -> bytes:

@@ -17,12 +17,21 @@ import struct
 import tempfile
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fuzz_changes import ODD, Random, pick, with_other_bytes, with_other_values, yaml_of
+from fuzz_changes import (
+    ODD,
+    Changed,
+    Make,
+    Random,
+    pick,
+    with_other_bytes,
+    with_other_values,
+    yaml_of,
+)
+from fuzz_more_formats import MORE_FORMATS
 from mcap.records import Channel, Schema
 from mcap_layouts import Layout, Part, record
 from rosbags.rosbag1 import Writer as Ros1Writer
@@ -82,24 +91,6 @@ gauge: yaw
 common_time_span: true
 """,
 }
-
-
-@dataclass(frozen=True)
-class Changed:
-    """A changed input.
-
-    Attributes:
-        what: What was done to it.
-        read: Reads it, and returns the trajectory if it is one.
-        poses: Number of poses that are to be read, or told of.
-    """
-
-    what: str
-    read: Callable[[bool], Trajectory | None]
-    poses: int = 0
-
-
-Make = Callable[[Random, Path], Changed]
 
 
 def make_mcap(random: Random, folder: Path) -> Changed:
@@ -203,7 +194,7 @@ def make_text(random: Random, folder: Path) -> Changed:
         elif kind == "missing":
             cells.pop()
         elif kind == "nan":
-            cells[int(random.integers(1, len(cells)))] = pick(random, ["nan", "inf", "-nan"])
+            cells[int(random.integers(len(cells)))] = pick(random, ["nan", "inf", "-nan"])
         elif kind == "number":
             cells[int(random.integers(len(cells)))] = (
                 f"{random.normal() * 10.0 ** random.integers(99)}"
@@ -417,4 +408,5 @@ FORMATS: dict[str, Make] = {
     "npz": make_npz,
     "pairs": make_pairs,
     "records": make_records,
+    **MORE_FORMATS,
 }

@@ -24,7 +24,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fuzz_formats import FORMATS, Changed
+from fuzz_changes import Changed
+from fuzz_formats import FORMATS
 
 from trajeval_ros.exceptions import TrajevalError
 

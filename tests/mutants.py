@@ -4,7 +4,7 @@ cosmic-ray's operators change one place at a time in a copy of the checkout: an 
 comparison, a number, a loop. Then the fast tests of the file are run until one fails. A change
 that survives is a place that no law holds, or one that means the same.
 
-    python tests/mutants.py SUBPACKAGE [--count 50] [--seed 0]
+    python tests/mutants.py SUBPACKAGE [--count 50] [--seed 0] [--only FILE,FILE]
 """
 
 from __future__ import annotations
@@ -82,6 +82,30 @@ SUBPACKAGES = {
         "gate_tests relabelling known_spread common_change noticeable": (
             "gate_statistics compare_gates"
         ),
+        "manifest": "compare_manifest",
+        "shards": "compare_shards",
+    },
+    "io/bags": {
+        "ros1_bag ros1_records": "io_ros1_bag io_damage",
+        "ros1_to_cdr": "io_playback",
+        "cdr cdr_batch cdr_columns cdr_steps cdr_strings": "io_cdr",
+    },
+    "io/tracks": {"camera_file tracks_folder": "tracks_reading tracks_folder"},
+    "cli": {
+        "evaluation_folder": "evaluation_folder cli_outputs",
+        "exit_status": "exit_status",
+        "app verbs verb_classes": "start_up command_line",
+    },
+    "watchdog": {
+        "alarm_book error_spans limits recent signal_history signals unseen correction_signals "
+        "pair_signals pose_signals twist_signals inertial_mounting inertial_signals "
+        "rotations_over_time turning_axis engine": "watchdog_parts watchdog",
+        "recording": "watchdog watch_sources watch_cli",
+    },
+    "visual_inertial": {
+        "lens keyframe_selection outliers covariance_tests residual_groups sensor_recording": (
+            "tracks_reading tracks_folder visual_inertial_measurements"
+        ),
     },
 }
 
@@ -158,6 +182,7 @@ def main() -> int:
     parser.add_argument("subpackage", choices=SUBPACKAGES)
     parser.add_argument("--count", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", default="", help="files of the subpackage, with commas between")
     asked = parser.parse_args()
     sys.dont_write_bytecode = True
     with tempfile.TemporaryDirectory() as folder:
@@ -174,6 +199,7 @@ def main() -> int:
             ]
             for names, tests in SUBPACKAGES[asked.subpackage].items()
             for name in names.split()
+            if not asked.only or name in asked.only.split(",")
         }
         every = list(dict.fromkeys(test for tests in tests_of.values() for test in tests))
         if not is_green(every, None):

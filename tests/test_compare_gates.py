@@ -697,3 +697,17 @@ def test_another_groundtruth_is_told_by_its_sequence_and_a_missing_run_is_none(
     del now.groundtruths["vio", "s0"]
     (told,) = remarks_on(before, now)
     assert "the groundtruth of s1 differs from the baseline" in told
+
+
+def test_a_table_with_damaged_texts_is_refused(tmp_path: Path) -> None:
+    import pyarrow
+    from pyarrow import parquet
+
+    path = tmp_path / "runs.parquet"
+    made_table(path, {"a": [0.1, 0.2]})
+    table = parquet.read_table(path)
+    place = table.column_names.index("algorithm")
+    damaged = pyarrow.array([b"\xff"] * table.num_rows, pyarrow.binary()).view(pyarrow.string())
+    parquet.write_table(table.set_column(place, table.schema.field(place), damaged), path)
+    with pytest.raises(InputError, match="is not a complete Parquet file; create it again"):
+        GateValues(ResultsTable(path))

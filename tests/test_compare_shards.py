@@ -14,14 +14,17 @@ from hypothesis import strategies as st
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
 
+import pyarrow
+import pyarrow.parquet
+
 from trajeval_ros.batch.comparison import run_plan
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.plan import Plan, PlannedRun
 from trajeval_ros.batch.record_store import RECORDS, SUFFIX
 from trajeval_ros.batch.records import HEAD_BYTES
-from trajeval_ros.batch.shards import SHARD, Shard
+from trajeval_ros.batch.shards import SHARD, Shard, merged
 from trajeval_ros.cli.app import main
-from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.pipeline.request import Request
 
@@ -46,6 +49,14 @@ def whole(config: Path) -> dict[bool, dict[str, bytes]]:
         assert compare(config, out, cut=cut) == 0
         made[cut] = contents(out)
     return made
+
+
+@pytest.fixture(scope="module")
+def whole_shard(config: Path) -> Path:
+    """The folder of a comparison's only shard."""
+    folder = config.parent / "whole_shard"
+    run_plan(plan_of(config, {}), folder, here, shard=Shard(1, 1))
+    return folder
 
 
 def compare(config: Path, out: Path, *options: str, cut: bool) -> int:
@@ -203,6 +214,69 @@ def test_a_shard_that_cannot_be_read_is_named_once(
         assert main(command) == 2
         said = f"trajeval: {table} is damaged; run that shard again\n"
         assert capsys.readouterr().err == said
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *((name, None) for name in ("shard", "title", "settings", "runs", "plan", "package")),
+        ("shard", "1"),
+        ("shard", "2/1"),
+        ("runs", "x"),
+        ("runs", "0"),
+        ("runs", "0.5"),
+        ("settings", "{"),
+        ("settings", "3"),
+    ],
+)
+def test_a_shard_with_a_damaged_head_is_refused(
+    whole_shard: Path, tmp_path: Path, name: str, value: str | None
+) -> None:
+    table = pyarrow.parquet.read_table(whole_shard / SHARD)
+    head = dict(table.schema.metadata)
+    del head[f"trajeval.{name}".encode()]
+    if value is not None:
+        head[f"trajeval.{name}"] = value
+    pyarrow.parquet.write_table(table.replace_schema_metadata(head), tmp_path / SHARD)
+    with pytest.raises(InputError, match="is damaged; run that shard again"):
+        merged([tmp_path])
+
+
+@pytest.mark.parametrize("value", [None, "x", 0.5, [1]])
+@pytest.mark.parametrize("name", ["place", "algorithm", "planned_key"])
+def test_a_shard_with_a_damaged_column_is_refused(
+    whole_shard: Path, tmp_path: Path, name: str, value: object
+) -> None:
+    if (name, value) in (("algorithm", "x"), ("planned_key", "x")):
+        value = None
+    table = pyarrow.parquet.read_table(whole_shard / SHARD)
+    place = table.column_names.index(name)
+    kind = table.schema.field(name) if value is None and name != "place" else name
+    column = pyarrow.array([value] * len(table), getattr(kind, "type", None))
+    pyarrow.parquet.write_table(table.set_column(place, kind, column), tmp_path / SHARD)
+    with pytest.raises(InputError, match="is damaged; run that shard again"):
+        merged([tmp_path])
+    pyarrow.parquet.write_table(table.drop([name]), tmp_path / SHARD)
+    with pytest.raises(InputError, match="is damaged; run that shard again"):
+        merged([tmp_path])
+
+
+@pytest.mark.parametrize(
+    ("runs", "said"),
+    [
+        ("13", "run 13 of 13 is missing in the shards; run the"),
+        (str(10**30), f"run 13 of {10**30} is missing in the shards"),
+        ("11", "the shards have 12 runs instead of 11; run the"),
+    ],
+)
+def test_runs_that_are_missing_or_too_many_are_refused(
+    whole_shard: Path, tmp_path: Path, runs: str, said: str
+) -> None:
+    table = pyarrow.parquet.read_table(whole_shard / SHARD)
+    head = {**table.schema.metadata, b"trajeval.runs": runs}
+    pyarrow.parquet.write_table(table.replace_schema_metadata(head), tmp_path / SHARD)
+    with pytest.raises(InputError, match=said):
+        merged([tmp_path])
 
 
 def test_usage_is_refused_in_one_line(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -89,6 +90,14 @@ def test_a_single_pair_is_told_so_and_nothing_of_its_covariance(gauge: Gauge) ->
     one = dataclasses.replace(two, groundtruth=run[:1], estimate=run[:1])
     with pytest.raises(InputError, match="needs at least two pairs"):
         judge_marginals(one, from_the_start=True)
+
+
+@pytest.mark.parametrize("shape", [(6,), (6, 6), (1, 6, 6), (4, 6, 6), (5, 6), (5, 3, 3)])
+def test_noise_is_a_covariance_per_state(shape: tuple[int, ...]) -> None:
+    run = dataclasses.replace(make_groundtruth(0, 5), covariances=_good())
+    aligned = Aligned(run, run, Similarity.identity(), Gauge.YAW, 1, _good())
+    with pytest.raises(ValueError, match=rf"noise has shape {re.escape(str(shape))}, expected"):
+        dataclasses.replace(aligned, noise=np.ones(shape))
 
 
 @given(st.integers(0, 1000))

@@ -8,7 +8,8 @@ pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
 pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `compare`")
 
-from fuzz_formats import FORMATS, Changed
+from fuzz_changes import Changed
+from fuzz_formats import FORMATS
 from fuzz_structures import one_input, verdict_on
 from strategies import make_groundtruth
 

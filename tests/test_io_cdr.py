@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -172,6 +172,13 @@ def definitions(draw: st.DrawFn) -> str:
     return separator.join(parts)
 
 
+def of_elements(fields: str) -> str:
+    """Return a definition of a message with a sequence of messages that have the fields."""
+    return f"p/A[] f0\n{'=' * 80}\nMSG: p/A\n{fields}"
+
+
+@example(text=of_elements("int32 f0\nstring f1"), seed=0, ros1=False)
+@example(text=of_elements("float64 f0\nfloat32[] f1"), seed=0, ros1=True)
 @given(text=definitions(), seed=st.integers(0, 2**32), ros1=st.booleans())
 def test_every_field_of_any_layout(text: str, seed: int, ros1: bool) -> None:
     store: Any = get_typestore(Stores.EMPTY)

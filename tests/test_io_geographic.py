@@ -20,7 +20,7 @@ PLACES = places_of(POSITIONS)
 
 
 def sentence(body: str) -> str:
-    checksum = functools.reduce(operator.xor, body.encode())
+    checksum = functools.reduce(operator.xor, body.encode(), 0)
     return f"${body}*{checksum:02X}"
 
 
@@ -126,3 +126,47 @@ def test_an_nmea_file_without_a_whole_line(tmp_path: Path) -> None:
     file.write_text("$GPGGA,,,,,,0,,,,,,,,*66\n" * 3)
     with pytest.raises(InputError, match="no complete fix in 3 GGA lines"):
         read_trajectory(file)
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_every_line_end_of_nmea_is_read(end: str, tmp_path: Path) -> None:
+    file = tmp_path / "log.nmea"
+    file.write_bytes(end.join(gga(row, place) for row, place in enumerate(PLACES)).encode())
+    assert len(read_trajectory(file)) == len(PLACES)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        sentence("GPRMC,000001,A,4724.0,N,00830.0,E,0.1,77.0,000000,,,A"),  # no such day
+        sentence("GPRMC,000001,A,4724.0,N,00830.0,E,0.1,77.0,310224,,,A"),
+        sentence("GPZDA,000001,32,01,2024,00,00"),
+        sentence("GPZDA,000001,01,01,0000,00,00"),
+        sentence("GPRMC,000001,V,,,,,,,060180,,,N"),  # before a fix, the receiver's own epoch
+        sentence("GPRMC,000001,A,4724.0,N,00830.0,E,0.1,77.0,010203,,,A")[:-1] + "x",
+        sentence("GPRMC,000001,A,4724.0,N,00830.0,E,0.1,77.0,010203,,,A").replace("47", "48"),
+        "$GPRMC,000001,A",  # cut off; the fields of the next lines are not its own
+        "$GPRMC,000001,A,4724.0,N,00830.0,E",
+    ],
+)
+def test_a_line_without_a_valid_date_is_passed_over(wrong: str, tmp_path: Path) -> None:
+    file = tmp_path / "log.nmea"
+    lines = [wrong, *(gga(row, place) for row, place in enumerate(PLACES[:5]))]
+    file.write_text("\n".join(lines))
+    undated = read_trajectory(file)
+    assert undated.stamps[0] == 0
+    assert any("1970-01-01" in note for note in undated.notes)
+    file.write_text("\n".join([*lines, sentence("GPZDA,000004,05,06,2025,00,00")]))
+    day = int(datetime(2025, 6, 5, tzinfo=timezone.utc).timestamp())
+    np.testing.assert_array_equal(read_trajectory(file).stamps, (day + np.arange(5)) * 10**9)
+
+
+@pytest.mark.parametrize("height", ["1.2.3", "-", ".", ""])
+def test_a_height_that_is_no_number_is_dropped(height: str, tmp_path: Path) -> None:
+    file = tmp_path / "log.nmea"
+    odd = sentence(f"GPGGA,000009,4724.0,N,00830.0,E,4,12,0.7,{height},M,47.2,M,,")
+    lines = [gga(row, place) for row, place in enumerate(PLACES[:5])]
+    file.write_text("\n".join([*lines, odd]))
+    assert read_trajectory(file).dropped == {"undecodable": 1}
+    file.write_text("\n".join([*lines, odd.replace("47.2", "1.2.3")]))
+    assert read_trajectory(file).dropped == {"undecodable": 1}

@@ -15,7 +15,10 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.bag import Bag
 from trajeval_ros.io.bags.byte_source import LocalFile
+from trajeval_ros.io.bags.damaged_bytes import DamagedError
 from trajeval_ros.io.bags.ros1_bag import Ros1Reader
+from trajeval_ros.io.bags.ros1_records import _message_at as message_at
+from trajeval_ros.io.bags.ros1_records import record_at
 from trajeval_ros.io.bags.selection import TopicSelection
 from trajeval_ros.io.sources import read_trajectory
 
@@ -31,10 +34,10 @@ def pose(row: int) -> bytes:
     return struct.pack("<4I3s7d", row, row + 1, 0, 3, b"map", row, 0, 0, 0, 0, 0.6, 0.8)
 
 
-def bag(path: Path, compression: Any = None, image: bytes = b"") -> Path:
+def bag(path: Path, compression: Any = None, image: bytes = b"", chunk_size: int = CHUNK) -> Path:
     """Write two topics of poses, whose x is their number, and images at every tenth of them."""
     writer = Writer(path)
-    writer.chunk_threshold = CHUNK
+    writer.chunk_threshold = chunk_size
     if compression is not None:
         writer.set_compression(compression)
     with writer:
@@ -99,13 +102,14 @@ def test_messages_of_real_bags_equal_those_of_rosbags(name: str, shared_data: Pa
 
 
 class Counting(LocalFile):
-    """A file that counts the bytes that are read of it."""
+    """A file that counts the bytes that are read of it, and how often."""
 
-    count = 0
+    count = times = 0
 
     def read(self, offset: int, size: int) -> bytes:
         data = super().read(offset, size)
         self.count += len(data)
+        self.times += 1
         return data
 
 
@@ -117,6 +121,106 @@ def test_images_among_the_poses_are_not_read(tmp_path: Path) -> None:
     blocks = list(reader.blocks([TopicSelection(frozenset([topic]))]))
     assert sum(len(block) for _, block in blocks) == COUNT
     assert source.count < 0.1 * path.stat().st_size
+
+
+def test_poses_between_images_of_one_chunk_are_read_alone(tmp_path: Path) -> None:
+    path = bag(tmp_path / "x.bag", image=bytes(200_000), chunk_size=10_000_000)
+    source = Counting(path)
+    reader = Ros1Reader(source)
+    (topic,) = (each.id for each in reader.connections if each.topic == "a")
+    payloads = [
+        bytes(block.buffer[begin : begin + size])
+        for _, block in reader.blocks([TopicSelection(frozenset([topic]))])
+        for begin, size in zip(block.begins.tolist(), block.sizes.tolist(), strict=True)
+    ]
+    assert payloads == [pose(row) for row in range(COUNT)]
+    assert source.count < 0.1 * path.stat().st_size
+    assert COUNT / 10 <= source.times < COUNT / 10 + 20  # one for all poses between two images
+
+
+def test_messages_of_one_layout_are_not_parsed_one_by_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, parsed = bag(tmp_path / "x.bag"), []
+    monkeypatch.setattr(
+        "trajeval_ros.io.bags.ros1_records._message_at",
+        lambda *given: parsed.append(given) or message_at(*given),
+    )
+    read = read_trajectory(f"{path}:/a", strict=True)
+    assert read.positions[:, 0].tolist() == list(range(COUNT))
+    with Reader(path) as reader:
+        assert len(parsed) == len(reader.chunks)
+
+
+def first_entry_of(path: Path) -> int:
+    """Return where the index of the first chunk has the offset of the first message on /a."""
+    with Reader(path) as reader:
+        chunk = next(iter(reader.chunks.values()))
+    begin = chunk.datapos + chunk.datasize
+    (size,) = struct.unpack("<I", path.read_bytes()[begin : begin + 4])
+    return begin + 4 + size + 4 + 8
+
+
+def test_an_index_that_points_at_connections_before_a_message(tmp_path: Path) -> None:
+    """As rosbag writes it for the first message of a connection."""
+    path = bag(tmp_path / "x.bag")
+    damaged(path, first_entry_of(path), bytes(4))
+    read = read_trajectory(f"{path}:/a", strict=True)
+    assert read.positions[:, 0].tolist() == list(range(COUNT))
+
+
+def test_an_index_that_points_at_the_end_of_a_chunk(tmp_path: Path) -> None:
+    path = bag(tmp_path / "x.bag")
+    with Reader(path) as reader:
+        size = next(iter(reader.chunks.values())).datasize
+    damaged(path, first_entry_of(path), struct.pack("<I", size - 3))
+    assert len(lost_of(path, "not at its indexed position, 1 message lost")) == COUNT - 1
+
+
+def test_an_index_of_another_version_is_not_read(tmp_path: Path) -> None:
+    path = bag(tmp_path / "x.bag")
+    with Reader(path) as reader:
+        chunk = next(iter(reader.chunks.values()))
+    version = b"ver="
+    place = path.read_bytes().find(version, chunk.datapos + chunk.datasize) + len(version)
+    damaged(path, place, b"\2")
+    lost_of(path, "an index is damaged, in the chunk at byte")
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        (b"count=", b"\1", "its index is inconsistent"),
+        (b"count=", b"\3", "its index is inconsistent"),
+        (b"chunk_pos=", None, "its index lists a chunk twice"),
+    ],
+)
+def test_a_list_of_chunks_that_contradicts_itself(
+    field: bytes, value: bytes | None, said: str, tmp_path: Path
+) -> None:
+    path = bag(tmp_path / "x.bag")
+    content = path.read_bytes()
+    place = content.rfind(field) + len(field)
+    if value is None:  # the last chunk is at the place of the one before it
+        other = content.rfind(field, 0, place - len(field)) + len(field)
+        value = content[other : other + 8]
+    damaged(path, place, value)
+    with pytest.raises(InputError, match=said):
+        read_trajectory(f"{path}:/a")
+
+
+def test_fields_of_a_record() -> None:
+    field = struct.pack("<I4sI", 8, b"abc=", 7)
+    head = struct.pack("<I", len(field)) + field + bytes(4)
+    record = record_at(lambda offset, size: head[offset : offset + size], 0)
+    assert (record.number("abc", 4), record.begin, record.end) == (7, len(head), len(head))
+    assert record.text("nothing") == ""
+    for name, size in (("abc", 1), ("nothing", 1), ("nothing", 4)):
+        with pytest.raises(DamagedError, match=f"has no field '{name}'"):
+            record.number(name, size)
+    without = head.replace(b"=", b"_")
+    with pytest.raises(DamagedError, match="an invalid field"):
+        record_at(lambda offset, size: without[offset : offset + size], 0)
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)

@@ -98,6 +98,16 @@ def test_every_layout_gives_the_same_poses(layout: str, tmp_path: Path) -> None:
         np.testing.assert_array_equal(trajectory.accelerometer_biases, BIASES[:, 3:])
 
 
+@pytest.mark.parametrize("end", ["# end", " # end", "  ", "\t", "%", "# end\r", "\r\n# end\r\n"])
+@pytest.mark.parametrize("layout", [*LAYOUTS, "dates"])
+def test_what_follows_the_last_row_is_no_row(layout: str, end: str, tmp_path: Path) -> None:
+    path = tmp_path / "t"
+    dates = [f"2024-03-{day}T10:00:00.5" for day in range(10, 10 + len(POSITIONS))]
+    dated = "date,x,y,z\n" + table(POSITIONS, times=dates, separator=",")
+    path.write_bytes(LAYOUTS.get(layout, dated).encode() + end.encode())
+    np.testing.assert_array_equal(read_trajectory(path).positions, POSITIONS)
+
+
 @pytest.mark.parametrize("layout", ["euroc 17", "vins-mono", "openvins state"])
 def test_velocities_are_read(layout: str, tmp_path: Path) -> None:
     path = tmp_path / "t"
@@ -294,12 +304,23 @@ BAD_FILES: dict[str, tuple[bytes, str]] = {
     "utf-16": (GOOD.encode("utf-16"), "UTF-16"),
     "five columns": (b"1 2 3 4 5\n", "unknown layout with 5 columns"),
     "no matrix": (b"1 2 3 4 5 6 7 8 9 10 11 12\n", "but not 3 x 4 pose matrices"),
+    "a huge matrix": (b"1e200 -1e200 3 4 5 6 7 8 9 10 11 12\n", "but not 3 x 4 pose matrices"),
     "milliseconds": (b"1700000000000 1 2 3 0 0 0 1\n1700000000005 1 2 3 0 0 0 1\n", "neither"),
     "zero bytes at the end": (f"{FIRST}\n{SECOND}\n".encode() + bytes(70000), "zero bytes"),
+    "carriage returns alone": (
+        GOOD.replace("\n", "\r").encode(),
+        "line 1: 8 columns expected, found 24",
+    ),
+    "carriage returns and a comment": (
+        GOOD.replace("\n", "\r", 1).replace("\n", "\r# lost\r").encode(),
+        "line 1: 8 columns expected, found 24",
+    ),
+    "a long line of spaces": (b"a," + b" " * 60_000 + b"b\n1 2 3 4 5\n", "unknown layout with 5"),
     "one endless line": (b"1 " * 1_000_000, "unknown layout|is not a trajectory"),
 }
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("case", BAD_FILES)
 def test_bad_files_are_refused_with_one_sentence(case: str, tmp_path: Path) -> None:
     content, message = BAD_FILES[case]

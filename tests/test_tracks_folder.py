@@ -283,10 +283,15 @@ def _copied(folder: Path) -> None:
         ),
         (_replaced("camera.yaml", r"T_BS: \[[^,]*, ", "T_BS: ["), "T_BS must be 16 numbers"),
         (_replaced("camera.yaml", "radial-tangential", "fov"), "distortion_model 'fov' is not"),
+        (_replaced("camera.yaml", "radial-tangential", "[fov]"), r"distortion_model \['fov'\] is"),
         (_replaced("camera.yaml", "pinhole", "omni"), "camera_model 'omni'"),
         (
             _replaced("camera.yaml", r"intrinsics: \[[^,]*", "intrinsics: [0.0"),
             "greater than zero",
+        ),
+        (
+            _replaced("camera.yaml", r"intrinsics: \[[^,]*", f"intrinsics: [{10**400}"),
+            "intrinsics must be 4 numbers",
         ),
         (_without("camera.yaml", "resolution"), "resolution must be 2 numbers"),
         (_replaced("tracks.csv", r"\n(\d+),0,", r"\n\1,1,"), "track 1 is 2 times in the image"),

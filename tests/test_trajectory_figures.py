@@ -166,6 +166,7 @@ def test_large_images_are_drawn_small_and_huge_ones_refused(tmp_path: Path) -> N
         ("resolution: 1.0\n", "no field image"),
         ("image: map.pgm\nresolution: 0\norigin: [0, 0, 0]\n", "greater than 0"),
         ("image: map.pgm\nresolution: .nan\norigin: [0, 0, 0]\n", "resolution"),
+        (f"image: map.pgm\nresolution: {10**400}\norigin: [0, 0, 0]\n", "resolution"),
         ("image: map.pgm\nresolution: 1\norigin: [0, 0]\n", "origin"),
         ("image: map.pgm\nresolution: 1\norigin: [0, 0, x]\n", "origin"),
         ("image: [a]\nresolution: 1\norigin: [0, 0, 0]\n", "no field image"),

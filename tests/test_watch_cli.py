@@ -175,7 +175,16 @@ def test_limits_of_another_robot_are_refused(
         ),
         (
             "schema: trajeval-limits/1\nevidence: {hours: .nan}\nhealthy: {jump_m: 1}\n",
-            "hours must be a number of at least 0",
+            "hours must be a number from 0 to",
+        ),
+        (
+            f"schema: trajeval-limits/1\nevidence: {{hours: {10**400}}}\nhealthy: {{jump_m: 1}}\n",
+            "hours must be a number from 0 to",
+        ),
+        (
+            "schema: trajeval-limits/1\nevidence: {hours: 1.0, sources: [imu]}\n"
+            "healthy: {jump_m: {largest: 1, typical: 1}}\n",
+            "has no sources",
         ),
     ],
 )

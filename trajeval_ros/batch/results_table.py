@@ -208,7 +208,9 @@ class ResultsTable:
                     batch.column(name).cast(getattr(self._arrow, _COLUMNS[name])())
                     for name in names
                 ]
-                yield self._arrow.table(columns, names=list(names))
+                rows = self._arrow.table(columns, names=list(names))
+                rows.validate(full=True)  # texts may not be UTF-8
+                yield rows
         except (OSError, ValueError) as error:
             raise self._damaged() from error
 

@@ -25,6 +25,8 @@ from trajeval_ros.batch.record_store import RECORDS, SUFFIX, RecordStore
 from trajeval_ros.batch.records import Record
 from trajeval_ros.batch.source_hash import hash_of_package
 from trajeval_ros.exceptions import InputError, SettingsError, reason_of
+from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.io.json_file import mapping_in
 from trajeval_ros.io.schema import require_schema
 from trajeval_ros.io.writing import refused_by_disk, write_whole
 
@@ -36,6 +38,7 @@ _TEXTS = (
 )  # fmt: skip
 _COLUMNS = {"place": "int64", **dict.fromkeys(_TEXTS, "string"), "own_coverage": "float64"}
 _RUN = _TEXTS[:6]
+_HEAD = ("shard", "title", "settings", "runs", "plan", "package")
 _MEND = "run the shards again, all from the same file with the same version"
 
 
@@ -159,18 +162,21 @@ def merged(folders: Sequence[Path]) -> FinishedComparison:
             if heads[folder][name] != heads[first][name]:
                 raise InputError(f"{first} and {folder} have different {what}; {_MEND}")
     _require_all(heads)
-    total = int(heads[first]["runs"])
-    runs: list[FinishedRun | None] = [None] * total
+    runs: dict[int, FinishedRun] = {}
     for folder in folders:
-        _place(folder, runs)
-    if None in runs:
+        runs.update(_runs_in(folder))
+    total = int(heads[first]["runs"])
+    missing = next((place for place in range(total) if place not in runs), None)
+    if missing is not None:
+        raise InputError(f"run {missing + 1} of {total} is missing in the shards; {_MEND}")
+    if len(runs) > total:
         raise InputError(
-            f"run {runs.index(None) + 1} of {total} is missing in the shards; {_MEND}"
+            f"the shards have {counted(len(runs), 'run')} instead of {total}; {_MEND}"
         )
+    settings = mapping_in(heads[first]["settings"])
+    assert settings is not None
     return FinishedComparison(
-        heads[first]["title"],
-        json.loads(heads[first]["settings"]),
-        [each for each in runs if each is not None],
+        heads[first]["title"], settings, [runs[place] for place in range(total)]
     )
 
 
@@ -205,10 +211,31 @@ def _head_of(folder: Path) -> dict[str, str]:
     path = folder / SHARD
     with _open_table(path) as table:
         metadata = table.schema_arrow.metadata or {}
-    text = {key.decode(): value.decode(errors="replace") for key, value in metadata.items()}
+        kinds = {each.name: str(each.type) for each in table.schema_arrow}
+    text = {key.decode(errors="replace"): value.decode(errors="replace")
+            for key, value in metadata.items()}  # fmt: skip
     head = {key.removeprefix("trajeval."): value for key, value in text.items()}
     require_schema(path, head.get("schema"), SCHEMA, "shard of a comparison", "run it again")
+    if not _is_complete(head) or any(
+        kinds.get(name) != kind.replace("float64", "double") for name, kind in _COLUMNS.items()
+    ):
+        raise _damaged(path)
     return head
+
+
+def _is_complete(head: dict[str, str]) -> bool:
+    """Return whether the head of a shard has all fields, and valid ones."""
+    if not set(_HEAD) <= head.keys() or mapping_in(head["settings"]) is None:
+        return False
+    try:
+        Shard.parse(head["shard"])
+        return int(head["runs"]) > 0
+    except (SettingsError, ValueError):
+        return False
+
+
+def _damaged(path: Path) -> InputError:
+    return InputError(f"{path} is damaged; run that shard again")
 
 
 @contextmanager
@@ -232,7 +259,7 @@ def _open_table(path: Path) -> Iterator[Any]:
         with file, parquet.ParquetFile(file) as table:
             yield table
     except (OSError, ValueError, LookupError) as error:
-        raise InputError(f"{path} is damaged; run that shard again") from error
+        raise _damaged(path) from error
 
 
 def _require_all(heads: dict[Path, dict[str, str]]) -> None:
@@ -259,14 +286,19 @@ def _require_all(heads: dict[Path, dict[str, str]]) -> None:
         )
 
 
-def _place(folder: Path, runs: list[FinishedRun | None]) -> None:
+def _runs_in(folder: Path) -> dict[int, FinishedRun]:
+    """Return the runs of a shard by their places in the plan."""
     with _open_table(folder / SHARD) as table:
-        for batch in table.iter_batches(columns=list(_COLUMNS)):
-            for row in batch.to_pylist():
-                runs[row["place"]] = _finished(row)
+        return {
+            row["place"]: _finished(row)
+            for batch in table.iter_batches(columns=list(_COLUMNS))
+            for row in batch.to_pylist()
+        }
 
 
 def _finished(row: dict[str, Any]) -> FinishedRun:
+    if any(row[name] is None for name in _TEXTS):
+        raise ValueError("a text is missing")
     run = PlannedRun(**{name: row[name] for name in _RUN})
     return FinishedRun(run, row["planned_key"], row["key"], row["reason"], row["own_coverage"])
 

@@ -77,6 +77,16 @@ class Aligned:
     states: int | None
     noise: Floats | None = None
 
+    def __post_init__(self) -> None:
+        """Check the shape of the noise, which would otherwise be repeated without a word.
+
+        Raises:
+            ValueError: The noise is not a covariance per state.
+        """
+        expected = (len(self.estimate), POSE_DOF, POSE_DOF)
+        if self.noise is not None and np.shape(self.noise) != expected:
+            raise ValueError(f"noise has shape {np.shape(self.noise)}, expected {expected}")
+
     def transformation(self) -> STransformation:
         """Return the S-transformation to the alignment's gauge.
 

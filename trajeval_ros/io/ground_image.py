@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.formatting.install_command import extra_command
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.trajectory import LARGEST
 from trajeval_ros.io.yaml_file import read_mapping
 
 _MOST_PIXELS = 60_000_000
@@ -182,7 +183,7 @@ def _read_image(path: Path) -> tuple[NDArray[np.uint8], Floats]:
 
 
 def _number(path: Path, said: dict[str, Any], name: str) -> float:
-    value = said.get(name)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    value: Any = said.get(name)
+    if type(value) not in (int, float) or not abs(value) <= LARGEST:
         raise InputError(f"the {name} in {path} must be a number, not {value!r}")
     return float(value)

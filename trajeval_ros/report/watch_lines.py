@@ -68,7 +68,7 @@ def seen_line(seen: Watched, book: AlarmBook) -> str:
     """Return the number of alarms and the observed time."""
     count = len(book.alarms)
     said = f"{counted(count, 'alarm')} in {_hours(seen.hours)}"
-    if not count:
+    if not count and seen.hours:  # the signals of a clip may be of one second
         return f"{said}: fewer than {RULE_OF_THREE / seen.hours:.3g} per hour (95 %)"
     return f"{said}, armed at {seen.armed_s:.1f} s"
 

@@ -9,14 +9,16 @@ from typing import Any
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.geometry.trajectory import LARGEST, NANOSECONDS
 from trajeval_ros.io.bags.write_clip import ABOUT, MESSAGES, SCHEMA
 from trajeval_ros.io.json_file import mapping_in
 from trajeval_ros.io.requests.limits_file import limits_in
 from trajeval_ros.io.schema import require_schema
 from trajeval_ros.watchdog.alarm_book import AlarmBook
 from trajeval_ros.watchdog.recording import Watched
-from trajeval_ros.watchdog.signals import Readings
+from trajeval_ros.watchdog.signals import Readings, in_order
+
+_LAST_S = 2.0**63 / NANOSECONDS
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,10 +78,14 @@ def _clip_in(
         name: np.array(values, dtype=float).reshape(-1, 2)
         for name, values in about["largest_by_second"].items()
     }
-    signals = {name: Readings(each[:, 0], each[:, 1]) for name, each in rows.items()}
-    seconds = np.concatenate([each.seconds for each in signals.values()])
+    signals = {name: Readings(*rows[name].T) for name in in_order(rows)}
+    seconds, values = np.concatenate(list(rows.values())).T
     limits = limits_in(about["limits"], folder / ABOUT)
-    book = AlarmBook(limits, factor or float(about["factor"]))
+    factor = factor or float(about["factor"])
+    times_s = np.abs(origin / NANOSECONDS + seconds)
+    if not (times_s.max() < _LAST_S and max(np.abs(values).max(), factor) <= LARGEST):
+        raise ValueError("a number is too large")
+    book = AlarmBook(limits, factor)
     book.add(signals)
     for cause in causes:
         begin_s = (cause.get("stamp_ns", origin) - origin) / NANOSECONDS

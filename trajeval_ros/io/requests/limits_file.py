@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.trajectory import LARGEST
 from trajeval_ros.io.schema import require_schema
 from trajeval_ros.io.writing import write_text
 from trajeval_ros.io.yaml_file import read_mapping, require_known
@@ -15,6 +15,7 @@ from trajeval_ros.watchdog.limits import HealthyValues, WatchLimits
 from trajeval_ros.watchdog.signals import SIGNAL_NAMED, signal_of
 
 SCHEMA = "trajeval-limits/1"
+_SHORTEST_HOURS = 1e-6  # as few as the file shows
 _KNOWN = ("schema", "evidence", "healthy")
 _MEND = "learn limits with trajeval watch RUN --learn FILE"
 
@@ -84,7 +85,7 @@ def limits_in(found: dict[str, Any], path: Path) -> WatchLimits:
     stems = {str(name).partition(".")[0]: each for name, each in healthy.items()}
     require_known(stems, SIGNAL_NAMED, f"{path}: healthy")
     hours = _number(path, "hours", evidence.get("hours"))
-    if hours <= 0.0 or not healthy:
+    if hours < _SHORTEST_HOURS or not healthy:
         raise InputError(f"{path} has no healthy hours or no values; {_MEND}")
     values = {}
     for name, each in healthy.items():
@@ -93,7 +94,9 @@ def limits_in(found: dict[str, Any], path: Path) -> WatchLimits:
         values[name] = HealthyValues(
             *(_number(path, f"{name}.{part}", each[part]) for part in ("largest", "typical"))
         )
-    sources = {str(name): str(each) for name, each in (evidence.get("sources") or {}).items()}
+    if evidence.get("sources") is None:  # an empty list of sources in YAML
+        evidence["sources"] = {}
+    sources = {str(name): str(each) for name, each in _mapping(path, evidence, "sources").items()}
     return WatchLimits(values, hours, sources, str(evidence.get("checked", "")))
 
 
@@ -107,6 +110,6 @@ def _mapping(path: Path, found: dict[str, Any], name: str) -> dict[str, Any]:
 def _number(path: Path, name: str, value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise InputError(f"{path}: {name} must be a number, not {value!r}")
-    if not (math.isfinite(value) and value >= 0.0):
-        raise InputError(f"{path}: {name} must be a number of at least 0, not {value!r}")
+    if not 0.0 <= value <= LARGEST:
+        raise InputError(f"{path}: {name} must be a number from 0 to {LARGEST:g}, not {value!r}")
     return float(value)

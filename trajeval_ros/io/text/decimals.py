@@ -106,9 +106,10 @@ def parse_rows(block: bytes, rows: RowFormat) -> ParsedRows:
     try:
         values = np.empty((len(timed), 0))
         if rows.values:
-            values = _parse_numbers(tokens[every, rows.pick]).reshape(len(timed), -1)
+            values = _parse_numbers(tokens[every, rows.pick]).reshape(-1, len(rows.values))
         if rows.time is not None:
-            parse = _parse_dates if rows.dates else _parse_stamps
+            # A block may have no row: the last one, if a comment ends the file.
+            parse = _parse_dates if rows.dates and len(timed) else _parse_stamps
             stamps, timed = parse(tokens[every, rows.time])
     except WordError as error:
         column = int(np.argwhere(tokens.starts == error.start)[0, 1])

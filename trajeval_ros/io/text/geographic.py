@@ -20,12 +20,13 @@ _KNOWN, _UNKNOWN = 2.0, 0.0  # types of covariance in sensor_msgs/NavSatFix
 # Patterns are compiled on use, since few files are NMEA.
 _GGA = (
     rb"(?m)^\$(..GGA,(\d\d)(\d\d)(\d\d)(?:\.(\d+))?,(\d+\.?\d*),([NS]),(\d+\.?\d*),([EW]),"
-    rb"(\d),[^,]*,[^,]*,(-?[\d.]+),M?,(-?[\d.]*),[^*\r\n]*)\*([0-9A-Fa-f]{2})"
+    rb"(\d),[^,\n]*,[^,\n]*,(-?\d+\.?\d*),M?,(-?\d+\.?\d*)?,[^*\n]*)\*([0-9A-Fa-f]{2})"
 )
 _ANY_GGA = rb"(?m)^\$..GGA,"
+# A receiver without a fix (RMC with V) may not know the date yet.
 _DATE = (
-    rb"(?m)^\$(?:..RMC,(\d{6})(?:\.\d+)?(?:,[^,]*){7},(\d\d)(\d\d)(\d\d)"
-    rb"|..ZDA,(\d{6})(?:\.\d+)?,(\d\d),(\d\d),(\d{4}))"
+    rb"(?m)^\$(..RMC,(\d{6})(?:\.\d+)?,A(?:,[^,\n]*){6},(\d\d)(\d\d)(\d\d)[^*\n]*"
+    rb"|..ZDA,(\d{6})(?:\.\d+)?,(\d\d),(\d\d),(\d{4})[^*\n]*)\*([0-9A-Fa-f]{2})"
 )
 _HALF_A_DAY_S, _DAY_S = 43_200, 86_400
 # Status of sensor_msgs/NavSatFix by GGA's quality: none, fix, differential, PPS, RTK fixed, RTK
@@ -79,18 +80,19 @@ def fixes_of(
 def read_nmea(path: Path) -> Trajectory | None:
     """Read the GGA lines of a file; None if its first 64 KiB contain no GGA line.
 
-    The date is taken from the first RMC or ZDA line. Without such a line, the first day is
-    1970-01-01. Heights are above the ellipsoid: the sum of altitude and geoid separation.
+    The date is taken from the first intact RMC or ZDA line with a valid one. Without such a line,
+    the first day is 1970-01-01. Heights are above the ellipsoid: the sum of altitude and geoid
+    separation.
 
     Raises:
         InputError: No GGA line can be used.
         OSError: The file can't be read.
     """
     with path.open("rb") as file:
-        beginning = file.read(1 << 16)
+        beginning = _lines(file.read(1 << 16))
     if not re.search(_ANY_GGA, beginning):
         return None
-    data = path.read_bytes()
+    data = _lines(path.read_bytes())
     matches = list(re.finditer(_GGA, data))
     intact = _intact(data, matches)
     lines = [each for each, good in zip(matches, intact.tolist(), strict=True) if good]
@@ -123,13 +125,18 @@ def read_nmea(path: Path) -> Trajectory | None:
     )
 
 
+def _lines(data: bytes) -> bytes:
+    """Return text in which every line ends in a line feed; offsets of characters are kept."""
+    return data.replace(b"\r", b"\n")
+
+
 def _intact(data: bytes, matches: Sequence[re.Match[bytes]]) -> Booleans:
     """Return the mask (N,) of lines with a correct checksum."""
     if not matches:
         return np.zeros(0, dtype=bool)
     ends = np.array([each.span(1) for each in matches]).ravel()
     sums = np.bitwise_xor.reduceat(np.frombuffer(data, dtype=np.uint8), ends)[::2]
-    said = np.array([int(each.group(13), 16) for each in matches])
+    said = np.array([int(each.groups()[-1], 16) for each in matches])
     return np.asarray(sums == said)
 
 
@@ -142,18 +149,25 @@ def _days(data: bytes, places: Sequence[int], seconds: Indices) -> tuple[Indices
         seconds: (N,), time of day of the lines, seconds.
     """
     days = np.concatenate([[0], np.cumsum(np.diff(seconds) < -_HALF_A_DAY_S)])
-    said = re.search(_DATE, data)
-    if said is None:
+    for said in re.finditer(_DATE, data):
+        _, time, *words, _ = filter(None, said.groups())
+        told = _day(*words)
+        if told is not None and _intact(data, [said])[0]:
+            break
+    else:
         note = "no RMC or ZDA line with a date: timestamps count from midnight, 1970-01-01"
         return days, (note,)
-    rmc_time, day, month, year, zda_time, *zda = said.groups()
-    time = rmc_time or zda_time
-    if rmc_time is None:
-        day, month, year = zda
-    number = int(year) + (2000 if rmc_time is not None else 0)
-    told = date(number, int(month), int(day)).toordinal() - date(1970, 1, 1).toordinal()
     # The line with the date has the same day as the GGA line before it, except over midnight.
     row = max(int(np.searchsorted(places, said.start())) - 1, 0)
     own_s = int(time[:2]) * 3600 + int(time[2:4]) * 60 + int(time[4:6])
     between = round((own_s - int(seconds[row])) / _DAY_S)
     return days + told - int(days[row]) + between, ()
+
+
+def _day(day: bytes, month: bytes, year: bytes) -> int | None:
+    """Return the days since 1970 of a date; None if there is no such date."""
+    number = int(year) + (2000 if len(year) == 2 else 0)
+    try:
+        return (date(number, int(month), int(day)) - date(1970, 1, 1)).days
+    except ValueError:
+        return None

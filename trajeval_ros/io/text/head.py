@@ -22,7 +22,9 @@ from trajeval_ros.io.text.layouts import (
     layout_of,
 )
 
-COMMENT = re.compile(rb"[#%][^\n]*")
+# A comment ends at a carriage return too: a file with these alone as line ends is refused then,
+# and does not lose all rows after its first comment.
+COMMENT = re.compile(rb"[#%][^\r\n]*")
 _DATE = rb"\d{4}[-/]\d\d?[-/]\d\d?([T ].*)?"
 _HEAD = 1 << 16  # bytes
 _SAMPLE = 50  # rows from which a layout is recognised

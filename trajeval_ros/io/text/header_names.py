@@ -15,7 +15,7 @@ from trajeval_ros.io.text.layouts import (
 
 SEPARATORS = (",", ";", "\t")  # single separators of columns; spaces separate in any number
 # Patterns are compiled on use, since most files have no header.
-_UNIT = r"\[([^\]]*)\]|\(([^)]*)\)"
+_UNIT = r"\[([^\[\]]*)\]|\(([^()]*)\)"
 _WORDS = r"[^a-z0-9]+"
 _UNITS = {
     **dict.fromkeys(("ns", "nsec", "nanosec", "nanoseconds"), "ns"),
@@ -63,7 +63,7 @@ _FIXES = {
 }
 # OpenVINS writes one name per vector: quaternion (xyzw), position, velocity, biases.
 _OPENVINS = r"\bq p v bg ba\b"
-_TRAJECTOPY = r"\s*#?\s*fields\s+"
+_TRAJECTOPY = r"\A#?\s*fields\s+"
 
 
 def separator_of(line: str) -> str:

@@ -257,7 +257,9 @@ def _kitti(rows: Sequence[Sequence[float]]) -> Layout:
     leading = len(rows[0]) - 12
     matrices = np.array(rows)[:, leading:].reshape(-1, 3, 4)
     axes = matrices[np.isfinite(matrices).all(axis=(1, 2)), :, :3]
-    if not np.allclose(axes @ np.swapaxes(axes, 1, 2), np.eye(3), atol=1e-2):
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers may be of any size
+        squares = axes @ np.swapaxes(axes, 1, 2)
+    if not np.allclose(squares, np.eye(3), atol=1e-2):
         raise InputError(
             f"{counted(len(rows[0]), 'column')}, but not 3 x 4 pose matrices (KITTI); {KNOWN}"
         )

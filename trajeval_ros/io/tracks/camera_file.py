@@ -23,6 +23,7 @@ _DISTORTIONS = {
     "equi": "equidistant",
     "kannala-brandt": "equidistant",
 }
+_MOST_PIXELS = 1 << 16  # along an edge
 _ROTATION_TOLERANCE = 1e-3
 
 
@@ -35,7 +36,7 @@ def read_camera(path: Path) -> CalibratedCamera:
     """
     values = read_mapping(path, "calibration of a camera")
     model, distortion = values.get("camera_model"), values.get("distortion_model")
-    if model != "pinhole" or distortion not in _DISTORTIONS:
+    if model != "pinhole" or not isinstance(distortion, str) or distortion not in _DISTORTIONS:
         raise InputError(
             f"{path}: camera_model {model!r} with distortion_model {distortion!r} is not "
             "supported; use pinhole with radial-tangential or equidistant"
@@ -48,8 +49,10 @@ def read_camera(path: Path) -> CalibratedCamera:
     width, height = _numbers(path, values, "resolution", 2)
     intrinsics = _numbers(path, values, "intrinsics", 4)
     coefficients = _numbers(path, values, "distortion_coefficients", 4)
-    if min(*intrinsics[:2], width, height) <= 0.0:
-        raise InputError(f"{path}: focal lengths and resolution must be greater than zero")
+    if not (intrinsics[:2] > 0.0).all():
+        raise InputError(f"{path}: focal lengths must be greater than zero")
+    if not (min(width, height) >= 1.0 and max(width, height) <= _MOST_PIXELS):
+        raise InputError(f"{path}: resolution must be from 1 to {_MOST_PIXELS} pixels")
     lens = Lens(intrinsics[:2], intrinsics[2:], _DISTORTIONS[distortion], coefficients)
     return CalibratedCamera(lens, int(width), int(height), pose[:3, :3], pose[:3, 3])
 
@@ -72,7 +75,7 @@ def _pose(path: Path, value: Any) -> Floats:
 def _numbers(path: Path, values: Mapping[str, Any], name: str, count: int) -> Floats:
     try:
         numbers = np.array(values.get(name), dtype=np.float64).ravel()
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         numbers = np.zeros(0)
     if len(numbers) != count or not np.isfinite(numbers).all():
         raise InputError(f"{path}: {name} must be {count} numbers")

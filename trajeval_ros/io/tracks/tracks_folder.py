@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from trajeval_ros.exceptions import InputError
+from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.text.decimals import RowFormat, parse_rows
-from trajeval_ros.io.text.head import read_head
+from trajeval_ros.io.text.head import COMMENT, read_head
 from trajeval_ros.io.text.reader import read_text
 from trajeval_ros.io.text.stamps import to_nanoseconds
 from trajeval_ros.io.text.tokens import RowError
@@ -30,6 +30,7 @@ _NAMES = {
     "camera": ("cam*.yaml", "mav0/cam0/sensor.yaml"),
 }
 _LARGEST = 1 << 30  # bytes
+_LARGEST_ID = 1 << 53  # larger whole numbers are not exact as float64
 
 
 def read_tracks_folder(folder: Path) -> SensorRecording:
@@ -45,6 +46,13 @@ def read_tracks_folder(folder: Path) -> SensorRecording:
         raise InputError(
             f"{folder} is not a folder; give a folder with tracks, IMU and groundtruth"
         )
+    try:
+        return _recording_in(folder)
+    except OSError as error:
+        raise InputError(f"{error.filename} can't be read: {reason_of(error)}") from error
+
+
+def _recording_in(folder: Path) -> SensorRecording:
     paths = {what: _only(folder, what) for what in _NAMES}
     imu_path, tracks_path = paths["IMU samples"], paths["tracks"]
     imu_stamps, samples = _read_rows(imu_path, "stamp_ns,wx,wy,wz,ax,ay,az")
@@ -113,8 +121,9 @@ def _read_rows(path: Path, names: str) -> tuple[Stamps, Floats]:
         raise InputError(f"{path} is too large; use a part of the recording")
     start = read_head(path).start
     content = path.read_bytes()
+    table = COMMENT.sub(b"", content[start:])
     try:
-        rows = parse_rows(content[start:], RowFormat(columns, 0, tuple(range(1, columns))))
+        rows = parse_rows(table, RowFormat(columns, 0, tuple(range(1, columns))))
     except RowError as error:
         line = content[:start].count(b"\n") + error.line + 1
         raise InputError(f"{path}, line {line}: {error.reason}; use the columns {names}") from None
@@ -130,8 +139,10 @@ def _read_rows(path: Path, names: str) -> tuple[Stamps, Floats]:
 
 
 def _track_names(path: Path, column: Floats) -> Stamps:
-    if (column != np.rint(column)).any():
-        raise InputError(f"{path}: track ids (second column) must be whole numbers")
+    if (column != np.rint(column)).any() or np.abs(column).max() > _LARGEST_ID:
+        raise InputError(
+            f"{path}: track ids (second column) must be whole numbers up to {_LARGEST_ID}"
+        )
     return column.astype(np.int64)
 
 
