@@ -103,6 +103,9 @@ SUBPACKAGES = {
         "recording": "watchdog watch_sources watch_cli",
     },
     "visual_inertial": {
+        "motion_matrix reduction reprojection_errors visibility": (
+            "visual_inertial_elimination visual_inertial_measurements visual_inertial_laws"
+        ),
         "lens keyframe_selection outliers covariance_tests residual_groups sensor_recording": (
             "tracks_reading tracks_folder visual_inertial_measurements"
         ),
