@@ -12,7 +12,7 @@ from trajeval_ros.diagnosis.short_motions import best_rotations
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.geometry.thinning import evenly
-from trajeval_ros.geometry.trajectory import step_angles
+from trajeval_ros.geometry.travelled import step_angles
 from trajeval_ros.metrics.statistics import median
 
 _NAME = "restart"

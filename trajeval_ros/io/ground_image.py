@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.formatting.install_command import extra_command
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.trajectory import LARGEST
+from trajeval_ros.geometry.valid_poses import LARGEST
 from trajeval_ros.io.yaml_file import read_mapping
 
 _MOST_PIXELS = 60_000_000

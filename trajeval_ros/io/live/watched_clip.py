@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.geometry.trajectory import LARGEST, NANOSECONDS
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.geometry.valid_poses import LARGEST
 from trajeval_ros.io.bags.write_clip import ABOUT, MESSAGES, SCHEMA
 from trajeval_ros.io.json_file import mapping_in
 from trajeval_ros.io.requests.limits_file import limits_in

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.geometry.trajectory import LARGEST
+from trajeval_ros.geometry.valid_poses import LARGEST
 from trajeval_ros.io.schema import require_schema
 from trajeval_ros.io.writing import write_text
 from trajeval_ros.io.yaml_file import read_mapping, require_known
