@@ -271,3 +271,27 @@ def test_topics_are_never_cut_by_a_terminal(
     assert len(rows) == 2
     assert width < 80 or max(len(line.rstrip()) for line in rows) <= width
     assert ("columns hidden (narrow terminal): last s" in text) == (width < 120)
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 100, 120])
+def test_numbers_are_never_cut_by_a_terminal(
+    width: int, pair: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = io.StringIO()
+    terminal = VisibleConsole(file=shown, width=width, force_terminal=True, color_system=None)
+    monkeypatch.setattr("trajeval_ros.report.console.console", lambda *_: terminal)
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    assert main(["trajectory", str(pair[0]), str(pair[1])]) == 0
+    text = shown.getvalue()
+    assert "…" not in text
+    read = read_many([str(pair[0])])[0]
+    row = next(line for line in text.splitlines() if line.split()[:1] == ["truth"])
+    assert f"{read.path_length_m:.3f}" in row.split()
+    assert width < 60 or len(row.rstrip()) <= width
+    assert ("columns hidden (narrow terminal): mean m/s" in text) == (width < 80)
+    shown.seek(0)
+    shown.truncate()
+    assert main(["evaluate", *map(str, pair)]) == 0
+    words = {word for line in shown.getvalue().splitlines() for word in line.split()}
+    assert {"position", "rotation", "count"} <= words
+    assert "…" not in shown.getvalue()

@@ -344,13 +344,14 @@ def _with_references(edited: Sequence[Edited]) -> list[Trajectory]:
 
 
 def _print(trajectories: Sequence[Trajectory], paths: Sequence[Path]) -> None:
-    from trajeval_ros.report.console import add_rows, console, new_table, show
+    from trajeval_ros.report.console import console, show_fitting
 
     terminal = console()
     numbers = ("poses", "s", "Hz", "path m", "mean m/s", "max m/s", "gaps > 0.5 s", "longest s")
-    table = new_table("", ("trajectory",), numbers)
-    add_rows(table, [_row(each) for each in trajectories])
-    show(terminal, table)
+    hidden_first = ("mean m/s", "longest s", "max m/s")
+    show_fitting(
+        terminal, ("trajectory",), numbers, [_row(each) for each in trajectories], hidden_first
+    )
     for path in paths:
         terminal.print(f"saved {path}", soft_wrap=True)
 

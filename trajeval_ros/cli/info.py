@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Row = tuple[str, ...]
 _COLUMNS = ("topic", "type", "poses", "Hz", "first s", "last s", "path m", "frame", "likely role")
 # Columns that are omitted on a narrow terminal, in this order. A single topic has all of them.
-_LEFT_OUT_FIRST = ("last s", "first s", "frame", "path m", "type")
+_HIDDEN_FIRST = ("last s", "first s", "frame", "path m", "type")
 
 
 def info(
@@ -224,23 +224,9 @@ def _print_next_step(terminal: Console, description: Description) -> None:
 
 
 def _print_topics(terminal: Console, rows: Sequence[Row]) -> None:
-    """Print as many columns as fit into the terminal."""
-    from trajeval_ros.report.console import add_rows, new_table, show, width_of
+    from trajeval_ros.report.console import show_fitting
 
-    for count in range(len(_LEFT_OUT_FIRST) + 1):
-        kept = [at for at, name in enumerate(_COLUMNS) if name not in _LEFT_OUT_FIRST[:count]]
-        table = new_table("", [_COLUMNS[at] for at in kept])
-        add_rows(table, [tuple(row[at] for at in kept) for row in rows])
-        if width_of(table) <= terminal.width:
-            break
-    show(terminal, table)
-    if count:
-        left_out = ", ".join(_LEFT_OUT_FIRST[:count])
-        terminal.print(
-            f"columns hidden (narrow terminal): {left_out}; call trajeval info "
-            "SOURCE:TOPIC to see them",
-            soft_wrap=True,
-        )
+    show_fitting(terminal, _COLUMNS, (), rows, _HIDDEN_FIRST)
 
 
 def _print_table(terminal: Console, words: Row, rows: Sequence[Row]) -> None:

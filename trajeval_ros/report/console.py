@@ -8,7 +8,7 @@ from typing import IO, Any
 
 from rich import box
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from trajeval_ros.formatting.escaping import one_line, visible
@@ -68,7 +68,8 @@ def add_rows(table: Table, rows: Iterable[TextRow]) -> None:
 def show(terminal: Console, table: Table) -> None:
     """Print a table without cutting words or numbers, wider than the terminal if necessary."""
     width = terminal.width
-    terminal.width = max(width, width_of(table))
+    terminal.width = max(width, _width_of(table))
+    _fit(table, terminal.width)
     if terminal.is_terminal:
         terminal.print(table)
     else:  # programs that read the table need no trailing blanks
@@ -79,13 +80,74 @@ def show(terminal: Console, table: Table) -> None:
     terminal.width = width
 
 
-def width_of(table: Table) -> int:
-    """Return the width of a table in characters; only columns of numbers can wrap."""
-    for column in table.columns:
-        if column.no_wrap:  # rich cuts these columns unless they have a minimum width
-            cells = (column.header, *column.cells)
-            column.min_width = max(Text(str(cell)).cell_len for cell in cells)
-    return Console(width=_UNWRAPPED, markup=False).measure(table).minimum
+def show_fitting(
+    terminal: Console,
+    words: Sequence[str],
+    numbers: Sequence[str],
+    rows: Sequence[TextRow],
+    hidden_first: Sequence[str],
+) -> None:
+    """Print a table with as many columns as fit into the terminal, and name the hidden ones.
+
+    Args:
+        terminal: Where the table is printed.
+        words: Headings of text columns, as for `new_table`.
+        numbers: Headings of the columns of numbers after them.
+        rows: The rows, with a cell for every heading.
+        hidden_first: Headings that a narrow terminal hides, the least important first.
+    """
+    for count in range(len(hidden_first) + 1):
+        hidden = hidden_first[:count]
+        kept = [at for at, name in enumerate((*words, *numbers)) if name not in hidden]
+        table = new_table(
+            "",
+            [name for name in words if name not in hidden],
+            [name for name in numbers if name not in hidden],
+        )
+        add_rows(table, [tuple(row[at] for at in kept) for row in rows])
+        if _width_of(table) <= terminal.width:
+            break
+    show(terminal, table)
+    if count:
+        names = ", ".join(hidden_first[:count])
+        terminal.print(
+            f"columns hidden (narrow terminal): {names}; widen it, or write to a file or pipe",
+            soft_wrap=True,
+        )
+
+
+def _width_of(table: Table) -> int:
+    """Return the smallest width of a table in characters; columns of numbers can wrap."""
+    return _frame(table) + sum(map(_narrowest, table.columns))
+
+
+def _fit(table: Table, width: int) -> None:
+    """Set the widths of all columns: rich would cut words and numbers of a wide table."""
+    frame, widths = _frame(table), list(map(_widest, table.columns))
+    least = list(map(_narrowest, table.columns))
+    for _ in range(frame + sum(widths) - width):
+        widths[max(range(len(widths)), key=lambda at: widths[at] - least[at])] -= 1
+    for column, its in zip(table.columns, widths, strict=True):
+        column.width = its
+
+
+def _frame(table: Table) -> int:
+    """Return the width of borders and gaps between the columns."""
+    natural = Console(width=_UNWRAPPED, markup=False).measure(table).maximum
+    return natural - sum(map(_widest, table.columns))
+
+
+def _widest(column: Column) -> int:
+    """Return the width of a column on one line."""
+    return max(Text(str(each)).cell_len for each in (column.header, *column.cells))
+
+
+def _narrowest(column: Column) -> int:
+    """Return the smallest width of a column: that of its longest word if it can wrap."""
+    if column.no_wrap:
+        return _widest(column)
+    words = (word for each in (column.header, *column.cells) for word in str(each).split())
+    return max((Text(word).cell_len for word in words), default=0)
 
 
 def _cell(cell: str | MarkedText) -> Text:
