@@ -21,6 +21,7 @@ from trajeval_ros.batch.comparison import Progress, run_plan
 from trajeval_ros.batch.comparison_summary import ComparisonSummary, summary_of
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.finished_comparison import RUNS
+from trajeval_ros.batch.overview_figures import drafts_of
 from trajeval_ros.batch.pooling import pooled_rows
 from trajeval_ros.batch.record_store import OWN, RECORDS, RecordStore
 from trajeval_ros.batch.records import Record
@@ -207,6 +208,34 @@ def test_shares_of_the_path_are_the_same_lengths_for_all(tmp_path: Path) -> None
     assert {row["length"] for row in rows} == {"20%"}
     assert len({row["length_m"] for row in rows}) == 1
     assert rows[0]["length_m"] == pytest.approx(0.2 * 2 * np.pi * 4.0, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("lengths", "headings", "across"),
+    [
+        ("1f", ("1 frame",), "[frames]"),
+        ("5deg", ("5 deg",), "[deg]"),
+        ("4,1s", ("4 m", "1 s"), ""),
+        ("20%", ("20 %",), "[% of the path]"),
+    ],
+)
+def test_lengths_of_every_unit_are_in_tables_and_figures(
+    lengths: str, headings: tuple[str, ...], across: str, tmp_path: Path
+) -> None:
+    config = write_runs(tmp_path, trials=1, sequences=["hall"])
+    out = tmp_path / "out"
+    run_plan(plan_of(config, {"lengths": lengths}), out, here)
+    summary = summary_of(out)
+    relative = [each for each in matrices(summary) if each.name.startswith("re_")]
+    unit = "percent" if lengths == "20%" else "m"
+    assert [each.columns for each in relative] == [headings, headings]
+    assert relative[0].name == f"re_position_{unit}"
+    assert all(cell.value is not None for _, cells in relative[0].rows for cell in cells)
+    drafts = drafts_of(summary, RecordStore(out / RECORDS))
+    plots = [each.plot for each in drafts if each.name.startswith("re_")]
+    shown = [heading.split()[0] for heading in headings] if across else list(headings)
+    assert [each.groups for each in plots] == [shown, shown]
+    assert {each.axis for each in plots} == {f"length of sub-trajectory {across}".rstrip()}
 
 
 def test_the_table_has_a_row_per_run_metric_and_length_with_provenance(tmp_path: Path) -> None:

@@ -46,8 +46,6 @@ def new_table(title: str, words: Sequence[str], numbers: Sequence[str] = ()) -> 
     """
     table = Table(
         title=one_line(title) or None,
-        title_justify="left",
-        title_style="bold",
         show_header=any(words),
         box=box.SIMPLE_HEAD if sys.stdout.isatty() and any(words) else None,
         pad_edge=False,
@@ -70,6 +68,9 @@ def show(terminal: Console, table: Table) -> None:
     width = terminal.width
     terminal.width = max(width, _width_of(table))
     _fit(table, terminal.width)
+    if table.title:  # rich wraps it at the table's width
+        terminal.print(Text(str(table.title), style="bold"))
+        table.title = None
     if terminal.is_terminal:
         terminal.print(table)
     else:  # programs that read the table need no trailing blanks
