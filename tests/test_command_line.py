@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from strategies import make_pair
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.cli.source_names import names_of
-from trajeval_ros.cli.verbs import VERBS
+from trajeval_ros.cli.verbs import VERBS, verb
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.write_bag import ODOMETRY, write_bag, write_mcap
 from trajeval_ros.io.find_sources import DEEPEST, MOST, find_sources
@@ -155,6 +156,35 @@ def test_flags_are_shown_without_a_type(verb: str, capsys: pytest.CaptureFixture
     assert "--help" in text
     assert "<bool>" not in text
     assert "BOOLEAN" not in text
+
+
+@pytest.mark.parametrize("name", VERBS)
+def test_the_help_fits_a_terminal_of_80_columns(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main([name, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert not [line for line in text.splitlines() if len(line) > 80]
+    options = [option for each in verb(name).params for option in each.opts]
+    longest = [option for option in options if option.startswith("--")]
+    assert not [option for option in longest if option not in text]
+    if name != "evaluator":  # its help is a table of ROS parameters
+        examples = re.findall(r"^ {4}(.*\S)$", verb(name).help or "", re.MULTILINE)
+        assert examples
+        assert not [line for line in examples if f" {line} " not in text]
+
+
+def test_without_arguments_the_help_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) in (0, 2)  # by the version of click
+    printed = capsys.readouterr()
+    assert "Usage: trajeval" in printed.out
+    assert printed.err == ""
+
+
+def test_usage_errors_are_sentences_like_all_others(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["evaluate", "a", "b", "--plots"]) == 2
+    assert capsys.readouterr().err.startswith("trajeval: no such option: --plots ")
 
 
 @needs_bash

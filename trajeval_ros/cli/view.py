@@ -29,11 +29,12 @@ def view(
 ) -> None:
     """Shows trajectories and errors in Rerun's viewer.
 
-    Show a recorded run, and a live run:
+    Show a recorded run:
 
-        trajeval evaluate -g run.mcap:/mocap/pose -e run.mcap:/vio/odometry --rrd run.rrd
-
+        trajeval evaluate run.mcap:/mocap/pose run.mcap:/vio/odometry --rrd run.rrd
         trajeval view run.rrd
+
+    Show a live run, by its output folder:
 
         trajeval view trajeval_2026_03_01-10_00_00
     """
