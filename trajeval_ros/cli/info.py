@@ -153,12 +153,12 @@ def _details(summary: TrajectorySummary) -> list[Row]:
         ("format", summary.kind),
         ("poses", str(summary.poses)),
         ("rate", f"{summary.rate_hz:.1f} Hz" if summary.rate_hz else "unknown: no timestamps"),
-        ("stamps", f"{_seconds(summary.first_ns)} to {_seconds(summary.last_ns)} s"),
+        ("timestamps", f"{_seconds(summary.first_ns)} to {_seconds(summary.last_ns)} s"),
         ("duration", f"{(summary.last_ns - summary.first_ns) / NANOSECONDS:.3f} s"),
         ("gaps over 0.5 s", _gaps(summary)),
         ("path length", f"{summary.path_length_m:.3f} m"),
         ("frames", _frames(summary) or "unnamed"),
-        ("holds", ", ".join(("position", *summary.holds))),
+        ("data", ", ".join(("position", *summary.holds))),
         ("likely role", summary.could_be),
     ]
     return [*rows, *(("note", note) for note in summary.notes)]
@@ -197,7 +197,7 @@ def _print_edges(terminal: Console, description: Description) -> None:
     if description.edges:
         _print_table(
             terminal,
-            ("transforms", "parent", "child", "kind", "stamps", "Hz"),
+            ("transforms", "parent", "child", "kind", "timestamps", "Hz"),
             [
                 (
                     edge.topic,

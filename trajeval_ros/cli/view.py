@@ -48,8 +48,7 @@ def view(
         raise InputError(f"{result} does not exist; give a folder with results or a .rrd file")
     if not any(result.glob(f"*{SUFFIX}")):
         raise InputError(
-            f"no {PICTURE} in {result}; install rerun-sdk and write one with trajeval evaluate "
-            "--rrd FILE"
+            f"no {PICTURE} in {result}; write a recording with trajeval evaluate --rrd FILE"
         )
     from trajeval_ros.viewer.recorded_scene import write_recording
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from trajeval_ros.exceptions import InputError
+from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.geometry.fixes import quality_of
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.sources import Advance, parse_source, read_trajectory
@@ -113,7 +113,7 @@ def describe(
         try:
             return _describe_bag(source, parts.path, advance)
         except OSError as error:
-            raise InputError(f"{parts.path} can't be read: {error.strerror or error}") from error
+            raise InputError(f"{parts.path} can't be read: {reason_of(error)}") from error
     trajectory = read_trajectory(source, advance=advance, hints=hints)
     return Description(parts.path, (summarize(source, trajectory),))
 

@@ -30,6 +30,7 @@ _HEAD = 1 << 16  # bytes
 _SAMPLE = 50  # rows from which a layout is recognised
 _UTF8_MARK = b"\xef\xbb\xbf"
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+_GZIP_MARK = b"\x1f\x8b"
 _GRAPH = rb"(?m)^(VERTEX_SE3:QUAT|VERTEX_SE2)\s"
 _BODY_TWISTS, _OTHERS = "RIGHT_PERTURBATION", "LEFT_PERTURBATION|ROTATION_TRANSLATION"
 
@@ -202,7 +203,7 @@ def read_head(path: Path) -> Head:
         named = named or bool(words)
         header.append(line.decode(errors="replace").strip().lstrip("#%").strip())
         start += len(line)
-    raise InputError(f"{path} has no row of numbers in its first {counted(len(lines), 'line')}")
+    raise InputError(f"{path} is text without a row of numbers; give a file with poses")
 
 
 def _table(header: Sequence[str], line: bytes) -> Layout | None:
@@ -231,6 +232,8 @@ def _beginning(path: Path) -> bytes:
         raise InputError(f"{path} is empty; check that the recording has poses")
     if data.startswith(_UTF16_MARKS):
         raise InputError(f"{path} is UTF-16 text; convert it to UTF-8")
+    if data.startswith(_GZIP_MARK):
+        raise InputError(f"{path} is compressed with gzip; decompress it with gunzip")
     if b"\0" in data.partition(b"\n")[0]:
         raise InputError(f"{path} is a binary file of unknown format, neither text nor a bag")
     return data
