@@ -200,6 +200,20 @@ def test_runs_without_common_time_say_so(tmp_path: Path) -> None:
     }
 
 
+def test_the_caption_states_the_association(tmp_path: Path) -> None:
+    config = write_runs(tmp_path, trials=1, sequences=["hall"])
+    for options, said in (
+        (
+            {},
+            "groundtruth interpolated (for points and fixes the estimate), gaps up to 0.5 s.",
+        ),
+        ({"max_gap": 2.0, "association": "linear"}, "groundtruth interpolated, gaps up to 2 s."),
+        ({"association": "nearest"}, "nearest timestamps one to one, within 0.02 s."),
+    ):
+        run_plan(plan_of(config, options), tmp_path / "out", here)
+        assert f"with all states; {said}" in matrices(summary_of(tmp_path / "out"))[0].caption
+
+
 def test_shares_of_the_path_are_the_same_lengths_for_all(tmp_path: Path) -> None:
     config = write_runs(tmp_path, trials=1, sequences=["hall"])
     write_run(tmp_path / "bad" / "hall_trial0.txt", 1.03, count=250, seconds=16.0)

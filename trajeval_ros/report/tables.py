@@ -61,6 +61,8 @@ RELATIVE = {
     "full": "full pose",
 }
 METHODS = {
+    "auto": "groundtruth interpolated (for points and fixes the estimate), gaps up to "
+    "{0.max_gap_s:g} s",
     "linear": "groundtruth interpolated, gaps up to {0.max_gap_s:g} s",
     "groundtruth-stamps": "estimate interpolated at the groundtruth's timestamps, gaps up to "
     "{0.max_gap_s:g} s",
