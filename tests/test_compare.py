@@ -214,6 +214,14 @@ def test_the_caption_states_the_association(tmp_path: Path) -> None:
         assert f"with all states; {said}" in matrices(summary_of(tmp_path / "out"))[0].caption
 
 
+def test_the_trial_of_a_figure_is_named(tmp_path: Path) -> None:
+    config = write_runs(tmp_path, trials=3, sequences=["hall"])
+    _, summary = run(config)
+    drafts = drafts_of(summary, RecordStore(tmp_path / "out" / RECORDS))
+    (paths,) = (each.plot.paths for each in drafts if each.name == "trajectories_hall")
+    assert [name for name, _ in paths.values()] == ["good, trial 1", "bad, trial 1"]
+
+
 def test_shares_of_the_path_are_the_same_lengths_for_all(tmp_path: Path) -> None:
     config = write_runs(tmp_path, trials=1, sequences=["hall"])
     write_run(tmp_path / "bad" / "hall_trial0.txt", 1.03, count=250, seconds=16.0)

@@ -167,7 +167,8 @@ def _median_records(
         trial = _median_trial(summary.of(algorithm, sequence))
         record = None if trial is None else records.read(trial.key, with_pooled=False)
         if trial is not None and record is not None:
-            found[place] = (f"{algorithm} {trial.trial}".strip(), record)
+            which = f", trial {trial.trial}" if trial.trial else ""
+            found[place] = (f"{algorithm}{which}", record)
     return found
 
 

@@ -189,7 +189,9 @@ def summarize(source: str, trajectory: Trajectory) -> TrajectorySummary:
     holds = tuple(name for name, column in columns.items() if column is not None)
     about_fixes = () if ordered.fixes is None else (quality_of(ordered.fixes),)
     kind, *notes = (note.removeprefix("format: ") for note in ordered.notes)
-    dropped = tuple(f"{count} dropped: {reason}" for reason, count in ordered.dropped.items())
+    dropped = tuple(
+        f"{count} dropped: {reason.replace('_', ' ')}" for reason, count in ordered.dropped.items()
+    )
     unstamped = not trajectory.stamped
     travelled = ordered.travelled
     speeds = np.zeros(0) if unstamped else np.diff(travelled) / steps
