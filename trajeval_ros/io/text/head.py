@@ -85,10 +85,9 @@ def recognise_text(path: Path, named: Sequence[str] = ()) -> TextFormat:
 
 def _as_named(path: Path, layout: Layout) -> TextFormat:
     """Return the format of a file with columns that the user named."""
-    data = _beginning(path)
-    start = len(_UTF8_MARK) if data.startswith(_UTF8_MARK) else 0
+    start, lines = _first_lines(path)
     count = 0
-    for line in data[start:].splitlines(keepends=True):
+    for line in lines:
         for separator in (*SEPARATORS, ""):
             found = _of_row(dataclasses.replace(layout, separator=separator), line)
             if found is not None:
@@ -178,11 +177,7 @@ def read_head(path: Path) -> Head:
         InputError: The file is empty, is not text, or has no row of numbers in its first lines.
         OSError: The file can't be read.
     """
-    data = _beginning(path)
-    start = len(_UTF8_MARK) if data.startswith(_UTF8_MARK) else 0
-    lines = data[start:].splitlines(keepends=True)
-    if len(data) == _HEAD and len(lines) > 1:
-        lines.pop()  # the last line can be incomplete
+    start, lines = _first_lines(path)
     header: list[str] = []
     named = False
     for index, line in enumerate(lines):
@@ -218,6 +213,20 @@ def _table(header: Sequence[str], line: bytes) -> Layout | None:
     if layout is None:
         return None
     return _of_row(dataclasses.replace(layout, separator=separator), line)
+
+
+def _first_lines(path: Path) -> tuple[int, list[bytes]]:
+    """Return the position of the first line of a text file, and its first lines with their ends.
+
+    Raises:
+        InputError: As for `_beginning`.
+    """
+    data = _beginning(path)
+    start = len(_UTF8_MARK) if data.startswith(_UTF8_MARK) else 0
+    lines = data[start:].splitlines(keepends=True)
+    if len(data) == _HEAD and len(lines) > 1:
+        lines.pop()  # the last line can be incomplete
+    return start, lines
 
 
 def _beginning(path: Path) -> bytes:
