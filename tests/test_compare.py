@@ -132,6 +132,7 @@ def test_failed_and_missing_runs_stay_and_are_worse_than_all(
     assert "warning: good yard 2 missing: " in told.err
     assert "warning: good yard 0 failed:" in told.err
     assert "3/6" in told.out
+    assert "9 runs evaluated, 3 failed or missing; report.html" in told.out
     with (out / "ate_position_m.csv").open() as file:
         good, bad = list(csv.DictReader(file))
     assert good["yard"] == "inf"
