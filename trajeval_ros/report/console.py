@@ -66,8 +66,8 @@ def add_rows(table: Table, rows: Iterable[TextRow]) -> None:
 def show(terminal: Console, table: Table) -> None:
     """Print a table without cutting words or numbers, wider than the terminal if necessary."""
     width = terminal.width
-    terminal.width = max(width, _width_of(table))
-    _fit(table, terminal.width)
+    _fit(table, width)
+    terminal.width = max(width, _natural_width(table))
     if table.title:  # rich wraps it at the table's width
         terminal.print(Text(str(table.title), style="bold"))
         table.title = None
@@ -112,30 +112,30 @@ def show_fitting(
     if count:
         names = ", ".join(hidden_first[:count])
         terminal.print(
-            f"columns hidden (narrow terminal): {names}; widen it, or write to a file or pipe",
+            f"columns hidden (narrow terminal): {names}; widen it or redirect the output",
             soft_wrap=True,
         )
 
 
 def _width_of(table: Table) -> int:
     """Return the smallest width of a table in characters; columns of numbers can wrap."""
-    return _frame(table) + sum(map(_narrowest, table.columns))
+    widest, narrowest = map(_widest, table.columns), _narrowest(table)
+    return _natural_width(table) - sum(widest) + sum(narrowest)
 
 
 def _fit(table: Table, width: int) -> None:
-    """Set the widths of all columns: rich would cut words and numbers of a wide table."""
-    frame, widths = _frame(table), list(map(_widest, table.columns))
-    least = list(map(_narrowest, table.columns))
-    for _ in range(frame + sum(widths) - width):
-        widths[max(range(len(widths)), key=lambda at: widths[at] - least[at])] -= 1
-    for column, its in zip(table.columns, widths, strict=True):
-        column.width = its
+    """Set the widths of columns that must wrap: rich would cut words and numbers."""
+    widths, narrowest = list(map(_widest, table.columns)), _narrowest(table)
+    excess = min(_natural_width(table) - width, sum(widths) - sum(narrowest))
+    for _ in range(excess):
+        most = max(range(len(widths)), key=lambda at: widths[at] - narrowest[at])
+        widths[most] -= 1
+        table.columns[most].width = widths[most]
 
 
-def _frame(table: Table) -> int:
-    """Return the width of borders and gaps between the columns."""
-    natural = Console(width=_UNWRAPPED, markup=False).measure(table).maximum
-    return natural - sum(map(_widest, table.columns))
+def _natural_width(table: Table) -> int:
+    """Return the width of a table in characters without further wrapping."""
+    return Console(width=_UNWRAPPED, markup=False).measure(table).maximum
 
 
 def _widest(column: Column) -> int:
@@ -143,12 +143,18 @@ def _widest(column: Column) -> int:
     return max(Text(str(each)).cell_len for each in (column.header, *column.cells))
 
 
-def _narrowest(column: Column) -> int:
-    """Return the smallest width of a column: that of its longest word if it can wrap."""
-    if column.no_wrap:
-        return _widest(column)
-    words = (word for each in (column.header, *column.cells) for word in str(each).split())
-    return max((Text(word).cell_len for word in words), default=0)
+def _narrowest(table: Table) -> list[int]:
+    """Return the smallest widths of the columns: a column of numbers wraps between words.
+
+    The last column never wraps, because versions of rich differ in the padding of its set width.
+    """
+    *columns, last = table.columns
+    widths = []
+    for column in columns:
+        texts = [str(each) for each in (column.header, *column.cells)]
+        words = texts if column.no_wrap else [word for each in texts for word in each.split()]
+        widths.append(max((Text(word).cell_len for word in words), default=0))
+    return [*widths, _widest(last)]
 
 
 def _cell(cell: str | MarkedText) -> Text:
