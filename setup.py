@@ -33,8 +33,11 @@ setuptools.setup(
     **{"license_expression" if knows_expressions else "license": "Apache-2.0"},
     # Here it stays a text: colcon can't read the object that setuptools makes of the table's.
     python_requires=">=3.10,<3.15",
-    packages=setuptools.find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={"": ["py.typed", "templates/*.j2"]},
+    packages=[
+        *setuptools.find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+        f"{PACKAGE}.report.templates",  # has no modules; setuptools warns if it is not listed
+    ],
+    package_data={"": ["py.typed", "*.j2"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),

@@ -381,7 +381,9 @@ def test_no_match_is_explained_with_both_time_ranges(
 def test_a_first_stamp_of_zero_is_no_clock_that_counts_from_zero() -> None:
     truth, estimate = at(1.7e12 + np.arange(0, 10_000, 1000)), at(np.array([0.0, 1.6e12]))
     for one, other in ((truth, estimate), (estimate, truth)):
-        with pytest.raises(NoMatchError, match=r"1e\+08 s apart; for a constant clock difference"):
+        with pytest.raises(
+            NoMatchError, match="100000000 s apart; for a constant clock difference"
+        ):
             associate(one, other, AssociationRule("linear"))
 
 

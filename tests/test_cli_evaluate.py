@@ -208,6 +208,8 @@ def test_every_relative_error_can_be_required(
         (["--require", "re.poled.position_percent.rmse < 1"], "did you mean 'pooled'"),
         (["--require", "ate.position.rmse < 1"], "did you mean 'position_m'"),
         (["--require", "ate.position_m < 1"], "is not a number; add one of rmse"),
+        (["--require", "ate < 1"], "ate is not a number; add one of position_m"),
+        (["--gauge", "SE3"], "unknown gauge 'SE3' (did you mean se3?)"),
         (["--require", "nonsense"], "write it as"),
         (["--gauge", "se4"], "none, translation, yaw, planar, se3, sim3"),
         (["--gauge", "se3", "--modality", "mono"], "modality mono means gauge sim3"),

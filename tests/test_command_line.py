@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from strategies import make_pair
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.cli.source_names import names_of
-from trajeval_ros.cli.verbs import VERBS
+from trajeval_ros.cli.verbs import VERBS, verb
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.write_bag import ODOMETRY, write_bag, write_mcap
 from trajeval_ros.io.find_sources import DEEPEST, MOST, find_sources
@@ -157,6 +158,35 @@ def test_flags_are_shown_without_a_type(verb: str, capsys: pytest.CaptureFixture
     assert "BOOLEAN" not in text
 
 
+@pytest.mark.parametrize("name", VERBS)
+def test_the_help_fits_a_terminal_of_80_columns(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main([name, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert not [line for line in text.splitlines() if len(line) > 80]
+    options = [option for each in verb(name).params for option in each.opts]
+    longest = [option for option in options if option.startswith("--")]
+    assert not [option for option in longest if option not in text]
+    if name != "evaluator":  # its help is a table of ROS parameters
+        examples = re.findall(r"^ {4}(.*\S)$", verb(name).help or "", re.MULTILINE)
+        assert examples
+        assert not [line for line in examples if f" {line} " not in text]
+
+
+def test_without_arguments_the_help_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) in (0, 2)  # by the version of click
+    printed = capsys.readouterr()
+    assert "Usage: trajeval" in printed.out
+    assert printed.err == ""
+
+
+def test_usage_errors_are_sentences_like_all_others(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["evaluate", "a", "b", "--plots"]) == 2
+    assert capsys.readouterr().err.startswith("trajeval: no such option: --plots ")
+
+
 @needs_bash
 def test_completion_is_installed_and_completes(tmp_path: Path) -> None:
     # By its own program: what asks for the completion is found by the parent's name.
@@ -271,3 +301,27 @@ def test_topics_are_never_cut_by_a_terminal(
     assert len(rows) == 2
     assert width < 80 or max(len(line.rstrip()) for line in rows) <= width
     assert ("columns hidden (narrow terminal): last s" in text) == (width < 120)
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 100, 120])
+def test_numbers_are_never_cut_by_a_terminal(
+    width: int, pair: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = io.StringIO()
+    terminal = VisibleConsole(file=shown, width=width, force_terminal=True, color_system=None)
+    monkeypatch.setattr("trajeval_ros.report.console.console", lambda *_: terminal)
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    assert main(["trajectory", str(pair[0]), str(pair[1])]) == 0
+    text = shown.getvalue()
+    assert "…" not in text
+    read = read_many([str(pair[0])])[0]
+    row = next(line for line in text.splitlines() if line.split()[:1] == ["truth"])
+    assert f"{read.path_length_m:.3f}" in row.split()
+    assert width < 60 or len(row.rstrip()) <= width
+    assert ("columns hidden (narrow terminal): mean m/s" in text) == (width < 80)
+    shown.seek(0)
+    shown.truncate()
+    assert main(["evaluate", *map(str, pair)]) == 0
+    words = {word for line in shown.getvalue().splitlines() for word in line.split()}
+    assert {"position", "rotation", "count"} <= words
+    assert "…" not in shown.getvalue()

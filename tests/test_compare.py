@@ -21,6 +21,7 @@ from trajeval_ros.batch.comparison import Progress, run_plan
 from trajeval_ros.batch.comparison_summary import ComparisonSummary, summary_of
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.finished_comparison import RUNS
+from trajeval_ros.batch.overview_figures import drafts_of
 from trajeval_ros.batch.pooling import pooled_rows
 from trajeval_ros.batch.record_store import OWN, RECORDS, RecordStore
 from trajeval_ros.batch.records import Record
@@ -131,6 +132,7 @@ def test_failed_and_missing_runs_stay_and_are_worse_than_all(
     assert "warning: good yard 2 missing: " in told.err
     assert "warning: good yard 0 failed:" in told.err
     assert "3/6" in told.out
+    assert "9 runs evaluated, 3 failed or missing; report.html" in told.out
     with (out / "ate_position_m.csv").open() as file:
         good, bad = list(csv.DictReader(file))
     assert good["yard"] == "inf"
@@ -199,6 +201,28 @@ def test_runs_without_common_time_say_so(tmp_path: Path) -> None:
     }
 
 
+def test_the_caption_states_the_association(tmp_path: Path) -> None:
+    config = write_runs(tmp_path, trials=1, sequences=["hall"])
+    for options, said in (
+        (
+            {},
+            "groundtruth interpolated (for points and fixes the estimate), gaps up to 0.5 s.",
+        ),
+        ({"max_gap": 2.0, "association": "linear"}, "groundtruth interpolated, gaps up to 2 s."),
+        ({"association": "nearest"}, "nearest timestamps one to one, within 0.02 s."),
+    ):
+        run_plan(plan_of(config, options), tmp_path / "out", here)
+        assert f"with all states; {said}" in matrices(summary_of(tmp_path / "out"))[0].caption
+
+
+def test_the_trial_of_a_figure_is_named(tmp_path: Path) -> None:
+    config = write_runs(tmp_path, trials=3, sequences=["hall"])
+    _, summary = run(config)
+    drafts = drafts_of(summary, RecordStore(tmp_path / "out" / RECORDS))
+    (paths,) = (each.plot.paths for each in drafts if each.name == "trajectories_hall")
+    assert [name for name, _ in paths.values()] == ["good, trial 1", "bad, trial 1"]
+
+
 def test_shares_of_the_path_are_the_same_lengths_for_all(tmp_path: Path) -> None:
     config = write_runs(tmp_path, trials=1, sequences=["hall"])
     write_run(tmp_path / "bad" / "hall_trial0.txt", 1.03, count=250, seconds=16.0)
@@ -207,6 +231,34 @@ def test_shares_of_the_path_are_the_same_lengths_for_all(tmp_path: Path) -> None
     assert {row["length"] for row in rows} == {"20%"}
     assert len({row["length_m"] for row in rows}) == 1
     assert rows[0]["length_m"] == pytest.approx(0.2 * 2 * np.pi * 4.0, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("lengths", "headings", "across"),
+    [
+        ("1f", ("1 frame",), "[frames]"),
+        ("5deg", ("5 deg",), "[deg]"),
+        ("4,1s", ("4 m", "1 s"), ""),
+        ("20%", ("20 %",), "[% of the path]"),
+    ],
+)
+def test_lengths_of_every_unit_are_in_tables_and_figures(
+    lengths: str, headings: tuple[str, ...], across: str, tmp_path: Path
+) -> None:
+    config = write_runs(tmp_path, trials=1, sequences=["hall"])
+    out = tmp_path / "out"
+    run_plan(plan_of(config, {"lengths": lengths}), out, here)
+    summary = summary_of(out)
+    relative = [each for each in matrices(summary) if each.name.startswith("re_")]
+    unit = "percent" if lengths == "20%" else "m"
+    assert [each.columns for each in relative] == [headings, headings]
+    assert relative[0].name == f"re_position_{unit}"
+    assert all(cell.value is not None for _, cells in relative[0].rows for cell in cells)
+    drafts = drafts_of(summary, RecordStore(out / RECORDS))
+    plots = [each.plot for each in drafts if each.name.startswith("re_")]
+    shown = [heading.split()[0] for heading in headings] if across else list(headings)
+    assert [each.groups for each in plots] == [shown, shown]
+    assert {each.axis for each in plots} == {f"length of sub-trajectory {across}".rstrip()}
 
 
 def test_the_table_has_a_row_per_run_metric_and_length_with_provenance(tmp_path: Path) -> None:

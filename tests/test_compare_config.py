@@ -235,6 +235,7 @@ def test_a_folder_of_no_convention_is_told_what_to_write(tmp_path: Path) -> None
         ("groundtruht: a", "did you mean groundtruth?"),
         ("modalty: mono", "did you mean modality?"),
         ("groundtruth: truths/{sequence}.txt", "no file matches the pattern 'truths/{sequence}"),
+        ("folder: nowhere", "/nowhere does not exist"),
         ("groundtruth: groundtruth/{sequnce}.txt", "did you mean {sequence}?"),
         ("groundtruth: groundtruth/hall.txt", "no {sequence}"),
         ("groundtruth: groundtruth/{sequence}{trial}.txt", "remove {trial}"),

@@ -142,7 +142,10 @@ def test_who_covers_less_than_the_others_is_never_the_best(tmp_path: Path) -> No
         assert good.value < bad.value
         assert (good.is_ranked, bad.is_ranked) == (False, True)
     assert absolute.ranks() == [[0], [1]]
+    ranked = "Most sequences with the smallest position ATE of those that are ranked: bad, on 1"
+    assert ranked in (out / "report.html").read_text()
     # Where all cover as little, they compare.
     write_run(tmp_path / "bad" / "hall_trial0.txt", 1.03, count=150, seconds=10.0)
     assert main(["compare", str(config), "--output", str(out), "--quiet", "--workers", "1"]) == 0
     assert matrices(summary_of(out))[0].ranks() == [[1], [2]]
+    assert "smallest position ATE: good, on 1" in (out / "report.html").read_text()

@@ -215,6 +215,9 @@ def test_one_trial_of_one_number_is_undecided_and_says_what_to_do(tmp_path: Path
     assert not judgement.is_no_worse
     assert [each.verdict for each in judgement.gates[0].numbers] == ["undecided"]
     text = to_markdown(judgement, "runs", [])
+    assert text.startswith("### runs: inconclusive\n")
+    assert "undecided" not in text
+    assert text.count("inconclusive") == 3  # the head, all values together, and the one value
     assert "1 trial on both sides of one value: too few for a test" in text
     assert "No worsening of any size is detectable." in text
 
@@ -532,7 +535,7 @@ def test_a_sequence_without_numbers_is_lost_and_the_rest_can_not_hide_it(
     text = (today / "old" / "gates.md").read_text()
     assert printed.endswith(text)
     assert ": missing values" in text
-    row = next(line for line in text.splitlines() if "**lost**" in line)
+    row = next(line for line in text.splitlines() if "**missing value**" in line)
     assert row.startswith("| good, yard |")
     assert "yard_trial0.txt" in row
     # The same without the failure: nothing is worse, which isn't evidence that all is well.
@@ -600,6 +603,7 @@ def test_the_table_of_the_same_folder_can_be_the_baseline(today: Path) -> None:
         (["--paired"], "--paired needs --baseline"),
         (["--baseline", "OLD", "--fail-if", f"{GATE} spread 9 %", "--paired"], "also gives one"),
         (["--baseline", "none.parquet", "--fail-if", GATE], "does not exist"),
+        (["--baseline", "FOLDER", "--fail-if", GATE], "is a folder; give the runs.parquet in it"),
         (["--baseline", "OLD", "--fail-if", GATE, "--gauge", "yaw"], "made with gauge se3"),
     ],
 )
@@ -611,7 +615,8 @@ def test_what_can_not_be_judged_is_refused_before_any_work(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     old = str(yesterday / "old" / "runs.parquet")
-    given = [old if each == "OLD" else each for each in arguments]
+    known = {"OLD": old, "FOLDER": str(yesterday / "old")}
+    given = [known.get(each, each) for each in arguments]
     out = tmp_path / "out"
     assert main(["compare", str(yesterday / "runs.yaml"), "--output", str(out), *given]) == 2
     (line,) = capsys.readouterr().err.splitlines()

@@ -67,7 +67,7 @@ def test_five_runs_of_which_one_is_poisoned(
     said = capsys.readouterr()
     size = data_size(fetched(*sizes.values()))
     assert f"4 runs evaluated, {size} read from remote stores; report.html" in said.out
-    reason = f"{STORE}/hall_1.txt has no row of numbers in its first 1 line"
+    reason = f"{STORE}/hall_1.txt is text without a row of numbers; give a file with poses"
     assert f"warning: vio hall 1 failed: {reason}\n" in said.err
     trials = summary_of(out).trials
     assert [trial.status for trial in trials] == ["ok", "failed", "ok", "ok", "ok"]

@@ -187,7 +187,7 @@ def test_of_very_many_runs_details_are_of_those_that_stand_out(
     assert main(["compare", str(config), "--workers", "1", "--output", str(out), "-q"]) == 0
     text = (out / "report.html").read_text()
     names = re.findall(r"<summary><b>([^<]*)</b>", text)
-    assert names == ["good yard 1", "bad hall 1", "bad hall 2"]
+    assert names == ["good yard, trial 1", "bad hall, trial 1", "bad hall, trial 2"]
     assert "Details are shown for 3 runs: failed runs first" in text
     assert ">12 runs of 2 algorithms on 2 sequences: 11 evaluated" in text
 

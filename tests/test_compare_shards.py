@@ -145,7 +145,7 @@ def test_shards_that_do_not_belong_together_are_refused(
     run_plan(plan_of(config, {}), tmp_path / "two", here, shard=Shard(2, 2))
     (tmp_path / "none").mkdir()
     for folders, said in (
-        (["1", "2"], "1 of 3 shards are missing: 3/3; run them, or give their folders"),
+        (["1", "2"], "missing: 3/3 of 3 shards; run them, or give their folders"),
         (["1", "2", "again"], "again are both shard 2/3; give only one"),
         (["1", "2", "yaw"], "have different settings; run the shards again"),
         (["1", "two"], "the shards have different totals, 2 and 3"),

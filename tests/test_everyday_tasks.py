@@ -84,16 +84,16 @@ def latex(folder: Path) -> None:
 
 # What a command leaves behind, beyond its exit status of 0.
 LEFT: dict[int, Callable[[Path], None]] = {
-    3: has("figures/path_xy.png", "figures/path_3d.png"),
+    3: has("paths/path_xy.png", "paths/path_3d.png"),
     6: has("boxes/relative_error.png"),
     7: saved_topics,
     8: saved_pairs,
-    9: has("figures/*"),
-    10: has("figures/*"),
-    11: has("figures/*"),
+    9: has("angles/*"),
+    10: has("speeds/*"),
+    11: has("coloured/*"),
     12: merged,
     15: latex,
-    16: has("figures/*"),
+    16: has("over_map/*"),
     20: by_axis,
     21: has("errors.mcap"),
 }

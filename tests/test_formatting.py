@@ -17,8 +17,10 @@ from trajeval_ros.formatting.escaping import csv_text, markdown_text, one_line, 
 from trajeval_ros.formatting.numbers import (
     change_percent,
     one_digit,
+    significant,
     three_decimals,
     whole_percent,
+    with_unit,
 )
 from trajeval_ros.formatting.text_tables import (
     BOLD,
@@ -165,6 +167,29 @@ def test_lines_of_a_table_end_without_blanks() -> None:
 def test_numbers_keep_three_digits(value: float) -> None:
     assert float(three_decimals(value)) == pytest.approx(value, rel=0.05)
     assert float(three_decimals(value)) == pytest.approx(value, rel=5e-3, abs=5.001e-4)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (123456.78, "123456.8"),
+        (1000.0, "1000.0"),
+        (999.9, "999.900"),
+        (0.01, "0.010"),
+        (0.0059, "0.00590"),
+        (-7.53e-06, "-0.00000753"),
+        (7.53e-07, "7.53e-07"),
+        (0.0, "0.000"),
+    ],
+)
+def test_tables_have_no_exponents(value: float, text: str) -> None:
+    assert three_decimals(value) == text
+
+
+def test_large_numbers_have_no_exponent() -> None:
+    large = [significant(each, 3) for each in (999.4, 1234.5, -2e8, 0.0686)]
+    assert large == ["999", "1234", "-200000000", "0.0686"]
+    assert with_unit(12345.6, "m") == "12346 m"
 
 
 def test_what_is_no_number_is_said() -> None:

@@ -423,7 +423,10 @@ def test_one_command_on_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert one["alignment"]["gauge"] == "yaw"
     assert one["own_error"]["fixes"] == one["association"]["pairs"]
     assert main(["info", bag]) == 0
-    assert "/fix: status 2: 40; sigma 0.02-0.02 m level" in capsys.readouterr().out
+    assert (
+        "/fix: 40 of status 2; standard deviation 0.02 to 0.02 m horizontal"
+        in capsys.readouterr().out
+    )
 
 
 @pytest.mark.parametrize(

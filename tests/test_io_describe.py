@@ -54,7 +54,7 @@ def test_a_text_file(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> N
     info(source)
     printed = capsys.readouterr().out
     assert "303.0 Hz" in printed
-    assert "duplicate_stamp" in printed
+    assert "1 dropped: duplicate stamp" in printed
 
 
 def test_without_stamps(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -69,7 +69,7 @@ def test_columns_that_nothing_names(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "--columns" in capsys.readouterr().err
     assert main(["info", str(path), "--columns", "t_ms _ x y yaw_deg"]) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert "columns as named poses 5 rate 1.0 Hz stamps 0.000 to 4.000 s" in printed
+    assert "columns as named poses 5 rate 1.0 Hz timestamps 0.000 to 4.000 s" in printed
     assert "path length 4.000 m" in printed
 
 

@@ -261,7 +261,7 @@ def test_every_name_is_made_allowed_and_then_kept(name: str) -> None:
         (["--rate", "-1"], "--rate -1 is out of range"),
         (["--rate", "inf"], "--rate inf is out of range"),
         (["--wait-for-subscribers", "nan"], "is out of range"),
-        (["--rat", "2"], "No such option"),
+        (["--rat", "2"], "no such option"),
     ],
 )
 def test_without_ros_a_mistake_is_one_sentence(

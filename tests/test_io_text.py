@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import tempfile
 from decimal import Decimal
 from pathlib import Path
@@ -291,7 +292,7 @@ FIRST, SECOND, THIRD = GOOD.splitlines()
 BAD_FILES: dict[str, tuple[bytes, str]] = {
     "empty": (b"", "is empty"),
     "blank": (b"\n \n", "is empty"),
-    "only comments": (b"# t x y z\n", "no row of numbers"),
+    "only comments": (b"# t x y z\n", "is text without a row of numbers"),
     "half a line": (GOOD.encode()[:-60], r"line 3: 8 columns expected, found \d"),
     "letters": (f"{FIRST}\n{SECOND}\n1 2 3 x4 5 6 7 8\n".encode(), "line 3: 'x4'"),
     "letters in the first row": (b"1 2 3 x4 5 6 7 8\n", "line 1, column 4: 'x4'"),
@@ -366,8 +367,26 @@ def test_a_missing_file_has_a_neighbour(tmp_path: Path) -> None:
     (tmp_path / "groundtruth.txt").write_text(GOOD)
     with pytest.raises(InputError, match=r"does not exist; did you mean .*groundtruth\.txt\?"):
         read_trajectory(str(tmp_path / "groundtruht.txt"))
-    with pytest.raises(InputError, match="nor does the directory"):
+    with pytest.raises(InputError, match="nor does the folder"):
         read_trajectory(str(tmp_path / "nowhere" / "t.txt"))
+
+
+def test_a_folder_that_may_not_be_read_is_not_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "exists", refuse)
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    with pytest.raises(InputError, match="can't be read; check its permissions"):
+        read_trajectory(str(tmp_path / "t.txt"))
+
+
+def test_a_compressed_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / "t.txt.gz").write_bytes(gzip.compress(GOOD.encode()))
+    with pytest.raises(InputError, match="is compressed with gzip; decompress it with gunzip"):
+        read_trajectory(str(tmp_path / "t.txt.gz"))
 
 
 def test_a_text_file_has_no_topics(tmp_path: Path) -> None:
@@ -388,5 +407,5 @@ def test_a_file_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyP
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(Path, "open", refuse)
-    with pytest.raises(InputError, match=r"t\.txt can't be read: Permission denied"):
+    with pytest.raises(InputError, match=r"t\.txt can't be read: permission denied"):
         read_trajectory(str(tmp_path / "t.txt"))

@@ -288,6 +288,15 @@ def test_a_file_with_other_columns_than_named(tmp_path: Path) -> None:
         read(tmp_path / "t.txt", NAMED["w first"][1], columns=("t", "x", "y", "z"))
 
 
+def test_half_a_row_at_the_end_of_the_head_is_no_row(tmp_path: Path) -> None:
+    row = "1500000000.123 1.5 0 0 0 0 0 1\n"
+    # 65536 bytes are read first: the last of these rows ends after its third column.
+    text = "#" * ((65536 - 20) % len(row) - 1) + "\n" + row * 3000
+    assert len(text[:65536].rpartition("\n")[2].split()) == 3
+    with pytest.raises(InputError, match=r"no row of 3 columns .* \(its first line has 8\)"):
+        read(tmp_path / "t", text, columns=("t", "x", "y"))
+
+
 def test_what_is_in_the_way_is_named(tmp_path: Path) -> None:
     text = "t,x,y,z,qx,qy,qz,qw\n" + rows(SECONDS, POSITIONS, XYZW) + "4,1,2,oops,0,0,0,1\n"
     with pytest.raises(InputError, match=r"line 5: 'oops' is .* in column 4 \(z\)"):

@@ -167,7 +167,7 @@ def test_undetermined_rotation_says_why() -> None:
 def test_no_sub_trajectory_of_the_lengths(tmp_path: Path) -> None:
     evaluation = _evaluation(protocol=Protocol(gauge=Gauge.YAW, lengths=metres(1000)))
     assert len(write_figures([evaluation], tmp_path)) == 4
-    assert "No sub-trajectories of 1000m" in _texts([evaluation], "relative_error")
+    assert "No sub-trajectories of 1000 m" in _texts([evaluation], "relative_error")
     part = _evaluation(protocol=Protocol(gauge=Gauge.YAW, lengths=metres(8, 1000)))
     assert "\n0\n" in _texts([part], "relative_error")
 
@@ -179,8 +179,35 @@ def test_relative_error_in_seconds_and_shares() -> None:
     assert "% of length" not in seconds
     lengths = (Length(10, "%"), Length(2, "m"))
     mixed = _texts([_evaluation(protocol=Protocol(lengths=lengths))], "relative_error")
-    assert "10%" in mixed
-    assert "2m" in mixed
+    assert "10 %" in mixed
+    assert "2 m" in mixed
+
+
+def test_errors_that_do_not_exist_have_no_panel() -> None:
+    without = _evaluation(quaternions=None)
+    assert "rotation error [deg]" not in _texts([without], "relative_error")
+    assert "rotation error [deg]" in _texts([without, _evaluation()], "relative_error")
+
+
+def test_lines_between_pairs_have_one_entry_in_the_legend() -> None:
+    for count in (1, 2, 5):
+        evaluations = [_evaluation(seed) for seed in range(count)]
+        assert _texts(evaluations, "top_view").count("correspondences") == 1
+
+
+@pytest.mark.parametrize(
+    ("label", "lines"),
+    [
+        ("openvins/MH_01_with_covariance", ["openvins/MH_01_with_", "covariance"]),
+        (" _hidden/name_of_a_run", [" _hidden/name_of_a_", "run"]),
+        ("nowhere" * 4, ["nowhere" * 2 + "nowher", "enowhere"]),
+        ("a name, RMSE 0.123 m", ["a name, RMSE 0.123 m"]),
+        ("a name, RMSE 0.123 m, 99 %", ["a name, RMSE 0.123 ", "m, 99 %"]),
+    ],
+)
+def test_names_are_wrapped_between_their_parts(label: str, lines: list[str]) -> None:
+    room_in = 0.06 * (20 + 7) + 1e-6  # 20 characters and the handle of a legend
+    assert canvas.wrapped(label, room_in).split("\n") == lines
 
 
 def test_what_was_not_asked_for_is_not_drawn(tmp_path: Path) -> None:

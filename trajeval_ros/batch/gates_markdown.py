@@ -29,7 +29,7 @@ _ORDER = (LOST, WORSE, UNDECIDED, NOT_ALONE, NO_WORSE, NEW, FAILED)
 
 
 def to_markdown(judgement: Judgement, title: str, remarks: Sequence[str]) -> str:
-    """Return the verdicts of all gates and numbers, with noticeable changes, as Markdown.
+    """Return the verdicts of all gates and numbers, with detectable changes, as Markdown.
 
     Args:
         judgement: The verdicts.
@@ -53,12 +53,15 @@ def to_markdown(judgement: Judgement, title: str, remarks: Sequence[str]) -> str
 def _head(judgement: Judgement) -> str:
     margins = dict.fromkeys(f"{each.gate.percent:g} %" for each in judgement.gates)
     return {
-        WORSE: "worse",
         LOST: "missing values",
         MORE_FAILURES: "more failed runs",
-        UNDECIDED: "inconclusive",
         NO_WORSE: f"no worse than {' and '.join(margins)}",
-    }[judgement.verdict]
+    }.get(judgement.verdict) or _word(judgement.verdict)
+
+
+def _word(verdict: str) -> str:
+    """Return the verdict of a value as text; gates.json keeps the identifier."""
+    return {UNDECIDED: "inconclusive", LOST: "missing value"}.get(verdict, verdict)
 
 
 def _gate(verdict: GateVerdict, false_alarms: float) -> list[str]:
@@ -171,7 +174,7 @@ def _failures(failures: Failures) -> str:
 
 
 def _table(numbers: Sequence[NumberVerdict]) -> list[str]:
-    headings = ["algorithm, sequence", "old", "new", "change", "trials", "noticeable", "verdict"]
+    headings = ["algorithm, sequence", "old", "new", "change", "trials", "detectable", "verdict"]
     return markdown_table(headings, [_row(each) for each in numbers])
 
 
@@ -184,7 +187,7 @@ def _row(number: NumberVerdict) -> list[TextCell]:
         NOTHING if number.change is None else change_percent(number.change),
         "{} / {}".format(*number.trials),
         NOTHING if number.noticeable is None else _size(number.noticeable),
-        MarkedText(number.verdict, BOLD if number.fails else "", more),
+        MarkedText(_word(number.verdict), BOLD if number.fails else "", more),
     ]
 
 

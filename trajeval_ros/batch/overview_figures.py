@@ -9,12 +9,13 @@ from typing import Any
 from trajeval_ros.batch.comparison_summary import ComparisonSummary, Trial
 from trajeval_ros.batch.record_store import RecordStore
 from trajeval_ros.batch.records import Record
+from trajeval_ros.metrics.sub_trajectory_length import Length
 from trajeval_ros.report.comparison_plots import Box, BoxPlot, ErrorsPlot, PathsPlot
+from trajeval_ros.report.relative_figure import length_labels
 from trajeval_ros.report.tables import ABSOLUTE, RELATIVE
 
 # With more, figures are not readable.
 MOST_SEQUENCES, MOST_ALGORITHMS = 50, 24
-_UNITS = {"m": "[m]", "s": "[s]", "%": "[% of the path]"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,27 +80,28 @@ def absolute_drafts(summary: ComparisonSummary) -> Iterator[FigureDraft]:
 
 
 def _relative_plots(summary: ComparisonSummary, sequence: str) -> Iterator[FigureDraft]:
-    asked, algorithms = summary.settings["lengths"], summary.algorithms[:MOST_ALGORITHMS]
-    in_metres = not any(length.endswith("s") for length in asked)
+    asked = [Length.parse(length) for length in summary.settings["lengths"]]
+    algorithms = summary.algorithms[:MOST_ALGORITHMS]
+    in_metres = all(length.in_metres for length in asked)
     for metric in ("position_percent" if in_metres else "position_m", "rotation_deg"):
         boxes = {
-            length: [_pooled_box(summary.pooled_errors(algorithm, sequence, length, metric))
-                     for algorithm in algorithms]
+            length: [
+                _pooled_box(summary.pooled_errors(algorithm, sequence, str(length), metric))
+                for algorithm in algorithms
+            ]
             for length in asked
-        }  # fmt: skip
+        }
         lengths = [length for length in asked if any(boxes[length])]  # that occur
         if lengths:
             by_algorithm = zip(*(boxes[length] for length in lengths), strict=True)
             series = list(zip(algorithms, by_algorithm, strict=True))
-            units = {length[-1] for length in lengths}
-            unit = f" {_UNITS[units.pop()]}" if len(units) == 1 else ""
-            groups = [length[:-1] if unit else length for length in lengths]
+            groups, across = length_labels(lengths)
             yield FigureDraft(
                 f"re_{metric}_{sequence}",
                 f"Relative error on {sequence}, {RELATIVE[metric]}",
                 "All sub-trajectories of all trials. Boxes: median and quartiles; whiskers: 5 % "
                 "to 95 %.",
-                BoxPlot(groups, series, f"length of sub-trajectory{unit}", RELATIVE[metric]),
+                BoxPlot(groups, series, across, RELATIVE[metric]),
             )
 
 
@@ -165,7 +167,8 @@ def _median_records(
         trial = _median_trial(summary.of(algorithm, sequence))
         record = None if trial is None else records.read(trial.key, with_pooled=False)
         if trial is not None and record is not None:
-            found[place] = (f"{algorithm} {trial.trial}".strip(), record)
+            which = f", trial {trial.trial}" if trial.trial else ""
+            found[place] = (f"{algorithm}{which}", record)
     return found
 
 

@@ -187,8 +187,12 @@ def _findings(summary: ComparisonSummary, drawn: int) -> list[str]:
     most_wins = max(wins.values(), default=0)
     if most_wins:
         best = [name for name, count in wins.items() if count == most_wins]
+        *others, last = best
+        listed = f"{', '.join(others)} and {last}" if others else last
+        cells = [cell for _, cells in tables[0].rows for cell in cells]
+        among = "" if all(cell.is_ranked for cell in cells) else " of those that are ranked"
         findings.append(
-            f"Most sequences with the smallest position ATE: {' and '.join(best)}, on "
+            f"Most sequences with the smallest position ATE{among}: {listed}, on "
             f"{most_wins} of {counted(len(summary.sequences), 'sequence')}."
         )
         coverage = dict(zip(summary.algorithms, tables[0].coverage, strict=True))

@@ -168,6 +168,8 @@ def _how_far(folder: Path, pattern: str) -> str:
     """Return the end of a message: the part of a path that exists."""
     if is_url(pattern):
         return "; check the URL"
+    if not folder.is_dir():
+        return f"; the folder {folder} does not exist"
     fixed = (folder / f"{_fixed_parts(pattern)[0]}x").parent
     while not fixed.is_dir():
         fixed = fixed.parent

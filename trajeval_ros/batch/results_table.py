@@ -215,6 +215,8 @@ class ResultsTable:
             raise self._damaged() from error
 
     def _damaged(self) -> InputError:
+        if self.path.is_dir():
+            return InputError(f"{self.path} is a folder; give the runs.parquet in it")
         return InputError(
             f"{self.path} is not a complete Parquet file; create it again with trajeval compare"
         )

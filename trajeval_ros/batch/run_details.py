@@ -13,6 +13,7 @@ from trajeval_ros.batch.record_store import RecordStore
 from trajeval_ros.batch.results_table import ATE, OK, POOLED, RE, STATISTICS, ResultsTable
 from trajeval_ros.formatting.numbers import percent, three_decimals
 from trajeval_ros.metrics.coverage import Gap
+from trajeval_ros.metrics.sub_trajectory_length import Length
 from trajeval_ros.report.comparison_page import RunPage
 from trajeval_ros.report.page_figures import run_errors_svg, run_path_svg
 from trajeval_ros.report.tables import ABSOLUTE, RELATIVE
@@ -81,7 +82,8 @@ def _figures(records: RecordStore, key: str, place: int) -> tuple[str, ...]:
 
 def _statistics(row: dict[str, Any]) -> tuple[str, ...]:
     labels = ABSOLUTE if row["kind"] == ATE else RELATIVE
-    where = {ATE: "ATE", RE: f"RE {row['length']}", POOLED: "RE all lengths"}[row["kind"]]
+    where = {ATE: "ATE", POOLED: "RE all lengths"}.get(row["kind"])
+    where = where or f"RE {Length.parse(row['length']).text}"
     values = [three_decimals(row[name]) for name in STATISTICS]
     return (f"{where}, {labels[row['metric']]}", *values, str(row["count"]))
 

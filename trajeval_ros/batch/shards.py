@@ -281,8 +281,7 @@ def _require_all(heads: dict[Path, dict[str, str]]) -> None:
     if missing:
         some = ", ".join(missing[:10]) + (", …" if len(missing) > 10 else "")
         raise InputError(
-            f"{len(missing)} of {count} shards are missing: {some}; run them, or give their "
-            "folders"
+            f"missing: {some} of {counted(count, 'shard')}; run them, or give their folders"
         )
 
 

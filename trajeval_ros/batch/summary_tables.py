@@ -10,12 +10,15 @@ from typing import Any
 
 from trajeval_ros.batch.comparison_summary import ComparisonSummary, Trial
 from trajeval_ros.batch.results_table import OK, RE
+from trajeval_ros.continuous_time.models import DEFAULT_MODEL
 from trajeval_ros.diagnosis.warnings import LOW_COVERAGE
 from trajeval_ros.formatting.numbers import three_decimals, whole_percent
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.enough_pairs import enough_pairs
+from trajeval_ros.metrics.sub_trajectory_length import Length
 from trajeval_ros.report.matrix import Cell, Matrix
-from trajeval_ros.report.tables import ABSOLUTE, RE_FORMS, RELATIVE
+from trajeval_ros.report.tables import ABSOLUTE, METHODS, RE_FORMS, RELATIVE
 
 _PARTIAL, _FEW, _DIAGNOSED = "†", "‡", "§"
 _NO_MISTAKES = {"few_pairs", "keyframes"}  # findings with a separate mark, or without one
@@ -33,10 +36,16 @@ def definition(settings: dict[str, Any]) -> str:
     # Tables of older versions lack it.
     how += " and their orientations" if settings.get("align_with") == "poses" else ""
     span = ", common time span of all runs of a sequence" if settings["common_time_span"] else ""
+    rule = AssociationRule(
+        settings["association"],
+        settings["max_time_difference"],
+        settings["max_gap"],
+        model=settings["continuous_model"] or DEFAULT_MODEL,
+    )
     return (
         f"Protocol {settings['protocol']}, aligned by {settings['gauge']} "
-        f"({Gauge(settings['gauge']).description}){modality} with {how}, association "
-        f"{settings['association']}{span}.{_calibration(settings)}"
+        f"({Gauge(settings['gauge']).description}){modality} with {how}; "
+        f"{METHODS[rule.method].format(rule)}{span}.{_calibration(settings)}"
     )
 
 
@@ -57,9 +66,8 @@ def _calibration(settings: dict[str, Any]) -> str:
 def matrices(summary: ComparisonSummary) -> list[Matrix]:
     """Return the tables: absolute errors by sequence, relative errors by length."""
     tables = [_absolute(summary, "position_m"), _absolute(summary, "rotation_deg")]
-    in_metres = not any(length.endswith("s") for length in summary.settings["lengths"])
     metrics = ("position_percent", "rotation_deg_per_m")
-    if not in_metres:
+    if not all(Length.parse(length).in_metres for length in summary.settings["lengths"]):
         metrics = ("position_m", "rotation_deg")
     tables += [_relative(summary, metric) for metric in metrics]
     tables += [_values(summary, metric) for metric in _VALUES]
@@ -259,7 +267,8 @@ def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
         caption += " Algorithms with failed runs are not ranked."
     title = f"Relative error, {RELATIVE[metric]}, by length"
     brief = _brief(summary, f"{title}, mean over all sub-trajectories")
-    return _matrix(summary, f"re_{metric}", title, caption, rows, lengths, brief)
+    names = [Length.parse(length).text for length in lengths]
+    return _matrix(summary, f"re_{metric}", title, caption, rows, names, brief)
 
 
 def _matrix(

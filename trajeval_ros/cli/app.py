@@ -23,6 +23,7 @@ app = typer.Typer(
 )
 
 _COMPLETION = "_TRAJEVAL_COMPLETE"
+_NO_ARGUMENTS = 2
 # click's class of usage errors: newer versions of typer contain a copy of click, older ones import
 # it.
 _UsageError: type[Exception] = typer.BadParameter.__mro__[1]
@@ -59,10 +60,13 @@ def _run(arguments: Sequence[str] | None) -> int | None:
     try:
         status = app(args=arguments, standalone_mode=False, prog_name="trajeval")
     except _UsageError as error:
-        message: str = error.format_message()  # type: ignore[attr-defined]
+        message: str = error.format_message().rstrip(".")  # type: ignore[attr-defined]
+        if not message:  # no arguments: the help is printed instead
+            return _NO_ARGUMENTS
         context = getattr(error, "ctx", None)
         command = context.command_path if context else "trajeval"
-        raise SettingsError(f"{message.rstrip('.')} (try {command} --help)") from error
+        lower = message[0].lower() + message[1:]
+        raise SettingsError(f"{lower} (try {command} --help)") from error
     except typer.Abort:
         status = INTERRUPTED
     return status if isinstance(status, int) else None

@@ -44,8 +44,10 @@ def print_verdict(summary: ComparisonSummary, progress: Progress, folder: Path) 
         for each in matrices(summary):
             show(terminal, to_terminal(each))
             terminal.print(f"{each.caption}\n", style="dim")
-        unchanged = sum(trial.status == OK for trial in summary.trials) - progress.new
+        evaluated = sum(trial.status == OK for trial in summary.trials)
+        unchanged, failed = evaluated - progress.new, len(summary.trials) - evaluated
         kept = f", {unchanged} unchanged" if unchanged else ""
+        kept += f", {failed} failed or missing" if failed else ""
         terminal.print(
             f"{counted(progress.new, 'run')} evaluated{kept}{_fetched(progress)}; report.html, "
             f"tables and runs.parquet: {folder}",

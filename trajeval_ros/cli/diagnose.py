@@ -41,11 +41,11 @@ def diagnose(
 ) -> None:
     """Searches for mistakes that explain a bad or suspicious result.
 
-        trajeval diagnose groundtruth.txt estimate.txt --modality stereo-inertial
-
     Prints every test with its statistics and its result, or the reason why it is not applicable
     (docs/diagnosis.md). Findings do not change any result. To correct a mistake, use --fix of
     trajeval evaluate.
+
+        trajeval diagnose groundtruth.txt estimate.txt --modality stereo-inertial
     """
     request = request_from(
         {

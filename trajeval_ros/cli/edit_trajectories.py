@@ -20,7 +20,7 @@ from trajeval_ros.geometry.time_span import TimeSpan
 from trajeval_ros.io.describe import summarize
 from trajeval_ros.io.requests.hand_eye_file import read_similarity
 from trajeval_ros.io.requests.request_words import request_from
-from trajeval_ros.io.save_trajectories import FORMATS, MESSAGES, files_of, save_trajectories
+from trajeval_ros.io.save_trajectories import MESSAGES, files_of, save_trajectories
 from trajeval_ros.io.sources import each_topic, read_many
 from trajeval_ros.io.text.hints import TextHints
 from trajeval_ros.metrics.editing import Edited, Editing, edit
@@ -168,17 +168,17 @@ def trajectory(
     save_as: Annotated[
         str | None,
         typer.Option(
-            metavar="|".join(FORMATS),
-            help="Output format: one text file per trajectory, or one MCAP file or rosbag2 "
-            "folder (sqlite3) for all.",
+            metavar="FORMAT",
+            help="Output format. tum, kitti, euroc: one text file per trajectory. mcap: one file "
+            "for all. rosbag2: one folder (sqlite3) for all.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = None,
     message: Annotated[
         str | None,
         typer.Option(
-            metavar="|".join(MESSAGES),
-            help="Message type in a bag. Default: PoseStamped.",
+            metavar="TYPE",
+            help=f"Message type in a bag: {', '.join(MESSAGES)}. Default: PoseStamped.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = None,
@@ -200,7 +200,7 @@ def trajectory(
     strict: options.StrictOption = False,
     quiet: options.QuietOption = False,
 ) -> None:
-    """Prints trajectories, transforms them and saves them in other formats.
+    r"""Prints trajectories, transforms them and saves them in other formats.
 
     Compare the trajectories of a bag and a file:
 
@@ -212,7 +212,8 @@ def trajectory(
 
     Align to groundtruth, and keep only paired poses:
 
-        trajeval trajectory vio.txt --reference gt.csv --gauge yaw --synchronise --save-as tum
+        trajeval trajectory vio.txt --reference gt.csv --gauge yaw --synchronise \
+            --save-as tum
 
     Convert one minute at 10 Hz for Foxglove:
 
@@ -220,11 +221,13 @@ def trajectory(
 
     Draw the trajectory and the groundtruth, with the path coloured by error:
 
-        trajeval trajectory vio.txt --reference gt.csv --gauge yaw --plot xy,xyz --colour-by error
+        trajeval trajectory vio.txt --reference gt.csv --gauge yaw \
+            --plot xy,xyz --colour-by error
 
     Convert a camera trajectory (KITTI) to ROS axes:
 
-        trajeval trajectory 00.txt --world-axes ros --body-axes ros --save-as tum --output ros
+        trajeval trajectory 00.txt --world-axes ros --body-axes ros \
+            --save-as tum --output ros
 
     Read a table without a header (docs/trajectory.md lists the column names):
 
@@ -344,13 +347,14 @@ def _with_references(edited: Sequence[Edited]) -> list[Trajectory]:
 
 
 def _print(trajectories: Sequence[Trajectory], paths: Sequence[Path]) -> None:
-    from trajeval_ros.report.console import add_rows, console, new_table, show
+    from trajeval_ros.report.console import console, show_fitting
 
     terminal = console()
     numbers = ("poses", "s", "Hz", "path m", "mean m/s", "max m/s", "gaps > 0.5 s", "longest s")
-    table = new_table("", ("trajectory",), numbers)
-    add_rows(table, [_row(each) for each in trajectories])
-    show(terminal, table)
+    hidden_first = ("mean m/s", "longest s", "max m/s")
+    show_fitting(
+        terminal, ("trajectory",), numbers, [_row(each) for each in trajectories], hidden_first
+    )
     for path in paths:
         terminal.print(f"saved {path}", soft_wrap=True)
 

@@ -123,7 +123,7 @@ def evaluate(
     strict: options.StrictOption = False,
     quiet: options.QuietOption = False,
 ) -> None:
-    """Evaluates estimated trajectories against groundtruth: ATE and relative errors.
+    r"""Evaluates estimated trajectories against groundtruth: ATE and relative errors.
 
     Evaluate a stereo-inertial VIO against groundtruth, from two text files:
 
@@ -131,7 +131,8 @@ def evaluate(
 
     Evaluate two topics of a bag, and write result.json and figures to a folder:
 
-        trajeval evaluate -g run.mcap:/mocap/pose -e run.mcap:/vio/odometry --output result
+        trajeval evaluate -g run.mcap:/mocap/pose -e run.mcap:/vio/odometry \
+            --output result
 
     Estimate the clock offset and the pose of a motion capture marker (docs/calibration.md):
 
@@ -141,20 +142,23 @@ def evaluate(
 
     Compute evo_rpe -d 10 -u f, and the ATE by the number of aligned states (tutorial, Table III):
 
-        trajeval evaluate -g gt.txt -e vio.txt --protocol evo --gauge none --lengths 10f
-        trajeval evaluate -g gt.txt -e vio.txt --align-states 1,25%,50%,75%,all
+        trajeval evaluate gt.txt vio.txt --protocol evo --gauge none --lengths 10f
+        trajeval evaluate gt.txt vio.txt --align-states 1,25%,50%,75%,all
 
     Test the consistency of the covariances in the estimate's messages:
 
-        trajeval evaluate -g gt.txt -e run:/odom --gauge yaw --align-states 1 --covariance message
+        trajeval evaluate gt.txt run:/odom --gauge yaw --align-states 1 \
+            --covariance message
 
     Use GNSS fixes as groundtruth, with the antenna 1 m above the body (docs/gnss.md):
 
-        trajeval evaluate -g run:/fix -e run:/odom --modality stereo-inertial --lever-arm 0,0,1
+        trajeval evaluate run:/fix run:/odom --modality stereo-inertial \
+            --lever-arm 0,0,1
 
     Use slow groundtruth with dropouts, such as RTK or a total station with 2 Hz and 1 cm:
 
-        trajeval evaluate -g rtk.txt -e vio.txt --association continuous --groundtruth-noise 0.01,1
+        trajeval evaluate rtk.txt vio.txt --association continuous \
+            --groundtruth-noise 0.01,1
     """
     request = request_from(
         {

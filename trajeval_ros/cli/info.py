@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Row = tuple[str, ...]
 _COLUMNS = ("topic", "type", "poses", "Hz", "first s", "last s", "path m", "frame", "likely role")
 # Columns that are omitted on a narrow terminal, in this order. A single topic has all of them.
-_LEFT_OUT_FIRST = ("last s", "first s", "frame", "path m", "type")
+_HIDDEN_FIRST = ("last s", "first s", "frame", "path m", "type")
 
 
 def info(
@@ -153,12 +153,12 @@ def _details(summary: TrajectorySummary) -> list[Row]:
         ("format", summary.kind),
         ("poses", str(summary.poses)),
         ("rate", f"{summary.rate_hz:.1f} Hz" if summary.rate_hz else "unknown: no timestamps"),
-        ("stamps", f"{_seconds(summary.first_ns)} to {_seconds(summary.last_ns)} s"),
+        ("timestamps", f"{_seconds(summary.first_ns)} to {_seconds(summary.last_ns)} s"),
         ("duration", f"{(summary.last_ns - summary.first_ns) / NANOSECONDS:.3f} s"),
         ("gaps over 0.5 s", _gaps(summary)),
         ("path length", f"{summary.path_length_m:.3f} m"),
         ("frames", _frames(summary) or "unnamed"),
-        ("holds", ", ".join(("position", *summary.holds))),
+        ("data", ", ".join(("position", *summary.holds))),
         ("likely role", summary.could_be),
     ]
     return [*rows, *(("note", note) for note in summary.notes)]
@@ -197,7 +197,7 @@ def _print_edges(terminal: Console, description: Description) -> None:
     if description.edges:
         _print_table(
             terminal,
-            ("transforms", "parent", "child", "kind", "stamps", "Hz"),
+            ("transforms", "parent", "child", "kind", "timestamps", "Hz"),
             [
                 (
                     edge.topic,
@@ -224,23 +224,9 @@ def _print_next_step(terminal: Console, description: Description) -> None:
 
 
 def _print_topics(terminal: Console, rows: Sequence[Row]) -> None:
-    """Print as many columns as fit into the terminal."""
-    from trajeval_ros.report.console import add_rows, new_table, show, width_of
+    from trajeval_ros.report.console import show_fitting
 
-    for count in range(len(_LEFT_OUT_FIRST) + 1):
-        kept = [at for at, name in enumerate(_COLUMNS) if name not in _LEFT_OUT_FIRST[:count]]
-        table = new_table("", [_COLUMNS[at] for at in kept])
-        add_rows(table, [tuple(row[at] for at in kept) for row in rows])
-        if width_of(table) <= terminal.width:
-            break
-    show(terminal, table)
-    if count:
-        left_out = ", ".join(_LEFT_OUT_FIRST[:count])
-        terminal.print(
-            f"columns hidden (narrow terminal): {left_out}; call trajeval info "
-            "SOURCE:TOPIC to see them",
-            soft_wrap=True,
-        )
+    show_fitting(terminal, _COLUMNS, (), rows, _HIDDEN_FIRST)
 
 
 def _print_table(terminal: Console, words: Row, rows: Sequence[Row]) -> None:

@@ -141,10 +141,10 @@ TimeOffsetOption = Annotated[
 HandEyeOption = Annotated[
     str | None,
     typer.Option(
-        metavar="none|auto|FILE|BAG:/tf_static:BODY.MARKER",
+        metavar="none|auto|SOURCE",
         help="Pose of the groundtruth's marker in the estimate's body: a TransformStamped in a "
-        "YAML file, or a static transform in a bag. auto estimates it and applies it if it is "
-        "statistically significant.",
+        "YAML file, or a static transform in a bag (BAG:/tf_static:BODY.MARKER). auto estimates "
+        "it and applies it if it is statistically significant.",
         rich_help_panel=PAIR,
     ),
 ]
@@ -266,9 +266,10 @@ ReFormOption = Annotated[
 CovarianceOption = Annotated[
     str | None,
     typer.Option(
-        metavar="FILE.npz|message|none",
-        help="Consistency test of errors and covariances. Source of the covariances: a file with "
-        "the joint covariance of all poses, or the messages with one covariance per pose.",
+        metavar="SOURCE",
+        help="Consistency test of errors and covariances. Source of the covariances: FILE.npz "
+        "with the joint covariance of all poses, message for one covariance per pose in the "
+        "messages, or none.",
         rich_help_panel=CONSISTENCY,
     ),
 ]

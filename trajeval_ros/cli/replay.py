@@ -57,7 +57,7 @@ def replay(
     ] = 3.0,
     no_clock: Annotated[bool, typer.Option("--no-clock", help="No messages on /clock.")] = False,
 ) -> None:
-    """Publishes a recorded bag as live ROS 2 messages, with /clock.
+    r"""Publishes a recorded bag as live ROS 2 messages, with /clock.
 
     Messages are published unchanged at their log times; ROS 1 messages are converted. Publishers
     are reliable. Subscribers with `use_sim_time` use /clock. The replay waits for slow reliable
@@ -70,7 +70,8 @@ def replay(
 
     Play 20 s of one topic under another name. Repeat `--topic` for several topics:
 
-        trajeval replay flight --topic /odom --start 10 --end 30 --ros-args -r /odom:=/vio
+        trajeval replay flight --topic /odom --start 10 --end 30 \
+            --ros-args -r /odom:=/vio
     """
     from trajeval_ros.cli.progress import progress
     from trajeval_ros.io.bags.bag import Bag

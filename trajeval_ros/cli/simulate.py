@@ -62,7 +62,7 @@ def simulate(
     profile: Annotated[
         str,
         typer.Option(
-            metavar="drift|paper|euroc|stereo|overconfident",
+            metavar="NAME",
             help="Odometry model. drift: kinematic model without covariance. paper, stereo, "
             "euroc: consistent visual-inertial estimator with covariance (at most 1800 s), with "
             "the sensors of the gauge paper, with a second camera, or with the sensors of "
@@ -111,7 +111,7 @@ def simulate(
         ),
     ] = False,
 ) -> None:
-    """Writes a bag with a simulated flight: true poses, VIO odometry and IMU data.
+    r"""Writes a bag with a simulated flight: true poses, VIO odometry and IMU data.
 
     By default, the odometry is a kinematic drift model without an estimator. Yaw, position and
     scale drift, roll and pitch do not. Timestamps have jitter, the frame is arbitrary, and one gap
@@ -119,7 +119,7 @@ def simulate(
 
         trajeval simulate flight
 
-        trajeval evaluate -g flight:/groundtruth/pose -e flight:/vio/odometry --gauge yaw
+        trajeval evaluate flight:/groundtruth/pose flight:/vio/odometry --gauge yaw
 
     Simulate a drive with an RTK receiver (docs/gnss.md):
 
@@ -131,7 +131,8 @@ def simulate(
 
         trajeval simulate fly --profile euroc
 
-        trajeval evaluate -g fly:/groundtruth/pose -e fly:/vio/odometry --covariance fly.npz
+        trajeval evaluate fly:/groundtruth/pose fly:/vio/odometry \
+            --covariance fly.npz
     """
     if profile == _DRIFT:
         if runs != 1:

@@ -14,20 +14,20 @@ from trajeval_ros.cli.verb_classes import RosCommand, VerbCommand, without_types
 
 # Verbs in the order of the help: module of `cli` with a function of the verb's name, and class.
 VERBS: dict[str, tuple[str, type[VerbCommand]]] = {
-    "compare": ("compare", VerbCommand),
+    "info": ("info", VerbCommand),
+    "trajectory": ("edit_trajectories", VerbCommand),
     "evaluate": ("evaluate", VerbCommand),
-    "compare-association": ("compare_association", VerbCommand),
-    "demo": ("demo", VerbCommand),
     "diagnose": ("diagnose", VerbCommand),
+    "view": ("view", VerbCommand),
+    "compare": ("compare", VerbCommand),
     "evaluator": ("live_evaluator", RosCommand),
     "finish": ("finish", VerbCommand),
-    "gauge-study": ("gauge_study", VerbCommand),
-    "info": ("info", VerbCommand),
     "replay": ("replay", RosCommand),
-    "simulate": ("simulate", VerbCommand),
-    "trajectory": ("edit_trajectories", VerbCommand),
-    "view": ("view", VerbCommand),
     "watch": ("watch", VerbCommand),
+    "simulate": ("simulate", VerbCommand),
+    "demo": ("demo", VerbCommand),
+    "compare-association": ("compare_association", VerbCommand),
+    "gauge-study": ("gauge_study", VerbCommand),
 }
 MARKUP: Final = "markdown"
 

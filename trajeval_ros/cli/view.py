@@ -29,11 +29,12 @@ def view(
 ) -> None:
     """Shows trajectories and errors in Rerun's viewer.
 
-    Show a recorded run, and a live run:
+    Show a recorded run:
 
-        trajeval evaluate -g run.mcap:/mocap/pose -e run.mcap:/vio/odometry --rrd run.rrd
-
+        trajeval evaluate run.mcap:/mocap/pose run.mcap:/vio/odometry --rrd run.rrd
         trajeval view run.rrd
+
+    Show a live run, by its output folder:
 
         trajeval view trajeval_2026_03_01-10_00_00
     """
@@ -47,8 +48,7 @@ def view(
         raise InputError(f"{result} does not exist; give a folder with results or a .rrd file")
     if not any(result.glob(f"*{SUFFIX}")):
         raise InputError(
-            f"no {PICTURE} in {result}; install rerun-sdk and write one with trajeval evaluate "
-            "--rrd FILE"
+            f"no {PICTURE} in {result}; write a recording with trajeval evaluate --rrd FILE"
         )
     from trajeval_ros.viewer.recorded_scene import write_recording
 

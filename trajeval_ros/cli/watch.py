@@ -127,16 +127,18 @@ def watch(
 
     Learn limits from a healthy run of the same robot and estimator:
 
-        trajeval watch good:/odom --imu good:/imu --with good:/vio/odometry --learn limits.yaml
+        trajeval watch good:/odom --imu good:/imu --with good:/vio/odometry \
+            --learn limits.yaml
 
     Watch another run, with exit status 1 on an alarm:
 
-        trajeval watch run:/odom --imu run:/imu --with run:/vio/odometry --limits limits.yaml \
-            --fail-on alarm
+        trajeval watch run:/odom --imu run:/imu --with run:/vio/odometry \
+            --limits limits.yaml --fail-on alarm
 
     Show what a node saw around an alarm:
 
-        trajeval watch trajeval_black_box/20260314T150926.535Z_pair_m_1s --rrd clip.rrd
+        trajeval watch trajeval_black_box/20260314T150926.535Z_pair_m_1s \
+            --rrd clip.rrd
 
     docs/watchdog.md lists what is detected, the detection delays and the limits of detection.
     """

@@ -22,21 +22,31 @@ def one_digit(value: float) -> str:
     return f"{value:g}" if value < 1000.0 else f"{value:.0e}".replace("e+0", "e")
 
 
+def significant(value: float, digits: int) -> str:
+    """Return significant digits; a large number has all digits before its point instead."""
+    return f"{value:.{digits}g}" if abs(value) < 10.0**digits else f"{value:.0f}"
+
+
 def with_unit(value: float, unit: str) -> str:
     """Return four significant digits and the unit, if any."""
-    return f"{value:.4g} {unit}".rstrip()
+    return f"{significant(value, 4)} {unit}".rstrip()
 
 
 def three_decimals(value: float | None) -> str:
-    """Return three decimals, or three significant digits for small and large numbers.
+    """Return three decimals, fewer for a large number and more for a small one.
 
-    Infinity means a failed run.
+    Only numbers below a millionth have an exponent. Infinity means a failed run.
     """
     if value is None:
         return NOTHING
     if math.isinf(value):
         return "failed"
-    return f"{value:.3f}" if value == 0.0 or 0.01 <= abs(value) < 1000.0 else f"{value:.3g}"
+    size = abs(value)
+    if size >= 1000.0:
+        return f"{value:.1f}"
+    if size >= 0.01 or size == 0.0:
+        return f"{value:.3f}"
+    return f"{value:.{2 - math.floor(math.log10(size))}f}" if size >= 1e-6 else f"{value:.3g}"
 
 
 def whole_percent(share: float) -> str:

@@ -121,9 +121,9 @@ class Fixes:
 
 
 def quality_of(fixes: Fixes) -> str:
-    """Summarise status and covariances: "status 1: 989; sigma 0.80-1.70 m level, ..."."""
+    """Summarise status and covariances: "989 of status 1; standard deviation ..."."""
     counts = zip(*np.unique(fixes.status, return_counts=True), strict=True)
-    said = ", ".join(f"status {status}: {count}" for status, count in counts)
+    said = ", ".join(f"{count} of status {status}" for status, count in counts)
     known = fixes.known
     if not known.any():
         return f"{said}; covariance unknown"
@@ -132,8 +132,8 @@ def quality_of(fixes: Fixes) -> str:
     names = " and ".join(_COVARIANCE_TYPES.get(kind, f"type {kind}") for kind in kinds)
     some = "" if known.all() else f" of {np.count_nonzero(known)} of them"
     return (
-        f"{said}; sigma{some} {level.min():.3g}-{level.max():.3g} m level, "
-        f"{up.min():.3g}-{up.max():.3g} m up, covariance {names}"
+        f"{said}; standard deviation{some} {level.min():.3g} to {level.max():.3g} m horizontal, "
+        f"{up.min():.3g} to {up.max():.3g} m vertical, covariance {names}"
     )
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from trajeval_ros.exceptions import InputError
+from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.geometry.fixes import quality_of
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.sources import Advance, parse_source, read_trajectory
@@ -113,7 +113,7 @@ def describe(
         try:
             return _describe_bag(source, parts.path, advance)
         except OSError as error:
-            raise InputError(f"{parts.path} can't be read: {error.strerror or error}") from error
+            raise InputError(f"{parts.path} can't be read: {reason_of(error)}") from error
     trajectory = read_trajectory(source, advance=advance, hints=hints)
     return Description(parts.path, (summarize(source, trajectory),))
 
@@ -189,7 +189,9 @@ def summarize(source: str, trajectory: Trajectory) -> TrajectorySummary:
     holds = tuple(name for name, column in columns.items() if column is not None)
     about_fixes = () if ordered.fixes is None else (quality_of(ordered.fixes),)
     kind, *notes = (note.removeprefix("format: ") for note in ordered.notes)
-    dropped = tuple(f"{count} dropped: {reason}" for reason, count in ordered.dropped.items())
+    dropped = tuple(
+        f"{count} dropped: {reason.replace('_', ' ')}" for reason, count in ordered.dropped.items()
+    )
     unstamped = not trajectory.stamped
     travelled = ordered.travelled
     speeds = np.zeros(0) if unstamped else np.diff(travelled) / steps

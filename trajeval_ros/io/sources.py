@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from trajeval_ros.exceptions import InputError
+from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.formatting.install_command import extra_command
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -210,7 +210,7 @@ def _naming(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(f"{path} can't be read: {error.strerror or error}") from error
+        raise InputError(f"{path} can't be read: {reason_of(error)}") from error
     except InputError as error:
         if str(path) in str(error):
             raise
@@ -237,7 +237,7 @@ def parse_source(source: str) -> Source:
             return Source(path, rest, None, is_bag=False, is_pipe=True)
         is_bag = path.is_dir() or _begins_as_bag(path)
     except OSError as error:
-        raise InputError(f"{path} can't be read: {error.strerror or error}") from error
+        raise InputError(f"{path} can't be read: {reason_of(error)}") from error
     if not rest:
         return Source(path, "", None, is_bag)
     if not is_bag:
@@ -287,8 +287,10 @@ def _nearest_name(missing: Path) -> str:
     """Return the end of a message: the file with the most similar name in the same directory."""
     try:
         names = [entry.name for entry in missing.parent.iterdir()]
+    except PermissionError:
+        return f", or the folder {missing.parent} can't be read; check its permissions"
     except OSError:
-        return f", nor does the directory {missing.parent}"
+        return f", nor does the folder {missing.parent}"
     near = difflib.get_close_matches(missing.name, names, n=1)
     return f"; did you mean {missing.with_name(near[0])}?" if near else "; check the path"
 

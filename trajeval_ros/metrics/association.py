@@ -77,8 +77,8 @@ class AssociationRule:
         for name in ("max_time_difference_s", "max_gap_s"):
             if not 0.0 < getattr(self, name) <= _LONGEST_S:
                 raise SettingsError(
-                    f"{name} must be greater than 0 and at most {_LONGEST_S:g}, not "
-                    f"{getattr(self, name)}"
+                    f"{name.removesuffix('_s')} must be greater than 0 and at most "
+                    f"{_LONGEST_S:.0f} s, not {getattr(self, name):g}"
                 )
         require_one_of(self.model, MODELS, "continuous model")
         if not abs(self.time_offset_s) <= LATEST_CLOCK_S:

@@ -6,6 +6,7 @@ import math
 from datetime import datetime, timezone
 from typing import TYPE_CHECKING
 
+from trajeval_ros.formatting.numbers import significant
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 if TYPE_CHECKING:
@@ -56,8 +57,8 @@ def explain_no_match(
     apart = max(truth[0] - other[1], other[0] - truth[1])
     shift = truth[0] - other[0]
     return (
-        f"{text}, {apart:.6g} s apart; for a constant clock difference, set the time offset (for "
-        f"a common start: {shift:.6f} s)"
+        f"{text}, {significant(apart, 6)} s apart; for a constant clock difference, set the time "
+        f"offset (for a common start: {shift:.6f} s)"
     )
 
 

@@ -43,7 +43,7 @@ class Length:
                 f"the unit of a length must be one of {', '.join(UNITS)}, not {self.unit!r}"
             )
         if not (np.isfinite(self.value) and self.value > 0.0):
-            raise SettingsError(f"a length must be positive, not {self.value:g}{self.unit}")
+            raise SettingsError(f"a length must be positive, not {self.text}")
         if self.unit == "f" and self.value != round(self.value):
             raise SettingsError(f"a length in frames must be a whole number, not {self.value:g}f")
 
@@ -61,6 +61,14 @@ class Length:
     def radians(self) -> float:
         """The rotation in radians; only for `deg` and `rad`."""
         return float(np.radians(self.value)) if self.unit == "deg" else self.value
+
+    @property
+    def text(self) -> str:
+        """The length as text for readers: 8 m, 1 s, 10 %, 1 frame, 5 deg."""
+        unit = self.unit
+        if unit == "f":
+            unit = "frame" if self.value == 1.0 else "frames"
+        return f"{self.value:g} {unit}"
 
     @classmethod
     def parse(cls, text: str) -> Length:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trajeval_ros.formatting.numbers import whole_percent
+from trajeval_ros.formatting.numbers import significant, whole_percent
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.report import canvas
@@ -93,7 +93,7 @@ def _row_each(
 def _rmse(evaluation: Evaluation, metric: str) -> str:
     """Return the RMSE of a metric as a text with its unit."""
     statistics, unit = evaluation.ate[metric], metric.rpartition("_")[2]
-    return "withheld" if statistics is None else f"RMSE {statistics.rmse:.3g} {unit}"
+    return "withheld" if statistics is None else f"RMSE {significant(statistics.rmse, 3)} {unit}"
 
 
 def _title(evaluations: Sequence[Evaluation]) -> str:
@@ -142,7 +142,7 @@ def _draw(
         linestyle=dashes,
         linewidth=0.7 if is_part else 1.0,
         alpha=0.75 if is_part else 1.0,
-        label=f"{label}RMSE {statistics.rmse:.3g} {unit}",
+        label=f"{label}RMSE {significant(statistics.rmse, 3)} {unit}",
     )
     if not is_part:
         axes.axhline(statistics.rmse, color=colour, linewidth=0.8, linestyle=(0, (5, 4)))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.formatting.numbers import counted, with_unit
 
 if TYPE_CHECKING:
     from trajeval_ros.calibration.calibrated import Ate, Calibrated
@@ -118,5 +118,5 @@ def _growth(calibrated: Calibrated) -> list[str]:
 
 def _both(ate: Ate) -> str:
     """Return position and rotation ATE as a text."""
-    turned = "" if ate.rotation_deg is None else f" {ate.rotation_deg:.4g} deg"
-    return f"{ate.position_m:.4g} m{turned}"
+    turned = "" if ate.rotation_deg is None else f" {with_unit(ate.rotation_deg, 'deg')}"
+    return f"{with_unit(ate.position_m, 'm')}{turned}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Literal
@@ -275,9 +276,10 @@ def _legend_rows(labels: Sequence[str], columns: int) -> int:
 
 def wrapped(label: str, room_in: float) -> str:
     """Return a label wrapped to a width in inches, with space for a legend's handle."""
-    letters = int(room_in / _LETTER_IN) - _HANDLE_LETTERS
-    # Leading spaces are kept: they keep names with an underscore in the legend.
-    return label if len(label) <= letters else textwrap.fill(label, letters, drop_whitespace=False)
+    letters = max(1, int(room_in / _LETTER_IN) - _HANDLE_LETTERS)
+    # Names of files and topics have no blanks: they are also wrapped after / and _. Leading blanks
+    # are kept: they keep names with an underscore in the legend.
+    return "\n".join(re.findall(rf".{{1,{letters}}}(?:(?<=[ /_])|$)|.{{1,{letters}}}", label))
 
 
 def say_instead(axes: Axes, sentence: str) -> None:

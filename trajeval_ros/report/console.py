@@ -8,7 +8,7 @@ from typing import IO, Any
 
 from rich import box
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from trajeval_ros.formatting.escaping import one_line, visible
@@ -46,8 +46,6 @@ def new_table(title: str, words: Sequence[str], numbers: Sequence[str] = ()) -> 
     """
     table = Table(
         title=one_line(title) or None,
-        title_justify="left",
-        title_style="bold",
         show_header=any(words),
         box=box.SIMPLE_HEAD if sys.stdout.isatty() and any(words) else None,
         pad_edge=False,
@@ -68,7 +66,11 @@ def add_rows(table: Table, rows: Iterable[TextRow]) -> None:
 def show(terminal: Console, table: Table) -> None:
     """Print a table without cutting words or numbers, wider than the terminal if necessary."""
     width = terminal.width
-    terminal.width = max(width, width_of(table))
+    _fit(table, width)
+    terminal.width = max(width, _natural_width(table))
+    if table.title:  # rich wraps it at the table's width
+        terminal.print(Text(str(table.title), style="bold"))
+        table.title = None
     if terminal.is_terminal:
         terminal.print(table)
     else:  # programs that read the table need no trailing blanks
@@ -79,13 +81,80 @@ def show(terminal: Console, table: Table) -> None:
     terminal.width = width
 
 
-def width_of(table: Table) -> int:
-    """Return the width of a table in characters; only columns of numbers can wrap."""
-    for column in table.columns:
-        if column.no_wrap:  # rich cuts these columns unless they have a minimum width
-            cells = (column.header, *column.cells)
-            column.min_width = max(Text(str(cell)).cell_len for cell in cells)
-    return Console(width=_UNWRAPPED, markup=False).measure(table).minimum
+def show_fitting(
+    terminal: Console,
+    words: Sequence[str],
+    numbers: Sequence[str],
+    rows: Sequence[TextRow],
+    hidden_first: Sequence[str],
+) -> None:
+    """Print a table with as many columns as fit into the terminal, and name the hidden ones.
+
+    Args:
+        terminal: Where the table is printed.
+        words: Headings of text columns, as for `new_table`.
+        numbers: Headings of the columns of numbers after them.
+        rows: The rows, with a cell for every heading.
+        hidden_first: Headings that a narrow terminal hides, the least important first.
+    """
+    for count in range(len(hidden_first) + 1):
+        hidden = hidden_first[:count]
+        kept = [at for at, name in enumerate((*words, *numbers)) if name not in hidden]
+        table = new_table(
+            "",
+            [name for name in words if name not in hidden],
+            [name for name in numbers if name not in hidden],
+        )
+        add_rows(table, [tuple(row[at] for at in kept) for row in rows])
+        if _width_of(table) <= terminal.width:
+            break
+    show(terminal, table)
+    if count:
+        names = ", ".join(hidden_first[:count])
+        terminal.print(
+            f"columns hidden (narrow terminal): {names}; widen it or redirect the output",
+            soft_wrap=True,
+        )
+
+
+def _width_of(table: Table) -> int:
+    """Return the smallest width of a table in characters; columns of numbers can wrap."""
+    widest, narrowest = map(_widest, table.columns), _narrowest(table)
+    return _natural_width(table) - sum(widest) + sum(narrowest)
+
+
+def _fit(table: Table, width: int) -> None:
+    """Set the widths of columns that must wrap: rich would cut words and numbers."""
+    widths, narrowest = list(map(_widest, table.columns)), _narrowest(table)
+    excess = min(_natural_width(table) - width, sum(widths) - sum(narrowest))
+    for _ in range(excess):
+        most = max(range(len(widths)), key=lambda at: widths[at] - narrowest[at])
+        widths[most] -= 1
+        table.columns[most].width = widths[most]
+
+
+def _natural_width(table: Table) -> int:
+    """Return the width of a table in characters without further wrapping."""
+    return Console(width=_UNWRAPPED, markup=False).measure(table).maximum
+
+
+def _widest(column: Column) -> int:
+    """Return the width of a column on one line."""
+    return max(Text(str(each)).cell_len for each in (column.header, *column.cells))
+
+
+def _narrowest(table: Table) -> list[int]:
+    """Return the smallest widths of the columns: a column of numbers wraps between words.
+
+    The last column never wraps, because versions of rich differ in the padding of its set width.
+    """
+    *columns, last = table.columns
+    widths = []
+    for column in columns:
+        texts = [str(each) for each in (column.header, *column.cells)]
+        words = texts if column.no_wrap else [word for each in texts for word in each.split()]
+        widths.append(max((Text(word).cell_len for word in words), default=0))
+    return [*widths, _widest(last)]
 
 
 def _cell(cell: str | MarkedText) -> Text:

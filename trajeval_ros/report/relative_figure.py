@@ -34,14 +34,19 @@ _METRICS = {
 def relative_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> Figure:
     """Draw the distributions of position and rotation errors for every length."""
     lengths = evaluations[0].protocol.lengths
-    in_metres = all(length.in_metres for length in lengths)
-    metrics = [metric for metric in _METRICS if in_metres or metric != "position_percent"]
     title = f"Relative error of sub-trajectories, {first_state_alignment_of(evaluations)}"
     everything = [segments for e in evaluations for segments in e.segments or ()]
     if not any(segments.count for segments in everything):
         figure = canvas.new_figure(0.9, title)
         canvas.say_instead(figure.subplots(), _why_nothing(evaluations))
         return figure
+    in_metres = all(length.in_metres for length in lengths)
+    metrics = [
+        metric
+        for metric in _METRICS
+        if (in_metres or metric != "position_percent")
+        and any(_errors(segments, metric) is not None for segments in everything)
+    ]
     count_rows = len(evaluations) if len(evaluations) <= _MOST_COUNT_ROWS else 1
     columns = canvas.columns_of_panels(len(metrics), _NARROWEST_IN)
     boxes = len(evaluations) * len(lengths)
@@ -65,6 +70,15 @@ def relative_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> F
         _label_lengths(axes, lengths, count_rows)
     _add_legend(figure, names)
     return figure
+
+
+def length_labels(lengths: Sequence[Length]) -> tuple[list[str], str]:
+    """Return the labels of lengths, and that of their axis with the unit if they share one."""
+    across, units = "length of sub-trajectory", {length.unit for length in lengths}
+    if len(units) > 1:
+        return [length.text for length in lengths], across
+    (unit,) = units
+    return [f"{length.value:g}" for length in lengths], f"{across} [{_UNITS.get(unit, unit)}]"
 
 
 def _draw_boxes(
@@ -124,18 +138,12 @@ def _errors(segments: SubTrajectoryErrors, metric: str) -> Floats | None:
 
 def _label_lengths(axes: Axes, lengths: Sequence[Length], count_rows: int) -> None:
     """Label the x axis with the lengths, below the counts."""
-    units = {length.unit for length in lengths}
-    same = len(units) == 1
-    axes.set_xticks(
-        range(len(lengths)),
-        [f"{length.value:g}" if same else str(length) for length in lengths],
-    )
+    labels, across = length_labels(lengths)
+    axes.set_xticks(range(len(lengths)), labels)
     axes.set_xlim(-0.6, len(lengths) - 0.4)
     axes.grid(visible=False, axis="x")
     axes.tick_params(axis="x", length=0)
-    unit = units.pop()
-    unit = f" [{_UNITS.get(unit, unit)}]" if same else ""
-    axes.set_xlabel(f"length of sub-trajectory{unit}", labelpad=5.0 + _COUNT_POINTS * count_rows)
+    axes.set_xlabel(across, labelpad=5.0 + _COUNT_POINTS * count_rows)
 
 
 def _add_legend(figure: Figure, names: Sequence[str]) -> None:
@@ -155,5 +163,5 @@ def _why_nothing(evaluations: Sequence[Evaluation]) -> str:
         reasons = dict.fromkeys(map(positions_only, evaluations))
         return f"Withheld: {'; '.join(reasons)}."
     longest = max(e.association.groundtruth.path_length_m for e in evaluations)
-    lengths = ", ".join(str(length) for length in evaluations[0].protocol.lengths)
+    lengths = ", ".join(length.text for length in evaluations[0].protocol.lengths)
     return f"No sub-trajectories of {lengths}: the paired path is {longest:.1f} m long."

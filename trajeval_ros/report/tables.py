@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 
 from trajeval_ros.diagnosis.few_pairs import few_pairs
 from trajeval_ros.diagnosis.warnings import completeness_in_words, reasons
-from trajeval_ros.formatting.numbers import NOTHING, counted, four_digits, percent
+from trajeval_ros.formatting.numbers import (
+    NOTHING,
+    counted,
+    four_digits,
+    percent,
+    significant,
+    with_unit,
+)
 from trajeval_ros.geometry.up_axis import ASSUMED, UpAxis
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.relative_evaluation import SubTrajectoryErrors
@@ -54,6 +61,8 @@ RELATIVE = {
     "full": "full pose",
 }
 METHODS = {
+    "auto": "groundtruth interpolated (for points and fixes the estimate), gaps up to "
+    "{0.max_gap_s:g} s",
     "linear": "groundtruth interpolated, gaps up to {0.max_gap_s:g} s",
     "groundtruth-stamps": "estimate interpolated at the groundtruth's timestamps, gaps up to "
     "{0.max_gap_s:g} s",
@@ -84,7 +93,9 @@ def verdict(evaluation: Evaluation) -> list[str]:
     position, rotation = evaluation.ate["position_m"], evaluation.ate["rotation_deg"]
     assert position is not None
     name = evaluation.estimate.name or "estimate"
-    turned = "rotation withheld" if rotation is None else f"{rotation.rmse:.4g} deg rotation"
+    turned = (
+        "rotation withheld" if rotation is None else f"{with_unit(rotation.rmse, 'deg')} rotation"
+    )
     protocol, pairs = evaluation.protocol, evaluation.association
     states = evaluation.alignment.states_used
     how = "first state" if states == 1 else f"first {states} states"
@@ -99,7 +110,8 @@ def verdict(evaluation: Evaluation) -> list[str]:
         f", scale {evaluation.alignment.similarity.scale:.4f}" if protocol.gauge.has_scale else ""
     )
     return [
-        f"{name}: ATE {position.rmse:.4g} m position, {turned} (rmse{_drift(evaluation)})"
+        f"{name}: ATE {with_unit(position.rmse, 'm')} position, {turned} "
+        f"(rmse{_drift(evaluation)})"
         + (f"; {few}" if (few := few_pairs(protocol, pairs)) else ""),
         f"  aligned by {protocol.gauge.value} ({protocol.gauge.description}){modality}, "
         f"{how}{poses}{weights}{scale}; {METHODS[pairs.rule.method].format(pairs.rule)}",
@@ -184,7 +196,8 @@ def _drift(evaluation: Evaluation) -> str:
     drift = evaluation.drift
     if drift is None:
         return ""
-    return f"); drift {drift.percent.mean:.3g} % of {drift.length_m:.4g} m (mean"
+    mean, length = significant(drift.percent.mean, 3), with_unit(drift.length_m, "m")
+    return f"); drift {mean} % of {length} (mean"
 
 
 def _dropped(evaluation: Evaluation) -> str:
@@ -285,8 +298,8 @@ def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | Non
 def length_text(segment: SubTrajectoryErrors) -> str:
     """Return the measured length with its unit: 8 m, 1 s, 8.06 m for a percentage of the path."""
     if segment.length_m is None:
-        return f"{segment.length.value:g} {segment.length.unit}"
-    return f"{segment.length_m:.4g} m"
+        return segment.length.text
+    return with_unit(segment.length_m, "m")
 
 
 def _fits(column: str, width: int) -> bool:

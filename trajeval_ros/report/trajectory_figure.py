@@ -53,9 +53,14 @@ def _view(
     )
     line = thinned(whole, truth.stamps, max_gap_s)
     for place, (evaluation, path) in enumerate(zip(evaluations, aligned, strict=True)):
-        axes = panels.of(place)
-        _draw_correspondences(axes, _seen(evaluation.association.groundtruth, upward, plane), path,
-                              evaluation.association.groundtruth.travelled)  # fmt: skip
+        truth_pairs = evaluation.association.groundtruth
+        _draw_correspondences(
+            panels.of(place),
+            _seen(truth_pairs, upward, plane),
+            path,
+            truth_pairs.travelled,
+            "correspondences" if place == 0 else "_",  # one entry of the legend for all
+        )
         panels.draw_path(place, thinned(path, evaluation.aligned.stamps, max_gap_s))
     for axes in panels.panels:
         draw_fixes(axes, truth, whole, plane)
@@ -75,7 +80,9 @@ def _seen(trajectory: Trajectory, upward: UpAxis, plane: tuple[int, int]) -> Flo
     return seen
 
 
-def _draw_correspondences(axes: Axes, truth: Floats, aligned: Floats, along: Floats) -> None:
+def _draw_correspondences(
+    axes: Axes, truth: Floats, aligned: Floats, along: Floats, label: str
+) -> None:
     """Connect a hundred states, evenly spaced along the path, with their groundtruth."""
     from matplotlib.collections import LineCollection
 
@@ -87,6 +94,6 @@ def _draw_correspondences(axes: Axes, truth: Floats, aligned: Floats, along: Flo
         alpha=0.6,
         linewidths=0.6,
         zorder=1.5,
-        label="correspondences",
+        label=label,
     )
     axes.add_collection(lines, autolim=False)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from trajeval_ros.exceptions import InputError
+from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.valid_poses import LARGEST
 from trajeval_ros.io.bags.write_clip import ABOUT, MESSAGES, SCHEMA
@@ -56,7 +56,7 @@ def read_watched_clip(folder: Path, factor: float | None = None) -> WatchedClip:
     try:
         about = mapping_in(path.read_bytes())
     except OSError as error:
-        raise InputError(f"{path} can't be read: {error.strerror}") from error
+        raise InputError(f"{path} can't be read: {reason_of(error)}") from error
     if about is None:
         raise InputError(f"{path} is damaged; use another clip")
     require_schema(path, about.get("schema"), SCHEMA, "description of a clip", "use another clip")

@@ -70,8 +70,11 @@ class Requirement:
         if value is None:
             return f"{self} not met: {self.path} was not computed"
         if isinstance(value, bool) or not isinstance(value, int | float):
-            keys = f"; add one of {', '.join(value)}" if isinstance(value, Mapping) else ""
-            raise SettingsError(f"{self.path} is not a number{keys}")
+            hint = ""
+            if isinstance(value, Mapping):
+                keys = [key for key, each in value.items() if not isinstance(each, str)]
+                hint = f"; add one of {', '.join(keys)}"
+            raise SettingsError(f"{self.path} is not a number{hint}")
         if _COMPARISONS[self.comparison](value, self.bound):
             return ""
         return f"{self} not met: {value:.6g}"

@@ -30,6 +30,7 @@ _HEAD = 1 << 16  # bytes
 _SAMPLE = 50  # rows from which a layout is recognised
 _UTF8_MARK = b"\xef\xbb\xbf"
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+_GZIP_MARK = b"\x1f\x8b"
 _GRAPH = rb"(?m)^(VERTEX_SE3:QUAT|VERTEX_SE2)\s"
 _BODY_TWISTS, _OTHERS = "RIGHT_PERTURBATION", "LEFT_PERTURBATION|ROTATION_TRANSLATION"
 
@@ -84,10 +85,9 @@ def recognise_text(path: Path, named: Sequence[str] = ()) -> TextFormat:
 
 def _as_named(path: Path, layout: Layout) -> TextFormat:
     """Return the format of a file with columns that the user named."""
-    data = _beginning(path)
-    start = len(_UTF8_MARK) if data.startswith(_UTF8_MARK) else 0
+    start, lines = _first_lines(path)
     count = 0
-    for line in data[start:].splitlines(keepends=True):
+    for line in lines:
         for separator in (*SEPARATORS, ""):
             found = _of_row(dataclasses.replace(layout, separator=separator), line)
             if found is not None:
@@ -177,11 +177,7 @@ def read_head(path: Path) -> Head:
         InputError: The file is empty, is not text, or has no row of numbers in its first lines.
         OSError: The file can't be read.
     """
-    data = _beginning(path)
-    start = len(_UTF8_MARK) if data.startswith(_UTF8_MARK) else 0
-    lines = data[start:].splitlines(keepends=True)
-    if len(data) == _HEAD and len(lines) > 1:
-        lines.pop()  # the last line can be incomplete
+    start, lines = _first_lines(path)
     header: list[str] = []
     named = False
     for index, line in enumerate(lines):
@@ -202,7 +198,7 @@ def read_head(path: Path) -> Head:
         named = named or bool(words)
         header.append(line.decode(errors="replace").strip().lstrip("#%").strip())
         start += len(line)
-    raise InputError(f"{path} has no row of numbers in its first {counted(len(lines), 'line')}")
+    raise InputError(f"{path} is text without a row of numbers; give a file with poses")
 
 
 def _table(header: Sequence[str], line: bytes) -> Layout | None:
@@ -219,6 +215,20 @@ def _table(header: Sequence[str], line: bytes) -> Layout | None:
     return _of_row(dataclasses.replace(layout, separator=separator), line)
 
 
+def _first_lines(path: Path) -> tuple[int, list[bytes]]:
+    """Return the position of the first line of a text file, and its first lines with their ends.
+
+    Raises:
+        InputError: As for `_beginning`.
+    """
+    data = _beginning(path)
+    start = len(_UTF8_MARK) if data.startswith(_UTF8_MARK) else 0
+    lines = data[start:].splitlines(keepends=True)
+    if len(data) == _HEAD and len(lines) > 1:
+        lines.pop()  # the last line can be incomplete
+    return start, lines
+
+
 def _beginning(path: Path) -> bytes:
     """Return the first `_HEAD` bytes of a text file.
 
@@ -231,6 +241,8 @@ def _beginning(path: Path) -> bytes:
         raise InputError(f"{path} is empty; check that the recording has poses")
     if data.startswith(_UTF16_MARKS):
         raise InputError(f"{path} is UTF-16 text; convert it to UTF-8")
+    if data.startswith(_GZIP_MARK):
+        raise InputError(f"{path} is compressed with gzip; decompress it with gunzip")
     if b"\0" in data.partition(b"\n")[0]:
         raise InputError(f"{path} is a binary file of unknown format, neither text nor a bag")
     return data
