@@ -203,10 +203,14 @@ def test_diagnose_explains_at_length(tmp_path: Path, capsys: pytest.CaptureFixtu
         "conventions: mirrored (",
     ):
         assert test in shown
-    assert main(["diagnose", truth, estimate, "--gauge", "yaw", "--json"]) == 0
+    assert main(["diagnose", truth, estimate, "--gauge", "yaw", "--json", "-"]) == 0
     read = json.loads(capsys.readouterr().out)
     assert read["findings"][0]["cause"] == "mirrored"
     assert {each["test"] for each in read["examined"]} >= {"clocks", "conventions"}
+    saved = tmp_path / "diagnosis.json"
+    assert main(["diagnose", truth, estimate, "--gauge", "yaw", "--json", str(saved)]) == 0
+    assert capsys.readouterr().out == shown
+    assert json.loads(saved.read_text()) == read
 
 
 def test_diagnose_helps_where_nothing_can_be_evaluated(

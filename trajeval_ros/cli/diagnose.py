@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
@@ -18,6 +19,7 @@ from trajeval_ros.io.json_file import json_text
 from trajeval_ros.io.requests.request_words import request_from
 from trajeval_ros.io.results.diagnosis_json import diagnosis_json
 from trajeval_ros.io.sources import read_many
+from trajeval_ros.io.writing import write_text
 from trajeval_ros.metrics.evaluation import evaluate
 from trajeval_ros.metrics.protocol import Protocol
 
@@ -35,9 +37,7 @@ def diagnose(
     max_gap: options.MaxGapOption = None,
     time_offset: options.TimeOffsetOption = None,
     up: options.UpOption = None,
-    json: Annotated[
-        bool, typer.Option("--json", help="JSON output with the findings and all scores.")
-    ] = False,
+    json: options.JsonOption = None,
 ) -> None:
     """Searches for mistakes that explain a bad or suspicious result.
 
@@ -62,22 +62,28 @@ def diagnose(
         truth, other = read_many(sources, advance=advance, covariances=[False, True])
     request = request.for_trajectories(truth, [other])
     found, refused = _of(truth, other, request.protocol)
-    if json:
-        examined = [
-            {
-                "test": each.test,
-                "scores": {
-                    name: value if math.isfinite(value) else None
-                    for name, value in each.scores.items()
-                },
-                "seen": [seen.cause for seen in each.seen],
-                "why_not": each.why_not or None,
-            }
-            for each in found.examined
-        ]
-        typer.echo(json_text({"findings": diagnosis_json(found), "examined": examined}, indent=2))
-        return
+    if json is not None:
+        text = json_text({"findings": diagnosis_json(found), "examined": _scores(found)}, indent=2)
+        if json == "-":
+            typer.echo(text)
+            return
+        write_text(Path(json), text, follow_link=True)
     _print(found, refused)
+
+
+def _scores(found: Diagnosis) -> list[dict[str, Any]]:
+    return [
+        {
+            "test": each.test,
+            "scores": {
+                name: value if math.isfinite(value) else None
+                for name, value in each.scores.items()
+            },
+            "seen": [seen.cause for seen in each.seen],
+            "why_not": each.why_not or None,
+        }
+        for each in found.examined
+    ]
 
 
 def _of(truth: Trajectory, estimate: Trajectory, protocol: Protocol) -> tuple[Diagnosis, str]:

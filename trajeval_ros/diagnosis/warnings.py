@@ -40,6 +40,11 @@ _REASONS = {
     "before_estimate": "before the estimate",
     "after_estimate": "after the estimate",
     "in_estimate_gap": "in an estimate gap",
+    "duplicate_stamp": "with a duplicate timestamp",
+    "lone_stamp": "with an isolated timestamp",
+    "zero_stamp": "with timestamp zero",
+    "zero_quaternion": "with a zero quaternion",
+    "undecodable": "that can't be decoded",
 }
 
 
@@ -198,7 +203,7 @@ def _about_coverage(evaluation: Evaluation) -> list[str]:
 
 
 def _about_relative_errors(evaluation: Evaluation) -> list[str]:
-    empty = [str(each.length) for each in evaluation.segments or () if not each.count]
+    empty = [each.length.text for each in evaluation.segments or () if not each.count]
     if not empty:
         return []
     path = evaluation.association.groundtruth

@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 Advance = Callable[[int, int], None]
 Key = tuple[int, int]  # which file, and which of its connections
 
+# Programs that repair interrupted recordings, by suffix.
+_REPAIRS = {".mcap": "mcap recover", ".bag": "rosbag reindex"}
+
 
 class Bag:
     """A bag that is open; a context manager.
@@ -285,9 +288,10 @@ def _one_sentence(path: Path) -> Iterator[None]:
     except (InputError, PermissionError):
         raise
     except Exception as error:
+        tool = _REPAIRS.get(path.suffix, "ros2 bag reindex")
         raise InputError(
             f"{path} can't be read as a bag: {_sentence(error)}; if the recording was "
-            "interrupted, try `mcap recover`, `ros2 bag reindex` or `rosbag reindex`"
+            f"interrupted, try `{tool}`"
         ) from error
 
 

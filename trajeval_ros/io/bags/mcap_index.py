@@ -74,7 +74,7 @@ class McapReader:
             if found.damage or not isinstance(error, NoIndexError):
                 self.damage.append(
                     f"{source.name}: {'; '.join([*found.damage, str(error)])}; read record by "
-                    f"record up to byte {found.end} of {source.size}"
+                    f"record, the last whole one ends at byte {found.end} of {source.size}"
                 )
         if strict and len(found.messages):
             self._verify_data()
