@@ -406,6 +406,21 @@ def test_only_the_magic(beginning: bytes, tmp_path: Path) -> None:
         read_trajectory(str(tmp_path / "x"))
 
 
+@pytest.mark.parametrize(
+    ("name", "beginning", "tool"),
+    [
+        ("x.db3", b"SQLite format 3\0", "ros2 bag reindex"),
+        ("x.bag", b"#ROSBAG V2.0\n", "rosbag reindex"),
+    ],
+)
+def test_advice_names_the_program_for_the_format(
+    name: str, beginning: bytes, tool: str, tmp_path: Path
+) -> None:
+    (tmp_path / name).write_bytes(beginning)
+    with pytest.raises(InputError, match=f"try `{tool}`$"):
+        read_trajectory(str(tmp_path / name))
+
+
 def test_a_directory_that_is_no_bag(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is a directory without a bag"):
         read_trajectory(str(tmp_path))
