@@ -273,7 +273,7 @@ def test_a_file_is_a_protocol(tmp_path: Path) -> None:
         ("align_states: few\n", "align states must be all or a number"),
         ("association: {max_gap_s: soon}\n", "association.max_gap_s must be a float, not 'soon'"),
         ("association: linear\n", "association must be a mapping"),
-        ("association: {max_gap_s: -1}\n", "max_gap_s must be greater than 0"),
+        ("association: {max_gap_s: -1}\n", "max_gap must be greater than 0"),
         ("selection: {rule: last}\n", "unknown selection rule 'last'"),
         ("selection: {every: 0}\n", "must be at least 1, not 0"),
         ("in_order: maybe\n", "in_order must be true or false"),

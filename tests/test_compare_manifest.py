@@ -207,5 +207,5 @@ def test_a_file_that_is_listed_and_not_there_is_a_failed_run(
     path = write_manifest(tmp_path / "runs.csv", [*ROWS, ["bad", "hall", "2", "x.txt", "y.txt"]])
     assert main(["compare", str(path), "--workers", "1", "--output", str(tmp_path / "out")]) == 0
     said = capsys.readouterr()
-    assert "8 runs evaluated; report.html" in said.out
+    assert "8 runs evaluated, 1 failed or missing; report.html" in said.out
     assert f"warning: bad hall 2 failed: {tmp_path}/x.txt does not exist" in said.err

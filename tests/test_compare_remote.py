@@ -66,7 +66,10 @@ def test_five_runs_of_which_one_is_poisoned(
     assert main(command) == 0
     said = capsys.readouterr()
     size = data_size(fetched(*sizes.values()))
-    assert f"4 runs evaluated, {size} read from remote stores; report.html" in said.out
+    assert (
+        f"4 runs evaluated, 1 failed or missing, {size} read from remote stores; report.html"
+        in said.out
+    )
     reason = f"{STORE}/hall_1.txt is text without a row of numbers; give a file with poses"
     assert f"warning: vio hall 1 failed: {reason}\n" in said.err
     trials = summary_of(out).trials
@@ -74,7 +77,7 @@ def test_five_runs_of_which_one_is_poisoned(
     # What failed is fetched again, with its groundtruth.
     assert main(command) == 0
     size = data_size(fetched(sizes["hall_1.txt"], sizes["truth_hall.txt"]))
-    assert f"4 unchanged, {size} read from remote stores; " in capsys.readouterr().out
+    assert f"4 unchanged, 1 failed or missing, {size} read from remote stores; " in capsys.readouterr().out
 
 
 def test_bytes_of_all_runs_are_counted_and_no_more_are_transferred(

@@ -198,8 +198,8 @@ def test_diagnose_explains_at_length(tmp_path: Path, capsys: pytest.CaptureFixtu
     shown = capsys.readouterr().out
     assert shown.startswith("mirrored (fitted, explains ")
     for test in (
-        "rounded stamps: nothing",
-        "clocks: nothing (offset_s",
+        "rounded stamps: no mistake",
+        "clocks: no mistake (offset_s",
         "conventions: mirrored (",
     ):
         assert test in shown

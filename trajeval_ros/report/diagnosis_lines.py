@@ -29,7 +29,7 @@ def explanation(diagnosis: Diagnosis) -> list[str]:
     lines = []
     for test in diagnosis.examined:
         scores = ", ".join(f"{name} {value:.4g}" for name, value in test.scores.items())
-        said = ", ".join(seen.cause for seen in test.seen) or test.why_not or "nothing"
+        said = ", ".join(seen.cause for seen in test.seen) or test.why_not or "no mistake"
         lines.append(f"{test.test}: {said}" + (f" ({scores})" if scores else ""))
     return lines
 
