@@ -77,7 +77,8 @@ def test_five_runs_of_which_one_is_poisoned(
     # What failed is fetched again, with its groundtruth.
     assert main(command) == 0
     size = data_size(fetched(sizes["hall_1.txt"], sizes["truth_hall.txt"]))
-    assert f"4 unchanged, 1 failed or missing, {size} read from remote stores; " in capsys.readouterr().out
+    told = f"4 unchanged, 1 failed or missing, {size} read from remote stores; "
+    assert told in capsys.readouterr().out
 
 
 def test_bytes_of_all_runs_are_counted_and_no_more_are_transferred(

@@ -449,7 +449,7 @@ def test_lengths_beyond_the_path_are_said_not_counted_as_zero() -> None:
     result = evaluate(groundtruth, groundtruth, protocol)
     assert result.segments is not None
     assert set(result.segments[0].statistics.values()) == {None}
-    assert any("10000m" in warning for warning in result.warnings)
+    assert any("10000 m" in warning for warning in result.warnings)
 
 
 @pytest.mark.parametrize("re_form", ["gauge", "se3", "tutorial", "euler"])

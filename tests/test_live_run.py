@@ -302,13 +302,13 @@ def test_poses_without_stamps_are_told(tmp_path: Path) -> None:
     live.feed(feed[:9])
     assert stream.trouble == ""
     live.feed(feed[9:10])
-    assert stream.trouble == "/vio: no message with a valid pose: 10 zero stamp"
+    assert stream.trouble == "/vio: no message with a valid pose: 10 with timestamp zero"
     live.feed(feed[10:])
     assert [each.text for each in stream.news] == [
-        "/vio: no message with a valid pose: 10 zero stamp"
+        "/vio: no message with a valid pose: 10 with timestamp zero"
     ]
     assert why_no_pair(live.run).endswith(
-        f"{len(pair.groundtruth)} poses on /truth, 0 poses on /vio ({count} zero stamp)"
+        f"{len(pair.groundtruth)} poses on /truth, 0 poses on /vio ({count} with timestamp zero)"
     )
     live.feed(messages_of(pair.estimate, ESTIMATE, ODOM))
     assert stream.trouble == ""

@@ -330,7 +330,7 @@ def test_an_estimate_without_stamps_is_told_at_once_and_in_the_end(
     def newest() -> Any:
         return told[-1].status[0] if told and told[-1].status else None
 
-    trouble = f"{ODOMETRY}: no message with a valid pose: 80 zero stamp"
+    trouble = f"{ODOMETRY}: no message with a valid pose: 80 with timestamp zero"
     with (
         evaluating(tmp_path / "out", environment, lengths="none") as evaluator,
         published(peer) as publishers,
@@ -339,10 +339,12 @@ def test_an_estimate_without_stamps_is_told_at_once_and_in_the_end(
         peer.until(lambda: newest() and trouble in newest().message, "diagnostics tell of it")
         values = {each.key: each.value for each in newest().values}
         assert newest().level == b"\x01"
-        assert values["dropped"] == "80 zero stamp"
+        assert values["dropped"] == "80 with timestamp zero"
         assert evaluator.end() == 2
     assert evaluator.said.count("no message with a valid pose") == 1
-    assert f"400 poses on {TRUTH}, 0 poses on {ODOMETRY} (80 zero stamp)" in evaluator.said
+    assert (
+        f"400 poses on {TRUTH}, 0 poses on {ODOMETRY} (80 with timestamp zero)" in evaluator.said
+    )
 
 
 def test_save_tells_why_a_path_can_t_be_written(
