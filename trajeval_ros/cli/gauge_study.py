@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from trajeval_ros.visual_inertial.preintegration import ImuNoise
     from trajeval_ros.visual_inertial.scene import Scene, SensorProfile
     from trajeval_ros.visual_inertial.solver import GaugeHandling
-    from trajeval_ros.visual_inertial.study import StudiedScene, Trials
+    from trajeval_ros.visual_inertial.study import Covariances, StudiedScene, Trials
 
 _SEED = 0
 _MOTION_LANDMARKS = 150
@@ -264,9 +264,10 @@ def _study(
     examined: Examination | None,
 ) -> GaugeStudy:
     from trajeval_ros.report.gauge_report import SWEPT, GaugeStudy
-    from trajeval_ros.visual_inertial.study import PATH_WEIGHTS, covariances, paths
+    from trajeval_ros.visual_inertial.study import PATH_WEIGHTS, paths
 
     figured = ["sine random", *(name for name in scenes if " of " in name)]
+    transformed = {name: _transformed(name, scenes[name], trials) for name in figured}
     return GaugeStudy(
         profile,
         trials,
@@ -277,14 +278,8 @@ def _study(
             for name in (SWEPT, *([measured] if measured else []))
         },
         paths(scenes[SWEPT], PATH_WEIGHTS),
-        {
-            name: (
-                covariances(scenes[name], 0, is_converged=False),
-                covariances(scenes[name], 0, is_converged=True),
-            )
-            for name in figured
-        },
-        {name: _differences(name, scenes[name], trials) for name in figured},
+        {name: first for name, (first, _) in transformed.items()},
+        {name: differences for name, (_, differences) in transformed.items()},
         measured,
         examined,
         os.environ.get("OPENBLAS_NUM_THREADS", ""),
@@ -308,18 +303,28 @@ def _swept(name: str, scene: StudiedScene, trials: int) -> list[Trials]:
         return sweep(scene, trials, lambda: advance(next(done), count), SWEEP_WEIGHTS)
 
 
-def _differences(name: str, scene: StudiedScene, trials: int) -> tuple[Floats, Floats]:
+def _transformed(
+    name: str, scene: StudiedScene, trials: int
+) -> tuple[tuple[Covariances, Covariances], tuple[Floats, Floats]]:
+    """Return the covariances of the first trial, and the differences of all."""
     import numpy as np
 
     from trajeval_ros.visual_inertial.study import covariances
 
+    def pair_of(trial: int) -> tuple[Covariances, Covariances]:
+        return (
+            covariances(scene, trial, is_converged=False),
+            covariances(scene, trial, is_converged=True),
+        )
+
+    first = pair_of(0)
     stopped, converged = np.empty((2, trials))
     with progress(f"{name}, covariances") as advance:
         for trial in range(trials):
-            stopped[trial] = covariances(scene, trial, is_converged=False).difference
-            converged[trial] = covariances(scene, trial, is_converged=True).difference
+            pair = pair_of(trial) if trial else first
+            stopped[trial], converged[trial] = (each.difference for each in pair)
             advance(trial + 1, trials)
-    return stopped, converged
+    return first, (stopped, converged)
 
 
 def _write(folder: Path, study: GaugeStudy, look: FigureStyle) -> None:

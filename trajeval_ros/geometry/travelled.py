@@ -10,9 +10,7 @@ from trajeval_ros.geometry.arrays import Floats
 
 def travelled_distance(positions: Floats) -> Floats:
     """Return the path length up to every position (N, 3), (N,), metres."""
-    travelled = np.zeros(len(positions))
-    np.cumsum(step_lengths(positions), out=travelled[1:])
-    return travelled
+    return _accumulated(len(positions), step_lengths(positions))
 
 
 def step_lengths(positions: Floats) -> Floats:
@@ -27,9 +25,7 @@ def step_lengths(positions: Floats) -> Floats:
 
 def turned_angle(quaternions: Floats) -> Floats:
     """Return the accumulated rotation up to every orientation (N, 4), xyzw, (N,), radians."""
-    turned = np.zeros(len(quaternions))
-    np.cumsum(step_angles(quaternions), out=turned[1:])
-    return turned
+    return _accumulated(len(quaternions), step_angles(quaternions))
 
 
 def step_angles(quaternions: Floats) -> Floats:
@@ -39,3 +35,10 @@ def step_angles(quaternions: Floats) -> Floats:
         return (lie.angle(lie.multiply(lie.conjugate(begins), ends)),)
 
     return lie.by_blocks(at, quaternions[:-1], quaternions[1:])[0]
+
+
+def _accumulated(count: int, steps: Floats) -> Floats:
+    """Return the sums of the steps before each of N states, (N,)."""
+    sums = np.zeros(count)
+    np.cumsum(steps, out=sums[1:])
+    return sums
