@@ -101,11 +101,11 @@ def _jacobian(problem: Problem, state: State, root: float) -> np.ndarray:
     rows, size = np.arange(len(by_point)), by_point.shape[1]
     visual = np.zeros((len(by_point), size, 3 * count + problem.landmarks, 3))
     by_turn = by_point @ so3.skew(rays)
-    first = problem.keyframe_of == 0
+    first = problem.visibility.keyframe_of == 0
     by_turn[first] = by_turn[first] @ so3.left_jacobian(state.first_turn)
-    visual[rows, :, problem.keyframe_of] = -by_point
-    visual[rows, :, count + problem.keyframe_of] = by_turn
-    visual[rows, :, 3 * count + problem.landmark_of] = by_point
+    visual[rows, :, problem.visibility.keyframe_of] = -by_point
+    visual[rows, :, count + problem.visibility.keyframe_of] = by_turn
+    visual[rows, :, 3 * count + problem.visibility.landmark_of] = by_point
     moved = np.zeros((count - 1, 9, 3 * count + problem.landmarks, 3))
     each = np.arange(count - 1)
     for part in range(3):

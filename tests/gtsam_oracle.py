@@ -97,7 +97,12 @@ class GtsamProblem:
         intrinsics = gtsam.Cal3_S2(camera.focal_px, camera.focal_px, 0.0, *camera.centre)
         noise = gtsam.noiseModel.Isotropic.Sigma(2, camera.noise_px)
         mount = gtsam.Pose3(gtsam.Rot3(problem.camera_in_body), np.zeros(3))
-        sightings = zip(problem.pixels, problem.keyframe_of, problem.landmark_of, strict=True)
+        sightings = zip(
+            problem.pixels,
+            problem.visibility.keyframe_of,
+            problem.visibility.landmark_of,
+            strict=True,
+        )
         for pixel, keyframe, landmark in sightings:
             self.graph.add(
                 gtsam.GenericProjectionFactorCal3_S2(

@@ -533,7 +533,7 @@ def test_correlation_along_tracks_by_its_definition(recording: SensorRecording) 
     at = {
         (int(keyframe), int(landmark)): error
         for keyframe, landmark, error in zip(
-            problem.keyframe_of, problem.landmark_of, errors, strict=True
+            problem.visibility.keyframe_of, problem.visibility.landmark_of, errors, strict=True
         )
     }
     expected = []

@@ -71,9 +71,9 @@ def test_gauge_moves_no_residual(small: Scene, seed: int) -> None:
     turned = motion[:, 3:6].copy()
     turned[0] = so3.left_jacobian(state.first_turn) @ turned[0]
     relative_motion = (
-        landmarks.reshape(-1, 3, 4)[problem.landmark_of]
-        - motion[problem.keyframe_of, :3]
-        + so3.skew(visual.rays) @ turned[problem.keyframe_of]
+        landmarks.reshape(-1, 3, 4)[problem.visibility.landmark_of]
+        - motion[problem.visibility.keyframe_of, :3]
+        + so3.skew(visual.rays) @ turned[problem.visibility.keyframe_of]
     )
     scale = np.abs(visual.by_point).max() * np.abs(basis).max()
     assert np.abs(visual.by_point @ relative_motion).max() < 1e-12 * scale
@@ -187,13 +187,13 @@ def test_says_when_landmarks_leave_more_than_the_gauge_open() -> None:
     problem = scene.noise_free()
     seen = np.ones(len(problem.pixels), dtype=bool)
     for landmark in (7, 9):
-        seen[np.flatnonzero(problem.landmark_of == landmark)[1:]] = False
+        seen[np.flatnonzero(problem.visibility.landmark_of == landmark)[1:]] = False
     once = Problem(
         problem.camera,
         problem.camera_in_body,
         problem.pixels[seen],
-        problem.keyframe_of[seen],
-        problem.landmark_of[seen],
+        problem.visibility.keyframe_of[seen],
+        problem.visibility.landmark_of[seen],
         problem.landmarks,
         problem.preintegrated,
     )

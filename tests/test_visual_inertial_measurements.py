@@ -34,18 +34,15 @@ def _scene(profile: str = "paper") -> Scene:
 
 def _changed(problem: Problem, **changes: Any) -> Problem:
     """Return the problem with other measurements or options."""
-    measured = {
-        name: changes.pop(name, getattr(problem, name))
-        for name in ("pixels", "keyframe_of", "landmark_of", "preintegrated")
-    }
+    visibility = problem.visibility
     return Problem(
         problem.camera,
         problem.camera_in_body,
-        measured["pixels"],
-        measured["keyframe_of"],
-        measured["landmark_of"],
+        changes.pop("pixels", problem.pixels),
+        changes.pop("keyframe_of", visibility.keyframe_of),
+        changes.pop("landmark_of", visibility.landmark_of),
         problem.landmarks,
-        measured["preintegrated"],
+        changes.pop("preintegrated", problem.preintegrated),
         **changes,
     )
 
@@ -142,9 +139,9 @@ def _visual_hessian(problem: Problem, state: State) -> np.ndarray:
     count, (_, by_point, rays) = problem.keyframes, visual_errors(problem, state)
     jacobian = np.zeros((*by_point.shape[:2], 2 * count + problem.landmarks, 3))
     rows = np.arange(len(by_point))
-    jacobian[rows, :, 2 * problem.keyframe_of] = -by_point
-    jacobian[rows, :, 2 * problem.keyframe_of + 1] = by_point @ so3.skew(rays)
-    jacobian[rows, :, 2 * count + problem.landmark_of] = by_point
+    jacobian[rows, :, 2 * problem.visibility.keyframe_of] = -by_point
+    jacobian[rows, :, 2 * problem.visibility.keyframe_of + 1] = by_point @ so3.skew(rays)
+    jacobian[rows, :, 2 * count + problem.visibility.landmark_of] = by_point
     jacobian = jacobian.reshape(by_point.shape[0] * by_point.shape[1], -1)
     # Metres and radians apart.
     jacobian /= np.linalg.norm(jacobian, axis=0)

@@ -101,7 +101,6 @@ class Problem:
                 "keyframes; select more keyframes or more tracks"
             )
         self.camera, self.camera_in_body, self.pixels = camera, camera_in_body, pixels
-        self.keyframe_of, self.landmark_of = keyframe_of, landmark_of
         self.keyframes, self.landmarks = len(preintegrated.durations_s) + 1, landmarks
         self._between = InertialMeasurements(preintegrated, gravity, bias_noise)
         # Parameters of a keyframe.
@@ -143,7 +142,7 @@ class Problem:
         count = self.keyframes
         visual = self._images.normal_blocks(state)
         first = so3.left_jacobian(state.first_turn)
-        at_first = self.keyframe_of == 0
+        at_first = self.visibility.keyframe_of == 0
         turned = visual.cross[3:, :, at_first]
         visual.cross[3:, :, at_first] = np.einsum("ij,ikm->jkm", first, turned)
         visual.diagonal[0, 3:] = first.T @ visual.diagonal[0, 3:]

@@ -88,8 +88,8 @@ def track_correlation(problem: Problem, state: State, lags: Sequence[int]) -> Fl
     visual, _ = problem.residuals(state)
     errors = np.zeros((problem.landmarks, problem.keyframes, visual.shape[1]))
     seen = np.zeros(errors.shape[:2], dtype=bool)
-    errors[problem.landmark_of, problem.keyframe_of] = visual
-    seen[problem.landmark_of, problem.keyframe_of] = True
+    errors[problem.visibility.landmark_of, problem.visibility.keyframe_of] = visual
+    seen[problem.visibility.landmark_of, problem.visibility.keyframe_of] = True
     correlations = []
     for lag in lags:
         both = seen[:, :-lag] & seen[:, lag:]
