@@ -88,6 +88,7 @@ SUBPACKAGES = {
     "io/bags": {
         "ros1_bag ros1_records": "io_ros1_bag io_damage",
         "ros1_to_cdr": "io_playback",
+        "sqlite_pages": "io_sqlite_pages",
         "cdr cdr_batch cdr_columns cdr_steps cdr_strings": "io_cdr",
     },
     "io/tracks": {"camera_file tracks_folder": "tracks_reading tracks_folder"},

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sqlite3
-import sys
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,8 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.blocks import ROWS, Block, block_of, blocks_of
+from trajeval_ros.io.bags.byte_source import LocalFile
 from trajeval_ros.io.bags.metadata import qos_of
 from trajeval_ros.io.bags.selection import TopicSelection, all_connections
+from trajeval_ros.io.bags.sqlite_losses import lost_of_log, refuse_truncated
+from trajeval_ros.io.bags.sqlite_pages import MessagePages
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -22,9 +24,8 @@ Place = tuple[int, int]  # of a message in the order of reading: log time or 0, 
 
 _UNKNOWN = -1  # counting reads the whole file
 _FETCHED = 1 << 18  # bytes at once, which fit in a core's cache
-_LOG_MAGICS = (0x377F0682, 0x377F0683)
-_LOG_HEADER, _FRAME_HEADER = 32, 24  # bytes
 _SMALLEST_ROW = 8  # bytes, of its id, lengths, topic and time
+_COLUMNS = [(name, "INTEGER") for name in ("id", "topic_id", "timestamp")] + [("data", "BLOB")]
 _FEW = 16  # rows at first, until their size is known
 
 
@@ -50,7 +51,7 @@ class SqliteReader:
         self._counts: dict[int, int] | None = None
         self._path, self._name = path, name
         log = path.with_name(f"{path.name}-wal")
-        has_log = log.exists() and log.stat().st_size > 0
+        has_log = self._has_log = log.exists() and log.stat().st_size > 0
         if not has_log:
             refuse_truncated(path, name)
         # Without a log nothing is written, and sqlite needs no locks, which require permissions.
@@ -69,7 +70,7 @@ class SqliteReader:
                     f"{path} 'PRAGMA wal_checkpoint(TRUNCATE)'`"
                 ) from error
             raise
-        if has_log and (lost := _lost_of(log)):
+        if has_log and (lost := lost_of_log(log)):
             self.damage.append(f"{log}: {lost}, their messages are missing")
 
     @property
@@ -100,7 +101,13 @@ class SqliteReader:
         self, selections: Sequence[TopicSelection], window: _Window, reached: Place | None
     ) -> Iterator[tuple[Sequence[TopicSelection], Block]]:
         """Yield the messages after a place; None means all."""
-        query, values = window.query(all_connections(selections))
+        wanted = all_connections(selections)
+        if reached is None and not window.in_order:
+            for key, block in self._paged(wanted):
+                reached = window.place(0, key)
+                if len(part := block.within(window.begin, window.end)):
+                    yield selections, part
+        query, values = window.query(wanted)
         try:
             rows = self._database.execute(*window.after(query, values, reached))
             count = _FEW
@@ -133,6 +140,26 @@ class SqliteReader:
             for row in self._row(query, values, each[1])
         ):
             yield selections, block
+
+    def _paged(self, wanted: Collection[int]) -> Iterator[tuple[int, Block]]:
+        """Yield messages of some topics by pages, as far as these are as recorders write them.
+
+        Each block comes with the last id that was read. sqlite has to read the other messages.
+        """
+        columns = [column[1:3] for column in self._database.execute("PRAGMA table_info(messages)")]
+        if self._has_log or columns != _COLUMNS:
+            return
+        roots = self._database.execute(
+            "SELECT rootpage FROM sqlite_master WHERE type = 'table' AND name = 'messages'"
+        ).fetchall()
+        file = LocalFile(self._path)
+        try:
+            for (root,) in roots:
+                yield from MessagePages(file, root).blocks(wanted)
+        except OSError:  # a part of the disk can't be read, and sqlite reads what is around it
+            return
+        finally:
+            file.close()
 
     def _one_by_one(
         self, query: str, values: tuple[Any, ...], selection: TopicSelection
@@ -268,46 +295,3 @@ class _Window:
 def _text(column: str) -> str:
     """Return a column as text: every row of sqlite can have any type, such as a blob."""
     return f"ifnull(CAST({column} AS TEXT), '')"
-
-
-def _lost_of(log: Path) -> str:
-    """Return a sentence on pages of the log that sqlite did not use, which it does not report.
-
-    See sqlite's file format, 4.1 and 4.4. The log is a header and frames of one page. The index
-    next to it has the number of committed frames.
-    """
-    with log.open("rb") as file:
-        header = file.read(_LOG_HEADER)
-        if int.from_bytes(header[:4], "big") not in _LOG_MAGICS or len(header) < _LOG_HEADER:
-            return "none of its pages could be used"
-        frame = _FRAME_HEADER + int.from_bytes(header[8:12], "big")
-        size = log.stat().st_size
-        count = 0
-        while _LOG_HEADER + (count + 1) * frame <= size:
-            file.seek(_LOG_HEADER + count * frame + 8)
-            if file.read(8) != header[16:24]:  # a frame of an older log
-                break
-            count += 1
-    index, used = log.with_name(f"{log.name.removesuffix('-wal')}-shm"), 0
-    if index.exists():  # it does not, if the database is not in the mode WAL
-        with index.open("rb") as file:
-            used = int.from_bytes(file.read(20)[16:], sys.byteorder)
-    return f"{count - used} of its {count} pages could not be used" if used < count else ""
-
-
-def refuse_truncated(path: Path, name: str) -> None:
-    """Raise InputError if sqlite's header counts more pages than the file has.
-
-    With missing pages, sqlite often returns fewer messages without an error.
-    """
-    with path.open("rb") as file:
-        header = file.read(100).ljust(100, b"\0")
-    page_size, pages = int.from_bytes(header[16:18], "big"), int.from_bytes(header[28:32], "big")
-    page_size = 65536 if page_size == 1 else page_size
-    is_valid = header[24:28] == header[92:96]  # older versions of sqlite do not update the count
-    size = path.stat().st_size
-    if is_valid and size < pages * page_size:
-        raise InputError(
-            f"{name} is truncated: it has {size} of {pages * page_size} bytes; copy it again, or "
-            "recover the data with the sqlite3 command `.recover`"
-        )
