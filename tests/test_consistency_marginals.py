@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+import scipy.linalg
 from consistency_runs import aligned_run, some_covariance, trajectory_of
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,6 +16,9 @@ from scipy.stats import chi2
 from strategies import make_groundtruth
 from visual_inertial_scenes import frobenius, scene_of
 
+from trajeval_ros.consistency.covariance_request import CovarianceRequest
+from trajeval_ros.consistency.joint_covariance import JointCovariance
+from trajeval_ros.consistency.judge import judge
 from trajeval_ros.consistency.judgement import Aligned, judge_marginals
 from trajeval_ros.consistency.marginal_covariances import (
     initial_uncertainty,
@@ -30,6 +34,8 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.pipeline.pipeline import evaluate
 from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance
 from trajeval_ros.visual_inertial.solver import GAUGE_INDICES
 
@@ -88,8 +94,30 @@ def test_a_single_pair_is_told_so_and_nothing_of_its_covariance(gauge: Gauge) ->
     two = Aligned(run, run, Similarity.identity(), gauge, 1)
     assert judge_marginals(two, from_the_start=True).per_pose is not None
     one = dataclasses.replace(two, groundtruth=run[:1], estimate=run[:1])
-    with pytest.raises(InputError, match="needs at least two pairs"):
+    with pytest.raises(InputError, match="needs at least 2 pairs"):
         judge_marginals(one, from_the_start=True)
+
+
+@pytest.mark.parametrize(
+    ("gauge", "states"), [(Gauge.YAW, 2), (Gauge.SE3, 3), (Gauge.SIM3, 3)], ids=str
+)
+def test_states_that_an_alignment_makes_exact_have_no_nees(gauge: Gauge, states: int) -> None:
+    """Three positions that determine an alignment have no error perpendicular to their plane."""
+    generator = np.random.default_rng(1)
+    truth = make_groundtruth(2, 8)
+    noisy = truth.positions + 1e-3 * generator.normal(size=(8, 3))
+    estimate = dataclasses.replace(truth, positions=noisy, covariances=_good(8))
+    joint = JointCovariance(
+        truth.stamps, noisy, truth.quaternions, 6, scipy.linalg.block_diag(*_good(8))
+    )
+    protocol = Protocol(gauge=gauge, align_states=states, lengths=())
+    evaluation = evaluate(truth, estimate, protocol)
+    for covariance in (CovarianceRequest("joint", joint), CovarianceRequest("message")):
+        nees = judge(evaluation, covariance).pose_nees
+        np.testing.assert_array_equal(np.isfinite(nees.pose), np.arange(8) >= states)
+    few = evaluate(truth[:states], estimate[:states], protocol)
+    with pytest.raises(InputError, match=f"needs at least {states + 1} pairs, found {states}"):
+        judge(few, CovarianceRequest("message"))
 
 
 @pytest.mark.parametrize("shape", [(6,), (6, 6), (1, 6, 6), (4, 6, 6), (5, 6), (5, 3, 3)])

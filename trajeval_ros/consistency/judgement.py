@@ -91,12 +91,15 @@ class Aligned:
         """Return the S-transformation to the alignment's gauge.
 
         Raises:
-            InputError: States without orientations, or fewer than two.
+            InputError: States without orientations, or too few pairs.
             SettingsError: The gauge has no transformation of covariances.
             DegenerateGeometryError: The states do not determine the alignment.
         """
-        if len(self.estimate) < 2:
-            raise InputError("the consistency test needs at least two pairs")
+        needed = max(2, self.first_with_nees + 1)
+        if len(self.estimate) < needed:
+            raise InputError(
+                f"the consistency test needs at least {needed} pairs, found {len(self.estimate)}"
+            )
         aligned = self.similarity.trajectory(self.estimate)
         return STransformation.of_alignment(self.gauge, self.states, self.groundtruth, aligned)
 
@@ -106,8 +109,15 @@ class Aligned:
 
     @property
     def first_with_nees(self) -> int:
-        """1 if the alignment makes the first pose exact, else 0."""
-        return 1 if self.states == 1 and self.gauge is not Gauge.NONE else 0
+        """Number of first poses without a NEES, because the alignment makes their errors exact.
+
+        The least number of positions that determine an alignment have no error in some direction:
+        three positions have none perpendicular to their plane.
+        """
+        if self.gauge is Gauge.NONE:
+            return 0
+        aligned = len(self.estimate) if self.states is None else self.states
+        return aligned if aligned in (1, self.gauge.minimum_states) else 0
 
 
 def judge_joint(aligned: Aligned, covariance: JointCovariance, source: str) -> Consistency:
