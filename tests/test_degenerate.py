@@ -77,6 +77,34 @@ def test_a_straight_line_leaves_the_turn_about_itself_open(
     assert position.rmse < 4.0 * error_m + 1e-5
 
 
+@pytest.mark.parametrize("gauge", FREE)
+@pytest.mark.parametrize(("error_m", "is_known"), [(0.0, True), (0.05, False)])
+def test_on_a_line_an_error_has_a_length_but_no_direction(
+    gauge: Gauge, error_m: float, is_known: bool
+) -> None:
+    groundtruth = along_line(PATH, DIRECTIONS["diagonal"])
+    result = evaluate(groundtruth, disturbed(groundtruth, error_m=error_m), by(gauge))
+    assert result.ate["position_m"] is not None
+    for metric in ("horizontal_m", "vertical_m"):
+        assert (result.ate[metric] is not None) == is_known
+
+
+@pytest.mark.parametrize("gauge", FREE)
+def test_first_states_on_a_line_do_not_align_later_ones_off_it(gauge: Gauge) -> None:
+    groundtruth = make_groundtruth(3, 40)
+    positions = groundtruth.positions.copy()
+    positions[:5] = positions[0] + np.outer(np.arange(5.0), DIRECTIONS["diagonal"])
+    groundtruth = dataclasses.replace(groundtruth, positions=positions)
+    estimate = disturbed(groundtruth, error_m=0.01)
+    with pytest.raises(DegenerateGeometryError, match="the first 5 states do not determine"):
+        evaluate(groundtruth, estimate, by(gauge, align_states=5))
+    assert evaluate(groundtruth, estimate, by(gauge, align_states=8)).ate["position_m"]
+    # A line throughout leaves no position open.
+    line = along_line(PATH, DIRECTIONS["diagonal"])
+    found = evaluate(line, disturbed(line, error_m=0.01), by(gauge, align_states=5))
+    assert found.ate["position_m"] is not None
+
+
 @pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.PLANAR])
 @pytest.mark.parametrize("direction", ["x", "diagonal"])
 @pytest.mark.parametrize("error_m", [0.0, 0.05])

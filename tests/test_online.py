@@ -100,6 +100,8 @@ def assert_live_is_offline(
     position = offline.ate["position_m"]
     assert position is not None
     assert snapshot.position_rmse_m == pytest.approx(position.rmse, rel=relative)
+    for metric, statistics in offline.ate.items():
+        assert (snapshot.ate[metric] is None) == (statistics is None), metric
 
 
 RECORDINGS = [

@@ -268,9 +268,8 @@ def evaluate_pairs(
         raise InputError(
             f"ATE form tutorial, eq. (23), needs rotation errors, but {why}; use ATE form plain"
         )
-    absolute = _absolute_errors(pairs, alignment, protocol)
-    if protocol.gauge is Gauge.PLANAR:
-        absolute = dataclasses.replace(absolute, tilt_deg=None, vertical_m=None)
+    measured = _absolute_errors(pairs, alignment, protocol)
+    absolute = meaningful(measured, alignment, protocol.gauge)
     ate = {metric: statistics_of(getattr(absolute, metric)) for metric in ATE_METRICS}
     if protocol.ate_form == "evo":
         ate |= pose_errors(absolute.position_m, absolute.rotation_deg)
@@ -289,16 +288,30 @@ def evaluate_pairs(
         score=None
         if protocol.score is None
         else protocol.score.score(
-            point_errors(pairs, groundtruth, absolute, protocol.score.dimensions),
+            point_errors(pairs, groundtruth, measured, protocol.score.dimensions),
             len(groundtruth),
         ),
         recall=None
         if protocol.recall is None
         else protocol.recall.recall(
-            point_errors(pairs, groundtruth, absolute, protocol.recall.dimensions),
+            point_errors(pairs, groundtruth, measured, protocol.recall.dimensions),
             len(groundtruth),
         ),
     )
+
+
+def meaningful(errors: AbsoluteErrors, alignment: Alignment, gauge: Gauge) -> AbsoluteErrors:
+    """Return errors without parts that the gauge lacks or the alignment does not determine.
+
+    On an exact line, the rotation about it is a rounding error. It changes the direction of a
+    position error, not its length.
+    """
+    if gauge is Gauge.PLANAR:
+        return dataclasses.replace(errors, tilt_deg=None, vertical_m=None)
+    freedom = alignment.freedom
+    if freedom is not None and freedom.moves_positions and not freedom.about_gravity:
+        return dataclasses.replace(errors, horizontal_m=None, vertical_m=None)
+    return errors
 
 
 def _absolute_errors(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from trajeval_ros.exceptions import InputError
+from trajeval_ros.exceptions import DegenerateGeometryError, InputError
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -21,10 +23,26 @@ def align_pairs(pairs: Association, protocol: Protocol) -> Alignment:
 
     Raises:
         InputError: The pairs lack orientations or covariances that the protocol needs.
-        DegenerateGeometryError: Too few states, or no motion, for the gauge.
+        DegenerateGeometryError: Too few states, or no motion, for the gauge; or first states on
+            an exact line, about which later states could have any rotation.
     """
     alignment = _alignment_of(pairs, protocol)
-    return alignment.scale_alone if protocol.apply == "scale" else alignment
+    if protocol.apply == "scale":
+        return alignment.scale_alone
+    if alignment.states_used < len(pairs) and _is_open(alignment):
+        p, q = pairs.groundtruth.positions, pairs.estimate.positions
+        if not _is_open(align(protocol.gauge, p, q)):
+            raise DegenerateGeometryError(
+                f"the first {alignment.states_used} states do not determine the rotation of the "
+                "later ones, because they are on a line; align by more states, or by the first "
+                "one alone (align states 1)"
+            )
+    return alignment
+
+
+def _is_open(alignment: Alignment) -> bool:
+    """Return whether a rotation of the alignment is undetermined up to rounding."""
+    return alignment.freedom is not None and math.isinf(alignment.freedom.std_deg)
 
 
 def _alignment_of(pairs: Association, protocol: Protocol) -> Alignment:

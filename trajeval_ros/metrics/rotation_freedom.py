@@ -61,11 +61,14 @@ class RotationFreedom:
         about_gravity: Whether the gauge's rotation is about gravity only.
         std_deg: Standard deviation about the least determined axis; infinite if undetermined.
         orientations: Comparison with the orientations; None without them on both sides.
+        moves_positions: Whether the rotation is undetermined and moves aligned positions: the
+            groundtruth is on an exact line, and the estimate leaves it.
     """
 
     about_gravity: bool
     std_deg: float
     orientations: OrientationEvidence | None
+    moves_positions: bool = False
 
     @property
     def is_misleading(self) -> bool:
@@ -171,7 +174,8 @@ def rotation_freedom(
     curvature = ((size + arm_m**2) * _IDENTITY - aligned)[axes, axes]
     curvatures, directions = np.linalg.eigh(curvature)
     variances, principal = np.array([np.inf]), np.zeros((len(curvature), 1))
-    if not is_free and curvatures[0] > _ROUNDING * size:
+    is_off_line = bool(curvatures[0] > _ROUNDING * size)
+    if not is_free and is_off_line:
         # The error of a wrong scale is parallel to the lever arm and causes no rotation.
         gradient = _of_cross_products(aligned, moments.covariance_error(best_scale * rotation))
         # Errors of orientations, weighted by the arm, count as one sample, too.
@@ -190,7 +194,12 @@ def rotation_freedom(
             turn_in_stds=math.sqrt(float(np.square(turn[axes] @ principal) @ (1.0 / spread))),
         )
     std_deg = math.degrees(math.sqrt(max(float(variances[-1]), 0.0)))
-    return RotationFreedom(gauge.turns_about_gravity_only, std_deg, seen)
+    return RotationFreedom(
+        gauge.turns_about_gravity_only,
+        std_deg,
+        seen,
+        moves_positions=is_free and bool(is_off_line),
+    )
 
 
 def _of_cross_products(a: Floats, e: Floats) -> Floats:

@@ -25,6 +25,7 @@ from trajeval_ros.metrics.association import (
     AssociationRule,
 )
 from trajeval_ros.metrics.coverage import Coverage
+from trajeval_ros.metrics.evaluation import meaningful
 from trajeval_ros.metrics.moments import Moments
 from trajeval_ros.metrics.pair_steps import StampedPoses
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
@@ -377,12 +378,14 @@ class OnlineEvaluator:
     def _errors(self, stamps: Stamps, groundtruth: Floats, estimate: Floats) -> AbsoluteErrors:
         """Return the errors of stored pairs (N,), (N, 10), (N, 10) under the present alignment."""
         assert self._aligning.found is not None
-        aligned = self._aligning.found.similarity.trajectory(trajectory(stamps, estimate))
-        return absolute_errors(
+        alignment, protocol = self._aligning.found, self.settings.protocol
+        aligned = alignment.similarity.trajectory(trajectory(stamps, estimate))
+        errors = absolute_errors(
             trajectory(stamps, groundtruth, self._vertical),
             aligned,
-            rotation=not self._aligning.found.why_withheld(self.settings.protocol),
+            rotation=not alignment.why_withheld(protocol),
         )
+        return meaningful(errors, alignment, protocol.gauge)
 
     def _errors_of(self, pairs: Pairs) -> tuple[PairErrors, ...]:
         """Return errors of pairs between the frames' own axes under the present alignment."""
