@@ -103,6 +103,16 @@ def test_alignment_is_what_a_general_optimiser_finds() -> None:
     assert ours.scale == pytest.approx(np.exp(found.x[6]), rel=1e-5)
 
 
+def test_an_estimate_in_other_units_loses_no_digits() -> None:
+    random = np.random.default_rng(4)
+    truth = random.normal(size=(5, 3)) * [5.0, 0.05, 0.02]
+    estimate = truth + 1e-3 * random.normal(size=(5, 3))
+    # A power of two changes no digit of the estimate.
+    small, large = (align("sim3", truth, unit * estimate).similarity for unit in (1.0, 1024.0))
+    np.testing.assert_allclose(large.rotation, small.rotation, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(1024.0 * large.scale, small.scale, rtol=1e-14)
+
+
 def test_a_mirrored_estimate_is_turned_not_mirrored() -> None:
     p, _ = points(6)
     found = align(Gauge.SE3, p, p * [1.0, 1.0, -1.0]).similarity

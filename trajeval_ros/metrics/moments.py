@@ -60,13 +60,11 @@ class Moments:
             groundtruth: (N, 3) positions p, metres.
             estimate: (N, 3) positions q, metres.
             weights: (N,) positive weights; None for equal weights.
-            anchor: Alignment of the residuals; by default the translation between the means of
-                the first block.
+            anchor: Alignment of the residuals; by default the scale and the translation between
+                the first blocks.
         """
         if anchor is None and len(groundtruth):
-            first = slice(_BLOCK)
-            shift = groundtruth[first].mean(axis=0) - estimate[first].mean(axis=0)
-            anchor = Similarity(np.eye(3), shift)
+            anchor = _scale_and_shift(groundtruth[:_BLOCK], estimate[:_BLOCK])
         anchor = anchor or Similarity.identity()
         blocks = [slice(begin, begin + _BLOCK) for begin in range(0, len(groundtruth), _BLOCK)]
         parts = [
@@ -168,3 +166,14 @@ class Moments:
         """Return the root mean square of |p - (aligned q)|, metres: the ATE, eq. (24)."""
         mean = self.mean_difference(alignment.linear) - alignment.translation
         return math.hypot(*mean.tolist(), self.spread(alignment.linear))
+
+
+def _scale_and_shift(groundtruth: Floats, estimate: Floats) -> Similarity:
+    """Return the similarity between positions (N, 3) and (N, 3) without a rotation.
+
+    Without the scale, an estimate in millimetres would lose three digits of the residuals.
+    """
+    middle, own_middle = groundtruth.mean(axis=0), estimate.mean(axis=0)
+    size, own_size = np.linalg.norm(groundtruth - middle), np.linalg.norm(estimate - own_middle)
+    scale = float(size / own_size) if size > 0.0 and own_size > 0.0 else 1.0
+    return Similarity(np.eye(3), middle - scale * own_middle, scale)
