@@ -113,6 +113,14 @@ def test_an_estimate_in_other_units_loses_no_digits() -> None:
     np.testing.assert_allclose(1024.0 * large.scale, small.scale, rtol=1e-14)
 
 
+def test_a_yaw_is_determined_even_if_the_estimate_is_upside_down() -> None:
+    p, _ = points(7, error_m=0.0)
+    p = p * [1.0, 1.0, 5.0]
+    freedom = align(Gauge.YAW, p, p * [1.0, 1.0, -1.0]).freedom
+    assert freedom is not None
+    assert np.isfinite(freedom.std_deg)
+
+
 def test_a_mirrored_estimate_is_turned_not_mirrored() -> None:
     p, _ = points(6)
     found = align(Gauge.SE3, p, p * [1.0, 1.0, -1.0]).similarity

@@ -151,6 +151,8 @@ def _fit(
         target = scale * sigma + pull
         rotation, curvature = _nearest_rotation(gauge, target)
         best_scale = _best_scale(rotation, sigma, moments)
+        if gauge.turns_freely:
+            best_scale = max(best_scale, 0.0)  # negative only by a pull that contradicts Sigma
         before, scale = scale, best_scale if gauge.has_scale else 1.0
         if not pull.any() or abs(scale - before) <= _SAME_SCALE * scale:
             break
@@ -173,12 +175,15 @@ def _nearest_rotation(gauge: Gauge, target: Floats) -> tuple[Floats, float]:
 
 
 def _best_scale(rotation: Floats, sigma: Floats, moments: Moments) -> float:
-    """Return the scale of Alg. 1, line 9, where trace(D W) equals the trace of R^T Sigma."""
+    """Return the scale of Alg. 1, line 9, where trace(D W) equals the trace of R^T Sigma.
+
+    It is negative if a rotation about gravity leaves most of the motion reversed.
+    """
     if moments.variance_q <= 0.0:
         return 1.0
     scale = float(np.vdot(rotation, sigma)) / moments.variance_q
     # A groundtruth at rest gives a scale of zero; the remainder is rounding of the sums.
-    return scale if scale > _ROUNDING * moments.anchor.scale else 0.0
+    return scale if abs(scale) > _ROUNDING * moments.anchor.scale else 0.0
 
 
 def _is_mirrored(orthogonal: Floats) -> bool:
