@@ -13,7 +13,6 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.dropped_counts import add_counts
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import BODYS_VELOCITIES
-from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH
 from trajeval_ros.online.alarms import Peaks
@@ -59,7 +58,6 @@ class LiveEstimate:
         slow: Hints, and the errors of the newest path.
         standing: Reported conditions that still hold.
         newest: Type and bytes of the newest message; None before the first one and for paths.
-        offset_ns: Clock offset that is added to its timestamps, nanoseconds.
         doubt: Why the groundtruth's up axis is probably wrong, at the newest snapshot; empty if it
             is plausible.
     """
@@ -128,7 +126,6 @@ class LiveEstimate:
         self._held = HeldMessages() if hold else None
         self._held_for_next: Sequence[HeldCall] = ()
         self._released: list[Update] = []
-        self.offset_ns = round(settings.protocol.association.time_offset_s * NANOSECONDS)
         self.newest: tuple[str, bytes] | None = None
         self._undigested: list[Pairs] = []
         if after is not None:
@@ -137,14 +134,13 @@ class LiveEstimate:
     def _follow(self, before: LiveEstimate) -> None:
         """Take over the state that is common to all segments."""
         self.latency, self.peaks, self.standing = before.latency, before.peaks, before.standing
-        self.watch, self.offset_ns = before.watch, before.offset_ns
-        self._jumps_found = before._jumps_found
+        self.watch, self._jumps_found = before.watch, before._jumps_found
         if before.following is not None:
             self.jumps = before.jumps  # keeps the usual step size
-        self.evaluator.set_offset(before.evaluator.offset_s)
+        self.evaluator.set_offset(before.evaluator.settings.offset_s)
         self._judge_by_body()
-        self.evaluator.groundtruth_up = before.evaluator.groundtruth_up
-        self.evaluator.estimate_up = before.evaluator.estimate_up
+        self.evaluator.frames.groundtruth_up = before.evaluator.frames.groundtruth_up
+        self.evaluator.frames.estimate_up = before.evaluator.frames.estimate_up
         self._take_held(before._held_for_next)
 
     def set_gauge(self, gauge: Gauge) -> None:
@@ -175,6 +171,11 @@ class LiveEstimate:
         return self.stream.up(self._given_up)
 
     @property
+    def offset_ns(self) -> int:
+        """Clock offset that is added to its timestamps, nanoseconds."""
+        return self.evaluator.settings.offset_ns
+
+    @property
     def held_s(self) -> float:
         """Time span of the stored messages, seconds."""
         return 0.0 if self._held is None else self._held.span_s
@@ -184,7 +185,6 @@ class LiveEstimate:
         assert self._held is not None
         self.evaluator.set_offset(offset_s)
         self._judge_by_body()
-        self.offset_ns = round(offset_s * NANOSECONDS)
         if self.revised is not None:
             self.revised.states = self._body.estimated(self.revised.states)
         held, self._held = self._held, None
@@ -210,7 +210,7 @@ class LiveEstimate:
 
     def take(self, poses: StateColumns, received: Stamps) -> None:
         """Add states and their times of reception, (N,), nanoseconds since 1970."""
-        self.evaluator.estimate_up = self.up
+        self.evaluator.frames.estimate_up = self.up
         self.clock.add_estimate(poses.stamps, poses.states)
         self._now_or_later(
             "estimate", poses.stamps, lambda segment: segment._evaluate(poses, received)
@@ -224,7 +224,7 @@ class LiveEstimate:
     def _evaluate_new(self, *, at_end: bool = False) -> Update:
         """Evaluate the pairs that are possible now, up to a jump that ends the segment."""
         buffer = self.evaluator.buffer
-        pairs = self.evaluator.of_same_point(buffer.made(at_end=at_end))
+        pairs = self.evaluator.frames.of_same_point(buffer.made(at_end=at_end))
         if self._splits and len(pairs.stamps):
             pairs = self._before_a_jump(pairs)
         buffer.settle()
@@ -255,7 +255,7 @@ class LiveEstimate:
         snapshot = self.evaluator.snapshot()
         stamps, truth, _ = self.trail.columns()
         if len(stamps):
-            self.doubt = doubt_of(trajectory(stamps, truth, self.evaluator.groundtruth_up))
+            self.doubt = doubt_of(trajectory(stamps, truth, self.evaluator.frames.groundtruth_up))
         if not self.doubt:
             return snapshot
         return replace(snapshot, ate={**snapshot.ate, "yaw_deg": None, "tilt_deg": None})
@@ -290,7 +290,7 @@ class LiveEstimate:
             self.trail,
             None if self.why_not_revised else self.revised,
             protocol,
-            (evaluator.groundtruth_up, self.up),
+            (evaluator.frames.groundtruth_up, self.up),
             self._body.renamed(truth_body, self.stream.status.child_frame),
             of_clocks=self.clock.report.offset_s is None,
         )
@@ -345,7 +345,7 @@ class LiveEstimate:
 
     def take_path(self, path: StateColumns, arrived_ns: int) -> None:
         """Add a path: evaluate its new poses, and store the revision of the others."""
-        self.evaluator.estimate_up = self.up
+        self.evaluator.frames.estimate_up = self.up
         if self.revised is None:
             self.revised = RevisedPath(self.evaluator.settings.protocol.gauge, self.up)
             reason = "paths are revised during the run, so their clock can't be estimated"
@@ -376,7 +376,7 @@ class LiveEstimate:
     def _evaluate(self, poses: StateColumns, received: Stamps) -> None:
         self.latency.arrive(poses.stamps + self.offset_ns, received)
         left_out = self._body.leaves_out_velocities_of(poses.states, is_truth=False)
-        if left_out or self.evaluator.leaves_out_velocities_of(poses.states):
+        if left_out or self.evaluator.frames.leaves_out_velocities_of(poses.states):
             self.stream.status.note(BODYS_VELOCITIES)
         self.evaluator.add_estimate(poses.stamps, self._body.estimated(poses.states))
 

@@ -241,7 +241,7 @@ class LiveRun:
             for folder in dict.fromkeys(each.folder for each in fed):
                 self.folders.keep_fixes(folder, poses.stamps, poses.fixes)
         for each in fed:
-            each.evaluator.groundtruth_up = self.groundtruth_up
+            each.evaluator.frames.groundtruth_up = self.groundtruth_up
             each.add_groundtruth(poses.stamps, poses.states)
         if not len(poses.stamps):
             return
