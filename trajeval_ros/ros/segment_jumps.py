@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from copy import copy
 
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.online.jump_detector import Jump, JumpDetector
+from trajeval_ros.online.notices import WARN, Notice
 from trajeval_ros.online.pairing import Pairing
 from trajeval_ros.online.state_rows import Pairs
 
@@ -68,3 +70,18 @@ class SegmentJumps:
         """Return the jumps that were detected since the last call."""
         found, self._found = self._found, []
         return found
+
+
+def about_jump(name: str, jump: Jump) -> Notice:
+    """Return the notice about a jump of an estimate, by the estimate's name."""
+    said = (
+        f"{name} jumps by {jump.position_m:.2f} m and {jump.rotation_deg:.0f} deg at "
+        f"{jump.stamp / NANOSECONDS:.3f} s: probably a restart with a new origin, which one "
+        "alignment can't fit; to start a new run, call ~/reset"
+    )
+    values = {
+        "stamp_ns": jump.stamp,
+        "position_m": jump.position_m,
+        "rotation_deg": jump.rotation_deg,
+    }
+    return Notice("jump", WARN, said, values=values)
