@@ -22,7 +22,8 @@ from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Stamps
-from trajeval_ros.geometry.fixes import Fixes, FixRule
+from trajeval_ros.geometry.fix_selection import FixRule
+from trajeval_ros.geometry.fixes import Fixes
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.geodesy import Datum
 from trajeval_ros.geometry.trajectory import (
