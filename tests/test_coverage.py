@@ -26,7 +26,7 @@ from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.state_rows import states
 from trajeval_ros.online.waypoint_stream import WaypointStream
 from trajeval_ros.online.window import Window
-from trajeval_ros.report.tables import verdict
+from trajeval_ros.report.verdict_lines import verdict
 
 SECOND = NANOSECONDS
 EUROC = ("MH_01", "MH_05", "V2_03")

@@ -120,18 +120,20 @@ def refuse_inputs(outputs: Sequence[Path | None], sources: Sequence[str]) -> Non
 def _print(outcome: Outcome, output: Path | None) -> None:
     from trajeval_ros.report import tables
     from trajeval_ros.report.calibration_lines import calibration_lines
+    from trajeval_ros.report.consistency_lines import consistency_lines
     from trajeval_ros.report.console import console, show
     from trajeval_ros.report.diagnosis_lines import diagnosis_lines
+    from trajeval_ros.report.verdict_lines import own_error_line, verdict
 
     runs = outcome.runs
     evaluations = [run.evaluation for run in runs]
     terminal = console()
     for run in runs:
-        headline, *rest = tables.verdict(run.evaluation)
+        headline, *rest = verdict(run.evaluation)
         for line in (headline, *diagnosis_lines(run), *rest):
             terminal.print(line, soft_wrap=True)
         if run.own_error is not None:
-            terminal.print(tables.own_error_line(run.own_error), soft_wrap=True)
+            terminal.print(own_error_line(run.own_error), soft_wrap=True)
     if outcome.request.gauge_is_default:
         terminal.print(
             f"  gauge {evaluations[0].protocol.gauge.value} by default; set the sensors with "
@@ -166,7 +168,7 @@ def _print(outcome: Outcome, output: Path | None) -> None:
             for line in calibration_lines(run.estimate.name, run.calibrated):
                 terminal.print(line, soft_wrap=True)
         if run.consistency is not None:
-            for line in tables.consistency_lines(run.estimate.name, run.consistency):
+            for line in consistency_lines(run.estimate.name, run.consistency):
                 terminal.print(line, soft_wrap=True)
     _print_integrity(terminal, runs)
     if output is not None:
