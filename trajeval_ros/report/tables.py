@@ -85,7 +85,7 @@ def _rmse(statistics: Statistics | None) -> str:
 def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | None:
     """Return the table of relative errors, a row per estimate and length; None if there are none.
 
-    It has means and, if the width allows it, medians: a few bad sub-trajectories dominate the mean.
+    Numbers are means and, in wide terminals, medians: few bad sub-trajectories dominate means.
     """
     metrics = [
         metric
