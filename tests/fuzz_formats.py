@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from damaged_bags import definition, payloads
 from fuzz_changes import (
     ODD,
     Changed,
@@ -40,7 +41,6 @@ from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 from test_compare_gates import made_table
 from test_finish_faults import DESCRIPTION, STATE, columns
-from test_io_damage import definition, payloads
 
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.gate_values import GateValues
