@@ -8,13 +8,7 @@ import numpy as np
 import pytest
 from evaluation_settings import BASE
 from scipy.spatial.transform import Rotation
-from strategies import (
-    assert_same_numbers,
-    make_element,
-    make_estimate,
-    make_groundtruth,
-    moved,
-)
+from strategies import assert_same_numbers, make_element, make_estimate, make_groundtruth, moved
 
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
 from trajeval_ros.geometry.gauge import Gauge

@@ -25,10 +25,7 @@ from trajeval_ros.visual_inertial.outliers import (
 )
 from trajeval_ros.visual_inertial.preintegration import GRAVITY, ImuNoise
 from trajeval_ros.visual_inertial.residual_groups import residual_groups, track_correlation
-from trajeval_ros.visual_inertial.sensor_recording import (
-    SAME_INSTANT_NS,
-    SensorRecording,
-)
+from trajeval_ros.visual_inertial.sensor_recording import SAME_INSTANT_NS, SensorRecording
 
 IMU_NOISE = ImuNoise(1.7e-4, 2e-3)
 BIAS_NOISE = BiasNoise(1e-5, 1e-4, 1e-3, 1e-2)
