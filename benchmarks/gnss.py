@@ -17,7 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from trajeval_ros import Protocol, Request, run
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.fixes import Fixes, FixRule, fix_trajectory
+from trajeval_ros.geometry.fix_selection import FixRule, fix_trajectory
+from trajeval_ros.geometry.fixes import Fixes
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.geodesy import places_at
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory

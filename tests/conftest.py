@@ -93,6 +93,14 @@ def flights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def tracks_flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the feature tracks of a flight; tests do not change it."""
+    from tracks_folders import write_tracks_folder
+
+    return write_tracks_folder(tmp_path_factory.mktemp("tracks") / "flight")
+
+
 @pytest.fixture(scope="module")
 def peer(environment: dict[str, str]) -> Iterator[Any]:
     """A ROS node in the test's own process."""

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from damaged_bags import definition, payloads
 from fuzz_changes import (
     ODD,
     Changed,
@@ -32,15 +33,14 @@ from fuzz_changes import (
     yaml_of,
 )
 from fuzz_more_formats import MORE_FORMATS
+from gate_tables import made_table
 from mcap.records import Channel, Schema
 from mcap_layouts import Layout, Part, record
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
-from test_compare_gates import made_table
 from test_finish_faults import DESCRIPTION, STATE, columns
-from test_io_damage import definition, payloads
 
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.gate_values import GateValues

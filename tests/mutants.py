@@ -42,7 +42,7 @@ SUBPACKAGES = {
     "metrics": {
         "association bracket nearest_association evo_association coverage no_match "
         "frame_association": ("association kitti_protocol online_revised"),
-        "alignment moments weighted_alignment": "alignment evaluation_laws",
+        "alignment moments weighted_alignment": "alignment evaluation_values evaluation_laws",
         "absolute_errors relative_errors drift span_alignment matrix_errors sub_trajectories "
         "sub_trajectory_length": (
             "sub_trajectories relative_error kitti_protocol benchmark_protocols degenerate"
@@ -50,15 +50,16 @@ SUBPACKAGES = {
         "statistics columns score settings protocol named_protocols": (
             "statistics protocol columns benchmark_protocols"
         ),
-        "pair_steps log_histogram enough_pairs": "coverage no_match degenerate",
+        "pair_steps log_histogram enough_pairs": "coverage_parts coverage degenerate few_pairs",
         "editing": "editing",
         "error_vectors": "error_vectors",
         "own_error fix_jumps": "own_error",
-        "orientation_sum rotation_freedom": "rotation_freedom",
+        "orientation_sum rotation_freedom": "rotation_freedom align_with_poses",
         "pose_relations relative_evaluation": "relative_error evo_reference",
         "states_table": "states_table",
         "evaluation pair_alignment input_summary": (
-            "degenerate columns kitti_protocol benchmark_protocols relative_error evaluation_laws"
+            "degenerate columns kitti_protocol benchmark_protocols relative_error "
+            "evaluation_values evaluation_laws"
         ),
     },
     "consistency": {
@@ -78,15 +79,15 @@ SUBPACKAGES = {
         ),
     },
     "batch": {
-        "gate gate_values gate_verdicts gates gates_markdown": "compare_gates",
+        "gate gate_values gate_verdicts gates gates_markdown": "gate_verdicts compare_gates",
         "gate_tests relabelling known_spread common_change noticeable": (
-            "gate_statistics compare_gates"
+            "gate_statistics gate_verdicts compare_gates"
         ),
         "manifest": "compare_manifest",
         "shards": "compare_shards",
     },
     "io/bags": {
-        "ros1_bag ros1_records": "io_ros1_bag io_damage",
+        "ros1_bag ros1_records": "io_ros1_bag io_bag_mistakes",
         "ros1_to_cdr": "io_playback",
         "sqlite_pages": "io_sqlite_pages",
         "cdr cdr_batch cdr_columns cdr_steps cdr_strings": "io_cdr",
@@ -108,7 +109,7 @@ SUBPACKAGES = {
             "visual_inertial_elimination visual_inertial_measurements visual_inertial_laws"
         ),
         "lens keyframe_selection outliers covariance_tests residual_groups sensor_recording": (
-            "tracks_reading tracks_folder visual_inertial_measurements"
+            "keyframe_selection tracks_reading tracks_folder visual_inertial_measurements"
         ),
     },
 }

@@ -12,7 +12,7 @@ from comparison_runs import write_run, write_runs
 from trajeval_ros import Protocol, Trajectory, evaluate, simulate
 from trajeval_ros.batch.compare_runs import compare
 from trajeval_ros.batch.summary_tables import matrices
-from trajeval_ros.report.tables import verdict
+from trajeval_ros.report.verdict_lines import verdict
 
 FEW = "too few for an ATE"
 

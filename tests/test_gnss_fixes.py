@@ -20,7 +20,7 @@ from rosbags.typesys import Stores, get_typestore
 from trajeval_ros import Protocol, Request, evaluate, run, simulate
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.geometry.fixes import FixRule
+from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.geodesy import Datum, east_north_up
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.pose_messages import FIX_TYPE

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from made_bags import pose_stamped, the_file, write
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from ruamel.yaml import YAML
-from test_io_bags import POSE_STAMPED, pose_stamped, the_file, write
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.io.bags.write_bag import POSE_STAMPED
 from trajeval_ros.io.sources import read_trajectory
 
 COUNT = 30  # in each of two files

@@ -8,10 +8,7 @@ from pathlib import Path
 
 import pytest
 import zstandard
-from mcap.records import Channel, Schema
-from mcap.writer import CompressionType
-from mcap_layouts import Layout, Part
-from test_io_damage import (
+from damaged_bags import (
     COUNT,
     SECOND,
     assert_damaged,
@@ -21,6 +18,9 @@ from test_io_damage import (
     rows_of,
     sqlite_file,
 )
+from mcap.records import Channel, Schema
+from mcap.writer import CompressionType
+from mcap_layouts import Layout, Part
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags import compression, mcap_index

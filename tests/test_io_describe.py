@@ -92,7 +92,7 @@ def test_columns_of_a_folder_are_refused(
 def test_a_topic_that_cannot_be_evaluated_is_still_listed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from test_io_bags import pose_stamped, write
+    from made_bags import pose_stamped, write
 
     messages = [
         (topic, POSE_STAMPED, row, pose_stamped(row * (topic == "/good"), float(row)))

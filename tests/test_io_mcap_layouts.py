@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
+from damaged_bags import SECOND, assert_damaged, assert_whole, definition, payloads, rows_of
 from mcap.records import Channel, Schema
 from mcap_layouts import MAGIC, Layout, Part, record
-from test_io_damage import SECOND, assert_damaged, assert_whole, definition, payloads, rows_of
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError

@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from damaged_bags import definition
 from hypothesis import given
+from made_bags import STORE, TYPES, header, pose, pose_stamped, the_file, transform, write
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
@@ -18,8 +20,6 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 from strategies import seeds
-from test_io_bags import STORE, TYPES, header, pose, pose_stamped, the_file, transform, write
-from test_io_damage import definition
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.trajectory import Trajectory

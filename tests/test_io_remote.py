@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from damaged_bags import COUNT, among_images, mcap_file, rows_of, split
+from made_bags import simple, the_file
 from mcap.writer import CompressionType
 from rosbags.rosbag2 import StoragePlugin
-from test_io_bags import simple, the_file
-from test_io_damage import COUNT, among_images, mcap_file, rows_of, split
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.byte_source import RemoteFile

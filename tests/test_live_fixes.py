@@ -17,7 +17,7 @@ from test_live_run import ESTIMATE, TRUTH, Live
 
 from trajeval_ros import simulate
 from trajeval_ros.cli.app import main
-from trajeval_ros.geometry.fixes import FixRule
+from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.geodesy import Datum
 from trajeval_ros.geometry.trajectory import Trajectory

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trajeval_ros import AssociationRule, Protocol, Request, run
-from trajeval_ros.geometry.fixes import FixRule
+from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.alignment import align

@@ -35,14 +35,9 @@ def _examined(folder: Path, **changes: object) -> Examination:
     return examine(read_tracks_folder(folder), MeasurementModel(**{**vars(model), **changes}))
 
 
-@pytest.fixture(scope="module")
-def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_tracks_folder(tmp_path_factory.mktemp("tracks") / "flight")
-
-
 @pytest.fixture
-def folder(tmp_path: Path, flight: Path) -> Path:
-    return shutil.copytree(flight, tmp_path / "flight")
+def folder(tmp_path: Path, tracks_flight: Path) -> Path:
+    return shutil.copytree(tracks_flight, tmp_path / "flight")
 
 
 def _edit(path: Path, change: Callable[[str], str]) -> None:

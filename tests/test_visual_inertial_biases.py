@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tracks_folders import write_tracks_folder
 from visual_inertial_scenes import (
     dense_hessian,
     gradient,
@@ -100,13 +99,8 @@ def test_cost_does_not_depend_on_the_gauge() -> None:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_tracks_folder(tmp_path_factory.mktemp("tracks") / "simulated")
-
-
-@pytest.fixture(scope="module")
-def selection(folder: Path) -> KeyframeSelection:
-    return _selected(folder, BIASES)
+def selection(tracks_flight: Path) -> KeyframeSelection:
+    return _selected(tracks_flight, BIASES)
 
 
 def _selected(folder: Path, noise: BiasNoise | None) -> KeyframeSelection:
@@ -134,8 +128,8 @@ def test_free_covariance_becomes_that_of_fixation(selection: KeyframeSelection) 
     assert np.abs(carried[GAUGE_INDICES]).max() < 1e-12
 
 
-def test_biases_that_cannot_move_are_known_ones(folder: Path) -> None:
-    known, held = (reject_outliers(_selected(folder, noise)) for noise in (None, NO_BIASES))
+def test_biases_that_cannot_move_are_known_ones(tracks_flight: Path) -> None:
+    known, held = (reject_outliers(_selected(tracks_flight, noise)) for noise in (None, NO_BIASES))
     assert np.abs(held.state.biases).max() < 1e-9
     np.testing.assert_allclose(held.state.positions, known.state.positions, atol=1e-6)
     covariance = fixed_covariance(held.selection.problem(), held.state)
@@ -146,8 +140,8 @@ def test_biases_that_cannot_move_are_known_ones(folder: Path) -> None:
     )
 
 
-def test_wrong_biases_of_groundtruth_are_found(folder: Path) -> None:
-    recording = read_tracks_folder(folder)
+def test_wrong_biases_of_groundtruth_are_found(tracks_flight: Path) -> None:
+    recording = read_tracks_folder(tracks_flight)
     truth = recording.groundtruth
     assert truth.gyroscope_biases is not None
     assert truth.accelerometer_biases is not None

@@ -11,8 +11,8 @@ from trajeval_ros.batch.record_store import RecordStore
 from trajeval_ros.batch.records import Record
 from trajeval_ros.metrics.sub_trajectory_length import Length
 from trajeval_ros.report.comparison_plots import Box, BoxPlot, ErrorsPlot, PathsPlot
+from trajeval_ros.report.metric_labels import ABSOLUTE_LABELS, RELATIVE_LABELS
 from trajeval_ros.report.relative_figure import length_labels
-from trajeval_ros.report.tables import ABSOLUTE, RELATIVE
 
 # With more, figures are not readable.
 MOST_SEQUENCES, MOST_ALGORITHMS = 50, 24
@@ -72,10 +72,10 @@ def absolute_drafts(summary: ComparisonSummary) -> Iterator[FigureDraft]:
         if any(box for _, boxes in series for box in boxes):
             yield FigureDraft(
                 f"ate_{metric}",
-                f"ATE over trials, {ABSOLUTE[metric]}",
+                f"ATE over trials, {ABSOLUTE_LABELS[metric]}",
                 "Points: RMSE per trial. Boxes: median and quartiles; whiskers: minimum and "
                 "maximum. Failed runs have no point.",
-                BoxPlot(sequences, series, "", ABSOLUTE[metric]),
+                BoxPlot(sequences, series, "", ABSOLUTE_LABELS[metric]),
             )
 
 
@@ -98,10 +98,10 @@ def _relative_plots(summary: ComparisonSummary, sequence: str) -> Iterator[Figur
             groups, across = length_labels(lengths)
             yield FigureDraft(
                 f"re_{metric}_{sequence}",
-                f"Relative error on {sequence}, {RELATIVE[metric]}",
+                f"Relative error on {sequence}, {RELATIVE_LABELS[metric]}",
                 "All sub-trajectories of all trials. Boxes: median and quartiles; whiskers: 5 % "
                 "to 95 %.",
-                BoxPlot(groups, series, across, RELATIVE[metric]),
+                BoxPlot(groups, series, across, RELATIVE_LABELS[metric]),
             )
 
 

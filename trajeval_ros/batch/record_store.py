@@ -22,14 +22,9 @@ OWN = f"all{SUFFIX}"
 class RecordStore:
     """All records in a folder, by key; of several with the same key, the last one counts."""
 
-    def __init__(self, folder: Path, own: str = OWN) -> None:
-        """Index all entries.
-
-        Args:
-            folder: Folder with files of records; it may not exist yet.
-            own: Name of the file to which records are added.
-        """
-        self._own = folder / own
+    def __init__(self, folder: Path) -> None:
+        """Index all entries of a folder with files of records; it may not exist yet."""
+        self._own = folder / OWN  # records are added to this file
         self._end = 0  # of the last complete entry in that file
         self._places: dict[str, tuple[Path, int]] = {}
         for path in sorted(folder.glob(f"*{SUFFIX}")):

@@ -15,8 +15,8 @@ from trajeval_ros.formatting.numbers import percent, three_decimals
 from trajeval_ros.metrics.coverage import Gap
 from trajeval_ros.metrics.sub_trajectory_length import Length
 from trajeval_ros.report.comparison_page import RunPage
+from trajeval_ros.report.metric_labels import ABSOLUTE_LABELS, RELATIVE_LABELS
 from trajeval_ros.report.page_figures import run_errors_svg, run_path_svg
-from trajeval_ros.report.tables import ABSOLUTE, RELATIVE
 
 _COLUMNS = (
     "key", "kind", "metric", "length", "count", *STATISTICS, "groundtruth", "estimate", "pairs",
@@ -81,7 +81,7 @@ def _figures(records: RecordStore, key: str, place: int) -> tuple[str, ...]:
 
 
 def _statistics(row: dict[str, Any]) -> tuple[str, ...]:
-    labels = ABSOLUTE if row["kind"] == ATE else RELATIVE
+    labels = ABSOLUTE_LABELS if row["kind"] == ATE else RELATIVE_LABELS
     where = {ATE: "ATE", POOLED: "RE all lengths"}.get(row["kind"])
     where = where or f"RE {Length.parse(row['length']).text}"
     values = [three_decimals(row[name]) for name in STATISTICS]

@@ -17,8 +17,9 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.enough_pairs import enough_pairs
 from trajeval_ros.metrics.sub_trajectory_length import Length
+from trajeval_ros.report.definitions import METHOD_TEXTS, RE_FORM_TEXTS
 from trajeval_ros.report.matrix import Cell, Matrix
-from trajeval_ros.report.tables import ABSOLUTE, METHODS, RE_FORMS, RELATIVE
+from trajeval_ros.report.metric_labels import ABSOLUTE_LABELS, RELATIVE_LABELS
 
 _PARTIAL, _FEW, _DIAGNOSED = "†", "‡", "§"
 _NO_MISTAKES = {"few_pairs", "keyframes"}  # findings with a separate mark, or without one
@@ -45,7 +46,7 @@ def definition(settings: dict[str, Any]) -> str:
     return (
         f"Protocol {settings['protocol']}, aligned by {settings['gauge']} "
         f"({Gauge(settings['gauge']).description}){modality} with {how}; "
-        f"{METHODS[rule.method].format(rule)}{span}.{_calibration(settings)}"
+        f"{METHOD_TEXTS[rule.method].format(rule)}{span}.{_calibration(settings)}"
     )
 
 
@@ -169,7 +170,7 @@ def _absolute(summary: ComparisonSummary, metric: str) -> Matrix | None:
             f" {_DIAGNOSED} mistakes found ({', '.join(sorted(causes))}); follow the warnings of "
             "the runs."
         )
-    title = f"ATE, {ABSOLUTE[metric]}"
+    title = f"ATE, {ABSOLUTE_LABELS[metric]}"
     brief = _brief(
         summary, f"{title}, RMSE{', median of trials' if several else ''}", notes, enough
     )
@@ -261,11 +262,12 @@ def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
         return None
     caption = (
         "Relative error, mean over the sub-trajectories of all sequences and trials; "
-        f"{RE_FORMS[summary.settings['re_form']]}. {definition(summary.settings)} {_COMPARABLE}"
+        f"{RE_FORM_TEXTS[summary.settings['re_form']]}. {definition(summary.settings)} "
+        f"{_COMPARABLE}"
     )
     if some_lost:
         caption += " Algorithms with failed runs are not ranked."
-    title = f"Relative error, {RELATIVE[metric]}, by length"
+    title = f"Relative error, {RELATIVE_LABELS[metric]}, by length"
     brief = _brief(summary, f"{title}, mean over all sub-trajectories")
     names = [Length.parse(length).text for length in lengths]
     return _matrix(summary, f"re_{metric}", title, caption, rows, names, brief)

@@ -118,37 +118,66 @@ def refuse_inputs(outputs: Sequence[Path | None], sources: Sequence[str]) -> Non
 
 
 def _print(outcome: Outcome, output: Path | None) -> None:
-    from trajeval_ros.report import tables
     from trajeval_ros.report.calibration_lines import calibration_lines
-    from trajeval_ros.report.console import console, show
-    from trajeval_ros.report.diagnosis_lines import diagnosis_lines
+    from trajeval_ros.report.consistency_lines import consistency_lines
+    from trajeval_ros.report.console import console
 
-    runs = outcome.runs
-    evaluations = [run.evaluation for run in runs]
     terminal = console()
-    for run in runs:
-        headline, *rest = tables.verdict(run.evaluation)
+    _print_verdicts(terminal, outcome)
+    _print_likelihoods(terminal, outcome)
+    _print_errors(terminal, outcome.runs)
+    for run in outcome.runs:
+        if run.calibrated is not None:
+            for line in calibration_lines(run.estimate.name, run.calibrated):
+                terminal.print(line, soft_wrap=True)
+        if run.consistency is not None:
+            for line in consistency_lines(run.estimate.name, run.consistency):
+                terminal.print(line, soft_wrap=True)
+    _print_integrity(terminal, outcome.runs)
+    if output is not None:
+        from trajeval_ros.cli.evaluation_folder import contents
+
+        terminal.print(f"\n{contents(output)}", soft_wrap=True)
+    terminal.file.flush()
+    _print_remarks(outcome.runs)
+
+
+def _print_verdicts(terminal: Console, outcome: Outcome) -> None:
+    from trajeval_ros.report.diagnosis_lines import diagnosis_lines
+    from trajeval_ros.report.verdict_lines import own_error_line, verdict
+
+    for run in outcome.runs:
+        headline, *rest = verdict(run.evaluation)
         for line in (headline, *diagnosis_lines(run), *rest):
             terminal.print(line, soft_wrap=True)
         if run.own_error is not None:
-            terminal.print(tables.own_error_line(run.own_error), soft_wrap=True)
+            terminal.print(own_error_line(run.own_error), soft_wrap=True)
     if outcome.request.gauge_is_default:
         terminal.print(
-            f"  gauge {evaluations[0].protocol.gauge.value} by default; set the sensors with "
-            "--modality (mono, stereo, stereo-inertial, ...)",
+            f"  gauge {outcome.runs[0].evaluation.protocol.gauge.value} by default; set the "
+            "sensors with --modality (mono, stereo, stereo-inertial, ...)",
             soft_wrap=True,
         )
-    likely = outcome.likelihoods
-    if likely:
-        from trajeval_ros.report.probabilistic_table import (
-            probabilistic_lines,
-            probabilistic_table,
-        )
 
-        terminal.print()
-        show(terminal, probabilistic_table(likely))
-        for line in probabilistic_lines(likely):
-            terminal.print(line, soft_wrap=True)
+
+def _print_likelihoods(terminal: Console, outcome: Outcome) -> None:
+    likely = outcome.likelihoods
+    if not likely:
+        return
+    from trajeval_ros.report.console import show
+    from trajeval_ros.report.probabilistic_table import probabilistic_lines, probabilistic_table
+
+    terminal.print()
+    show(terminal, probabilistic_table(likely))
+    for line in probabilistic_lines(likely):
+        terminal.print(line, soft_wrap=True)
+
+
+def _print_errors(terminal: Console, runs: Sequence[RunOutcome]) -> None:
+    from trajeval_ros.report import tables
+    from trajeval_ros.report.console import show
+
+    evaluations = [run.evaluation for run in runs]
     terminal.print()
     show(terminal, tables.absolute_table(evaluations, terminal.width))
     by_states = tables.states_table(runs)
@@ -161,21 +190,15 @@ def _print(outcome: Outcome, output: Path | None) -> None:
     if relative is not None:
         terminal.print()
         show(terminal, relative)
-    for run in runs:
-        if run.calibrated is not None:
-            for line in calibration_lines(run.estimate.name, run.calibrated):
-                terminal.print(line, soft_wrap=True)
-        if run.consistency is not None:
-            for line in tables.consistency_lines(run.estimate.name, run.consistency):
-                terminal.print(line, soft_wrap=True)
-    _print_integrity(terminal, runs)
-    if output is not None:
-        from trajeval_ros.cli.evaluation_folder import contents
 
-        terminal.print(f"\n{contents(output)}", soft_wrap=True)
-    terminal.file.flush()
+
+def _print_remarks(runs: Sequence[RunOutcome]) -> None:
+    """Print notes about the inputs, and warnings, on stderr."""
+    from trajeval_ros.report.console import console
+
     remarks = console(sys.stderr)
-    for trajectory in (evaluations[0].groundtruth, *(each.estimate for each in evaluations)):
+    groundtruth = runs[0].evaluation.groundtruth
+    for trajectory in (groundtruth, *(run.evaluation.estimate for run in runs)):
         if trajectory.notes:
             remarks.print(
                 f"note: {trajectory.name}: {'; '.join(trajectory.notes)}", soft_wrap=True

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import typer
 
 from trajeval_ros.cli.pictures import PICTURE
-from trajeval_ros.cli.simulate import ESTIMATE_TOPIC, GROUNDTRUTH_TOPIC, is_simulated
+from trajeval_ros.cli.simulated_bag import ESTIMATE_TOPIC, GROUNDTRUTH_TOPIC, is_simulated
 from trajeval_ros.exceptions import InputError, TrajevalError
 from trajeval_ros.formatting.install_command import extra_command
 from trajeval_ros.formatting.numbers import counted

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,19 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from trajeval_ros.cli import figure_options
-from trajeval_ros.cli.progress import progress
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.report.figure_style import FigureStyle
 
 if TYPE_CHECKING:
-    from trajeval_ros.geometry.arrays import Floats
     from trajeval_ros.report.gauge_report import GaugeStudy
     from trajeval_ros.visual_inertial.examination import Examination, MeasurementModel
     from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
     from trajeval_ros.visual_inertial.preintegration import ImuNoise
     from trajeval_ros.visual_inertial.scene import Scene, SensorProfile
-    from trajeval_ros.visual_inertial.solver import GaugeHandling
-    from trajeval_ros.visual_inertial.study import Covariances, StudiedScene, Trials
+    from trajeval_ros.visual_inertial.study import StudiedScene
 
 _SEED = 0
 _MOTION_LANDMARKS = 150
@@ -150,6 +146,7 @@ def gauge_study(
 
         trajeval gauge-study --output study --motion MH_01.txt --motion V1_01.csv
     """
+    from trajeval_ros.cli.gauge_study_trials import run_study
     from trajeval_ros.visual_inertial import motion as motions
     from trajeval_ros.visual_inertial.examination import MeasurementModel
     from trajeval_ros.visual_inertial.scene import make_scene, profile_named
@@ -178,7 +175,7 @@ def gauge_study(
     scenes |= _recorded(motion or [], start, duration, sensors, keyframes)
     if examined is not None:
         scenes[measured] = examined.scene
-    study = _study(profile, trials, scenes, measured, examined)
+    study = run_study(profile, trials, scenes, measured, examined)
     output.mkdir(parents=True, exist_ok=True)
     _write(output, study, look)
     _print(output, study)
@@ -254,77 +251,6 @@ def _recorded(
             landmarks=_MOTION_LANDMARKS,
         )
     return scenes
-
-
-def _study(
-    profile: str,
-    trials: int,
-    scenes: dict[str, StudiedScene],
-    measured: str,
-    examined: Examination | None,
-) -> GaugeStudy:
-    from trajeval_ros.report.gauge_report import SWEPT, GaugeStudy
-    from trajeval_ros.visual_inertial.study import PATH_WEIGHTS, paths
-
-    figured = ["sine random", *(name for name in scenes if " of " in name)]
-    transformed = {name: _transformed(name, scenes[name], trials) for name in figured}
-    return GaugeStudy(
-        profile,
-        trials,
-        {name: scene.truth for name, scene in scenes.items()},
-        {name: _compared(name, scene, trials) for name, scene in scenes.items()},
-        {
-            name: _swept(name, scenes[name], trials)
-            for name in (SWEPT, *([measured] if measured else []))
-        },
-        paths(scenes[SWEPT], PATH_WEIGHTS),
-        {name: first for name, (first, _) in transformed.items()},
-        {name: differences for name, (_, differences) in transformed.items()},
-        measured,
-        examined,
-        os.environ.get("OPENBLAS_NUM_THREADS", ""),
-    )
-
-
-def _compared(name: str, scene: StudiedScene, trials: int) -> dict[GaugeHandling, Trials]:
-    from trajeval_ros.visual_inertial.study import compare
-
-    with progress(f"{name}, {trials} trials") as advance:
-        done = iter(range(1, trials + 1))
-        return compare(scene, trials, lambda: advance(next(done), trials))
-
-
-def _swept(name: str, scene: StudiedScene, trials: int) -> list[Trials]:
-    from trajeval_ros.visual_inertial.study import SWEEP_WEIGHTS, sweep
-
-    with progress(f"{name}, prior weights") as advance:
-        done = iter(range(1, len(SWEEP_WEIGHTS) + 1))
-        count = len(SWEEP_WEIGHTS)
-        return sweep(scene, trials, lambda: advance(next(done), count), SWEEP_WEIGHTS)
-
-
-def _transformed(
-    name: str, scene: StudiedScene, trials: int
-) -> tuple[tuple[Covariances, Covariances], tuple[Floats, Floats]]:
-    """Return the covariances of the first trial, and the differences of all."""
-    import numpy as np
-
-    from trajeval_ros.visual_inertial.study import covariances
-
-    def pair_of(trial: int) -> tuple[Covariances, Covariances]:
-        return (
-            covariances(scene, trial, is_converged=False),
-            covariances(scene, trial, is_converged=True),
-        )
-
-    first = pair_of(0)
-    stopped, converged = np.empty((2, trials))
-    with progress(f"{name}, covariances") as advance:
-        for trial in range(trials):
-            pair = pair_of(trial) if trial else first
-            stopped[trial], converged[trial] = (each.difference for each in pair)
-            advance(trial + 1, trials)
-    return first, (stopped, converged)
 
 
 def _write(folder: Path, study: GaugeStudy, look: FigureStyle) -> None:

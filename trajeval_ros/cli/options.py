@@ -27,26 +27,28 @@ _MODALITIES = "; ".join(
     if gauge in MODALITIES.values()
 )
 
-_GROUNDTRUTH = typer.Option(
-    "--groundtruth",
-    "-g",
-    metavar="SOURCE",
-    help="Groundtruth: PATH, BAG:TOPIC or BAG:/tf:PARENT.CHILD; - reads text from stdin. The "
-    "format is detected from the content: text (TUM, KITTI, EuRoC, OpenVINS, VINS-Mono) or bag "
-    "(MCAP, rosbag2 sqlite3, ROS 1).",
-    rich_help_panel=INPUT,
-)
-_ESTIMATES = typer.Option(
-    "--estimate",
-    "-e",
-    metavar="SOURCE",
-    help="Trajectory to evaluate. Repeat the option to evaluate several.",
-    rich_help_panel=INPUT,
-)
-GroundtruthOption = Annotated[str, _GROUNDTRUTH]
-GroundtruthIfNamedOption = Annotated[str | None, _GROUNDTRUTH]
-EstimatesOption = Annotated[list[str], _ESTIMATES]
-EstimatesIfNamedOption = Annotated[list[str] | None, _ESTIMATES]
+GroundtruthIfNamedOption = Annotated[
+    str | None,
+    typer.Option(
+        "--groundtruth",
+        "-g",
+        metavar="SOURCE",
+        help="Groundtruth: PATH, BAG:TOPIC or BAG:/tf:PARENT.CHILD; - reads text from stdin. The "
+        "format is detected from the content: text (TUM, KITTI, EuRoC, OpenVINS, VINS-Mono) or "
+        "bag (MCAP, rosbag2 sqlite3, ROS 1).",
+        rich_help_panel=INPUT,
+    ),
+]
+EstimatesIfNamedOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--estimate",
+        "-e",
+        metavar="SOURCE",
+        help="Trajectory to evaluate. Repeat the option to evaluate several.",
+        rich_help_panel=INPUT,
+    ),
+]
 ProtocolOption = Annotated[
     str | None,
     typer.Option(

@@ -11,18 +11,22 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.cli.simulated_bag import (
+    ESTIMATE_TOPIC,
+    FIX_TOPIC,
+    GROUNDTRUTH_TOPIC,
+    IMU_TOPIC,
+    make_way,
+    make_way_for_covariance,
+)
+from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.io.temporary import temporary_folder
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
 
-GROUNDTRUTH_TOPIC = "/groundtruth/pose"
-ESTIMATE_TOPIC = "/vio/odometry"
-FIX_TOPIC, FIX_TYPE = "/fix", "sensor_msgs/msg/NavSatFix"
+FIX_TYPE = "sensor_msgs/msg/NavSatFix"
 RECEIVERS = ("rtk", "consumer")
-IMU_TOPIC = "/imu"
 _DRIFT = "drift"
 _FAULTS = ("yaw", "jump", "freeze", "divergence")
 # Lever arm (m), rotation (rad) and time offset (s) of the marker relative to the body.
@@ -196,8 +200,8 @@ def _write_runs(
     if runs > 1:
         bags = [output.with_name(f"{output.name}_{number}") for number in range(runs)]
     for bag in bags:
-        _make_way_for_covariance(_covariance_of(bag), overwrite=overwrite)
-        _make_way(bag, overwrite=overwrite)
+        make_way_for_covariance(_covariance_of(bag), overwrite=overwrite)
+        make_way(bag, overwrite=overwrite)
     output.parent.mkdir(parents=True, exist_ok=True)
     with progress(f"{runs} runs of {duration:g} s") as advance:
         for number, (bag, odometry) in enumerate(
@@ -257,7 +261,7 @@ def _write_drift(
     from trajeval_ros.visual_inertial.simulated_imu import readings_of
 
     simulated = drifting_odometry.simulate(seed, duration, drives=gnss is not None)
-    _make_way(output, overwrite=overwrite)
+    make_way(output, overwrite=overwrite)
     output.parent.mkdir(parents=True, exist_ok=True)
     groundtruth, more, options = simulated.groundtruth, "", ""
     estimate = simulated.estimate
@@ -336,57 +340,3 @@ def _say(
         f"next: trajeval evaluate --groundtruth {bag}:{measured_by} "
         f"--estimate {bag}:{ESTIMATE_TOPIC} --modality stereo-inertial{options}"
     )
-
-
-def _make_way(output: Path, *, overwrite: bool) -> None:
-    """Remove the bag of an earlier simulation if `overwrite` is set; never remove other files."""
-    if not output.exists() and not output.is_symlink():
-        return
-    if not overwrite:
-        raise InputError(f"{output} exists; choose another folder or add --overwrite")
-    if not is_simulated(output):
-        raise InputError(
-            f"{output} is not a bag from trajeval simulate and is not overwritten; choose another "
-            "folder"
-        )
-    # After a kill, a partly removed bag would not be recognised as a simulation.
-    with temporary_folder(output.name, output.parent) as going:
-        output.rename(going / output.name)
-
-
-def _make_way_for_covariance(file: Path, *, overwrite: bool) -> None:
-    """Check that a file may be replaced: `overwrite` is set, and it is a joint covariance.
-
-    Raises:
-        InputError: It exists and may not be replaced.
-    """
-    from trajeval_ros.io.requests.covariance_file import read_joint_covariance
-
-    if not file.exists() and not file.is_symlink():
-        return
-    if not overwrite:
-        raise InputError(f"{file} exists; choose another folder or add --overwrite")
-    try:
-        read_joint_covariance(file)
-    except InputError as error:
-        raise InputError(
-            f"{file} is not a joint covariance from trajeval simulate and is not overwritten; "
-            "choose another folder"
-        ) from error
-
-
-def is_simulated(folder: Path) -> bool:
-    """Return whether a folder contains a bag with only the simulated topics, and no other file."""
-    metadata = folder / "metadata.yaml"
-    if folder.is_symlink() or not metadata.is_file():
-        return False
-    others = [file for file in folder.iterdir() if file != metadata]
-    if not all(file.is_file() and file.suffix in (".mcap", ".db3") for file in others):
-        return False
-    lines = metadata.read_text(encoding="utf-8", errors="replace").splitlines()
-    topics = {
-        line.split("name:", 1)[1].strip(" '\"")
-        for line in lines
-        if line.strip().startswith("name: /")
-    }
-    return topics - {IMU_TOPIC, FIX_TOPIC} == {GROUNDTRUTH_TOPIC, ESTIMATE_TOPIC}

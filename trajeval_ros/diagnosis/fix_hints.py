@@ -14,7 +14,8 @@ from trajeval_ros.metrics.statistics import median
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.arrays import Floats
-    from trajeval_ros.geometry.fixes import Fixes, FixRule
+    from trajeval_ros.geometry.fix_selection import FixRule
+    from trajeval_ros.geometry.fixes import Fixes
     from trajeval_ros.geometry.trajectory import Trajectory
     from trajeval_ros.metrics.evaluation import Evaluation
     from trajeval_ros.metrics.own_error import OwnError

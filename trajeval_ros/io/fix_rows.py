@@ -8,7 +8,8 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.fixes import Fixes, fix_trajectory
+from trajeval_ros.geometry.fix_selection import fix_trajectory
+from trajeval_ros.geometry.fixes import Fixes
 from trajeval_ros.geometry.trajectory import Trajectory
 
 

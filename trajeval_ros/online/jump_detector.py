@@ -57,7 +57,7 @@ class JumpDetector:
             return []
         self._newest = pairs.picked(slice(-1, None))
         truth, estimate = pairs.groundtruth, pairs.estimate
-        turned = not np.isnan(truth[0, 3] + estimate[0, 3])
+        turned = pairs.have_rotations
         steps = Steps.between(
             truth[:, POSITION],
             estimate[:, POSITION],

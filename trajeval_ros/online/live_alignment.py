@@ -77,28 +77,9 @@ class LiveAlignment:
         if self.is_kept:
             return
         if protocol.align_states == 1:
-            truth, estimate = pairs.groundtruth[0], pairs.estimate[0]
-            try:
-                self.found = align_first(
-                    gauge,
-                    truth[POSITION],
-                    _quaternion(truth),
-                    estimate[POSITION],
-                    _quaternion(estimate),
-                )
-            except DegenerateGeometryError as error:
-                self.why_not = str(error)
-            else:
-                self.why_not, self.is_kept = "", True
+            self._align_by_one(pairs)
             return
-        moments, turned = self.whole, self._turned
-        if protocol.align_states is not None:
-            wanted = protocol.align_states - int(self._first.weight)
-            first = pairs.groundtruth[:wanted], pairs.estimate[:wanted]
-            self._first += self.moments(*first, self._first.anchor)
-            self._first_turned += _orientation_sum(*first)
-            moments, turned = self._first, self._first_turned
-            self.is_kept = int(moments.weight) >= protocol.align_states
+        moments, turned = self._sums_to_align_by(pairs)
         if moments.weight < gauge.minimum_states:
             self.why_not = (
                 f"{int(moments.weight)} of {counted(gauge.minimum_states, 'state')} for the "
@@ -114,23 +95,57 @@ class LiveAlignment:
         )
         self.why_not = solution.undetermined
         if self._freezes and not self.why_not:
-            std_deg = 0.0 if solution.freedom is None else solution.freedom.std_deg
-            if std_deg < FREEZE_AT_DEG:
-                self.is_kept = True
-            else:
-                self.why_not = (
-                    f"standard deviation of the alignment {std_deg:.1f} deg, frozen at "
-                    f"{FREEZE_AT_DEG:.0f} deg"
-                )
-        if gauge.has_translation:
-            solution = dataclasses.replace(
-                solution,
-                similarity=self._unshifted(solution.similarity),
-                by_positions=None
-                if solution.by_positions is None
-                else self._unshifted(solution.by_positions),
+            self._freeze_if_known(solution)
+        self.found = self._between_frames(solution)
+
+    def _align_by_one(self, pairs: Pairs) -> None:
+        """Align by the first of the pairs (N,), N > 0, for good, if it determines the gauge."""
+        truth, estimate = pairs.groundtruth[0], pairs.estimate[0]
+        try:
+            self.found = align_first(
+                self._protocol.gauge,
+                truth[POSITION],
+                _quaternion(truth),
+                estimate[POSITION],
+                _quaternion(estimate),
             )
-        self.found = solution
+        except DegenerateGeometryError as error:
+            self.why_not = str(error)
+        else:
+            self.why_not, self.is_kept = "", True
+
+    def _sums_to_align_by(self, pairs: Pairs) -> tuple[Moments, OrientationSum]:
+        """Return the sums over all states, or over the first ones after adding to these."""
+        if self._protocol.align_states is None:
+            return self.whole, self._turned
+        wanted = self._protocol.align_states - int(self._first.weight)
+        first = pairs.groundtruth[:wanted], pairs.estimate[:wanted]
+        self._first += self.moments(*first, self._first.anchor)
+        self._first_turned += _orientation_sum(*first)
+        self.is_kept = int(self._first.weight) >= self._protocol.align_states
+        return self._first, self._first_turned
+
+    def _freeze_if_known(self, solution: Alignment) -> None:
+        """Keep a determined alignment if its rotation is known to `FREEZE_AT_DEG`."""
+        std_deg = 0.0 if solution.freedom is None else solution.freedom.std_deg
+        if std_deg < FREEZE_AT_DEG:
+            self.is_kept = True
+        else:
+            self.why_not = (
+                f"standard deviation of the alignment {std_deg:.1f} deg, frozen at "
+                f"{FREEZE_AT_DEG:.0f} deg"
+            )
+
+    def _between_frames(self, solution: Alignment) -> Alignment:
+        """Return an alignment of coordinates relative to the first pair as one of the frames."""
+        if not self._protocol.gauge.has_translation:
+            return solution
+        by_positions = solution.by_positions
+        return dataclasses.replace(
+            solution,
+            similarity=self._unshifted(solution.similarity),
+            by_positions=None if by_positions is None else self._unshifted(by_positions),
+        )
 
     def _unshifted(self, similarity: Similarity) -> Similarity:
         """Return an alignment of coordinates relative to the first pair as one of the frames."""

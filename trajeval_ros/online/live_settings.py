@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH, AUTO
 from trajeval_ros.metrics.protocol import Protocol
@@ -17,6 +18,7 @@ from trajeval_ros.online.window import Window
 
 if TYPE_CHECKING:
     from trajeval_ros.consistency.integrity import IntegrityRequest
+    from trajeval_ros.geometry.marker import HandEye
 
 
 @dataclass(frozen=True, init=False)
@@ -79,6 +81,30 @@ class OnlineSettings:
     def with_gauge(self, gauge: Gauge) -> OnlineSettings:
         """Return the settings with another gauge."""
         return replace(self, protocol=replace(self.protocol, gauge=gauge))
+
+    def with_offset(self, offset_s: float) -> OnlineSettings:
+        """Return the settings with another offset of the estimate's timestamps, seconds."""
+        rule = replace(self.protocol.association, time_offset_s=offset_s)
+        return replace(self, protocol=replace(self.protocol, association=rule))
+
+    def with_lengths_and_window_of(self, other: OnlineSettings) -> OnlineSettings:
+        """Return the settings with the lengths of sub-trajectories and the window of others."""
+        protocol = replace(self.protocol, lengths=other.protocol.lengths)
+        return replace(self, protocol=protocol, window=other.window)
+
+    def with_moved_groundtruth(self, hand_eye: HandEye) -> OnlineSettings:
+        """Return the settings for groundtruth that was moved from a marker to the body."""
+        return replace(self, covariances=self.covariances.of_moved_groundtruth(hand_eye))
+
+    @property
+    def offset_s(self) -> float:
+        """Offset added to the estimate's timestamps, seconds."""
+        return self.protocol.association.time_offset_s
+
+    @property
+    def offset_ns(self) -> int:
+        """Offset added to the estimate's timestamps, nanoseconds."""
+        return round(self.offset_s * NANOSECONDS)
 
     def _require_possible(self) -> None:
         """Refuse settings that are not supported live."""

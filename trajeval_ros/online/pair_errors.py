@@ -48,11 +48,10 @@ class PairErrors:
     @cached_property
     def _between(self) -> Floats | None:
         """The rotation errors E = R R'^T, (N, 4)."""
-        truth = self._pairs.groundtruth[:, QUATERNION]
-        estimate = self._pairs.estimate[:, QUATERNION]
-        if not self._has_rotation or np.isnan(truth[0, 0] + estimate[0, 0]):
+        if not self._has_rotation or not self._pairs.have_rotations:
             return None
-        aligned = self._alignment.quaternions(estimate)
+        truth = self._pairs.groundtruth[:, QUATERNION]
+        aligned = self._alignment.quaternions(self._pairs.estimate[:, QUATERNION])
         return lie.normalized(lie.multiply(truth, lie.conjugate(aligned)))
 
     @cached_property

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -34,6 +35,12 @@ class Pairs(NamedTuple):
     stamps: Stamps
     groundtruth: Floats
     estimate: Floats
+
+    @property
+    def have_rotations(self) -> bool:
+        """Whether both states of the first pair, N > 0, have orientations."""
+        first = QUATERNION.start
+        return not np.isnan(self.groundtruth[0, first] + self.estimate[0, first])
 
     def picked(self, rows: NDArray[Any] | slice) -> Pairs:
         """Return the pairs of a mask, of indices or of a slice."""
@@ -70,6 +77,22 @@ def states(
     if velocities is not None:
         rows[:, VELOCITY] = velocities
     return rows
+
+
+def all_columns(rows: Floats) -> Floats:
+    """Return rows (N, 10) or (N, 46), from these or from (N, 3) or (N, 7): position, quaternion.
+
+    Raises:
+        InputError: The rows have another number of columns.
+    """
+    if rows.ndim == 2 and rows.shape[1] in (WIDTH, WIDTH_WITH_COVARIANCE):
+        return rows
+    if rows.ndim != 2 or rows.shape[1] not in (3, 7):
+        raise InputError(
+            f"states are rows of 3, 7, {WIDTH} or {WIDTH_WITH_COVARIANCE} columns (position, "
+            f"quaternion xyzw, velocity, covariance), not an array of shape {rows.shape}"
+        )
+    return states(rows[:, POSITION], rows[:, QUATERNION] if rows.shape[1] == 7 else None)
 
 
 def upright_rows(rows: Floats, up: UpAxis) -> Floats:

@@ -68,11 +68,10 @@ class PairStore:
     """The newest pairs as columns, with the groundtruth path up to every pair.
 
     Pairs are numbered from the start of the run; `begin` is the oldest stored one. A pair takes
-    `BYTES_PER_PAIR`. The arrays double when they are full. Allocated memory is up to twice that of
-    the pairs; resident memory is that of the pairs, and the double during a reallocation.
+    176 bytes, and 288 more with covariances. The arrays double when they are full. Allocated
+    memory is up to twice that of the pairs; resident memory is that of the pairs, and the double
+    during a reallocation.
     """
-
-    BYTES_PER_PAIR = 8 * (1 + 2 * WIDTH + 1)  # and 288 with covariances
 
     def __init__(self, *, covariances: bool = False) -> None:
         """Create it empty.

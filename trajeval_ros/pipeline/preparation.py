@@ -7,7 +7,7 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 
 from trajeval_ros.exceptions import InputError, TrajevalError
-from trajeval_ros.geometry.fixes import FixRule
+from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis

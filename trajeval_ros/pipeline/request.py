@@ -18,7 +18,7 @@ from trajeval_ros.diagnosis.fix_hints import require_fixes_fit
 from trajeval_ros.diagnosis.mending import require_fix
 from trajeval_ros.diagnosis.mends import Mends
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.geometry.fixes import FixRule
+from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.time_span import TimeSpan
 from trajeval_ros.geometry.trajectory import Trajectory

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from trajeval_ros.diagnosis.fix_hints import about_fixes
 from trajeval_ros.diagnosis.mending import same_estimate
-from trajeval_ros.geometry.fixes import FixRule
+from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.metrics.input_summary import InputSummary
 from trajeval_ros.pipeline.outcome import RunOutcome
 

@@ -1,4 +1,4 @@
-"""Definitions of the numbers as text, for titles of figures."""
+"""Definitions of the numbers as text, for result lines and titles."""
 
 from __future__ import annotations
 
@@ -7,6 +7,33 @@ from collections.abc import Sequence
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.metrics.evaluation import Evaluation
+
+METHOD_TEXTS = {
+    "auto": "groundtruth interpolated (for points and fixes the estimate), gaps up to "
+    "{0.max_gap_s:g} s",
+    "linear": "groundtruth interpolated, gaps up to {0.max_gap_s:g} s",
+    "groundtruth-stamps": "estimate interpolated at the groundtruth's timestamps, gaps up to "
+    "{0.max_gap_s:g} s",
+    "continuous": "groundtruth at the estimate's timestamps from model {0.model}, including gaps",
+    "nearest": "nearest timestamps one to one, within {0.max_time_difference_s:g} s",
+    "rpg": "nearest timestamps one to one, under {0.max_time_difference_s:g} s",
+    "evo": "nearest timestamps many to one, within {0.max_time_difference_s:g} s",
+    "index": "paired by frame or row index",
+}
+WEIGHT_TEXTS = {
+    "none": "",
+    "covariance": ", weighted by covariance",
+    "groundtruth-covariance": ", weighted by the groundtruth's covariance",
+}
+RE_FORM_TEXTS = {
+    "gauge": "first state aligned by the gauge, position difference at the end",
+    "se3": "relative poses, SE(3) at the first state",
+    "tutorial": "eq. (26) of the tutorial",
+    "matrices": "relative poses, with the matrices of the file",
+    "fitted": "yaw and position fitted to every sub-trajectory, position difference at the end",
+    "evo": "relative poses, as evo_rpe",
+    "euler": "relative poses, as rpg_trajectory_evaluation; yaw and tilt are its Euler angles",
+}
 
 
 def alignment_of(evaluations: Sequence[Evaluation]) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.covariance_frames import world_from_body_twists
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.report import canvas
@@ -17,6 +18,7 @@ from trajeval_ros.report.figure_style import PLAIN, FigureStyle
 from trajeval_ros.report.line_thinning import thinned
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from trajeval_ros.likelihood.assessment import Assessment
@@ -101,11 +103,8 @@ def mahalanobis_over_time(assessments: Sequence[Assessment], names: Sequence[str
     origin = assessments[0].continuous.samples.origin
     for place, (assessment, name) in enumerate(zip(assessments, names, strict=True)):
         values = assessment.error.mahalanobis2 / assessment.error.residuals.axes
-        colour, dashes = canvas.line_style(place)
         label = f"{name}, chi2/dof {assessment.error.chi2_per_dof:.3g}"
-        columns = np.stack([(assessment.stamps - origin) / NANOSECONDS, values], axis=1)
-        rows = thinned(columns, assessment.stamps, np.inf)
-        axes.plot(*rows.T, color=colour, linestyle=dashes, linewidth=0.9, label=label)
+        _draw_over_time(axes, place, assessment.stamps, values, origin, label)
     axes.axhline(1.0, color=canvas.ink(), linewidth=0.8, linestyle="--")
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter("{x:g}")
@@ -113,6 +112,16 @@ def mahalanobis_over_time(assessments: Sequence[Assessment], names: Sequence[str
     axes.set_xlabel("time since the first groundtruth sample [s]")
     canvas.grow(figure, canvas.legend_above(axes))
     return figure
+
+
+def _draw_over_time(
+    axes: Axes, place: int, stamps: Stamps, values: Floats, origin: int, label: str
+) -> None:
+    """Draw values (N,) of an estimate, by its place, over the time since an origin, ns."""
+    colour, dashes = canvas.line_style(place)
+    columns = np.stack([(stamps - origin) / NANOSECONDS, values], axis=1)
+    rows = thinned(columns, stamps, np.inf)
+    axes.plot(*rows.T, color=colour, linestyle=dashes, linewidth=0.9, label=label)
 
 
 def likelihood_by_edge(assessments: Sequence[Assessment], names: Sequence[str]) -> Figure:
@@ -123,11 +132,8 @@ def likelihood_by_edge(assessments: Sequence[Assessment], names: Sequence[str]) 
     for place, (assessment, name) in enumerate(zip(assessments, names, strict=True)):
         if assessment.edges is None:
             continue
-        colour, dashes = canvas.line_style(place)
-        times = (assessment.stamps[1:] - origin) / NANOSECONDS
-        columns = np.stack([times, -assessment.edges.edges], axis=1)
-        rows = thinned(columns, assessment.stamps[1:], np.inf)
-        axes.plot(*rows.T, color=colour, linestyle=dashes, linewidth=0.9, label=name)
+        values = -assessment.edges.edges
+        _draw_over_time(axes, place, assessment.stamps[1:], values, origin, name)
     axes.set_yscale("symlog", linthresh=10.0)
     axes.yaxis.set_major_formatter("{x:g}")
     axes.set_ylabel("-log likelihood of edge [nats]")

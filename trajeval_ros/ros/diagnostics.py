@@ -133,7 +133,7 @@ def about_integrity(snapshot: Snapshot) -> list[Notice]:
 
 
 def _about_clock(run: LiveRun, estimate: LiveEstimate) -> Iterator[Notice]:
-    clock, applied_s = estimate.clock.report, estimate.evaluator.offset_s
+    clock, applied_s = estimate.clock.report, estimate.evaluator.settings.offset_s
     if run.holds or clock.offset_s is None or clock.half_width_95_s is None:
         return
     apart_s = clock.offset_s - applied_s
@@ -203,7 +203,7 @@ def _values(
         "clock offset [s]": estimate.clock.report.offset_s,
         "clock offset, sigma [s]": estimate.clock.report.sigma_s,
         "clock offset, status": estimate.clock.report.status,
-        "time offset applied [s]": None if run.holds else estimate.evaluator.offset_s,
+        "time offset applied [s]": None if run.holds else estimate.evaluator.settings.offset_s,
         "hand eye": run.body.source if run.body.hand_eye is not None else None,
         "sync risk [m]": sync_risk_m(run.groundtruth, estimate.side, estimate.evaluator.buffer),
         "latency p95 [s]": estimate.latency.p95_s,

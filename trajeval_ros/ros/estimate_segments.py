@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from concurrent.futures import Executor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,10 +14,10 @@ from trajeval_ros.io.bags.pose_messages import PATH_TYPE
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.reports import Update
 from trajeval_ros.online.time_steps import TimeSteps
+from trajeval_ros.ros.estimate_topic import EstimateTopic
 from trajeval_ros.ros.live_estimate import LiveEstimate
-from trajeval_ros.ros.marker_body import MarkerBody
 from trajeval_ros.ros.poses import StateColumns
-from trajeval_ros.ros.sides import Side, TimeAt
+from trajeval_ros.ros.sides import TimeAt
 
 FOLLOWS_WITHIN_S = 5.0  # if the time of one side steps back, the other follows within this time
 
@@ -43,7 +42,6 @@ class EstimateSegments:
     """Keeps the newest segment of an estimate, and older ones that may still receive messages.
 
     Attributes:
-        side: Source of the messages.
         current: The newest segment.
         ending: Older ones, not closed yet.
         time: Counts how often time has stepped back.
@@ -51,35 +49,18 @@ class EstimateSegments:
 
     def __init__(
         self,
-        side: Side,
-        worker: Executor,
+        topic: EstimateTopic,
         settings: OnlineSettings,
         folder: Path,
-        groundtruth: Side,
-        place: int,
-        body: MarkerBody,
         *,
         hold: bool,
-        splits_at_jumps: bool,
     ) -> None:
         """Create it with the first segment; see `LiveEstimate`."""
-        self.side, self.time, self._worker = side, TimeSteps(), worker
-        self._groundtruth, self._place, self._splits = groundtruth, place, splits_at_jumps
-        self._body = body
+        self.time, self._topic = TimeSteps(), topic
         self._own_ahead = self._truth_ahead = 0
         self._begun_at = time.monotonic()
         self.ending: list[LiveEstimate] = []
-        self.current = LiveEstimate(
-            side,
-            worker,
-            settings,
-            folder,
-            groundtruth,
-            place,
-            body,
-            hold=hold,
-            splits=splits_at_jumps,
-        )
+        self.current = LiveEstimate(topic, settings, folder, hold=hold)
 
     @property
     def open(self) -> list[LiveEstimate]:
@@ -88,7 +69,7 @@ class EstimateSegments:
 
     def open_at(self, epoch: int) -> list[LiveEstimate]:
         """The segment of the messages of an epoch, if there is one."""
-        return [each for each in self.open if each.epoch == epoch and each.following is None]
+        return [each for each in self.open if each.epoch == epoch and each.jumps.following is None]
 
     @property
     def own_epoch(self) -> int:
@@ -105,8 +86,8 @@ class EstimateSegments:
         Args:
             time_at: Returns simulated time; None for the clock of the computer.
         """
-        stream = self.side.stream
-        for message_type, taken, arrived in self.side.take(time_at):
+        stream = self._topic.side.stream
+        for message_type, taken, arrived in self._topic.side.take(time_at):
             received = np.array(taken.received, dtype=np.int64)
             if message_type == PATH_TYPE:
                 for payload, each in zip(taken.payloads, arrived, strict=True):
@@ -128,7 +109,7 @@ class EstimateSegments:
 
     def take_last(self) -> None:
         """Add the states whose timestamps are still under test, at the end of the run."""
-        poses = self.side.stream.last_poses()
+        poses = self._topic.side.stream.last_poses()
         for each in self.open_at(self.own_epoch):
             each.take(poses, poses.stamps)
 
@@ -151,7 +132,7 @@ class EstimateSegments:
         for each in self.ending:
             each.update()
         yield self.current, self.current.update()
-        while self.current.following is not None:
+        while self.current.jumps.following is not None:
             ended = self.current
             self.current = self._next("the estimate jumped", settings, ended.folder)
             self.current.clock = ended.clock
@@ -171,20 +152,13 @@ class EstimateSegments:
                 self._truth_ahead += behind
             self._own_ahead += max(self.current.epoch - self.own_epoch, 0)
         reached = min(self.own_epoch, self.truth_epoch(groundtruth))
-        done = [each for each in self.ending if each.epoch < reached or each.following is not None]
+        done = [
+            each
+            for each in self.ending
+            if each.epoch < reached or each.jumps.following is not None
+        ]
         self.ending = [each for each in self.ending if each not in done]
         return done
 
     def _next(self, began_by: str, settings: OnlineSettings, folder: Path) -> LiveEstimate:
-        return LiveEstimate(
-            self.side,
-            self._worker,
-            settings,
-            folder,
-            self._groundtruth,
-            self._place,
-            self._body,
-            splits=self._splits,
-            after=self.current,
-            began_by=began_by,
-        )
+        return LiveEstimate(self._topic, settings, folder, after=self.current, began_by=began_by)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
-from copy import copy
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,26 +11,24 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.dropped_counts import add_counts
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import BODYS_VELOCITIES
-from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH
 from trajeval_ros.online.alarms import Peaks
 from trajeval_ros.online.evaluator import OnlineEvaluator
-from trajeval_ros.online.jump_detector import Jump, JumpDetector
+from trajeval_ros.online.jump_detector import Jump
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.notices import Standing
-from trajeval_ros.online.pairing import Pairing
 from trajeval_ros.online.reports import Snapshot, Update, united
 from trajeval_ros.online.revised import RevisedPath
 from trajeval_ros.online.state_rows import Pairs, trajectory
 from trajeval_ros.online.trail import Trail
+from trajeval_ros.ros.estimate_topic import EstimateTopic
 from trajeval_ros.ros.held_messages import HeldCall, HeldMessages
-from trajeval_ros.ros.marker_body import MarkerBody
 from trajeval_ros.ros.poses import PoseStream, StateColumns
 from trajeval_ros.ros.position_uncertainty import position_uncertainty
 from trajeval_ros.ros.segment_files import SegmentFiles
-from trajeval_ros.ros.sides import Side
+from trajeval_ros.ros.segment_jumps import SegmentJumps
 from trajeval_ros.ros.slow_evaluation import SlowEvaluation
 from trajeval_ros.ros.timing import Latency
 
@@ -45,12 +41,12 @@ class LiveEstimate:
         name: Its name in topics and files.
         segment: Number of the segment in the folder, from 1.
         epoch: Number of steps back of time before this segment.
-        following: Pairing of the next segment, if this one ended with a jump.
+        began_by: Why a new segment started; empty for the first one.
         files: Its files.
         stream: Decodes its messages.
         evaluator: Its evaluation.
         latency: Time from arrival to publication of its errors.
-        jumps: Restarts and corrections so far.
+        jumps: Restarts and corrections of the estimate; the first one may end the segment.
         clock: Estimate of its clock offset; none if the topic carries paths.
         trail: The run, thinned to few poses.
         revised: The newest path, if the topic carries paths.
@@ -59,68 +55,56 @@ class LiveEstimate:
         slow: Hints, and the errors of the newest path.
         standing: Reported conditions that still hold.
         newest: Type and bytes of the newest message; None before the first one and for paths.
-        offset_ns: Clock offset that is added to its timestamps, nanoseconds.
         doubt: Why the groundtruth's up axis is probably wrong, at the newest snapshot; empty if it
             is plausible.
     """
 
     def __init__(
         self,
-        side: Side,
-        worker: Executor,
+        topic: EstimateTopic,
         settings: OnlineSettings,
         folder: Path,
-        groundtruth: Side,
-        place: int,
-        body: MarkerBody,
         *,
         hold: bool = False,
-        splits: bool = False,
         after: LiveEstimate | None = None,
         began_by: str = "",
     ) -> None:
         """Create it with an empty pair file.
 
         Args:
-            side: Source of its messages.
-            worker: Executor for the estimate of its clock offset.
+            topic: The topic.
             settings: Settings of the evaluation.
             folder: Folder for its files.
-            groundtruth: Source of the groundtruth.
-            place: Index of the estimate, from 0.
-            body: Transforms states to the evaluated body before they are paired.
             hold: Whether to store messages until `release` sets the clock offset.
-            splits: Whether to end at a jump of the estimate; `following` is then the next pairing.
             after: The previous segment of the same topic.
-            began_by: Reason for a new segment.
+            began_by: As in the attribute.
 
         Raises:
             InputError: The file can't be made.
         """
-        self.side, self.name, self.stream = side, side.name, side.stream
-        self._body, self._worker = body, worker
+        self.side, self.name, self.stream = topic.side, topic.side.name, topic.side.stream
+        self._body, self._worker = topic.body, topic.worker
         self.began_by = began_by
         self.folder = folder
         self.segment: int = 1 if after is None or after.folder != folder else after.segment + 1
         self.epoch: int = 0 if after is None else after.epoch
-        self.following: Pairing | None = None
-        self._splits, self._jumps_found = splits, list[Jump]()
         self._dropped_before = {
-            id(each): dict(each.status.dropped) for each in (side.stream, groundtruth.stream)
+            id(each.stream): dict(each.stream.status.dropped)
+            for each in (topic.side, topic.groundtruth)
         }
-        description = {"groundtruth": groundtruth.source, "estimate": side.source, "place": place}
-        self.files = SegmentFiles(folder, self.name, self.segment, description)
+        self.files = SegmentFiles(folder, self.name, self.segment, topic.description)
+        before = None if after is None else after.jumps
+        self.jumps: SegmentJumps = SegmentJumps(splits=topic.splits, before=before)
         # The evaluator has no reference to this segment, so a complete segment can be freed.
         self.evaluator = OnlineEvaluator(
             settings,
             record_waypoints=self.files.pairs.append_waypoints,
-            buffer=None if after is None else after.following,
+            buffer=None if before is None else before.following,
         )
-        self.latency = Latency()
-        self.jumps, self.trail = JumpDetector(), Trail()
+        self.latency, self.trail = Latency(), Trail()
         self.revised: RevisedPath | None = None
         self.watch: Callable[[LiveEstimate, Pairs], object] | None = None
-        self.clock = OnlineClock(settings.protocol.gauge, worker)
+        self.clock = OnlineClock(settings.protocol.gauge, self._worker)
         self.peaks, self.standing = Peaks(), Standing()
         self.slow = SlowEvaluation()
         self.doubt = ""
@@ -128,7 +112,6 @@ class LiveEstimate:
         self._held = HeldMessages() if hold else None
         self._held_for_next: Sequence[HeldCall] = ()
         self._released: list[Update] = []
-        self.offset_ns = round(settings.protocol.association.time_offset_s * NANOSECONDS)
         self.newest: tuple[str, bytes] | None = None
         self._undigested: list[Pairs] = []
         if after is not None:
@@ -137,14 +120,11 @@ class LiveEstimate:
     def _follow(self, before: LiveEstimate) -> None:
         """Take over the state that is common to all segments."""
         self.latency, self.peaks, self.standing = before.latency, before.peaks, before.standing
-        self.watch, self.offset_ns = before.watch, before.offset_ns
-        self._jumps_found = before._jumps_found
-        if before.following is not None:
-            self.jumps = before.jumps  # keeps the usual step size
-        self.evaluator.set_offset(before.evaluator.offset_s)
+        self.watch = before.watch
+        self.evaluator.set_offset(before.evaluator.settings.offset_s)
         self._judge_by_body()
-        self.evaluator.groundtruth_up = before.evaluator.groundtruth_up
-        self.evaluator.estimate_up = before.evaluator.estimate_up
+        self.evaluator.frames.groundtruth_up = before.evaluator.frames.groundtruth_up
+        self.evaluator.frames.estimate_up = before.evaluator.frames.estimate_up
         self._take_held(before._held_for_next)
 
     def set_gauge(self, gauge: Gauge) -> None:
@@ -175,6 +155,11 @@ class LiveEstimate:
         return self.stream.up(self._given_up)
 
     @property
+    def offset_ns(self) -> int:
+        """Clock offset that is added to its timestamps, nanoseconds."""
+        return self.evaluator.settings.offset_ns
+
+    @property
     def held_s(self) -> float:
         """Time span of the stored messages, seconds."""
         return 0.0 if self._held is None else self._held.span_s
@@ -184,7 +169,6 @@ class LiveEstimate:
         assert self._held is not None
         self.evaluator.set_offset(offset_s)
         self._judge_by_body()
-        self.offset_ns = round(offset_s * NANOSECONDS)
         if self.revised is not None:
             self.revised.states = self._body.estimated(self.revised.states)
         held, self._held = self._held, None
@@ -204,13 +188,13 @@ class LiveEstimate:
             # is kept until the estimates that arrived with it are paired.
             if side == "estimate":
                 self._released.append(self._evaluate_new())
-                if self.following is not None:
+                if self.jumps.following is not None:
                     self._held_for_next = calls[place:]
                     return
 
     def take(self, poses: StateColumns, received: Stamps) -> None:
         """Add states and their times of reception, (N,), nanoseconds since 1970."""
-        self.evaluator.estimate_up = self.up
+        self.evaluator.frames.estimate_up = self.up
         self.clock.add_estimate(poses.stamps, poses.states)
         self._now_or_later(
             "estimate", poses.stamps, lambda segment: segment._evaluate(poses, received)
@@ -224,26 +208,12 @@ class LiveEstimate:
     def _evaluate_new(self, *, at_end: bool = False) -> Update:
         """Evaluate the pairs that are possible now, up to a jump that ends the segment."""
         buffer = self.evaluator.buffer
-        pairs = self.evaluator.of_same_point(buffer.made(at_end=at_end))
-        if self._splits and len(pairs.stamps):
-            pairs = self._before_a_jump(pairs)
+        pairs = self.evaluator.frames.of_same_point(buffer.made(at_end=at_end))
+        pairs = self.jumps.before_first(pairs, self._scale, buffer)
         buffer.settle()
         if len(pairs.stamps):
             self._record(pairs)
         return self.evaluator.evaluate(pairs, at_end=at_end)
-
-    def _before_a_jump(self, pairs: Pairs) -> Pairs:
-        """Return the new pairs up to the first jump; later ones belong to the next segment."""
-        narrowed, detector = pairs.without_covariances(), copy(self.jumps)
-        found = detector.update(narrowed, self._scale)
-        if not found:
-            self.jumps = detector
-            return pairs
-        row = int(pairs.stamps.searchsorted(found[0].stamp))
-        self._jumps_found = self.jumps.update(narrowed.picked(slice(row + 1)), self._scale)
-        self.jumps.count = 0  # a segment contains no jump
-        pairs, self.following = self.evaluator.buffer.cut(pairs, row)
-        return pairs
 
     @property
     def _scale(self) -> float:
@@ -255,7 +225,7 @@ class LiveEstimate:
         snapshot = self.evaluator.snapshot()
         stamps, truth, _ = self.trail.columns()
         if len(stamps):
-            self.doubt = doubt_of(trajectory(stamps, truth, self.evaluator.groundtruth_up))
+            self.doubt = doubt_of(trajectory(stamps, truth, self.evaluator.frames.groundtruth_up))
         if not self.doubt:
             return snapshot
         return replace(snapshot, ate={**snapshot.ate, "yaw_deg": None, "tilt_deg": None})
@@ -265,16 +235,14 @@ class LiveEstimate:
 
         This is separate from `update`, since a few calls per second are enough.
         """
-        found, self._jumps_found = self._jumps_found, []
         if not self._undigested:
-            return found
+            return self.jumps.take()
         pairs, self._undigested = Pairs.in_order(self._undigested), []
-        if not self._splits:
-            found += self.jumps.update(pairs, self._scale)
+        self.jumps.among(pairs, self._scale)
         self.trail.add(pairs)
         if self.revised is not None:  # by the estimate's own clock
             self.revised.record(pairs._replace(stamps=pairs.stamps - self.offset_ns))
-        return found
+        return self.jumps.take()
 
     def renew_slow(self, truth_body: str) -> bool:
         """Run the slow evaluation; return whether the newest path has been evaluated.
@@ -290,7 +258,7 @@ class LiveEstimate:
             self.trail,
             None if self.why_not_revised else self.revised,
             protocol,
-            (evaluator.groundtruth_up, self.up),
+            (evaluator.frames.groundtruth_up, self.up),
             self._body.renamed(truth_body, self.stream.status.child_frame),
             of_clocks=self.clock.report.offset_s is None,
         )
@@ -345,7 +313,7 @@ class LiveEstimate:
 
     def take_path(self, path: StateColumns, arrived_ns: int) -> None:
         """Add a path: evaluate its new poses, and store the revision of the others."""
-        self.evaluator.estimate_up = self.up
+        self.evaluator.frames.estimate_up = self.up
         if self.revised is None:
             self.revised = RevisedPath(self.evaluator.settings.protocol.gauge, self.up)
             reason = "paths are revised during the run, so their clock can't be estimated"
@@ -376,7 +344,7 @@ class LiveEstimate:
     def _evaluate(self, poses: StateColumns, received: Stamps) -> None:
         self.latency.arrive(poses.stamps + self.offset_ns, received)
         left_out = self._body.leaves_out_velocities_of(poses.states, is_truth=False)
-        if left_out or self.evaluator.leaves_out_velocities_of(poses.states):
+        if left_out or self.evaluator.frames.leaves_out_velocities_of(poses.states):
             self.stream.status.note(BODYS_VELOCITIES)
         self.evaluator.add_estimate(poses.stamps, self._body.estimated(poses.states))
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
-from trajeval_ros.geometry.fixes import FixRule
+from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.geodesy import Datum
 from trajeval_ros.io.fix_rows import fixes_of_rows

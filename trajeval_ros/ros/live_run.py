@@ -19,6 +19,7 @@ from trajeval_ros.online.notices import OK, Notice
 from trajeval_ros.online.reports import Update
 from trajeval_ros.online.time_steps import TimeSteps
 from trajeval_ros.ros.estimate_segments import EstimateSegments
+from trajeval_ros.ros.estimate_topic import EstimateTopic
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.marker_body import MarkerBody
 from trajeval_ros.ros.poses import StateColumns
@@ -88,17 +89,13 @@ class LiveRun:
         self._troubles: list[str] = []
         self.news: list[Notice] = []
         self._worker = ThreadPoolExecutor(1, "clocks")
+        splits = self._segmentation.on_restart == "segment"
         self._tracks = [
             EstimateSegments(
-                side,
-                self._worker,
+                EstimateTopic(side, groundtruth, place, self.body, self._worker, splits),
                 settings,
                 folder,
-                groundtruth,
-                place,
-                self.body,
                 hold=self.holds,
-                splits_at_jumps=self._segmentation.on_restart == "segment",
             )
             for place, side in enumerate(sides)
         ]
@@ -241,7 +238,7 @@ class LiveRun:
             for folder in dict.fromkeys(each.folder for each in fed):
                 self.folders.keep_fixes(folder, poses.stamps, poses.fixes)
         for each in fed:
-            each.evaluator.groundtruth_up = self.groundtruth_up
+            each.evaluator.frames.groundtruth_up = self.groundtruth_up
             each.add_groundtruth(poses.stamps, poses.states)
         if not len(poses.stamps):
             return

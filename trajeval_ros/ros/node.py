@@ -10,16 +10,10 @@ from rclpy.node import Node
 
 from trajeval_ros.exceptions import SettingsError, TrajevalError
 from trajeval_ros.formatting.escaping import one_line
-from trajeval_ros.online.jump_detector import Jump
-from trajeval_ros.online.notices import OK, WARN, Notice
-from trajeval_ros.online.reports import Update
+from trajeval_ros.online.notices import OK, Notice
 from trajeval_ros.ros import parameters
-from trajeval_ros.ros.advertise import advertise
-from trajeval_ros.ros.diagnostics import diagnose, notices_about
 from trajeval_ros.ros.events import EventTopic
 from trajeval_ros.ros.frame_broadcaster import FrameBroadcaster
-from trajeval_ros.ros.graph import about_twins
-from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_fixes import LiveFixes
 from trajeval_ros.ros.live_outputs import LiveOutputs
 from trajeval_ros.ros.live_run import LiveRun
@@ -29,11 +23,13 @@ from trajeval_ros.ros.output_folder import make_folder
 from trajeval_ros.ros.parameter_table import PARAMETERS, RESET, SAVE
 from trajeval_ros.ros.rerun_output import RerunOutput
 from trajeval_ros.ros.result_writing import ResultWriting
+from trajeval_ros.ros.segment_jumps import about_jump
 from trajeval_ros.ros.sides import Side, TimeAt, name_apart
 from trajeval_ros.ros.simulated_clock import SimulatedClock
 from trajeval_ros.ros.static_transform import StaticTransform
-from trajeval_ros.ros.terminal import StatusLine, seconds, summary
-from trajeval_ros.ros.unused_messages import missing_source, why_no_pair
+from trajeval_ros.ros.status_reports import StatusReports
+from trajeval_ros.ros.terminal import StatusLine
+from trajeval_ros.ros.unused_messages import why_no_pair
 from trajeval_ros.ros.watching import Watching
 
 _SNAPSHOTS_SHARE = 0.05  # largest share of a core; with the whole run as window, cost increases
@@ -65,6 +61,7 @@ class EvaluatorNode:
         self._simulated_time = SimulatedClock(self._node)
         self._events = EventTopic(self._node)
         self._watching = Watching(self._node, self._values, self._events, self._log)
+        self._statuses = StatusReports(self._node, self._events, self._watching)
         self._run = self._new_run()
         self._picture = self._new_picture()
         self._outputs = LiveOutputs(
@@ -131,11 +128,9 @@ class EvaluatorNode:
         return picture
 
     def _advertise(self) -> None:
-        from diagnostic_msgs.msg import DiagnosticArray
         from std_srvs.srv import Trigger
 
         self._outputs.advertise_lengths(self._lengths)
-        self._diagnostics = advertise(self._node, DiagnosticArray, "/diagnostics")
         # A call of ~/save that waits must not delay other services.
         asked = ReentrantCallbackGroup()
         self._node.create_service(Trigger, RESET, self._reset, callback_group=asked)
@@ -177,7 +172,9 @@ class EvaluatorNode:
         self._match()
         for estimate in self._run.estimates:
             for jump in estimate.digest():
-                self._tell_of_jump(estimate, jump)
+                notice = about_jump(estimate.name, jump)
+                self._log(notice.text, warn=True)
+                self._events.publish(estimate.name, notice)
                 self._picture.jump(estimate, jump)
         begin = time.monotonic()
         if begin < self._snapshot_at:
@@ -211,51 +208,9 @@ class EvaluatorNode:
 
     def tell(self) -> None:
         """Write counts, publish diagnostics, save periodically, update the status line."""
-        from diagnostic_msgs.msg import DiagnosticArray
-
         self._run.write_states()
-        twins = about_twins(self._node)
-        message = DiagnosticArray()
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        parts = []
-        for estimate in self._run.estimates:
-            snapshot = self._outputs.snapshots.get(estimate.name)
-            if snapshot is None:
-                continue
-            update = self._outputs.newest.get(estimate.name, Update())
-            peaks = estimate.peaks.take()
-            notices = notices_about(self._run, estimate, snapshot, peaks, self._values)
-            notices += twins
-            notices += self._outputs.notices(estimate)
-            # Every jump was published as an event.
-            standing = [each for each in notices if each.kind != "jump"]
-            told = estimate.standing.renew(standing)
-            for each in told:
-                self._events.publish(estimate.name, each)
-            self._watching.see(told)
-            message.status.append(
-                diagnose(
-                    self._node.get_fully_qualified_name(),
-                    self._run,
-                    estimate,
-                    snapshot,
-                    update,
-                    notices,
-                    peaks,
-                    self._picture.dropped,
-                )
-            )
-            parts.append(
-                summary(
-                    estimate.name,
-                    snapshot,
-                    self._values["window"],
-                    update.position_m,
-                    missing_source(self._run, estimate),
-                )
-            )
-        message.status += self._watching.statuses()
-        self._diagnostics.publish(message)
+        undrawn = self._picture.dropped
+        parts = self._statuses.publish(self._run, self._outputs, self._values, undrawn)
         for news in self._picture.news():
             self._log(f"no output in Rerun: {news}", warn=True)
         self._results.tell(self._values["autosave_period"])
@@ -327,20 +282,6 @@ class EvaluatorNode:
     def _log_error(self, text: str) -> None:
         self._line.clear()
         self._node.get_logger().error(one_line(text))
-
-    def _tell_of_jump(self, estimate: LiveEstimate, jump: Jump) -> None:
-        said = (
-            f"{estimate.name} jumps by {jump.position_m:.2f} m and {jump.rotation_deg:.0f} deg "
-            f"at {seconds(jump.stamp)}: probably a restart with a new origin, which one "
-            "alignment can't fit; to start a new run, call ~/reset"
-        )
-        values = {
-            "stamp_ns": jump.stamp,
-            "position_m": jump.position_m,
-            "rotation_deg": jump.rotation_deg,
-        }
-        self._log(said, warn=True)
-        self._events.publish(estimate.name, Notice("jump", WARN, said, values=values))
 
     @property
     def _time_at(self) -> TimeAt | None:

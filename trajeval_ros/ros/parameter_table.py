@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from trajeval_ros.geometry.fixes import DEFAULT_CORRELATION_S
+from trajeval_ros.geometry.fix_selection import DEFAULT_CORRELATION_S
 from trajeval_ros.geometry.gauge import MODALITIES, Gauge
 from trajeval_ros.io.requests.request_words import AUTO
 from trajeval_ros.online.alarms import LIMITED_QUANTITIES

@@ -11,7 +11,7 @@ import numpy as np
 
 from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.geometry.fixes import FixRule
+from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.geodesy import parse_datum
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.io.requests.request_words import (

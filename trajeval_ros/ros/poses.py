@@ -14,7 +14,7 @@ from trajeval_ros.diagnosis.warnings import reasons
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 from trajeval_ros.geometry.dropped_counts import count_up
-from trajeval_ros.geometry.fixes import FRAME
+from trajeval_ros.geometry.fix_selection import FRAME
 from trajeval_ros.geometry.stamp_trust import LONE, NEAR_NS, StampTrust, trusted_states
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import UpAxis

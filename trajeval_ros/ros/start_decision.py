@@ -78,7 +78,7 @@ class StartDecision:
             self._body.settle(
                 is_oriented=self._is_oriented is not False, has_scale=gauge.has_scale
             )
-        return self._offset_s(first) if self._finds_offset else first.evaluator.offset_s
+        return self._offset_s(first) if self._finds_offset else first.evaluator.settings.offset_s
 
     def _offset_s(self, first: LiveEstimate) -> float:
         known, name = first.clock.report, first.name

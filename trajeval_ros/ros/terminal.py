@@ -10,7 +10,6 @@ import time
 
 from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.online.reports import Snapshot
 
 _LOG_EVERY_S = 10.0
@@ -118,8 +117,3 @@ def summary(
     if snapshot.estimate_coverage is not None and snapshot.estimate_coverage < 0.995:
         words.append(f"{100 * snapshot.estimate_coverage:.0f} % covered")
     return " ".join(words)
-
-
-def seconds(stamp: int) -> str:
-    """Return a timestamp in seconds with three decimals."""
-    return f"{stamp / NANOSECONDS:.3f} s"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from trajeval_ros.ros.advertise import advertise
+from trajeval_ros.ros.diagnostics_topic import DiagnosticsTopic
 from trajeval_ros.ros.events import EventTopic
 from trajeval_ros.ros.node_log import log
 from trajeval_ros.ros.watching import Watching
@@ -28,11 +28,9 @@ class WatchNode:
             InputError: The limits can't be read, or were learned without one of the sources.
             SettingsError: A topic's name is not valid.
         """
-        from diagnostic_msgs.msg import DiagnosticArray
-
-        self._node, self._values = node, values
+        self._values = values
         self._watching = Watching(node, values, EventTopic(node), partial(log, node))
-        self._diagnostics = advertise(node, DiagnosticArray, "/diagnostics")
+        self._diagnostics = DiagnosticsTopic(node)
         log(node, "no groundtruth_topic: the estimate is watched without evaluation")
 
     @property
@@ -51,12 +49,7 @@ class WatchNode:
 
     def tell(self) -> None:
         """Publish diagnostics."""
-        from diagnostic_msgs.msg import DiagnosticArray
-
-        message = DiagnosticArray()
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        message.status += self._watching.statuses()
-        self._diagnostics.publish(message)
+        self._diagnostics.publish(self._watching.statuses())
 
     def finish(self) -> bool:
         """Process the last messages; return True, because there is no output to write."""

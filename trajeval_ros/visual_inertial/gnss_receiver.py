@@ -13,7 +13,8 @@ import numpy as np
 
 from trajeval_ros.exceptions import require_one_of
 from trajeval_ros.geometry.arrays import Booleans, Floats
-from trajeval_ros.geometry.fixes import Fixes, fix_trajectory
+from trajeval_ros.geometry.fix_selection import fix_trajectory
+from trajeval_ros.geometry.fixes import Fixes
 from trajeval_ros.geometry.geodesy import Datum, places_at
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.visual_inertial.drifting_odometry import wandering

@@ -62,11 +62,7 @@ class _MessageLayout:
 
 def encode_pose_stamped(stamps: Stamps, poses: Floats, frame: str) -> Messages:
     """Return geometry_msgs/PoseStamped (N, size) of poses (N, 7): position, quaternion xyzw."""
-    layout = _with_header(frame)
-    layout.add("pose", "<f8", (7,), alignment=8)
-    rows, fields = layout.messages(len(stamps))
-    fields["stamp"], fields["pose"] = _times(stamps), poses
-    return rows
+    return _stamped(stamps, poses, frame)
 
 
 def encode_odometry(
@@ -133,11 +129,7 @@ def encode_transform_stamped(stamps: Stamps, poses: Floats, frames: tuple[str, s
 
 def encode_vector_stamped(stamps: Stamps, vectors: Floats, frame: str) -> Messages:
     """Return geometry_msgs/Vector3Stamped (N, size) of vectors (N, 3)."""
-    layout = _with_header(frame)
-    layout.add("vector", "<f8", (3,), alignment=8)
-    rows, fields = layout.messages(len(stamps))
-    fields["stamp"], fields["vector"] = _times(stamps), vectors
-    return rows
+    return _stamped(stamps, vectors, frame)
 
 
 def encode_numbers(numbers: Floats) -> Messages:
@@ -146,6 +138,15 @@ def encode_numbers(numbers: Floats) -> Messages:
     layout.add("data", "<f8", alignment=8)
     rows, fields = layout.messages(len(numbers))
     fields["data"] = numbers
+    return rows
+
+
+def _stamped(stamps: Stamps, numbers: Floats, frame: str) -> Messages:
+    """Return messages of a header and numbers (N, k)."""
+    layout = _with_header(frame)
+    layout.add("numbers", "<f8", numbers.shape[1:], alignment=8)
+    rows, fields = layout.messages(len(stamps))
+    fields["stamp"], fields["numbers"] = _times(stamps), numbers
     return rows
 
 

@@ -13,7 +13,7 @@ from trajeval_ros.geometry.arrays import Booleans, Stamps
 from trajeval_ros.geometry.inertial import InertialReadings
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.valid_poses import LARGEST
-from trajeval_ros.io.bags.bag import Advance, Bag
+from trajeval_ros.io.bags.bag import Bag
 from trajeval_ros.io.bags.cdr import CdrPlan
 from trajeval_ros.io.bags.cdr_columns import Columns
 from trajeval_ros.io.bags.message_definitions import (
@@ -48,18 +48,17 @@ def decode_rates(payloads: Sequence[bytes | memoryview], message_type: str) -> I
     return _readings(columns, message_type, len(payloads))
 
 
-def read_rates(path: Path, name: str, advance: Advance | None = None) -> InertialReadings:
+def read_rates(path: Path, name: str) -> InertialReadings:
     """Read a topic of a bag, in order of the log times of its messages.
 
     Args:
         path: A bag.
         name: Of a topic with IMU messages, or with odometry.
-        advance: Called repeatedly with the number of messages read and the number of all.
 
     Raises:
         InputError: The topic does not exist, has another type, or has no usable message.
     """
-    with Bag(path, advance) as bag:
+    with Bag(path) as bag:
         topic = _topic(bag, name)
         reading = Reading(topic)
         plans = {

@@ -12,7 +12,7 @@ from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.diagnosis.mends import Mends
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.geometry.fixes import FixRule
+from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.geodesy import parse_datum
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.time_span import TimeSpan

@@ -1,4 +1,4 @@
-"""Live consistency test of covariances: a window is tested as a recorded run."""
+"""Results of the pairs in the window, as for a recorded run of these pairs."""
 
 from __future__ import annotations
 
@@ -8,22 +8,38 @@ from typing import TYPE_CHECKING
 from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry.arrays import Stamps
+from trajeval_ros.metrics.absolute_errors import AbsoluteErrors, absolute_errors
+from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import Association
-from trajeval_ros.metrics.evaluation import evaluate_pairs
+from trajeval_ros.metrics.evaluation import evaluate_pairs, meaningful
 from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.statistics import Statistics, statistics_of
 
 if TYPE_CHECKING:
     from trajeval_ros.consistency.integrity import Integrity, IntegrityRequest
     from trajeval_ros.consistency.result import Consistency
 
 
+def window_statistics(
+    pairs: Association, alignment: Alignment, protocol: Protocol
+) -> dict[str, Statistics | None]:
+    """Return statistics of the absolute errors by metric, under the alignment of the run."""
+    errors = absolute_errors(
+        pairs.groundtruth,
+        alignment.similarity.trajectory(pairs.estimate),
+        rotation=not alignment.why_withheld(protocol),
+    )
+    errors = meaningful(errors, alignment, protocol.gauge)
+    return {name: statistics_of(getattr(errors, name)) for name in AbsoluteErrors.__annotations__}
+
+
 def judge_window(
-    pairs: Association, protocol: Protocol, request: CovarianceRequest
+    pairs: Association | None, protocol: Protocol, request: CovarianceRequest
 ) -> tuple[Consistency | None, str]:
-    """Test the covariances of pairs, which are aligned on their own, as for recorded runs.
+    """Test the covariances of pairs, which are aligned on their own.
 
     Args:
-        pairs: Pairs of a window, with the estimate's covariances.
+        pairs: The pairs, with the estimate's covariances; None if there are none.
         protocol: Protocol of the run.
         request: Settings of the test.
 
@@ -32,6 +48,8 @@ def judge_window(
     """
     if request.source == "none":
         return None, ""
+    if pairs is None:
+        return None, "no pairs yet"
     from trajeval_ros.consistency.judge import judge  # imports scipy
 
     protocol = dataclasses.replace(protocol, lengths=())

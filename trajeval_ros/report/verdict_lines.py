@@ -1,0 +1,133 @@
+"""The result lines of an evaluation: errors, their definitions, and coverage."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from trajeval_ros.diagnosis.few_pairs import few_pairs
+from trajeval_ros.diagnosis.warnings import completeness_in_words, reasons
+from trajeval_ros.formatting.numbers import counted, percent, significant, with_unit
+from trajeval_ros.geometry.up_axis import ASSUMED, UpAxis
+from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.report.definitions import METHOD_TEXTS, WEIGHT_TEXTS
+
+if TYPE_CHECKING:
+    from trajeval_ros.metrics.own_error import OwnError
+
+
+def verdict(evaluation: Evaluation) -> list[str]:
+    """Return the result lines: errors, definitions and coverage."""
+    position, rotation = evaluation.ate["position_m"], evaluation.ate["rotation_deg"]
+    assert position is not None
+    name = evaluation.estimate.name or "estimate"
+    turned = (
+        "rotation withheld" if rotation is None else f"{with_unit(rotation.rmse, 'deg')} rotation"
+    )
+    protocol, pairs = evaluation.protocol, evaluation.association
+    states = evaluation.alignment.states_used
+    how = "first state" if states == 1 else f"first {states} states"
+    if protocol.align_states is None:
+        how = f"all {states} states"
+    modality = f" for {protocol.modality}" if protocol.modality else ""
+    poses = " with orientations" if protocol.align_with == "poses" else ""
+    weights = WEIGHT_TEXTS[protocol.align_weights]
+    if protocol.apply == "scale":
+        how += ", only its scale applied"
+    scale = (
+        f", scale {evaluation.alignment.similarity.scale:.4f}" if protocol.gauge.has_scale else ""
+    )
+    return [
+        f"{name}: ATE {with_unit(position.rmse, 'm')} position, {turned} "
+        f"(rmse{_drift(evaluation)})"
+        + (f"; {few}" if (few := few_pairs(protocol, pairs)) else ""),
+        f"  aligned by {protocol.gauge.value} ({protocol.gauge.description}){modality}, "
+        f"{how}{poses}{weights}{scale}; {METHOD_TEXTS[pairs.rule.method].format(pairs.rule)}",
+        f"  {_covered(evaluation)}{_dropped(evaluation)}",
+        *_up(evaluation.groundtruth.up, evaluation.estimate.up),
+        *_score(evaluation),
+    ]
+
+
+def _covered(evaluation: Evaluation) -> str:
+    """Return the coverage of both sides as text."""
+    pairs = evaluation.association
+    if pairs.estimate_coverage is None:
+        return completeness_in_words(evaluation)
+    coverage, path_m = pairs.coverage, f"({pairs.groundtruth.path_length_m:.1f} m)"
+    return (
+        f"{len(pairs)} {coverage.of_what} cover {percent(pairs.estimate_coverage)} of the "
+        f"estimate's poses and {percent(coverage.covered)} of the groundtruth's time {path_m}"
+        + (f", {coverage.gap_in_words}" if coverage.longest_gap else "")
+    )
+
+
+def _up(groundtruth: UpAxis, estimate: UpAxis) -> list[str]:
+    """Return a line about the up axes, unless both are assumed."""
+    if {groundtruth.origin, estimate.origin} == {ASSUMED}:
+        return []
+    return [f"  vertical axes: groundtruth {groundtruth}, estimate {estimate}"]
+
+
+def _score(evaluation: Evaluation) -> list[str]:
+    """Return lines about recall and score, if the protocol has them."""
+    score, recall = evaluation.score, evaluation.recall
+    lines = []
+    if recall is not None:
+        shares = zip(recall.percent, recall.bounds_m, strict=True)
+        level = " (level)" if recall.dimensions == 2 else ""
+        within = ", ".join(f"{share:.4g} % within {bound:g} m" for share, bound in shares)
+        lines.append(f"  recall of all points{level}: {within}")
+    if score is None:
+        return lines
+    found = [
+        f"{count} under {bound:g} m"
+        for bound, count in zip(score.bounds_m, score.found, strict=False)
+        if count
+    ]
+    found.append(f"{score.found[-1]} beyond, {score.missing} missing")
+    return [
+        *lines,
+        f"  score {score.value:.4g} of {score.best:g} for {score.references} points: "
+        + ", ".join(found),
+    ]
+
+
+def _drift(evaluation: Evaluation) -> str:
+    """Return the drift over the longest sub-trajectories as text."""
+    drift = evaluation.drift
+    if drift is None:
+        return ""
+    mean, length = significant(drift.percent.mean, 3), with_unit(drift.length_m, "m")
+    return f"); drift {mean} % of {length} (mean"
+
+
+def _dropped(evaluation: Evaluation) -> str:
+    """Return the numbers of dropped states by reason as text."""
+    dropped = evaluation.association.dropped
+    return f"; dropped: {reasons(dropped)}" if dropped else ""
+
+
+def own_error_line(own: OwnError) -> str:
+    """Return the line about an estimate's own error, without the noise of fixes."""
+    worth = (
+        f"{counted(own.fixes, 'fix', 'fixes')}, equivalent to {own.effective_fixes:.2g} "
+        "independent fixes"
+    )
+    guess = ", from approximate covariances of the driver" if own.by_guess else ""
+    low, high = own.interval_m
+    if own.resolved:
+        said = (
+            f"  own error {own.ate_m:.3g} m (95 % interval {low:.3g} to {high:.3g} m); {worth} "
+            f"(correlation time {own.correlation_s:g} s), noise {own.noise_rms_m:.2g} m"
+        )
+    else:
+        why = (
+            ("the fixes have too many jumps")
+            if own.jumps and 2.0 * own.ate_m >= high - low
+            else "the fixes have too much noise"
+        )
+        said = (
+            f"  own error below {high:.3g} m (95 %), no lower limit since {why}; {worth} "
+            f"(correlation time {own.correlation_s:g} s), noise {own.noise_rms_m:.2g} m"
+        )
+    return said + guess
