@@ -186,7 +186,7 @@ def trajectory(
         Path,
         typer.Option(
             metavar="FOLDER",
-            help="Output folder. Existing files are never overwritten.",
+            help="Output folder. Existing trajectories are never overwritten; figures are replaced.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = Path(),
