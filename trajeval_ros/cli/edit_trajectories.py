@@ -186,7 +186,8 @@ def trajectory(
         Path,
         typer.Option(
             metavar="FOLDER",
-            help="Output folder. Existing trajectories are never overwritten; figures are replaced.",
+            help="Output folder. Existing trajectories are never overwritten; figures are "
+            "replaced.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = Path(),
