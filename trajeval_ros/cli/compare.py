@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from trajeval_ros.cli import figure_options, gating, options
-from trajeval_ros.cli.comparison_verdict import print_shard, print_verdict
+from trajeval_ros.cli.comparison_verdict import print_shard, print_verdict, require_numbers
 from trajeval_ros.cli.progress import progress as drawing
 from trajeval_ros.cli.progress import progress_of_runs
 from trajeval_ros.exceptions import SettingsError
@@ -311,6 +311,7 @@ def compare(
             print_verdict(summary, progress, output)
         if gates is not None:
             gating.judge(gates, output, summary.title, quiet=quiet)
+        require_numbers(summary, output)
 
 
 def _tell_of_waiting(held: str) -> None:
