@@ -17,6 +17,7 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.diagnosis.mends import Mends
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.metrics.named_protocols import protocol_named
 from trajeval_ros.pipeline.pipeline import evaluate
 
 DRONE = simulated(5000, "drone", "walk", 60.0)
@@ -122,6 +123,46 @@ def test_the_same_estimate_twice_is_told_once() -> None:
     causes = [[each.cause for each in one.diagnosis.findings] for one in outcome.runs]
     assert causes == [[], ["same_estimate"]]
     assert "identical to" in outcome.runs[1].evaluation.warnings[0]
+
+
+def _causes(truth: Trajectory, estimate: Trajectory, protocol: Protocol) -> list[str]:
+    diagnosis = run(truth, [estimate], Request(protocol)).runs[0].diagnosis
+    return [each.cause for each in diagnosis.findings]
+
+
+@pytest.mark.parametrize("decimals", [3, 6, 16])
+@pytest.mark.parametrize("protocol", ["default", "evo", "kitti"])
+def test_a_copy_of_the_groundtruth_is_named(protocol: str, decimals: int) -> None:
+    truth = dataclasses.replace(DRONE.truth, positions=DRONE.truth.positions + [4e5, 5e6, 100.0])
+    copy = dataclasses.replace(truth, positions=truth.positions.round(decimals))
+    by_index = protocol == "kitti"
+    for estimate in (copy, copy if by_index else copy[7:-9:5]):
+        found = run(truth, [estimate], Request(protocol_named(protocol))).runs[0].diagnosis
+        assert found.findings[0].cause == "identical"
+        assert "100 % of the positions" in found.findings[0].text
+        assert ("in equal rows" in found.findings[0].text) == by_index
+
+
+def test_a_copy_of_four_poses_is_named_and_a_body_at_rest_is_not() -> None:
+    four = DRONE.truth[1000:2000:250]
+    assert "identical" in _causes(four, four, Protocol(gauge="translation", lengths="none"))
+    rest = dataclasses.replace(four, positions=np.zeros((4, 3)))
+    assert "identical" not in _causes(rest, rest, Protocol(gauge="none", lengths="none"))
+
+
+def test_a_perfect_estimate_is_no_copy() -> None:
+    truth, random = DRONE.truth, np.random.default_rng(0)
+    later = dataclasses.replace(truth, stamps=truth.stamps + 2_500_000)
+    noise = 1e-7 * random.standard_normal(truth.positions.shape)
+    noisy = dataclasses.replace(truth, positions=truth.positions + noise)
+    moved = dataclasses.replace(truth, positions=truth.positions + [0.1, 0.2, 0.3])
+    for estimate in (later, noisy, moved):
+        for protocol in (Protocol(gauge="yaw"), protocol_named("evo")):
+            assert "identical" not in _causes(truth, estimate, protocol)
+    # Its first tenth is a copy, as of an estimator that groundtruth initialises.
+    begun = np.where(np.arange(len(truth))[:, None] < len(truth) // 10, 0.0, noise)
+    started = dataclasses.replace(truth, positions=truth.positions + begun)
+    assert "identical" not in _causes(truth, started, Protocol(gauge="yaw"))
 
 
 def test_sides_can_be_swapped(tmp_path: Path) -> None:
@@ -231,23 +272,32 @@ def test_a_comparison_marks_a_run_that_shows_a_mistake(tmp_path: Path) -> None:
     from trajeval_ros.batch.summary_tables import matrices
 
     written(DRONE.truth, tmp_path / "hall.txt")
-    for name, pair in (("good", DRONE), ("bad", MISTAKES["wxyz, estimate"].make(DRONE))):
+    copied = dataclasses.replace(DRONE, estimate=DRONE.truth)
+    wrong = MISTAKES["wxyz, estimate"].make(DRONE)
+    for name, pair in (("good", DRONE), ("bad", wrong), ("wrong", wrong), ("copy", copied)):
         (tmp_path / name).mkdir()
         written(pair.estimate, tmp_path / name / "hall.txt")
     config = tmp_path / "runs.yaml"
     config.write_text(
-        "groundtruth: '{sequence}.txt'\nsequences: [hall]\ngauge: yaw\nlengths: none\n"
+        "groundtruth: '{sequence}.txt'\nsequences: [hall]\ngauge: yaw\nlengths: '8'\n"
         "runs:\n  good: 'good/{sequence}.txt'\n  bad: 'bad/{sequence}.txt'\n"
+        "  wrong: 'wrong/{sequence}.txt'\n  copy: 'copy/{sequence}.txt'\n"
     )
     summary = compare(config, tmp_path / "out", workers=1, report=False)
     assert {each.algorithm: each.diagnosis for each in summary.trials} == {
         "good": (),
         "bad": ("wxyz",),
+        "wrong": ("wxyz",),
+        "copy": ("identical",),
     }
     table = next(each for each in matrices(summary) if each.name == "ate_rotation_deg")
     notes = {algorithm: cells[0].note for algorithm, cells in table.rows}
-    assert notes == {"good": "", "bad": "§"}
-    assert "§ mistakes found (wxyz)" in table.caption
+    assert notes == {"good": "", "bad": "§", "wrong": "§", "copy": "§"}
+    assert "§ mistakes found (identical: copy hall; wxyz: bad hall and 1 more)" in table.caption
+    assert "An estimate that is the groundtruth is not ranked." in table.caption
+    for each in matrices(summary):
+        ranked = {algorithm: cells[0].is_ranked for algorithm, cells in each.rows}
+        assert ranked == {"good": True, "bad": True, "wrong": True, "copy": False}
 
 
 @pytest.mark.parametrize(
