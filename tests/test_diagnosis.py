@@ -125,6 +125,35 @@ def test_the_same_estimate_twice_is_told_once() -> None:
     assert "identical to" in outcome.runs[1].evaluation.warnings[0]
 
 
+@pytest.mark.parametrize(
+    ("truth", "estimate", "is_swapped"),
+    [
+        ("vio.txt", "groundtruth.txt", True),
+        ("est.txt", "run/gt.csv", True),
+        ("run.mcap:/odom", "run.mcap:/vicon/drone/pose", True),
+        ("run.mcap:/odom", "run.mcap:/tf:map.mocap", True),
+        ("s3://lab/poses.txt", "s3://lab/leica0.txt", True),
+        ("gt.txt", "vio.txt", False),
+        ("gt.txt", "mocap.txt", False),
+        ("mav0/state_groundtruth_estimate0/data.csv", "reference.txt", False),
+        ("MH_01.txt", "gt/vio.txt", False),
+        ("MH_01.txt", "vicon_bags/run.mcap:/odom", False),
+        ("V1_01.csv", "vicon_room1_01.txt", False),
+        ("poses.txt", "orb_slam_gt_scale.txt", False),
+        ("poses.txt", "gtsam.txt", False),
+        ("", "", False),
+    ],
+)
+def test_swapped_sides_are_named_by_their_names(
+    truth: str, estimate: str, is_swapped: bool
+) -> None:
+    sides = (
+        dataclasses.replace(each, source=source)
+        for each, source in ((DRONE.truth, truth), (DRONE.estimate, estimate))
+    )
+    assert ("swapped" in _causes(*sides, Protocol(gauge="yaw"))) == is_swapped
+
+
 def _causes(truth: Trajectory, estimate: Trajectory, protocol: Protocol) -> list[str]:
     diagnosis = run(truth, [estimate], Request(protocol)).runs[0].diagnosis
     return [each.cause for each in diagnosis.findings]

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
 from trajeval_ros.diagnosis.both_sides import Recording
 from trajeval_ros.diagnosis.evidence import Examined, Seen, Value
 from trajeval_ros.diagnosis.motion_track import MotionTrack
+from trajeval_ros.formatting.source_roles import (
+    is_named_estimate,
+    is_named_groundtruth,
+    own_name,
+)
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.thinning import evenly
 from trajeval_ros.geometry.trajectory import NANOSECONDS
@@ -26,12 +29,6 @@ _ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
 # Largest extent of a body at rest, as a fraction of the other side's, and least extent of motion,
 # in units of the source.
 _STILL_SHARE, _MOVED = 1e-5, 0.3
-_TRUE_NAMES = re.compile(
-    r"(ground.?truth|\bgt\b|_gt\b|\bgt_|vicon|mocap|optitrack|leica|vrpn)", re.I
-)
-_ESTIMATED_NAMES = re.compile(
-    r"(vio\b|vins|slam|odometry|\bodom|openvins|rovio|okvis|msckf|estimate|kimera|svo\b)", re.I
-)
 
 
 def rounded_stamps(recording: Recording) -> Examined:
@@ -167,23 +164,15 @@ def standing_still(recording: Recording) -> Examined:
 
 
 def swapped_names(recording: Recording) -> Examined:
-    """Test whether the names of the sources contradict their roles."""
+    """Test whether the name of the estimate says groundtruth, and the groundtruth's does not."""
     truth, estimate = (
-        each.source.rsplit("/", 1)[-1] or each.name
-        for each in (recording.groundtruth, recording.estimate)
+        each.source or each.name for each in (recording.groundtruth, recording.estimate)
     )
-    swapped = (
-        _ESTIMATED_NAMES.search(truth)
-        and _TRUE_NAMES.search(estimate)
-        and not _TRUE_NAMES.search(truth)
-        and not _ESTIMATED_NAMES.search(estimate)
-    )
-    if not swapped:
+    own = own_name(estimate)
+    # A folder can name the groundtruth, as in `state_groundtruth_estimate0/data.csv`.
+    if not is_named_groundtruth(own) or is_named_estimate(own) or is_named_groundtruth(truth):
         return Examined("source names")
-    values: dict[str, Value] = {
-        "groundtruth": recording.groundtruth.source or recording.groundtruth.name,
-        "estimate": recording.estimate.source or recording.estimate.name,
-    }
+    values: dict[str, Value] = {"groundtruth": truth, "estimate": estimate}
     return Examined("source names", seen=(Seen("swapped", 0.0, values),))
 
 
