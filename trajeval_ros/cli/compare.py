@@ -116,8 +116,8 @@ def compare(
     ] = False,
     baseline: gating.BaselineOption = None,
     fail_if: gating.FailIfOption = None,
-    undecided: gating.UndecidedOption = "pass",
-    false_alarms: gating.FalseAlarmsOption = 2.5,
+    undecided: gating.UndecidedOption = gating.UNDECIDED,
+    false_alarms: gating.FalseAlarmsOption = gating.FALSE_ALARMS,
     paired: gating.PairedOption = False,
     output: Annotated[
         Path,
@@ -258,10 +258,12 @@ def compare(
             "--dataset needs --label, such as a commit, and --label needs --dataset; give both"
         )
     part = None if shard is None else Shard.parse(shard)
-    if part is not None and (merge or baseline or fail_if or figure_format or dataset):
+    if part is not None and (
+        merge or baseline or fail_if or figure_format or dataset or transpose
+    ):
         raise SettingsError(
-            "--shard evaluates runs only; give --merge, --baseline, --fail-if, --figure-format "
-            "and --dataset to the command that merges the shards"
+            "--shard evaluates runs only; give --merge, --baseline, --fail-if, --figure-format, "
+            "--dataset and --transpose to the command that merges the shards"
         )
     if merge:
         given: list[object] = list(said.values())

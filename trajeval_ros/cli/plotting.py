@@ -11,6 +11,7 @@ import typer
 
 from trajeval_ros.cli.figure_options import FIGURES
 from trajeval_ros.exceptions import SettingsError, require_one_of
+from trajeval_ros.geometry.flattening import PLANES
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.ground_image import GroundImage, parse_bounds, read_ground_image
 from trajeval_ros.io.writing import refused_by_disk
@@ -96,6 +97,10 @@ class Plotting:
             require_one_of(each, PLOTS, "plot")
         if colour_by is not None:
             require_one_of(colour_by, COLOURS_BY, "colour")
+        if colour_by is not None and not set(kinds) & set(PLANES):
+            raise SettingsError(
+                f"--colour-by needs a path in a plane; add {', '.join(PLANES)} to --plot"
+            )
         if map_bounds is not None and map_file is None:
             raise SettingsError("--map-bounds needs an image; add --map IMAGE")
         if map_file is not None and "xy" not in kinds:

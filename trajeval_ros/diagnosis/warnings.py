@@ -15,6 +15,7 @@ from trajeval_ros.diagnosis.rotation_hints import about_freedom, about_poses
 from trajeval_ros.formatting.numbers import counted, percent
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.up_axis import ASSUMED
+from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.statistics import median
 
 if TYPE_CHECKING:
@@ -30,6 +31,12 @@ _JITTER = 0.15
 _FEWEST_STEPS = 100
 _FOLLOWS = 0.2
 _SPARSE_S = 0.12
+_BY_TIME = {
+    "method": "--association",
+    "max_time_difference_s": "--max-time-difference",
+    "max_gap_s": "--max-gap",
+    "time_offset_s": "--time-offset",
+}
 _REASONS = {
     "no_groundtruth_within_max_time_difference": "beyond the largest time difference to "
     "groundtruth",
@@ -80,6 +87,7 @@ def warnings_of(evaluation: Evaluation, diagnosis: Diagnosis) -> tuple[str, ...]
         *dict.fromkeys((*evaluation.groundtruth.damage, *evaluation.estimate.damage)),
         *evaluation.groundtruth.conflicts,
         *evaluation.estimate.conflicts,
+        *_about_rows(evaluation),
         *_about_alignment(evaluation),
         *([] if _explains_jumps(diagnosis) else _about_jumps(evaluation)),
         *_about_rotations(evaluation),
@@ -112,6 +120,25 @@ def _about_alignment(evaluation: Evaluation) -> list[str]:
     if protocol.align_states == 1:
         warnings += _about_first_state(evaluation)
     return warnings
+
+
+def _about_rows(evaluation: Evaluation) -> list[str]:
+    """Name the settings of an association by time that poses without timestamps do not have."""
+    rule = evaluation.protocol.association
+    if evaluation.association.rule.method != "index" or rule.method == "index":
+        return []
+    of_protocol = PROTOCOLS.get(evaluation.protocol.name, PROTOCOLS["default"]).association
+    unused = [
+        option
+        for name, option in _BY_TIME.items()
+        if getattr(rule, name) != getattr(of_protocol, name)
+    ]
+    if not unused:
+        return []
+    return [
+        f"no effect of {', '.join(unused)}: without timestamps on both sides, poses are paired by "
+        "row; give timestamps, such as with --frame-rate"
+    ]
 
 
 def _about_first_state(evaluation: Evaluation) -> list[str]:

@@ -77,6 +77,7 @@ EXAMPLE = "--columns 't x y z qw qx qy qz'"
 _CAMERA = UpAxis("-y", "KITTI's camera axes")
 _NED = UpAxis("-z", "TartanAir's axes: north, east, down")
 # Conventions of covariances: about fixed axes, as in PoseWithCovariance, or of body twists.
+AS_NAMED = "columns as named"  # layout of --columns
 FIXED_AXES, BODY_TWISTS = "fixed axes", "body twists"
 
 
@@ -158,7 +159,7 @@ def layout_of(columns: Sequence[str]) -> Layout:
             f"--columns has {' and '.join(times) if not twice else twice[0] + ' twice'}; name a "
             f"quantity once, and use {IGNORED} for columns to ignore"
         )
-    layout = Layout("columns as named", tuple(columns))
+    layout = Layout(AS_NAMED, tuple(columns))
     if not layout.has_places:
         raise SettingsError(
             f"columns {' '.join(columns)} have no position; name x, y and z, as in {EXAMPLE}, or "
