@@ -105,6 +105,28 @@ def test_a_fix_of_what_is_not_there_is_refused() -> None:
     assert run(DRONE.truth, [DRONE.estimate], suggested).runs[0].mended is None
 
 
+def test_all_poses_twice_are_100_percent() -> None:
+    twice = Trajectory(
+        *(np.concatenate([each, each]) for each in (DRONE.estimate.stamps,
+                                                    DRONE.estimate.positions))
+    )  # fmt: skip
+    found = run(DRONE.truth, [twice], Request(DRONE.protocol)).runs[0].diagnosis
+    assert "100 % of the estimate's poses occur twice" in found.findings[0].text
+
+
+@pytest.mark.parametrize(("every", "is_told"), [(3, True), (20, False)])
+def test_many_unusable_poses_are_told(every: int, is_told: bool) -> None:
+    positions = DRONE.estimate.positions.copy()
+    positions[::every] = np.nan
+    estimate = Trajectory.from_columns(
+        DRONE.estimate.stamps, positions, DRONE.estimate.quaternions
+    )
+    (outcome,) = run(DRONE.truth, [estimate], Request(DRONE.protocol)).runs
+    said = "33.3 % of the estimate's poses are not usable and were dropped: "
+    said += f"{-(-len(positions) // 3)} not finite"
+    assert any(each.startswith(said) for each in outcome.evaluation.warnings) == is_told
+
+
 def test_a_fix_that_no_option_makes_is_refused() -> None:
     wrong = MISTAKES["duplicated"].make(DRONE)
     with pytest.raises(InputError, match="no option corrects the finding"):

@@ -69,7 +69,7 @@ def duplicated_rows(recording: Recording) -> Examined:
         if len(track) < _FEWEST_POSES:
             continue
         repeats, rows_apart, extent = _repeats(track)
-        share = repeats / min(_PROBES, len(track))
+        share = min(1.0, repeats / min(_PROBES, len(track)))
         scores[f"{side} share"] = share
         if repeats >= max(10, 0.02 * _PROBES) and extent > 1e-3 * _travelled(track.positions):
             values: dict[str, Value] = {
@@ -77,7 +77,7 @@ def duplicated_rows(recording: Recording) -> Examined:
                 "percent": 100.0 * share,
                 "rows_apart": float(rows_apart),
             }
-            seen.append(Seen("duplicated", min(1.0, share), values))
+            seen.append(Seen("duplicated", share, values))
     return Examined("duplicated rows", scores, tuple(seen))
 
 

@@ -31,6 +31,8 @@ _JITTER = 0.15
 _FEWEST_STEPS = 100
 _FOLLOWS = 0.2
 _SPARSE_S = 0.12
+# Reasons to drop a pose that do not depend on the groundtruth.
+_UNUSABLE = ("not_finite", "zero_quaternion", "undecodable", "zero_stamp", "lone_stamp")
 _BY_TIME = {
     "method": "--association",
     "max_time_difference_s": "--max-time-difference",
@@ -266,6 +268,13 @@ def _about_inputs(evaluation: Evaluation) -> list[str]:
             )
     if truth.dropped:
         warnings.append(f"groundtruth poses were dropped: {reasons(truth.dropped)}")
+    unusable = {each: count for each, count in estimate.dropped.items() if each in _UNUSABLE}
+    share = sum(unusable.values()) / (sum(unusable.values()) + max(len(estimate), 1))
+    if share > 1.0 - LOW_COVERAGE:
+        warnings.append(
+            f"{percent(share)} of the estimate's poses are not usable and were dropped: "
+            f"{reasons(unusable)}; correct the output of the estimator"
+        )
     return warnings
 
 

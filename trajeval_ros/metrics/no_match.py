@@ -43,6 +43,11 @@ def explain_no_match(
             "s; use association linear, or increase the max gap"
         )
     if truth[0] <= other[1] and other[0] <= truth[1]:
+        if "no_groundtruth_within_max_time_difference" not in dropped:
+            return (
+                f"{text}; they overlap, but no timestamp of one side is within the other; check "
+                "the number of digits of the timestamps"
+            )
         return (
             f"{text}; they overlap, but all time differences exceed "
             f"{rule.max_time_difference_s:g} s; use association linear, or increase the max "
