@@ -127,6 +127,19 @@ def test_many_unusable_poses_are_told(every: int, is_told: bool) -> None:
     assert any(each.startswith(said) for each in outcome.evaluation.warnings) == is_told
 
 
+def test_why_a_length_has_no_sub_trajectories_is_told() -> None:
+    sparse = DRONE.estimate[::40]
+    protocol = Protocol(gauge="yaw", lengths=("0.1s", "0.01m", "1000m", "500s"))
+    (outcome,) = run(DRONE.truth, [sparse], Request(protocol)).runs
+    step_s = float(np.median(np.diff(sparse.seconds)))
+    said = [each for each in outcome.evaluation.warnings if each.startswith("no sub-traj")]
+    assert said[0].startswith("no sub-trajectories of 1000 m, 500 s: the paired path has ")
+    assert said[1].startswith(
+        f"no sub-trajectories of 0.1 s, 0.01 m: pairs are {step_s:.2g} s and "
+    )
+    assert said[1].endswith("m apart (median); use longer sub-trajectories")
+
+
 def test_a_fix_that_no_option_makes_is_refused() -> None:
     wrong = MISTAKES["duplicated"].make(DRONE)
     with pytest.raises(InputError, match="no option corrects the finding"):

@@ -14,6 +14,7 @@ from trajeval_ros.diagnosis.jumps import Steps
 from trajeval_ros.diagnosis.rotation_hints import about_freedom, about_poses
 from trajeval_ros.formatting.numbers import counted, percent
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.travelled import step_lengths
 from trajeval_ros.geometry.up_axis import ASSUMED
 from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.statistics import median
@@ -232,14 +233,25 @@ def _about_coverage(evaluation: Evaluation) -> list[str]:
 
 
 def _about_relative_errors(evaluation: Evaluation) -> list[str]:
-    empty = [each.length.text for each in evaluation.segments or () if not each.count]
-    if not empty:
-        return []
+    empty = [each.length for each in evaluation.segments or () if not each.count]
     path = evaluation.association.groundtruth
-    return [
-        f"no sub-trajectories of {', '.join(empty)}: the paired path has "
-        f"{path.path_length_m:.1f} m in {path.duration_s:.1f} s"
-    ]
+    whole = {"m": path.path_length_m, "s": path.duration_s}
+    # A long path without a sub-trajectory has its states too far apart.
+    sparse = [each.text for each in empty if each.value < 0.5 * whole.get(each.unit, 0.0)]
+    short = [each.text for each in empty if each.text not in sparse]
+    warnings = []
+    if short:
+        warnings.append(
+            f"no sub-trajectories of {', '.join(short)}: the paired path has "
+            f"{path.path_length_m:.1f} m in {path.duration_s:.1f} s"
+        )
+    if sparse:
+        step_s, step_m = median(np.diff(path.seconds)), median(step_lengths(path.positions))
+        warnings.append(
+            f"no sub-trajectories of {', '.join(sparse)}: pairs are {step_s:.2g} s and "
+            f"{step_m:.2g} m apart (median); use longer sub-trajectories"
+        )
+    return warnings
 
 
 def about_frames(groundtruth: str, estimate: str) -> list[str]:
