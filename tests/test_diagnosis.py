@@ -176,6 +176,7 @@ def test_the_same_estimate_twice_is_told_once() -> None:
         ("V1_01.csv", "vicon_room1_01.txt", False),
         ("poses.txt", "orb_slam_gt_scale.txt", False),
         ("poses.txt", "gtsam.txt", False),
+        ("", "groundtruth.txt", False),
         ("", "", False),
     ],
 )

@@ -170,7 +170,8 @@ def swapped_names(recording: Recording) -> Examined:
     )
     own = own_name(estimate)
     # A folder can name the groundtruth, as in `state_groundtruth_estimate0/data.csv`.
-    if not is_named_groundtruth(own) or is_named_estimate(own) or is_named_groundtruth(truth):
+    says_groundtruth = is_named_groundtruth(own) and not is_named_estimate(own)
+    if not says_groundtruth or not truth or is_named_groundtruth(truth):
         return Examined("source names")
     values: dict[str, Value] = {"groundtruth": truth, "estimate": estimate}
     return Examined("source names", seen=(Seen("swapped", 0.0, values),))
