@@ -387,11 +387,20 @@ def test_a_first_stamp_of_zero_is_no_clock_that_counts_from_zero() -> None:
             associate(one, other, AssociationRule("linear"))
 
 
+def test_timestamps_around_all_groundtruth_are_told_from_gaps() -> None:
+    # As timestamps in single precision, 128 s apart.
+    truth, around = make_groundtruth(0), make_groundtruth(0)[:2]
+    stamps = truth.stamps[[0, -1]] + np.array([-1, 1]) * 10**9
+    around = dataclasses.replace(around, stamps=stamps)
+    with pytest.raises(NoMatchError, match=r"no timestamp of one side is within .* digits"):
+        associate(truth, around, AssociationRule())
+
+
 def test_overlap_without_close_stamps_is_told_from_no_overlap() -> None:
     truth, estimate = at(np.arange(0, 10_000, 1000)), at(np.arange(500, 10_000, 1000))
     with pytest.raises(NoMatchError, match="overlap"):
         associate(truth, estimate, AssociationRule("nearest"))
-    with pytest.raises(NoMatchError, match="gap"):
+    with pytest.raises(NoMatchError, match=r"gaps longer than 0.5 s \(median step 1 s\); incr"):
         associate(truth, estimate[:5], AssociationRule("linear"))
 
 

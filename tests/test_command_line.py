@@ -169,10 +169,9 @@ def test_the_help_fits_a_terminal_of_80_columns(
     options = [option for each in verb(name).params for option in each.opts]
     longest = [option for option in options if option.startswith("--")]
     assert not [option for option in longest if option not in text]
-    if name != "evaluator":  # its help is a table of ROS parameters
-        examples = re.findall(r"^ {4}(.*\S)$", verb(name).help or "", re.MULTILINE)
-        assert examples
-        assert not [line for line in examples if f" {line} " not in text]
+    examples = re.findall(r"^ {4}(.*\S)$", verb(name).help or "", re.MULTILINE)
+    assert examples
+    assert not [line for line in examples if f" {line} " not in text]
 
 
 def test_without_arguments_the_help_is_printed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -144,7 +144,11 @@ ONE = "vio,hall,0,t.txt,e.txt"
         ([], " is empty; write a header line algorithm,sequence,trial,groundtruth,estimate and"),
         ([",".join(HEADER)], " lists no runs; write a header line"),
         (["algorithm,sequence,estimate", "vio,hall,e.txt"], " has no column groundtruth; write"),
-        ([",".join(HEADER).replace(",", ";"), ONE], " has an unknown column 'algorithm;seq"),
+        ([";".join(HEADER), ONE.replace(",", ";")],
+         ", line 1: the columns are separated by semicolons; save the file with commas"),
+        (['"{}"\r'.format('";"'.join(HEADER))], "separated by semicolons"),
+        (["\t".join(HEADER), ONE.replace(",", "\t")], "are separated by tabs"),
+        (["algorithm|sequence|estimate"], " has an unknown column 'algorithm|seq"),
         (["algorithm,sequence,trail,groundtruth,estimate", ONE], "did you mean trial?"),
         (["algorithm,sequence,trial,trial,groundtruth,estimate"], " has two columns trial"),
         ([",".join(HEADER), ONE, "", "vio,yard,0,t.txt,"],
@@ -209,3 +213,21 @@ def test_a_file_that_is_listed_and_not_there_is_a_failed_run(
     said = capsys.readouterr()
     assert "8 runs evaluated, 1 failed or missing; report.html" in said.out
     assert f"warning: bad hall 2 failed: {tmp_path}/x.txt does not exist" in said.err
+
+
+def test_a_comparison_without_any_number_is_an_error_with_a_report(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [["vio", "hall", trial, "x.txt", "y.txt"] for trial in "01"]
+    path, out = write_manifest(tmp_path / "runs.csv", rows), tmp_path / "out"
+    for _ in range(2):  # also if nothing has changed since
+        assert main(["compare", str(path), "--workers", "1", "--output", str(out), "-q"]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        first = f"all runs failed or are missing, first vio hall 0 failed: {tmp_path}/x.txt does"
+        assert line.startswith(f"trajeval: {first}")
+        assert line.endswith(f"; see {out}/tables.md for the reasons")
+    assert "vio hall 1 failed: " in (out / "tables.md").read_text()
+    assert "failed or missing" in (out / "report.html").read_text()
+    shard = ["compare", str(path), "--shard", "1/1", "--output", str(tmp_path / "shard"), "-q"]
+    assert main(shard) == 0
+    assert main(["compare", "--merge", str(tmp_path / "shard"), "--output", str(out), "-q"]) == 2

@@ -76,7 +76,7 @@ def test_joint_covariance_acquits_and_convicts_in_every_gauge(
     assert good["joint"]["dof"] == 6 * 61 - dimensions[alignment[1]]
     assert 6 < good["per_pose"]["effective_dof"] < 366
     bad = _evaluate(overconfident, *alignment, "--covariance", f"{overconfident}.npz")
-    assert bad["verdict"] == "over-confident"
+    assert bad["verdict"] == "overconfident"
 
 
 def test_messages_are_exact_in_the_estimators_own_gauge_alone(
@@ -96,7 +96,7 @@ def test_messages_are_exact_in_the_estimators_own_gauge_alone(
     assert (bound["exactness"], bound["statement"]) == ("bound", BOUND_STATEMENT)
     joint = _evaluate(honest, *other, "--covariance", f"{honest}.npz")
     assert bound["per_pose"]["mean"] < joint["per_pose"]["mean"]
-    assert _evaluate(overconfident, *own, "--covariance", "message")["verdict"] == "over-confident"
+    assert _evaluate(overconfident, *own, "--covariance", "message")["verdict"] == "overconfident"
     assert _evaluate(honest, *own) is None
 
 
@@ -151,7 +151,7 @@ def test_runs_differ_in_noise_and_share_the_flight(
     np.testing.assert_array_equal(again.positions, first[1])
     for each in bags[:1]:
         result = _evaluate(each, "--gauge", "yaw", "--covariance", f"{each}.npz")
-        assert result["verdict"] in ("consistent", "over-confident", "under-confident")
+        assert result["verdict"] in ("consistent", "overconfident", "conservative")
         assert result["joint"]["nees_per_dof"] == pytest.approx(1.0, abs=0.2)
 
 

@@ -166,7 +166,7 @@ def test_over_confidence_is_seen_where_the_residuals_are_fine() -> None:
 
 
 @pytest.mark.slow
-def test_simulated_flights_are_over_confident_whatever_their_seed() -> None:
+def test_simulated_flights_are_overconfident_whatever_their_seed() -> None:
     for seed, duration_s in ((0, 6.0), (1, 6.0), (2, 6.0), (4, 6.0), (1, 10.0)):
         flown = fly(seed, duration_s, PROFILES["overconfident"])
         (odometry,) = flown.runs(seed, 1)

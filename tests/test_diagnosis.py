@@ -17,6 +17,7 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.diagnosis.mends import Mends
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.metrics.named_protocols import protocol_named
 from trajeval_ros.pipeline.pipeline import evaluate
 
 DRONE = simulated(5000, "drone", "walk", 60.0)
@@ -104,6 +105,41 @@ def test_a_fix_of_what_is_not_there_is_refused() -> None:
     assert run(DRONE.truth, [DRONE.estimate], suggested).runs[0].mended is None
 
 
+def test_all_poses_twice_are_100_percent() -> None:
+    twice = Trajectory(
+        *(np.concatenate([each, each]) for each in (DRONE.estimate.stamps,
+                                                    DRONE.estimate.positions))
+    )  # fmt: skip
+    found = run(DRONE.truth, [twice], Request(DRONE.protocol)).runs[0].diagnosis
+    assert "100 % of the estimate's poses occur twice" in found.findings[0].text
+
+
+@pytest.mark.parametrize(("every", "is_told"), [(3, True), (20, False)])
+def test_many_unusable_poses_are_told(every: int, is_told: bool) -> None:
+    positions = DRONE.estimate.positions.copy()
+    positions[::every] = np.nan
+    estimate = Trajectory.from_columns(
+        DRONE.estimate.stamps, positions, DRONE.estimate.quaternions
+    )
+    (outcome,) = run(DRONE.truth, [estimate], Request(DRONE.protocol)).runs
+    said = "33.3 % of the estimate's poses are not usable and were dropped: "
+    said += f"{-(-len(positions) // 3)} not finite"
+    assert any(each.startswith(said) for each in outcome.evaluation.warnings) == is_told
+
+
+def test_why_a_length_has_no_sub_trajectories_is_told() -> None:
+    sparse = DRONE.estimate[::40]
+    protocol = Protocol(gauge="yaw", lengths=("0.1s", "0.01m", "1000m", "500s"))
+    (outcome,) = run(DRONE.truth, [sparse], Request(protocol)).runs
+    step_s = float(np.median(np.diff(sparse.seconds)))
+    said = [each for each in outcome.evaluation.warnings if each.startswith("no sub-traj")]
+    assert said[0].startswith("no sub-trajectories of 1000 m, 500 s: the paired path has ")
+    assert said[1].startswith(
+        f"no sub-trajectories of 0.1 s, 0.01 m: pairs are {step_s:.2g} s and "
+    )
+    assert said[1].endswith("m apart (median); use longer sub-trajectories")
+
+
 def test_a_fix_that_no_option_makes_is_refused() -> None:
     wrong = MISTAKES["duplicated"].make(DRONE)
     with pytest.raises(InputError, match="no option corrects the finding"):
@@ -122,6 +158,76 @@ def test_the_same_estimate_twice_is_told_once() -> None:
     causes = [[each.cause for each in one.diagnosis.findings] for one in outcome.runs]
     assert causes == [[], ["same_estimate"]]
     assert "identical to" in outcome.runs[1].evaluation.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("truth", "estimate", "is_swapped"),
+    [
+        ("vio.txt", "groundtruth.txt", True),
+        ("est.txt", "run/gt.csv", True),
+        ("run.mcap:/odom", "run.mcap:/vicon/drone/pose", True),
+        ("run.mcap:/odom", "run.mcap:/tf:map.mocap", True),
+        ("s3://lab/poses.txt", "s3://lab/leica0.txt", True),
+        ("gt.txt", "vio.txt", False),
+        ("gt.txt", "mocap.txt", False),
+        ("mav0/state_groundtruth_estimate0/data.csv", "reference.txt", False),
+        ("MH_01.txt", "gt/vio.txt", False),
+        ("MH_01.txt", "vicon_bags/run.mcap:/odom", False),
+        ("V1_01.csv", "vicon_room1_01.txt", False),
+        ("poses.txt", "orb_slam_gt_scale.txt", False),
+        ("poses.txt", "gtsam.txt", False),
+        ("", "groundtruth.txt", False),
+        ("", "", False),
+    ],
+)
+def test_swapped_sides_are_named_by_their_names(
+    truth: str, estimate: str, is_swapped: bool
+) -> None:
+    sides = (
+        dataclasses.replace(each, source=source)
+        for each, source in ((DRONE.truth, truth), (DRONE.estimate, estimate))
+    )
+    assert ("swapped" in _causes(*sides, Protocol(gauge="yaw"))) == is_swapped
+
+
+def _causes(truth: Trajectory, estimate: Trajectory, protocol: Protocol) -> list[str]:
+    diagnosis = run(truth, [estimate], Request(protocol)).runs[0].diagnosis
+    return [each.cause for each in diagnosis.findings]
+
+
+@pytest.mark.parametrize("decimals", [3, 6, 16])
+@pytest.mark.parametrize("protocol", ["default", "evo", "kitti"])
+def test_a_copy_of_the_groundtruth_is_named(protocol: str, decimals: int) -> None:
+    truth = dataclasses.replace(DRONE.truth, positions=DRONE.truth.positions + [4e5, 5e6, 100.0])
+    copy = dataclasses.replace(truth, positions=truth.positions.round(decimals))
+    by_index = protocol == "kitti"
+    for estimate in (copy, copy if by_index else copy[7:-9:5]):
+        found = run(truth, [estimate], Request(protocol_named(protocol))).runs[0].diagnosis
+        assert found.findings[0].cause == "identical"
+        assert "100 % of the positions" in found.findings[0].text
+        assert ("in equal rows" in found.findings[0].text) == by_index
+
+
+def test_a_copy_of_four_poses_is_named_and_a_body_at_rest_is_not() -> None:
+    four = DRONE.truth[1000:2000:250]
+    assert "identical" in _causes(four, four, Protocol(gauge="translation", lengths="none"))
+    rest = dataclasses.replace(four, positions=np.zeros((4, 3)))
+    assert "identical" not in _causes(rest, rest, Protocol(gauge="none", lengths="none"))
+
+
+def test_a_perfect_estimate_is_no_copy() -> None:
+    truth, random = DRONE.truth, np.random.default_rng(0)
+    later = dataclasses.replace(truth, stamps=truth.stamps + 2_500_000)
+    noise = 1e-7 * random.standard_normal(truth.positions.shape)
+    noisy = dataclasses.replace(truth, positions=truth.positions + noise)
+    moved = dataclasses.replace(truth, positions=truth.positions + [0.1, 0.2, 0.3])
+    for estimate in (later, noisy, moved):
+        for protocol in (Protocol(gauge="yaw"), protocol_named("evo")):
+            assert "identical" not in _causes(truth, estimate, protocol)
+    # Its first tenth is a copy, as of an estimator that groundtruth initialises.
+    begun = np.where(np.arange(len(truth))[:, None] < len(truth) // 10, 0.0, noise)
+    started = dataclasses.replace(truth, positions=truth.positions + begun)
+    assert "identical" not in _causes(truth, started, Protocol(gauge="yaw"))
 
 
 def test_sides_can_be_swapped(tmp_path: Path) -> None:
@@ -231,23 +337,32 @@ def test_a_comparison_marks_a_run_that_shows_a_mistake(tmp_path: Path) -> None:
     from trajeval_ros.batch.summary_tables import matrices
 
     written(DRONE.truth, tmp_path / "hall.txt")
-    for name, pair in (("good", DRONE), ("bad", MISTAKES["wxyz, estimate"].make(DRONE))):
+    copied = dataclasses.replace(DRONE, estimate=DRONE.truth)
+    wrong = MISTAKES["wxyz, estimate"].make(DRONE)
+    for name, pair in (("good", DRONE), ("bad", wrong), ("wrong", wrong), ("copy", copied)):
         (tmp_path / name).mkdir()
         written(pair.estimate, tmp_path / name / "hall.txt")
     config = tmp_path / "runs.yaml"
     config.write_text(
-        "groundtruth: '{sequence}.txt'\nsequences: [hall]\ngauge: yaw\nlengths: none\n"
+        "groundtruth: '{sequence}.txt'\nsequences: [hall]\ngauge: yaw\nlengths: '8'\n"
         "runs:\n  good: 'good/{sequence}.txt'\n  bad: 'bad/{sequence}.txt'\n"
+        "  wrong: 'wrong/{sequence}.txt'\n  copy: 'copy/{sequence}.txt'\n"
     )
     summary = compare(config, tmp_path / "out", workers=1, report=False)
     assert {each.algorithm: each.diagnosis for each in summary.trials} == {
         "good": (),
         "bad": ("wxyz",),
+        "wrong": ("wxyz",),
+        "copy": ("identical",),
     }
     table = next(each for each in matrices(summary) if each.name == "ate_rotation_deg")
     notes = {algorithm: cells[0].note for algorithm, cells in table.rows}
-    assert notes == {"good": "", "bad": "§"}
-    assert "§ mistakes found (wxyz)" in table.caption
+    assert notes == {"good": "", "bad": "§", "wrong": "§", "copy": "§"}
+    assert "§ mistakes found (identical: copy hall; wxyz: bad hall and 1 more)" in table.caption
+    assert "An estimate that is the groundtruth is not ranked." in table.caption
+    for each in matrices(summary):
+        ranked = {algorithm: cells[0].is_ranked for algorithm, cells in each.rows}
+        assert ranked == {"good": True, "bad": True, "wrong": True, "copy": False}
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -157,6 +158,21 @@ def test_what_would_have_been_noticed_stands_beside_every_verdict(tmp_path: Path
                            "runs", [])  # fmt: skip
         assert "is detected in 80 % of comparisons" in text
         assert "Probability of a false alarm: at most 2.5 %" in text
+
+
+def test_old_and_new_values_have_a_unit(tmp_path: Path) -> None:
+    coverage = "association.groundtruth_coverage worse than 50 % untested"
+    text = to_markdown(judged(tmp_path, {"s": [0.25]}, {"s": [0.5]}, GATE, coverage), "runs", [])
+    assert "| old [m] | new [m] |" in text
+    assert "| vio, s | 0.250 | 0.500 |" in text
+    assert "| old [%] | new [%] |" in text
+    assert "| vio, s | 25.000 | 50.000 |" in text
+    lost = judged(tmp_path, {"s": [0.25]}, {"s": [None]})
+    per_metre = Gate("re.8m.rotation_deg_per_m.mean", 5.0)
+    gate = dataclasses.replace(lost.gates[0], gate=per_metre)
+    text = to_markdown(dataclasses.replace(lost, gates=(gate,)), "runs", [])
+    assert "| old [deg/m] | new [deg/m] |" in text
+    assert "| 0.250 | failed |" in text
 
 
 def test_json_says_what_the_markdown_says_with_all_digits(tmp_path: Path) -> None:

@@ -89,6 +89,35 @@ def test_columns_are_found_by_name(name: str, tmp_path: Path) -> None:
     assert is_the_pose(read(tmp_path / "t.csv", TABLES[name]))
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "timestamp;x;y;z\n1,5;0,5;-1,25;1,0e-3\n",
+        "1,5 0,5 -1,25 2,0\n2,5 0,5 -1,25 2,0\n",
+        "1,5\t0,5\t-1,25\t2,0\n",
+        "1,5 ; 0,5 ; 1,25 ; 2,0\n",
+    ],
+)
+def test_decimal_commas_are_named(text: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"line \d: numbers have decimal commas; write decimal p"):
+        read(tmp_path / "t.csv", text)
+
+
+def test_other_columns_are_not_taken_for_an_id_or_for_a_quaternion(tmp_path: Path) -> None:
+    level = np.tile([0.0, 0.0, 0.6, 0.8], (3, 1))
+    times = [f"{each}.25" for each in range(3)]
+    status = rows(times, POSITIONS, level, ["0"] * 3)
+    angles = rows(times, POSITIONS, RPY)
+    for text in (status, angles):
+        with pytest.raises(
+            InputError, match=r"unknown layout with [79] columns;.* --columns 't x"
+        ):
+            read(tmp_path / "t.csv", text.replace(",", " "))
+    with_id = read(tmp_path / "t.csv", rows(["7", "8", "9"], times, POSITIONS, XYZW))
+    np.testing.assert_allclose(with_id.positions, POSITIONS)
+    assert "the first of 9 columns is an id" in with_id.notes
+
+
 def test_columns_that_are_not_used_are_said(tmp_path: Path) -> None:
     notes = read(tmp_path / "t.csv", TABLES["text between"]).notes
     assert "ignored columns: name" in notes

@@ -34,6 +34,7 @@ AVOIDED = {
     r"\bmend(s|ed|ing)?\b": "fix, correct",
     r"\bhonest\b|\bdishonest\b": "consistent",
     r"\bsurer?\b": "consistent, confident",
+    r"\b(over|under)-confident\b": "overconfident, conservative",
     r"\bso many\b|\bas many\b": "a number",
     r"\b(is|are) no [a-z]+": "is not a",
     r"\bthere (is|are)\b.* no\b|^there (is|are) no\b": "unknown, no",

@@ -70,8 +70,8 @@ def test_numbers_too_large_to_be_squared_are_no_pose(row: tuple[float, float]) -
 def test_the_same_rows_are_poses_live_and_recorded(seed: int) -> None:
     random = np.random.default_rng(seed)
     truth = make_groundtruth(seed)
-    positions, quaternions = truth.positions.copy(), truth.quaternions
-    assert quaternions is not None
+    assert truth.quaternions is not None
+    positions, quaternions = truth.positions.copy(), truth.quaternions.copy()
     strange = [0.0, 1e-7, 1e-5, 1e11, 1e13, -1e100, 1e160, np.inf, np.nan]
     for column in (positions, quaternions):
         some = random.integers(0, len(truth), 20)

@@ -192,7 +192,7 @@ def test_bounds_are_read_or_refused(text: str) -> None:
     assert y0 < y1
 
 
-def test_the_command_draws_and_never_overwrites(
+def test_the_command_draws_and_replaces_its_figures_only(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bag, out = tmp_path / "flight", tmp_path / "out"
@@ -204,8 +204,13 @@ def test_the_command_draws_and_never_overwrites(
     names = ["path_xy.png", "path_xy.svg", "speed_over_time.png", "speed_over_time.svg"]
     assert sorted(each.name for each in out.iterdir()) == names
     assert imread(out / "path_xy.png").std() > 0.05
+    (out / "path_xy.png").write_bytes(b"older")
+    assert main([*command, *more]) == 0
+    assert imread(out / "path_xy.png").std() > 0.05
+    # Trajectories are data: they are never replaced.
+    assert main([*command, "--save-as", "tum"]) == 0
     capsys.readouterr()
-    assert main([*command, *more]) == 2
+    assert main([*command, "--save-as", "tum"]) == 2
     assert "exists" in capsys.readouterr().err
 
 

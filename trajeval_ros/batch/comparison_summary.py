@@ -60,6 +60,16 @@ class Trial:
     warnings: tuple[str, ...]
     diagnosis: tuple[str, ...] = ()
 
+    @property
+    def name(self) -> str:
+        """Name of the run: "vio MH_01 0"."""
+        return " ".join(filter(None, (self.algorithm, self.sequence, self.trial)))
+
+    @property
+    def is_copy(self) -> bool:
+        """Whether its estimate is the groundtruth."""
+        return "identical" in self.diagnosis
+
 
 @dataclass(frozen=True, eq=False)
 class ComparisonSummary:
@@ -159,8 +169,5 @@ def summary_of(folder: Path) -> ComparisonSummary:
 def failures(summary: ComparisonSummary) -> list[str]:
     """Return one line per run without numbers."""
     return [
-        f"{' '.join(filter(None, (each.algorithm, each.sequence, each.trial)))} "
-        f"{each.status}: {each.reason}"
-        for each in summary.trials
-        if each.status != OK
+        f"{each.name} {each.status}: {each.reason}" for each in summary.trials if each.status != OK
     ]

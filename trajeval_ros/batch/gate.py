@@ -80,9 +80,14 @@ class Gate:
         return f"{self.path} worse than {' + '.join(terms)}{more}"
 
     @property
+    def is_share(self) -> bool:
+        """Whether the number is a coverage, from 0 to 1, and not an error."""
+        return self.path.startswith("association.")
+
+    @property
     def larger_is_worse(self) -> bool:
         """Whether the number is an error; a coverage is worse if it is smaller."""
-        return not self.path.startswith("association.")
+        return not self.is_share
 
     @property
     def margin(self) -> float:

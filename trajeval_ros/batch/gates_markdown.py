@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from trajeval_ros.batch.gate import Gate
 from trajeval_ros.batch.gate_verdicts import (
     ADVISED,
     FAILED,
@@ -23,6 +24,7 @@ from trajeval_ros.batch.gate_verdicts import (
 from trajeval_ros.formatting.escaping import markdown_text
 from trajeval_ros.formatting.numbers import NOTHING, change_percent, counted, three_decimals
 from trajeval_ros.formatting.text_tables import BOLD, MarkedText, TextCell, markdown_table
+from trajeval_ros.report.metric_labels import ABSOLUTE_LABELS, RELATIVE_LABELS
 
 _MOST_ROWS = 20  # longer tables are folded
 _ORDER = (LOST, WORSE, UNDECIDED, NOT_ALONE, NO_WORSE, NEW, FAILED)
@@ -65,7 +67,8 @@ def _word(verdict: str) -> str:
 
 
 def _gate(verdict: GateVerdict, false_alarms: float) -> list[str]:
-    lines = [f"Gate `{verdict.gate}`:", ""]
+    gate = verdict.gate
+    lines = [f"Gate `{gate}`:", ""]
     if verdict.pooled is not None:
         lines += [_pooled(verdict, verdict.pooled), ""]
     if verdict.advised is not None:
@@ -85,10 +88,10 @@ def _gate(verdict: GateVerdict, false_alarms: float) -> list[str]:
     shown = ranked if len(ranked) <= _MOST_ROWS else [each for each in ranked if each.fails]
     folded = ranked[len(shown) :]
     if shown:
-        lines += [*_table(shown), ""]
+        lines += [*_table(shown, gate), ""]
     if folded:
         summary = f"<details><summary>Others: {len(folded)}</summary>"
-        lines += [summary, "", *_table(folded), "", "</details>", ""]
+        lines += [summary, "", *_table(folded, gate), "", "</details>", ""]
     return lines
 
 
@@ -173,22 +176,35 @@ def _failures(failures: Failures) -> str:
     return f"{text} (p = {failures.p:.2g}): {word}."
 
 
-def _table(numbers: Sequence[NumberVerdict]) -> list[str]:
-    headings = ["algorithm, sequence", "old", "new", "change", "trials", "detectable", "verdict"]
-    return markdown_table(headings, [_row(each) for each in numbers])
+def _table(numbers: Sequence[NumberVerdict], gate: Gate) -> list[str]:
+    values = [f"{side}{_unit(gate)}" for side in ("old", "new")]
+    headings = ["algorithm, sequence", *values, "change", "trials", "detectable", "verdict"]
+    return markdown_table(headings, [_row(each, gate) for each in numbers])
 
 
-def _row(number: NumberVerdict) -> list[TextCell]:
+def _unit(gate: Gate) -> str:
+    """Return the unit of a gate's values in brackets, as in the tables; "" for none."""
+    if gate.is_share:
+        return " [%]"
+    metric = gate.path.rpartition(".")[0].rpartition(".")[2]
+    _, bracket, unit = {**ABSOLUTE_LABELS, **RELATIVE_LABELS}.get(metric, "").partition(" [")
+    return bracket + unit
+
+
+def _row(number: NumberVerdict, gate: Gate) -> list[TextCell]:
     more = f": {number.reason}" if number.reason else ""
     return [
         f"{number.algorithm}, {number.sequence}",
-        three_decimals(number.before),
-        three_decimals(number.now),
+        *(_value(each, gate) for each in (number.before, number.now)),
         NOTHING if number.change is None else change_percent(number.change),
         "{} / {}".format(*number.trials),
         NOTHING if number.noticeable is None else _size(number.noticeable),
         MarkedText(_word(number.verdict), BOLD if number.fails else "", more),
     ]
+
+
+def _value(value: float | None, gate: Gate) -> str:
+    return three_decimals(100.0 * value if gate.is_share and value is not None else value)
 
 
 def _size(share: float) -> str:

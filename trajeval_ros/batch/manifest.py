@@ -23,6 +23,7 @@ from trajeval_ros.io.yaml_file import require_known
 _CSV, _PARQUET = ".csv", ".parquet"
 _TRIAL = "trial"  # the only optional column
 _COLUMNS = ("algorithm", "sequence", _TRIAL, "groundtruth", "estimate")
+_OTHER_SEPARATORS = {";": "semicolons", "\t": "tabs"}
 _EXAMPLE = f"write a header line {','.join(_COLUMNS)} and one line per run"
 
 Row = dict[str, str]
@@ -128,6 +129,7 @@ def _csv_rows(target: str, data: bytes) -> Iterator[tuple[str, Row]]:
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise InputError(f"{target}, line {line} is not UTF-8; save the file as UTF-8") from error
+    _require_commas(text.partition("\n")[0], target)
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
         header = [cell.strip() for cell in next(reader, [])]
@@ -146,6 +148,16 @@ def _csv_rows(target: str, data: bytes) -> Iterator[tuple[str, Row]]:
         raise InputError(
             f"{target}, line {reader.line_num} is not valid CSV: {error}; correct the line"
         ) from error
+
+
+def _require_commas(header: str, target: str) -> None:
+    """Refuse another separator, as spreadsheets write it with many regional settings."""
+    for separator, name in _OTHER_SEPARATORS.items():
+        names = {cell.strip(' "\r') for cell in header.split(separator)}
+        if len(names.intersection(_COLUMNS)) > 1:
+            raise InputError(
+                f"{target}, line 1: the columns are separated by {name}; save the file with commas"
+            )
 
 
 def _parquet_rows(target: str, data: bytes) -> Iterator[tuple[str, Row]]:

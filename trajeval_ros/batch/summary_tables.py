@@ -165,11 +165,12 @@ def _absolute(summary: ComparisonSummary, metric: str) -> Matrix | None:
     if _FEW in notes:
         caption += f" {_FEW} fewer than {enough} pairs, too few for an ATE, not ranked."
     if _DIAGNOSED in notes:
-        causes = {cause for each in summary.trials for cause in _mistakes(each)}
         caption += (
-            f" {_DIAGNOSED} mistakes found ({', '.join(sorted(causes))}); follow the warnings of "
+            f" {_DIAGNOSED} mistakes found ({_named_mistakes(summary)}); follow the warnings of "
             "the runs."
         )
+        if any(each.is_copy for each in summary.trials):
+            caption += " An estimate that is the groundtruth is not ranked."
     title = f"ATE, {ABSOLUTE_LABELS[metric]}"
     brief = _brief(
         summary, f"{title}, RMSE{', median of trials' if several else ''}", notes, enough
@@ -207,10 +208,23 @@ def _mistakes(trial: Trial) -> list[str]:
     return [cause for cause in trial.diagnosis if cause not in _NO_MISTAKES]
 
 
+def _named_mistakes(summary: ComparisonSummary) -> str:
+    """Return the mistakes with the first run that shows each: "wxyz: vio MH_01 and 3 more"."""
+    runs: dict[str, list[str]] = defaultdict(list)
+    for trial in summary.trials:
+        for cause in _mistakes(trial):
+            runs[cause].append(trial.name)
+    return "; ".join(
+        f"{cause}: {names[0]}" + (f" and {len(names) - 1} more" if len(names) > 1 else "")
+        for cause, names in sorted(runs.items())
+    )
+
+
 def _cell(trials: Sequence[Trial], metric: str, enough: int, comparable: float) -> Cell:
     """Return the median over trials; a failed trial is worse than any other.
 
-    A number is not ranked if it has too few pairs or its coverage is not comparable.
+    A number is not ranked if it has too few pairs, its coverage is not comparable, or an estimate
+    is the groundtruth.
     """
     known = [trial.rmse[metric] for trial in trials if metric in trial.rmse]
     evaluated = [trial for trial in trials if trial.status == OK]
@@ -230,7 +244,8 @@ def _cell(trials: Sequence[Trial], metric: str, enough: int, comparable: float) 
         notes.append(_FEW)
     if any(map(_mistakes, evaluated)):
         notes.append(_DIAGNOSED)
-    is_ranked = not has_few and _coverage(trials) >= comparable
+    is_copy = any(trial.is_copy for trial in evaluated)
+    is_ranked = not has_few and not is_copy and _coverage(trials) >= comparable
     return Cell(value, " ".join(notes), is_ranked, spread)
 
 
@@ -255,7 +270,8 @@ def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
             means = pooled[algorithm, length]
             count = sum(each for _, each in means)
             mean = sum(value * each for value, each in means) / count if count else None
-            is_ranked = is_whole and _coverage(trials) >= comparable
+            is_copy = any(trial.is_copy for trial in trials)
+            is_ranked = is_whole and not is_copy and _coverage(trials) >= comparable
             cells.append(Cell(mean, note if count else "", is_ranked))
         rows.append((algorithm, tuple(cells)))
     if all(cell.value is None for _, cells in rows for cell in cells):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from trajeval_ros.cli import figure_options, gating, options
-from trajeval_ros.cli.comparison_verdict import print_shard, print_verdict
+from trajeval_ros.cli.comparison_verdict import print_shard, print_verdict, require_numbers
 from trajeval_ros.cli.progress import progress as drawing
 from trajeval_ros.cli.progress import progress_of_runs
 from trajeval_ros.exceptions import SettingsError
@@ -116,8 +116,8 @@ def compare(
     ] = False,
     baseline: gating.BaselineOption = None,
     fail_if: gating.FailIfOption = None,
-    undecided: gating.UndecidedOption = "pass",
-    false_alarms: gating.FalseAlarmsOption = 2.5,
+    undecided: gating.UndecidedOption = gating.UNDECIDED,
+    false_alarms: gating.FalseAlarmsOption = gating.FALSE_ALARMS,
     paired: gating.PairedOption = False,
     output: Annotated[
         Path,
@@ -258,10 +258,12 @@ def compare(
             "--dataset needs --label, such as a commit, and --label needs --dataset; give both"
         )
     part = None if shard is None else Shard.parse(shard)
-    if part is not None and (merge or baseline or fail_if or figure_format or dataset):
+    if part is not None and (
+        merge or baseline or fail_if or figure_format or dataset or transpose
+    ):
         raise SettingsError(
-            "--shard evaluates runs only; give --merge, --baseline, --fail-if, --figure-format "
-            "and --dataset to the command that merges the shards"
+            "--shard evaluates runs only; give --merge, --baseline, --fail-if, --figure-format, "
+            "--dataset and --transpose to the command that merges the shards"
         )
     if merge:
         given: list[object] = list(said.values())
@@ -311,6 +313,7 @@ def compare(
             print_verdict(summary, progress, output)
         if gates is not None:
             gating.judge(gates, output, summary.title, quiet=quiet)
+        require_numbers(summary, output)
 
 
 def _tell_of_waiting(held: str) -> None:

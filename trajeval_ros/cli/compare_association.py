@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from trajeval_ros.likelihood.degradation import Degradation
 
 
+_DROPOUT_LENGTH = "1,2.5"
+
+
 def compare_association(
     groundtruth: Annotated[
         str,
@@ -52,7 +55,7 @@ def compare_association(
     dropouts: Annotated[int, typer.Option(metavar="N", help="Number of dropouts.")] = 3,
     dropout_length: Annotated[
         str, typer.Option(metavar="MIN,MAX", help="Shortest and longest dropout, in seconds.")
-    ] = "1,2.5",
+    ] = _DROPOUT_LENGTH,
     groundtruth_noise: Annotated[
         str,
         typer.Option(
@@ -88,6 +91,8 @@ def compare_association(
     from trajeval_ros.likelihood.degradation import Degradation
     from trajeval_ros.metrics.settings import protocol_from
 
+    if not dropouts and dropout_length != _DROPOUT_LENGTH:
+        raise SettingsError("--dropout-length needs dropouts; increase --dropouts, or remove it")
     shortest, longest = _durations(dropout_length)
     protocol = protocol_from(
         "default",

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from trajeval_ros.cli.pipes import may_break
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted, data_size
 
 if TYPE_CHECKING:
@@ -57,6 +58,22 @@ def print_verdict(summary: ComparisonSummary, progress: Progress, folder: Path) 
         remarks = console(sys.stderr)
         for line in failures(summary):
             remarks.print(f"warning: {line}", soft_wrap=True)
+
+
+def require_numbers(summary: ComparisonSummary, folder: Path) -> None:
+    """Refuse a comparison without any number. Its tables and report state the reasons.
+
+    Raises:
+        InputError: No run could be evaluated.
+    """
+    from trajeval_ros.batch.comparison_summary import failures
+
+    lost = failures(summary)
+    if len(lost) == len(summary.trials):
+        raise InputError(
+            f"all runs failed or are missing, first {lost[0]}; see {folder / 'tables.md'} for "
+            "the reasons"
+        )
 
 
 def _fetched(progress: Progress) -> str:

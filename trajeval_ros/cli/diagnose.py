@@ -13,10 +13,10 @@ from trajeval_ros.cli.progress import progress
 from trajeval_ros.cli.source_names import names_of
 from trajeval_ros.diagnosis.evaluation_diagnosis import diagnose_evaluation, diagnose_sides
 from trajeval_ros.diagnosis.findings import Diagnosis
-from trajeval_ros.exceptions import TrajevalError
+from trajeval_ros.exceptions import SettingsError, TrajevalError
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.json_file import json_text
-from trajeval_ros.io.requests.request_words import request_from
+from trajeval_ros.io.requests.request_words import AUTO, request_from
 from trajeval_ros.io.results.diagnosis_json import diagnosis_json
 from trajeval_ros.io.sources import read_many
 from trajeval_ros.io.writing import write_text
@@ -47,6 +47,11 @@ def diagnose(
 
         trajeval diagnose groundtruth.txt estimate.txt --modality stereo-inertial
     """
+    if time_offset == AUTO:
+        raise SettingsError(
+            "--time-offset auto: diagnose estimates the clock offset anyway; remove it, or give "
+            "seconds"
+        )
     request = request_from(
         {
             "modality": modality,

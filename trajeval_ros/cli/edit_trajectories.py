@@ -15,6 +15,7 @@ from trajeval_ros.cli import figure_options, options, plotting
 from trajeval_ros.cli.pipes import may_break
 from trajeval_ros.cli.progress import progress
 from trajeval_ros.cli.source_names import names_of
+from trajeval_ros.cli.unused_options import require_bag, require_used
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.time_span import TimeSpan
 from trajeval_ros.io.describe import summarize
@@ -29,6 +30,7 @@ from trajeval_ros.report.figure_style import FigureStyle
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
 
+_HERE = Path()
 FRAMES, FEWER = "Frames", "Fewer poses"
 
 
@@ -186,10 +188,11 @@ def trajectory(
         Path,
         typer.Option(
             metavar="FOLDER",
-            help="Output folder. Existing files are never overwritten.",
+            help="Output folder. Existing trajectories are never overwritten; figures are "
+            "replaced.",
             rich_help_panel=options.OUTPUT,
         ),
-    ] = Path(),
+    ] = _HERE,
     plot: plotting.PlotOption = None,
     colour_by: plotting.ColourByOption = None,
     map_file: plotting.MapOption = None,
@@ -289,13 +292,25 @@ def trajectory(
     )
     if save_as is not None:
         files_of(output, ["any"], save_as)  # raises an error for an unknown format before reading
+    if save_as is None and plot is None and output != _HERE:
+        raise SettingsError("--output needs --save-as or --plot; add one of them")
+    placed = (start, end, plot)  # times and figures have the reference, too
+    if reference is not None and not aligns and not synchronise and placed == (None, None, None):
+        raise SettingsError(
+            "--reference needs an operation; add --gauge, --modality, --synchronise, --start, "
+            "--end or --plot"
+        )
     hints = TextHints.of(columns, frame_rate)
     wanted = [each for source in sources for each in each_topic(source)]
+    if merge and len(wanted) == 1:
+        raise SettingsError("--merge needs several sources; give more, or remove it")
     # One call reads all sources of a bag in one pass.
     others = [] if reference is None else [reference]
     names = [*names_of(wanted), *("reference" for _ in others)]
     every_hint = [*[hints] * len(wanted), *[hints.of_reference] * len(others)]
+    require_bag([*wanted, *others], strict=strict)
     read = _read([*wanted, *others], names, every_hint, strict=strict)
+    require_used(hints, (note for each in read for note in each.notes))
     edited = edit(read[: len(wanted)], None if reference is None else read[-1], editing)
     everything = _with_references(edited)
     paths: list[Path] = []

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from trajeval_ros.batch.gate_values import GateValues
 
 GATES = "Gates"
+UNDECIDED, FALSE_ALARMS = "pass", 2.5  # defaults
 
 BaselineOption = Annotated[
     Path | None,
@@ -118,8 +119,10 @@ def gates_of(
             "to 20, such as 2.5"
         )
     if path is None:
-        if paired:
-            raise SettingsError("--paired needs --baseline and --fail-if; give both")
+        if paired or undecided != UNDECIDED or false_alarms != FALSE_ALARMS:
+            raise SettingsError(
+                "--paired, --undecided and --false-alarms need --baseline and --fail-if; give both"
+            )
         return None
     gates = [Gate.parse(text) for text in texts]
     for gate in gates:

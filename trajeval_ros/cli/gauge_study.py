@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 
 _SEED = 0
 _MOTION_LANDMARKS = 150
+# Defaults of options that need another option.
+_START_S, _DURATION_S, _KEYFRAMES, _EVERY, _PIXEL_NOISE, _GRAVITY = 50.0, 15.0, 30, 3, 1.0, 9.81
+_IMU_NOISE, _BIAS_NOISE = "6e-4,2e-2", "1e-3,5e-2,1.9e-5,3e-3"
 _LAYOUTS_AND_SHAPES = [
     (layout, name) for layout in ("plane", "random") for name in ("sine", "arc", "rec")
 ]
@@ -47,13 +51,13 @@ def gauge_study(
         typer.Option(
             metavar="S", help="Start of the motion in a recorded trajectory, in seconds."
         ),
-    ] = 50.0,
+    ] = _START_S,
     duration: Annotated[
         float,
         typer.Option(
             metavar="S", help="Duration of the motion in a recorded trajectory, in seconds."
         ),
-    ] = 15.0,
+    ] = _DURATION_S,
     profile: Annotated[
         str,
         typer.Option(
@@ -74,24 +78,24 @@ def gauge_study(
             metavar="N",
             help="Number of keyframes of --motion, and largest number of keyframes of --tracks.",
         ),
-    ] = 30,
+    ] = _KEYFRAMES,
     every: Annotated[
         int, typer.Option(metavar="N", help="Interval of keyframes in --tracks: every Nth image.")
-    ] = 3,
+    ] = _EVERY,
     pixel_noise: Annotated[
         float,
         typer.Option(
             metavar="PX",
             help="Standard deviation of an image coordinate of --tracks, for the weights.",
         ),
-    ] = 1.0,
+    ] = _PIXEL_NOISE,
     imu_noise: Annotated[
         str,
         typer.Option(
             metavar="GYRO,ACCEL",
             help="Noise densities of the IMU of --tracks, rad/s/sqrt(Hz) and m/s^2/sqrt(Hz).",
         ),
-    ] = "6e-4,2e-2",
+    ] = _IMU_NOISE,
     estimate_biases: Annotated[
         bool,
         typer.Option(
@@ -107,13 +111,13 @@ def gauge_study(
             help="Noise of estimated biases: standard deviations at the first keyframe, rad/s and "
             "m/s^2, and densities of the random walk, rad/s^2/sqrt(Hz) and m/s^3/sqrt(Hz).",
         ),
-    ] = "1e-3,5e-2,1.9e-5,3e-3",
+    ] = _BIAS_NOISE,
     gravity: Annotated[
         float,
         typer.Option(
             metavar="G", help="Gravity at the place of the recording in --tracks, m/s^2."
         ),
-    ] = 9.81,
+    ] = _GRAVITY,
     split_half: Annotated[
         bool,
         typer.Option(
@@ -167,6 +171,19 @@ def gauge_study(
         _above_zero("--gravity", gravity),
         split_half,
     )
+    if not motion:
+        _require_defaults("--motion", {
+            "--start": (start, _START_S), "--duration": (duration, _DURATION_S),
+        })  # fmt: skip
+    if not motion and tracks is None:
+        _require_defaults("--motion or --tracks", {"--keyframes": (keyframes, _KEYFRAMES)})
+    if tracks is None:
+        _require_defaults("--tracks", {
+            "--every": (every, _EVERY), "--pixel-noise": (pixel_noise, _PIXEL_NOISE),
+            "--imu-noise": (imu_noise, _IMU_NOISE), "--gravity": (gravity, _GRAVITY),
+        })  # fmt: skip
+    if not estimate_biases:
+        _require_defaults("--estimate-biases", {"--bias-noise": (bias_noise, _BIAS_NOISE)})
     measured, examined = _examined(tracks, model)
     scenes: dict[str, StudiedScene] = {
         f"{name} {layout}": make_scene(motions.shape(name), layout, sensors, _SEED)
@@ -181,6 +198,21 @@ def gauge_study(
     _print(output, study)
 
 
+def _require_defaults(needed: str, values: Mapping[str, tuple[object, object]]) -> None:
+    """Refuse options that have no effect without another one.
+
+    Args:
+        needed: The missing option.
+        values: Value and default by option.
+
+    Raises:
+        SettingsError: A value is not the default.
+    """
+    unused = [option for option, (value, default) in values.items() if value != default]
+    if unused:
+        raise SettingsError(f"{', '.join(unused)}: no effect without {needed}; add it")
+
+
 def _above_zero(option: str, value: float) -> Any:
     if not 0.0 < value < float("inf"):
         raise SettingsError(f"{option} must be greater than zero, not {value:g}")
@@ -190,13 +222,13 @@ def _above_zero(option: str, value: float) -> Any:
 def _imu_noise(words: str) -> ImuNoise:
     from trajeval_ros.visual_inertial.preintegration import ImuNoise
 
-    return ImuNoise(*_numbers("--imu-noise", words, "6e-4,2e-2"))
+    return ImuNoise(*_numbers("--imu-noise", words, _IMU_NOISE))
 
 
 def _bias_noise(words: str) -> BiasNoise:
     from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
 
-    return BiasNoise(*_numbers("--bias-noise", words, "1e-3,5e-2,1.9e-5,3e-3"))
+    return BiasNoise(*_numbers("--bias-noise", words, _BIAS_NOISE))
 
 
 def _numbers(option: str, words: str, example: str) -> list[float]:

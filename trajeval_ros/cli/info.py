@@ -60,6 +60,7 @@ def info(
         trajeval info recordings
     """
     from trajeval_ros.cli.progress import progress
+    from trajeval_ros.cli.unused_options import require_used
     from trajeval_ros.io.bags.bag_folder import holds_bag
     from trajeval_ros.io.describe import describe
     from trajeval_ros.io.text.hints import NO_HINTS, TextHints
@@ -76,6 +77,9 @@ def info(
         return
     with progress(f"reading {source}") as advance:
         description = describe(source, advance=advance, hints=hints)
+    require_used(
+        hints, (note for each in description.trajectories for note in (each.kind, *each.notes))
+    )
     terminal = console()
     terminal.print(f"{description.path}", soft_wrap=True)
     for note in description.notes:

@@ -10,7 +10,8 @@ from typing import Annotated
 import typer
 
 from trajeval_ros.cli.figure_options import FIGURES
-from trajeval_ros.exceptions import InputError, SettingsError, require_one_of
+from trajeval_ros.exceptions import SettingsError, require_one_of
+from trajeval_ros.geometry.flattening import PLANES
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.ground_image import GroundImage, parse_bounds, read_ground_image
 from trajeval_ros.io.writing import refused_by_disk
@@ -96,6 +97,10 @@ class Plotting:
             require_one_of(each, PLOTS, "plot")
         if colour_by is not None:
             require_one_of(colour_by, COLOURS_BY, "colour")
+        if colour_by is not None and not set(kinds) & set(PLANES):
+            raise SettingsError(
+                f"--colour-by needs a path in a plane; add {', '.join(PLANES)} to --plot"
+            )
         if map_bounds is not None and map_file is None:
             raise SettingsError("--map-bounds needs an image; add --map IMAGE")
         if map_file is not None and "xy" not in kinds:
@@ -108,20 +113,16 @@ class Plotting:
     def write(
         self, folder: Path, trajectories: Sequence[Trajectory], reference: Trajectory | None
     ) -> list[Path]:
-        """Draw the figures into a folder, and return their files. Files are never overwritten.
+        """Draw the figures into a folder, and return their files; earlier ones are replaced.
 
         Raises:
-            InputError: A file exists or can't be written, or a figure can't be drawn.
+            InputError: A file can't be written, or a figure can't be drawn.
         """
         if not self.kinds:
             return []
         drawings = motion_drawings(
             self.kinds, trajectories, reference, colour_by=self.colour_by, ground=self.ground
         )
-        for name in drawings:
-            for suffix in self.style.formats:
-                if (file := folder / f"{name}.{suffix}").exists():
-                    raise InputError(f"{file} exists; choose another folder with --output")
         with refused_by_disk(f"the folder {folder}"):
             folder.mkdir(parents=True, exist_ok=True)
         return save_all(drawings, folder, self.style)

@@ -251,7 +251,7 @@ def judge_marginals(
         covariance_source="message",
         exactness=exactness,
         statement=statement,
-        verdict="over-confident" if over else "undecided",
+        verdict="overconfident" if over else "undecided",
         joint=None,
         per_pose=per_pose,
         pose_nees=nees,

@@ -105,7 +105,7 @@ class Consistency:
         exactness: `exact`, `bound` if correlations are unknown, or `as published` if covariances
             were not transformed to the gauge.
         statement: What the result proves, in one sentence.
-        verdict: `consistent`, `over-confident`, `under-confident` or `undecided`.
+        verdict: `consistent`, `overconfident`, `conservative` or `undecided`.
         joint: NEES of all poses together; None without a joint covariance.
         per_pose: NEES of single poses; None for a long run whose information is not banded.
         pose_nees: NEES of every pair; None as `per_pose`.
@@ -159,5 +159,5 @@ def verdict_of(joint: Joint) -> str:
     low, high = joint.band_95
     share = joint.nees / joint.dof
     if share > high:
-        return "over-confident"
-    return "under-confident" if share < low else "consistent"
+        return "overconfident"
+    return "conservative" if share < low else "consistent"

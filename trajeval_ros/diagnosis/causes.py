@@ -45,8 +45,8 @@ _TABLE = (
         "identical",
         10.0,
         EXACT,
-        "estimate and groundtruth are identical: positions at equal timestamps differ by "
-        "{difference_m:.1e} m",
+        "estimate and groundtruth are identical: {percent:.0f} % of the positions {where} are "
+        "equal",
         "give the file or topic of the estimator: --estimate SOURCE",
     ),
     Cause(

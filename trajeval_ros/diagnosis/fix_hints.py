@@ -9,12 +9,12 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.metrics.statistics import median
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.arrays import Floats
-    from trajeval_ros.geometry.fix_selection import FixRule
     from trajeval_ros.geometry.fixes import Fixes
     from trajeval_ros.geometry.trajectory import Trajectory
     from trajeval_ros.metrics.evaluation import Evaluation
@@ -54,6 +54,26 @@ def require_fixes_fit(
             "the origin of the estimate's frame with --datum LAT,LON,HEIGHT, or use --gauge "
             "yaw"
         )
+
+
+def about_unused_rule(rule: FixRule) -> list[str]:
+    """Return the warning about settings of fixes for groundtruth that has none."""
+    options = {
+        "datum": "--datum",
+        "min_status": "--min-fix-status",
+        "max_sigma_m": "--max-fix-sigma",
+        "correlation_s": "--fix-correlation",
+    }
+    default = FixRule()
+    unused = [
+        option for name, option in options.items() if getattr(rule, name) != getattr(default, name)
+    ]
+    if not unused:
+        return []
+    return [
+        f"no effect of {', '.join(unused)}: the groundtruth has no GNSS fixes; remove the option, "
+        "or give the fixes as groundtruth"
+    ]
 
 
 def about_fixes(

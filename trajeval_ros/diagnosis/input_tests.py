@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
 from trajeval_ros.diagnosis.both_sides import Recording
 from trajeval_ros.diagnosis.evidence import Examined, Seen, Value
-from trajeval_ros.diagnosis.motion_track import MotionTrack, lengths
-from trajeval_ros.diagnosis.short_motions import best_rotations
+from trajeval_ros.diagnosis.motion_track import MotionTrack
+from trajeval_ros.formatting.source_roles import (
+    is_named_estimate,
+    is_named_groundtruth,
+    own_name,
+)
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.thinning import evenly
 from trajeval_ros.geometry.trajectory import NANOSECONDS
@@ -18,15 +20,15 @@ from trajeval_ros.metrics.statistics import median
 _PROBES = 400
 _ENOUGH = 5000  # timestamps for the test of rounding
 _FEWEST_POSES = 30
+# Equal positions: tolerance of timestamps, least number and share of poses with a partner, share
+# of them that is equal, decimals of text files, and relative error of an interpolation.
+_SAME_S = 2e-6
+_FEWEST_EQUAL, _SHARED, _NEARLY_ALL_PERCENT = 3, 0.5, 90.0
+_DECIMALS = range(3, 10)
+_ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
 # Largest extent of a body at rest, as a fraction of the other side's, and least extent of motion,
 # in units of the source.
 _STILL_SHARE, _MOVED = 1e-5, 0.3
-_TRUE_NAMES = re.compile(
-    r"(ground.?truth|\bgt\b|_gt\b|\bgt_|vicon|mocap|optitrack|leica|vrpn)", re.I
-)
-_ESTIMATED_NAMES = re.compile(
-    r"(vio\b|vins|slam|odometry|\bodom|openvins|rovio|okvis|msckf|estimate|kimera|svo\b)", re.I
-)
 
 
 def rounded_stamps(recording: Recording) -> Examined:
@@ -67,7 +69,7 @@ def duplicated_rows(recording: Recording) -> Examined:
         if len(track) < _FEWEST_POSES:
             continue
         repeats, rows_apart, extent = _repeats(track)
-        share = repeats / min(_PROBES, len(track))
+        share = min(1.0, repeats / min(_PROBES, len(track)))
         scores[f"{side} share"] = share
         if repeats >= max(10, 0.02 * _PROBES) and extent > 1e-3 * _travelled(track.positions):
             values: dict[str, Value] = {
@@ -75,7 +77,7 @@ def duplicated_rows(recording: Recording) -> Examined:
                 "percent": 100.0 * share,
                 "rows_apart": float(rows_apart),
             }
-            seen.append(Seen("duplicated", min(1.0, share), values))
+            seen.append(Seen("duplicated", share, values))
     return Examined("duplicated rows", scores, tuple(seen))
 
 
@@ -109,33 +111,42 @@ def _repeats(track: MotionTrack) -> tuple[int, int, float]:
     return int(numbers[most]), int(distances[most]), extent
 
 
-def same_motion(recording: Recording) -> Examined:
-    """Compare positions at equal timestamps, as read and after a rigid fit."""
-    if not recording.by_time:
-        return Examined("same file", why_not="poses are paired by row index")
-    truth, track = recording.in_order
-    if min(len(truth), len(track)) < 10:
-        return Examined("same file", why_not="too few poses")
-    rows = evenly(len(track), _PROBES)
-    seconds = track.seconds[rows]
-    after = np.clip(np.searchsorted(truth.seconds, seconds), 1, len(truth) - 1)
-    before_is_nearer = seconds - truth.seconds[after - 1] < truth.seconds[after] - seconds
-    nearest = np.where(before_is_nearer, after - 1, after)
-    known = np.abs(truth.seconds[nearest] - seconds) < 2e-6
-    estimate, true = track.positions[rows][known], truth.positions[nearest[known]]
-    if len(true) < 10:
-        return Examined("same file", why_not="no equal timestamps")
-    # The median tolerates repeated timestamps with another pose.
-    apart = median(lengths(true - estimate))
-    a, b = estimate - estimate.mean(axis=0), true - true.mean(axis=0)
-    size = float(np.sqrt(np.mean(np.sum(b * b, axis=1))))
-    turned = best_rotations(b.T @ a)[1]
-    fitted = float(np.sqrt(np.mean(np.sum((b - a @ turned.T) ** 2, axis=1))))
-    left = min(apart, fitted)
-    scores = {"difference_m": left}
-    if size > 0.0 and left < max(2e-6, 1e-6 * size):
-        return Examined("same file", scores, (Seen("identical", 1.0, {"difference_m": left}),))
-    return Examined("same file", scores)
+def same_positions(recording: Recording) -> Examined:
+    """Test whether the positions of both sides are equal at equal timestamps, or in equal rows.
+
+    Small differences are not sufficient: a perfect simulated estimate is not a copy.
+    """
+    test = "same positions"
+    truth, track = recording.in_order if recording.by_time else (recording.truth, recording.track)
+    few, many = sorted((truth, track), key=len)
+    rows = same = evenly(len(few), _PROBES)
+    where = "in equal rows"
+    if recording.by_time:
+        where = "at equal timestamps"
+        place = np.searchsorted(many.seconds, few.seconds[rows] - _SAME_S).clip(0, len(many) - 1)
+        known = np.abs(many.seconds[place] - few.seconds[rows]) < _SAME_S
+        rows, same = rows[known], place[known]
+    elif len(few) != len(many):
+        return Examined(test, why_not="the numbers of rows differ")
+    if len(rows) < max(_FEWEST_EQUAL, _SHARED * min(len(few), _PROBES)):
+        return Examined(test, why_not=f"too few poses {where}")
+    one, other = few.positions[rows], many.positions[same]
+    percent = 100.0 * _equal(one, other)
+    moves = bool(np.ptp(one, axis=0).any())
+    if not moves or percent < _NEARLY_ALL_PERCENT:
+        return Examined(test, {"percent": percent})
+    values: dict[str, Value] = {"percent": percent, "where": where}
+    return Examined(test, {"percent": percent}, (Seen("identical", 1.0, values),))
+
+
+def _equal(one: Floats, other: Floats) -> float:
+    """Return the share of equal rows (N, 3); one side may have fewer digits than the other."""
+    size = max(float(np.abs(one).max()), float(np.abs(other).max()))
+    written = [(one, other)]
+    for decimals in _DECIMALS:
+        written += [(one.round(decimals), other), (one, other.round(decimals))]
+    # An interpolation at a groundtruth timestamp differs by rounding.
+    return max(float(np.mean((np.abs(a - b) <= _ROUNDING * size).all(axis=1))) for a, b in written)
 
 
 def standing_still(recording: Recording) -> Examined:
@@ -153,23 +164,16 @@ def standing_still(recording: Recording) -> Examined:
 
 
 def swapped_names(recording: Recording) -> Examined:
-    """Test whether the names of the sources contradict their roles."""
+    """Test whether the name of the estimate says groundtruth, and the groundtruth's does not."""
     truth, estimate = (
-        each.source.rsplit("/", 1)[-1] or each.name
-        for each in (recording.groundtruth, recording.estimate)
+        each.source or each.name for each in (recording.groundtruth, recording.estimate)
     )
-    swapped = (
-        _ESTIMATED_NAMES.search(truth)
-        and _TRUE_NAMES.search(estimate)
-        and not _TRUE_NAMES.search(truth)
-        and not _ESTIMATED_NAMES.search(estimate)
-    )
-    if not swapped:
+    own = own_name(estimate)
+    # A folder can name the groundtruth, as in `state_groundtruth_estimate0/data.csv`.
+    says_groundtruth = is_named_groundtruth(own) and not is_named_estimate(own)
+    if not says_groundtruth or not truth or is_named_groundtruth(truth):
         return Examined("source names")
-    values: dict[str, Value] = {
-        "groundtruth": recording.groundtruth.source or recording.groundtruth.name,
-        "estimate": recording.estimate.source or recording.estimate.name,
-    }
+    values: dict[str, Value] = {"groundtruth": truth, "estimate": estimate}
     return Examined("source names", seen=(Seen("swapped", 0.0, values),))
 
 

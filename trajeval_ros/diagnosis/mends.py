@@ -99,7 +99,11 @@ class Mends:
     def applied(
         self, groundtruth: Trajectory, estimate: Trajectory
     ) -> tuple[Trajectory, Trajectory]:
-        """Return both sides with the corrections; columns that they invalidate are removed."""
+        """Return both sides with the corrections; columns that they invalidate are removed.
+
+        Raises:
+            SettingsError: A side lacks the orientations or timestamps to correct.
+        """
         if self.swap:
             groundtruth, estimate = estimate, groundtruth
             note = "exchanged with the other side"
@@ -108,6 +112,14 @@ class Mends:
                 for each in (groundtruth, estimate)
             )
         orders, inverted = self._orders, self._inverted
+        if set(orders) != {ORDERS[0]} and all(
+            order == ORDERS[0] or each.quaternions is None
+            for each, order in zip((groundtruth, estimate), orders, strict=True)
+        ):
+            raise SettingsError(
+                f"--quaternion-order {self.quaternion_order} needs orientations, and no side that "
+                "it names has them; remove it"
+            )
         groundtruth, estimate = (
             _inverse(_ordered(each, order), side, inverted)
             for each, order, side in zip((groundtruth, estimate), orders, SIDES, strict=True)
@@ -219,6 +231,8 @@ def _turned(trajectory: Trajectory, axes: Floats, positions_alone: bool) -> Traj
 def _stretched(trajectory: Trajectory, ppm: float) -> Trajectory:
     if ppm == 0.0 or not len(trajectory):
         return trajectory
+    if not trajectory.stamped:
+        raise SettingsError("the estimate has no timestamps, which a clock rate needs")
     first = int(trajectory.stamps.min())
     longer = np.rint((trajectory.stamps - first) * (1e-6 * ppm)).astype(np.int64)
     notes = (*trajectory.notes, f"timestamps rescaled by {ppm:g} ppm")

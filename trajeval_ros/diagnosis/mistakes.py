@@ -25,7 +25,7 @@ from trajeval_ros.diagnosis.hypotheses import fit_hypotheses
 from trajeval_ros.diagnosis.input_tests import (
     duplicated_rows,
     rounded_stamps,
-    same_motion,
+    same_positions,
     standing_still,
     swapped_names,
 )
@@ -51,7 +51,7 @@ def diagnose(recording: Recording) -> Diagnosis:
     examined = [
         standing_still(recording),
         rounded_stamps(recording),
-        same_motion(recording),
+        same_positions(recording),
         duplicated_rows(recording),
         swapped_names(recording),
     ]

@@ -14,7 +14,9 @@ from trajeval_ros.diagnosis.jumps import Steps
 from trajeval_ros.diagnosis.rotation_hints import about_freedom, about_poses
 from trajeval_ros.formatting.numbers import counted, percent
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.travelled import step_lengths
 from trajeval_ros.geometry.up_axis import ASSUMED
+from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.statistics import median
 
 if TYPE_CHECKING:
@@ -30,6 +32,14 @@ _JITTER = 0.15
 _FEWEST_STEPS = 100
 _FOLLOWS = 0.2
 _SPARSE_S = 0.12
+# Reasons to drop a pose that do not depend on the groundtruth.
+_UNUSABLE = ("not_finite", "zero_quaternion", "undecodable", "zero_stamp", "lone_stamp")
+_BY_TIME = {
+    "method": "--association",
+    "max_time_difference_s": "--max-time-difference",
+    "max_gap_s": "--max-gap",
+    "time_offset_s": "--time-offset",
+}
 _REASONS = {
     "no_groundtruth_within_max_time_difference": "beyond the largest time difference to "
     "groundtruth",
@@ -80,6 +90,7 @@ def warnings_of(evaluation: Evaluation, diagnosis: Diagnosis) -> tuple[str, ...]
         *dict.fromkeys((*evaluation.groundtruth.damage, *evaluation.estimate.damage)),
         *evaluation.groundtruth.conflicts,
         *evaluation.estimate.conflicts,
+        *_about_rows(evaluation),
         *_about_alignment(evaluation),
         *([] if _explains_jumps(diagnosis) else _about_jumps(evaluation)),
         *_about_rotations(evaluation),
@@ -112,6 +123,25 @@ def _about_alignment(evaluation: Evaluation) -> list[str]:
     if protocol.align_states == 1:
         warnings += _about_first_state(evaluation)
     return warnings
+
+
+def _about_rows(evaluation: Evaluation) -> list[str]:
+    """Name the settings of an association by time that poses without timestamps do not have."""
+    rule = evaluation.protocol.association
+    if evaluation.association.rule.method != "index" or rule.method == "index":
+        return []
+    of_protocol = PROTOCOLS.get(evaluation.protocol.name, PROTOCOLS["default"]).association
+    unused = [
+        option
+        for name, option in _BY_TIME.items()
+        if getattr(rule, name) != getattr(of_protocol, name)
+    ]
+    if not unused:
+        return []
+    return [
+        f"no effect of {', '.join(unused)}: without timestamps on both sides, poses are paired by "
+        "row; give timestamps, such as with --frame-rate"
+    ]
 
 
 def _about_first_state(evaluation: Evaluation) -> list[str]:
@@ -203,14 +233,25 @@ def _about_coverage(evaluation: Evaluation) -> list[str]:
 
 
 def _about_relative_errors(evaluation: Evaluation) -> list[str]:
-    empty = [each.length.text for each in evaluation.segments or () if not each.count]
-    if not empty:
-        return []
+    empty = [each.length for each in evaluation.segments or () if not each.count]
     path = evaluation.association.groundtruth
-    return [
-        f"no sub-trajectories of {', '.join(empty)}: the paired path has "
-        f"{path.path_length_m:.1f} m in {path.duration_s:.1f} s"
-    ]
+    whole = {"m": path.path_length_m, "s": path.duration_s}
+    # A long path without a sub-trajectory has its states too far apart.
+    sparse = [each.text for each in empty if each.value < 0.5 * whole.get(each.unit, 0.0)]
+    short = [each.text for each in empty if each.text not in sparse]
+    warnings = []
+    if short:
+        warnings.append(
+            f"no sub-trajectories of {', '.join(short)}: the paired path has "
+            f"{path.path_length_m:.1f} m in {path.duration_s:.1f} s"
+        )
+    if sparse:
+        step_s, step_m = median(np.diff(path.seconds)), median(step_lengths(path.positions))
+        warnings.append(
+            f"no sub-trajectories of {', '.join(sparse)}: pairs are {step_s:.2g} s and "
+            f"{step_m:.2g} m apart (median); use longer sub-trajectories"
+        )
+    return warnings
 
 
 def about_frames(groundtruth: str, estimate: str) -> list[str]:
@@ -239,6 +280,13 @@ def _about_inputs(evaluation: Evaluation) -> list[str]:
             )
     if truth.dropped:
         warnings.append(f"groundtruth poses were dropped: {reasons(truth.dropped)}")
+    unusable = {each: count for each, count in estimate.dropped.items() if each in _UNUSABLE}
+    share = sum(unusable.values()) / (sum(unusable.values()) + max(len(estimate), 1))
+    if share > 1.0 - LOW_COVERAGE:
+        warnings.append(
+            f"{percent(share)} of the estimate's poses are not usable and were dropped: "
+            f"{reasons(unusable)}; correct the output of the estimator"
+        )
     return warnings
 
 

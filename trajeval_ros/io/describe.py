@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from trajeval_ros.exceptions import InputError, reason_of
+from trajeval_ros.formatting.source_roles import is_named_groundtruth
 from trajeval_ros.geometry.fixes import quality_of
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.sources import Advance, parse_source, read_trajectory
 from trajeval_ros.io.text.hints import NO_HINTS, TextHints
 
 LONG_GAP_S = 0.5  # association does not interpolate over longer gaps
-_TRUTH = re.compile(
-    r"(^|[^a-z])(gt|truth|ground_?truth|vicon|mocap|optitrack|qualisys|leica|rtk|reference)"
-    r"([^a-z]|$)"
-)
 
 
 @dataclass(frozen=True)
@@ -220,7 +216,7 @@ def _could_be(source: str, trajectory: Trajectory) -> str:
     """Return the likely role, from the name and from quantities that only estimators output."""
     if trajectory.fixes is not None:
         return "groundtruth"
-    if _TRUTH.search(source.lower()) or _TRUTH.search(trajectory.frame.lower()):
+    if is_named_groundtruth(source) or is_named_groundtruth(trajectory.frame):
         return "groundtruth"
     if trajectory.covariances is not None or (
         trajectory.velocities is not None and trajectory.gyroscope_biases is None

@@ -6,8 +6,11 @@ import math
 from datetime import datetime, timezone
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from trajeval_ros.formatting.numbers import significant
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.metrics.statistics import median
 
 if TYPE_CHECKING:
     from trajeval_ros.metrics.association import AssociationRule
@@ -35,14 +38,21 @@ def explain_no_match(
     if dropped.get("in_groundtruth_gap"):
         return (
             f"{text}; all common timestamps are in groundtruth gaps longer than "
-            f"{rule.max_gap_s:g} s; increase the max gap"
+            f"{rule.max_gap_s:g} s (median step {_step_s(groundtruth):.3g} s); increase the max "
+            "gap, or use association continuous"
         )
     if dropped.get("in_estimate_gap"):
         return (
             f"{text}; all common timestamps are in estimate gaps longer than {rule.max_gap_s:g} "
-            "s; use association linear, or increase the max gap"
+            f"s (median step {_step_s(estimate):.3g} s); use association linear, or increase the "
+            "max gap"
         )
     if truth[0] <= other[1] and other[0] <= truth[1]:
+        if "no_groundtruth_within_max_time_difference" not in dropped:
+            return (
+                f"{text}; they overlap, but no timestamp of one side is within the other; check "
+                "the number of digits of the timestamps"
+            )
         return (
             f"{text}; they overlap, but all time differences exceed "
             f"{rule.max_time_difference_s:g} s; use association linear, or increase the max "
@@ -60,6 +70,11 @@ def explain_no_match(
         f"{text}, {significant(apart, 6)} s apart; for a constant clock difference, set the time "
         f"offset (for a common start: {shift:.6f} s)"
     )
+
+
+def _step_s(trajectory: Trajectory) -> float:
+    """Return the median step between timestamps, seconds."""
+    return median(np.diff(np.sort(trajectory.stamps))) / NANOSECONDS
 
 
 def _clock(start: float, end: float) -> str:

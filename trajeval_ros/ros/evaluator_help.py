@@ -13,10 +13,13 @@ HELP = f"""Evaluates estimates against groundtruth, live on the robot.
 
 All settings are ROS parameters:
 
-    ros2 run trajeval_ros evaluator --ros-args -p groundtruth_topic:=/mocap/pose \\
-        -p estimate_topics:=[/vio/odometry,/slam/path] -p modality:=stereo-inertial
+    ros2 run trajeval_ros evaluator --ros-args \\
+        -p groundtruth_topic:=/mocap/pose \\
+        -p estimate_topics:=[/vio/odometry,/slam/path] \\
+        -p modality:=stereo-inertial
 
-    ros2 run trajeval_ros evaluator --ros-args --params-file evaluator.yaml -r /odom:=/vio/odometry
+    ros2 run trajeval_ros evaluator --ros-args \\
+        --params-file evaluator.yaml -r /odom:=/vio/odometry
 
 Parameters and defaults:
 

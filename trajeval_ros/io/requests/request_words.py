@@ -13,6 +13,7 @@ from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.diagnosis.mends import Mends
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.fix_selection import FixRule
+from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.geodesy import parse_datum
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.time_span import TimeSpan
@@ -25,6 +26,7 @@ from trajeval_ros.pipeline.request import Request
 
 if TYPE_CHECKING:
     from trajeval_ros.consistency.integrity import IntegrityRequest
+    from trajeval_ros.metrics.protocol import Protocol
     from trajeval_ros.watchdog.limits import WatchLimits
 
 _LONGEST_LEVER_M = 1e3
@@ -116,6 +118,7 @@ def request_from(words: Mapping[str, Any]) -> Request:
         lever_m=None if lever is None else parse_lever(lever),
         **given,
     )
+    _require_effect(words, protocol)
     continuous = protocol.association.method == "continuous"
     if noise is not None and covariance == NONE and not continuous:
         raise SettingsError(
@@ -137,6 +140,25 @@ def request_from(words: Mapping[str, Any]) -> Request:
         fixes=fixes,
         gauge_is_default=gauge_is_default,
     )
+
+
+def _require_effect(words: Mapping[str, Any], protocol: Protocol) -> None:
+    """Refuse settings of a step that the protocol does not have.
+
+    Raises:
+        SettingsError: Settings of the alignment with gauge none, or of relative errors without
+            a length.
+    """
+    alignment = (words.get("align_states") or "all", words.get("align_weights") or NONE)
+    if protocol.gauge is Gauge.NONE and alignment != ("all", NONE):
+        raise SettingsError(
+            "--align-states and --align-weights need an alignment, and gauge none has none; "
+            "remove them, or choose another gauge"
+        )
+    if not protocol.lengths and (words.get("pairs") or words.get("re_form")):
+        raise SettingsError(
+            "--pairs and --re-form are for relative errors, and no length is given; add --lengths"
+        )
 
 
 def _limits(path: Path) -> WatchLimits:

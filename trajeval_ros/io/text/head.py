@@ -31,6 +31,8 @@ _SAMPLE = 50  # rows from which a layout is recognised
 _UTF8_MARK = b"\xef\xbb\xbf"
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _GZIP_MARK = b"\x1f\x8b"
+_WITH_COMMA = rb"[-+]?\d+,\d+([eE][-+]?\d+)?"
+_DECIMAL_COMMAS = re.compile(rb"%s(\s*[;\s]\s*%s){2,}" % (_WITH_COMMA, _WITH_COMMA))
 _GRAPH = rb"(?m)^(VERTEX_SE3:QUAT|VERTEX_SE2)\s"
 _BODY_TWISTS, _OTHERS = "RIGHT_PERTURBATION", "LEFT_PERTURBATION|ROTATION_TRANSLATION"
 
@@ -182,6 +184,10 @@ def read_head(path: Path) -> Head:
     named = False
     for index, line in enumerate(lines):
         words = _words(line)
+        if _DECIMAL_COMMAS.fullmatch(line.strip()):
+            raise InputError(
+                f"{path}, line {index + 1}: numbers have decimal commas; write decimal points"
+            )
         table = _table(header, line) if words else None
         if table is not None:
             return Head(header, _sample(lines[index:]), True, start, table)

@@ -18,6 +18,7 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 
 IGNORED = "_"
@@ -77,6 +78,8 @@ EXAMPLE = "--columns 't x y z qw qx qy qz'"
 _CAMERA = UpAxis("-y", "KITTI's camera axes")
 _NED = UpAxis("-z", "TartanAir's axes: north, east, down")
 # Conventions of covariances: about fixed axes, as in PoseWithCovariance, or of body twists.
+_LENGTH_ONE = 0.1  # largest deviation of a quaternion's length in an uncertain layout
+AS_NAMED = "columns as named"  # layout of --columns
 FIXED_AXES, BODY_TWISTS = "fixed axes", "body twists"
 
 
@@ -158,7 +161,7 @@ def layout_of(columns: Sequence[str]) -> Layout:
             f"--columns has {' and '.join(times) if not twice else twice[0] + ' twice'}; name a "
             f"quantity once, and use {IGNORED} for columns to ignore"
         )
-    layout = Layout("columns as named", tuple(columns))
+    layout = Layout(AS_NAMED, tuple(columns))
     if not layout.has_places:
         raise SettingsError(
             f"columns {' '.join(columns)} have no position; name x, y and z, as in {EXAMPLE}, or "
@@ -243,9 +246,24 @@ def by_count(rows: Sequence[Sequence[float]], commas: bool) -> Layout:
         return _kitti(rows)
     of_nanoseconds = _OF_NANOSECONDS if commas and abs(rows[0][0]) > 1e12 else {}
     found = of_nanoseconds.get(columns) or _BY_COUNT.get(columns)
-    if found is None:
+    if found is None or not _fits(found, np.array(rows)):
         raise InputError(f"unknown layout with {counted(columns, 'column')}; {KNOWN}")
     return found
+
+
+def _fits(layout: Layout, rows: Floats) -> bool:
+    """Return whether rows (N, C) can have a layout that many other tables of C columns share.
+
+    Tables with further columns, or with angles, also have 7 or 9 columns.
+    """
+    if layout.columns[0] == IGNORED and (rows[:, 0] != np.round(rows[:, 0])).any():
+        return False
+    if len(layout.columns) not in (7, 9):
+        return True
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers may be of any size
+        lengths = np.linalg.norm(rows[:, list(layout.groups["quaternion"])], axis=1)
+    usable = lengths[np.isfinite(lengths) & (lengths > 0.0)]
+    return bool((np.abs(usable - 1.0) < _LENGTH_ONE).all())
 
 
 def _kitti(rows: Sequence[Sequence[float]]) -> Layout:

@@ -32,6 +32,7 @@ Advance = Callable[[int, int], None]
 _WORKING_MEMORY = 16 << 20
 _SPARE_ROWS = 1000
 _FRAMES = 10**8  # limit of frame numbers
+COUNTED = "timestamps counted at"  # note of a frame rate that was used
 _BLOCK = 1 << 19  # bytes that are parsed at once; their arrays fit into the processor's cache
 
 
@@ -301,7 +302,7 @@ def _stamps_of(
     rate = hints.frame_rate_hz
     if rate is not None:
         stamps = np.round(frames * (NANOSECONDS / rate)).astype(np.int64)
-        return stamps, True, [*notes, f"timestamps counted at {rate:g} Hz"]
+        return stamps, True, [*notes, f"{COUNTED} {rate:g} Hz"]
     notes.append("no timestamps: frames counted, 1 s apart; set their rate with --frame-rate")
     return frames * NANOSECONDS, False, notes
 
