@@ -7,6 +7,7 @@ matplotlibrc and style sheets work as usual.
 from __future__ import annotations
 
 import functools
+import logging
 import math
 import shutil
 import warnings
@@ -141,9 +142,18 @@ def _width_in(text: str) -> float:
 def house_style(style: FigureStyle = PLAIN) -> Iterator[None]:
     """Apply the default style, overridden by the user's matplotlib settings and by `style`.
 
+    matplotlib's logged warnings are hidden: its first import warns of a home folder that is not
+    writable, and of the font cache when building it takes more than 5 s.
+
     Raises:
         InputError: matplotlib is not installed, or the style sheet cannot be read.
     """
+    with _log_level(logging.ERROR), _house_style(style):
+        yield
+
+
+@contextmanager
+def _house_style(style: FigureStyle) -> Iterator[None]:
     try:
         import matplotlib
         from matplotlib.rcsetup import cycler
@@ -169,6 +179,18 @@ def house_style(style: FigureStyle = PLAIN) -> Iterator[None]:
         yield
 
 
+@contextmanager
+def _log_level(level: int) -> Iterator[None]:
+    """Set the level of matplotlib's logger."""
+    logger = logging.getLogger("matplotlib")
+    before = logger.level
+    logger.setLevel(level)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+
+
 def _set_by_user() -> dict[Any, Any]:
     """Return settings that differ from matplotlib's defaults."""
     import matplotlib
@@ -184,29 +206,25 @@ def _set_by_user() -> dict[Any, Any]:
 
 def _read_style(path: Path) -> dict[Any, Any]:
     """Return the settings of a style sheet; matplotlib's warnings about it are errors here."""
-    import logging
-
     import matplotlib
 
     complaints: list[str] = []
     listener = logging.Handler(logging.WARNING)
     listener.emit = lambda record: complaints.append(record.getMessage())  # type: ignore[method-assign]
     logger = logging.getLogger("matplotlib")
-    level = logger.level
     logger.addHandler(listener)
-    logger.setLevel(logging.WARNING)
     try:
         if not path.is_file():
             raise InputError(
                 f"the style sheet {path} does not exist; give a matplotlib style sheet"
             )
-        read = matplotlib.rc_params_from_file(path, use_default_template=False)
+        with _log_level(logging.WARNING):
+            read = matplotlib.rc_params_from_file(path, use_default_template=False)
         settings = dict(dict.items(read))
     except (OSError, UnicodeDecodeError, ValueError) as error:
         raise InputError(f"the style sheet {path} can't be read: {error}") from error
     finally:
         logger.removeHandler(listener)
-        logger.setLevel(level)
     if complaints:
         said = complaints[0].strip().split("\n", 1)[0]
         raise InputError(f"the style sheet {path} is not valid: {said}")
