@@ -7,7 +7,6 @@ matplotlibrc and style sheets work as usual.
 from __future__ import annotations
 
 import functools
-import logging
 import math
 import shutil
 import warnings
@@ -148,40 +147,37 @@ def house_style(style: FigureStyle = PLAIN) -> Iterator[None]:
     Raises:
         InputError: matplotlib is not installed, or the style sheet cannot be read.
     """
-    with _log_level(logging.ERROR), _house_style(style):
-        yield
+    with _log_level("ERROR"):
+        try:
+            import matplotlib
+            from matplotlib.rcsetup import cycler
+        except ImportError as error:
+            raise InputError(
+                f"figures need matplotlib; install it: {extra_command('plot')}"
+            ) from error
+        with matplotlib.rc_context(), warnings.catch_warnings():
+            # Characters that no installed font has are drawn as boxes; a warning would not help.
+            warnings.filterwarnings("ignore", "Glyph .* missing from")
+            users = _set_by_user()
+            _register_ramp()
+            matplotlib.rcdefaults()
+            matplotlib.rcParams.update(_STYLE)
+            matplotlib.rcParams["axes.prop_cycle"] = cycler(color=palette.ESTIMATES)
+            matplotlib.rcParams["font.family"] = _fonts()
+            matplotlib.rcParams.update(users)
+            if style.file is not None:
+                matplotlib.rcParams.update(_read_style(style.file))
+            if style.width_in is not None:
+                height_in = matplotlib.rcParams["figure.figsize"][1]
+                matplotlib.rcParams["figure.figsize"] = (style.width_in, height_in)
+            yield
 
 
 @contextmanager
-def _house_style(style: FigureStyle) -> Iterator[None]:
-    try:
-        import matplotlib
-        from matplotlib.rcsetup import cycler
-    except ImportError as error:
-        raise InputError(
-            f"figures need matplotlib; install it: {extra_command('plot')}"
-        ) from error
-    with matplotlib.rc_context(), warnings.catch_warnings():
-        # Characters that no installed font has are drawn as boxes; a warning would not help.
-        warnings.filterwarnings("ignore", "Glyph .* missing from")
-        users = _set_by_user()
-        _register_ramp()
-        matplotlib.rcdefaults()
-        matplotlib.rcParams.update(_STYLE)
-        matplotlib.rcParams["axes.prop_cycle"] = cycler(color=palette.ESTIMATES)
-        matplotlib.rcParams["font.family"] = _fonts()
-        matplotlib.rcParams.update(users)
-        if style.file is not None:
-            matplotlib.rcParams.update(_read_style(style.file))
-        if style.width_in is not None:
-            height_in = matplotlib.rcParams["figure.figsize"][1]
-            matplotlib.rcParams["figure.figsize"] = (style.width_in, height_in)
-        yield
-
-
-@contextmanager
-def _log_level(level: int) -> Iterator[None]:
+def _log_level(level: str) -> Iterator[None]:
     """Set the level of matplotlib's logger."""
+    import logging
+
     logger = logging.getLogger("matplotlib")
     before = logger.level
     logger.setLevel(level)
@@ -206,6 +202,8 @@ def _set_by_user() -> dict[Any, Any]:
 
 def _read_style(path: Path) -> dict[Any, Any]:
     """Return the settings of a style sheet; matplotlib's warnings about it are errors here."""
+    import logging
+
     import matplotlib
 
     complaints: list[str] = []
@@ -218,7 +216,7 @@ def _read_style(path: Path) -> dict[Any, Any]:
             raise InputError(
                 f"the style sheet {path} does not exist; give a matplotlib style sheet"
             )
-        with _log_level(logging.WARNING):
+        with _log_level("WARNING"):
             read = matplotlib.rc_params_from_file(path, use_default_template=False)
         settings = dict(dict.items(read))
     except (OSError, UnicodeDecodeError, ValueError) as error:
