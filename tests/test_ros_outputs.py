@@ -390,8 +390,13 @@ def test_the_newest_path_is_published_as_it_is_evaluated(
                 ),
                 f"{topic} of the newest path",
             )
+        pairs = run["association"]["pairs"]
+        peer.until(lambda: paths and len(paths[-1].poses) == pairs, "the newest path, aligned")
+        last_ns = newest_ns(paths[-1])
+        peer.until(
+            lambda: alignments and newest_ns(alignments[-1]) == last_ns, "the newest alignment"
+        )
         assert evaluator.end() == 0
-    assert len(paths[-1].poses) == run["association"]["pairs"]
     moved = alignments[-1].transform.translation
     assert [moved.x, moved.y, moved.z] == pytest.approx(run["alignment"]["translation_m"])
     causal = run["live"]["causal_ate"]["position_m"]["rmse"]
