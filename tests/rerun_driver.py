@@ -74,11 +74,13 @@ def main(
         for stream, scene in streams:
             stream.put(functools.partial(draw, scene))
 
+    due = time.monotonic()
     for tick in range(round(seconds / TICK_S)):
         if tick in pause_at:
             until(lambda: not any(stream._jobs for stream, _ in streams), "all is drawn so far")
             print(f"paused at {pause_at[tick]}", flush=True)
             sys.stdin.readline()
+            due = time.monotonic()
         until(lambda: len(streams[0][0]._jobs) < _MOST_WAITING, "the file is drawn")
         end = truth.stamps[0] + round((tick + 1) * TICK_S * NANOSECONDS)
         since = end - round(TICK_S * NANOSECONDS)
@@ -114,7 +116,8 @@ def main(
                         *similarity.translation.tolist(),
                     )
                 )
-        time.sleep(TICK_S / speed)
+        due += TICK_S / speed
+        time.sleep(max(0.0, due - time.monotonic()))
     print("all is handed over", flush=True)
     closed = [stream.close() for stream, _ in streams]
     print(
