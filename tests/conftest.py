@@ -6,6 +6,7 @@ import functools
 import json
 import os
 import signal
+import socket
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -81,6 +82,19 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
         "ROS_HOME": str(tmp_path_factory.mktemp("ros_home")),
         "PYTHONPATH": str(HERE.parent),
     }
+
+
+@pytest.fixture
+def port() -> Iterator[int]:
+    """A port of loopback for Rerun's server, at which nobody listens yet.
+
+    It stays bound, so that no other process is given it before the server listens; Rerun's servers
+    may listen nevertheless, since they set SO_REUSEADDR, too.
+    """
+    with socket.socket() as held:
+        held.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        held.bind(("127.0.0.1", 0))
+        yield int(held.getsockname()[1])
 
 
 @pytest.fixture(scope="session")

@@ -2,9 +2,10 @@
 
     rerun_driver.py SINKS FOLDER SECONDS SPEED [X,Y,Z] [PAUSE,...]
 
-The flight is at X, Y, Z if they are given. At each pause, seconds of the flight, it prints
-"paused at SECOND" and waits for a line. It prints "all is handed over", and then JSON: what each
-sink made of it, and the numbers that were handed over.
+The flight is at X, Y, Z if they are given. It is no faster than its file is drawn. At each pause,
+seconds of the flight, it prints "paused at SECOND" when all sinks have drawn what came before, and
+waits for a line. It prints "all is handed over", and then JSON: what each sink made of it, and the
+numbers that were handed over.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from waiting import PATIENCE_S, until
 
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
@@ -24,6 +26,7 @@ from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.state_rows import states
+from trajeval_ros.viewer import stream as drawing
 from trajeval_ros.viewer.live_scene import LiveScene
 from trajeval_ros.viewer.sinks import sinks_for
 from trajeval_ros.viewer.stream import DrawingThread, give_way
@@ -32,6 +35,7 @@ from trajeval_ros.visual_inertial.drifting_odometry import simulate
 NAME = "vio_odometry"
 TICK_S = 0.05
 _REPORT_EVERY = 10
+_MOST_WAITING = 1000  # half of what a queue takes
 
 
 def rows(trajectory: Trajectory) -> np.ndarray:
@@ -58,6 +62,7 @@ def main(
     )
     new: list = []
     streams = []
+    drawing._PATIENCE_S = PATIENCE_S  # the end may take long on a machine that is busy
     give_way()
     for sink in sinks_for(value, folder / "run.rrd", "flight"):
         scene = LiveScene("flight", [NAME], Gauge.YAW)
@@ -69,20 +74,21 @@ def main(
         for stream, scene in streams:
             stream.put(functools.partial(draw, scene))
 
-    begin, ticks = time.monotonic(), round(seconds / TICK_S)
-    for tick in range(ticks):
+    due = time.monotonic()
+    for tick in range(round(seconds / TICK_S)):
         if tick in pause_at:
+            until(lambda: not any(stream._jobs for stream, _ in streams), "all is drawn so far")
             print(f"paused at {pause_at[tick]}", flush=True)
-            paused = time.monotonic()
             sys.stdin.readline()
-            begin += time.monotonic() - paused
-        until = truth.stamps[0] + round((tick + 1) * TICK_S * NANOSECONDS)
-        since = until - round(TICK_S * NANOSECONDS)
-        part = (truth.stamps > since) & (truth.stamps <= until)
+            due = time.monotonic()
+        until(lambda: len(streams[0][0]._jobs) < _MOST_WAITING, "the file is drawn")
+        end = truth.stamps[0] + round((tick + 1) * TICK_S * NANOSECONDS)
+        since = end - round(TICK_S * NANOSECONDS)
+        part = (truth.stamps > since) & (truth.stamps <= end)
         evaluator.add_groundtruth(truth.stamps[part], truth_rows[part])
         taken = truth.stamps[part], truth_rows[part]
         put(lambda scene, taken=taken: scene.groundtruth(*taken))
-        part = (estimate.stamps > since) & (estimate.stamps <= until)
+        part = (estimate.stamps > since) & (estimate.stamps <= end)
         evaluator.add_estimate(estimate.stamps[part], estimate_rows[part])
         update = evaluator.update()
         for pairs in new:
@@ -110,8 +116,8 @@ def main(
                         *similarity.translation.tolist(),
                     )
                 )
-        left = begin + (tick + 1) * TICK_S / speed - time.monotonic()
-        time.sleep(max(0.0, left))
+        due += TICK_S / speed
+        time.sleep(max(0.0, due - time.monotonic()))
     print("all is handed over", flush=True)
     closed = [stream.close() for stream, _ in streams]
     print(

@@ -260,8 +260,9 @@ class Peer:
         """Publish a bag as `trajeval replay` does, when topics have so many subscribers.
 
         The nodes that subscribe are asked something first: a node that answers has started, and
-        takes messages. Messages are acknowledged with Fast DDS's heartbeat, every three seconds:
-        waiting for that is for the end.
+        takes messages. While it plays this node goes on to hear and to answer. Messages are
+        acknowledged with Fast DDS's heartbeat, every three seconds: waiting for that is for the
+        end.
         """
         from rcl_interfaces.srv import GetParameters
         from rclpy.duration import Duration
@@ -293,7 +294,7 @@ class Peer:
                 playback.begin_ns,
                 rate,
                 publish=publish,
-                tick=lambda _: None,
+                tick=lambda _: self._executor.spin_once(timeout_sec=0.0),
                 is_stopped=lambda: False,
             )
             for each in publishers.values():

@@ -18,6 +18,8 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.cli.demo import comparison
 
 PATIENCE_S = 600
+# The Vulkan loader finds no driver, as on a machine without one.
+BLIND = dict.fromkeys(("VK_DRIVER_FILES", "VK_ICD_FILENAMES"), "/nonexistent")
 
 
 @pytest.fixture(scope="module")
@@ -95,6 +97,22 @@ def test_a_screenshot_that_takes_too_long_is_one_sentence(
     assert not (tmp_path / "screen.png").exists()
 
 
+def test_a_driver_that_is_missed_late_is_named(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from trajeval_ros.exceptions import InputError
+    from trajeval_ros.viewer import screenshot
+
+    for name in BLIND:
+        monkeypatch.setenv(name, BLIND[name])
+    # As on a busy machine: the viewer is taken for settled while it still looks for a driver.
+    monkeypatch.setattr(screenshot, "_wait_for", lambda *_: None)
+    for limit in ("_PATIENCE_S", "_SETTLE_S"):
+        monkeypatch.setattr(screenshot, limit, PATIENCE_S)
+    with pytest.raises(InputError, match="needs a Vulkan driver"):
+        screenshot.save_png(recording, tmp_path / "screen.png")
+
+
 def test_what_the_sdk_raises_is_one_sentence(tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="rerun-sdk is missing, the extra `rerun`")
     from trajeval_ros.exceptions import InputError
@@ -137,9 +155,7 @@ def test_without_a_driver_to_draw_with_it_ends_well_and_says_what_is_where(
     environment: dict[str, str], tmp_path: Path
 ) -> None:
     pytest.importorskip("rerun", reason="rerun-sdk is missing, the extra `rerun`")
-    # The Vulkan loader finds no driver, as on a machine without one.
-    blind = dict.fromkeys(("VK_DRIVER_FILES", "VK_ICD_FILENAMES"), "/nonexistent")
-    words = last_words(demo("out", tmp_path, {**environment, **blind}))
+    words = last_words(demo("out", tmp_path, {**environment, **BLIND}))
     assert words["picture"].startswith("none: Rerun's viewer needs a Vulkan driver")
     assert (tmp_path / words["recording"]).is_file()
     assert (tmp_path / words["report"].split(",")[0]).is_file()

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from ros_bags import ODOM, POSE, Message, messages_of
 from test_live_run import ESTIMATE, TRUTH, Live
+from waiting import PATIENCE_S
 
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
@@ -30,6 +31,12 @@ from rrd import Rrd
 FRAME, GROUNDTRUTH = "world/estimate/vio", "world/groundtruth"
 LOOP_S = 26.0
 BATCH = 40  # messages that arrive together
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give the picture as long to end as it takes on a machine that is busy."""
+    monkeypatch.setattr("trajeval_ros.viewer.stream._PATIENCE_S", PATIENCE_S)
 
 
 def loop(seed: int, until_s: float = LOOP_S) -> tuple[Trajectory, Trajectory]:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+from waiting import PATIENCE_S
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
@@ -20,15 +23,23 @@ def test_notebooks_are_committed_without_outputs(path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebooks_run(path: Path) -> None:
+def test_notebooks_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     nbformat = pytest.importorskip("nbformat")
     nbclient = pytest.importorskip("nbclient")
     for needed in ("ipykernel", "pandas", "matplotlib"):
         pytest.importorskip(needed)
+    # Folders of this run alone, with the fonts listed: matplotlib warns when that takes long.
+    for name in ("IPYTHONDIR", "MPLCONFIGDIR"):
+        monkeypatch.setenv(name, str(tmp_path))
+    subprocess.run([sys.executable, "-c", "import matplotlib.font_manager"], check=True)
     notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
     nbclient.NotebookClient(
-        notebook, timeout=None, resources={"metadata": {"path": str(FOLDER)}}
+        notebook,
+        timeout=None,
+        startup_timeout=int(PATIENCE_S),
+        iopub_timeout=int(PATIENCE_S),
+        resources={"metadata": {"path": str(FOLDER)}},
     ).execute()
     shown = [
         output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs

@@ -6,8 +6,10 @@ import hashlib
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -127,12 +129,25 @@ def _run(*command: object, **environment: str) -> str:
     return done.stdout
 
 
+def _build(folder: Path) -> None:
+    """Build the source distribution, and the wheel from it.
+
+    In a copy of the checkout: setuptools writes into it, also what metadata other tests read.
+    """
+    pytest.importorskip("build", reason="archives need the extra `release`")
+    with tempfile.TemporaryDirectory() as copied:
+        checkout = Path(copied) / "checkout"
+        left_out = shutil.ignore_patterns(".*", "__pycache__", "*.egg-info", "build", "data")
+        shutil.copytree(ROOT, checkout, ignore=left_out)
+        command = [sys.executable, "-m", "build", "--outdir", folder, checkout]
+        _run(*command, SOURCE_DATE_EPOCH="1700000000")
+
+
 @pytest.fixture(scope="module")
 def archives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The source distribution and the wheel that is built from it."""
-    pytest.importorskip("build", reason="archives need the extra `release`")
     folder = tmp_path_factory.mktemp("dist")
-    _run(sys.executable, "-m", "build", "--outdir", folder, SOURCE_DATE_EPOCH="1700000000")
+    _build(folder)
     return folder
 
 
@@ -149,8 +164,7 @@ def test_archives_are_what_an_index_accepts(archives: Path) -> None:
 
 @pytest.mark.slow
 def test_a_wheel_is_built_to_the_same_bytes(archives: Path, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "build", "--outdir", tmp_path]
-    _run(*command, SOURCE_DATE_EPOCH="1700000000")
+    _build(tmp_path)
     (again,), (first,) = tmp_path.glob("*.whl"), archives.glob("*.whl")
     digests = [hashlib.sha256(each.read_bytes()).hexdigest() for each in (again, first)]
     assert digests[0] == digests[1]

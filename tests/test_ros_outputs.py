@@ -27,6 +27,7 @@ from test_live_run import path_messages
 from waiting import until
 
 from trajeval_ros.cli.app import main
+from trajeval_ros.io.live.pair_file import read_pairs
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.ros.message_types import message_class
 
@@ -70,6 +71,12 @@ def values_of(status: Any) -> dict[str, str]:
 
 def kinds_of(events: list[Any]) -> list[str]:
     return [values_of(each)["kind"] for each in events]
+
+
+def newest_ns(message: Any) -> int:
+    """Return the stamp of a message, and of the last pose of a path."""
+    stamp = (message.poses[-1] if getattr(message, "poses", ()) else message).header.stamp
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
 @pytest.fixture(scope="module")
@@ -121,17 +128,30 @@ def heard(
         replay(bag, environment, "--rate", 8)
         saved["saved"] = peer.ask("/judge/save", Trigger)
         saved["result"] = evaluator.result
-        peer.until(lambda: floats["ate_position"], "numbers are published")
+        # What is published may be heard long after the answer that all is saved.
+        [run] = saved["result"]["runs"]
+        last_ns = int(read_pairs(evaluator.folder / f"{NAME}.pairs").stamps[-1])
+        for each in (*(f"stamped/{vector}" for vector in VECTORS), *kinds):
+            peer.until(
+                lambda: messages[each] and newest_ns(messages[each][-1]) == last_ns,  # noqa: B023
+                f"{each} of the last pair",
+            )
+        rmse_m = run["ate"]["position_m"]["rmse"]
         peer.until(
             lambda: (
-                floats["ate_position"][-1].data
-                == pytest.approx(saved["result"]["runs"][0]["ate"]["position_m"]["rmse"], rel=1e-9)
+                floats["ate_position"]
+                and floats["ate_position"][-1].data == pytest.approx(rmse_m, rel=1e-9)
             ),
             "the last ATE is published",
         )
+        pairs = str(run["association"]["pairs"])
         peer.until(
-            lambda: len(messages["aligned_path"][-1].poses) and messages["diagnostics"],
-            "paths are published",
+            lambda: (
+                (told := messages["diagnostics"])
+                and told[-1].status
+                and values_of(told[-1].status[0])["pairs"] == pairs
+            ),
+            "diagnostics of the last pair",
         )
         published = {
             topic: types[0]
@@ -370,8 +390,13 @@ def test_the_newest_path_is_published_as_it_is_evaluated(
                 ),
                 f"{topic} of the newest path",
             )
+        pairs = run["association"]["pairs"]
+        peer.until(lambda: paths and len(paths[-1].poses) == pairs, "the newest path, aligned")
+        last_ns = newest_ns(paths[-1])
+        peer.until(
+            lambda: alignments and newest_ns(alignments[-1]) == last_ns, "the newest alignment"
+        )
         assert evaluator.end() == 0
-    assert len(paths[-1].poses) == run["association"]["pairs"]
     moved = alignments[-1].transform.translation
     assert [moved.x, moved.y, moved.z] == pytest.approx(run["alignment"]["translation_m"])
     causal = run["live"]["causal_ate"]["position_m"]["rmse"]

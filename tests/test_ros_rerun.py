@@ -37,8 +37,6 @@ pytest.importorskip("rerun", reason="rerun-sdk is missing; `make test-ros` has i
 
 from rrd import Rrd
 
-from trajeval_ros.viewer.program import free_port
-
 pytestmark = pytest.mark.ros
 
 NAME = "vio_odometry"
@@ -205,9 +203,8 @@ def test_reset_begins_another_picture(
 
 
 def test_the_address_of_a_served_picture_is_told(
-    environment: dict[str, str], tmp_path: Path
+    environment: dict[str, str], port: int, tmp_path: Path
 ) -> None:
-    port = free_port()
     with evaluating(tmp_path / "out", environment, rerun=f"serve:{port}") as evaluator:
         evaluator.wait_for(f"rerun --connect rerun+http://127.0.0.1:{port}/proxy")
         evaluator.end()

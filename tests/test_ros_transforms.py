@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,6 +31,7 @@ from ros_processes import (
 )
 
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.live.pair_file import read_pairs
 from trajeval_ros.ros.message_types import is_installed
 from trajeval_ros.visual_inertial.drifting_odometry import simulate
 
@@ -82,6 +84,10 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ],
     )
     return bag
+
+
+def stamp_ns(transform: Any) -> int:
+    return int(transform.header.stamp.sec) * SECOND + int(transform.header.stamp.nanosec)
 
 
 def evaluate_live(
@@ -174,12 +180,19 @@ def test_a_marker_is_brought_to_the_body_by_static_transforms(
 def test_the_alignment_is_broadcast_where_it_is_asked_for(
     flights: Path, peer: Peer, environment: dict[str, str], tmp_path: Path
 ) -> None:
+    from std_srvs.srv import Trigger
     from tf2_msgs.msg import TFMessage
 
     heard = peer.hear("/tf", TFMessage)
     with evaluating(tmp_path / "out", environment, broadcast_tf=True, gauge="yaw") as evaluator:
         replay(flights / "mcap", environment, "--rate", 8)
-        peer.until(lambda: len(heard) > 5, "transforms are broadcast")
+        assert peer.ask("/evaluator/save", Trigger).success
+        last_ns = int(read_pairs(evaluator.folder / "vio_odometry.pairs").stamps[-1])
+        peer.until(
+            lambda: heard and stamp_ns(heard[-1].transforms[0]) == last_ns,
+            "the transform of the last pair is broadcast",
+        )
+        assert len(heard) > 5
         assert evaluator.end() == 0
     [transform] = heard[-1].transforms
     result = evaluator.result

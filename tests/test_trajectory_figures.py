@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +30,7 @@ from trajeval_ros.io.ground_image import parse_bounds, read_ground_image
 from trajeval_ros.report.figure_style import house_style
 from trajeval_ros.report.motion_figures import PLOTS, motion_drawings
 
+ROOT = Path(__file__).resolve().parent.parent
 MAP = "image: map.pgm\nresolution: 0.5\norigin: [-3.0, 2.0, {yaw}]\nnegate: 0\n"
 
 
@@ -50,6 +54,22 @@ def grey_map(folder: Path, yaw: float = 0.0) -> Path:
     Image.fromarray(pixels).save(folder / "map.pgm")
     (folder / "map.yaml").write_text(MAP.format(yaw=yaw))
     return folder / "map.yaml"
+
+
+def test_a_home_that_cannot_be_written_gives_no_warnings(tmp_path: Path) -> None:
+    """Nor does a list of fonts that takes long to make, of which the same logger warns."""
+    assert main(["simulate", str(tmp_path / "flight"), "--duration", "10"]) == 0
+    nowhere = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME"), "/proc/nowhere")
+    command = ["trajectory", f"{tmp_path / 'flight'}:/vio/odometry", "--plot", "xy", "--quiet"]
+    done = subprocess.run(
+        [sys.executable, "-m", "trajeval_ros", *command, "--output", str(tmp_path / "plots")],
+        env={**os.environ, "PYTHONPATH": str(ROOT), **nowhere},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "plots" / "path_xy.png").exists()
 
 
 def test_speeds_of_a_circle() -> None:

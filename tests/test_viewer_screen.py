@@ -21,6 +21,7 @@ pytest.importorskip("rerun", reason="rerun-sdk is missing, the extra `rerun`")
 
 from PIL import Image
 
+from trajeval_ros.viewer import screenshot
 from trajeval_ros.viewer.screenshot import headless_viewer, save_png
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -62,6 +63,12 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {**made, "live": live / "run.rrd"}
 
 
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give the viewer as long as it takes on a machine that is busy and draws in software."""
+    monkeypatch.setattr(screenshot, "_PATIENCE_S", PATIENCE_S)
+
+
 def coloured(png: Path) -> int:
     """Return the number of pixels in the space at the left that are no shade of grey."""
     pixels = np.asarray(Image.open(png).convert("RGB")).astype(int)
@@ -70,6 +77,7 @@ def coloured(png: Path) -> int:
 
 
 @needs_driver
+@pytest.mark.usefixtures("patient")
 @pytest.mark.parametrize("kind", ["certain", "two", "live"])
 def test_views_have_nothing_to_report_at_three_times(
     kind: str, pictures: dict[str, Path], tmp_path: Path
@@ -98,6 +106,7 @@ def test_views_have_nothing_to_report_at_three_times(
 
 
 @needs_driver
+@pytest.mark.usefixtures("patient")
 def test_first_screen_as_a_png(pictures: dict[str, Path], tmp_path: Path) -> None:
     save_png(pictures["live"], tmp_path / "screen.png")
     assert coloured(tmp_path / "screen.png") > 1000
@@ -144,6 +153,7 @@ def test_page_shows_the_picture_in_a_browser(page: tuple[str, Any], tmp_path: Pa
     with sync_api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(
             executable_path=BROWSER,
+            timeout=1e3 * PATIENCE_S,
             args=[
                 "--no-sandbox",
                 "--use-gl=angle",
@@ -154,7 +164,7 @@ def test_page_shows_the_picture_in_a_browser(page: tuple[str, Any], tmp_path: Pa
         )
         tab = browser.new_page(viewport={"width": 1280, "height": 720})
         tab.on("request", lambda request: asked_for.append(request.url))
-        tab.goto(f"{address}&renderer=webgl", wait_until="commit")
+        tab.goto(f"{address}&renderer=webgl", wait_until="commit", timeout=1e3 * PATIENCE_S)
 
         def drawn() -> int:
             try:

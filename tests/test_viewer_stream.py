@@ -35,16 +35,9 @@ ROOT = Path(__file__).resolve().parent.parent
 DRIVER = Path(__file__).with_name("rerun_driver.py")
 NAME = "vio_odometry"
 FRAME = f"world/estimate/{NAME}"
-# A stream holds 2000 things to draw. A flight of so many seconds has fewer in all, so that its
-# file lacks nothing however busy the machine is, and however fast it is flown.
+# A stream holds 2000 things to draw. A flight of so many seconds has fewer in all, so that viewers
+# lack nothing however busy the machine is, and however fast it is flown.
 FLIGHT_S, FAST = 30.0, 20.0
-
-
-@pytest.fixture
-def port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def url(port: int) -> str:
@@ -271,7 +264,7 @@ def test_viewer_that_is_late_gets_everything(port: int, tmp_path: Path) -> None:
         driver.go_on()
         report = driver.report()
         first = report["handed"]["position_error"][0][0]
-        until(lambda: seen(late)[:1] == [first], "it shows the beginning")
+        until(lambda: seen(late)[:1].tolist() == [first], "it shows the beginning")
     assert_whole(tmp_path / "run.rrd", report)
 
 
@@ -333,7 +326,7 @@ def test_viewer_that_is_killed_and_restarted(port: int, tmp_path: Path) -> None:
         driver.go_on()
         report = driver.report()
         last = report["handed"]["position_error"][-1][0]
-        until(lambda: seen(second)[-1:] == [last], "the second shows the end")
+        until(lambda: seen(second)[-1:].tolist() == [last], "the second shows the end")
         # The path that it has missed is drawn anew for the second.
         until(lambda: shows_the_begin(second, last), "the second shows the begin of the path")
     assert report["dropped"][0] == 0 < report["dropped"][1]
@@ -371,12 +364,13 @@ def test_disk_without_any_room_leaves_no_stub(size: str, tmp_path: Path) -> None
         ("file", "run.rrd can't be written: is a directory"),
     ],
 )
-def test_sink_that_cannot_be_had(value: str, said: str, port: int, tmp_path: Path) -> None:
+def test_sink_that_cannot_be_had(value: str, said: str, tmp_path: Path) -> None:
     if value == "file":
         (tmp_path / "run.rrd").mkdir()
     with socket.socket() as taken:
-        taken.bind(("127.0.0.1", port))
+        taken.bind(("127.0.0.1", 0))
         taken.listen()
+        port = taken.getsockname()[1]
         report = Driver(value.format(port=port), tmp_path, seconds=5.0).report()
     assert said.format(port=port) in report["trouble"][-1]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import re
 from importlib.util import find_spec
 from pathlib import Path
@@ -50,8 +49,6 @@ def _write(folder: Path, result: dict[str, object], outcome: Outcome, look: Figu
         for name, write in error_files(outcome).items():
             write(temporary / name)
         if _HAVE_FIGURES:
-            # Hide matplotlib's warning about a home folder that is not writable.
-            logging.getLogger("matplotlib").setLevel(logging.ERROR)
             from trajeval_ros.report.figures import write_figures
 
             write_figures([run.evaluation for run in runs], temporary, look)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
@@ -293,7 +292,6 @@ def _write(folder: Path, study: GaugeStudy, look: FigureStyle) -> None:
     write_text(folder / "study.json", json_text(study.numbers(), indent=1))
     write_text(folder / "tables.md", study.tables())
     if find_spec("matplotlib") is not None:
-        logging.getLogger("matplotlib").setLevel(logging.ERROR)
         save_all(study.figures(), folder, look)
 
 

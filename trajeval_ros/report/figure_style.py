@@ -141,32 +141,50 @@ def _width_in(text: str) -> float:
 def house_style(style: FigureStyle = PLAIN) -> Iterator[None]:
     """Apply the default style, overridden by the user's matplotlib settings and by `style`.
 
+    matplotlib's logged warnings are hidden: its first import warns of a home folder that is not
+    writable, and of the font cache when building it takes more than 5 s.
+
     Raises:
         InputError: matplotlib is not installed, or the style sheet cannot be read.
     """
+    with _log_level("ERROR"):
+        try:
+            import matplotlib
+            from matplotlib.rcsetup import cycler
+        except ImportError as error:
+            raise InputError(
+                f"figures need matplotlib; install it: {extra_command('plot')}"
+            ) from error
+        with matplotlib.rc_context(), warnings.catch_warnings():
+            # Characters that no installed font has are drawn as boxes; a warning would not help.
+            warnings.filterwarnings("ignore", "Glyph .* missing from")
+            users = _set_by_user()
+            _register_ramp()
+            matplotlib.rcdefaults()
+            matplotlib.rcParams.update(_STYLE)
+            matplotlib.rcParams["axes.prop_cycle"] = cycler(color=palette.ESTIMATES)
+            matplotlib.rcParams["font.family"] = _fonts()
+            matplotlib.rcParams.update(users)
+            if style.file is not None:
+                matplotlib.rcParams.update(_read_style(style.file))
+            if style.width_in is not None:
+                height_in = matplotlib.rcParams["figure.figsize"][1]
+                matplotlib.rcParams["figure.figsize"] = (style.width_in, height_in)
+            yield
+
+
+@contextmanager
+def _log_level(level: str) -> Iterator[None]:
+    """Set the level of matplotlib's logger."""
+    import logging
+
+    logger = logging.getLogger("matplotlib")
+    before = logger.level
+    logger.setLevel(level)
     try:
-        import matplotlib
-        from matplotlib.rcsetup import cycler
-    except ImportError as error:
-        raise InputError(
-            f"figures need matplotlib; install it: {extra_command('plot')}"
-        ) from error
-    with matplotlib.rc_context(), warnings.catch_warnings():
-        # Characters that no installed font has are drawn as boxes; a warning would not help.
-        warnings.filterwarnings("ignore", "Glyph .* missing from")
-        users = _set_by_user()
-        _register_ramp()
-        matplotlib.rcdefaults()
-        matplotlib.rcParams.update(_STYLE)
-        matplotlib.rcParams["axes.prop_cycle"] = cycler(color=palette.ESTIMATES)
-        matplotlib.rcParams["font.family"] = _fonts()
-        matplotlib.rcParams.update(users)
-        if style.file is not None:
-            matplotlib.rcParams.update(_read_style(style.file))
-        if style.width_in is not None:
-            height_in = matplotlib.rcParams["figure.figsize"][1]
-            matplotlib.rcParams["figure.figsize"] = (style.width_in, height_in)
         yield
+    finally:
+        logger.setLevel(before)
 
 
 def _set_by_user() -> dict[Any, Any]:
@@ -192,21 +210,19 @@ def _read_style(path: Path) -> dict[Any, Any]:
     listener = logging.Handler(logging.WARNING)
     listener.emit = lambda record: complaints.append(record.getMessage())  # type: ignore[method-assign]
     logger = logging.getLogger("matplotlib")
-    level = logger.level
     logger.addHandler(listener)
-    logger.setLevel(logging.WARNING)
     try:
         if not path.is_file():
             raise InputError(
                 f"the style sheet {path} does not exist; give a matplotlib style sheet"
             )
-        read = matplotlib.rc_params_from_file(path, use_default_template=False)
+        with _log_level("WARNING"):
+            read = matplotlib.rc_params_from_file(path, use_default_template=False)
         settings = dict(dict.items(read))
     except (OSError, UnicodeDecodeError, ValueError) as error:
         raise InputError(f"the style sheet {path} can't be read: {error}") from error
     finally:
         logger.removeHandler(listener)
-        logger.setLevel(level)
     if complaints:
         said = complaints[0].strip().split("\n", 1)[0]
         raise InputError(f"the style sheet {path} is not valid: {said}")

@@ -21,6 +21,10 @@ _PATIENCE_S = 60.0
 _SETTLE_S = 4.0
 _LOOK_EVERY_S = 0.25
 _SIZE = "1600x900"
+_NO_DRIVER = (
+    "Rerun's viewer needs a Vulkan driver; install mesa-vulkan-drivers (Debian, Ubuntu), which "
+    "needs no graphics card"
+)
 
 
 def save_png(file: Path, png: Path) -> None:
@@ -100,6 +104,10 @@ def headless_viewer(file: Path) -> Iterator[str]:
                     f"Rerun's viewer did not draw {file} within {_PATIENCE_S:g} s; close other "
                     "programs and try again"
                 ) from error
+            # On a busy machine it may find out after it was connected to.
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                viewer.wait(_SETTLE_S)
+                raise InputError(_NO_DRIVER) from error
             raise
         finally:
             timer.cancel()
@@ -115,7 +123,4 @@ def _wait_for(viewer: subprocess.Popen[bytes], port: int) -> None:
             break
         if listens:
             return
-    raise InputError(
-        "Rerun's viewer needs a Vulkan driver; install mesa-vulkan-drivers (Debian, Ubuntu), "
-        "which needs no graphics card"
-    )
+    raise InputError(_NO_DRIVER)

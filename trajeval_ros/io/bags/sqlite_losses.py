@@ -21,7 +21,7 @@ def lost_of_log(log: Path) -> str:
     with log.open("rb") as file:
         header = file.read(_LOG_HEADER)
         if int.from_bytes(header[:4], "big") not in _LOG_MAGICS or len(header) < _LOG_HEADER:
-            return "none of its pages could be used"
+            return "none of its pages is readable"
         frame = _FRAME_HEADER + int.from_bytes(header[8:12], "big")
         size = log.stat().st_size
         count = 0
@@ -34,7 +34,7 @@ def lost_of_log(log: Path) -> str:
     if index.exists():  # it does not, if the database is not in the mode WAL
         with index.open("rb") as file:
             used = int.from_bytes(file.read(20)[16:], sys.byteorder)
-    return f"{count - used} of its {count} pages could not be used" if used < count else ""
+    return f"{count - used} of its {count} pages are unreadable" if used < count else ""
 
 
 def refuse_truncated(path: Path, name: str) -> None:
