@@ -16,6 +16,7 @@ from trajeval_ros import CalibrationRequest, Protocol, Request, Trajectory, run,
 from trajeval_ros.cli.app import main
 from trajeval_ros.diagnosis.mends import Mends
 from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.metrics.named_protocols import protocol_named
 from trajeval_ros.pipeline.pipeline import evaluate
@@ -215,13 +216,23 @@ def test_a_copy_of_four_poses_is_named_and_a_body_at_rest_is_not() -> None:
     assert "identical" not in _causes(rest, rest, Protocol(gauge="none", lengths="none"))
 
 
-def test_a_perfect_estimate_is_no_copy() -> None:
+def test_a_moved_copy_is_named() -> None:
+    truth = DRONE.truth
+    turn = so3.exp(np.array([0.1, -0.2, 2.0]))
+    moved = dataclasses.replace(truth, positions=truth.positions @ turn.T + [0.1, 0.2, 0.3])
+    found = run(truth, [moved], Request(Protocol(gauge="yaw"))).runs[0].diagnosis.findings[0]
+    assert found.cause == "identical"
+    assert "100 % of the positions at equal timestamps, after a rigid fit, are equal" in found.text
+    scaled = dataclasses.replace(truth, positions=truth.positions * 1.001)
+    assert "identical" not in _causes(truth, scaled, Protocol(gauge="yaw"))
+
+
+def test_a_good_estimate_is_no_copy() -> None:
     truth, random = DRONE.truth, np.random.default_rng(0)
     later = dataclasses.replace(truth, stamps=truth.stamps + 2_500_000)
-    noise = 1e-7 * random.standard_normal(truth.positions.shape)
+    noise = 1e-4 * random.standard_normal(truth.positions.shape)
     noisy = dataclasses.replace(truth, positions=truth.positions + noise)
-    moved = dataclasses.replace(truth, positions=truth.positions + [0.1, 0.2, 0.3])
-    for estimate in (later, noisy, moved):
+    for estimate in (later, noisy):
         for protocol in (Protocol(gauge="yaw"), protocol_named("evo")):
             assert "identical" not in _causes(truth, estimate, protocol)
     # Its first tenth is a copy, as of an estimator that groundtruth initialises.

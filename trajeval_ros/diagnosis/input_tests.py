@@ -6,7 +6,8 @@ import numpy as np
 
 from trajeval_ros.diagnosis.both_sides import Recording
 from trajeval_ros.diagnosis.evidence import Examined, Seen, Value
-from trajeval_ros.diagnosis.motion_track import MotionTrack
+from trajeval_ros.diagnosis.motion_track import MotionTrack, lengths
+from trajeval_ros.diagnosis.short_motions import best_rotations
 from trajeval_ros.formatting.source_roles import (
     is_named_estimate,
     is_named_groundtruth,
@@ -26,6 +27,8 @@ _SAME_S = 2e-6
 _FEWEST_EQUAL, _SHARED, _NEARLY_ALL_PERCENT = 3, 0.5, 90.0
 _DECIMALS = range(3, 10)
 _ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
+# After a rigid fit: least number of poses, and largest difference as a fraction of the extent.
+_FEWEST_FITTED, _FITTED_SHARE = 10, 1e-6
 # Largest extent of a body at rest, as a fraction of the other side's, and least extent of motion,
 # in units of the source.
 _STILL_SHARE, _MOVED = 1e-5, 0.3
@@ -114,7 +117,7 @@ def _repeats(track: MotionTrack) -> tuple[int, int, float]:
 def same_positions(recording: Recording) -> Examined:
     """Test whether the positions of both sides are equal at equal timestamps, or in equal rows.
 
-    Small differences are not sufficient: a perfect simulated estimate is not a copy.
+    They are equal as written, or up to rounding after a rigid transformation.
     """
     test = "same positions"
     truth, track = recording.in_order if recording.by_time else (recording.truth, recording.track)
@@ -132,6 +135,8 @@ def same_positions(recording: Recording) -> Examined:
         return Examined(test, why_not=f"too few poses {where}")
     one, other = few.positions[rows], many.positions[same]
     percent = 100.0 * _equal(one, other)
+    if percent < _NEARLY_ALL_PERCENT and len(rows) >= _FEWEST_FITTED:
+        percent, where = 100.0 * _equal_when_fitted(one, other), f"{where}, after a rigid fit,"
     moves = bool(np.ptp(one, axis=0).any())
     if not moves or percent < _NEARLY_ALL_PERCENT:
         return Examined(test, {"percent": percent})
@@ -147,6 +152,14 @@ def _equal(one: Floats, other: Floats) -> float:
         written += [(one.round(decimals), other), (one, other.round(decimals))]
     # An interpolation at a groundtruth timestamp differs by rounding.
     return max(float(np.mean((np.abs(a - b) <= _ROUNDING * size).all(axis=1))) for a, b in written)
+
+
+def _equal_when_fitted(one: Floats, other: Floats) -> float:
+    """Return the share of rows (N, 3) that are equal up to rounding after a rigid fit."""
+    a, b = one - one.mean(axis=0), other - other.mean(axis=0)
+    size = float(np.sqrt(np.mean(np.sum(b * b, axis=1))))
+    turned = best_rotations(b.T @ a)[1]
+    return float(np.mean(lengths(b - a @ turned.T) < _FITTED_SHARE * size))
 
 
 def standing_still(recording: Recording) -> Examined:
