@@ -8,6 +8,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
+from urllib.request import Request, urlopen
 
 import pytest
 from moto.server import ThreadedMotoServer
@@ -61,11 +62,15 @@ def _received(connection: socket.socket) -> bytes:
 
 @contextmanager
 def object_store() -> Iterator[Wire]:
-    """Start a server with an empty bucket, and the wire to it."""
+    """Start a server without buckets, and the wire to it."""
     server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()
     try:
         with Wire(server.get_host_and_port()) as wire:
+            # All servers of a process have the same buckets, also those that ended.
+            urlopen(
+                Request("http://{}:{}/moto-api/reset".format(*wire.server), method="POST")
+            ).close()
             threading.Thread(target=wire.serve_forever, daemon=True).start()
             yield wire
             wire.shutdown()

@@ -233,7 +233,7 @@ def test_the_table_of_the_same_folder_can_be_the_baseline(today: Path) -> None:
             "--false-alarms 0 is out of range",
         ),
         (["--baseline", "OLD", "--fail-if", GATE, "--undecided", "maybe"], "pass, fail"),
-        (["--paired"], "--paired needs --baseline"),
+        (["--paired"], "--paired, --undecided and --false-alarms need --baseline"),
         (["--baseline", "OLD", "--fail-if", f"{GATE} spread 9 %", "--paired"], "also gives one"),
         (["--baseline", "none.parquet", "--fail-if", GATE], "does not exist"),
         (["--baseline", "FOLDER", "--fail-if", GATE], "is a folder; give the runs.parquet in it"),
