@@ -317,6 +317,7 @@ BAD_FILES: dict[str, tuple[bytes, str]] = {
         "line 1: 8 columns expected, found 24",
     ),
     "a long line of spaces": (b"a," + b" " * 60_000 + b"b\n1 2 3 4 5\n", "unknown layout with 5"),
+    "decimal commas and spaces": (b"1,2" + b" " * 60_000 + b"b\n", "'b' is not a number"),
     "one endless line": (b"1 " * 1_000_000, "unknown layout|is not a trajectory"),
 }
 

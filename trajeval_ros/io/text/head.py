@@ -32,7 +32,7 @@ _UTF8_MARK = b"\xef\xbb\xbf"
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _GZIP_MARK = b"\x1f\x8b"
 _WITH_COMMA = rb"[-+]?\d+,\d+([eE][-+]?\d+)?"
-_DECIMAL_COMMAS = re.compile(rb"%s(\s*[;\s]\s*%s){2,}" % (_WITH_COMMA, _WITH_COMMA))
+_DECIMAL_COMMAS = re.compile(rb"%s((\s*;\s*|\s+)%s){2,}" % (_WITH_COMMA, _WITH_COMMA))
 _GRAPH = rb"(?m)^(VERTEX_SE3:QUAT|VERTEX_SE2)\s"
 _BODY_TWISTS, _OTHERS = "RIGHT_PERTURBATION", "LEFT_PERTURBATION|ROTATION_TRANSLATION"
 
