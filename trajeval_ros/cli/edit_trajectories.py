@@ -15,7 +15,7 @@ from trajeval_ros.cli import figure_options, options, plotting
 from trajeval_ros.cli.pipes import may_break
 from trajeval_ros.cli.progress import progress
 from trajeval_ros.cli.source_names import names_of
-from trajeval_ros.cli.unused_options import require_bag, require_used
+from trajeval_ros.cli.unused_options import require_used
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.time_span import TimeSpan
 from trajeval_ros.io.describe import summarize
@@ -308,7 +308,6 @@ def trajectory(
     others = [] if reference is None else [reference]
     names = [*names_of(wanted), *("reference" for _ in others)]
     every_hint = [*[hints] * len(wanted), *[hints.of_reference] * len(others)]
-    require_bag([*wanted, *others], strict=strict)
     read = _read([*wanted, *others], names, every_hint, strict=strict)
     require_used(hints, (note for each in read for note in each.notes))
     edited = edit(read[: len(wanted)], None if reference is None else read[-1], editing)

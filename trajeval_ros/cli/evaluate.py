@@ -14,7 +14,7 @@ from trajeval_ros.cli.deliver import deliver, refuse_inputs
 from trajeval_ros.cli.pictures import Pictures
 from trajeval_ros.cli.progress import progress
 from trajeval_ros.cli.source_names import names_of
-from trajeval_ros.cli.unused_options import require_bag, require_used
+from trajeval_ros.cli.unused_options import require_used
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.io.requests.request_words import request_from
 from trajeval_ros.io.results.requirement import Requirement
@@ -216,7 +216,6 @@ def evaluate(
     refuse_inputs([mcap, rrd, None if json in (None, "-") else Path(json), output], sources)
     hints = TextHints.of(columns, frame_rate)
     every_hint = [hints.of_reference, *[hints] * (len(sources) - 1)]
-    require_bag(sources, strict=strict)
     truth, *estimates = _read(sources, every_hint, request, strict=strict)
     require_used(hints, (note for each in (truth, *estimates) for note in each.notes))
     outcome = run(truth, estimates, request)

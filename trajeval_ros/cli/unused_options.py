@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.io.sources import parse_source
 from trajeval_ros.io.text.hints import TextHints
 from trajeval_ros.io.text.layouts import AS_NAMED
 from trajeval_ros.io.text.reader import COUNTED
@@ -29,14 +28,3 @@ def require_used(hints: TextHints, notes: Iterable[str]) -> None:
             "--frame-rate is for text files without timestamps, and no such file was read; remove "
             "it"
         )
-
-
-def require_bag(sources: Sequence[str], *, strict: bool) -> None:
-    """Refuse `--strict` without a bag.
-
-    Raises:
-        SettingsError: It is given, and no source is a bag.
-        InputError: A source does not exist.
-    """
-    if strict and not any(parse_source(each).is_bag for each in sources):
-        raise SettingsError("--strict verifies bags, and no source is a bag; remove it")
