@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_bags import ODOM, PATH, POSE, Message, messages_of, write_messages
+from ros_bags import ODOM, PATH, POSE, Message, messages_of, odometry_message, write_messages
 from ros_processes import assert_same, offline
 from strategies import make_pair
 from test_live_run import COUNT, ESTIMATE, TRUTH, Live, messages, path_messages
@@ -69,6 +69,24 @@ def test_each_loop_of_a_bag_is_a_run(tmp_path: Path, messages_late: int, batch: 
     assert [each.partition(":")[0] for each in told] == ["segment 2 of /vio", "segment 3 of /vio"]
     assert all("time stepped back by" in each for each in told)
     assert [each.values["segment"] for each in live.run.news] == [2, 3]
+
+
+@pytest.mark.parametrize("messages_late", [0, 25, -25])
+def test_dropped_messages_are_those_of_the_loop(tmp_path: Path, messages_late: int) -> None:
+    """Also if the next loop begins before the previous one is complete."""
+    loops = [messages(seed) for seed in (21, 22)]
+    for loop, count in zip(loops, (1, 3), strict=True):
+        rows = [row for row, each in enumerate(loop) if each[0] == ESTIMATE][5 : 5 + count]
+        for row in rows:
+            topic, kind, stamp, _ = loop[row]
+            unset = odometry_message(0, [0.0] * 3, [0.0, 0.0, 0.0, 1.0])
+            loop[row] = (topic, kind, stamp, unset)
+    live = Live(tmp_path / "live", ODOM)
+    for each in late([each for loop in loops for each in loop], messages_late):
+        live.feed([each])
+    live.end()
+    dropped = [run["association"]["dropped"]["zero_stamp"] for run in live.result["runs"]]
+    assert dropped == [1, 3]
 
 
 def test_what_is_published_goes_on_after_a_loop(tmp_path: Path) -> None:

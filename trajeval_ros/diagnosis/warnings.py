@@ -21,6 +21,7 @@ from trajeval_ros.metrics.statistics import median
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
+    from trajeval_ros.metrics.association import Association
     from trajeval_ros.metrics.evaluation import Evaluation
 
 LOW_COVERAGE = 0.9
@@ -210,10 +211,12 @@ def _about_rotations(evaluation: Evaluation) -> list[str]:
 
 def _about_coverage(evaluation: Evaluation) -> list[str]:
     pairs = evaluation.association
-    warnings = []
+    warnings = _about_unusable(pairs)
     if evaluation.score is not None:
         missing = evaluation.score.missing
-        return [f"{counted(missing, 'point')} without an estimate, scored 0"] if missing else []
+        if missing:
+            warnings.append(f"{counted(missing, 'point')} without an estimate, scored 0")
+        return warnings
     if pairs.estimate_coverage is None:
         if pairs.groundtruth_coverage < LOW_COVERAGE:
             warnings.append(
@@ -230,6 +233,20 @@ def _about_coverage(evaluation: Evaluation) -> list[str]:
             + "; compare only runs with the same coverage"
         )
     return warnings
+
+
+def _about_unusable(pairs: Association) -> list[str]:
+    unusable = {each: count for each, count in pairs.dropped.items() if each in _UNUSABLE}
+    count = sum(unusable.values())
+    if not count or not pairs.estimate_coverage:
+        return []
+    share = count / (count + len(pairs) / pairs.estimate_coverage)
+    if share <= 1.0 - LOW_COVERAGE:
+        return []
+    return [
+        f"{percent(share)} of the estimate's poses are not usable and were dropped: "
+        f"{reasons(unusable)}; correct the output of the estimator"
+    ]
 
 
 def _about_relative_errors(evaluation: Evaluation) -> list[str]:
@@ -280,13 +297,6 @@ def _about_inputs(evaluation: Evaluation) -> list[str]:
             )
     if truth.dropped:
         warnings.append(f"groundtruth poses were dropped: {reasons(truth.dropped)}")
-    unusable = {each: count for each, count in estimate.dropped.items() if each in _UNUSABLE}
-    share = sum(unusable.values()) / (sum(unusable.values()) + max(len(estimate), 1))
-    if share > 1.0 - LOW_COVERAGE:
-        warnings.append(
-            f"{percent(share)} of the estimate's poses are not usable and were dropped: "
-            f"{reasons(unusable)}; correct the output of the estimator"
-        )
     return warnings
 
 

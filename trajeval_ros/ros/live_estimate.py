@@ -92,7 +92,10 @@ class LiveEstimate:
             id(each.stream): dict(each.stream.status.dropped)
             for each in (topic.side, topic.groundtruth)
         }
+        self._dropped_until: dict[int, dict[str, int]] | None = None
         self.files = SegmentFiles(folder, self.name, self.segment, topic.description)
+        if after is not None:  # which closes later
+            after._dropped_until = self._dropped_before
         before = None if after is None else after.jumps
         self.jumps: SegmentJumps = SegmentJumps(splits=topic.splits, before=before)
         # The evaluator has no reference to this segment, so a complete segment can be freed.
@@ -278,8 +281,10 @@ class LiveEstimate:
         return stamp + self.offset_ns, position, covariance
 
     def dropped_since_begun(self, stream: PoseStream) -> dict[str, int]:
-        """Return the number of messages without a pose since this segment started, by reason."""
-        before, now = self._dropped_before[id(stream)], stream.status.dropped
+        """Return the number of messages without a pose in this segment so far, by reason."""
+        until = self._dropped_until
+        before = self._dropped_before[id(stream)]
+        now = stream.status.dropped if until is None else until[id(stream)]
         return add_counts({each: count - before.get(each, 0) for each, count in now.items()})
 
     @property
