@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from made_bags import refusal
 from scipy.spatial.transform import Rotation
 from strategies import SAME_ROTATION_RAD
 
@@ -332,15 +333,6 @@ def test_bad_files_are_refused_with_one_sentence(case: str, tmp_path: Path) -> N
         read_trajectory(str(path))
     assert "bad.txt" in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def refusal(path: Path) -> str:
-    """Return why the path is refused, "" if it is read."""
-    try:
-        read_trajectory(str(path))
-    except InputError as error:
-        return str(error)
-    return ""
 
 
 @given(st.binary(max_size=300))

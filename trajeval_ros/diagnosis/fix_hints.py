@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trajeval_ros.diagnosis.unused_settings import about_unused
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.fix_selection import FixRule
@@ -64,16 +65,8 @@ def about_unused_rule(rule: FixRule) -> list[str]:
         "max_sigma_m": "--max-fix-sigma",
         "correlation_s": "--fix-correlation",
     }
-    default = FixRule()
-    unused = [
-        option for name, option in options.items() if getattr(rule, name) != getattr(default, name)
-    ]
-    if not unused:
-        return []
-    return [
-        f"no effect of {', '.join(unused)}: the groundtruth has no GNSS fixes; remove the option, "
-        "or give the fixes as groundtruth"
-    ]
+    why = "the groundtruth has no GNSS fixes; remove the option, or give the fixes as groundtruth"
+    return about_unused(rule, FixRule(), options, why)
 
 
 def about_fixes(

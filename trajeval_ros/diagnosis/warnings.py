@@ -12,8 +12,10 @@ from trajeval_ros.diagnosis.findings import Diagnosis
 from trajeval_ros.diagnosis.fix_hints import about_projection
 from trajeval_ros.diagnosis.jumps import Steps
 from trajeval_ros.diagnosis.rotation_hints import about_freedom, about_poses
+from trajeval_ros.diagnosis.unused_settings import about_unused
 from trajeval_ros.formatting.numbers import counted, percent
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.dropped_counts import NO_STATE
 from trajeval_ros.geometry.travelled import step_lengths
 from trajeval_ros.geometry.up_axis import ASSUMED
 from trajeval_ros.metrics.named_protocols import PROTOCOLS
@@ -33,8 +35,8 @@ _JITTER = 0.15
 _FEWEST_STEPS = 100
 _FOLLOWS = 0.2
 _SPARSE_S = 0.12
-# Reasons to drop a pose that do not depend on the groundtruth.
-_UNUSABLE = ("not_finite", "zero_quaternion", "undecodable", "zero_stamp", "lone_stamp")
+# Reasons to drop a pose that do not depend on other poses or on the groundtruth.
+_UNUSABLE = frozenset(NO_STATE) - {"duplicate_stamp"}
 _BY_TIME = {
     "method": "--association",
     "max_time_difference_s": "--max-time-difference",
@@ -132,17 +134,11 @@ def _about_rows(evaluation: Evaluation) -> list[str]:
     if evaluation.association.rule.method != "index" or rule.method == "index":
         return []
     of_protocol = PROTOCOLS.get(evaluation.protocol.name, PROTOCOLS["default"]).association
-    unused = [
-        option
-        for name, option in _BY_TIME.items()
-        if getattr(rule, name) != getattr(of_protocol, name)
-    ]
-    if not unused:
-        return []
-    return [
-        f"no effect of {', '.join(unused)}: without timestamps on both sides, poses are paired by "
-        "row; give timestamps, such as with --frame-rate"
-    ]
+    why = (
+        "without timestamps on both sides, poses are paired by row; give timestamps, such as with "
+        "--frame-rate"
+    )
+    return about_unused(rule, of_protocol, _BY_TIME, why)
 
 
 def _about_first_state(evaluation: Evaluation) -> list[str]:

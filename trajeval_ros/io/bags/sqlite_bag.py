@@ -146,8 +146,7 @@ class SqliteReader:
 
         Each block comes with the last id that was read. sqlite has to read the other messages.
         """
-        columns = [column[1:3] for column in self._database.execute("PRAGMA table_info(messages)")]
-        if self._has_log or columns != _COLUMNS:
+        if self._has_log or list(self._columns("messages").items()) != _COLUMNS:
             return
         roots = self._database.execute(
             "SELECT rootpage FROM sqlite_master WHERE type = 'table' AND name = 'messages'"
@@ -243,9 +242,10 @@ class SqliteReader:
                 self._counts = {}
         return self._counts.get(topic, 0)
 
-    def _columns(self, table: str) -> set[str]:
+    def _columns(self, table: str) -> dict[str, str]:
+        """Return the types of a table's columns by name, in order; none if there is no table."""
         rows = self._database.execute(f"PRAGMA table_info({table})")
-        return {name for _, name, *_ in rows}
+        return {name: kind for _, name, kind, *_ in rows}
 
 
 @dataclass(frozen=True)
