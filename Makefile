@@ -29,8 +29,8 @@ ALONE := ROS_HOME=$$(mktemp -d) && export ROS_HOME && trap 'rm -rf "$$ROS_HOME"'
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help install demo test test-jazzy test-ros lint format bench bench-gnss bench-live \
-	bench-runs bench-scale bench-black-box bench-diagnosis bench-watch soak parity fuzz fuzz-bytes chaos \
-	chaos-ros mutate audit lock colcon-environment ros-environment clean site serve-site test-kernels \
+	bench-runs bench-scale bench-diagnosis bench-watch soak parity fuzz fuzz-bytes chaos \
+	chaos-ros mutate audit lock colcon-environment ros-environment clean settings site serve-site test-kernels \
 	test-all test-stress oracles
 
 help: ## List the targets.
@@ -63,13 +63,13 @@ test-jazzy: $(JAZZY)/.installed ## Run the tests of `make test` on ROS 2 Jazzy's
 	$(JAZZY)/bin/$(PYTEST_ALL_CORES) -m "not slow and not ros and not oracles"
 
 test-kernels: $(VENV)/.installed ## Run the fast numeric tests with the arithmetic of other CPUs; KERNELS="Nehalem".
-	$(VENV)/bin/python tests/kernels.py $(KERNELS)
+	$(VENV)/bin/python tests/support/kernels.py $(KERNELS)
 
 test-ros: $(ROS)/.installed $(ROS)/.tf2_msgs ## Run the tests that need ROS 2, between processes over DDS.
 	$(ALONE) $(ROS)/bin/python -m pytest -m ros
 
 oracles: $(ORACLES)/.installed ## Compare the estimator with Ceres and GTSAM, in an environment of their own.
-	OPENBLAS_NUM_THREADS=1 $(ORACLES)/bin/python -m pytest -m oracles tests/test_solver_oracles.py
+	OPENBLAS_NUM_THREADS=1 $(ORACLES)/bin/python -m pytest -m oracles tests/visual_inertial/test_solver_oracles.py
 
 TARGET ?= test
 TIMES ?= 3
@@ -86,7 +86,7 @@ lint: $(VENV)/.installed ## Check style, format and types.
 format: $(VENV)/.installed ## Correct style and format where a tool can, and wrap the lines of pages.
 	$(VENV)/bin/ruff check --fix
 	$(VENV)/bin/ruff format
-	$(VENV)/bin/python tests/prose.py $$(git ls-files '*.md')
+	$(VENV)/bin/python tests/support/prose.py $$(git ls-files '*.md')
 
 bench: $(VENV)/.installed $(EVO)/.installed $(ORACLES)/.installed ## Compare with evo, readers of bags and GTSAM, time the rest; BENCH="--only bags".
 	$(VENV)/bin/python -m benchmarks.run --evo $(EVO)/bin/evo_ape \
@@ -119,12 +119,12 @@ HOURS ?= 2
 soak: $(ROS)/.installed ## Measure the live node's memory and losses over two hours of data, at 20 times their speed.
 	$(ROS)/bin/python -m benchmarks.live_node --soak $(HOURS) $(BENCH)
 
-bench-black-box: $(ROS)/.installed ## Measure the black box: CPU, clips of 100 alarms, and kills.
-	$(ROS)/bin/python -m benchmarks.black_box $(BENCH)
-
 # The figures of the gallery are drawn anew, which takes a minute. A warning is an error.
 site: $(SITE)/.installed ## Build the documentation in site/; nothing in it needs a network.
 	NO_MKDOCS_2_WARNING=1 OPENBLAS_NUM_THREADS=1 $(SITE)/bin/mkdocs build --quiet
+
+settings: $(VENV)/.installed ## Write docs/settings.md and config/evaluator.yaml from the table of settings.
+	$(VENV)/bin/python docs/site/settings_tables.py
 
 serve-site: site ## Build the documentation and serve it on http://127.0.0.1:8000.
 	$(SITE)/bin/python -m http.server --bind 127.0.0.1 --directory site 8000
@@ -132,32 +132,33 @@ serve-site: site ## Build the documentation and serve it on http://127.0.0.1:800
 FUZZ_S ?= 300
 
 fuzz: $(VENV)/.installed ## Read 10 000 changed inputs of all formats; FUZZ="--seed 1 --count 800".
-	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python tests/fuzz_structures.py $(FUZZ)
+	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python tests/support/fuzz_structures.py $(FUZZ)
+	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python tests/support/fuzz_structures.py --format hostile --count 2000
 
 CHAOS ?= --seed 1 --kills 200
 
 chaos: $(VENV)/.installed ## Kill all verbs that write at random moments; CHAOS="--seed 1 --kills 20".
-	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python tests/chaos.py $(CHAOS) evaluate compare finish simulate
+	OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python tests/support/chaos.py $(CHAOS) evaluate compare finish simulate
 	$(if $(filter $(ROS),$(DEMO)),@$(MAKE) --no-print-directory chaos-ros,\
 		@echo "there are no wheels of ROS 2 for this machine: the replay and the node are left out")
 
 chaos-ros: $(ROS)/.installed ## Kill the replay and the live node at random moments.
-	$(ALONE) $(ROS)/bin/python tests/chaos.py $(CHAOS) replay node
+	$(ALONE) $(ROS)/bin/python tests/support/chaos.py $(CHAOS) replay node
 
 fuzz-bytes: $(ATHERIS)/.installed ## Feed the readers of bags with damaged bytes for five minutes.
 	mkdir -p $(ATHERIS)/corpus
-	$(ATHERIS)/bin/python tests/fuzz_bags.py $(ATHERIS)/corpus -max_total_time=$(FUZZ_S) \
+	$(ATHERIS)/bin/python tests/support/fuzz_bags.py $(ATHERIS)/corpus -max_total_time=$(FUZZ_S) \
 		-max_len=8192 -artifact_prefix=$(ATHERIS)/
 
 SUBPACKAGE ?= metrics
 
 mutate: $(MUTATE)/.installed ## Change lines of a subpackage at random, and list what no test notices; SUBPACKAGE=batch.
-	OPENBLAS_NUM_THREADS=1 $(MUTATE)/bin/python tests/mutants.py $(SUBPACKAGE)
+	OPENBLAS_NUM_THREADS=1 $(MUTATE)/bin/python tests/support/mutants.py $(SUBPACKAGE)
 
 audit: $(AUDIT)/.installed ## Look locked packages up in PyPI's database of known vulnerabilities.
 	@status=0; for each in constraints.txt constraints-ros.txt; do \
 		echo "$$each:"; \
-		$(AUDIT)/bin/pip-audit --no-deps --disable-pip --requirement $$each || status=1; \
+		$(AUDIT)/bin/pip-audit --strict --no-deps --disable-pip --requirement $$each || status=1; \
 	done; exit $$status
 
 COMPILE = $(LOCK)/bin/uv pip compile --universal --python-version 3.10 --upgrade --quiet \
@@ -188,7 +189,7 @@ define make_venv
 @$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] < (3, 15))' || \
 	{ echo "$(PYTHON) is not Python 3.10 to 3.14; choose one: make PYTHON=..." >&2; exit 2; }
 @$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
-	{ echo "$(PYTHON) can't make environments; mend it: apt-get install python3-venv" >&2; exit 2; }
+	{ echo "$(PYTHON) can't make environments; install it: apt-get install python3-venv" >&2; exit 2; }
 $(PYTHON) -m venv --clear $(@D)
 touch $(@D)/COLCON_IGNORE
 endef

@@ -37,14 +37,18 @@ setuptools.setup(
         *setuptools.find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
         f"{PACKAGE}.report.templates",  # has no modules; setuptools warns if it is not listed
     ],
-    package_data={"": ["py.typed", "*.j2"]},
+    package_data={"": ["py.typed", "*.j2", "*.min.js"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
-        (f"share/{PACKAGE}/launch", ["launch/evaluator.launch.py"]),
+        (
+            f"share/{PACKAGE}/launch",
+            ["launch/evaluator.launch.py", "launch/three_robots.launch.py"],
+        ),
         (
             f"share/{PACKAGE}/config",
             [
+                "config/diagnostic_aggregator.yaml",
                 "config/evaluator.yaml",
                 "config/evaluator.rviz",
                 "config/foxglove.json",

@@ -52,7 +52,7 @@ status=0
     if [ "$status" -gt 1 ]; then
         echo "\`trajeval compare\` ended with status $status; see the job's log."
     fi
-} | head -c 1000000 >>"$GITHUB_STEP_SUMMARY" # of which GitHub shows 1 MiB
+} | head -c 1000000 >>"$GITHUB_STEP_SUMMARY" || true # GitHub shows 1 MiB; cat gets SIGPIPE
 
 if [ -f "$output/runs.parquet" ]; then
     printf 'report=%s\nruns=%s\n' "$output/report.html" "$output/runs.parquet" >>"$GITHUB_OUTPUT"

@@ -2,9 +2,10 @@
 
 Usage: OPENBLAS_NUM_THREADS=1 python -m benchmarks.associations [FLIGHTS]
 
-Flights are those of `tests/flights.py`: 2 m/s, groundtruth at 2 Hz that is lost three times, and
-three estimates whose ATEs are about 1, 3 and 10 cm. Of each association the table has the medians
-of reported by true ATE, and the share of the estimates' poses that it is of.
+Flights are those of `tests/support/flights.py`: 2 m/s, groundtruth at 2 Hz that is lost three
+times, and three estimates whose ATEs are about 1, 3 and 10 cm. Of each association
+the table has the medians of reported by true ATE, and the share of the estimates' poses that it is
+of.
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ import sys
 
 import numpy as np
 
-from tests.flights import DRIFTS_M, fly
+from tests.support.flights import DRIFTS_M, fly
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.likelihood.association_study import ReportedAte, compare_associations
 from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.studies.association_study import ReportedAte, compare_associations
 
 FLIGHTS = 40
 PROTOCOL = Protocol(gauge=Gauge.SE3, association=AssociationRule("continuous"), lengths=())

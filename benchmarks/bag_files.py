@@ -25,7 +25,7 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 from rosbags.typesys import Stores, get_typestore
 
-from trajeval_ros.io.bags.pose_messages import encode_path
+from trajeval_ros.io.bags.encode_messages import encode_path
 
 Message = tuple[str, int, bytes]  # topic, log time in ns, payload
 ODOMETRY, POSE, IMAGE = (

@@ -23,7 +23,7 @@ _IMPORTED_WHEN_USED = (
     "mcap.records",
     "rosbags.typesys",
     "sqlite3",
-    "trajeval_ros.io.bags.mcap_index",
+    "trajeval_ros.io.bags.mcap_bag",
     "trajeval_ros.io.bags.sqlite_bag",
     "trajeval_ros.io.bags.topics",
     "zstandard",
@@ -39,11 +39,12 @@ def read_sources(sources: Sequence[str]) -> tuple[int, float]:
     """Read several sources of a bag."""
     for name in _IMPORTED_WHEN_USED:
         importlib.import_module(name)
+    from trajeval_ros.formatting.remarks import Level
     from trajeval_ros.io.sources import read_many
 
     def read() -> tuple[int, float]:
         trajectories = read_many(sources, covariances=False)
-        assert not any(each.damage for each in trajectories)
+        assert not any(each.reading.said(Level.ERROR) for each in trajectories)
         count = sum(len(each) for each in trajectories)
         total = sum(float(each.positions[:, 0].sum()) for each in trajectories)
         return count, total

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.diagnosis_runs import Pair, simulated
-from trajeval_ros.diagnosis.evaluation_diagnosis import diagnose_evaluation
-from trajeval_ros.diagnosis.motion_track import MotionTrack
+from trajeval_ros.diagnosis.diagnose import diagnose
+from trajeval_ros.diagnosis.input_pair import TimedPoses
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.evaluation import evaluate
 from trajeval_ros.metrics.protocol import Protocol
@@ -33,7 +33,7 @@ def cost() -> None:
         steps = (
             lambda: evaluate(pair.truth, pair.estimate, pair.protocol),  # noqa: B023
             lambda: evaluate(pair.truth, pair.estimate, whole),  # noqa: B023
-            lambda: diagnose_evaluation(evaluation, pair.truth, pair.estimate),  # noqa: B023
+            lambda: diagnose(evaluation, pair.truth, pair.estimate),  # noqa: B023
         )
         taken = [_least_ms(each) for each in steps]
         cells = [f"{each:.1f} ms" for each in (*taken, _command_ms(pair))]
@@ -78,7 +78,7 @@ def _dense(pair: Pair, count: int) -> Pair:
     sides = {}
     for side, number in (("estimate", count), ("truth", 2 * count)):
         one = getattr(pair, side)
-        track = MotionTrack.of(one, int(one.stamps[0]))
+        track = TimedPoses.of(one, int(one.stamps[0]))
         seconds = np.linspace(0.0, track.span_s, number)
         between = track.at(seconds)
         stamps = int(one.stamps[0]) + np.rint(1e9 * seconds).astype(np.int64)

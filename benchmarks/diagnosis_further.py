@@ -9,6 +9,7 @@ import numpy as np
 from benchmarks.diagnosis_mistakes import (
     CAMERA,
     NED,
+    Make,
     Mistake,
     change,
     in_axes,
@@ -18,7 +19,10 @@ from benchmarks.diagnosis_mistakes import (
 )
 from benchmarks.diagnosis_runs import Pair
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Indices
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.evaluation import evaluate
 
 
@@ -27,8 +31,8 @@ def _still(pair: Pair) -> Pair:
 
 
 def _names_swapped(pair: Pair) -> Pair:
-    pair = change(pair, "truth", source="run/vio_odometry.txt")
-    return change(pair, "estimate", source="run/groundtruth.txt")
+    pair = change(pair, "truth", reading=Reading("run/vio_odometry.txt"))
+    return change(pair, "estimate", reading=Reading("run/groundtruth.txt"))
 
 
 def _positions_converted(pair: Pair) -> Pair:
@@ -66,11 +70,62 @@ def _tilted(pair: Pair) -> Pair:
     return in_axes(turn, "estimate")(pair)
 
 
+def _frozen(begin: float, end: float) -> Make:
+    """Repeat a pose during a part of the run; bounds are shares of it."""
+
+    def make(pair: Pair) -> Pair:
+        rows = np.arange(len(pair.estimate))
+        first, last = (int(share * len(rows)) for share in (begin, end))
+        return dataclasses.replace(
+            pair,
+            estimate=_repeated(
+                pair.estimate, np.where((rows > first) & (rows < last), first, rows)
+            ),
+        )
+
+    return make
+
+
+def _repeated(estimate: Trajectory, rows: Indices) -> Trajectory:
+    """Return poses of other rows (N,) at the same timestamps."""
+    turns = estimate.quaternions
+    return dataclasses.replace(
+        estimate,
+        positions=estimate.positions[rows],
+        quaternions=None if turns is None else turns[rows],
+    )
+
+
+def _diverging(mps2: float, begin: float, growth: float = 0.0) -> Make:
+    """Accelerate in one direction; from the start, the scale grows exponentially instead."""
+
+    def make(pair: Pair) -> Pair:
+        seconds = pair.estimate.seconds - pair.estimate.seconds[0]
+        unit = np.linalg.norm(np.ptp(pair.estimate.positions, axis=0))
+        unit /= np.linalg.norm(np.ptp(pair.truth.positions, axis=0))
+        since = np.clip(seconds - begin * seconds[-1], 0.0, None)
+        away = unit * 0.5 * mps2 * since**2
+        steps = np.diff(pair.estimate.positions, axis=0, prepend=pair.estimate.positions[:1])
+        moved = np.cumsum(np.exp(growth * np.minimum(seconds, 30.0))[:, None] * steps, axis=0)
+        positions = pair.estimate.positions[:1] + moved + np.outer(away, [0.6, 0.8, 0.0])
+        return change(pair, "estimate", positions=positions)
+
+    return make
+
+
 FURTHER: dict[str, Mistake] = {
+    "frozen": Mistake(_frozen(0.6, 0.8), ("frozen",)),
+    "frozen until the end": Mistake(_frozen(0.5, 1.1), ("frozen",)),
+    "frozen at the start": Mistake(_frozen(0.0, 0.15), ("frozen_at_start", "frozen")),
+    "diverging, 0.3 m/s2": Mistake(_diverging(0.3, 0.5), ("diverged",)),
+    "diverging, 3 m/s2": Mistake(_diverging(3.0, 0.4), ("diverged",)),
+    "diverging from the start": Mistake(
+        _diverging(0.0, 0.0, 0.5), ("diverged_at_start", "diverged")
+    ),
     "stands still": Mistake(_still, ("stands_still",)),
     "sides swapped": Mistake(_names_swapped, ("swapped",)),
     "groundtruth in camera axes": Mistake(
-        in_axes(CAMERA, "truth"), ("up_axis", "truth_up_axis"), "yaw"
+        in_axes(CAMERA, "truth"), ("up_axis", "groundtruth_up_axis"), "yaw"
     ),
     "groundtruth in NED": Mistake(
         in_axes(NED, "truth"), ("up_axis", "up_axis_or_mirrored"), "yaw"

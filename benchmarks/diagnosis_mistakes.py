@@ -38,7 +38,7 @@ class Mistake:
         if self.only == "yaw":
             return pair.gauge is Gauge.YAW
         if self.only == "vehicle":
-            return pair.name.startswith(("KITTI", "car", "robot"))
+            return pair.name.startswith(("car", "robot"))  # KITTI files have an up axis
         return True
 
 
@@ -266,8 +266,8 @@ def _rows(rows: list[int]) -> Indices:
 
 
 MISTAKES: dict[str, Mistake] = {
-    "estimate in mm": Mistake(scaled("estimate", 1000.0), ("estimate_mm",)),
-    "groundtruth in mm": Mistake(scaled("truth", 1000.0), ("truth_mm",)),
+    "estimate in mm": Mistake(scaled("estimate", 1000.0), ("unit",)),
+    "groundtruth in mm": Mistake(scaled("truth", 1000.0), ("unit",)),
     "scale lost": Mistake(scaled("estimate", 1.0 / 3.4), ("scale",)),
     "wxyz, estimate": Mistake(w_first("estimate"), ("wxyz",)),
     "wxyz, both": Mistake(w_first("truth", "estimate"), ("wxyz",)),
@@ -280,16 +280,16 @@ MISTAKES: dict[str, Mistake] = {
     "clock 1000 ppm": Mistake(fast_clock, ("clock_drift",)),
     "whole seconds": Mistake(whole_seconds, ("stamps_rounded",)),
     "duplicated": Mistake(duplicated, ("duplicated",)),
-    "groundtruth held": Mistake(held, ("truth_held",)),
-    "groundtruth frozen": Mistake(frozen, ("truth_frozen",)),
-    "groundtruth bridged": Mistake(bridged, ("truth_bridged",)),
+    "groundtruth held": Mistake(held, ("groundtruth_held",)),
+    "groundtruth frozen": Mistake(frozen, ("groundtruth_frozen",)),
+    "groundtruth bridged": Mistake(bridged, ("groundtruth_bridged",)),
     "gap limit of 30 s": Mistake(wide_gap, ("gap_bridged",)),
     "the same file": Mistake(
         lambda pair: dataclasses.replace(pair, estimate=pair.truth[::5]), ("identical",)
     ),
     "camera axes": Mistake(in_axes(CAMERA, "estimate"), ("up_axis",), "yaw"),
     "NED": Mistake(in_axes(NED, "estimate"), ("up_axis", "up_axis_or_mirrored"), "yaw"),
-    "KITTI by yaw": Mistake(camera_by_yaw, ("truth_up_axis",), "vehicle"),
+    "KITTI by yaw": Mistake(camera_by_yaw, ("groundtruth_up_axis",), "vehicle"),
     "two pairs": Mistake(two_pairs, ("few_pairs",)),
     "restart": Mistake(restarted, ("restart",)),
     "marker": Mistake(marker, ("body",)),

@@ -95,7 +95,11 @@ def recorded(folder: Path) -> Iterator[Pair]:
             seconds = np.loadtxt(folder / _KITTI_TIMES)
             stamps = np.rint(1e9 * seconds).astype(np.int64)
             sides = [
-                dataclasses.replace(each, stamps=stamps[: len(each)], stamped=True)
+                dataclasses.replace(
+                    each,
+                    stamps=stamps[: len(each)],
+                    reading=dataclasses.replace(each.reading, stamped=True),
+                )
                 for each in sides
             ]
         yield Pair(name, sides[0], sides[1], gauge, max_gap_s)

@@ -20,7 +20,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, L, V, X
 
-from trajeval_ros.visual_inertial.motion import shape
+from trajeval_ros.simulation.motion import shape
 from trajeval_ros.visual_inertial.scene import IMU_RATE_HZ, PROFILES, Scene, make_scene
 from trajeval_ros.visual_inertial.solver import GaugeHandling, solve
 from trajeval_ros.visual_inertial.state import State

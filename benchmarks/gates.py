@@ -1,108 +1,109 @@
 """Simulates false alarms and power of the gates; prints the tables of docs/compare.md.
 
-Trials are drawn with five kinds of spread, and with that of a real comparison's trials where one
-is given. Every cell is a number of numbers, of trials on either side, and a spread.
+A cell is a number of trials on both sides, a number of sequences, a spread of the trials, and a
+number of metrics in one family. Every comparison has its own relabellings.
 
-Usage: python -m benchmarks.gates [--scale 0.1] [--real RUNS.parquet] [--workers 2]
+Usage: python -m benchmarks.gates [--scale 0.1] [--seed 0] [--real RUNS.parquet]
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy.stats import beta
 
-from trajeval_ros.batch.gate_tests import FALSE_ALARMS, compare
+from trajeval_ros.batch.gates import FALSE_ALARMS
+from trajeval_ros.batch.permutation_tests import PermutationTest, Sample
 from trajeval_ros.geometry.arrays import Floats
 
-NUMBERS = (1, 5, 11, 33, 100)
-TRIALS = (1, 2, 3, 5, 10, 20, 30)
-SPREADS = ("5 %", "15 %", "30 %", "outliers", "mixed")
-RELABELLINGS = 990
-_CHUNK = 100
-
-
-@dataclass(frozen=True)
-class Change:
-    """What differs between old and new trials.
-
-    Attributes:
-        margin: What may change.
-        common: Change of all numbers.
-        one: Change of the first number alone.
-    """
-
-    margin: float = 0.0
-    common: float = 0.0
-    one: float = 0.0
-
-
-NOTHING = Change()
-POWER = {
-    "all +5 %, margin 0 %": Change(0.0, 0.05),
-    "all +10 %, margin 5 %": Change(0.05, 0.10),
-    "all +20 %, margin 5 %": Change(0.05, 0.20),
-    "one +50 %, margin 5 %": Change(0.05, 0.0, 0.50),
-}
+TRIALS = (1, 2, 3, 5, 10)
+SEQUENCES = (1, 3, 11, 33)
+SPREADS = ("15 %", "mixed", "outliers", "two levels", "Cauchy", "real")
+FAMILIES = {1: SPREADS, 3: ("outliers", "two levels", "real"), 11: ("outliers", "real")}
+RELABELLINGS = 999  # the gates use 9999; the tests are exact for both
+MARGIN = 0.05
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One simulation: so many comparisons, and how many gave an alarm."""
+    """One simulation.
 
-    numbers: int
+    Attributes:
+        trials: Trials on both sides.
+        sequences: Number of sequences.
+        spread: Name of the distribution of the trials.
+        metrics: Number of gates in the family.
+        comparisons: Number of simulated comparisons.
+        common: Relative change of all sequences; the margin is 5 % if anything changes.
+        one: Relative change of the first sequence alone.
+        seed: Seed of trials and relabellings.
+    """
+
     trials: int
+    sequences: int
     spread: str
-    change: Change
-    comparisons: int
-    real: Floats | None = None
+    metrics: int = 1
+    comparisons: int = 300
+    common: float = 0.0
+    one: float = 0.0
+    seed: int = 0
 
-    def alarms(self) -> int:
-        """Simulate; return the number of comparisons with an alarm."""
-        change = (self.change.common, self.change.one, self.change.margin)
-        seed = (self.numbers, self.trials, sum(self.spread.encode()),
-                *(round(1000.0 * each) for each in change))  # fmt: skip
-        random = np.random.default_rng(seed)
-        found = 0
-        for first in range(0, self.comparisons, _CHUNK):
-            z = self._trials(random, min(_CHUNK, self.comparisons - first))
-            sizes = [(self.trials, self.trials)] * self.numbers
-            outcome = compare(list(z), sizes, count=RELABELLINGS, random=random)
-            found += int((outcome.pooled | outcome.numbers.any(1)).sum())
-        return found
+    def alarms(self, real: Floats | None = None) -> int:
+        """Simulate; return the number of comparisons with an alarm.
 
-    def _trials(self, random: np.random.Generator, comparisons: int) -> Floats:
-        """Return logarithms (numbers, comparisons, trials), new ones less the margin."""
-        shape = (self.numbers, comparisons, 2 * self.trials)
-        z: Floats
-        if self.spread == "outliers":
-            z = random.normal(0.0, 0.2, shape) + np.log(5.0) * (random.random(shape) < 0.05)
-        elif self.spread == "mixed":  # 5 to 50 % by number, with the tails of Student's t
-            low, high = np.log(0.05), np.log(0.5)
-            sigma = np.exp(random.uniform(low, high, (self.numbers, comparisons, 1)))
-            z = sigma * random.standard_t(4, shape) / np.sqrt(2.0)
-        elif self.real is not None and self.spread == "real":
-            which = np.arange(self.numbers)[:, None, None] % len(self.real)
-            drawn = self.real[which, random.integers(self.real.shape[1], size=shape)]
-            noise = (
-                0.25 * self.real.std() * random.standard_normal(shape)
-            )  # so that none are equal
-            z = (drawn + noise) / np.sqrt(1.0625)
+        Args:
+            real: Logarithms of real errors for the spread `real`, (sequences, trials, metrics).
+        """
+        key = (self.trials, self.sequences, self.metrics, sum(self.spread.encode()),
+               round(1e3 * self.common), round(1e3 * self.one), self.seed)  # fmt: skip
+        random = np.random.default_rng(key)
+        margin = MARGIN if self.common or self.one else 0.0
+        margins = np.full(self.metrics, np.log1p(margin))
+        return sum(self._alarm(random, margins, real) for _ in range(self.comparisons))
+
+    def _alarm(self, random: np.random.Generator, margins: Floats, real: Floats | None) -> bool:
+        z = self._logarithms(random, real)
+        z[:, self.trials :] += np.log1p(self.common)
+        z[0, self.trials :] += np.log1p(self.one)
+        samples = [Sample(*np.split(each, [self.trials])) for each in z]
+        test = PermutationTest(samples, margins, FALSE_ALARMS, RELABELLINGS, random)
+        return bool(test.worse.rejects_together.any() or test.worse.rejects_alone.any())
+
+    def _logarithms(self, random: np.random.Generator, real: Floats | None) -> Floats:
+        """Return logarithms of errors, (sequences, runs, metrics); correlation one half."""
+        shape = (self.sequences, 2 * self.trials, self.metrics)
+        if self.spread == "real" and real is not None:  # without replacement
+            which = np.arange(self.sequences) % len(real)
+            if self.sequences < len(real):
+                which = random.integers(len(real), size=self.sequences)
+            drawn = [random.permutation(real[each])[: shape[1], : self.metrics] for each in which]
+            return np.array(drawn)
+        z: Floats = random.normal(size=shape)
+        if self.metrics > 1:
+            z = np.sqrt(0.5) * (z + random.normal(size=(*shape[:2], 1)))
+        if self.spread == "outliers":  # 5 % of the runs have five times the error
+            z = 0.2 * z + np.log(5.0) * (random.random((*shape[:2], 1)) < 0.05)
+        elif self.spread == "mixed":  # 5 to 50 % by sequence, with the tails of Student's t
+            sigma = np.exp(random.uniform(np.log(0.05), np.log(0.5), (self.sequences, 1, 1)))
+            z = sigma * z / np.sqrt(random.chisquare(4, (*shape[:2], 1)) / 2.0)
+        elif self.spread == "Cauchy":  # without a mean and a variance
+            z = 0.1 * random.standard_cauchy(shape)
+        elif self.spread == "two levels":  # 30 % of the runs end at twice the error
+            bad = random.random((*shape[:2], 1)) < 0.3
+            if self.metrics > 1:
+                bad = bad | (random.random(shape) < 0.05)
+            z = np.log(2.0) * bad + np.round(0.002 * z, 3)
         else:
-            z = random.normal(0.0, float(self.spread.split()[0]) / 100.0, shape)
-        new = z[:, :, self.trials :]
-        new += np.log1p(self.change.common) - np.log1p(self.change.margin)
-        new[0] += np.log1p(self.change.one)
+            z = float(self.spread.split()[0]) / 100.0 * z
         return z
 
 
-def real_residuals(path: Path) -> Floats:
-    """Return logarithms of a comparison's ATE, less their medians: (numbers, trials)."""
+def real_errors(path: Path) -> Floats:
+    """Return logarithms of a comparison's ATE less their medians, (sequences, trials, 1)."""
     from trajeval_ros.batch.results_table import ResultsTable
 
     rows = ResultsTable(path).select(
@@ -113,8 +114,41 @@ def real_residuals(path: Path) -> Floats:
         logs.setdefault((row["algorithm"], row["sequence"]), []).append(float(np.log(row["rmse"])))
     least = min(map(len, logs.values()))
     z = np.array([each[:least] for each in logs.values()])
-    made: Floats = (z - np.median(z, axis=1, keepdims=True)) * np.sqrt(least / (least - 1.0))
+    made: Floats = (z - np.median(z, axis=1, keepdims=True))[:, :, None]
     return made
+
+
+def null_cells(scale: float, seed: int, real: Floats | None) -> list[Cell]:
+    """Return the cells without a change, at the margin's edge."""
+    runs, metrics = (0, 0) if real is None else real.shape[1:]
+    return [
+        Cell(trials, sequences, spread, family, round(scale * 1000), seed=seed)
+        for family, spreads in FAMILIES.items()
+        for trials in TRIALS
+        for sequences in SEQUENCES[: 4 if family < 11 else 3]
+        for spread in spreads
+        if spread != "real" or (2 * trials <= runs and family <= metrics)
+    ]
+
+
+def power_cells(scale: float, seed: int) -> dict[str, list[Cell]]:
+    """Return the rows of cells with a change, by name."""
+    designs = [
+        (f"all +20 %, {spread}, {sequences}", spread, sequences, 0.20, 0.0)
+        for spread in ("15 %", "outliers")
+        for sequences in SEQUENCES
+    ] + [
+        (f"one +50 %, {spread}, {sequences}", spread, sequences, 0.0, 0.50)
+        for spread in ("15 %", "outliers")
+        for sequences in (3, 11)
+    ]
+    return {
+        name: [
+            Cell(trials, sequences, spread, 1, round(scale * 300), common, one, seed)
+            for trials in TRIALS
+        ]
+        for name, spread, sequences, common, one in designs
+    }
 
 
 def interval(alarms: int, comparisons: int, missed: float) -> tuple[float, float]:
@@ -124,36 +158,6 @@ def interval(alarms: int, comparisons: int, missed: float) -> tuple[float, float
     return float(low), float(high) if alarms < comparisons else 1.0
 
 
-def null_cells(scale: float, spreads: Sequence[str], real: Floats | None) -> list[Cell]:
-    """Return the cells without a change, at the margin's edge."""
-    comparisons = {33: 1000, 100: 600}
-    return [
-        Cell(numbers, trials, spread, NOTHING, round(scale * comparisons.get(numbers, 2000)), real)
-        for numbers in NUMBERS
-        for trials in TRIALS
-        for spread in spreads
-    ]
-
-
-def power_cells(scale: float) -> dict[tuple[str, int, int], Cell]:
-    """Return the cells of changes, by their name, numbers and trials."""
-    comparisons = {33: 300, 100: 200}
-    return {
-        (name, numbers, trials): Cell(
-            numbers, trials, "15 %", change, round(scale * comparisons.get(numbers, 400))
-        )
-        for name, change in POWER.items()
-        for numbers in NUMBERS
-        for trials in TRIALS
-    }
-
-
-def run(cells: Iterable[Cell], workers: int) -> list[int]:
-    """Simulate cells on some processes; return their alarms."""
-    with ProcessPoolExecutor(workers) as pool:
-        return list(pool.map(Cell.alarms, cells))
-
-
 def print_table(first: str, rows: Iterable[tuple[str, Sequence[str]]]) -> None:
     """Print a Markdown table with a column for each number of trials."""
     print(f"\n| {first} | {' | '.join(map(str, TRIALS))} |\n|---|{len(TRIALS) * '---:|'}")
@@ -161,53 +165,46 @@ def print_table(first: str, rows: Iterable[tuple[str, Sequence[str]]]) -> None:
         print(f"| {name} | {' | '.join(texts)} |", flush=True)
 
 
+def print_false_alarms(cells: Sequence[Cell], alarms: Sequence[int]) -> None:
+    """Print the shares of all cells and of families, and those by spread and trials."""
+    for family in (None, *FAMILIES):
+        found = [(cell.comparisons, count) for cell, count in zip(cells, alarms, strict=True)
+                 if family in (None, cell.metrics)]  # fmt: skip
+        total, count = (sum(each) for each in zip(*found, strict=True))
+        low, high = (100.0 * each for each in interval(count, total, 0.05))
+        who = "all" if family is None else f"family of {family}"
+        print(f"{who}: {len(found)} cells, {total} comparisons, alarms in "
+              f"{100 * count / total:.2f} % ({low:.2f} to {high:.2f} %)")  # fmt: skip
+    above = [cell for cell, count in zip(cells, alarms, strict=True)
+             if interval(count, cell.comparisons, 0.1 / len(cells))[0] > FALSE_ALARMS]  # fmt: skip
+    print(f"cells significantly above {100 * FALSE_ALARMS:g} %: {len(above)}", *above, sep="\n")
+    shares: dict[tuple[str, int], list[float]] = {}
+    for cell, count in zip(cells, alarms, strict=True):
+        shares.setdefault((cell.spread, cell.trials), []).append(100.0 * count / cell.comparisons)
+    for what, reduce in (("mean", np.mean), ("highest cell", np.max)):
+        print(f"\nAlarms without a change, {what}, %")
+        print_table("spread; trials", [
+            (spread, [f"{reduce(shares[spread, each]):.1f}" if (spread, each) in shares else "-"
+                      for each in TRIALS])
+            for spread in SPREADS
+        ])  # fmt: skip
+
+
 def main() -> None:
-    """Print the false alarms of all cells, their table, and that of the power."""
+    """Print the false alarms of all cells, and the power."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scale", type=float, default=1.0, help="of the number of comparisons")
+    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--real", type=Path, help="runs.parquet of a comparison with trials")
-    parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args()
-    real = None if given.real is None else real_residuals(given.real)
-    spreads = SPREADS if real is None else (*SPREADS, "real")
-
-    cells = null_cells(given.scale, spreads, real)
-    alarms = run(cells, given.workers)
-    total, all_alarms = sum(each.comparisons for each in cells), sum(alarms)
-    low, high = interval(all_alarms, total, 0.05)
-    print(f"{len(cells)} cells, {total} comparisons without a change: alarms in "
-          f"{100 * all_alarms / total:.2f} % ({100 * low:.2f} to {100 * high:.2f} %)")  # fmt: skip
-    above = [
-        cell
-        for cell, count in zip(cells, alarms, strict=True)
-        if interval(count, cell.comparisons, 0.1 / len(cells))[0] > FALSE_ALARMS
-    ]
-    print(f"cells significantly above {100 * FALSE_ALARMS:g} %: {len(above)}")
-    for cell in above:
-        print(f"  {cell.numbers} numbers, {cell.trials} trials, {cell.spread}")
-    shares = {
-        (cell.numbers, cell.trials, cell.spread): 100.0 * count / cell.comparisons
-        for cell, count in zip(cells, alarms, strict=True)
-    }
-    for what, reduce in (("mean", np.mean), ("highest", np.max)):
-        print(f"\nAlarms without a change, {what} of the spreads, %")
-        print_table("numbers, trials", [
-            (str(numbers), [f"{reduce([shares[numbers, trials, each] for each in spreads]):.1f}"
-                            for trials in TRIALS])
-            for numbers in NUMBERS
-        ])  # fmt: skip
-    power = power_cells(given.scale)
-    found = run(power.values(), given.workers)
-    seen = {
-        key: 100.0 * count / cell.comparisons
-        for (key, cell), count in zip(power.items(), found, strict=True)
-    }
-    print("\nChanges that are noticed, spread 15 %, %")
-    print_table("change, numbers, trials", [
-        (f"{name}; {numbers}", [f"{seen[name, numbers, trials]:.0f}" for trials in TRIALS])
-        for name in POWER
-        for numbers in NUMBERS
-    ])  # fmt: skip
+    real = None if given.real is None else real_errors(given.real)
+    cells = null_cells(given.scale, given.seed, real)
+    print_false_alarms(cells, [each.alarms(real) for each in cells])
+    print("\nAlarms with a change, margin 5 %, %")
+    print_table("change, spread, sequences; trials", (
+        (name, [f"{100 * each.alarms() / each.comparisons:.0f}" for each in row])
+        for name, row in power_cells(given.scale, given.seed).items()
+    ))  # fmt: skip
 
 
 if __name__ == "__main__":

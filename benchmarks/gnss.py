@@ -23,7 +23,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.geodesy import places_at
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.alignment import align
-from trajeval_ros.visual_inertial.gnss_receiver import ANTENNA_M, RECEIVERS, SITE, errors_of
+from trajeval_ros.simulation.simulated_sensors import ANTENNA_M, RECEIVERS, SITE, receiver_errors
 
 RATE_HZ = 20.0
 DURATION_S = {"car": 600.0, "drone": 300.0}
@@ -134,7 +134,7 @@ def draws_of(
         for draw in range(draws):
             random = np.random.default_rng([number, draw, kind == "car", grade == "rtk", 1])
             rows = np.arange(10, len(path), int(RATE_HZ))
-            errors, sigma, arrives = errors_of(receiver, random, rows / RATE_HZ)
+            errors, sigma, arrives = receiver_errors(receiver, random, rows / RATE_HZ)
             fixes = Fixes(
                 places=places_at(antenna[rows] + errors, SITE),
                 status=np.full(len(rows), receiver.status),

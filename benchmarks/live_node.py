@@ -1,6 +1,6 @@
 """CPU, losses and latency of the live node, over DDS from another process.
 
-Usage: make bench-live, or BENCH="--soak 2", or BENCH="--latency". Traffic stays on the loopback
+Usage: make bench-live, or BENCH="--soak 2". Traffic stays on the loopback
 interface.
 """
 
@@ -18,17 +18,24 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from benchmarks.publish_traffic import MARKER_M
-from trajeval_ros.diagnosis.warnings import reasons
-from trajeval_ros.geometry.dropped_counts import add_counts
+from trajeval_ros.geometry.valid_poses import add_counts, reasons
 
 HERE = Path(__file__).parent
 SETTLE_S = 4.0
 ENOUGH = 10_000  # bytes of pairs, after which it is in full swing
 SOAK_SPEED = 20.0
-# Of estimates side by side; none divides the tick's rate but 20.
-LATENCY_HZ = (7, 17, 20, 33, 200)
+UNTIL_ENDED_S = 3600.0
+# Groundtruth Hz, odometry Hz, estimates, busy processes; at most: milliseconds from stamp to
+# published error (95th percentile), and seconds from one published ATE to the next.
+FRESHNESS = (
+    (200, 200, 1, 0, 60.0, 0.5),
+    (1000, 1000, 1, 0, 120.0, 0.5),
+    (200, 200, 1, 4, None, 0.5),
+    (200, 200, 5, 4, None, 1.0),
+)
 # Groundtruth Hz, odometry Hz, number of estimates, and what of a core it may take.
 LOADS = ((1000, 200, 1, 40.0), (200, 20, 1, 12.0), (200, 20, 4, None))
 
@@ -129,34 +136,43 @@ def measure(
     }
 
 
-def latency(seconds: float) -> None:
-    """Print latencies of estimates side by side, and the CPU beside that of an empty node."""
-    topics = {f"/vio_{hz}/odometry": hz for hz in LATENCY_HZ}
-    length_s = SETTLE_S + seconds + 1.0
-    command = [sys.executable, "-m", "benchmarks.empty_node", "/groundtruth/pose", *topics]
-    empty = subprocess.Popen(command, env=environment())
+@contextmanager
+def busy(processes: int) -> Iterator[None]:
+    """Keep cores busy."""
+    command = [sys.executable, "-c", "while True: pass"]
+    running_ = [subprocess.Popen(command) for _ in range(processes)]
     try:
-        with running(200, topics, length_s) as (node, traffic, output):
-            time.sleep(SETTLE_S)
-            pids = node.pid, empty.pid
-            before, begin = [cpu_s(each) for each in pids], time.monotonic()
-            time.sleep(seconds)
-            took = time.monotonic() - begin
-            shares = [(cpu_s(each) - was) / took for each, was in zip(pids, before, strict=True)]
-            traffic.wait()
-            node.send_signal(signal.SIGINT)
-            node.wait()
-            result = json.loads((output / "result.json").read_text())
+        yield
     finally:
-        empty.kill()
-        empty.wait()
-    for run in result["runs"]:
-        p95_ms = 1e3 * run["live"]["latency_p95_s"]
-        print(f"{run['estimate']['source']}: latency p95 {p95_ms:.1f} ms")
-    print(
-        f"CPU {100 * shares[0]:.1f} % of a core, an empty node {100 * shares[1]:.1f} %: "
-        f"{shares[0] / shares[1]:.2f} times; load average {os.getloadavg()[0]:.1f}"
-    )
+        for each in running_:
+            each.kill()
+            each.wait()
+
+
+def freshness(seconds: float) -> None:
+    """Print how old published errors are, as another process receives them, and the CPU."""
+    for groundtruth_hz, hz, estimates, processes, stamped_ms, ate_s in FRESHNESS:
+        topics = dict.fromkeys((f"/vio_{each}/odometry" for each in range(estimates)), hz)
+        names = [each.strip("/").replace("/", "_") for each in topics]
+        command = [sys.executable, "-m", "benchmarks.listen_errors", str(seconds), *names]
+        with (
+            busy(processes),
+            running(groundtruth_hz, topics, UNTIL_ENDED_S) as (node, _, _),
+            subprocess.Popen(
+                command, env=environment(), stdout=subprocess.PIPE, text=True
+            ) as listener,
+        ):
+            before, begin = cpu_s(node.pid), time.monotonic()
+            found = json.loads(listener.communicate()[0])
+            share = (cpu_s(node.pid) - before) / (time.monotonic() - begin)
+        limit = f" (limit {stamped_ms:g})" if stamped_ms else ""
+        print(
+            f"groundtruth {groundtruth_hz} Hz, {estimates} x odometry {hz} Hz, {processes} busy "
+            f"processes: stamp to published error median {found['p50_ms']:.0f} ms, p95 "
+            f"{found['p95_ms']:.0f} ms{limit}, largest {found['max_ms']:.0f} ms; ATE at most "
+            f"{found['oldest_ate_s']:.2f} s old (limit {ate_s:g}); {100 * share:.1f} % of a core",
+            flush=True,
+        )
 
 
 def _in_the_field(folder: Path) -> list[str]:
@@ -176,11 +192,19 @@ def _in_the_field(folder: Path) -> list[str]:
         "hand_eye": file,
         "covariance": "message",
         "groundtruth_noise": "'0.01,0.1'",
-        "on_restart": "segment",
+        "on_restart": "reset",
         "max_delay": 10.0 * SOAK_SPEED,  # of stamps
         "window": "60s",
     }
     return [word for name, value in values.items() for word in ("-p", f"{name}:={value}")]
+
+
+def result_of(folder: Path) -> Any:
+    """Return the result of a run, which another process may still write."""
+    file, until = folder / "result.json", time.monotonic() + 300.0
+    while not file.exists() and time.monotonic() < until:
+        time.sleep(0.5)
+    return json.loads(file.read_text())
 
 
 def soak(hours: float, speed: float) -> None:
@@ -201,7 +225,8 @@ def soak(hours: float, speed: float) -> None:
         time.sleep(2.0)
         node.send_signal(signal.SIGINT)
         node.wait()
-        runs = json.loads((output / "result.json").read_text())["runs"]
+        folders = sorted(output.parent.glob(f"{output.name}*"))
+        runs = [run for each in folders for run in result_of(each)["runs"]]
     print(f"groundtruth: {sent[0]} messages, {runs[0]['live']['groundtruth_messages_lost']} lost")
     for topic, count in zip(topics, sent[1:], strict=True):
         own = [run for run in runs if run["estimate"]["source"] == topic]
@@ -209,7 +234,7 @@ def soak(hours: float, speed: float) -> None:
         dropped = add_counts(*(run["association"]["dropped"] for run in own))
         print(
             f"{topic}: {count} messages, {own[-1]['live']['messages_lost']} lost, {pairs} pairs "
-            f"in {len(own)} segments, {reasons(dropped) or 'none'} dropped; position ATE up to "
+            f"in {len(own)} runs, {reasons(dropped) or 'none'} dropped; position ATE up to "
             f"{max(run['ate']['position_m']['rmse'] for run in own):.4f} m"
         )
     print(f"load average {os.getloadavg()[0]:.1f}")
@@ -226,14 +251,8 @@ def main() -> None:
     parser.add_argument(
         "--rerun", default="none", help="the node's parameter: file draws a Rerun picture as well"
     )
-    parser.add_argument(
-        "--latency", action="store_true", help="instead, of estimates at rates side by side"
-    )
     options = parser.parse_args()
     print(f"load average {os.getloadavg()[0]:.2f} on {os.cpu_count()} cores", flush=True)
-    if options.latency:
-        latency(options.seconds)
-        return
     if options.soak:
         soak(options.soak, SOAK_SPEED)
         return
@@ -252,6 +271,7 @@ def main() -> None:
             f"picture {median['picture_kb_per_s']:.1f} kB/s",
             flush=True,
         )
+    freshness(options.seconds)
 
 
 if __name__ == "__main__":

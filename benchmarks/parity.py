@@ -42,17 +42,18 @@ OURS = {
 UNITS = {"trans_part": "m ", "angle_deg": "deg ", "full": "full ", "point_distance": "m "}
 BOTH = ("trans_part", "angle_deg")
 POSITION = ("trans_part",)
-# evo's options, those of evo_rpe with a length; ours; and the errors to compare.
+# evo's options, those of evo_rpe with a length; ours, with lines of a protocol file; and the
+# errors to compare.
 CALLS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "": (("--gauge", "none"), BOTH),
     "-a": (("--gauge", "se3"), BOTH),
     "-as": (("--gauge", "sim3"), POSITION),
-    "-s": (("--gauge", "sim3", "--apply", "scale"), POSITION),
+    "-s": (("--gauge", "sim3", "apply: scale"), POSITION),
     "--align_origin": (("--gauge", "se3", "--align-states", "1"), POSITION),
     "-d 5 -u f": (("--gauge", "none", "--lengths", "5f"), ("full",)),
     "-d 8 -u m": (("--gauge", "none", "--lengths", "8"), ("point_distance",)),
     "-d 5 -u d --all_pairs": (
-        ("--gauge", "none", "--lengths", "5deg", "--pairs", "all"),
+        ("--gauge", "none", "--lengths", "5deg", "sub_trajectories: all"),
         ("angle_deg",),
     ),
 }
@@ -119,9 +120,17 @@ class Programs:
     def ours(self, files: Mapping[str, str], options: str) -> dict[str, Any] | str:
         """Return our errors by metric, or what we say where we refuse."""
         groundtruth, estimate = self._paths(files)
+        given = CALLS[options][0]
+        in_file = [each for each in given if ": " in each]
+        # Its name is the protocol's. Several calls run at a time.
+        protocol = Path(tempfile.mkdtemp(dir=self.folder)) / "evo.yaml"
+        gauge = given[given.index("--gauge") + 1]
+        lines = ["base: evo", f"gauge: {gauge}", *in_file, ""]
+        protocol.write_text("\n".join(lines), encoding="utf-8")
         command = [
-            *(str(TRAJEVAL), "evaluate", "-g", groundtruth, "-e", estimate, "--protocol", "evo"),
-            *(*CALLS[options][0], "--quiet", "--json", "-"),
+            *(str(TRAJEVAL), "evaluate", "-g", groundtruth, "-e", estimate, "--quiet"),
+            *("--protocol", str(protocol) if in_file else "evo", "--json", "-"),
+            *(each for each in given if each not in in_file),
         ]
         try:
             output = run(command, self.environment).output
@@ -138,7 +147,7 @@ class Programs:
 
 
 def tolerance(pair: str, options: str, error: str, value: float) -> float:
-    """Return by how much two correct programs may differ: `Row.tolerance` of tests/parity.py."""
+    """Return by how much two correct programs may differ: see `Row.tolerance` of the tests."""
     usual = max(1e-8 * abs(value), 1e-10)
     if not error.startswith("angle") and pair.startswith("utm"):
         return max(usual, 3e-9)  # a float64 step at 5e6 m is 9.3e-10 m

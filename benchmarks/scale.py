@@ -1,7 +1,7 @@
 """What many runs cost beside their evaluation: memory, time, files and pages, by their number.
 
 Tiny runs are compared in several sizes, each step in a process of its own: on processes of this
-machine, in shards that are merged, going on where nothing is left to do, and on a Dask cluster.
+machine, going on where nothing is left to do, and on a Dask cluster.
 From the sizes follow exponents, and from these what a million runs would take.
 
 Usage: python -m benchmarks.scale [--runs 1000,5000,20000] [--workers 2] [--dask-workers 4]
@@ -27,11 +27,9 @@ from benchmarks.generated_runs import ALGORITHMS, write_runs
 from benchmarks.many_runs import ONE_THREAD
 
 HERE = Path(__file__).parent
-SEQUENCES, SHARDS = 20, 4
+SEQUENCES = 20
 POSES = 60
-LOOP, POOL, AGAIN, SHARDED, MERGED, DASK = (
-    "a bare loop", "evaluated", "nothing to do", "one of 4 shards", "shards merged", "on Dask",
-)  # fmt: skip
+LOOP, POOL, AGAIN, DASK = "a bare loop", "evaluated", "nothing to do", "on Dask"
 MILLION = 1_000_000
 GOALS = {"memory": 1.3, "overhead_ms": 6.0, "resume_s": 5.0}
 
@@ -86,21 +84,9 @@ def steps_of(
     compare = ("compare", str(config), "--quiet")
     pool = ("--workers", str(workers))
     yield LOOP, in_a_process(LOOP, str(config))
-    whole, merged = out / "whole", out / "merged"
+    whole = out / "whole"
     yield POOL, {**in_a_process(*compare, *pool, "--output", str(whole)), **left_by(whole)}
     yield AGAIN, in_a_process(*compare, "--output", str(whole))
-    shards = [out / f"shard{number}" for number in range(1, SHARDS + 1)]
-    for number, shard in enumerate(shards, 1):
-        part = ("--shard", f"{number}/{SHARDS}", "--output", str(shard))
-        costs = in_a_process(*compare, *pool, *part)
-        if number == 1:
-            yield SHARDED, {**costs, **left_by(shard)}
-    yield (
-        MERGED,
-        in_a_process("compare", "--merge", "--quiet", "--output", str(merged), *map(str, shards)),
-    )
-    for name in ("runs.parquet", "pooled.parquet", "tables.md", "report.html"):
-        assert (whole / name).read_bytes() == (merged / name).read_bytes(), name
     if address is not None:
         far = out / "far"
         yield DASK, in_a_process(*compare, "--cluster", address, "--output", str(far))

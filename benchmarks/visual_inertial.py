@@ -13,9 +13,9 @@ from statistics import median
 
 import numpy as np
 
+from trajeval_ros.simulation.motion import shape
+from trajeval_ros.visual_inertial.flight import Sampler
 from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance, free_covariance
-from trajeval_ros.visual_inertial.motion import shape
-from trajeval_ros.visual_inertial.sampler import Sampler
 from trajeval_ros.visual_inertial.scene import PROFILES, make_scene
 from trajeval_ros.visual_inertial.solver import GaugeHandling, solve
 

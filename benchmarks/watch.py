@@ -1,11 +1,10 @@
-"""What a watchdog finds, how fast, and its alarms on healthy runs: the tables of docs/watchdog.md.
+"""False alarms and detection of `trajeval watch`: the tables of docs/watchdog.md.
 
-Limits are learned on the first half of each healthy recording, from its arming on. In its second
-half alarms are counted, and faults written in at random onsets; a fault is found if a signal goes
-over its limit within 30 s. The last rows are the control: faults of the twist, which pairs and IMU
-can't see, so that what they find there is chance.
+Healthy runs are simulated (nine motions) and recorded. Faults start at random times of the second
+half after arming, and are detected if a signal that is calm without the fault exceeds its limit
+within 30 s. The last rows are the control: faults of the twist, which pairs and IMU cannot detect.
 
-Usage: python -m benchmarks.watch DATA [--factor 2] [--onsets 6]
+Usage: python -m benchmarks.watch DATA [--factor 1] [--onsets 6] [--runs 6] [--seed 8800]
 """
 
 from __future__ import annotations
@@ -19,42 +18,65 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.watch_faults import FAULTS
+from benchmarks.watch_motions import MOTIONS, simulated
 from benchmarks.watch_streams import streams
 from trajeval_ros.formatting.text_tables import markdown_table
 from trajeval_ros.geometry.inertial import InertialReadings
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.watchdog.alarm_book import AlarmBook
 from trajeval_ros.watchdog.engine import Watchdog
-from trajeval_ros.watchdog.limits import WatchLimits
-from trajeval_ros.watchdog.recording import WatchedRun, feed
-from trajeval_ros.watchdog.signals import Readings, Signals, source_of
+from trajeval_ros.watchdog.recording import Watched, WatchedRun, feed, watched
+from trajeval_ros.watchdog.signals import Readings, Signals, signal_of, source_of
+from trajeval_ros.watchdog.watch_alarms import AlarmBook
 
 HORIZON_S = 30.0
-WITH_FAULTS = ("vio_mono/V2_03",)
+EPISODE_S = 30.0  # alarms closer than this are one episode
+# A true fault, two SLAMs that differ, and odometry against AMCL in a simulator that pauses.
+NOT_HEALTHY = ("vio_mono/V2_03", "ros_example/ORB-SLAM", "ros_example/S-PTAM", "nav2/odom")
 SETS = {"only poses": "", "+ twist": "twist", "+ IMU": "imu", "+ second estimate": "pair"}
 # Faults that are none while the robot is at rest, and what is no rest.
 LOST = ("freeze", "coasting, rotation alive", "coasting, rotation stopped")
 _MOVING_MPS = 0.05
-_SEED = 2
+_SEED, _RUN_S, _FAULTY_S = 2, 600.0, 135.0
+
+
+@dataclass(frozen=True)
+class Health:
+    """Alarms of a healthy run."""
+
+    hours: float
+    episodes: int
+    largest: dict[str, float]  # largest ratio of value and limit at factor 1, by signal
+
+
+def health_of(seen: Watched, factor: float) -> Health:
+    """Return the alarms of a run."""
+    begins = sorted(each.begin_s for each in AlarmBook(factor).add(seen.signals))
+    episodes = int(np.count_nonzero(np.diff(begins) > EPISODE_S)) + bool(begins)
+    largest = {
+        name: float(values.max()) / signal_of(name).limit
+        for name, (_, values) in seen.signals.items()
+        if len(values)
+    }
+    return Health(seen.hours, episodes, largest)
 
 
 @dataclass(frozen=True, eq=False)
 class Healthy:
-    """A recording whose first half was learned.
+    """A run in which faults start.
 
     Attributes:
         name: What tables call it.
         run: All of it.
         middle: Stamp, ns, where its second half begins.
         watchdog: That has seen the first half.
-        limits: Learned of it.
+        over: The signals that exceed their limits without a fault.
     """
 
     name: str
     run: WatchedRun
     middle: int
     watchdog: Watchdog
-    limits: WatchLimits
+    over: frozenset[str]
 
     def second_half(self, estimate: Trajectory, end: int) -> Signals:
         """Return the signals of an estimate after the middle, with the other sources as were."""
@@ -74,21 +96,19 @@ def _part(run: WatchedRun, begin: int, end: int) -> WatchedRun:
         assert imu.accelerations is not None
         imu = InertialReadings(imu.stamps[rows], imu.rates[rows], imu.accelerations[rows])
     partners = {name: cut(each) for name, each in run.partners.items()}
-    return WatchedRun(cut(run.estimate), run.twist, imu, partners)
+    return WatchedRun(cut(run.estimate), imu, partners)
 
 
-def learned(name: str, run: WatchedRun) -> Healthy:
-    """Watch the first half of a recording."""
+def halved(name: str, run: WatchedRun, factor: float) -> Healthy:
+    """Watch the first half of a run."""
     last = int(run.estimate.stamps[-1])
-    whole = Watchdog(int(run.estimate.stamps[0]))
-    feed(whole, run)
-    assert whole.armed_s is not None
-    armed = whole.origin + round(whole.armed_s * NANOSECONDS)
+    seen = watched(run)
+    armed = seen.origin + round(seen.armed_s * NANOSECONDS)
     middle = (armed + last) // 2
     watchdog = Watchdog(int(run.estimate.stamps[0]))
-    signals = feed(watchdog, _part(run, 0, middle))
-    limits = WatchLimits.learned(signals, (middle - armed) / NANOSECONDS / 3600.0, {}, "")
-    return Healthy(name, run, middle, watchdog, limits)
+    feed(watchdog, _part(run, 0, middle))
+    alarms = AlarmBook(factor).add(seen.signals)
+    return Healthy(name, run, middle, watchdog, frozenset(each.signal for each in alarms))
 
 
 def _of(signals: Signals, needs: str, since_s: float) -> dict[str, Readings]:
@@ -101,22 +121,6 @@ def _of(signals: Signals, needs: str, since_s: float) -> dict[str, Readings]:
     return found
 
 
-def healthy_alarms(halves: list[Healthy], factor: float) -> dict[str, tuple[list[str], float]]:
-    """Return the alarms of each set on second halves, and the hours."""
-    found: dict[str, tuple[list[str], float]] = {}
-    for label, needs in SETS.items():
-        alarms, hours = [], 0.0
-        for half in halves:
-            end = int(half.run.estimate.stamps[-1]) + 1
-            signals = _of(half.second_half(half.run.estimate, end), needs, -np.inf)
-            if signals:
-                book = AlarmBook(half.limits, factor)
-                alarms += [f"{each.signal} ({half.name})" for each in book.add(signals)]
-                hours += (end - half.middle) / NANOSECONDS / 3600.0
-        found[label] = alarms, hours
-    return found
-
-
 def delays(
     half: Healthy, fault: str, onset: int, generator: np.random.Generator, factor: float
 ) -> Mapping[str, float | None]:
@@ -126,12 +130,13 @@ def delays(
     signals = half.second_half(bad, end)
     since_s = (onset - half.watchdog.origin) / NANOSECONDS
     first: dict[str, float | None] = {}
-    alone = AlarmBook(half.limits, factor).add(_of(signals, "", since_s))
+    signals = {name: each for name, each in signals.items() if name not in half.over}
+    alone = AlarmBook(factor).add(_of(signals, "", since_s))
     for label, needs in SETS.items():
         extra = _of(signals, needs, since_s)
         if needs and not extra:
             continue
-        alarms = alone + (AlarmBook(half.limits, factor).add(extra) if needs else [])
+        alarms = alone + (AlarmBook(factor).add(extra) if needs else [])
         begins = [alarm.begin_s - since_s for alarm in alarms]
         first[label] = min(begins) if begins else None
     return first
@@ -176,25 +181,45 @@ def _cell(delays_s: list[float | None]) -> str:
     return f"{share}, {np.median(hits):.1f} s" if hits else share
 
 
+def _health_row(name: str, found: list[Health]) -> list[str]:
+    hours, episodes = sum(each.hours for each in found), sum(each.episodes for each in found)
+    largest: dict[str, float] = {}
+    for each in found:
+        for signal, ratio in each.largest.items():
+            largest[signal] = max(ratio, largest.get(signal, 0.0))
+    worst = max(largest, key=lambda signal: largest[signal])
+    return [name, f"{hours:.2f}", str(episodes), f"{largest[worst]:.2f} ({worst})"]
+
+
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=Path, help="folder with euroc, bags and gnss")
-    parser.add_argument("--factor", type=float, default=2.0)
+    parser.add_argument("data", type=Path, help="folder with euroc, bags, gnss, real_estimators")
+    parser.add_argument("--factor", type=float, default=1.0)
     parser.add_argument("--onsets", type=int, default=6)
+    parser.add_argument("--runs", type=int, default=6, help="simulated runs per motion")
+    parser.add_argument("--seed", type=int, default=8800)
     arguments = parser.parse_args()
-    runs = streams(arguments.data)
-    halves = [learned(name, run) for name, run in runs.items() if name not in WITH_FAULTS]
-    print(f"Alarms on second halves of healthy runs, K = {arguments.factor:g}:\n")
+    factor, runs = arguments.factor, streams(arguments.data)
+    seeds = range(arguments.seed, arguments.seed + arguments.runs)
+    words = ["run", "hours", "episodes", "largest value / limit"]
     rows = [
-        [label, str(len(alarms)), f"{hours:.2f}", ", ".join(alarms) or "-"]
-        for label, (alarms, hours) in healthy_alarms(halves, arguments.factor).items()
+        _health_row(
+            name, [health_of(watched(simulated(name, seed, _RUN_S)), factor) for seed in seeds]
+        )
+        for name in MOTIONS
     ]
-    print("\n".join(markdown_table(["signals", "alarms", "hours", "which"], rows)))
-    print(f"\nFaults found within {HORIZON_S:g} s and median delay, K = {arguments.factor:g}:\n")
-    found = detections(halves, arguments.factor, arguments.onsets)
-    table = [[fault, *map(_cell, by_set.values())] for fault, by_set in found.items()]
-    print("\n".join(markdown_table(["fault", *SETS], table)))
+    rows += [_health_row(name, [health_of(watched(run), factor)]) for name, run in runs.items()]
+    print(f"Alarms of healthy runs, factor {factor:g}:\n")
+    print("\n".join(markdown_table(words, rows)))
+    recorded = {name: run for name, run in runs.items() if name not in NOT_HEALTHY}
+    flown = {name: simulated(name, arguments.seed, _FAULTY_S) for name in MOTIONS}
+    for title, given in (("recorded", recorded), ("simulated", flown)):
+        halves = [halved(name, run, factor) for name, run in given.items()]
+        found = detections(halves, factor, arguments.onsets)
+        table = [[fault, *map(_cell, by_set.values())] for fault, by_set in found.items()]
+        print(f"\nFaults in {title} runs, within {HORIZON_S:g} s, median delay:\n")
+        print("\n".join(markdown_table(["fault", *SETS], table)))
 
 
 if __name__ == "__main__":

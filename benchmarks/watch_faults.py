@@ -12,7 +12,7 @@ import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.visual_inertial.odometry_faults import Fault, diverge, freeze, jump, since, yaw
+from trajeval_ros.simulation.odometry_faults import Fault, diverge, freeze, jump, since, yaw
 
 
 def scale(estimate: Trajectory, onset: int, _: np.random.Generator, *, share: float) -> Trajectory:

@@ -10,6 +10,7 @@ from scipy.interpolate import UnivariateSpline
 
 from trajeval_ros import read_many
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.inertial import InertialReadings
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.watched_sources import read_watched
@@ -70,11 +71,32 @@ def streams(data: Path) -> dict[str, WatchedRun]:
     found["vins_mono/MH_01"] = WatchedRun(vins, imu=imus["MH_01"], partners={PAIR: openvins})
     found["openvins/MH_01"] = WatchedRun(openvins, imu=imus["MH_01"], partners={PAIR: vins})
     nav2 = str(data / "bags/nav2_turtlebot.mcap")
-    found["nav2/odom"], _ = read_watched(f"{nav2}:/odom", partners={PAIR: f"{nav2}:/amcl_pose"})
+    found["nav2/odom"] = read_watched(f"{nav2}:/odom", partners={PAIR: f"{nav2}:/amcl_pose"})
     husky = str(data / "gnss/husky_outdoor.bag")
-    found["husky/odom"], _ = read_watched(husky, f"{husky}:/imu/data")
+    found["husky/odom"] = read_watched(husky, f"{husky}:/imu/data")
     example = str(data / "bags/ROS_example.bag")
     for own, other in (("ORB-SLAM", "S-PTAM"), ("S-PTAM", "ORB-SLAM")):
-        run, _ = read_watched(f"{example}:/{own}", partners={PAIR: f"{example}:/{other}"})
+        run = read_watched(f"{example}:/{own}", partners={PAIR: f"{example}:/{other}"})
         found[f"ros_example/{own}"] = run
+    found.update(_of_real_estimators(data / "real_estimators"))
     return found
+
+
+def _of_real_estimators(folder: Path) -> dict[str, WatchedRun]:
+    """Return lidar odometry, and pairs of OpenVINS with and without FEJ on a simulated flight."""
+    found = {}
+    lidar = f"{folder}/lidar/lockstep/bag"
+    for own, other in (("small_gicp", "kiss_icp"), ("kiss_icp", "rko_lio")):
+        partner = {PAIR: f"{lidar}:/{other}/odometry"}
+        found[f"lidar/{own}"] = read_watched(f"{lidar}:/{own}/odometry", partners=partner)
+    both = [np.load(folder / f"openvins_simulation/stereo_fej_{way}.npz") for way in ("on", "off")]
+    for run, seed in enumerate(both[0]["seeds"].tolist()):
+        on, off = (_columns(each["stamps_ns"], each["estimate"][run]) for each in both)
+        imu = imu_of(_columns(both[0]["stamps_ns"], both[0]["truth"]), seed)
+        found[f"openvins/simulated {seed}"] = WatchedRun(on, imu, {PAIR: off})
+    return found
+
+
+def _columns(stamps: Stamps, rows: Floats) -> Trajectory:
+    """Return states of rows (N, 10): position, quaternion and velocity in the world."""
+    return Trajectory(stamps, rows[:, :3], lie.normalized(rows[:, 3:7]), rows[:, 7:10])

@@ -15,7 +15,7 @@ PARAMETERS = {
     "estimate_topics": "Topics of the estimates, with commas between them.",
     "modality": "The sensors: mono, stereo-inertial, ... Empty: alignment by SE(3).",
     "output": "Folder for the results. Empty: trajeval_DATE-TIME in the working directory.",
-    "rerun": "none, file, serve, or connect:URL.",
+    "rerun": "none, file, serve, serve:ADDRESS:PORT, or connect:URL.",
     "use_sim_time": "Take the time from /clock.",
 }
 

@@ -20,7 +20,8 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
 
 HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE))  # for `from strategies import ...` under pytest's importlib mode
+# For `from strategies import ...` under pytest's importlib mode.
+sys.path.insert(0, str(HERE / "support"))
 SHARED = HERE.parents[1] / "shared"
 
 # What a shell runs in the background ignores Ctrl-C, and so would every process that tests start.

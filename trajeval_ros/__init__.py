@@ -1,7 +1,7 @@
 """Evaluate VIO and SLAM trajectories, live and recorded, with one set of definitions.
 
 Lengths are in metres, times in seconds, stamps in int64 nanoseconds, angles in radians unless a
-name ends in `_deg`; quaternions are xyzw. What a user can mend is a `TrajevalError`. Everything
+name ends in `_deg`; quaternions are xyzw. What a user can correct is a `TrajevalError`. Everything
 is imported when it is first used. docs/api has a script for each feature.
 
 Example:
@@ -20,37 +20,37 @@ if TYPE_CHECKING:
     from trajeval_ros.batch.compare_runs import compare
     from trajeval_ros.calibration.calibrate import Calibration, calibrate
     from trajeval_ros.calibration.calibration_request import CalibrationRequest
+    from trajeval_ros.consistency.consistency_assessment import assess_consistency
+    from trajeval_ros.consistency.consistency_result import Consistency
     from trajeval_ros.consistency.covariance_request import CovarianceRequest
     from trajeval_ros.consistency.joint_covariance import JointCovariance
-    from trajeval_ros.consistency.judge import judge
-    from trajeval_ros.consistency.result import Consistency
     from trajeval_ros.continuous_time.continuous_trajectory import (
         ContinuousTrajectory,
         fit_trajectory,
     )
     from trajeval_ros.continuous_time.samples import Noise
     from trajeval_ros.exceptions import InputError, NoMatchError, SettingsError, TrajevalError
-    from trajeval_ros.geometry.gauge import MODALITIES, Gauge
+    from trajeval_ros.geometry.gauge import MODALITIES, Gauge, Similarity
     from trajeval_ros.geometry.marker import HandEye
-    from trajeval_ros.geometry.similarity import Similarity
     from trajeval_ros.geometry.trajectory import Trajectory
+    from trajeval_ros.io.python_inputs import evaluate
     from trajeval_ros.io.results.result_folder import write_result
     from trajeval_ros.io.sources import read_many, read_trajectory
-    from trajeval_ros.likelihood.assessment import assess
+    from trajeval_ros.likelihood.likelihood_assessment import assess_likelihood
     from trajeval_ros.metrics.alignment import align
     from trajeval_ros.metrics.association import AssociationRule
     from trajeval_ros.metrics.evaluation import Evaluation
     from trajeval_ros.metrics.named_protocols import PROTOCOLS
     from trajeval_ros.metrics.protocol import Protocol
     from trajeval_ros.metrics.statistics import Statistics
-    from trajeval_ros.metrics.sub_trajectory_length import Length
+    from trajeval_ros.metrics.sub_trajectories import Length
     from trajeval_ros.online.evaluator import OnlineEvaluator
     from trajeval_ros.online.live_settings import OnlineSettings
     from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
-    from trajeval_ros.pipeline.pipeline import evaluate, run
+    from trajeval_ros.pipeline.pipeline import run
     from trajeval_ros.pipeline.request import Request
     from trajeval_ros.report.figures import draw
-    from trajeval_ros.visual_inertial.drifting_odometry import simulate
+    from trajeval_ros.simulation.drifting_odometry import simulate
 
 __version__ = "0.2.0"
 
@@ -83,13 +83,13 @@ __all__ = [
     "Trajectory",
     "TrajevalError",
     "align",
-    "assess",
+    "assess_consistency",
+    "assess_likelihood",
     "calibrate",
     "compare",
     "draw",
     "evaluate",
     "fit_trajectory",
-    "judge",
     "read_many",
     "read_trajectory",
     "run",
@@ -102,7 +102,7 @@ _HOMES = {
     "AssociationRule": "metrics.association",
     "Calibration": "calibration.calibrate",
     "CalibrationRequest": "calibration.calibration_request",
-    "Consistency": "consistency.result",
+    "Consistency": "consistency.consistency_result",
     "ContinuousTrajectory": "continuous_time.continuous_trajectory",
     "CovarianceRequest": "consistency.covariance_request",
     "Evaluation": "metrics.evaluation",
@@ -110,7 +110,7 @@ _HOMES = {
     "HandEye": "geometry.marker",
     "InputError": "exceptions",
     "JointCovariance": "consistency.joint_covariance",
-    "Length": "metrics.sub_trajectory_length",
+    "Length": "metrics.sub_trajectories",
     "MODALITIES": "geometry.gauge",
     "NoMatchError": "exceptions",
     "Noise": "continuous_time.samples",
@@ -122,22 +122,22 @@ _HOMES = {
     "Request": "pipeline.request",
     "RunOutcome": "pipeline.outcome",
     "SettingsError": "exceptions",
-    "Similarity": "geometry.similarity",
+    "Similarity": "geometry.gauge",
     "Statistics": "metrics.statistics",
     "Trajectory": "geometry.trajectory",
     "TrajevalError": "exceptions",
     "align": "metrics.alignment",
-    "assess": "likelihood.assessment",
+    "assess_likelihood": "likelihood.likelihood_assessment",
     "calibrate": "calibration.calibrate",
     "compare": "batch.compare_runs",
     "draw": "report.figures",
-    "evaluate": "pipeline.pipeline",
+    "evaluate": "io.python_inputs",
     "fit_trajectory": "continuous_time.continuous_trajectory",
-    "judge": "consistency.judge",
+    "assess_consistency": "consistency.consistency_assessment",
     "read_many": "io.sources",
     "read_trajectory": "io.sources",
     "run": "pipeline.pipeline",
-    "simulate": "visual_inertial.drifting_odometry",
+    "simulate": "simulation.drifting_odometry",
     "write_result": "io.results.result_folder",
 }
 

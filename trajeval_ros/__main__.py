@@ -49,7 +49,7 @@ def _command_line(words: Sequence[str]) -> Program:
 
 
 def _evaluator(_words: Sequence[str]) -> Program:
-    from trajeval_ros.cli.evaluator_program import evaluator_main
+    from trajeval_ros.cli.programs import evaluator_main
 
     return evaluator_main
 

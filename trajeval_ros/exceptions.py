@@ -1,7 +1,7 @@
-"""Errors that a user can fix.
+"""Errors that a user can correct.
 
-Every message states what is wrong, where, and how to fix it. The command line prints only the
-message and exits with status 2. A traceback is always a bug of this package.
+Every message states where, what is wrong and what to do. The command line prints only the message
+and exits with status 2. A traceback is always a defect of this package.
 """
 
 from collections.abc import Iterable
@@ -67,16 +67,7 @@ class NoMatchError(InputError):
 
 
 def require_one_of(value: object, known: Iterable[str], what: str) -> None:
-    """Check that a name is a known one.
-
-    Args:
-        value: The value to check.
-        known: All valid names.
-        what: The noun for the message.
-
-    Raises:
-        SettingsError: The name is unknown. The message suggests a similar one.
-    """
+    """Refuse an unknown name of a `what`, with a similar one in the message."""
     known = list(known)
     if isinstance(value, str) and value in known:
         return
@@ -88,5 +79,5 @@ def require_one_of(value: object, known: Iterable[str], what: str) -> None:
 
 
 def reason_of(error: OSError) -> str:
-    """Return what the system says of an error, as part of a sentence."""
+    """Return the system's description of an error, as part of a sentence."""
     return (error.strerror or str(error)).lower()

@@ -5,7 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from trajeval_ros import AssociationRule, Noise, Protocol, Request, assess, evaluate, run, simulate
+from trajeval_ros import (
+    AssociationRule,
+    Noise,
+    Protocol,
+    Request,
+    assess_likelihood,
+    evaluate,
+    run,
+    simulate,
+)
 
 flight = simulate(seed=1, duration_s=30.0)
 slow = flight.groundtruth[::100]
@@ -23,7 +32,7 @@ good, bad = disturbed(0.01, "good"), disturbed(0.05, "bad")
 rule = AssociationRule("continuous", model="wnoj", noise=Noise(0.002, math.radians(0.1)))
 protocol = Protocol(modality="stereo-inertial", association=rule, lengths=())
 
-alone = assess(evaluate(slow, good, protocol))
+alone = assess_likelihood(evaluate(slow, good, protocol))
 print("ATE of poses with known groundtruth:", alone.ate.supported_m, alone.ate.supported_share)
 
 outcome = run(slow, [good, bad], Request(protocol))

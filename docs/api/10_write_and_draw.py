@@ -30,5 +30,5 @@ with tempfile.TemporaryDirectory() as name:
     print(result["runs"][0]["ate"]["position_m"]["rmse"], sorted(p.name for p in folder.iterdir()))
     try:
         read_trajectory(folder / "reslut.json")
-    except TrajevalError as error:  # one sentence: what, where, how to mend it
+    except TrajevalError as error:  # one sentence: what, where, how to correct it
         print(str(error).replace(name, "FOLDER"))

@@ -53,7 +53,7 @@ _GNSS = (
 )
 _INTEGRITY = (
     "trajeval evaluate -g covariances:/groundtruth/pose -e covariances:/vio/odometry --gauge yaw "
-    "--align-states 1 --covariance message --integrity --alert-limit 0.5 --output integrity"
+    "--align-states 1 --covariance message --alert-limit 0.5 --output integrity"
 )
 _CONTINUOUS = (
     "trajeval evaluate -g slow/before_groundtruth_pose.txt -e flight:/vio/odometry --modality "
@@ -93,7 +93,7 @@ PICTURES = (
 _WIDTH = 76  # of a line on the page
 # A screenshot needs ROS 2 and a Vulkan driver, so it is the one of the last release.
 _RERUN = """
-## Rerun
+### Rerun
 
 A live run in Rerun's viewer. The command writes the screenshot to `demo_output/rerun.png`; version
 0.2.0 drew this one.
@@ -102,7 +102,7 @@ A live run in Rerun's viewer. The command writes the screenshot to `demo_output/
 $ trajeval demo demo_output
 ```
 
-![A live run in Rerun: the estimate coloured by its position error](../images/rerun.png)
+![A live run in Rerun: the estimate coloured by its position error](images/rerun.png)
 """
 
 
@@ -124,22 +124,19 @@ def draw(folder: Path) -> dict[str, bytes]:
     return {each.file: (folder / each.file).read_bytes() for each in PICTURES}
 
 
-def page() -> str:
-    """Return the page, which shows the figures of `draw`."""
+def section() -> str:
+    """Return the section of docs/figures.md that shows the figures of `draw`."""
     prepare = "\n".join(f"$ {_broken(each)}" for each in PREPARE)
     lines = [
-        "# Gallery",
+        "## Gallery",
         "",
         "Figures with the commands that made them. The commands simulate all data. The first ones",
         "write the bags, and groundtruth at 2 Hz with a dropout of 3 s:",
         "",
         f"```console\n{prepare}\n```",
-        "",
-        "[Figures](../figures.md) describes formats and widths, and [Rerun](../rerun.md) the 3-D",
-        "viewer.",
     ]
     for each in PICTURES:
-        lines += ["", f"## {each.title}", "", each.text, ""]
+        lines += ["", f"### {each.title}", "", each.text, ""]
         lines += [f"```console\n$ {_broken(each.command)}\n```"]
         lines += ["", f"![{each.text}](gallery/{each.file})"]
     return "\n".join([*lines, _RERUN])

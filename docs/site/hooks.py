@@ -1,7 +1,8 @@
-"""What MkDocs does beside the pages in docs: pages from the code, links out of docs, a check."""
+"""What MkDocs adds to docs: pages from the code, links to the repository, formulas, a check."""
 
 from __future__ import annotations
 
+import html
 import re
 import tempfile
 from pathlib import Path, PurePosixPath
@@ -11,33 +12,38 @@ from typing import Any
 import gallery
 import offline
 import reference
+from latex2mathml.converter import convert
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parents[2]
 REPOSITORY = "https://github.com/trajeval/trajeval_ros/blob/main/"
+_APPENDED = {"figures.md": gallery.section, "settings.md": reference.parameters}
+_FORMULA = re.compile(
+    r'<(?:span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</(?:span|div)>', re.DOTALL
+)
 _LINK = re.compile(r"(?<=\]\()(?!https?:|mailto:|#)([^)\s#]+)")
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """Add the pages that are written from the code, and the gallery."""
+    """Add the pages that are written from the code, and the figures of the gallery."""
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").replace("](docs/", "](../")
     pages: dict[str, str | bytes] = {
         "generated/command_line.md": reference.command_line(),
-        "generated/parameters.md": reference.parameters(),
         "generated/api.md": reference.names(),
-        "generated/gallery.md": gallery.page(),
         "generated/changelog.md": changelog,
     }
     with tempfile.TemporaryDirectory() as folder:
         figures = gallery.draw(Path(folder))
-    pages |= {f"generated/gallery/{name}": content for name, content in figures.items()}
+    pages |= {f"gallery/{name}": content for name, content in figures.items()}
     for name, content in pages.items():
         files.append(File.generated(config, name, content=content))
     return files
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Lead links to files that are no pages to the repository."""
+    """Append what the code writes, and lead links to files that are no pages to the repository."""
+    if (written := _APPENDED.get(page.file.src_uri)) is not None:
+        markdown += "\n" + written()
     here = PurePosixPath("docs") / PurePosixPath(page.file.src_uri).parent
 
     def lead(match: re.Match[str]) -> str:
@@ -50,6 +56,16 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
         return REPOSITORY + target
 
     return _LINK.sub(lead, markdown)
+
+
+def on_page_content(content: str, **_: Any) -> str:
+    """Typeset formulas as MathML, which browsers draw without a script."""
+    return _FORMULA.sub(
+        lambda found: convert(
+            html.unescape(found[2]), display="inline" if found[1] == "(" else "block"
+        ),
+        content,
+    )
 
 
 def on_post_build(config: Any, **_: Any) -> None:

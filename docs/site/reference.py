@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import trajeval_ros
-from trajeval_ros.cli.verbs import VERBS, verb
+from trajeval_ros.cli.app import VERBS, verb
 from trajeval_ros.online import error_topics
 from trajeval_ros.ros.parameter_table import PARAMETERS, SERVICE_TYPE, SERVICES, NodeParameter
 
@@ -24,7 +24,8 @@ def command_line() -> str:
         "All commands and options, generated from the code. Exit status 0 means success, 1 means",
         "that a requirement does not hold, and 2 means invalid input or usage.",
         "",
-        "The parameters of the node are on the page [ROS 2 parameters](parameters.md).",
+        "[Settings](../settings.md#ros-2-parameters-and-services) lists the parameters of the",
+        "node.",
     ]
     for name in _VERBS:
         lines += ["", *_command(name)]
@@ -50,7 +51,7 @@ def _command(name: str) -> Iterator[str]:
     for panel, options in panels.items():
         yield ""
         title = re.sub(r" \(docs/\w+\.md\)", "", panel)
-        yield f"### {title} {{: #{name}-{_slug(title)} }}"
+        yield f"### {title} {{: #{_slug(name)}-{_slug(title)} }}"
         yield ""
         for option in options:
             names = ", ".join(sorted([*option.opts, *option.secondary_opts], key=len))
@@ -72,18 +73,20 @@ def _default(option: Any) -> str:
     return f" (default: `{default}`)" if shown and is_value else ""
 
 
-def _plain(text: str | None) -> str:
-    return _escaped(" ".join((text or "").split()))
+def _plain(text: str | None, pages: str = "../") -> str:
+    return _escaped(" ".join((text or "").split()), pages)
 
 
-def _escaped(text: str) -> str:
-    """Escape Markdown, and link the pages that are named."""
+def _escaped(text: str, pages: str = "../") -> str:
+    """Escape Markdown, and link the pages that are named, which are in the folder `pages`."""
     escaped = re.sub(r"([<>*_\[\]])", r"\\\1", text)
-    return re.sub(r"\bdocs/([\w\\]+)\.md", lambda page: _link(page[1].replace("\\", "")), escaped)
+    return re.sub(
+        r"\bdocs/([\w\\]+)\.md", lambda page: _link(page[1].replace("\\", ""), pages), escaped
+    )
 
 
-def _link(page: str) -> str:
-    return f"[{page.replace('_', ' ')}](../{page}.md)"
+def _link(page: str, pages: str) -> str:
+    return f"[{page.replace('_', ' ')}]({pages}{page}.md)"
 
 
 def _escaped_help(text: str) -> str:
@@ -100,35 +103,35 @@ def _slug(text: str) -> str:
 
 
 def parameters() -> str:
-    """Return the page of the node's parameters, topics and services."""
+    """Return the section on the node's parameters, topics and services."""
     rows = "\n".join(map(_row, PARAMETERS))
     topics = [
         *((each, error_topics.VECTOR_TYPE) for each in error_topics.VECTORS),
         *((each, error_topics.NUMBER_TYPE) for each in error_topics.NUMBERS),
-        *((each, error_topics.NUMBER_TYPE) for each in error_topics.WINDOW_NUMBERS),
+        (error_topics.ATE, error_topics.VECTOR_TYPE),
         *((each, error_topics.NUMBER_TYPE) for each in error_topics.NEES_NUMBERS),
         *((each, error_topics.NUMBER_TYPE) for each in error_topics.PROTECTION_LEVELS.values()),
-        (error_topics.relative_error_topic("8m"), error_topics.NUMBER_TYPE),
+        (error_topics.relative_error_topic("8m"), error_topics.VECTOR_TYPE),
         (error_topics.ALIGNMENT, error_topics.ALIGNMENT_TYPE),
         (error_topics.ALIGNED_PATH, "nav_msgs/msg/Path"),
         (error_topics.GROUNDTRUTH_PATH, "nav_msgs/msg/Path"),
     ]
     published = "\n".join(f"| `{name}` | `{kind}` |" for name, kind in topics)
     services = "\n".join(
-        f"| `{name}` | `{SERVICE_TYPE}` | {_plain(each)} |" for name, each in SERVICES.items()
+        f"| `{name}` | `{SERVICE_TYPE}` | {_plain(each, '')} |" for name, each in SERVICES.items()
     )
-    return f"""# ROS 2 parameters and services
+    return f"""## ROS 2 parameters and services
 
 The parameters of `ros2 run trajeval_ros evaluator`, generated from the code. Set them with
-`--ros-args -p NAME:=VALUE` or in a file ([live evaluation](../live.md)).
+`--ros-args -p NAME:=VALUE` or in a file ([live evaluation](live.md)).
 
 | parameter | default | description |
 |---|---|---|
 {rows}
 
-## Topics
+### Topics
 
-Published below `~/ESTIMATE/`. [ROS 2 topics](../topics.md) describes their contents.
+Published below `~/ESTIMATE/`. [ROS 2 topics](topics.md) describes their contents.
 
 | topic | type |
 |---|---|
@@ -137,7 +140,7 @@ Published below `~/ESTIMATE/`. [ROS 2 topics](../topics.md) describes their cont
 The node also publishes `/diagnostics` (`{error_topics.DIAGNOSTICS_TYPE}`) and `~/event`
 (`diagnostic_msgs/msg/DiagnosticStatus`).
 
-## Services
+### Services
 
 | service | type | effect |
 |---|---|---|
@@ -149,7 +152,7 @@ def _row(each: NodeParameter) -> str:
     default = "" if each.default in ("", [""]) else f"`{each.default}`"
     limits = "" if each.range is None else f" Range: {each.range[0]:g} to {each.range[1]:g}."
     live = " Can be set while the node runs." if each.is_live else ""
-    description = _plain(each.description).replace("|", "\\|")
+    description = _plain(each.description, "").replace("|", "\\|")
     return f"| `{each.name}` | {default} | {description}{limits}{live} |"
 
 

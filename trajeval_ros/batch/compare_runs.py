@@ -1,22 +1,32 @@
-"""A whole comparison: from a YAML file, a manifest or a folder to tables and a report."""
+"""A whole comparison: from a YAML file, a manifest or a folder to tables and a report.
+
+One comparison at a time writes to an output folder, on this machine or another.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import contextlib
+import os
+import platform
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from trajeval_ros.batch.comparison import run_plan
 from trajeval_ros.batch.comparison_summary import ComparisonSummary, failures, summary_of
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.executors import local_pool
-from trajeval_ros.batch.output_lock import only_writer
-from trajeval_ros.batch.record_store import RECORDS
+from trajeval_ros.batch.finished_comparison import FIGURES, PAGES, require_own
+from trajeval_ros.batch.records import RECORDS
 from trajeval_ros.batch.summary_tables import matrices
-from trajeval_ros.exceptions import require_one_of
-from trajeval_ros.formatting.escaping import markdown_text
-from trajeval_ros.io.requests.request_words import WORDS
-from trajeval_ros.io.writing import write_text
+from trajeval_ros.exceptions import InputError, require_one_of
+from trajeval_ros.formatting.escaping import markdown_text, one_line
+from trajeval_ros.io.requests.settings_table import settings_of_many_runs
+from trajeval_ros.io.temporary import collect_leftovers, is_at, lock
+from trajeval_ros.io.writing import refused_by_disk, write_text
 from trajeval_ros.report import matrix as tables
+
+LOCK = ".compare.lock"
+_MOST_READ = 200
 
 
 def compare(
@@ -49,9 +59,8 @@ def compare(
         allow_remote: Hosts that URLs in the file may name, such as `s3://bucket`.
         workers: Number of processes; None for one per core.
         report: Whether to write report.html, which needs Jinja2.
-        **settings: Settings of the request, by the words of the command line with `_` for `-`,
-            such as modality="mono-inertial", lengths="8,16" or time_offset="auto". They override
-            the file.
+        **settings: Settings of the request, as options with `_` for `-`, such as
+            modality="mono-inertial", lengths="8,16" or time_offset="auto". They override the file.
 
     Returns:
         All runs, including failed ones, and statistics over trials.
@@ -70,13 +79,13 @@ def compare(
             ...
         trajeval_ros.exceptions.InputError: ...runs.yaml does not exist; give a YAML ...
     """
-    for word in settings:
-        require_one_of(word, WORDS, "setting")
+    known = settings_of_many_runs()
+    for name in settings:
+        require_one_of(name, known, "setting")
     folder = Path(output)
-    words = {word: _as_written(word, value) for word, value in settings.items()}
     plan = plan_of(
         target,
-        words,
+        {name: known[name].of_yaml(value) for name, value in settings.items()},
         columns=columns,
         frame_rate=frame_rate,
         common_time_span=common_time_span,
@@ -87,28 +96,14 @@ def compare(
         summary = summary_of(folder)
         write_tables(folder, summary)
         if report:
-            from trajeval_ros.batch.page import write_report
+            from trajeval_ros.batch.comparison_report import write_report
 
             write_report(folder, summary)
     return summary
 
 
-def _as_written(word: str, value: str | float) -> str | float:
-    """Return a number as text if its setting is a text."""
-    return str(value) if WORDS[word] is str else value
-
-
 def write_tables(folder: Path, summary: ComparisonSummary, *, transpose: bool = False) -> None:
-    """Write tables.md, tables.tex and one CSV file per table, unless they are up to date.
-
-    Args:
-        folder: Folder of the comparison.
-        summary: Its results.
-        transpose: Whether algorithms are the columns of tables.tex.
-
-    Raises:
-        InputError: They can't be written.
-    """
+    """Write tables.md, tables.tex and one CSV file per table, unless they are up to date."""
     made = matrices(summary)
     lost = [f"* {markdown_text(line)}" for line in failures(summary)]
     without = ["### Runs without numbers", "", *lost, ""] if lost else []
@@ -129,3 +124,58 @@ def _holds(path: Path, text: str) -> bool:
         return path.read_bytes() == text.encode()
     except OSError:
         return False
+
+
+@contextlib.contextmanager
+def only_writer(
+    folder: Path, subfolder: str, wait: Callable[[str], object] | None = None
+) -> Iterator[None]:
+    """Make a comparison's folders and lock them during the block.
+
+    Unfinished files of killed comparisons are removed. `wait`: called with the holder of the lock
+    before waiting for it; None to raise an error instead of waiting.
+    """
+    records = folder / subfolder
+    for each in (records, folder / FIGURES, folder / PAGES):
+        if each.is_symlink():
+            raise InputError(f"{each} is a symbolic link; remove it")
+    require_own(folder)
+    with refused_by_disk(f"the folder {folder}"):
+        records.mkdir(parents=True, exist_ok=True)
+    if not os.access(folder, os.W_OK):  # read-only: only a finished comparison can be shown
+        yield
+        return
+    path = folder / LOCK
+    while True:
+        with refused_by_disk(str(path)):
+            file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+        try:
+            _hold(file, folder, wait)
+            if not is_at(path, file):  # its previous holder has removed it
+                continue
+            with refused_by_disk(str(path)):
+                os.truncate(file, 0)
+                os.write(file, f"process {os.getpid()} on {platform.node()}".encode())
+            for each in (folder, records):
+                collect_leftovers(each)
+            try:
+                yield
+            finally:
+                with contextlib.suppress(OSError):
+                    path.unlink()
+            return
+        finally:
+            os.close(file)
+
+
+def _hold(file: int, folder: Path, wait: Callable[[str], object] | None) -> None:
+    """Lock the open file, or raise an error."""
+    with contextlib.suppress(OSError):  # a file system without locks
+        if lock(file, wait=False):
+            return
+        holder = one_line(os.pread(file, _MOST_READ, 0).decode(errors="replace"))
+        held = f"{folder} is in use by {holder or 'another process'}"
+        if wait is None:
+            raise InputError(f"{held}; wait with --wait, or choose another --output")
+        wait(held)
+        lock(file, wait=True)

@@ -13,10 +13,8 @@ from trajeval_ros.batch.executors import Pool, evaluate_all
 from trajeval_ros.batch.fingerprints import Fingerprints
 from trajeval_ros.batch.finished_comparison import FinishedComparison, FinishedRun, has_tables
 from trajeval_ros.batch.plan import Plan, PlannedRun
-from trajeval_ros.batch.pyarrow_package import load_pyarrow
-from trajeval_ros.batch.record_store import RECORDS, RecordStore
-from trajeval_ros.batch.records import Record
-from trajeval_ros.batch.shards import SHARD, Shard, write_shard
+from trajeval_ros.batch.records import RECORDS, Record, RecordStore
+from trajeval_ros.batch.results_table import load_pyarrow
 from trajeval_ros.batch.worker import Task, WorkerResult, work
 from trajeval_ros.exceptions import InputError, TrajevalError
 from trajeval_ros.io.writing import refused_by_disk
@@ -26,25 +24,15 @@ _INPUTS = "inputs.json"
 
 @dataclass
 class Progress:
-    """The progress of a comparison.
+    """The progress of a comparison."""
 
-    Attributes:
-        total: Number of evaluations: of runs with files, twice with a common time span.
-        kept: Number of evaluations that were finished before.
-        done: Number of finished evaluations.
-        new: Number of runs that were evaluated.
-        failed: Number of failed runs.
-        fetched_bytes: Bytes that the runs read from remote stores.
-        running: Names of the runs in progress.
-    """
-
-    total: int = 0
-    kept: int = 0
-    done: int = 0
-    new: int = 0
-    failed: int = 0
-    fetched_bytes: int = 0
-    running: list[str] = field(default_factory=list)
+    total: int = 0  # number of evaluations: of runs with files, twice with a common time span
+    kept: int = 0  # number of evaluations that were finished before
+    done: int = 0  # number of finished evaluations
+    new: int = 0  # number of runs that were evaluated
+    failed: int = 0  # number of failed runs
+    fetched_bytes: int = 0  # bytes that the runs read from remote stores
+    running: list[str] = field(default_factory=list)  # names of the runs in progress
 
 
 def run_plan(
@@ -52,43 +40,27 @@ def run_plan(
     folder: Path,
     start_pool: Callable[[], Pool],
     tell: Callable[[Progress], None] = lambda progress: None,
-    shard: Shard | None = None,
 ) -> Progress:
-    """Evaluate the runs without a record, and write the tables or the shard.
+    """Evaluate the runs without a record, and write the tables.
 
-    Args:
-        plan: The comparison.
-        folder: Folder for records and tables; made if it does not exist.
-        start_pool: Returns the workers; called only if a run must be evaluated.
-        tell: Called at the start and end of every run.
-        shard: The part of the plan to evaluate; None for all.
-
-    Raises:
-        InputError: The folder can't be written, or a cluster can't be reached. Finished runs are
-            kept.
+    `start_pool`: returns the workers; called only if a run must be evaluated. `tell`: called at
+    the start and end of every run.
     """
     load_pyarrow()
     with refused_by_disk(f"the folder {folder / RECORDS}"):
         (folder / RECORDS).mkdir(parents=True, exist_ok=True)
     records, fingerprints = RecordStore(folder / RECORDS), Fingerprints(folder / _INPUTS)
-    part = plan if shard is None else shard.of(plan)
-    batch = _RunningComparison(part, records, fingerprints, start_pool, tell)
-    if shard is None and has_tables(folder):
+    batch = _RunningComparison(plan, records, fingerprints, start_pool, tell)
+    if has_tables(folder):
         tasks = list(batch.planned())
         if batch.finished().is_in(folder):
             batch.progress.kept = len(tasks)
             tell(batch.progress)
             return batch.progress
-    with refused_by_disk(f"the folder {folder}"):
-        (folder / SHARD).unlink(missing_ok=True)  # not finished until it is written again
     batch.evaluate(batch.planned())
     if plan.common_time_span:
         batch.cut_to_common_spans()
-    if shard is None:
-        batch.finished().write_tables(folder, batch.record_of)
-    else:
-        batch.replace_damaged_records()
-        write_shard(folder, shard, plan, batch.finished())
+    batch.finished().write_tables(folder, batch.record_of)
     return batch.progress
 
 
@@ -151,7 +123,7 @@ class _RunningComparison:
         todo = self._without_record(tasks)
         first = next(todo, None)
         if first is not None:
-            evaluate_all(self._start_pool(), chain([first], todo), self._finish, self._watch)
+            evaluate_all(self._start_pool(), chain([first], todo), self._finish, self._on_running)
         self.progress.running = []
         self._tell(self.progress)
 
@@ -186,22 +158,8 @@ class _RunningComparison:
         self.progress.total += len(cut)
         self.evaluate(cut.values())
 
-    def replace_damaged_records(self) -> None:
-        """Evaluate runs again if their existing records can't be read.
-
-        Raises:
-            InputError: A run can't be evaluated again.
-        """
-        for run, task in self.tasks.items():
-            if run not in self._evaluated and run not in self.failures:
-                self._record(task)
-
     def record_of(self, finished: FinishedRun) -> Record:
-        """Return the record of a run.
-
-        Raises:
-            InputError: It can't be read, and the run can't be evaluated again.
-        """
+        """Return the record of a run."""
         return self._record(self.tasks[finished.run])
 
     def _record(self, task: Task, *, with_pooled: bool = True) -> Record:
@@ -233,6 +191,6 @@ class _RunningComparison:
         self.failures[run] = reason
         self.progress.failed += 1
 
-    def _watch(self, running: list[Task]) -> None:
+    def _on_running(self, running: list[Task]) -> None:
         self.progress.running = [task.run.name for task in running]
         self._tell(self.progress)

@@ -9,8 +9,7 @@ from pathlib import Path
 from sys import intern
 from typing import Any
 
-from trajeval_ros.batch.finished_comparison import POOLED, RUNS
-from trajeval_ros.batch.pooling import read_pooled
+from trajeval_ros.batch.finished_comparison import POOLED_FILE, RUNS
 from trajeval_ros.batch.results_table import (
     ATE,
     CALIBRATION,
@@ -20,45 +19,34 @@ from trajeval_ros.batch.results_table import (
     OK,
     RE,
     ResultsTable,
+    read_pooled,
 )
 
 _NAMES = ("algorithm", "sequence", "trial")
 _OF_A_RUN = (
-    "status", "reason", "own_groundtruth_coverage", "pairs", "key", "warnings", "diagnosis",
+    "status", "reason", "groundtruth_coverage", "pairs", "key", "warnings", "diagnosis",
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Trial:
-    """The summary of a run.
-
-    Attributes:
-        algorithm: Name of the algorithm.
-        sequence: Name of the sequence.
-        trial: Name of the trial; "" if there is only one.
-        status: `ok`, `failed` or `missing`.
-        reason: Why it has no numbers.
-        coverage: Share of the groundtruth's duration that its pairs cover; 0.0 for a failed run.
-        pairs: Number of pairs; 0 for a failed run.
-        key: Key of its record.
-        rmse: RMSE of the absolute errors, by metric.
-        values: Results of calibration, consistency, integrity and likelihood, by metric.
-        warnings: Its warnings.
-        diagnosis: Causes of the mistakes that it shows, the most severe first.
-    """
+    """The summary of a run."""
 
     algorithm: str
     sequence: str
-    trial: str
-    status: str
-    reason: str
+    trial: str  # name of the trial; "" if there is only one
+    status: str  # `ok`, `failed` or `missing`
+    reason: str  # why it has no numbers
+    # Share of the groundtruth's duration that its pairs cover, in the common time span if one cut
+    # the runs; 0.0 for a failed run.
     coverage: float
-    pairs: int
-    key: str
-    rmse: dict[str, float]
+    pairs: int  # number of pairs; 0 for a failed run
+    key: str  # key of its record
+    rmse: dict[str, float]  # RMSE of the absolute errors, by metric
+    # Results of calibration, consistency, integrity and likelihood, by metric.
     values: dict[str, float]
     warnings: tuple[str, ...]
-    diagnosis: tuple[str, ...] = ()
+    diagnosis: tuple[str, ...] = ()  # causes of the mistakes that it shows, the most severe first
 
     @property
     def name(self) -> str:
@@ -73,19 +61,12 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class ComparisonSummary:
-    """The results of a comparison.
-
-    Attributes:
-        title: Its title.
-        settings: Settings that the numbers depend on.
-        trials: All runs, including failed ones.
-        pooled: Rows of the statistics over trials.
-    """
+    """The results of a comparison."""
 
     title: str
-    settings: dict[str, Any]
-    trials: tuple[Trial, ...]
-    pooled: tuple[dict[str, Any], ...]
+    settings: dict[str, Any]  # settings that the numbers depend on
+    trials: tuple[Trial, ...]  # all runs, including failed ones
+    pooled: tuple[dict[str, Any], ...]  # rows of the statistics over trials
 
     @cached_property
     def algorithms(self) -> list[str]:
@@ -125,11 +106,7 @@ class ComparisonSummary:
 
 
 def summary_of(folder: Path) -> ComparisonSummary:
-    """Read the tables of a comparison; memory grows with the number of runs, not of rows.
-
-    Raises:
-        InputError: A table can't be read.
-    """
+    """Read the tables of a comparison; memory grows with the number of runs, not of rows."""
     rows = ResultsTable(folder / RUNS)
     rmse: dict[tuple[str, ...], dict[str, float]] = defaultdict(dict)
     values: dict[tuple[str, ...], dict[str, float]] = defaultdict(dict)
@@ -152,7 +129,7 @@ def summary_of(folder: Path) -> ComparisonSummary:
                 trial=run[2],
                 status=intern(row["status"]),
                 reason=row["reason"] or "",
-                coverage=row["own_groundtruth_coverage"] or 0.0,
+                coverage=row["groundtruth_coverage"] or 0.0,
                 pairs=row["pairs"] or 0,
                 key=row["key"] or "",
                 rmse=rmse.get(run, {}),
@@ -162,7 +139,7 @@ def summary_of(folder: Path) -> ComparisonSummary:
             )
         )
     return ComparisonSummary(
-        rows.title, rows.settings, tuple(trials), tuple(read_pooled(folder / POOLED))
+        rows.title, rows.settings, tuple(trials), tuple(read_pooled(folder / POOLED_FILE))
     )
 
 

@@ -7,24 +7,26 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from trajeval_ros.batch.conventions import runs_in_folder
+from trajeval_ros.batch.folder_layouts import runs_in_folder
 from trajeval_ros.batch.manifest import is_manifest, runs_in_manifest
 from trajeval_ros.batch.patterns import Pattern, is_url
 from trajeval_ros.batch.plan import Name, Plan, PlannedRun, all_runs
-from trajeval_ros.batch.remote_hosts import host_of, parse_hosts, require_allowed
+from trajeval_ros.batch.remote_files import host_of, parse_hosts, require_allowed
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.io.requests.protocol_file import is_protocol_file
-from trajeval_ros.io.requests.request_words import AUTO, MESSAGE, NONE, WORDS, request_from
-from trajeval_ros.io.text.hints import TextHints
+from trajeval_ros.io.requests.request_from import (
+    in_names_of_settings,
+    is_protocol_file,
+    request_from,
+)
+from trajeval_ros.io.requests.setting import AUTO, MESSAGE, NONE
+from trajeval_ros.io.requests.settings_table import settings_of_many_runs
+from trajeval_ros.io.text.layouts import TextHints
 from trajeval_ros.io.yaml_file import read_mapping, require_known
 from trajeval_ros.pipeline.request import Request
 
-# Settings whose value in YAML may be a number, or a list.
-_NUMBERS = ("align_states", "time_offset", "start", "end")
-_LISTS = ("lengths", "groundtruth_noise", "alert_limit")
 _KEYS = (
     "title", "folder", "manifest", "groundtruth", "runs", "sequences", "trials",
-    "common_time_span", "columns", "frame_rate", *WORDS,
+    "common_time_span", "columns", "frame_rate",
 )  # fmt: skip
 
 
@@ -41,19 +43,13 @@ def plan_of(
 
     Args:
         target: A YAML file, a manifest (its path or URL), or a folder of a known layout.
-        settings: Settings of the request, by the words of the command line. They override the
-            file.
+        settings: Settings of the request, as on the command line. They override the file.
         columns: Columns of the estimates' text files; overrides the file.
         frame_rate: Poses per second in text files without timestamps; overrides the file.
         common_time_span: Whether to evaluate only the time that all runs of a sequence cover;
             overrides the file.
         allow_remote: Hosts that URLs in the file may name, `SCHEME://HOST`. The host of a
             manifest's own URL is allowed.
-
-    Raises:
-        InputError: The target can't be read, has an unknown key, names no files, or a host that
-            is not allowed.
-        SettingsError: A setting is not valid.
     """
     hosts = parse_hosts(allow_remote)
     path = Path(target)
@@ -86,7 +82,7 @@ def _plan_of_yaml(
             "or a folder in the layout of ov_eval or rpg_trajectory_evaluation"
         )
     config = read_mapping(target, "comparison")
-    require_known(config, _KEYS, str(target))
+    require_known(config, [*_KEYS, *settings_of_many_runs()], str(target))
     if common_time_span is None:
         common_time_span = _typed(config, "common_time_span", bool, target, default=False)
     listed = "manifest" in config
@@ -139,20 +135,20 @@ def _runs(
             f"{target}: runs must be a mapping of algorithms to patterns, as in "
             '{vio: "vio/{sequence}.txt"}'
         )
-    truth = Pattern.parse(_typed(config, "groundtruth", str, target, default=""))
-    if truth.has_trials:
+    groundtruth = Pattern.parse(_typed(config, "groundtruth", str, target, default=""))
+    if groundtruth.has_trials:
         raise InputError(f"{target}: groundtruth is the same for all trials; remove {{trial}}")
     algorithms = {
         str(name): Pattern.parse(_typed(patterns, name, str, target, default=""))
         for name in patterns
     }
-    for each in (truth, *algorithms.values()):
+    for each in (groundtruth, *algorithms.values()):
         if is_url(each.path):
             require_allowed(each.text, hosts, str(target))
     sequences = _names(config, "sequences", target)
-    found = truth.find(folder)
-    truth.require(found, folder)
-    truths = {sequence: source for (sequence, _), source in found.items()}
+    found = groundtruth.find(folder)
+    groundtruth.require(found, folder)
+    groundtruths = {sequence: source for (sequence, _), source in found.items()}
     estimates: dict[Name, str] = {}
     for algorithm, pattern in algorithms.items():
         found = pattern.find(folder)
@@ -162,7 +158,7 @@ def _runs(
     return all_runs(
         algorithms,
         estimates,
-        lambda _, sequence: truths.get(sequence, ""),
+        lambda _, sequence: groundtruths.get(sequence, ""),
         lambda name: algorithms[name[0]].path_of(folder, *name[1:]),
         sequences=sequences,
         trials=_names(config, "trials", target),
@@ -200,18 +196,14 @@ def _hints(
 
 def _settings(config: Mapping[str, Any], target: Path) -> dict[str, Any]:
     """Return the settings of a request in the form of the command line."""
-    settings: dict[str, Any] = {}
-    for key, kind in WORDS.items():
-        if key not in config:
-            continue
-        value = config[key]
-        if key in _LISTS and isinstance(value, list):
-            value = ",".join(map(str, value)) or "none"
-        if key in (*_NUMBERS, *_LISTS) and type(value) in (int, float):
-            value = str(value)
-        if key == "gauge" and value is None:  # YAML's null; YAML reads `none` as a string
-            value = "none"
-        settings[key] = _typed({key: value}, key, kind, target)
+    try:
+        settings = {
+            name: each.of_yaml(config[name])
+            for name, each in settings_of_many_runs().items()
+            if name in config
+        }
+    except SettingsError as error:
+        raise InputError(f"{target}: {error}") from error
     if is_protocol_file(settings.get("protocol", "")):
         settings["protocol"] = str(target.parent / settings["protocol"])
     if settings.get("hand_eye", NONE) not in (NONE, AUTO):
@@ -219,18 +211,23 @@ def _settings(config: Mapping[str, Any], target: Path) -> dict[str, Any]:
     return settings
 
 
-def _request(written: Mapping[str, Any], said: Mapping[str, Any]) -> Request:
+def _request(written: Mapping[str, Any], given: Mapping[str, Any]) -> Request:
     """Return the request of a file's settings; settings of the command line override them."""
-    said = {key: value for key, value in said.items() if value is not None}
-    if "gauge" in said or "modality" in said:
+    given = {name: value for name, value in given.items() if value is not None}
+    if "gauge" in given or "modality" in given:
         written = {key: each for key, each in written.items() if key not in ("gauge", "modality")}
-    words = {**written, **said}
-    if words.get("covariance", NONE) not in (NONE, MESSAGE):
+    settings = {**written, **given}
+    if settings.get("covariance", NONE) not in (NONE, MESSAGE):
         raise SettingsError(
-            f"covariance {words['covariance']!r} is for a single run; use covariance message, or "
-            "evaluate that run with trajeval evaluate"
+            f"covariance {settings['covariance']!r} is for a single run; use covariance message, "
+            "or evaluate that run with trajeval evaluate"
         )
-    request = request_from(words)
+    try:
+        request = request_from(settings)
+    except SettingsError as error:
+        if given:
+            raise
+        raise SettingsError(in_names_of_settings(str(error))) from error
     if request.states_table:
         raise SettingsError(
             "a comparison needs a single value of align states; give all or one number, or use "

@@ -38,17 +38,13 @@ _DIED = "the worker process was killed, probably out of memory"
 
 @dataclass(frozen=True)
 class Pool:
-    """Executors that can be started, and started again after a failure.
+    """Executors that can be started, and started again after a failure."""
 
-    Attributes:
-        start: Starts an executor with a number of workers.
-        workers: Number of workers.
-        ahead: Number of runs that wait in the executor. Workers must not become idle, and memory
-            must not grow with the number of runs.
-    """
-
+    # Starts an executor with a number of workers.
     start: Callable[[int], AbstractContextManager[Executor]]
     workers: int
+    # Number of runs that wait in the executor. Workers must not become idle, and memory must not
+    # grow with the number of runs.
     ahead: int = field(default=2)
 
 
@@ -58,12 +54,7 @@ def local_pool(workers: int | None) -> Pool:
 
 
 def dask_pool(address: str) -> Pool:
-    """Return the workers of a Dask cluster.
-
-    Raises:
-        InputError: dask.distributed is not installed, no scheduler responds, it has no workers,
-            or a worker has another version of this package.
-    """
+    """Return the workers of a Dask cluster."""
     try:
         import distributed
     except ImportError as error:
@@ -105,28 +96,23 @@ def evaluate_all(
     pool: Pool,
     tasks: Iterable[Task],
     finish: Finish,
-    watch: Callable[[list[Task]], None] = lambda running: None,
+    on_running: Callable[[list[Task]], None] = lambda running: None,
 ) -> None:
     """Evaluate runs on a pool.
 
-    Args:
-        pool: The workers.
-        tasks: The runs; taken when workers become free.
-        finish: Called in this thread, once per run, with its result, in order of completion.
-        watch: Called with the runs in progress, at every change.
-
-    Raises:
-        InputError: The connection to the cluster is lost.
+    `tasks`: the runs; taken when workers become free. `finish`: called in this thread, once per
+    run, with its result, in order of completion. `on_running`: called with the runs in progress,
+    at every change.
     """
     waiting = iter(tasks)
     suspects: list[Task] = []
     exhausted = False
     while not exhausted:
         with pool.start(pool.workers) as executor:
-            exhausted = _drain(pool, executor, waiting, suspects, finish, watch)
+            exhausted = _drain(pool, executor, waiting, suspects, finish, on_running)
         # One of the submitted runs broke the executor: evaluate every one in a new executor.
         for task in suspects:
-            watch([task])
+            on_running([task])
             with pool.start(1) as executor:
                 finish(task, _outcome(executor.submit(work, task)))
         suspects.clear()
@@ -138,7 +124,7 @@ def _drain(
     waiting: Iterator[Task],
     suspects: list[Task],
     finish: Finish,
-    watch: Callable[[list[Task]], None],
+    on_running: Callable[[list[Task]], None],
 ) -> bool:
     """Evaluate tasks until all are done (return True) or the executor breaks (False)."""
     running: dict[Future[WorkerResult], Task] = {}
@@ -148,7 +134,7 @@ def _drain(
             running[_submit(executor, task)] = task
         if not running:
             return True
-        watch(list(running.values())[: pool.workers])
+        on_running(list(running.values())[: pool.workers])
         done, _ = wait(running, return_when=FIRST_COMPLETED)
         for future in done:
             try:

@@ -13,6 +13,7 @@ from trajeval_ros.batch.remote_files import open_store
 from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.io.json_file import json_text, mapping_in
 from trajeval_ros.io.sources import parse_source
+from trajeval_ros.io.text.number_tables import names_of_times
 from trajeval_ros.io.writing import write_text
 
 _NANOSECONDS = 1_000_000_000
@@ -36,11 +37,7 @@ class Fingerprints:
             self._known = mapping_in(memory.read_bytes()) or {}
 
     def of(self, source: str) -> str:
-        """Return the sha256 of the bytes and the topic of a SOURCE.
-
-        Raises:
-            InputError: It can't be read.
-        """
+        """Return the sha256 of the bytes and the topic of a SOURCE."""
         if source not in self._of_source:
             self._of_source[source] = self._fingerprint(source)
             if time.monotonic() > self._saved_at + _SAVED_EVERY_S:
@@ -83,7 +80,9 @@ class Fingerprints:
     def _read_beside(self, path: Path) -> list[Path]:
         """Return the files that belong to one: KITTI's timestamps, the log of an sqlite bag."""
         inside = self._names_in(path.parent)
-        names = (f"{path.stem}_times.txt", "times.txt", f"{path.name}-wal")
+        names = [f"{path.stem}_times.txt", "times.txt", f"{path.name}-wal"]
+        if path.suffix == ".npy":
+            names = names_of_times(path)
         beside = [path.with_name(name) for name in names if inside is None or name in inside]
         return [each for each in beside if each.is_file() and each != path]
 

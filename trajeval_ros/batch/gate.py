@@ -1,113 +1,253 @@
-"""A regression gate, and its notation on the command line."""
+"""A regression gate: a limit of how much worse a number may be, its notation and its numbers."""
 
 from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from typing import Any
 
-from trajeval_ros.exceptions import SettingsError
+import numpy as np
+
+from trajeval_ros.batch.results_table import ATE, OK, POOLED, RE, STATISTICS, ResultsTable
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.geometry.arrays import Floats
 
 _SIZE = r"(\d+\.?\d*|\.\d+)"
-_GATE = re.compile(
-    r"\s*([\w.%]+)\s+worse\s+than\s+(.+?)"
-    rf"(?:\s+spread\s+{_SIZE}\s*%|\s+(untested))?\s*"
-)
-_TERM = re.compile(rf"{_SIZE}\s*(%|MAD)")
+_GATE = re.compile(rf"\s*([\w.%]+)\s+worse\s+than\s+{_SIZE}\s*%(\s+untested)?\s*")
+_REMOVED = re.compile(r"worse\s+than\b.*(\d\s*MAD|\s+spread\s)")
 _EQUAL = 1e-9  # relative: numbers that differ by less are equal
-_LEAST = 1e-12  # smallest error, so that the logarithm of zero is finite
-_EXAMPLE = "ate.position_m.rmse worse than 5 %"
+
+
+Group = tuple[str, str]
+Row = Mapping[str, Any]
+# Names in a gate and columns of the table. The groundtruth's coverage is that of the whole run,
+# before a common time span cuts it.
+_COVERAGES = {
+    "estimate_coverage": "estimate_coverage",
+    "groundtruth_coverage": "own_groundtruth_coverage",
+}
 
 
 @dataclass(frozen=True)
 class Gate:
-    """A limit of how much worse a number may be than in the baseline.
+    """A limit of how much worse a number may be than in the baseline."""
 
-    Attributes:
-        path: Path of the number, as in a requirement: `ate.position_m.rmse`,
-            `re.8m.position_percent.mean`, `association.groundtruth_coverage`.
-        percent: The margin: the largest permitted worsening, in percent.
-        deviations: A single number is worse only if its median also differs by more than this
-            many median absolute deviations of the baseline's trials.
-        spread_percent: Standard deviation of the trials, in percent, given by the user; None to
-            estimate it.
-        tested: Whether to apply a statistical test to the trials; if not, medians are compared.
-    """
-
-    path: str
-    percent: float
-    deviations: float = 0.0
-    spread_percent: float | None = None
-    tested: bool = True
+    path: str  # as in a requirement: `ate.position_m.rmse`, `association.groundtruth_coverage`
+    percent: float  # the margin: the largest permitted worsening
+    tested: bool = True  # if not, medians are compared
 
     @classmethod
     def parse(cls, text: str) -> Gate:
-        """Parse `ate.position_m.rmse worse than 5 %`; `spread 15 %` or `untested` may follow.
-
-        Raises:
-            SettingsError: The text has another form, a spread of 0 %, or a margin of 100 % or more
-                for a coverage.
-        """
+        """Parse `ate.position_m.rmse worse than 5 %`; `untested` may follow."""
         match = _GATE.fullmatch(text)
-        terms = [_TERM.fullmatch(each.strip()) for each in match[2].split("+")] if match else []
-        sizes: dict[str, float] = {}
-        for term in terms:
-            if term is None or term[2] in sizes:
-                break
-            sizes[term[2]] = float(term[1])
-        if match is None or len(sizes) != len(terms):
-            raise SettingsError(f"the gate {text!r} is not valid; write it as in {_EXAMPLE!r}")
-        spread = None if match[3] is None else float(match[3])
-        if spread == 0.0:
+        if match is None and _REMOVED.search(text):
             raise SettingsError(
-                f"the gate {text!r} has a spread of 0 %; if trials do not vary, write 'untested'"
+                f"the gate {text!r} has a condition without an exact test, 'spread' or 'MAD'; "
+                "remove it: 6 sequences or 4 trials on both sides need no such condition"
             )
-        made = cls(match[1], sizes.get("%", 0.0), sizes.get("MAD", 0.0), spread, not match[4])
-        if not made.larger_is_worse and made.percent >= 100.0:
+        if match is None:
+            raise SettingsError(
+                f"the gate {text!r} is not valid; write it as in 'ate.position_m.rmse worse than "
+                "5 %'"
+            )
+        made = cls(match[1], float(match[2]), not match[3])
+        if made.is_share and made.percent >= 100.0:
             raise SettingsError(f"the margin of a coverage must be below 100 %, not {text!r}")
         return made
 
     def __str__(self) -> str:
-        """Return the text that `parse` reads."""
-        terms = []
-        if self.percent or not self.deviations:
-            terms.append(f"{self.percent:g} %")
-        if self.deviations:
-            terms.append(f"{self.deviations:g} MAD")
-        more = "" if self.tested else " untested"
-        if self.spread_percent is not None:
-            more = f" spread {self.spread_percent:g} %"
-        return f"{self.path} worse than {' + '.join(terms)}{more}"
+        return f"{self.path} worse than {self.percent:g} %{'' if self.tested else ' untested'}"
 
     @property
     def is_share(self) -> bool:
-        """Whether the number is a coverage, from 0 to 1, and not an error."""
+        """Whether the number is a coverage, from 0 to 1, which is worse if it is smaller."""
         return self.path.startswith("association.")
 
     @property
-    def larger_is_worse(self) -> bool:
-        """Whether the number is an error; a coverage is worse if it is smaller."""
-        return not self.is_share
-
-    @property
     def margin(self) -> float:
-        """The margin as a difference of logarithms, larger by the tolerance of equal numbers."""
-        if self.larger_is_worse:
-            return math.log1p(self.percent / 100.0) + _EQUAL
-        return _EQUAL - math.log1p(-self.percent / 100.0)
+        """The margin as a difference of `logarithms`, larger by the tolerance of equal numbers."""
+        share = self.percent / 100.0
+        return _EQUAL + (-math.log1p(-share) if self.is_share else math.log1p(share))
 
-    def logarithm(self, value: float) -> float:
-        """Return the logarithm of a value, with the sign for which larger is worse.
+    def logarithms(self, values: Sequence[float]) -> Floats:
+        """Return logarithms of all runs of a sequence, larger is worse; NaN for failed runs (inf).
 
-        Args:
-            value: The value; inf for a failed run, which is returned as inf.
+        Zeros count as the smallest positive value: the logarithms must be finite.
         """
-        if math.isinf(value):
-            return math.inf
-        return (1.0 if self.larger_is_worse else -1.0) * math.log(max(value, _LEAST))
+        numbers = np.array(values, dtype=np.float64)
+        positive = numbers[np.isfinite(numbers) & (numbers > 0.0)]
+        least = positive.min() if len(positive) else 1.0
+        made = np.log(np.where(np.isfinite(numbers), np.maximum(numbers, least), np.nan))
+        return -made if self.is_share else made
 
     def change(self, logarithm: float) -> float:
-        """Convert a change of `logarithm` to a relative change of the number, 0.05 for 5 %."""
-        sign = 1.0 if self.larger_is_worse else -1.0
-        exponent = sign * logarithm
+        """Convert a change of `logarithms` to a relative change of the number, 0.05 for 5 %."""
+        exponent = -logarithm if self.is_share else logarithm
         return math.expm1(exponent) if exponent < 700.0 else math.inf
+
+
+@dataclass(frozen=True)
+class GateTrials:
+    """A number of one algorithm on one sequence, trial by trial."""
+
+    values: list[float]  # inf for a failed run or a run without this number
+    copies: int = 0  # omitted trials: their poses are identical to those of another trial
+    # By trial name, copies included: a key that identical poses share, and the value.
+    runs: Mapping[str, tuple[str, float]] = field(default_factory=dict)
+
+    def paired_with(self, now: GateTrials, whose: str) -> tuple[GateTrials, GateTrials]:
+        """Return the trials of both tables, paired by trial name.
+
+        Pairs with identical poses count once. `whose` names algorithm and sequence.
+        """
+        for has, lacks, where in ((self, now, "this comparison"), (now, self, "the baseline")):
+            missing = [repr(name) for name in has.runs if name not in lacks.runs]
+            if missing:
+                raise SettingsError(
+                    f"--paired needs the same trials on both sides, and {where} has no trial "
+                    f"{', '.join(missing)} of {whose}; add these trials or remove --paired"
+                )
+        pairs = {
+            (old[0], now.runs[name][0]): (old[1], now.runs[name][1])
+            for name, old in self.runs.items()
+        }
+        copies = len(self.runs) - len(pairs)
+        before, after = ([pair[side] for pair in pairs.values()] for side in (0, 1))
+        return GateTrials(before, copies), GateTrials(after, copies)
+
+
+class GateValues:
+    """The numbers of a results table, by algorithm, sequence and trial."""
+
+    def __init__(self, rows: ResultsTable) -> None:
+        self.settings = rows.settings
+        self._table = rows
+        self._runs = rows.distinct(
+            ("algorithm", "sequence", "trial", "status", "reason", "groundtruth_sha256",
+             "estimate_sha256")
+        )  # fmt: skip
+        self._numbers = rows.distinct(("kind", "metric", "length"))
+        self._reasons = {_run(row): row["reason"] for row in self._runs if row["status"] != OK}
+        self.groundtruths = {
+            (row["algorithm"], row["sequence"]): row["groundtruth_sha256"]
+            for row in self._runs
+            if row["groundtruth_sha256"]
+        }
+
+    @property
+    def groups(self) -> list[Group]:
+        """All pairs of algorithm and sequence, including those without numbers."""
+        return list(dict.fromkeys((row["algorithm"], row["sequence"]) for row in self._runs))
+
+    @property
+    def failed(self) -> dict[Group, list[bool]]:
+        """Whether runs failed or are missing, by algorithm and sequence."""
+        found: dict[Group, dict[str, bool]] = {group: {} for group in self.groups}
+        for row in self._runs:
+            found[row["algorithm"], row["sequence"]][row["trial"]] = row["status"] != OK
+        return {group: list(runs.values()) for group, runs in found.items()}
+
+    def trials(self, path: str, baseline: GateValues) -> dict[Group, GateTrials]:
+        """Return the trials of a number by algorithm and sequence; identical runs count once."""
+        rows, column = baseline.find(path)
+        values: dict[Group, dict[str, float]] = {group: {} for group in self.groups}
+        hashes: dict[tuple[str, ...], str] = {}
+        for row in self._runs:
+            values[row["algorithm"], row["sequence"]][row["trial"]] = math.inf
+            if row["status"] == OK:
+                hashes[_run(row)] = row["estimate_sha256"]
+        names = ("algorithm", "sequence", "trial", column)
+        for row in self._table.each(names, status=OK, **rows):
+            if row[column] is not None:
+                values[row["algorithm"], row["sequence"]][row["trial"]] = row[column]
+        made = {}
+        for group, own in values.items():
+            # Failed runs have no hash; they are never copies.
+            runs = {trial: (hashes.get((*group, trial)) or trial, x) for trial, x in own.items()}
+            distinct = dict(runs.values())
+            made[group] = GateTrials(list(distinct.values()), len(own) - len(distinct), runs)
+        return made
+
+    def why_failed(self, group: Group) -> str:
+        """Return the reason of the first failed run of a group, for a message."""
+        reasons = (why for run, why in self._reasons.items() if run[:2] == group and why)
+        return next(reasons, "the value is missing")
+
+    def find(self, path: str) -> tuple[dict[str, Sequence[str | None]], str]:
+        """Return the rows that a path selects, as allowed values by column, and its column."""
+        kind, *rest = path.split(".")
+        if kind == "association":
+            (column,) = rest if len(rest) == 1 else ("",)
+            self._require(column, list(_COVERAGES), path)
+            column = _COVERAGES[column]
+            return {"kind": [ATE], "metric": ["position_m"]}, column
+        self._require(kind, [ATE, "re"], path)
+        length: str | None = None
+        if kind == "re":
+            lengths = [key for row in self._numbers if row["length"] and (key := _key(row))]
+            length, *rest = rest or [""]
+            self._require(length, [*dict.fromkeys(lengths), "pooled"], path)
+            kind, length = (POOLED, None) if length == "pooled" else (RE, length)
+        metric, column = rest if len(rest) == 2 else (rest[0] if rest else "", "")
+        own = [row for row in self._numbers if row["kind"] == kind and _key(row) == length]
+        self._require(
+            metric, list(dict.fromkeys(row["metric"] for row in own if row["metric"])), path
+        )
+        self._require(column, list(STATISTICS), path)
+        written = list(dict.fromkeys(row["length"] for row in own))
+        return {"kind": [kind], "metric": [metric], "length": written}, column
+
+    @staticmethod
+    def _require(name: str, known: list[str], path: str) -> None:
+        if name not in known:
+            near = get_close_matches(name, known, n=1)
+            others = f"use one of {', '.join(known) or 'none'}"
+            hint = f"did you mean {near[0]!r}?" if near else others
+            raise SettingsError(f"the table has no {name!r} of {path!r}; {hint}")
+
+
+def require_same_settings(
+    baseline: GateValues, now: Mapping[str, Any], gates: Sequence[Gate]
+) -> None:
+    """Refuse settings that differ from the baseline's, where the gates depend on them."""
+    pooled = any(gate.path.startswith("re.pooled") for gate in gates)
+    for name, value in now.items():
+        if name == "lengths" and not pooled:  # `GateValues.find` reports a missing length
+            continue
+        before = baseline.settings.get(name)
+        if before != value:
+            was, now_is = (
+                f"no {name}" if each is None else f"{name} {each}" for each in (before, value)
+            )
+            raise InputError(
+                f"the baseline was made with {was}, and this comparison with {now_is}; repeat "
+                "one of them with the same settings"
+            )
+
+
+def remarks_on(baseline: GateValues, now: GateValues) -> list[str]:
+    """Return remarks on other differences: a changed groundtruth."""
+    changed = dict.fromkeys(
+        sequence
+        for (algorithm, sequence), before in baseline.groundtruths.items()
+        if now.groundtruths.get((algorithm, sequence), before) != before
+    )
+    if not changed:
+        return []
+    names = ", ".join(changed)
+    return [
+        f"the groundtruth of {names} differs from the baseline, so the values are not comparable"
+    ]
+
+
+def _run(row: Row) -> tuple[str, ...]:
+    return row["algorithm"], row["sequence"], row["trial"]
+
+
+def _key(row: Row) -> str | None:
+    """Return a sub-trajectory length in the notation of paths: 8m, 8_5m."""
+    length: str | None = row["length"]
+    return None if length is None else length.replace(".", "_")

@@ -3,44 +3,139 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
-from itertools import count
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from trajeval_ros.batch.common_change import common_change, shifted
-from trajeval_ros.batch.gate import Gate
-from trajeval_ros.batch.gate_tests import (
-    FALSE_ALARMS,
-    GateOutcome,
-    compare,
-    is_enough,
+from trajeval_ros.batch.gate import Gate, GateTrials, GateValues, Group
+from trajeval_ros.batch.permutation_tests import (
+    PermutationTest,
+    Sample,
+    can_reject,
     more_failures,
+    more_trials,
 )
-from trajeval_ros.batch.gate_values import GateTrials, GateValues, Group
-from trajeval_ros.batch.gate_verdicts import (
-    ADVISED,
-    FAILED,
-    LOST,
-    NEW,
-    NO_WORSE,
-    NOT_ALONE,
-    UNDECIDED,
-    WORSE,
-    Failures,
-    GateVerdict,
-    Judgement,
-    NumberVerdict,
-    PooledVerdict,
-)
-from trajeval_ros.batch.known_spread import KnownSpread
-from trajeval_ros.batch.noticeable import noticeable, noticeable_alone, spreads_within
-from trajeval_ros.batch.relabelling import Size
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry.arrays import Floats
+
+FALSE_ALARMS = 0.025
+WORSE, NO_WORSE, UNDECIDED = "worse", "no worse", "undecided"
+NOT_ALONE, LOST, NEW, FAILED = "not judged alone", "lost", "new", "failed"
+MORE_FAILURES = "more failures"
+
+Size = tuple[int, int]
+Sides = dict[Group, tuple[GateTrials, GateTrials]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """The verdict on one number, or on all of a gate."""
+
+    verdict: str  # an identifier from above; `lost` and `new`: values in one comparison only
+    noticeable: float | None = None  # change that is detected in 80 % of comparisons
+    p: float | None = None  # adjusted for all gates and numbers; None if not tested alone
+    level: float | None = None  # significance level of p
+
+    @property
+    def fails(self) -> bool:
+        """Whether this is a regression."""
+        return self.verdict in (WORSE, LOST)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NumberVerdict(Verdict):
+    """The verdict on a number of one algorithm on one sequence."""
+
+    group: Group
+    medians: tuple[float | None, float | None]  # old and new; inf if half of the trials failed
+    trials: Size  # old and new; identical runs count once
+    reason: str = ""  # why the values are lost
+
+    @property
+    def change(self) -> float | None:
+        """The relative change of the medians; None if it can't be computed."""
+        before, now = self.medians
+        if not before or now is None or math.isinf(before + now):
+            return None
+        return (now - before) / before
+
+
+@dataclass(frozen=True, kw_only=True)
+class PooledVerdict(Verdict):
+    """The verdict on all numbers of a gate together."""
+
+    count: int  # of numbers
+    change: float  # common relative change, 0.05 for 5 %
+    bounds: tuple[float, float] | None  # of the change; None if there are too few trials
+    more_trials: int  # that the test needs per number now to decide at all
+
+
+@dataclass(frozen=True)
+class GateVerdict:
+    """The verdicts of a gate."""
+
+    gate: Gate
+    numbers: tuple[NumberVerdict, ...]
+    copies: int  # omitted trials: their poses are identical to those of another trial
+    paired: bool
+    pooled: PooledVerdict | None = None  # None for an untested gate or without numbers
+
+    @property
+    def undecided(self) -> list[NumberVerdict]:
+        """The numbers with verdict `undecided`."""
+        return [each for each in self.numbers if each.verdict == UNDECIDED]
+
+    @property
+    def verdict(self) -> str:
+        """`worse` or `lost` if a number or all together are; else `no worse` or `undecided`."""
+        words = [each.verdict for each in self.numbers]
+        together = None if self.pooled is None else self.pooled.verdict
+        if WORSE in (together, *words):
+            return WORSE
+        if LOST in words:
+            return LOST
+        is_no_worse = NO_WORSE in words if together is None else together == NO_WORSE
+        return NO_WORSE if is_no_worse else UNDECIDED
+
+
+@dataclass(frozen=True)
+class Failures:
+    """The test whether more runs fail, of groups in both comparisons."""
+
+    before: Size  # failed and all runs
+    now: Size
+    p: float
+    level: float
+
+    @property
+    def verdict(self) -> str:
+        """`more failures` or `undecided`; there is no test for "not more"."""
+        return MORE_FAILURES if self.p <= self.level else UNDECIDED
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The verdicts of all gates, and the probability of a false alarm of all together."""
+
+    gates: tuple[GateVerdict, ...]
+    failures: Failures
+    false_alarms: float
+
+    @property
+    def verdict(self) -> str:
+        """`worse`, `lost` or `more failures`; else `no worse` (all gates) or `undecided`."""
+        words = [each.verdict for each in self.gates]
+        for word in (WORSE, LOST, MORE_FAILURES):
+            if word in (*words, self.failures.verdict):
+                return word
+        return NO_WORSE if set(words) == {NO_WORSE} else UNDECIDED
+
+    @property
+    def fails(self) -> bool:
+        """Whether the verdict is a regression."""
+        return self.verdict in (WORSE, LOST, MORE_FAILURES)
 
 
 def judge(
@@ -51,25 +146,23 @@ def judge(
     *,
     paired: bool = False,
 ) -> Judgement:
-    """Apply every gate to every algorithm on every sequence.
+    """Apply every gate to every algorithm on every sequence; the tested gates share the level.
 
-    Args:
-        gates: The gates; all that are tested have the same part of the level.
-        baseline: The older table.
-        now: The newer table.
-        false_alarms: Probability that any gate reports a regression without a change.
-        paired: Whether trials of the same name have the same seed; relabellings then swap old and
-            new within pairs.
-
-    Raises:
-        SettingsError: The baseline lacks the number of a gate, a trial is not in both tables, or
-            there are too few pairs.
+    `paired`: whether trials of the same name have the same seed; relabellings then swap old and
+    new within pairs.
     """
-    share = false_alarms / max(1, sum(gate.tested for gate in gates))
-    verdicts = tuple(
-        _judge_gate(gate, baseline, now, share, paired=paired and gate.tested) for gate in gates
-    )
-    return Judgement(verdicts, _failures(baseline, now, false_alarms), false_alarms)
+    sides = [_sides(each, baseline, now, paired=paired and each.tested) for each in gates]
+    verdicts = [
+        GateVerdict(gate, *_medians(gate, each, now, paired=paired), paired and gate.tested)
+        for gate, each in zip(gates, sides, strict=True)
+    ]
+    tested = [place for place, each in enumerate(verdicts) if each.undecided]
+    if tested:
+        made = _tested([verdicts[each] for each in tested], [sides[each] for each in tested],
+                       false_alarms, paired=paired)  # fmt: skip
+        for place, verdict in zip(tested, made, strict=True):
+            verdicts[place] = verdict
+    return Judgement(tuple(verdicts), _failures(baseline, now, false_alarms), false_alarms)
 
 
 def _failures(baseline: GateValues, now: GateValues, level: float) -> Failures:
@@ -80,67 +173,98 @@ def _failures(baseline: GateValues, now: GateValues, level: float) -> Failures:
     return Failures(sums[0], sums[1], more_failures(old, new) if both else 1.0, level)
 
 
-def _judge_gate(
-    gate: Gate, baseline: GateValues, now: GateValues, level: float, *, paired: bool
-) -> GateVerdict:
-    before, after = baseline.trials(gate.path), now.trials_like(gate.path, baseline)
-    verdicts: dict[Group, NumberVerdict] = {}
-    judged: list[Group] = []
+def _sides(gate: Gate, baseline: GateValues, now: GateValues, *, paired: bool) -> Sides:
+    """Return the trials of both tables by algorithm and sequence."""
+    before, after = (each.trials(gate.path, baseline) for each in (baseline, now))
+    made: Sides = {}
     for group in dict.fromkeys([*before, *after]):
         old, new = (side.get(group, GateTrials([])) for side in (before, after))
-        reason = ""
-        if paired and group in before and group in after:
-            old, new = old.paired_with(new, ", ".join(group))
-            before[group], after[group] = old, new
-        if not np.isfinite(old.values).any():
-            verdict = NEW if np.isfinite(new.values).any() else FAILED
-        elif not np.isfinite(new.values).any():
+        both = paired and group in before and group in after
+        made[group] = old.paired_with(new, ", ".join(group)) if both else (old, new)
+    return made
+
+
+def _medians(
+    gate: Gate, sides: Sides, now: GateValues, *, paired: bool
+) -> tuple[tuple[NumberVerdict, ...], int]:
+    """Return verdicts without a test, `undecided` if one follows, and the number of copies."""
+    numbers, copies = [], 0
+    for group, (old, new) in sides.items():
+        has_old, has_new = (np.isfinite(each.values).any() for each in (old, new))
+        verdict, reason = UNDECIDED, ""
+        if not has_old:
+            verdict = NEW if has_new else FAILED
+        elif not has_new:
             verdict = LOST
             reason = now.why_failed(group) if new.values else "not in this comparison"
-        else:
-            verdict = UNDECIDED
-            judged.append(group)
-        medians = (_median(old.values), _median(new.values))
-        trials = (len(old.values), len(new.values))
-        verdicts[group] = NumberVerdict(*group, *medians, trials, None, verdict, reason)
-    copies = sum(side[group].copies for side in (before, after) for group in judged)
-    if not gate.tested:
-        for group in judged:
-            beyond = _is_beyond(gate, before[group].values, after[group].values)
-            verdicts[group] = replace(verdicts[group], verdict=WORSE if beyond else NO_WORSE)
-        return GateVerdict(gate, None, tuple(verdicts.values()), copies)
-    if not judged:
-        return GateVerdict(gate, None, tuple(verdicts.values()), copies)
-    sides = [(before[group].values, after[group].values) for group in judged]
-    logarithms = [np.array([[*map(gate.logarithm, [*old, *new])]]) for old, new in sides]
-    sizes = [(len(old), len(new)) for old, new in sides]
-    if paired:
-        _require_enough(gate, sum(old for old, _ in sizes), level)
-    tested = _Tested(gate, logarithms, sizes, level, paired=paired)
-    for place, group in enumerate(judged):
-        verdict, reason = tested.verdict_of(place), ""
-        asks_for_more = gate.deviations > 0.0 and len(judged) > 1
-        if verdict == WORSE and asks_for_more and not _is_beyond(gate, *sides[place]):
-            verdict, reason = UNDECIDED, f"within {gate.deviations:g} MAD"
-        alone = _finite(gate, tested.alone[place])
-        p, level_alone = tested.p_and_level_of(place)
-        verdicts[group] = replace(
-            verdicts[group],
-            verdict=verdict,
-            reason=reason,
-            noticeable=alone,
-            p=p,
-            level=level_alone,
+        elif not gate.tested:
+            verdict = WORSE if _is_beyond(gate, old, new) else NO_WORSE
+        elif paired and not np.isfinite(np.add(old.values, new.values)).any():
+            verdict = NOT_ALONE
+        copies += old.copies + new.copies if has_old and has_new else 0
+        trials = len(old.values), len(new.values)
+        numbers.append(NumberVerdict(group=group, medians=(_median(old), _median(new)),
+                                     trials=trials, verdict=verdict, reason=reason))  # fmt: skip
+    return tuple(numbers), copies
+
+
+def _tested(
+    verdicts: Sequence[GateVerdict], sides: Sequence[Sides], level: float, *, paired: bool
+) -> Iterator[GateVerdict]:
+    """Yield the verdicts of gates that share a level."""
+    groups = list(dict.fromkeys(each.group for every in verdicts for each in every.undecided))
+    samples = []
+    for group in groups:
+        both = [own[group] for own in sides]
+        z = [each.gate.logarithms([*old.values, *new.values])
+             for each, (old, new) in zip(verdicts, both, strict=True)]  # fmt: skip
+        old, new = np.split(np.column_stack(z), [len(both[0][0].values)])
+        samples.append(Sample(old, new, paired=paired))
+    for verdict in verdicts if paired else []:
+        pairs = sum(each.trials[0] for each in verdict.undecided)
+        _require_enough(verdict.gate, pairs, level)
+    test = PermutationTest(samples, np.array([each.gate.margin for each in verdicts]), level)
+    common, alone = test.detectable()
+    for k, verdict in enumerate(verdicts):
+        gate, sizes = verdict.gate, [each.trials for each in verdict.undecided]
+        together = _found(gate, common[k], [(side.together[k], side.level_together)
+                                            for side in (test.worse, test.better)])  # fmt: skip
+        low, high = sorted(gate.change(each) for each in (test.low[k], test.high[k]))
+        pooled = PooledVerdict(
+            count=len(sizes),
+            change=gate.change(test.change[k]),
+            bounds=(low, high) if low > -1.0 and math.isfinite(high) else None,
+            more_trials=0 if paired else more_trials(sizes, level),
+            **together,
         )
-    return GateVerdict(
-        gate, tested.pooled, tuple(verdicts.values()), copies, paired, tested.advised()
-    )
+        numbers = {each.group: each for each in verdict.numbers}
+        for number in verdict.undecided:
+            place, found = groups.index(number.group), together
+            if len(sizes) > 1 and not test.asks[place]:
+                found = {"verdict": NOT_ALONE}
+            elif len(sizes) > 1:
+                tests = [(side.alone[place, k], side.level_alone)
+                         for side in (test.worse, test.better)]  # fmt: skip
+                found = _found(gate, alone[place, k], tests)
+            numbers[number.group] = replace(number, **found)
+        yield replace(verdict, numbers=tuple(numbers.values()), pooled=pooled)
+
+
+def _found(gate: Gate, noticeable: float, tests: Sequence[tuple[float, float]]) -> dict[str, Any]:
+    """Return the attributes of a `Verdict`, from p-values and levels for worse and for better."""
+    worse, better = (p <= level for p, level in tests)
+    return {
+        "verdict": WORSE if worse else NO_WORSE if better else UNDECIDED,
+        "noticeable": abs(gate.change(noticeable)) if math.isfinite(noticeable) else None,
+        "p": float(tests[0][0]),
+        "level": tests[0][1],
+    }
 
 
 def _require_enough(gate: Gate, pairs: int, level: float) -> None:
-    if is_enough(pairs, level):
+    if can_reject(2**pairs, level):
         return
-    needed = next(each for each in count() if is_enough(each, level))
+    needed = math.ceil(-math.log2(level))
     raise SettingsError(
         f"--paired: the gate '{gate}' has {counted(pairs, 'pair')} of trials, too few for its "
         f"level of {100 * level:g} % (the smallest p-value is 2^-{pairs}); use "
@@ -148,111 +272,19 @@ def _require_enough(gate: Gate, pairs: int, level: float) -> None:
     )
 
 
-class _Tested:
-    """The tests of a gate, of the numbers that both comparisons have."""
-
-    def __init__(
-        self,
-        gate: Gate,
-        numbers: Sequence[Floats],
-        sizes: Sequence[Size],
-        level: float,
-        *,
-        paired: bool,
-    ) -> None:
-        self._paired = paired
-        self._gate, self._numbers, self._sizes, self._level = gate, numbers, sizes, level
-        moved = shifted(numbers, sizes, gate.margin)
-        self._worse: GateOutcome
-        self._better: GateOutcome
-        if gate.spread_percent is None:
-            self._worse = compare(moved, sizes, total=level, paired=paired)
-            self._better = compare(moved, sizes, direction=-1.0, total=level, paired=paired)
-            change = common_change(numbers, sizes, level, paired=paired)
-            together, self.alone = math.inf, np.full(len(sizes), np.inf)
-            if not paired:
-                spreads = spreads_within(numbers, sizes)
-                together = float(noticeable(spreads, sizes, gate.margin, level)[0])
-                self.alone = noticeable_alone(spreads, sizes, gate.margin, level)[0]
-        else:
-            known = KnownSpread(gate.spread_percent / 100.0, sizes, level)
-            self._worse, self._better = known.compare(moved), known.compare(moved, -1.0)
-            change = known.common_change(numbers)
-            together, self.alone = known.noticeable(gate.margin)
-        self.pooled = PooledVerdict(
-            count=len(sizes),
-            verdict=_word(self._worse.pooled[0], self._better.pooled[0]),
-            change=gate.change(change[0]),
-            bounds=_bounds(gate, *change[1:]),
-            noticeable=_finite(gate, together),
-            p=float(self._worse.p_pooled[0]),
-            level=self._worse.levels.pooled,
-        )
-
-    def p_and_level_of(self, place: int) -> tuple[float, float] | tuple[None, None]:
-        """Return the p-value of a single number and its level; None if it is not tested."""
-        if len(self._sizes) == 1:
-            return self.pooled.p, self.pooled.level
-        if not self._worse.levels.numbers:
-            return None, None
-        return float(self._worse.p_numbers[0, place]), float(self._worse.level_of_numbers[0])
-
-    def verdict_of(self, place: int) -> str:
-        """Return the verdict of a single number."""
-        if len(self._sizes) == 1:
-            return self.pooled.verdict
-        word = _word(self._worse.numbers[0, place], self._better.numbers[0, place])
-        if self._paired:
-            levels = self._worse.levels
-            is_judged = is_enough(self._sizes[place][0], levels.numbers)
-        else:
-            is_judged = bool(np.isfinite(self.alone[place]))
-        return NOT_ALONE if word == UNDECIDED and not is_judged else word
-
-    def advised(self) -> tuple[float, float, float] | None:
-        """Return `GateVerdict.advised`."""
-        if self._paired or np.isfinite(self.alone).any() or len(self._sizes) == 1:
-            return None
-        margin, sizes = self._gate.margin, [ADVISED] * len(self._sizes)
-        spreads = spreads_within(self._numbers, self._sizes)
-        together = noticeable(spreads, sizes, margin, self._level)
-        alone = noticeable_alone(spreads, sizes, margin, self._level)[0]
-        if np.isinf(alone).any():
-            return None
-        three = (float(together[0]), float(alone.min()), float(alone.max()))
-        first, second, third = (abs(self._gate.change(each)) for each in three)
-        return first, second, third
-
-
-def _word(is_worse: Any, is_better: Any) -> str:
-    return WORSE if is_worse else NO_WORSE if is_better else UNDECIDED
-
-
-def _finite(gate: Gate, logarithm: float) -> float | None:
-    return abs(gate.change(logarithm)) if np.isfinite(logarithm) else None
-
-
-def _bounds(gate: Gate, low: float, high: float) -> tuple[float, float] | None:
-    """Return the bounds of a logarithm as relative changes; None if one is infinite."""
-    least, most = sorted(map(gate.change, (low, high)))
-    return (least, most) if least > -1.0 and np.isfinite(most) else None
-
-
-def _median(values: Sequence[float]) -> float | None:
+def _median(trials: GateTrials) -> float | None:
     """Return the median, with failed trials as inf; None without trials."""
-    if not values:
-        return None
-    ordered = sorted(values)
-    return 0.5 * (ordered[(len(values) - 1) // 2] + ordered[len(values) // 2])
+    ordered = sorted(trials.values)
+    middle = len(ordered) // 2
+    return 0.5 * (ordered[-middle - 1] + ordered[middle]) if ordered else None
 
 
-def _is_beyond(gate: Gate, before: Sequence[float], now: Sequence[float]) -> bool:
-    """Return whether the new median exceeds margin and median absolute deviations."""
-    finite = np.array([each for each in before if np.isfinite(each)])
-    middle, after = float(np.median(finite)), _median(now)
-    if after is None or np.isinf(after):
+def _is_beyond(gate: Gate, before: GateTrials, now: GateTrials) -> bool:
+    """Return whether the new median is worse than the old one of finite values by the margin."""
+    old = _median(GateTrials([each for each in before.values if math.isfinite(each)]))
+    new = _median(now)
+    if old is None or new is None or math.isinf(new):
         return True
-    deviation = gate.deviations * float(np.median(np.abs(finite - middle)))
-    if gate.larger_is_worse:
-        return after > middle * float(np.exp(gate.margin)) + deviation
-    return after < middle * float(np.exp(-gate.margin)) - deviation
+    if gate.is_share:
+        return new < old * math.exp(-gate.margin)
+    return new > old * math.exp(gate.margin)

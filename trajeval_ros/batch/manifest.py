@@ -12,12 +12,11 @@ from typing import Any
 
 from trajeval_ros.batch.patterns import is_url, split_topic
 from trajeval_ros.batch.plan import PlannedRun, natural
-from trajeval_ros.batch.pyarrow_package import load_pyarrow
-from trajeval_ros.batch.remote_files import open_store, require_readable_scheme
-from trajeval_ros.batch.remote_hosts import require_allowed
+from trajeval_ros.batch.remote_files import open_store, require_allowed, require_readable_scheme
+from trajeval_ros.batch.results_table import load_pyarrow
 from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.io.urls import require_no_password
+from trajeval_ros.io.sources import require_no_password
 from trajeval_ros.io.yaml_file import require_known
 
 _CSV, _PARQUET = ".csv", ".parquet"
@@ -37,16 +36,9 @@ def is_manifest(target: str) -> bool:
 def runs_in_manifest(target: str, hosts: Collection[str]) -> tuple[PlannedRun, ...]:
     """Return the runs that a manifest lists.
 
-    The list is complete: other trials are not expected. An algorithm without any run of a
-    sequence that another algorithm has is missing there.
-
-    Args:
-        target: Path or URL of the manifest. Relative paths in it start at its folder.
-        hosts: Hosts that its URLs may name, as `parse_hosts` returns them.
-
-    Raises:
-        InputError: It can't be read, lists no run or a run twice, lacks a column or a value, or
-            names a URL that is not allowed or not supported.
+    The list is complete: other trials are not expected. An algorithm without any run of a sequence
+    that another algorithm has is missing there. `target`: path or URL of the manifest. Relative
+    paths in it start at its folder.
     """
     groups: dict[tuple[str, str], dict[str, PlannedRun]] = defaultdict(dict)
     for place, row in _rows(target):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from trajeval_ros.batch.remote_files import open_store
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.io.urls import require_no_password
+from trajeval_ros.io.sources import require_no_password
 
 SEQUENCE, TRIAL = "sequence", "trial"
 _PLACEHOLDER = re.compile(r"\{(\w*)\}")
@@ -32,26 +32,15 @@ def is_url(path: str) -> bool:
 
 @dataclass(frozen=True)
 class Pattern:
-    """A SOURCE with `{sequence}`, `{trial}` and `*` in it.
+    """A SOURCE with `{sequence}`, `{trial}` and `*` in it."""
 
-    Attributes:
-        text: As the user wrote it.
-        path: Its path or URL.
-        topic: Its topic with the colon, "" if there is none.
-    """
-
-    text: str
-    path: str
-    topic: str
+    text: str  # as the user wrote it
+    path: str  # its path or URL
+    topic: str  # its topic with the colon, "" if there is none
 
     @classmethod
     def parse(cls, text: str) -> Pattern:
-        """Parse a pattern.
-
-        Raises:
-            SettingsError: It has an unknown placeholder, or lacks `{sequence}`.
-            InputError: It is a URL with a password.
-        """
+        """Parse a pattern."""
         if is_url(text):
             require_no_password(text)
         for name in _PLACEHOLDER.findall(text):
@@ -79,11 +68,7 @@ class Pattern:
     def find(self, folder: Path) -> dict[tuple[str, str], str]:
         """Return the SOURCE of every sequence and trial ("" without trials).
 
-        Args:
-            folder: Start of relative paths.
-
-        Raises:
-            InputError: Two files have the same sequence and trial.
+        `folder`: start of relative paths.
         """
         found: dict[tuple[str, str], str] = {}
         for match, path in _existing(folder, self.path):
@@ -99,11 +84,7 @@ class Pattern:
         return found
 
     def require(self, found: dict[tuple[str, str], str], folder: Path) -> None:
-        """Check that a pattern matches a file.
-
-        Raises:
-            InputError: It matches none.
-        """
+        """Check that a pattern matches a file."""
         if not found:
             raise InputError(
                 f"no file matches the pattern {self.text!r}{_how_far(folder, self.path)}"

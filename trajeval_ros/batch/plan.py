@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from trajeval_ros.calibration.calibration_request import CalibrationRequest
-from trajeval_ros.geometry.time_span import TimeSpan
-from trajeval_ros.io.text.hints import NO_HINTS, TextHints
+from trajeval_ros.geometry.trajectory_edits import TimeSpan
+from trajeval_ros.io.requests.settings_table import settings_of
+from trajeval_ros.io.text.layouts import NO_HINTS, TextHints
 from trajeval_ros.pipeline.request import Request
 
 Name = tuple[str, str, str]
@@ -18,27 +18,17 @@ Name = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One run of an algorithm, which may be missing.
+    """One run of an algorithm, which may be missing."""
 
-    Attributes:
-        algorithm: Name of the estimator.
-        sequence: Name of the recording.
-        trial: Name of the repetition; "" if there is only one.
-        groundtruth: SOURCE of the groundtruth.
-        estimate: SOURCE of the estimate.
-        missing: Why it has no files; "" if it has.
-        time_span: The time span to evaluate, by a file of its folder; None for all.
-        hints: Columns and frame rate of the estimate's text file.
-    """
-
-    algorithm: str
-    sequence: str
-    trial: str
-    groundtruth: str = ""
-    estimate: str = ""
-    missing: str = ""
+    algorithm: str  # name of the estimator
+    sequence: str  # name of the recording
+    trial: str  # name of the repetition; "" if there is only one
+    groundtruth: str = ""  # SOURCE of the groundtruth
+    estimate: str = ""  # SOURCE of the estimate
+    missing: str = ""  # why it has no files; "" if it has
+    # The time span to evaluate, by a file of its folder; None for all.
     time_span: TimeSpan | None = None
-    hints: TextHints = NO_HINTS
+    hints: TextHints = NO_HINTS  # columns and frame rate of the estimate's text file
 
     @property
     def name(self) -> str:
@@ -48,18 +38,13 @@ class PlannedRun:
 
 @dataclass(frozen=True)
 class Plan:
-    """A comparison before its evaluation.
+    """A comparison before its evaluation."""
 
-    Attributes:
-        title: Title of the report.
-        runs: All runs by algorithm, sequence and trial, including missing ones.
-        request: The evaluation of every run.
-        common_time_span: Whether to evaluate only the time that all runs of a sequence cover.
-    """
-
-    title: str
+    title: str  # title of the report
+    # All runs by algorithm, sequence and trial, including missing ones.
     runs: tuple[PlannedRun, ...]
-    request: Request
+    request: Request  # the evaluation of every run
+    # Whether to evaluate only the time that all runs of a sequence cover.
     common_time_span: bool = False
 
     def request_of(self, run: PlannedRun) -> Request:
@@ -70,48 +55,8 @@ class Plan:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """All settings that the numbers depend on."""
-        request, protocol = self.request, self.request.protocol
-        rule, selection = protocol.association, protocol.selection
-        continuous = rule.method == "continuous"
-        return {
-            "protocol": protocol.name,
-            "gauge": protocol.gauge.value,
-            "modality": protocol.modality,
-            "align_states": "all" if protocol.align_states is None else protocol.align_states,
-            "align_with": protocol.align_with,
-            "apply": protocol.apply,
-            "align_weights": protocol.align_weights,
-            "association": rule.method,
-            "max_time_difference": rule.max_time_difference_s,
-            "max_gap": rule.max_gap_s,
-            "time_offset": rule.time_offset_s,
-            "continuous_model": rule.model if continuous else None,
-            "groundtruth_noise": dataclasses.asdict(rule.noise) if continuous else None,
-            "in_order": protocol.in_order,
-            "ate_form": protocol.ate_form,
-            "re_form": protocol.re_form,
-            "lengths": [str(length) for length in protocol.lengths],
-            "selection": str(selection),
-            "lever_m": None if protocol.lever_m is None else list(protocol.lever_m),
-            "calibrate_time_offset": request.calibration.offset,
-            "hand_eye": _hand_eye(request.calibration),
-            "covariance": request.covariances.source,
-            "rotation_covariance_frame": request.covariances.rotation_frame,
-            "covariance_groundtruth_noise": request.covariances.groundtruth_noise,
-            "integrity": None
-            if request.integrity is None
-            else dataclasses.asdict(request.integrity),
-            "mends": dataclasses.asdict(request.mends) if request.mends.anything else None,
-            "common_time_span": self.common_time_span,
-        }
-
-
-def _hand_eye(calibration: CalibrationRequest) -> str | list[float]:
-    known = calibration.known
-    if known is not None:
-        return [*known.rotation_xyzw.tolist(), *known.lever_m.tolist()]
-    return "auto" if calibration.hand_eye else "none"
+        """All settings that the numbers depend on, by name."""
+        return {**settings_of(self.request), "common_time_span": self.common_time_span}
 
 
 def all_runs(

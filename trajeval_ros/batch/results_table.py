@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from trajeval_ros import __version__
-from trajeval_ros.batch.pyarrow_package import load_pyarrow
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.schema import require_schema
+from trajeval_ros.formatting.install_command import extra_command, pyarrow_command
+from trajeval_ros.io.json_file import require_schema
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.columns import arrow_array
 
@@ -28,7 +28,6 @@ CALIBRATION, CONSISTENCY, LIKELIHOOD = "calibration", "consistency", "likelihood
 INTEGRITY = "integrity"
 STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
 _ROWS_AT_ONCE = 5000
-
 _TEXTS = ("algorithm", "sequence", "trial", "status", "reason", "kind", "metric", "length")
 _COLUMNS = {
     **dict.fromkeys(_TEXTS, "string"),
@@ -48,23 +47,19 @@ _COLUMNS = {
     "diagnosis": "string",
     **dict.fromkeys(("gauge", "protocol", "settings", "version"), "string"),
 }
+POOLED_SCHEMA = "trajeval-pooled/1"
+QUANTILES = {"p5": 0.05, "p25": 0.25, "p75": 0.75}
+_POOLED_COLUMNS = {
+    **dict.fromkeys(("algorithm", "sequence", "kind", "metric", "length"), "string"),
+    **dict.fromkeys(("length_m", *STATISTICS, *QUANTILES), "float64"),
+    **dict.fromkeys(("count", "trials", "evaluated"), "int64"),
+}
 
 
 def write_table(
     path: Path, rows: Iterable[dict[str, Any]], title: str, settings: dict[str, Any], state: str
 ) -> None:
-    """Write rows in groups; memory does not grow with their number.
-
-    Args:
-        path: The file; it is written completely or not at all.
-        rows: Rows of runs, from `rows_of_run` and `row_of_failure`.
-        title: Title of the comparison.
-        settings: Settings that its numbers depend on, as in `Plan.settings`.
-        state: Hash of the inputs of the table.
-
-    Raises:
-        InputError: It can't be written, or pyarrow is not installed.
-    """
+    """Write rows in groups; memory does not grow with their number."""
     arrow, parquet = load_pyarrow()
     schema = schema_of(_COLUMNS, SCHEMA, title, settings, state)
     constant = {
@@ -110,20 +105,9 @@ def state_of(path: Path) -> str:
 
 
 class ResultsTable:
-    """A written table, of which requested columns are read.
-
-    Attributes:
-        path: Its file.
-        title: Title of the comparison.
-        settings: Settings that its numbers depend on.
-    """
+    """A written table, of which requested columns are read."""
 
     def __init__(self, path: Path) -> None:
-        """Open a table.
-
-        Raises:
-            InputError: It can't be read, or is not a table of a comparison.
-        """
         self._arrow, parquet = load_pyarrow()
         from pyarrow import compute
 
@@ -139,24 +123,24 @@ class ResultsTable:
         self._schema = self._file.schema_arrow
         metadata = self._schema.metadata or {}
         found = metadata.get(b"trajeval.schema", b"").decode(errors="replace")
-        what, mend = "table of trajeval compare", "give the runs.parquet of another output folder"
-        require_schema(path, found, SCHEMA, what, mend)
+        what, advice = (
+            "table of trajeval compare",
+            "give the runs.parquet of another output folder",
+        )
+        require_schema(path, found, SCHEMA, what, advice)
         settings: Any = None
         with contextlib.suppress(ValueError):
             settings = json.loads(metadata.get(b"trajeval.settings", b""))
         if not isinstance(settings, dict):
             raise self._damaged()
+        # Title of the comparison.
         self.title = metadata.get(b"trajeval.title", b"").decode(errors="replace")
-        self.settings: dict[str, Any] = settings
+        self.settings: dict[str, Any] = settings  # settings that its numbers depend on
 
     def select(
         self, columns: Iterable[str], **allowed: str | Sequence[str | None]
     ) -> list[dict[str, Any]]:
-        """Return columns of the rows in which other columns have allowed values.
-
-        Raises:
-            InputError: The table lacks a column, or can't be read.
-        """
+        """Return columns of the rows in which other columns have allowed values."""
         return list(self.each(columns, **allowed))
 
     def each(
@@ -181,11 +165,7 @@ class ResultsTable:
         return self._compute.or_(found, column.is_null()) if None in values else found
 
     def distinct(self, columns: Iterable[str]) -> list[dict[str, Any]]:
-        """Return the distinct values of some columns, in order of first occurrence.
-
-        Raises:
-            InputError: The table lacks a column, or can't be read.
-        """
+        """Return the distinct values of some columns, in order of first occurrence."""
         names = list(columns)
         found: dict[tuple[Any, ...], None] = {}
         for rows in self._groups(names):
@@ -220,3 +200,37 @@ class ResultsTable:
         return InputError(
             f"{self.path} is not a complete Parquet file; create it again with trajeval compare"
         )
+
+
+def load_pyarrow() -> tuple[Any, Any]:
+    """Return pyarrow and its Parquet part."""
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"trajeval compare needs pyarrow; install it: {extra_command('compare')}"
+        ) from error
+    except ImportError as error:
+        raise InputError(
+            f"pyarrow is installed but can't be used ({error}): {pyarrow_command()}"
+        ) from error
+    return pyarrow, parquet
+
+
+def write_pooled(
+    path: Path, rows: list[dict[str, Any]], title: str, settings: dict[str, Any], state: str
+) -> None:
+    """Write the statistics over trials as Parquet, with the hash of their inputs."""
+    arrow, parquet = load_pyarrow()
+    schema = schema_of(_POOLED_COLUMNS, POOLED_SCHEMA, title, settings, state)
+    table = arrow.Table.from_pylist(rows, schema=schema)
+    write_whole(path, lambda temporary: parquet.write_table(table, temporary))
+
+
+def read_pooled(path: Path) -> list[dict[str, Any]]:
+    """Return the rows that `write_pooled` wrote."""
+    _, parquet = load_pyarrow()
+    with parquet.ParquetFile(path) as file:  # `read_table` imports pandas, if installed
+        rows: list[dict[str, Any]] = file.read(use_threads=False).to_pylist()
+    return rows

@@ -10,23 +10,27 @@ from typing import Any
 
 from trajeval_ros.batch.comparison_summary import ComparisonSummary, Trial
 from trajeval_ros.batch.results_table import OK, RE
-from trajeval_ros.continuous_time.models import DEFAULT_MODEL
 from trajeval_ros.diagnosis.warnings import LOW_COVERAGE
-from trajeval_ros.formatting.numbers import three_decimals, whole_percent
+from trajeval_ros.formatting.numbers import counted, three_decimals, whole_percent
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.metrics.association import AssociationRule
-from trajeval_ros.metrics.enough_pairs import enough_pairs
-from trajeval_ros.metrics.sub_trajectory_length import Length
-from trajeval_ros.report.definitions import METHOD_TEXTS, RE_FORM_TEXTS
-from trajeval_ros.report.matrix import Cell, Matrix
-from trajeval_ros.report.metric_labels import ABSOLUTE_LABELS, RELATIVE_LABELS
+from trajeval_ros.metrics.sub_trajectories import Length
+from trajeval_ros.report.definitions import (
+    ABSOLUTE_LABELS,
+    METHOD_TEXTS,
+    RE_FORM_TEXTS,
+    RELATIVE_LABELS,
+)
+from trajeval_ros.report.matrix import UNRANKED, Cell, Matrix
 
 _PARTIAL, _FEW, _DIAGNOSED = "†", "‡", "§"
+_COPY = "is the groundtruth"
 _NO_MISTAKES = {"few_pairs", "keyframes"}  # findings with a separate mark, or without one
 _COMPARABLE = (
     f"Only algorithms with at least {whole_percent(LOW_COVERAGE)} of the largest coverage are "
-    "ranked."
+    "ranked. A number that is worse than an unranked one is not marked as the best."
 )
+_MOST_NAMED = 3  # unranked algorithms that a caption names
 
 
 def definition(settings: dict[str, Any]) -> str:
@@ -34,14 +38,13 @@ def definition(settings: dict[str, Any]) -> str:
     modality = f" for {settings['modality']}" if settings["modality"] else ""
     states = settings["align_states"]
     how = {"all": "all states", 1: "the first state"}.get(states, f"the first {states} states")
-    # Tables of older versions lack it.
-    how += " and their orientations" if settings.get("align_with") == "poses" else ""
+    how += " and their orientations" if settings["align_with"] == "poses" else ""
     span = ", common time span of all runs of a sequence" if settings["common_time_span"] else ""
     rule = AssociationRule(
         settings["association"],
         settings["max_time_difference"],
         settings["max_gap"],
-        model=settings["continuous_model"] or DEFAULT_MODEL,
+        model=settings["continuous_model"],
     )
     return (
         f"Protocol {settings['protocol']}, aligned by {settings['gauge']} "
@@ -52,7 +55,7 @@ def definition(settings: dict[str, Any]) -> str:
 
 def _calibration(settings: dict[str, Any]) -> str:
     """Return a sentence with the calibration that was applied."""
-    asked = ["clock offset"] if settings["calibrate_time_offset"] else []
+    asked = ["clock offset"] if settings["time_offset"] == "auto" else []
     asked += ["body"] if settings["hand_eye"] == "auto" else []
     text = ""
     if asked:
@@ -138,7 +141,7 @@ def _values(summary: ComparisonSummary, metric: str) -> Matrix | None:
 def _absolute(summary: ComparisonSummary, metric: str) -> Matrix | None:
     states = summary.settings["align_states"]
     gauge = Gauge(summary.settings["gauge"])
-    enough = enough_pairs(gauge, None if states == "all" else states)
+    enough = gauge.enough_pairs(None if states == "all" else states)
     comparable = {each: _comparable_coverage(summary, each) for each in summary.sequences}
     rows = [
         (
@@ -163,14 +166,12 @@ def _absolute(summary: ComparisonSummary, metric: str) -> Matrix | None:
         least = whole_percent(LOW_COVERAGE)
         caption += f" {_PARTIAL} coverage below {least} of the groundtruth."
     if _FEW in notes:
-        caption += f" {_FEW} fewer than {enough} pairs, too few for an ATE, not ranked."
+        caption += f" {_FEW} fewer than {enough} pairs, too few for an ATE."
     if _DIAGNOSED in notes:
         caption += (
             f" {_DIAGNOSED} mistakes found ({_named_mistakes(summary)}); follow the warnings of "
             "the runs."
         )
-        if any(each.is_copy for each in summary.trials):
-            caption += " An estimate that is the groundtruth is not ranked."
     title = f"ATE, {ABSOLUTE_LABELS[metric]}"
     brief = _brief(
         summary, f"{title}, RMSE{', median of trials' if several else ''}", notes, enough
@@ -214,10 +215,7 @@ def _named_mistakes(summary: ComparisonSummary) -> str:
     for trial in summary.trials:
         for cause in _mistakes(trial):
             runs[cause].append(trial.name)
-    return "; ".join(
-        f"{cause}: {names[0]}" + (f" and {len(names) - 1} more" if len(names) > 1 else "")
-        for cause, names in sorted(runs.items())
-    )
+    return "; ".join(f"{cause}: {and_more(names)}" for cause, names in sorted(runs.items()))
 
 
 def _cell(trials: Sequence[Trial], metric: str, enough: int, comparable: float) -> Cell:
@@ -239,14 +237,23 @@ def _cell(trials: Sequence[Trial], metric: str, enough: int, comparable: float) 
         notes.append(f"{len(known)}/{len(trials)}")
     if evaluated and _coverage(trials) < LOW_COVERAGE:
         notes.append(_PARTIAL)
-    has_few = any(trial.pairs < enough for trial in evaluated)
-    if has_few:
+    fewest = min((trial.pairs for trial in evaluated), default=enough)
+    if fewest < enough:
         notes.append(_FEW)
     if any(map(_mistakes, evaluated)):
         notes.append(_DIAGNOSED)
-    is_copy = any(trial.is_copy for trial in evaluated)
-    is_ranked = not has_few and not is_copy and _coverage(trials) >= comparable
-    return Cell(value, " ".join(notes), is_ranked, spread)
+    why = f"{counted(fewest, 'pair')}" if fewest < enough else ""
+    if any(trial.is_copy for trial in evaluated):
+        why = _COPY
+    competes = not why
+    if competes and _coverage(trials) < comparable:
+        why = _covers(trials)
+    return Cell(value, " ".join(notes), not why, why, competes, spread)
+
+
+def _covers(trials: Sequence[Trial]) -> str:
+    """Return why runs with a low coverage are not ranked."""
+    return f"covers {whole_percent(_coverage(trials))}"
 
 
 def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
@@ -256,23 +263,23 @@ def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
         if (row["kind"], row["metric"]) == (RE, metric):
             pooled[row["algorithm"], row["length"]].append((row["mean"], row["count"]))
     rows = []
-    some_lost = False
     comparable = _comparable_coverage(summary, None)
     for algorithm in summary.algorithms:
         trials = summary.of(algorithm)
         evaluated = sum(trial.status == OK for trial in trials)
         # Omitting failed runs favours an algorithm.
         is_whole = evaluated == len(trials)
-        some_lost |= not is_whole
         note = "" if is_whole else f"{evaluated}/{len(trials)}"
         cells = []
         for length in lengths:
             means = pooled[algorithm, length]
             count = sum(each for _, each in means)
             mean = sum(value * each for value, each in means) / count if count else None
+            why = "" if _coverage(trials) >= comparable else _covers(trials)
+            why = why if is_whole else f"{evaluated} of {counted(len(trials), 'run')}"
             is_copy = any(trial.is_copy for trial in trials)
-            is_ranked = is_whole and not is_copy and _coverage(trials) >= comparable
-            cells.append(Cell(mean, note if count else "", is_ranked))
+            why = _COPY if is_copy else why
+            cells.append(Cell(mean, note if count else "", not why, why, not is_copy))
         rows.append((algorithm, tuple(cells)))
     if all(cell.value is None for _, cells in rows for cell in cells):
         return None
@@ -281,12 +288,32 @@ def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
         f"{RE_FORM_TEXTS[summary.settings['re_form']]}. {definition(summary.settings)} "
         f"{_COMPARABLE}"
     )
-    if some_lost:
-        caption += " Algorithms with failed runs are not ranked."
     title = f"Relative error, {RELATIVE_LABELS[metric]}, by length"
     brief = _brief(summary, f"{title}, mean over all sub-trajectories")
     names = [Length.parse(length).text for length in lengths]
     return _matrix(summary, f"re_{metric}", title, caption, rows, names, brief)
+
+
+def _unranked(rows: Sequence[tuple[str, Sequence[Cell]]], headings: Sequence[str]) -> str:
+    """Return a sentence with the numbers that are not ranked, and why; "" if all are."""
+    found: dict[tuple[str, str], list[str]] = defaultdict(list)
+    for name, cells in rows:
+        for cell, heading in zip(cells, headings, strict=True):
+            if cell.why_unranked and cell.value is not None:
+                found[name, cell.why_unranked].append(heading)
+    if not found:
+        return ""
+    named = [
+        name + (f" on {and_more(where)}" if len(where) < len(headings) else "") + f" ({why})"
+        for (name, why), where in found.items()
+    ]
+    return f" {UNRANKED} not ranked: {and_more(named, _MOST_NAMED)}."
+
+
+def and_more(names: Sequence[str], most: int = 1) -> str:
+    """Return the first names, and the number of the others: "MH_01 and 3 more"."""
+    rest = len(names) - most
+    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def _matrix(
@@ -306,6 +333,9 @@ def _matrix(
         runs.append(f"{sum(trial.status == OK for trial in trials)}/{len(trials)}")
         coverage.append(sum(trial.coverage for trial in trials) / len(trials))
     headings = tuple(summary.sequences if columns is None else columns)
+    unranked = _unranked(rows, headings)
+    caption += unranked
+    brief += unranked
     return Matrix(
         name,
         title,

@@ -16,31 +16,27 @@ from trajeval_ros.batch.source_hash import hash_of_numbers
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.fetched_bytes import counting_fetched_bytes
+from trajeval_ros.io.bags.byte_source import counting_fetched_bytes
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.io.text.hints import TextHints
+from trajeval_ros.io.text.layouts import TextHints
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.pipeline.pipeline import run as run_pipeline
 from trajeval_ros.pipeline.request import Request
-from trajeval_ros.report.line_thinning import thinned
+from trajeval_ros.report.line_thinning import simplified, thinned
 
-_POINTS = 900  # of a line in a report
+_POINTS = 900  # of errors over time in a report
+# A path keeps a tenth of a pixel of the widest figure, which is 650 pixels wide on a page.
+_RESOLUTION = 1.0 / 6500.0
 
 
 @dataclass(frozen=True)
 class Task:
-    """A run to evaluate.
-
-    Attributes:
-        run: The run.
-        request: The evaluation.
-        inputs: Fingerprints of groundtruth and estimate.
-    """
+    """A run to evaluate."""
 
     run: PlannedRun
     request: Request
-    inputs: tuple[str, str]
+    inputs: tuple[str, str]  # fingerprints of groundtruth and estimate
 
     @functools.cached_property
     def key(self) -> str:
@@ -52,17 +48,11 @@ class Task:
 
 @dataclass(frozen=True)
 class WorkerResult:
-    """The result of evaluating a run.
+    """The result of evaluating a run."""
 
-    Attributes:
-        entry: Its encoded record; None if it failed.
-        reason: Why it failed, in one sentence; "" if it did not.
-        fetched_bytes: Bytes read from remote stores, also of a failed run.
-    """
-
-    entry: bytes | None
-    reason: str = ""
-    fetched_bytes: int = 0
+    entry: bytes | None  # its encoded record; None if it failed
+    reason: str = ""  # why it failed, in one sentence; "" if it did not
+    fetched_bytes: int = 0  # bytes read from remote stores, also of a failed run
 
 
 def work(task: Task) -> WorkerResult:
@@ -89,7 +79,7 @@ def _evaluate(task: Task) -> Record:
     evaluation = outcome.runs[0].evaluation
     stamps = evaluation.association.groundtruth.stamps
     asked = request.protocol.lengths
-    lengths = tuple(map(str, asked)) if evaluation.segments is not None else ()
+    lengths = tuple(map(str, asked)) if evaluation.relative is not None else ()
     return Record(
         key=task.key,
         result=result_of(outcome),
@@ -113,19 +103,23 @@ def _groundtruth(
 def _columns(evaluation: Evaluation, lengths: tuple[str, ...]) -> dict[str, Floats]:
     """Return the columns for statistics over trials and for figures."""
     columns = {}
-    for length, segment in zip(lengths, evaluation.segments or (), strict=True):
+    for length, segment in zip(lengths, evaluation.relative or (), strict=True):
         columns[f"{length}.position_m"] = segment.errors.position_m
         if segment.errors.rotation_deg is not None:
             columns[f"{length}.rotation_deg"] = segment.errors.rotation_deg
     pairs, rotation = evaluation.association, evaluation.absolute.rotation_deg
-    truth, max_gap_s = evaluation.groundtruth, evaluation.protocol.association.max_gap_s
+    groundtruth, max_gap_s = evaluation.groundtruth, evaluation.protocol.association.max_gap_s
     position = evaluation.absolute.position_m
     if rotation is None:
         rotation = np.full(len(position), np.nan)
     stamps = pairs.groundtruth.stamps
     errors = np.stack([pairs.groundtruth.seconds, position, rotation], axis=1)
     columns["errors"] = thinned(errors, stamps, max_gap_s, _POINTS)
-    path, whole = truth.up.turned(evaluation.aligned.positions), truth.up.turned(truth.positions)
-    columns["path"] = thinned(path, stamps, max_gap_s, _POINTS)
-    columns["truth"] = thinned(whole, truth.stamps, max_gap_s, _POINTS)
+    path, whole = (
+        groundtruth.up.turned(evaluation.aligned.positions),
+        groundtruth.up.turned(groundtruth.positions),
+    )
+    tolerance_m = _RESOLUTION * float(np.ptp(whole[:, :2], axis=0).max())
+    columns["path"] = simplified(path, stamps, max_gap_s, tolerance_m)
+    columns["groundtruth"] = simplified(whole, groundtruth.stamps, max_gap_s, tolerance_m)
     return columns

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.calibration.calibrate import Calibration, calibrate
-from trajeval_ros.calibration.calibrated import Ate, Calibrated
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.calibration.significance import UNOBSERVABLE, WEAK, Parameter
 from trajeval_ros.exceptions import (
@@ -22,12 +21,64 @@ from trajeval_ros.exceptions import (
     NoMatchError,
     SettingsError,
 )
+from trajeval_ros.formatting.remarks import Remark, warning
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.association import Association
 from trajeval_ros.metrics.evaluation import Evaluation, evaluate, evaluate_pairs
 from trajeval_ros.metrics.pair_alignment import align_pairs
 from trajeval_ros.metrics.protocol import Protocol
+
+
+@dataclass(frozen=True)
+class Ate:
+    """The RMSE of an evaluation: position in metres, rotation in degrees if available."""
+
+    position_m: float
+    rotation_deg: float | None
+
+    @classmethod
+    def of(cls, evaluation: Evaluation) -> Ate:
+        """Return the RMSE of an evaluation."""
+        position, rotation = evaluation.ate["position_m"], evaluation.ate["rotation_deg"]
+        assert position is not None
+        return cls(position.rmse, None if rotation is None else rotation.rmse)
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """An evaluation with the applied calibration."""
+
+    evaluation: Evaluation  # the evaluation with the applied parameters
+    wanted: CalibrationRequest
+    calibration: Calibration | None  # the estimated parameters; None if nothing was estimated
+    estimated_from: str  # name of the estimate that they were estimated from
+    offset_applied: bool  # whether the estimated offset is applied
+    rotation_applied: bool  # whether a rotation of the body is applied
+    lever_applied: bool  # whether a lever arm is applied
+    hand_eye: HandEye | None  # the applied transform; None if there is none
+    # Whether the errors are those of the marker's position. This is so if the groundtruth has no
+    # orientations, which a conversion to the body needs.
+    of_marker: bool
+    # The errors without calibration; None if there were too few pairs, or if `was_live`.
+    before: Ate | None
+    after: Ate  # the errors of `evaluation`
+    # The errors with all requested parameters, significant or not; None if these are the applied
+    # ones, or nothing was estimated.
+    if_applied: Ate | None
+    was_live: bool = False  # whether a live run applied the transform to its messages
+
+    @property
+    def parameters_applied(self) -> int:
+        """Degrees of freedom of the applied parameters that were estimated from the data."""
+        if self.calibration is None:
+            return 0
+        count = int(self.offset_applied)
+        if self.wanted.known is None:
+            count += self.calibration.turn.seen if self.rotation_applied else 0
+            count += self.calibration.lever.seen if self.lever_applied else 0
+        return count
+
 
 # Growth of the ATE above which a warning is given.
 _WORSE = 1.05
@@ -47,18 +98,9 @@ def evaluate_calibrated(
 ) -> Calibrated:
     """Evaluate an estimate with the requested calibration.
 
-    Args:
-        groundtruth: Poses or positions of a marker.
-        estimate: Poses of the body with the marker.
-        protocol: The settings; its time offset is the centre of the search.
-        wanted: The request.
-        same_as: The outcome of another estimate whose calibration is used. Estimates with
-            individual calibrations cannot be ranked.
-        pairs: States paired beforehand, for example in a live run; None to associate them here.
-
-    Raises:
-        InputError: See `evaluate` and `calibrate`; or a hand-eye transform cannot be applied.
-        SettingsError: The protocol has a lever arm of its own.
+    The groundtruth has poses or positions of a marker. The protocol's time offset is the centre of
+    the search. `same_as` is the outcome of another estimate whose calibration is used: estimates
+    with individual calibrations cannot be ranked. `pairs` were paired before, as in a live run.
     """
     if protocol.lever_m is not None and (wanted.hand_eye or wanted.known is not None):
         raise SettingsError(
@@ -72,10 +114,7 @@ def evaluate_calibrated(
         calibration, source = same_as.calibration, same_as.estimated_from
     elif wanted.offset or wanted.hand_eye:
         calibration = calibrate(
-            groundtruth,
-            estimate,
-            protocol.gauge,
-            around_s=protocol.association.time_offset_s,
+            groundtruth, estimate, protocol.gauge, around_s=protocol.association.time_offset_s
         )
     if calibration is not None:
         _require_body_known(calibration, protocol, wanted)
@@ -100,23 +139,16 @@ def evaluate_calibrated(
         if found == used
         else Ate.of(_with(groundtruth, estimate, protocol, found, pairs)[0]),
     )
-    warnings = (*evaluation.warnings, *_warnings(calibrated))
+    remarks = (*evaluation.remarks, *_remarks(calibrated))
     return dataclasses.replace(
-        calibrated, evaluation=dataclasses.replace(evaluation, warnings=warnings)
+        calibrated, evaluation=dataclasses.replace(evaluation, remarks=remarks)
     )
 
 
 def moved_before(
     evaluation: Evaluation, hand_eye: HandEye, source: str, *, of_marker: bool
 ) -> Calibrated:
-    """Return the outcome for pairs whose hand-eye transform a live run has applied.
-
-    Args:
-        evaluation: The evaluation of these pairs.
-        hand_eye: The applied transform.
-        source: Its source.
-        of_marker: See `Calibrated`.
-    """
+    """Return the outcome for pairs whose hand-eye transform a live run has applied."""
     return Calibrated(
         evaluation=evaluation,
         wanted=CalibrationRequest(known=hand_eye, source=source),
@@ -257,16 +289,19 @@ def _scale(body: Evaluation, protocol: Protocol, hand_eye: HandEye) -> float:
     )
 
 
-def _warnings(calibrated: Calibrated) -> list[str]:
+def _remarks(calibrated: Calibrated) -> list[Remark]:
     """Return warnings about the calibration and about significant clock offsets."""
     calibration, wanted = calibrated.calibration, calibrated.wanted
-    warnings = list(() if calibration is None else calibration.warnings)
+    warnings = list(() if calibration is None else calibration.remarks)
     before, after = calibrated.before, calibrated.after
     something = calibrated.offset_applied or calibrated.hand_eye is not None
     if something and before is not None and after.position_m > _WORSE * before.position_m:
         warnings.append(
-            f"the calibration increases the position ATE from {before.position_m:.4g} m to "
-            f"{after.position_m:.4g} m, so it does not explain the error"
+            warning(
+                "calibration_worsens",
+                f"the calibration increases the position ATE from {before.position_m:.4g} m to "
+                f"{after.position_m:.4g} m, so it does not explain the error",
+            )
         )
     if calibration is not None and not wanted.offset and calibration.offset.is_significant:
         assert calibration.offset.value is not None
@@ -275,7 +310,10 @@ def _warnings(calibrated: Calibrated) -> list[str]:
         apart_s = float(calibration.offset.value[0]) - assumed_s
         if abs(apart_s) > 2.0 * calibration.offset.half_width_95[0]:
             warnings.append(
-                f"the clocks differ by {1e3 * apart_s:+.1f} ms, which is not corrected; add "
-                "--time-offset auto"
+                warning(
+                    "clock_offset_not_corrected",
+                    f"the clocks differ by {1e3 * apart_s:+.1f} ms, which is not corrected; add "
+                    "--time-offset auto",
+                )
             )
     return warnings

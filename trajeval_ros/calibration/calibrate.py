@@ -17,24 +17,30 @@ from trajeval_ros.calibration.increments import (
     POSITION,
     ROTATION,
     Increments,
+    whole_nanoseconds,
 )
-from trajeval_ros.calibration.observability import observability
-from trajeval_ros.calibration.pose_interpolator import nanoseconds
+from trajeval_ros.calibration.observability import (
+    COLUMNS_OF,
+    CalibrationFit,
+    basis_of,
+    observability,
+    solve,
+)
 from trajeval_ros.calibration.robust_fit import Fit, fit
-from trajeval_ros.calibration.row_gains import supported_by_both
 from trajeval_ros.calibration.significance import (
     CHANCE,
     CHANCE_OF_SKEW,
     Parameter,
     judge,
+    supported_by_both,
     unobservable,
 )
-from trajeval_ros.calibration.solve import COLUMNS_OF, CalibrationFit, basis_of, solve
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.remarks import Remark, warning
 from trajeval_ros.geometry import so3
+from trajeval_ros.geometry.frame_axes import upright
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.geometry.upright import upright
 
 # Largest useful half width of a 95 % interval: s, s/s, rad, m.
 WIDEST = {"offset": 0.010, "skew": 100e-6, "turn": np.radians(2.0), "lever": 0.1}
@@ -44,15 +50,10 @@ _SHORT_FOR_SKEW_S = 120.0
 
 @dataclass(frozen=True)
 class SystematicErrors:
-    """Standard deviations of errors that one run does not reveal; 0 for simulated data.
+    """Standard deviations of errors that one run does not reveal; 0 for simulated data."""
 
-    Attributes:
-        offset_s: Of the offset, s; doubled for runs shorter than a minute.
-        turn_rad: Of the body's rotation, rad.
-    """
-
-    offset_s: float = 1.5e-3
-    turn_rad: float = float(np.radians(0.1))
+    offset_s: float = 1.5e-3  # of the offset, s; doubled for runs shorter than a minute
+    turn_rad: float = float(np.radians(0.1))  # of the body's rotation, rad
 
 
 # Least standard deviations, for inputs without noise: s, s/s, rad, m.
@@ -76,7 +77,7 @@ class Calibration:
         blocks: Number of time blocks for the standard deviations.
         pairs: Number of increments.
         horizon_s: Duration of the increments.
-        warnings: Warnings, one sentence each.
+        remarks: Warnings about it.
 
     Example:
         >>> from trajeval_ros import calibrate, simulate
@@ -96,7 +97,7 @@ class Calibration:
     blocks: int
     pairs: int
     horizon_s: float
-    warnings: tuple[str, ...] = ()
+    remarks: tuple[Remark, ...] = ()
 
 
 def calibrate(
@@ -141,7 +142,7 @@ def calibrate(
     if gauge.turns_about_gravity_only:
         groundtruth, estimate = upright(groundtruth), upright(estimate)
     for name, side in (("groundtruth", groundtruth), ("estimate", estimate)):
-        if not side.stamped:
+        if not side.reading.stamped:
             raise InputError(
                 f"{side.name or name} has no timestamps, which the clock offset needs"
             )
@@ -151,7 +152,7 @@ def calibrate(
     search_s = SEARCH_S if can_meet else None
     guess = guess_offset(groundtruth, estimate, around_s=around_s, search_s=search_s)
     # Whole nanoseconds are added first, so that offsets of decades do not cost precision.
-    base = int(nanoseconds(guess.offset_s if guess.is_usable else around_s))
+    base = int(whole_nanoseconds(guess.offset_s if guess.is_usable else around_s))
     shifted = dataclasses.replace(estimate, stamps=estimate.stamps + base)
     increments = Increments(groundtruth, shifted, most_increments)
     solution = solve(increments, gauge, with_skew)
@@ -162,7 +163,7 @@ def calibrate(
 
 def _apart(groundtruth: Trajectory, estimate: Trajectory, around_s: float) -> float:
     """Return the time between the trajectories, s; negative if they overlap."""
-    shift = int(nanoseconds(around_s))
+    shift = int(whole_nanoseconds(around_s))
     first, last = int(estimate.stamps.min()) + shift, int(estimate.stamps.max()) + shift
     before = first - int(groundtruth.stamps.max())
     after = int(groundtruth.stamps.min()) - last
@@ -180,22 +181,34 @@ def _judged(
     """Return the calibration with the status of every parameter."""
     fitted, found = solution.fit, solution.found
     duration_s = float(np.ptp(fitted.linearised.seconds))
-    warnings = [solution.left_out] if solution.left_out else []
+    left_out = solution.left_out
+    warnings = [warning("parameters_left_out", left_out)] if left_out else []
     if not fitted.settled and any(directions.seen.any() for directions in found.values()):
-        warnings.append("the calibration did not converge; its values are approximate")
+        warnings.append(
+            warning(
+                "calibration_not_converged",
+                "the calibration did not converge; its values are approximate",
+            )
+        )
     rows = _by_rows(increments, fitted, base)
     apart_s = _disagreement(rows, fitted.blocks)
     if apart_s:
         warnings.append(
-            "positions and orientations have different clock offsets: "
-            f"{1e3 * rows['rotation'][0]:+.1f} ms from rotations, "
-            f"{1e3 * rows['position'][0]:+.1f} ms from positions; half of the difference is "
-            "added to the standard deviation"
+            warning(
+                "clocks_of_parts_differ",
+                "positions and orientations have different clock offsets: "
+                f"{1e3 * rows['rotation'][0]:+.1f} ms from rotations, "
+                f"{1e3 * rows['position'][0]:+.1f} ms from positions; half of the difference is "
+                "added to the standard deviation",
+            )
         )
     if with_skew and duration_s < _SHORT_FOR_SKEW_S:
         warnings.append(
-            f"the clock skew from {duration_s:.0f} s is unreliable; use at least "
-            f"{_SHORT_FOR_SKEW_S:g} s"
+            warning(
+                "short_for_clock_skew",
+                f"the clock skew from {duration_s:.0f} s is unreliable; use at least "
+                f"{_SHORT_FOR_SKEW_S:g} s",
+            )
         )
     hidden_s = systematic.offset_s * (2.0 if duration_s < _SHORT_RUN_S else 1.0)
     extra = {"offset": np.hypot(hidden_s, apart_s / 2.0), "turn": systematic.turn_rad}
@@ -241,7 +254,7 @@ def _judged(
         blocks=fitted.blocks,
         pairs=len(fitted.linearised.rows),
         horizon_s=increments.horizon_s,
-        warnings=tuple(warnings),
+        remarks=tuple(warnings),
     )
 
 

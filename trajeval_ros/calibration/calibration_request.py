@@ -33,7 +33,6 @@ class CalibrationRequest:
     source: str = ""
 
     def __post_init__(self) -> None:
-        """Refuse a transform that is both known and to be estimated."""
         if self.hand_eye and self.known is not None:
             raise SettingsError("a hand-eye transform is either known or estimated; give only one")
 

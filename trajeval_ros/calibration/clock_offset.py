@@ -8,10 +8,11 @@ exact for the common data (Padfield, Masked object registration in the Fourier d
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from trajeval_ros.calibration.pose_interpolator import Track, nanoseconds
+from trajeval_ros.calibration.increments import PoseInterpolator, whole_nanoseconds
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
@@ -28,25 +29,15 @@ _LARGEST_SECOND = 0.8  # largest second peak relative to the first
 
 @dataclass(frozen=True)
 class OffsetGuess:
-    """The offset with the largest correlation, and whether it is usable.
+    """The offset with the largest correlation, and whether it is usable."""
 
-    Attributes:
-        offset_s: Offset to add to the estimate's timestamps.
-        peak: Correlation at the offset, in [-1, 1].
-        second: Largest correlation outside of the peak's lobe.
-        peak_to_sidelobe: (peak - mean) / std of the correlations outside of the lobe.
-        signal: `angular rate` or `speed`.
-        overlap_s: Time for which both rates are known at the offset.
-        problem: Why the offset is not usable; "" if it is.
-    """
-
-    offset_s: float
-    peak: float
-    second: float
-    peak_to_sidelobe: float
-    signal: str
-    overlap_s: float
-    problem: str = ""
+    offset_s: float  # offset to add to the estimate's timestamps
+    peak: float  # correlation at the offset, in [-1, 1]
+    second: float  # largest correlation outside of the peak's lobe
+    peak_to_sidelobe: float  # (peak - mean) / std of the correlations outside of the lobe
+    signal: str  # `angular rate` or `speed`
+    overlap_s: float  # time for which both rates are known at the offset
+    problem: str = ""  # why the offset is not usable; "" if it is
 
     @property
     def is_usable(self) -> bool:
@@ -59,17 +50,10 @@ def masked_correlation(
 ) -> tuple[Indices, Floats, Floats]:
     """Return the normalised cross-correlation of two signals with gaps at all lags.
 
-    Leading axes are several signals; `in_a` and `in_b` can be without them if the gaps are equal.
-
-    Args:
-        a: (..., N), zero in gaps.
-        in_a: (..., N), 1 where `a` is known, 0 in gaps.
-        b: (..., M), zero in gaps.
-        in_b: (..., M), likewise.
-
-    Returns:
-        The lags k (K,), where a[n] coincides with b[n + k]; the correlations (..., K), zero where
-        a signal is constant; and the numbers of cells (..., K) that both know.
+    Signals `a` (..., N) and `b` (..., M) are zero in gaps; `in_a` and `in_b` are 1 where they are
+    known and 0 in gaps, without leading axes if all have equal gaps. Returned are the lags k (K,),
+    where a[n] coincides with b[n + k]; the correlations (..., K), zero where a signal is constant;
+    and the numbers of cells (..., K) that both know.
     """
     shorter, longer = a.shape[-1], b.shape[-1]
     size = 1 << int(shorter + longer - 1).bit_length()
@@ -114,37 +98,26 @@ def guess_offset(
 ) -> OffsetGuess:
     """Estimate the offset by correlation of angular rates or, if not usable, of speeds.
 
-    Args:
-        groundtruth: At least two states.
-        estimate: At least two states.
-        around_s: Centre of the search range, s.
-        search_s: Half width of the search range, s; None for all overlaps.
-        signal: `angular rate` or `speed`; None for an automatic choice.
+    The search range is `around_s` +- `search_s`; None for all overlaps. Both sides have at least
+    two states.
     """
     if signal is None:
-        if groundtruth.quaternions is not None and estimate.quaternions is not None:
-            turning = guess_offset(
-                groundtruth,
-                estimate,
-                around_s=around_s,
-                search_s=search_s,
-                signal="angular rate",
-            )
-            if turning.is_usable:
-                return turning
-            moving = guess_offset(
-                groundtruth, estimate, around_s=around_s, search_s=search_s, signal="speed"
-            )
-            return moving if moving.is_usable else turning
-        signal = "speed"
+        by = partial(guess_offset, groundtruth, estimate, around_s=around_s, search_s=search_s)
+        if groundtruth.quaternions is None or estimate.quaternions is None:
+            return by(signal="speed")
+        turning = by(signal="angular rate")
+        if turning.is_usable:
+            return turning
+        moving = by(signal="speed")
+        return moving if moving.is_usable else turning
     turns = signal == "angular rate"
-    truth = Track.of(groundtruth, with_rotations=turns)
-    other = Track.of(estimate, with_rotations=turns, sparse=True)
-    window_s = max(_WINDOW_S, other.step_s)
-    a, in_a = _rate(other, window_s)
-    b, in_b = _rate(truth, window_s)
+    groundtruth_poses = PoseInterpolator.of(groundtruth, with_rotations=turns)
+    estimate_poses = PoseInterpolator.of(estimate, with_rotations=turns, sparse=True)
+    window_s = max(_WINDOW_S, estimate_poses.step_s)
+    a, in_a = _rate(estimate_poses, window_s)
+    b, in_b = _rate(groundtruth_poses, window_s)
     lags, correlation, common = masked_correlation(a, in_a, b, in_b)
-    start_s = int(truth.stamps[0] - other.stamps[0]) / NANOSECONDS
+    start_s = int(groundtruth_poses.stamps[0] - estimate_poses.stamps[0]) / NANOSECONDS
     lags_s: Floats = start_s + lags.astype(np.float64) * _CELL_S
     guess = _highest(lags_s, correlation, common, around_s, search_s, signal)
     if guess.is_usable or search_s is None:
@@ -159,15 +132,15 @@ def guess_offset(
     return guess
 
 
-def _rate(track: Track, window_s: float) -> tuple[Floats, Floats]:
+def _rate(poses: PoseInterpolator, window_s: float) -> tuple[Floats, Floats]:
     """Return the rate of motion on a grid that starts at the first stamp, and where it is known.
 
     The rate is from poses half a window before and after. Both sides use the same window, since a
     shorter one preserves more of the motion.
     """
-    cells = np.arange(int(track.stamps[0]), int(track.stamps[-1]), nanoseconds(_CELL_S))
-    half = nanoseconds(window_s / 2.0)
-    before, after = track.at(cells - half), track.at(cells + half)
+    cells = np.arange(int(poses.stamps[0]), int(poses.stamps[-1]), whole_nanoseconds(_CELL_S))
+    half = whole_nanoseconds(window_s / 2.0)
+    before, after = poses.at(cells - half), poses.at(cells + half)
     known = before.usable & after.usable
     if before.quaternions is not None:
         assert after.quaternions is not None
@@ -199,16 +172,9 @@ def _highest(
     )
     where = "" if search_s is None else f" within {search_s:g} s around {around_s:g} s"
     if len(within) < 3:
+        problem = f"no offset{where} gives a common time span of {OVERLAP_S:g} s without gaps"
         overlap_s = float(common.max()) * _CELL_S
-        return OffsetGuess(
-            around_s,
-            0.0,
-            0.0,
-            0.0,
-            signal,
-            overlap_s,
-            f"no offset{where} gives a common time span of {OVERLAP_S:g} s without gaps",
-        )
+        return OffsetGuess(around_s, 0.0, 0.0, 0.0, signal, overlap_s, problem)
     # Lags with enough overlap are contiguous, except for gaps.
     heights = correlation[within]
     peak = int(np.argmax(heights))

@@ -15,11 +15,7 @@ def closest_rotation(
 ) -> Floats:
     """Return the R (3, 3) that minimises sum w |target - R vector|^2 (Wahba's problem).
 
-    Args:
-        targets: (N, 3).
-        vectors: (N, 3).
-        weights: (N,), or None for equal weights.
-        about_z: Restrict R to rotations about z.
+    Targets and vectors are (N, 3), weights (N,). `about_z` restricts R to rotations about z.
     """
     weighted = targets if weights is None else targets * weights[:, None]
     scatter = weighted.T @ vectors
@@ -34,10 +30,8 @@ def closest_rotation(
 def robust_rotation(targets: Floats, vectors: Floats, *, about_z: bool = False) -> Floats:
     """Return the closest rotation (3, 3) with Cauchy weights, in three passes.
 
-    Args:
-        targets: (N, 3); for body rotations, rotation vectors of the estimate's increments.
-        vectors: (N, 3); rotation vectors of the groundtruth's increments in the marker's axes.
-        about_z: Restrict the result to rotations about z.
+    For body rotations, targets and vectors (N, 3) are rotation vectors of the increments of the
+    estimate, and of the groundtruth in the marker's axes.
     """
     weights = np.ones(len(targets))
     rotation = np.eye(3)
@@ -53,11 +47,8 @@ def lever_arm(
 ) -> tuple[Floats, float]:
     """Return the lever arm (3,), metres, and the scale: R_X dq = c dp + (dR - I) l.
 
-    Args:
-        turned: (N, 3, 3), dR - I of the body's increments.
-        steps: (N, 3), dp in the body's axes at the start.
-        marker_steps: (N, 3), R_X dq in the same axes, metres.
-        with_scale: Whether to estimate c, too; otherwise it is 1.
+    `turned` (N, 3, 3) is dR - I of the body, `steps` (N, 3) is dp in the body's axes at the start,
+    and `marker_steps` (N, 3) is R_X dq in the same axes, metres. The scale is 1 if not estimated.
     """
     design = turned.reshape(-1, 3)
     wanted = marker_steps.reshape(-1)

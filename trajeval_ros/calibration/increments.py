@@ -16,16 +16,80 @@ two worlds takes the place of R_X: r_p = dq - R_S (c dp + (R_j - R_i) l).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.calibration.hand_eye import lever_arm, robust_rotation
-from trajeval_ros.calibration.pose_interpolator import Track, nanoseconds, nearest_rows
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
-from trajeval_ros.geometry.thinning import every_nth
+from trajeval_ros.geometry.interpolation import bracket_stamps, mix, slerp
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.trajectory_edits import every_nth
+
+_GAP_S = 0.5
+_USUAL_STEPS = 4.0  # sparse keyframes: a gap is longer than this number of median steps
+
+
+class InterpolatedPoses(NamedTuple):
+    """Poses at N stamps."""
+
+    positions: Floats  # (N, 3), metres
+    quaternions: Floats | None  # (N, 4), xyzw; None for a position-only sensor
+    usable: Booleans  # (N,) whether the stamp is between two states without a gap
+
+
+@dataclass(frozen=True, eq=False)
+class PoseInterpolator:
+    """The states of a trajectory in order of time, and their gaps."""
+
+    stamps: Stamps  # (N,) int64, nanoseconds, increasing
+    positions: Floats  # (N, 3), metres
+    quaternions: Floats | None  # (N, 4), xyzw, or None
+    step_s: float  # median time between states
+    gap_s: float  # longest time between states that is no gap
+
+    @classmethod
+    def of(
+        cls, trajectory: Trajectory, *, with_rotations: bool, sparse: bool = False
+    ) -> PoseInterpolator:
+        """Sort at least two states; gaps between sparse keyframes are relative to their steps."""
+        ordered = trajectory.in_order()
+        step_s = float(np.median(np.diff(ordered.stamps))) / NANOSECONDS
+        return cls(
+            ordered.stamps,
+            ordered.positions,
+            ordered.quaternions if with_rotations else None,
+            step_s,
+            max(_GAP_S, _USUAL_STEPS * step_s) if sparse else _GAP_S,
+        )
+
+    def at(self, stamps: Stamps) -> InterpolatedPoses:
+        """Return the poses at N stamps."""
+        bracket = bracket_stamps(self.stamps, stamps, self.gap_s)
+        between = bracket.start, bracket.end, bracket.fraction
+        quaternions = self.quaternions
+        return InterpolatedPoses(
+            mix(self.positions, *between),
+            None if quaternions is None else slerp(quaternions, *between),
+            bracket.usable,
+        )
+
+
+def nearest_rows(stamps: Stamps, wanted: Stamps) -> NDArray[np.int64]:
+    """Return the row of the stamp nearest to every wanted one (N,); the stamps are sorted."""
+    after = np.minimum(np.searchsorted(stamps, wanted), len(stamps) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(
+        np.abs(stamps[before] - wanted) < np.abs(stamps[after] - wanted), before, after
+    )
+
+
+def whole_nanoseconds(seconds: float) -> int:
+    """Return a duration in whole nanoseconds."""
+    return round(seconds * NANOSECONDS)
+
 
 # Columns of a Jacobian.
 OFFSET, SKEW, TURN, LEVER, SCALE = slice(0, 1), slice(1, 2), slice(2, 5), slice(5, 8), slice(8, 9)
@@ -42,21 +106,13 @@ MOST_INCREMENTS = 20_000
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """The parameters of the fit.
+    """The parameters of the fit."""
 
-    Attributes:
-        offset_s: Offset to add to the estimate's timestamps, at the middle of the run, s.
-        skew: Relative drift of the clocks, s/s.
-        turn: (3, 3), R_X; or R_S for increments without orientations.
-        lever_m: (3,), the marker's origin in the body, metres.
-        scale: c, groundtruth metres per unit of the estimate.
-    """
-
-    offset_s: float
-    skew: float
-    turn: Floats
-    lever_m: Floats
-    scale: float
+    offset_s: float  # offset to add to the estimate's timestamps, at the middle of the run, s
+    skew: float  # relative drift of the clocks, s/s
+    turn: Floats  # (3, 3), R_X; or R_S for increments without orientations
+    lever_m: Floats  # (3,), the marker's origin in the body, metres
+    scale: float  # c, groundtruth metres per unit of the estimate
 
     def moved(self, step: Floats) -> Unknowns:
         """Return the parameters after a step (9,); the rotation is updated on the left."""
@@ -71,61 +127,41 @@ class Unknowns:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """Residuals and Jacobian at a point.
+    """Residuals and Jacobian at a point."""
 
-    Attributes:
-        residual: (N, 3) positions, or (N, 6) positions and rotations; metres, radians.
-        jacobian: (N, 3 or 6, 9).
-        seconds: (N,) timestamps of the first states, since the start of the run.
-        rows: (N,) indices of the increments.
-    """
-
-    residual: Floats
-    jacobian: Floats
-    seconds: Floats
-    rows: NDArray[np.int64]
+    residual: Floats  # (N, 3) positions, or (N, 6) positions and rotations; metres, radians
+    jacobian: Floats  # (N, 3 or 6, 9)
+    seconds: Floats  # (N,) timestamps of the first states, since the start of the run
+    rows: NDArray[np.int64]  # (N,) indices of the increments
 
 
 @dataclass(frozen=True, eq=False)
 class MotionIncrements:
-    """Increments of one side, in the body's axes; in the world's axes without orientations.
+    """Increments of one side, in the body's axes; in the world's axes without orientations."""
 
-    Attributes:
-        turns: (N, 4), xyzw, or None.
-        steps: (N, 3), metres.
-        usable: (N,), False across gaps.
-    """
-
-    turns: Floats | None
-    steps: Floats
-    usable: Booleans
+    turns: Floats | None  # (N, 4), xyzw, or None
+    steps: Floats  # (N, 3), metres
+    usable: Booleans  # (N,), False across gaps
 
 
 class Increments:
     """Pairs of estimated states one horizon apart, and the groundtruth's motion between them."""
 
     def __init__(
-        self,
-        groundtruth: Trajectory,
-        estimate: Trajectory,
-        most: int = MOST_INCREMENTS,
+        self, groundtruth: Trajectory, estimate: Trajectory, most: int = MOST_INCREMENTS
     ) -> None:
-        """Choose pairs of states without a gap between them.
-
-        Args:
-            groundtruth: At least two states.
-            estimate: At least two states.
-            most: Largest number of increments; every n-th is used if there are more.
-        """
+        """Choose at most `most` pairs without a gap between them, from two states or more each."""
         self.has_turns = groundtruth.quaternions is not None and estimate.quaternions is not None
-        self._truth = Track.of(groundtruth, with_rotations=self.has_turns)
+        self._groundtruth = PoseInterpolator.of(groundtruth, with_rotations=self.has_turns)
         # The lever arm rotates with the estimate, also if the marker has no orientation.
-        self._track = track = Track.of(estimate, with_rotations=True, sparse=True)
-        self.horizon_s = max(HORIZON_S, 3.0 * track.step_s)  # of sparse keyframes
-        stamps = track.stamps
+        self._estimate = poses = PoseInterpolator.of(estimate, with_rotations=True, sparse=True)
+        self.horizon_s = max(HORIZON_S, 3.0 * poses.step_s)  # of sparse keyframes
+        stamps = poses.stamps
         first = np.arange(len(stamps))[every_nth(len(stamps), most)]
-        last = nearest_rows(stamps, stamps[first] + nanoseconds(self.horizon_s))
-        stretch = np.concatenate([[0], np.cumsum(np.diff(stamps) > nanoseconds(track.gap_s))])
+        last = nearest_rows(stamps, stamps[first] + whole_nanoseconds(self.horizon_s))
+        stretch = np.concatenate(
+            [[0], np.cumsum(np.diff(stamps) > whole_nanoseconds(poses.gap_s))]
+        )
         length_s = (stamps[last] - stamps[first]) / NANOSECONDS
         whole = (np.abs(length_s - self.horizon_s) <= _TOLERANCE * self.horizon_s) & (
             stretch[first] == stretch[last]
@@ -134,11 +170,10 @@ class Increments:
         self._since = (stamps[self._first] - stamps[0]) / NANOSECONDS
         self._till = (stamps[self._last] - stamps[0]) / NANOSECONDS
         self._mid_s = (int(stamps[-1]) - int(stamps[0])) / NANOSECONDS / 2.0
-        self._body = self._motion(track, stamps[self._first], stamps[self._last])
+        self._body = self._motion(poses, stamps[self._first], stamps[self._last])
         self.turned = self._turned(self._body)
 
     def __len__(self) -> int:
-        """Return the number of pairs."""
         return len(self._first)
 
     def start(self, offset_s: float, *, with_scale: bool, about_z: bool) -> Unknowns:
@@ -189,25 +224,18 @@ class Increments:
         return Linearised(residual, jacobian, self._since[rows], rows)
 
     def twin(self, at: Unknowns, rows: NDArray[np.int64]) -> tuple[Floats, Booleans]:
-        """Return the Jacobian (N, 3 or 6, 9) with exchanged roles of the two sides.
+        """Return the Jacobian (N, 3 or 6, 9) with exchanged sides, and where it is known (N,).
 
-        At the solution, either side predicts the other's motion. The parts in which both
-        Jacobians agree are not noise. For increments without orientations it has only the columns
-        of offset, skew and scale.
-
-        Args:
-            at: The solution.
-            rows: (N,) indices of the increments.
-
-        Returns:
-            The Jacobian, and (N,) where it is known.
+        At the solution, either side predicts the other's motion. The parts in which both Jacobians
+        agree are not noise. For increments without orientations it has only the columns of offset,
+        skew and scale.
         """
-        track, stamps = self._track, self._track.stamps
-        reach_s = max(_REACH_S, track.step_s)
-        reach = nanoseconds(reach_s)
+        poses, stamps = self._estimate, self._estimate.stamps
+        reach_s = max(_REACH_S, poses.step_s)
+        reach = whole_nanoseconds(reach_s)
         first, last = stamps[self._first[rows]], stamps[self._last[rows]]
-        before = self._motion(track, first - reach, last - reach)
-        after = self._motion(track, first + reach, last + reach)
+        before = self._motion(poses, first - reach, last - reach)
+        after = self._motion(poses, first + reach, last + reach)
         jacobian = np.zeros((len(rows), 6 if self.has_turns else 3, COLUMNS))
         slope = self._carried(at, after) - self._carried(at, before)
         jacobian[:, POSITION, 0] = slope / (2.0 * reach_s)
@@ -235,18 +263,18 @@ class Increments:
 
     def _marker(self, offset_s: float, skew: float) -> MotionIncrements:
         """Return the groundtruth's increments for a clock model."""
-        stamps, truth = self._track.stamps, self._truth
+        stamps, groundtruth = self._estimate.stamps, self._groundtruth
         first_s = offset_s + skew * (self._since - self._mid_s)
         last_s = offset_s + skew * (self._till - self._mid_s)
         return self._motion(
-            truth,
+            groundtruth,
             stamps[self._first] + np.rint(first_s * NANOSECONDS).astype(np.int64),
             stamps[self._last] + np.rint(last_s * NANOSECONDS).astype(np.int64),
         )
 
-    def _motion(self, track: Track, first: Stamps, last: Stamps) -> MotionIncrements:
+    def _motion(self, poses: PoseInterpolator, first: Stamps, last: Stamps) -> MotionIncrements:
         """Return the increments of a side between timestamps (N,), (N,)."""
-        start, end = track.at(first), track.at(last)
+        start, end = poses.at(first), poses.at(last)
         steps = end.positions - start.positions
         usable = start.usable & end.usable
         if not self.has_turns:
@@ -262,7 +290,7 @@ class Increments:
         """Return dR - I, or R_j - R_i for increments without orientations, (N, 3, 3)."""
         if body.turns is not None:
             return _matrices(body.turns) - np.eye(3)
-        quaternions = self._track.quaternions
+        quaternions = self._estimate.quaternions
         if quaternions is None:
             return None
         return _matrices(quaternions[self._last]) - _matrices(quaternions[self._first])

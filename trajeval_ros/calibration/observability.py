@@ -1,21 +1,34 @@
-"""Observability of the parameters.
+"""Observability of the parameters, and the choice of those that are fitted.
 
 A small standard deviation is no proof: on a static recording, differentiated noise looks like
 information. However, the Jacobian can be computed from either trajectory, and their noises are
 independent. Where the two Jacobians agree, they show actual motion. Their correlation, the
 reliability, is at least 0.89 on recordings that determine an offset, and at most 0.05 where none
 is observable.
+
+All directions are fitted that are observable and have standard deviations.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.calibration.increments import LEVER, OFFSET, SKEW, TURN, Increments
-from trajeval_ros.calibration.robust_fit import Fit
+from trajeval_ros.calibration.increments import (
+    COLUMNS,
+    LEVER,
+    OFFSET,
+    SCALE,
+    SKEW,
+    TURN,
+    Increments,
+    Unknowns,
+)
+from trajeval_ros.calibration.robust_fit import Fit, fit
 from trajeval_ros.geometry.arrays import Booleans, Floats
+from trajeval_ros.geometry.gauge import Gauge
 
 LEAST_RELIABILITY = 0.5
 # Least rms of (R_j - R_i) v for an observable lever arm, for increments without orientations.
@@ -24,15 +37,10 @@ _LEAST_TURN = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """The principal directions of one parameter and their reliability.
+    """The principal directions of one parameter and their reliability."""
 
-    Attributes:
-        directions: (k, k), orthonormal rows.
-        reliability: (k,), in [-1, 1].
-    """
-
-    directions: Floats
-    reliability: Floats
+    directions: Floats  # (k, k), orthonormal rows
+    reliability: Floats  # (k,), in [-1, 1]
 
     @property
     def seen(self) -> Booleans:
@@ -85,3 +93,89 @@ def _turning(turned: Floats) -> Directions:
     )
     enough = np.sqrt(np.maximum(values, 0.0)) >= _LEAST_TURN
     return Directions(vectors.T, enough.astype(np.float64))
+
+
+_FEWEST_PAIRS = 30
+COLUMNS_OF = {"offset": OFFSET, "skew": SKEW, "turn": TURN, "lever": LEVER, "scale": SCALE}
+_NO_SKEW = "the run is too short to estimate a clock skew, so none is estimated"
+_NO_BODY = (
+    "the run is too short to estimate rotation and lever arm, so both are fixed; an actual "
+    "lever arm then changes the offset by some milliseconds"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationFit:
+    """A fit with the observability of its directions."""
+
+    fit: Fit  # the fit
+    found: dict[str, Directions]  # the directions of every parameter, fitted or not
+    free: dict[str, Floats]  # the free directions of every fitted parameter, as rows
+    left_out: str  # A sentence about parameters that are not fitted; empty if there are none
+
+
+def solve(increments: Increments, gauge: Gauge, with_skew: bool) -> CalibrationFit | None:
+    """Fit all observable parameters; None if even the offset has no standard deviation."""
+    if len(increments) < _FEWEST_PAIRS:
+        return None
+    about_z = not gauge.turns_freely
+    begin = increments.start(0.0, with_scale=gauge.has_scale, about_z=about_z)
+    free = {"offset": np.eye(1), "turn": np.eye(3)}
+    if about_z and not increments.has_turns:
+        free["turn"] = np.eye(3)[2:]
+    if increments.turned is not None:
+        free["lever"] = np.eye(3)
+    if gauge.has_scale:
+        free["scale"] = np.eye(1)
+    # The rotation between the worlds is no property of the body and is always fitted.
+    body = {"turn", "lever"} if increments.has_turns else {"lever"}
+    held = {name: axes for name, axes in free.items() if name not in body}
+    attempts = [(free, ""), (held, _NO_BODY)]
+    if with_skew:
+        attempts = [({**free, "skew": np.eye(1)}, ""), (free, _NO_SKEW), (held, _NO_BODY)]
+    for chosen, left_out in attempts:
+        solution = _settle(increments, begin, chosen)
+        if solution is not None:
+            return dataclasses.replace(solution, left_out=left_out)
+    return None
+
+
+def _settle(
+    increments: Increments, begin: Unknowns, free: dict[str, Floats]
+) -> CalibrationFit | None:
+    """Fit, fix the unobservable directions, and repeat from the start."""
+    hidden: dict[str, Directions] = {}
+    solution = None
+    while free:
+        lever = free.get("lever", np.zeros((0, 3)))
+        start = dataclasses.replace(begin, lever_m=lever.T @ (lever @ begin.lever_m))
+        fitted = fit(increments, start, basis_of(free))
+        if fitted is None:
+            return solution
+        found = observability(increments, fitted)
+        solution = CalibrationFit(fitted, {**found, **hidden}, free, "")
+        worse = {
+            name: directions
+            for name, directions in found.items()
+            if name in free and name not in hidden and not directions.seen.all()
+        }
+        if not worse:
+            return solution
+        hidden |= worse
+        solution = CalibrationFit(fitted, {**found, **hidden}, free, "")
+        free = {
+            name: worse[name].directions[worse[name].seen] if name in worse else axes
+            for name, axes in free.items()
+        }
+        free = {name: axes for name, axes in free.items() if len(axes)}
+    return solution
+
+
+def basis_of(free: dict[str, Floats]) -> Floats:
+    """Return the free directions as columns (9, P)."""
+    basis = np.zeros((COLUMNS, sum(len(axes) for axes in free.values())))
+    column = 0
+    for name, axes in free.items():
+        basis[COLUMNS_OF[name], column : column + len(axes)] = axes.T
+        column += len(axes)
+    return basis

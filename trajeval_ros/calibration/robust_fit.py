@@ -38,33 +38,21 @@ _SINGULAR = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A solution and its uncertainty.
+    """A solution and its uncertainty."""
 
-    Attributes:
-        unknowns: The solution.
-        covariance: (9, 9), of a step of `Unknowns.moved`; zero for fixed parameters.
-        weights: (N, 2), of the position and rotation rows of the increments.
-        linearised: Residuals and Jacobian of the last iteration.
-        blocks: Number of time blocks.
-        free: Number of parameters.
-        settled: Whether the fit converged.
-    """
-
-    unknowns: Unknowns
-    covariance: Floats
-    weights: Floats
-    linearised: Linearised
-    blocks: int
-    free: int
-    settled: bool
+    unknowns: Unknowns  # the solution
+    covariance: Floats  # (9, 9), of a step of `Unknowns.moved`; zero for fixed parameters
+    weights: Floats  # (N, 2), of the position and rotation rows of the increments
+    linearised: Linearised  # residuals and Jacobian of the last iteration
+    blocks: int  # number of time blocks
+    free: int  # number of parameters
+    settled: bool  # whether the fit converged
 
 
 def sandwich(hessian: Floats, gradients: Floats) -> Floats:
-    """Return the covariance (P, P) of a fit from the gradients of blocks.
+    """Return the covariance (P, P) of a fit from its Hessian, the sum of J^T W J.
 
-    Args:
-        hessian: (P, P), sum of J^T W J.
-        gradients: (B, P), sums of J^T W r over nearly independent blocks; B > P.
+    Gradients (B, P) are sums of J^T W r over nearly independent blocks; B > P.
     """
     blocks, parameters = gradients.shape
     inverse = _inverse(hessian)
@@ -94,14 +82,8 @@ def fit(
 ) -> Fit | None:
     """Fit by Gauss-Newton with Huber weights; their scale is estimated in every iteration.
 
-    Args:
-        increments: The data.
-        start: Initial parameters.
-        basis: (9, P), the free directions.
-        kinds: The groups of rows in use.
-
-    Returns:
-        None if there are fewer than P + 3 time blocks, too few for a standard deviation.
+    `basis` (9, P) has the free directions, `kinds` the groups of rows in use. None if there are
+    fewer than P + 3 time blocks, too few for a standard deviation.
     """
     free = basis.shape[1]
     at, settled = start, False
@@ -153,10 +135,7 @@ def _weights(residual: Floats, kinds: tuple[slice, ...]) -> Floats:
 def huber_cost(residual: Floats, reference: Floats, kind: slice) -> float:
     """Return the mean Huber cost of one group of rows, at least that of the smallest spread.
 
-    Args:
-        residual: (N, 3 or 6).
-        reference: (M, 3 or 6), residuals that determine the spread.
-        kind: The group of rows.
+    Residuals are (N, 3 or 6); those of `reference` (M, 3 or 6) determine the spread.
     """
     spread = _lengths(reference, kind)[1]
     length = np.linalg.norm(residual[:, kind], axis=1)

@@ -3,183 +3,106 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Any
 
-import typer
+import click
 
-from trajeval_ros.cli import figure_options, gating, options
-from trajeval_ros.cli.comparison_verdict import print_shard, print_verdict, require_numbers
+from trajeval_ros.cli.command import verb
+from trajeval_ros.cli.options import (
+    OUTPUT,
+    argument,
+    option,
+    settings_options,
+    shared_options,
+)
+from trajeval_ros.cli.programs import may_break
 from trajeval_ros.cli.progress import progress as drawing
 from trajeval_ros.cli.progress import progress_of_runs
-from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.report.figure_style import FORMATS, PLAIN, FigureStyle
+from trajeval_ros.exceptions import InputError, SettingsError, require_one_of
+from trajeval_ros.formatting.numbers import counted, data_size
+from trajeval_ros.io.requests.setting import COMPARE, ERRORS
+from trajeval_ros.io.writing import write_text
 
 if TYPE_CHECKING:
+    from trajeval_ros.batch.comparison import Progress
+    from trajeval_ros.batch.comparison_summary import ComparisonSummary
     from trajeval_ros.batch.executors import Pool
+    from trajeval_ros.batch.gate import Gate, GateValues
 
-WORK = "Work"
+_WORK = "Work"
 
 
+_GATES = "Gates"
+_UNDECIDED, _FALSE_ALARMS = "pass", 2.5  # defaults
+
+_GATE_OPTIONS = (
+    option("--baseline", kind=Path, metavar="OLD.parquet", panel=_GATES, is_common=True,
+        help="File runs.parquet of another comparison with the same settings."),
+    option("--fail-if", metavar="GATE", panel=_GATES, is_common=True, is_repeatable=True,
+        help="Gate, such as 'ate.position_m.rmse worse than 5 %'. The exit status is 1 if a "
+        "value is worse than in the baseline by more than the margin, with statistical "
+        "significance. Repeatable."),
+    option("--undecided", metavar="pass|fail", default=_UNDECIDED, panel=_GATES,
+        help="Verdict of a gate whose test is inconclusive: pass or fail."),
+    option("--false-alarms", kind=float, metavar="PERCENT", default=_FALSE_ALARMS, panel=_GATES,
+        help="Probability of a false alarm over all gates, in percent."),
+    option("--paired", kind=bool, panel=_GATES,
+        help="Paired test, for trials that share seeds with the trials of the same name in the "
+        "baseline."),
+)  # fmt: skip
+
+
+_PARAMETERS = (
+    argument("target", metavar="CONFIG.yaml|RUNS.csv|DIR",
+        help="YAML configuration, manifest (RUNS.csv or RUNS.parquet, also a URL; "
+        "docs/compare.md), or a folder in the layout of ov_eval or rpg_trajectory_evaluation."),
+    *shared_options(COMPARE),
+    *settings_options(COMPARE),
+    option("--common-time-span/--whole-runs", kind=bool, panel=ERRORS,
+        help="Time span to evaluate: the span that all runs of a sequence cover, or all of "
+        "every run (default)."),
+    option("--allow-remote", metavar="URL", panel=_WORK, is_repeatable=True,
+        help="Host that URLs in CONFIG.yaml or in the manifest may use, as in s3://bucket. "
+        "Repeatable."),
+    option("--workers", kind=click.IntRange(min=1), metavar="N", panel=_WORK, is_common=True,
+        help="Number of worker processes on this machine. Default: one per core."),
+    option("--cluster", metavar="ADDRESS", panel=_WORK,
+        help="Scheduler of a Dask cluster that evaluates the runs, tcp://HOST:PORT."),
+    *_GATE_OPTIONS,
+    option("--output", kind=Path, metavar="DIR", default=Path("comparison"), panel=OUTPUT,
+        is_common=True,
+        help="Output folder. Runs that it already contains are evaluated again only if their "
+        "inputs or settings have changed."),
+    option("--wait", kind=bool, panel=OUTPUT,
+        help="Waiting for another comparison that writes to the same folder, instead of an "
+        "error."),
+    option("--transpose", kind=bool, panel=OUTPUT,
+        help="Rows are sequences and columns are algorithms in tables.tex."),
+)  # fmt: skip
+
+
+@verb(*_PARAMETERS)
 def compare(
-    targets: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="CONFIG.yaml|RUNS.csv|DIR",
-            help="YAML configuration, manifest (RUNS.csv or RUNS.parquet, also a URL; "
-            "docs/compare.md), or a folder in the layout of ov_eval or "
-            "rpg_trajectory_evaluation; with --merge the output folders of all shards.",
-            show_default=False,
-        ),
-    ],
-    protocol: options.ProtocolOption = None,
-    modality: options.ModalityOption = None,
-    gauge: options.GaugeOption = None,
-    align_states: options.AlignStatesOption = None,
-    align_with: options.AlignWithOption = None,
-    association: options.AssociationOption = None,
-    time_offset: options.TimeOffsetOption = None,
-    hand_eye: options.HandEyeOption = None,
-    continuous_model: options.ContinuousModelOption = None,
-    groundtruth_noise: options.GroundtruthNoiseOption = None,
-    lengths: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LIST",
-            help="Sub-trajectory lengths for the relative error: 8,16,24 (metres), 1s,5s "
-            "(seconds), 10%,20% (of the groundtruth path, the same for all algorithms) or none.",
-            rich_help_panel=options.MEASURE,
-        ),
-    ] = None,
-    covariance: options.CovarianceOption = None,
-    rotation_covariance_frame: options.RotationCovarianceFrameOption = None,
-    integrity: options.IntegrityOption = False,
-    alert_limit: options.AlertLimitOption = None,
-    risk: options.RiskOption = None,
-    up: options.UpOption = None,
-    start: options.StartOption = None,
-    end: options.EndOption = None,
-    columns: options.ColumnsOption = None,
-    frame_rate: options.FrameRateOption = None,
-    common_time_span: Annotated[
-        bool | None,
-        typer.Option(
-            "--common-time-span/--whole-runs",
-            help="Time span to evaluate: the span that all runs of a sequence cover, or all of "
-            "every run (default).",
-            show_default=False,
-            rich_help_panel=options.MEASURE,
-        ),
-    ] = None,
-    allow_remote: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="URL",
-            help="Host that URLs in CONFIG.yaml or in the manifest may use, as in s3://bucket. "
-            "Repeatable.",
-            rich_help_panel=WORK,
-        ),
-    ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            min=1,
-            help="Number of worker processes on this machine. Default: one per core.",
-            rich_help_panel=WORK,
-        ),
-    ] = None,
-    cluster: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Scheduler of a Dask cluster that evaluates the runs, tcp://HOST:PORT.",
-            rich_help_panel=WORK,
-        ),
-    ] = None,
-    shard: Annotated[
-        str | None,
-        typer.Option(
-            metavar="I/N",
-            help="Part of the runs to evaluate, the I-th of N, for example in a job array. "
-            "--merge combines the parts.",
-            rich_help_panel=WORK,
-        ),
-    ] = None,
-    merge: Annotated[
-        bool,
-        typer.Option(
-            "--merge",
-            help="Tables and report of all shards. The arguments are their output folders.",
-            rich_help_panel=WORK,
-        ),
-    ] = False,
-    baseline: gating.BaselineOption = None,
-    fail_if: gating.FailIfOption = None,
-    undecided: gating.UndecidedOption = gating.UNDECIDED,
-    false_alarms: gating.FalseAlarmsOption = gating.FALSE_ALARMS,
-    paired: gating.PairedOption = False,
-    output: Annotated[
-        Path,
-        typer.Option(
-            metavar="DIR",
-            help="Output folder. Runs that it already contains are evaluated again only if their "
-            "inputs or settings have changed.",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = Path("comparison"),
-    dataset: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Parquet dataset of many comparisons, to which the tables are appended "
-            "(docs/dataset.md).",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = None,
-    label: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TEXT",
-            help="Label of this comparison in the dataset, such as a commit.",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = None,
-    wait: Annotated[
-        bool,
-        typer.Option(
-            "--wait",
-            help="Waiting for another comparison that writes to the same folder, instead of an "
-            "error.",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = False,
-    figure_format: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LIST",
-            help="File formats of figures in DIR/figures, separated by commas: "
-            f"{','.join(FORMATS)}. PGF needs LaTeX.",
-            rich_help_panel=figure_options.FIGURES,
-        ),
-    ] = None,
-    figure_width: figure_options.FigureWidthOption = None,
-    no_title: figure_options.NoTitleOption = False,
-    style: figure_options.StyleOption = None,
-    transpose: Annotated[
-        bool,
-        typer.Option(
-            "--transpose",
-            help="Rows are sequences and columns are algorithms in tables.tex.",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = False,
-    quiet: Annotated[
-        bool,
-        typer.Option(
-            "--quiet", "-q", help="No tables on the terminal.", rich_help_panel=options.OUTPUT
-        ),
-    ] = False,
+    target: str,
+    columns: str | None,
+    frame_rate: float | None,
+    quiet: bool,
+    common_time_span: bool | None,
+    allow_remote: Sequence[str],
+    workers: int | None,
+    cluster: str | None,
+    baseline: Path | None,
+    fail_if: Sequence[str],
+    undecided: str,
+    false_alarms: float,
+    paired: bool,
+    output: Path,
+    wait: bool,
+    transpose: bool,
+    **settings: Any,
 ) -> None:
     r"""Compares many runs: algorithms x sequences x trials, in tables and one report.
 
@@ -197,123 +120,123 @@ def compare(
 
         trajeval compare results --gauge yaw
 
-    Evaluate a part in every job of a job array, and combine the parts:
-
-        trajeval compare euroc.yaml --shard 3/16 --output shards/3
-
-        trajeval compare --merge shards/* --output comparison
-
     Check for regressions. gates.md is for pull requests, gates.json is for programs:
 
         trajeval compare euroc.yaml --baseline main.parquet \
             --fail-if 'ate.position_m.rmse worse than 5 %'
     """
-    from trajeval_ros.batch.compare_runs import write_tables
-    from trajeval_ros.batch.comparison import Progress, run_plan
+    from trajeval_ros.batch.compare_runs import only_writer, write_tables
+    from trajeval_ros.batch.comparison import run_plan
+    from trajeval_ros.batch.comparison_report import is_drawn, write_report
     from trajeval_ros.batch.comparison_summary import summary_of
     from trajeval_ros.batch.config import plan_of
-    from trajeval_ros.batch.dataset import append_to_dataset
-    from trajeval_ros.batch.executors import local_pool
-    from trajeval_ros.batch.figure_files import write_figure_files
-    from trajeval_ros.batch.output_lock import only_writer
-    from trajeval_ros.batch.page import is_drawn, write_report
-    from trajeval_ros.batch.record_store import RECORDS
-    from trajeval_ros.batch.shards import Shard, merged, write_merged
+    from trajeval_ros.batch.records import RECORDS
 
-    look = FigureStyle.parse(figure_format, figure_width, style, has_titles=not no_title)
-    look.check()
-    if look != PLAIN and figure_format is None:
-        raise SettingsError("the options of figures need --figure-format; add --figure-format pdf")
     if workers is not None and cluster is not None:
         raise SettingsError(
             "--workers (this machine) and --cluster exclude each other; give one of them"
         )
-    if not merge and len(targets) > 1:
-        raise SettingsError(
-            "more than one configuration; give one, or add --merge if they are shards"
-        )
-    said = {
-        "protocol": protocol,
-        "modality": modality,
-        "gauge": gauge,
-        "align_states": align_states,
-        "align_with": align_with,
-        "association": association,
-        "time_offset": time_offset,
-        "hand_eye": hand_eye,
-        "continuous_model": continuous_model,
-        "groundtruth_noise": groundtruth_noise,
-        "lengths": lengths,
-        "covariance": covariance,
-        "rotation_covariance_frame": rotation_covariance_frame,
-        "integrity": integrity or None,
-        "alert_limit": alert_limit,
-        "risk": risk,
-        "up": up,
-        "start": start,
-        "end": end,
-    }
-    if (dataset is None) != (not label):
-        raise SettingsError(
-            "--dataset needs --label, such as a commit, and --label needs --dataset; give both"
-        )
-    part = None if shard is None else Shard.parse(shard)
-    if part is not None and (
-        merge or baseline or fail_if or figure_format or dataset or transpose
-    ):
-        raise SettingsError(
-            "--shard evaluates runs only; give --merge, --baseline, --fail-if, --figure-format, "
-            "--dataset and --transpose to the command that merges the shards"
-        )
-    if merge:
-        given: list[object] = list(said.values())
-        given += [columns, frame_rate, common_time_span, workers, cluster, allow_remote]
-        if any(each is not None for each in given):
-            raise SettingsError(
-                "--merge uses the settings of the shards; remove the options of the evaluation"
-            )
-        folders = [Path(each) for each in targets]
-        finished = merged(folders)
-        settings = finished.settings
-    else:
-        plan = plan_of(
-            targets[0],
-            said,
-            columns=columns,
-            frame_rate=frame_rate,
-            common_time_span=common_time_span,
-            allow_remote=allow_remote or (),
-        )
-        settings = plan.settings
-    # The baseline may be the table in the output folder, so it is read before anything is written.
-    gates = gating.gates_of(
-        baseline, fail_if or [], undecided, false_alarms, settings, paired=paired
+    plan = plan_of(
+        target,
+        settings,
+        columns=columns,
+        frame_rate=frame_rate,
+        common_time_span=common_time_span,
+        allow_remote=allow_remote,
     )
+    # The baseline may be the table in the output folder, so it is read before anything is written.
+    gates = _gates_of(baseline, fail_if, undecided, false_alarms, plan.settings, paired=paired)
     with only_writer(output, RECORDS, _tell_of_waiting if wait else None):
-        progress = Progress()
-        if merge:
-            write_merged(finished, folders, output)
-        else:
-            with progress_of_runs() as tell:
-                progress = run_plan(plan, output, lambda: _pool(workers, cluster), tell, part)
-        if part is not None:
-            print_shard(part, progress, output, quiet=quiet)
-            return
+        with progress_of_runs() as tell:
+            progress = run_plan(plan, output, lambda: _pool(workers, cluster), tell)
         summary = summary_of(output)
         write_tables(output, summary, transpose=transpose)
-        if dataset is not None and label:
-            append_to_dataset(output, summary.title, dataset, label)
         if not is_drawn(output):
             with drawing("writing the report") as advance:
                 write_report(output, summary, advance)
-        if figure_format is not None:
-            with drawing("drawing figures") as advance:
-                write_figure_files(output, summary, look, local_pool(workers), advance)
         if not quiet:
-            print_verdict(summary, progress, output)
+            _print_verdict(summary, progress, output)
         if gates is not None:
-            gating.judge(gates, output, summary.title, quiet=quiet)
-        require_numbers(summary, output)
+            _judge(gates, output, summary.title, quiet=quiet)
+        _require_numbers(summary, output)
+
+
+@dataclass(frozen=True)
+class Gates:
+    """Gates and their baseline.
+
+    Attributes:
+        gates: The gates.
+        baseline: Values of the older comparison.
+        undecided_fails: Whether an inconclusive verdict causes exit status 1.
+        false_alarms: Probability of a false alarm.
+        paired: Whether trials of the same name have the same seed.
+    """
+
+    gates: list[Gate]
+    baseline: GateValues
+    undecided_fails: bool
+    false_alarms: float
+    paired: bool
+
+
+def _gates_of(
+    path: Path | None,
+    texts: Sequence[str],
+    undecided: str,
+    false_alarms: float,
+    settings: dict[str, Any],
+    *,
+    paired: bool,
+) -> Gates | None:
+    """Return the gates and their baseline; None without gates."""
+    from trajeval_ros.batch.gate import Gate, GateValues, require_same_settings
+    from trajeval_ros.batch.results_table import ResultsTable
+
+    if (path is None) != (not texts):
+        raise SettingsError("--baseline and --fail-if belong together; give both")
+    require_one_of(undecided, ("pass", "fail"), "value of --undecided")
+    if not 0.0 < false_alarms <= 20.0:
+        raise SettingsError(
+            f"--false-alarms {false_alarms:g} is out of range; give a percentage above 0 and up "
+            "to 20, such as 2.5"
+        )
+    if path is None:
+        if paired or undecided != _UNDECIDED or false_alarms != _FALSE_ALARMS:
+            raise SettingsError(
+                "--paired, --undecided and --false-alarms need --baseline and --fail-if; give both"
+            )
+        return None
+    gates = [Gate.parse(text) for text in texts]
+    values = GateValues(ResultsTable(path))
+    require_same_settings(values, settings, gates)
+    for gate in gates:
+        values.find(gate.path)
+    return Gates(gates, values, undecided == "fail", false_alarms / 100.0, paired)
+
+
+def _judge(given: Gates, folder: Path, title: str, *, quiet: bool) -> None:
+    """Write and print the verdicts; exit with status 1 if the gates fail."""
+    from trajeval_ros.batch import gates
+    from trajeval_ros.batch.finished_comparison import GATES as GATES_FILE
+    from trajeval_ros.batch.finished_comparison import GATES_JSON, RUNS
+    from trajeval_ros.batch.gate import GateValues, remarks_on
+    from trajeval_ros.batch.gates_output import to_json, to_markdown
+    from trajeval_ros.batch.results_table import ResultsTable
+
+    now = GateValues(ResultsTable(folder / RUNS))
+    judgement = gates.judge(
+        given.gates, given.baseline, now, given.false_alarms, paired=given.paired
+    )
+    remarks = remarks_on(given.baseline, now)
+    text = to_markdown(judgement, title, remarks)
+    write_text(folder / GATES_FILE, text)
+    write_text(folder / GATES_JSON, to_json(judgement, title, remarks))
+    if not quiet:
+        with may_break():
+            print(f"\n{text}", end="")
+    if judgement.fails or (given.undecided_fails and judgement.verdict != gates.NO_WORSE):
+        raise click.exceptions.Exit(1)
 
 
 def _tell_of_waiting(held: str) -> None:
@@ -324,3 +247,48 @@ def _pool(workers: int | None, cluster: str | None) -> Pool:
     from trajeval_ros.batch.executors import dask_pool, local_pool
 
     return local_pool(workers) if cluster is None else dask_pool(cluster)
+
+
+def _print_verdict(summary: ComparisonSummary, progress: Progress, folder: Path) -> None:
+    """Print the tables and the number of evaluated runs, and on stderr the failed runs."""
+    from trajeval_ros.batch.comparison_summary import failures
+    from trajeval_ros.batch.results_table import OK
+    from trajeval_ros.batch.summary_tables import matrices
+    from trajeval_ros.report.console import console, show
+    from trajeval_ros.report.matrix import to_terminal
+
+    with may_break():
+        terminal = console()
+        for each in matrices(summary):
+            show(terminal, to_terminal(each))
+            terminal.print(f"{each.caption}\n", style="dim")
+        evaluated = sum(trial.status == OK for trial in summary.trials)
+        unchanged, failed = evaluated - progress.new, len(summary.trials) - evaluated
+        kept = f", {unchanged} unchanged" if unchanged else ""
+        kept += f", {failed} failed or missing" if failed else ""
+        terminal.print(
+            f"{counted(progress.new, 'run')} evaluated{kept}{_fetched(progress)}; report.html, "
+            f"tables and runs.parquet: {folder}",
+            soft_wrap=True,
+        )
+        terminal.file.flush()
+        remarks = console(sys.stderr)
+        for line in failures(summary):
+            remarks.print(f"warning: {line}", soft_wrap=True)
+
+
+def _require_numbers(summary: ComparisonSummary, folder: Path) -> None:
+    """Refuse a comparison without any number. Its tables and report state the reasons."""
+    from trajeval_ros.batch.comparison_summary import failures
+
+    lost = failures(summary)
+    if len(lost) == len(summary.trials):
+        raise InputError(
+            f"all runs failed or are missing, first {lost[0]}; see {folder / 'tables.md'} for "
+            "the reasons"
+        )
+
+
+def _fetched(progress: Progress) -> str:
+    count = progress.fetched_bytes
+    return f", {data_size(count)} read from remote stores" if count else ""

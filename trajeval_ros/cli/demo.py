@@ -10,10 +10,12 @@ import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import typer
+import click
 
+from trajeval_ros.cli.command import verb
+from trajeval_ros.cli.options import argument
 from trajeval_ros.cli.pictures import PICTURE
 from trajeval_ros.cli.simulated_bag import ESTIMATE_TOPIC, GROUNDTRUTH_TOPIC, is_simulated
 from trajeval_ros.exceptions import InputError, TrajevalError
@@ -34,12 +36,14 @@ _COMPARED: dict[str, tuple[str | int, ...]] = {
 _FIGURE = "trajectory_top.png"
 
 
-def demo(
-    folder: Annotated[
-        Path,
-        typer.Argument(metavar="FOLDER", help="Output folder: new, or from an earlier demo."),
-    ] = Path("demo_output"),
-) -> None:
+_PARAMETERS = (
+    argument("folder", kind=Path, metavar="FOLDER", default=Path("demo_output"),
+        help="Output folder: new, or from an earlier demo. Default: demo_output."),
+)  # fmt: skip
+
+
+@verb(*_PARAMETERS)
+def demo(folder: Path) -> None:
     """Simulates a flight, evaluates it live and recorded, and draws it. Takes about a minute.
 
     With ROS 2 (rclpy), the flight is replayed to the live evaluator, and the live results are
@@ -78,15 +82,11 @@ def demo(
     _heading("Results" if not status else "The demo failed; results so far")
     _tell(shown, picture, why_none)
     if status:
-        raise typer.Exit(status)
+        raise click.exceptions.Exit(status)
 
 
 def _make_way(folder: Path, bag: Path, results: list[Path]) -> None:
-    """Remove the results of an earlier demo, and nothing else.
-
-    Raises:
-        InputError: The folder holds something else.
-    """
+    """Remove the results of an earlier demo, and nothing else."""
     if folder.is_dir() and any(folder.iterdir()) and not is_simulated(bag):
         raise InputError(f"{folder} exists and is not from an earlier demo; choose another folder")
     for each in results:
@@ -96,11 +96,7 @@ def _make_way(folder: Path, bag: Path, results: list[Path]) -> None:
 
 
 def _evaluate_live(bag: Path, output: Path) -> None:
-    """Replay the bag to the live evaluator, and stop the evaluator with Ctrl-C.
-
-    Raises:
-        InputError: The replay or the evaluator fails, or the evaluator does not end.
-    """
+    """Replay the bag to the live evaluator, and stop the evaluator with Ctrl-C."""
     node = _begin(
         "evaluator", "--ros-args",
         "-p", f"groundtruth_topic:={GROUNDTRUTH_TOPIC}",
@@ -149,12 +145,7 @@ def _compare(live: Path, recorded: Path) -> None:
 
 
 def comparison(live: dict[str, Any], recorded: dict[str, Any]) -> list[str]:
-    """Return lines that compare two results of the same bag, with the reason of a difference.
-
-    Args:
-        live: Result of the live evaluator.
-        recorded: Result of `trajeval evaluate`.
-    """
+    """Return lines that compare two results of the same bag, with the reason of a difference."""
     results = (live, recorded)
     received = {
         "groundtruth messages": [each["groundtruth"]["poses"] for each in results],
@@ -221,7 +212,7 @@ def _draw(recording: Path, png: Path) -> str:
 
 def _tell(shown: Path, picture: Path, why_none: str) -> None:
     """Print the paths of the results and the next command."""
-    from trajeval_ros.viewer.show import has_display
+    from trajeval_ros.viewer.program import has_display
 
     recording, report, figure = shown / PICTURE, shown / "result.json", shown / _FIGURE
     print(f"picture:    {f'none: {why_none}' if why_none else _near(picture)}")
@@ -255,20 +246,12 @@ def _quoted(path: Path) -> str:
 
 
 def _run(*arguments: str) -> None:
-    """Run a verb.
-
-    Raises:
-        InputError: It fails.
-    """
+    """Run a verb."""
     _refuse(arguments, _begin(*arguments).wait())
 
 
 def _quietly(*arguments: str) -> str:
-    """Run a verb without output, and return its stdout.
-
-    Raises:
-        InputError: It fails.
-    """
+    """Run a verb without output, and return its stdout."""
     process = _begin(*arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         out, err = process.communicate()
@@ -293,6 +276,6 @@ def _begin(*arguments: str, **options: Any) -> subprocess.Popen[Any]:
     return subprocess.Popen([sys.executable, "-m", "trajeval_ros", *arguments], **options)
 
 
-def _heading(words: str) -> None:
+def _heading(text: str) -> None:
     """Print a heading."""
-    print(f"\n--- {words}", flush=True)
+    print(f"\n--- {text}", flush=True)

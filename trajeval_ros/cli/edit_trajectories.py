@@ -7,23 +7,31 @@ import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from trajeval_ros.cli import figure_options, options, plotting
-from trajeval_ros.cli.pipes import may_break
+from trajeval_ros.cli.command import verb
+from trajeval_ros.cli.options import (
+    OUTPUT,
+    argument,
+    option,
+    require_used,
+    settings_options,
+    shared_options,
+)
+from trajeval_ros.cli.plotting import PLOT_OPTIONS, Plotting
+from trajeval_ros.cli.programs import may_break
 from trajeval_ros.cli.progress import progress
 from trajeval_ros.cli.source_names import names_of
-from trajeval_ros.cli.unused_options import require_used
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.geometry.time_span import TimeSpan
+from trajeval_ros.formatting.remarks import Level
+from trajeval_ros.geometry.pose_conventions import ORDERS, POSES, ROTATIONS, Conventions
 from trajeval_ros.io.describe import summarize
-from trajeval_ros.io.requests.hand_eye_file import read_similarity
-from trajeval_ros.io.requests.request_words import request_from
+from trajeval_ros.io.hand_eye_file import read_similarity
+from trajeval_ros.io.requests.request_from import request_from
+from trajeval_ros.io.requests.setting import INPUT, PAIR, TRAJECTORY
 from trajeval_ros.io.save_trajectories import MESSAGES, files_of, save_trajectories
 from trajeval_ros.io.sources import each_topic, read_many
-from trajeval_ros.io.text.hints import TextHints
+from trajeval_ros.io.text.layouts import TextHints
 from trajeval_ros.metrics.editing import Edited, Editing, edit
 from trajeval_ros.report.figure_style import FigureStyle
 
@@ -31,177 +39,103 @@ if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
 
 _HERE = Path()
-FRAMES, FEWER = "Frames", "Fewer poses"
+_MESSAGE = "PoseStamped"
+CONVENTIONS, FRAMES, FEWER = "Conventions of the sources", "Frames", "Fewer poses"
 
 
+_PARAMETERS = (
+    argument("sources", metavar="SOURCE...", count=-1,
+        help="PATH, BAG:TOPIC, BAG:/tf:PARENT.CHILD, or BAG for all its topics with poses."),
+    option("--reference", metavar="SOURCE", panel=INPUT, is_common=True,
+        help="Reference for alignment and synchronisation; --start counts from its first "
+        "timestamp."),
+    *shared_options(TRAJECTORY),
+    *settings_options(TRAJECTORY),
+    option("--merge", kind=bool, panel=INPUT,
+        help="Concatenation of all sources into one trajectory."),
+    option("--scale", kind=float, metavar="METRES", default=Conventions.scale, panel=CONVENTIONS,
+        help="Metres per unit of the positions: 0.001 for millimetres."),
+    option("--quaternion-order", metavar="|".join(ORDERS), default=Conventions.quaternion_order,
+        panel=CONVENTIONS,
+        help="Order of the columns of quaternions, which are read as xyzw."),
+    option("--inverse", metavar=f"{POSES}|{ROTATIONS}", panel=CONVENTIONS,
+        help="Poses, or only rotations, to invert: world in body instead of body in world."),
+    option("--axes", metavar="AXES", default=Conventions.axes, panel=CONVENTIONS,
+        help="Permutation and signs of the axes, as in x,-y,z. With positions=y,z,x or "
+        "rotations=y,z,x, only these change."),
+    option("--clock-rate", kind=float, metavar="PPM", default=Conventions.clock_rate,
+        panel=CONVENTIONS,
+        help="Rate correction of the clock, in parts per million, from the first timestamp."),
+    option("--world-axes", metavar="ros|optical", panel=FRAMES, is_common=True,
+        help="Axes of the fixed frame after conversion: ros (x forward, y left, z up) or "
+        "optical (x right, y down, z forward)."),
+    option("--body-axes", metavar="ros|optical", panel=FRAMES, is_common=True,
+        help="Axes of the body frame after conversion, as --world-axes."),
+    option("--transform-right", kind=Path, metavar="FILE", panel=FRAMES,
+        help="Transformation to multiply all poses by on the right: another point of the body, "
+        "such as the camera in the IMU frame. A TransformStamped in YAML, as for --hand-eye."),
+    option("--transform-left", kind=Path, metavar="FILE", panel=FRAMES,
+        help="Transformation to multiply all poses by on the left: another fixed frame. Same "
+        "format; a line `scale: 2.0` makes it a Sim(3)."),
+    option("--synchronise", kind=bool, panel=PAIR, is_common=True,
+        help="Keep only poses paired with the reference, and save the paired reference with the "
+        "same number of rows."),
+    option("--project", metavar="xy|xz|yz", panel=FRAMES,
+        help="Plane to project on. Only rotations about its normal are kept."),
+    option("--motion-filter", metavar="M,DEG", panel=FEWER,
+        help="Motion filter: keep a pose if it differs from the last kept pose by M metres or "
+        "DEG degrees."),
+    option("--rate", kind=float, metavar="HZ", panel=FEWER, is_common=True,
+        help="Rate to thin the poses to, in Hz."),
+    option("--poses", kind=int, metavar="N", panel=FEWER,
+        help="Number of poses to keep, evenly spaced by index."),
+    option("--save-as", metavar="FORMAT", panel=OUTPUT, is_common=True,
+        help="Output format. tum, kitti, euroc: one text file per trajectory. mcap: one file "
+        "for all. rosbag2: one folder (sqlite3) for all."),
+    option("--message", metavar="TYPE", panel=OUTPUT,
+        help=f"Message type in a bag: {', '.join(MESSAGES)}. Default: {_MESSAGE}."),
+    option("--output", kind=Path, metavar="FOLDER", default=_HERE, panel=OUTPUT, is_common=True,
+        help="Output folder. Existing trajectories are never overwritten; figures are "
+        "replaced."),
+    *PLOT_OPTIONS,
+)  # fmt: skip
+
+
+@verb(*_PARAMETERS)
 def trajectory(
-    sources: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="SOURCE...",
-            help="PATH, BAG:TOPIC, BAG:/tf:PARENT.CHILD, or BAG for all its topics with poses.",
-            show_default=False,
-        ),
-    ],
-    reference: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SOURCE",
-            help="Reference for alignment and synchronisation; --start counts from its first "
-            "timestamp.",
-            rich_help_panel=options.INPUT,
-        ),
-    ] = None,
-    columns: options.ColumnsOption = None,
-    frame_rate: options.FrameRateOption = None,
-    start: options.StartOption = None,
-    end: options.EndOption = None,
-    merge: Annotated[
-        bool,
-        typer.Option(
-            "--merge",
-            help="Concatenation of all sources into one trajectory.",
-            rich_help_panel=options.INPUT,
-        ),
-    ] = False,
-    world_axes: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ros|optical",
-            help="Axes of the fixed frame after conversion: ros (x forward, y left, z up) or "
-            "optical (x right, y down, z forward).",
-            rich_help_panel=FRAMES,
-        ),
-    ] = None,
-    body_axes: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ros|optical",
-            help="Axes of the body frame after conversion, as --world-axes.",
-            rich_help_panel=FRAMES,
-        ),
-    ] = None,
-    transform_right: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Transformation to multiply all poses by on the right: another point of the "
-            "body, such as the camera in the IMU frame. A TransformStamped in YAML, as for "
-            "--hand-eye.",
-            rich_help_panel=FRAMES,
-        ),
-    ] = None,
-    transform_left: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Transformation to multiply all poses by on the left: another fixed frame. Same "
-            "format; a line `scale: 2.0` makes it a Sim(3).",
-            rich_help_panel=FRAMES,
-        ),
-    ] = None,
-    gauge: Annotated[
-        str | None,
-        typer.Option(
-            help="Alignment to the reference: none, translation, yaw, planar, se3 or sim3.",
-            rich_help_panel=options.ALIGN,
-        ),
-    ] = None,
-    modality: Annotated[
-        str | None,
-        typer.Option(
-            help="Alignment to the reference with the gauge of these sensors, such as "
-            "stereo-inertial.",
-            rich_help_panel=options.ALIGN,
-        ),
-    ] = None,
-    align_states: options.AlignStatesOption = None,
-    align_with: options.AlignWithOption = None,
-    synchronise: Annotated[
-        bool,
-        typer.Option(
-            "--synchronise",
-            help="Keep only poses paired with the reference, and save the paired reference with "
-            "the same number of rows.",
-            rich_help_panel=options.PAIR,
-        ),
-    ] = False,
-    association: Annotated[
-        str | None,
-        typer.Option(
-            help="Pairing method: linear (default) interpolates the reference at a source's "
-            "timestamps; nearest pairs timestamps one to one.",
-            rich_help_panel=options.PAIR,
-        ),
-    ] = None,
-    max_time_difference: options.MaxTimeDifferenceOption = None,
-    max_gap: options.MaxGapOption = None,
-    project: Annotated[
-        str | None,
-        typer.Option(
-            metavar="xy|xz|yz",
-            help="Plane to project on. Only rotations about its normal are kept.",
-            rich_help_panel=FRAMES,
-        ),
-    ] = None,
-    motion_filter: Annotated[
-        str | None,
-        typer.Option(
-            metavar="M,DEG",
-            help="Motion filter: keep a pose if it differs from the last kept pose by M metres "
-            "or DEG degrees.",
-            rich_help_panel=FEWER,
-        ),
-    ] = None,
-    rate: Annotated[
-        float | None,
-        typer.Option(
-            metavar="HZ", help="Rate to thin the poses to, in Hz.", rich_help_panel=FEWER
-        ),
-    ] = None,
-    poses: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            help="Number of poses to keep, evenly spaced by index.",
-            rich_help_panel=FEWER,
-        ),
-    ] = None,
-    save_as: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FORMAT",
-            help="Output format. tum, kitti, euroc: one text file per trajectory. mcap: one file "
-            "for all. rosbag2: one folder (sqlite3) for all.",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = None,
-    message: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TYPE",
-            help=f"Message type in a bag: {', '.join(MESSAGES)}. Default: PoseStamped.",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = None,
-    output: Annotated[
-        Path,
-        typer.Option(
-            metavar="FOLDER",
-            help="Output folder. Existing trajectories are never overwritten; figures are "
-            "replaced.",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = _HERE,
-    plot: plotting.PlotOption = None,
-    colour_by: plotting.ColourByOption = None,
-    map_file: plotting.MapOption = None,
-    map_bounds: plotting.MapBoundsOption = None,
-    figure_format: figure_options.FigureFormatOption = None,
-    figure_width: figure_options.FigureWidthOption = None,
-    style: figure_options.StyleOption = None,
-    strict: options.StrictOption = False,
-    quiet: options.QuietOption = False,
+    sources: Sequence[str],
+    reference: str | None,
+    columns: str | None,
+    frame_rate: float | None,
+    strict: bool,
+    quiet: bool,
+    merge: bool,
+    scale: float,
+    quaternion_order: str,
+    inverse: str | None,
+    axes: str,
+    clock_rate: float,
+    world_axes: str | None,
+    body_axes: str | None,
+    transform_right: Path | None,
+    transform_left: Path | None,
+    synchronise: bool,
+    project: str | None,
+    motion_filter: str | None,
+    rate: float | None,
+    poses: int | None,
+    save_as: str | None,
+    message: str | None,
+    output: Path,
+    plot: str | None,
+    colour_by: str | None,
+    colour_max: float | None,
+    map_file: Path | None,
+    map_bounds: str | None,
+    figure_format: str | None,
+    figure_width: str | None,
+    style: Path | None,
+    **settings: Any,
 ) -> None:
     r"""Prints trajectories, transforms them and saves them in other formats.
 
@@ -236,41 +170,38 @@ def trajectory(
 
         trajeval trajectory odom.csv --columns 't_ns _ x y yaw_deg' --save-as tum
 
-    Operations are applied in this order: time span, merge, axes, transform on the right and on the
-    left, align, synchronise, project, motion filter, rate, number of poses.
+    Convert a file in millimetres whose poses are inverse:
+
+        trajeval trajectory vio.txt --scale 0.001 --inverse poses --save-as tum
+
+    Operations are applied in this order: conventions, time span, merge, axes, transform on the
+    right and on the left, align, synchronise, project, motion filter, rate, number of poses.
     """
     if message is not None and save_as not in ("mcap", "rosbag2"):
         raise SettingsError(
             "--message applies to bags only; add --save-as mcap or --save-as rosbag2"
         )
-    aligns = gauge is not None or modality is not None
-    if not aligns and (align_states is not None or align_with is not None):
+    given = {name for name, value in settings.items() if value is not None}
+    aligns = bool(given & {"gauge", "modality"})
+    if not aligns and given & {"align_states", "align_with"}:
         raise SettingsError(
             "the options of the alignment need --gauge or --modality; add one of them"
         )
-    pairing = (association, max_time_difference, max_gap)
-    if not aligns and not synchronise and any(each is not None for each in pairing):
+    pairing = {"association", "max_time_difference", "max_gap"}
+    if not aligns and not synchronise and given & pairing:
         raise SettingsError(
             "the options of the association need --synchronise, --gauge or "
             "--modality; add one of them"
         )
-    if association == "continuous":
+    if settings["association"] == "continuous":
         raise SettingsError(
             "association continuous computes likelihoods only; use linear or nearest"
         )
-    protocol = request_from(
-        {
-            "gauge": gauge,
-            "modality": modality,
-            "align_states": align_states,
-            "align_with": align_with,
-            "association": association,
-            "max_time_difference": max_time_difference,
-            "max_gap": max_gap,
-        }
-    ).protocol
+    request = request_from(settings)
+    protocol = request.protocol
     editing = Editing(
-        time_span=TimeSpan.parse(start, end),
+        conventions=Conventions(scale, quaternion_order, inverse or "", axes, clock_rate),
+        time_span=request.time_span,
         merge=merge,
         world_axes=world_axes,
         body_axes=body_axes,
@@ -283,9 +214,10 @@ def trajectory(
         rate_hz=rate,
         poses=poses,
     )
-    plots = plotting.Plotting.parse(
+    plots = Plotting.parse(
         plot,
         colour_by,
+        colour_max,
         map_file,
         map_bounds,
         FigureStyle.parse(figure_format, figure_width, style, has_titles=True),
@@ -294,8 +226,9 @@ def trajectory(
         files_of(output, ["any"], save_as)  # raises an error for an unknown format before reading
     if save_as is None and plot is None and output != _HERE:
         raise SettingsError("--output needs --save-as or --plot; add one of them")
-    placed = (start, end, plot)  # times and figures have the reference, too
-    if reference is not None and not aligns and not synchronise and placed == (None, None, None):
+    # Times and figures have the reference, too.
+    is_used = aligns or synchronise or plot is not None or request.time_span is not None
+    if reference is not None and not is_used:
         raise SettingsError(
             "--reference needs an operation; add --gauge, --modality, --synchronise, --start, "
             "--end or --plot"
@@ -309,12 +242,12 @@ def trajectory(
     names = [*names_of(wanted), *("reference" for _ in others)]
     every_hint = [*[hints] * len(wanted), *[hints.of_reference] * len(others)]
     read = _read([*wanted, *others], names, every_hint, strict=strict)
-    require_used(hints, (note for each in read for note in each.notes))
+    require_used(hints, (said for each in read for said in each.reading.remarks))
     edited = edit(read[: len(wanted)], None if reference is None else read[-1], editing)
     everything = _with_references(edited)
     paths: list[Path] = []
     if save_as is not None:
-        paths = save_trajectories(output, everything, save_as, message or "PoseStamped")
+        paths = save_trajectories(output, everything, save_as, message or _MESSAGE)
     paths += plots.write(
         output,
         [each.trajectory for each in edited],
@@ -356,7 +289,8 @@ def _with_references(edited: Sequence[Edited]) -> list[Trajectory]:
         found.append(each.trajectory)
         if each.reference is not None:
             name = f"{each.trajectory.name}_reference"
-            found.append(dataclasses.replace(each.reference, name=name, source=""))
+            reading = dataclasses.replace(each.reference.reading, source="")
+            found.append(dataclasses.replace(each.reference, name=name, reading=reading))
     return found
 
 
@@ -374,9 +308,9 @@ def _print(trajectories: Sequence[Trajectory], paths: Sequence[Path]) -> None:
 
 
 def _row(trajectory: Trajectory) -> tuple[str, ...]:
-    summary = summarize(trajectory.source, trajectory)
+    summary = summarize(trajectory.reading.source, trajectory)
     path = f"{summary.path_length_m:.3f}"
-    if not trajectory.stamped:
+    if not trajectory.reading.stamped:
         return (trajectory.name, str(summary.poses), "", "", path, "", "", "", "")
     return (
         trajectory.name,
@@ -392,16 +326,18 @@ def _row(trajectory: Trajectory) -> tuple[str, ...]:
 
 
 def _remark(read: Sequence[Trajectory], edited: Sequence[Edited], *, quiet: bool) -> None:
-    """Print notes and warnings on stderr; with `quiet` only warnings of missing data."""
+    """Print notes and warnings on stderr; with `quiet` only those of missing data."""
     from trajeval_ros.report.console import console
 
     remarks = console(sys.stderr)
     for each in () if quiet else edited:
-        for note in each.trajectory.notes:
-            remarks.print(f"note: {each.trajectory.name}: {note}", soft_wrap=True)
+        for remark in each.trajectory.reading.remarks:
+            if remark.level < Level.ERROR:
+                kind = remark.level.name.lower()
+                remarks.print(f"{kind}: {each.trajectory.name}: {remark.text}", soft_wrap=True)
         if each.alignment is not None and each.alignment.untrustworthy:
             why = each.alignment.untrustworthy
             remarks.print(f"warning: {each.trajectory.name}: {why}", soft_wrap=True)
     for trajectory in read:
-        for line in (*trajectory.damage, *trajectory.conflicts):
+        for line in trajectory.reading.said(Level.ERROR):
             remarks.print(f"warning: {trajectory.name}: {line}", soft_wrap=True)

@@ -7,6 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from trajeval_ros.cli.pictures import PICTURE
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.install_command import extra_command, pyarrow_command
 from trajeval_ros.io.json_file import json_text
 from trajeval_ros.io.live.pair_file import SUFFIX
@@ -17,6 +18,7 @@ from trajeval_ros.pipeline.outcome import Outcome
 from trajeval_ros.report.figure_style import FigureStyle
 
 _RESULT = "result.json"
+_HEAD = 64  # bytes with the schema
 _OURS = re.compile(
     "(trajectory_(top|side)|(absolute|relative)_error|groundtruth_uncertainty|mahalanobis"
     r"|likelihood_by_edge|(consistency|uncertainty_top|stanford)(_\d+)?)(-img\d+)?\.(png|pdf|svg|pgf)"
@@ -40,6 +42,7 @@ def write_folder(
 
 def _write(folder: Path, result: dict[str, object], outcome: Outcome, look: FigureStyle) -> None:
     runs = outcome.runs
+    _require_own(folder / _RESULT)
     folder.parent.mkdir(parents=True, exist_ok=True)
     # An existing folder may be a mount point, and the only writable place.
     beside = folder if folder.is_dir() else folder.parent
@@ -59,7 +62,7 @@ def _write(folder: Path, result: dict[str, object], outcome: Outcome, look: Figu
 
                     write_consistency(run.evaluation, run.consistency, temporary, *named, look)
                 if run.integrity is not None:
-                    from trajeval_ros.report.stanford_figure import write_stanford
+                    from trajeval_ros.report.consistency_figure import write_stanford
 
                     write_stanford(run.integrity, temporary, *named, look)
             likely = outcome.likelihoods
@@ -79,6 +82,19 @@ def _write(folder: Path, result: dict[str, object], outcome: Outcome, look: Figu
                 old.unlink()
         for file in sorted(temporary.iterdir(), key=lambda file: file.name == _RESULT):
             file.replace(folder / file.name)
+
+
+def _require_own(result: Path) -> None:
+    """Check that an existing result.json is from an evaluation, which replaces it."""
+    if not result.is_file() or result.is_symlink():
+        return
+    with result.open("rb") as file:
+        start = file.read(_HEAD)
+    if start and b'"schema": "trajeval/' not in start:
+        raise InputError(
+            f"{result} is not from an evaluation, which replaces it; choose another --output, or "
+            "move it away"
+        )
 
 
 def contents(folder: Path) -> str:

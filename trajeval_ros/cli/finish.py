@@ -2,39 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Any
 
-import typer
-
-from trajeval_ros.cli import options
-from trajeval_ros.cli.deliver import deliver
+from trajeval_ros.cli.command import verb
+from trajeval_ros.cli.evaluation_output import write_and_print
+from trajeval_ros.cli.options import (
+    OUTPUT,
+    argument,
+    option,
+    settings_options,
+    shared_options,
+)
 from trajeval_ros.io.live.live_folder import evaluate_folder
-from trajeval_ros.io.requests.request_words import request_from
+from trajeval_ros.io.requests.request_from import request_from
+from trajeval_ros.io.requests.setting import FINISH
 from trajeval_ros.io.results.requirement import Requirement
 
+_PARAMETERS = (
+    argument("folder", kind=Path, metavar="FOLDER", help="Output folder of the live evaluator."),
+    *settings_options(FINISH),
+    *shared_options(FINISH),
+    option("--output", kind=Path, metavar="DIR", panel=OUTPUT,
+        help="Output folder for result.json, errors.npz and figures. It can be FOLDER itself."),
+)  # fmt: skip
 
+
+@verb(*_PARAMETERS)
 def finish(
-    folder: Annotated[
-        Path, typer.Argument(metavar="FOLDER", help="Output folder of the live evaluator.")
-    ],
-    align_with: options.AlignWithOption = None,
-    hand_eye: options.HandEyeOption = None,
-    up: options.UpOption = None,
-    covariance: options.CovarianceOption = None,
-    rotation_covariance_frame: options.RotationCovarianceFrameOption = None,
-    groundtruth_noise: options.GroundtruthNoiseOption = None,
-    json: options.JsonOption = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Output folder for result.json, errors.npz and figures. It can be FOLDER itself.",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = None,
-    require: options.RequireOption = None,
-    quiet: options.QuietOption = False,
+    folder: Path,
+    json: str | None,
+    require: Sequence[str],
+    quiet: bool,
+    output: Path | None,
+    align_with: str | None,
+    **settings: Any,
 ) -> None:
     """Evaluates the pairs that a live run has recorded, during the run or after a crash.
 
@@ -52,17 +55,9 @@ def finish(
 
         trajeval finish trajeval_2026_03_01-10_00_00 --covariance message
     """
-    request = request_from(
-        {
-            "hand_eye": hand_eye,
-            "up": up,
-            "covariance": covariance,
-            "rotation_covariance_frame": rotation_covariance_frame,
-            "groundtruth_noise": groundtruth_noise,
-        }
-    )
-    requirements = [Requirement.parse(text) for text in require or []]
-    deliver(
+    request = request_from(settings)
+    requirements = [Requirement.parse(text) for text in require]
+    write_and_print(
         evaluate_folder(folder, request, align_with),
         requirements,
         json=json,

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from trajeval_ros.cli import options
+from trajeval_ros.cli.command import verb
+from trajeval_ros.cli.options import argument, require_used, shared_options
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.geometry.gauge import MODALITIES
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from trajeval_ros.io.describe import Description, TrajectorySummary
+    from trajeval_ros.report.console import Console
 
 Row = tuple[str, ...]
 _COLUMNS = ("topic", "type", "poses", "Hz", "first s", "last s", "path m", "frame", "likely role")
@@ -24,17 +24,15 @@ _COLUMNS = ("topic", "type", "poses", "Hz", "first s", "last s", "path m", "fram
 _HIDDEN_FIRST = ("last s", "first s", "frame", "path m", "type")
 
 
-def info(
-    source: Annotated[
-        str,
-        typer.Argument(
-            metavar="SOURCE",
-            help="Trajectory file, bag, BAG:TOPIC, BAG:/tf:PARENT.CHILD or folder.",
-        ),
-    ],
-    columns: options.ColumnsOption = None,
-    frame_rate: options.FrameRateOption = None,
-) -> None:
+_PARAMETERS = (
+    argument("source", metavar="SOURCE",
+        help="Trajectory file, bag, BAG:TOPIC, BAG:/tf:PARENT.CHILD or folder."),
+    *shared_options("info"),
+)  # fmt: skip
+
+
+@verb(*_PARAMETERS)
+def info(source: str, columns: str | None, frame_rate: float | None) -> None:
     """Prints the contents of a bag or file, and the likely roles of its topics.
 
     List all topics of a bag with rates, timestamps and frames, and the TF tree:
@@ -60,10 +58,9 @@ def info(
         trajeval info recordings
     """
     from trajeval_ros.cli.progress import progress
-    from trajeval_ros.cli.unused_options import require_used
     from trajeval_ros.io.bags.bag_folder import holds_bag
     from trajeval_ros.io.describe import describe
-    from trajeval_ros.io.text.hints import NO_HINTS, TextHints
+    from trajeval_ros.io.text.layouts import NO_HINTS, TextHints
     from trajeval_ros.report.console import console
 
     hints = TextHints.of(columns, frame_rate)
@@ -77,13 +74,11 @@ def info(
         return
     with progress(f"reading {source}") as advance:
         description = describe(source, advance=advance, hints=hints)
-    require_used(
-        hints, (note for each in description.trajectories for note in (each.kind, *each.notes))
-    )
+    require_used(hints, (remark for each in description.trajectories for remark in each.remarks))
     terminal = console()
     terminal.print(f"{description.path}", soft_wrap=True)
-    for note in description.notes:
-        terminal.print(f"note: {note}", soft_wrap=True)
+    for remark in description.remarks:
+        terminal.print(f"note: {remark.text}", soft_wrap=True)
     if len(description.trajectories) == 1:
         _print_table(terminal, ("", ""), _details(description.trajectories[0]))
     elif description.trajectories:
@@ -100,11 +95,7 @@ def info(
 
 
 def _list_folder(folder: Path) -> None:
-    """Print the sources in a folder, and the skipped files.
-
-    Raises:
-        InputError: The folder has no source.
-    """
+    """Print the sources in a folder, and the skipped files."""
     from trajeval_ros.cli.progress import progress
     from trajeval_ros.io.find_sources import find_sources
     from trajeval_ros.report.console import console
@@ -165,7 +156,7 @@ def _details(summary: TrajectorySummary) -> list[Row]:
         ("data", ", ".join(("position", *summary.holds))),
         ("likely role", summary.could_be),
     ]
-    return [*rows, *(("note", note) for note in summary.notes)]
+    return [*rows, *(("note", said) for said in summary.said)]
 
 
 def _gaps(summary: TrajectorySummary) -> str:
@@ -189,7 +180,7 @@ def _print_remarks(terminal: Console, summaries: Sequence[TrajectorySummary]) ->
     """Print the remarks that have no column in the table."""
     for summary in summaries:
         topic = summary.source.rpartition(":")[2]
-        remarks = [summary.problem] if summary.problem else list(summary.notes)
+        remarks = [summary.problem] if summary.problem else list(summary.said)
         if summary.gaps:
             remarks.append(f"gaps over 0.5 s: {_gaps(summary)}")
         for remark in remarks:
@@ -197,34 +188,41 @@ def _print_remarks(terminal: Console, summaries: Sequence[TrajectorySummary]) ->
 
 
 def _print_edges(terminal: Console, description: Description) -> None:
-    """Print the TF tree."""
-    if description.edges:
+    """Print the moving transforms of the TF tree, and the number of static ones."""
+    moving = [edge for edge in description.edges if not edge.is_static]
+    if moving:
         _print_table(
             terminal,
-            ("transforms", "parent", "child", "kind", "timestamps", "Hz"),
+            ("transforms", "parent", "child", "timestamps", "Hz"),
             [
                 (
                     edge.topic,
                     edge.parent,
                     edge.child,
-                    "static" if edge.is_static else "moving",
                     str(edge.count),
                     f"{edge.rate_hz:.1f}" if edge.rate_hz else "",
                 )
-                for edge in description.edges
+                for edge in moving
             ],
         )
+    static = len(description.edges) - len(moving)
+    if static:
+        terminal.print(f"and {counted(static, 'static transform')}", soft_wrap=True)
 
 
 def _print_next_step(terminal: Console, description: Description) -> None:
     """Print the command that evaluates a likely pair, if there is one."""
     usable = [each for each in description.trajectories if not each.problem]
-    truths = [each for each in usable if each.could_be == "groundtruth"]
+    references = [each for each in usable if each.could_be == "groundtruth"]
     others = [each for each in usable if each.could_be != "groundtruth"]
-    if len(truths) == 1 and others:
+    if len(references) == 1 and others:
+        estimates = " ".join(f"-e {shlex.quote(each.source)}" for each in others)
         terminal.print(
-            f"\ntrajeval evaluate -g {truths[0].source} -e {others[0].source}", soft_wrap=True
+            f"\ntrajeval evaluate -g {shlex.quote(references[0].source)} {estimates} "
+            "--modality SENSORS",
+            soft_wrap=True,
         )
+        terminal.print(f"SENSORS: {', '.join(MODALITIES)}", soft_wrap=True)
 
 
 def _print_topics(terminal: Console, rows: Sequence[Row]) -> None:
@@ -233,9 +231,7 @@ def _print_topics(terminal: Console, rows: Sequence[Row]) -> None:
     show_fitting(terminal, _COLUMNS, (), rows, _HIDDEN_FIRST)
 
 
-def _print_table(terminal: Console, words: Row, rows: Sequence[Row]) -> None:
-    from trajeval_ros.report.console import add_rows, new_table, show
+def _print_table(terminal: Console, header: Row, rows: Sequence[Row]) -> None:
+    from trajeval_ros.report.console import Table, show
 
-    table = new_table("", words)
-    add_rows(table, rows)
-    show(terminal, table)
+    show(terminal, Table("", header, rows=rows))

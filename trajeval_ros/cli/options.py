@@ -1,398 +1,236 @@
-"""Options that several commands share."""
+"""Options of the verbs: those of the table of settings, those that verbs share, and own ones."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Any
 
-import typer
+import click
 
-from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
-from trajeval_ros.geometry.gauge import MODALITIES, Gauge
-from trajeval_ros.metrics.named_protocols import PROTOCOLS
-from trajeval_ros.metrics.protocol import ALIGN_WEIGHTS
-
-GNSS = "GNSS fixes and surveyed points"
-INPUT, ALIGN, PAIR, MEASURE, CONSISTENCY, OUTPUT = (
-    "Input",
-    "Alignment",
-    "Association",
-    "Errors",
-    "Consistency",
-    "Output",
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.formatting.remarks import Remark
+from trajeval_ros.geometry.reading import NAMED_COLUMNS
+from trajeval_ros.io.requests.setting import (
+    COMPARE,
+    DIAGNOSE,
+    EVALUATE,
+    FINISH,
+    INPUT,
+    TRAJECTORY,
+    Setting,
 )
-_MODALITIES = "; ".join(
-    f"{gauge.value}: {', '.join(name for name, its in MODALITIES.items() if its is gauge)}"
-    for gauge in Gauge
-    if gauge in MODALITIES.values()
-)
+from trajeval_ros.io.text.layouts import TextHints
+from trajeval_ros.io.text.reader import ROW_TIMES
+from trajeval_ros.report.figure_style import FORMATS, WIDTHS_IN
 
-GroundtruthIfNamedOption = Annotated[
-    str | None,
-    typer.Option(
-        "--groundtruth",
-        "-g",
-        metavar="SOURCE",
-        help="Groundtruth: PATH, BAG:TOPIC or BAG:/tf:PARENT.CHILD; - reads text from stdin. The "
-        "format is detected from the content: text (TUM, KITTI, EuRoC, OpenVINS, VINS-Mono) or "
-        "bag (MCAP, rosbag2 sqlite3, ROS 1).",
-        rich_help_panel=INPUT,
-    ),
-]
-EstimatesIfNamedOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--estimate",
-        "-e",
-        metavar="SOURCE",
-        help="Trajectory to evaluate. Repeat the option to evaluate several.",
-        rich_help_panel=INPUT,
-    ),
-]
-ProtocolOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME|FILE.yaml",
-        help=f"Named set of settings: {', '.join(PROTOCOLS)}, or a YAML file "
-        "(docs/definitions.md). Other options override it.",
-        rich_help_panel=INPUT,
-    ),
-]
-ModalityOption = Annotated[
-    str | None,
-    typer.Option(
-        help=f"Sensors of the estimator; they determine the gauge. {_MODALITIES}.",
-        rich_help_panel=ALIGN,
-    ),
-]
-GaugeOption = Annotated[
-    str | None,
-    typer.Option(
-        help="Transformation that the alignment fits: "
-        + ", ".join(each.value for each in Gauge)
-        + " (default: se3).",
-        rich_help_panel=ALIGN,
-    ),
-]
-AlignStatesOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="all|N",
-        help="States used for the alignment: all pairs (default) or the first N. With 1, the "
-        "first poses are aligned.",
-        rich_help_panel=ALIGN,
-    ),
-]
-AlignStatesOrTableOption = Annotated[
-    str | None,
-    typer.Option(
-        "--align-states",
-        metavar="all|N|LIST",
-        help="States used for the alignment: all pairs (default) or the first N. With 1, the "
-        "first poses are aligned. A list such as 1,25%,50%,75%,all adds a table with the ATE of "
-        "every entry.",
-        rich_help_panel=ALIGN,
-    ),
-]
-AlignWithOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="positions|poses",
-        help="Data that determine the rotation of the alignment: positions (default), or poses "
-        "to include orientations, for nearly straight paths.",
-        rich_help_panel=ALIGN,
-    ),
-]
-AssociationOption = Annotated[
-    str | None,
-    typer.Option(
-        help="Pairing method. linear (default for poses): interpolate the groundtruth at the "
-        "estimate's timestamps. groundtruth-stamps (default for points and GNSS fixes): "
-        "interpolate the estimate at the groundtruth's timestamps. nearest: pair nearest "
-        "timestamps one to one. continuous: model the groundtruth and its uncertainty over "
-        "time, and compute likelihoods.",
-        rich_help_panel=PAIR,
-    ),
-]
-MaxTimeDifferenceOption = Annotated[
-    float | None,
-    typer.Option(
-        metavar="S",
-        help="Largest time difference of a pair for nearest, in seconds. Default: 0.02.",
-        rich_help_panel=PAIR,
-    ),
-]
-MaxGapOption = Annotated[
-    float | None,
-    typer.Option(
-        metavar="S",
-        help="Longest gap to interpolate across, in seconds. Default: 0.5. It also defines "
-        "coverage (docs/definitions.md).",
-        rich_help_panel=PAIR,
-    ),
-]
-TimeOffsetOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="S|auto",
-        help="Offset added to the estimate's timestamps, in seconds. auto estimates it and "
-        "applies it if it is statistically significant.",
-        rich_help_panel=PAIR,
-    ),
-]
-HandEyeOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="none|auto|SOURCE",
-        help="Pose of the groundtruth's marker in the estimate's body: a TransformStamped in a "
-        "YAML file, or a static transform in a bag (BAG:/tf_static:BODY.MARKER). auto estimates "
-        "it and applies it if it is statistically significant.",
-        rich_help_panel=PAIR,
-    ),
-]
-LeverArmOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="X,Y,Z",
-        help="Position of the GNSS antenna or prism in the estimate's body frame, in metres.",
-        rich_help_panel=GNSS,
-    ),
-]
-AlignWeightsOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="|".join(ALIGN_WEIGHTS),
-        help="Weights of the alignment: equal (default), or from the position covariances of the "
-        "estimate or of the groundtruth.",
-        rich_help_panel=ALIGN,
-    ),
-]
-DatumOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="LAT,LON,HEIGHT",
-        help="Origin of the east-north-up frame of GNSS fixes, in degrees and metres above the "
-        "ellipsoid. Default: the first fix that is used.",
-        rich_help_panel=GNSS,
-    ),
-]
-MinFixStatusOption = Annotated[
-    int | None,
-    typer.Option(
-        metavar="0|1|2",
-        help="Minimum status of a fix: 0 any fix, 1 satellite-based, 2 ground-based "
-        "augmentation. Many drivers use the same status for float and fixed RTK.",
-        rich_help_panel=GNSS,
-    ),
-]
-MaxFixSigmaOption = Annotated[
-    float | None,
-    typer.Option(
-        metavar="M",
-        help="Largest horizontal standard deviation of a fix per axis, from its own covariance, "
-        "in metres.",
-        rich_help_panel=GNSS,
-    ),
-]
-FixCorrelationOption = Annotated[
-    float | None,
-    typer.Option(
-        metavar="S",
-        help="Correlation time of the fix errors, in seconds, for the interval of the estimate's "
-        "own error. Default: 100.",
-        rich_help_panel=GNSS,
-    ),
-]
-ContinuousModelOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        help=f"Motion model for association continuous: {', '.join(MODELS)}. Default: "
-        f"{DEFAULT_MODEL}.",
-        rich_help_panel=PAIR,
-    ),
-]
-GroundtruthNoiseOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="P,R",
-        help="Standard deviations of the groundtruth: position (m), rotation (deg). For "
-        "--covariance and association continuous. Default of the latter: 0.002,0.1.",
-        rich_help_panel=PAIR,
-    ),
-]
-ApplyOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="all|scale",
-        help="Part of the alignment to apply: all (default), or only the scale of gauge sim3, as "
-        "evo_ape -s does.",
-        rich_help_panel=ALIGN,
-    ),
-]
-LengthsOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="LIST",
-        help="Sub-trajectory lengths for the relative error: 8,16,24 (metres), 1s,5s "
-        "(seconds), 1f,10f (frames), 5deg (of rotation), 10%,20% (of the path) or none. "
-        "Default: 8,16,24,32,40.",
-        rich_help_panel=MEASURE,
-    ),
-]
-PairsOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="all|consecutive",
-        help="Sub-trajectories start at every state (default), or consecutive: at the end of the "
-        "previous one (default of protocol evo).",
-        rich_help_panel=MEASURE,
-    ),
-]
-AteFormOption = Annotated[
-    str | None,
-    typer.Option(
-        help="Form of the ATE: plain (default): difference of positions; evo: also errors of "
-        "whole poses; tutorial: eq. (23), which depends on the choice of the origin.",
-        rich_help_panel=MEASURE,
-    ),
-]
-ReFormOption = Annotated[
-    str | None,
-    typer.Option(
-        help="Form of the relative error: gauge, se3 (relative poses), matrices (as se3, with "
-        "KITTI's matrices as stored) or tutorial (eq. 26).",
-        rich_help_panel=MEASURE,
-    ),
-]
-CovarianceOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="SOURCE",
-        help="Consistency test of errors and covariances. Source of the covariances: FILE.npz "
-        "with the joint covariance of all poses, message for one covariance per pose in the "
-        "messages, or none.",
-        rich_help_panel=CONSISTENCY,
-    ),
-]
-RotationCovarianceFrameOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="world|body",
-        help="Axes of rotation covariances in messages: world (default), as in ROS, or body, as "
-        "in OpenVINS.",
-        rich_help_panel=CONSISTENCY,
-    ),
-]
-IntegrityOption = Annotated[
-    bool,
-    typer.Option(
-        "--integrity",
-        help="Integrity test: compares errors with the protection levels that the covariances "
-        "give at --risk.",
-        rich_help_panel=CONSISTENCY,
-    ),
-]
-AlertLimitOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="M[,DEG]",
-        help="Largest acceptable position error (horizontal and vertical), and heading error.",
-        rich_help_panel=CONSISTENCY,
-    ),
-]
-RiskOption = Annotated[
-    float | None,
-    typer.Option(
-        metavar="P",
-        help="Probability that an error may exceed its protection level (1e-5).",
-        rich_help_panel=CONSISTENCY,
-    ),
-]
-WatchLimitsOption = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="With --integrity: limits of `trajeval watch`, whose errors count as alerts in the "
-        "time to alert.",
-        rich_help_panel=CONSISTENCY,
-    ),
-]
-UpOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="AXIS[,AXIS]",
-        help="Vertical axis (x, y, z, -x, -y or -z) of all frames, or of the groundtruth and of "
-        "the estimates, as in --up=-y,z. Default: -y for KITTI matrices and optical frames, "
-        "otherwise z. It defines gauges yaw and planar, and the yaw and tilt errors.",
-        rich_help_panel=INPUT,
-    ),
-]
-StartOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="S|@STAMP",
-        help="Start of the evaluated time span: seconds after the first timestamp of the "
-        "groundtruth (or reference), as in 10.5, or a timestamp, as in @1403636580.5.",
-        rich_help_panel=INPUT,
-    ),
-]
-EndOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="S|@STAMP|+S",
-        help="End of the evaluated time span: as --start, or +30 for 30 s after the start.",
-        rich_help_panel=INPUT,
-    ),
-]
-ColumnsOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAMES",
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
+
+OUTPUT, FIGURES = "Output", "Figures"
+_TYPES: dict[Any, str] = {str: "TEXT", float: "NUMBER", int: "N"}
+_FEW = 2  # choices that fit a placeholder
+# Metavars of values that are names of files.
+_FILES = ("FILE", "DIR", "FOLDER", "SOURCE", "BAG", "yaml", "parquet", "GROUNDTRUTH", "RESULT")
+STUDY_GAUGE, STUDY_ASSOCIATION = "study gauge", "study association"
+
+# Options of several verbs that are not settings of a request.
+_SHARED = (
+    Setting(name="groundtruth", letter="-g", metavar="SOURCE", panel=INPUT,
+        verbs=(EVALUATE, STUDY_ASSOCIATION), is_common=True,
+        help="Groundtruth: PATH, BAG:TOPIC or BAG:/tf:PARENT.CHILD; - reads text from stdin. "
+        "The format is detected from the content: text (TUM, KITTI, EuRoC, OpenVINS, VINS-Mono) "
+        "or bag (MCAP, rosbag2 sqlite3, ROS 1)."),
+    Setting(name="estimate", letter="-e", metavar="SOURCE", panel=INPUT,
+        verbs=(EVALUATE, STUDY_ASSOCIATION), is_common=True, is_repeatable=True,
+        help="Trajectory to evaluate. Repeat the option to evaluate several."),
+    Setting(name="columns", metavar="NAMES", panel=INPUT,
+        verbs=(EVALUATE, COMPARE, TRAJECTORY, "info"),
         help="Columns of text files (except the groundtruth or reference), as in 't x y z qw qx "
-        "qy qz'. Use _ for columns to ignore. Names: docs/trajectory.md.",
-        rich_help_panel=INPUT,
-    ),
-]
-FrameRateOption = Annotated[
-    float | None,
-    typer.Option(
-        metavar="HZ",
-        help="Pose rate of text files without timestamps, such as KITTI, TartanAir and g2o.",
-        rich_help_panel=INPUT,
-    ),
-]
-StrictOption = Annotated[
-    bool,
-    typer.Option(
-        "--strict",
-        help="Verification of all data read from a bag. Exits with status 2 if it is damaged.",
-        rich_help_panel=INPUT,
-    ),
-]
-JsonOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="FILE|-",
-        help="JSON output file. With -, only the JSON is printed to stdout.",
-        rich_help_panel=OUTPUT,
-    ),
-]
-RequireOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="BOUND",
+        "qy qz'. Use _ for columns to ignore. Names: docs/trajectory.md."),
+    Setting(name="frame_rate", kind=float, metavar="HZ", panel=INPUT,
+        verbs=(EVALUATE, COMPARE, TRAJECTORY, "info"),
+        help="Pose rate of text files without timestamps, such as KITTI, TartanAir and g2o."),
+    Setting(name="strict", kind=bool, panel=INPUT, verbs=(EVALUATE, TRAJECTORY),
+        help="Verification of all data read from a bag. Exits with status 2 if it is damaged."),
+    Setting(name="json", metavar="FILE|-", panel=OUTPUT,
+        verbs=(EVALUATE, FINISH, DIAGNOSE, "watch", STUDY_ASSOCIATION), is_common=True,
+        help="JSON output file. With -, only the JSON is printed to stdout."),
+    Setting(name="require", metavar="BOUND", panel=OUTPUT, verbs=(EVALUATE, FINISH),
+        is_repeatable=True,
         help="Requirement for every estimate; exits with status 1 if it is not met. Repeatable. "
-        "Examples: 'ate.position_m.rmse < 0.3', 're.8m.position_percent.mean < 1'.",
-        rich_help_panel=OUTPUT,
-    ),
-]
-QuietOption = Annotated[
-    bool,
-    typer.Option(
-        "--quiet",
-        "-q",
-        help="No output on the terminal except warnings about missing data.",
-        rich_help_panel=OUTPUT,
-    ),
-]
+        "Examples: 'ate.position_m.rmse < 0.3', 're.8m.position_percent.mean < 1'."),
+    Setting(name="quiet", kind=bool, letter="-q", panel=OUTPUT,
+        verbs=(EVALUATE, COMPARE, FINISH, TRAJECTORY, "watch"),
+        help="No output on the terminal except warnings about missing data."),
+    Setting(name="figure_format", metavar="LIST", panel=FIGURES,
+        verbs=(EVALUATE, TRAJECTORY, STUDY_GAUGE),
+        help=f"Formats of figures, separated by commas: {','.join(FORMATS)}. PGF needs LaTeX."),
+    Setting(name="figure_width", metavar="INCHES|PRESET", panel=FIGURES,
+        verbs=(EVALUATE, TRAJECTORY, STUDY_GAUGE),
+        help="Width of figures in print, with a font size of 7 to 9 points: "
+        + ", ".join(f"{name} ({width:g})" for name, width in WIDTHS_IN.items())
+        + "."),
+    Setting(name="no_title", kind=bool, panel=FIGURES, verbs=(EVALUATE, STUDY_GAUGE),
+        help="Figures without titles, for papers. The titles stay in the metadata of the "
+        "files."),
+    Setting(name="style", kind=Path, metavar="FILE.mplstyle", panel=FIGURES,
+        verbs=(EVALUATE, TRAJECTORY, STUDY_GAUGE),
+        help="Matplotlib style sheet; overrides the default style and your matplotlibrc. With "
+        "`text.usetex: True`, LaTeX sets all text."),
+)  # fmt: skip
+
+
+class HelpedOption(click.Option):
+    """An option with a heading in the help, and completion of its values.
+
+    Attributes:
+        panel: The heading.
+        is_common: Whether the short help shows it.
+    """
+
+    def __init__(
+        self, names: list[str], *, panel: str = "", is_common: bool = False, **more: Any
+    ) -> None:
+        super().__init__(names, **more)
+        self.panel, self.is_common = panel, is_common
+
+
+class HelpedArgument(click.Argument):
+    """An argument with a help."""
+
+    def __init__(self, name: str, *, help: str, **more: Any) -> None:  # noqa: A002 - as click's
+        super().__init__([name], **more)
+        self.help = help
+
+
+def settings_options(verb: str) -> list[click.Parameter]:
+    """Return the options of a verb for the settings of a request, which the table states."""
+    from trajeval_ros.io.requests.settings_table import SETTINGS
+
+    return [_option_of(each) for each in SETTINGS.values() if verb in each.verbs]
+
+
+def shared_options(verb: str) -> list[click.Parameter]:
+    """Return the other options that a verb shares with others."""
+    return [_option_of(each) for each in _SHARED if verb in each.verbs]
+
+
+def _option_of(setting: Setting) -> HelpedOption:
+    is_flag = setting.kind is bool
+    return HelpedOption(
+        [setting.option, *([setting.letter] if setting.letter else [])],
+        help=setting.text,
+        type=None if is_flag else _click_type(setting.kind),
+        is_flag=is_flag or None,  # False would make the value optional
+        multiple=setting.is_repeatable,
+        metavar=None if is_flag else setting.metavar or _metavar(setting),
+        panel=setting.panel,
+        is_common=setting.is_common,
+        shell_complete=_completion(setting.metavar, setting.choices),
+    )
+
+
+def _click_type(kind: Any) -> Any:
+    return click.Path(path_type=Path) if kind is Path else kind
+
+
+def _metavar(setting: Setting) -> str:
+    if setting.choices:
+        return "|".join(setting.choices) if len(setting.choices) <= _FEW else "NAME"
+    return _TYPES[setting.kind]
+
+
+def option(
+    *names: str,
+    help: str,  # noqa: A002 - as click's
+    metavar: str = "",
+    kind: Any = str,
+    default: Any = None,
+    panel: str = "",
+    is_common: bool = False,
+    is_repeatable: bool = False,
+) -> HelpedOption:
+    """Return an option that a single verb has; a bool is a flag.
+
+    Args:
+        names: As on the command line; `--a/--b` are two opposite flags.
+        help: Its meaning. The default is appended.
+        metavar: Placeholder of its value.
+        kind: Type of its value, or click's type.
+        default: None for no default.
+        panel: Heading in the help.
+        is_common: Whether the short help shows it.
+        is_repeatable: Whether it may be given several times.
+    """
+    is_flag = kind is bool
+    return HelpedOption(
+        list(names),
+        help=help if default is None or is_flag else f"{help} Default: {default}.",
+        type=None if is_flag else _click_type(kind),
+        is_flag=is_flag or None,  # False would make the value optional
+        default=(None if "/" in names[0] else False) if is_flag else default,
+        multiple=is_repeatable,
+        metavar=None if is_flag else metavar or _TYPES.get(kind, "N"),
+        panel=panel,
+        is_common=is_common,
+        shell_complete=_completion(metavar, ()),
+    )
+
+
+def argument(
+    name: str,
+    *,
+    help: str,  # noqa: A002 - as click's
+    metavar: str,
+    kind: Any = str,
+    default: Any = None,
+    count: int = 1,
+    is_required: bool = True,
+) -> HelpedArgument:
+    """Return a positional argument; with the count -1, any number of values."""
+    is_required = is_required and default is None
+    return HelpedArgument(
+        name,
+        help=help,
+        type=_click_type(kind),
+        nargs=count,
+        required=is_required,
+        metavar=metavar,
+        shell_complete=_completion(metavar, ()),
+        **({} if default is None else {"default": default}),
+    )
+
+
+def _completion(metavar: str, choices: Iterable[str]) -> Callable[..., list[CompletionItem]]:
+    """Return a function that completes a value: one of the choices, or the name of a file."""
+
+    def complete(_context: Any, _parameter: Any, start: str) -> list[CompletionItem]:
+        from click.shell_completion import CompletionItem
+
+        found = [CompletionItem(each) for each in choices if each.startswith(start)]
+        if not found and any(each in metavar for each in _FILES):
+            found = [CompletionItem(start, type="file")]
+        return found
+
+    return complete
+
+
+def require_used(hints: TextHints, remarks: Iterable[Remark]) -> None:
+    """Refuse column names and a frame rate that no source needed.
+
+    Args:
+        hints: Of the command line.
+        remarks: Those of the readers of all sources.
+
+    Raises:
+        SettingsError: No source is a text file with named columns, or all have timestamps.
+    """
+    codes = {each.code for each in remarks}
+    if hints.columns and NAMED_COLUMNS not in codes:
+        raise SettingsError("--columns is for text files, and no text file was read; remove it")
+    if hints.frame_rate_hz is not None and ROW_TIMES not in codes:
+        raise SettingsError(
+            "--frame-rate is for text files without timestamps, and no such file was read; remove "
+            "it"
+        )

@@ -43,7 +43,7 @@ class Pictures:
         """Open the viewer if requested, and wait until it is closed."""
         if not self.viewer:
             return
-        from trajeval_ros.viewer.show import show
+        from trajeval_ros.viewer.program import show
 
         if self.rrd is not None:
             show(self.rrd)

@@ -2,58 +2,35 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from trajeval_ros.cli.figure_options import FIGURES
+from trajeval_ros.cli.options import FIGURES, option
 from trajeval_ros.exceptions import SettingsError, require_one_of
-from trajeval_ros.geometry.flattening import PLANES
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.trajectory_edits import PLANES
 from trajeval_ros.io.ground_image import GroundImage, parse_bounds, read_ground_image
 from trajeval_ros.io.writing import refused_by_disk
 from trajeval_ros.report.figure_output import save_all
 from trajeval_ros.report.figure_style import PLAIN, FigureStyle
-from trajeval_ros.report.motion_figures import COLOURS_BY, PLOTS, motion_drawings
+from trajeval_ros.report.motion_figures import COLOURS_BY, PLOTS, Colours, motion_drawings
 
-PlotOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="LIST",
+PLOT_OPTIONS = (
+    option("--plot", metavar="LIST", panel=FIGURES,
         help=f"Figures to draw into the output folder, separated by commas: {','.join(PLOTS)}. "
-        "Positions (xyz), angles (rpy) and speeds are drawn over time.",
-        rich_help_panel=FIGURES,
-    ),
-]
-ColourByOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="|".join(COLOURS_BY),
-        help="Colour of paths in a plane: error (distance from the reference) or speed.",
-        rich_help_panel=FIGURES,
-    ),
-]
-MapOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--map",
-        metavar="FILE",
+        "Positions (xyz), angles (rpy) and speeds are drawn over time."),
+    option("--colour-by", metavar="|".join(COLOURS_BY), panel=FIGURES,
+        help="Colour of paths in a plane: error (distance from the reference) or speed."),
+    option("--colour-max", kind=float, metavar="VALUE", panel=FIGURES,
+        help="Value at the end of the colour scale. Default: the 99th percentile."),
+    option("--map", "map_file", kind=Path, metavar="FILE", panel=FIGURES,
         help="Background of the path in xy: a ROS map (its YAML file), or an image with a world "
-        "file next to it. It must be in the frame of the drawn trajectories.",
-        rich_help_panel=FIGURES,
-    ),
-]
-MapBoundsOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="X0,Y0,X1,Y1",
-        help="Lower left and upper right corner of an image without a world file, in metres.",
-        rich_help_panel=FIGURES,
-    ),
-]
+        "file next to it. It must be in the frame of the drawn trajectories."),
+    option("--map-bounds", metavar="X0,Y0,X1,Y1", panel=FIGURES,
+        help="Lower left and upper right corner of an image without a world file, in metres."),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,13 +39,13 @@ class Plotting:
 
     Attributes:
         kinds: Names of figures in `PLOTS`; empty for no figures.
-        colour_by: Quantity for the colour along paths; None for one colour per trajectory.
+        colours: Colours along paths; None for one colour per trajectory.
         ground: Map below the paths; None for no map.
         style: File formats and style.
     """
 
     kinds: tuple[str, ...]
-    colour_by: str | None
+    colours: Colours | None
     ground: GroundImage | None
     style: FigureStyle
 
@@ -77,6 +54,7 @@ class Plotting:
         cls,
         plot: str | None,
         colour_by: str | None,
+        colour_max: float | None,
         map_file: Path | None,
         map_bounds: str | None,
         style: FigureStyle,
@@ -87,7 +65,7 @@ class Plotting:
             SettingsError: An option is not valid.
             InputError: The map or the style sheet can't be read.
         """
-        more = (colour_by, map_file, map_bounds)
+        more = (colour_by, colour_max, map_file, map_bounds)
         if plot is None and (style != PLAIN or any(each is not None for each in more)):
             raise SettingsError(
                 f"the options of figures need --plot; add it, as in --plot {PLOTS[0]}"
@@ -101,6 +79,10 @@ class Plotting:
             raise SettingsError(
                 f"--colour-by needs a path in a plane; add {', '.join(PLANES)} to --plot"
             )
+        if colour_max is not None and (colour_by is None or not 0.0 < colour_max < math.inf):
+            raise SettingsError(
+                f"--colour-max must be positive and needs --colour-by; found {colour_max:g}"
+            )
         if map_bounds is not None and map_file is None:
             raise SettingsError("--map-bounds needs an image; add --map IMAGE")
         if map_file is not None and "xy" not in kinds:
@@ -108,7 +90,8 @@ class Plotting:
         style.check()
         bounds = None if map_bounds is None else parse_bounds(map_bounds)
         ground = None if map_file is None else read_ground_image(map_file, bounds)
-        return cls(kinds, colour_by, ground, style)
+        colours = None if colour_by is None else Colours(colour_by, colour_max)
+        return cls(kinds, colours, ground, style)
 
     def write(
         self, folder: Path, trajectories: Sequence[Trajectory], reference: Trajectory | None
@@ -121,7 +104,7 @@ class Plotting:
         if not self.kinds:
             return []
         drawings = motion_drawings(
-            self.kinds, trajectories, reference, colour_by=self.colour_by, ground=self.ground
+            self.kinds, trajectories, reference, colours=self.colours, ground=self.ground
         )
         with refused_by_disk(f"the folder {folder}"):
             folder.mkdir(parents=True, exist_ok=True)

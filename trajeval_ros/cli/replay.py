@@ -4,58 +4,48 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
+from trajeval_ros.cli.command import RosCommand, ros_arguments, verb
+from trajeval_ros.cli.options import argument, option
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.formatting.escaping import visible
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 
 if TYPE_CHECKING:
-    from trajeval_ros.io.bags.pacing import PlaybackResult
-    from trajeval_ros.io.bags.playback import Channel, Playback
+    from trajeval_ros.io.bags.playback import Channel, Playback, PlaybackResult
 
 _LATE_S = 0.1
 
 
+_PARAMETERS = (
+    argument("bag", metavar="BAG", help="Rosbag2 folder, MCAP or sqlite3 file, or ROS 1 bag."),
+    option("--topic", metavar="TOPIC", is_repeatable=True,
+        help="Topic to play; repeatable. Default: all topics."),
+    option("--rate", kind=float, metavar="R", default=1.0,
+        help="Playback speed, as a factor of the recorded speed."),
+    option("--start", kind=float, metavar="S", default=0.0,
+        help="Start, in seconds after the start of the bag."),
+    option("--end", kind=float, metavar="S",
+        help="End, in seconds after the start of the bag. Default: its end."),
+    option("--wait-for-subscribers", kind=float, metavar="S", default=3.0,
+        help="Longest wait for subscribers to all topics with poses, in seconds; then playback "
+        "starts. "
+        "Nodes need one to two seconds for discovery."),
+    option("--no-clock", kind=bool, help="No messages on /clock."),
+)  # fmt: skip
+
+
+@verb(*_PARAMETERS, kind=RosCommand)
 def replay(
-    context: typer.Context,
-    bag: Annotated[
-        str,
-        typer.Argument(metavar="BAG", help="Rosbag2 folder, MCAP or sqlite3 file, or ROS 1 bag."),
-    ],
-    topic: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--topic", metavar="TOPIC", help="Topic to play; repeatable. Default: all topics."
-        ),
-    ] = None,
-    rate: Annotated[
-        float,
-        typer.Option(metavar="R", help="Playback speed, as a factor of the recorded speed."),
-    ] = 1.0,
-    start: Annotated[
-        float, typer.Option(metavar="S", help="Start, in seconds after the start of the bag.")
-    ] = 0.0,
-    end: Annotated[
-        float | None,
-        typer.Option(
-            metavar="S",
-            help="End, in seconds after the start of the bag.",
-            show_default="its end",
-        ),
-    ] = None,
-    wait_for_subscribers: Annotated[
-        float,
-        typer.Option(
-            metavar="S",
-            help="Longest wait for subscribers to every topic, in seconds; then playback starts. "
-            "Nodes need one to two seconds for discovery.",
-        ),
-    ] = 3.0,
-    no_clock: Annotated[bool, typer.Option("--no-clock", help="No messages on /clock.")] = False,
+    bag: str,
+    topic: Sequence[str],
+    rate: float,
+    start: float,
+    end: float | None,
+    wait_for_subscribers: float,
+    no_clock: bool,
 ) -> None:
     r"""Publishes a recorded bag as live ROS 2 messages, with /clock.
 
@@ -64,7 +54,8 @@ def replay(
     subscribers, and reports it. A subscriber with a queue that is too short can still lose
     messages. Stop with Ctrl-C.
 
-    Play all topics at five times the speed, as soon as every topic has a subscriber:
+    Play all topics at five times the speed, as soon as all topics with
+    poses have subscribers:
 
         trajeval replay flight --rate 5 --wait-for-subscribers 60
 
@@ -89,12 +80,12 @@ def replay(
     with Bag(source.path) as opened:
         require_ros()
         playback = Playback(
-            opened, is_installed, topic or (), start_s=start, end_s=end, with_clock=not no_clock
+            opened, is_installed, topic, start_s=start, end_s=end, with_clock=not no_clock
         )
         _print_notes([*opened.notes, *playback.notes])
         noted = len(opened.notes)
         if wait_for_subscribers:
-            names = _names(playback.channels)
+            names = _names(playback.awaited)
             print(
                 f"waiting up to {wait_for_subscribers:g} s for subscribers to {names}",
                 flush=True,
@@ -111,7 +102,7 @@ def replay(
                 rate,
                 patience_s=wait_for_subscribers,
                 with_clock=not no_clock,
-                arguments=context.obj or (),
+                arguments=ros_arguments(),
                 begin=begin,
                 advance=advance,
             )

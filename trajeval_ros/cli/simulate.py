@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 import math
 import shlex
-from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Literal
 
-import typer
+import click
 
+from trajeval_ros.cli.command import verb
+from trajeval_ros.cli.options import argument, option
 from trajeval_ros.cli.simulated_bag import (
     ESTIMATE_TOPIC,
     FIX_TOPIC,
@@ -19,7 +20,7 @@ from trajeval_ros.cli.simulated_bag import (
     make_way,
     make_way_for_covariance,
 )
-from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.exceptions import SettingsError, require_one_of
 from trajeval_ros.formatting.numbers import counted
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 FIX_TYPE = "sensor_msgs/msg/NavSatFix"
 RECEIVERS = ("rtk", "consumer")
+STORAGES = ("mcap", "sqlite3")  # plugins of rosbag2
 _DRIFT = "drift"
 _FAULTS = ("yaw", "jump", "freeze", "divergence")
 # Lever arm (m), rotation (rad) and time offset (s) of the marker relative to the body.
@@ -35,85 +37,52 @@ _TURN = (0.6, -1.0, 1.5)
 _AHEAD_S = 0.1
 
 
-class Storage(str, Enum):
-    """The storage plugins of rosbag2 for the bag."""
+_PARAMETERS = (
+    argument("output", kind=Path, metavar="BAG",
+        help="Output folder of the rosbag2 bag. It must not exist."),
+    option("--seed", kind=int, default=0,
+        help="Seed of flight, frames and drift. The same seed gives the same messages."),
+    option("--duration", kind=float, metavar="S", default=120.0,
+        help="Duration of the flight, in seconds. The speed is about 1.8 m/s."),
+    option("--storage", metavar="|".join(STORAGES), kind=click.Choice(STORAGES),
+        default=STORAGES[0],
+        help="Storage format of the bag: mcap (default of Jazzy) or sqlite3."),
+    option("--profile", metavar="NAME", default=_DRIFT,
+        help="Odometry model. drift: kinematic model without covariance. paper, stereo, euroc: "
+        "consistent visual-inertial estimator with covariance (at most 1800 s), with the "
+        "sensors of the gauge paper, with a second camera, or with the sensors of EuRoC. "
+        "overconfident: estimator whose joint NEES is several times its degrees of freedom (at "
+        "most 10 s)."),
+    option("--runs", kind=int, metavar="N", default=1,
+        help="Number of bags of the same flight with different noise, BAG_0, BAG_1, ... Not for "
+        "drift."),
+    option("--marker", kind=bool,
+        help="Groundtruth of a marker on the body, with a clock 100 ms ahead, as from a motion "
+        "capture system. For drift only."),
+    option("--gnss", metavar="|".join(RECEIVERS),
+        help="Simulates a drive instead of a flight, with GNSS fixes on /fix: rtk (1 cm, with "
+        "periods of float solutions) or consumer (1.2 m, with multipath). Errors are correlated "
+        "over minutes, and there are outages. For drift only."),
+    option("--fault", metavar="|".join(_FAULTS),
+        help="Fault of the odometry after two thirds of the flight, to try `trajeval watch`. "
+        "For drift only."),
+    option("--overwrite", kind=bool,
+        help="Replace BAG and BAG.npz if they are from an earlier `trajeval simulate`."),
+)  # fmt: skip
 
-    MCAP = "mcap"
-    SQLITE3 = "sqlite3"
 
-
+@verb(*_PARAMETERS)
 def simulate(
-    output: Annotated[
-        Path,
-        typer.Argument(metavar="BAG", help="Output folder of the rosbag2 bag. It must not exist."),
-    ],
-    seed: Annotated[
-        int,
-        typer.Option(
-            help="Seed of flight, frames and drift. The same seed gives the same messages."
-        ),
-    ] = 0,
-    duration: Annotated[
-        float,
-        typer.Option(
-            metavar="S", help="Duration of the flight, in seconds. The speed is about 1.8 m/s."
-        ),
-    ] = 120.0,
-    storage: Annotated[
-        Storage,
-        typer.Option(help="Storage format of the bag: mcap (default of Jazzy) or sqlite3."),
-    ] = Storage.MCAP,
-    profile: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help="Odometry model. drift: kinematic model without covariance. paper, stereo, "
-            "euroc: consistent visual-inertial estimator with covariance (at most 1800 s), with "
-            "the sensors of the gauge paper, with a second camera, or with the sensors of "
-            "EuRoC. overconfident: estimator whose joint NEES is several times its degrees of "
-            "freedom (at most 10 s).",
-        ),
-    ] = _DRIFT,
-    runs: Annotated[
-        int,
-        typer.Option(
-            metavar="N",
-            help="Number of bags of the same flight with different noise, BAG_0, BAG_1, ... Not "
-            "for drift.",
-        ),
-    ] = 1,
-    marker: Annotated[
-        bool,
-        typer.Option(
-            "--marker",
-            help="Groundtruth of a marker on the body, with a clock 100 ms ahead, as from a "
-            "motion capture system. For drift only.",
-        ),
-    ] = False,
-    gnss: Annotated[
-        str | None,
-        typer.Option(
-            metavar="|".join(RECEIVERS),
-            help="Simulates a drive instead of a flight, with GNSS fixes on /fix: rtk (1 cm, "
-            "with periods of float solutions) or consumer (1.2 m, with multipath). Errors are "
-            "correlated over minutes, and there are outages. For drift only.",
-        ),
-    ] = None,
-    fault: Annotated[
-        str | None,
-        typer.Option(
-            metavar="|".join(_FAULTS),
-            help="Fault of the odometry after two thirds of the flight, to try "
-            "`trajeval watch`. For drift only.",
-        ),
-    ] = None,
-    overwrite: Annotated[
-        bool,
-        typer.Option(
-            "--overwrite",
-            help="Replace BAG and BAG.npz if they are from an earlier `trajeval simulate`.",
-        ),
-    ] = False,
+    output: Path,
+    seed: int,
+    duration: float,
+    storage: Literal["mcap", "sqlite3"],
+    profile: str,
+    runs: int,
+    marker: bool,
+    gnss: str | None,
+    fault: str | None,
+    overwrite: bool,
 ) -> None:
     r"""Writes a bag with a simulated flight: true poses, VIO odometry and IMU data.
 
@@ -169,7 +138,7 @@ def _write_runs(
     output: Path,
     seed: int,
     duration: float,
-    storage: Storage,
+    storage: Literal["mcap", "sqlite3"],
     profile: str,
     runs: int,
     *,
@@ -179,15 +148,12 @@ def _write_runs(
     from trajeval_ros.cli.progress import progress
     from trajeval_ros.consistency.joint_covariance import JointCovariance
     from trajeval_ros.io.bags.write_bag import write_bag
-    from trajeval_ros.io.requests.covariance_file import write_joint_covariance
+    from trajeval_ros.io.covariance_file import write_joint_covariance
+    from trajeval_ros.simulation.simulated_sensors import imu_readings
     from trajeval_ros.visual_inertial.flight import fly
     from trajeval_ros.visual_inertial.scene import PROFILES
-    from trajeval_ros.visual_inertial.simulated_imu import readings_of
 
-    if profile not in PROFILES:
-        raise SettingsError(
-            f"unknown profile {profile!r}; use one of {_DRIFT}, {', '.join(PROFILES)}"
-        )
+    require_one_of(profile, [_DRIFT, *PROFILES], "profile")
     if runs < 1 or seed < 0:
         raise SettingsError("--runs must be at least 1, and --seed at least 0")
     if output.name in ("", ".."):
@@ -211,8 +177,8 @@ def _write_runs(
             write_bag(
                 bag,
                 _topics(flight.groundtruth, estimate),
-                storage=storage.value,
-                inertial={IMU_TOPIC: readings_of(flight.groundtruth, seed)},
+                storage=storage,
+                inertial={IMU_TOPIC: imu_readings(flight.groundtruth, seed)},
             )
             quaternions = estimate.quaternions
             assert quaternions is not None
@@ -248,7 +214,7 @@ def _write_drift(
     output: Path,
     seed: int,
     duration: float,
-    storage: Storage,
+    storage: Literal["mcap", "sqlite3"],
     *,
     marker: bool,
     gnss: str | None,
@@ -257,8 +223,8 @@ def _write_drift(
 ) -> None:
     """Write a flight with the kinematic drift model."""
     from trajeval_ros.io.bags.write_bag import write_bag
-    from trajeval_ros.visual_inertial import drifting_odometry
-    from trajeval_ros.visual_inertial.simulated_imu import readings_of
+    from trajeval_ros.simulation import drifting_odometry
+    from trajeval_ros.simulation.simulated_sensors import imu_readings
 
     simulated = drifting_odometry.simulate(seed, duration, drives=gnss is not None)
     make_way(output, overwrite=overwrite)
@@ -269,10 +235,10 @@ def _write_drift(
         estimate, more = _with_fault(estimate, fault, seed)
     topics = _topics(groundtruth, estimate)
     if gnss is not None:
-        from trajeval_ros.visual_inertial.gnss_receiver import ANTENNA_M, receive
+        from trajeval_ros.simulation.simulated_sensors import ANTENNA_M, gnss_fixes
 
-        fixes = receive(groundtruth, gnss, seed)
-        write_bag(output, topics | {FIX_TOPIC: (fixes, FIX_TYPE)}, storage=storage.value)
+        fixes = gnss_fixes(groundtruth, gnss, seed)
+        write_bag(output, topics | {FIX_TOPIC: (fixes, FIX_TYPE)}, storage=storage)
         more += f", {counted(len(fixes), 'fix', 'fixes')} of a {gnss} receiver on {FIX_TOPIC}"
         options = f" --lever-arm {','.join(f'{each:g}' for each in ANTENNA_M)}"
         options += " --max-fix-sigma 0.05" if gnss == "rtk" else ""
@@ -290,8 +256,8 @@ def _write_drift(
     write_bag(
         output,
         _topics(groundtruth, estimate),
-        storage=storage.value,
-        inertial={IMU_TOPIC: readings_of(simulated.groundtruth, seed)},
+        storage=storage,
+        inertial={IMU_TOPIC: imu_readings(simulated.groundtruth, seed)},
     )
     _say([output], groundtruth, estimate, more, options)
 
@@ -300,7 +266,7 @@ def _with_fault(estimate: Trajectory, fault: str, seed: int) -> tuple[Trajectory
     """Return the estimate with a fault after two thirds of the time, and its description."""
     import numpy as np
 
-    from trajeval_ros.visual_inertial.odometry_faults import FAULTS
+    from trajeval_ros.simulation.odometry_faults import FAULTS
 
     words, apply = FAULTS[fault]
     after_s = round(estimate.duration_s * 2.0 / 3.0)

@@ -30,12 +30,8 @@ def make_way(output: Path, *, overwrite: bool) -> None:
 
 
 def make_way_for_covariance(file: Path, *, overwrite: bool) -> None:
-    """Check that a file may be replaced: `overwrite` is set, and it is a joint covariance.
-
-    Raises:
-        InputError: It exists and may not be replaced.
-    """
-    from trajeval_ros.io.requests.covariance_file import read_joint_covariance
+    """Check that a file may be replaced: `overwrite` is set, and it is a joint covariance."""
+    from trajeval_ros.io.covariance_file import read_joint_covariance
 
     if not file.exists() and not file.is_symlink():
         return

@@ -1,17 +1,48 @@
-"""Short, unique names for sources."""
+"""Names of sources: given as NAME=SOURCE, or short and unique."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from trajeval_ros.formatting.topic_names import part_of_topic
-from trajeval_ros.io.sources import STDIN
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.formatting.escaping import part_of_topic
+from trajeval_ros.io.sources import STDIN, parse_source
+
+
+def split_name(text: str) -> tuple[str, str]:
+    """Return name and source of NAME=SOURCE; the name is empty if none is given.
+
+    If a file with the whole text as its path exists, the text is a source without a name.
+    """
+    name, equals, source = text.partition("=")
+    if not equals or not name.strip() or "/" in name:
+        return "", text
+    try:
+        parse_source(text)
+    except InputError:
+        return name.strip(), source
+    return "", text
+
+
+def names_with(given: Sequence[str], sources: Sequence[str]) -> list[str]:
+    """Return a name per source: the given one, or a short one if that is empty.
+
+    Raises:
+        SettingsError: Two sources have the same name.
+    """
+    short = iter(names_of([source for own, source in zip(given, sources, strict=True) if not own]))
+    names = [own or next(short) for own in given]
+    for own in filter(None, given):
+        if names.count(own) > 1:
+            raise SettingsError(f"two sources have the name {own!r}; give different names")
+    return names
 
 
 def names_of(sources: Sequence[str]) -> list[str]:
     """Return a unique short name per source, with as few parent folders as possible.
 
-    Topics have the same names as in the live evaluator.
+    Topics have the same names as in the live evaluator. A "-", which ROS 2 does not permit in
+    topics, is kept.
     """
     parts = [_parts(source) for source in sources]
     depth = 1
@@ -31,6 +62,6 @@ def _parts(source: str) -> list[str]:
     path, _, topic = source.rpartition("://")[2].partition(":")
     folders = [part for part in path.split("/") if part] or [path]
     if topic:
-        return [*folders, part_of_topic(topic)]
+        return [*folders, part_of_topic(topic, kept="-")]
     stem, _, ending = folders[-1].rpartition(".")
     return [*folders[:-1], stem if stem and ending.isalnum() else folders[-1]]

@@ -1,4 +1,4 @@
-"""Request for a consistency test: source and convention of the covariances."""
+"""Requests for tests of covariances: consistency, and protection levels (integrity)."""
 
 from __future__ import annotations
 
@@ -50,7 +50,6 @@ class CovarianceRequest:
     marker_lever_m: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse unknown and contradictory settings."""
         if self.source not in SOURCES or (self.source == "joint") != (self.joint is not None):
             raise SettingsError(
                 f"the covariance source must be one of {', '.join(SOURCES)}, not "
@@ -101,3 +100,23 @@ class CovarianceRequest:
     def once_turned(self) -> CovarianceRequest:
         """The request after `about_world` has been applied."""
         return replace(self, rotation_frame="world")
+
+
+@dataclass(frozen=True)
+class IntegrityRequest:
+    """Largest acceptable errors, and the probability of larger ones without an alert."""
+
+    alert_limit_m: float  # limit of horizontal and of vertical errors, metres
+    alert_limit_deg: float | None = None  # limit of the heading error, degrees; None for none
+    risk: float = 1e-5  # probability that an error exceeds its protection level
+
+    def __post_init__(self) -> None:
+        limits = [self.alert_limit_m]
+        limits += [] if self.alert_limit_deg is None else [self.alert_limit_deg]
+        if not all(0.0 < limit < math.inf for limit in limits):
+            raise SettingsError(
+                "the alert limit must be greater than zero, in metres and, for the heading, in "
+                "degrees, as in --alert-limit 0.5,2"
+            )
+        if not 0.0 < self.risk < 1.0:
+            raise SettingsError(f"the risk must be a probability such as 1e-5, not {self.risk:g}")

@@ -14,12 +14,63 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import beta, chi2
 
-from trajeval_ros.consistency.result import Consistency
-from trajeval_ros.consistency.time_to_alert import TimeToAlert, times_to_alert
-from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.consistency.consistency_result import Consistency
+from trajeval_ros.consistency.covariance_request import IntegrityRequest
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 
-DEFAULT_RISK = 1e-5
+
+@dataclass(frozen=True)
+class TimeToAlert:
+    """Times from the start of episodes with errors beyond the alert limit to an alert."""
+
+    # Times of the episodes with an alert; negative if the alert came first.
+    seconds: tuple[float, ...]
+    missed: int  # number of episodes without an alert
+
+    @property
+    def median(self) -> float | None:
+        """Median time of the episodes with an alert; None if there is none."""
+        return float(np.median(self.seconds)) if self.seconds else None
+
+    @property
+    def worst(self) -> float | None:
+        """Longest time of the episodes with an alert; None if there is none."""
+        return max(self.seconds, default=None)
+
+
+def times_to_alert(
+    stamps: Stamps,
+    errors: Floats,
+    levels: Floats,
+    limit: float,
+    warnings: Sequence[tuple[int, int]] = (),
+) -> TimeToAlert:
+    """Return the times from the starts of errors (N,) beyond a limit to the alerts.
+
+    An alert is a protection level (N,) beyond the limit, or another warning, which has a first and
+    a last timestamp. An alert that is active when the errors start counts from its own start.
+    """
+    alerts = np.array([*_spans(stamps, levels > limit), *warnings], np.int64).reshape(-1, 2)
+    seconds = []
+    missed = 0
+    for begin, end in _spans(stamps, errors > limit):
+        during = (alerts[:, 0] <= end) & (alerts[:, 1] >= begin)
+        if during.any():
+            seconds.append(int(alerts[during, 0].min() - begin) / NANOSECONDS)
+        else:
+            missed += 1
+    return TimeToAlert(tuple(seconds), missed)
+
+
+def _spans(stamps: Stamps, holds: Booleans) -> list[tuple[int, int]]:
+    """Return the first and the last timestamp of every uninterrupted period."""
+    edges = np.diff(holds.astype(np.int8), prepend=0, append=0)
+    begins, ends = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1
+    return list(zip(stamps[begins].tolist(), stamps[ends].tolist(), strict=True))
+
+
 AREAS = ("nominal", "unavailable", "misleading", "hazardous", "misleading_unavailable")
 _CONFIDENCE = 0.95
 _INFLATION_SHARE = 0.999
@@ -27,85 +78,36 @@ _INFLATION_SHARE = 0.999
 _PARTS = {"horizontal": slice(0, 2), "vertical": slice(2, 3), "heading": slice(5, 6)}
 
 
-@dataclass(frozen=True)
-class IntegrityRequest:
-    """Largest acceptable errors, and the probability of larger ones without an alert.
-
-    Attributes:
-        alert_limit_m: Limit of horizontal and of vertical errors, metres.
-        alert_limit_deg: Limit of the heading error, degrees; None for none.
-        risk: Probability that an error exceeds its protection level.
-
-    Raises:
-        SettingsError: A limit is not positive, or the risk is no probability.
-    """
-
-    alert_limit_m: float
-    alert_limit_deg: float | None = None
-    risk: float = DEFAULT_RISK
-
-    def __post_init__(self) -> None:
-        """Refuse limits that are not positive, and risks that are no probability."""
-        limits = [self.alert_limit_m]
-        limits += [] if self.alert_limit_deg is None else [self.alert_limit_deg]
-        if not all(0.0 < limit < math.inf for limit in limits):
-            raise SettingsError(
-                "the alert limit must be greater than zero, in metres and, for the heading, in "
-                "degrees, as in --alert-limit 0.5,2"
-            )
-        if not 0.0 < self.risk < 1.0:
-            raise SettingsError(f"the risk must be a probability such as 1e-5, not {self.risk:g}")
-
-
 @dataclass(frozen=True, eq=False)
 class PartIntegrity:
-    """Integrity of one part of the pose.
+    """Integrity of one part of the pose."""
 
-    Attributes:
-        part: `horizontal`, `vertical` or `heading`.
-        unit: Unit of errors, levels and limit: m or deg.
-        alert_limit: Largest acceptable error.
-        errors: (N,), magnitudes.
-        levels: (N,), protection levels.
-        areas: Share of the poses in every area of `AREAS`; the sum is 1.
-        episodes: Number of times that consecutive poses entered an area.
-        availability: Share of poses with a level within the limit.
-        bounded: Share of poses with an error within the level.
-        effective: Effective number of independent poses, since successive errors are correlated.
-        hazardous_95: 95 % interval of the hazardous share for the effective number.
-        inflation: Factor of the levels for which they bound 99.9 % of the errors.
-        time_to_alert: Times from errors beyond the limit to an alert.
-    """
-
-    part: str
-    unit: str
-    alert_limit: float
-    errors: Floats
-    levels: Floats
-    areas: dict[str, float]
-    episodes: dict[str, int]
-    availability: float
-    bounded: float
+    part: str  # `horizontal`, `vertical` or `heading`
+    unit: str  # unit of errors, levels and limit: m or deg
+    alert_limit: float  # largest acceptable error
+    errors: Floats  # (N,), magnitudes
+    levels: Floats  # (N,), protection levels
+    areas: dict[str, float]  # share of the poses in every area of `AREAS`; the sum is 1
+    episodes: dict[str, int]  # number of times that consecutive poses entered an area
+    availability: float  # share of poses with a level within the limit
+    bounded: float  # share of poses with an error within the level
+    # Effective number of independent poses, since successive errors are correlated.
     effective: float
+    # 95 % interval of the hazardous share for the effective number
     hazardous_95: tuple[float, float]
-    inflation: float
-    time_to_alert: TimeToAlert
+    inflation: float  # factor of the levels for which they bound 99.9 % of the errors
+    time_to_alert: TimeToAlert  # times from errors beyond the limit to an alert
 
 
 @dataclass(frozen=True, eq=False)
 class Integrity:
-    """Protection levels of an estimate, and whether its errors exceed them.
+    """Protection levels of an estimate, and whether its errors exceed them."""
 
-    Attributes:
-        risk: Risk of the protection levels.
-        exactness: As in `Consistency`. With `bound`, levels are upper bounds: misleading poses are
-            confirmed, others are not.
-        parts: Horizontal, vertical, and heading if requested.
-    """
-
-    risk: float
+    risk: float  # risk of the protection levels
+    # As in `Consistency`. With `bound`, levels are upper bounds: misleading poses are confirmed,
+    # others are not.
     exactness: str
-    parts: tuple[PartIntegrity, ...]
+    parts: tuple[PartIntegrity, ...]  # horizontal, vertical, and heading if requested
 
 
 def protection_levels(covariances: Floats, risk: float) -> Floats:
@@ -127,14 +129,7 @@ def integrity_of(
 ) -> Integrity:
     """Compare errors with protection levels, both in the gauge of the alignment.
 
-    Args:
-        consistency: Errors and their covariances, including groundtruth noise.
-        request: Limits and risk.
-        stamps: (N,) timestamps of the pairs, nanoseconds.
-        warnings: First and last timestamps of other warnings, which count as alerts.
-
-    Raises:
-        InputError: There are no covariances of single poses.
+    Warnings, which have a first and a last timestamp, count as alerts, too.
     """
     if consistency.covariances is None or consistency.nees is None:
         raise InputError(

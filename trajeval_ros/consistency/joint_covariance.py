@@ -12,7 +12,7 @@ from trajeval_ros.exceptions import DegenerateGeometryError, InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
-from trajeval_ros.geometry.banded_gaussian import BandedGaussian, bandwidth
+from trajeval_ros.geometry.banded_matrices import BandedGaussian, bandwidth
 from trajeval_ros.geometry.gauge import Gauge, orbit_basis
 from trajeval_ros.geometry.trajectory import Trajectory
 

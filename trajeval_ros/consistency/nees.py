@@ -15,7 +15,7 @@ import scipy.sparse.linalg
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from trajeval_ros.consistency.result import PartNees, PerPose, PoseNees
+from trajeval_ros.consistency.consistency_result import PartNees, PerPose, PoseNees
 from trajeval_ros.consistency.s_transformation import STransformation
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats
@@ -27,18 +27,11 @@ _SIGNIFICANCE = 0.05
 
 
 def joint_nees(errors: Floats, covariance: Floats, normals: Floats) -> float:
-    """Return e' C^+ e of all states together.
+    """Return e' C^+ e of errors (N, d) of all states together, with C (N d, N d) in their gauge.
 
-    The null space of the covariance is spanned by the conditions of the alignment. With variance
-    added there, the matrix is definite, and a Cholesky factor replaces the pseudo-inverse.
-
-    Args:
-        errors: (N, d).
-        covariance: (N d, N d), in the gauge of the errors.
-        normals: (N, d, k) of the `STransformation`.
-
-    Raises:
-        InputError: The rank of the covariance is below N d - k.
+    The null space of the covariance is spanned by the conditions of the alignment, the `normals`
+    (N, d, k) of the S-transformation. With variance added there, the matrix is definite, and a
+    Cholesky factor replaces the pseudo-inverse.
     """
     size = errors.size
     conditions = np.linalg.qr(normals.reshape(size, -1))[0]
@@ -70,21 +63,17 @@ def joint_nees_by_information(
     noise: Floats | None = None,
     seen: NDArray[np.int64] | None = None,
 ) -> float:
-    """Return the same from a sparse information matrix, without inverting it.
+    """Return the same from a sparse information matrix (n, n), without inverting it.
 
     A quadratic form with a pseudo-inverse is a minimum: of d' Lambda d over all errors d of the
     estimator that are compatible with the aligned errors. Free are its velocities, states that
     were not compared, the directions that the alignment removes, and the groundtruth's errors.
 
-    Args:
-        errors: (N, 6), position and rotation.
-        information: (n, n), of perturbations of the aligned states.
-        extra: (N, 6, j), directions of the alignment's gauge with non-zero information: two
-            rotations for SE(3), also the scale for Sim(3); all directions of the gauge for an
-            estimator with a prior.
-        noise: (N, 6, 6), covariances of the groundtruth's errors, or None for exact groundtruth.
-        seen: (6N,), rows of the information of the errors; by default n = 9N, and position and
-            rotation are the first six of nine.
+    `extra` (N, 6, j) are directions of the alignment's gauge with non-zero information: two
+    rotations for SE(3), also the scale for Sim(3); all directions of the gauge for an estimator
+    with a prior. `noise` (N, 6, 6) has the covariances of groundtruth, None if it is exact. `seen`
+    (6N,) are the rows of the information of the errors (N, 6); by default the first six of nine of
+    every state.
     """
     size = information.shape[0]
     if seen is None:
@@ -131,6 +120,19 @@ def pose_nees(errors: Floats, covariances: Floats) -> Floats:
     return squares
 
 
+def nees_by_pose(errors: Floats, blocks: Floats, first: int) -> PoseNees:
+    """Return the NEES of single poses from pose `first` on, NaN before."""
+    parts = (slice(0, 6), slice(0, 3), slice(3, 6))
+    columns = np.full((len(parts), len(errors)), np.nan)
+    try:
+        for column, part in zip(columns, parts, strict=True):
+            dof = part.stop - part.start
+            column[first:] = pose_nees(errors[first:, part], blocks[first:, part, part]) / dof
+    except np.linalg.LinAlgError:
+        raise InputError("the covariance of a pose is singular, so it has no NEES") from None
+    return PoseNees(*columns)
+
+
 def diagonal_blocks(covariance: Floats, block: int) -> Floats:
     """Return the states' own blocks (N, d, d) of a joint covariance (N d, N d)."""
     count = len(covariance) // block
@@ -164,10 +166,8 @@ def chi_square_band(dof: float) -> tuple[float, float]:
 def summary_of(nees: PoseNees, dof: float | None = None, *, in_gauge: bool = True) -> PerPose:
     """Summarise the NEES of poses.
 
-    Args:
-        nees: NEES of all poses.
-        dof: Degrees of freedom of the mean of NEES / 6; None if unknown.
-        in_gauge: Whether covariances and errors are in the same gauge.
+    `dof` are the degrees of freedom of the mean of NEES / 6; None if unknown. `in_gauge` states
+    that covariances and errors are in the same gauge.
     """
     count = int(np.count_nonzero(np.isfinite(nees.pose)))
     # Bonferroni bound: valid for any correlation, and for upper bounds of covariances.

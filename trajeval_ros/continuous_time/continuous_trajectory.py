@@ -10,21 +10,58 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.continuous_time.gp_segments import MOST_TURN_RAD
-from trajeval_ros.continuous_time.interpolated import LinearInterpolation, NearestSample
 from trajeval_ros.continuous_time.kernels import MATERN_32, MATERN_52, SQUARED_EXPONENTIAL
 from trajeval_ros.continuous_time.manifolds import Positions, Rotations
 from trajeval_ros.continuous_time.markov import Interpolator, Process
 from trajeval_ros.continuous_time.models import CANDIDATES, DEFAULT_MODEL, MODELS
-from trajeval_ros.continuous_time.piecewise_gp import PiecewiseGP
+from trajeval_ros.continuous_time.piecewise_gp import MOST_TURN_RAD, PiecewiseGP, TwoScaleGP
 from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
-from trajeval_ros.continuous_time.two_scale import TwoScaleGP
 from trajeval_ros.exceptions import InputError, require_one_of
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry import se3
+from trajeval_ros.geometry import lie, se3
 from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.geometry.covariance_frames import body_from_world_positions
+from trajeval_ros.geometry.interpolation import mix, slerp, steps_at
 from trajeval_ros.geometry.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class LinearInterpolation:
+    """Linear positions and slerp, with the covariance of a sample everywhere."""
+
+    samples: Samples
+
+    def at(self, times: Floats) -> Belief:
+        """Return the belief at times (Q,), seconds, within those of the samples."""
+        poses = self.samples.poses
+        start, fraction = steps_at(self.samples.times, times)
+        between = (start, start + 1, fraction)
+        rotations = lie.to_matrix(slerp(lie.from_matrices(poses[:, :3, :3]), *between))
+        positions = mix(poses[:, :3, 3], *between)
+        covariances = sample_covariances(self.samples, len(times))
+        return Belief(se3.poses(rotations, positions), covariances)
+
+
+@dataclass(frozen=True, eq=False)
+class NearestSample:
+    """The nearest sample in time, with its covariance."""
+
+    samples: Samples
+
+    def at(self, times: Floats) -> Belief:
+        """Return the belief at times (Q,), seconds, within those of the samples."""
+        start, fraction = steps_at(self.samples.times, times)
+        nearest = start + (fraction > 0.5)
+        return Belief(self.samples.poses[nearest], sample_covariances(self.samples, len(times)))
+
+
+def sample_covariances(samples: Samples, count: int) -> Floats:
+    """Return the covariance of a sample `count` times, (count, 6, 6)."""
+    noise = samples.noise
+    rotation = noise.rotation_rad if samples.oriented else 0.0
+    variances = np.square([noise.position_m] * 3 + [rotation] * 3)
+    return np.tile(np.diag(variances), (count, 1, 1))
+
 
 _HOLD_OUT_EVERY = 4
 _MOST_HELD_OUT = 3000
@@ -42,15 +79,10 @@ class PoseModel(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class MarkovPoses:
-    """Positions and rotations as independent Markov processes.
+    """Positions and rotations as independent Markov processes."""
 
-    Attributes:
-        positions: In the world.
-        rotations: None if the groundtruth has no orientations.
-    """
-
-    positions: Interpolator
-    rotations: Interpolator | None
+    positions: Interpolator  # in the world
+    rotations: Interpolator | None  # None if the groundtruth has no orientations
 
     @classmethod
     def fit(cls, samples: Samples, order: int) -> MarkovPoses:
@@ -178,14 +210,14 @@ def _most_predictive(samples: Samples) -> str:
     # Held-out samples must lie between the kept ones.
     held = np.zeros(len(middle), dtype=bool)
     held[2 : len(middle) - 1 : _HOLD_OUT_EVERY] = True
-    kept, truth = middle[~held], middle.poses[held]
+    kept, groundtruth = middle[~held], middle.poses[held]
 
     def cost(model: str) -> float:
         belief = _FITS[model](kept).at(middle.times[held])
         axes = 6 if samples.oriented else 3
         noise = NearestSample(kept).at(middle.times[held]).covariances
         spread = (belief.covariances + noise)[:, :axes, :axes]
-        missed = se3.log(se3.inverse(belief.poses) @ truth)[:, :axes]
+        missed = se3.log(se3.inverse(belief.poses) @ groundtruth)[:, :axes]
         surprise = np.einsum(
             "ni,ni->n", missed, np.linalg.solve(spread, missed[..., None])[..., 0]
         )

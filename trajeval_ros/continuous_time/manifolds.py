@@ -27,15 +27,10 @@ _SMALL = 0.5
 
 @dataclass(frozen=True, eq=False)
 class LocalVariable:
-    """The derivatives of a local variable, and their Jacobian.
+    """The derivatives of a local variable, and their Jacobian."""
 
-    Attributes:
-        values: (N, m, d): g and its derivatives, as many as the process has.
-        jacobian: (N, m, d, m, d): of `values` by g, w, a.
-    """
-
-    values: Floats
-    jacobian: Floats
+    values: Floats  # (N, m, d): g and its derivatives, as many as the process has
+    jacobian: Floats  # (N, m, d, m, d): of `values` by g, w, a
 
 
 class Manifold(Protocol):

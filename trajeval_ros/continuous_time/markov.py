@@ -15,8 +15,8 @@ from scipy.optimize import minimize_scalar
 from trajeval_ros.continuous_time import white_noise
 from trajeval_ros.continuous_time.manifolds import Manifold
 from trajeval_ros.geometry import lie, se3
-from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.block_tridiagonal import Factor
+from trajeval_ros.geometry.arrays import Floats, Indices
+from trajeval_ros.geometry.banded_matrices import Factor
 
 _MOST_KNOTS = 1500
 _MOST_ITERATIONS = 10
@@ -28,45 +28,25 @@ _MOST_ABOVE_ROUGH = 1e5
 
 @dataclass(frozen=True, eq=False)
 class Process:
-    """N knots of a Markov process at their most likely states.
+    """N knots of a Markov process at their most likely states."""
 
-    Attributes:
-        manifold: Manifold of the states.
-        order: m: 2 for WNOA, 3 for WNOJ (1, Brownian motion, is linear interpolation).
-        times: (N,), seconds, increasing.
-        measured: (N, ...), samples.
-        information: (N, d), inverse variances of the samples; zero for a knot without one.
-        density: (d,), power spectral density of the noise.
-        states: (N, ...), the most likely states.
-        rates: (N, m - 1, d), velocities and accelerations; in the body for rotations.
-    """
-
-    manifold: Manifold
-    order: int
-    times: Floats
-    measured: Floats
-    information: Floats
-    density: Floats
-    states: Floats
-    rates: Floats
+    manifold: Manifold  # manifold of the states
+    order: int  # m: 2 for WNOA, 3 for WNOJ (1, Brownian motion, is linear interpolation)
+    times: Floats  # (N,), seconds, increasing
+    measured: Floats  # (N, ...), samples
+    information: Floats  # (N, d), inverse variances of the samples; zero for a knot without one
+    density: Floats  # (d,), power spectral density of the noise
+    states: Floats  # (N, ...), the most likely states
+    rates: Floats  # (N, m - 1, d), velocities and accelerations; in the body for rotations
 
     @classmethod
     def fit(
-        cls,
-        manifold: Manifold,
-        order: int,
-        times: Floats,
-        measured: Floats,
-        noise: float,
+        cls, manifold: Manifold, order: int, times: Floats, measured: Floats, noise: float
     ) -> Process:
         """Estimate the density by maximum likelihood, and the most likely states.
 
-        Args:
-            manifold: Manifold of the samples.
-            order: m; reduced if there are not more samples.
-            times: (N,), seconds, distinct and in order.
-            measured: (N, ...).
-            noise: Standard deviation of the samples along all axes.
+        Times (N,), seconds, are distinct and in order. The order m is reduced if there are not
+        more samples. The noise is the standard deviation of the samples along all axes.
         """
         start = cls.unsolved(manifold, order, times, measured, noise)
         likely = start._most_likely_density(noise)
@@ -136,6 +116,23 @@ class Process:
             -cost - 0.5 * (determinant + motion + noise) - 0.5 * freedom * np.log(2.0 * np.pi)
         )
 
+    def carried(self, knots: Indices, since: Floats) -> Floats:
+        """Return the derivatives (Q, d, d m) of states a time (Q,) after knots by the knots' own.
+
+        Without noise, the state is T Exp(x), x = t T' + t^2 T'' / 2. Perturbations on the right
+        become J_r(x) (J_l^-1(x) dT + t dT' + t^2 dT'' / 2). Times, seconds, may be negative.
+        """
+        dimension = self.dimension
+        phi = white_noise.transition(self.order, since)[:, 0]
+        moved = np.einsum("qk,qkd->qd", phi[:, 1:], self.rates[knots])
+        right, left = self.manifold.inverse_jacobians(moved)
+        by_knot = np.einsum("qk,de->qdke", phi, np.eye(dimension)).reshape(
+            len(since), dimension, -1
+        )
+        by_knot[:, :, :dimension] = left
+        derivatives: Floats = np.linalg.solve(right, by_knot)
+        return derivatives
+
     def factor(self) -> Factor:
         """Return the factor of the information of all knots (N d m, N d m)."""
         diagonal, lower, _, _ = self._normal_equations()
@@ -176,12 +173,7 @@ class Process:
     ) -> tuple[Floats, ...]:
         """Return the terms of K steps: blocks of both knots, between them, gradients, and cost.
 
-        Args:
-            first: States at the starts of the steps.
-            second: States at the ends.
-            rates: (K, m - 1, d), at the starts.
-            next_rates: (K, m - 1, d), at the ends.
-            steps: (K,), seconds.
+        The rates (K, m - 1, d) are at the starts and ends of the steps (K,), seconds.
         """
         size, dimension = self.dimension * self.order, self.dimension
         local = self.manifold.local(self.manifold.between(first, second), next_rates)
@@ -255,17 +247,11 @@ class Process:
 
 @dataclass(frozen=True, eq=False)
 class Interpolator:
-    """A process with the covariances of its knots.
+    """A process with the covariances of its knots."""
 
-    Attributes:
-        process: The process at its mode.
-        own: (N, d m, d m), covariances of the knots.
-        beside: (N - 1, d m, d m), covariances between consecutive knots.
-    """
-
-    process: Process
-    own: Floats
-    beside: Floats
+    process: Process  # the process at its mode
+    own: Floats  # (N, d m, d m), covariances of the knots
+    beside: Floats  # (N - 1, d m, d m), covariances between consecutive knots
 
     def at(self, times: Floats) -> tuple[Floats, Floats]:
         """Return states (Q, ...) and right covariances (Q, d, d) at times within the knots."""

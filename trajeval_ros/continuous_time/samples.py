@@ -46,7 +46,6 @@ class Noise:
     rotation_rad: float = math.radians(0.1)
 
     def __post_init__(self) -> None:
-        """Refuse groundtruth without noise."""
         for name in ("position_m", "rotation_rad"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise SettingsError(
@@ -62,31 +61,18 @@ class Noise:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """N poses at distinct times, in order.
+    """N poses at distinct times, in order."""
 
-    Attributes:
-        origin: Timestamp of time zero, nanoseconds; it preserves the precision of times.
-        times: (N,), seconds.
-        poses: (N, 4, 4); identity rotations without orientations.
-        oriented: Whether there are orientations.
-        noise: Noise of the samples.
-        merged: Number of samples that were merged with a neighbour.
-    """
-
-    origin: int
-    times: Floats
-    poses: Floats
-    oriented: bool
-    noise: Noise
-    merged: int = 0
+    origin: int  # timestamp of time zero, nanoseconds; it preserves the precision of times
+    times: Floats  # (N,), seconds
+    poses: Floats  # (N, 4, 4); identity rotations without orientations
+    oriented: bool  # whether there are orientations
+    noise: Noise  # noise of the samples
+    merged: int = 0  # number of samples that were merged with a neighbour
 
     @classmethod
     def of(cls, trajectory: Trajectory, noise: Noise) -> Samples:
-        """Return a trajectory's samples; those closer than 1 % of the median step are merged.
-
-        Raises:
-            InputError: There are fewer than two.
-        """
+        """Return a trajectory's samples; those closer than 1 % of the median step are merged."""
         trajectory = trajectory.in_order()
         if len(trajectory) < 2:
             raise InputError(
@@ -107,11 +93,9 @@ class Samples:
         return samples._merged()
 
     def __len__(self) -> int:
-        """Return the number of samples."""
         return len(self.times)
 
     def __getitem__(self, rows: Indices | Booleans) -> Samples:
-        """Return the samples of some rows."""
         return Samples(self.origin, self.times[rows], self.poses[rows], self.oriented, self.noise)
 
     @property
@@ -170,13 +154,9 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """Distribution of a body's pose at Q times.
+    """Distribution of a body's pose at Q times."""
 
-    Attributes:
-        poses: (Q, 4, 4), the most likely poses.
-        covariances: (Q, 6, 6), perturbations on the right, translation first: T Exp(xi), eq. (1).
-            Rows of rotations are zero without orientations.
-    """
-
-    poses: Floats
+    poses: Floats  # (Q, 4, 4), the most likely poses
+    # (Q, 6, 6), perturbations on the right, translation first: T Exp(xi), eq. (1). Rows of
+    # rotations are zero without orientations.
     covariances: Floats

@@ -45,14 +45,8 @@ def information(order: int, time: Floats) -> Floats:
 def interpolation(order: int, step: Floats, since: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the interpolation between two knots, and its variance given both.
 
-    Args:
-        order: m.
-        step: (Q,), time between the knots, seconds.
-        since: (Q,), time since the first knot, seconds.
-
-    Returns:
-        Rows Lambda and Psi (Q, m), with g = Lambda z_0 + Psi z_1, and the variance (Q,) of g given
-        both knots, for unit density.
+    From the time (Q,) between the knots and the time (Q,) since the first one follow rows Lambda
+    and Psi (Q, m), with g = Lambda z_0 + Psi z_1, and the variance (Q,) of g for unit density.
     """
     remaining = transition(order, step - since)
     own = covariance(order, since)

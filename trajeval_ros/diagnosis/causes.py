@@ -8,31 +8,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from operator import attrgetter
 
 EXACT, CORRELATED, FITTED = "exact", "correlated", "fitted"
 
 
 @dataclass(frozen=True)
 class Cause:
-    """A mistake in the input, with its texts.
+    """A mistake in the input, with its texts."""
 
-    Attributes:
-        name: A stable identifier, for `--fix` and for programs.
-        rank: Severity. Causes that invalidate other tests have the largest values.
-        confidence: Basis of the finding: equality of numbers, a correlation, or a fit.
-        sentence: The mistake and its evidence, a format string for the numbers.
-        advice: Instruction for the user, a format string.
-        mend: Options that correct it, format strings by name; empty without such an option.
-        of_conventions: Whether the poses have another convention than the reader assumed.
-    """
-
-    name: str
-    rank: float
-    confidence: str
-    sentence: str
-    advice: str
-    mend: Mapping[str, str] = field(default_factory=dict)
+    name: str  # a stable identifier, for `--correct` and for programs
+    rank: float  # severity; causes that invalidate other tests have the largest values
+    confidence: str  # basis of the finding: equality of numbers, a correlation, or a fit
+    sentence: str  # the mistake and its evidence, a format string for the numbers
+    advice: str  # instruction for the user, a format string
+    # What corrects it, format strings by option of `evaluate` or by attribute of `Corrections`;
+    # empty if neither does.
+    correction: Mapping[str, str] = field(default_factory=dict)
+    # Whether the poses have another convention than the reader assumed.
     of_conventions: bool = False
+    # The ATE that its correction reduces: `position`, `rotation`, or "" for either.
+    of_error: str = "position"
 
 
 _AGREE = "corrected, short motions agree to {agreement:.0f} % instead of {as_read:.0f} %"
@@ -64,6 +60,41 @@ _TABLE = (
         "check the positions and the topic of the {side}: trajeval info SOURCE",
     ),
     Cause(
+        "diverged",
+        9.4,
+        FITTED,
+        "the estimate diverges from {at_s:.1f} s on{until}: it moves {moved_m:.3g} m while the "
+        "groundtruth moves {true_m:.3g} m{before}",
+        "evaluate the part before it",
+        {"end": "{at_s:.3f}"},
+    ),
+    Cause(
+        "diverged_at_start",
+        9.4,
+        FITTED,
+        "the estimate diverges from the start{until}: it moves {moved_m:.3g} m while the "
+        "groundtruth moves {true_m:.3g} m",
+        "check the initialisation of the estimator",
+    ),
+    Cause(
+        "frozen",
+        9.3,
+        EXACT,
+        "the estimate repeats its pose for {lost_s:.1f} s from {at_s:.1f} s on{number}, while the "
+        "groundtruth moves {true_m:.2f} m and {true_deg:.0f} deg{before}",
+        "evaluate the part before it",
+        {"end": "{at_s:.3f}"},
+    ),
+    Cause(
+        "frozen_at_start",
+        9.3,
+        EXACT,
+        "the estimate repeats its first pose for {lost_s:.1f} s{number}, while the groundtruth "
+        "moves {true_m:.2f} m and {true_deg:.0f} deg",
+        "evaluate the part after it",
+        {"start": "{after_s:.3f}"},
+    ),
+    Cause(
         "stamps_rounded",
         9.0,
         EXACT,
@@ -77,8 +108,7 @@ _TABLE = (
         EXACT,
         "groundtruth and estimate are probably swapped: {groundtruth} is given as groundtruth, "
         "{estimate} as the estimate",
-        "swap them",
-        {"swap": ""},
+        "exchange -g and -e",
     ),
     Cause(
         "duplicated",
@@ -89,11 +119,43 @@ _TABLE = (
         "remove the second copy, or record again",
     ),
     Cause(
+        "row_numbers",
+        8.55,
+        EXACT,
+        "the estimate's timestamps are row numbers (0, 1, 2, ...), those of the groundtruth times",
+        "write the times of the poses, or omit the column and give --frame-rate",
+    ),
+    Cause(
+        "degrees",
+        8.54,
+        EXACT,
+        "{owner} positions are probably longitude and latitude: two axes extend over "
+        "{extent:.2g}, where the {other} moves {path_m:.3g} m",
+        "convert them to metres, or read them as GNSS fixes",
+    ),
+    Cause(
+        "increments",
+        8.53,
+        CORRELATED,
+        "the estimate contains the motion since the previous pose instead of poses: the lengths "
+        "of its positions correlate by {peak:.2f} with the steps of the groundtruth",
+        "sum the motions up, and write poses",
+    ),
+    Cause(
+        "flat",
+        6.6,
+        EXACT,
+        "all {axis} of the {side} are equal, and the {other} moves {height_m:.2g} m along its "
+        "vertical axis (rms): the {side} is two-dimensional",
+        "measure errors in the plane",
+        {"gauge": "planar"},
+    ),
+    Cause(
         "few_pairs",
         8.5,
         EXACT,
         "{said}",
-        "evaluate a longer recording, or pair more poses with --max-time-difference and --max-gap",
+        "{more}",
     ),
     Cause(
         "clock_offset",
@@ -103,6 +165,7 @@ _TABLE = (
         "speed is {peak:.2f} with this offset, and {as_stamped:.2f} without",
         "shift the estimate's timestamps",
         {"time_offset": "{total_s:.3f}"},
+        of_error="",
     ),
     Cause(
         "other_run",
@@ -117,10 +180,11 @@ _TABLE = (
         CORRELATED,
         "the clock rates differ by {ppm:+.0f} ppm, {growth_ms:+.0f} ms over the run",
         "use one clock for both, or rescale the estimate's timestamps",
-        {"clock_rate": "{ppm:.1f}", "time_offset": "{total_s:.3f}"},
+        {"estimate.clock_rate": "{ppm:.1f}", "time_offset": "{total_s:.3f}"},
+        of_error="",
     ),
     Cause(
-        "truth_held",
+        "groundtruth_held",
         6.5,
         FITTED,
         "the groundtruth repeats every pose for {held_s:.2f} s at {rate_hz:.0f} Hz while the "
@@ -129,7 +193,7 @@ _TABLE = (
         "--motion-filter 1e-6,1e-6 --save-as tum",
     ),
     Cause(
-        "truth_frozen",
+        "groundtruth_frozen",
         6.4,
         FITTED,
         "the groundtruth is frozen for {frozen_s:.1f} s from {at_s:.1f} s, while the estimate "
@@ -138,7 +202,7 @@ _TABLE = (
         "{after_s:.1f}",
     ),
     Cause(
-        "truth_bridged",
+        "groundtruth_bridged",
         6.3,
         FITTED,
         "the groundtruth is linear for {bridged_s:.1f} s from {at_s:.1f} s, where the estimate "
@@ -174,8 +238,9 @@ _TABLE = (
         "{owner} quaternions are in the order w, x, y, z, but were read as x, y, z, w: "
         f"{_AGREE}",
         "read them as w, x, y, z",
-        {"quaternion_order": "{order}"},
+        {"{side}.quaternion_order": "wxyz"},
         of_conventions=True,
+        of_error="rotation",
     ),
     Cause(
         "wxyz_transposed",
@@ -183,8 +248,9 @@ _TABLE = (
         FITTED,
         f"{{owner}} quaternions are in the order w, x, y, z and inverse (world in body): {_AGREE}",
         "correct both",
-        {"quaternion_order": "{order}", "inverse": "{inverse}"},
+        {"{side}.quaternion_order": "wxyz", "{side}.inverse": "rotations"},
         of_conventions=True,
+        of_error="rotation",
     ),
     Cause(
         "transposed",
@@ -192,8 +258,9 @@ _TABLE = (
         FITTED,
         f"{{owner}} rotations are inverse (world in body), and its positions are not: {_AGREE}",
         "invert the rotations",
-        {"inverse": "{inverse}"},
+        {"{side}.inverse": "rotations"},
         of_conventions=True,
+        of_error="rotation",
     ),
     Cause(
         "inverse",
@@ -201,7 +268,7 @@ _TABLE = (
         FITTED,
         f"{{owner}} poses are inverse (world in body): {_AGREE}",
         "invert the poses",
-        {"inverse": "{inverse}"},
+        {"{side}.inverse": "poses"},
         of_conventions=True,
     ),
     Cause(
@@ -210,9 +277,10 @@ _TABLE = (
         FITTED,
         "the axes of one side are left-handed (an axis was flipped, or two were exchanged): "
         "mirrored, short motions agree to {agreement:.0f} % instead of {as_read:.0f} %",
-        "flip an axis of the estimate",
-        {"estimate_axes": "{axes}"},
+        "flip or exchange axes of the estimate",
+        {"estimate.axes": "{axes}"},
         of_conventions=True,
+        of_error="",
     ),
     Cause(
         "axes_mixed",
@@ -220,42 +288,59 @@ _TABLE = (
         FITTED,
         f"positions and rotations of one side have different axes: {_AGREE}",
         "apply the same conversion to positions and rotations",
-        {"estimate_axes": "{axes}"},
+        {"estimate.axes": "{axes}"},
         of_conventions=True,
+        of_error="",
+    ),
+    Cause(
+        "conventions",
+        6.0,
+        FITTED,
+        f"{{owner}} rotations are {{causes}}, and the axes of its positions differ from those of "
+        f"its rotations: {_AGREE}",
+        "correct both",
+        {
+            "{side}.quaternion_order": "{order}",
+            "{side}.inverse": "{inverse}",
+            "estimate.axes": "{axes}",
+        },
+        of_conventions=True,
+        of_error="",
     ),
     Cause(
         "convention_tie",
-        5.9,
+        6.0,
         FITTED,
         f"one side's poses are {{causes}}, which this motion can't distinguish: {_AGREE}",
-        "check the conventions of the file, and use --quaternion-order, --inverse or "
-        "--estimate-axes",
+        "check the conventions of the file, and convert it: trajeval trajectory SOURCE "
+        "--quaternion-order, --inverse or --axes",
+        of_conventions=True,
+        of_error="",
+    ),
+    Cause(
+        "rotations",
+        6.0,
+        FITTED,
+        "the positions agree, and the rotations agree in no convention{how}: the motions of the "
+        "positions agree to {positions:.0f} %, those of the rotations to {rotations:.0f} %",
+        "check how the rotations were computed: {check}",
         of_conventions=True,
     ),
     Cause(
-        "estimate_mm",
+        "unit",
         5.85,
         FITTED,
-        "the estimate is in millimetres: the groundtruth's motions are {scale:.3g} times the "
-        "estimate's",
-        "divide its positions by 1000",
-        {"estimate_scale": "0.001"},
+        "the {side} is in {unit}: the groundtruth's motions are {scale:.4g} times the estimate's",
+        "convert its positions to metres",
+        {"{side}.scale": "{factor}"},
     ),
     Cause(
-        "truth_mm",
-        5.85,
-        FITTED,
-        "the groundtruth is in millimetres: its motions are {scale:.4g} times the estimate's",
-        "divide its positions by 1000",
-        {"groundtruth_scale": "0.001"},
-    ),
-    Cause(
-        "truth_up_axis",
+        "groundtruth_up_axis",
         5.8,
         FITTED,
         "{said}",
         "or align by all rotations",
-        {"gauge": "se3"},
+        {"up": "{ups}", "gauge": "{gauge}"},
     ),
     Cause(
         "up_axis",
@@ -291,9 +376,9 @@ _TABLE = (
         5.5,
         FITTED,
         "the estimate has a scale error: the groundtruth's motions are {scale:.3g} times the "
-        "estimate's, as with a monocular estimator",
-        "align with scale",
-        {"gauge": "sim3"},
+        "estimate's, as with a monocular estimator{or_feet}",
+        "align with scale{or_convert}",
+        {"gauge": "{gauge}"},
     ),
     Cause(
         "frames_apart",
@@ -322,6 +407,7 @@ _TABLE = (
         "marker or a camera",
         "estimate it with --hand-eye auto, or give a known transformation with --hand-eye FILE",
         {"hand_eye": "auto"},
+        of_error="rotation",
     ),
     Cause(
         "lever_arm",
@@ -340,6 +426,7 @@ _TABLE = (
         "{more}added to the estimate's timestamps",
         "estimate the offset with --time-offset auto",
         {"time_offset": "auto"},
+        of_error="",
     ),
     Cause(
         "covariance_order",
@@ -363,11 +450,11 @@ _TABLE = (
         "keyframes",
         1.0,
         FITTED,
-        "the estimate has {rate_hz:.1f} poses per second at irregular times: these are "
-        "keyframes, which are optimised later, so the error differs from the error of the "
-        "live output",
+        "the estimate has {rate_hz:.1f} poses per second at irregular times; if these are "
+        "keyframes, which are optimised later, the error differs from the error of the live "
+        "output",
         "evaluate the pose of every frame to measure the live output",
     ),
 )
 
-CAUSES: Mapping[str, Cause] = {each.name: each for each in _TABLE}
+CAUSES: Mapping[str, Cause] = dict(zip(map(attrgetter("name"), _TABLE), _TABLE, strict=True))

@@ -1,26 +1,240 @@
-"""Tests of the clocks: large offsets and rates. They precede the tests of axes."""
+"""Rates of motion over time, angular speed and speed, which do not depend on the frame.
+
+The angular speed does not depend on the gauge, on the body, or on order and sign of the components
+of quaternions. Therefore clocks are tested before conventions.
+"""
 
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.diagnosis.evidence import Examined, Seen, Value
-from trajeval_ros.diagnosis.motion_track import MotionTrack
-from trajeval_ros.diagnosis.rates import (
-    LEAST_LIKELY,
-    ClockMatch,
-    offsets_of_parts,
-    unlikeness_ratio,
-)
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.calibration.clock_offset import masked_correlation, refined_peak
+from trajeval_ros.diagnosis.findings import Examined, Seen, Value
+from trajeval_ros.diagnosis.input_pair import TimedPoses, lengths
+from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.metrics.statistics import median
+
+_LEAST_CELL_S, _CELLS = 0.05, 4000
+_LEAST_WINDOW_S, _SHORT_WINDOW_S = 0.4, 0.2
+_LEAST_OVERLAP_S, _SHARE_OF_OVERLAP = 8.0, 0.5
+# Largest ratio of unlikeness of a clock correction that is accepted.
+LEAST_LIKELY = 0.8
+_LOBE_S = 3.0  # on both sides of a peak
+_SEARCH_S = 3.0  # for parts of a run
+_OUTLIERS = 0.02  # fraction of the rates that is limited to the largest of the others
+
+
+@dataclass(frozen=True, eq=False)
+class MotionRates:
+    """Rates on a grid of cells that both sides share."""
+
+    start: int  # index of the first cell on the common grid
+    known: Floats  # (N,) 1 where the rates are known, 0 in gaps
+    # (K, N) speeds, in units of the source, and angular speeds, rad/s; K is 1 without
+    # orientations.
+    rates: Floats
+
+    @classmethod
+    def of(cls, poses: TimedPoses, cell_s: float, window_s: float, epoch_s: float) -> MotionRates:
+        """Sample a poses in order, from poses half a window before and after every cell."""
+        half = max(1, round(window_s / cell_s / 2.0))
+        count = int(poses.span_s / cell_s)
+        start = round((float(poses.seconds[0]) - epoch_s) / cell_s)
+        cells = np.arange(start - half, start + count + half, dtype=np.float64)
+        grid: Floats = epoch_s + cell_s * cells
+        between = poses.at(grid, max(4.0 * poses.usual_step_s, 0.3))
+        before, after = slice(None, -2 * half), slice(2 * half, None)
+        known = between.known[before] & between.known[after]
+        wide_s = 2.0 * half * cell_s
+        rates = [lengths(between.positions[after] - between.positions[before]) / wide_s]
+        if between.quaternions is not None:
+            q = between.quaternions
+            cosine = np.abs(np.einsum("ni,ni->n", q[before], q[after]))
+            rates.append(2.0 * np.arccos(np.clip(cosine, 0.0, 1.0)) / wide_s)
+        return cls(start, known.astype(np.float64), np.array(rates))
+
+
+@dataclass(frozen=True, eq=False)
+class ClockMatch:
+    """Offset with the largest correlation of the rates of both sides."""
+
+    offset_s: float  # offset to add to the estimate's timestamps, seconds
+    peak: float  # mean correlation of angular speed and speed at this offset
+    zero: float  # mean correlation without an offset
+    second: float  # largest mean correlation outside of the lobe of the peak
+    overlap_s: float  # longest common time span with known rates of all offsets, seconds
+    turning: float  # correlation of the angular speeds at the peak; NaN without orientations
+    speed: float  # correlation of the speeds at the peak
+    cell_s: float  # width of a cell, seconds
+    sides: tuple[MotionRates, MotionRates]  # rates of the estimate and of the groundtruth
+
+    @property
+    def is_alone(self) -> bool:
+        """Whether the peak is high and unique."""
+        return self.peak > 0.6 and self.second < 0.85 * self.peak
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether the offset is better than none: the peak is high, and clearly above zero's."""
+        gain = 1.0 - self.peak < LEAST_LIKELY * (1.0 - self.zero)
+        near = abs(self.offset_s) < SMALL_S
+        return self.is_alone and self.peak > USABLE and (near or gain)
+
+
+def match_clocks(groundtruth: TimedPoses, estimate: TimedPoses) -> ClockMatch | None:
+    """Correlate at all lags with a long common time span; None without such a lag."""
+    cell_s = max(_LEAST_CELL_S, max(groundtruth.span_s, estimate.span_s) / _CELLS)
+    window_s = max(_LEAST_WINDOW_S, 2.0 * groundtruth.usual_step_s, 2.0 * estimate.usual_step_s)
+    epoch_s = float(groundtruth.seconds[0])
+    ours, true = (
+        MotionRates.of(each, cell_s, window_s, epoch_s) for each in (estimate, groundtruth)
+    )
+    kinds = min(len(ours.rates), len(true.rates))
+    lags, alike, common = masked_correlation(
+        tamed(ours.rates[:kinds], ours.known),
+        ours.known,
+        tamed(true.rates[:kinds], true.known),
+        true.known,
+    )
+    mean = alike.mean(axis=0)
+    overlap_s = common * cell_s
+    longest_s = float(overlap_s.max()) if len(overlap_s) else 0.0
+    enough = overlap_s >= max(_LEAST_OVERLAP_S, _SHARE_OF_OVERLAP * longest_s)
+    if not enough.any():
+        return None
+    shift_s: Floats = cell_s * (lags + true.start - ours.start).astype(np.float64)
+    heights = np.where(enough, mean, -1.0)
+    at = int(np.argmax(heights))
+    between = refined_peak(heights, at) if _inside(enough, at) else 0.0
+    rest = heights[enough & (np.abs(shift_s - shift_s[at]) >= _LOBE_S)]
+    as_stamped = int(np.argmin(np.abs(shift_s)))
+    known = abs(float(shift_s[as_stamped])) <= cell_s and overlap_s[as_stamped] > 5.0
+    return ClockMatch(
+        offset_s=float(shift_s[at]) + between * cell_s,
+        peak=float(heights[at]),
+        zero=float(mean[as_stamped]) if known else 0.0,
+        second=float(rest.max()) if len(rest) else 0.0,
+        overlap_s=longest_s,
+        turning=float(alike[1, at]) if kinds == 2 else np.nan,
+        speed=float(alike[0, at]),
+        cell_s=cell_s,
+        sides=(ours, true),
+    )
+
+
+def unlikeness_ratio(
+    groundtruth: TimedPoses,
+    estimate: TimedPoses,
+    offset_s: float,
+    rate: float = 0.0,
+    *,
+    known_s: float = 0.0,
+) -> float:
+    """Return the ratio of the differences of two rates with and without a clock's correction.
+
+    It is less than 1 if the correction helps, and NaN if the common time span is shorter than 8 s.
+    A random offset, caused by drift, does not help. The correction is `offset_s` and `rate`, a
+    fraction; `known_s` is the offset that is applied without it.
+    """
+    before = _unlikeness(_by_clock_of(estimate, groundtruth, known_s, 0.0), estimate)
+    after = _unlikeness(_by_clock_of(estimate, groundtruth, offset_s, rate), estimate)
+    return after / max(before, 1e-12)
+
+
+def _by_clock_of(
+    estimate: TimedPoses, groundtruth: TimedPoses, offset_s: float, rate: float
+) -> TimedPoses:
+    """Return the groundtruth with timestamps of the estimate's clock.
+
+    The estimate keeps its timestamps, so its poses have the same phases on the grid of cells. At
+    another phase, interpolation averages the noise of two poses, and the correlation increases.
+    """
+    start_s = float(estimate.seconds[0])
+    seconds = start_s + (groundtruth.seconds - start_s - offset_s) / (1.0 + rate)
+    return TimedPoses(seconds, groundtruth.positions, groundtruth.quaternions)
+
+
+def _unlikeness(groundtruth: TimedPoses, estimate: TimedPoses) -> float:
+    """Return 1 - correlation of the angular speeds, or of the speeds without orientations."""
+    cell_s = max(_LEAST_CELL_S, estimate.span_s / _CELLS)
+    window_s = max(_SHORT_WINDOW_S, 2.0 * groundtruth.usual_step_s, 2.0 * estimate.usual_step_s)
+    epoch_s = float(estimate.seconds[0])
+    ours, true = (
+        MotionRates.of(each, cell_s, window_s, epoch_s) for each in (estimate, groundtruth)
+    )
+    begin = max(ours.start, true.start)
+    end = min(ours.start + len(ours.known), true.start + len(true.known))
+    rows, others = (
+        slice(begin - each.start, max(end, begin) - each.start) for each in (ours, true)
+    )
+    known = ours.known[rows] * true.known[others]
+    if known.sum() * cell_s < _LEAST_OVERLAP_S:
+        return np.nan
+    kind = min(len(ours.rates), len(true.rates)) - 1
+    a, b = tamed(ours.rates[kind, rows], known), tamed(true.rates[kind, others], known)
+    return 1.0 - float(a @ b) / max(float(np.sqrt((a @ a) * (b @ b))), 1e-12)
+
+
+def offsets_of_parts(match: ClockMatch, offset_s: float, parts: int) -> tuple[Floats, Floats]:
+    """Return middles and offsets of the parts of a run with a peak near `offset_s`, seconds."""
+    ours, true = match.sides
+    kinds = min(len(ours.rates), len(true.rates))
+    size, reach = len(ours.known) // parts, int(_SEARCH_S / match.cell_s)
+    cells = round(offset_s / match.cell_s)
+    rows = np.arange(parts * size).reshape(parts, size)
+    first = rows[:, :1] + ours.start - true.start + cells - reach
+    others = first + np.arange(size + 2 * reach)
+    inside = (others >= 0) & (others < len(true.known))
+    others = np.clip(others, 0, len(true.known) - 1)
+    known, others_known = ours.known[rows], inside * true.known[others]
+    lags, alike, common = masked_correlation(
+        tamed(ours.rates[:kinds, rows], known),
+        known,
+        tamed(true.rates[:kinds, others], others_known),
+        others_known,
+    )
+    within = (lags >= 0) & (lags <= 2 * reach)
+    enough = common[:, within] > 0.6 * size
+    heights = np.where(enough, alike[..., within], -1.0).mean(axis=0)
+    middles, offsets = [], []
+    for part, height in enumerate(heights):
+        at = int(np.argmax(height))
+        if 0 < at < len(height) - 1 and height[at] > 0.6:
+            middles.append((rows[part, 0] + size / 2.0) * match.cell_s)
+            offsets.append((at - reach + cells + refined_peak(height, at)) * match.cell_s)
+    return np.array(middles), np.array(offsets)
+
+
+def tamed(rate: Floats, known: Floats) -> Floats:
+    """Return rates (..., N) without outliers, with mean 0 and standard deviation 1; 0 in gaps."""
+    here = np.broadcast_to(known > 0.0, rate.shape)
+    count = here.sum(axis=-1, keepdims=True)
+    # Rates are not negative: sorted, gaps come first.
+    ranked = np.sort(np.where(here, rate, -1.0), axis=-1)
+    place = rate.shape[-1] - 1 - _OUTLIERS * np.maximum(count - 1, 0)
+    below = np.floor(place).astype(np.int64)
+    above = np.minimum(below + 1, rate.shape[-1] - 1)
+    low, high = (np.take_along_axis(ranked, each, axis=-1) for each in (below, above))
+    high = low + (place - below) * (high - low)
+    tame = np.where(here, np.minimum(rate, high), 0.0)
+    number = np.maximum(count, 1)
+    tame = np.where(here, tame - tame.sum(axis=-1, keepdims=True) / number, 0.0)
+    spread = np.sqrt(np.square(tame).sum(axis=-1, keepdims=True) / number)
+    scaled: Floats = tame / np.maximum(spread, np.maximum(1e-9 * high, 1e-12))
+    return scaled
+
+
+def _inside(enough: Booleans, at: int) -> bool:
+    return 0 < at < len(enough) - 1 and bool(enough[at - 1] and enough[at + 1])
+
 
 SMALL_S = 0.25  # limit of the test on the finer grid
 USABLE = 0.8  # least correlation of an offset that other tests apply
-_GAIN = 0.1
 _LEAP_S = {18: "GPS time without leap seconds", 19: "GPS against TAI", 37: "TAI against UTC"}
+_THIRDS, _SAME_OFFSET_S = 3, 0.1
 _PART_S, _FEWEST_PARTS, _MOST_PARTS = 12.0, 4, 12
 _LEAST_GROWTH_S, _LEAST_RATE = 0.06, 5e-5
 _TIMES_NOISE, _TIMES_NOISE_OF_POSITIONS = 5.0, 8.0
@@ -28,12 +242,10 @@ _STRAIGHTER = 2.5
 _FEWEST_HZ = 3.0
 
 
-def clock_offset(match: ClockMatch | None, applied_s: float) -> Examined:
-    """Test for a large offset between the clocks.
+def clock_offset(match: ClockMatch | None, applied_s: float, rate: float) -> Examined:
+    """Test for a large offset, `applied_s` being already added to the estimate's timestamps.
 
-    Args:
-        match: Match of the rates of motion; None without a common time span.
-        applied_s: Offset that is already added to the estimate's timestamps, seconds.
+    With another clock rate than 1, the offset is a part of the finding about the rate.
     """
     if match is None:
         return Examined("clocks", why_not="no offset gives a common time span of 8 s")
@@ -45,9 +257,17 @@ def clock_offset(match: ClockMatch | None, applied_s: float) -> Examined:
         "usable_from": USABLE,
         "cell_s": match.cell_s,
     }
-    far = abs(match.offset_s) > SMALL_S and match.peak - match.zero > _GAIN
+    gain = 1.0 - match.peak < LEAST_LIKELY * (1.0 - match.zero)
+    far = abs(match.offset_s) > SMALL_S and gain and rate == 1.0
     if not (match.is_alone and far):
         return Examined("clocks", scores)
+    if match.overlap_s > _THIRDS * _PART_S:
+        _, offsets = offsets_of_parts(match, match.offset_s, _THIRDS)
+        scores["thirds"] = float(len(offsets))
+        if len(offsets):
+            scores["thirds_apart_s"] = float(np.abs(offsets - match.offset_s).max())
+        if len(offsets) < 2 or scores["thirds_apart_s"] > max(_SAME_OFFSET_S, match.cell_s):
+            return Examined("clocks", scores, why_not="parts of the run have other offsets")
     whole = round(abs(match.offset_s))
     leap = _LEAP_S.get(whole, "") if abs(abs(match.offset_s) - whole) < 0.3 else ""
     values: dict[str, Value] = {
@@ -62,22 +282,20 @@ def clock_offset(match: ClockMatch | None, applied_s: float) -> Examined:
 
 
 def clock_rate(
-    truth: MotionTrack,
-    estimate: MotionTrack,
+    groundtruth: TimedPoses,
+    estimate: TimedPoses,
     match: ClockMatch | None,
     offset_s: float,
     applied_s: float,
+    found_rate: float,
 ) -> Examined:
-    """Test for an offset that increases along the run.
+    """Test for an offset that grows along the run, besides `offset_s` and `applied_s`.
 
-    Args:
-        truth: Groundtruth in order of time.
-        estimate: Estimate in order of time.
-        match: Match of the whole run.
-        offset_s: Known offset between the clocks, seconds.
-        applied_s: Offset that is already added to the estimate's timestamps, seconds.
+    The estimate's time since its start was multiplied by `found_rate`.
     """
     name = "clock rates"
+    if match is not None and found_rate != 1.0:
+        return _other_rate(estimate, match, applied_s, found_rate)
     if match is None or not match.is_alone:
         return Examined(name, why_not="the rates of motion do not match at a common offset")
     turns = not np.isnan(match.turning)
@@ -99,7 +317,7 @@ def clock_rate(
     grows = abs(growth_s) > max(limit_s, _LEAST_GROWTH_S) and abs(rate) > _LEAST_RATE
     if not (grows and constant_s > _STRAIGHTER * noise_s):
         return Examined(name, scores)
-    scores["unlikeness"] = unlikeness_ratio(truth, estimate, level, rate, known_s=offset_s)
+    scores["unlikeness"] = unlikeness_ratio(groundtruth, estimate, level, rate, known_s=offset_s)
     if not scores["unlikeness"] < LEAST_LIKELY:
         return Examined(name, scores)
     values: dict[str, Value] = {
@@ -110,6 +328,76 @@ def clock_rate(
     }
     explained = 1.0 - (noise_s / constant_s) ** 2
     return Examined(name, scores, (Seen("clock_drift", explained, values),))
+
+
+def _other_rate(
+    estimate: TimedPoses, match: ClockMatch, applied_s: float, rate: float
+) -> Examined:
+    """Return the finding of a rate of the grid, with its rest from parts of the run."""
+    parts = int(np.clip(estimate.span_s / _PART_S, _FEWEST_PARTS, _MOST_PARTS))
+    times, offsets = offsets_of_parts(match, match.offset_s, parts)
+    rest, level = 0.0, match.offset_s
+    if len(times) > 2:
+        rest = _slope(times, offsets)
+        level = median(offsets - rest * times)
+    ppm = 1e6 * (rate * (1.0 + rest) - 1.0)
+    values: dict[str, Value] = {
+        "ppm": ppm,
+        "growth_ms": 1e-3 * ppm * estimate.span_s / rate,
+        "offset_s": level,
+        "total_s": applied_s + level,
+    }
+    # The estimate has the first factor already.
+    scores = {"ppm": 1e6 * rest, "offset_s": level, "peak": match.peak, "rate": rate}
+    return Examined("clock rates", scores, (Seen("clock_drift", match.peak, values),))
+
+
+_LOWEST_RATE, _HIGHEST_RATE = 0.4, 2.5
+_FIRST_SPAN_S, _COHERENT_S = 30.0, 0.7  # of a part, and the shift that its correlation allows
+_REFINED = 4  # rates to refine, of a longer part
+_BETTER = 0.1  # least gain of the correlation
+
+
+def other_rate(
+    groundtruth: TimedPoses, estimate: TimedPoses, match: ClockMatch | None
+) -> tuple[float, ClockMatch | None]:
+    """Search for a clock rate with a high correlation; 1 and the given match without one.
+
+    A part from the middle of the run allows large steps of the rate. Longer parts refine it.
+    """
+    span_s = min(_FIRST_SPAN_S, estimate.span_s)
+    if span_s <= 0.0:
+        return 1.0, match
+    step = 2.0 * _COHERENT_S / span_s
+    count = round(np.log(_HIGHEST_RATE / _LOWEST_RATE) / step)
+    rates = np.geomspace(_LOWEST_RATE, _HIGHEST_RATE, max(count, 2))
+    while True:
+        part = _middle(estimate, span_s)
+        if len(part) < 2:  # a gap
+            return 1.0, match
+        found = [match_clocks(groundtruth, part.shifted(0.0, each - 1.0)) for each in rates]
+        peaks = [-1.0 if each is None else each.peak for each in found]
+        if span_s >= estimate.span_s:
+            break
+        best = rates[np.argsort(peaks)[-_REFINED:]]
+        span_s, wide = min(4.0 * span_s, estimate.span_s), step
+        step = 2.0 * _COHERENT_S / span_s
+        half = np.ceil(wide / step / 2.0)
+        near = np.exp(step * np.arange(-half, half + 1.0))
+        rates = np.unique(np.outer(best, near))
+    at = int(np.argmax(peaks))
+    best_match = found[at]
+    least = max(USABLE, 0.0 if match is None else match.peak + _BETTER)
+    if best_match is None or not best_match.is_alone or best_match.peak < least:
+        return 1.0, match
+    return float(rates[at]), best_match
+
+
+def _middle(poses: TimedPoses, span_s: float) -> TimedPoses:
+    """Return the poses of a part from the middle, by the time since the start of all poses."""
+    since = poses.seconds - poses.seconds[0]
+    rows = np.abs(since - poses.span_s / 2.0) <= span_s / 2.0 + 1e-9
+    return poses[rows]
 
 
 def _slope(times: Floats, offsets: Floats) -> float:

@@ -1,75 +1,96 @@
-"""Tests of one side: velocities against positions, and intervals between poses."""
+"""Tests for columns with other contents: degrees, increments, row numbers, two dimensions."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from trajeval_ros.diagnosis.evidence import Examined, Seen, Value
-from trajeval_ros.diagnosis.motion_track import MotionTrack
-from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.thinning import evenly
+from trajeval_ros.diagnosis.findings import Examined, Seen, Value
+from trajeval_ros.diagnosis.input_pair import InputPair, lengths
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.statistics import median
 
-_RATES = 1500
-_FEWEST = 30
-_LONGEST_S = 0.6
-_SLOW_HZ = 4.0
+_FEWEST = 12
+_NUMBERS_S = 1e7  # the largest row number; timestamps since 1970 are larger
+_SAME_SPAN = 1.5  # ratio of durations of the same run
+_METRES_PER_DEG, _FACTOR = 111_320.0, 4.0  # of latitude; of longitude it is less
+_DEGREES, _LEAST_M = 0.1, 1.0  # largest extent in degrees, least motion
+_FLAT = 0.05  # least rms height of the other side, as a fraction of its extent
+_STEPS_ALIKE, _STEPS_WITHIN, _SMALL = 0.8, 2.0, 0.05
 
 
-def velocities(truth: MotionTrack, estimate: MotionTrack) -> Examined:
-    """Compare velocities, as read and rotated to the world, with the rate of the positions.
+def columns_of_others(inputs: InputPair) -> list[Examined]:
+    """Apply the tests of this file."""
+    if min(len(inputs.groundtruth_poses), len(inputs.estimate_poses)) < _FEWEST:
+        return []
+    return [_row_numbers(inputs), _degrees(inputs), _flat(inputs), _increments(inputs)]
 
-    Args:
-        truth: Groundtruth in order of time.
-        estimate: Estimate in order of time.
-    """
-    seen: list[Seen] = []
-    scores: dict[str, float] = {}
-    for side, track in (("estimate", estimate), ("groundtruth", truth)):
-        if track.velocities is None or track.quaternions is None or len(track) < _FEWEST:
-            continue
-        rows = evenly(len(track) - 2, _RATES) + 1
-        time = track.seconds[rows + 1] - track.seconds[rows - 1]
-        rows, time = rows[time < _LONGEST_S], time[time < _LONGEST_S]
-        if len(rows) < _FEWEST:
-            continue
-        moving = (track.positions[rows + 1] - track.positions[rows - 1]) / time[:, None]
-        total = float(np.sum(moving**2))
-        given = track.velocities[rows]
-        turned = lie.rotate(track.quaternions[rows], given)
-        if not total > 0.0:
-            continue
-        as_world = float(np.sum((given - moving) ** 2)) / total
-        as_body = float(np.sum((turned - moving) ** 2)) / total
-        scores |= {f"{side} as world": as_world, f"{side} as body": as_body}
-        if as_world > 0.25 and as_body < 0.2 * as_world and as_body < 0.1:
+
+def _row_numbers(inputs: InputPair) -> Examined:
+    stamps, others = inputs.estimate.stamps, inputs.groundtruth.stamps
+    is_counted = bool((np.diff(stamps) == NANOSECONDS).all()) and stamps[0] < _NUMBERS_S * 1e9
+    ratio = float(np.ptp(stamps)) / max(float(np.ptp(others)), 1.0)
+    apart = not 1.0 / _SAME_SPAN < ratio < _SAME_SPAN or stamps[-1] < others[0]
+    seen = (Seen("row_numbers", 1.0),) if inputs.by_time and is_counted and apart else ()
+    return Examined("row numbers", {"span_ratio": ratio}, seen)
+
+
+def _degrees(inputs: InputPair) -> Examined:
+    sides = {"estimate": inputs.estimate_poses, "groundtruth": inputs.groundtruth_poses}
+    sizes = {side: np.ptp(poses.positions, axis=0) for side, poses in sides.items()}
+    for side, other in (("estimate", "groundtruth"), ("groundtruth", "estimate")):
+        small = np.sort(sizes[side])[:2]
+        moved = float(np.linalg.norm(sizes[other]))
+        extent = float(np.linalg.norm(small))
+        ratio = moved / max(extent * _METRES_PER_DEG, 1e-12)
+        in_range = np.abs(sides[side].positions).max(axis=0)[np.argsort(sizes[side])[:2]] <= 180.0
+        likely = 1.0 / _FACTOR < ratio < _FACTOR and extent < _DEGREES and moved > _LEAST_M
+        if likely and in_range.all():
             values: dict[str, Value] = {
                 "side": side,
-                "off_percent": 100.0 * np.sqrt(as_world),
-                "turned_percent": 100.0 * np.sqrt(as_body),
+                "other": other,
+                "extent": extent,
+                "path_m": moved,
             }
-            seen.append(Seen("twist_body", 1.0 - as_body / as_world, values))
-    why_not = "" if scores else "no side has both velocities and orientations"
-    return Examined("velocities", scores, tuple(seen), why_not)
+            return Examined("degrees", {"ratio": ratio}, (Seen("degrees", 1.0, values),))
+    return Examined("degrees")
 
 
-def rhythm(truth: MotionTrack, estimate: MotionTrack) -> Examined:
-    """Test whether the estimate has only keyframes: few, at irregular times.
+def _flat(inputs: InputPair) -> Examined:
+    """Test for a constant column of one side while the other side moves in space."""
+    sides = {"groundtruth": inputs.groundtruth_poses, "estimate": inputs.estimate_poses}
+    constant = {side: np.ptp(poses.positions, axis=0) == 0.0 for side, poses in sides.items()}
+    for side, other in (("groundtruth", "estimate"), ("estimate", "groundtruth")):
+        if np.count_nonzero(constant[side]) != 1 or constant[other].any():
+            continue
+        height, extent = float(sides[other].positions[:, 2].std()), sides[other].extent
+        if inputs.gauge is not Gauge.PLANAR and height > _FLAT * extent:
+            axis = "xyz"[int(np.argmax(constant[side]))]
+            values: dict[str, Value] = {
+                "side": side,
+                "other": other,
+                "axis": axis,
+                "height_m": height,
+            }
+            return Examined("flat", {"height_m": height}, (Seen("flat", 1.0, values),))
+    return Examined("flat")
 
-    Args:
-        truth: Groundtruth in order of time.
-        estimate: Estimate in order of time.
-    """
-    if len(estimate) < 6:
-        return Examined("keyframes", why_not="too few poses")
-    rate_hz = (len(estimate) - 1) / max(estimate.span_s, 1e-9)
-    if rate_hz >= _SLOW_HZ:
-        return Examined("keyframes", {"rate_hz": rate_hz})
-    steps_s = np.diff(estimate.seconds)
-    usual_s = median(steps_s)
-    low, high = np.quantile(steps_s, [0.1, 0.9])
-    spread = float(high - low) / usual_s
-    scores = {"rate_hz": rate_hz, "spread": spread}
-    if spread > 0.5 and usual_s > 4.0 * truth.usual_step_s:
-        return Examined("keyframes", scores, (Seen("keyframes", 0.0, {"rate_hz": rate_hz}),))
-    return Examined("keyframes", scores)
+
+def _increments(inputs: InputPair) -> Examined:
+    """Compare the lengths of the estimate's positions with steps of the groundtruth."""
+    groundtruth, estimate = inputs.in_order
+    if not inputs.by_time or min(len(groundtruth), len(estimate)) < _FEWEST:
+        return Examined("increments", why_not="no timestamps")
+    if estimate.extent > _SMALL * groundtruth.extent:
+        return Examined("increments")
+    at = groundtruth.at(estimate.seconds, inputs.max_gap_s)
+    both = at.known[1:] & at.known[:-1]
+    steps = lengths(np.diff(at.positions, axis=0))[both]
+    size = lengths(estimate.positions[1:])[both]
+    if len(steps) < _FEWEST or not (steps.std() > 0.0 and size.std() > 0.0):
+        return Examined("increments", why_not="too few common poses")
+    peak = float(np.corrcoef(steps, size)[0, 1])
+    ratio = median(size) / max(median(steps), 1e-12)
+    is_alike = peak > _STEPS_ALIKE and 1.0 / _STEPS_WITHIN < ratio < _STEPS_WITHIN
+    seen = (Seen("increments", peak, {"peak": peak}),) if is_alike else ()
+    return Examined("increments", {"peak": peak, "ratio": ratio}, seen)

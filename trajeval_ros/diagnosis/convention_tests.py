@@ -1,41 +1,63 @@
-"""Test of conventions: whether another convention fits much better than the one that was read."""
+"""Test of conventions: whether another convention fits much better than the one that was read.
+
+No convention changes the lengths of displacements and rotation vectors, so their differences are
+the noise that the right convention leaves. Several conventions can fit short motions, for example
+in a plane. All of them are returned, and trials on the whole path select one.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from trajeval_ros.diagnosis.clock_tests import SMALL_S
-from trajeval_ros.diagnosis.evidence import Examined, Seen, Value
+from trajeval_ros.diagnosis.clock_tests import SMALL_S, ClockMatch
+from trajeval_ros.diagnosis.findings import Examined, Seen, Value
 from trajeval_ros.diagnosis.hypotheses import (
     AXES_MIXED,
-    BOTH,
-    ESTIMATE,
-    GROUNDTRUTH,
     INVERSE,
     MIRRORED,
     TRANSPOSED,
     WXYZ,
     WXYZ_TRANSPOSED,
     Hypothesis,
-    body_angle,
+    ShortMotions,
+    as_written,
+    fit_hypotheses,
+    improper_permutations,
     mean_rotation,
-    mirrored_quaternions,
     shorter_if_inverted,
+    sizes_apart,
+    turned_in_body,
+    turned_in_world,
 )
-from trajeval_ros.diagnosis.rates import ClockMatch
-from trajeval_ros.diagnosis.short_motions import ShortMotions, turned_in_body
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.pose_conventions import mirrored_quaternions
 
 NAME = "conventions"
 # Of J, per kind of motion: least value as read, largest value and ratio of the other one.
 _WRONG, _RIGHT, _RATIO = 0.004, 0.2, 0.4
+# J of the right convention: at most this, plus a multiple of the differences of lengths. Noise
+# changes a direction along two axes and a length along one, and drift changes directions only.
+_FITS, _TIMES_SIZES = 0.03, 6.0
 _TIE, _TIE_SHARE = 0.02, 0.15
+_AGREE = 0.3  # of J as read, per kind of motion, that other tests can use
 _UNLIKE, _UNLIKE_RATES, _LONG_S = 0.5, 0.7, 15.0
 # No convention changes the angle of a rotation.
 _TURNS_LESS, _TURNS_MORE, _TURNS_ALIKE = 0.6, 1.6, 0.4
-_SAME_BODY_DEG, _OTHER_BODY_DEG = 20.0, 50.0
+_DISAGREE, _TURNING_RAD = 0.15, 0.03  # of J of rotations alone, and mean rotation in a motion
+_MUCH_LESS = 0.1  # radians that were read as degrees are 0.017
 _CHANGE = 0.02  # least decrease of J per change
+_MOST_OPTIONS = 3  # to try, per cause and side
+
+# How the rotations are written, as text, with values of the options that correct it.
+_NAMES = {
+    WXYZ: "in the order w, x, y, z but read as x, y, z, w",
+    TRANSPOSED: "inverse",
+    WXYZ_TRANSPOSED: "in the order w, x, y, z and inverse",
+    INVERSE: "inverse (positions, too)",
+    MIRRORED: "left-handed",
+    AXES_MIXED: "in different axes than the positions",
+}
 
 
 def conventions(
@@ -44,77 +66,160 @@ def conventions(
     turning: ShortMotions,
     match: ClockMatch | None,
 ) -> Examined:
-    """Return the convention that the motions have, if it is not the one that was read.
-
-    Args:
-        hypotheses: As `fit_hypotheses` returns them.
-        moving: Motions of the displacements that they were fitted to.
-        turning: Motions of the rotations that they were fitted to.
-        match: Match of the rates of motion; None without timestamps.
-    """
+    """Return the convention that the motions have, if it is not the one that was read."""
     as_read, others = hypotheses[0], hypotheses[1:]
-    kinds = 1 if turning.truth_turned is None else 2
-    other = min(others, key=lambda each: each.cost + _CHANGE * each.changes)
+    kinds = 1 if turning.groundtruth_turned is None else 2
+    other = _best(others)
     scores = _scores(hypotheses, kinds)
-    if other.cost > _UNLIKE * kinds and as_read.cost > _UNLIKE * kinds:
-        if match is not None and _is_of_another_run(match):
-            values: dict[str, Value] = {"peak": match.peak, "agreement": _percent(as_read, kinds)}
-            return Examined(NAME, scores, (Seen("other_run", 1.0, values),))
-        return Examined(NAME, scores, why_not="the motions do not agree with any convention")
+    unlike = other.cost > _UNLIKE * kinds and as_read.cost > _UNLIKE * kinds
+    if unlike and match is not None and _is_of_another_run(match):
+        values: dict[str, Value] = {"peak": match.peak, "agreement": _percent(as_read, kinds)}
+        return Examined(NAME, scores, (Seen("other_run", 1.0, values),))
+    limits = [_limit(moving.true_steps, moving.steps)]
     if kinds == 2:
-        assert turning.truth_turned is not None
+        assert turning.groundtruth_turned is not None
         assert turning.estimate_turned is not None
-        ratio = _total_turn(turning.estimate_turned) / _total_turn(turning.truth_turned)
-        scores["turn_ratio"] = ratio
-        alike = match is None or match.turning >= _TURNS_ALIKE
-        if not (_TURNS_LESS < ratio < _TURNS_MORE and alike):
-            return Examined(NAME, scores, why_not="the rotations differ too much")
-    if as_read.cost <= _WRONG * kinds or other.cost >= _RIGHT * kinds:
+        sides = turning.groundtruth_turned, turning.estimate_turned
+        limits.append(_limit(*(turned_in_world(each) for each in sides)))
+        scores["turn_ratio"] = _total_turn(sides[1]) / _total_turn(sides[0])
+        alike = match is None or not match.turning < _TURNS_ALIKE
+        if not (_TURNS_LESS < scores["turn_ratio"] < _TURNS_MORE and alike):
+            found = _rotations(as_read, limits, moving, turning, scores, alike=False)
+            return Examined(NAME, scores, found, "" if found else "the rotations differ too much")
+    if as_read.cost <= _WRONG * kinds or (
+        other.cost >= _RATIO * as_read.cost and _fits(as_read, limits)
+    ):
         return Examined(NAME, scores)
-    if other.cost >= _RATIO * as_read.cost:
-        return Examined(NAME, scores)
+    if not (_fits(other, limits) and other.cost < _RATIO * as_read.cost) and kinds == 2:
+        others = fit_hypotheses(moving, turning, composed=True)
+        other = _best(others)
+        scores["composed"] = other.cost / kinds
+    if not _fits(other, limits) or other.cost >= _RATIO * as_read.cost:
+        found = (
+            _rotations(as_read, limits, moving, turning, scores, alike=True) if kinds == 2 else ()
+        )
+        agree = found or as_read.cost < _AGREE * kinds
+        why_not = "" if agree else "the motions do not agree with any convention"
+        return Examined(NAME, scores, found, why_not)
     within = (1.0 + _TIE_SHARE) * other.cost + _TIE
-    rivals = [each for each in others if each.cost < within]
-    families = _families(rivals, moving)
-    if len(families) > 1:
-        families = _told_apart(families, rivals, moving)
-    values = {"agreement": _percent(other, kinds), "as_read": _percent(as_read, kinds)}
+    fitting = [each for each in others if each.cost < within and _fits(each, limits)]
+    shared: dict[str, Value] = {
+        "agreement": _percent(other, kinds),
+        "as_read": _percent(as_read, kinds),
+    }
     explained = 1.0 - other.cost / as_read.cost
-    if len(families) > 1:
-        names = [_NAMES[each] for each in sorted(families)]
-        values["causes"] = " or ".join(names)
-        return Examined(NAME, scores, (Seen("convention_tie", explained, values),))
-    cause, sides = next(iter(families.items()))
-    if cause in (MIRRORED, AXES_MIXED):
-        best = min((each for each in rivals if each.cause == cause), key=lambda each: each.cost)
-        values["axes"] = _flip(rivals, moving) if cause == MIRRORED else _axes(best)
+    return Examined(NAME, scores, (_seen(fitting, moving, explained, shared),))
+
+
+def _best(hypotheses: list[Hypothesis]) -> Hypothesis:
+    return min(hypotheses, key=lambda each: each.cost + _CHANGE * each.changes)
+
+
+def _limit(one: Floats, other: Floats) -> float:
+    return min(_FITS + _TIMES_SIZES * sizes_apart(one, other), _RIGHT)
+
+
+def _fits(hypothesis: Hypothesis, limits: list[float]) -> bool:
+    """Return whether a hypothesis leaves no more than the noise."""
+    if hypothesis.cause == INVERSE:  # whose displacements have other lengths
+        limits = [_RIGHT, *limits[1:]]
+    left = [1.0 - hypothesis.moving, 1.0 - hypothesis.turning]
+    return all(each <= limit for each, limit in zip(left, limits, strict=False))
+
+
+def _rotations(
+    as_read: Hypothesis,
+    limits: list[float],
+    moving: ShortMotions,
+    turning: ShortMotions,
+    scores: dict[str, float],
+    *,
+    alike: bool,
+) -> tuple[Seen, ...]:
+    """Return the finding about rotations that no convention explains, if positions agree."""
+    assert turning.groundtruth_turned is not None
+    angle = _total_turn(turning.groundtruth_turned) / len(turning)
+    scores["positions_alone"] = as_read.moving_alone
+    if 1.0 - as_read.moving_alone > limits[0] or angle < _TURNING_RAD:
+        return ()
+    # Outliers are in a part of the run, and a mistake is in all of it.
+    parts = zip([moving, *moving.thirds], [turning, *turning.thirds], strict=True)
+    fits = [fit_hypotheses(*part)[0] for part in parts if min(map(len, part)) > 0]
+    left = min(each.cost - (1.0 - each.moving_alone) for each in fits)
+    if alike and left < max(_DISAGREE, 2.0 * limits[1]):
+        return ()
+    ratio = scores["turn_ratio"]
+    how, check = "", "order and signs of Euler angles; a compass heading is clockwise"
+    if not alike:
+        how = f" (angles {ratio:.3g} times as large)"
+        check = "order and unit of Euler angles"
+        if ratio < _MUCH_LESS:
+            check = "radians were probably read as degrees"
+    values: dict[str, Value] = {
+        "how": how,
+        "check": check,
+        "positions": 100.0 * as_read.moving_alone,
+        "rotations": 100.0 * max(as_read.turning, 0.0),
+        "turn_ratio": ratio,
+    }
+    return (Seen("rotations", 1.0 - max(as_read.turning, 0.0), values),)
+
+
+def _seen(
+    fitting: list[Hypothesis], moving: ShortMotions, explained: float, shared: dict[str, Value]
+) -> Seen:
+    """Return the cause, with all options to try, or the tie between several causes."""
+    fitting = sorted(fitting, key=lambda each: (each.changes, round(each.cost, 2), each.flips))
+    found: list[Seen] = []
+    counts: dict[tuple[str, str], int] = {}
+    for each in fitting:
+        if each.cause == INVERSE and each.side != shorter_if_inverted(moving):
+            continue
+        key = each.cause, each.side
+        counts[key] = counts.get(key, 0) + 1
+        if counts[key] <= _MOST_OPTIONS:
+            found += [
+                option
+                for option in _options(each, moving, explained, shared)
+                if option not in found
+            ]
+    first, causes = found[0], sorted({each.cause for each in found})
+    if len(found) == 1:
+        return first
+    if len(causes) > 1:
+        names = " or ".join(_NAMES.get(each, "several of these") for each in causes)
+        return Seen("convention_tie", explained, {**shared, "causes": names}, tuple(found))
+    sides = {str(each.values["side"]) for each in found}
+    values = {**first.values, "side": "one side"} if len(sides) > 1 else first.values
+    return Seen(first.cause, explained, values, tuple(found))
+
+
+def _options(
+    hypothesis: Hypothesis, moving: ShortMotions, explained: float, shared: dict[str, Value]
+) -> list[Seen]:
+    """Return what corrects a hypothesis, to try."""
+    cause = hypothesis.cause
+    values: dict[str, Value] = {**shared, "side": hypothesis.side}
+    if (hypothesis.axes == np.eye(3)).all():
+        return [Seen(cause, explained, values)]
+    axes = hypothesis.axes
+    options = [(AXES_MIXED, "positions=" + _axes(axes))]
+    if np.linalg.det(axes) > 0.0:
+        options.append((AXES_MIXED, "rotations=" + _axes(axes.T)))
     else:
-        side = next(iter(sides)) if len(sides) == 1 else "one side"
-        values |= {"side": side, **_MENDS[cause].get(side, _MENDS[cause][ESTIMATE])}
-    return Examined(NAME, scores, (Seen(cause, explained, values),))
+        options.append((MIRRORED, mirror(hypothesis, moving)))
+    if cause in _WRITTEN_AS:
+        order, inverse = _WRITTEN_AS[cause]
+        values |= {"causes": _NAMES[cause], "order": order, "inverse": inverse}
+        options = [("conventions", option) for _, option in options]
+    return [Seen(name, explained, {**values, "axes": option}) for name, option in options]
 
 
-_NAMES = {
-    WXYZ: "in the order w, x, y, z but read as x, y, z, w",
-    TRANSPOSED: "with inverse rotations",
-    WXYZ_TRANSPOSED: "in the order w, x, y, z with inverse rotations",
-    INVERSE: "inverse (world in body)",
-    MIRRORED: "left-handed",
-    AXES_MIXED: "in different axes than the rotations",
-}
-_ORDERS = {ESTIMATE: "xyzw,wxyz", GROUNDTRUTH: "wxyz,xyzw", BOTH: "wxyz"}
-_ROTATIONS = {
-    ESTIMATE: "estimate-rotations",
-    GROUNDTRUTH: "groundtruth-rotations",
-    BOTH: "groundtruth-rotations,estimate-rotations",
-}
-_MENDS: dict[str, dict[str, dict[str, Value]]] = {
-    WXYZ: {side: {"order": order} for side, order in _ORDERS.items()},
-    TRANSPOSED: {side: {"inverse": what} for side, what in _ROTATIONS.items()},
-    WXYZ_TRANSPOSED: {
-        side: {"order": _ORDERS[side], "inverse": _ROTATIONS[side]} for side in _ORDERS
-    },
-    INVERSE: {side: {"inverse": side} for side in (ESTIMATE, GROUNDTRUTH)},
+# Values of the options that correct how rotations are written: order, and inverse.
+_WRITTEN_AS = {
+    WXYZ: ("wxyz", ""),
+    TRANSPOSED: ("", "rotations"),
+    WXYZ_TRANSPOSED: ("wxyz", "rotations"),
 }
 
 
@@ -145,81 +250,32 @@ def _total_turn(quaternions: Floats) -> float:
     return max(float(np.minimum(angles, 3.0).sum()), 1e-12)
 
 
-def _families(rivals: list[Hypothesis], moving: ShortMotions) -> dict[str, set[str]]:
-    """Return the possible sides by cause."""
-    families: dict[str, set[str]] = {}
-    for each in rivals:
-        families.setdefault(each.cause, set()).add(each.side)
-    if {MIRRORED, AXES_MIXED} <= families.keys():
-        families.pop(_less_usual(rivals))
-    if len(families.get(INVERSE, ())) > 1:
-        families[INVERSE] = {shorter_if_inverted(moving)}
-    return families
+def mirror(hypothesis: Hypothesis, moving: ShortMotions) -> str:
+    """Return the mirror of whole poses that leaves the least rotation of world and body.
 
-
-def _less_usual(rivals: list[Hypothesis]) -> str:
-    """Return which of mirrored and mixed axes needs more flips, if planar motion fits both.
-
-    Poses that are mirrored as a whole fit if all three axes of the positions are flipped.
+    Mirrors differ by rotations, which are part of the rotation of the world and of the body.
     """
-    flips = dict.fromkeys((MIRRORED, AXES_MIXED), 3)
-    for each in rivals:
-        if each.cause in flips:
-            flips[each.cause] = min(flips[each.cause], int(np.count_nonzero(each.axes < 0.0)))
-            if (each.axes == -np.eye(3)).all():
-                return AXES_MIXED
-    return AXES_MIXED if flips[MIRRORED] <= flips[AXES_MIXED] else MIRRORED
-
-
-def _told_apart(
-    families: dict[str, set[str]], rivals: list[Hypothesis], moving: ShortMotions
-) -> dict[str, set[str]]:
-    """Return the causes with equal body axes, or the simplest, if either criterion decides."""
-    if moving.truth_turned is None:
-        return families
-    angles = {
-        cause: min(body_angle(each, moving) for each in rivals if each.cause == cause)
-        for cause in families
-    }
-    least = min(angles, key=lambda cause: angles[cause])
-    others = [angle for cause, angle in angles.items() if cause != least]
-    if angles[least] < _SAME_BODY_DEG and min(others) > _OTHER_BODY_DEG:
-        return {least: families[least]}
-    fewest = min(each.changes for each in rivals)
-    simple = {each.cause for each in rivals if each.changes == fewest} & families.keys()
-    rest = [angles[cause] for cause in families if cause not in simple]
-    if simple and min(rest, default=np.inf) > _OTHER_BODY_DEG:
-        return {cause: families[cause] for cause in families if cause in simple}
-    return families
-
-
-def _flip(rivals: list[Hypothesis], moving: ShortMotions) -> str:
-    """Return the option value that corrects a mirrored estimate."""
-    mirrored = [each for each in rivals if each.cause == MIRRORED]
-    whole = [each for each in mirrored if (each.axes == -np.eye(3)).all()]
-    if not whole:  # only positions were flipped
-        return _axes(min(mirrored, key=lambda each: each.cost))
-    best, flips = whole[0], {}
-    for axis in (1, 0, 2):  # the first of equals
-        flip = np.eye(3)
-        flip[axis, axis] = -1.0
-        # Flips differ by rotations, which are part of the rotation of the world.
-        world = best.turned @ best.axes @ flip
+    best, least = np.eye(3), np.inf
+    for mirror in improper_permutations():
+        world = hypothesis.turned @ hypothesis.axes @ mirror.T
         turned_deg = float(np.degrees(np.arccos(np.clip(world[2, 2], -1.0, 1.0))))
-        if moving.truth_turned is not None and moving.estimate_turned is not None:
-            ours = mirrored_quaternions(moving.estimate_turned[0], flip)
-            aligned = lie.multiply(lie.from_matrix(world), ours)
-            mean = mean_rotation(lie.multiply(lie.conjugate(aligned), moving.truth_turned[0]))
-            turned_deg += float(np.degrees(lie.angle(mean)))
-        flips[axis] = turned_deg
-    axis = min(flips, key=lambda each: round(flips[each] / 10.0))
-    return ",".join(("-" if each == axis else "") + "xyz"[each] for each in range(3))
+        if moving.groundtruth_turned is not None and moving.estimate_turned is not None:
+            true, ours = as_written(
+                hypothesis, moving.groundtruth_turned[0], moving.estimate_turned[0]
+            )
+            aligned = lie.multiply(lie.from_matrix(world), mirrored_quaternions(ours, mirror))
+            turned_deg += float(
+                np.degrees(lie.angle(mean_rotation(lie.multiply(lie.conjugate(aligned), true))))
+            )
+        if round(turned_deg / 10.0) < least:
+            best, least = mirror, round(turned_deg / 10.0)
+    return _axes(best)
 
 
-def _axes(hypothesis: Hypothesis) -> str:
-    """Return the option value that corrects positions in other axes than the rotations."""
+def _axes(permutation: Floats) -> str:
+    """Return a signed permutation as the value of an option."""
     words = []
-    for row in hypothesis.axes:
+    for row in permutation:
         axis = int(np.argmax(np.abs(row)))
         words.append(("-" if row[axis] < 0.0 else "") + "xyz"[axis])
-    return "positions=" + ",".join(words)
+    return ",".join(words)

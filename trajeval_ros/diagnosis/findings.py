@@ -1,91 +1,236 @@
-"""The result of a diagnosis: findings in order of severity, and all tests."""
+"""The result of a diagnosis: tests with statistics, findings by severity, and corrections."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-from trajeval_ros.diagnosis.causes import CAUSES, Cause
-from trajeval_ros.diagnosis.evidence import Examined, Seen
+from trajeval_ros.diagnosis.causes import CAUSES
+from trajeval_ros.exceptions import InputError, require_one_of
+from trajeval_ros.formatting.numbers import four_digits
+from trajeval_ros.formatting.remarks import Remark, warning
+from trajeval_ros.geometry.pose_conventions import Conventions
+
+if TYPE_CHECKING:
+    from trajeval_ros.calibration.apply import Ate
+    from trajeval_ros.metrics.evaluation import Evaluation
+
+Value = float | str
+
+SUGGESTED = "suggested"
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A cause that a test detected."""
+
+    cause: str  # its name in `CAUSES`
+    explained: float  # fraction of the mismatch that the correction removes, 0 to 1
+    # Values of the format strings of the cause; numbers are evidence.
+    values: Mapping[str, Value] = field(default_factory=dict)
+    # Other causes that fit the motions about as well: trials of their corrections decide.
+    rivals: tuple[Seen, ...] = ()
+
+
+@dataclass(frozen=True)
+class Examined:
+    """A test and its results."""
+
+    test: str
+    scores: Mapping[str, float] = field(default_factory=dict)  # statistics by name
+    seen: tuple[Seen, ...] = ()  # detected causes
+    why_not: str = ""  # reason why the test is not applicable; "" if it is
+
 
 _MEASURE = (
     "--hand-eye auto could not determine it; measure the transformation and give it with "
     "--hand-eye FILE"
 )
+_UNHELPFUL = "a correction does not reduce the ATE, of which other errors are the larger part"
+_UNTRIED = "a correction cannot be tried on this data"
+# By side of a finding, if it is not only the groundtruth or only the estimate.
+_OWNERS = {"both": "both sides'", "one side": "one side's"}
+_CORRECTED_SIDES = {"both": ("groundtruth", "estimate"), "one side": ("estimate",)}
+
+
+@dataclass(frozen=True)
+class Tried:
+    """Errors without and with the correction of a finding."""
+
+    before: Ate | None  # None if nothing can be evaluated without it
+    after: Ate
+    is_next: bool = False  # whether the corrections of more severe findings are in both
+    then: str = ""  # option that corrects the next finding, in `after`; "" for none
+
+    @classmethod
+    def of(cls, before: Evaluation | None, after: Evaluation) -> Tried:
+        """Return the errors of two evaluations, or of one if there is none before."""
+        from trajeval_ros.calibration.apply import Ate
+
+        return cls(None if before is None else Ate.of(before), Ate.of(after))
+
+    def helps(self, cause: str) -> bool:
+        """Return whether the error that a cause is about falls, and the other hardly grows."""
+        position, rotation = self.ratios
+        of = CAUSES[cause].of_error
+        falls = _FALLS_MUCH if CAUSES[cause].of_conventions else _FALLS
+        if of == "position":
+            # The rotation between the bodies is another finding.
+            kept = rotation < _GROWS or position < _CLEARLY or self.after.rotation_deg is None
+            return position < falls and kept
+        about = rotation if of == "rotation" else min(position, rotation)
+        return about < falls and max(position, rotation) < _GROWS
+
+    @property
+    def ratios(self) -> tuple[float, float]:
+        """Errors after over errors before, of positions and of rotations; 1 without rotations.
+
+        Rotation errors are withheld where rotations and positions disagree, so they are large.
+        """
+        if self.before is None:
+            return 0.0, 1.0
+        before_deg, after_deg = self.before.rotation_deg, self.after.rotation_deg
+        turned = 1.0
+        if not (before_deg is None and after_deg is None):
+            turned = _ratio(
+                WITHHELD_DEG if after_deg is None else after_deg,
+                WITHHELD_DEG if before_deg is None else before_deg,
+            )
+        return _ratio(self.after.position_m, self.before.position_m), turned
+
+    def text(self, option: str) -> str:
+        """Return both numbers, of the error that decreases more."""
+        position, rotation = self.ratios
+        before, after = self.before, self.after
+        then = "then " if self.is_next else ""
+        option = f"{option} and {self.then}" if self.then else option
+        if after.rotation_deg is not None and rotation < _CLEARLY * position:
+            assert before is not None
+            size = before.rotation_deg
+            without = "withheld" if size is None else f"{four_digits(size)} deg"
+            with_it = f"{four_digits(after.rotation_deg)} deg"
+            return f"{then}rotation ATE {without}, with {option} {with_it}"
+        with_it = f"with {option} {four_digits(after.position_m)} m"
+        if before is None:
+            return f"{then}ATE {with_it}"
+        return f"{then}ATE {four_digits(before.position_m)} m, {with_it}"
+
+
+WITHHELD_DEG = 180.0
+# Ratios of errors: a decrease beyond rounding, the decrease by a convention, and an increase by
+# the drift, which is part of both.
+_FALLS, _FALLS_MUCH, _GROWS = 0.999, 0.9, 1.05
+_OF_POSES = 6.0  # rank of the conventions of poses
+_CLEARLY = 0.5  # ratio of decreases, from which on the rotation is stated in place of the position
+
+
+def _ratio(after: float, before: float) -> float:
+    return after / before if before > 0.0 else float(after > 0.0) + 1.0
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A mistake that was detected, with its texts.
+    """A mistake that was detected, with its texts."""
 
-    Attributes:
-        cause: Name of the cause, a key of `CAUSES`.
-        sentence: The mistake and its evidence.
-        advice: Instruction for the user.
-        mend: Options that correct it, values by name; empty without such an option.
-        explained: Fraction of the mismatch that the correction removes, 0 to 1.
-        confidence: `exact`, `correlated` or `fitted`.
-        evidence: Statistics by name.
-    """
-
-    cause: str
-    sentence: str
-    advice: str
-    mend: Mapping[str, str]
-    explained: float
-    confidence: str
-    evidence: Mapping[str, float]
+    cause: str  # name of the cause, a key of `CAUSES`
+    sentence: str  # the mistake and its evidence
+    advice: str  # instruction for the user
+    # What corrects it, by option of `evaluate` or by attribute of `Corrections`; empty if neither
+    # does.
+    correction: Mapping[str, str]
+    explained: float  # fraction of the mismatch that the correction removes, 0 to 1
+    confidence: str  # `exact`, `correlated` or `fitted`
+    evidence: Mapping[str, float]  # statistics by name
+    rivals: tuple[Finding, ...] = ()  # other findings that fit about as well
+    tried: Tried | None = None  # None if there is no correction, or no trial of it
 
     @classmethod
     def of(cls, seen: Seen) -> Finding:
         """Return the finding of a detected cause."""
         cause = CAUSES[seen.cause]
-        words = {**seen.values, "owner": _owner(seen)}
+        side = str(seen.values.get("side", ""))
+        values = {**seen.values, "owner": _OWNERS.get(side, f"the {side}'s")}
         return cls(
             cause.name,
-            cause.sentence.format(**words),
-            cause.advice.format(**words),
-            {name: text.format(**words) for name, text in cause.mend.items()},
+            cause.sentence.format(**values),
+            cause.advice.format(**values),
+            {
+                name.format(side=each): value
+                for name, text in cause.correction.items()
+                for each in _CORRECTED_SIDES.get(side, (side,))
+                if (value := text.format(**values))
+            },
             seen.explained,
             cause.confidence,
             {name: value for name, value in seen.values.items() if isinstance(value, float)},
+            tuple(cls.of(each) for each in seen.rivals),
         )
+
+    def without_advice(self, *, was_tried: bool) -> Finding:
+        """Return the finding for a correction that did not help, or that could not be tried."""
+        advice = _UNHELPFUL if was_tried else _UNTRIED
+        if self.cause == "body":
+            advice = _MEASURE
+        return dataclasses.replace(self, advice=advice, correction={}, rivals=(), tried=None)
 
     @property
     def option(self) -> str:
-        """The options on the command line; "" without an option that corrects it."""
-        return " ".join(
-            f"--{name.replace('_', '-')}" + (f"={text}" if text.startswith("-") else f" {text}")
-            if text
-            else f"--{name.replace('_', '-')}"
-            for name, text in self.mend.items()
+        """The option of `evaluate` that corrects it; "" without a correction."""
+        return f"--correct {self.cause}" if self.conversion else _options(self.correction)
+
+    @property
+    def conversion(self) -> str:
+        """The options of `trajectory` that correct a file; "" if it is not converted."""
+        names = (name.partition(".") for name in self.correction)
+        return _options(
+            {of_side: self.correction[side + dot + of_side] for side, dot, of_side in names if dot}
         )
 
     @property
     def text(self) -> str:
         """The sentence, the advice and the option, in one line."""
         said = f"{self.sentence}; {self.advice}"
+        if self.tried is not None:
+            return f"{said}: {self.tried.text(self.option)}{self._file}"
         named = not self.option or self.option.split()[0] in self.advice
-        return said if named else f"{said}: {self.option}"
+        return said if named else f"{said}: {self.option}{self._file}"
+
+    @property
+    def _file(self) -> str:
+        conversion = self.conversion
+        return conversion and f", or trajeval trajectory SOURCE {conversion}"
+
+    @property
+    def remark(self) -> Remark:
+        """The finding as a warning, with the cause as its code."""
+        return warning(self.cause, self.text)
 
     @property
     def rank(self) -> float:
         """Severity; findings are sorted by it."""
         return CAUSES[self.cause].rank
 
+    @property
+    def is_of_conventions(self) -> bool:
+        """Whether the poses have another convention than the reader assumed."""
+        return CAUSES[self.cause].of_conventions
+
+    def is_gone(self, found: Diagnosis) -> bool:
+        """Return whether no finding with the correction is this or a similar one."""
+        return found.named(self.cause) is None and not (
+            self.rank == _OF_POSES and any(each.rank == _OF_POSES for each in found.findings)
+        )
+
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All tests and findings.
+    """All tests and findings."""
 
-    Attributes:
-        findings: Findings, the most severe one first; empty if no mistake was detected.
-        examined: All tests with their statistics, in their order.
-    """
-
+    # Findings, the most severe one first; empty if no mistake was detected.
     findings: tuple[Finding, ...] = ()
-    examined: tuple[Examined, ...] = ()
+    examined: tuple[Examined, ...] = ()  # all tests with their statistics, in their order
 
     @classmethod
     def of(cls, examined: list[Examined]) -> Diagnosis:
@@ -108,8 +253,8 @@ class Diagnosis:
         A finding about the body remains if the calibration was too uncertain to be applied.
         """
         findings = (
-            dataclasses.replace(each, advice=_MEASURE, mend={})
-            if "hand_eye" in each.mend
+            dataclasses.replace(each, advice=_MEASURE, correction={})
+            if "hand_eye" in each.correction
             else each
             for each in self.findings
         )
@@ -117,22 +262,73 @@ class Diagnosis:
 
     def of_conventions(self) -> Finding | None:
         """Return the finding about a convention; None without one."""
-        return next((each for each in self.findings if _cause(each).of_conventions), None)
+        return next((each for each in self.findings if each.is_of_conventions), None)
 
     def named(self, cause: str) -> Finding | None:
         """Return the finding of a cause; None without it."""
         return next((each for each in self.findings if each.cause == cause), None)
 
 
+def _options(values: Mapping[str, str]) -> str:
+    return " ".join(
+        f"--{name.replace('_', '-')}" + (f"={text}" if text.startswith("-") else f" {text}")
+        for name, text in values.items()
+    )
+
+
 def _ranked(findings: list[Finding]) -> tuple[Finding, ...]:
     return tuple(sorted(findings, key=lambda each: (-each.rank, -each.explained)))
 
 
-def _cause(finding: Finding) -> Cause:
-    return CAUSES[finding.cause]
+@dataclass(frozen=True)
+class Corrections:
+    """Conventions of both sides that differ from those that were read; by default none."""
+
+    groundtruth: Conventions = field(default_factory=Conventions)
+    estimate: Conventions = field(default_factory=Conventions)
+    then: Corrections | None = None  # corrections of what these leave; None for none
+
+    def changed(self, correction: Mapping[str, str]) -> Corrections:
+        """Return these corrections and then those of a finding, such as `estimate.scale`."""
+        if self.then is not None:
+            return dataclasses.replace(self, then=self.then.changed(correction))
+        sides: dict[str, dict[str, Value]] = {"groundtruth": {}, "estimate": {}}
+        for name, text in correction.items():
+            side, _, attribute = name.partition(".")
+            if attribute:
+                sides[side][attribute] = type(getattr(Conventions(), attribute))(text)
+        if not any(sides.values()):
+            return self
+        return dataclasses.replace(
+            self,
+            then=Corrections(**{side: Conventions(**of) for side, of in sides.items()}),  # type: ignore[arg-type]
+        )
 
 
-def _owner(seen: Seen) -> str:
-    """Return the side of a finding as a possessive: "the estimate's"."""
-    side = str(seen.values.get("side", ""))
-    return {"both": "both sides'", "one side": "one side's"}.get(side, f"the {side}'s")
+def require_correctable(cause: str) -> None:
+    """Refuse a name that is neither `suggested` nor a cause with a correction."""
+    known = [name for name, each in CAUSES.items() if each.correction]
+    require_one_of(cause, [SUGGESTED, *known], "cause to correct")
+
+
+def finding_to_correct(diagnosis: Diagnosis, cause: str, *, is_first: bool) -> Finding | None:
+    """Return the finding to correct; None for `suggested` without findings.
+
+    After the first correction, it is None if nothing is left to correct.
+    """
+    left = [each for each in diagnosis.findings if cause in (SUGGESTED, each.cause)]
+    correctable = next((each for each in left if each.correction), None)
+    if correctable is not None or not is_first:
+        return correctable
+    if cause == SUGGESTED:
+        if left:
+            raise InputError(f"no option corrects the finding: {left[0].text}; remove --correct")
+        return None
+    found = diagnosis.named(cause)
+    if found is None:
+        causes = ", ".join(each.cause for each in diagnosis.findings) or "nothing"
+        raise InputError(
+            f"{cause} not found in the recording (found: {causes}); remove --correct, or convert "
+            "the file with trajeval trajectory"
+        )
+    return found

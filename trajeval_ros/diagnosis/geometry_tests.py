@@ -2,24 +2,45 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
-from trajeval_ros.diagnosis.evidence import Examined, Seen, Value
-from trajeval_ros.diagnosis.hypotheses import Hypothesis, mean_rotation
-from trajeval_ros.diagnosis.motion_track import lengths
-from trajeval_ros.diagnosis.short_motions import ShortMotions, bounded, turned_in_world
+from trajeval_ros.diagnosis.convention_tests import mirror
+from trajeval_ros.diagnosis.findings import Examined, Seen, Value
+from trajeval_ros.diagnosis.hypotheses import (
+    Hypothesis,
+    ShortMotions,
+    bounded,
+    mean_rotation,
+    turned_in_world,
+)
+from trajeval_ros.diagnosis.input_pair import lengths
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.remarks import warning
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.trajectory_edits import every_nth
+from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.statistics import median, quantile
 
+UP_AXIS_DOUBTED = "up_axis_doubted"  # code of the remark on a wrong vertical axis
 _OFF = 0.2  # of the logarithm of the scale
-_UNITS = {1e-3: "estimate_mm", 1e3: "truth_mm"}
-_UNIT_WITHIN, _STEADY_GAIN = 0.15, 0.8
+# Metres per unit, and largest difference of the logarithm of the scale.
+_UNITS = {
+    "millimetres": (1e-3, 0.15),
+    "centimetres": (1e-2, 0.1),
+    "inches": (0.0254, 0.1),
+    "feet": (0.3048, 0.1),
+}
+_FOOT_OF_GROUNDTRUTH = 0.015  # the scale of a monocular estimate is often as near to it
+_FAST_M = 200.0  # in a short motion: no body that is localised is as fast
+_STEADY_GAIN = 0.8
 # Ratios of a plane's thickness and a line's width to the length; rotation about the normal.
 _PLANE, _LINE, _ONE_AXIS, _SAME_AXIS = 0.15, 0.2, 0.75, 0.9
-_LEAST_TILT_DEG, _NEAR_AXIS_DEG = 12.0, 25.0
-_FLAT, _SAME_HEIGHTS = 0.2, 0.5
+_LEAST_TILT_DEG, _AXIS_DEG = 12.0, 5.0
 _AGREE, _AGREE_WELL = 0.7, 0.85
 # Least rotation of the body, deg: if a rotation of the world fits much worse, and otherwise.
 _BODY_DEG, _BODY_OR_WORLD_DEG = 5.0, 25.0
@@ -29,13 +50,22 @@ _BY_SCALE = 0.5
 # A mistake is constant, and drift is not: largest difference between a third of the run and the
 # whole run, as a fraction of the value.
 _ALIKE = 0.35
+# Of |M^T u|: least value for the axis of rotation (18 deg of roll and pitch, rms), and largest
+# value for the others (headings over more than half of a circle).
+_HELD = 0.95
+_TURNED = 0.6
+# Largest extent along the axis, as a fraction of the smaller one across it: not a climb.
+_CLIMB = 0.5
+# Between the axis of rotation and the up axis.
+_APART_DEG = 45.0
+_NEAR_DEG = 20.0  # from an axis of the frame, which the message then names
+_FEWEST = 20
+_ENOUGH = 20_000  # states
 
 
 def scale(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examined:
     """Compare the distances that both sides move in the same time."""
     name = "scale"
-    if gauge.has_scale:
-        return Examined(name, why_not="the alignment removes the scale")
     if as_read.moving <= 0.8:
         return Examined(name, why_not="displacements do not agree")
     found, spread = scale_of(moving)
@@ -44,18 +74,55 @@ def scale(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examined:
     gain = 1.0 - float(np.sum((true - found * ours) ** 2)) / max(before, 1e-300)
     off = abs(float(np.log(found)))
     scores = {"scale": found, "spread": spread, "gain": gain}
-    values: dict[str, Value] = {"scale": found}
+    values: dict[str, Value] = {
+        "scale": found, "or_feet": "", "or_convert": "", "gauge": "sim3"
+    }  # fmt: skip
     if off <= _OFF:
         return Examined(name, scores)
-    for unit, cause in _UNITS.items():
-        if abs(float(np.log(found / unit))) < _UNIT_WITHIN and gain > 0.5:
-            return Examined(name, scores, (Seen(cause, gain, values),))
+    unit = _unit_of(found, moving)
+    if unit is not None and (unit["side"], unit["unit"]) == ("groundtruth", "feet"):
+        # A monocular estimate may have this scale, too.
+        convert = " (--gauge sim3), or convert feet: trajeval trajectory SOURCE --scale 0.3048"
+        values |= {
+            "or_feet": ", or with groundtruth in feet", "or_convert": convert, "gauge": ""
+        }  # fmt: skip
+        unit = None
+    # An alignment with scale hides the unit of the estimate, and not of the groundtruth.
+    shows = gain > 0.5
+    if unit is not None and gauge.has_scale:
+        shows = unit["side"] == "groundtruth" and _is_fast(moving.true_steps)
+    if unit is not None and shows:
+        return Examined(name, scores, (Seen("unit", gain, {**values, **unit}),))
+    if gauge.has_scale:
+        return Examined(name, scores, why_not="the alignment removes the scale")
     if gain > _STEADY_GAIN and spread < 0.5 * off:
         parts = [scale_of(each)[0] for each in moving.thirds]
         scores["thirds_apart"] = max(abs(float(np.log(each / found))) for each in parts) / off
     if scores.get("thirds_apart", np.inf) < _ALIKE:
         return Examined(name, scores, (Seen("scale", gain, values),))
     return Examined(name, scores)
+
+
+def _unit_of(scale: float, moving: ShortMotions) -> dict[str, Value] | None:
+    """Return the unit of one side, from metres per unit of the estimate; None for no unit."""
+    for name, (metres, within) in _UNITS.items():
+        for side, found in (("estimate", scale), ("groundtruth", 1.0 / scale)):
+            if (side, name) == ("groundtruth", "feet"):
+                within = _FOOT_OF_GROUNDTRUTH
+            if abs(float(np.log(found / metres))) > within:
+                continue
+            # Millimetres of one side are kilometres of the other.
+            steps = moving.steps if side == "estimate" else moving.true_steps
+            if name == "millimetres" and not _is_fast(steps):
+                other = "groundtruth" if side == "estimate" else "estimate"
+                return {"side": other, "unit": "kilometres", "factor": "1000"}
+            return {"side": side, "unit": name, "factor": f"{metres:g}"}
+    return None
+
+
+def _is_fast(steps: Floats) -> bool:
+    size = lengths(steps)
+    return median(size[size >= median(size)]) > _FAST_M
 
 
 def scale_of(moving: ShortMotions) -> tuple[float, float]:
@@ -69,12 +136,14 @@ def scale_of(moving: ShortMotions) -> tuple[float, float]:
     return median(ratios), (quantile(ordered, 0.8) - quantile(ordered, 0.2)) / 2.0
 
 
-def vertical(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examined:
+def vertical(
+    as_read: Hypothesis, moving: ShortMotions, turning: ShortMotions, gauge: Gauge
+) -> Examined:
     """Compare the vertical axes, if the alignment does not include roll and pitch."""
     name = "vertical axes"
     if not gauge.turns_about_gravity_only:
         return Examined(name, why_not="the alignment includes roll and pitch, or no rotation")
-    kinds = 1.0 if moving.truth_turned is None else 2.0
+    kinds = 1.0 if moving.groundtruth_turned is None else 2.0
     if kinds - as_read.cost <= _AGREE * kinds:
         return Examined(name, why_not="motions do not agree")
     turned = as_read.turned
@@ -82,52 +151,103 @@ def vertical(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examine
     scores = {"tilt_deg": tilt_deg}
     if tilt_deg <= _LEAST_TILT_DEG or kinds - as_read.cost <= _AGREE_WELL * kinds:
         return Examined(name, scores)
+    parts = [each.world()[2] for each in moving.thirds]
+    apart_deg = max(_degrees(each @ turned[2]) for each in parts)
+    limit_deg = max(_AXIS_DEG, apart_deg)
+    both = _shared_vertical(turned, turning, limit_deg)
+    if both is not None:
+        return Examined(name, scores, (both,))
     # The vertical of a side in the frame of the other side: one of its axes, if that is wrong.
-    sides = {"estimate": turned[2], "groundtruth": turned[:, 2]}
-    side = max(sides, key=lambda each: round(float(np.abs(sides[each]).max()), 2))
-    up = sides[side]
-    nearest = int(np.argmax(np.abs(up)))
-    axis = ("-" if up[nearest] < 0.0 else "") + "xyz"[nearest]
-    off_deg = _degrees(abs(up[nearest]))
+    ups = {"estimate": turned[2], "groundtruth": turned[:, 2]}
+    found = [_up_axis(side, *_nearest_axis(up), tilt_deg) for side, up in ups.items()]
+    found = [
+        each
+        for each in found
+        if each.values["axis"] != "z" and float(each.values["off_deg"]) <= limit_deg
+    ]
+    if not found:
+        scores["thirds_apart"] = apart_deg / tilt_deg
+        values: dict[str, Value] = {"tilt_deg": tilt_deg}
+        seen = (Seen("tilted", 1.0, values),) if scores["thirds_apart"] < _ALIKE else ()
+        return Examined(name, scores, seen)
+    if found[0].values["axis"] == "-z":  # in a plane, a left-handed path has the same motions
+        flipped = dataclasses.replace(as_read, axes=np.diag([1.0, 1.0, -1.0]))
+        agreement: Value = 100.0 * (1.0 - as_read.cost / kinds)
+        values = {"axes": mirror(flipped, moving), "agreement": agreement, "as_read": agreement}
+        rivals = (found[0], Seen("mirrored", 1.0, values))
+        tie = Seen("up_axis_or_mirrored", 1.0, found[0].values, rivals)
+        return Examined(name, scores, (tie,))
+    return Examined(name, scores, (dataclasses.replace(found[0], rivals=tuple(found)),))
+
+
+def _up_axis(side: str, axis: str, off_deg: float, tilt_deg: float) -> Seen:
+    """Return the finding that an axis of a side's frame is vertical."""
+    called = {"-y": ", as in a camera's (x right, y down, z forward)", "-z": ", as in NED"}
     values: dict[str, Value] = {
         "side": side,
         "axis": axis,
         "axes_up": f"z,{axis}" if side == "estimate" else f"{axis},z",
         "off_deg": off_deg,
         "tilt_deg": tilt_deg,
+        "called": called.get(axis, ""),
     }
-    if axis == "z" or off_deg >= _NEAR_AXIS_DEG:
-        parts = [each.world()[2] for each in moving.thirds]
-        scores["thirds_apart"] = max(_degrees(each @ turned[2]) for each in parts) / tilt_deg
-        seen = (Seen("tilted", 1.0, values),) if scores["thirds_apart"] < _ALIKE else ()
-        return Examined(name, scores, seen)
-    if axis == "-z":
-        extents = np.linalg.svd(bounded(moving.true_steps), compute_uv=False)
-        true, ours = moving.true_steps[:, 2], (moving.steps @ turned.T)[:, 2]
-        true, ours = true - true.mean(), ours - ours.mean()
-        alike = float(true @ ours) / max(float(lengths(np.array([true, ours])).prod()), 1e-30)
-        scores["heights_alike"] = alike
-        # In a plane, a left-handed path has the same motions as a path with z down.
-        if extents[2] < _FLAT * extents[0] and alike < _SAME_HEIGHTS:
-            cause = "mirrored" if alike < -_SAME_HEIGHTS else "up_axis_or_mirrored"
-            values |= {"axes": "x,y,-z", "agreement": 100.0 * (1.0 - as_read.cost / kinds)}
-            values["as_read"] = values["agreement"]
-            return Examined(name, scores, (Seen(cause, 1.0, values),))
-    called = {"-y": ", as in a camera's (x right, y down, z forward)", "-z": ", as in NED"}
-    values["called"] = called.get(axis, "")
-    return Examined(name, scores, (Seen("up_axis", 1.0, values),))
+    return Seen("up_axis", 1.0, values)
 
 
-def groundtruth_plane(moving: ShortMotions, turning: ShortMotions, gauge: Gauge) -> Examined:
+def _shared_vertical(turned: Floats, turning: ShortMotions, limit_deg: float) -> Seen | None:
+    """Return the finding that x or y is vertical in both frames, if the body turns about it."""
+    if turning.groundtruth_turned is None:
+        return None
+    about = np.linalg.svd(
+        bounded(turned_in_world(turning.groundtruth_turned)), full_matrices=False
+    )[2][0]
+    for axis in (1, 0):
+        if abs(about[axis]) > _SAME_AXIS and _degrees(abs(turned[axis, axis])) < limit_deg:
+            return _sideways(axis, turned)
+    return None
+
+
+def _sideways(axis: int, turned: Floats) -> Seen:
+    """Return the finding that an axis is vertical, with the gauge that corrects it, too."""
+    up = _both_up(axis, turned)
+    by_gauge = dataclasses.replace(up, values={**up.values, "ups": "", "gauge": "se3"})
+    return dataclasses.replace(up, rivals=(up, by_gauge))
+
+
+def _nearest_axis(up: Floats) -> tuple[str, float]:
+    """Return the signed axis that is nearest to a direction (3,), and the angle between, deg."""
+    nearest = int(np.argmax(np.abs(up)))
+    name = ("-" if up[nearest] < 0.0 else "") + "xyz"[nearest]
+    return name, _degrees(abs(up[nearest]))
+
+
+def _both_up(axis: int, turned: Floats) -> Seen:
+    """Return the finding that an axis of the groundtruth's frame is vertical.
+
+    `turned` (3, 3) is the rotation from the estimate's world to the groundtruth's.
+    """
+    name = "xyz"[axis]
+    said = (
+        f"z is not the vertical axis of the groundtruth's frame: the body turns about {name}; set "
+        f"--up=-{name} or --up={name}"
+    )
+    ups = f"-{name},{_nearest_axis(-turned[axis])[0]}"
+    values: dict[str, Value] = {"said": said, "ups": ups, "gauge": ""}
+    return Seen("groundtruth_up_axis", 1.0, values)
+
+
+def groundtruth_plane(
+    as_read: Hypothesis, moving: ShortMotions, turning: ShortMotions, gauge: Gauge
+) -> Examined:
     """Test whether the groundtruth moves perpendicular to and rotates about x or y."""
     name = "plane of the groundtruth"
-    if not gauge.turns_about_gravity_only or turning.truth_turned is None:
+    if not gauge.turns_about_gravity_only or turning.groundtruth_turned is None:
         return Examined(
             name, why_not="the alignment includes roll and pitch, or orientations are missing"
         )
     _, sizes, across = np.linalg.svd(bounded(moving.true_steps), full_matrices=False)
     turns, about = np.linalg.svd(
-        bounded(turned_in_world(turning.truth_turned)), full_matrices=False
+        bounded(turned_in_world(turning.groundtruth_turned)), full_matrices=False
     )[1:]
     normal = across[2]
     nearest = int(np.argmax(np.abs(normal)))
@@ -147,25 +267,20 @@ def groundtruth_plane(moving: ShortMotions, turning: ShortMotions, gauge: Gauge)
     )
     if not sideways:
         return Examined(name, scores)
-    axis = "xyz"[nearest]
-    said = (
-        "z is not the vertical axis of the groundtruth's frame: the body moves perpendicular to "
-        f"{axis} and turns about {axis}; set --up=-{axis} or --up={axis}"
-    )
-    return Examined(name, scores, (Seen("truth_up_axis", 1.0, {"said": said}),))
+    return Examined(name, scores, (_sideways(nearest, as_read.turned),))
 
 
 def body(as_read: Hypothesis, moving: ShortMotions) -> Examined:
     """Test for a constant rotation between the axes of the bodies."""
     name = "body axes"
-    if moving.truth_turned is None or moving.estimate_turned is None:
+    if moving.groundtruth_turned is None or moving.estimate_turned is None:
         return Examined(name, why_not="one side has no orientations")
     if as_read.turning <= 0.8 or as_read.cost >= 2.0 * (1.0 - _AGREE):
         return Examined(name, why_not="motions do not agree")
     mean, rest = _constant(_between_bodies(moving, as_read.turned))
     angle = float(np.degrees(lie.angle(mean)))
     # A rotation of the world has the same effect, unless the body rotates.
-    true = moving.truth_turned[0]
+    true = moving.groundtruth_turned[0]
     aligned = lie.multiply(lie.from_matrix(as_read.turned), moving.estimate_turned[0])
     worlds = _constant(lie.multiply(true, lie.conjugate(aligned)))[1]
     scores = {"angle_deg": angle, "rest_deg": rest, "rest_of_worlds_deg": worlds}
@@ -248,16 +363,11 @@ def _squares(vectors: Floats) -> float:
 
 
 def _between_bodies(moving: ShortMotions, turned: Floats) -> Floats:
-    """Return the rotations (N, 4) between the bodies' axes at the starts of N motions.
-
-    Args:
-        moving: With orientations of both sides.
-        turned: Rotation (3, 3) from the estimate's world to the groundtruth's.
-    """
-    assert moving.truth_turned is not None
+    """Return the rotations (N, 4) between the bodies' axes at the starts of N motions."""
+    assert moving.groundtruth_turned is not None
     assert moving.estimate_turned is not None
     aligned = lie.multiply(lie.from_matrix(turned), moving.estimate_turned[0])
-    return lie.multiply(lie.conjugate(aligned), moving.truth_turned[0])
+    return lie.multiply(lie.conjugate(aligned), moving.groundtruth_turned[0])
 
 
 def _constant(quaternions: Floats) -> tuple[Floats, float]:
@@ -269,3 +379,95 @@ def _constant(quaternions: Floats) -> tuple[Floats, float]:
 
 def _degrees(cosine: float) -> float:
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+def up_axis_doubt(trajectory: Trajectory) -> str:
+    """Return why the up axis is wrong; "" if it is possible, or was given."""
+    if trajectory.up.is_given or trajectory.quaternions is None:
+        return ""
+    axis = vertical_axis_of(trajectory.positions, trajectory.quaternions)
+    if axis is None:
+        return ""
+    apart = float(np.degrees(np.arccos(min(abs(float(axis @ trajectory.up.matrix[2])), 1.0))))
+    if apart < _APART_DEG:
+        return ""
+    nearest = int(np.argmax(np.abs(axis)))
+    name = "xyz"[nearest]
+    from_it = float(np.degrees(np.arccos(min(abs(float(axis[nearest])), 1.0))))
+    if from_it > _NEAR_DEG:
+        direction = ", ".join(f"{each:.2f}" for each in axis)
+        what = (
+            f"the direction ({direction}), which is not an axis; rotate the frame to a "
+            "vertical axis"
+        )
+    else:
+        what = f"the {name} axis; set --up=-{name} or --up={name}"
+    return (
+        f"{trajectory.up} is probably not the vertical axis of the groundtruth's frame: the body "
+        f"turns about {what}; to keep it, set --up={trajectory.up.name}"
+    )
+
+
+def vertical_axis_of(positions: Floats, quaternions: Floats) -> Floats | None:
+    """Return the axis (3,) of rotation that a body moves perpendicular to, of either sign.
+
+    A body that rotates about only one axis, like vehicles, drones and people, rotates about
+    gravity. With M = mean R_i, weighted by the distance travelled, |M^T u| is 1 for a direction u
+    of the world that is constant in the body's axes, and 0 for a direction that rotates all
+    around. u is vertical if the value is near 1 for u, small for the others, and the body moves
+    perpendicular to u. It is None without such an axis: no rotation, several axes, a climb, or a
+    line. The quaternions (N, 4) are xyzw.
+    """
+    some = every_nth(len(positions), _ENOUGH)
+    positions, quaternions = positions[some], quaternions[some]
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    if len(positions) < _FEWEST or not steps.sum() > 0.0:
+        return None
+    mean = np.einsum("n,nij->ij", steps / steps.sum(), lie.to_matrix(quaternions[1:]))
+    axes, held, _ = np.linalg.svd(mean)
+    if held[0] < _HELD or held[1] > _TURNED:
+        return None
+    along = (positions - positions.mean(axis=0)) @ axes
+    level = np.linalg.eigvalsh(along[:, 1:].T @ along[:, 1:])
+    if along[:, 0] @ along[:, 0] > _CLIMB**2 * level[0]:
+        return None
+    vertical: Floats = axes[:, 0]
+    return vertical
+
+
+def require_up_axis(groundtruth: Trajectory, gauge: Gauge) -> None:
+    """Refuse gauges yaw and planar if the groundtruth rotates about another axis than up."""
+    doubt = up_axis_doubt(groundtruth) if gauge.turns_about_gravity_only else ""
+    if doubt:
+        raise InputError(f"gauge {gauge.value} needs the vertical axis, but {doubt}")
+
+
+def without_vertical(evaluation: Evaluation) -> Evaluation:
+    """Return an evaluation without yaw and tilt, with a warning, if the up axis is wrong.
+
+    Angles of form `euler` are the numbers of the toolbox, not angles about gravity.
+    """
+    # With a wrong up axis, such an alignment is refused.
+    if evaluation.absolute.yaw_deg is None or evaluation.protocol.gauge.turns_about_gravity_only:
+        return evaluation
+    doubt = up_axis_doubt(evaluation.groundtruth)
+    if not doubt:
+        return evaluation
+    nothing = {"yaw_deg": None, "tilt_deg": None}
+    relative = evaluation.relative
+    if relative is not None and evaluation.protocol.re_form != "euler":
+        relative = tuple(each.without(*nothing) for each in relative)
+    return dataclasses.replace(
+        evaluation,
+        absolute=dataclasses.replace(
+            evaluation.absolute, horizontal_m=None, vertical_m=None, yaw_deg=None, tilt_deg=None
+        ),
+        ate={**evaluation.ate, **nothing, "horizontal_m": None, "vertical_m": None},
+        relative=relative,
+        remarks=(
+            warning(
+                UP_AXIS_DOUBTED, f"{doubt}; yaw, tilt, horizontal and vertical errors withheld"
+            ),
+            *evaluation.remarks,
+        ),
+    )

@@ -1,32 +1,178 @@
-"""Conventions of poses, and the cost of each in closed form.
+"""Short motions of both sides: over two seconds drift is small, and a mistake is not.
 
-Displacements rotate with the world, and so do the rotation vectors of R_end R_start^T. If the
-convention is right, one rotation W of the world maps the estimate's to the groundtruth's.
-With H_p and H_r their moments (`short_motions.moment`), J = 2 - max over W of tr W^T (H_p + H_r)
-is 0 for a perfect fit, and about 1 if one of the two does not fit. A hypothesis changes a moment,
-so it costs one decomposition of a 3x3 matrix.
+They start and end at poses of the estimate, because interpolation of a sparse estimate cuts its
+curves. The groundtruth is interpolated.
 """
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from trajeval_ros.diagnosis.motion_track import lengths
-from trajeval_ros.diagnosis.short_motions import (
-    ShortMotions,
-    best_rotations,
-    bound_of,
-    bounded,
-    moment,
-    turned_in_body,
-    turned_in_world,
-)
+from trajeval_ros.diagnosis.input_pair import TimedPoses, lengths
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
+from trajeval_ros.geometry.pose_conventions import W_FIRST
+from trajeval_ros.geometry.trajectory_edits import evenly
+from trajeval_ros.metrics.statistics import median
+
+_COUNT = 600
+_FEWEST = 12
+# A jump is longer than this multiple of the median step; more jumps are normal for the estimate.
+_JUMP, _MOST_JUMPS = 30.0, 20
+
+
+@dataclass(frozen=True, eq=False)
+class ShortMotions:
+    """N short motions of both sides."""
+
+    rows: Indices  # (N, 2) rows of the estimate at starts and ends
+    groundtruth: Floats  # (2, N, 3) positions of the groundtruth at starts and ends
+    estimate: Floats  # (2, N, 3) positions of the estimate
+    # (2, N, 4) quaternions of the groundtruth; None unless both have them.
+    groundtruth_turned: Floats | None
+    # (2, N, 4) quaternions of the estimate; None unless both have them.
+    estimate_turned: Floats | None
+
+    @classmethod
+    def between(
+        cls, groundtruth: TimedPoses, estimate: TimedPoses, apart_s: float, max_gap_s: float
+    ) -> ShortMotions:
+        """Return evenly sampled motions of a recording with equal clocks."""
+        times = estimate.seconds
+        first = int(np.searchsorted(times, groundtruth.seconds[0]))
+        count = max(0, int(np.searchsorted(times, groundtruth.seconds[-1], side="right")) - first)
+        start = first + evenly(count, min(count, _COUNT))
+        end = np.searchsorted(times, times[start] + 0.999 * apart_s)
+        fits = end < first + count
+        start, end = start[fits], end[fits]
+        fits = times[end] - times[start] < 2.0 * apart_s + 0.2
+        start, end = start[fits], end[fits]
+        begun, ended = (groundtruth.at(times[each], max_gap_s) for each in (start, end))
+        known = begun.known & ended.known
+        start, end = start[known], end[known]
+        groundtruth_turned = estimate_turned = None
+        if begun.quaternions is not None and ended.quaternions is not None:
+            groundtruth_turned = np.stack([begun.quaternions[known], ended.quaternions[known]])
+        if groundtruth_turned is not None and estimate.quaternions is not None:
+            estimate_turned = np.stack([estimate.quaternions[start], estimate.quaternions[end]])
+        else:
+            groundtruth_turned = None
+        return cls(
+            np.column_stack([start, end]),
+            np.stack([begun.positions[known], ended.positions[known]]),
+            np.stack([estimate.positions[start], estimate.positions[end]]),
+            groundtruth_turned,
+            estimate_turned,
+        )
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def enough(self) -> bool:
+        """Whether there are enough motions for a test."""
+        return len(self) >= _FEWEST
+
+    @property
+    def true_steps(self) -> Floats:
+        """Displacements of the groundtruth, (N, 3)."""
+        steps: Floats = self.groundtruth[1] - self.groundtruth[0]
+        return steps
+
+    @property
+    def steps(self) -> Floats:
+        """Displacements of the estimate, (N, 3)."""
+        steps: Floats = self.estimate[1] - self.estimate[0]
+        return steps
+
+    @property
+    def thirds(self) -> list[ShortMotions]:
+        """Three parts of the run with about equal distances travelled by the groundtruth."""
+        way = np.cumsum(lengths(bounded(self.true_steps)))
+        part = np.minimum(3.0 * way / max(float(way[-1]), 1e-300), 2.0).astype(np.int64)
+        return [self._only(part == each) for each in range(3)]
+
+    def world(self) -> Floats:
+        """Return the rotation (3, 3) from the estimate's world that fits the motions best."""
+        fitted = moment(bounded(self.true_steps), bounded(self.steps))
+        if self.groundtruth_turned is not None and self.estimate_turned is not None:
+            turns = (
+                turned_in_world(each) for each in (self.groundtruth_turned, self.estimate_turned)
+            )
+            fitted = fitted + moment(*(bounded(each) for each in turns))
+        return best_rotations(fitted)[1]
+
+    def without_jumps(self, estimate: TimedPoses) -> ShortMotions:
+        """Return the motions without a jump of the estimate: a restart rotates its world."""
+        moved = estimate.moved
+        far = moved > _JUMP * median(moved[evenly(len(moved), 2000)])
+        jumps = np.concatenate([[0], np.cumsum(far)])
+        if not 0 < jumps[-1] <= _MOST_JUMPS:
+            return self
+        smooth = jumps[self.rows[:, 0]] == jumps[self.rows[:, 1]]
+        return self._only(smooth) if np.count_nonzero(smooth) >= _FEWEST else self
+
+    def without_rotations(self) -> ShortMotions:
+        """Return the motions of the positions."""
+        return replace(self, groundtruth_turned=None, estimate_turned=None)
+
+    def _only(self, keep: Booleans) -> ShortMotions:
+        return ShortMotions(
+            self.rows[keep],
+            self.groundtruth[:, keep],
+            self.estimate[:, keep],
+            None if self.groundtruth_turned is None else self.groundtruth_turned[:, keep],
+            None if self.estimate_turned is None else self.estimate_turned[:, keep],
+        )
+
+
+def turned_in_world(quaternions: Floats) -> Floats:
+    """Return the rotation vectors (..., 3) of R_end R_start^T, of the world, (2, ..., 4)."""
+    return lie.rotation_vector(lie.multiply(quaternions[1], lie.conjugate(quaternions[0])))
+
+
+def turned_in_body(quaternions: Floats) -> Floats:
+    """Return the rotation vectors (..., 3) of R_start^T R_end, of the body, (2, ..., 4)."""
+    return lie.rotation_vector(lie.multiply(lie.conjugate(quaternions[0]), quaternions[1]))
+
+
+def bounded(vectors: Floats) -> Floats:
+    """Return vectors (N, 3) with limited lengths, so that outliers have little weight."""
+    short: Floats = vectors / bound_of(lengths(vectors))[:, None]
+    return short
+
+
+def bound_of(size: Floats) -> Floats:
+    """Return the divisors (N,) of vectors of given lengths that limit their lengths."""
+    usual = median(size[size > 0.0]) if (size > 0.0).any() else 1.0
+    return size + 2.0 * usual
+
+
+def moment(groundtruth: Floats, estimate: Floats) -> Floats:
+    """Return the normalised sums (..., 3, 3) of G E^T over N vectors G and E, (..., N, 3).
+
+    The trace of W^T times it is the correlation of the vectors under a rotation W.
+    """
+    norm = np.sqrt(
+        np.square(groundtruth).sum(axis=(-1, -2)) * np.square(estimate).sum(axis=(-1, -2))
+    )
+    summed: Floats = np.swapaxes(groundtruth, -1, -2) @ estimate
+    summed /= np.maximum(norm, 1e-300)[..., None, None]
+    return summed
+
+
+def best_rotations(moments: Floats) -> tuple[Floats, Floats]:
+    """Return the largest trace of W^T H over rotations W, (...), and W (..., 3, 3), per H."""
+    u, s, vt = np.linalg.svd(moments)
+    sign = np.sign(np.linalg.det(u) * np.linalg.det(vt))
+    flipped = u.copy()
+    flipped[..., :, 2] *= sign[..., None]
+    return s[..., 0] + s[..., 1] + sign * s[..., 2], flipped @ vt
+
 
 ESTIMATE, GROUNDTRUTH, BOTH = "estimate", "groundtruth", "both"
 AS_READ = "as_read"
@@ -34,8 +180,6 @@ WXYZ, TRANSPOSED, WXYZ_TRANSPOSED = "wxyz", "transposed", "wxyz_transposed"
 MIRRORED, AXES_MIXED, INVERSE = "mirrored", "axes_mixed", "inverse"
 _CHANGES = {AS_READ: 0, WXYZ: 1, TRANSPOSED: 1, WXYZ_TRANSPOSED: 2}
 _WRITTEN = tuple(_CHANGES)
-# Columns that were read as x, y, z, w and are w, x, y, z.
-W_FIRST = [1, 2, 3, 0]
 
 
 def _signed_permutations() -> Floats:
@@ -55,70 +199,84 @@ _PROPER = np.linalg.det(_PERMUTATIONS) > 0.0
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A convention with its fit.
+    """A convention with its fit."""
 
-    Attributes:
-        cause: `as_read`, or the name of a cause.
-        side: Side with the mistake; "" if it is unknown.
-        changes: Number of mistakes.
-        cost: J, 0 for a perfect fit.
-        turned: The rotation W (3, 3) from the estimate's world to the groundtruth's.
-        moving: Correlation of the displacements.
-        turning: Correlation of the rotations; 0 without orientations.
-        axes: Signed permutation (3, 3) of the estimate's positions.
-    """
+    cause: str  # `as_read`, or the name of a cause
+    side: str  # side with the mistake; "" if it is unknown
+    changes: int  # number of mistakes
+    cost: float  # J, 0 for a perfect fit
+    turned: Floats  # the rotation W (3, 3) from the estimate's world to the groundtruth's
+    moving: float  # correlation of the displacements
+    moving_alone: float  # largest correlation of the displacements under any rotation
+    turning: float  # correlation of the rotations; 0 without orientations
+    axes: Floats  # signed permutation (3, 3) of the estimate's positions
 
-    cause: str
-    side: str
-    changes: int
-    cost: float
-    turned: Floats
-    moving: float
-    turning: float
-    axes: Floats
+    @property
+    def flips(self) -> float:
+        """Distance of `axes` from the identity: 0 for none."""
+        return 3.0 - float(np.trace(self.axes))
 
 
-def fit_hypotheses(moving: ShortMotions, turning: ShortMotions) -> list[Hypothesis]:
-    """Return all hypotheses; the first one is the convention that was read.
+def fit_hypotheses(
+    moving: ShortMotions, turning: ShortMotions, *, composed: bool = False
+) -> list[Hypothesis]:
+    """Return hypotheses of one mistake; the first one is the convention that was read.
 
-    Args:
-        moving: Motions for displacements.
-        turning: Motions for rotations.
+    With `composed`, they are those of a written form of the rotations and other axes of the
+    positions.
     """
     steps = moment(bounded(moving.true_steps), bounded(moving.steps))
-    if turning.truth_turned is None or turning.estimate_turned is None:
+    if turning.groundtruth_turned is None or turning.estimate_turned is None:
         nothing = np.zeros((3, 3))
         return _solved(
             [_Moments(AS_READ, "", 0, steps, nothing), _mirrored(steps, nothing)], perfect=1.0
         )
-    true, ours = _as_written(turning.truth_turned, turning.estimate_turned)
+    true, ours = _as_written(turning.groundtruth_turned, turning.estimate_turned)
     turns = moment(true[:, None], ours)
-    as_read = turns[0, 0]
-    todo = [_Moments(AS_READ, "", 0, steps, as_read)]
-    for row, cause in enumerate(_WRITTEN):
-        if row:
-            changes = _CHANGES[cause]
-            todo += [
-                _Moments(cause, ESTIMATE, changes, steps, turns[0, row]),
-                _Moments(cause, GROUNDTRUTH, changes, steps, turns[row, 0]),
-                _Moments(cause, BOTH, changes, steps, turns[row, row]),
-            ]
+    as_read = _Moments(AS_READ, "", 0, steps, turns[0, 0])
+    forms: list[_Moments] = []
+    for row, cause in enumerate(_WRITTEN[1:], 1):
+        sides = {ESTIMATE: turns[0, row], GROUNDTRUTH: turns[row, 0], BOTH: turns[row, row]}
+        forms += [
+            _Moments(cause, side, _CHANGES[cause], steps, turned) for side, turned in sides.items()
+        ]
     # Poses mirrored as a whole, M p and M R M, equal positions times -1: M rotates the rotation
     # vectors by -M, which is a rotation.
     permuted = steps @ np.swapaxes(_PERMUTATIONS, 1, 2)
-    todo += [
-        _Moments(AXES_MIXED if proper else MIRRORED, "", 1, permuted[row], as_read, permutation)
-        for row, (permutation, proper) in enumerate(zip(_PERMUTATIONS, _PROPER, strict=True))
+    others = [
+        (AXES_MIXED if proper else MIRRORED, permuted[row], _PERMUTATIONS[row])
+        for row, proper in enumerate(_PROPER)
         if row
     ]
+    if composed:
+        return _solved(
+            [
+                form._replace(changes=form.changes + 1, steps=moved, axes=axes)
+                for form in forms
+                if form.side != BOTH
+                for _, moved, axes in others
+            ],
+            perfect=2.0,
+        )
+    todo = [as_read, *forms]
+    todo += [_Moments(cause, "", 1, moved, turns[0, 0], axes) for cause, moved, axes in others]
     inverse = _WRITTEN.index(TRANSPOSED)
     inverted = bounded(_steps_if_inverted(moving.estimate, moving.estimate_turned))
     steps_of_inverse = moment(bounded(moving.true_steps), inverted)
     todo.append(_Moments(INVERSE, ESTIMATE, 1, steps_of_inverse, turns[0, inverse]))
-    inverted = bounded(_steps_if_inverted(moving.truth, moving.truth_turned))
+    inverted = bounded(_steps_if_inverted(moving.groundtruth, moving.groundtruth_turned))
     steps_of_inverse = moment(inverted, bounded(moving.steps))
     todo.append(_Moments(INVERSE, GROUNDTRUTH, 1, steps_of_inverse, turns[inverse, 0]))
     return _solved(todo, perfect=2.0)
+
+
+def sizes_apart(one: Floats, other: Floats) -> float:
+    """Return 1 - correlation of the lengths of bounded vectors (N, 3).
+
+    No convention changes lengths, so this is the noise that remains in the right one.
+    """
+    a, b = lengths(bounded(one)), lengths(bounded(other))
+    return 1.0 - float(a @ b) / max(float(np.sqrt((a @ a) * (b @ b))), 1e-300)
 
 
 class _Moments(NamedTuple):
@@ -134,17 +292,12 @@ def _mirrored(steps: Floats, turns: Floats) -> _Moments:
     return _Moments(MIRRORED, "", 1, -steps, turns, -np.eye(3))
 
 
-def _as_written(truth: Floats, estimate: Floats) -> Floats:
-    """Return bounded rotation vectors (2, 4, N, 3) of both sides, by convention of quaternions.
+def _as_written(groundtruth: Floats, estimate: Floats) -> Floats:
+    """Return bounded rotation vectors (2, 4, N, 3) of both sides, in the order of `_WRITTEN`.
 
-    Args:
-        truth: (2, N, 4) quaternions of the groundtruth at starts and ends.
-        estimate: (2, N, 4) of the estimate.
-
-    Returns:
-        In the order of `_WRITTEN`.
+    The quaternions are (2, N, 4), at starts and ends.
     """
-    sides = np.stack([truth, estimate], axis=1)
+    sides = np.stack([groundtruth, estimate], axis=1)
     orders = np.stack([sides, sides[..., W_FIRST]], axis=2)
     world = turned_in_world(orders)
     vectors = np.concatenate([world, -turned_in_body(orders)], axis=1)
@@ -165,6 +318,7 @@ def _solved(todo: list[_Moments], perfect: float) -> list[Hypothesis]:
     steps, turns = np.array([each.steps for each in todo]), np.array([each.turns for each in todo])
     best, turned = best_rotations(steps + turns)
     moving = np.einsum("nij,nij->n", turned, steps)
+    alone = best_rotations(steps)[0]
     turning = np.einsum("nij,nij->n", turned, turns)
     return [
         Hypothesis(
@@ -174,6 +328,7 @@ def _solved(todo: list[_Moments], perfect: float) -> list[Hypothesis]:
             perfect - float(best[row]),
             turned[row],
             float(moving[row]),
+            float(alone[row]),
             float(turning[row]),
             each.axes,
         )
@@ -181,22 +336,27 @@ def _solved(todo: list[_Moments], perfect: float) -> list[Hypothesis]:
     ]
 
 
-def body_angle(hypothesis: Hypothesis, motions: ShortMotions) -> float:
-    """Return the angle between the axes of the bodies, deg, under the hypothesis."""
-    assert motions.truth_turned is not None
-    assert motions.estimate_turned is not None
-    true, ours = motions.truth_turned[0], motions.estimate_turned[0]
-    if hypothesis.cause in (WXYZ, WXYZ_TRANSPOSED):
-        ours = ours[:, W_FIRST] if hypothesis.side in (ESTIMATE, BOTH) else ours
-        true = true[:, W_FIRST] if hypothesis.side in (GROUNDTRUTH, BOTH) else true
-    if hypothesis.cause in (TRANSPOSED, WXYZ_TRANSPOSED, INVERSE):
-        ours = lie.conjugate(ours) if hypothesis.side in (ESTIMATE, BOTH) else ours
-        true = lie.conjugate(true) if hypothesis.side in (GROUNDTRUTH, BOTH) else true
-    aligned = lie.multiply(lie.from_matrix(hypothesis.turned), ours)
-    mean = mean_rotation(lie.multiply(lie.conjugate(aligned), true))
-    # A mirrored world mirrors the body: 180 deg about one of its axes are the same axes.
-    near = np.abs(mean).max() if hypothesis.cause == MIRRORED else abs(mean[3])
-    return float(np.degrees(2.0 * np.arccos(min(1.0, float(near)))))
+def as_written(
+    hypothesis: Hypothesis, groundtruth: Floats, estimate: Floats
+) -> tuple[Floats, Floats]:
+    """Return the quaternions (N, 4) of both sides under the hypothesis."""
+    sides = []
+    for side, quaternions in ((GROUNDTRUTH, groundtruth), (ESTIMATE, estimate)):
+        if hypothesis.side in (side, BOTH):
+            if hypothesis.cause in (WXYZ, WXYZ_TRANSPOSED):
+                quaternions = quaternions[:, W_FIRST]
+            if hypothesis.cause in (TRANSPOSED, WXYZ_TRANSPOSED, INVERSE):
+                quaternions = lie.conjugate(quaternions)
+        sides.append(quaternions)
+    return sides[0], sides[1]
+
+
+def improper_permutations() -> Floats:
+    """Return the 24 matrices (24, 3, 3) that exchange and flip axes and change the handedness."""
+    mirrors: Floats = _PERMUTATIONS[~_PROPER]
+    # The first of equals: y, which most left-handed systems flip, then other flips.
+    order = np.lexsort((mirrors[:, 1, 1], -np.einsum("nii->n", mirrors)))
+    return mirrors[order]
 
 
 def shorter_if_inverted(motions: ShortMotions) -> str:
@@ -204,7 +364,7 @@ def shorter_if_inverted(motions: ShortMotions) -> str:
     gains = []
     for positions, quaternions in (
         (motions.estimate, motions.estimate_turned),
-        (motions.truth, motions.truth_turned),
+        (motions.groundtruth, motions.groundtruth_turned),
     ):
         before = np.linalg.norm(positions[1] - positions[0], axis=1).sum()
         after = np.linalg.norm(_steps_if_inverted(positions, quaternions), axis=1).sum()
@@ -216,10 +376,3 @@ def mean_rotation(quaternions: Floats) -> Floats:
     """Return the quaternion (4,) nearest to N of them, (N, 4), of either sign."""
     mean: Floats = np.linalg.eigh(quaternions.T @ quaternions)[1][:, -1]
     return mean
-
-
-def mirrored_quaternions(quaternions: Floats, axes: Floats) -> Floats:
-    """Return the quaternions (N, 4) of M R M^T, M a signed permutation (3, 3) of either hand."""
-    turned = quaternions.copy()
-    turned[:, :3] = np.linalg.det(axes) * quaternions[:, :3] @ axes.T
-    return turned

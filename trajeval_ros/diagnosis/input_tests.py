@@ -1,21 +1,18 @@
-"""Tests by exact equality of timestamps, rows and files."""
+"""Tests of the columns of each side: timestamps, rows, names and velocities."""
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
-from trajeval_ros.diagnosis.both_sides import Recording
-from trajeval_ros.diagnosis.evidence import Examined, Seen, Value
-from trajeval_ros.diagnosis.motion_track import MotionTrack, lengths
-from trajeval_ros.diagnosis.short_motions import best_rotations
-from trajeval_ros.formatting.source_roles import (
-    is_named_estimate,
-    is_named_groundtruth,
-    own_name,
-)
+from trajeval_ros.diagnosis.findings import Examined, Seen, Value
+from trajeval_ros.diagnosis.hypotheses import best_rotations
+from trajeval_ros.diagnosis.input_pair import InputPair, TimedPoses, lengths
+from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.thinning import evenly
-from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.trajectory_edits import evenly
 from trajeval_ros.metrics.statistics import median
 
 _PROBES = 400
@@ -32,14 +29,33 @@ _FEWEST_FITTED, _FITTED_SHARE = 10, 1e-6
 # Largest extent of a body at rest, as a fraction of the other side's, and least extent of motion,
 # in units of the source.
 _STILL_SHARE, _MOVED = 1e-5, 0.3
+_SAMPLE = 20_000  # states of a sample
+# Of steps in time: least spread, least number, and the slope of steps in space over steps in time,
+# which is 1 for sensor timestamps and 0 for arrival times.
+_JITTER = 0.15
+_FEWEST_SMOOTH = 100
+_FOLLOWS = 0.2
+_SPARSE_S = 0.12
 
 
-def rounded_stamps(recording: Recording) -> Examined:
+# The rooms of EuRoC's sequences are called "Vicon room".
+_GROUNDTRUTH = re.compile(
+    r"(?<![a-z])(gt|(ground.?)?truth|vicon(?!.?room)|mocap|optitrack|qualisys|vrpn|leica|rtk"
+    r"|reference)(?![a-z])",
+    re.IGNORECASE,
+)
+_ESTIMATE = re.compile(
+    r"(vio|vins|slam|odometry|odom|openvins|rovio|okvis|msckf|estimate|kimera|svo)(?![a-z])",
+    re.IGNORECASE,
+)
+
+
+def rounded_stamps(inputs: InputPair) -> Examined:
     """Test for rounded timestamps that several poses share."""
     seen = []
-    for side, track, read in (
-        ("estimate", recording.track, recording.estimate),
-        ("groundtruth", recording.truth, recording.groundtruth),
+    for side, poses, read in (
+        ("estimate", inputs.estimate_poses, inputs.estimate),
+        ("groundtruth", inputs.groundtruth_poses, inputs.groundtruth),
     ):
         first = read.stamps[:_ENOUGH] / NANOSECONDS
         step_s = next(
@@ -50,12 +66,12 @@ def rounded_stamps(recording: Recording) -> Examined:
             ),
             0.0,
         )
-        if not step_s or len(track) < 10:
+        if not step_s or len(poses) < 10:
             continue
         seconds = read.stamps / NANOSECONDS
         stamps, counts = np.unique(seconds, return_counts=True)
         shared = median(counts)
-        moving = float(np.mean(np.any(np.diff(track.positions, axis=0) != 0.0, axis=1)))
+        moving = float(np.mean(np.any(np.diff(poses.positions, axis=0) != 0.0, axis=1)))
         if shared >= 2.0 and moving > 0.5:
             if len(stamps) > 1:
                 step_s = max(step_s, float(np.diff(stamps).min()))
@@ -64,17 +80,17 @@ def rounded_stamps(recording: Recording) -> Examined:
     return Examined("rounded stamps", seen=tuple(seen))
 
 
-def duplicated_rows(recording: Recording) -> Examined:
+def duplicated_rows(inputs: InputPair) -> Examined:
     """Test for blocks of moving poses that occur twice, bit by bit, at one distance in rows."""
     seen: list[Seen] = []
     scores: dict[str, float] = {}
-    for side, track in _sides(recording):
-        if len(track) < _FEWEST_POSES:
+    for side, poses in _sides(inputs):
+        if len(poses) < _FEWEST_POSES:
             continue
-        repeats, rows_apart, extent = _repeats(track)
-        share = min(1.0, repeats / min(_PROBES, len(track)))
+        repeats, rows_apart, extent = _repeats(poses)
+        share = min(1.0, repeats / min(_PROBES, len(poses)))
         scores[f"{side} share"] = share
-        if repeats >= max(10, 0.02 * _PROBES) and extent > 1e-3 * _travelled(track.positions):
+        if repeats >= max(10, 0.02 * _PROBES) and extent > 1e-3 * _travelled(poses.positions):
             values: dict[str, Value] = {
                 "side": side,
                 "percent": 100.0 * share,
@@ -84,21 +100,21 @@ def duplicated_rows(recording: Recording) -> Examined:
     return Examined("duplicated rows", scores, tuple(seen))
 
 
-def _repeats(track: MotionTrack) -> tuple[int, int, float]:
+def _repeats(poses: TimedPoses) -> tuple[int, int, float]:
     """Return the number of repeated probes of 400, their distance in rows, and their extent."""
-    count = len(track)
+    count = len(poses)
     probes = evenly(count, _PROBES)
     # Candidates by a hash table of the first coordinate, which is faster than a sort.
-    bits = np.ascontiguousarray(track.positions[:, 0]).view(np.int64)
+    bits = np.ascontiguousarray(poses.positions[:, 0]).view(np.int64)
     bits = (bits ^ (bits >> 23)) & 0x3FFFF
     table = np.zeros(0x40000, dtype=bool)
     table[bits[probes]] = True
     some = np.flatnonzero(table[bits])
     if len(some) > 20_000:
         some = some[:: len(some) // 20_000 + 1]
-    rows = track.positions[some]
-    if track.quaternions is not None:
-        rows = np.concatenate([rows, track.quaternions[some]], axis=1)
+    rows = poses.positions[some]
+    if poses.quaternions is not None:
+        rows = np.concatenate([rows, poses.quaternions[some]], axis=1)
     order = np.lexsort((some, rows[:, 1], rows[:, 0]))
     same = (rows[order[1:]] == rows[order[:-1]]).all(axis=1)
     first, second = np.sort([some[order[:-1]][same], some[order[1:]][same]], axis=0)
@@ -110,21 +126,23 @@ def _repeats(track: MotionTrack) -> tuple[int, int, float]:
     distances, numbers = np.unique(second - first, return_counts=True)
     most = int(np.argmax(numbers))
     again = first[second - first == distances[most]]
-    extent = float(np.linalg.norm(np.ptp(track.positions[again], axis=0)))
+    extent = float(np.linalg.norm(np.ptp(poses.positions[again], axis=0)))
     return int(numbers[most]), int(distances[most]), extent
 
 
-def same_positions(recording: Recording) -> Examined:
+def same_positions(inputs: InputPair) -> Examined:
     """Test whether the positions of both sides are equal at equal timestamps, or in equal rows.
 
     They are equal as written, or up to rounding after a rigid transformation.
     """
     test = "same positions"
-    truth, track = recording.in_order if recording.by_time else (recording.truth, recording.track)
-    few, many = sorted((truth, track), key=len)
+    groundtruth, poses = (
+        inputs.in_order if inputs.by_time else (inputs.groundtruth_poses, inputs.estimate_poses)
+    )
+    few, many = sorted((groundtruth, poses), key=len)
     rows = same = evenly(len(few), _PROBES)
     where = "in equal rows"
-    if recording.by_time:
+    if inputs.by_time:
         where = "at equal timestamps"
         place = np.searchsorted(many.seconds, few.seconds[rows] - _SAME_S).clip(0, len(many) - 1)
         known = np.abs(many.seconds[place] - few.seconds[rows]) < _SAME_S
@@ -162,36 +180,37 @@ def _equal_when_fitted(one: Floats, other: Floats) -> float:
     return float(np.mean(lengths(b - a @ turned.T) < _FITTED_SHARE * size))
 
 
-def standing_still(recording: Recording) -> Examined:
+def standing_still(inputs: InputPair) -> Examined:
     """Test for a side that does not move while the other one moves."""
-    sizes = {side: _travelled(track.positions) for side, track in _sides(recording)}
+    sizes = {side: _travelled(poses.positions) for side, poses in _sides(inputs)}
     still = min(sizes, key=lambda side: sizes[side])
     moving = max(sizes.values())
     scores = {f"{side} path": size for side, size in sizes.items()}
-    if min(map(len, (recording.truth, recording.track))) < 10 or moving < _MOVED:
+    if min(map(len, (inputs.groundtruth_poses, inputs.estimate_poses))) < 10 or moving < _MOVED:
         return Examined("standing still", scores, why_not="neither side moves")
-    if sizes[still] > _STILL_SHARE * moving:
+    # Next to an estimate that diverges by far, all groundtruth is small.
+    if sizes[still] > min(_STILL_SHARE * moving, _MOVED):
         return Examined("standing still", scores)
     values: dict[str, Value] = {"side": still, "other": _other(still), "path_m": moving}
     return Examined("standing still", scores, (Seen("stands_still", 1.0, values),))
 
 
-def swapped_names(recording: Recording) -> Examined:
+def swapped_names(inputs: InputPair) -> Examined:
     """Test whether the name of the estimate says groundtruth, and the groundtruth's does not."""
-    truth, estimate = (
-        each.source or each.name for each in (recording.groundtruth, recording.estimate)
+    groundtruth, estimate = (
+        each.reading.source or each.name for each in (inputs.groundtruth, inputs.estimate)
     )
     own = own_name(estimate)
     # A folder can name the groundtruth, as in `state_groundtruth_estimate0/data.csv`.
     says_groundtruth = is_named_groundtruth(own) and not is_named_estimate(own)
-    if not says_groundtruth or not truth or is_named_groundtruth(truth):
+    if not says_groundtruth or not groundtruth or is_named_groundtruth(groundtruth):
         return Examined("source names")
-    values: dict[str, Value] = {"groundtruth": truth, "estimate": estimate}
+    values: dict[str, Value] = {"groundtruth": groundtruth, "estimate": estimate}
     return Examined("source names", seen=(Seen("swapped", 0.0, values),))
 
 
-def _sides(recording: Recording) -> list[tuple[str, MotionTrack]]:
-    return [("estimate", recording.track), ("groundtruth", recording.truth)]
+def _sides(inputs: InputPair) -> list[tuple[str, TimedPoses]]:
+    return [("estimate", inputs.estimate_poses), ("groundtruth", inputs.groundtruth_poses)]
 
 
 def _other(side: str) -> str:
@@ -204,3 +223,103 @@ def _travelled(positions: Floats) -> float:
     outliers = len(some) // 50
     ranked = np.sort(some, axis=0)
     return float(np.linalg.norm(ranked[len(some) - 1 - outliers] - ranked[outliers]))
+
+
+_RATES = 1500
+_FEWEST_STEPS = 30
+_LONGEST_S = 0.6
+_SLOW_HZ = 4.0
+
+
+def velocities(groundtruth: TimedPoses, estimate: TimedPoses) -> Examined:
+    """Compare velocities, as read and rotated to the world, with the rate of the positions."""
+    seen: list[Seen] = []
+    scores: dict[str, float] = {}
+    for side, poses in (("estimate", estimate), ("groundtruth", groundtruth)):
+        if poses.velocities is None or poses.quaternions is None or len(poses) < _FEWEST_STEPS:
+            continue
+        rows = evenly(len(poses) - 2, _RATES) + 1
+        time = poses.seconds[rows + 1] - poses.seconds[rows - 1]
+        rows, time = rows[time < _LONGEST_S], time[time < _LONGEST_S]
+        if len(rows) < _FEWEST_STEPS:
+            continue
+        moving = (poses.positions[rows + 1] - poses.positions[rows - 1]) / time[:, None]
+        total = float(np.sum(moving**2))
+        given = poses.velocities[rows]
+        turned = lie.rotate(poses.quaternions[rows], given)
+        if not total > 0.0:
+            continue
+        as_world = float(np.sum((given - moving) ** 2)) / total
+        as_body = float(np.sum((turned - moving) ** 2)) / total
+        scores |= {f"{side} as world": as_world, f"{side} as body": as_body}
+        if as_world > 0.25 and as_body < 0.2 * as_world and as_body < 0.1:
+            values: dict[str, Value] = {
+                "side": side,
+                "off_percent": 100.0 * np.sqrt(as_world),
+                "turned_percent": 100.0 * np.sqrt(as_body),
+            }
+            seen.append(Seen("twist_body", 1.0 - as_body / as_world, values))
+    why_not = "" if scores else "no side has both velocities and orientations"
+    return Examined("velocities", scores, tuple(seen), why_not)
+
+
+def rhythm(groundtruth: TimedPoses, estimate: TimedPoses) -> Examined:
+    """Test whether the estimate has only keyframes: few, at irregular times."""
+    if len(estimate) < 6:
+        return Examined("keyframes", why_not="too few poses")
+    rate_hz = (len(estimate) - 1) / max(estimate.span_s, 1e-9)
+    if rate_hz >= _SLOW_HZ:
+        return Examined("keyframes", {"rate_hz": rate_hz})
+    steps_s = np.diff(estimate.seconds)
+    usual_s = median(steps_s)
+    low, high = np.quantile(steps_s, [0.1, 0.9])
+    spread = float(high - low) / usual_s
+    scores = {"rate_hz": rate_hz, "spread": spread}
+    if spread > 0.5 and usual_s > 4.0 * groundtruth.usual_step_s:
+        return Examined("keyframes", scores, (Seen("keyframes", 0.0, {"rate_hz": rate_hz}),))
+    return Examined("keyframes", scores)
+
+
+def stamped_at_arrival(side: Trajectory) -> bool:
+    """Return whether steps in time vary, and steps in space do not depend on them.
+
+    A body with smooth motion moves twice as far in twice the time. If the distance does not depend
+    on the timestamps, they are not the times of the poses.
+    """
+    some = slice(_SAMPLE)
+    step_s, moved = np.diff(side.stamps[some]) / 1e9, np.diff(side.positions[some], axis=0)
+    distance = np.linalg.norm(moved, axis=1)
+    usual_s = median(step_s) if len(step_s) else 0.0
+    # Steps with neighbours on both sides and without lost messages. A body at rest moves by noise.
+    whole = (step_s > 0.1 * usual_s) & (step_s < 1.9 * usual_s)
+    nearby_s, nearby = (step_s[:-2] + step_s[2:]) / 2.0, (distance[:-2] + distance[2:]) / 2.0
+    smooth = np.einsum("ni,ni->n", moved[:-2], moved[2:]) > 0.9 * distance[:-2] * distance[2:]
+    counts = smooth & (nearby > 0.0) & whole[:-2] & whole[1:-1] & whole[2:]
+    # The distance between sparse keyframes is constant.
+    if (
+        not side.reading.stamped
+        or usual_s > _SPARSE_S
+        or np.count_nonzero(counts) < _FEWEST_SMOOTH
+    ):
+        return False
+    longer = step_s[1:-1][counts] / nearby_s[counts] - 1.0
+    farther = distance[1:-1][counts] / nearby[counts] - 1.0
+    jitter = float(np.sqrt(np.mean(longer**2)))
+    follows = float(longer @ farther) / max(float(longer @ longer), 1e-12)
+    return jitter > _JITTER and follows < _FOLLOWS
+
+
+def is_named_groundtruth(name: str) -> bool:
+    """Return whether a name has a word for groundtruth, or for a system that measures it."""
+    return _GROUNDTRUTH.search(name) is not None
+
+
+def is_named_estimate(name: str) -> bool:
+    """Return whether a name has a word for an estimate, or for an estimator."""
+    return _ESTIMATE.search(name) is not None
+
+
+def own_name(source: str) -> str:
+    """Return the topic of a source `BAG:/topic`, or the name of its file without folders."""
+    _, colon, topic = source.rpartition(":/")
+    return topic if colon and not topic.startswith("/") else source.rpartition("/")[2]

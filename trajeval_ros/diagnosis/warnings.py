@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from trajeval_ros.diagnosis.causes import CAUSES
 from trajeval_ros.diagnosis.findings import Diagnosis
-from trajeval_ros.diagnosis.fix_hints import about_projection
-from trajeval_ros.diagnosis.jumps import Steps
-from trajeval_ros.diagnosis.rotation_hints import about_freedom, about_poses
-from trajeval_ros.diagnosis.unused_settings import about_unused
-from trajeval_ros.formatting.numbers import counted, percent
+from trajeval_ros.diagnosis.input_tests import stamped_at_arrival
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted, percent, whole_percent
+from trajeval_ros.formatting.remarks import Level, Remark, warning
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.dropped_counts import NO_STATE
-from trajeval_ros.geometry.travelled import step_lengths
+from trajeval_ros.geometry.fix_selection import FixRule
+from trajeval_ros.geometry.travelled import StepDifferences, step_lengths
 from trajeval_ros.geometry.up_axis import ASSUMED
+from trajeval_ros.geometry.valid_poses import MOST_UNUSABLE, NO_STATE, reasons
+from trajeval_ros.metrics.moments import Moments
 from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.statistics import median
+from trajeval_ros.metrics.tracking_loss import DIVERGED
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory
@@ -28,45 +30,17 @@ if TYPE_CHECKING:
 
 LOW_COVERAGE = 0.9
 LARGE_TILT_DEG = 10.0
-_ENOUGH = 20_000  # states of a sample
-# Of steps in time: least spread, least number, and the slope of steps in space over steps in time,
-# which is 1 for sensor timestamps and 0 for arrival times.
-_JITTER = 0.15
-_FEWEST_STEPS = 100
-_FOLLOWS = 0.2
-_SPARSE_S = 0.12
+# Of a UTM zone; northings below are within 9 deg of the equator.
+_EASTING_M, _NORTHING_M = (1e5, 1e6), (1e6, 1e7)
+# Largest factor on the position ATE by orientations in the alignment, without a warning.
+_WORSE = 1.25
 # Reasons to drop a pose that do not depend on other poses or on the groundtruth.
-_UNUSABLE = frozenset(NO_STATE) - {"duplicate_stamp"}
 _BY_TIME = {
     "method": "--association",
     "max_time_difference_s": "--max-time-difference",
     "max_gap_s": "--max-gap",
     "time_offset_s": "--time-offset",
 }
-_REASONS = {
-    "no_groundtruth_within_max_time_difference": "beyond the largest time difference to "
-    "groundtruth",
-    "no_groundtruth_of_this_frame": "in frames without groundtruth",
-    "before_groundtruth": "before the groundtruth",
-    "after_groundtruth": "after the groundtruth",
-    "in_groundtruth_gap": "in a groundtruth gap",
-    "before_estimate": "before the estimate",
-    "after_estimate": "after the estimate",
-    "in_estimate_gap": "in an estimate gap",
-    "duplicate_stamp": "with a duplicate timestamp",
-    "lone_stamp": "with an isolated timestamp",
-    "zero_stamp": "with timestamp zero",
-    "zero_quaternion": "with a zero quaternion",
-    "undecodable": "that can't be decoded",
-}
-
-
-def reasons(dropped: Mapping[str, int]) -> str:
-    """Return counts by reason in words: "3 not finite, 12 before the groundtruth"."""
-    return ", ".join(
-        f"{count} {_REASONS.get(reason, reason.replace('_', ' '))}"
-        for reason, count in dropped.items()
-    )
 
 
 def completeness_in_words(evaluation: Evaluation) -> str:
@@ -83,17 +57,19 @@ def completeness_in_words(evaluation: Evaluation) -> str:
     )
 
 
-def warnings_of(evaluation: Evaluation, diagnosis: Diagnosis) -> tuple[str, ...]:
-    """Return the warnings about a finished evaluation, the most severe one first.
+def remarks_on(evaluation: Evaluation, diagnosis: Diagnosis) -> tuple[Remark, ...]:
+    """Return the remarks on a finished evaluation, the most severe one first.
 
     Findings of the diagnosis precede all others.
     """
+    sides = evaluation.groundtruth, evaluation.estimate
+    read = list(dict.fromkeys(remark for side in sides for remark in side.reading.remarks))
     return (
-        *(each.text for each in diagnosis.findings),
-        *dict.fromkeys((*evaluation.groundtruth.damage, *evaluation.estimate.damage)),
-        *evaluation.groundtruth.conflicts,
-        *evaluation.estimate.conflicts,
+        *(each.remark for each in diagnosis.findings),
+        *(each for each in read if each.level is Level.ERROR),
+        *(each for each in read if each.level is Level.WARNING),
         *_about_rows(evaluation),
+        *([] if _is_lost(diagnosis) else _about_freedom(evaluation)),
         *_about_alignment(evaluation),
         *([] if _explains_jumps(diagnosis) else _about_jumps(evaluation)),
         *_about_rotations(evaluation),
@@ -103,59 +79,62 @@ def warnings_of(evaluation: Evaluation, diagnosis: Diagnosis) -> tuple[str, ...]
     )
 
 
-def _about_alignment(evaluation: Evaluation) -> list[str]:
-    warnings = [*about_freedom(evaluation), *about_poses(evaluation)]
+def _about_alignment(evaluation: Evaluation) -> Iterator[Remark]:
+    yield from _about_poses(evaluation)
     protocol, alignment = evaluation.protocol, evaluation.alignment
     if protocol.align_states is not None and alignment.states_used < protocol.align_states:
-        warnings.append(
+        yield warning(
+            "few_states_aligned",
             f"aligned by all {alignment.states_used} pairs, fewer than the requested "
-            f"{protocol.align_states}"
+            f"{protocol.align_states}",
         )
     if protocol.ate_form == "tutorial":
-        warnings.append(
+        yield warning(
+            "origin_dependent_ate",
             "the ATE form tutorial, eq. (23), depends on the choice of the origin; compare only "
-            "results with the same form and origin"
+            "results with the same form and origin",
         )
-    truth_up, estimate_up = evaluation.groundtruth.up, evaluation.estimate.up
-    known = ASSUMED not in (truth_up.origin, estimate_up.origin)
-    if known and truth_up.name != estimate_up.name and protocol.gauge.minimum_states == 1:
-        warnings.append(
-            f"the vertical axes differ, groundtruth {truth_up} and estimate {estimate_up}, and "
-            f"gauge {protocol.gauge.value} can't align them"
+    groundtruth_up, estimate_up = evaluation.groundtruth.up, evaluation.estimate.up
+    known = ASSUMED not in (groundtruth_up.origin, estimate_up.origin)
+    if known and groundtruth_up.name != estimate_up.name and protocol.gauge.minimum_states == 1:
+        yield warning(
+            "up_axes_differ",
+            f"the vertical axes differ, groundtruth {groundtruth_up} and estimate {estimate_up}, "
+            f"and gauge {protocol.gauge.value} can't align them",
         )
     if protocol.align_states == 1:
-        warnings += _about_first_state(evaluation)
-    return warnings
+        yield from _about_first_state(evaluation)
 
 
-def _about_rows(evaluation: Evaluation) -> list[str]:
+def _about_rows(evaluation: Evaluation) -> Iterator[Remark]:
     """Name the settings of an association by time that poses without timestamps do not have."""
     rule = evaluation.protocol.association
     if evaluation.association.rule.method != "index" or rule.method == "index":
-        return []
+        return
     of_protocol = PROTOCOLS.get(evaluation.protocol.name, PROTOCOLS["default"]).association
     why = (
         "without timestamps on both sides, poses are paired by row; give timestamps, such as with "
         "--frame-rate"
     )
-    return about_unused(rule, of_protocol, _BY_TIME, why)
+    yield from _about_unused(rule, of_protocol, _BY_TIME, why)
 
 
-def _about_first_state(evaluation: Evaluation) -> list[str]:
+def _about_first_state(evaluation: Evaluation) -> Iterator[Remark]:
     """Detect a placeholder of the estimator: a jump after the first pose."""
     pairs = evaluation.association
-    truth, other = pairs.groundtruth[:2].quaternions, pairs.estimate[:2].quaternions
-    if len(pairs) < 3 or truth is None or other is None:
-        return []
+    groundtruth, other = pairs.groundtruth[:2].quaternions, pairs.estimate[:2].quaternions
+    if len(pairs) < 3 or groundtruth is None or other is None:
+        return
     turned = lie.angle(lie.multiply(lie.conjugate(other[0]), other[1]))
-    true_turn = lie.angle(lie.multiply(lie.conjugate(truth[0]), truth[1]))
+    true_turn = lie.angle(lie.multiply(lie.conjugate(groundtruth[0]), groundtruth[1]))
     jump_deg = float(np.degrees(np.abs(turned - true_turn)))
     if jump_deg < LARGE_TILT_DEG:
-        return []
-    return [
+        return
+    yield warning(
+        "placeholder_pose",
         f"from the first to the second pair the estimate rotates {jump_deg:.0f} deg more than "
-        "the groundtruth: the first pose, used for the alignment, is probably a placeholder"
-    ]
+        "the groundtruth: the first pose, used for the alignment, is probably a placeholder",
+    )
 
 
 def _explains_jumps(diagnosis: Diagnosis) -> bool:
@@ -165,32 +144,39 @@ def _explains_jumps(diagnosis: Diagnosis) -> bool:
     return any(each.cause != "identical" for each in graver)
 
 
-def _about_jumps(evaluation: Evaluation) -> list[str]:
-    truth, estimate = evaluation.association.groundtruth, evaluation.association.estimate
-    steps = Steps.between(
-        truth.positions,
+def _is_lost(diagnosis: Diagnosis) -> bool:
+    """Return whether the estimate diverged, which the alignment can't fit."""
+    return any(each.cause.startswith(DIVERGED) for each in diagnosis.findings)
+
+
+def _about_jumps(evaluation: Evaluation) -> Iterator[Remark]:
+    groundtruth, estimate = evaluation.association.groundtruth, evaluation.association.estimate
+    steps = StepDifferences.between(
+        groundtruth.positions,
         estimate.positions,
-        truth.quaternions,
+        groundtruth.quaternions,
         estimate.quaternions,
         evaluation.alignment.similarity.scale,
     )
     if not len(steps.true_m):
-        return []
+        return
+    turns = groundtruth.quaternions is not None and estimate.quaternions is not None
     jumps = steps.jumps(median(steps.position_m), median(steps.rotation_deg))
     if not len(jumps):
-        return []
+        return
     first = jumps[0]
     where = "once" if len(jumps) == 1 else f"at {len(jumps)} places"
-    return [
-        f"the estimate jumps {where}, first {truth.seconds[first + 1]:.1f} s after the first "
-        f"pair, by {steps.position_m[first]:.2f} m and {steps.rotation_deg[first]:.0f} deg "
-        "more than the groundtruth: after a restart with a new origin, one alignment can't "
-        "fit both parts"
-    ]
+    yield warning(
+        "jumps",
+        f"the estimate jumps {where}, first {groundtruth.seconds[first + 1]:.1f} s after the "
+        f"first pair, by {steps.position_m[first]:.2f} m"
+        + (f" and {steps.rotation_deg[first]:.0f} deg" if turns else "")
+        + " more than the groundtruth: after a restart with a new origin, one alignment can't "
+        "fit both parts",
+    )
 
 
-def _about_rotations(evaluation: Evaluation) -> list[str]:
-    warnings = []
+def _about_rotations(evaluation: Evaluation) -> Iterator[Remark]:
     pairs = evaluation.association
     without = [
         who
@@ -199,123 +185,218 @@ def _about_rotations(evaluation: Evaluation) -> list[str]:
     ]
     if without:
         withheld = "rotation errors"
-        if evaluation.segments is None and evaluation.protocol.lengths:
+        if evaluation.relative is None and evaluation.protocol.lengths:
             withheld += " and relative errors"
-        warnings.append(f"{withheld} withheld: no orientations in the {' and the '.join(without)}")
-    return warnings
+        yield warning(
+            "no_orientations",
+            f"{withheld} withheld: no orientations in the {' and the '.join(without)}",
+        )
+    if pairs.has_headings_only and not evaluation.withheld:
+        yield warning(
+            "two_dimensional_headings",
+            "the orientations of the estimate are 2-D headings: rotation errors include the tilt "
+            "of the groundtruth, and tilt errors are withheld; compare yaw errors",
+        )
 
 
-def _about_coverage(evaluation: Evaluation) -> list[str]:
+def _about_coverage(evaluation: Evaluation) -> Iterator[Remark]:
     pairs = evaluation.association
-    warnings = _about_unusable(pairs)
+    yield from _about_unusable(pairs)
     if evaluation.score is not None:
         missing = evaluation.score.missing
         if missing:
-            warnings.append(f"{counted(missing, 'point')} without an estimate, scored 0")
-        return warnings
+            yield warning(
+                "points_missed", f"{counted(missing, 'point')} without an estimate, scored 0"
+            )
+        return
     if pairs.estimate_coverage is None:
         if pairs.groundtruth_coverage < LOW_COVERAGE:
-            warnings.append(
+            yield warning(
+                "low_coverage",
                 f"{completeness_in_words(evaluation)} (dropped: {reasons(pairs.dropped)}); "
-                "compare only results at the same points"
+                "compare only results at the same points",
             )
     elif min(pairs.estimate_coverage, pairs.groundtruth_coverage) < LOW_COVERAGE:
         why, coverage = reasons(pairs.dropped), pairs.coverage
-        warnings.append(
-            f"the {coverage.of_what} cover {100 * coverage.covered:.0f} % of the groundtruth's "
-            f"time and {100 * pairs.estimate_coverage:.0f} % of the estimate's poses"
+        yield warning(
+            "low_coverage",
+            f"the {coverage.of_what} cover {whole_percent(coverage.covered)} of the groundtruth's "
+            f"time and {whole_percent(pairs.estimate_coverage)} of the estimate's poses"
             + (f" (dropped: {why})" if why else "")
             + (f", {coverage.gap_in_words}" if coverage.longest_gap else "")
-            + "; compare only runs with the same coverage"
+            + "; compare only runs with the same coverage",
         )
-    return warnings
 
 
-def _about_unusable(pairs: Association) -> list[str]:
-    unusable = {each: count for each, count in pairs.dropped.items() if each in _UNUSABLE}
+def _about_unusable(pairs: Association) -> Iterator[Remark]:
+    unusable = {each: count for each, count in pairs.dropped.items() if each in NO_STATE}
     count = sum(unusable.values())
     if not count or not pairs.estimate_coverage:
-        return []
+        return
     share = count / (count + len(pairs) / pairs.estimate_coverage)
-    if share <= 1.0 - LOW_COVERAGE:
-        return []
-    return [
+    if share <= MOST_UNUSABLE:
+        return
+    yield warning(
+        "unusable_poses",
         f"{percent(share)} of the estimate's poses are not usable and were dropped: "
-        f"{reasons(unusable)}; correct the output of the estimator"
-    ]
+        f"{reasons(unusable)}; correct the output of the estimator",
+    )
 
 
-def _about_relative_errors(evaluation: Evaluation) -> list[str]:
-    empty = [each.length for each in evaluation.segments or () if not each.count]
+def _about_relative_errors(evaluation: Evaluation) -> Iterator[Remark]:
+    empty = [each.length for each in evaluation.relative or () if not each.count]
     path = evaluation.association.groundtruth
     whole = {"m": path.path_length_m, "s": path.duration_s}
     # A long path without a sub-trajectory has its states too far apart.
     sparse = [each.text for each in empty if each.value < 0.5 * whole.get(each.unit, 0.0)]
     short = [each.text for each in empty if each.text not in sparse]
-    warnings = []
     if short:
-        warnings.append(
+        yield warning(
+            "no_sub_trajectories",
             f"no sub-trajectories of {', '.join(short)}: the paired path has "
-            f"{path.path_length_m:.1f} m in {path.duration_s:.1f} s"
+            f"{path.path_length_m:.1f} m in {path.duration_s:.1f} s",
         )
     if sparse:
         step_s, step_m = median(np.diff(path.seconds)), median(step_lengths(path.positions))
-        warnings.append(
+        yield warning(
+            "no_sub_trajectories",
             f"no sub-trajectories of {', '.join(sparse)}: pairs are {step_s:.2g} s and "
-            f"{step_m:.2g} m apart (median); use longer sub-trajectories"
+            f"{step_m:.2g} m apart (median); use longer sub-trajectories",
         )
-    return warnings
 
 
-def about_frames(groundtruth: str, estimate: str) -> list[str]:
-    """Return the warning about two bodies with different known names, if they differ."""
+def about_frames(groundtruth: str, estimate: str) -> Iterator[Remark]:
+    """Yield the warning about two bodies with different known names, if they differ."""
     if not groundtruth or not estimate or groundtruth == estimate:
-        return []
-    return [
+        return
+    yield warning(
+        "bodies_differ",
         f"the groundtruth is of body {groundtruth!r} and the estimate of {estimate!r}: if the "
-        "bodies differ, the errors include their lever arm and rotation"
-    ]
+        "bodies differ, the errors include their lever arm and rotation",
+    )
 
 
-def _about_inputs(evaluation: Evaluation) -> list[str]:
-    truth, estimate = evaluation.groundtruth, evaluation.estimate
+def _about_inputs(evaluation: Evaluation) -> Iterator[Remark]:
+    groundtruth, estimate = evaluation.groundtruth, evaluation.estimate
     # `fix_hints` has the warning about antennas.
-    is_fix = truth.kind == "gnss"
-    warnings = [] if is_fix else about_frames(truth.child_frame, estimate.child_frame)
+    is_fix = groundtruth.kind == "gnss"
+    if not is_fix:
+        yield from about_frames(groundtruth.child_frame, estimate.child_frame)
     paired = evaluation.association.estimate
-    for name, side in (("groundtruth", truth), ("estimate", paired)):
-        warnings += about_projection(name, side)
-        if _stamped_at_arrival(side):
-            warnings.append(
+    for name, side in (("groundtruth", groundtruth), ("estimate", paired)):
+        yield from _about_projection(name, side)
+        if stamped_at_arrival(side):
+            yield warning(
+                "arrival_times",
                 f"the {name}'s timestamps are probably arrival times: they have jitter, its "
                 "motion has none; use sensor timestamps, and check for a constant delay with "
-                "--time-offset auto"
+                "--time-offset auto",
             )
-    if truth.dropped:
-        warnings.append(f"groundtruth poses were dropped: {reasons(truth.dropped)}")
-    return warnings
+    dropped = groundtruth.reading.dropped
+    if dropped:
+        yield warning(
+            "groundtruth_dropped",
+            f"groundtruth poses were dropped: {reasons(dropped)}",
+        )
 
 
-def _stamped_at_arrival(side: Trajectory) -> bool:
-    """Return whether steps in time vary, and steps in space do not depend on them.
+def about_unused_rule(rule: FixRule) -> Iterator[Remark]:
+    """Yield the warning about settings of fixes for groundtruth that has none."""
+    options = {
+        "datum": "--datum",
+        "min_status": "--min-fix-status",
+        "max_sigma_m": "--max-fix-sigma",
+        "correlation_s": "--fix-correlation",
+    }
+    why = "the groundtruth has no GNSS fixes; remove the option, or give the fixes as groundtruth"
+    yield from _about_unused(rule, FixRule(), options, why)
 
-    A body with smooth motion moves twice as far in twice the time. If the distance does not depend
-    on the timestamps, they are not the times of the poses.
-    """
-    some = slice(_ENOUGH)
-    step_s, moved = np.diff(side.stamps[some]) / 1e9, np.diff(side.positions[some], axis=0)
-    distance = np.linalg.norm(moved, axis=1)
-    usual_s = median(step_s) if len(step_s) else 0.0
-    # Steps with neighbours on both sides and without lost messages. A body at rest moves by noise.
-    whole = (step_s > 0.1 * usual_s) & (step_s < 1.9 * usual_s)
-    nearby_s, nearby = (step_s[:-2] + step_s[2:]) / 2.0, (distance[:-2] + distance[2:]) / 2.0
-    smooth = np.einsum("ni,ni->n", moved[:-2], moved[2:]) > 0.9 * distance[:-2] * distance[2:]
-    counts = smooth & (nearby > 0.0) & whole[:-2] & whole[1:-1] & whole[2:]
-    # The distance between sparse keyframes is constant.
-    if not side.stamped or usual_s > _SPARSE_S or np.count_nonzero(counts) < _FEWEST_STEPS:
-        return False
-    longer = step_s[1:-1][counts] / nearby_s[counts] - 1.0
-    farther = distance[1:-1][counts] / nearby[counts] - 1.0
-    jitter = float(np.sqrt(np.mean(longer**2)))
-    follows = float(longer @ farther) / max(float(longer @ longer), 1e-12)
-    return jitter > _JITTER and follows < _FOLLOWS
+
+def _about_projection(name: str, side: Trajectory) -> Iterator[Remark]:
+    """Yield a warning if a side's positions are those of a UTM zone, which is no rigid frame."""
+    level = np.abs(side.up.turned(side.positions)[:, :2])
+    low, high = level.min(axis=0), level.max(axis=0)
+    east, north = np.argsort(low)  # either may come first
+    is_zone = all(
+        least <= low[axis] and high[axis] <= most
+        for axis, (least, most) in ((east, _EASTING_M), (north, _NORTHING_M))
+    )
+    if not is_zone:
+        return
+    yield warning(
+        "utm_coordinates",
+        f"the {name} is probably in UTM coordinates (easting {low[east]:.0f} m, northing "
+        f"{low[north]:.0f} m): lengths are up to 0.4 m per km too short or long, and grid north "
+        "is up to 2 deg off; use latitude and longitude, or gauge sim3 to fit the scale",
+    )
+
+
+def _about_freedom(evaluation: Evaluation) -> Iterator[Remark]:
+    """Yield the warning about rotation errors that the alignment causes, if any."""
+    freedom, withheld = evaluation.alignment.freedom, evaluation.withheld
+    if freedom is None or not _is_turned(evaluation):
+        return
+    why = withheld or freedom.undetermined or freedom.misleading
+    if not why:
+        return
+    advice = (
+        ("align by the first state, or use a gauge with fewer degrees of freedom")
+        if withheld
+        else ""
+    )
+    if freedom.disagrees:
+        advice = "check for a marker frame (--hand-eye auto) and for different axes"
+    elif freedom.orientations is not None and evaluation.protocol.align_with == "positions":
+        advice = "include them with --align-with poses" + (f"; or {advice}" if advice else "")
+    start = "rotation and velocity errors are withheld: " if withheld else ""
+    yield warning(
+        "rotation_undetermined", start + "; ".join(part for part in (why, advice) if part)
+    )
+
+
+def _about_poses(evaluation: Evaluation) -> Iterator[Remark]:
+    """Yield the warning about orientations that contradict the positions, if any."""
+    alignment, pairs = evaluation.alignment, evaluation.association
+    if alignment.by_positions is None:
+        return
+    moments = Moments.of_pairs(pairs.groundtruth.positions, pairs.estimate.positions)
+    before, after = moments.rmse(alignment.by_positions), moments.rmse(alignment.similarity)
+    if after <= _WORSE * before:
+        return
+    yield warning(
+        "orientations_disagree",
+        f"the alignment with orientations increases the position ATE from {before:.4g} m to "
+        f"{after:.4g} m: positions and orientations disagree; check for a marker frame "
+        "(--hand-eye auto)",
+    )
+
+
+def require_same_body(evaluation: Evaluation, diagnosis: Diagnosis) -> None:
+    """Refuse an alignment by the orientations of another body."""
+    found = diagnosis.named("body")
+    if evaluation.protocol.align_with == "poses" and found is not None:
+        raise InputError(
+            "the groundtruth is probably of another body frame, rotated by "
+            f"{found.evidence['angle_deg']:.0f} deg, so its orientations can't be used for the "
+            "alignment; give --hand-eye auto or FILE, or use --align-with positions"
+        )
+
+
+def _is_turned(evaluation: Evaluation) -> bool:
+    """Return whether any error depends on the rotation of the alignment."""
+    groundtruth, estimate = evaluation.association.groundtruth, evaluation.association.estimate
+    oriented = groundtruth.quaternions is not None and estimate.quaternions is not None
+    return oriented or (groundtruth.velocities is not None and estimate.velocities is not None)
+
+
+def _about_unused(
+    given: object, default: object, options: Mapping[str, str], why: str
+) -> Iterator[Remark]:
+    """Yield the warning about settings that differ from the default without an effect."""
+    unused = [
+        option
+        for name, option in options.items()
+        if getattr(given, name) != getattr(default, name)
+    ]
+    if unused:
+        yield warning("unused_settings", f"no effect of {', '.join(unused)}: {why}")

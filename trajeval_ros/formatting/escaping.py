@@ -10,16 +10,24 @@ import re
 
 # C0, DEL and C1; line and paragraph separators; characters that change the direction of text;
 # bytes of file names that are not UTF-8.
-_CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
-# CommonMark ignores an underscore within a word; a bracket only matters before a link.
-_MARKDOWN = re.compile(r"[\\`*<>|&~#$]|\](?=[(\[:])|(?<![^\W_])_|_(?![^\W_])")
+_CONTROL = re.compile(
+    "[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
+)
+# CommonMark ignores an underscore within a word; a bracket only matters before a link. GitHub
+# makes links of URLs, of `www.` and of addresses.
+_MARKDOWN = re.compile(
+    r"[\\`*<>|&~#$]|\](?=[(\[:])|(?<![^\W_])_|_(?![^\W_])|:(?=//)|(?<=www)\.|@", re.IGNORECASE
+)
 _LATEX = {
     "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
-    "–": "--", "†": r"$^\dagger$", "‡": r"$^\ddagger$", "§": r"$^\S$", "×": r"$\times$",
-    "−": "$-$", "±": r"$\pm$", "∞": r"$\infty$", "σ": r"$\sigma$", "φ": r"$\varphi$",
-    "…": r"\dots{}",
+    "–": "--", "†": r"$^\dagger$", "‡": r"$^\ddagger$", "§": r"$^\S$", "¶": r"$^\P$",
+    "×": r"$\times$", "−": "$-$", "±": r"$\pm$", "∞": r"$\infty$", "σ": r"$\sigma$",
+    "φ": r"$\varphi$", "…": r"\dots{}",
+    "<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}",
     **{special: f"\\{special}" for special in "&%$#_{}"},
 }  # fmt: skip
+# Two hyphens become a dash. At the start of a cell, a star or bracket is an argument of `\\\\`.
+_LATEX_PLACE = re.compile(r"^[\[*]|-(?=-)|.", re.DOTALL)
 _FORMULA = ("=", "+", "-", "@")
 
 
@@ -40,13 +48,30 @@ def markdown_text(text: str) -> str:
 
 def latex_text(text: str) -> str:
     """Return a text on one line that LaTeX prints unchanged."""
-    return "".join(_LATEX.get(character, character) for character in one_line(text))
+    return _LATEX_PLACE.sub(_latex, one_line(text))
 
 
 def csv_text(text: str) -> str:
     """Return a text that spreadsheets take as text or number, not as a formula."""
     line = one_line(text)
     return f"'{line}" if line.startswith(_FORMULA) and not _is_number(line) else line
+
+
+def part_of_topic(name: str, *, kept: str = "") -> str:
+    """Return a name of letters, digits and underscores for a part of a ROS topic's name.
+
+    `kept`: another character to keep.
+    """
+    word = re.sub(rf"[^\w{kept}]+", "_", name.strip("/"), flags=re.ASCII)
+    return f"topic_{word}" if word[:1].isdigit() else word
+
+
+def _latex(match: re.Match[str]) -> str:
+    text = match[0]
+    if match.start() == 0 and text in "[*":
+        return f"{{}}{text}"
+    is_pair = text == "-" and match.string.startswith("-", match.end())
+    return "-{}" if is_pair else _LATEX.get(text, text)
 
 
 def _code(match: re.Match[str]) -> str:

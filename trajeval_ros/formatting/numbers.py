@@ -50,9 +50,10 @@ def three_decimals(value: float | None) -> str:
 
 
 def whole_percent(share: float) -> str:
-    """Return a share in whole percent; 100 % only if complete, 0 % only if zero."""
-    whole = math.floor(100.0 * share + _ROUNDING)
-    return f"{min(max(whole, 1 if share > 0.0 else 0), 100)} %"
+    """Return a share in the nearest whole percent; 100 % only if complete, 0 % only if zero."""
+    whole = math.floor(100.0 * share + 0.5 + _ROUNDING)
+    least, most = 1 if share > 0.0 else 0, 99 if 100.0 * share < 100.0 - _ROUNDING else 100
+    return f"{min(max(whole, least), most)} %"
 
 
 def percent(share: float | None) -> str:
@@ -86,11 +87,5 @@ def degrees(value: float | None) -> str:
 
 
 def counted(count: int, noun: str, plural: str = "") -> str:
-    """Return a number with its noun: "1 run", "2 runs".
-
-    Args:
-        count: The number.
-        noun: The singular.
-        plural: The plural, if it is not the singular with an s.
-    """
+    """Return a number with its noun: "1 run", "2 runs"."""
     return f"{count} {noun if count == 1 else plural or noun + 's'}"

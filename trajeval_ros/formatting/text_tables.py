@@ -18,17 +18,11 @@ _UNDERSCORE, _BREAKABLE = "\\_", "\\_\\allowbreak{}"
 
 @dataclass(frozen=True)
 class MarkedText:
-    """A cell with a mark.
-
-    Attributes:
-        text: The marked text.
-        mark: `BOLD`, `UNDERLINE`, or empty.
-        rest: Unmarked text after it.
-    """
+    """A cell with a mark."""
 
     text: str
-    mark: str = ""
-    rest: str = ""
+    mark: str = ""  # `BOLD`, `UNDERLINE`, or empty
+    rest: str = ""  # unmarked text after it
 
 
 TextCell = str | MarkedText
@@ -54,13 +48,7 @@ def latex_table(
 ) -> list[str]:
     """Return the lines of a table for the booktabs package; the first column is text.
 
-    Args:
-        label: Name for references: letters, digits, - and _.
-        caption: Caption as plain text.
-        headings: Headings of the columns.
-        rows: Rows of cells.
-        remarks: Sentences for comments in the source.
-        is_wide: Make it as wide as a two-column page, with the tabularx package.
+    `label`: name for references: letters, digits, - and _.
     """
     numbers = len(headings) - 1
     heads = _cells(headings, latex_text, _LATEX)

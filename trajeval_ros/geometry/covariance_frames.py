@@ -20,11 +20,9 @@ from trajeval_ros.geometry.arrays import Floats
 
 
 def world_from_body_twists(covariances: Floats, rotations: Floats) -> Floats:
-    """Return covariances (N, 6, 6) about the world's axes from those of body twists.
+    """Return covariances (N, 6, 6) about the world's axes from those of body twists T Exp(xi).
 
-    Args:
-        covariances: (N, 6, 6), translation first, of T Exp(xi).
-        rotations: (N, 3, 3), body to world.
+    Rotations (N, 3, 3) are from body to world.
     """
     turn = np.zeros((*rotations.shape[:-2], 6, 6))
     turn[..., :3, :3] = turn[..., 3:, 3:] = rotations
@@ -34,19 +32,15 @@ def world_from_body_twists(covariances: Floats, rotations: Floats) -> Floats:
 def body_from_world_positions(covariances: Floats, rotations: Floats) -> Floats:
     """Return position covariances (N, 3, 3) about the body's axes from those about the world's.
 
-    Args:
-        covariances: (N, 3, 3).
-        rotations: (N, 3, 3), body to world.
+    Rotations (N, 3, 3) are from body to world.
     """
     return se3.congruent(se3.transposed(rotations), covariances)
 
 
 def world_from_body_rotations(covariances: Floats, rotations: Floats) -> Floats:
-    """Return covariances (N, 6, 6) about the world's axes; only rotations are converted.
+    """Return covariances (N, 6, 6) of p + dp and R Exp(dtheta) about the world's axes.
 
-    Args:
-        covariances: (N, 6, 6), position first, of p + dp and R Exp(dtheta).
-        rotations: (N, 3, 3), body to world.
+    Only the rotation is converted; rotations (N, 3, 3) are from body to world.
     """
     turned = covariances.copy()
     turned[:, 3:] = rotations @ covariances[:, 3:]
@@ -63,11 +57,9 @@ def world_from_body_rotations_jointly(
 ) -> tuple[Floats | None, scipy.sparse.csr_matrix | None]:
     """Convert the joint covariance or information matrix of all N states likewise.
 
-    Args:
-        covariance: (N d, N d), or None; a matrix of another shape is returned unchanged.
-        information: (N d, N d), or None.
-        rotations: (N, 3, 3), body to world.
-        block: d, the parameters of a state; numbers 3 to 5 are the rotation.
+    `covariance`: (N d, N d), or None; a matrix of another shape is returned unchanged.
+    `information`: (N d, N d), or None. `rotations`: (N, 3, 3), body to world. `block`: d, the
+    parameters of a state; numbers 3 to 5 are the rotation.
     """
     blocks = np.tile(np.eye(block), (len(rotations), 1, 1))
     blocks[:, 3:6, 3:6] = rotations

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.geometry.arrays import Booleans, Stamps
-from trajeval_ros.geometry.dropped_counts import add_counts
+from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 from trajeval_ros.geometry.fixes import STATUS_NO_FIX, STATUS_UNKNOWN, Fixes
 from trajeval_ros.geometry.geodesy import Datum, east_north_up
+from trajeval_ros.geometry.reading import NOT_READ, Reading
 from trajeval_ros.geometry.trajectory import Trajectory
 
 FRAME = "east_north_up"
@@ -27,30 +27,16 @@ _FARTHEST_M = 100_000.0
 
 @dataclass(frozen=True)
 class FixRule:
-    """The selection of fixes, their frame and their correlation time.
+    """The selection of fixes, their frame and their correlation time."""
 
-    Attributes:
-        datum: Origin of the frame; None for the first usable fix.
-        min_status: Least status of a usable fix; None for any fix.
-        max_sigma_m: Largest standard deviation along a horizontal axis, metres; None for any.
-        correlation_s: Time in which the correlation of fix errors decays to 1/e, seconds.
-
-    Raises:
-        SettingsError: A value is out of range.
-
-    Example:
-        >>> from trajeval_ros.geometry.fix_selection import FixRule
-        >>> FixRule(max_sigma_m=0.05).correlation_s
-        100.0
-    """
-
-    datum: Datum | None = None
-    min_status: int | None = None
+    datum: Datum | None = None  # origin of the frame; None for the first usable fix
+    min_status: int | None = None  # least status of a usable fix; None for any fix
+    # Largest standard deviation along a horizontal axis, metres; None for any.
     max_sigma_m: float | None = None
+    # Time in which the correlation of fix errors decays to 1/e, seconds.
     correlation_s: float = DEFAULT_CORRELATION_S
 
     def __post_init__(self) -> None:
-        """Refuse values out of range."""
         if self.min_status is not None and self.min_status not in (0, 1, 2):
             raise SettingsError(
                 "the minimum fix status must be 0 (any fix), 1 (satellite-based augmentation) "
@@ -67,11 +53,9 @@ class FixRule:
             )
 
     def usable(self, fixes: Fixes, *, level: bool) -> tuple[Booleans, dict[str, int]]:
-        """Return which fixes are usable, (N,), and how many are not, by reason.
+        """Return which of N fixes are usable, (N,), and how many are not, by reason.
 
-        Args:
-            fixes: N fixes.
-            level: Whether fixes without height are usable, as for gauge planar.
+        `level`: fixes without height are usable, as for gauge planar.
         """
         kept = np.ones(len(fixes), dtype=bool)
         dropped: dict[str, int] = {}
@@ -102,11 +86,7 @@ class FixRule:
         return faults
 
     def datum_of(self, stamps: Stamps, fixes: Fixes) -> Datum:
-        """Return the origin of the frame: the rule's, or the first usable fix (N > 0).
-
-        Raises:
-            InputError: The rule's datum is more than 100 km away.
-        """
+        """Return the origin of the frame: the rule's, or the first usable fix (N > 0)."""
         first = fixes.places[int(np.argmin(stamps))]
         height = float(first[2]) if np.isfinite(first[2]) else 0.0
         if self.datum is None:
@@ -124,16 +104,10 @@ class FixRule:
     def applied(self, trajectory: Trajectory, *, level: bool = False) -> Trajectory:
         """Return the usable fixes of a trajectory, in the frame of the rule's datum.
 
-        A trajectory without fixes is returned unchanged.
-
-        Args:
-            trajectory: As `fix_trajectory` returns it.
-            level: Whether to use fixes without height although others have one.
-
-        Raises:
-            InputError: No fix is usable, or the datum is too far away.
+        A trajectory without fixes is returned unchanged. `level`: whether to use fixes without
+        height although others have one.
         """
-        fixes = trajectory.fixes
+        fixes = trajectory.reading.fixes
         if fixes is None:
             return trajectory
         if level and fixes.flat is not None:
@@ -145,18 +119,13 @@ class FixRule:
         return _located(trajectory, fixes, kept, dropped, self, level=level)
 
 
-def fix_trajectory(stamps: Stamps, fixes: Fixes, **attributes: Any) -> Trajectory:
+def fix_trajectory(
+    stamps: Stamps, fixes: Fixes, reading: Reading = NOT_READ, **attributes: Any
+) -> Trajectory:
     """Return the trajectory of the usable fixes, in the frame of the first; count the others.
 
     If only some have a height, those without are counted and kept apart, as `Fixes.flat`.
-
-    Args:
-        stamps: (N,), nanoseconds.
-        fixes: N fixes.
-        **attributes: Other attributes of `Trajectory`.
-
-    Raises:
-        InputError: No fix is usable, or all are at the same place.
+    `stamps`: (N,), nanoseconds.
     """
     rule = FixRule()
     usable, _ = rule.usable(fixes, level=True)
@@ -165,7 +134,9 @@ def fix_trajectory(stamps: Stamps, fixes: Fixes, **attributes: Any) -> Trajector
     apart = usable & ~kept
     if apart.any():
         fixes = dataclasses.replace(fixes, flat=(stamps[apart], fixes[apart]))
-    states = Trajectory(stamps, np.zeros((len(stamps), 3)), frame=FRAME, **attributes)
+    states = Trajectory(
+        stamps, np.zeros((len(stamps), 3)), frame=FRAME, reading=reading, **attributes
+    )
     return _located(states, fixes, kept, dropped, rule, level=level)
 
 
@@ -180,13 +151,14 @@ def _with_flat(trajectory: Trajectory, fixes: Fixes) -> tuple[Trajectory, Fixes]
         for name in ("places", "status", "covariance_types", "covariances")
     )
     joined = Fixes(places, status, types, covariances)
+    reading = trajectory.reading
+    dropped = {each: count for each, count in reading.dropped.items() if each != "no_height"}
     states = dataclasses.replace(
         trajectory,
         stamps=stamps[order],
         positions=np.zeros((len(stamps), 3)),
         covariances=None,
-        fixes=joined,
-        dropped={each: count for each, count in trajectory.dropped.items() if each != "no_height"},
+        reading=dataclasses.replace(reading, fixes=joined, dropped=dropped),
     )
     return states, joined
 
@@ -200,19 +172,7 @@ def _located(
     *,
     level: bool,
 ) -> Trajectory:
-    """Return the states whose fixes are kept, at the positions of these fixes.
-
-    Args:
-        trajectory: N states, with any positions.
-        fixes: N fixes.
-        kept: (N,) which fixes are usable.
-        dropped: Number of the other fixes by reason.
-        rule: Determines the datum.
-        level: See `Fixes.positions`.
-
-    Raises:
-        InputError: No fix is kept, all are at the same place, or the datum is too far away.
-    """
+    """Return the states with kept fixes, at the positions of these fixes; count the others."""
     if not kept.any():
         why = ", ".join(
             f"{count} {reason.replace('_', ' ')}" for reason, count in dropped.items() if count
@@ -234,6 +194,35 @@ def _located(
         states,
         positions=used.positions(level=level),
         covariances=used.pose_covariances(),
-        fixes=used,
-        dropped=add_counts(trajectory.dropped, dropped),
+        reading=dataclasses.replace(states.reading, fixes=used).with_dropped(dropped),
     )
+
+
+def fixes_of_rows(places: Floats, quality: Floats) -> Fixes:
+    """Return the fixes of `places` (N, 3) and `quality` (N, 11), as in `trajectory_of_rows`."""
+    return Fixes(
+        places=places,
+        status=quality[:, 0].astype(np.int64),
+        covariance_types=quality[:, 1].astype(np.int64),
+        covariances=quality[:, 2:].reshape(-1, 3, 3),
+    )
+
+
+def trajectory_of_rows(
+    where: str,
+    stamps: Stamps,
+    places: Floats,
+    quality: Floats,
+    reading: Reading,
+    **attributes: Any,
+) -> Trajectory:
+    """Return the trajectory of GNSS fixes; invalid fixes are dropped and counted.
+
+    `stamps`: (N,), nanoseconds. `places`: (N, 3), latitude and longitude in degrees, height in
+    metres. `quality`: (N, 11), status and covariance type as in sensor_msgs/NavSatFix, then the
+    covariance (3 x 3, row by row) along east, north and up, m^2.
+    """
+    try:
+        return fix_trajectory(stamps, fixes_of_rows(places, quality), reading, **attributes)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None

@@ -18,34 +18,26 @@ _COVARIANCE_TYPES = {1: "approximated", 2: "diagonal", 3: "known"}
 
 @dataclass(frozen=True, eq=False)
 class Fixes:
-    """The fixes of a receiver, as in its messages.
+    """The fixes of a receiver, as in its messages."""
 
-    Attributes:
-        places: (N, 3), latitude and longitude in degrees (WGS 84), height above the ellipsoid in
-            metres; NaN for a fix without height.
-        status: (N,), of sensor_msgs/NavSatStatus: -2 unknown, -1 none, 0 fix, 1 with satellite
-            and 2 with ground-based augmentation.
-        covariance_types: (N,), of sensor_msgs/NavSatFix: 0 unknown, 1 approximated, 2 diagonal
-            known, 3 known.
-        covariances: (N, 3, 3), m^2, about east, north and up at the fix.
-        datum: Origin of the east-north-up frame; None before one is chosen.
-        flat: Timestamps (M,) and fixes of the same receiver without height, which are not among
-            these: only gauge planar can use them. None if there are none.
-    """
-
+    # (N, 3), latitude and longitude in degrees (WGS 84), height above the ellipsoid in metres; NaN
+    # for a fix without height.
     places: Floats
+    # (N,), of sensor_msgs/NavSatStatus: -2 unknown, -1 none, 0 fix, 1 with satellite and 2 with
+    # ground-based augmentation.
     status: Indices
+    # (N,), of sensor_msgs/NavSatFix: 0 unknown, 1 approximated, 2 diagonal known, 3 known.
     covariance_types: Indices
-    covariances: Floats
-    datum: Datum | None = None
+    covariances: Floats  # (N, 3, 3), m^2, about east, north and up at the fix
+    datum: Datum | None = None  # origin of the east-north-up frame; None before one is chosen
+    # Timestamps (M,) and fixes of the same receiver without height, which are not among these:
+    # only gauge planar can use them. None if there are none.
     flat: tuple[Stamps, Fixes] | None = None
 
     def __len__(self) -> int:
-        """Return the number of fixes."""
         return len(self.places)
 
     def __getitem__(self, rows: slice | Indices | Booleans) -> Fixes:
-        """Return the fixes of a slice, a mask or an array of indices."""
         return dataclasses.replace(
             self,
             places=self.places[rows],
@@ -87,8 +79,7 @@ class Fixes:
     def positions(self, *, level: bool = False) -> Floats:
         """Return positions in the datum's frame, (N, 3), metres.
 
-        Args:
-            level: Use the datum's height for a fix without height; else all fixes have heights.
+        `level`: use the datum's height for a fix without height; else all fixes have heights.
         """
         assert self.datum is not None
         places = self.places

@@ -1,4 +1,4 @@
-"""Gauges: the groups of transformations that a set of sensors cannot observe.
+"""Gauges: the groups of transformations that a set of sensors cannot observe, and their elements.
 
 Tutorial, section III-A and Table I. A monocular camera cannot distinguish similar trajectories. A
 stereo camera or a lidar cannot distinguish rigidly moved ones. With gravity from an IMU, the
@@ -8,13 +8,86 @@ computed.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from enum import Enum
+from functools import cached_property
 
 import numpy as np
 
 from trajeval_ros.exceptions import SettingsError, require_one_of
-from trajeval_ros.geometry import so3
+from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Similarity:
+    """x -> scale * rotation x + translation, from the estimate's frame to the groundtruth's.
+
+    Attributes:
+        rotation: (3, 3) rotation matrix.
+        translation: (3,), metres.
+        scale: Positive factor; 1 for rigid transformations.
+
+    Example:
+        >>> import numpy as np
+        >>> from trajeval_ros import Similarity, simulate
+        >>> estimate = simulate(seed=1, duration_s=30.0).estimate
+        >>> similarity = Similarity(np.eye(3), np.array([1.0, 0.0, 0.0]), scale=2.0)
+        >>> moved = similarity.trajectory(estimate)
+        >>> bool(np.allclose(moved.positions, 2.0 * estimate.positions + [1.0, 0.0, 0.0]))
+        True
+    """
+
+    rotation: Floats
+    translation: Floats
+    scale: float = 1.0
+
+    @classmethod
+    def identity(cls) -> Similarity:
+        """Return the identity transformation."""
+        return cls(np.eye(3), np.zeros(3))
+
+    @cached_property
+    def linear(self) -> Floats:
+        """The scaled rotation, (3, 3)."""
+        return self.scale * self.rotation
+
+    def positions(self, points: Floats) -> Floats:
+        """Return transformed points, (N, 3) or (3,)."""
+        moved: Floats = points @ self.linear.T
+        moved += self.translation
+        return moved
+
+    def quaternions(self, quaternions: Floats) -> Floats:
+        """Return transformed orientations, (N, 4) xyzw: R_i -> R R_i."""
+        turn = lie.from_matrix(self.rotation)
+        return lie.by_blocks(lambda rows: (lie.multiply(turn, rows),), quaternions)[0]
+
+    def trajectory(self, trajectory: Trajectory) -> Trajectory:
+        """Return transformed states, eq. (14); biases are in the body frame and do not change."""
+        quaternions, velocities = trajectory.quaternions, trajectory.velocities
+        return replace(
+            trajectory,
+            positions=self.positions(trajectory.positions),
+            quaternions=None
+            if quaternions is None
+            else lie.normalized(self.quaternions(quaternions)),
+            velocities=None if velocities is None else self.vectors(velocities),
+            covariances=None,
+            reading=trajectory.reading.without("matrices", "fixes"),
+        )
+
+    def vectors(self, vectors: Floats) -> Floats:
+        """Return free vectors (N, 3), such as velocities, scaled and rotated."""
+        turned: Floats = vectors @ self.linear.T
+        return turned
+
+    @property
+    def rotation_xyzw(self) -> Floats:
+        """The rotation as a quaternion with w >= 0, (4,)."""
+        return lie.from_matrix(self.rotation)
+
 
 POSE_DOF = 6  # of a perturbation: position first, rotation second
 
@@ -76,6 +149,14 @@ class Gauge(Enum):
             return 3
         return 2 if self.turns_about_gravity_only else 1
 
+    def enough_pairs(self, align_states: int | None) -> int:
+        """Return the least number of pairs of a meaningful absolute error.
+
+        With the minimal number of states, the alignment fits all errors exactly. With twice as
+        many, at least half of the errors remain. The first state alone is aligned by its pose.
+        """
+        return 2 * (1 if align_states == 1 else self.minimum_states)
+
     @property
     def description(self) -> str:
         """The group in words, for messages and tables."""
@@ -113,11 +194,7 @@ Example:
 
 
 def gauge_for(gauge: Gauge | str | None, modality: str | None, default: Gauge) -> Gauge:
-    """Return the gauge from an optional name and an optional sensor set.
-
-    Raises:
-        SettingsError: An unknown name, or a gauge that contradicts the modality.
-    """
+    """Return the gauge from an optional name and an optional sensor set."""
     named = default if gauge is None else Gauge.of(gauge)
     if modality is None:
         return named
@@ -133,13 +210,9 @@ def gauge_for(gauge: Gauge | str | None, modality: str | None, default: Gauge) -
 def orbit_basis(gauge: Gauge, positions: Floats) -> Floats:
     """Return the derivatives of N poses by the gauge's generators: gauge paper, eq. (15).
 
-    Args:
-        gauge: `none`, `yaw`, `se3` or `sim3`.
-        positions: (N, 3), metres.
-
-    Returns:
-        U (N, 6, k). Rows are position and rotation (applied on the left). Columns are the gauge's
-        rotations about the world's axes, three translations, and the scale.
+    The gauge is `none`, `yaw`, `se3` or `sim3`; positions are (N, 3), metres. U is (N, 6, k): rows
+    are position and rotation (applied on the left); columns are the gauge's rotations about the
+    world's axes, three translations, and the scale.
     """
     axes = _axes(gauge)
     basis = np.zeros((len(positions), POSE_DOF, dimension(gauge)))
@@ -155,15 +228,10 @@ def orbit_basis(gauge: Gauge, positions: Floats) -> Floats:
 
 
 def first_state_normals(gauge: Gauge, count: int, first_turn: Floats) -> Floats:
-    """Return the gradients of the conditions of an alignment by the first state.
+    """Return the gradients of the conditions of an alignment by the first of N states.
 
-    Args:
-        gauge: `yaw` or `se3`.
-        count: Number of poses N.
-        first_turn: (3,), rotation vector of R' R^T of the first pose, rad.
-
-    Returns:
-        V (N, 6, k), zero for all poses except the first.
+    The gauge is `yaw` or `se3`; `first_turn` (3,) is the rotation vector of R' R^T of the first
+    pose, rad. V is (N, 6, k), zero for all poses except the first.
     """
     axes = _axes(gauge)
     turns = len(axes)
@@ -176,38 +244,28 @@ def first_state_normals(gauge: Gauge, count: int, first_turn: Floats) -> Floats:
 def least_squares_normals(
     gauge: Gauge, groundtruth: Floats, aligned: Floats, weights: Floats
 ) -> Floats:
-    """Return the gradients of the optimality conditions of the tutorial's eq. (13).
+    """Return the gradients (N, 6, k) of the optimality conditions of the tutorial's eq. (13).
 
-    Args:
-        gauge: `none`, `yaw`, `se3` or `sim3`.
-        groundtruth: (N, 3) positions, metres.
-        aligned: (N, 3) aligned positions, metres.
-        weights: (N,) with sum 1; zero for states outside the alignment.
-
-    Returns:
-        V (N, 6, k); the rows of the rotation are zero.
+    The gauge is `none`, `yaw`, `se3` or `sim3`. Positions are (N, 3), metres. Weights (N,) have
+    the sum 1 and are zero for states outside the alignment. The rows of the rotation are zero.
     """
     axes = _axes(gauge)
     turns = len(axes)
     normals = np.zeros((len(groundtruth), POSE_DOF, dimension(gauge)))
     if gauge is Gauge.NONE:
         return normals
-    truth = groundtruth - weights @ groundtruth
-    other = aligned - weights @ aligned
+    p = groundtruth - weights @ groundtruth
+    q = aligned - weights @ aligned
     weight = weights[:, None]
-    normals[:, :3, :turns] = weight[:, None] * np.cross(truth[:, None], axes).swapaxes(1, 2)
+    normals[:, :3, :turns] = weight[:, None] * np.cross(p[:, None], axes).swapaxes(1, 2)
     normals[:, :3, turns : turns + 3] = weight[:, None] * np.eye(3)
     if gauge.has_scale:
-        normals[:, :3, -1] = weight * (truth - 2.0 * other)
+        normals[:, :3, -1] = weight * (p - 2.0 * q)
     return normals
 
 
 def dimension(gauge: Gauge) -> int:
-    """Return the dimension of gauge `none`, `yaw`, `se3` or `sim3`.
-
-    Raises:
-        SettingsError: Another gauge, which has no transformation of covariances.
-    """
+    """Return the dimension of gauge `none`, `yaw`, `se3` or `sim3`."""
     dimensions = {Gauge.NONE: 0, Gauge.YAW: 4, Gauge.SE3: 6, Gauge.SIM3: 7}
     if gauge not in dimensions:
         raise SettingsError(

@@ -22,28 +22,13 @@ _ROUNDS = 8
 
 @dataclass(frozen=True)
 class Datum:
-    """The origin of an east-north-up frame.
+    """The origin of an east-north-up frame."""
 
-    Attributes:
-        latitude_deg: Geodetic, from -90 to 90.
-        longitude_deg: From -180 to 360.
-        height_m: Above the ellipsoid.
-
-    Raises:
-        SettingsError: A coordinate is out of range.
-
-    Example:
-        >>> from trajeval_ros.geometry.geodesy import Datum
-        >>> Datum(47.4, 8.5, 430.0).latitude_deg
-        47.4
-    """
-
-    latitude_deg: float
-    longitude_deg: float
-    height_m: float
+    latitude_deg: float  # geodetic, from -90 to 90
+    longitude_deg: float  # from -180 to 360
+    height_m: float  # above the ellipsoid
 
     def __post_init__(self) -> None:
-        """Refuse coordinates out of range."""
         if not (
             abs(self.latitude_deg) <= 90.0
             and -180.0 <= self.longitude_deg <= 360.0
@@ -55,7 +40,6 @@ class Datum:
             )
 
     def __str__(self) -> str:
-        """Return the text that the command line accepts, with all digits."""
         return f"{self.latitude_deg!r},{self.longitude_deg!r},{self.height_m!r}"
 
     @property
@@ -65,11 +49,7 @@ class Datum:
 
 
 def parse_datum(text: str) -> Datum:
-    """Parse "47.4,8.5,430": latitude and longitude in degrees, height in metres.
-
-    Raises:
-        SettingsError: The text is not valid.
-    """
+    """Parse "47.4,8.5,430": latitude and longitude in degrees, height in metres."""
     try:
         latitude, longitude, height = (float(part) for part in text.split(","))
     except ValueError:
@@ -83,9 +63,8 @@ def parse_datum(text: str) -> Datum:
 def east_north_up(places: Floats, datum: Datum) -> Floats:
     """Return positions in the frame of a datum, with an error of 5e-9 m within 50 km.
 
-    Args:
-        places: (N, 3), latitude and longitude in degrees, height above the ellipsoid in metres.
-        datum: Origin of the frame.
+    `places`: (N, 3), latitude and longitude in degrees, height above the ellipsoid in metres.
+    `datum`: origin of the frame.
 
     Returns:
         (N, 3), east, north and up, metres.
@@ -131,9 +110,8 @@ def _axes(places: Floats) -> Floats:
 def places_at(positions: Floats, datum: Datum) -> Floats:
     """Return the places of positions in the frame of a datum: the inverse of `east_north_up`.
 
-    Args:
-        positions: (N, 3), east, north and up, metres, within 100 km; not near a pole.
-        datum: Origin of the frame.
+    `positions`: (N, 3), east, north and up, metres, within 100 km; not near a pole. `datum`:
+    origin of the frame.
 
     Returns:
         (N, 3), latitude and longitude in degrees, height in metres, to a nanometre.

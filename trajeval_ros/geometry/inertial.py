@@ -9,26 +9,15 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 
 @dataclass(frozen=True, eq=False)
 class InertialReadings:
-    """Measurements of an IMU in its own axes.
+    """Measurements of an IMU in its own axes."""
 
-    Attributes:
-        stamps: (N,) int64, nanoseconds, in order of arrival.
-        rates: (N, 3), rad/s, angular velocities.
-        accelerations: (N, 3), m/s^2, specific force; None for a gyroscope.
-        frame: Name of the sensor's frame, "" if unknown.
-        source: The source, as the user names it.
-        undecodable: Number of messages that could not be used.
-        damage: Unreadable parts of the source, one sentence each.
-    """
-
-    stamps: Stamps
-    rates: Floats
-    accelerations: Floats | None
-    frame: str = ""
+    stamps: Stamps  # (N,) int64, nanoseconds, in order of arrival
+    rates: Floats  # (N, 3), rad/s, angular velocities
+    accelerations: Floats | None  # (N, 3), m/s^2, specific force; None for a gyroscope
+    frame: str = ""  # name of the sensor's frame, "" if unknown
     source: str = ""
-    undecodable: int = 0
-    damage: tuple[str, ...] = ()
+    undecodable: int = 0  # number of messages that could not be used
+    damage: tuple[str, ...] = ()  # unreadable parts of the source, one sentence each
 
     def __len__(self) -> int:
-        """Return the number of readings."""
         return len(self.stamps)

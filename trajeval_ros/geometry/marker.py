@@ -8,13 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.remarks import note
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import Trajectory
 
-# Notes about a trajectory after a conversion by a lever arm.
-MARKERS_VELOCITIES = "velocities dropped: they are of the marker, not of the body"
-BODYS_VELOCITIES = "velocities dropped: they are of the body, not of the marker"
+# Remarks on a trajectory after a conversion by a lever arm.
+MARKERS_VELOCITIES = note(
+    "column_dropped", "velocities dropped: they are of the marker, not of the body"
+)
+BODYS_VELOCITIES = note(
+    "column_dropped", "velocities dropped: they are of the body, not of the marker"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,19 +97,18 @@ class HandEye:
         assert marker is not None
         quaternions = lie.multiply(marker, lie.conjugate(self.rotation_xyzw))
         arm = lie.rotate(quaternions, self.lever_m)
-        velocities, notes = groundtruth.velocities, groundtruth.notes
+        velocities, reading = groundtruth.velocities, groundtruth.reading.without("matrices")
         if velocities is not None and self.lever_m.any():
             velocities = None
-            notes = (*notes, MARKERS_VELOCITIES)
+            reading = reading.remarked(MARKERS_VELOCITIES)
         return dataclasses.replace(
             groundtruth,
             positions=groundtruth.positions - arm,
             quaternions=lie.normalized(quaternions),
             velocities=velocities,
             covariances=None,
-            matrices=None,
             child_frame=body or groundtruth.child_frame,
-            notes=notes,
+            reading=reading,
             gyroscope_biases=self._turned(groundtruth.gyroscope_biases),
             accelerometer_biases=self._turned(groundtruth.accelerometer_biases),
         )
@@ -129,10 +133,10 @@ class HandEye:
                 f"{estimate.name or 'the estimate'} has no orientations, which a lever arm needs"
             )
         arm = lie.rotate(quaternions, self.lever_m / scale)
-        velocities, notes = estimate.velocities, estimate.notes
+        velocities, reading = estimate.velocities, estimate.reading
         if velocities is not None and self.lever_m.any():
             velocities = None
-            notes = (*notes, BODYS_VELOCITIES)
+            reading = reading.remarked(BODYS_VELOCITIES)
         covariances = estimate.covariances
         if covariances is not None:
             covariances = at_arms(covariances, arm)
@@ -142,16 +146,15 @@ class HandEye:
             velocities=velocities,
             covariances=covariances,
             child_frame=marker or estimate.child_frame,
-            notes=notes,
+            reading=reading,
         )
 
 
 def at_arms(covariances: Floats, arms: Floats) -> Floats:
     """Return covariances (N, 6, 6) of poses whose positions are moved by arms fixed to the body.
 
-    Args:
-        covariances: (N, 6, 6), of position and of left perturbations of the rotation.
-        arms: (N, 3), in the frame of the positions, metres.
+    `covariances`: (N, 6, 6), of position and of left perturbations of the rotation. `arms`: (N,
+    3), in the frame of the positions, metres.
     """
     # The perturbation of p + R l by R <- Exp(dphi) R: dp - [R l]x dphi.
     change = np.broadcast_to(np.eye(6), (len(arms), 6, 6)).copy()

@@ -30,16 +30,11 @@ _LAST_GAP_NS = 60 * NANOSECONDS  # after a longer gap, the last timestamp of a s
 
 
 class StampTrust:
-    """Filters the states of a stream by timestamp, at a constant cost.
-
-    Attributes:
-        lone: Number of states dropped so far.
-        farthest_ns: Largest distance of a dropped timestamp from the others, nanoseconds.
-    """
+    """Filters the states of a stream by timestamp, at a constant cost."""
 
     def __init__(self) -> None:
-        """Create it before the first state, which waits for the second."""
-        self.lone = self.farthest_ns = 0
+        self.lone = 0  # number of states dropped so far
+        self.farthest_ns = 0  # largest distance of a dropped timestamp from the others
         self._newest: int | None = None
         self._waiting: tuple[NDArray[Any], ...] = ()
 
@@ -48,10 +43,8 @@ class StampTrust:
     ) -> tuple[NDArray[Any], ...]:
         """Return the states that are trusted so far, in order of arrival.
 
-        Args:
-            stamps: (N,) timestamps of new states, nanoseconds.
-            columns: Other columns of these states, with N rows.
-            at_end: No states will follow: decide about waiting states now.
+        `stamps`: (N,) timestamps of new states, nanoseconds. `columns`: other columns of these
+        states, with N rows. `at_end`: no states will follow: decide about waiting states now.
 
         Returns:
             Stamps and columns of trusted states, which include states that have waited.

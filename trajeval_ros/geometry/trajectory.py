@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,25 +11,36 @@ from numpy.typing import ArrayLike, NDArray
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry.arrays import Booleans, Floats
-from trajeval_ros.geometry.dropped_counts import add_counts
-from trajeval_ros.geometry.repeated_stamps import Conflicts, conflicts_of
+from trajeval_ros.formatting.remarks import Remark, note, warning
+from trajeval_ros.geometry.array_input import (
+    columns_of_frame,
+    numbers,
+    require_shape,
+    split_matrices,
+    stamps_of,
+)
+from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
+from trajeval_ros.geometry.interpolation import Bracket, bracket_stamps, mix, slerp
+from trajeval_ros.geometry.reading import NOT_READ, Reading, require_column
 from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
-from trajeval_ros.geometry.valid_poses import LARGEST, at_length_one, judge_poses
+from trajeval_ros.geometry.valid_poses import (
+    LARGEST,
+    Conflicts,
+    at_length_one,
+    conflicts_of,
+    judge_poses,
+)
 
 if TYPE_CHECKING:
+    import pandas
     from scipy.spatial.transform import Rotation
-
-    from trajeval_ros.geometry.fixes import Fixes
 
 NANOSECONDS = 1_000_000_000
 _UNIT = 1e-9  # largest error of the mean squared length of unit quaternions
 # Shape of a row by column.
 _COLUMNS: dict[str, tuple[int, ...]] = {
     "stamps": (),
-    "frames": (),
-    "matrices": (3, 3),
     "positions": (3,),
     "quaternions": (4,),
     "velocities": (3,),
@@ -56,23 +66,11 @@ class Trajectory:
         accelerometer_biases: (N, 3), m/s^2, in the body, or None.
         covariances: (N, 6, 6) of the pose, position first, rotation second as a rotation about
             the frame's fixed axes (`geometry_msgs/PoseWithCovariance`), or None.
-        frames: (N,) int64, frame numbers in an image sequence (KITTI), or None.
-        matrices: (N, 3, 3), rotation matrices exactly as in KITTI's file, or None. With few
-            digits they are not quite the rotations of `quaternions`.
-        fixes: The N GNSS fixes of the positions, with their datum; None for other sources.
         frame: Name of the fixed frame, "" if unknown.
         child_frame: Name of the body's frame, "" if unknown.
         up: The axis of the frame that points up, and its origin; z by default (REP-103).
         name: Its name in tables.
-        source: The source, as the user names it; "" if there is none.
-        unturned: Whether a topic's orientations were dropped because all are the identity. A live
-            run cannot detect this before the last message.
-        stamped: False if the file has no timestamps; stamps then count rows, one second apart.
-        numbered: Whether the file has the numbers in `frames`; otherwise they count its rows.
-        dropped: Number of dropped rows, by reason.
-        notes: What the reader detected or corrected, one sentence each.
-        damage: Unreadable parts of the source, one sentence each.
-        conflicts: Contradictions between states, one sentence each.
+        reading: How it was read: source, remarks, counts, and data of special sources by row.
 
     Example:
         >>> import numpy as np
@@ -89,21 +87,11 @@ class Trajectory:
     gyroscope_biases: Floats | None = None
     accelerometer_biases: Floats | None = None
     covariances: Floats | None = None
-    frames: NDArray[np.int64] | None = None
-    matrices: Floats | None = None
-    fixes: Fixes | None = None
     frame: str = ""
     child_frame: str = ""
     up: UpAxis = Z_UP
     name: str = ""
-    source: str = ""
-    unturned: bool = False
-    stamped: bool = True
-    numbered: bool = False
-    dropped: Mapping[str, int] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    damage: tuple[str, ...] = ()
-    conflicts: tuple[str, ...] = ()
+    reading: Reading = NOT_READ
 
     def __post_init__(self) -> None:
         """Check types and shapes of the columns.
@@ -115,19 +103,9 @@ class Trajectory:
         count = len(self.stamps)
         for name, row_shape in _COLUMNS.items():
             column = getattr(self, name)
-            if column is None:
-                continue
-            if not isinstance(column, np.ndarray):
-                raise TypeError(f"{name} must be a numpy array, not {type(column).__name__}")
-            if column.shape != (count, *row_shape):
-                raise ValueError(
-                    f"{name} has shape {column.shape}, expected {(count, *row_shape)}"
-                )
-        if self.fixes is not None and len(self.fixes) != count:
-            raise ValueError(
-                f"{counted(len(self.fixes), 'fix', 'fixes')} for {counted(count, 'timestamp')}; "
-                "give one fix per timestamp"
-            )
+            if column is not None:
+                require_column(name, column, (count, *row_shape))
+        self.reading.require_rows(count)
         if self.stamps.dtype != np.int64:
             raise TypeError(f"timestamps must be int64 nanoseconds, not {self.stamps.dtype}")
         if self.quaternions is not None:
@@ -144,6 +122,7 @@ class Trajectory:
         stamps: NDArray[np.int64],
         positions: ArrayLike,
         quaternions: ArrayLike | None = None,
+        reading: Reading = NOT_READ,
         **columns: object,
     ) -> Trajectory:
         """Make a trajectory from raw numbers; invalid poses are dropped and counted.
@@ -152,17 +131,21 @@ class Trajectory:
             stamps: (N,) int64, nanoseconds.
             positions: (N, 3), metres.
             quaternions: (N, 4), xyzw, of any length except zero; None without orientations.
+            reading: How the N rows were read.
             **columns: Other attributes of `Trajectory`.
 
         Rows with a position or quaternion that is not finite, or too large to be squared, are
         dropped as `not_finite`. Quaternions of (nearly) zero length are dropped as
         `zero_quaternion`: see `judge_poses`. If a velocity or bias is not finite, that column is
-        dropped with a note. Covariances that are not finite are kept; their users check them.
+        dropped with a remark. Covariances that are not finite are kept; their users check them.
         """
         position_rows = np.asarray(positions, dtype=np.float64)
         quaternion_rows: Floats | None = None
         if quaternions is not None:
             quaternion_rows = np.asarray(quaternions, dtype=np.float64)
+        require_shape(position_rows, "positions", (len(stamps), 3))
+        if quaternion_rows is not None:
+            require_shape(quaternion_rows, "quaternions", (len(stamps), 4))
         finite, nonzero = judge_poses(position_rows, quaternion_rows)
         keep = finite & nonzero
         dropped = {
@@ -172,19 +155,105 @@ class Trajectory:
         if not keep.all():
             stamps, position_rows = stamps[keep], position_rows[keep]
             quaternion_rows = None if quaternion_rows is None else quaternion_rows[keep]
+            reading = reading[keep]
             columns = {
                 name: value[keep] if isinstance(value, np.ndarray) else value
                 for name, value in columns.items()
             }
         if quaternion_rows is not None:
             quaternion_rows = at_length_one(quaternion_rows)
+        columns["reading"] = reading.with_dropped(dropped)
         trajectory = cls(stamps, position_rows, quaternion_rows, **columns)  # type: ignore[arg-type]
-        return dataclasses.replace(
-            trajectory, dropped=add_counts(trajectory.dropped, dropped)
-        )._with_finite_columns()
+        return trajectory._with_finite_columns()
+
+    @classmethod
+    def from_positions(
+        cls,
+        positions: ArrayLike,
+        quaternions: ArrayLike | None = None,
+        *,
+        seconds: ArrayLike | None = None,
+        stamps: ArrayLike | None = None,
+        wxyz: bool = False,
+        **columns: object,
+    ) -> Trajectory:
+        """Make a trajectory from arrays; invalid poses are dropped as by `from_columns`.
+
+        Args:
+            positions: (N, 3), metres.
+            quaternions: (N, 4), of any length except zero; None without orientations.
+            seconds: (N,), times in seconds. Without times, rows are paired by their index.
+            stamps: (N,), integer nanoseconds, instead of `seconds`.
+            wxyz: Whether w is the first number of a quaternion; by default it is the last.
+            **columns: Other attributes of `Trajectory`, such as `name`.
+
+        Raises:
+            InputError: A shape or a unit is wrong.
+
+        Example:
+            >>> from trajeval_ros import Trajectory
+            >>> Trajectory.from_positions([[0, 0, 0], [2, 0, 0]], seconds=[0.0, 0.5], name="vio")
+            <Trajectory vio, 2 poses, 0.5 s, 2.0 m>
+        """
+        places = numbers(positions, "positions")
+        require_shape(places, "positions", (None, 3))
+        turns = None if quaternions is None else numbers(quaternions, "quaternions")
+        if turns is not None:
+            require_shape(turns, "quaternions", (len(places), 4))
+            turns = np.roll(turns, -1, axis=1) if wxyz else turns
+        times = stamps_of(seconds, stamps, len(places))
+        reading = NOT_READ
+        if times is None:
+            rows = np.arange(len(places))
+            times, reading = rows * NANOSECONDS, Reading(stamped=False, frame_numbers=rows)
+        return cls.from_columns(times, places, turns, reading, **columns)
+
+    @classmethod
+    def from_matrices(
+        cls,
+        matrices: ArrayLike,
+        *,
+        seconds: ArrayLike | None = None,
+        stamps: ArrayLike | None = None,
+        **columns: Any,
+    ) -> Trajectory:
+        """Make a trajectory from pose matrices [R t], of the body in the fixed frame.
+
+        Args:
+            matrices: (N, 4, 4) or (N, 3, 4), metres.
+            seconds: (N,), times in seconds. Without times, rows are paired by their index.
+            stamps: (N,), integer nanoseconds, instead of `seconds`.
+            **columns: Other attributes of `Trajectory`, such as `name`.
+
+        Raises:
+            InputError: A shape or a unit is wrong, or a matrix is not a pose.
+
+        Example:
+            >>> import numpy as np
+            >>> from trajeval_ros import Trajectory
+            >>> Trajectory.from_matrices(np.tile(np.eye(4), (3, 1, 1)), seconds=[0.0, 0.1, 0.2])
+            <Trajectory unnamed, 3 poses, 0.2 s, 0.0 m>
+        """
+        places, turns = split_matrices(matrices)
+        return cls.from_positions(places, turns, seconds=seconds, stamps=stamps, **columns)
+
+    @classmethod
+    def from_pandas(cls, frame: pandas.DataFrame, **columns: Any) -> Trajectory:
+        """Make a trajectory from a table with columns x, y, z and, optionally, qx, qy, qz, qw.
+
+        Args:
+            frame: The table. Times are in a column `seconds`, `stamps`, `time`, `timestamp` or
+                `t`, otherwise in the index: float seconds, integer nanoseconds, or dates.
+            **columns: Other attributes of `Trajectory`, such as `name`.
+
+        Raises:
+            InputError: A column is missing, or has a wrong unit.
+        """
+        given: dict[str, Any] = {**columns_of_frame(frame), **columns}
+        return cls.from_positions(**given)
 
     def _with_finite_columns(self) -> Trajectory:
-        """Return the trajectory without columns that are not finite, with a note."""
+        """Return the trajectory without columns that are not finite, with a remark."""
         bad = [
             name
             for name in ("velocities", "gyroscope_biases", "accelerometer_biases")
@@ -193,9 +262,10 @@ class Trajectory:
         ]
         if not bad:
             return self
-        note = f"{' and '.join(bad).replace('_', ' ')} dropped: some values are not finite"
+        said = f"{' and '.join(bad).replace('_', ' ')} dropped: some values are not finite"
         columns: dict[str, Any] = dict.fromkeys(bad)
-        return dataclasses.replace(self, **columns, notes=(*self.notes, note))
+        reading = self.reading.remarked(note("column_dropped", said))
+        return dataclasses.replace(self, **columns, reading=reading)
 
     def __len__(self) -> int:
         """Return the number of states."""
@@ -221,11 +291,9 @@ class Trajectory:
             if everything.all():
                 return self
         picked = {
-            name: column[rows]
-            for name in (*_COLUMNS, "fixes")
-            if (column := getattr(self, name)) is not None
+            name: column[rows] for name in _COLUMNS if (column := getattr(self, name)) is not None
         }
-        return dataclasses.replace(self, **picked)
+        return dataclasses.replace(self, **picked, reading=self.reading[rows])
 
     @property
     def seconds(self) -> Floats:
@@ -251,9 +319,11 @@ class Trajectory:
     @property
     def kind(self) -> str:
         """The content of its source: `gnss` fixes, `points` without orientation, or `poses`."""
-        if self.fixes is not None:
+        reading = self.reading
+        if reading.fixes is not None:
             return "gnss"
-        return "points" if self.quaternions is None and not self.unturned else "poses"
+        has_rotations = self.quaternions is not None or reading.has_identity_rotations
+        return "poses" if has_rotations else "points"
 
     @property
     def rotations(self) -> Rotation | None:
@@ -266,7 +336,7 @@ class Trajectory:
         return Rotation(self.quaternions, normalize=False)
 
     def in_order(self) -> Trajectory:
-        """Return the states sorted by stamp, the first of equal stamps, with notes and counts."""
+        """Return the states by stamp, the first of equal stamps, with remarks and counts."""
         steps = np.diff(self.stamps)
         if (steps > 0).all():
             return self
@@ -275,30 +345,70 @@ class Trajectory:
         conflicts = conflicts_of(self.stamps[order], self.positions[order])
         duplicates = int(np.count_nonzero(~first))
         backwards = int(np.count_nonzero(steps < 0))
-        notes = list(self.notes)
+        remarks = []
         if backwards:
-            notes.append(
+            said = (
                 f"timestamps step back at {counted(backwards, 'place')}; the poses were sorted by "
                 "timestamp"
             )
+            remarks.append(note("sorted", said))
+        if conflicts.number:
+            remarks.append(self._about(conflicts, duplicates))
         ordered = self[order[first]]
-        return dataclasses.replace(
-            ordered,
-            notes=tuple(notes),
-            dropped=add_counts(self.dropped, {"duplicate_stamp": duplicates}),
-            conflicts=(*self.conflicts, *self._said(conflicts, duplicates)),
-        )
+        reading = ordered.reading.with_dropped({"duplicate_stamp": duplicates})
+        return dataclasses.replace(ordered, reading=reading.remarked(*remarks))
 
-    def _said(self, conflicts: Conflicts, duplicates: int) -> list[str]:
-        """Return the sentence about repeated timestamps with contradicting positions, if any."""
-        if not conflicts.number:
-            return []
-        return [
+    def _about(self, conflicts: Conflicts, duplicates: int) -> Remark:
+        """Return the warning about repeated timestamps with contradicting positions."""
+        return warning(
+            "conflicting_states",
             f"{self.name or 'the trajectory'} has "
             f"{counted(conflicts.number, 'repeated timestamp')} (of {duplicates}) with "
             f"different positions, up to {conflicts.largest_m:.3g} m apart; the first pose of a "
-            "timestamp is used, remove the wrong rows"
-        ]
+            "timestamp is used, remove the wrong rows",
+        )
+
+    def at(self, stamps: Stamps, max_gap_s: float) -> tuple[Trajectory, Bracket]:
+        """Interpolate states in order of time: linearly, orientations by slerp.
+
+        Covariances, frame numbers, matrices and fixes are of single states and are left out.
+
+        Args:
+            stamps: (N,) int64, nanoseconds.
+            max_gap_s: Longest step between two states that is interpolated.
+
+        Returns:
+            The states at all usable stamps, and the position of all N stamps between the states;
+            its `usable` marks stamps at a state or between two states without a gap.
+
+        Example:
+            >>> import numpy as np
+            >>> from trajeval_ros import Trajectory
+            >>> stamps = np.array([0, 1_000_000_000])
+            >>> path = Trajectory.from_columns(stamps, [[0, 0, 0], [2, 0, 0]])
+            >>> states, bracket = path.at(np.array([250_000_000, 3_000_000_000]), max_gap_s=1.0)
+            >>> states.positions, bracket.usable
+            (array([[0.5, 0. , 0. ]]), array([ True, False]))
+        """
+        bracket = bracket_stamps(self.stamps, stamps, max_gap_s)
+        rows = np.flatnonzero(bracket.usable)
+        start, end, fraction = bracket.start, bracket.end, bracket.fraction
+        if len(rows) < len(stamps):
+            stamps, start, end, fraction = stamps[rows], start[rows], end[rows], fraction[rows]
+        mixed: dict[str, Any] = {
+            name: None if column is None else mix(column, start, end, fraction)
+            for name in ("positions", "velocities", "gyroscope_biases", "accelerometer_biases")
+            for column in (getattr(self, name),)
+        }
+        turned = None
+        if self.quaternions is not None:
+            turned = slerp(self.quaternions, start, end, fraction)
+        return self.moved_to(stamps, quaternions=turned, **mixed), bracket
+
+    def moved_to(self, stamps: Stamps, **states: Any) -> Trajectory:
+        """Return the trajectory with computed states (columns by name) at N other stamps."""
+        columns: dict[str, Any] = {**dict.fromkeys(_COLUMNS), **states, "stamps": stamps}
+        return dataclasses.replace(self, **columns, reading=self.reading.without())
 
     def require_usable(self) -> None:
         """Check that there are states and that all are finite.
@@ -308,7 +418,8 @@ class Trajectory:
         """
         name = self.name or "the trajectory"
         if not len(self):
-            why = ", ".join(f"{count} {reason}" for reason, count in self.dropped.items())
+            dropped = self.reading.dropped
+            why = ", ".join(f"{count} {reason}" for reason, count in dropped.items())
             raise InputError(f"no usable pose in {name}" + (f" (dropped: {why})" if why else ""))
         if not judge_poses(self.positions)[0].all():
             raise InputError(

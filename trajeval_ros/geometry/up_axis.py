@@ -20,26 +20,13 @@ OPTICAL_SUFFIXES = ("_optical", "_optical_frame")
 
 @dataclass(frozen=True)
 class UpAxis:
-    """The axis of a trajectory's fixed frame that points up.
+    """The axis of a trajectory's fixed frame that points up."""
 
-    Attributes:
-        name: One of `UP_AXES`.
-        origin: Where the axis is from: `given`, a format, a frame's name; `assumed` by default.
-
-    Raises:
-        SettingsError: The name is unknown.
-
-    Example:
-        >>> from trajeval_ros.geometry.up_axis import UpAxis
-        >>> UpAxis("-y").turned([[1.0, 2.0, 3.0]]).tolist()
-        [[1.0, 3.0, -2.0]]
-    """
-
-    name: str = "z"
+    name: str = "z"  # one of `UP_AXES`
+    # Where the axis is from: `given`, a format, a frame's name; `assumed` by default.
     origin: str = GIVEN
 
     def __post_init__(self) -> None:
-        """Refuse unknown names."""
         require_one_of(self.name, UP_AXES, "up axis")
 
     @classmethod

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry.arrays import Booleans, Floats
 
 _UNIT_TOLERANCE = 0.01  # of a quaternion's length; rounded decimals deviate less
@@ -27,12 +28,7 @@ def nearest(wanted: str, names: Collection[str]) -> str:
 def check_stamps(stamps: NDArray[np.int64], where: str) -> Booleans:
     """Return the mask (N,) of valid timestamps, as `times` does.
 
-    Args:
-        stamps: (N,), nanoseconds.
-        where: File or topic, for messages.
-
-    Raises:
-        InputError: All timestamps are zero, or all are equal.
+    `stamps`: (N,), nanoseconds.
     """
     if len(stamps) and not stamps.any():
         raise InputError(f"{where}: all timestamps are zero; record the time of every measurement")
@@ -56,23 +52,24 @@ def times(stamps: NDArray[np.int64]) -> Booleans:
 
 def judge_rotations(
     quaternions: Floats | None,
-) -> tuple[Floats | None, tuple[str, ...]]:
-    """Return the quaternions (N, 4), xyzw, and notes about them.
+) -> tuple[Floats | None, tuple[Remark, ...]]:
+    """Return the quaternions (N, 4), xyzw, and remarks on them.
 
     The quaternions are None if the input is None or if all are the identity. They are returned
-    as given: the note reports quaternions that are not of unit length.
+    as given: the remark reports quaternions that are not of unit length.
     """
     if quaternions is None:
-        return None, ("no rotations: rotation metrics withheld",)
+        return None, (note("no_rotations", "no rotations: rotation metrics withheld"),)
     if len(quaternions) > 1 and not quaternions[:, :3].any():
-        return None, ("all rotations are identity: rotation metrics withheld",)
+        said = "all rotations are identity: rotation metrics withheld"
+        return None, (note("identity_rotations", said),)
     squares = np.einsum("ni,ni->n", quaternions, quaternions)
     odd = (np.abs(squares - 1.0) > 2.0 * _UNIT_TOLERANCE) & (squares > 1e-12)
     if not odd.any():
         return quaternions, ()
     lengths = np.sqrt(squares[odd])
     worst = float(lengths[np.abs(lengths - 1.0).argmax()])
-    note = (
+    said = (
         f"{counted(len(lengths), 'quaternion')} normalised, largest deviation: length {worst:.3g}"
     )
-    return quaternions, (note,)
+    return quaternions, (note("normalised", said),)

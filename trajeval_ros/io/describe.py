@@ -7,57 +7,47 @@ from pathlib import Path
 
 import numpy as np
 
+from trajeval_ros.diagnosis.input_tests import is_named_groundtruth
 from trajeval_ros.exceptions import InputError, reason_of
-from trajeval_ros.formatting.source_roles import is_named_groundtruth
+from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry.fixes import quality_of
+from trajeval_ros.geometry.reading import FORMATS
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.sources import Advance, parse_source, read_trajectory
-from trajeval_ros.io.text.hints import NO_HINTS, TextHints
+from trajeval_ros.io.text.layouts import NO_HINTS, TextHints
 
 LONG_GAP_S = 0.5  # association does not interpolate over longer gaps
 
 
 @dataclass(frozen=True)
 class TrajectorySummary:
-    """Key figures of a trajectory.
-
-    Attributes:
-        source: SOURCE of the trajectory.
-        kind: Message type, or format of the file.
-        poses: Number of states.
-        rate_hz: Inverse of the median time step; 0 without time steps.
-        first_ns: Earliest timestamp.
-        last_ns: Latest timestamp.
-        path_length_m: Length of the path.
-        mean_speed_mps: Path length divided by the duration; 0 without timestamps.
-        largest_speed_mps: Largest speed between consecutive states; 0 without timestamps.
-        frame: Fixed frame, "" if unknown.
-        child_frame: Frame of the body, "" if unknown.
-        holds: Quantities in addition to positions, such as "rotation".
-        gaps: Number of time steps longer than `LONG_GAP_S`.
-        longest_gap_s: Longest time step, seconds.
-        could_be: Likely role: "groundtruth", "estimate" or "estimate or groundtruth".
-        notes: Notes of the reader, and the number of dropped rows by reason.
-        problem: Reason why the trajectory can't be evaluated, "" if it can.
-    """
+    """Key figures of a trajectory."""
 
     source: str
-    kind: str
-    poses: int
-    rate_hz: float = 0.0
-    first_ns: int = 0
-    last_ns: int = 0
+    kind: str  # message type, or format of the file
+    poses: int  # number of states
+    rate_hz: float = 0.0  # inverse of the median time step; 0 without time steps
+    first_ns: int = 0  # earliest timestamp
+    last_ns: int = 0  # latest timestamp
     path_length_m: float = 0.0
-    mean_speed_mps: float = 0.0
+    mean_speed_mps: float = 0.0  # path length divided by the duration; 0 without timestamps
+    # Largest speed between consecutive states; 0 without timestamps.
     largest_speed_mps: float = 0.0
-    frame: str = ""
-    child_frame: str = ""
-    holds: tuple[str, ...] = ()
-    gaps: int = 0
-    longest_gap_s: float = 0.0
-    could_be: str = ""
-    notes: tuple[str, ...] = ()
-    problem: str = ""
+    frame: str = ""  # fixed frame, "" if unknown
+    child_frame: str = ""  # frame of the body, "" if unknown
+    holds: tuple[str, ...] = ()  # quantities in addition to positions, such as "rotation"
+    gaps: int = 0  # number of time steps longer than `LONG_GAP_S`
+    longest_gap_s: float = 0.0  # longest time step, seconds
+    could_be: str = ""  # likely role: "groundtruth", "estimate" or "estimate or groundtruth"
+    # Remarks of the reader, the quality of fixes, and the number of dropped rows by reason.
+    remarks: tuple[Remark, ...] = ()
+
+    @property
+    def said(self) -> tuple[str, ...]:
+        """The sentences of the remarks, except the format."""
+        return tuple(each.text for each in self.remarks if each.code not in FORMATS)
+
+    problem: str = ""  # reason why the trajectory can't be evaluated, "" if it can
 
 
 @dataclass(frozen=True)
@@ -74,21 +64,15 @@ class EdgeSummary:
 
 @dataclass(frozen=True)
 class Description:
-    """Contents of a source.
+    """Contents of a source."""
 
-    Attributes:
-        path: The file or directory.
-        trajectories: Trajectories in the source, also those with a problem.
-        edges: Transforms of the TF tree.
-        others: (topic, type, number of messages) of the topics without poses.
-        notes: Notes of the reader of a bag, damage included.
-    """
-
-    path: Path
+    path: Path  # the file or directory
+    # Trajectories in the source, also those with a problem.
     trajectories: tuple[TrajectorySummary, ...]
-    edges: tuple[EdgeSummary, ...] = ()
+    edges: tuple[EdgeSummary, ...] = ()  # transforms of the TF tree
+    # (topic, type, number of messages) of the topics without poses.
     others: tuple[tuple[str, str, int], ...] = ()
-    notes: tuple[str, ...] = ()
+    remarks: tuple[Remark, ...] = ()  # remarks of the reader of a bag
 
 
 def describe(
@@ -96,13 +80,8 @@ def describe(
 ) -> Description:
     """Return the contents of a SOURCE; for a bag without a topic, of all its topics.
 
-    Args:
-        source: As for `read_trajectory`, or a bag without a topic.
-        advance: Progress callback, called with the amount done and the total.
-        hints: Columns and frame rate of a text file, as the user states them.
-
-    Raises:
-        InputError: The source can't be read.
+    `advance`: progress callback, called with the amount done and the total. `hints`: columns and
+    frame rate of a text file, as the user states them.
     """
     parts = parse_source(source)
     if parts.is_bag and not parts.topic:
@@ -161,18 +140,13 @@ def _describe_bag(source: str, path: Path, advance: Advance | None) -> Descripti
                     )
             elif not topic.holds_transforms:
                 others.append((topic.name, topic.type, topic.count))
-        notes, damage = bag.findings([each.reading for each in readers])
+        remarks = bag.remarks([each.reading for each in readers])
     tree = sorted(edges.values(), key=lambda edge: (edge.topic, edge.is_static, edge.parent))
-    return Description(path, tuple(trajectories), tuple(tree), tuple(others), (*notes, *damage))
+    return Description(path, tuple(trajectories), tuple(tree), tuple(others), remarks)
 
 
 def summarize(source: str, trajectory: Trajectory) -> TrajectorySummary:
-    """Return the key figures of a trajectory.
-
-    Args:
-        source: SOURCE of the trajectory.
-        trajectory: As its reader returned it: the first note is the format.
-    """
+    """Return the key figures of a trajectory."""
     ordered = trajectory.in_order()
     steps = np.diff(ordered.stamps) / NANOSECONDS
     columns = {
@@ -183,18 +157,19 @@ def summarize(source: str, trajectory: Trajectory) -> TrajectorySummary:
         "covariance": trajectory.covariances,
     }
     holds = tuple(name for name, column in columns.items() if column is not None)
-    about_fixes = () if ordered.fixes is None else (quality_of(ordered.fixes),)
-    kind, *notes = (note.removeprefix("format: ") for note in ordered.notes)
-    dropped = tuple(
-        f"{count} dropped: {reason.replace('_', ' ')}" for reason, count in ordered.dropped.items()
-    )
-    unstamped = not trajectory.stamped
+    reading = ordered.reading
+    remarks = list(reading.remarks)
+    if reading.fixes is not None:
+        remarks.append(note("fix_quality", quality_of(reading.fixes)))
+    for reason, count in reading.dropped.items():
+        remarks.append(note("dropped", f"{count} dropped: {reason.replace('_', ' ')}"))
+    unstamped = not reading.stamped
     travelled = ordered.travelled
     speeds = np.zeros(0) if unstamped else np.diff(travelled) / steps
     still = unstamped or len(ordered) < 2
     return TrajectorySummary(
         source=source,
-        kind=kind,
+        kind=reading.format,
         poses=len(ordered),
         rate_hz=0.0 if unstamped else _rate_hz(ordered.stamps),
         first_ns=int(ordered.stamps[0]),
@@ -208,13 +183,13 @@ def summarize(source: str, trajectory: Trajectory) -> TrajectorySummary:
         gaps=0 if unstamped else int(np.count_nonzero(steps > LONG_GAP_S)),
         longest_gap_s=0.0 if unstamped else float(steps.max(initial=0.0)),
         could_be=_could_be(source, trajectory),
-        notes=(*notes, *about_fixes, *dropped),
+        remarks=tuple(remarks),
     )
 
 
 def _could_be(source: str, trajectory: Trajectory) -> str:
     """Return the likely role, from the name and from quantities that only estimators output."""
-    if trajectory.fixes is not None:
+    if trajectory.reading.fixes is not None:
         return "groundtruth"
     if is_named_groundtruth(source) or is_named_groundtruth(trajectory.frame):
         return "groundtruth"

@@ -19,34 +19,21 @@ _TEXTS = {".txt", ".csv", ".tum", ".kitti", ".dat", ".log", ".tsv", ""}
 
 @dataclass(frozen=True)
 class FoundSource:
-    """A bag or a file with a trajectory.
+    """A bag or a file with a trajectory."""
 
-    Attributes:
-        path: Path, starting with the searched folder.
-        kind: Format.
-        topics: Topics of a bag that contain poses or transforms.
-        problem: Reason why it can't be opened, "" if it can.
-    """
-
-    path: Path
-    kind: str
-    topics: tuple[str, ...] = ()
-    problem: str = ""
+    path: Path  # path, starting with the searched folder
+    kind: str  # format
+    topics: tuple[str, ...] = ()  # topics of a bag that contain poses or transforms
+    problem: str = ""  # reason why it can't be opened, "" if it can
 
 
 @dataclass(frozen=True)
 class FolderContents:
-    """Result of a search below a folder.
+    """Result of a search below a folder."""
 
-    Attributes:
-        sources: Found sources, sorted by path.
-        others: Number of files without a trajectory.
-        left_out: Descriptions of the files and folders that were not examined.
-    """
-
-    sources: tuple[FoundSource, ...]
-    others: int
-    left_out: tuple[str, ...]
+    sources: tuple[FoundSource, ...]  # found sources, sorted by path
+    others: int  # number of files without a trajectory
+    left_out: tuple[str, ...]  # descriptions of the files and folders that were not examined
 
 
 def find_sources(
@@ -54,9 +41,8 @@ def find_sources(
 ) -> FolderContents:
     """Return the bags and trajectory files below a folder, down to `DEEPEST` levels.
 
-    Args:
-        folder: Existing folder. Hidden subfolders and links to folders are not entered.
-        advance: Progress callback, called with the number of files done and their total.
+    `folder`: existing folder. Hidden subfolders and links to folders are not entered. `advance`:
+    progress callback, called with the number of files done and their total.
     """
     left_out: list[str] = []
     candidates: list[Path] = []

@@ -30,24 +30,17 @@ _UNKNOWN = 205  # grey value that ROS's map_saver writes for unknown cells
 
 @dataclass(frozen=True, eq=False)
 class GroundImage:
-    """An image in the xy plane of the fixed frame.
+    """An image in the xy plane of the fixed frame."""
 
-    Attributes:
-        pixels: (H, W) grey or (H, W, 3) colour values, 0 to 255, the top row first.
-        to_world: (2, 3), maps (u, v, 1) to x and y, metres. The upper left corner of the image
-            is u = v = 0, the lower right corner u = W, v = H.
-    """
-
+    # (H, W) grey or (H, W, 3) colour values, 0 to 255, the top row first.
     pixels: NDArray[np.uint8]
+    # (2, 3), maps (u, v, 1) to x and y, metres. The upper left corner of the image is u = v = 0,
+    # the lower right corner u = W, v = H.
     to_world: Floats
 
 
 def parse_bounds(text: str) -> tuple[float, float, float, float]:
-    """Return the bounds in a text "x0,y0,x1,y1": lower left and upper right corner, metres.
-
-    Raises:
-        SettingsError: The text is not four finite numbers with x0 < x1 and y0 < y1.
-    """
+    """Return the bounds in a text "x0,y0,x1,y1": lower left and upper right corner, metres."""
     try:
         x0, y0, x1, y1 = (float(each) for each in text.split(","))
     except ValueError:
@@ -65,14 +58,8 @@ def read_ground_image(
 ) -> GroundImage:
     """Read a ROS map (its YAML file), or an image.
 
-    Args:
-        path: The file.
-        bounds: Left, lower, right and upper edge of an image, metres. None to read the world
-            file next to the image: `.pgw` for `.png`, or `.wld`.
-
-    Raises:
-        InputError: A file can't be read or is not valid, or the world file is missing.
-        SettingsError: Bounds are given for a ROS map, whose YAML file has the position.
+    `bounds`: left, lower, right and upper edge of an image, metres. None to read the world file
+    next to the image: `.pgw` for `.png`, or `.wld`.
     """
     if path.suffix.lower() in (".yaml", ".yml"):
         if bounds is not None:

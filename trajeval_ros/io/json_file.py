@@ -1,11 +1,18 @@
-"""JSON texts: written without NaN, and read with limits of numbers."""
+"""JSON texts without NaN, read with limits of numbers, and the schemas that files name.
+
+The number in a schema, such as `trajeval-runs/1`, is the version. It is raised when a field is
+removed or changes its meaning, and not when a field is added.
+"""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
+
+from trajeval_ros.exceptions import InputError
 
 
 def json_text(value: Mapping[str, Any], indent: int | None = None) -> str:
@@ -40,3 +47,16 @@ def _integer(digits: str) -> int:
     if not -(2**63) <= (number := int(digits)) < 2**63:
         raise ValueError(digits)
     return number
+
+
+def require_schema(path: Path, found: object, known: str, what: str, advice: str) -> None:
+    """Check that a file has the supported schema."""
+    if found == known:
+        return
+    family = known.rpartition("/")[0]
+    if isinstance(found, str) and found.startswith(f"{family}/"):
+        raise InputError(
+            f"{path} has schema {found}, and this version reads {known}; {advice}, or use the "
+            "version that wrote it"
+        )
+    raise InputError(f"{path} is not a {what} ({known}); {advice}")

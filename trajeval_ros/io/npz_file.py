@@ -27,9 +27,6 @@ def write_arrays(path: Path, arrays: Mapping[str, Any], *, compressed: bool = Tr
 
     The archive is built in memory. If zipfile writes to a full disk itself, its open archive
     raises again when it is garbage collected.
-
-    Raises:
-        OSError: The file can't be written.
     """
     archive = BytesIO()
     save = np.savez_compressed if compressed else np.savez
@@ -38,15 +35,7 @@ def write_arrays(path: Path, arrays: Mapping[str, Any], *, compressed: bool = Tr
 
 
 def read_arrays(path: Path, names: Collection[str]) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an archive that have one of the names; other arrays are not read.
-
-    Raises:
-        InputError: The archive is damaged or does not fit into memory. Or an array contains
-            Python objects, differs in size from its header, or has a compression ratio above
-            `LARGEST_RATIO`.
-        FileNotFoundError: There is no such file.
-        PermissionError: The user has no permission to read the file.
-    """
+    """Return the arrays of an archive that have one of the names; other arrays are not read."""
     try:
         with zipfile.ZipFile(path) as archive:
             members = {each.filename.removesuffix(".npy"): each for each in archive.infolist()}

@@ -33,16 +33,7 @@ _WORLD = "map"  # parent frame of a transform if the trajectory names none
 
 
 def files_of(folder: Path, names: Sequence[str], kind: str) -> list[Path]:
-    """Return the paths that `save_trajectories` writes: one text file per name, or one bag.
-
-    Args:
-        folder: Output folder.
-        names: Names of the trajectories, all different.
-        kind: One of `FORMATS`.
-
-    Raises:
-        SettingsError: The format is unknown.
-    """
+    """Return the paths that `save_trajectories` writes: one text file per name, or one bag."""
     require_one_of(kind, FORMATS, "format")
     stems = [_NO_FILE.sub("_", name).strip("_") or "trajectory" for name in names]
     if kind in _BAGS:
@@ -55,17 +46,9 @@ def save_trajectories(
 ) -> list[Path]:
     """Write trajectories, every file completely or not at all, and return the paths.
 
-    Args:
-        folder: Output folder, created if it does not exist.
-        trajectories: Trajectories with different names.
-        kind: One of `FORMATS`. `mcap` is a file, `rosbag2` a folder with an sqlite3 file.
-        message: Message type in a bag, one of `MESSAGES`. The topic is the topic of the source,
-            or the name of the trajectory. `tf` writes all transforms to /tf.
-
-    Raises:
-        InputError: A file exists already or can't be written, or `tf` is chosen for a
-            trajectory without orientations.
-        SettingsError: The format or the message is unknown.
+    `kind`: one of `FORMATS`. `mcap` is a file, `rosbag2` a folder with an sqlite3 file. `message`:
+    message type in a bag, one of `MESSAGES`. The topic is the topic of the source, or the name of
+    the trajectory. `tf` writes all transforms to /tf.
     """
     paths = files_of(folder, [each.name for each in trajectories], kind)
     require_one_of(message, MESSAGES, "message")
@@ -103,7 +86,7 @@ def _topics(trajectories: Sequence[Trajectory]) -> list[str]:
     If all trajectories were read from different topics, these topics are kept. Otherwise the
     topics are made from the names.
     """
-    sources = [each.source.rpartition(":")[2] for each in trajectories]
+    sources = [each.reading.source.rpartition(":")[2] for each in trajectories]
     own = all(source.startswith("/") and "." not in source for source in sources)
     names = (
         sources

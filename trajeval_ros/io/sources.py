@@ -11,27 +11,29 @@ import dataclasses
 import difflib
 import os
 import re
+import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.formatting.install_command import extra_command
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.bags.byte_source import beginning_of
-from trajeval_ros.io.local_copy import local_file
-from trajeval_ros.io.text.hints import NO_HINTS, TextHints
+from trajeval_ros.io.text.layouts import NO_HINTS, TextHints
 from trajeval_ros.io.text.reader import read_text
-from trajeval_ros.io.urls import require_no_password
 
 Advance = Callable[[int, int], None]
 
+_AT_ONCE = 1 << 23  # bytes per request to a store
 _HEAD = 16  # bytes at the start of a file from which its format is detected
 _BAG_BEGINNINGS = (b"\x89MCAP0\r\n", b"SQLite format 3\0", b"#ROSBAG V")
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _URL = re.compile(r"[a-z][a-z0-9+.-]*://")
+_SECRET = re.compile(
+    r"[?&][^=&]*(token|secret|sig|password|passwd|credential|api_?key|accesskey|auth)[^=&]*=", re.I
+)
 _BAG_ENDINGS = (".mcap", ".db3", ".bag")
 STDIN = "-"  # the SOURCE for stdin
 _STDIN_PATH = "/dev/stdin"
@@ -40,21 +42,13 @@ _PARTS = 1000  # progress steps per file, if there are several files
 
 @dataclass(frozen=True)
 class Source:
-    """The parts of a SOURCE.
+    """The parts of a SOURCE."""
 
-    Attributes:
-        path: A file, or the directory of a rosbag2.
-        topic: Topic with its leading slash, "" if none is given.
-        frames: (parent, child) of a transform, or None.
-        is_bag: Whether the path is a bag.
-        is_pipe: Whether the path is a pipe, which can be read only once.
-    """
-
-    path: Path
-    topic: str
-    frames: tuple[str, str] | None
-    is_bag: bool
-    is_pipe: bool = False
+    path: Path  # a file, or the directory of a rosbag2
+    topic: str  # topic with its leading slash, "" if none is given
+    frames: tuple[str, str] | None  # (parent, child) of a transform, or None
+    is_bag: bool  # whether the path is a bag
+    is_pipe: bool = False  # whether the path is a pipe, which can be read only once
 
 
 def read_trajectory(
@@ -104,7 +98,7 @@ def read_many(
 ) -> list[Trajectory]:
     r"""Read the trajectories of several SOURCEs; a bag with several of them is read once.
 
-    The result for a source is the same as if it is read alone, including notes and damage.
+    The result for a source is the same as if it is read alone, including remarks.
 
     Args:
         sources: SOURCEs as for `read_trajectory`.
@@ -115,7 +109,7 @@ def read_many(
         hints: Columns and frame rate of text files; one value, or one per source.
 
     Returns:
-        One trajectory per source, in the same order. Its attribute `source` is the SOURCE.
+        One trajectory per source, in the same order. `reading.source` is the SOURCE.
 
     Raises:
         InputError: A source can't be read; the message states where, what and what to do. All
@@ -131,6 +125,12 @@ def read_many(
         ...     [len(each) for each in read_many([path, path])]
         [2, 2]
     """
+    for source in sources:
+        if not isinstance(source, str | Path):
+            raise InputError(
+                f"a source is a path or BAG:TOPIC, not {type(source).__name__}; for arrays and "
+                "tables, use Trajectory.from_matrices, from_positions or from_pandas"
+            )
     parsed = [parse_source(str(source)) for source in sources]
     flags = [covariances] * len(parsed) if isinstance(covariances, bool) else list(covariances)
     known = [hints] * len(parsed) if isinstance(hints, TextHints) else list(hints)
@@ -153,7 +153,7 @@ def read_many(
             if first.is_pipe and len(numbers) > 1:
                 raise InputError("a pipe can be read only once; use it for one source")
             if not first.is_bag:
-                with local_file(first.path) as file:
+                with _local_file(first.path) as file:
                     if first.is_pipe and _begins_as_bag(file):
                         raise InputError("a bag can't be read from a pipe; give the file")
                     text = read_text(file, own, known[numbers[0]], beside=first.path)
@@ -166,18 +166,16 @@ def read_many(
             ]
             trajectories = read_bag(first.path, wanted, own, strict=strict)
             read |= zip(numbers, trajectories, strict=True)
-    return [
-        dataclasses.replace(read[number], source=str(source))
-        for number, source in enumerate(sources)
-    ]
+    return [_with_source(read[number], str(source)) for number, source in enumerate(sources)]
+
+
+def _with_source(trajectory: Trajectory, source: str) -> Trajectory:
+    reading = dataclasses.replace(trajectory.reading, source=source)
+    return dataclasses.replace(trajectory, reading=reading)
 
 
 def each_topic(source: str) -> list[str]:
-    """Return the source itself, or for a bag without a topic one source per topic with poses.
-
-    Raises:
-        InputError: The file does not exist or can't be read.
-    """
+    """Return the source itself, or for a bag without a topic one source per topic with poses."""
     parts = parse_source(source)
     if not parts.is_bag or parts.topic:
         return [source]
@@ -221,10 +219,6 @@ def parse_source(source: str) -> Source:
     """Return the parts of a SOURCE.
 
     A path may contain colons. The longest existing path at the start of the SOURCE is taken.
-
-    Raises:
-        InputError: The file or directory does not exist, a topic is given for a text file, or
-            the frames are not `PARENT.CHILD`.
     """
     if not source:
         raise InputError("a source is empty; give a file or BAG:TOPIC")
@@ -286,7 +280,7 @@ def _split_path(source: str) -> tuple[Path, str]:
 def _nearest_name(missing: Path) -> str:
     """Return the end of a message: the file with the most similar name in the same directory."""
     try:
-        names = [entry.name for entry in missing.parent.iterdir()]
+        names = [entry.name for entry in missing.parent.iterdir() if entry.name != missing.name]
     except PermissionError:
         return f", or the folder {missing.parent} can't be read; check its permissions"
     except OSError:
@@ -296,15 +290,54 @@ def _nearest_name(missing: Path) -> str:
 
 
 def _begins_as_bag(path: Path) -> bool:
-    """Return whether a file is a bag of any format, from its first bytes.
-
-    Raises:
-        InputError: The file has the suffix of a bag and is empty.
-    """
-    beginning = beginning_of(path, _HEAD)
+    """Return whether a file is a bag of any format, from its first bytes."""
+    beginning = _beginning_of(path)
     if not beginning and path.suffix in _BAG_ENDINGS:
         raise InputError(f"{path} is empty; check that the recording has data")
     return beginning.startswith((*_BAG_BEGINNINGS, _ZSTD))
+
+
+def _beginning_of(path: Any) -> bytes:
+    """Return the first bytes of a path of this machine, or of universal_pathlib."""
+    if isinstance(path, Path):
+        with path.open("rb") as file:
+            return file.read(_HEAD)
+    from trajeval_ros.io.bags.byte_source import source_of
+
+    return source_of(path).read(0, _HEAD)  # an open file would fetch megabytes ahead
+
+
+@contextlib.contextmanager
+def _local_file(path: Any) -> Iterator[Path]:
+    """Yield a local file as it is, or a temporary copy of a pipe or of a remote object.
+
+    Messages about the copy name the original.
+    """
+    if isinstance(path, Path) and path.is_file():
+        yield path
+        return
+    from trajeval_ros.io.temporary import temporary_folder
+
+    with temporary_folder("copy") as folder:
+        copy = folder / path.name
+        with copy.open("wb") as writing:
+            if isinstance(path, Path):
+                with path.open("rb") as reading:
+                    shutil.copyfileobj(reading, writing)
+            else:
+                _download(path, writing)
+        try:
+            yield copy
+        except InputError as error:
+            raise InputError(str(error).replace(str(copy), str(path))) from error
+
+
+def _download(path: Any, writing: BinaryIO) -> None:
+    from trajeval_ros.io.bags.byte_source import source_of
+
+    source = source_of(path)
+    for offset in range(0, source.size, _AT_ONCE):
+        writing.write(source.read(offset, _AT_ONCE))
 
 
 def _parse_frames(topic: str, frames: str) -> tuple[str, str]:
@@ -318,3 +351,21 @@ def _parse_frames(topic: str, frames: str) -> tuple[str, str]:
             "`trajeval info BAG`)"
         )
     return parent, child
+
+
+def require_no_password(url: str) -> None:
+    """Check that a URL has no password or token, since results, tables and logs repeat the URL."""
+    scheme, _, rest = url.partition("://")
+    user, at, host = re.split(r"[/?#]", rest, maxsplit=1)[0].rpartition("@")
+    is_web = scheme.lower() in ("http", "https")
+    if _SECRET.search(rest):
+        raise InputError(
+            f"{scheme}://{host} has a secret in its query, which results and "
+            "logs repeat; download the file first"
+        )
+    # The form of github is OWNER:REPOSITORY@BRANCH.
+    if at and (is_web or ":" in user) and scheme.lower() != "github":
+        raise InputError(
+            f"{scheme}://{host} has a user name or password, which results and logs repeat; set "
+            "it in the environment, such as AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"
+        )

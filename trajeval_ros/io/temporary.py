@@ -18,9 +18,38 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from trajeval_ros.io.file_lock import is_at, lock
+try:
+    import fcntl
+except ImportError:  # not a POSIX system
+    fcntl = None  # type: ignore[assignment]
 
 _NAME = re.compile(r"\..*\.trajeval-[0-9a-f]{8}", re.DOTALL)
+
+
+def lock(file: int, *, wait: bool) -> bool:
+    """Take an exclusive lock on an open file or folder.
+
+    Returns:
+        Whether the lock was taken.
+    """
+    if fcntl is None:
+        raise OSError("this system does not support file locks")
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except BlockingIOError:
+        return False
+    return True
+
+
+def is_at(path: Path, file: int) -> bool:
+    """Return whether `path` is still the open file or folder `file`.
+
+    During the wait for a lock, another process can remove the file.
+    """
+    try:
+        return os.path.samestat(path.lstat(), os.fstat(file))
+    except FileNotFoundError:
+        return False
 
 
 @contextlib.contextmanager
@@ -38,9 +67,7 @@ def temporary_file(path: Path) -> Iterator[Path]:
 def temporary_folder(name: str, parent: Path | None = None) -> Iterator[Path]:
     """Yield an empty folder; it is removed with its contents after the block.
 
-    Args:
-        name: Purpose, a part of the folder's name.
-        parent: Parent folder; by default the system's folder for temporary files.
+    `parent`: parent folder; by default the system's folder for temporary files.
     """
     with _locked(parent or Path(tempfile.gettempdir()), name, _make_folder) as folder:
         try:
@@ -65,7 +92,13 @@ def _locked(parent: Path, name: str, make: Callable[[Path], int]) -> Iterator[Pa
     _collect_once(parent.resolve())
     while True:
         path = parent / f".{name}.trajeval-{secrets.token_hex(4)}"
-        file = make(path)
+        try:
+            file = make(path)
+        except FileNotFoundError:
+            # Another process can remove a folder before it is opened and locked.
+            if parent.is_dir():
+                continue
+            raise
         try:
             # If the file system has no locks, no process removes the file either.
             with contextlib.suppress(OSError):

@@ -11,11 +11,7 @@ from trajeval_ros.io.temporary import temporary_file
 
 
 def write_text(path: Path, text: str, *, follow_link: bool = False) -> None:
-    """Write a text in UTF-8 completely or not at all, as `write_whole` does.
-
-    Raises:
-        InputError: The file can't be written.
-    """
+    """Write a text in UTF-8 completely or not at all, as `write_whole` does."""
     write_whole(
         path,
         lambda temporary: temporary.write_text(text, encoding="utf-8"),
@@ -29,14 +25,10 @@ def write_whole(path: Path, write: Callable[[Path], object], *, follow_link: boo
     A pipe or a device is written directly.
 
     Args:
-        path: The file.
         write: Function that writes the file; called with the temporary path.
         follow_link: Whether to replace the target of a link. Use it only for files that the
             user named. Otherwise the link itself is replaced: a link in a folder of results is
             untrusted and must not select another file to overwrite.
-
-    Raises:
-        InputError: The file can't be written.
     """
     if follow_link or not path.is_symlink():
         if path.is_dir():
@@ -54,14 +46,7 @@ def write_whole(path: Path, write: Callable[[Path], object], *, follow_link: boo
 
 @contextlib.contextmanager
 def refused_by_disk(what: str) -> Iterator[None]:
-    """Convert an OSError in the block to a one-sentence InputError.
-
-    Args:
-        what: The file or folder, for the message.
-
-    Raises:
-        InputError: `what` can't be written.
-    """
+    """Convert an OSError in the block to a one-sentence InputError."""
     try:
         yield
     except OSError as error:

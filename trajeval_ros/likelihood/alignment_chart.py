@@ -31,18 +31,12 @@ def act(elements: Floats, poses: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Coordinates delta of a gauge's elements.
+    """Coordinates delta of a gauge's elements."""
 
-    Attributes:
-        gauge: Determines which of tau, phi and lam exist; for `yaw`, phi is about z only.
-        centre: c, (3,), metres: the groundtruth's centre, for numerical precision.
-    """
-
-    gauge: Gauge
-    centre: Floats
+    gauge: Gauge  # determines which of tau, phi and lam exist; for `yaw`, phi is about z only
+    centre: Floats  # c, (3,), metres: the groundtruth's centre, for numerical precision
 
     def __post_init__(self) -> None:
-        """Refuse gauge planar, whose residuals are no six-dimensional twists."""
         if self.gauge is Gauge.PLANAR:
             raise SettingsError("gauge planar is not supported for likelihoods; use yaw")
 

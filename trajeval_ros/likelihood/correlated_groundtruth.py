@@ -18,8 +18,8 @@ from trajeval_ros.geometry import se3, so3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood.alignment_chart import Chart, act
-from trajeval_ros.likelihood.mode import unit_diagonal
 from trajeval_ros.likelihood.relative_density import LOG_2_PI
+from trajeval_ros.likelihood.residuals import unit_diagonal
 
 _MOST_ITERATIONS = 30
 _SMALL_STEP = 1e-8
@@ -30,15 +30,11 @@ class CorrelatedGroundtruth:
     """A Markov groundtruth at Q times with all correlations and a tolerance.
 
     Positions are perturbed along the world's axes, rotations on the right, independently.
-
-    Attributes:
-        poses: (Q, 4, 4), the most likely ones.
-        positions: Covariance of the positions.
-        rotations: Covariance of the rotations; None without orientations on both sides.
     """
 
-    poses: Floats
-    positions: ObservedPosterior
+    poses: Floats  # (Q, 4, 4), the most likely ones
+    positions: ObservedPosterior  # covariance of the positions
+    # Covariance of the rotations; None without orientations on both sides.
     rotations: ObservedPosterior | None
 
     @classmethod
@@ -63,14 +59,8 @@ def joint_log_likelihood(
 ) -> float:
     """Return log L_AE, nats, by Laplace's approximation with the right Haar measure.
 
-    Args:
-        groundtruth: Groundtruth at the estimate's times.
-        estimate: (Q, 4, 4), in its own frame.
-        gauge: Gauge of the alignment.
-        start: An alignment (4, 4) near the most likely one.
-
-    Raises:
-        DegenerateGeometryError: The poses do not determine the alignment.
+    The estimate (Q, 4, 4) is in its own frame, at the times of the groundtruth. `start` is an
+    alignment (4, 4) near the most likely one.
     """
     chart = Chart(gauge, groundtruth.poses[:, :3, 3].mean(axis=0))
     element = start

@@ -14,12 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaln, ndtri
 
+from trajeval_ros.continuous_time.samples import Belief
+from trajeval_ros.geometry import se3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.likelihood.alignment_chart import act
-from trajeval_ros.likelihood.mode import Mode, find_mode
 from trajeval_ros.likelihood.relative_density import LOG_2_PI
-from trajeval_ros.likelihood.residuals import Residuals
+from trajeval_ros.likelihood.residuals import Mode, Residuals, find_mode, unit_diagonal
 
 # Largest number of poses with second derivatives by differences; above it they change a score by
 # less than 1e-5 nats.
@@ -33,25 +34,16 @@ _LARGE_RESIDUAL_RAD = 2.5
 
 @dataclass(frozen=True, eq=False)
 class AbsoluteErrorDensity:
-    """The generalised absolute error of an estimate.
+    """The generalised absolute error of an estimate."""
 
-    Attributes:
-        residuals: Groundtruth, estimate and gauge.
-        mode: The most likely alignment.
-        information: (d, d), minus the second derivative of the log density at the mode.
-        log_likelihood: Logarithm of L_AE, eq. (19), nats.
-        method: Method of integration, `laplace` or `importance`.
-        effective_share: Effective share of the draws in importance sampling; None for `laplace`.
-        statements: Remarks about the validity of the number, one sentence each.
-    """
-
-    residuals: Residuals
-    mode: Mode
-    information: Floats
-    log_likelihood: float
-    method: str
+    residuals: Residuals  # groundtruth, estimate and gauge
+    mode: Mode  # the most likely alignment
+    information: Floats  # (d, d), minus the second derivative of the log density at the mode
+    log_likelihood: float  # logarithm of L_AE, eq. (19), nats
+    method: str  # method of integration, `laplace` or `importance`
+    # Effective share of the draws in importance sampling; None for `laplace`.
     effective_share: float | None = None
-    statements: tuple[str, ...] = ()
+    statements: tuple[str, ...] = ()  # remarks about the validity of the number, one sentence each
 
     @property
     def nll_per_pose(self) -> float:
@@ -95,13 +87,6 @@ def generalised_absolute_error(residuals: Residuals) -> AbsoluteErrorDensity:
 
     Importance sampling is used if the standard deviation of the alignment's rotation exceeds
     0.3 rad.
-
-    Args:
-        residuals: Groundtruth, estimate and gauge.
-
-    Raises:
-        DegenerateGeometryError: The poses do not determine the alignment, or a groundtruth pose
-            has no variance.
     """
     mode = find_mode(residuals)
     information = mode.slope.information
@@ -120,7 +105,13 @@ def generalised_absolute_error(residuals: Residuals) -> AbsoluteErrorDensity:
 
 
 def laplace(mode: Mode, information: Floats) -> float:
-    """Return the log integral of a Gaussian with a mode's value and curvature."""
+    """Return the log integral of a Gaussian with a mode's value and curvature.
+
+    Raises:
+        DegenerateGeometryError: The curvature (d, d) is not positive definite.
+    """
+    if len(information):
+        unit_diagonal(information)
     return (
         mode.log_density
         + 0.5 * len(information) * LOG_2_PI
@@ -132,7 +123,13 @@ def full_information(residuals: Residuals, mode: Mode) -> Floats:
     """Return minus the second derivatives (d, d) at a mode, by differences of the gradient."""
     size = residuals.chart.dimension
     # The estimate is aligned beforehand, so that all differences have the same rounding errors.
-    residuals = dataclasses.replace(residuals, estimate=act(mode.element, residuals.estimate))
+    # Both are centred, because differences of gradients lose the digits of large coordinates.
+    centre, belief = residuals.chart.centre, residuals.belief
+    residuals = dataclasses.replace(
+        residuals,
+        belief=Belief(_centred(belief.poses, centre), belief.covariances),
+        estimate=_centred(act(mode.element, residuals.estimate), centre),
+    )
     steps = _STEP / np.sqrt(np.diag(mode.slope.information))
     information = np.empty((size, size))
     for axis in range(size):
@@ -145,6 +142,11 @@ def full_information(residuals: Residuals, mode: Mode) -> Floats:
         information[axis] = (far - 8.0 * near) / (12.0 * steps[axis])
     symmetric: Floats = 0.5 * (information + information.T)
     return symmetric
+
+
+def _centred(poses: Floats, centre: Floats) -> Floats:
+    """Return poses (M, 4, 4) with positions relative to a centre (3,)."""
+    return se3.poses(poses[:, :3, :3], poses[:, :3, 3] - centre)
 
 
 def importance(error: AbsoluteErrorDensity) -> tuple[float, float]:

@@ -25,17 +25,11 @@ from trajeval_ros.likelihood.residuals import Residuals
 
 @dataclass(frozen=True)
 class Condition:
-    """Agreement of a larger gauge's alignment with a smaller gauge.
+    """Agreement of a larger gauge's alignment with a smaller gauge."""
 
-    Attributes:
-        values: (k,), of the alignment: log scale, or rotation about x and y, rad.
-        sigmas: (k,), their standard deviations.
-        log_density: Log density at zero, nats.
-    """
-
-    values: tuple[float, ...]
-    sigmas: tuple[float, ...]
-    log_density: float
+    values: tuple[float, ...]  # (k,), of the alignment: log scale, or rotation about x and y, rad
+    sigmas: tuple[float, ...]  # (k,), their standard deviations
+    log_density: float  # log density at zero, nats
 
     @property
     def z(self) -> tuple[float, ...]:
@@ -45,41 +39,32 @@ class Condition:
 
 @dataclass(frozen=True)
 class GaugeScores:
-    """Scores of one estimate in three gauges.
+    """Scores of one estimate in three gauges."""
 
-    Attributes:
-        sim3: Log likelihood of the shape, nats; None without motion, which has no scale.
-        se3: With the scale.
-        yaw: With scale and tilt.
-        scale: The condition between `sim3` and `se3`; None with `sim3`.
-        tilt: The condition between `se3` and `yaw`.
-    """
-
-    sim3: float | None
-    se3: float
-    yaw: float
-    scale: Condition | None
-    tilt: Condition
+    sim3: float | None  # log likelihood of the shape, nats; None without a scale
+    se3: float  # with the scale
+    yaw: float  # with scale and tilt
+    scale: Condition | None  # the condition between `sim3` and `se3`; None with `sim3`
+    tilt: Condition  # the condition between `se3` and `yaw`
+    why_no_sim3: str = ""  # reason if `sim3` is None
 
 
 def gauge_scores(residuals: Residuals) -> GaugeScores:
-    """Return the scores of an estimate in all gauges, independent of its own.
-
-    Raises:
-        DegenerateGeometryError: The poses do not determine the alignment's rotation.
-    """
+    """Return the scores of an estimate in all gauges, independent of its own."""
     se3 = generalised_absolute_error(dataclasses.replace(residuals, gauge=Gauge.SE3))
     yaw = generalised_absolute_error(dataclasses.replace(residuals, gauge=Gauge.YAW))
     try:
         sim3 = generalised_absolute_error(dataclasses.replace(residuals, gauge=Gauge.SIM3))
-    except DegenerateGeometryError:
-        sim3 = None
+        why_no_sim3 = ""
+    except DegenerateGeometryError as error:
+        sim3, why_no_sim3 = None, str(error)
     return GaugeScores(
         None if sim3 is None else sim3.log_likelihood,
         se3.log_likelihood,
         yaw.log_likelihood,
         None if sim3 is None else _scale_of(sim3),
         _tilt_of(se3),
+        why_no_sim3,
     )
 
 

@@ -18,21 +18,17 @@ from trajeval_ros.continuous_time.samples import Belief
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.geometry import se3
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.block_tridiagonal import Factor
+from trajeval_ros.geometry.banded_matrices import Factor
 
 LOG_2_PI = float(np.log(2.0 * np.pi))
 
 
 @dataclass(frozen=True, eq=False)
 class RelativeErrorDensity:
-    """Log densities of M - 1 relative poses by edge.
+    """Log densities of M - 1 relative poses by edge."""
 
-    Attributes:
-        edges: (M - 1,), log p(e_i | e_1 ... e_{i-1}), nats; their sum is eq. (17).
-        whitened: (M - 1, 6), innovations of the edges given the previous ones, of unit variance.
-    """
-
-    edges: Floats
+    edges: Floats  # (M - 1,), log p(e_i | e_1 ... e_{i-1}), nats; their sum is eq. (17)
+    # (M - 1, 6), innovations of the edges given the previous ones, of unit variance
     whitened: Floats
 
     @property
@@ -55,23 +51,16 @@ def transports(poses: Floats) -> Floats:
 def stepwise(carriers: Floats, perturbations: Floats) -> Floats:
     """Return Q xi, xi_{i+1} - B_i xi_i, (M - 1, 6): eq. (14), the first order of eq. (13).
 
-    Args:
-        carriers: B_i, (M - 1, 6, 6), from `transports`.
-        perturbations: (M, 6), or residuals.
+    B_i (M - 1, 6, 6) are from `transports`. xi (M, 6) are perturbations or residuals.
     """
     steps: Floats = perturbations[1:] - se3.times(carriers, perturbations[:-1])
     return steps
 
 
 def relative_covariance(carriers: Floats, covariances: Floats) -> tuple[Floats, Floats]:
-    """Return the blocks of V_r = Q V Q^T, eq. (15).
+    """Return the blocks of V_r = Q V Q^T, eq. (15), for B_i from `transports`.
 
-    Args:
-        carriers: B_i, (M - 1, 6, 6), from `transports`.
-        covariances: (M, 6, 6), of the poses.
-
-    Returns:
-        Blocks (M - 1, 6, 6) on its diagonal and (M - 2, 6, 6) below it.
+    Blocks (M - 1, 6, 6) are on its diagonal and blocks (M - 2, 6, 6) below it.
     """
     diagonal = se3.congruent(carriers, covariances[:-1]) + covariances[1:]
     return diagonal, -carriers[1:] @ covariances[1:-1]
@@ -80,13 +69,8 @@ def relative_covariance(carriers: Floats, covariances: Floats) -> tuple[Floats, 
 def decomposed(belief: Belief, differences: Floats) -> RelativeErrorDensity:
     """Return P_RE, eq. (17), of differences (M - 1, 6) of relative poses by edge, in O(M).
 
-    Args:
-        belief: M groundtruth poses.
-        differences: Q eps(g*): residuals of aligned poses, re-linearised, from `stepwise`. With e
-            of eq. (16) the result is P_RE to the letter.
-
-    Raises:
-        DegenerateGeometryError: The covariances are not positive definite.
+    The differences are Q eps(g*): residuals of aligned poses, re-linearised, from `stepwise`. With
+    e of eq. (16) the result is P_RE to the letter.
     """
     try:
         factor = Factor.of(*relative_covariance(transports(belief.poses), belief.covariances))

@@ -19,56 +19,45 @@ from trajeval_ros.geometry.up_axis import UpAxis
 
 @dataclass(frozen=True, eq=False)
 class AbsoluteErrors:
-    """Errors of N aligned states; a quantity that is not available is None, never zeros.
+    """Errors of N aligned states; a quantity that is not available is None, never zeros."""
 
-    Attributes:
-        position_m: (N,), length of the position error.
-        horizontal_m: (N,), its component perpendicular to the groundtruth's up axis.
-        vertical_m: (N,), its component along the up axis, absolute value.
-        rotation_deg: (N,), angle of E.
-        yaw_deg: (N,), twist of E about the groundtruth's up axis, absolute value.
-        tilt_deg: (N,), angle between the up axis and its image under E: roll and pitch.
-        velocity_mps: (N,), length of the velocity error.
-        gyroscope_bias: (N,), rad/s, length of the difference, in the body frame.
-        accelerometer_bias: (N,), m/s^2, length of the difference, in the body frame.
-    """
-
-    position_m: Floats
+    position_m: Floats  # (N,), length of the position error
+    # (N,), its component perpendicular to the groundtruth's up axis.
     horizontal_m: Floats | None = None
-    vertical_m: Floats | None = None
-    rotation_deg: Floats | None = None
+    vertical_m: Floats | None = None  # (N,), its component along the up axis, absolute value
+    rotation_deg: Floats | None = None  # (N,), angle of E
+    # (N,), twist of E about the groundtruth's up axis, absolute value.
     yaw_deg: Floats | None = None
+    # (N,), angle between the up axis and its image under E: roll and pitch.
     tilt_deg: Floats | None = None
-    velocity_mps: Floats | None = None
+    velocity_mps: Floats | None = None  # (N,), length of the velocity error
+    # (N,), rad/s, length of the difference, in the body frame.
     gyroscope_bias: Floats | None = None
+    # (N,), m/s^2, length of the difference, in the body frame.
     accelerometer_bias: Floats | None = None
 
 
 def absolute_errors(
     groundtruth: Trajectory, aligned: Trajectory, form: str = "plain", *, rotation: bool = True
 ) -> AbsoluteErrors:
-    """Return the errors of an aligned estimate, eq. (23).
+    """Return the errors of N aligned states paired with groundtruth, eq. (23).
 
-    Args:
-        groundtruth: N states.
-        aligned: N states paired with the groundtruth and aligned to it, eq. (14).
-        form: `plain` or `tutorial`; the latter needs orientations on both sides.
-        rotation: False withholds all errors that depend on an undetermined rotation.
+    `form` is `plain` or `tutorial`, which needs orientations on both sides. `rotation=False`
+    withholds all errors that depend on an undetermined rotation.
     """
     velocities = aligned.velocities if rotation else None
-    truth_q, aligned_q = groundtruth.quaternions, aligned.quaternions
+    groundtruth_q, aligned_q = groundtruth.quaternions, aligned.quaternions
     angle = yaw = tilt = None
-    if truth_q is not None and aligned_q is not None and rotation:
+    if groundtruth_q is not None and aligned_q is not None and rotation:
         angle, yaw, tilt = lie.by_blocks(
             lambda true, other: angle_yaw_tilt(rotation_errors(true, other), groundtruth.up),
-            truth_q,
+            groundtruth_q,
             aligned_q,
         )
         if form == "tutorial" and velocities is not None:
-            velocities = lie.rotate(rotation_errors(truth_q, aligned_q), velocities)
+            velocities = lie.rotate(rotation_errors(groundtruth_q, aligned_q), velocities)
     position, horizontal, vertical = lie.by_blocks(
-        lambda errors: _parts(errors, groundtruth.up),
-        position_errors(groundtruth, aligned, form),
+        lambda errors: _parts(errors, groundtruth.up), position_errors(groundtruth, aligned, form)
     )
     return AbsoluteErrors(
         position_m=position,
@@ -94,10 +83,7 @@ def _parts(errors: Floats, up: UpAxis) -> tuple[Floats, Floats, Floats]:
 def position_errors(groundtruth: Trajectory, aligned: Trajectory, form: str) -> Floats:
     """Return the position errors (N, 3) in the groundtruth's frame, metres.
 
-    Args:
-        groundtruth: N states.
-        aligned: N states, aligned.
-        form: `tutorial` for p - E p', which needs orientations on both sides; p - p' otherwise.
+    Form `tutorial` is p - E p', which needs orientations on both sides; others are p - p'.
     """
     if form != "tutorial":
         return groundtruth.positions - aligned.positions
@@ -107,9 +93,9 @@ def position_errors(groundtruth: Trajectory, aligned: Trajectory, form: str) -> 
     return groundtruth.positions - lie.rotate(between, aligned.positions)
 
 
-def rotation_errors(truth_q: Floats, aligned_q: Floats) -> Floats:
+def rotation_errors(groundtruth_q: Floats, aligned_q: Floats) -> Floats:
     """Return the rotation errors E = R R'^T of eq. (23), (N, 4)."""
-    return lie.multiply(truth_q, lie.conjugate(aligned_q))
+    return lie.multiply(groundtruth_q, lie.conjugate(aligned_q))
 
 
 def angle_yaw_tilt(between: Floats, up: UpAxis) -> tuple[Floats, Floats, Floats]:
@@ -132,3 +118,35 @@ def _differences(groundtruth: Floats | None, estimate: Floats | None) -> Floats 
     if groundtruth is None or estimate is None:
         return None
     return lengths(groundtruth - estimate)
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorVectors:
+    """Errors of N aligned states, groundtruth minus estimate; None if not available."""
+
+    # (N, 3), along the axes of the groundtruth's frame. Its length is `AbsoluteErrors.position_m`.
+    position_world_m: Floats
+    # (N, 3), the same vector along the axes of the groundtruth's body.
+    position_body_m: Floats | None = None
+    # (N, 3), rotation vector of E = R R'^T, about the axes of the groundtruth's frame: roll,
+    # pitch, yaw. Its length is `AbsoluteErrors.rotation_deg`.
+    rotation_world_deg: Floats | None = None
+    # (N, 3), rotation vector of R'^T R, about the axes of the body. It is the same for the
+    # groundtruth's and the estimate's body: E keeps its own axis.
+    rotation_body_deg: Floats | None = None
+
+
+def error_vectors(
+    groundtruth: Trajectory, aligned: Trajectory, form: str, *, rotation: bool
+) -> ErrorVectors:
+    """Return the errors of `absolute_errors` axis by axis, before lengths are taken."""
+    position = position_errors(groundtruth, aligned, form)
+    if groundtruth.quaternions is None:
+        return ErrorVectors(position)
+    to_body = lie.conjugate(groundtruth.quaternions)
+    in_body = lie.rotate(to_body, position)
+    if aligned.quaternions is None or not rotation:
+        return ErrorVectors(position, in_body)
+    between = lie.normalized(rotation_errors(groundtruth.quaternions, aligned.quaternions))
+    turn = np.degrees(lie.rotation_vector(between))
+    return ErrorVectors(position, in_body, turn, lie.rotate(to_body, turn))

@@ -16,10 +16,8 @@ from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.similarity import Similarity
-from trajeval_ros.metrics.moments import Moments
-from trajeval_ros.metrics.orientation_sum import OrientationSum
+from trajeval_ros.geometry.gauge import Gauge, Similarity
+from trajeval_ros.metrics.moments import Moments, OrientationSum
 from trajeval_ros.metrics.rotation_freedom import RotationFreedom, rotation_freedom
 
 if TYPE_CHECKING:
@@ -36,26 +34,14 @@ _SAME_SCALE, _MOST_ROUNDS = 1e-12, 50
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """A fitted similarity, and how well the states determine it.
+    """A fitted similarity, and how well the states determine it."""
 
-    Attributes:
-        similarity: Maps the estimate's frame to the groundtruth's.
-        states_used: Number of states in the fit.
-        freedom: Uncertainty of the fitted rotation; None for a gauge without rotation, and for
-            an alignment by the pose of one state.
-        by_positions: The alignment by positions alone if orientations were included in the fit;
-            else None.
-
-    Example:
-        >>> from trajeval_ros import evaluate, simulate
-        >>> flight = simulate(seed=1, duration_s=30.0)
-        >>> evaluate(flight.groundtruth, flight.estimate).alignment.undetermined
-        ''
-    """
-
-    similarity: Similarity
-    states_used: int
+    similarity: Similarity  # maps the estimate's frame to the groundtruth's
+    states_used: int  # number of states in the fit
+    # Uncertainty of the fitted rotation; None for a gauge without rotation, and for an alignment
+    # by the pose of one state.
     freedom: RotationFreedom | None = None
+    # The alignment by positions alone if orientations were included in the fit; else None.
     by_positions: Similarity | None = None
 
     @property
@@ -97,8 +83,6 @@ def solve(
     """Return the least-squares alignment, eq. (13): Alg. 1, with eq. (18) for gauge yaw.
 
     Args:
-        gauge: The group of the alignment.
-        moments: Sums over the states' positions.
         orientations: Sum over the same states; None if a side has no orientations.
         align_with: `positions`, or `poses` to include orientations in the cost: the mean of
             |p - s R q - t|^2 + l^2 |A - R B|^2 / 2, with rotations A and B. The length l is the
@@ -137,14 +121,9 @@ def _fit(
 ) -> tuple[Similarity, float, bool]:
     """Return the alignment, the best scale for its rotation, and whether the rotation is free.
 
-    The rotation is free if the cost is constant, up to rounding, along some rotation.
-
-    Args:
-        gauge: A gauge with a rotation.
-        moments: Sums over positions.
-        pull: (3, 3), the term of the orientations, added to s Sigma before the rotation is
-            computed.
-        scale: Initial scale; it has no effect if `pull` is zero.
+    The rotation is free if the cost is constant, up to rounding, along some rotation. `pull` (3,
+    3) is the term of the orientations; it is added to s Sigma before the rotation is computed. The
+    initial scale has no effect if `pull` is zero.
     """
     sigma = moments.covariance_pq
     for _ in range(_MOST_ROUNDS):
@@ -212,7 +191,7 @@ def align(
         gauge: The group of the alignment, or its name.
         groundtruth: (N, 3), metres. Gauge `planar` ignores the height for the rotation.
         estimate: (N, 3), in units of the estimate.
-        weights: (N,), positive, one per pair (see `weighted_alignment`); None for equal weights.
+        weights: (N,), positive, one per pair (see `pair_alignment`); None for equal weights.
         orientations: (N, 4) xyzw of the groundtruth and of the estimate, to measure how well
             positions determine the rotation; None if a side has none.
         align_with: `positions` or `poses`, see `solve`; `poses` needs `orientations`.
@@ -262,12 +241,7 @@ def align_first(
     estimate_position: Floats,
     estimate_quaternion: Floats | None,
 ) -> Alignment:
-    """Align by the pose of one state: eq. (19), for gauge yaw with the rotation of eq. (20).
-
-    Raises:
-        DegenerateGeometryError: Gauge `sim3`, since one state has no scale; a gauge with a
-            rotation without orientations on both sides; a yaw that is not defined.
-    """
+    """Align by the pose of one state: eq. (19), for gauge yaw with the rotation of eq. (20)."""
     if gauge.has_scale:
         raise DegenerateGeometryError(
             "one state does not determine a scale, so gauge sim3 can't be aligned by the first "

@@ -11,7 +11,10 @@ which are sparse. `continuous` evaluates a model of the groundtruth's motion, al
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass, field
+from datetime import datetime, timezone
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,17 +22,17 @@ import numpy as np
 from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
 from trajeval_ros.continuous_time.samples import Noise
 from trajeval_ros.exceptions import NoMatchError, SettingsError, require_one_of
+from trajeval_ros.formatting.numbers import significant
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Indices
-from trajeval_ros.geometry.dropped_counts import add_counts
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.metrics.bracket import between, bracket_stamps
-from trajeval_ros.metrics.completeness import completeness
+from trajeval_ros.geometry.valid_poses import add_counts
+from trajeval_ros.metrics.completeness import Interpolation, InterpolationMeter, completeness
 from trajeval_ros.metrics.coverage import Coverage, coverage_of
-from trajeval_ros.metrics.frame_association import match_rows
-from trajeval_ros.metrics.interpolation import Interpolation, InterpolationMeter
+from trajeval_ros.metrics.lost_tracking import frozen_ns
 from trajeval_ros.metrics.nearest_association import nearest_pairs
-from trajeval_ros.metrics.no_match import LATEST_CLOCK_S, explain_no_match
+from trajeval_ros.metrics.other_programs import match_frames
+from trajeval_ros.metrics.statistics import median
 
 if TYPE_CHECKING:
     from trajeval_ros.continuous_time.continuous_trajectory import ContinuousTrajectory
@@ -72,7 +75,6 @@ class AssociationRule:
     noise: Noise = field(default_factory=Noise)
 
     def __post_init__(self) -> None:
-        """Refuse unknown names and numbers out of range."""
         require_one_of(self.method, METHODS, "association")
         for name in ("max_time_difference_s", "max_gap_s"):
             if not 0.0 < getattr(self, name) <= _LONGEST_S:
@@ -98,39 +100,29 @@ class AssociationRule:
 
 @dataclass(frozen=True, eq=False)
 class Association:
-    """N pairs of states, and the number of states without a pair.
-
-    Attributes:
-        rule: The settings of the association.
-        groundtruth: N groundtruth states at the timestamps of the pairs.
-        estimate: N estimated states, in the estimate's frame.
-        estimate_coverage: Share of the estimate's usable states that are in a pair; None for
-            `groundtruth-stamps`, where it is not defined.
-        coverage: Share of the groundtruth's time that the pairs cover. Groundtruth gaps do not
-            count, except for `continuous`, which pairs in gaps, too.
-        dropped: Number of states without a pair by reason: of the estimate, or of the groundtruth
-            for `groundtruth-stamps`.
-        continuous: The groundtruth's model, for `continuous`; else None.
-        groundtruth_rows: (N,) index of the groundtruth state of every pair; None if the
-            groundtruth was interpolated.
-        from_the_start: Whether the first pair has the first estimated state.
-        interpolation: Of the estimate, for `groundtruth-stamps`; None if no pair is between two of
-            its states.
-    """
+    """N pairs of states, and the number of states without a pair."""
 
     rule: AssociationRule
-    groundtruth: Trajectory
-    estimate: Trajectory
+    groundtruth: Trajectory  # N groundtruth states at the timestamps of the pairs
+    estimate: Trajectory  # N estimated states, in the estimate's frame
+    # Share of the estimate's usable states that are in a pair; None for `groundtruth-stamps` and
+    # for points, where it is not defined.
     estimate_coverage: float | None
+    # Share of the groundtruth's time that the pairs cover. Groundtruth gaps do not count, except
+    # for `continuous`, which pairs in gaps, too.
     coverage: Coverage
+    # Number of states without a pair by reason: of the estimate, or of the groundtruth for
+    # `groundtruth-stamps`.
     dropped: dict[str, int]
+    # The groundtruth's model, for `continuous`; else None.
     continuous: ContinuousTrajectory | None = None
+    # (N,) index of the groundtruth state of every pair; None if the groundtruth was interpolated.
     groundtruth_rows: Indices | None = None
-    from_the_start: bool = True
+    from_the_start: bool = True  # whether the first pair has the first estimated state
+    # Of the estimate, for `groundtruth-stamps`; None if no pair is between two of its states.
     interpolation: Interpolation | None = None
 
     def __len__(self) -> int:
-        """Return the number of pairs."""
         return len(self.estimate)
 
     @property
@@ -143,6 +135,14 @@ class Association:
         """Whether both sides have orientations."""
         return self.groundtruth.quaternions is not None and self.estimate.quaternions is not None
 
+    @cached_property
+    def has_headings_only(self) -> bool:
+        """Whether the estimate has 2-D headings, and the groundtruth has tilt."""
+        true, other = self.groundtruth.quaternions, self.estimate.quaternions
+        if true is None or other is None or other[:, :2].any():
+            return False
+        return bool(true[:, :2].any())
+
     @property
     def is_at_groundtruth(self) -> bool:
         """Whether pairs are at the groundtruth's timestamps; coverage then counts its states."""
@@ -152,59 +152,71 @@ class Association:
 def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule) -> Association:
     """Pair the states of two trajectories.
 
-    Args:
-        groundtruth: M states.
-        estimate: States in their own frame.
-        rule: The settings.
-
-    Raises:
-        NoMatchError: There is no pair; the message has both time ranges and the likely cause.
-        InputError: A trajectory has no usable state, or rows cannot be paired (`match_rows`).
+    `estimate`: states in their own frame.
     """
     rule = rule.for_kind(groundtruth.kind)
     groundtruth.require_usable()
     estimate.require_usable()
     offset = round(rule.time_offset_s * NANOSECONDS)
     shifted = dataclasses.replace(estimate, stamps=estimate.stamps + offset)
-    continuous = truth_rows = None
-    by_row = rule.method == "index" or not (groundtruth.stamped and estimate.stamped)
+    continuous = groundtruth_rows = None
+    by_row = rule.method == "index" or not (
+        groundtruth.reading.stamped and estimate.reading.stamped
+    )
     if by_row:
         rule = dataclasses.replace(rule, method="index")
-        truth_rows, rows, dropped = match_rows(groundtruth, estimate)
-        truth = groundtruth[truth_rows]
+        groundtruth_rows, rows, dropped = match_frames(groundtruth, estimate)
+        paired = groundtruth[groundtruth_rows]
     elif rule.method == "linear":
-        truth, rows, dropped = _interpolated(groundtruth.in_order(), shifted, rule)
+        paired, rows, dropped = _interpolated(groundtruth.in_order(), shifted, rule)
     elif rule.method == AT_GROUNDTRUTH:
         return _at_groundtruth(groundtruth, estimate, shifted, rule)
     elif rule.method == "continuous":
         from trajeval_ros.continuous_time.continuous_trajectory import fit_trajectory
 
         continuous = fit_trajectory(groundtruth.in_order(), rule.model, rule.noise)
-        truth, rows, dropped = _modelled(groundtruth, shifted, continuous)
+        paired, rows, dropped = _modelled(groundtruth, shifted, continuous)
     else:
-        truth_rows, rows = nearest_pairs(groundtruth, shifted, rule)
-        truth = groundtruth[truth_rows]
+        groundtruth_rows, rows = nearest_pairs(
+            groundtruth, shifted, rule.method, rule.max_time_difference_s
+        )
+        paired = groundtruth[groundtruth_rows]
         unmatched = len(estimate) - _distinct(rows, len(estimate))
         dropped = {"no_groundtruth_within_max_time_difference": unmatched}
     if len(rows) == 0:
         raise NoMatchError(explain_no_match(groundtruth, shifted, rule, dropped))
+    share: float | None = _distinct(rows, len(estimate)) / len(estimate)
+    completed = None
+    if groundtruth.kind == "points" and groundtruth_rows is not None and not by_row:
+        known = np.unique(groundtruth_rows)
+        share, completed = None, completeness(groundtruth, known)
+        dropped = {"no_estimate_within_max_time_difference": len(groundtruth) - len(known)}
     pairs = shifted[rows]
     # Without timestamps in the estimate, a pair has the groundtruth's.
-    stamps = truth.stamps if by_row and groundtruth.stamped else pairs.stamps
-    truth = dataclasses.replace(truth, stamps=stamps)
+    stamps = paired.stamps if by_row and groundtruth.reading.stamped else pairs.stamps
+    paired = dataclasses.replace(paired, stamps=stamps)
     # Coverage counts a groundtruth state once, also if several pairs share it.
-    once = truth if truth_rows is None else truth[np.unique(truth_rows, return_index=True)[1]]
+    once = (
+        paired
+        if groundtruth_rows is None
+        else paired[np.unique(groundtruth_rows, return_index=True)[1]]
+    )
     return Association(
         rule=rule,
-        groundtruth=truth,
+        groundtruth=paired,
         estimate=dataclasses.replace(pairs, stamps=stamps),
-        estimate_coverage=_distinct(rows, len(estimate)) / len(estimate),
-        coverage=coverage_of(
-            groundtruth, once, rule.max_gap_s, in_gaps=rule.method == "continuous"
+        estimate_coverage=share,
+        coverage=completed
+        or coverage_of(
+            groundtruth,
+            once,
+            rule.max_gap_s,
+            in_gaps=rule.method == "continuous",
+            frozen_ns=0 if by_row else frozen_ns(paired, pairs, rule.max_gap_s),
         ),
-        dropped=add_counts(estimate.dropped, dropped),
+        dropped=add_counts(estimate.reading.dropped, dropped),
         continuous=continuous,
-        groundtruth_rows=truth_rows,
+        groundtruth_rows=groundtruth_rows,
         from_the_start=bool(pairs.stamps[0] == shifted.stamps[0]),
     )
 
@@ -217,20 +229,12 @@ def _modelled(
     stamps = estimate.stamps[rows]
     poses = continuous.at(stamps).poses
     oriented = groundtruth.quaternions is not None
-    truth = dataclasses.replace(
-        groundtruth,
-        stamps=stamps,
+    paired = groundtruth.moved_to(
+        stamps,
         positions=np.ascontiguousarray(poses[:, :3, 3]),
         quaternions=lie.from_matrices(poses[:, :3, :3]) if oriented else None,
-        velocities=None,
-        gyroscope_biases=None,
-        accelerometer_biases=None,
-        covariances=None,
-        frames=None,
-        matrices=None,
-        fixes=None,
     )
-    return truth, rows, _outside(groundtruth.stamps, estimate.stamps)
+    return paired, rows, _outside(groundtruth.stamps, estimate.stamps)
 
 
 def _outside(times: Indices, stamps: Indices) -> dict[str, int]:
@@ -245,9 +249,8 @@ def _interpolated(
     groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule
 ) -> tuple[Trajectory, Indices, dict[str, int]]:
     """Interpolate the groundtruth at the estimate's timestamps."""
-    bracket = bracket_stamps(groundtruth.stamps, estimate.stamps, rule.max_gap_s)
-    rows = np.flatnonzero(bracket.usable)
-    return between(groundtruth, estimate.stamps, bracket), rows, bracket.dropped("groundtruth")
+    paired, bracket = groundtruth.at(estimate.stamps, rule.max_gap_s)
+    return paired, np.flatnonzero(bracket.usable), bracket.dropped("groundtruth")
 
 
 def _at_groundtruth(
@@ -257,21 +260,21 @@ def _at_groundtruth(
 
     Coverage is completeness: the share of the groundtruth's states that are in a pair.
     """
-    truth, states = groundtruth.in_order(), shifted.in_order()
-    bracket = bracket_stamps(states.stamps, truth.stamps, rule.max_gap_s)
+    groundtruth, states = groundtruth.in_order(), shifted.in_order()
+    between, bracket = states.at(groundtruth.stamps, rule.max_gap_s)
     rows = np.flatnonzero(bracket.usable)
     dropped = bracket.dropped("estimate")
     if not len(rows):
-        raise NoMatchError(explain_no_match(truth, states, rule, dropped))
+        raise NoMatchError(explain_no_match(groundtruth, states, rule, dropped))
     meter = InterpolationMeter()
     meter.add(states.stamps, states.positions)
     return Association(
         rule=rule,
-        groundtruth=truth[rows],
-        estimate=between(states, truth.stamps, bracket),
+        groundtruth=groundtruth[rows],
+        estimate=between,
         estimate_coverage=None,
-        coverage=completeness(truth, rows),
-        dropped=add_counts(estimate.dropped, dropped),
+        coverage=completeness(groundtruth, rows),
+        dropped=add_counts(estimate.reading.dropped, dropped),
         groundtruth_rows=rows,
         interpolation=meter.found if bracket.is_between else None,
     )
@@ -282,3 +285,79 @@ def _distinct(rows: Indices, count: int) -> int:
     named = np.zeros(count, dtype=bool)
     named[rows] = True
     return int(np.count_nonzero(named))
+
+
+LATEST_CLOCK_S = 5e9  # the year 2128
+_DAY_S = 86_400.0
+# Wrong time zones and clocks that start at zero differ by less.
+_OTHER_RECORDING_S = 2.0 * _DAY_S
+
+
+def explain_no_match(
+    groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule, dropped: dict[str, int]
+) -> str:
+    """Return both time ranges and the likely cause, as one sentence.
+
+    The estimate has the time offset applied. `dropped` counts the states without a pair.
+    """
+
+    def span(trajectory: Trajectory) -> tuple[float, float]:
+        return trajectory.stamps.min() / NANOSECONDS, trajectory.stamps.max() / NANOSECONDS
+
+    groundtruth_s, estimate_s = span(groundtruth), span(estimate)
+    covered = (
+        f"the groundtruth covers {_clock(*groundtruth_s)}, the estimate {_clock(*estimate_s)}"
+    )
+    text = f"no pairs: {covered}"
+    if dropped.get("in_groundtruth_gap"):
+        return (
+            f"{text}; all common timestamps are in groundtruth gaps longer than "
+            f"{rule.max_gap_s:g} s (median step {_step_s(groundtruth):.3g} s); increase the max "
+            "gap, or use association continuous"
+        )
+    if dropped.get("in_estimate_gap"):
+        return (
+            f"{text}; all common timestamps are in estimate gaps longer than {rule.max_gap_s:g} "
+            f"s (median step {_step_s(estimate):.3g} s); use association linear, or increase the "
+            "max gap"
+        )
+    if groundtruth_s[0] <= estimate_s[1] and estimate_s[0] <= groundtruth_s[1]:
+        if "no_groundtruth_within_max_time_difference" not in dropped:
+            return (
+                f"{text}; they overlap, but no timestamp of one side is within the other; check "
+                "the number of digits of the timestamps"
+            )
+        return (
+            f"{text}; they overlap, but all time differences exceed "
+            f"{rule.max_time_difference_s:g} s; use association linear, or increase the max "
+            "time difference"
+        )
+    thousands = math.log10(max(groundtruth_s[1], 1e-9) / max(estimate_s[1], 1e-9)) / 3.0
+    as_other_unit = abs(thousands) > 0.5 and abs(thousands - round(thousands)) < 0.01
+    if as_other_unit or max(groundtruth_s[1], estimate_s[1]) > LATEST_CLOCK_S:
+        return f"{text}; the units of the timestamps probably differ (seconds, milliseconds)"
+    if min(groundtruth_s[1], estimate_s[1]) < 1e7 and max(groundtruth_s[1], estimate_s[1]) > 1e8:
+        return f"{text}; one counts from zero (simulated time), the other is a system clock"
+    apart = max(groundtruth_s[0] - estimate_s[1], estimate_s[0] - groundtruth_s[1])
+    if apart > _OTHER_RECORDING_S:
+        days = f"{apart / _DAY_S:.0f} days"
+        return f"{text}, {days} apart; the estimate is probably of another recording"
+    shift = groundtruth_s[0] - estimate_s[0]
+    return (
+        f"{text}, {significant(apart, 6)} s apart; for a constant clock difference, set the time "
+        f"offset (for a common start: {shift:.6f} s)"
+    )
+
+
+def _step_s(trajectory: Trajectory) -> float:
+    """Return the median step between timestamps, seconds."""
+    return median(np.diff(np.sort(trajectory.stamps))) / NANOSECONDS
+
+
+def _clock(start: float, end: float) -> str:
+    """Return a time range in seconds, with the date if the clock is a Unix clock."""
+    text = f"{start:.3f} to {end:.3f} s"
+    if 1e8 < start < 2e10:
+        day = datetime.fromtimestamp(start, tz=timezone.utc).strftime("%Y-%m-%d %H:%M:%S")
+        text += f" ({day} UTC)"
+    return text

@@ -20,11 +20,7 @@ Columns = Mapping[str, NDArray[Any]]
 
 
 def arrow_table(columns: Columns) -> pyarrow.Table:
-    """Return columns of equal lengths as an Arrow table.
-
-    Raises:
-        InputError: pyarrow is not installed.
-    """
+    """Return columns of equal lengths as an Arrow table."""
     pyarrow = _load_pyarrow()
     return pyarrow.table({name: arrow_array(pyarrow, array) for name, array in columns.items()})
 
@@ -48,17 +44,7 @@ def arrow_array(pyarrow: Any, column: NDArray[Any]) -> Any:
 
 
 def write_parquet(path: Path, tables: Sequence[Columns], metadata: Mapping[str, str]) -> None:
-    """Write tables one after the other to a Parquet file; columns that a table lacks are null.
-
-    Args:
-        path: The file.
-        tables: Tables of columns; the columns of a table have equal lengths.
-        metadata: Key-value metadata of the file.
-
-    Raises:
-        InputError: pyarrow is not installed.
-        OSError: The file can't be written.
-    """
+    """Write tables one after the other to a Parquet file; columns that a table lacks are null."""
     pyarrow = _load_pyarrow()
     from pyarrow import parquet
 
@@ -91,11 +77,7 @@ def _load_pyarrow() -> Any:
 
 
 def pandas_frame(columns: Columns) -> pandas.DataFrame:
-    """Return columns of equal lengths as a pandas data frame.
-
-    Raises:
-        InputError: pandas is not installed.
-    """
+    """Return columns of equal lengths as a pandas data frame."""
     try:
         import pandas
     except ImportError as error:

@@ -1,16 +1,19 @@
-"""Completeness: the share of the groundtruth's states that have an estimate.
+"""Pairs at the timestamps of fixes and points: completeness, and the error of interpolation.
 
-This is the coverage of pairs at the timestamps of fixes and points. These are too sparse to
-measure coverage by time.
+Completeness is the share of the groundtruth's states that have an estimate. It is the coverage of
+these pairs, because fixes and points are too sparse to measure coverage by time.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.coverage import Coverage, Gap
+from trajeval_ros.metrics.statistics import LogHistogram
 
 
 class CompletenessSums:
@@ -21,7 +24,6 @@ class CompletenessSums:
     """
 
     def __init__(self) -> None:
-        """Create sums without a state."""
         self._states = self._found = 0
         self._first_ns = self._newest_ns = 0
         self._found_ns: tuple[int, int] | None = None  # first and last stamp with an estimate
@@ -31,14 +33,9 @@ class CompletenessSums:
         self._longest: Gap | None = None
 
     def add(self, stamps: Stamps, positions: Floats, found: Booleans) -> None:
-        """Add states in order of their timestamps.
+        """Add N states in order of their timestamps (ns); `found` marks those with an estimate.
 
         States older than those of earlier calls are only counted.
-
-        Args:
-            stamps: (N,), nanoseconds.
-            positions: (N, 3), metres.
-            found: (N,) whether the state has an estimate.
         """
         self._states += len(stamps)
         self._found += int(np.count_nonzero(found))
@@ -92,9 +89,7 @@ class CompletenessSums:
 def completeness(groundtruth: Trajectory, rows: Indices) -> Coverage:
     """Return the coverage of pairs at the groundtruth's timestamps: the share of its states.
 
-    Args:
-        groundtruth: M states, in order.
-        rows: (N,) indices of the states that are in a pair, N > 0.
+    The groundtruth is in order; `rows` (N,) are the states that are in a pair, N > 0.
     """
     found = np.zeros(len(groundtruth), dtype=bool)
     found[rows] = True
@@ -103,3 +98,45 @@ def completeness(groundtruth: Trajectory, rows: Indices) -> Coverage:
     coverage = sums.coverage()
     assert coverage is not None
     return coverage
+
+
+_MOST = 0.99  # of the second differences: a jump of the estimate is no curve
+_EIGHTH = 0.125
+
+
+@dataclass(frozen=True)
+class Interpolation:
+    """The states between which pairs are interpolated."""
+
+    step_s: float  # mean time from one to the next
+    # Upper bound of the error of nearly all interpolated positions, in the estimate's unit of
+    # length: an eighth of the second differences.
+    off_m: float
+
+
+class InterpolationMeter:
+    """Measures states that come in order, in batches of any size, at a constant cost."""
+
+    def __init__(self) -> None:
+        self._curves = LogHistogram()
+        self._count = self._first_ns = self._last_ns = 0
+        self._newest: Floats = np.empty((0, 3))  # positions, two of them
+
+    def add(self, stamps: Stamps, positions: Floats) -> None:
+        """Take states: stamps (N,), nanoseconds, and positions (N, 3)."""
+        if not len(stamps):
+            return
+        if not self._count:
+            self._first_ns = int(stamps[0])
+        self._count, self._last_ns = self._count + len(stamps), int(stamps[-1])
+        path = np.concatenate([self._newest, positions])
+        self._curves.add(np.linalg.norm(np.diff(path, n=2, axis=0), axis=1))
+        self._newest = path[-2:].copy()
+
+    @property
+    def found(self) -> Interpolation | None:
+        """What the states tell so far; None of fewer than three."""
+        if self._count < 3:
+            return None
+        step_s = (self._last_ns - self._first_ns) / NANOSECONDS / (self._count - 1)
+        return Interpolation(step_s, _EIGHTH * self._curves.quantile(_MOST))

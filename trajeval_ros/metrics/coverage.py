@@ -2,21 +2,23 @@
 
 An estimate at the camera's rate was lost during a step much longer than usual. Keyframes are
 chosen by motion, so slow motion makes long steps. For keyframes, only a long step with more motion
-than usual is a loss; the motion is the groundtruth's.
+than usual is a loss; the motion is the groundtruth's. While the estimate repeats its pose and the
+groundtruth moves, it was lost, too (`RepeatedPoses`).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from trajeval_ros.formatting.numbers import percent
-from trajeval_ros.geometry.arrays import Booleans, Indices
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.metrics.log_histogram import LogHistogram
-from trajeval_ros.metrics.pair_steps import PairSteps, StampedPoses, StepMeter, waypoints
+from trajeval_ros.metrics.statistics import LogHistogram
 
 # Steps are between keyframes if their 90 % quantile exceeds this time, and this multiple of the
 # median. Fewer steps than this give no reliable quantile.
@@ -34,16 +36,11 @@ _NO_GAP_NS = int(np.iinfo(np.int64).max)
 
 @dataclass(frozen=True)
 class Gap:
-    """A period in which the estimate was lost.
+    """A period in which the estimate was lost."""
 
-    Attributes:
-        duration_s: Its duration without gaps of the groundtruth.
-        reach_m: Largest distance of the groundtruth from its position at the start.
-        turn_deg: Largest rotation of the groundtruth since the start; None without orientations.
-    """
-
-    duration_s: float
-    reach_m: float
+    duration_s: float  # its duration without gaps of the groundtruth
+    reach_m: float  # largest distance of the groundtruth from its position at the start
+    # Largest rotation of the groundtruth since the start; None without orientations.
     turn_deg: float | None
 
     def __str__(self) -> str:
@@ -54,25 +51,12 @@ class Gap:
 
 @dataclass(frozen=True)
 class Coverage:
-    """The share of the groundtruth's time that pairs cover, gaps of the groundtruth excluded.
+    """The share of the groundtruth's time that pairs cover, gaps of the groundtruth excluded."""
 
-    Attributes:
-        covered: Share of the time in which the estimate was tracked.
-        span: Share of the time from the first to the last pair.
-        keyframes: Whether the pairs are keyframes, with uneven steps.
-        longest_gap: The longest step between pairs that is not covered; None if all are.
-
-    Example:
-        >>> from trajeval_ros import evaluate, simulate
-        >>> flight = simulate(seed=1, duration_s=30.0)
-        >>> coverage = evaluate(flight.groundtruth, flight.estimate).association.coverage
-        >>> 0.9 < coverage.covered < coverage.span <= 1.0
-        True
-    """
-
-    covered: float
-    span: float
-    keyframes: bool = False
+    covered: float  # share of the time in which the estimate was tracked
+    span: float  # share of the time from the first to the last pair
+    keyframes: bool = False  # whether the pairs are keyframes, with uneven steps
+    # The longest step between pairs that is not covered; None if all are.
     longest_gap: Gap | None = None
 
     @property
@@ -99,11 +83,7 @@ class CoverageSums:
     """
 
     def __init__(self, max_gap_s: float) -> None:
-        """Create sums without a step.
-
-        Args:
-            max_gap_s: Longest step that always counts as covered.
-        """
+        """Create sums without a step; steps up to `max_gap_s` always count as covered."""
         self._max_gap_s = max_gap_s
         self._steps = 0
         self._time_ns = self._short_ns = 0
@@ -122,13 +102,12 @@ class CoverageSums:
         if is_long.any():
             self._long.append(steps.where(is_long))
 
-    def coverage(self, time_ns: int, states: int) -> Coverage:
+    def coverage(self, time_ns: int, states: int, frozen_ns: int) -> Coverage:
         """Return the coverage of the pairs.
 
-        Args:
-            time_ns: Groundtruth time without gaps, nanoseconds. If it is 0 (every step is a gap),
-                the share of states is returned instead.
-            states: Number of groundtruth states.
+        `time_ns` is the groundtruth's time without gaps. If it is 0 (every step is a gap), the
+        share of the groundtruth's states is returned instead. `frozen_ns` is the time of frozen
+        estimates.
         """
         if time_ns == 0:
             share = min(1.0, (self._steps + 1) / states)
@@ -137,7 +116,7 @@ class CoverageSums:
         keyframes = (
             self._steps >= _FEWEST_STEPS and most_s > _KEYFRAMES_S and most_s > _UNEVEN * usual_s
         )
-        covered_ns, gap = self._short_ns, None
+        covered_ns, gap = max(0, self._short_ns - frozen_ns), None
         if self._long:
             steps = PairSteps(*map(np.concatenate, zip(*self._long, strict=True)))
             self._long = [steps]
@@ -174,15 +153,18 @@ def _longest(steps: PairSteps) -> Gap | None:
 
 
 def coverage_of(
-    groundtruth: Trajectory, pairs: Trajectory, max_gap_s: float, *, in_gaps: bool = False
+    groundtruth: Trajectory,
+    pairs: Trajectory,
+    max_gap_s: float,
+    *,
+    in_gaps: bool = False,
+    frozen_ns: int = 0,
 ) -> Coverage:
     """Return the share of the groundtruth's time that pairs cover.
 
-    Args:
-        groundtruth: All M states.
-        pairs: The groundtruth states of the N pairs, N > 0, without repetition.
-        max_gap_s: Longest step of either side that is no gap, seconds.
-        in_gaps: Whether pairs exist in gaps of the groundtruth, so that gaps count as time.
+    `pairs` are the groundtruth states of the pairs, at least one, without repetition. Steps of
+    either side up to `max_gap_s` are no gaps. `in_gaps`: pairs exist in gaps of the groundtruth,
+    so that gaps count as time. `frozen_ns` is the time of frozen estimates.
     """
     max_gap_ns = _NO_GAP_NS if in_gaps else round(max_gap_s * NANOSECONDS)
     order = np.argsort(groundtruth.stamps, kind="stable")
@@ -193,10 +175,143 @@ def coverage_of(
     within = found._replace(stamps=found.stamps.clip(times[0], times[-1]))
     sums = CoverageSums(max_gap_s)
     sums.add(StepMeter(max_gap_ns).measure(StampedPoses.of(groundtruth, needed), within))
-    return sums.coverage(time_without_gaps(times, max_gap_ns), len(groundtruth))
+    return sums.coverage(time_without_gaps(times, max_gap_ns), len(groundtruth), frozen_ns)
 
 
 def time_without_gaps(stamps: Indices, max_gap_ns: int) -> int:
     """Return the sum of the steps between sorted stamps (N,) that are no gaps, nanoseconds."""
     steps = stamps[1:] - stamps[:-1]
     return int(steps[steps <= max_gap_ns].sum())
+
+
+# 20 Hz resolves the motion of a robot and needs little memory.
+_CELL_NS = 50_000_000
+POSE = slice(0, 7)  # columns of the pose in a state
+
+
+class StampedPoses(NamedTuple):
+    """Poses in order of their timestamps."""
+
+    stamps: Stamps  # (N,) int64, nanoseconds
+    poses: Floats  # (N, 7), position and quaternion xyzw; the latter NaN if unknown
+
+    @classmethod
+    def of(cls, trajectory: Trajectory, rows: Indices) -> StampedPoses:
+        """Return rows of a trajectory; the rows are in order of time."""
+        turned = trajectory.quaternions
+        poses = np.empty((len(rows), POSE.stop))
+        poses[:, :3] = trajectory.positions[rows]
+        poses[:, 3:] = np.nan if turned is None else turned[rows]
+        return cls(trajectory.stamps[rows], poses)
+
+    @classmethod
+    def joined(cls, parts: Sequence[StampedPoses]) -> StampedPoses:
+        """Return consecutive parts as one; empty for no parts."""
+        if not parts:
+            return cls(np.empty(0, dtype=np.int64), np.empty((0, POSE.stop)))
+        return cls(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+class PairSteps(NamedTuple):
+    """N steps between N + 1 consecutive pairs."""
+
+    time_ns: Indices  # (N,) duration without gaps of the groundtruth, nanoseconds
+    # (N,) largest distance of the groundtruth from its position at the start of the step; 0 for
+    # steps of up to 50 ms.
+    reach_m: Floats
+    turn_rad: Floats  # (N,) largest rotation since the start of the step; NaN without orientations
+
+    def where(self, chosen: Booleans) -> PairSteps:
+        """Return the steps of a mask (N,)."""
+        return PairSteps(self.time_ns[chosen], self.reach_m[chosen], self.turn_rad[chosen])
+
+
+def waypoints(stamps: Stamps, max_gap_ns: int) -> Booleans:
+    """Return which groundtruth states (N,) are needed to measure steps, by their sorted stamps.
+
+    These are the first state of every 50 ms and both ends of longer steps, so that gaps keep their
+    length. The choice depends only on a state's timestamp and its neighbours'.
+    """
+    cell = min(_CELL_NS, max(max_gap_ns // 2, 1))
+    needed = np.ones(len(stamps), dtype=bool)
+    step = stamps[1:] - stamps[:-1]
+    cells = stamps // cell
+    needed[1:-1] = (cells[1:-1] != cells[:-2]) | (step[1:] > cell)
+    return needed
+
+
+class StepMeter:
+    """Measures steps from batches of pairs and groundtruth, of any size, in order."""
+
+    def __init__(self, max_gap_ns: int) -> None:
+        """Create it before the first pair; longer steps of the groundtruth are gaps."""
+        self._max_gap_ns = max_gap_ns
+        self._last: tuple[int, int] | None = None  # last waypoint: stamp, time without gaps
+        self._begin: Floats | None = None  # pose of the newest pair
+        self._stamp = self._begin_ns = 0  # newest pair: stamp, time without gaps
+        self._reach_m = self._turn_rad = 0.0  # since the newest pair
+
+    def measure(self, groundtruth: StampedPoses, pairs: StampedPoses) -> PairSteps:
+        """Return the steps that end at N new pairs, from the groundtruth's poses of these pairs.
+
+        `groundtruth` has the waypoints since the last call: all up to the newest pair, possibly
+        some after it.
+        """
+        times = self._time_without_gaps(groundtruth.stamps, pairs.stamps)
+        if not len(pairs.stamps) and self._begin is None:
+            return PairSteps(times, np.empty(0), np.empty(0))
+        # Step k ends at pair k. Waypoints after the last pair belong to the open step.
+        count = len(pairs.stamps)
+        begin = pairs.poses[:1] if self._begin is None else self._begin
+        known = pairs.poses if count else begin
+        ends_at = pairs.stamps.searchsorted(groundtruth.stamps)
+        reach, turn = np.zeros(count + 1), np.zeros(count + 1)
+        reach[0], turn[0] = self._reach_m, self._turn_rad
+        is_long = np.append(np.diff(pairs.stamps, prepend=self._stamp) > _CELL_NS, True)
+        for poses, ends in ((pairs.poses, np.arange(count)), (groundtruth.poses, ends_at)):
+            rows = np.flatnonzero(is_long[ends])
+            before = ends[rows] - 1
+            begins = np.where(before[:, None] < 0, begin, known[before])
+            distance, angle = _apart(begins, poses[rows])
+            np.maximum.at(reach, ends[rows], distance)
+            with np.errstate(invalid="ignore"):  # unknown angles
+                np.maximum.at(turn, ends[rows], angle)
+        reach[~is_long] = turn[~is_long] = 0.0
+        # The first pair ends no step.
+        first = int(self._begin is None)
+        time_ns = np.diff(times, prepend=self._begin_ns)[first:]
+        if count:
+            self._begin_ns, self._stamp = int(times[-1]), int(pairs.stamps[-1])
+        self._begin = known[-1:].copy()
+        self._reach_m, self._turn_rad = float(reach[-1]), float(turn[-1])
+        return PairSteps(time_ns, reach[first:-1], turn[first:-1])
+
+    def _time_without_gaps(self, groundtruth: Stamps, stamps: Stamps) -> Indices:
+        """Return the time without gaps up to stamps (N,); advance to the last waypoint (M,)."""
+        since_ns = 0
+        if self._last is not None:
+            groundtruth = np.concatenate([[self._last[0]], groundtruth])
+            since_ns = self._last[1]
+        if not len(groundtruth):
+            return np.zeros(len(stamps), dtype=np.int64)
+        step = groundtruth[1:] - groundtruth[:-1]
+        is_gap = step > self._max_gap_ns
+        until = since_ns + np.concatenate([[0], np.cumsum(np.where(is_gap, 0, step))])
+        place = (groundtruth.searchsorted(stamps, side="right") - 1).clip(0)
+        beyond = (stamps - groundtruth[place]).clip(0)
+        # A longer time after the last waypoint can only be an open gap.
+        in_gap = np.append(is_gap, False)[place] | (beyond > self._max_gap_ns)
+        self._last = int(groundtruth[-1]), int(until[-1])
+        times: Indices = until[place] + np.where(in_gap, 0, beyond)
+        return times
+
+
+def _apart(one: Floats, other: Floats) -> tuple[Floats, Floats]:
+    """Return distances and angles between poses (N, 7), metres and radians."""
+    # By components, so that the digits do not depend on the size of the batch.
+    x, y, z = (one[:, i] - other[:, i] for i in range(3))
+    same, opposite = (
+        sum((one[:, i] - sign * other[:, i]) ** 2 for i in range(3, 7)) for sign in (1.0, -1.0)
+    )
+    half_chord = np.sqrt(np.minimum(same, opposite)) / 2.0
+    return np.sqrt(x * x + y * y + z * z), 4.0 * np.arcsin(np.minimum(half_chord, 1.0))

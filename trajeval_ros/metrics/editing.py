@@ -5,22 +5,32 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError, require_one_of
 from trajeval_ros.geometry.arrays import Indices
-from trajeval_ros.geometry.flattening import PLANES, flattened
-from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.frame_axes import (
+    AXES,
+    between_own_axes,
+    upright,
+    with_body_axes,
+    with_world_axes,
+)
+from trajeval_ros.geometry.gauge import Gauge, Similarity
 from trajeval_ros.geometry.marker import HandEye
-from trajeval_ros.geometry.merging import merged
-from trajeval_ros.geometry.optical_axes import AXES, with_body_axes, with_world_axes
-from trajeval_ros.geometry.similarity import Similarity
-from trajeval_ros.geometry.thinning import at_rate, by_motion, evenly
-from trajeval_ros.geometry.time_span import TimeSpan
+from trajeval_ros.geometry.pose_conventions import Conventions
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.geometry.upright import between_own_axes, upright
+from trajeval_ros.geometry.trajectory_edits import (
+    PLANES,
+    TimeSpan,
+    at_rate,
+    by_motion,
+    evenly,
+    flattened,
+    merged,
+)
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import AssociationRule, associate
 from trajeval_ros.metrics.pair_alignment import align_pairs
@@ -33,41 +43,29 @@ class Editing:
 
     Frames are changed before states are removed, so that an alignment uses all states, and motion
     filters measure distances in the frame of the result.
-
-    Attributes:
-        time_span: Period to keep; relative times count from the reference's first timestamp, or
-            from the trajectory's own without a reference.
-        merge: Join all trajectories to one.
-        world_axes: Convention of the fixed frame's axes, see `optical_axes`.
-        body_axes: Convention of the body's axes, see `optical_axes`.
-        right: Pose of the new body in the present one: T <- T T_right.
-        left: Pose of the present frame in the new one, with a scale: T <- T_left T.
-        align: Protocol of the alignment to the reference.
-        synchronise: Association with the reference; only states in pairs are kept.
-        plane: One of `PLANES`, to project on.
-        motion: Least distance (m) and angle (rad) between states, see `by_motion`.
-        rate_hz: Largest number of states per second.
-        poses: Largest number of states, evenly spread.
-
-    Raises:
-        SettingsError: Unknown names, or values out of range.
     """
 
+    # How the trajectories are written, if their reader assumed something else.
+    conventions: Conventions = field(default_factory=Conventions)
+    # Period to keep; relative times count from the reference's first timestamp, or from the
+    # trajectory's own without a reference.
     time_span: TimeSpan | None = None
-    merge: bool = False
-    world_axes: str | None = None
-    body_axes: str | None = None
-    right: Similarity | None = None
+    merge: bool = False  # join all trajectories to one
+    world_axes: str | None = None  # convention of the fixed frame's axes, see `frame_axes`
+    body_axes: str | None = None  # convention of the body's axes, see `frame_axes`
+    right: Similarity | None = None  # pose of the new body in the present one: T <- T T_right
+    # Pose of the present frame in the new one, with a scale: T <- T_left T.
     left: Similarity | None = None
-    align: Protocol | None = None
+    align: Protocol | None = None  # protocol of the alignment to the reference
+    # Association with the reference; only states in pairs are kept.
     synchronise: AssociationRule | None = None
-    plane: str | None = None
+    plane: str | None = None  # one of `PLANES`, to project on
+    # Least distance (m) and angle (rad) between states, see `by_motion`.
     motion: tuple[float, float] | None = None
-    rate_hz: float | None = None
-    poses: int | None = None
+    rate_hz: float | None = None  # largest number of states per second
+    poses: int | None = None  # largest number of states, evenly spread
 
     def __post_init__(self) -> None:
-        """Refuse unknown names and values out of range."""
         for axes in (self.world_axes, self.body_axes):
             if axes is not None:
                 require_one_of(axes, AXES, "axes")
@@ -88,33 +86,18 @@ class Editing:
 
 @dataclass(frozen=True, eq=False)
 class Edited:
-    """An edited trajectory.
-
-    Attributes:
-        trajectory: The states.
-        reference: The reference's states in the same rows after synchronisation; else None.
-        alignment: The alignment to the reference; None without one.
-    """
+    """An edited trajectory."""
 
     trajectory: Trajectory
+    # The reference's states in the same rows after synchronisation; else None.
     reference: Trajectory | None = None
-    alignment: Alignment | None = None
+    alignment: Alignment | None = None  # the alignment to the reference; None without one
 
 
 def edit(
     trajectories: Sequence[Trajectory], reference: Trajectory | None, editing: Editing
 ) -> list[Edited]:
-    """Return the edited trajectories.
-
-    Args:
-        trajectories: Trajectories with names.
-        reference: Trajectory to align and to synchronise to, in its own frame; None for none.
-        editing: The operations.
-
-    Raises:
-        InputError: A trajectory cannot be edited; the message starts with its name.
-        SettingsError: An operation needs a reference and there is none.
-    """
+    """Return the edited trajectories; the reference serves to align and to synchronise."""
     if reference is None and (editing.align is not None or editing.synchronise is not None):
         raise SettingsError(
             "alignment and synchronisation need a reference; give --reference SOURCE"
@@ -124,6 +107,7 @@ def edit(
     parts = []
     for trajectory in trajectories:
         with _named(trajectory):
+            trajectory = editing.conventions.corrected(trajectory)
             parts.append(_cut(trajectory.in_order(), reference, editing.time_span))
     if editing.merge:
         parts = [merged(parts)]
@@ -176,23 +160,13 @@ def _in_wanted_frames(trajectory: Trajectory, editing: Editing) -> Trajectory:
 def aligned_to(
     reference: Trajectory, trajectory: Trajectory, protocol: Protocol
 ) -> tuple[Trajectory, Alignment]:
-    """Return all states in the reference's frame, and the alignment.
-
-    Args:
-        reference: Trajectory in its own frame, which is the frame of the result.
-        trajectory: Trajectory in its own frame.
-        protocol: Gauge, association and states to align by, as in an evaluation.
-
-    Raises:
-        InputError: There are no pairs.
-        DegenerateGeometryError: The pairs do not determine the alignment.
-    """
-    truth, estimate = reference, trajectory
+    """Return all states in the reference's own frame, and the alignment."""
+    groundtruth, estimate = reference, trajectory
     if protocol.is_upright:
-        truth, estimate = upright(truth), upright(estimate)
+        groundtruth, estimate = upright(groundtruth), upright(estimate)
     if protocol.gauge is Gauge.PLANAR:
-        truth, estimate = flattened(truth, "xy"), flattened(estimate, "xy")
-    pairs = associate(truth, estimate, protocol.association)
+        groundtruth, estimate = flattened(groundtruth, "xy"), flattened(estimate, "xy")
+    pairs = associate(groundtruth, estimate, protocol.association)
     alignment = align_pairs(pairs, protocol)
     similarity = alignment.similarity
     if protocol.is_upright:
@@ -208,7 +182,7 @@ def _kept(trajectory: Trajectory, editing: Editing) -> Indices:
     if editing.motion is not None:
         rows = by_motion(trajectory, *editing.motion)
     if editing.rate_hz is not None:
-        if not trajectory.stamped:
+        if not trajectory.reading.stamped:
             raise InputError("no timestamps, which a rate needs")
         rows = rows[at_rate(trajectory.stamps[rows], editing.rate_hz)]
     if editing.poses is not None:

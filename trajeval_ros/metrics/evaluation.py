@@ -12,29 +12,35 @@ from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.formatting.numbers import counted, percent
+from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Indices
-from trajeval_ros.geometry.flattening import flattened
+from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.metrics.absolute_errors import AbsoluteErrors, absolute_errors
+from trajeval_ros.geometry.trajectory_edits import flattened
+from trajeval_ros.metrics.absolute_errors import (
+    AbsoluteErrors,
+    ErrorVectors,
+    absolute_errors,
+    error_vectors,
+)
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH, Association, associate
 from trajeval_ros.metrics.columns import arrow_table, pandas_frame
-from trajeval_ros.metrics.drift import Drift
+from trajeval_ros.metrics.other_programs import pose_errors
 from trajeval_ros.metrics.pair_alignment import align_pairs
-from trajeval_ros.metrics.pose_relations import pose_errors
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.relative_errors import RelativeErrors
 from trajeval_ros.metrics.relative_evaluation import (
+    Drift,
     SubTrajectoryErrors,
     relative_evaluation,
     rmse_text,
 )
 from trajeval_ros.metrics.score import Recall, Score, point_errors
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
-from trajeval_ros.metrics.sub_trajectory_length import Length
+from trajeval_ros.metrics.sub_trajectories import Length
 
 if TYPE_CHECKING:
     import pandas
@@ -55,11 +61,10 @@ class Evaluation:
         alignment: From the estimate's frame to the groundtruth's.
         absolute: Errors of every pair.
         ate: Statistics of the absolute errors by metric; None if a metric is not available.
-        segments: Relative errors by length; None if they are not available.
+        relative: Relative errors by length; None if they are not available.
         pooled: Statistics of `position_percent` and `rotation_deg_per_m` over the
             sub-trajectories of all lengths in metres, as in the KITTI ranking; None without any.
-        warnings: Warnings about the validity of the numbers, one sentence each, added by the
-            pipeline.
+        remarks: What is said about the validity of the numbers, added by the pipeline.
         score: Score by the protocol's table of points; None without a table.
         recall: Recall of the groundtruth's points; None without a recall rule.
 
@@ -80,9 +85,9 @@ class Evaluation:
     alignment: Alignment
     absolute: AbsoluteErrors
     ate: dict[str, Statistics | None]
-    segments: tuple[SubTrajectoryErrors, ...] | None
+    relative: tuple[SubTrajectoryErrors, ...] | None
     pooled: dict[str, Statistics | None]
-    warnings: tuple[str, ...]
+    remarks: tuple[Remark, ...]
     score: Score | None = None
     recall: Recall | None = None
 
@@ -92,17 +97,36 @@ class Evaluation:
         return self.alignment.similarity.trajectory(self.association.estimate)
 
     @property
+    def warnings(self) -> tuple[str, ...]:
+        """The sentences of the remarks that question numbers, the most severe one first."""
+        return tuple(each.text for each in self.remarks if each.level > Level.NOTE)
+
+    @property
+    def error_vectors(self) -> ErrorVectors:
+        """The errors of the pairs axis by axis, in the world and in the body."""
+        return error_vectors(
+            self.association.groundtruth,
+            self.aligned,
+            self.protocol.ate_form,
+            rotation=self.absolute.rotation_deg is not None,
+        )
+
+    @property
     def withheld(self) -> str:
         """The reason why rotation and velocity errors are withheld; empty if they are not."""
         return self.alignment.why_withheld(self.protocol)
 
     @property
     def drift(self) -> Drift | None:
-        """The drift over the longest sub-trajectories in metres; None if there are none."""
+        """The drift over the longest sub-trajectories in metres; None if there are none.
+
+        It is withheld with the rotation errors: if the orientations are of another body, the
+        alignment of every sub-trajectory by its first state is wrong.
+        """
         drifts = [
-            Drift(percent, segment.length_m)
-            for segment in self.segments or ()
-            if segment.length_m is not None and (percent := segment.statistics["position_percent"])
+            Drift(percent, part.length_m)
+            for part in (() if self.withheld else self.relative or ())
+            if part.length_m is not None and (percent := part.statistics["position_percent"])
         ]
         return max(drifts, key=lambda drift: drift.length_m, default=None)
 
@@ -124,10 +148,10 @@ class Evaluation:
         if length is None:
             return {"stamps": self.association.estimate.stamps, **_columns_of(self.absolute)}
         wanted = Length.of(length)
-        for segment in self.segments or ():
-            if segment.length == wanted:
-                return _columns_of(segment.errors)
-        known = ", ".join(str(segment.length) for segment in self.segments or ()) or "none"
+        for part in self.relative or ():
+            if part.length == wanted:
+                return _columns_of(part.errors)
+        known = ", ".join(str(part.length) for part in self.relative or ()) or "none"
         raise SettingsError(f"no relative errors of {wanted}; available: {known}")
 
     def to_arrow(self, length: Length | float | str | None = None) -> pyarrow.Table:
@@ -148,13 +172,13 @@ class Evaluation:
 
     def __repr__(self) -> str:
         """Return a summary of the errors in a few lines, without arrays."""
-        pairs, segments = self.association, self.segments or ()
+        pairs = self.association
         lines = [
             f"<Evaluation of {self.estimate.name or 'unnamed'}: gauge "
             f"{self.protocol.gauge.value}, {counted(len(pairs), 'pair')}, "
             f"{percent(pairs.groundtruth_coverage)} of groundtruth",
             f"  ATE: {rmse_text(self.ate)}",
-            *(f"  RE {part.length}: {rmse_text(part.statistics)}" for part in segments),
+            *(f"  RE {part.length}: {rmse_text(part.statistics)}" for part in self.relative or ()),
         ]
         if self.warnings:
             lines.append(f"  warnings: {len(self.warnings)}")
@@ -166,7 +190,7 @@ class Evaluation:
 
         names = ("rmse", "mean", "median", "std", "max", "count")
         groups = [("ATE", self.ate)]
-        groups += [(f"RE {part.length}", part.statistics) for part in self.segments or ()]
+        groups += [(f"RE {part.length}", part.statistics) for part in self.relative or ()]
         rows = [
             (kind, metric, *(f"{getattr(values, name):.4g}" for name in names))
             for kind, statistics in groups
@@ -193,14 +217,7 @@ def evaluate(
 ) -> Evaluation:
     """Evaluate an estimated trajectory against groundtruth.
 
-    Args:
-        groundtruth: M states.
-        estimate: States in their own frame.
-        protocol: The settings; None for the default protocol.
-
-    Raises:
-        InputError: A trajectory cannot be evaluated; `NoMatchError` if there is no pair.
-        DegenerateGeometryError: Too few states, or no motion, for the gauge's alignment.
+    `estimate`: states in their own frame. `protocol`: the settings; None for the default protocol.
     """
     protocol = protocol or Protocol()
     if protocol.in_order:
@@ -247,17 +264,9 @@ def _for_positions(protocol: Protocol) -> Protocol:
 def evaluate_pairs(
     pairs: Association, groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol
 ) -> Evaluation:
-    """Evaluate pairs: align them and compute errors and statistics.
+    """Evaluate pairs by a protocol: align them and compute errors and statistics.
 
-    Args:
-        pairs: States paired by the protocol's rule.
-        groundtruth: All groundtruth states.
-        estimate: All estimated states, in their own frame.
-        protocol: The settings.
-
-    Raises:
-        InputError: The pairs lack data that the protocol needs.
-        DegenerateGeometryError: Too few states, or no motion, for the gauge's alignment.
+    `groundtruth` and `estimate` are all states, the estimate's in its own frame.
     """
     if not pairs.have_rotations:
         protocol = _for_positions(protocol)
@@ -269,11 +278,16 @@ def evaluate_pairs(
             f"ATE form tutorial, eq. (23), needs rotation errors, but {why}; use ATE form plain"
         )
     measured = _absolute_errors(pairs, alignment, protocol)
-    absolute = meaningful(measured, alignment, protocol.gauge)
+    absolute = meaningful(measured, pairs, alignment, protocol.gauge)
     ate = {metric: statistics_of(getattr(absolute, metric)) for metric in ATE_METRICS}
     if protocol.ate_form == "evo":
         ate |= pose_errors(absolute.position_m, absolute.rotation_deg)
-    segments, pooled = relative_evaluation(pairs, groundtruth, alignment, protocol)
+    relative, pooled = relative_evaluation(pairs, groundtruth, alignment, protocol)
+    score, recall = protocol.score, protocol.recall
+
+    def of_points(dimensions: int) -> tuple[Floats, int]:
+        return point_errors(pairs, groundtruth, measured, dimensions), len(groundtruth)
+
     return Evaluation(
         protocol=protocol,
         groundtruth=groundtruth,
@@ -282,32 +296,26 @@ def evaluate_pairs(
         alignment=alignment,
         absolute=absolute,
         ate=ate,
-        segments=segments,
+        relative=relative,
         pooled=pooled,
-        warnings=(),
-        score=None
-        if protocol.score is None
-        else protocol.score.score(
-            point_errors(pairs, groundtruth, measured, protocol.score.dimensions),
-            len(groundtruth),
-        ),
-        recall=None
-        if protocol.recall is None
-        else protocol.recall.recall(
-            point_errors(pairs, groundtruth, measured, protocol.recall.dimensions),
-            len(groundtruth),
-        ),
+        remarks=(),
+        score=None if score is None else score.score(*of_points(score.dimensions)),
+        recall=None if recall is None else recall.recall(*of_points(recall.dimensions)),
     )
 
 
-def meaningful(errors: AbsoluteErrors, alignment: Alignment, gauge: Gauge) -> AbsoluteErrors:
-    """Return errors without parts that the gauge lacks or the alignment does not determine.
+def meaningful(
+    errors: AbsoluteErrors, pairs: Association, alignment: Alignment, gauge: Gauge
+) -> AbsoluteErrors:
+    """Return errors without parts that gauge or headings lack or the alignment does not determine.
 
     On an exact line, the rotation about it is a rounding error. It changes the direction of a
     position error, not its length.
     """
     if gauge is Gauge.PLANAR:
         return dataclasses.replace(errors, tilt_deg=None, vertical_m=None)
+    if pairs.has_headings_only:
+        errors = dataclasses.replace(errors, tilt_deg=None)
     freedom = alignment.freedom
     if freedom is not None and freedom.moves_positions and not freedom.about_gravity:
         return dataclasses.replace(errors, horizontal_m=None, vertical_m=None)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trajeval_ros.formatting.remarks import Remark
 from trajeval_ros.geometry.fixes import Fixes
 from trajeval_ros.geometry.geodesy import Datum
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -16,21 +17,14 @@ from trajeval_ros.geometry.up_axis import UpAxis
 
 @dataclass(frozen=True)
 class FixSummary:
-    """Summary of the GNSS fixes.
+    """Summary of the GNSS fixes."""
 
-    Attributes:
-        datum: The origin of their east-north-up frame.
-        accepted: Number of fixes that are used.
-        dropped: Number of messages that are not used, by reason.
-        sigma_level_m: Median standard deviation along the worst horizontal axis; None if unknown.
-        sigma_up_m: Median standard deviation of the height; None if unknown.
-    """
-
-    datum: Datum
-    accepted: int
-    dropped: dict[str, int]
+    datum: Datum  # the origin of their east-north-up frame
+    accepted: int  # number of fixes that are used
+    dropped: dict[str, int]  # number of messages that are not used, by reason
+    # Median standard deviation along the worst horizontal axis; None if unknown.
     sigma_level_m: float | None
-    sigma_up_m: float | None
+    sigma_up_m: float | None  # median standard deviation of the height; None if unknown
 
     @classmethod
     def of(cls, fixes: Fixes, dropped: Mapping[str, int]) -> FixSummary:
@@ -46,41 +40,27 @@ class FixSummary:
 
 @dataclass(frozen=True)
 class InputSummary:
-    """One side of an evaluation, as it was read.
+    """One side of an evaluation, as it was read."""
 
-    Attributes:
-        source: The source that it was read from; "" if unknown.
-        name: Its name in tables.
-        poses: Number of poses, repeated timestamps included.
-        duration_s: From the earliest to the latest timestamp.
-        path_length_m: Length of the path through the poses in use.
-        frame: The frame of the poses.
-        child_frame: The body whose poses these are.
-        up: The axis of the frame that points up.
-        kind: `gnss` fixes, `points` without orientation, or `poses`.
-        fixes: Summary of GNSS fixes; None for other kinds.
-        notes: What the reader detected or corrected, one sentence each.
-        fingerprint: sha256 of the pose columns.
-    """
-
-    source: str
+    source: str  # the source that it was read from; "" if unknown
     name: str
-    poses: int
-    duration_s: float
-    path_length_m: float
+    poses: int  # number of poses, repeated timestamps included
+    duration_s: float  # from the earliest to the latest timestamp
+    path_length_m: float  # length of the path through the poses in use
     frame: str
-    child_frame: str
-    up: UpAxis
-    kind: str
-    fixes: FixSummary | None
-    notes: tuple[str, ...]
-    fingerprint: str
+    child_frame: str  # the body whose poses these are
+    up: UpAxis  # the axis of the frame that points up
+    kind: str  # `gnss` fixes, `points` without orientation, or `poses`
+    fixes: FixSummary | None  # summary of GNSS fixes; None for other kinds
+    remarks: tuple[Remark, ...]  # those on its reading
+    fingerprint: str  # sha256 of the pose columns
 
     @classmethod
     def of(cls, read: Trajectory, used: Trajectory) -> InputSummary:
         """Summarise a trajectory as it was read, and as it is used (sorted)."""
+        fixes = read.reading.fixes
         return cls(
-            source=read.source,
+            source=read.reading.source,
             name=read.name,
             poses=len(read),
             duration_s=read.duration_s,
@@ -89,8 +69,8 @@ class InputSummary:
             child_frame=read.child_frame,
             up=read.up,
             kind=read.kind,
-            fixes=None if read.fixes is None else FixSummary.of(read.fixes, read.dropped),
-            notes=used.notes,
+            fixes=None if fixes is None else FixSummary.of(fixes, read.reading.dropped),
+            remarks=used.reading.remarks,
             fingerprint=fingerprint(read),
         )
 

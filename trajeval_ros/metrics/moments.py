@@ -1,4 +1,4 @@
-"""Sums over pairs of positions from which the alignment and the position ATE follow.
+"""Sums over pairs, from which the alignment and its errors follow: positions and orientations.
 
 Sums can be added, removed and merged. Therefore batches, sliding windows and parts of a run share
 one solver, and a live update has a constant cost.
@@ -13,8 +13,9 @@ from operator import add
 
 import numpy as np
 
+from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.gauge import Similarity
 
 # Pairs per block, so that a block fits into a core's cache.
 _BLOCK = 8192
@@ -28,18 +29,12 @@ class Moments:
     The sums are of (q, r), where r = p - (anchor of q) is the residual under an anchor alignment.
     Sums of p and q cancel if coordinates are large and errors small: relative error 3e-5 at 5 km,
     against 3e-12 with residuals. `+` merges, `-` removes; both operands need the same anchor.
-
-    Attributes:
-        anchor: Alignment of the residuals.
-        weight: Sum of the weights; the number of pairs without weights.
-        mean: (6,) mean of x = (q, r), metres.
-        scatter: (6, 6) sum of w (x - mean)(x - mean)^T, square metres.
     """
 
-    anchor: Similarity
-    weight: float
-    mean: Floats
-    scatter: Floats
+    anchor: Similarity  # alignment of the residuals
+    weight: float  # sum of the weights; the number of pairs without weights
+    mean: Floats  # (6,) mean of x = (q, r), metres
+    scatter: Floats  # (6, 6) sum of w (x - mean)(x - mean)^T, square metres
 
     @classmethod
     def empty(cls, anchor: Similarity) -> Moments:
@@ -54,14 +49,9 @@ class Moments:
         weights: Floats | None = None,
         anchor: Similarity | None = None,
     ) -> Moments:
-        """Return the moments of N pairs of positions.
+        """Return the moments of N pairs of positions (N, 3), with positive weights or equal ones.
 
-        Args:
-            groundtruth: (N, 3) positions p, metres.
-            estimate: (N, 3) positions q, metres.
-            weights: (N,) positive weights; None for equal weights.
-            anchor: Alignment of the residuals; by default the scale and the translation between
-                the first blocks.
+        By default the anchor has the scale and the translation between the first blocks.
         """
         if anchor is None and len(groundtruth):
             anchor = _scale_and_shift(groundtruth[:_BLOCK], estimate[:_BLOCK])
@@ -95,7 +85,6 @@ class Moments:
         return self._combined(other, 1.0)
 
     def __sub__(self, other: Moments) -> Moments:
-        """Return the moments without a subset of the pairs."""
         return self._combined(other, -1.0)
 
     def _combined(self, other: Moments, sign: float) -> Moments:
@@ -177,3 +166,58 @@ def _scale_and_shift(groundtruth: Floats, estimate: Floats) -> Similarity:
     size, own_size = np.linalg.norm(groundtruth - middle), np.linalg.norm(estimate - own_middle)
     scale = float(size / own_size) if size > 0.0 and own_size > 0.0 else 1.0
     return Similarity(np.eye(3), middle - scale * own_middle, scale)
+
+
+# A mean square angle below this, rad^2, is rounding of the sum.
+_ROUNDING = 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class OrientationSum:
+    """Sum over pairs (groundtruth rotation A, estimated rotation B) of w A B^T.
+
+    From this matrix follow the rotation that aligns the orientations best, and the rotation error
+    under any alignment. `+` merges, `-` removes. All terms are rotations, so that nothing cancels
+    and no anchor is needed.
+    """
+
+    weight: float  # sum of the weights; the number of pairs without weights
+    total: Floats  # (3, 3) sum of w A B^T
+
+    @classmethod
+    def empty(cls) -> OrientationSum:
+        """Return the sum over zero pairs."""
+        return cls(0.0, np.zeros((3, 3)))
+
+    @classmethod
+    def of_pairs(
+        cls, groundtruth: Floats, estimate: Floats, weights: Floats | None = None
+    ) -> OrientationSum:
+        """Return the sum over N pairs of quaternions (N, 4); None: equal weights."""
+        between = lie.by_blocks(
+            lambda a, b: (lie.multiply(a, lie.conjugate(b)),), groundtruth, estimate
+        )[0]
+        weight = float(len(between) if weights is None else weights.sum())
+        return cls(weight, lie.sum_of_matrices(between, weights))
+
+    def __add__(self, other: OrientationSum) -> OrientationSum:
+        return OrientationSum(self.weight + other.weight, self.total + other.total)
+
+    def __sub__(self, other: OrientationSum) -> OrientationSum:
+        return OrientationSum(self.weight - other.weight, self.total - other.total)
+
+    @property
+    def mean(self) -> Floats:
+        """Mean of A B^T, (3, 3)."""
+        mean: Floats = self.total / self.weight
+        return mean
+
+    def error(self, rotation: Floats) -> float:
+        """Return the rotation error under an alignment's rotation (3, 3), rad.
+
+        It is the angle whose chord is the root mean square of the chords of all pairs. For small
+        angles it is the root mean square of the angles.
+        """
+        # Mean of the squared chords, (2 sin(angle / 2))^2.
+        squared = 3.0 - float(np.vdot(rotation, self.mean))
+        return 2.0 * math.asin(min(math.sqrt(squared) / 2.0, 1.0)) if squared > _ROUNDING else 0.0

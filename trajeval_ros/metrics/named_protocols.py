@@ -7,8 +7,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH, AssociationRule
 from trajeval_ros.metrics.protocol import Protocol, metres
 from trajeval_ros.metrics.score import KnotTable, PointTable, RecallRule
-from trajeval_ros.metrics.sub_trajectories import Selection
-from trajeval_ros.metrics.sub_trajectory_length import Length
+from trajeval_ros.metrics.sub_trajectories import Length, Selection
 
 _HILTI_TIP_M = (0.059, -0.00855, 0.1964)
 
@@ -94,7 +93,7 @@ PROTOCOLS: dict[str, Protocol] = {
         recall=RecallRule((1.0, 5.0), dimensions=2),
     ),
 }
-"""Named settings that reproduce published numbers (docs/definitions.md).
+"""Named settings that reproduce published numbers (docs/protocols.md).
 
 Example:
     >>> from dataclasses import replace
@@ -105,10 +104,6 @@ Example:
 
 
 def protocol_named(name: str) -> Protocol:
-    """Return a protocol by name.
-
-    Raises:
-        SettingsError: The name is unknown.
-    """
+    """Return a protocol by name."""
     require_one_of(name, PROTOCOLS, "protocol")
     return PROTOCOLS[name]

@@ -1,8 +1,12 @@
-"""The estimate's own error: the ATE without the contribution of GNSS noise.
+"""The estimate's own error: the ATE without the contribution of GNSS noise, and jumps of fixes.
 
 Let e be the estimate's errors, n the noise of the fixes with covariance C, and P the projection
 that an alignment applies to both. Then r = P (e + n) and E|r|^2 = |Pe|^2 + tr(PC). Errors of fixes
 are correlated over minutes: hundreds of fixes can be worth a few independent ones.
+
+In a jump, the error between estimate and fixes steps away and back. Multipath causes jumps without
+an increase of the fix's covariance; an estimate can cause them, too. Flagged pairs stay in the
+evaluation and are left out of an additional result only.
 """
 
 from __future__ import annotations
@@ -18,7 +22,6 @@ from trajeval_ros.geometry.fixes import COVARIANCE_APPROXIMATED
 from trajeval_ros.geometry.gauge import Gauge, orbit_basis
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.evaluation import Evaluation
-from trajeval_ros.metrics.fix_jumps import jumps_of
 from trajeval_ros.metrics.pair_alignment import align_pairs
 
 # White share of a fix's variance; the rest is correlated over time.
@@ -32,55 +35,29 @@ _MULTIPATH = 0.01
 
 @dataclass(frozen=True)
 class OwnError:
-    """The position error of an estimate without the noise of the paired fixes.
+    """The position error of an estimate without the noise of the paired fixes."""
 
-    Attributes:
-        correlation_s: Correlation time of the fix errors, seconds.
-        ate_m: RMSE without the noise of the fixes, jumps of fixes excluded.
-        interval_m: Its 95 % interval.
-        with_jumps_m: RMSE without the noise of the fixes, jumps included.
-        noise_rms_m: Contribution of the noise to the ATE (their squares add).
-        effective_fixes: Number of independent fixes with the same information.
-        fixes: Number of fixes in use.
-        jumps: Number of fixes left out, because the errors of all estimates jump there.
-        own_jumps: Number of fixes where this estimate's error jumps and not all do; in use.
-        by_guess: Whether the covariances of the fixes are the driver's approximation.
-        resolved: Whether the error is known better than as an upper bound.
-
-    Example:
-        >>> from trajeval_ros.metrics.own_error import OwnError
-        >>> OwnError(100.0, 0.5, (0.4, 0.6), 0.5, 0.1, 9.0, 500, 0, 0, False, True).resolved
-        True
-    """
-
-    correlation_s: float
-    ate_m: float
+    correlation_s: float  # correlation time of the fix errors, seconds
+    ate_m: float  # RMSE without the noise of the fixes, jumps of fixes excluded
     interval_m: tuple[float, float]
-    with_jumps_m: float
-    noise_rms_m: float
-    effective_fixes: float
-    fixes: int
-    jumps: int
-    own_jumps: int
-    by_guess: bool
-    resolved: bool
+    with_jumps_m: float  # RMSE without the noise of the fixes, jumps included
+    noise_rms_m: float  # contribution of the noise to the ATE (their squares add)
+    effective_fixes: float  # number of independent fixes with the same information
+    fixes: int  # number of fixes in use
+    jumps: int  # number of fixes left out, because the errors of all estimates jump there
+    own_jumps: int  # number of fixes where this estimate's error jumps and not all do; in use
+    by_guess: bool  # whether the covariances of the fixes are the driver's approximation
+    resolved: bool  # whether the error is known better than as an upper bound
 
 
 @dataclass(frozen=True)
 class Debiased:
-    """An RMSE without the noise of the reference.
+    """An RMSE without the noise of the reference."""
 
-    Attributes:
-        ate_m: The RMSE; 0 if the noise explains all of the residuals.
-        interval_m: Its 95 % interval.
-        noise_rms_m: Contribution of the noise to the ATE (their squares add).
-        effective: Number of independent samples with the same information.
-    """
-
-    ate_m: float
-    interval_m: tuple[float, float]
-    noise_rms_m: float
-    effective: float
+    ate_m: float  # the RMSE; 0 if the noise explains all of the residuals
+    interval_m: tuple[float, float]  # its 95 % interval
+    noise_rms_m: float  # contribution of the noise to the ATE (their squares add)
+    effective: float  # number of independent samples with the same information
 
 
 def debiased(
@@ -88,12 +65,9 @@ def debiased(
 ) -> Debiased:
     """Return the RMSE after an unweighted alignment, without the groundtruth's noise.
 
-    Args:
-        errors: (N, 3), groundtruth minus aligned estimate, metres.
-        aligned: (N, 3), aligned positions, metres.
-        covariances: (N, 3, 3) of the groundtruth, m^2; zero perpendicular to a plane.
-        correlations: (N, N), correlation of the noise between states.
-        gauge: Gauge of the alignment.
+    Errors (groundtruth minus aligned estimate) and aligned positions are (N, 3), metres.
+    Covariances of the groundtruth are (N, 3, 3), m^2, zero perpendicular to a plane;
+    `correlations` (N, N) are those of its noise between states.
     """
     count = len(errors)
     values, axes = np.linalg.eigh(covariances)
@@ -139,16 +113,11 @@ def correlations_of(stamps: Stamps, correlation_s: float) -> Floats:
 def own_errors(
     evaluations: Sequence[Evaluation], correlation_s: float
 ) -> list[tuple[OwnError | None, str]]:
-    """Return the own errors of the estimates of one run, or why one is not available.
+    """Return the own error of every estimate of one run and "", or None and the reason.
 
-    A jump in the errors of all estimates is a jump of the fixes; otherwise it is the estimate's.
-
-    Args:
-        evaluations: Evaluations against the same fixes.
-        correlation_s: Correlation time of the fix errors (decay to 1/e), seconds.
-
-    Returns:
-        For every evaluation its own error and an empty text, or None and the reason.
+    All evaluations are against the same fixes. A jump in the errors of all estimates is a jump of
+    the fixes; otherwise it is the estimate's. The correlation of the fix errors decays to 1/e in
+    `correlation_s`.
     """
     flags = [_flagged(evaluation) for evaluation in evaluations]
     paired = [evaluation.association.groundtruth.stamps for evaluation in evaluations]
@@ -170,18 +139,18 @@ def own_errors(
 
 def _flagged(evaluation: Evaluation) -> Stamps:
     """Return the stamps of the pairs in a jump."""
-    truth, aligned = evaluation.association.groundtruth, evaluation.aligned
-    errors = truth.up.turned(truth.positions - aligned.positions)
-    return truth.stamps[jumps_of(truth.stamps, errors)]
+    groundtruth, aligned = evaluation.association.groundtruth, evaluation.aligned
+    errors = groundtruth.up.turned(groundtruth.positions - aligned.positions)
+    return groundtruth.stamps[jumps_of(groundtruth.stamps, errors)]
 
 
 def _why_not(evaluation: Evaluation) -> str:
     """Return why the noise of the fixes cannot be removed; empty if it can."""
-    protocol, truth = evaluation.protocol, evaluation.association.groundtruth
+    protocol, groundtruth = evaluation.protocol, evaluation.association.groundtruth
     if protocol.align_states is not None or protocol.align_weights != "none":
         return "the alignment does not use all fixes with equal weights"
-    fixes = truth.fixes
-    if fixes is None or truth.covariances is None:
+    fixes = groundtruth.reading.fixes
+    if fixes is None or groundtruth.covariances is None:
         return "this association has no covariances of the fixes; use --association auto"
     unknown = int(np.count_nonzero(~fixes.known))
     if unknown:
@@ -194,7 +163,7 @@ def _why_not(evaluation: Evaluation) -> str:
 def _own_error(
     evaluation: Evaluation, correlation_s: float, jumps: Booleans, own_jumps: int
 ) -> OwnError:
-    fixes = evaluation.association.groundtruth.fixes
+    fixes = evaluation.association.groundtruth.reading.fixes
     assert fixes is not None
     without = np.flatnonzero(~jumps)
     best = _of_rows(evaluation, without, correlation_s)
@@ -223,15 +192,15 @@ def _of_rows(evaluation: Evaluation, rows: Indices, correlation_s: float) -> Deb
     if len(rows) > _MOST_FIXES:
         rows = rows[np.linspace(0, len(rows) - 1, _MOST_FIXES).round().astype(np.int64)]
     pairs, gauge = evaluation.association, evaluation.protocol.gauge
-    truth, estimate = pairs.groundtruth[rows], pairs.estimate[rows]
-    pairs = dataclasses.replace(pairs, groundtruth=truth, estimate=estimate)
+    groundtruth, estimate = pairs.groundtruth[rows], pairs.estimate[rows]
+    pairs = dataclasses.replace(pairs, groundtruth=groundtruth, estimate=estimate)
     aligned = align_pairs(pairs, evaluation.protocol).similarity.positions(estimate.positions)
-    assert truth.covariances is not None
-    covariances = truth.covariances[:, :3, :3]
+    assert groundtruth.covariances is not None
+    covariances = groundtruth.covariances[:, :3, :3]
     if gauge is Gauge.PLANAR:
         covariances = covariances * np.outer([1.0, 1.0, 0.0], [1.0, 1.0, 0.0])
-    correlations = correlations_of(truth.stamps, correlation_s)
-    return debiased(truth.positions - aligned, aligned, covariances, correlations, gauge)
+    correlations = correlations_of(groundtruth.stamps, correlation_s)
+    return debiased(groundtruth.positions - aligned, aligned, covariances, correlations, gauge)
 
 
 def _tangent(gauge: Gauge, aligned: Floats) -> Floats:
@@ -246,3 +215,37 @@ def _tangent(gauge: Gauge, aligned: Floats) -> Floats:
 
 def _root(square: float) -> float:
     return float(np.sqrt(max(0.0, square)))
+
+
+_TIMES_MEDIAN = 5.0
+_LONGEST_NS = 30 * NANOSECONDS
+
+
+def jumps_of(stamps: Stamps, errors: Floats) -> Booleans:
+    """Return which pairs are in a jump (N,), by groundtruth minus aligned estimate (N, 3).
+
+    A jump starts with a horizontal step of the error above five times the median step. It ends
+    when the error is back within that distance of its value before the jump, or when later large
+    steps have cancelled the first: a large jump rotates the alignment, so that the error drifts. A
+    change that lasts 30 s is no jump. Stamps are increasing, z is up.
+    """
+    flags = np.zeros(len(errors), dtype=bool)
+    level = errors[:, :2]
+    moved = np.diff(level, axis=0)
+    steps = np.hypot(*moved.T)
+    if not len(steps):
+        return flags
+    limit = _TIMES_MEDIAN * float(np.median(steps))
+    leaps = np.concatenate([[[0.0, 0.0]], np.cumsum(moved * (steps > limit)[:, None], axis=0)])
+    past = 0
+    for begin in np.flatnonzero(steps > limit).tolist():
+        if begin < past:
+            continue
+        end = int(stamps.searchsorted(stamps[begin] + _LONGEST_NS))
+        within = slice(begin + 1, end)
+        near = np.hypot(*(level[within] - level[begin]).T) <= limit
+        near |= np.hypot(*(leaps[within] - leaps[begin]).T) <= limit
+        if near.any():
+            past = begin + 1 + int(near.argmax())
+            flags[begin + 1 : past] = True
+    return flags

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeAlias, TypeVar, cast
 
 import numpy as np
 
@@ -11,8 +12,7 @@ from trajeval_ros.exceptions import SettingsError, require_one_of
 from trajeval_ros.geometry.gauge import Gauge, gauge_for
 from trajeval_ros.metrics.association import AUTO, AssociationRule
 from trajeval_ros.metrics.score import KnotTable, PointTable, RecallRule
-from trajeval_ros.metrics.sub_trajectories import Selection
-from trajeval_ros.metrics.sub_trajectory_length import Length, parse_lengths
+from trajeval_ros.metrics.sub_trajectories import Length, Selection, parse_lengths
 
 ATE_FORMS = ("plain", "tutorial", "evo")
 RE_FORMS = ("gauge", "se3", "tutorial", "euler", "fitted", "matrices", "evo")
@@ -25,6 +25,11 @@ _BETWEEN = (AUTO, "linear", "continuous")  # these can interpolate the groundtru
 # Protocols that reproduce the numbers of another program.
 _OF_PROGRAMS = ("rpg", "evo", "kitti", "ov_eval")
 
+_Given = TypeVar("_Given")
+_Stored = TypeVar("_Stored")
+_Lengths: TypeAlias = "Iterable[Length | float | str] | str"
+_Vector: TypeAlias = tuple[float, float, float]
+
 
 def metres(*values: float) -> tuple[Length, ...]:
     """Return lengths in metres."""
@@ -34,7 +39,7 @@ def metres(*values: float) -> tuple[Length, ...]:
 DEFAULT_LENGTHS = metres(8, 16, 24, 32, 40)
 
 
-def _lengths(lengths: Iterable[Length | float | str] | str) -> tuple[Length, ...]:
+def _lengths(lengths: _Lengths) -> tuple[Length, ...]:
     if isinstance(lengths, str):
         return parse_lengths(lengths)
     if not isinstance(lengths, Iterable):
@@ -42,7 +47,9 @@ def _lengths(lengths: Iterable[Length | float | str] | str) -> tuple[Length, ...
     return tuple(Length.of(length) for length in lengths)
 
 
-def _vector(lever_m: Sequence[float]) -> tuple[float, float, float]:
+def _vector(lever_m: Sequence[float] | None) -> _Vector | None:
+    if lever_m is None:
+        return None
     try:
         x, y, z = (float(component) for component in lever_m)
     except (TypeError, ValueError):
@@ -52,7 +59,28 @@ def _vector(lever_m: Sequence[float]) -> tuple[float, float, float]:
     return x, y, z
 
 
-@dataclass(frozen=True, init=False)
+def _named(kind: Callable[[str], _Stored], value: _Stored | str) -> _Stored:
+    return kind(value) if isinstance(value, str) else value
+
+
+class _Converted(Generic[_Given, _Stored]):
+    """A field that is given as one type, and is another one after `__post_init__`."""
+
+    def __init__(self, default: _Given) -> None:
+        self._default = default
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, instance: object, owner: type) -> _Stored:
+        stored = self._default if instance is None else vars(instance)[self._name]
+        return cast(_Stored, stored)
+
+    def __set__(self, instance: object, value: _Given) -> None:
+        vars(instance)[self._name] = value
+
+
+@dataclass(frozen=True)
 class Protocol:
     """All settings of an evaluation. Strings and numbers are converted and checked.
 
@@ -96,76 +124,44 @@ class Protocol:
         ()
     """
 
-    name: str
-    gauge: Gauge
-    modality: str | None
-    align_states: int | None
-    align_with: str
-    apply: str
-    align_weights: str
-    association: AssociationRule
-    in_order: bool
-    ate_form: str
-    re_form: str
-    nees_form: str
-    lengths: tuple[Length, ...]
-    selection: Selection
-    lever_m: tuple[float, float, float] | None
-    score: PointTable | KnotTable | None
-    recall: RecallRule | None
+    name: str = "default"
+    gauge: _Converted[Gauge | str | None, Gauge] = _Converted(None)
+    modality: str | None = None
+    align_states: int | None = None
+    align_with: str = "positions"
+    apply: str = "all"
+    align_weights: str = "none"
+    association: _Converted[AssociationRule | str, AssociationRule] = _Converted(AUTO)
+    in_order: bool = True
+    ate_form: str = "plain"
+    re_form: str = "gauge"
+    nees_form: str = "gauge"
+    lengths: _Converted[_Lengths, tuple[Length, ...]] = _Converted(DEFAULT_LENGTHS)
+    selection: _Converted[Selection | str, Selection] = _Converted("nearest")
+    lever_m: _Converted[Sequence[float] | None, _Vector | None] = _Converted(None)
+    score: PointTable | KnotTable | None = None
+    recall: RecallRule | None = None
 
-    def __init__(
-        self,
-        name: str = "default",
-        gauge: Gauge | str | None = None,
-        modality: str | None = None,
-        align_states: int | None = None,
-        align_with: str = "positions",
-        apply: str = "all",
-        align_weights: str = "none",
-        association: AssociationRule | str = AUTO,
-        in_order: bool = True,
-        ate_form: str = "plain",
-        re_form: str = "gauge",
-        nees_form: str = "gauge",
-        lengths: Iterable[Length | float | str] | str = DEFAULT_LENGTHS,
-        selection: Selection | str = "nearest",
-        lever_m: Sequence[float] | None = None,
-        score: PointTable | KnotTable | None = None,
-        recall: RecallRule | None = None,
-    ) -> None:
+    def __post_init__(self) -> None:
+        """Convert names and numbers, and refuse unknown names and contradictions."""
         for value, known, what in (
-            (ate_form, ATE_FORMS, "ATE form"),
-            (re_form, RE_FORMS, "RE form"),
-            (align_with, ALIGN_WITH, "alignment"),
-            (apply, APPLY, "part of the alignment"),
-            (nees_form, NEES_FORMS, "NEES form"),
-            (align_weights, ALIGN_WEIGHTS, "alignment weighting"),
+            (self.ate_form, ATE_FORMS, "ATE form"),
+            (self.re_form, RE_FORMS, "RE form"),
+            (self.align_with, ALIGN_WITH, "alignment"),
+            (self.apply, APPLY, "part of the alignment"),
+            (self.nees_form, NEES_FORMS, "NEES form"),
+            (self.align_weights, ALIGN_WEIGHTS, "alignment weighting"),
         ):
             require_one_of(value, known, what)
-        values = {
-            "name": name,
-            "gauge": gauge_for(gauge, modality, Gauge.SE3),
-            "modality": modality,
-            "align_states": align_states,
-            "align_with": align_with,
-            "apply": apply,
-            "align_weights": align_weights,
-            "association": AssociationRule(association)
-            if isinstance(association, str)
-            else association,
-            "in_order": in_order,
-            "ate_form": ate_form,
-            "re_form": re_form,
-            "nees_form": nees_form,
-            "lengths": _lengths(lengths),
-            "selection": Selection(selection) if isinstance(selection, str) else selection,
-            "lever_m": None if lever_m is None else _vector(lever_m),
-            "score": score,
-            "recall": recall,
+        converted: dict[str, object] = {
+            "gauge": gauge_for(self.gauge, self.modality, Gauge.SE3),
+            "association": _named(AssociationRule, self.association),
+            "lengths": _lengths(self.lengths),
+            "selection": _named(Selection, self.selection),
+            "lever_m": _vector(self.lever_m),
         }
-        for attribute, setting in values.items():
-            object.__setattr__(self, attribute, setting)
+        for field, stored in converted.items():
+            object.__setattr__(self, field, stored)
         self._require_sense()
 
     @property

@@ -15,31 +15,23 @@ from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.absolute_errors import angle_yaw_tilt, lengths, rotation_errors
-from trajeval_ros.metrics.matrix_errors import by_matrices
-from trajeval_ros.metrics.span_alignment import align_spans
+from trajeval_ros.metrics.other_programs import by_matrices
 
 
 @dataclass(frozen=True, eq=False)
 class RelativeErrors:
-    """Errors of eq. (27) at the ends of K sub-trajectories of one length.
+    """Errors of eq. (27) at the ends of K sub-trajectories of one length."""
 
-    Attributes:
-        starts: (K,) indices of the first pairs.
-        ends: (K,) indices of the last pairs.
-        position_m: (K,), length of the position error at the end.
-        rotation_deg: (K,), angle of E at the end; None without orientations on both sides.
-        yaw_deg: (K,), twist about the up axis, absolute value; None if the up axis is unknown.
-        tilt_deg: (K,), roll and pitch; None if the up axis is unknown or the gauge is planar.
-        velocity_mps: (K,), length of the velocity error at the end, or None.
-    """
-
-    starts: Indices
-    ends: Indices
-    position_m: Floats
+    starts: Indices  # (K,) indices of the first pairs
+    ends: Indices  # (K,) indices of the last pairs
+    position_m: Floats  # (K,), length of the position error at the end
+    # (K,), angle of E at the end; None without orientations on both sides.
     rotation_deg: Floats | None
+    # (K,), twist about the up axis, absolute value; None if the up axis is unknown.
     yaw_deg: Floats | None
+    # (K,), roll and pitch; None if the up axis is unknown or the gauge is planar.
     tilt_deg: Floats | None
-    velocity_mps: Floats | None = None
+    velocity_mps: Floats | None = None  # (K,), length of the velocity error at the end, or None
 
 
 def relative_errors(
@@ -77,19 +69,21 @@ def relative_errors(
         sides = groundtruth.positions, estimate.positions
         errors = _fitted_differences(*sides, starts, ends)[0]
         return RelativeErrors(starts, ends, lengths(errors), None, None, None)
-    truth, other = PoseArrays.of(groundtruth), PoseArrays.of(estimate)
+    groundtruth_poses, estimate_poses = PoseArrays.of(groundtruth), PoseArrays.of(estimate)
 
     def at_ends(s: Indices, e: Indices) -> tuple[Floats, ...]:
         rows = np.stack([s, e])
         if form == "fitted":
-            difference, between, first = _fitted(truth, other, s, e)
+            difference, between, first = _fitted(groundtruth_poses, estimate_poses, s, e)
         else:
             difference, between, first = differences_at_ends(
-                truth.at(rows), other.at(rows), gauge, scale, form
+                groundtruth_poses.at(rows), estimate_poses.at(rows), gauge, scale, form
             )
         angle, yaw, tilt = angle_yaw_tilt(between, groundtruth.up)
         if form == "euler":
-            yaw, tilt = _euler_in_estimate_world(truth.quaternions, other.quaternions, s, e)
+            yaw, tilt = _euler_in_estimate_world(
+                groundtruth_poses.quaternions, estimate_poses.quaternions, s, e
+            )
         position = lengths(difference)
         if form == "matrices":
             position, angle = by_matrices(groundtruth, estimate, s, e, scale)
@@ -105,15 +99,10 @@ def relative_errors(
 
 
 class PoseArrays(NamedTuple):
-    """Positions and orientations for relative errors.
+    """Positions and orientations for relative errors."""
 
-    Attributes:
-        positions: (..., 3), metres.
-        quaternions: (..., 4), xyzw, unit.
-    """
-
-    positions: Floats
-    quaternions: Floats
+    positions: Floats  # (..., 3), metres
+    quaternions: Floats  # (..., 4), xyzw, unit
 
     @classmethod
     def of(cls, trajectory: Trajectory) -> PoseArrays:
@@ -129,21 +118,19 @@ class PoseArrays(NamedTuple):
 
 
 def differences_at_ends(
-    truth: PoseArrays, other: PoseArrays, gauge: Gauge, scale: float = 1.0, form: str = "gauge"
+    groundtruth: PoseArrays,
+    other: PoseArrays,
+    gauge: Gauge,
+    scale: float = 1.0,
+    form: str = "gauge",
 ) -> tuple[Floats, Floats, Floats]:
     """Align K sub-trajectories at their starts; return the differences at their ends.
 
-    Args:
-        truth: (2, K) groundtruth poses: first the starts, then the ends.
-        other: (2, K) estimated poses.
-        gauge: As for `relative_errors`.
-        scale: As for `relative_errors`.
-        form: As for `relative_errors`.
-
-    Returns:
-        Position errors (K, 3), rotation errors (K, 4), rotations of the alignments (K, 4).
+    Both sides are (2, K) poses: first the starts, then the ends. The other arguments are those of
+    `relative_errors`. Returned are position errors (K, 3), rotation errors (K, 4) and rotations of
+    the alignments (K, 4).
     """
-    first, last = rotation_errors(truth.quaternions, other.quaternions)
+    first, last = rotation_errors(groundtruth.quaternions, other.quaternions)
     # The alignment is eq. (19); for yaw its rotation is eq. (20).
     about_gravity = form in ("gauge", "tutorial") and gauge.turns_about_gravity_only
     alignment = lie.heading(first) if about_gravity else first
@@ -152,46 +139,78 @@ def differences_at_ends(
     # R (R_a R')^T; R R'^T is available for both states.
     between = lie.multiply(last, lie.conjugate(alignment))
     if form == "tutorial":
-        aligned = truth.positions[0] + step
-        return truth.positions[1] - lie.rotate(between, aligned), between, alignment
-    return truth.positions[1] - truth.positions[0] - step, between, alignment
+        aligned = groundtruth.positions[0] + step
+        return groundtruth.positions[1] - lie.rotate(between, aligned), between, alignment
+    return groundtruth.positions[1] - groundtruth.positions[0] - step, between, alignment
 
 
 def _fitted(
-    truth: PoseArrays, other: PoseArrays, starts: Indices, ends: Indices
+    groundtruth: PoseArrays, other: PoseArrays, starts: Indices, ends: Indices
 ) -> tuple[Floats, Floats, Floats]:
     """Align K sub-trajectories by all their states; return the same as `differences_at_ends`."""
-    difference, alignment = _fitted_differences(truth.positions, other.positions, starts, ends)
+    difference, alignment = _fitted_differences(
+        groundtruth.positions, other.positions, starts, ends
+    )
     turned = lie.multiply(alignment, other.quaternions[ends])
-    between = lie.multiply(truth.quaternions[ends], lie.conjugate(turned))
+    between = lie.multiply(groundtruth.quaternions[ends], lie.conjugate(turned))
     return difference, between, alignment
 
 
 def _fitted_differences(
-    truth: Floats, other: Floats, starts: Indices, ends: Indices
+    groundtruth: Floats, other: Floats, starts: Indices, ends: Indices
 ) -> tuple[Floats, Floats]:
     """Align K sub-trajectories of positions (N, 3) by yaw and position over all their states.
 
-    Returns:
-        The position errors at the ends (K, 3), and the rotations of the alignments (K, 4).
+    Returned are the position errors at the ends (K, 3), and the rotations of the alignments (K,
+    4).
     """
-    alignment, mean_p, mean_q = align_spans(truth, other, starts, ends)
+    alignment, mean_p, mean_q = align_spans(groundtruth, other, starts, ends)
     aligned = mean_p + lie.rotate(alignment, other[ends] - mean_q)
-    return truth[ends] - aligned, alignment
+    return groundtruth[ends] - aligned, alignment
 
 
 def _euler_in_estimate_world(
-    truth_q: Floats, other_q: Floats, starts: Indices, ends: Indices
+    groundtruth_q: Floats, other_q: Floats, starts: Indices, ends: Indices
 ) -> tuple[Floats, Floats]:
     """Return |yaw| and hypot(pitch, roll) of the relative poses' errors, degrees, (K,) each.
 
     As in rpg_trajectory_evaluation, the error of the relative rotation is expressed in the
     unaligned estimate's world at the end state and converted to intrinsic z-y-x Euler angles.
     """
-    truth_step = lie.multiply(lie.conjugate(truth_q[starts]), truth_q[ends])
+    groundtruth_step = lie.multiply(lie.conjugate(groundtruth_q[starts]), groundtruth_q[ends])
     other_step = lie.multiply(lie.conjugate(other_q[starts]), other_q[ends])
-    error = lie.multiply(lie.conjugate(truth_step), other_step)
+    error = lie.multiply(lie.conjugate(groundtruth_step), other_step)
     in_world = lie.multiply(lie.multiply(other_q[ends], error), lie.conjugate(other_q[ends]))
     angles = lie.euler_angles(lie.normalized(in_world))
     yaw, tilt = np.abs(angles[:, 0]), np.hypot(angles[:, 1], angles[:, 2])
     return np.degrees(yaw), np.degrees(tilt)
+
+
+def align_spans(
+    groundtruth: Floats, estimate: Floats, starts: Indices, ends: Indices
+) -> tuple[Floats, Floats, Floats]:
+    """Align K spans of positions (N, 3) by yaw and position over all states of a span, eq. (18).
+
+    The sums of a span, last state included, are differences of running sums, in O(N + K). These
+    are about the trajectory's mean, to avoid cancellation. Returned are rotations about z (K, 4),
+    xyzw, and the means of groundtruth and estimate (K, 3), which the alignment maps to each other.
+    """
+    middle_p, middle_q = groundtruth.mean(axis=0), estimate.mean(axis=0)
+    p, q = groundtruth - middle_p, estimate - middle_q
+    count = (ends - starts + 1).astype(np.float64)[:, None]
+
+    def mean(columns: Floats) -> Floats:
+        running = np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(columns, axis=0)])
+        spans: Floats = (running[ends + 1] - running[starts]) / count
+        return spans
+
+    mean_p, mean_q = mean(p), mean(q)
+    dot = p[:, 0] * q[:, 0] + p[:, 1] * q[:, 1]
+    cross = p[:, 1] * q[:, 0] - p[:, 0] * q[:, 1]
+    both = mean(np.column_stack([dot, cross]))
+    cosine = both[:, 0] - mean_p[:, 0] * mean_q[:, 0] - mean_p[:, 1] * mean_q[:, 1]
+    sine = both[:, 1] - mean_p[:, 1] * mean_q[:, 0] + mean_p[:, 0] * mean_q[:, 1]
+    half = np.arctan2(sine, cosine) / 2.0
+    rotations = np.zeros((len(starts), 4))
+    rotations[:, 2], rotations[:, 3] = np.sin(half), np.cos(half)
+    return rotations, mean_p + middle_p, mean_q + middle_q

@@ -1,4 +1,8 @@
-"""Relative errors for all lengths of a protocol: eq. (25) to (27) of the tutorial."""
+"""Relative errors and drift for all lengths of a protocol: eq. (25) to (27) of the tutorial.
+
+Drift is the relative error per length of the sub-trajectories: position in percent of the length,
+rotation in degrees per metre (tutorial, section IV-B; KITTI).
+"""
 
 from __future__ import annotations
 
@@ -17,42 +21,96 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.travelled import turned_angle
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import Association
-from trajeval_ros.metrics.drift import PooledDrift, statistics_per_length
-from trajeval_ros.metrics.pose_relations import distance_errors, pose_errors
+from trajeval_ros.metrics.other_programs import distance_errors, pose_errors
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.relative_errors import RelativeErrors, relative_errors
-from trajeval_ros.metrics.statistics import Statistics, statistics_of
+from trajeval_ros.metrics.statistics import Statistics, statistics_in_place, statistics_of
 from trajeval_ros.metrics.sub_trajectories import (
+    Length,
     select,
     select_frames,
     select_states,
     select_turns,
 )
-from trajeval_ros.metrics.sub_trajectory_length import Length
+
+PERCENT = 100.0
+# Error to the name of its drift, and to the drift's units per error and metre.
+PER_LENGTH = {
+    "position_m": ("position_percent", PERCENT),
+    "rotation_deg": ("rotation_deg_per_m", 1.0),
+}
+
+
+@dataclass(frozen=True)
+class Drift:
+    """The drift of an estimate over sub-trajectories of one length."""
+
+    percent: Statistics  # statistics of the position error in percent of the length
+    length_m: float  # the length, metres
+
+
+def position_percent(errors_m: Floats, length_m: float) -> Floats:
+    """Return position errors (K,), metres, in percent of the sub-trajectory length."""
+    percent: Floats = errors_m * (PERCENT / length_m)
+    return percent
+
+
+def statistics_per_length(
+    position: Statistics | None, rotation: Statistics | None, length_m: float | None
+) -> dict[str, Statistics | None]:
+    """Return the statistics of drift by metric, from those of errors in metres and degrees.
+
+    They are None without errors, or if the length is not in metres.
+    """
+    percent = per_metre = None
+    if length_m is not None and position is not None:
+        percent = position.scaled(PERCENT / length_m)
+        per_metre = None if rotation is None else rotation.scaled(1.0 / length_m)
+    return {"position_percent": percent, "rotation_deg_per_m": per_metre}
+
+
+class PooledDrift:
+    """Drift over sub-trajectories of several lengths together, as in the KITTI ranking."""
+
+    def __init__(self, most: int) -> None:
+        """Create it empty, with space for `most` sub-trajectories."""
+        self._shares = {name: np.empty(most) for name in PER_LENGTH}
+        self._counts = dict.fromkeys(PER_LENGTH, 0)
+
+    def add(self, errors: RelativeErrors, length_m: float) -> None:
+        """Add the relative errors of sub-trajectories of a length, metres."""
+        for name, (_, units) in PER_LENGTH.items():
+            column = getattr(errors, name)
+            if column is not None:
+                end = self._counts[name] + len(column)
+                np.multiply(
+                    column, units / length_m, out=self._shares[name][self._counts[name] : end]
+                )
+                self._counts[name] = end
+
+    def statistics(self) -> dict[str, Statistics | None]:
+        """Return the statistics by metric, None without errors, and release the memory."""
+        return {
+            share: statistics_in_place(self._shares.pop(name)[: self._counts[name]])
+            for name, (share, _) in PER_LENGTH.items()
+        }
+
 
 _MOST_HELD = 100_000  # sub-trajectories of a length that are kept in memory, 5 MB
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SubTrajectoryErrors:
-    """The relative errors of all sub-trajectories of one length.
-
-    Attributes:
-        length: The length as configured.
-        length_m: The length in metres; None if it is no distance.
-        mean_length_m: Mean true length of the sub-trajectories; None if there are none.
-        count: K, the number of sub-trajectories.
-        measure: Function that computes the errors.
-        held: The errors; None for long runs, where they would take most of the memory.
-        statistics: Statistics by metric; None if a metric is not available.
-    """
+    """The relative errors of all sub-trajectories of one length."""
 
     length: Length
-    length_m: float | None
-    mean_length_m: float | None
-    count: int
-    measure: Callable[[], RelativeErrors]
+    length_m: float | None  # the length in metres; None if it is no distance
+    mean_length_m: float | None  # mean true length of the sub-trajectories; None if there are none
+    count: int  # K, the number of sub-trajectories
+    measure: Callable[[], RelativeErrors]  # function that computes the errors
+    # The errors; None for long runs, where they would take most of the memory.
     held: RelativeErrors | None
+    # Statistics by metric; None if a metric is not available.
     statistics: dict[str, Statistics | None]
 
     @cached_property
@@ -85,7 +143,6 @@ class SubTrajectoryErrors:
         return float(np.degrees(self.length.radians)) if self.length.turns else None
 
     def __repr__(self) -> str:
-        """Return a summary in one line, without arrays."""
         return f"<SubTrajectoryErrors of {self.length}: {rmse_text(self.statistics)}>"
 
 
@@ -101,20 +158,11 @@ def rmse_text(statistics: dict[str, Statistics | None]) -> str:
 def relative_evaluation(
     pairs: Association, groundtruth: Trajectory, alignment: Alignment, protocol: Protocol
 ) -> tuple[tuple[SubTrajectoryErrors, ...] | None, dict[str, Statistics | None]]:
-    """Compute the errors of eq. (27) for all sub-trajectories of all lengths.
+    """Compute the errors of eq. (27) for all sub-trajectories of all lengths of a protocol.
 
-    Args:
-        pairs: The paired states.
-        groundtruth: All groundtruth states.
-        alignment: Alignment of the pairs; sub-trajectories use its scale.
-        protocol: Lengths, selection and form.
-
-    Returns:
-        The errors by length; None without lengths, or without orientations on both sides if the
-        form needs them. Statistics of the drift over all lengths in metres.
-
-    Raises:
-        InputError: A length cannot be measured along these pairs.
+    Sub-trajectories use the scale of the pairs' alignment. The errors are None without lengths, or
+    without orientations on both sides if the form needs them. The second value has statistics of
+    the drift over all lengths in metres.
     """
     if not protocol.lengths or not (pairs.have_rotations or protocol.re_form == "fitted"):
         return None, PooledDrift(0).statistics()
@@ -123,7 +171,7 @@ def relative_evaluation(
     travelled = along.travelled_by_pairs
     in_metres = sum(length.in_metres for length in protocol.lengths)
     pooled = PooledDrift(in_metres * len(pairs))
-    segments = []
+    of_lengths = []
     for length in protocol.lengths:
         measure = partial(_errors, pairs, protocol, along, length, scale)
         errors = measure()
@@ -136,7 +184,7 @@ def relative_evaluation(
             positions = pairs.groundtruth.positions, pairs.estimate.positions
             statistics |= pose_errors(errors.position_m, errors.rotation_deg)
             statistics |= distance_errors(*positions, starts, ends, scale)
-        segments.append(
+        of_lengths.append(
             SubTrajectoryErrors(
                 length=length,
                 length_m=length_m,
@@ -150,7 +198,7 @@ def relative_evaluation(
             )
         )
         del errors, starts, ends  # frees their memory before the next length
-    return tuple(segments), pooled.statistics()
+    return tuple(of_lengths), pooled.statistics()
 
 
 def _errors(
@@ -160,7 +208,8 @@ def _errors(
     sides = pairs.groundtruth, pairs.estimate
     chosen = along.select(length)
     errors = relative_errors(*sides, *chosen, protocol.gauge, scale, protocol.re_form)
-    return _without(errors, ("tilt_deg",)) if protocol.gauge is Gauge.PLANAR else errors
+    has_tilt = protocol.gauge is not Gauge.PLANAR and not pairs.has_headings_only
+    return errors if has_tilt else _without(errors, ("tilt_deg",))
 
 
 def _without(errors: RelativeErrors, metrics: tuple[str, ...]) -> RelativeErrors:
@@ -228,7 +277,7 @@ class _Measure:
         return select(self._along(length), self._value(length), self._selection)
 
     def _select_frames(self, length: Length) -> tuple[Indices, Indices]:
-        frames, paired = self._groundtruth.frames, self._pairs.groundtruth_rows
+        frames, paired = self._groundtruth.reading.frame_numbers, self._pairs.groundtruth_rows
         assert paired is not None
         numbers = np.arange(len(self._groundtruth)) if frames is None else frames
         if length.unit == "f":

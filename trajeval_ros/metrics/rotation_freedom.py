@@ -14,10 +14,8 @@ import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.similarity import Similarity
-from trajeval_ros.metrics.moments import Moments
-from trajeval_ros.metrics.orientation_sum import OrientationSum
+from trajeval_ros.geometry.gauge import Gauge, Similarity
+from trajeval_ros.metrics.moments import Moments, OrientationSum
 
 UNDETERMINED_DEG = 30.0
 # A rotation error is misleading if it exceeds both this multiple of the error of the alignment by
@@ -37,37 +35,26 @@ _IDENTITY = np.eye(3)
 
 @dataclass(frozen=True)
 class OrientationEvidence:
-    """Comparison of the alignment with an alignment by orientations.
+    """Comparison of the alignment with an alignment by orientations."""
 
-    Attributes:
-        error_deg: Rotation error under the alignment (`OrientationSum.error`).
-        least_deg: Rotation error under the alignment by orientations.
-        turn_deg: Angle between the two alignments.
-        turn_in_stds: That angle in standard deviations of drift in positions and orientations;
-            an undetermined axis contributes 0.
-    """
-
-    error_deg: float
-    least_deg: float
-    turn_deg: float
+    error_deg: float  # rotation error under the alignment (`OrientationSum.error`)
+    least_deg: float  # rotation error under the alignment by orientations
+    turn_deg: float  # angle between the two alignments
+    # That angle in standard deviations of drift in positions and orientations; an undetermined
+    # axis contributes 0.
     turn_in_stds: float
 
 
 @dataclass(frozen=True)
 class RotationFreedom:
-    """Uncertainty of an alignment's rotation.
+    """Uncertainty of an alignment's rotation."""
 
-    Attributes:
-        about_gravity: Whether the gauge's rotation is about gravity only.
-        std_deg: Standard deviation about the least determined axis; infinite if undetermined.
-        orientations: Comparison with the orientations; None without them on both sides.
-        moves_positions: Whether the rotation is undetermined and moves aligned positions: the
-            groundtruth is on an exact line, and the estimate leaves it.
-    """
-
-    about_gravity: bool
-    std_deg: float
+    about_gravity: bool  # whether the gauge's rotation is about gravity only
+    std_deg: float  # standard deviation about the least determined axis; infinite if undetermined
+    # Comparison with the orientations; None without them on both sides.
     orientations: OrientationEvidence | None
+    # Whether the rotation is undetermined and moves aligned positions: the groundtruth is on an
+    # exact line, and the estimate leaves it.
     moves_positions: bool = False
 
     @property
@@ -156,15 +143,10 @@ def rotation_freedom(
     position, except through a wrong scale. Drift is correlated over the whole run, so that all
     pairs together count as one sample.
 
-    Args:
-        gauge: A gauge with a rotation.
-        moments: Sums over the states' positions.
-        orientations: Sum over the same states; None if a side has no orientations.
-        similarity: The alignment.
-        by_orientations: (3, 3) rotation of the gauge that fits `orientations` best, or None.
-        arm_m: Weight of orientations in the alignment (see `alignment.solve`), metres.
-        best_scale: The best scale for the alignment's rotation, for any gauge.
-        is_free: Whether the cost is constant, up to rounding, along some rotation.
+    `by_orientations` (3, 3) is the rotation of the gauge that fits the orientations best.
+    Orientations have the weight `arm_m` in the alignment (see `alignment.solve`). `best_scale` is
+    that of the alignment's rotation, for any gauge. `is_free`: the cost is constant, up to
+    rounding, along some rotation.
     """
     rotation, linear = similarity.rotation, similarity.linear
     error = 0.0 if orientations is None else orientations.error(rotation)

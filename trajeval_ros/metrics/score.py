@@ -16,25 +16,15 @@ from trajeval_ros.metrics.association import Association
 
 @dataclass(frozen=True)
 class PointTable:
-    """Points per position error, constant between bounds.
+    """Points per position error, constant between bounds."""
 
-    Attributes:
-        bounds_m: Increasing bounds, metres; an error below the first has the first points.
-        points: Points, as many as bounds; an error of at least the last bound has none.
-        best: Score of a run without errors.
-        dimensions: 3, or 2 for horizontal errors.
-
-    Raises:
-        SettingsError: The table is inconsistent.
-    """
-
-    bounds_m: tuple[float, ...]
+    bounds_m: tuple[float, ...]  # increasing bounds; an error below the first has the first points
+    # Points, as many as bounds; an error of at least the last bound has none.
     points: tuple[float, ...]
-    best: float = 100.0
-    dimensions: int = 3
+    best: float = 100.0  # score of a run without errors
+    dimensions: int = 3  # 3, or 2 for horizontal errors
 
     def __post_init__(self) -> None:
-        """Refuse inconsistent tables."""
         _require_dimensions(self.dimensions)
         if len(self.bounds_m) != len(self.points) or not self.points:
             raise SettingsError(
@@ -46,12 +36,7 @@ class PointTable:
             raise SettingsError("the first points and the best score must be positive")
 
     def score(self, errors_m: Floats, references: int) -> Score:
-        """Return the score of a run.
-
-        Args:
-            errors_m: (N,) errors of the points that have an estimate, metres.
-            references: Number of all points.
-        """
+        """Return the score from the errors (N,), metres, of the points that have an estimate."""
         worth = np.array([*self.points, 0.0])
         place = np.searchsorted(np.array(self.bounds_m), errors_m, side="right")
         total = float(worth[place].sum())
@@ -70,24 +55,14 @@ class KnotTable:
     """Points per position error, linear between knots and zero beyond the last.
 
     Two knots with points 1 and 0 give the area under the recall curve up to the last knot.
-
-    Attributes:
-        knots_m: Errors, increasing from 0, metres.
-        points: Points, as many as knots, not increasing.
-        best: Score of a run without errors.
-        dimensions: 3, or 2 for horizontal errors.
-
-    Raises:
-        SettingsError: The table is inconsistent.
     """
 
-    knots_m: tuple[float, ...]
-    points: tuple[float, ...]
-    best: float = 100.0
-    dimensions: int = 3
+    knots_m: tuple[float, ...]  # errors, increasing from 0, metres
+    points: tuple[float, ...]  # points, as many as knots, not increasing
+    best: float = 100.0  # score of a run without errors
+    dimensions: int = 3  # 3, or 2 for horizontal errors
 
     def __post_init__(self) -> None:
-        """Refuse inconsistent tables."""
         _require_dimensions(self.dimensions)
         if len(self.knots_m) != len(self.points) or len(self.points) < 2:
             raise SettingsError(
@@ -102,7 +77,7 @@ class KnotTable:
             raise SettingsError("the best score must be positive")
 
     def score(self, errors_m: Floats, references: int) -> Score:
-        """Return the score of a run; see `PointTable.score`."""
+        """Return the score from the errors (N,), metres, of the points that have an estimate."""
         worth = np.interp(errors_m, self.knots_m, self.points, right=0.0)
         bounds = self.knots_m[1:]
         place = np.searchsorted(np.array(bounds), errors_m, side="right")
@@ -118,21 +93,12 @@ class KnotTable:
 
 @dataclass(frozen=True)
 class RecallRule:
-    """Error bounds within which a point counts as found.
+    """Error bounds within which a point counts as found."""
 
-    Attributes:
-        bounds_m: Bounds in metres, inclusive.
-        dimensions: 3, or 2 for horizontal errors.
-
-    Raises:
-        SettingsError: A bound is not positive.
-    """
-
-    bounds_m: tuple[float, ...]
-    dimensions: int = 3
+    bounds_m: tuple[float, ...]  # bounds in metres, inclusive
+    dimensions: int = 3  # 3, or 2 for horizontal errors
 
     def __post_init__(self) -> None:
-        """Refuse bounds that are not positive."""
         _require_dimensions(self.dimensions)
         if not self.bounds_m or min(self.bounds_m) <= 0.0:
             raise SettingsError("recall bounds must be greater than 0, in metres")
@@ -147,38 +113,24 @@ class RecallRule:
 
 @dataclass(frozen=True)
 class Recall:
-    """Percentages of the groundtruth's points that are found.
+    """Percentages of the groundtruth's points that are found."""
 
-    Attributes:
-        bounds_m: Error bounds, metres.
-        dimensions: 3, or 2 for horizontal errors.
-        percent: Percentage of all points within every bound; missing points are not found.
-    """
-
-    bounds_m: tuple[float, ...]
-    dimensions: int
+    bounds_m: tuple[float, ...]  # error bounds, metres
+    dimensions: int  # 3, or 2 for horizontal errors
+    # Percentage of all points within every bound; missing points are not found.
     percent: tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class Score:
-    """The score of a run.
+    """The score of a run."""
 
-    Attributes:
-        value: From 0 to `best`.
-        best: Score of a run without errors.
-        bounds_m: Error bounds, metres.
-        found: Number of points below every bound, and beyond the last one.
-        missing: Number of points without an estimate; they have no points.
-        references: Number of all points.
-    """
-
-    value: float
-    best: float
-    bounds_m: tuple[float, ...]
-    found: tuple[int, ...]
-    missing: int
-    references: int
+    value: float  # from 0 to `best`
+    best: float  # score of a run without errors
+    bounds_m: tuple[float, ...]  # error bounds, metres
+    found: tuple[int, ...]  # number of points below every bound, and beyond the last one
+    missing: int  # number of points without an estimate; they have no points
+    references: int  # number of all points
 
 
 def _require_dimensions(dimensions: int) -> None:

@@ -12,29 +12,28 @@ from dataclasses import dataclass
 
 from trajeval_ros.exceptions import SettingsError, TrajevalError
 from trajeval_ros.metrics.evaluation import Evaluation, evaluate_pairs
-from trajeval_ros.metrics.settings import parse_states
 from trajeval_ros.metrics.statistics import Statistics
+
+
+def parse_states(text: str) -> int | None:
+    """Return the number of aligned states in a text "all" or "10"; None for all."""
+    if text == "all":
+        return None
+    if not text.isdecimal() or int(text) < 1:
+        raise SettingsError(f"align states must be all or a number of states, not {text!r}")
+    return int(text)
 
 
 @dataclass(frozen=True)
 class FirstStates:
-    """A number of first pairs to align by.
+    """A number of first pairs to align by."""
 
-    Attributes:
-        states: The number; None for all pairs, or if `share` is set.
-        share: The number as a share of all pairs, above 0 and below 1, or None.
-    """
-
-    states: int | None = None
-    share: float | None = None
+    states: int | None = None  # the number; None for all pairs, or if `share` is set
+    share: float | None = None  # the number as a share of all pairs, above 0 and below 1, or None
 
     @classmethod
     def parse(cls, text: str) -> FirstStates:
-        """Parse "1", "25%" or "all".
-
-        Raises:
-            SettingsError: The text is not valid.
-        """
+        """Parse "1", "25%" or "all"."""
         text = text.strip()
         if not text.endswith("%"):
             return cls(states=parse_states(text))
@@ -50,7 +49,6 @@ class FirstStates:
         return cls(share=share)
 
     def __str__(self) -> str:
-        """Return the text that `parse` accepts."""
         if self.share is not None:
             return f"{100.0 * self.share:g}%"
         return "all" if self.states is None else str(self.states)
@@ -63,11 +61,7 @@ class FirstStates:
 
 
 def parse_first_states(text: str) -> tuple[FirstStates, ...]:
-    """Parse "1,25%,50%,75%,all".
-
-    Raises:
-        SettingsError: A part is not valid, or occurs twice.
-    """
+    """Parse "1,25%,50%,75%,all"."""
     chosen = tuple(FirstStates.parse(part) for part in text.split(","))
     if len(set(chosen)) < len(chosen):
         raise SettingsError(f"the number of states is given twice in {text!r}; remove one")
@@ -76,21 +70,15 @@ def parse_first_states(text: str) -> tuple[FirstStates, ...]:
 
 @dataclass(frozen=True)
 class AlignedBy:
-    """The ATE of one alignment.
-
-    Attributes:
-        states: The number of states as configured.
-        states_used: Number of states in the fit; None if there is no alignment.
-        position_m: Statistics of the position error; None if there is no alignment.
-        rotation_deg: Statistics of the rotation error; None if not available.
-        reason: Why there is no alignment, or no rotation error; empty otherwise.
-    """
+    """The ATE of one alignment."""
 
     states: str
-    states_used: int | None = None
+    states_used: int | None = None  # number of states in the fit; None if there is no alignment
+    # Statistics of the position error; None if there is no alignment.
     position_m: Statistics | None = None
+    # Statistics of the rotation error; None if not available.
     rotation_deg: Statistics | None = None
-    reason: str = ""
+    reason: str = ""  # why there is no alignment, or no rotation error; empty otherwise
 
 
 def states_table(evaluation: Evaluation, chosen: Iterable[FirstStates]) -> tuple[AlignedBy, ...]:

@@ -7,6 +7,7 @@ pairs by rotation, where all orientations are compared, O(N^2).
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,6 +16,110 @@ import numpy as np
 from trajeval_ros.exceptions import SettingsError, require_one_of
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
+
+UNITS = ("m", "s", "%", "f", "deg", "rad")
+
+
+_EXAMPLES = "8 or 8m (metres), 1s (seconds), 10f (frames), 5deg or 0.1rad (of rotation) or 10%"
+
+
+@dataclass(frozen=True)
+class Length:
+    """The length of sub-trajectories.
+
+    Attributes:
+        value: The number in its unit.
+        unit: `m`, of the path; `s`; `%`, of the whole path; `f`, frames, which are paired states;
+            `deg` or `rad`, of rotation.
+
+    Raises:
+        SettingsError: An unknown unit, or a value that is not positive.
+
+    Example:
+        >>> from trajeval_ros import Length
+        >>> Length(8, "m") == Length.of(8) == Length.parse("8m")
+        True
+    """
+
+    value: float
+    unit: str
+
+    def __post_init__(self) -> None:
+        if self.unit not in UNITS:
+            raise SettingsError(
+                f"the unit of a length must be one of {', '.join(UNITS)}, not {self.unit!r}"
+            )
+        if not (np.isfinite(self.value) and self.value > 0.0):
+            raise SettingsError(f"a length must be positive, not {self.text}")
+        if self.unit == "f" and self.value != round(self.value):
+            raise SettingsError(f"a length in frames must be a whole number, not {self.value:g}f")
+
+    @property
+    def in_metres(self) -> bool:
+        """Whether it is a distance, so that drift is defined."""
+        return self.unit in ("m", "%")
+
+    @property
+    def turns(self) -> bool:
+        """Whether it is a rotation."""
+        return self.unit in ("deg", "rad")
+
+    @property
+    def radians(self) -> float:
+        """The rotation in radians; only for `deg` and `rad`."""
+        return float(np.radians(self.value)) if self.unit == "deg" else self.value
+
+    @property
+    def text(self) -> str:
+        """The length as text for readers: 8 m, 1 s, 10 %, 1 frame, 5 deg."""
+        unit = self.unit
+        if unit == "f":
+            unit = "frame" if self.value == 1.0 else "frames"
+        return f"{self.value:g} {unit}"
+
+    @classmethod
+    def parse(cls, text: str) -> Length:
+        """Parse "8", "8m", "1s", "10f", "5deg", "0.1rad" or "10%"."""
+        pattern = rf"\s*([0-9.]+(?:e-?[0-9]+)?)\s*({'|'.join(UNITS)})?\s*"
+        match = re.fullmatch(pattern, text)
+        if match is None:
+            raise SettingsError(f"{text!r} is not a length; give {_EXAMPLES} (of the path)")
+        try:
+            return cls(float(match[1]), match[2] or "m")
+        except ValueError:
+            raise SettingsError(f"{text!r} is not a length") from None
+
+    @classmethod
+    def of(cls, length: Length | float | str) -> Length:
+        """Return a length from metres, a text or a length.
+
+        Raises:
+            SettingsError: The value is not valid.
+        """
+        if isinstance(length, Length):
+            return length
+        if isinstance(length, str):
+            return cls.parse(length)
+        if isinstance(length, bool) or not isinstance(length, (int, float, np.number)):
+            raise SettingsError(
+                f"{length!r} is not a length; give metres as a number, or a text such as "
+                f"{_EXAMPLES}"
+            )
+        return cls(float(length), "m")
+
+    def __str__(self) -> str:
+        return f"{self.value:g}{self.unit}"
+
+
+def parse_lengths(text: str) -> tuple[Length, ...]:
+    """Parse "8,16,24", "1s,5s", "1f,10f", "5deg", "10%,20%" or "none"."""
+    if text.strip() == "none":
+        return ()
+    lengths = tuple(Length.parse(part) for part in text.split(","))
+    if len(set(lengths)) < len(lengths):
+        raise SettingsError(f"a length is given twice in {text!r}; remove one")
+    return lengths
+
 
 RULES = ("nearest", "toolbox", "first-past", "evo")
 PAIRS = ("all", "consecutive")
@@ -26,33 +131,25 @@ class Selection:
     """The rule for the starts and ends of sub-trajectories.
 
     Lengths in frames are exact for all rules.
-
-    Attributes:
-        rule: `nearest`: the state nearest to the length, within 1 % of it or half the local
-            spacing of states, whichever is larger, but at most 20 %.
-            `toolbox`: the nearest within 20 %, as in rpg_trajectory_evaluation.
-            `first-past`: the first state beyond the length, as in the KITTI devkit.
-            `evo`: as evo_rpe. For consecutive pairs the first state at or beyond the length; for
-            all pairs the nearest within the tolerance; for rotations every pair of states whose
-            orientations differ by the length, within the tolerance.
-        every: Use every n-th state as a start.
-        pairs: `all`: all starts. `consecutive`: a sub-trajectory starts where the previous ends.
-        path: The side along which positions and rotations are measured: `groundtruth`, or
-            `estimate` with the alignment's scale.
-        tolerance: Largest relative deviation from the length, for rule `evo` with all pairs.
-
-    Raises:
-        SettingsError: An unknown name, or a number out of range.
     """
 
+    # `nearest`: the state nearest to the length, within 1 % of it or half the local spacing of
+    # states, whichever is larger, but at most 20 %. `toolbox`: the nearest within 20 %, as in
+    # rpg_trajectory_evaluation. `first-past`: the first state beyond the length, as in the KITTI
+    # devkit. `evo`: as evo_rpe. For consecutive pairs the first state at or beyond the length; for
+    # all pairs the nearest within the tolerance; for rotations every pair of states whose
+    # orientations differ by the length, within the tolerance.
     rule: str = "nearest"
-    every: int = 1
+    every: int = 1  # use every n-th state as a start
+    # `all`: all starts. `consecutive`: a sub-trajectory starts where the previous ends.
     pairs: str = "all"
+    # The side along which positions and rotations are measured: `groundtruth`, or `estimate` with
+    # the alignment's scale.
     path: str = "groundtruth"
+    # Largest relative deviation from the length, for rule `evo` with all pairs.
     tolerance: float = 0.1
 
     def __post_init__(self) -> None:
-        """Refuse unknown names and numbers out of range."""
         require_one_of(self.rule, RULES, "selection rule")
         require_one_of(self.pairs, PAIRS, "selection of pairs")
         require_one_of(self.path, PATHS, "path")
@@ -96,10 +193,7 @@ _TURN_BLOCK = 256  # states whose orientations are compared with all others at a
 def select(along: Floats, length: float, selection: Selection) -> tuple[Indices, Indices]:
     """Return the starts and ends (K,) of all sub-trajectories of a length, eq. (25).
 
-    Args:
-        along: (N,) path (m), time (s) or rotation (rad) up to every state, not decreasing.
-        length: Length in the unit of `along`.
-        selection: The rule.
+    `along` (N,) is the path (m), time (s) or rotation (rad) up to every state, not decreasing.
     """
     starts = np.arange(0, len(along), selection.every)
     if selection.rule == "first-past" or (selection.rule == "evo" and selection.is_consecutive):
@@ -122,12 +216,9 @@ def select_states(count: int, length: int, selection: Selection) -> tuple[Indice
 
 
 def select_turns(quaternions: Floats, angle: float, tolerance: float) -> tuple[Indices, Indices]:
-    """Return the starts and ends (K,) of all pairs of states with a given relative rotation.
+    """Return the starts and ends (K,) of all pairs of states with a given relative rotation, rad.
 
-    Args:
-        quaternions: (N, 4) xyzw, unit.
-        angle: Angle between the orientations, rad, at most pi.
-        tolerance: Largest relative deviation of the angle.
+    Orientations are (N, 4) xyzw; the angle is at most pi, its tolerance is relative.
     """
     least, most = (1.0 - tolerance) * angle, min((1.0 + tolerance) * angle, np.pi)
     # |q_i . q_j| is the cosine of half the angle between two orientations.
@@ -164,14 +255,8 @@ def select_frames(
 
     Starts are frames whose number is a multiple of `selection.every`. The end is the first
     groundtruth frame beyond the length. Sub-trajectories without an estimate at the start or the
-    end are left out.
-
-    Args:
-        along: (M,) as for `select`, for all groundtruth frames.
-        frames: (M,) frame numbers.
-        paired: (N,) indices of the frames in a pair; starts and ends are indices of these pairs.
-        length: Length in the unit of `along`.
-        selection: A selection with rule `first-past`.
+    end are left out. `along` and `frames` (M,) are path and numbers of all groundtruth frames;
+    starts and ends are indices of `paired` (N,), the frames in a pair.
     """
     starts = np.flatnonzero(frames % selection.every == 0)
     ends = np.searchsorted(along, along[starts] + length, side="right")
@@ -190,17 +275,10 @@ def nearest_ends(
     rule: str = "nearest",
     share: float = LARGEST_DEVIATION,
 ) -> tuple[Indices, Booleans]:
-    """Return the state nearest to the length for every start, and whether it is accepted.
+    """Return the state nearest to the length for K starts, and whether it is accepted (K,).
 
-    Args:
-        along: (N,) as for `select`.
-        starts: (K,) indices of first states.
-        length: One length for all starts, or (K,).
-        rule: `nearest`, `toolbox` or `evo`.
-        share: Largest relative deviation for rule `evo`.
-
-    Returns:
-        Indices (K,) of the last states, and whether the sub-trajectories are accepted (K,).
+    The length is one number or (K,). The rule is `nearest`, `toolbox`, or `evo` with the largest
+    relative deviation `share`.
     """
 
     def at(starts: Indices, length: Floats) -> tuple[Indices, Booleans]:

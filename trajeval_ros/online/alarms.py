@@ -1,29 +1,28 @@
-"""Alarms: limits of quantities, and their largest values since the last check."""
+"""Alarms: limits of quantities, their largest values since the last check, and active remarks."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
+from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.numbers import with_unit
-from trajeval_ros.online.notices import ERROR, WARN, Notice
+from trajeval_ros.formatting.remarks import Level, Remark
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.tracking_loss import FROZEN
 from trajeval_ros.online.reports import Snapshot, Update
 
 
 class LimitedQuantity(NamedTuple):
-    """A quantity with one limit for warnings and one for errors.
+    """A quantity with one limit for warnings and one for errors."""
 
-    Attributes:
-        name: Suffix of the parameters `warn_NAME` and `error_NAME`.
-        words: The quantity in words.
-        unit: Unit of the quantity and its limits; empty for a plain number.
-    """
-
-    name: str
-    words: str
-    unit: str
+    name: str  # its name; the parameter of its limits is `limits_NAME`
+    words: str  # the quantity in words
+    unit: str  # unit of the quantity and its limits; empty for a plain number
 
 
 LIMITED_QUANTITIES = (
@@ -35,26 +34,42 @@ LIMITED_QUANTITIES = (
     LimitedQuantity("nees", "mean NEES of the window per degree of freedom", ""),
     LimitedQuantity("latency_s", "time from arrival to publication", "s"),
     LimitedQuantity("staleness_s", "time without a message", "s"),
+    LimitedQuantity("arrival_s", "95th percentile of arrival after timestamp", "s"),
 )
 
 
+class AlarmLimits(NamedTuple):
+    """Limits of a quantity; 0 is no limit."""
+
+    warn: float = 0.0  # limit for warnings, in the quantity's unit
+    error: float = 0.0  # limit for errors
+
+    @classmethod
+    def parse(cls, text: str, name: str) -> AlarmLimits:
+        """Return the limits in a text such as 0.5,1.0; one number is the limit for errors."""
+        try:
+            numbers = [float(each) for each in text.split(",")] if text else [0.0]
+        except ValueError:
+            numbers = []
+        if not 1 <= len(numbers) <= 2 or not all(0.0 <= each < math.inf for each in numbers):
+            raise SettingsError(
+                f"parameter {name} must be the limits for warnings and errors, as in 0.5,1.0, not "
+                f"{text!r}"
+            )
+        return cls(*numbers) if len(numbers) == 2 else cls(error=numbers[0])
+
+
 class Peak(NamedTuple):
-    """The largest value of a quantity.
+    """The largest value of a quantity."""
 
-    Attributes:
-        value: In the quantity's unit.
-        stamp: Timestamp of its pair, nanoseconds; None if it belongs to no pair.
-    """
-
-    value: float
-    stamp: int | None = None
+    value: float  # in the quantity's unit
+    stamp: int | None = None  # timestamp of its pair, nanoseconds; None if it belongs to no pair
 
 
 class Peaks:
     """The largest values of limited quantities between two checks."""
 
     def __init__(self) -> None:
-        """Create it without values."""
         self._peaks: dict[str, Peak] = {}
 
     def see(self, name: str, value: float | None, stamp: int | None = None) -> None:
@@ -63,12 +78,7 @@ class Peaks:
             self._peaks[name] = Peak(value, stamp)
 
     def see_update(self, update: Update, *, knows_up: bool) -> None:
-        """Take the errors of new pairs and of completed sub-trajectories.
-
-        Args:
-            update: The new results.
-            knows_up: False ignores errors that depend on the up axis.
-        """
+        """Take the errors of new pairs and of completed sub-trajectories."""
         for errors in update.errors:
             yaw = errors.yaw_deg if knows_up else None
             for name, values in (
@@ -93,19 +103,17 @@ class Peaks:
         return peaks
 
 
-def alarms(peaks: Mapping[str, Peak], limits: Mapping[str, Any]) -> list[Notice]:
-    """Return an alarm for every quantity above its limit.
-
-    Args:
-        peaks: The largest values by name of the quantity.
-        limits: The limits by `warn_NAME` and `error_NAME`; 0 is no limit.
-    """
-    notices = []
+def alarms(peaks: Mapping[str, Peak], limits: Mapping[str, AlarmLimits]) -> list[Remark]:
+    """Return an alarm for every quantity above its limit, by the names of the quantities."""
+    remarks = []
     for name, words, unit in LIMITED_QUANTITIES:
         if name not in peaks:
             continue
         value, stamp = peaks[name]
-        for level, limit in ((ERROR, limits[f"error_{name}"]), (WARN, limits[f"warn_{name}"])):
+        for level, limit in (
+            (Level.ERROR, limits[name].error),
+            (Level.WARNING, limits[name].warn),
+        ):
             if 0.0 < limit < value:
                 number, bound = (with_unit(quantity, unit) for quantity in (value, limit))
                 text = f"{words} {number} is over {bound}"
@@ -116,6 +124,76 @@ def alarms(peaks: Mapping[str, Peak], limits: Mapping[str, Any]) -> list[Notice]
                 }
                 if stamp is not None:
                     values["stamp_ns"] = stamp
-                notices.append(Notice("alarm", level, text, name, values))
+                remarks.append(Remark(level, "alarm", text, name, values))
                 break
-    return notices
+    return remarks
+
+
+def alarm_below(name: str, value: float, limits: AlarmLimits, text: str) -> list[Remark]:
+    """Return an alarm if a quantity is below a limit; the text may contain {limit}."""
+    for level, limit in ((Level.ERROR, limits.error), (Level.WARNING, limits.warn)):
+        if value < limit:
+            values = {"value": value, "limit": limit}
+            return [Remark(level, "alarm", text.format(limit=limit), name, values)]
+    return []
+
+
+def about_loss(snapshot: Snapshot) -> list[Remark]:
+    """Return the remark about a frozen or diverging estimate, if it is lost."""
+    loss, ate_m = snapshot.loss, snapshot.ate_before_loss_m
+    if loss is None:
+        return []
+    at = f"{loss.begin_ns / NANOSECONDS:.3f} s"
+    if loss.cause == FROZEN:
+        text = f"the estimate repeats its pose since {at}, while the groundtruth moves"
+    else:
+        text = f"the estimate diverges from the groundtruth since {at}"
+    values: dict[str, float | int | str] = {
+        "stamp_ns": loss.begin_ns,
+        "duration_s": loss.duration_s,
+        "true_m": loss.true_m,
+        "moved_m": loss.moved_m,
+    }
+    if ate_m is not None:
+        text += f"; the ATE until then is {with_unit(ate_m, 'm')}"
+        values["ate_before_m"] = ate_m
+    level = Level.ERROR if loss.is_error else Level.WARNING
+    return [Remark(level, loss.cause, text, values=values)]
+
+
+_VARYING = {"alarm", "loss", "silence"}
+
+
+class Standing:
+    """The active remarks. Each is reported once when it starts, gets more severe, or ends."""
+
+    def __init__(self) -> None:
+        self._remarks: dict[tuple[str, str], Remark] = {}  # by code and subject
+
+    def renew(self, remarks: Iterable[Remark]) -> list[Remark]:
+        """Take all active remarks; returns new ones, and ended ones as notes."""
+        before, now = self._remarks, {_key(each): each for each in self.as_told(remarks)}
+        self._remarks = now = {key: each for key, each in now.items() if each.level != Level.NOTE}
+        started = [
+            each
+            for key, each in now.items()
+            if key not in before or each.level > before[key].level
+        ]
+        ended = [
+            replace(each, level=Level.NOTE, text=f"no longer: {each.text}")
+            for key, each in before.items()
+            if key not in now
+        ]
+        return started + ended
+
+    def as_told(self, remarks: Iterable[Remark]) -> list[Remark]:
+        """Return remarks; texts whose numbers vary every second keep those of the start."""
+        told = [(self._remarks.get(_key(each), each), each) for each in remarks]
+        return [
+            first if first.level == each.level and each.code in _VARYING else each
+            for first, each in told
+        ]
+
+
+def _key(remark: Remark) -> tuple[str, str]:
+    return remark.code, remark.subject

@@ -11,17 +11,23 @@ from typing import Any
 
 import numpy as np
 
+from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.metrics.stream_health import StreamHealth
 from trajeval_ros.online.pair_errors import PairErrors
 from trajeval_ros.online.reports import Snapshot, Update
 
 NODE = "evaluator"
+ROBOT = "robot"  # hardware of a status without a namespace
 VECTOR_TYPE = "geometry_msgs/msg/Vector3Stamped"
 NUMBER_TYPE = "std_msgs/msg/Float64"
 ALIGNMENT, ALIGNMENT_TYPE = "alignment", "geometry_msgs/msg/TransformStamped"
 ALIGNED_PATH, GROUNDTRUTH_PATH = "aligned_path", "groundtruth_path"
 DIAGNOSTICS, DIAGNOSTICS_TYPE = "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"
-WINDOW_NUMBERS = ("ate_position", "ate_rotation")
+# As diagnostic_msgs/DiagnosticStatus has them.
+# STALE (3) is for aggregators, of statuses that do not arrive.
+DIAGNOSTIC_LEVELS = {Level.NOTE: 0, Level.WARNING: 1, Level.ERROR: 2}
+ATE = "stamped/ate"  # of the window
 # Of the window's newest pair, live only, by part of the pose.
 PROTECTION_LEVELS = {
     "horizontal": "protection_level",
@@ -50,20 +56,13 @@ _BY_UP = {"stamped/attitude_error", "stamped/heading_error", "yaw_error", "tilt_
 
 def relative_error_topic(length: str) -> str:
     """Return the topic of the relative errors of a length; a topic cannot start with a digit."""
-    return f"relative_error/length_{length.replace('.', '_').replace('%', '_percent')}"
+    return f"stamped/relative_error/length_{length.replace('.', '_').replace('%', '_percent')}"
 
 
 def vectors_of(
     errors: PairErrors, topic: str, offset_ns: int, *, knows_up: bool
 ) -> tuple[Stamps, Floats]:
-    """Return stamps (K,) and vectors (K, 3) of the pairs that have such an error.
-
-    Args:
-        errors: Errors of N pairs.
-        topic: One of `VECTORS`.
-        offset_ns: Offset that was added to the estimate's timestamps; it is subtracted again.
-        knows_up: False withholds errors that depend on the up axis.
-    """
+    """Return stamps (K,) and vectors (K, 3) of the pairs that have such an error."""
     vectors = None if topic in _BY_UP and not knows_up else VECTORS[topic](errors)
     if vectors is None:
         return errors.stamps[:0], np.zeros((0, 3))
@@ -76,11 +75,27 @@ def numbers_of(errors: PairErrors, topic: str, *, knows_up: bool) -> Floats | No
     return None if topic in _BY_UP and not knows_up else NUMBERS[topic](errors)
 
 
-def window_numbers(snapshot: Snapshot) -> dict[str, float | None]:
-    """Return the values of `WINDOW_NUMBERS`; None if not available."""
+def position_and_rotation(position_m: Any, rotation_deg: Any | None) -> Floats:
+    """Return vectors (N, 3) of ATE and relative errors: metres, degrees, and zero.
+
+    An unavailable rotation (None) is NaN. The vectors are no vectors of a frame: no standard
+    message has a number and a timestamp.
+    """
+    position_m = np.atleast_1d(position_m)
+    vectors: Floats = np.zeros((len(position_m), 3))
+    vectors[:, 0] = position_m
+    vectors[:, 1] = np.nan if rotation_deg is None else rotation_deg
+    return vectors
+
+
+def window_ate(snapshot: Snapshot) -> Floats | None:
+    """Return the vector (1, 3) of the window's ATE; None without an alignment."""
     rotation = snapshot.ate.get("rotation_deg")
-    values = (snapshot.window_position_rmse_m, None if rotation is None else rotation.rmse)
-    return dict(zip(WINDOW_NUMBERS, values, strict=True))
+    if snapshot.window_position_rmse_m is None:
+        return None
+    return position_and_rotation(
+        snapshot.window_position_rmse_m, None if rotation is None else rotation.rmse
+    )
 
 
 def nees_numbers(snapshot: Snapshot) -> dict[str, float | None]:
@@ -99,13 +114,30 @@ def integrity_numbers(snapshot: Snapshot) -> dict[str, float]:
     return {PROTECTION_LEVELS[part.part]: float(part.levels[-1]) for part in parts}
 
 
-def status_values(snapshot: Snapshot, newest: Update) -> dict[str, Any]:
-    """Return the values of a status message by name; None if not available.
+# Of messages of a topic, live only; by field of `StreamHealth`.
+STREAM_NUMBERS = {
+    "rate": "rate_hz",
+    "jitter": "jitter_s",
+    "largest_gap": "largest_gap_s",
+    "arrival": "arrival_p95_s",
+}
 
-    Args:
-        snapshot: State of the evaluation.
-        newest: The update with the newest pair.
-    """
+
+def stream_values(health: StreamHealth, side: str = "") -> dict[str, float | int | None]:
+    """Return the health of the messages of a side by name, for a status message."""
+    return {
+        f"{side}rate [Hz]": health.rate_hz,
+        f"{side}jitter [s]": health.jitter_s,
+        f"{side}largest gap [s]": health.largest_gap_s,
+        f"{side}arrival after stamp, p50 [s]": health.arrival_p50_s,
+        f"{side}arrival after stamp, p95 [s]": health.arrival_p95_s,
+        f"{side}arrival after stamp, max [s]": health.arrival_max_s,
+        f"{side}messages from the future": health.from_future,
+    }
+
+
+def status_values(snapshot: Snapshot, newest: Update) -> dict[str, Any]:
+    """Return the values of a status message by name; None if not available."""
     alignment, rotation = snapshot.alignment, snapshot.ate.get("rotation_deg")
     coverage = snapshot.coverage
     return {

@@ -9,30 +9,24 @@ import numpy as np
 
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.dropped_counts import NO_STATE, add_counts
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import HandEye
+from trajeval_ros.geometry.valid_poses import NO_STATE, add_counts
 from trajeval_ros.metrics.alignment import Alignment
-from trajeval_ros.metrics.association import (
-    AT_GROUNDTRUTH,
-    AUTO,
-    Association,
-    AssociationRule,
-)
-from trajeval_ros.metrics.coverage import Coverage
+from trajeval_ros.metrics.association import AT_GROUNDTRUTH, AUTO, Association, AssociationRule
+from trajeval_ros.metrics.coverage import Coverage, StampedPoses
+from trajeval_ros.metrics.lost_tracking import LostTracking
 from trajeval_ros.metrics.moments import Moments
-from trajeval_ros.metrics.pair_steps import StampedPoses
 from trajeval_ros.metrics.statistics import Statistics
-from trajeval_ros.online.dense_pairing import DensePairing
+from trajeval_ros.online.dense_pairing import DensePairing, LiveCoverage
 from trajeval_ros.online.live_alignment import LiveAlignment
-from trajeval_ros.online.live_coverage import LiveCompleteness, LiveCoverage
 from trajeval_ros.online.live_frames import LiveFrames
 from trajeval_ros.online.live_relative_errors import RelativeEnd, RelativeTracker
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pair_errors import PairErrors
 from trajeval_ros.online.pairing import Pairing
 from trajeval_ros.online.reports import Snapshot, Update
-from trajeval_ros.online.sparse_pairing import SparsePairing
+from trajeval_ros.online.sparse_pairing import LiveCompleteness, SparsePairing
 from trajeval_ros.online.state_rows import (
     POSITION,
     QUATERNION,
@@ -41,12 +35,7 @@ from trajeval_ros.online.state_rows import (
     all_columns,
     trajectory,
 )
-from trajeval_ros.online.window import PairStore
-from trajeval_ros.online.window_results import (
-    judge_window,
-    window_integrity,
-    window_statistics,
-)
+from trajeval_ros.online.window import PairStore, judge_window, window_integrity, window_statistics
 
 
 class OnlineEvaluator:
@@ -60,6 +49,7 @@ class OnlineEvaluator:
         buffer: The pairing of the states.
         frames: Up axes of both frames, which must be set before the first states, and conversions.
         store: The pairs of the window, and those that relative errors still need.
+        tracking: Losses of tracking: frozen and diverging estimates.
 
     Example:
         >>> import numpy as np
@@ -77,7 +67,6 @@ class OnlineEvaluator:
         settings: OnlineSettings | None = None,
         record: Callable[[Pairs], object] | None = None,
         record_waypoints: Callable[[StampedPoses], object] | None = None,
-        buffer: Pairing | None = None,
     ) -> None:
         """Create an evaluator without states.
 
@@ -85,19 +74,19 @@ class OnlineEvaluator:
             settings: The settings; None for the defaults.
             record: Called with all new pairs, to store them outside this process.
             record_waypoints: Called with the groundtruth's waypoints between pairs.
-            buffer: Pairing with the first states, which another evaluator has cut off.
         """
         self.settings = settings or OnlineSettings()
         rule = self.settings.protocol.association
         self.frames = LiveFrames(self.settings)
         self._record, self._record_waypoints = record, record_waypoints
         kind = SparsePairing if rule.method == AT_GROUNDTRUTH else DensePairing
-        self._pair_by(buffer or kind(rule.max_gap_s, self.settings.limits))
-        self._is_settled = buffer is not None or rule.method != AUTO
+        self._pair_by(kind(rule.max_gap_s, self.settings.limits))
+        self._is_settled = rule.method != AUTO
         covariances = self.settings.covariances.source != "none"
         self.store = PairStore(covariances=covariances)
         self._begin_to_align()
         self._count = self._late = 0
+        self._ate_before_m: float | None = None  # until nothing suggested a loss of tracking
 
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
         """Take new groundtruth states.
@@ -125,6 +114,16 @@ class OnlineEvaluator:
         self.frames.require_orientations(rows)
         self.buffer.add_estimate(stamps + self.settings.offset_ns, rows)
 
+    def continue_after(self, before: OnlineEvaluator) -> None:
+        """Take the states that the evaluator of the previous run has received and not used.
+
+        Call it before the first state. The settings must be the same.
+        """
+        buffer = before.buffer
+        self._pair_by(type(buffer)(buffer.max_gap_s, buffer.limits))
+        self._is_settled = before._is_settled
+        buffer.hand_over(self.buffer)
+
     def update(self, *, at_end: bool = False) -> Update:
         """Evaluate the states since the last call.
 
@@ -144,14 +143,14 @@ class OnlineEvaluator:
             pairs = self._in_order(pairs)
         self._coverage.add(pairs, at_end=at_end)
         if not len(pairs.stamps):
-            return Update()
+            return Update(ends=self._ends(at_end=at_end)) if at_end else Update()
+        self.tracking.add(pairs.stamps, pairs.groundtruth, pairs.estimate)
         own, pairs = pairs, self.frames.upright(pairs)
         self.store.append(pairs)
         self._aligning.add(pairs)
-        ends: tuple[RelativeEnd, ...] = ()
-        if pairs.have_rotations:
-            scale = 1.0 if self._aligning.found is None else self._aligning.found.similarity.scale
-            ends = self._relative.update(self.store, scale)
+        if self.tracking.is_clear:
+            self._ate_before_m = self._aligning.rmse(self._aligning.whole)
+        ends = self._ends(at_end=at_end)
         window_begin = self.store.window_begin(self.settings.window)
         self.store.drop_before(min(window_begin, self._relative.oldest_needed(self.store)))
         return Update(len(pairs.stamps), int(pairs.stamps[-1]), self._errors_of(own), ends)
@@ -165,9 +164,11 @@ class OnlineEvaluator:
         ate: dict[str, Statistics | None] = {}
         if pairs is not None and found is not None:
             ate = window_statistics(pairs, found, protocol)
+        loss = self.tracking.present
         consistency, why_not = judge_window(pairs, protocol, request.once_turned)
         return Snapshot(
-            pairs=self._count,
+            pairs=self._count - self._late,
+            stamp=int(self.store.stamps()[-1]) if len(self.store) else None,
             warming_up=self._aligning.why_not,
             alignment=self.alignment,
             position_rmse_m=self._aligning.rmse(self._aligning.whole),
@@ -184,6 +185,8 @@ class OnlineEvaluator:
             integrity=window_integrity(
                 consistency, self.settings.integrity, self.store.stamps(begin)
             ),
+            loss=loss,
+            ate_before_loss_m=None if loss is None else self._ate_before_m,
         )
 
     @property
@@ -221,7 +224,6 @@ class OnlineEvaluator:
         self.settings = self.settings.with_moved_groundtruth(hand_eye)
 
     def _begin_to_align(self) -> None:
-        """Reset the alignment and the relative errors."""
         self._relative = RelativeTracker(self.settings.protocol)
         self._aligning = LiveAlignment(self.settings.protocol, freezes=self.settings.freeze)
 
@@ -257,7 +259,6 @@ class OnlineEvaluator:
         )
 
     def _pairs_from(self, begin: int) -> Association:
-        """Return the pairs from number `begin` on, at least one, without counts."""
         stamps = self.store.stamps(begin)
         return Association(
             rule=self.rule,
@@ -267,8 +268,19 @@ class OnlineEvaluator:
             coverage=Coverage(0.0, 0.0),
             dropped={},
             from_the_start=isinstance(self.buffer, SparsePairing)
-            or bool(stamps[0] == self.buffer.estimate_intake.first),
+            or bool(stamps[0] == self.buffer.estimate_counts.first),
         )
+
+    def _ends(self, *, at_end: bool) -> tuple[RelativeEnd, ...]:
+        """Return the sub-trajectories that end by the newest pair, if poses have orientations."""
+        first = QUATERNION.start
+        if not len(self.store):
+            return ()
+        if np.isnan(self.store.groundtruth()[-1, first] + self.store.estimate()[-1, first]):
+            return ()
+        found = self._aligning.found
+        scale = 1.0 if found is None else found.similarity.scale
+        return self._relative.update(self.store, scale, at_end=at_end)
 
     def _settle(self, rows: Floats) -> None:
         """Resolve association `auto` by the first usable groundtruth states, if there are any."""
@@ -280,8 +292,8 @@ class OnlineEvaluator:
             self._pair_by(SparsePairing.after(self.buffer))
 
     def _pair_by(self, buffer: Pairing) -> None:
-        """Use a pairing, and measure its coverage."""
         self.buffer = buffer
+        self.tracking = LostTracking(of_fixes=isinstance(buffer, SparsePairing))
         of_kind = LiveCompleteness if isinstance(buffer, SparsePairing) else LiveCoverage
         self._coverage: LiveCompleteness | LiveCoverage = of_kind(buffer, self._record_waypoints)
 
@@ -294,7 +306,6 @@ class OnlineEvaluator:
         return pairs.picked(new)
 
     def _window_moments(self, begin: int) -> Moments:
-        """Return the moments of the pairs from `begin` on."""
         if self.settings.window.is_whole_run or not len(self.store):
             return self._aligning.whole
         pairs = self.store.groundtruth(begin), self.store.estimate(begin)

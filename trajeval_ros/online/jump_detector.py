@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.diagnosis.jumps import Steps
+from trajeval_ros.geometry.travelled import StepDifferences
 from trajeval_ros.online.state_rows import POSITION, QUATERNION, Pairs
 
 _MEMORY = 200.0  # steps in the running means of usual steps
@@ -15,33 +15,26 @@ _MEMORY = 200.0  # steps in the running means of usual steps
 
 @dataclass(frozen=True)
 class Jump:
-    """A step of the estimate that is no motion of the robot.
+    """A step of the estimate that is no motion of the robot."""
 
-    Attributes:
-        stamp: Timestamp of the first pair after it, nanoseconds.
-        position_m: Difference between the distances of estimate and groundtruth.
-        rotation_deg: Difference between the angles of estimate and groundtruth.
-    """
-
-    stamp: int
-    position_m: float
-    rotation_deg: float
+    stamp: int  # timestamp of the first pair after it, nanoseconds
+    position_m: float  # difference between the distances of estimate and groundtruth
+    rotation_deg: float  # difference between the angles of estimate and groundtruth
 
 
 class JumpDetector:
-    """Examines the steps between pairs as they arrive.
-
-    Attributes:
-        count: Number of jumps so far.
-    """
+    """Examines the steps between pairs as they arrive."""
 
     def __init__(self) -> None:
-        """Create it without a usual step."""
-        self.count = 0
+        self.count = 0  # number of jumps so far
         self._newest: Pairs | None = None
         self._typical_m = self._typical_deg = 0.0
         self._weight = 0.0
         self._were_jumps = np.zeros(2, dtype=bool)  # the newest steps
+
+    def skip(self) -> None:
+        """Do not examine the step to the next pair."""
+        self._newest = None
 
     def update(self, pairs: Pairs, scale: float) -> list[Jump]:
         """Return the jumps among new pairs, in order of time; late pairs are ignored."""
@@ -56,12 +49,12 @@ class JumpDetector:
         if not len(pairs.stamps):
             return []
         self._newest = pairs.picked(slice(-1, None))
-        truth, estimate = pairs.groundtruth, pairs.estimate
+        groundtruth, estimate = pairs.groundtruth, pairs.estimate
         turned = pairs.have_rotations
-        steps = Steps.between(
-            truth[:, POSITION],
+        steps = StepDifferences.between(
+            groundtruth[:, POSITION],
             estimate[:, POSITION],
-            truth[:, QUATERNION] if turned else None,
+            groundtruth[:, QUATERNION] if turned else None,
             estimate[:, QUATERNION] if turned else None,
             scale,
         )
@@ -88,8 +81,7 @@ class JumpDetector:
         alone: NDArray[np.int64] = jumps[~(are_jumps[jumps] & are_jumps[jumps + 1])]
         return alone
 
-    def _learn(self, steps: Steps, jumps: NDArray[np.int64]) -> None:
-        """Update the running means with the other steps."""
+    def _learn(self, steps: StepDifferences, jumps: NDArray[np.int64]) -> None:
         usual = np.ones(len(steps.true_m), dtype=bool)
         usual[jumps] = False
         new = int(np.count_nonzero(usual))

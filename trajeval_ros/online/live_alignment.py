@@ -10,10 +10,9 @@ from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.metrics.alignment import Alignment, align_first, solve
-from trajeval_ros.metrics.moments import Moments
-from trajeval_ros.metrics.orientation_sum import OrientationSum
+from trajeval_ros.metrics.moments import Moments, OrientationSum
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.online.state_rows import POSITION, QUATERNION, Pairs
 
@@ -22,25 +21,13 @@ FREEZE_AT_DEG = 1.0
 
 
 class LiveAlignment:
-    """Aligns the pairs so far according to the protocol, at a constant cost.
-
-    Attributes:
-        found: The present alignment; None before the first one.
-        why_not: Why there is none yet, or why it is undetermined; empty otherwise.
-        is_kept: Whether it no longer changes.
-        whole: Moments of all pairs.
-    """
+    """Aligns the pairs so far according to the protocol, at a constant cost."""
 
     def __init__(self, protocol: Protocol, *, freezes: bool) -> None:
-        """Create it without a pair.
-
-        Args:
-            protocol: Gauge, and the states to align by.
-            freezes: Keep the first alignment whose rotation is known to `FREEZE_AT_DEG`.
-        """
         self._protocol, self._freezes = protocol, freezes
-        self.found: Alignment | None = None
-        self.why_not, self.is_kept = "no pairs yet", False
+        self.found: Alignment | None = None  # the present alignment; None before the first one
+        self.why_not = "no pairs yet"  # or why it is undetermined; else empty
+        self.is_kept = False  # whether it no longer changes
         self._origin: tuple[Floats, Floats] | None = None
         self.whole = self._first = Moments.empty(Similarity.identity())
         self._turned = self._first_turned = OrientationSum.empty()
@@ -100,12 +87,12 @@ class LiveAlignment:
 
     def _align_by_one(self, pairs: Pairs) -> None:
         """Align by the first of the pairs (N,), N > 0, for good, if it determines the gauge."""
-        truth, estimate = pairs.groundtruth[0], pairs.estimate[0]
+        groundtruth, estimate = pairs.groundtruth[0], pairs.estimate[0]
         try:
             self.found = align_first(
                 self._protocol.gauge,
-                truth[POSITION],
-                _quaternion(truth),
+                groundtruth[POSITION],
+                _quaternion(groundtruth),
                 estimate[POSITION],
                 _quaternion(estimate),
             )
@@ -148,7 +135,6 @@ class LiveAlignment:
         )
 
     def _unshifted(self, similarity: Similarity) -> Similarity:
-        """Return an alignment of coordinates relative to the first pair as one of the frames."""
         assert self._origin is not None
         p, q = self._origin
         translation = similarity.translation + p - similarity.linear @ q
@@ -168,10 +154,10 @@ class LiveAlignment:
 
 def _orientation_sum(groundtruth: Floats, estimate: Floats) -> OrientationSum:
     """Return the sum over pairs of rows (N, 10); empty if orientations are missing."""
-    truth, other = groundtruth[:, QUATERNION], estimate[:, QUATERNION]
-    if np.isnan(truth[:, 0] + other[:, 0]).any():
+    groundtruth, other = groundtruth[:, QUATERNION], estimate[:, QUATERNION]
+    if np.isnan(groundtruth[:, 0] + other[:, 0]).any():
         return OrientationSum.empty()
-    return OrientationSum.of_pairs(lie.normalized(truth), lie.normalized(other))
+    return OrientationSum.of_pairs(lie.normalized(groundtruth), lie.normalized(other))
 
 
 def _quaternion(row: Floats) -> Floats | None:

@@ -31,20 +31,15 @@ class ClockReport:
     """The present estimate of the clock offset.
 
     Attributes:
-        span_s: Time from the first estimated state to the newest one, seconds.
         offset_s: Offset to add to the estimate's timestamps; None before the first estimate.
-        sigma_s: Its standard deviation.
-        half_width_95_s: Half width of its 95 % interval.
-        status: `waiting`, or a status of `calibration.significance.Parameter`.
-        reason: The reason for the status.
     """
 
-    span_s: float = 0.0
+    span_s: float = 0.0  # time from the first estimated state to the newest one, seconds
     offset_s: float | None = None
-    sigma_s: float | None = None
-    half_width_95_s: float | None = None
-    status: str = "waiting"
-    reason: str = f"needs {FIRST_S:g} s of both trajectories"
+    sigma_s: float | None = None  # its standard deviation
+    half_width_95_s: float | None = None  # half width of its 95 % interval
+    status: str = "waiting"  # `waiting`, or a status of `calibration.significance.Parameter`
+    reason: str = f"needs {FIRST_S:g} s of both trajectories"  # the reason for the status
 
     @property
     def is_significant(self) -> bool:
@@ -59,30 +54,22 @@ class OnlineClock:
     Therefore the cost of an estimation is bounded.
 
     Attributes:
-        report: The present estimate.
         calibration: The complete calibration with it; None before the first.
     """
 
     def __init__(self, gauge: Gauge, worker: Executor | None = None) -> None:
-        """Create it without states.
-
-        Args:
-            gauge: See `calibrate`.
-            worker: Runs the estimation in parallel, since it takes longer than messages can wait;
-                None to run it immediately.
-        """
         self._worker = worker
         self._asked: Future[tuple[ClockReport, Calibration | None]] | None = None
-        self.report = ClockReport()
+        self.report = ClockReport()  # the present estimate
         self.calibration: Calibration | None = None
         self._gauge = gauge
-        self._truth, self._estimate = StateBuffer(), StateBuffer()
+        self._groundtruth, self._estimate = StateBuffer(), StateBuffer()
         self._first: int | None = None
         self._next_s = FIRST_S
 
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
         """Take groundtruth states: stamps (N,) in nanoseconds and rows (N, 10) of `states`."""
-        _add(self._truth, stamps, rows, _GROUNDTRUTH_STEP_NS)
+        _add(self._groundtruth, stamps, rows, _GROUNDTRUTH_STEP_NS)
 
     def add_estimate(self, stamps: Stamps, rows: Floats) -> None:
         """Take estimated states: stamps (N,) in nanoseconds and rows (N, 10) of `states`."""
@@ -96,12 +83,7 @@ class OnlineClock:
         return 0.0 if self._first is None else (self._estimate.newest - self._first) / NANOSECONDS
 
     def update(self, *, at_end: bool = False, waits: bool = False) -> bool:
-        """Estimate the offset if it is due; returns whether there is a new report.
-
-        Args:
-            at_end: No more states will come.
-            waits: Wait for the result.
-        """
+        """Estimate the offset if it is due; returns whether there is a new report."""
         waits |= at_end
         is_new = self._asked is not None
         if self._asked is not None:
@@ -113,10 +95,10 @@ class OnlineClock:
                 return True
         span_s = self.span_s
         due = span_s >= self._next_s or (at_end and span_s > self.report.span_s)
-        if not due or not len(self._truth):
+        if not due or not len(self._groundtruth):
             return is_new
         self._next_s = span_s + max(_PAUSE_S, _PAUSE_SHARE * span_s)
-        inputs = span_s, _trajectory(self._truth), _trajectory(self._estimate), self._gauge
+        inputs = span_s, _trajectory(self._groundtruth), _trajectory(self._estimate), self._gauge
         if self._worker is not None and not waits:
             self._asked = self._worker.submit(_estimated, *inputs)
             return False
@@ -176,7 +158,5 @@ def _trajectory(stream: StateBuffer) -> Trajectory:
     turns = rows[:, QUATERNION]
     known = not np.isnan(turns).any() and bool(turns[:, :3].any())
     return Trajectory(
-        stamps.copy(),
-        rows[:, POSITION].copy(),
-        lie.normalized(turns) if known else None,
+        stamps.copy(), rows[:, POSITION].copy(), lie.normalized(turns) if known else None
     )

@@ -13,11 +13,10 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.absolute_errors import lengths
-from trajeval_ros.metrics.drift import position_percent
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.relative_errors import PoseArrays, differences_at_ends
-from trajeval_ros.metrics.sub_trajectories import nearest_ends
-from trajeval_ros.metrics.sub_trajectory_length import Length
+from trajeval_ros.metrics.relative_evaluation import position_percent
+from trajeval_ros.metrics.sub_trajectories import Length, nearest_ends
 from trajeval_ros.online.state_rows import POSITION, QUATERNION
 from trajeval_ros.online.window import PairStore
 
@@ -31,43 +30,31 @@ class RelativeEnd(NamedTuple):
     """The end of a sub-trajectory.
 
     Attributes:
-        length: The length as configured, such as 8m.
-        stamp: Timestamp of its last state, nanoseconds.
-        position_m: Position error at its end.
-        rotation_deg: Rotation error at its end.
         drift_percent: Position error in percent of the length, the largest among those of this
             length that ended in the same update; None if the length is a duration.
     """
 
-    length: str
-    stamp: int
-    position_m: float
-    rotation_deg: float
+    length: str  # the length as configured, such as 8m
+    stamp: int  # timestamp of its last state, nanoseconds
+    position_m: float  # position error at its end
+    rotation_deg: float  # rotation error at its end
     drift_percent: float | None
 
 
 @dataclass(frozen=True)
 class RunningErrors:
-    """Mean errors of the sub-trajectories of one length so far.
+    """Mean errors of the sub-trajectories of one length so far."""
 
-    Attributes:
-        count: Number of sub-trajectories.
-        position_m: Mean of their position errors.
-        rotation_deg: Mean of their rotation errors.
-        given_up: Number of starts that were given up before their ends arrived.
-    """
-
-    count: int = 0
-    position_m: float = 0.0
-    rotation_deg: float = 0.0
-    given_up: int = 0
+    count: int = 0  # number of sub-trajectories
+    position_m: float = 0.0  # mean of their position errors
+    rotation_deg: float = 0.0  # mean of their rotation errors
+    given_up: int = 0  # number of starts that were given up before their ends arrived
 
 
 class RelativeTracker:
     """Finds the ends of sub-trajectories of several lengths; every pair is used once."""
 
     def __init__(self, protocol: Protocol) -> None:
-        """Create it for the protocol's lengths in metres, seconds and frames."""
         self._protocol = protocol
         # One entry per length, grouped by unit.
         chosen: list[Length] = []
@@ -104,23 +91,18 @@ class RelativeTracker:
 
     @property
     def _columns(self) -> tuple[NDArray[Any], ...]:
-        """The arrays with one entry per length."""
-        return (
-            self._next,
-            self._given_up,
-            self._count,
-            self._position_sum,
-            self._rotation_sum,
-        )
+        return (self._next, self._given_up, self._count, self._position_sum, self._rotation_sum)
 
-    def update(self, store: PairStore, scale: float) -> tuple[RelativeEnd, ...]:
+    def update(
+        self, store: PairStore, scale: float, *, at_end: bool = False
+    ) -> tuple[RelativeEnd, ...]:
         """Measure the sub-trajectories whose ends have arrived.
 
-        Args:
-            store: All pairs from the oldest open start on.
-            scale: Scale of the present alignment.
+        `at_end`: no pair will follow, so that the last pair may be the nearest to the length.
         """
-        return tuple(end for unit in LIVE_UNITS for end in self._measure(store, unit, scale))
+        return tuple(
+            end for unit in LIVE_UNITS for end in self._measure(store, unit, scale, at_end)
+        )
 
     def oldest_needed(self, store: PairStore) -> int:
         """Return the number of the oldest pair that can still start a sub-trajectory."""
@@ -131,16 +113,22 @@ class RelativeTracker:
             np.maximum(self._next, limit, out=self._next)
         return max(oldest, limit)
 
-    def _measure(self, store: PairStore, unit: str, scale: float) -> Iterator[RelativeEnd]:
+    def _measure(
+        self, store: PairStore, unit: str, scale: float, at_end: bool
+    ) -> Iterator[RelativeEnd]:
         """Measure the sub-trajectories of the lengths in one unit; yield the newest per length."""
         group = self._by_unit[unit]
         names, values, begin = self._names[group], self._values[group], self._next[group]
         if not names:
             return
         first = int(begin.min())
+        if first == store.end:
+            return
         along = _along(store, first, unit)
         # An end is decided when a pair is at or beyond the length.
         decided = first + along.searchsorted(along[-1] - values, side="right")
+        if at_end:
+            decided[:] = store.end
         count = np.maximum(decided - begin, 0)
         if not count.any():
             return
@@ -170,12 +158,12 @@ class RelativeTracker:
         self, store: PairStore, starts: Indices, ends: Indices, scale: float
     ) -> list[Floats]:
         """Return position errors, m, and rotation errors, deg, (K,) each, at the ends."""
-        truth, other = store.groundtruth(), store.estimate()
+        groundtruth, other = store.groundtruth(), store.estimate()
 
         def at_ends(s: Indices, e: Indices) -> tuple[Floats, Floats]:
             rows = np.array([s, e]) - store.begin
             difference, between, _ = differences_at_ends(
-                _poses(truth[rows]),
+                _poses(groundtruth[rows]),
                 _poses(other[rows]),
                 self._protocol.gauge,
                 scale,
@@ -187,7 +175,6 @@ class RelativeTracker:
 
 
 def _poses(rows: Floats) -> PoseArrays:
-    """Return the poses of state rows (..., 10)."""
     return PoseArrays(rows[..., POSITION], rows[..., QUATERNION])
 
 

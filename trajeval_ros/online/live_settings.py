@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from trajeval_ros.consistency.covariance_request import CovarianceRequest
+from trajeval_ros.consistency.covariance_request import CovarianceRequest, IntegrityRequest
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS
@@ -13,11 +13,10 @@ from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH, AUTO
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.sub_trajectories import Selection
-from trajeval_ros.online.intake import Limits
+from trajeval_ros.online.state_buffer import BufferLimits
 from trajeval_ros.online.window import Window
 
 if TYPE_CHECKING:
-    from trajeval_ros.consistency.integrity import IntegrityRequest
     from trajeval_ros.geometry.marker import HandEye
 
 
@@ -50,7 +49,7 @@ class OnlineSettings:
     protocol: Protocol
     window: Window
     freeze: bool
-    limits: Limits
+    limits: BufferLimits
     covariances: CovarianceRequest
     integrity: IntegrityRequest | None
     up: tuple[str, str] | None
@@ -60,7 +59,7 @@ class OnlineSettings:
         protocol: Protocol | None = None,
         window: Window | str = "0",
         freeze: bool = False,
-        limits: Limits | None = None,
+        limits: BufferLimits | None = None,
         covariances: CovarianceRequest | None = None,
         up: tuple[str, str] | None = None,
         integrity: IntegrityRequest | None = None,
@@ -69,7 +68,7 @@ class OnlineSettings:
             "protocol": protocol or Protocol(),
             "window": Window.parse(window) if isinstance(window, str) else window,
             "freeze": freeze,
-            "limits": limits or Limits(),
+            "limits": limits or BufferLimits(),
             "covariances": covariances or CovarianceRequest(),
             "up": up,
             "integrity": integrity,
@@ -107,7 +106,6 @@ class OnlineSettings:
         return round(self.offset_s * NANOSECONDS)
 
     def _require_possible(self) -> None:
-        """Refuse settings that are not supported live."""
         for axis in self.up or ():
             UpAxis(axis)
         method = self.protocol.association.method

@@ -8,7 +8,7 @@ import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.online.state_rows import POSITION, QUATERNION, VELOCITY, Pairs
@@ -19,26 +19,14 @@ class PairErrors:
 
     Vectors are groundtruth minus aligned estimate, in the groundtruth's frame unless stated
     otherwise. A quantity that is not available is None. Quantities are computed on access.
-
-    Attributes:
-        stamps: (N,) timestamps of the pairs, nanoseconds.
-        position: (N, 3), metres.
     """
 
     def __init__(self, pairs: Pairs, alignment: Similarity, up: UpAxis, *, rotation: bool) -> None:
-        """Compute the errors of pairs between the frames' own axes.
-
-        Args:
-            pairs: N > 0 pairs.
-            alignment: From the estimate's frame to the groundtruth's.
-            up: Up axis of the groundtruth's frame.
-            rotation: False withholds errors that depend on an undetermined rotation.
-        """
         self._pairs, self._alignment, self._up = pairs, alignment, up
         self._has_rotation = rotation
-        self.stamps = pairs.stamps
+        self.stamps = pairs.stamps  # (N,) timestamps of the pairs, nanoseconds
         aligned = alignment.positions(pairs.estimate[:, POSITION])
-        self.position: Floats = pairs.groundtruth[:, POSITION] - aligned
+        self.position: Floats = pairs.groundtruth[:, POSITION] - aligned  # (N, 3), metres
 
     @cached_property
     def position_m(self) -> Floats:
@@ -50,9 +38,9 @@ class PairErrors:
         """The rotation errors E = R R'^T, (N, 4)."""
         if not self._has_rotation or not self._pairs.have_rotations:
             return None
-        truth = self._pairs.groundtruth[:, QUATERNION]
+        groundtruth = self._pairs.groundtruth[:, QUATERNION]
         aligned = self._alignment.quaternions(self._pairs.estimate[:, QUATERNION])
-        return lie.normalized(lie.multiply(truth, lie.conjugate(aligned)))
+        return lie.normalized(lie.multiply(groundtruth, lie.conjugate(aligned)))
 
     @cached_property
     def rotation_deg(self) -> Floats | None:
@@ -100,9 +88,12 @@ class PairErrors:
 
         A velocity of exactly zero is an unset field of a message.
         """
-        truth, estimate = self._pairs.groundtruth[:, VELOCITY], self._pairs.estimate[:, VELOCITY]
-        error = truth - self._alignment.vectors(estimate)
-        error[~(truth.any(axis=1) & estimate.any(axis=1))] = np.nan
+        groundtruth, estimate = (
+            self._pairs.groundtruth[:, VELOCITY],
+            self._pairs.estimate[:, VELOCITY],
+        )
+        error = groundtruth - self._alignment.vectors(estimate)
+        error[~(groundtruth.any(axis=1) & estimate.any(axis=1))] = np.nan
         return error if self._has_rotation and np.isfinite(error).any() else None
 
     @property

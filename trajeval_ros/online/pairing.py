@@ -16,27 +16,20 @@ import numpy as np
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
-from trajeval_ros.geometry.dropped_counts import add_counts, count_up
-from trajeval_ros.metrics.bracket import Bracket, bracket_stamps, mix
-from trajeval_ros.metrics.interpolation import Interpolation
-from trajeval_ros.metrics.pair_steps import StampedPoses
-from trajeval_ros.online.intake import Intake, Limits
-from trajeval_ros.online.state_buffer import NEVER, StateBuffer
+from trajeval_ros.geometry.interpolation import Bracket, bracket_stamps, mix
+from trajeval_ros.geometry.valid_poses import add_counts, count_up
+from trajeval_ros.metrics.completeness import Interpolation
+from trajeval_ros.metrics.coverage import StampedPoses
+from trajeval_ros.online.state_buffer import NEVER, BufferLimits, StateBuffer, StateCounts
 from trajeval_ros.online.state_rows import QUATERNION, WIDTH, Pairs
 
 
 class Decided(NamedTuple):
-    """States whose association has been decided, in order of time.
+    """States whose association has been decided, in order of time."""
 
-    Attributes:
-        stamps: (N,) nanoseconds.
-        rows: (N, k) states.
-        bracket: Their position between the states of the interpolated side.
-    """
-
-    stamps: Stamps
-    rows: Floats
-    bracket: Bracket
+    stamps: Stamps  # (N,) nanoseconds
+    rows: Floats  # (N, k) states
+    bracket: Bracket  # their position between the states of the interpolated side
 
     def until(self, count: int) -> Decided:
         """Return the first `count` states."""
@@ -48,28 +41,26 @@ class Pairing(ABC):
 
     Attributes:
         max_gap_s: Longest step of the interpolated side that is interpolated, seconds.
-        limits: Limits of the memory.
-        groundtruth_intake: Counts of the groundtruth's states. Besides invalid states these are:
+        groundtruth_counts: Counts of the groundtruth's states. Besides invalid states these are:
             `too_late`, a state of the interpolated side whose neighbours have been forgotten; and
             `after_use`, a state that arrived after its neighbours were used without it.
-        estimate_intake: Counts of the estimated states.
+        estimate_counts: Counts of the estimated states.
     """
 
     interpolated: ClassVar[str]  # the interpolated side, `groundtruth` or `estimate`
     waits: ClassVar[tuple[str, str]]  # name of the waiting states, singular and plural
 
-    def __init__(self, max_gap_s: float = 0.5, limits: Limits | None = None) -> None:
-        """Create it empty."""
+    def __init__(self, max_gap_s: float = 0.5, limits: BufferLimits | None = None) -> None:
         self.max_gap_s = max_gap_s
-        self.limits = limits or Limits()
-        self.groundtruth_intake, self.estimate_intake = Intake(), Intake()
+        self.limits = limits or BufferLimits()  # limits of the memory
+        self.groundtruth_counts, self.estimate_counts = StateCounts(), StateCounts()
         self._track, self._waiting = StateBuffer(), StateBuffer()
         self._track_count = 0  # states of the interpolated side so far
         # In the same order as offline, whatever occurs first.
         self._unpaired = dict.fromkeys(Bracket.reasons(self.interpolated), 0)
         self._decided: Decided | None = None  # by the last `made`, not counted yet
         self._seen: Stamps = np.empty(0, dtype=np.int64)
-        self._forgotten_until = self._paired_until = self._paired_before = NEVER
+        self._forgotten_until = self._paired_until = self._decided_until = NEVER
         self._is_full = False  # whether states were dropped by number, not by age
 
     @abstractmethod
@@ -116,7 +107,7 @@ class Pairing(ABC):
 
     @property
     @abstractmethod
-    def _sides(self) -> tuple[Intake, Intake]:
+    def _sides(self) -> tuple[StateCounts, StateCounts]:
         """The intakes of the interpolated and of the waiting side."""
 
     @abstractmethod
@@ -130,7 +121,7 @@ class Pairing(ABC):
         Two more reasons exist live. `too_late`: the states around it have been forgotten.
         `waited_too_long`: too many states were waiting.
         """
-        return add_counts(self.estimate_intake.dropped, self._unpaired)
+        return add_counts(self.estimate_counts.dropped, self._unpaired)
 
     @property
     def waiting(self) -> int:
@@ -160,18 +151,14 @@ class Pairing(ABC):
         return "; ".join(told)
 
     def take(self, *, at_end: bool = False) -> Pairs:
-        """Return the pairs that are possible now, and drop states that are no longer needed.
-
-        Args:
-            at_end: No states will follow; waiting states are decided now.
-        """
+        """Return the pairs that are possible now, and drop states that are no longer needed."""
         pairs = self.made(at_end=at_end)
         self.settle()
         return pairs
 
     def made(self, *, at_end: bool = False) -> Pairs:
-        """Return the pairs that are possible now; call `settle` afterwards to drop old states."""
-        self._paired_before = self._paired_until
+        """Return the pairs that are possible now; `settle` takes them as used."""
+        self._decided = None
         track_stamps, track = self._track.held
         waiting, rows = self._waiting.held
         ready = len(waiting)
@@ -180,7 +167,6 @@ class Pairing(ABC):
         if not ready:
             return Pairs(np.empty(0, np.int64), np.empty((0, WIDTH)), np.empty((0, WIDTH)))
         stamps, rows = waiting[:ready].copy(), rows[:ready].copy()
-        self._waiting.drop(ready)
         bracket = (
             bracket_stamps(track_stamps, stamps, self.max_gap_s)
             if len(track_stamps)
@@ -193,57 +179,49 @@ class Pairing(ABC):
             start, end, fraction = start[usable], end[usable], fraction[usable]
             stamps, rows = stamps[usable], rows[usable]
         between = mix(track, start, end, fraction)
-        assert between is not None
-        if len(stamps):
-            if not np.isnan(between[0, QUATERNION.start]):
-                quaternions = track[:, QUATERNION]
-                between[:, QUATERNION] = lie.slerp(quaternions[start], quaternions[end], fraction)
-            self._paired_until = max(self._paired_until, int(stamps[-1]))
+        if len(stamps) and not np.isnan(between[0, QUATERNION.start]):
+            quaternions = track[:, QUATERNION]
+            between[:, QUATERNION] = lie.slerp(quaternions[start], quaternions[end], fraction)
         return self._as_pairs(stamps, between, rows)
 
-    def cut(self, pairs: Pairs, row: int) -> tuple[Pairs, Pairing]:
-        """End this pairing before one of the pairs that were just made.
+    def hand_over(self, following: Pairing) -> None:
+        """Give another pairing the states that wait, and the interpolated ones around and after.
 
-        States of the interpolated side around this pair are in both pairings, which both need.
-
-        Args:
-            pairs: The result of the last `made`.
-            row: The first of these pairs that belongs to the next pairing.
-
-        Returns:
-            The pairs before it, and a pairing with all later states.
+        Both pairings need the two interpolated states around the border. Every other state belongs
+        to one of them.
         """
-        assert self._decided is not None
-        stamp = int(pairs.stamps[row])
-        following = type(self)(self.max_gap_s, self.limits)
-        stamps, rows = self._track.held
-        begin = max(int(stamps.searchsorted(stamp, side="right")) - 1, 0)
-        end = min(int(stamps.searchsorted(stamp)), len(stamps) - 1)
-        following._interpolate(stamps[begin:].copy(), rows[begin:].copy())
-        beyond = len(stamps) - 1 - end
-        interpolated, waited = self._sides
-        interpolated.take_back(beyond, int(stamps[end]))
-        self._track_count -= beyond
-        self._track.end -= beyond
         held, rows = self._waiting.held
         waiting, rows = held.copy(), rows.copy()
+        stamps, track = self._track.held
+        border = int(waiting[0]) if len(waiting) else self._paired_until + 1
+        begin = max(int(stamps.searchsorted(border, side="right")) - 1, 0)
+        end = min(int(stamps.searchsorted(border)), len(stamps) - 1)
+        following._interpolate(stamps[begin:].copy(), track[begin:].copy())
+        following._let_wait(waiting, rows)
+        interpolated, waited = self._sides
         self._waiting.drop(len(waiting))
-        older = waiting < stamp
-        self._waiting.append(waiting[older], rows[older])
-        decided = self._decided
-        kept = int(decided.stamps.searchsorted(stamp))
-        moved = np.concatenate([decided.stamps[kept:], waiting[~older]])
-        following._let_wait(moved, np.concatenate([decided.rows[kept:], rows[~older]]))
-        self._decided = decided.until(kept)
-        self._paired_until = int(pairs.stamps[row - 1]) if row else self._paired_before
-        waited.take_back(len(moved), int(decided.stamps[kept - 1]) if kept else self._paired_until)
-        return pairs.picked(slice(row)), following
+        waited.take_back(len(waiting), self._decided_until)
+        beyond = len(stamps) - 1 - end
+        if beyond and len(stamps):
+            interpolated.take_back(beyond, int(stamps[end]))
+            self._track_count -= beyond
+            self._track.end -= beyond
 
-    def settle(self) -> None:
-        """Count the decided states, and drop states older than the limits allow."""
-        if self._decided is not None and len(self._decided.stamps):
-            self._pass(self._decided)
-        self._decided = None
+    def settle(self, before: int | None = None) -> None:
+        """Take the last pairs of `made` as used, and drop states older than the limits allow.
+
+        With a timestamp `before`, later pairs are not used: their states continue to wait.
+        """
+        decided, self._decided = self._decided, None
+        if decided is not None and before is not None:
+            decided = decided.until(int(decided.stamps.searchsorted(before)))
+        if decided is not None and len(decided.stamps):
+            self._waiting.drop(len(decided.stamps))
+            self._decided_until = int(decided.stamps[-1])
+            paired = decided.stamps[decided.bracket.usable]
+            if len(paired):
+                self._paired_until = max(self._paired_until, int(paired[-1]))
+            self._pass(decided)
         stamps, _ = self._track.held
         if not len(stamps):
             return
@@ -262,7 +240,6 @@ class Pairing(ABC):
             self._track.drop(old)
 
     def _pass(self, decided: Decided) -> None:
-        """Count the decided states without a pair."""
         bracket = decided.bracket
         late = bracket.early & (decided.stamps <= self._forgotten_until)
         too_late = int(np.count_nonzero(late))
@@ -274,9 +251,8 @@ class Pairing(ABC):
         """Called before the `count` oldest interpolated states are dropped."""
 
     def _interpolate(self, stamps: Stamps, rows: Floats) -> None:
-        """Take states of the interpolated side."""
-        intake = self._sides[0]
-        stamps, rows = intake.take(stamps, rows)
+        counts = self._sides[0]
+        stamps, rows = counts.take(stamps, rows)
         if not len(stamps):
             return
         if _continue(self._track.newest, stamps):
@@ -285,17 +261,16 @@ class Pairing(ABC):
             return
         if self._forgotten_until > NEVER:  # states older than the oldest stored one are too late
             old: Booleans = stamps < self._track.held[0][0]
-            intake.drop("too_late", int(np.count_nonzero(old)))
+            counts.drop("too_late", int(np.count_nonzero(old)))
             stamps, rows = stamps[~old], rows[~old]
-        intake.drop("after_use", int(np.count_nonzero(stamps <= self._paired_until)))
+        counts.drop("after_use", int(np.count_nonzero(stamps <= self._paired_until)))
         duplicates = self._track.merge(stamps, rows)
-        intake.drop("duplicate_stamp", duplicates)
+        counts.drop("duplicate_stamp", duplicates)
         self._track_count += len(stamps) - duplicates
 
     def _let_wait(self, stamps: Stamps, rows: Floats) -> None:
-        """Take states of the waiting side."""
-        intake = self._sides[1]
-        stamps, rows = intake.take(stamps, rows)
+        counts = self._sides[1]
+        stamps, rows = counts.take(stamps, rows)
         if not len(stamps):
             return
         if _continue(int(self._seen[-1]) if len(self._seen) else NEVER, stamps):
@@ -307,7 +282,7 @@ class Pairing(ABC):
             unseen = ~np.isin(new, self._seen)
             self._waiting.merge(new[unseen], rows[first[unseen]])
             self._seen = np.union1d(self._seen, new)
-            intake.drop("duplicate_stamp", len(stamps) - int(np.count_nonzero(unseen)))
+            counts.drop("duplicate_stamp", len(stamps) - int(np.count_nonzero(unseen)))
         forget = int(self._seen.searchsorted(self.limits.horizon(int(self._seen[-1]))))
         self._seen = self._seen[max(forget, len(self._seen) - self.limits.waiting_states) :]
         excess = len(self._waiting) - self.limits.waiting_states
@@ -316,7 +291,6 @@ class Pairing(ABC):
             self._drop("waited_too_long", excess)
 
     def _drop(self, reason: str, count: int) -> None:
-        """Count states without a pair."""
         count_up(self._unpaired, reason, count)
 
 

@@ -9,29 +9,23 @@ from typing import TYPE_CHECKING
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.coverage import Coverage
 from trajeval_ros.metrics.statistics import Statistics
+from trajeval_ros.metrics.tracking_loss import Loss
 from trajeval_ros.online.live_relative_errors import RelativeEnd, RunningErrors
 from trajeval_ros.online.pair_errors import PairErrors
 
 if TYPE_CHECKING:
+    from trajeval_ros.consistency.consistency_result import Consistency, PerPose
     from trajeval_ros.consistency.integrity import Integrity
-    from trajeval_ros.consistency.result import Consistency, PerPose
 
 
 @dataclass(frozen=True, eq=False)
 class Update:
-    """The results of new pairs.
+    """The results of new pairs; the errors are block by block, none without an alignment."""
 
-    Attributes:
-        pairs: Number of new pairs.
-        stamp: Timestamp of the newest pair, nanoseconds; None without new pairs.
-        errors: Errors of the new pairs, block by block; empty without an alignment.
-        ends: Sub-trajectories that ended.
-    """
-
-    pairs: int = 0
-    stamp: int | None = None
+    pairs: int = 0  # number of new pairs
+    stamp: int | None = None  # timestamp of the newest pair, nanoseconds; None without new pairs
     errors: tuple[PairErrors, ...] = ()
-    ends: tuple[RelativeEnd, ...] = ()
+    ends: tuple[RelativeEnd, ...] = ()  # sub-trajectories that ended
 
     @property
     def position_m(self) -> float | None:
@@ -58,42 +52,27 @@ def united(updates: Sequence[Update]) -> Update:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """The state of an evaluation.
+    """The state of an evaluation; a result that is not available or not configured is None."""
 
-    Attributes:
-        pairs: Number of pairs so far.
-        warming_up: Why there is no alignment yet; empty if there is one.
-        alignment: The present alignment.
-        position_rmse_m: Position ATE of the run so far.
-        window_position_rmse_m: Position ATE of the window.
-        ate: Statistics of the window's absolute errors by metric.
-        window_pairs: Number of pairs in the window.
-        relative: Errors of sub-trajectories so far, by length.
-        estimate_coverage: Share of estimated states in a pair, without waiting ones.
-        coverage: Share of the groundtruth's time that the pairs cover; None before the first pair.
-        dropped: Number of estimated states without a pair by reason.
-        waiting: Number of waiting states.
-        consistency: Consistency test of the window's pairs; None if not configured or not
-            possible.
-        why_not_consistency: Why the test is not possible; empty otherwise.
-        integrity: Errors of the window against protection levels; None likewise.
-    """
-
+    # Number of pairs so far, without those out of order, which are in `dropped` and on disk.
     pairs: int
-    warming_up: str
-    alignment: Alignment | None
-    position_rmse_m: float | None
-    window_position_rmse_m: float | None
-    ate: dict[str, Statistics | None]
-    window_pairs: int
-    relative: dict[str, RunningErrors]
-    estimate_coverage: float | None
-    coverage: Coverage | None
-    dropped: dict[str, int]
-    waiting: int
-    consistency: Consistency | None = None
-    why_not_consistency: str = ""
-    integrity: Integrity | None = None
+    stamp: int | None  # timestamp of the newest pair, nanoseconds; None without a pair
+    warming_up: str  # why there is no alignment yet; empty if there is one
+    alignment: Alignment | None  # the present alignment
+    position_rmse_m: float | None  # position ATE of the run so far
+    window_position_rmse_m: float | None  # position ATE of the window
+    ate: dict[str, Statistics | None]  # statistics of the window's absolute errors by metric
+    window_pairs: int  # number of pairs in the window
+    relative: dict[str, RunningErrors]  # errors of sub-trajectories so far, by length
+    estimate_coverage: float | None  # share of estimated states in a pair, without waiting ones
+    coverage: Coverage | None  # of the groundtruth's time by pairs
+    dropped: dict[str, int]  # number of estimated states without a pair by reason
+    waiting: int  # number of waiting states
+    consistency: Consistency | None = None  # test of the window's pairs
+    why_not_consistency: str = ""  # why the test is not possible; empty otherwise
+    integrity: Integrity | None = None  # errors of the window against protection levels
+    loss: Loss | None = None  # loss of tracking at the newest pair
+    ate_before_loss_m: float | None = None  # position ATE of the run until it
 
     @property
     def nees(self) -> PerPose | None:

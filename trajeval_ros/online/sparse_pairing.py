@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import deepcopy
 from typing import ClassVar
 
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.dropped_counts import add_counts
 from trajeval_ros.geometry.travelled import travelled_distance
-from trajeval_ros.metrics.interpolation import Interpolation, InterpolationMeter
-from trajeval_ros.metrics.pair_steps import POSE, StampedPoses
-from trajeval_ros.online.intake import Intake, Limits
+from trajeval_ros.geometry.valid_poses import add_counts
+from trajeval_ros.metrics.completeness import CompletenessSums, Interpolation, InterpolationMeter
+from trajeval_ros.metrics.coverage import POSE, Coverage, StampedPoses
 from trajeval_ros.online.pairing import Decided, Pairing
+from trajeval_ros.online.state_buffer import BufferLimits, StateCounts
 from trajeval_ros.online.state_rows import POSITION, WIDTH, Pairs
 
 
@@ -26,8 +27,7 @@ class SparsePairing(Pairing):
     interpolated: ClassVar[str] = "estimate"
     waits: ClassVar[tuple[str, str]] = "fix or point", "fixes or points"
 
-    def __init__(self, max_gap_s: float = 0.5, limits: Limits | None = None) -> None:
-        """Create it empty; see `Pairing`."""
+    def __init__(self, max_gap_s: float = 0.5, limits: BufferLimits | None = None) -> None:
         super().__init__(max_gap_s, limits)
         self._missing: list[StampedPoses] = []
         self._passed = 0
@@ -43,8 +43,8 @@ class SparsePairing(Pairing):
         sparse = cls(before.max_gap_s, before.limits)
         stamps, rows = before._waiting.held
         sparse.add_estimate(stamps.copy(), rows.copy())
-        sparse.estimate_intake = before.estimate_intake
-        sparse.estimate_intake.dropped = add_counts(before.dropped)
+        sparse.estimate_counts = before.estimate_counts
+        sparse.estimate_counts.dropped = add_counts(before.dropped)
         return sparse
 
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
@@ -100,8 +100,8 @@ class SparsePairing(Pairing):
         return self._track_count
 
     @property
-    def _sides(self) -> tuple[Intake, Intake]:
-        return self.estimate_intake, self.groundtruth_intake
+    def _sides(self) -> tuple[StateCounts, StateCounts]:
+        return self.estimate_counts, self.groundtruth_counts
 
     def _as_pairs(self, stamps: Stamps, between: Floats, waited: Floats) -> Pairs:
         return Pairs(stamps, waited, between)
@@ -127,3 +127,26 @@ class SparsePairing(Pairing):
             path = np.concatenate([self._newest, rows[new, POSITION]])
             self._path_m += float(travelled_distance(path)[-1])
             self._newest, self._newest_ns = path[-1:].copy(), int(stamps[-1])
+
+
+class LiveCompleteness:
+    """Counts the groundtruth states in pairs; equal to the offline completeness."""
+
+    def __init__(self, buffer: Pairing, record: Callable[[StampedPoses], object] | None) -> None:
+        self._buffer, self._record = buffer, record
+        self._sums = CompletenessSums()
+
+    def add(self, pairs: Pairs, *, at_end: bool) -> None:
+        """Take new pairs (N,), in order, and the groundtruth states between them."""
+        del at_end  # nothing waits
+        missing = self._buffer.take_waypoints()
+        if self._record is not None and len(missing.stamps):
+            self._record(missing)
+        stamps = np.concatenate([pairs.stamps, missing.stamps])
+        positions = np.concatenate([pairs.groundtruth[:, POSITION], missing.poses[:, POSITION]])
+        order = np.argsort(stamps, kind="stable")
+        self._sums.add(stamps[order], positions[order], order < len(pairs.stamps))
+
+    def coverage(self) -> Coverage | None:
+        """Return the completeness of the run so far; None before the first pair."""
+        return self._sums.coverage()

@@ -24,17 +24,11 @@ WIDTH_WITH_COVARIANCE = COVARIANCE.stop
 
 
 class Pairs(NamedTuple):
-    """N pairs in order of time.
+    """N pairs in order of time."""
 
-    Attributes:
-        stamps: (N,) nanoseconds.
-        groundtruth: (N, 10): position, quaternion xyzw, velocity; NaN if not measured.
-        estimate: (N, 10), or (N, 46) with covariances, in the estimate's own frame.
-    """
-
-    stamps: Stamps
-    groundtruth: Floats
-    estimate: Floats
+    stamps: Stamps  # (N,) nanoseconds
+    groundtruth: Floats  # (N, 10): position, quaternion xyzw, velocity; NaN if not measured
+    estimate: Floats  # (N, 10), or (N, 46) with covariances, in the estimate's own frame
 
     @property
     def have_rotations(self) -> bool:
@@ -64,7 +58,7 @@ def states(
 ) -> Floats:
     """Return rows (N, 10) from positions (N, 3), xyzw (N, 4) and velocities (N, 3).
 
-    Invalid poses are marked for `Intake`, which drops them: NaN in the position if it is not
+    Invalid poses are marked for `StateCounts`, which drops them: NaN in the position if it is not
     finite, infinity in the quaternion if it has no length.
     """
     finite, turned = judge_poses(positions, quaternions)
@@ -80,11 +74,7 @@ def states(
 
 
 def all_columns(rows: Floats) -> Floats:
-    """Return rows (N, 10) or (N, 46), from these or from (N, 3) or (N, 7): position, quaternion.
-
-    Raises:
-        InputError: The rows have another number of columns.
-    """
+    """Return rows (N, 10) or (N, 46), also of positions and quaternions (N, 3) or (N, 7)."""
     if rows.ndim == 2 and rows.shape[1] in (WIDTH, WIDTH_WITH_COVARIANCE):
         return rows
     if rows.ndim != 2 or rows.shape[1] not in (3, 7):
@@ -111,11 +101,9 @@ def upright_rows(rows: Floats, up: UpAxis) -> Floats:
 
 
 def turned_covariances(rows: Floats, *, to_body: bool = False) -> Floats:
-    """Return states with rotation covariances converted from the body's axes to the world's.
+    """Return states (N, 46) with rotation covariances converted from body axes to world axes.
 
-    Args:
-        rows: (N, 46); states (N, 10) have no covariances and are returned unchanged.
-        to_body: Convert from the world's axes to the body's instead.
+    States (N, 10) have no covariances and are returned unchanged.
     """
     if rows.shape[1] == WIDTH:
         return rows

@@ -1,38 +1,40 @@
-"""The window of the live statistics, and the storage of its pairs."""
+"""The window of the live statistics: its pairs, and their results as for a recorded run."""
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.consistency.covariance_request import CovarianceRequest, IntegrityRequest
+from trajeval_ros.exceptions import SettingsError, TrajevalError
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.metrics.absolute_errors import lengths
-from trajeval_ros.online.state_rows import (
-    POSITION,
-    WIDTH,
-    WIDTH_WITH_COVARIANCE,
-    Pairs,
-    as_wide,
-)
+from trajeval_ros.metrics.absolute_errors import AbsoluteErrors, absolute_errors, lengths
+from trajeval_ros.metrics.alignment import Alignment
+from trajeval_ros.metrics.association import Association
+from trajeval_ros.metrics.evaluation import evaluate_pairs, meaningful
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.statistics import Statistics, statistics_of
+from trajeval_ros.online.state_rows import POSITION, WIDTH, WIDTH_WITH_COVARIANCE, Pairs, as_wide
+
+if TYPE_CHECKING:
+    from trajeval_ros.consistency.consistency_result import Consistency
+    from trajeval_ros.consistency.integrity import Integrity
+
 
 _LARGEST = 1e9  # s, m or pairs; int64 nanoseconds hold it
 
 
 @dataclass(frozen=True)
 class Window:
-    """The newest part of a run, by time, distance or number of pairs; or the whole run.
+    """The newest part of a run, by time, distance or number of pairs; or the whole run."""
 
-    Attributes:
-        size: Its size in its unit; 0 is the whole run.
-        unit: `s`, `m`, or `pairs`.
-    """
-
-    size: float = 0.0
-    unit: str = "pairs"
+    size: float = 0.0  # its size in its unit; 0 is the whole run
+    unit: str = "pairs"  # `s`, `m`, or `pairs`
 
     @classmethod
     def parse(cls, text: str) -> Window:
@@ -74,11 +76,6 @@ class PairStore:
     """
 
     def __init__(self, *, covariances: bool = False) -> None:
-        """Create it empty.
-
-        Args:
-            covariances: Store the estimate's covariances, too.
-        """
         self.begin = self.end = 0
         self._offset = 0  # number of the pair in row 0
         # Columns: groundtruth, estimate, path.
@@ -111,7 +108,6 @@ class PairStore:
         self.begin = min(max(self.begin, number), self.end)
 
     def _view(self, begin: int | None) -> slice:
-        """Return the rows of the pairs from a number on; all stored ones for None."""
         first = self.begin if begin is None else max(begin, self.begin)
         return slice(first - self._offset, self.end - self._offset)
 
@@ -145,7 +141,6 @@ class PairStore:
         return self.begin + int(stamps.searchsorted(oldest))
 
     def _make_room(self, count: int) -> None:
-        """Enlarge the arrays for `count` more pairs, if necessary."""
         if self.end - self._offset + count <= len(self._stamps):
             return
         # The pair before the oldest is kept, because the path continues from it.
@@ -156,3 +151,49 @@ class PairStore:
         self._offset += keep
         self._stamps, self._rows = np.empty(size, np.int64), np.empty((size, self._rows.shape[1]))
         self._stamps[: len(stamps)], self._rows[: len(stamps)] = stamps, rows
+
+
+def window_statistics(
+    pairs: Association, alignment: Alignment, protocol: Protocol
+) -> dict[str, Statistics | None]:
+    """Return statistics of the absolute errors by metric, under the alignment of the run."""
+    errors = absolute_errors(
+        pairs.groundtruth,
+        alignment.similarity.trajectory(pairs.estimate),
+        rotation=not alignment.why_withheld(protocol),
+    )
+    errors = meaningful(errors, pairs, alignment, protocol.gauge)
+    return {name: statistics_of(getattr(errors, name)) for name in AbsoluteErrors.__annotations__}
+
+
+def judge_window(
+    pairs: Association | None, protocol: Protocol, request: CovarianceRequest
+) -> tuple[Consistency | None, str]:
+    """Test the covariances of pairs, which are aligned on their own.
+
+    Returns:
+        The result, or None and the reason.
+    """
+    if request.source == "none":
+        return None, ""
+    if pairs is None:
+        return None, "no pairs yet"
+    from trajeval_ros.consistency.consistency_assessment import assess_consistency  # imports scipy
+
+    protocol = dataclasses.replace(protocol, lengths=())
+    try:
+        evaluation = evaluate_pairs(pairs, pairs.groundtruth, pairs.estimate, protocol)
+        return assess_consistency(evaluation, request), ""
+    except TrajevalError as error:
+        return None, str(error)
+
+
+def window_integrity(
+    consistency: Consistency | None, request: IntegrityRequest | None, stamps: Stamps
+) -> Integrity | None:
+    """Return errors of a window's N pairs against protection levels; None if not available."""
+    if consistency is None or request is None:
+        return None
+    from trajeval_ros.consistency.integrity import integrity_of  # imports scipy
+
+    return integrity_of(consistency, request, stamps)

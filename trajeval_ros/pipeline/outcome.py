@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from trajeval_ros.diagnosis.findings import Diagnosis
-from trajeval_ros.diagnosis.mending import Mended
+from trajeval_ros.diagnosis.diagnose import Diagnosis, Finding
 from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.input_summary import InputSummary
 from trajeval_ros.metrics.states_table import AlignedBy
 from trajeval_ros.pipeline.request import Request
 
 if TYPE_CHECKING:
-    from trajeval_ros.calibration.calibrated import Calibrated
+    from trajeval_ros.calibration.apply import Calibrated
+    from trajeval_ros.consistency.consistency_result import Consistency
     from trajeval_ros.consistency.integrity import Integrity
-    from trajeval_ros.consistency.result import Consistency
-    from trajeval_ros.likelihood.assessment import Assessment
+    from trajeval_ros.likelihood.likelihood_assessment import LikelihoodAssessment
     from trajeval_ros.metrics.own_error import OwnError
 
 
@@ -37,7 +37,7 @@ class RunOutcome:
         own_error: The ATE without the noise of GNSS fixes; None for other groundtruth, and if
             that noise is unknown.
         diagnosis: The detected mistakes, and the tests for them.
-        mended: The corrected mistake; None unless a correction was requested.
+        corrected: The mistakes that were corrected on request, in this order.
         integrity: Errors against protection levels; None if not requested.
 
     Example:
@@ -52,12 +52,12 @@ class RunOutcome:
     evaluation: Evaluation
     calibrated: Calibrated | None = None
     consistency: Consistency | None = None
-    likelihood: Assessment | None = None
+    likelihood: LikelihoodAssessment | None = None
     live: Mapping[str, object] | None = None
     by_states: tuple[AlignedBy, ...] = ()
     own_error: OwnError | None = None
     diagnosis: Diagnosis = field(default_factory=Diagnosis)
-    mended: Mended | None = None
+    corrected: tuple[Finding, ...] = ()
     integrity: Integrity | None = None
 
     def __repr__(self) -> str:
@@ -97,6 +97,7 @@ class Outcome:
         groundtruth: Summary of the input.
         runs: The results of the estimates, in their order.
         failed: The estimates that could not be evaluated.
+        settings: The settings of a live run by name; None for those of the request.
 
     Example:
         >>> from trajeval_ros import run, simulate
@@ -110,6 +111,7 @@ class Outcome:
     groundtruth: InputSummary
     runs: tuple[RunOutcome, ...]
     failed: tuple[FailedRun, ...] = ()
+    settings: Mapping[str, Any] | None = None
 
     def __repr__(self) -> str:
         """Return a summary with a line per estimate."""
@@ -142,15 +144,13 @@ class Outcome:
         return rows + [(failure.name, "failed", failure.reason, "") for failure in self.failed]
 
     @property
-    def likelihoods(self) -> dict[str, Assessment]:
+    def likelihoods(self) -> dict[str, LikelihoodAssessment]:
         """Likelihoods of runs with a continuous association, by the estimate's name."""
         pairs = ((run.estimate.name, run.likelihood) for run in self.runs)
         return {name: likelihood for name, likelihood in pairs if likelihood is not None}
 
     @property
     def damage(self) -> tuple[str, ...]:
-        """Unreadable parts of the inputs, one sentence each."""
-        pairs = ((run.evaluation.groundtruth, run.evaluation.estimate) for run in self.runs)
-        return tuple(
-            dict.fromkeys(line for pair in pairs for side in pair for line in side.damage)
-        )
+        """Missing data: the sentences of all remarks of level ERROR."""
+        remarks = (each for run in self.runs for each in run.evaluation.remarks)
+        return tuple(dict.fromkeys(each.text for each in remarks if each.level is Level.ERROR))

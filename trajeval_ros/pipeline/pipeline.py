@@ -1,47 +1,60 @@
 """The pipeline from trajectories to an outcome, without access to files.
 
 The command line, comparisons, live runs and Python use it, so that equal requests give equal
-numbers:
-
-    correct -> calibrate -> associate, align, measure -> diagnose, warn -> test covariances
-    -> assess likelihoods
+numbers. `_evaluated` has the steps in their order.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from trajeval_ros.diagnosis.evaluation_diagnosis import diagnose_evaluation, require_conventions
-from trajeval_ros.diagnosis.findings import Diagnosis
-from trajeval_ros.diagnosis.mending import Mended, changes_by, finding_to_mend
-from trajeval_ros.diagnosis.rotation_hints import require_same_body
-from trajeval_ros.diagnosis.vertical import require_vertical, without_vertical
-from trajeval_ros.diagnosis.warnings import warnings_of
-from trajeval_ros.exceptions import InputError, SettingsError
+import numpy as np
+
+from trajeval_ros.diagnosis.diagnose import (
+    Diagnosis,
+    Finding,
+    Tried,
+    diagnose_inputs,
+    diagnosed,
+    finding_to_correct,
+    fix_remarks,
+    require_conventions,
+    same_estimate,
+)
+from trajeval_ros.diagnosis.diagnose import diagnose as diagnose_evaluation
+from trajeval_ros.diagnosis.trials import Again, with_tried_advice
+from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.geometry.upright import upright
-from trajeval_ros.metrics import evaluation as measuring
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.input_summary import InputSummary
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.states_table import states_table
+from trajeval_ros.metrics.statistics import median
 from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
 from trajeval_ros.pipeline.preparation import (
-    cut_to_span,
+    Inputs,
+    corrected_and_cut,
+    in_world_axes,
     named,
     with_fixes_placed,
-    with_lengths_of,
-    with_up,
 )
 from trajeval_ros.pipeline.request import Request
-from trajeval_ros.pipeline.several_runs import compared_with, with_bayes_factors, with_own_errors
+
+_MOST_CORRECTIONS = 4
+# Corrections that change the pairs.
+_TEMPORAL = {"time_offset", "estimate.clock_rate", "end", "max_gap"}
 
 if TYPE_CHECKING:
-    from trajeval_ros.calibration.calibrated import Calibrated
+    from trajeval_ros.calibration.apply import Calibrated
+    from trajeval_ros.consistency.consistency_result import Consistency
+    from trajeval_ros.consistency.integrity import Integrity
+    from trajeval_ros.formatting.remarks import Remark
+    from trajeval_ros.geometry.fix_selection import FixRule
+    from trajeval_ros.likelihood.likelihood_assessment import LikelihoodAssessment
     from trajeval_ros.metrics.association import Association
-    from trajeval_ros.watchdog.limits import WatchLimits
+    from trajeval_ros.metrics.tracking_loss import Loss
 
 
 def run(
@@ -71,27 +84,25 @@ def run(
     request = request or Request()
     if not estimates:
         raise InputError("no estimate given; give at least one")
-    if request.mends.swap and len(estimates) > 1:
-        raise SettingsError("--swap needs exactly one estimate; remove the others")
     groundtruth, estimates, request = with_fixes_placed(groundtruth, estimates, request)
     runs: list[RunOutcome] = []
     for estimate in estimates:
         with named(estimate):
-            same_as = runs[0].calibrated if runs else None
-            found, truth = _from_read(groundtruth, estimate, request, same_as)
-            if request.fix:
-                found = _mended(found, groundtruth, estimate, request, same_as)
-        others = [earlier.estimate for earlier in runs]
-        runs.append(compared_with(others, found))
-    used = runs[0].evaluation.groundtruth
-    runs = with_own_errors(list(with_bayes_factors(runs)), request.fixes)
-    return Outcome(request, InputSummary.of(truth, used), tuple(runs))
+            given, same_as = Inputs(groundtruth, estimate), runs[0].calibrated if runs else None
+            found = _evaluated(given, request, same_as)
+            if request.correct:
+                found = _corrected(found, given, request, same_as)
+        runs.append(found)
+    used, inputs = runs[0].evaluation.groundtruth, corrected_and_cut(given, request)
+    runs = list(with_bayes_factors(with_same_estimates_named(runs)))
+    runs = with_own_errors(runs, request.fixes)
+    return Outcome(request, InputSummary.of(inputs.groundtruth, used), tuple(runs))
 
 
-def run_pairs(
+def run_live_pairs(
     pairs: Association, groundtruth: Trajectory, estimate: Trajectory, request: Request
 ) -> RunOutcome:
-    """Evaluate the pairs of a live run.
+    """Evaluate the recorded pairs of a live run.
 
     Args:
         pairs: States paired by the request's association.
@@ -113,188 +124,260 @@ def run_pairs(
             "likelihoods and time spans need the complete groundtruth, and a live run stores "
             "only pairs; evaluate a bag"
         )
-    if request.up is not None:
-        groundtruth, estimate = with_up(request.up, groundtruth, estimate)
-        sides = with_up(request.up, pairs.groundtruth, pairs.estimate)
-        pairs = dataclasses.replace(pairs, groundtruth=sides[0], estimate=sides[1])
-    return evaluate_one(groundtruth, estimate, request, None, pairs)
+    return _evaluated(Inputs(groundtruth, estimate, pairs), request)
 
 
 def evaluate(
     groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol | None = None
 ) -> Evaluation:
-    """Evaluate one estimate: ATE and relative errors, with warnings.
+    """Evaluate one estimate, as `trajeval_ros.evaluate` does."""
+    request = Request(protocol or Protocol())
+    given = Inputs(groundtruth, estimate)
+    inputs, _, evaluation = _measured(given, request)
+    return diagnosed(evaluation, inputs.groundtruth, inputs.estimate, _again(given, request))[0]
 
-    Tutorial: alignment by eq. (13) in the protocol's gauge, absolute errors (23) with the RMSE
-    (24), relative errors (27) over sub-trajectories (25).
 
-    Args:
-        groundtruth: M states; yaw and tilt are about its `up` axis.
-        estimate: N states in their own frame. Gauges yaw and planar align its `up` axis with the
-            groundtruth's.
-        protocol: Association, alignment and errors; None for gauge se3 and lengths of 8 to 40 m.
+def diagnose(
+    groundtruth: Trajectory,
+    estimate: Trajectory,
+    request: Request,
+    pairs: Association | None = None,
+    losses: Sequence[Loss] | None = None,
+) -> tuple[Diagnosis, str]:
+    """Search for mistakes, and try their corrections.
+
+    The `pairs` of a live run are given, and its `losses` of tracking if they are known.
 
     Returns:
-        Errors in metres and degrees, per pair and as statistics, in the groundtruth's frame. For
-        gauges yaw and planar, and association continuous, this frame is converted to z up.
-
-    Raises:
-        InputError: A trajectory cannot be evaluated; `NoMatchError` if there is no pair.
-        DegenerateGeometryError: Too few states, or no motion, for the gauge's alignment.
-
-    Example:
-        >>> from trajeval_ros import Protocol, evaluate, simulate
-        >>> flight = simulate(seed=1, duration_s=30.0)
-        >>> protocol = Protocol(modality="stereo-inertial", lengths=(8, 16))
-        >>> found = evaluate(flight.groundtruth, flight.estimate, protocol)
-        >>> 0.0 < found.ate["position_m"].rmse < 1.0
-        True
+        The diagnosis, and the reason if nothing can be evaluated, else "".
     """
-    protocol = protocol or Protocol()
-    require_vertical(groundtruth, protocol.gauge)
-    if protocol.is_upright:
-        groundtruth, estimate = upright(groundtruth), upright(estimate)
-    found = measuring.evaluate(groundtruth, estimate, protocol)
-    return with_warnings(found, diagnose_evaluation(found, groundtruth, estimate))
-
-
-def _from_read(
-    groundtruth: Trajectory, estimate: Trajectory, request: Request, same_as: Calibrated | None
-) -> tuple[RunOutcome, Trajectory]:
-    """Apply the request's corrections, axes and time span, and evaluate; return both results."""
-    groundtruth, estimate = request.mends.applied(groundtruth, estimate)
-    if request.up is not None:
-        groundtruth, estimate = with_up(request.up, groundtruth, estimate)
-    if request.time_span is not None:
-        first_ns = int(groundtruth.stamps.min()) if len(groundtruth) else 0
-        with named(groundtruth):
-            groundtruth = request.time_span.cut(groundtruth, first_ns)
-        offset_ns = round(request.protocol.association.time_offset_s * NANOSECONDS)
-        estimate = request.time_span.cut(estimate, first_ns, offset_ns)
-    return evaluate_one(groundtruth, estimate, request, same_as), groundtruth
-
-
-def _mended(
-    found: RunOutcome,
-    groundtruth: Trajectory,
-    estimate: Trajectory,
-    request: Request,
-    same_as: Calibrated | None,
-) -> RunOutcome:
-    """Evaluate again with a correction of the finding, and keep the errors before it."""
-    from trajeval_ros.calibration.calibrated import Ate
-
-    finding = finding_to_mend(found.diagnosis, request.fix)
-    if finding is None:
-        return found
-    changes = changes_by(
-        finding.mend,
-        protocol=request.protocol,
-        calibration=request.calibration,
-        mends=request.mends,
-        time_span=request.time_span,
-    )
-    changed = dataclasses.replace(request, **changes)
-    after, _ = _from_read(groundtruth, estimate, changed, same_as)
-    mended = Mended(finding, Ate.of(found.evaluation), Ate.of(after.evaluation))
-    return dataclasses.replace(after, mended=mended)
-
-
-def evaluate_one(
-    groundtruth: Trajectory,
-    estimate: Trajectory,
-    request: Request,
-    same_as: Calibrated | None,
-    pairs: Association | None = None,
-) -> RunOutcome:
-    """Evaluate one estimate: the steps of the pipeline in their order."""
-    protocol, covariances = request.protocol, request.covariances
-    used = covariances.about_world(estimate)
-    if pairs is not None:
-        pairs = dataclasses.replace(pairs, estimate=covariances.about_world(pairs.estimate))
-    if request.span_ns is not None:
-        used = cut_to_span(used, request.span_ns, protocol)
-    if request.lengths_of_groundtruth:
-        protocol = with_lengths_of(groundtruth, protocol)
-    require_vertical(groundtruth, protocol.gauge)
-    if protocol.is_upright:
-        groundtruth, used = upright(groundtruth), upright(used)
+    given = Inputs(groundtruth, estimate, pairs)
+    again = _again(given, request)
+    try:
+        inputs, _, evaluation = _measured(given, request)
+    except TrajevalError as error:
         if pairs is not None:
-            pairs = dataclasses.replace(
-                pairs, groundtruth=upright(pairs.groundtruth), estimate=upright(pairs.estimate)
-            )
+            return Diagnosis(), str(error)
+        inputs = corrected_and_cut(given, request)
+        found = diagnose_inputs(inputs.groundtruth, inputs.estimate, request.protocol)
+        return with_tried_advice(found, None, again), str(error)
+    sides = inputs.groundtruth, inputs.estimate
+    paired = inputs.pairs is not None
+    found = diagnose_evaluation(evaluation, *sides, paired=paired, losses=losses)
+    return with_tried_advice(found, evaluation, again), ""
 
-    calibrated, read = None, (groundtruth, used)
-    if request.calibration.hand_eye:
-        require_conventions(groundtruth, used, protocol, pairs)
-    if request.calibration.anything:
-        from trajeval_ros.calibration.apply import evaluate_calibrated
 
-        calibrated = evaluate_calibrated(
-            groundtruth, used, protocol, request.calibration, same_as=same_as, pairs=pairs
-        )
-        evaluation = calibrated.evaluation
-        if calibrated.hand_eye is not None:  # one side was converted to another body
-            read = evaluation.groundtruth, evaluation.estimate
-            if not calibrated.of_marker:
-                covariances = covariances.of_moved_groundtruth(calibrated.hand_eye)
-    elif pairs is not None:
-        evaluation = measuring.evaluate_pairs(pairs, groundtruth, used, protocol)
-    else:
-        evaluation = measuring.evaluate(groundtruth, used, protocol)
-    diagnosis = diagnose_evaluation(evaluation, *read, paired=pairs is not None)
-    if request.calibration.hand_eye:
-        diagnosis = diagnosis.after_hand_eye_calibration()
-    evaluation = with_warnings(evaluation, diagnosis)
+def _measured(
+    given: Inputs, request: Request, same_as: Calibrated | None = None
+) -> tuple[Inputs, Calibrated | None, Evaluation]:
+    """Correct, cut, calibrate, associate, align and compute the errors of one estimate."""
+    inputs, protocol = in_world_axes(corrected_and_cut(given, request), request)
+    calibrated = _calibrated(inputs, protocol, request, same_as)
+    if calibrated is None:
+        return inputs, None, inputs.evaluated(protocol)
+    evaluation = calibrated.evaluation
+    if calibrated.hand_eye is not None:  # a side has another body now
+        inputs = Inputs(evaluation.groundtruth, evaluation.estimate, inputs.pairs)
+    return inputs, calibrated, evaluation
 
-    consistency = likelihood = integrity = None
-    if covariances.source != "none":
-        from trajeval_ros.consistency.judge import judge
 
-        consistency = judge(evaluation, covariances.once_turned)
-        if request.integrity is not None:
-            from trajeval_ros.consistency.integrity import integrity_of
+def _again(given: Inputs, request: Request, same_as: Calibrated | None = None) -> Again:
+    """Return what evaluates and diagnoses again with corrections."""
 
-            stamps = evaluation.association.estimate.stamps
-            warnings = _watch_errors(estimate, evaluation, request.watch_limits)
-            integrity = integrity_of(consistency, request.integrity, stamps, warnings)
-    if request.is_continuous:
-        from trajeval_ros.likelihood.assessment import assess
+    def again(corrections: Sequence[Mapping[str, str]]) -> tuple[Evaluation, Diagnosis]:
+        protocol = dataclasses.replace(request.protocol, lengths=())
+        changed, sides = dataclasses.replace(request, protocol=protocol), given
+        for each in corrections:
+            changed = changed.corrected(each)
+            if given.pairs is not None and each.keys() & _TEMPORAL:
+                sides = _unpaired(given.pairs)
+                changed = _with_gaps_of(given.pairs, changed)
+        inputs, _, evaluation = _measured(sides, changed, same_as)
+        paired = inputs.pairs is not None
+        found = diagnose_evaluation(evaluation, inputs.groundtruth, inputs.estimate, paired=paired)
+        return evaluation, found
 
-        likelihood = assess(evaluation)
+    return again
+
+
+def _unpaired(pairs: Association) -> Inputs:
+    """Return the states of pairs with the timestamps of their own clocks."""
+    stamps = pairs.estimate.stamps - round(pairs.rule.time_offset_s * NANOSECONDS)
+    return Inputs(pairs.groundtruth, dataclasses.replace(pairs.estimate, stamps=stamps))
+
+
+def _with_gaps_of(pairs: Association, request: Request) -> Request:
+    """Return a request that interpolates between thinned pairs."""
+    steps = np.diff(pairs.groundtruth.stamps) / NANOSECONDS
+    rule = request.protocol.association
+    most_s = max(rule.max_gap_s, 3.0 * median(steps) if len(steps) else 0.0)
+    rule = dataclasses.replace(rule, max_gap_s=most_s)
+    protocol = dataclasses.replace(request.protocol, association=rule)
+    return dataclasses.replace(request, protocol=protocol)
+
+
+def _evaluated(given: Inputs, request: Request, same_as: Calibrated | None = None) -> RunOutcome:
+    """Evaluate one estimate: the steps of the pipeline in their order."""
+    inputs, calibrated, evaluation = _measured(given, request, same_as)
+    evaluation, diagnosis = diagnosed(
+        evaluation,
+        inputs.groundtruth,
+        inputs.estimate,
+        _again(given, request, same_as),
+        paired=inputs.pairs is not None,
+        hand_eye_calibrated=request.calibration.hand_eye,
+    )
+    consistency = _consistency(evaluation, calibrated, request)
     return RunOutcome(
-        InputSummary.of(estimate, evaluation.estimate),
+        InputSummary.of(given.estimate, evaluation.estimate),
         evaluation,
         calibrated,
         consistency,
-        likelihood,
-        by_states=states_table(evaluation, request.states_table),
+        _likelihood(evaluation, request),
+        by_states=states_table(evaluation, chosen) if (chosen := request.states_table) else (),
         diagnosis=diagnosis,
-        integrity=integrity,
+        integrity=_integrity(given.estimate, evaluation, consistency, request),
     )
 
 
-def with_warnings(evaluation: Evaluation, diagnosis: Diagnosis) -> Evaluation:
-    """Return an evaluation with warnings, without errors that are not meaningful.
+def _calibrated(
+    inputs: Inputs, protocol: Protocol, request: Request, same_as: Calibrated | None
+) -> Calibrated | None:
+    """Estimate or apply the clock and the body, and evaluate; None if neither is requested."""
+    groundtruth, estimate, pairs = inputs.groundtruth, inputs.estimate, inputs.pairs
+    if not request.calibration.anything:
+        return None
+    if request.calibration.hand_eye:
+        require_conventions(groundtruth, estimate, protocol, pairs)
+    from trajeval_ros.calibration.apply import evaluate_calibrated
 
-    Raises:
-        InputError: It is aligned by the orientations of another body.
-    """
-    require_same_body(evaluation, diagnosis)
-    evaluation = without_vertical(evaluation)
-    warnings = (*warnings_of(evaluation, diagnosis), *evaluation.warnings)
-    return dataclasses.replace(evaluation, warnings=warnings)
+    return evaluate_calibrated(
+        groundtruth, estimate, protocol, request.calibration, same_as=same_as, pairs=pairs
+    )
 
 
-def _watch_errors(
-    estimate: Trajectory, evaluation: Evaluation, limits: WatchLimits | None
+def _consistency(
+    evaluation: Evaluation, calibrated: Calibrated | None, request: Request
+) -> Consistency | None:
+    """Test the covariances; None if there are none."""
+    covariances = request.covariances
+    if covariances.source == "none":
+        return None
+    from trajeval_ros.consistency.consistency_assessment import assess_consistency
+
+    if calibrated is not None and calibrated.hand_eye is not None and not calibrated.of_marker:
+        covariances = covariances.of_moved_groundtruth(calibrated.hand_eye)
+    return assess_consistency(evaluation, covariances.once_turned)
+
+
+def _likelihood(evaluation: Evaluation, request: Request) -> LikelihoodAssessment | None:
+    """Compute the likelihoods; None unless the association is continuous."""
+    if not request.is_continuous:
+        return None
+    from trajeval_ros.likelihood.likelihood_assessment import assess_likelihood
+
+    return assess_likelihood(evaluation)
+
+
+def _integrity(
+    estimate: Trajectory, evaluation: Evaluation, tested: Consistency | None, request: Request
+) -> Integrity | None:
+    """Compare errors with protection levels; None if not requested."""
+    if request.integrity is None or tested is None:
+        return None
+    from trajeval_ros.consistency.integrity import integrity_of
+
+    alerts = _watchdog_errors(estimate, evaluation, request.watch_factor)
+    stamps = evaluation.association.estimate.stamps
+    return integrity_of(tested, request.integrity, stamps, alerts)
+
+
+def _watchdog_errors(
+    estimate: Trajectory, evaluation: Evaluation, factor: float | None
 ) -> list[tuple[int, int]]:
     """Return the time spans of errors of a watchdog, by the clock of the pairs."""
-    if limits is None:
+    if factor is None:
         return []
-    from trajeval_ros.watchdog.error_spans import error_spans
-    from trajeval_ros.watchdog.recording import WatchedRun
+    from trajeval_ros.watchdog.recording import WatchedRun, error_spans
 
     offset_ns = round(evaluation.association.rule.time_offset_s * NANOSECONDS)
-    spans = error_spans(WatchedRun(estimate), limits)
+    spans = error_spans(WatchedRun(estimate), factor)
     return [(begin + offset_ns, end + offset_ns) for begin, end in spans]
+
+
+def _corrected(
+    found: RunOutcome, given: Inputs, request: Request, same_as: Calibrated | None
+) -> RunOutcome:
+    """Evaluate again with the corrections of findings, and keep the errors without them."""
+    corrected: list[Finding] = []
+    while len(corrected) < _MOST_CORRECTIONS:
+        finding = finding_to_correct(found.diagnosis, request.correct, is_first=not corrected)
+        if finding is None:
+            break
+        changed = request.corrected(finding.correction)
+        after = _evaluated(given, changed, same_as)
+        tried = Tried.of(found.evaluation, after.evaluation)
+        hidden = finding.tried is not None and bool(finding.tried.then)
+        if not (hidden or tried.helps(finding.cause)):
+            if corrected:
+                break
+            raise InputError(
+                f"the errors do not fall with {finding.option}; correct the first finding, with "
+                "--correct suggested"
+            )
+        corrected.append(dataclasses.replace(finding, tried=tried))
+        found, request = after, changed
+    return dataclasses.replace(found, corrected=tuple(corrected))
+
+
+def with_same_estimates_named(runs: Sequence[RunOutcome]) -> list[RunOutcome]:
+    """Return the runs with a finding for an estimate that equals a previous one."""
+    found = []
+    for number, run in enumerate(runs):
+        same = same_estimate(run.estimate, [earlier.estimate for earlier in runs[:number]])
+        if same is not None:
+            diagnosis = run.diagnosis.with_others([same])
+            run = dataclasses.replace(_with_remarks([same.remark], run), diagnosis=diagnosis)
+        found.append(run)
+    return found
+
+
+def with_bayes_factors(runs: Sequence[RunOutcome]) -> Iterator[RunOutcome]:
+    """Yield the runs with Bayes factors between their likelihoods."""
+    assessments = [run.likelihood for run in runs if run.likelihood is not None]
+    if len(assessments) < 2:
+        yield from runs
+        return
+    from trajeval_ros.likelihood.likelihood_assessment import with_bayes_factors
+
+    names = [run.estimate.name for run in runs]
+    for run, assessment in zip(runs, with_bayes_factors(names, assessments), strict=True):
+        yield dataclasses.replace(run, likelihood=assessment)
+
+
+def with_own_errors(runs: list[RunOutcome], rule: FixRule) -> list[RunOutcome]:
+    """Return the runs with errors without the noise of GNSS fixes, and warnings about fixes."""
+    evaluations = [run.evaluation for run in runs]
+    if evaluations[0].groundtruth.reading.fixes is None:
+        unused = fix_remarks(evaluations[0], rule)
+        return [_with_remarks(unused, run, len(run.diagnosis.findings)) for run in runs]
+    from trajeval_ros.metrics.own_error import own_errors
+
+    known = any(run.calibrated is not None and run.calibrated.lever_applied for run in runs)
+    found = []
+    for run, (own, why) in zip(runs, own_errors(evaluations, rule.correlation_s), strict=True):
+        more = fix_remarks(run.evaluation, rule, own, why, lever_arm_known=known, of=len(runs))
+        run = _with_remarks(more, run, len(run.diagnosis.findings))
+        found.append(dataclasses.replace(run, own_error=own))
+    return found
+
+
+def _with_remarks(more: Sequence[Remark], run: RunOutcome, after: int = 0) -> RunOutcome:
+    """Return a run with more remarks, after the first ones, which are about findings."""
+    if not more:
+        return run
+    given = run.evaluation.remarks
+    remarks = (*given[:after], *more, *given[after:])
+    return dataclasses.replace(
+        run, evaluation=dataclasses.replace(run.evaluation, remarks=remarks)
+    )

@@ -4,56 +4,139 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
 
+from trajeval_ros.diagnosis.diagnose import require_up_axis
 from trajeval_ros.exceptions import InputError, TrajevalError
 from trajeval_ros.geometry.fix_selection import FixRule
+from trajeval_ros.geometry.frame_axes import upright
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.metrics import evaluation as metrics
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.metrics.sub_trajectory_length import Length
+from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.pipeline.request import Request
+
+if TYPE_CHECKING:
+    from trajeval_ros.metrics.association import Association
+    from trajeval_ros.metrics.evaluation import Evaluation
+
+Change: TypeAlias = Callable[[Trajectory], Trajectory]
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """Groundtruth and one estimate.
+
+    Attributes:
+        groundtruth: Of a live run, only the states in pairs.
+        estimate: Of a live run, only the states in pairs.
+        pairs: The recorded pairs of a live run; None if states are still to be associated.
+    """
+
+    groundtruth: Trajectory
+    estimate: Trajectory
+    pairs: Association | None = None
+
+    def changed(self, groundtruth: Change, estimate: Change) -> Inputs:
+        """Apply a change to each side, in the pairs too."""
+        pairs = self.pairs
+        if pairs is not None:
+            pairs = dataclasses.replace(
+                pairs,
+                groundtruth=groundtruth(pairs.groundtruth),
+                estimate=estimate(pairs.estimate),
+            )
+        return Inputs(groundtruth(self.groundtruth), estimate(self.estimate), pairs)
+
+    def evaluated(self, protocol: Protocol) -> Evaluation:
+        """Associate, unless there are pairs, align and compute the errors."""
+        if self.pairs is None:
+            return metrics.evaluate(self.groundtruth, self.estimate, protocol)
+        return metrics.evaluate_pairs(self.pairs, self.groundtruth, self.estimate, protocol)
+
+
+def as_given(trajectory: Trajectory) -> Trajectory:
+    """Return a trajectory without a change."""
+    return trajectory
 
 
 def with_fixes_placed(
     groundtruth: Trajectory, estimates: Sequence[Trajectory], request: Request
 ) -> tuple[Trajectory, list[Trajectory], Request]:
     """Return both sides with GNSS fixes in one frame, and the request with its default gauge."""
-    exchanged = -1 if request.mends.swap else 1
-    truth, *others = [groundtruth, *estimates][::exchanged]
     level = request.protocol.gauge is Gauge.PLANAR
-    with named(truth):
-        truth = request.fixes.applied(truth, level=level)
-        request = request.for_trajectories(truth, others)
-    placed = [_in_frame_of(truth, other, level=level) for other in others]
-    groundtruth, *placed = [truth, *placed][::exchanged]
+    with named(groundtruth):
+        groundtruth = request.fixes.applied(groundtruth, level=level)
+        request = request.for_trajectories(groundtruth, estimates)
+    placed = [_in_frame_of(groundtruth, each, level=level) for each in estimates]
     return groundtruth, placed, request
 
 
 def _in_frame_of(groundtruth: Trajectory, estimate: Trajectory, *, level: bool) -> Trajectory:
     """Return an estimate of GNSS fixes in the groundtruth's frame, if that has fixes, too."""
-    if estimate.fixes is None:
+    if estimate.reading.fixes is None:
         return estimate
-    datum = None if groundtruth.fixes is None else groundtruth.fixes.datum
+    datum = None if groundtruth.reading.fixes is None else groundtruth.reading.fixes.datum
     with named(estimate):
         return FixRule(datum=datum).applied(estimate, level=level)
 
 
-def with_up(
-    up: tuple[str, str], groundtruth: Trajectory, *estimates: Trajectory
-) -> list[Trajectory]:
-    """Return trajectories with given up axes."""
-    axes = [UpAxis(up[0]), *[UpAxis(up[1])] * len(estimates)]
-    return [
-        dataclasses.replace(trajectory, up=axis)
-        for trajectory, axis in zip((groundtruth, *estimates), axes, strict=True)
-    ]
+def corrected_and_cut(inputs: Inputs, request: Request) -> Inputs:
+    """Apply the request's corrections, up axes and time span."""
+    corrections, span = request.corrections, request.time_span
+    while corrections is not None:
+        inputs = inputs.changed(corrections.groundtruth.corrected, corrections.estimate.corrected)
+        corrections = corrections.then
+    inputs = with_up_axes(inputs, request)
+    if span is None:
+        return inputs
+    groundtruth = inputs.groundtruth
+    first_ns = int(groundtruth.stamps.min()) if len(groundtruth) else 0
+    with named(groundtruth):
+        groundtruth = span.cut(groundtruth, first_ns)
+    offset_ns = round(request.protocol.association.time_offset_s * NANOSECONDS)
+    return Inputs(groundtruth, span.cut(inputs.estimate, first_ns, offset_ns))
+
+
+def with_up_axes(inputs: Inputs, request: Request) -> Inputs:
+    """Replace the up axes of both sides by those of the request, if it has any."""
+    if request.up is None:
+        return inputs
+    groundtruth, estimate = (UpAxis(name) for name in request.up)
+    return inputs.changed(
+        lambda each: dataclasses.replace(each, up=groundtruth),
+        lambda each: dataclasses.replace(each, up=estimate),
+    )
+
+
+def in_world_axes(inputs: Inputs, request: Request) -> tuple[Inputs, Protocol]:
+    """Return the inputs in the frames of the errors, and the protocol with lengths in metres.
+
+    Covariances are about the world's axes. For a protocol about gravity, z is up.
+    """
+    protocol = request.protocol
+    inputs = inputs.changed(as_given, request.covariances.about_world)
+    if request.span_ns is not None:
+        estimate = cut_to_span(inputs.estimate, request.span_ns, protocol)
+        inputs = dataclasses.replace(inputs, estimate=estimate)
+    if request.lengths_of_groundtruth:
+        protocol = with_lengths_of(inputs.groundtruth, protocol)
+    return in_gauge_axes(inputs, protocol), protocol
+
+
+def in_gauge_axes(inputs: Inputs, protocol: Protocol) -> Inputs:
+    """Return the inputs with z up if the gauge is about gravity; refuse a wrong up axis."""
+    require_up_axis(inputs.groundtruth, protocol.gauge)
+    return inputs.changed(upright, upright) if protocol.is_upright else inputs
 
 
 def cut_to_span(estimate: Trajectory, span_ns: tuple[int, int], protocol: Protocol) -> Trajectory:
     """Return the states of the estimate within a time span by the groundtruth's clock."""
-    if not estimate.stamped or protocol.association.method == "index":
+    if not estimate.reading.stamped or protocol.association.method == "index":
         raise InputError("pairs by row index exclude a time span; remove --start and --end")
     offset = round(protocol.association.time_offset_s * NANOSECONDS)
     stamps = estimate.stamps + offset
@@ -82,7 +165,7 @@ def with_lengths_of(groundtruth: Trajectory, protocol: Protocol) -> Protocol:
 @contextlib.contextmanager
 def named(estimate: Trajectory) -> Iterator[None]:
     """Put the source or name of a trajectory before the message of an error."""
-    name = estimate.source or estimate.name
+    name = estimate.reading.source or estimate.name
     try:
         yield
     except TrajevalError as error:

@@ -6,29 +6,23 @@ import dataclasses
 import functools
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
-from trajeval_ros.consistency.covariance_request import CovarianceRequest
-from trajeval_ros.diagnosis.fix_hints import require_fixes_fit
-from trajeval_ros.diagnosis.mending import require_fix
-from trajeval_ros.diagnosis.mends import Mends
+from trajeval_ros.consistency.covariance_request import CovarianceRequest, IntegrityRequest
+from trajeval_ros.diagnosis.diagnose import Corrections, require_correctable, require_fixes
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.time_span import TimeSpan
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.trajectory_edits import TimeSpan
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.protocol import GROUNDTRUTH_WEIGHTS, Protocol
 from trajeval_ros.metrics.states_table import FirstStates
-
-if TYPE_CHECKING:
-    from trajeval_ros.consistency.integrity import IntegrityRequest
-    from trajeval_ros.watchdog.limits import WatchLimits
 
 CONTINUOUS = "continuous"
 
@@ -53,11 +47,12 @@ class Request:
         fixes: Selection and frame of the groundtruth's GNSS fixes.
         gauge_is_default: Whether the gauge is not chosen by the user. It is then yaw for GNSS
             fixes, because their heights would tilt the estimate.
-        mends: Corrections of the inputs.
-        fix: Cause to correct if the diagnosis finds it, `suggested` for the most severe finding;
-            "" for no correction.
+        corrections: Conventions of the inputs that differ from those that were read; None
+            for none.
+        correct: Cause to correct if the diagnosis finds it, `suggested` for the most severe
+            finding; "" for no correction.
         integrity: Alert limits and risk for protection levels; None for none.
-        watch_limits: Limits of a watchdog whose errors count as alerts; None for none.
+        watch_factor: Factor of a watchdog whose errors count as alerts; None for none.
 
     Raises:
         SettingsError: Contradictory parts, or an unknown axis.
@@ -79,17 +74,17 @@ class Request:
     states_table: tuple[FirstStates, ...] = ()
     fixes: FixRule = field(default_factory=FixRule)
     gauge_is_default: bool = False
-    mends: Mends = field(default_factory=Mends)
-    fix: str = ""
+    corrections: Corrections | None = None
+    correct: str = ""
     integrity: IntegrityRequest | None = None
-    watch_limits: WatchLimits | None = None
+    watch_factor: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse contradictory parts and unknown axes."""
         for axis in self.up or ():
             UpAxis(axis)
-        if self.fix:
-            require_fix(self.fix)
+        if self.correct:
+            require_correctable(self.correct)
         if self.protocol.apply == "scale" and (
             self.is_continuous or self.covariances.source != "none" or self.calibration.anything
         ):
@@ -99,10 +94,10 @@ class Request:
             )
         if self.integrity is not None and self.covariances.source == "none":
             raise SettingsError(
-                "--integrity needs covariances; add --covariance message or --covariance FILE.npz"
+                "--alert-limit needs covariances; add --covariance message or FILE.npz"
             )
-        if self.watch_limits is not None and self.integrity is None:
-            raise SettingsError("--watch-limits needs --integrity; add it")
+        if self.watch_factor is not None and self.integrity is None:
+            raise SettingsError("--watch-factor needs --alert-limit; add it")
         if self.is_continuous and self.covariances.source != "none":
             raise SettingsError(
                 "--covariance can't be combined with association continuous; use association "
@@ -133,16 +128,54 @@ class Request:
             InputError: GNSS fixes cannot be used as requested.
         """
         protocol = self.protocol
-        if self.gauge_is_default and groundtruth.fixes is not None:
+        if self.gauge_is_default and groundtruth.reading.fixes is not None:
             protocol = dataclasses.replace(protocol, gauge=Gauge.YAW)
-        require_fixes_fit(groundtruth, estimates, protocol.gauge, self.fixes)
+        require_fixes(groundtruth, estimates, protocol.gauge, self.fixes)
         return dataclasses.replace(self, protocol=protocol)
+
+    def corrected(self, correction: Mapping[str, str]) -> Request:
+        """Return the request with the correction of a finding, see `Finding.correction`."""
+        protocol, calibration, rule = self.protocol, self.calibration, self.protocol.association
+        up, time_span = self.up, self.time_span
+        if "gauge" in correction:
+            gauge = Gauge.of(correction["gauge"])
+            protocol = dataclasses.replace(protocol, gauge=gauge, modality=None)
+        if "max_gap" in correction:
+            rule = dataclasses.replace(rule, max_gap_s=float(correction["max_gap"]))
+        if correction.get("time_offset") == "auto":
+            calibration = dataclasses.replace(calibration, offset=True)
+        elif "time_offset" in correction:
+            rule = dataclasses.replace(rule, time_offset_s=float(correction["time_offset"]))
+        if "hand_eye" in correction:
+            calibration = dataclasses.replace(calibration, hand_eye=True)
+        if "up" in correction:
+            groundtruth, _, estimate = correction["up"].partition(",")
+            up = groundtruth, estimate
+        if "end" in correction:
+            until = TimeSpan.parse(None, correction["end"])
+            assert until is not None
+            time_span = until if time_span is None else _shorter(time_span, until)
+        return dataclasses.replace(
+            self,
+            protocol=dataclasses.replace(protocol, association=rule),
+            calibration=calibration,
+            corrections=(self.corrections or Corrections()).changed(correction),
+            up=up,
+            time_span=time_span,
+        )
 
     @functools.cached_property
     def fingerprint(self) -> str:
         """Hash of everything that the numbers depend on."""
         text = json.dumps(dataclasses.asdict(self), default=_plain, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _shorter(span: TimeSpan, until: TimeSpan) -> TimeSpan:
+    """Return a span that ends earlier, relative to its start."""
+    assert until.end_ns is not None
+    end_ns = (span.start_ns or 0) + until.end_ns
+    return dataclasses.replace(span, end_ns=end_ns, absolute_end=span.absolute_start)
 
 
 def _plain(value: Any) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +13,6 @@ from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.report import canvas
 from trajeval_ros.report.definitions import absolute_form_of, alignment_of, why_no_rotation
-from trajeval_ros.report.error_rows import POSITION, ROTATION, ErrorRow, error_rows
 from trajeval_ros.report.line_thinning import thinned
 
 if TYPE_CHECKING:
@@ -23,6 +23,8 @@ _PANEL_IN = 1.6
 _BELOW_IN = 0.5
 _DISTANCE = "distance travelled [m]"
 _YAW_PLACE, _TILT_PLACE = 4, 2  # positions of their colours in the colour cycle
+_ROW_IN, _REST_IN = 0.95, 0.5
+POSITION, ROTATION = "position [m]", "rotation [deg]"
 
 
 def absolute_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> Figure:
@@ -153,6 +155,49 @@ def _line(evaluation: Evaluation, metric: str) -> Floats | None:
     errors: Floats | None = getattr(evaluation.absolute, metric)
     if errors is None:
         return None
-    truth = evaluation.association.groundtruth
-    columns = np.stack([truth.travelled, errors], axis=1)
-    return thinned(columns, truth.stamps, evaluation.protocol.association.max_gap_s)
+    groundtruth = evaluation.association.groundtruth
+    columns = np.stack([groundtruth.travelled, errors], axis=1)
+    return thinned(columns, groundtruth.stamps, evaluation.protocol.association.max_gap_s)
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorRow:
+    """The errors of one estimate."""
+
+    place: int  # position of the estimate, which determines its colour
+    titles: tuple[str, ...]  # title lines above every one of its K errors
+    # The K errors over time or distance, (M, 2); None if not available.
+    errors: tuple[Floats | None, ...]
+
+
+def error_rows(
+    rows: Sequence[ErrorRow], title: str, across: str, labels: Sequence[str] = (POSITION, ROTATION)
+) -> Figure:
+    """Draw the errors of several estimates."""
+    figure = canvas.new_figure(_ROW_IN * len(rows) + _REST_IN, title)
+    grid = figure.subplots(len(rows), len(labels), sharex=True, sharey="col", squeeze=False)
+    lines = 1
+    for panels, row in zip(grid, rows, strict=True):
+        colour, _ = canvas.line_style(row.place)
+        for column, (axes, label) in enumerate(zip(panels, labels, strict=True)):
+            for other in rows:
+                errors = other.errors[column]
+                if errors is not None:
+                    axes.plot(*errors.T, color=canvas.soft_ink(), alpha=0.3, linewidth=0.4)
+            its = row.errors[column]
+            if its is not None:
+                axes.plot(*its.T, color=colour, linewidth=1.0)
+            room_in = canvas.width_in() / (1.1 * len(labels))
+            heading = "\n".join(
+                canvas.wrapped(line, room_in) for line in row.titles[column].split("\n")
+            )
+            lines = max(lines, heading.count("\n") + 1)
+            axes.set_title(heading, color=colour, loc="left")
+            axes.set_ylabel(label)
+            axes.set_ylim(bottom=0.0)
+    known = [errors for row in rows for errors in row.errors if errors is not None]
+    grid[0, 0].set_xlim(0.0, max(1e-9, *(float(np.nanmax(errors[:, 0])) for errors in known)))
+    for axes in grid[-1]:
+        axes.set_xlabel(across)
+    canvas.grow(figure, lines * len(rows))
+    return figure

@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trajeval_ros.calibration.significance import CHANCE
 from trajeval_ros.formatting.numbers import counted, with_unit
 
 if TYPE_CHECKING:
-    from trajeval_ros.calibration.calibrated import Ate, Calibrated
+    from trajeval_ros.calibration.apply import Ate, Calibrated
     from trajeval_ros.calibration.significance import Parameter
 
 _STATUSES = {"insignificant": "not significant", "weak": "inconclusive"}
@@ -59,6 +60,9 @@ def _line(label: str, text: str, parameter: Parameter, applied: bool) -> str:
     if parameter.value is None:
         return f"  {label:<14} {verdict}: {parameter.reason}"
     status = _STATUSES.get(parameter.status, parameter.status)
+    if parameter.status == "insignificant" and parameter.reason.startswith("p "):
+        # The test is stricter than the 95 % interval, which may exclude zero.
+        status += f" (required: p < {CHANCE:g})"
     return f"  {label:<14} {text}: {status}, {verdict}; {parameter.reason}"
 
 

@@ -1,7 +1,8 @@
-"""Common parts of figures: sizes, colours, titles, legends, labels and boxes."""
+"""Common parts of figures: sizes, colours, titles, legends, labels, boxes and ticks."""
 
 from __future__ import annotations
 
+import math
 import re
 import textwrap
 from collections.abc import Callable, Sequence
@@ -11,7 +12,6 @@ import numpy as np
 
 from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.report.ticks import common_offset, coordinate_label
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 Drawing = Callable[[], "Figure"]
 Dashes = Literal["-", "--", "-.", ":"]
-
 _LINE_STYLES: tuple[Dashes, ...] = ("-", "--", "-.", ":")
 _LONGEST_NAME = 48
 # Mean widths of a character of 8 and of 9 points. Width of a legend's handle and gap, in
@@ -32,6 +31,9 @@ _LABELS_IN = 0.65  # width of an axis label and its tick labels
 # More lines in one panel cannot be distinguished; more panels are too small.
 _MOST_LINES, _MOST_PANELS = 3, 12
 _INSIDE = 0.35  # share of the edge's colour in the fill of a box
+# Coordinates above these (metres, multiples of the extent) are shown with an offset.
+_LARGE_M, _LARGE_EXTENTS = 1000.0, 5.0
+_LONGEST, _FINEST = 1e9, 1e-6  # numbers that are written without an exponent
 
 
 def width_in() -> float:
@@ -42,12 +44,7 @@ def width_in() -> float:
 
 
 def new_figure(height_in: float, title: str = "") -> Figure:
-    """Return an empty figure of the style's width, independent of pyplot.
-
-    Args:
-        height_in: Height without title and legend, inches.
-        title: Title of one or several lines.
-    """
+    """Return an empty figure of the style's width, independent of pyplot."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width_in(), height_in), layout="constrained")
@@ -62,13 +59,6 @@ def add_title(figure: Figure, title: str) -> None:
     lines = [part for line in title.splitlines() for part in textwrap.wrap(line, letters)]
     figure.suptitle("\n".join(lines))
     grow(figure, len(lines))
-
-
-def titled(draw: Drawing, title: str) -> Figure:
-    """Draw a figure and add a title."""
-    figure = draw()
-    add_title(figure, title)
-    return figure
 
 
 def grow(figure: Figure, rows: int) -> None:
@@ -104,12 +94,7 @@ def line_style(place: int) -> tuple[str, Dashes]:
     return colours[place % len(colours)], dashes
 
 
-def is_too_wide(labels: Sequence[str]) -> bool:
-    """Return whether tick labels would overlap."""
-    return _LETTER_IN * sum(len(label) + 2 for label in labels) > width_in() - _LABELS_IN
-
-
-def truth_colour() -> Any:
+def groundtruth_colour() -> Any:
     """Return the colour of the groundtruth."""
     return _setting("lines.color")
 
@@ -122,11 +107,6 @@ def ink() -> Any:
 def soft_ink() -> Any:
     """Return the colour of remarks and of background lines."""
     return _setting("axes.edgecolor")
-
-
-def grid_colour() -> Any:
-    """Return the colour of grid lines."""
-    return _setting("grid.color")
 
 
 def paper() -> Any:
@@ -186,13 +166,8 @@ def draw_boxes(
 ) -> None:
     """Draw distributions as boxes with whiskers.
 
-    Args:
-        axes: The axes.
-        boxes: For every box its x coordinate and five numbers: end of the lower whisker, first
-            quartile, median, third quartile, end of the upper whisker.
-        width: Width of a box.
-        colour: Colour of the lines.
-        dashes: Dashes of the edges; whiskers are solid.
+    `boxes`: for every box its x coordinate and five numbers: end of the lower whisker, first
+    quartile, median, third quartile, end of the upper whisker.
     """
     line = {"color": colour, "linewidth": 0.8}
     names = ("whislo", "q1", "med", "q3", "whishi")
@@ -295,3 +270,44 @@ def say_instead(axes: Axes, sentence: str) -> None:
         va="center", color=soft_ink(),
     )  # fmt: skip
     text.set_in_layout(False)
+
+
+def tick_places(low: float, high: float, most: int) -> list[float]:
+    """Return at most `most` round numbers within limits, 1, 2 or 5 times a power of ten apart."""
+    span = high - low
+    if not (span > 0.0 and math.isfinite(span)):
+        return []
+    power = 10.0 ** math.floor(math.log10(span / most))
+    for factor in (1.0, 2.0, 5.0, 10.0, 20.0):
+        step = factor * power
+        first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+        if last - first < most:
+            break
+    return [multiple * step for multiple in range(first, last + 1)]
+
+
+def tick_labels(places: list[float]) -> list[str]:
+    """Return round numbers as texts with equal numbers of decimals."""
+    if len(places) < 2:
+        return [f"{place:g}" for place in places]
+    step, largest = places[1] - places[0], max(map(abs, places))
+    if largest >= _LONGEST or step < _FINEST:
+        return [f"{place:.12g}" for place in places]
+    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+    return [f"{place:.{decimals}f}".replace("-", "−") for place in places]
+
+
+def common_offset(low: float, high: float) -> float:
+    """Return a round offset of an axis' coordinates if they are large; else 0.0."""
+    extent, largest = max(high - low, 1e-6), max(abs(low), abs(high))
+    if largest < max(_LARGE_M, _LARGE_EXTENTS * extent):
+        return 0.0
+    step = 10.0 ** math.ceil(math.log10(extent))
+    return math.floor(low / step) * step
+
+
+def coordinate_label(name: str, offset: float) -> str:
+    """Return the label of an axis in metres, with the offset subtracted from its numbers."""
+    if offset == 0.0:
+        return f"{name} [m]"
+    return f"{name} {'−' if offset > 0.0 else '+'} {abs(offset):.10g} [m]"

@@ -19,50 +19,31 @@ _MOST_ROWS, _MOST_COLUMNS, _MOST_CELLS = 500, 100, 5000
 
 @dataclass(frozen=True)
 class Plot:
-    """A figure with its description.
+    """A figure with its description."""
 
-    Attributes:
-        title: A short title.
-        caption: How to read the figure.
-        svg: The figure.
-    """
-
-    title: str
-    caption: str
+    title: str  # a short title
+    caption: str  # how to read the figure
     svg: str
 
 
 @dataclass(frozen=True)
 class RunPage:
-    """The content of one run on a page.
-
-    Attributes:
-        algorithm, sequence, trial: The run.
-        status: `ok`, `failed` or `missing`.
-        reason: Why there are no numbers; empty otherwise.
-        position_m: RMSE of the position; None without numbers.
-        rotation_deg: RMSE of the rotation; None without numbers, or if withheld.
-        coverage: Share of the groundtruth's time.
-        facts: Names and texts of further results.
-        headings: Headings of the statistics.
-        statistics: Names of errors and their statistics, row by row.
-        warnings: Warnings about the validity of the numbers.
-        svgs: Figures of the run.
-    """
+    """The content of one run on a page."""
 
     algorithm: str
     sequence: str
     trial: str
-    status: str
-    reason: str
-    position_m: float | None
-    rotation_deg: float | None
-    coverage: float
-    facts: tuple[tuple[str, str], ...] = ()
-    headings: tuple[str, ...] = ()
+    status: str  # `ok`, `failed` or `missing`
+    reason: str  # why there are no numbers; empty otherwise
+    position_m: float | None  # RMSE of the position; None without numbers
+    rotation_deg: float | None  # RMSE of the rotation; None without numbers, or if withheld
+    coverage: float  # share of the groundtruth's time
+    facts: tuple[tuple[str, str], ...] = ()  # names and texts of further results
+    headings: tuple[str, ...] = ()  # headings of the statistics
+    # Names of errors and their statistics, row by row.
     statistics: tuple[tuple[str, ...], ...] = ()
-    warnings: tuple[str, ...] = ()
-    svgs: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # warnings about the validity of the numbers
+    svgs: tuple[str, ...] = ()  # figures of the run
 
     def brief(self) -> RunPage:
         """Return the part that a list of runs shows."""
@@ -73,16 +54,6 @@ class ReportPages:
     """The pages of one report. They share a style and need no network."""
 
     def __init__(self, title: str, version: str, state: str) -> None:
-        """Load the templates.
-
-        Args:
-            title: Title of the comparison.
-            version: Version of this program.
-            state: Hash of the tables' inputs, which identifies the report.
-
-        Raises:
-            InputError: Jinja2 is not installed.
-        """
         try:
             import jinja2
         except ImportError as error:
@@ -121,18 +92,7 @@ class ReportPages:
         details: Sequence[str],
         runs_title: str,
     ) -> str:
-        """Return the first page.
-
-        Args:
-            definition: The definition of the numbers.
-            findings: Sentences about the result.
-            matrices: The tables; large ones are cut.
-            plots: The figures.
-            runs: The runs in the list, failed ones included.
-            links: Links to the details of these runs.
-            details: Details on this page.
-            runs_title: Heading of the list of runs.
-        """
+        """Return the first page."""
         beginnings = [_beginning(matrix) for matrix in matrices]
         cut = {
             matrix.name: (
@@ -157,14 +117,7 @@ class ReportPages:
         )
 
     def runs(self, name: str, others: Sequence[str], report: str, details: Sequence[str]) -> str:
-        """Return a page of details.
-
-        Args:
-            name: Name of its file.
-            others: File names of all pages of details, this one included.
-            report: File name of the first page, in the parent folder.
-            details: Details of its runs.
-        """
+        """Return a page of details."""
         return self._templates.get_template("runs.html.j2").render(
             name=name, others=others, report=report, details=details
         )

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trajeval_ros.consistency.result import Consistency
+from trajeval_ros.consistency.consistency_result import Consistency
+from trajeval_ros.consistency.integrity import Integrity, PartIntegrity
+from trajeval_ros.formatting.numbers import percent
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.statistics import round_below
 from trajeval_ros.report import canvas
@@ -21,12 +23,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
 _ELLIPSES = 24
 _SIGMAS = 3.0
 # Ellipses are enlarged until the largest is this share of the trajectory's extent.
 _LARGEST_ELLIPSE = 0.06
 _LABELS = ("x [m]", "y [m]", "z [m]", "φx [deg]", "φy [deg]", "φz [deg]")
+_LABELS_IN = 0.3
+_CELLS = 60
 
 
 def write_consistency(
@@ -37,19 +40,7 @@ def write_consistency(
     suffix: str = "",
     style: FigureStyle = PLAIN,
 ) -> list[Path]:
-    """Write `consistency` and `uncertainty_top`; nothing without covariances.
-
-    Args:
-        evaluation: The evaluation of the estimate.
-        consistency: The consistency test of the same estimate.
-        folder: Existing folder; figures of the same names are replaced.
-        name: Name of the estimate in the figures.
-        suffix: Suffix of the file names, to distinguish estimates.
-        style: Formats and style.
-
-    Returns:
-        The files that were written.
-    """
+    """Write `consistency` and `uncertainty_top`; nothing without covariances."""
     if consistency.covariances is None:
         return []
     (short,) = canvas.short_names([name])
@@ -66,7 +57,7 @@ def write_consistency(
 
 def bands_over_time(evaluation: Evaluation, consistency: Consistency, name: str) -> Figure:
     """Draw the errors along every axis with +-3 sigma, and the NEES of every pose."""
-    truth = evaluation.association.groundtruth
+    groundtruth = evaluation.association.groundtruth
     max_gap_s = evaluation.protocol.association.max_gap_s
     units = np.repeat([1.0, 180.0 / np.pi], 3)
     assert consistency.sigmas is not None
@@ -80,8 +71,10 @@ def bands_over_time(evaluation: Evaluation, consistency: Consistency, name: str)
         "estimate minus groundtruth",
     )
     *panels, lowest = figure.subplots(7, 1, sharex=True)
-    columns = np.concatenate([truth.seconds[:, None] - truth.seconds[0], errors, limits], axis=1)
-    rows = thinned(columns, truth.stamps, max_gap_s)
+    columns = np.concatenate(
+        [groundtruth.seconds[:, None] - groundtruth.seconds[0], errors, limits], axis=1
+    )
+    rows = thinned(columns, groundtruth.stamps, max_gap_s)
     time = rows[:, 0]
     for axis, (axes, label) in enumerate(zip(panels, _LABELS, strict=True)):
         limit = rows[:, 7 + axis]
@@ -96,7 +89,7 @@ def bands_over_time(evaluation: Evaluation, consistency: Consistency, name: str)
 
 def _draw_nees(lowest: Axes, evaluation: Evaluation, consistency: Consistency) -> None:
     """Draw the NEES of poses, positions and orientations over time."""
-    truth = evaluation.association.groundtruth
+    groundtruth = evaluation.association.groundtruth
     nees, per_pose = consistency.pose_nees, consistency.per_pose
     assert nees is not None
     assert per_pose is not None
@@ -107,8 +100,8 @@ def _draw_nees(lowest: Axes, evaluation: Evaluation, consistency: Consistency) -
         (nees.pose, "pose / 6", 0),
     ):
         colour, _ = canvas.line_style(place)
-        columns = np.stack([truth.seconds - truth.seconds[0], values], axis=1)
-        across = thinned(columns, truth.stamps, gap_s).T
+        columns = np.stack([groundtruth.seconds - groundtruth.seconds[0], values], axis=1)
+        across = thinned(columns, groundtruth.stamps, gap_s).T
         lowest.plot(*across, color=colour, label=label, linewidth=0.9)
     highest = float(max(map(np.nanmax, (nees.pose, nees.position, nees.rotation))))
     limit = per_pose.limit_95
@@ -127,10 +120,10 @@ def ellipses_from_above(evaluation: Evaluation, consistency: Consistency, name: 
     from matplotlib.collections import EllipseCollection
 
     assert consistency.covariances is not None
-    truth, aligned = evaluation.association.groundtruth, evaluation.aligned
+    groundtruth, aligned = evaluation.association.groundtruth, evaluation.aligned
     max_gap_s = evaluation.protocol.association.max_gap_s
-    extent = float(np.ptp(truth.positions[:, :2], axis=0).max())
-    along = truth.travelled
+    extent = float(np.ptp(groundtruth.positions[:, :2], axis=0).max())
+    along = groundtruth.travelled
     evenly = np.searchsorted(along, np.linspace(0.0, along[-1], _ELLIPSES))
     rows = np.unique(np.minimum(evenly, len(along) - 1))
     values, vectors = np.linalg.eigh(consistency.covariances[rows, :2, :2])
@@ -138,7 +131,7 @@ def ellipses_from_above(evaluation: Evaluation, consistency: Consistency, name: 
     axes_m = 2.0 * _SIGMAS * np.sqrt(np.maximum(values, 0.0))
     largest = max(float(axes_m.max()), 1e-12)
     factor = max(1.0, round_below(_LARGEST_ELLIPSE * extent / largest))
-    whole = truth.positions[:, :2]
+    whole = groundtruth.positions[:, :2]
     panels = PlanePanels(
         [whole, aligned.positions[:, :2]],
         {0: name},
@@ -162,4 +155,71 @@ def ellipses_from_above(evaluation: Evaluation, consistency: Consistency, name: 
             linewidths=0.9,
         )
     )
-    return panels.finish(thinned(whole, truth.stamps, max_gap_s), whole, ("x", "y"))
+    return panels.finish(thinned(whole, groundtruth.stamps, max_gap_s), whole, ("x", "y"))
+
+
+def write_stanford(
+    integrity: Integrity, folder: Path, name: str, suffix: str = "", style: FigureStyle = PLAIN
+) -> None:
+    """Write `stanford` to an existing folder."""
+    (short,) = canvas.short_names([name])
+    save_all({f"stanford{suffix}": lambda: stanford(integrity, short)}, folder, style)
+
+
+def stanford(integrity: Integrity, name: str) -> Figure:
+    """Draw one panel per part of the pose."""
+    count = len(integrity.parts)
+    exact = "upper bounds" if integrity.exactness == "bound" else integrity.exactness
+    title = f"{name}: integrity at risk {integrity.risk:g}, levels {exact}"
+    figure = canvas.new_figure(canvas.width_in() / count + _LABELS_IN, title)
+    for axes, part in zip(
+        figure.subplots(1, count, squeeze=False)[0], integrity.parts, strict=True
+    ):
+        _draw(axes, part)
+    return figure
+
+
+def _draw(axes: Axes, part: PartIntegrity) -> None:
+    """Draw the density of errors and levels, the alert limit, and the shares of the areas."""
+    # The limits leave space for the text of every area.
+    limit = part.alert_limit
+    positive = np.concatenate([part.errors, part.levels])
+    positive = positive[positive > 0.0]
+    low = min(float(np.quantile(positive, 0.001)) / 1.5, limit / 30.0)
+    high = max(float(positive.max()) * 1.5, 10.0 * limit)
+    edges = np.geomspace(low, high, _CELLS)
+    counts, _, _ = np.histogram2d(
+        np.clip(part.errors, low, high), np.clip(part.levels, low, high), bins=[edges, edges]
+    )
+    from matplotlib.colors import LogNorm
+
+    axes.pcolormesh(
+        edges, edges, np.ma.masked_equal(counts.T, 0), norm=LogNorm(), rasterized=True,
+    )  # fmt: skip
+    axes.plot([low, high], [low, high], color=canvas.ink(), linewidth=0.8)
+    for draw in (axes.axhline, axes.axvline):
+        draw(limit, color=canvas.ink(), linewidth=0.8, linestyle="--")
+    axes.fill_between(
+        [limit, high], low, limit, color=canvas.line_style(0)[0], alpha=0.15, linewidth=0, zorder=0
+    )
+    beyond, below = float(np.sqrt(limit * high)), 1.2 * low
+    places = {
+        "hazardous": (beyond, below, "center", "bottom"),
+        "misleading": (limit / 1.15, below, "right", "bottom"),
+        "nominal": (below, limit / 1.15, "left", "top"),
+        "unavailable": (below, high / 1.15, "left", "top"),
+        "misleading_unavailable": (high / 1.1, 1.15 * limit, "right", "bottom"),
+    }
+    for area, (x, y, across, along) in places.items():
+        words = ",\n".join(area.split("_"))
+        text = f"{words}\n{percent(part.areas[area])}"
+        axes.text(x, y, text, ha=across, va=along, fontsize="small")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter("{x:g}")
+    axes.set_xlim(low, high)
+    axes.set_ylim(low, high)
+    axes.set_aspect("equal")
+    axes.set_xlabel(f"{part.part} error [{part.unit}]")
+    axes.set_ylabel(f"protection level [{part.unit}]")

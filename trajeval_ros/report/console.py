@@ -2,83 +2,161 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import sys
+import unicodedata
 from collections.abc import Iterable, Sequence
-from typing import IO, Any
-
-from rich import box
-from rich.console import Console
-from rich.table import Column, Table
-from rich.text import Text
+from itertools import zip_longest
+from typing import IO
 
 from trajeval_ros.formatting.escaping import one_line, visible
-from trajeval_ros.formatting.text_tables import MarkedText, TextRow
+from trajeval_ros.formatting.text_tables import BOLD, UNDERLINE, MarkedText, TextRow
 
+DIM = "dim"
+_CODES = {BOLD: "\x1b[1m", DIM: "\x1b[2m", UNDERLINE: "\x1b[4m"}
+_END = "\x1b[0m"
 _UNWRAPPED = 10_000  # characters
+_GAP = "  "  # between columns
 
 
-class VisibleConsole(Console):
-    """A console that shows control characters in printed text instead of executing them."""
+class Console:
+    """Output of a program: styled and wrapped in a terminal, plain and unwrapped in a pipe."""
 
-    def render_str(self, text: str, **options: Any) -> Text:
-        """Return a text as it is printed; all text of tables and lines passes this method."""
-        return super().render_str(visible(text), **options)
+    def __init__(
+        self, file: IO[str], width: int, *, is_terminal: bool, is_styled: bool = False
+    ) -> None:
+        self.file = file
+        self.width = width
+        self.is_terminal = is_terminal
+        self.is_styled = is_styled
+
+    def print(self, text: str = "", style: str = "", *, soft_wrap: bool = False) -> None:
+        """Print lines.
+
+        `style`: `BOLD`, `DIM`, `UNDERLINE` or empty. `soft_wrap`: whether the terminal wraps long
+        lines; otherwise they are wrapped at blanks.
+        """
+        for line in visible(text).split("\n"):
+            width = _UNWRAPPED if soft_wrap else self.width
+            self.write(self.styled(part, style) for part in _wrapped(line, width))
+
+    def write(self, lines: Iterable[str]) -> None:
+        """Print lines that may have control characters."""
+        self.file.write("".join(f"{line}\n" for line in lines))
+        self.file.flush()
+
+    def styled(self, text: str, style: str) -> str:
+        """Return a text in a style, if the terminal has styles."""
+        return f"{_CODES[style]}{text}{_END}" if style and text and self.is_styled else text
 
 
-def console(stream: IO[str] | None = None) -> VisibleConsole:
-    """Return a console: styled and as wide as the terminal; plain and unwrapped in a pipe."""
+def console(stream: IO[str] | None = None) -> Console:
+    """Return the console of a stream, by default of stdout."""
     output = sys.stdout if stream is None else stream
-    terminal = VisibleConsole(file=output, highlight=False, markup=False, emoji=False)
-    if terminal.is_terminal:
-        return terminal
-    return VisibleConsole(
-        file=output, width=_UNWRAPPED, highlight=False, markup=False, emoji=False, no_color=True
-    )
+    if not output.isatty():
+        return Console(output, _UNWRAPPED, is_terminal=False)
+    is_styled = os.environ.get("TERM", "dumb") not in ("dumb", "unknown")
+    width = shutil.get_terminal_size().columns
+    return Console(output, width, is_terminal=True, is_styled=is_styled)
 
 
-def new_table(title: str, words: Sequence[str], numbers: Sequence[str] = ()) -> Table:
-    """Return a table without rows: with a frame in a terminal, plain in a pipe.
+class Table:
+    """A table with a row of headings: text columns, then columns of numbers.
 
-    Args:
-        title: Title above the table; empty for none.
-        words: Headings of text columns, which are not wrapped; hidden if all are empty.
-        numbers: Headings of the columns of numbers after them.
+    Cells of text columns are not wrapped. Numbers are aligned right, and a narrow terminal wraps
+    them between words.
     """
-    table = Table(
-        title=one_line(title) or None,
-        show_header=any(words),
-        box=box.SIMPLE_HEAD if sys.stdout.isatty() and any(words) else None,
-        pad_edge=False,
-    )
-    for heading in words:
-        table.add_column(one_line(heading), no_wrap=True)
-    for heading in numbers:
-        table.add_column(one_line(heading), justify="right")
-    return table
+
+    def __init__(
+        self,
+        title: str,
+        words: Sequence[str],
+        numbers: Sequence[str] = (),
+        rows: Iterable[TextRow] = (),
+    ) -> None:
+        """Create a table.
+
+        `title`: title above the table; empty for none. `words`: headings of text columns; hidden
+        if all are empty.
+        """
+        self.title = one_line(title)
+        self._headings = tuple(map(one_line, (*words, *numbers))) if any(words) else ()
+        self._words, self._count = len(words), len(words) + len(numbers)
+        self._rows: list[list[MarkedText] | None] = []
+        for row in rows:
+            self.add(row)
+
+    def add(self, row: TextRow) -> None:
+        """Add a row."""
+        self._rows.append([_cell(each) for each in row])
+
+    def add_section(self) -> None:
+        """Add a line, which only a terminal shows."""
+        self._rows.append(None)
+
+    def widths(self, room: int) -> list[int]:
+        """Return the widths of the columns in a terminal; wider than `room` if necessary."""
+        texts = [[cell.text + cell.rest for cell in row] for row in self._rows if row is not None]
+        widths, narrowest = [0] * self._count, [0] * self._count
+        for row in (self._headings, *texts):
+            for at, text in enumerate(row):
+                words = [text] if at < self._words else text.split()
+                widths[at] = max(widths[at], _width(text))
+                narrowest[at] = max([narrowest[at], *map(_width, words)])
+        while total_width(widths) > room and widths != narrowest:
+            most = max(range(len(widths)), key=lambda at: widths[at] - narrowest[at])
+            widths[most] -= 1
+        return widths
+
+    def lines(self, terminal: Console) -> list[str]:
+        """Return the lines of the table without its title."""
+        widths = self.widths(terminal.width)
+        rule = [_rule(terminal.file) * total_width(widths)] if terminal.is_terminal else []
+        lines = []
+        if self._headings:
+            headings = [MarkedText(each, BOLD) for each in self._headings]
+            lines = [*self._lines_of(headings, widths, terminal, at_bottom=True), *rule]
+        for row in self._rows:
+            lines += rule if row is None else self._lines_of(row, widths, terminal)
+        return lines
+
+    def _lines_of(
+        self,
+        row: list[MarkedText],
+        widths: list[int],
+        terminal: Console,
+        *,
+        at_bottom: bool = False,
+    ) -> list[str]:
+        """Return the lines of a row, with the cells at the top or at the bottom of the row."""
+        columns = []
+        for at, (cell, width) in enumerate(zip(row, widths, strict=True)):
+            column = []
+            marked = len(cell.text)
+            for part in _wrapped(cell.text + cell.rest, width):
+                text = terminal.styled(part[:marked], cell.mark) + part[marked:]
+                marked = max(0, marked - len(part) - 1)  # and the blank between the lines
+                blanks = " " * (width - _width(part))
+                column.append(text + blanks if at < self._words else blanks + text)
+            columns.append(column[::-1] if at_bottom else column)
+        lines = [
+            _GAP.join(part or " " * width for part, width in zip(parts, widths, strict=True))
+            for parts in zip_longest(*columns)
+        ]
+        return [line.rstrip() for line in (lines[::-1] if at_bottom else lines)]
 
 
-def add_rows(table: Table, rows: Iterable[TextRow]) -> None:
-    """Add rows to a table."""
-    for row in rows:
-        table.add_row(*map(_cell, row))
+def total_width(widths: Sequence[int]) -> int:
+    """Return the width of a table in characters."""
+    return sum(widths) + len(_GAP) * (len(widths) - 1)
 
 
 def show(terminal: Console, table: Table) -> None:
     """Print a table without cutting words or numbers, wider than the terminal if necessary."""
-    width = terminal.width
-    _fit(table, width)
-    terminal.width = max(width, _natural_width(table))
-    if table.title:  # rich wraps it at the table's width
-        terminal.print(Text(str(table.title), style="bold"))
-        table.title = None
-    if terminal.is_terminal:
-        terminal.print(table)
-    else:  # programs that read the table need no trailing blanks
-        with terminal.capture() as captured:
-            terminal.print(table)
-        lines = captured.get().splitlines()
-        terminal.print("\n".join(map(str.rstrip, lines)), soft_wrap=True)
-    terminal.width = width
+    if table.title:
+        terminal.print(table.title, BOLD)
+    terminal.write(table.lines(terminal))
 
 
 def show_fitting(
@@ -90,23 +168,19 @@ def show_fitting(
 ) -> None:
     """Print a table with as many columns as fit into the terminal, and name the hidden ones.
 
-    Args:
-        terminal: Where the table is printed.
-        words: Headings of text columns, as for `new_table`.
-        numbers: Headings of the columns of numbers after them.
-        rows: The rows, with a cell for every heading.
-        hidden_first: Headings that a narrow terminal hides, the least important first.
+    `hidden_first`: headings that a narrow terminal hides, the least important first.
     """
     for count in range(len(hidden_first) + 1):
         hidden = hidden_first[:count]
         kept = [at for at, name in enumerate((*words, *numbers)) if name not in hidden]
-        table = new_table(
+        table = Table(
             "",
             [name for name in words if name not in hidden],
             [name for name in numbers if name not in hidden],
         )
-        add_rows(table, [tuple(row[at] for at in kept) for row in rows])
-        if _width_of(table) <= terminal.width:
+        for row in rows:
+            table.add([row[at] for at in kept])
+        if total_width(table.widths(terminal.width)) <= terminal.width:
             break
     show(terminal, table)
     if count:
@@ -117,48 +191,35 @@ def show_fitting(
         )
 
 
-def _width_of(table: Table) -> int:
-    """Return the smallest width of a table in characters; columns of numbers can wrap."""
-    widest, narrowest = map(_widest, table.columns), _narrowest(table)
-    return _natural_width(table) - sum(widest) + sum(narrowest)
-
-
-def _fit(table: Table, width: int) -> None:
-    """Set the widths of columns that must wrap: rich would cut words and numbers."""
-    widths, narrowest = list(map(_widest, table.columns)), _narrowest(table)
-    excess = min(_natural_width(table) - width, sum(widths) - sum(narrowest))
-    for _ in range(excess):
-        most = max(range(len(widths)), key=lambda at: widths[at] - narrowest[at])
-        widths[most] -= 1
-        table.columns[most].width = widths[most]
-
-
-def _natural_width(table: Table) -> int:
-    """Return the width of a table in characters without further wrapping."""
-    return Console(width=_UNWRAPPED, markup=False).measure(table).maximum
-
-
-def _widest(column: Column) -> int:
-    """Return the width of a column on one line."""
-    return max(Text(str(each)).cell_len for each in (column.header, *column.cells))
-
-
-def _narrowest(table: Table) -> list[int]:
-    """Return the smallest widths of the columns: a column of numbers wraps between words.
-
-    The last column never wraps, because versions of rich differ in the padding of its set width.
-    """
-    *columns, last = table.columns
-    widths = []
-    for column in columns:
-        texts = [str(each) for each in (column.header, *column.cells)]
-        words = texts if column.no_wrap else [word for each in texts for word in each.split()]
-        widths.append(max((Text(word).cell_len for word in words), default=0))
-    return [*widths, _widest(last)]
-
-
-def _cell(cell: str | MarkedText) -> Text:
-    """Return a cell as text for rich."""
+def _cell(cell: str | MarkedText) -> MarkedText:
+    """Return a cell with visible control characters."""
     if isinstance(cell, str):
-        return Text(one_line(cell))
-    return Text.assemble((one_line(cell.text), cell.mark), one_line(cell.rest))
+        return MarkedText(one_line(cell))
+    return MarkedText(one_line(cell.text), cell.mark, one_line(cell.rest))
+
+
+def _wrapped(text: str, width: int) -> list[str]:
+    """Return a text in lines of at most a width, broken at single blanks; words are not cut."""
+    if _width(text) <= width:
+        return [text]
+    lines = [""]
+    for number, word in enumerate(text.split(" ")):
+        longer = f"{lines[-1]} {word}" if number else word
+        if number and _width(longer) > width:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    return lines
+
+
+def _width(text: str) -> int:
+    """Return the number of cells of a terminal that a text needs."""
+    if text.isascii():
+        return len(text)
+    wide = sum(unicodedata.east_asian_width(each) in "WF" for each in text)
+    return len(text) + wide - sum(unicodedata.combining(each) != 0 for each in text)
+
+
+def _rule(file: IO[str]) -> str:
+    """Return the character of lines that the encoding of a file has."""
+    return "─" if "utf" in (getattr(file, "encoding", None) or "").lower() else "-"

@@ -1,4 +1,4 @@
-"""Definitions of the numbers as text, for result lines and titles."""
+"""Definitions and labels of the numbers as text, for result lines, tables and figures."""
 
 from __future__ import annotations
 
@@ -33,6 +33,32 @@ RE_FORM_TEXTS = {
     "fitted": "yaw and position fitted to every sub-trajectory, position difference at the end",
     "evo": "relative poses, as evo_rpe",
     "euler": "relative poses, as rpg_trajectory_evaluation; yaw and tilt are its Euler angles",
+}
+ABSOLUTE_LABELS = {
+    "position_m": "position [m]",
+    "horizontal_m": "horizontal [m]",
+    "vertical_m": "vertical [m]",
+    "rotation_deg": "rotation [deg]",
+    "yaw_deg": "yaw [deg]",
+    "tilt_deg": "tilt [deg]",
+    "velocity_mps": "velocity [m/s]",
+    "gyroscope_bias": "gyroscope bias [rad/s]",
+    "accelerometer_bias": "accelerometer bias [m/s^2]",
+    "rotation_part": "rotation part",
+    "full": "full pose",
+}
+RELATIVE_LABELS = {
+    "position_m": "position [m]",
+    "position_percent": "position [%]",
+    "rotation_deg": "rotation [deg]",
+    "rotation_deg_per_m": "rotation [deg/m]",
+    "yaw_deg": "yaw [deg]",
+    "tilt_deg": "tilt [deg]",
+    "velocity_mps": "velocity [m/s]",
+    "distance_m": "distance [m]",
+    "distance_percent": "distance [%]",
+    "rotation_part": "rotation part",
+    "full": "full pose",
 }
 
 

@@ -19,16 +19,7 @@ if TYPE_CHECKING:
 
 
 def save(figure: Figure, path: Path, file_format: str) -> Path:
-    """Write a figure; equal figures give equal bytes.
-
-    Args:
-        figure: The figure.
-        path: The file.
-        file_format: `png`, `pdf`, `svg` or `pgf`.
-
-    Raises:
-        InputError: The format needs LaTeX, and LaTeX fails.
-    """
+    """Write a figure; equal figures give equal bytes."""
     import matplotlib
 
     title = " ".join(figure.get_suptitle().split())
@@ -57,19 +48,7 @@ def save(figure: Figure, path: Path, file_format: str) -> Path:
 
 
 def save_all(figures: Mapping[str, Drawing], folder: Path, style: FigureStyle) -> list[Path]:
-    """Draw figures in a style, one after the other, and write them in all of its formats.
-
-    Args:
-        figures: The functions that draw, by file name without a suffix.
-        folder: Existing folder; files of the same names are replaced.
-        style: The style and its formats.
-
-    Returns:
-        The files.
-
-    Raises:
-        InputError: The files cannot be written, or matplotlib is not installed.
-    """
+    """Draw figures in a style, one after the other, and write them in all of its formats."""
     written = []
     with (
         house_style(style),

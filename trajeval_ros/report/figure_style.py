@@ -73,41 +73,27 @@ _STYLE: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class FigureStyle:
-    """The user's settings for figures.
+    """The user's settings for figures."""
 
-    Attributes:
-        formats: File formats, of `FORMATS`.
-        width_in: Printed width, inches; None for the style's.
-        has_titles: Whether titles are drawn; the metadata of files have them in any case.
-        file: A matplotlib style sheet that overrides the default style; None for none.
-    """
-
-    formats: tuple[str, ...] = ("png",)
-    width_in: float | None = None
+    formats: tuple[str, ...] = ("png",)  # file formats, of `FORMATS`
+    width_in: float | None = None  # printed width, inches; None for the style's
+    # Whether titles are drawn; the metadata of files have them in any case.
     has_titles: bool = True
+    # a matplotlib style sheet that overrides the default style; None for none.
     file: Path | None = None
 
     @classmethod
     def parse(
         cls, formats: str | None, width: str | None, file: Path | None, *, has_titles: bool
     ) -> FigureStyle:
-        """Parse formats such as "pdf,svg" and a width such as "3.5", or one of `WIDTHS_IN`.
-
-        Raises:
-            SettingsError: A text is not valid.
-        """
+        """Parse formats such as "pdf,svg" and a width such as "3.5", or one of `WIDTHS_IN`."""
         listed = tuple(dict.fromkeys((formats or "png").split(",")))
         for file_format in listed:
             require_one_of(file_format, FORMATS, "figure format")
         return cls(listed, None if width is None else _width_in(width), has_titles, file)
 
     def check(self) -> None:
-        """Refuse what is not possible, before the evaluation.
-
-        Raises:
-            InputError: matplotlib is not installed but needed, the style sheet cannot be read, or
-                LaTeX for PGF is missing.
-        """
+        """Refuse what is not possible, before the evaluation."""
         if self == PLAIN:
             return  # default figures are omitted without matplotlib
         with house_style(self):
@@ -143,9 +129,6 @@ def house_style(style: FigureStyle = PLAIN) -> Iterator[None]:
 
     matplotlib's logged warnings are hidden: its first import warns of a home folder that is not
     writable, and of the font cache when building it takes more than 5 s.
-
-    Raises:
-        InputError: matplotlib is not installed, or the style sheet cannot be read.
     """
     with _log_level("ERROR"):
         try:

@@ -66,12 +66,7 @@ def draw(
 
 
 def write_figure(figure: Figure, path: Path) -> None:
-    """Write a figure of the default style in the format of the file's suffix.
-
-    Raises:
-        SettingsError: The format is unknown.
-        InputError: The file cannot be written.
-    """
+    """Write a figure of the default style in the format of the file's suffix."""
     suffix = path.suffix.removeprefix(".")
     require_one_of(suffix, FORMATS, "figure format")
     write_whole(path, lambda temporary: save(figure, temporary, suffix), follow_link=True)
@@ -84,18 +79,9 @@ def write_figures(
 
     `trajectory_top` and, except for gauge planar, `trajectory_side`: aligned estimates,
     groundtruth and correspondences. `absolute_error`: over the distance travelled.
-    `relative_error`: by length, if the protocol has lengths.
-
-    Args:
-        evaluations: One per estimate, with the same groundtruth and protocol.
-        folder: Existing folder; figures of the same names are replaced.
-        style: Formats and style.
-
-    Returns:
-        The files that were written.
-
-    Raises:
-        InputError: matplotlib is not installed, or a format needs LaTeX.
+    `relative_error`: by length, if the protocol has lengths. `evaluations`: one per estimate, with
+    the same groundtruth and protocol. `folder`: existing folder; figures of the same names are
+    replaced.
     """
     legend = canvas.short_names([e.estimate.name for e in evaluations])
     protocol = evaluations[0].protocol

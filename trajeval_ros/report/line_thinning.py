@@ -19,12 +19,8 @@ def thinned(
     The rows are divided into intervals of equal size. The rows with the least and the largest
     value of a column in an interval are kept. A row of NaN interrupts the line where a time step
     exceeds the gap and five median steps (steps between keyframes are long without being gaps).
-
-    Args:
-        columns: (N, K).
-        stamps: (N,), nanoseconds, in order.
-        max_gap_s: Longest step that is no gap, seconds.
-        most: Approximate number of rows above which they are thinned.
+    `columns`: (N, K). `stamps`: (N,), nanoseconds, in order. `max_gap_s`: longest step that is no
+    gap, seconds.
     """
     count, width = columns.shape
     rows = np.arange(count)
@@ -36,8 +32,66 @@ def thinned(
         extremes = np.stack([by_run.argmin(axis=1), by_run.argmax(axis=1)], axis=2)
         in_all = extremes + (size * np.arange(runs))[:, None, None]
         rows = np.concatenate([[0], in_all.ravel(), [count - 1]])
+    return _interrupted(columns, rows, _gaps(stamps, max_gap_s))
+
+
+def simplified(
+    path: Floats, stamps: NDArray[np.int64], max_gap_s: float, tolerance_m: float
+) -> Floats:
+    """Return rows (M, K) of a path (N, K) that stay within a tolerance of it, seen from above.
+
+    As `thinned`, but a vertex is left out if the path is within the tolerance of the line that
+    remains (Ramer, Douglas and Peucker). `tolerance_m`: in the first two columns, metres; it is
+    doubled until at most `MOST_POINTS` rows remain.
+    """
+    gaps = _gaps(stamps, max_gap_s)
+    pieces = np.split(path[:, :2], gaps + 1)
+    starts = np.concatenate([[0], gaps + 1])
+    while True:
+        kept = np.concatenate(
+            [
+                start + simplified_rows(piece, tolerance_m)
+                for start, piece in zip(starts, pieces, strict=True)
+            ]
+        )
+        if len(kept) <= max(MOST_POINTS, 2 * len(pieces)):
+            return _interrupted(path, kept, gaps)
+        tolerance_m = 2.0 * max(tolerance_m, np.finfo(float).eps)
+
+
+def simplified_rows(line: Floats, tolerance: float) -> NDArray[np.intp]:
+    """Return the rows (M,) of a line (N, 2) that are enough to stay within a tolerance of it.
+
+    All segments of one depth of the recursion are split at once at their farthest row.
+    """
+    kept = np.unique([0, len(line) - 1])
+    while len(kept) > 1:
+        starts, lengths = line[kept[:-1]], np.diff(kept)
+        along = line[kept[1:]] - starts
+        segment = np.repeat(np.arange(len(lengths)), lengths)
+        rows = np.arange(kept[0], kept[-1])
+        beside = line[rows] - starts[segment]
+        share = (beside * along[segment]).sum(axis=1)
+        share /= np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)[segment]
+        beside -= np.clip(share, 0.0, 1.0)[:, None] * along[segment]
+        distance = np.hypot(*beside.T)
+        farthest = np.maximum.reduceat(distance, kept[:-1] - kept[0])
+        is_farthest = (distance == farthest[segment]) & (distance > tolerance)
+        _, first = np.unique(segment[is_farthest], return_index=True)
+        if not len(first):
+            break
+        kept = np.sort(np.concatenate([kept, rows[is_farthest][first]]))
+    return kept
+
+
+def _gaps(stamps: NDArray[np.int64], max_gap_s: float) -> NDArray[np.intp]:
+    """Return the rows before gaps."""
     steps = np.diff(stamps)
     usual = float(np.median(steps)) if len(steps) else 0.0
-    before = np.flatnonzero(steps > max(max_gap_s * NANOSECONDS, 5.0 * usual))
-    rows = np.unique(np.minimum(np.concatenate([rows, before, before + 1]), count - 1))
-    return np.insert(columns[rows], np.searchsorted(rows, before + 1), np.nan, axis=0)
+    return np.flatnonzero(steps > max(max_gap_s * NANOSECONDS, 5.0 * usual))
+
+
+def _interrupted(columns: Floats, rows: NDArray[np.intp], gaps: NDArray[np.intp]) -> Floats:
+    """Return rows of columns with a row of NaN after each of the rows before gaps."""
+    rows = np.unique(np.minimum(np.concatenate([rows, gaps, gaps + 1]), len(columns) - 1))
+    return np.insert(columns[rows], np.searchsorted(rows, gaps + 1), np.nan, axis=0)

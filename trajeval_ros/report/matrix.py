@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from trajeval_ros.formatting.escaping import markdown_text
 from trajeval_ros.formatting.numbers import three_decimals, whole_percent
@@ -18,62 +17,50 @@ from trajeval_ros.formatting.text_tables import (
     latex_table,
     markdown_table,
 )
-from trajeval_ros.report.console import add_rows, new_table
+from trajeval_ros.report.console import Table
 
-if TYPE_CHECKING:
-    from rich.table import Table
-
+UNRANKED = "¶"
 _MOST_NARROW = 6  # columns of numbers that fit into one column of a two-column page
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One number of a table.
+    """One number of a table."""
 
-    Attributes:
-        value: The number, infinite if too many runs failed; None if there is none.
-        note: A remark such as "8/10" or "†".
-        is_ranked: Whether it can be the best. It cannot if failed runs are left out, or if its
-            coverage is lower than that of others.
-        spread: Range over the trials, such as "(0.05–0.32)".
-    """
-
-    value: float | None
-    note: str = ""
-    is_ranked: bool = True
-    spread: str = ""
+    value: float | None  # the number, infinite if too many runs failed; None if there is none
+    note: str = ""  # a remark such as "8/10" or "†"
+    is_ranked: bool = True  # whether it can be the best
+    why_unranked: str = ""  # why it is not ranked, if others of its column are
+    # Whether the ranked numbers of the column compete with it. A better unranked number competes:
+    # without it, a worse number would be marked as the best.
+    competes: bool = True
+    spread: str = ""  # range over the trials, such as "(0.05–0.32)"
 
     @property
     def text(self) -> str:
         """The number as text."""
         return three_decimals(self.value)
 
+    @property
+    def marks(self) -> str:
+        """The remark, with the mark of a number that is not ranked."""
+        is_marked = self.why_unranked and self.value is not None
+        return " ".join(filter(None, (self.note, UNRANKED if is_marked else "")))
+
 
 @dataclass(frozen=True)
 class Matrix:
-    """A table of algorithms by sequences or lengths; smaller numbers are better.
+    """A table of algorithms by sequences or lengths; smaller numbers are better."""
 
-    Attributes:
-        name: Name of its file.
-        title: The quantity with its unit.
-        caption: The definition of the numbers.
-        columns: Headings of the columns.
-        rows: Name and cells of every algorithm.
-        runs: Evaluated and planned runs of every algorithm, such as "29/30".
-        coverage: Mean coverage of every algorithm; failed runs count as zero.
-        brief: Caption in LaTeX, one sentence; by default the title.
-        has_average: Whether the mean over the columns is meaningful.
-    """
-
-    name: str
-    title: str
+    name: str  # name of its file
+    title: str  # the quantity with its unit
     caption: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, tuple[Cell, ...]], ...]
-    runs: tuple[str, ...]
-    coverage: tuple[float, ...]
-    brief: str = ""
-    has_average: bool = False
+    columns: tuple[str, ...]  # headings of the columns
+    rows: tuple[tuple[str, tuple[Cell, ...]], ...]  # name and cells of every algorithm
+    runs: tuple[str, ...]  # evaluated and planned runs of every algorithm, such as "29/30"
+    coverage: tuple[float, ...]  # mean coverage of every algorithm; failed runs count as zero
+    brief: str = ""  # caption in LaTeX, one sentence; by default the title
+    has_average: bool = False  # whether the mean over the columns is meaningful
 
     def ranks(self) -> list[list[int]]:
         """Return the ranks of cells in their columns: 1 for the best, 2 for the second, else 0."""
@@ -89,11 +76,23 @@ class Matrix:
 
 
 def ranked(cells: Sequence[Cell]) -> list[int]:
-    """Return the ranks of competing cells: 1 for the best, 2 for the second, else 0."""
+    """Return the ranks of cells in a column: 1 for the best, 2 for the second, else 0.
+
+    A number that is worse than an unranked one has no rank.
+    """
     if sum(cell.value is not None for cell in cells) < 2:
         return [0] * len(cells)
     values = [cell.value if cell.is_ranked else None for cell in cells]
-    best = sorted({value for value in values if value is not None and value < math.inf})[:2]
+    limit = min(
+        (
+            cell.value
+            for cell in cells
+            if cell.why_unranked and cell.competes and cell.value is not None
+        ),
+        default=math.inf,
+    )
+    places = sorted({value for value in values if value is not None and value < math.inf})[:2]
+    best = [value for value in places if value <= limit]
     return [0 if v is None or v not in best else 1 + best.index(v) for v in values]
 
 
@@ -102,15 +101,18 @@ def _average(cells: Sequence[Cell]) -> Cell:
     values = [cell.value for cell in cells if cell.value is not None]
     if len(values) < len(cells):
         return Cell(None)
-    return Cell(sum(values) / len(values), is_ranked=all(cell.is_ranked for cell in cells))
+    return Cell(
+        sum(values) / len(values),
+        is_ranked=all(cell.is_ranked for cell in cells),
+        why_unranked=next((cell.why_unranked for cell in cells if cell.why_unranked), ""),
+        competes=all(cell.competes for cell in cells),
+    )
 
 
 def to_terminal(matrix: Matrix) -> Table:
     """Return the table, the best in bold and the second underlined, without the caption."""
     name, *numbers = _headings(matrix)
-    table = new_table(matrix.title, [name], numbers)
-    add_rows(table, _body(matrix))
-    return table
+    return Table(matrix.title, [name], numbers, _body(matrix))
 
 
 def to_markdown(matrix: Matrix) -> str:
@@ -124,10 +126,6 @@ def to_latex(matrix: Matrix, *, transpose: bool = False) -> str:
     """Return the table as LaTeX for the booktabs package, with a caption of one sentence.
 
     A table with many columns spans both columns of a page and omits the spread of the trials.
-
-    Args:
-        matrix: The table.
-        transpose: Make the algorithms its columns.
     """
     names = [name for name, _ in matrix.rows]
     columns = [[cells[place] for _, cells in matrix.rows] for place in range(len(matrix.columns))]
@@ -190,5 +188,5 @@ def _body(matrix: Matrix) -> list[list[TextCell]]:
 
 def _marked(cell: Cell, rank: int, *, with_spread: bool = True) -> MarkedText:
     """Return a cell as text with the mark of its rank."""
-    rest = " ".join(filter(None, (cell.spread if with_spread else "", cell.note)))
+    rest = " ".join(filter(None, (cell.spread if with_spread else "", cell.marks)))
     return MarkedText(cell.text, ("", BOLD, UNDERLINE)[rank], f" {rest}" if rest else "")

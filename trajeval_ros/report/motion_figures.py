@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -10,10 +12,10 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError, require_one_of
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.flattening import PLANES
 from trajeval_ros.geometry.lie import euler_angles
-from trajeval_ros.geometry.speeds import speeds
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.trajectory_edits import PLANES
+from trajeval_ros.geometry.travelled import speeds
 from trajeval_ros.io.ground_image import GroundImage
 from trajeval_ros.metrics.association import AssociationRule, associate
 from trajeval_ros.report import canvas
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 TIMES = ("xyz", "rpy", "speed")
 PLOTS = (*PLANES, "3d", *TIMES)
 COLOURS_BY = {"error": "position error [m]", "speed": "speed [m/s]"}
+_TOP_PERCENTILE = 99.0  # of the values, so that one outlier does not give all one colour
 _GAP_S = 0.5
 _PANEL_IN, _REST_IN = 1.25, 0.5
 _3D_IN = 0.85  # height relative to the width
@@ -33,34 +36,37 @@ _MOST_COLOURED = 4000  # line segments of a coloured path
 _REFERENCE = -1  # position of the reference in the list of lines
 
 
+@dataclass(frozen=True)
+class Colours:
+    """Colours along a path."""
+
+    by: str  # one of `COLOURS_BY`
+    largest: float | None = None  # value at the end of the scale; None for a high percentile
+
+
 def motion_drawings(
     kinds: Sequence[str],
     trajectories: Sequence[Trajectory],
     reference: Trajectory | None,
     *,
-    colour_by: str | None = None,
+    colours: Colours | None = None,
     ground: GroundImage | None = None,
 ) -> dict[str, canvas.Drawing]:
     """Return the functions that draw the figures, by file name.
 
-    Args:
-        kinds: Of `PLOTS`.
-        trajectories: Trajectories with names.
-        reference: Trajectory in the background; None for none.
-        colour_by: One of `COLOURS_BY`, for paths in a plane; None for one colour per trajectory.
-        ground: Image below the path in xy; None for none.
-
-    Raises:
-        SettingsError: A kind is unknown.
-        InputError: A trajectory lacks timestamps or orientations that a figure needs.
+    `reference`: trajectory in the background; None for none. `colours`: along paths in a plane;
+    None for one colour per trajectory. `ground`: image below the path in xy;
+    None for none.
     """
     for kind in kinds:
         require_one_of(kind, PLOTS, "plot")
     everything = [*trajectories, *([] if reference is None else [reference])]
-    needs_stamps = set(kinds) & set(TIMES) or colour_by == "speed"
     for trajectory in everything:
-        if needs_stamps and not trajectory.stamped:
-            raise InputError(f"{trajectory.name} has no timestamps, which figures over time need")
+        if colours is not None and colours.by == "speed" and not trajectory.reading.stamped:
+            raise InputError(
+                f"{trajectory.name} has no timestamps, which --colour-by speed needs; set "
+                "--frame-rate"
+            )
         if "rpy" in kinds and trajectory.quaternions is None:
             raise InputError(f"{trajectory.name} has no orientations; remove rpy")
     drawings: dict[str, canvas.Drawing] = {}
@@ -68,7 +74,7 @@ def motion_drawings(
         if kind in PLANES:
             below = ground if kind == "xy" else None
             drawings[f"path_{kind}"] = partial(
-                _plane, trajectories, reference, kind, colour_by, below
+                _plane, trajectories, reference, kind, colours, below
             )
         elif kind == "3d":
             drawings["path_3d"] = partial(_space, trajectories, reference)
@@ -81,36 +87,45 @@ def _plane(
     trajectories: Sequence[Trajectory],
     reference: Trajectory | None,
     plane: str,
-    colour_by: str | None,
+    colours: Colours | None,
     ground: GroundImage | None,
 ) -> Figure:
     """Draw paths in a plane, in one colour per trajectory or coloured by a quantity."""
     across, up = ("xyz".index(axis) for axis in plane)
     names = canvas.short_names([trajectory.name for trajectory in trajectories])
     paths = [trajectory.positions[:, (across, up)] for trajectory in trajectories]
-    truth = None if reference is None else reference.positions[:, (across, up)]
+    groundtruth = None if reference is None else reference.positions[:, (across, up)]
     panels = PlanePanels(
-        [*paths, *([] if truth is None else [truth])],
+        [*paths, *([] if groundtruth is None else [groundtruth])],
         dict(enumerate(names)),
         "",
-        is_split=colour_by is not None or None,
+        is_split=colours is not None or None,
     )
     if ground is not None:
         for axes in panels.panels:
             _draw_ground(axes, ground)
-    if colour_by is None:
+    if colours is None:
         for place, (trajectory, path) in enumerate(zip(trajectories, paths, strict=True)):
             panels.draw_path(place, thinned(path, trajectory.stamps, _GAP_S))
     else:
-        known = [_values(trajectory, reference, colour_by) for trajectory in trajectories]
-        largest = max(float(values.max()) for _, _, values in known)
+        known = [_values(trajectory, reference, colours.by) for trajectory in trajectories]
+        largest = colours.largest
+        if largest is None:
+            each = np.concatenate([values for _, _, values in known])
+            largest = float(np.percentile(each, _TOP_PERCENTILE))
         for place, (positions, stamps, values) in enumerate(known):
             panels.draw_coloured(
                 place, _pieces(positions[:, (across, up)], stamps, values), largest
             )
-        panels.add_ramp(COLOURS_BY[colour_by])
-    marked = truth if truth is not None else paths[0] if len(paths) == 1 else None
-    line = None if reference is None or truth is None else thinned(truth, reference.stamps, _GAP_S)
+        panels.add_ramp(
+            COLOURS_BY[colours.by], is_exceeded=any(values.max() > largest for *_, values in known)
+        )
+    marked = groundtruth if groundtruth is not None else paths[0] if len(paths) == 1 else None
+    line = (
+        None
+        if reference is None or groundtruth is None
+        else thinned(groundtruth, reference.stamps, _GAP_S)
+    )
     return panels.finish(line, marked, (plane[0], plane[1]), "reference")
 
 
@@ -119,7 +134,7 @@ def _values(
 ) -> tuple[Floats, Stamps, Floats]:
     """Return positions (N, 3), stamps (N,) and the values (N,) that determine the colours."""
     if colour_by == "speed":
-        linear, _ = speeds(trajectory)
+        linear, _ = _speeds(trajectory)
         return trajectory.positions[1:], trajectory.stamps[1:], linear
     if reference is None:
         raise InputError("errors need a reference; give --reference SOURCE")
@@ -188,17 +203,26 @@ def _space(trajectories: Sequence[Trajectory], reference: Trajectory | None) -> 
     return figure
 
 
+def _speeds(trajectory: Trajectory) -> tuple[Floats, Floats | None]:
+    return speeds(trajectory.stamps, trajectory.positions, trajectory.quaternions)
+
+
 def _over_time(
     trajectories: Sequence[Trajectory], reference: Trajectory | None, kind: str
 ) -> Figure:
-    """Draw positions, angles or speeds over time."""
+    """Draw positions, angles or speeds over time, or over the index if timestamps are missing."""
     lines = _lines(trajectories, reference)
+    is_timed = all(trajectory.reading.stamped for _, _, trajectory in lines)
+    if not is_timed:
+        lines = [(place, name, _by_index(trajectory)) for place, name, trajectory in lines]
     origin = min(int(trajectory.stamps.min()) for _, _, trajectory in lines)
     labels = {
         "xyz": ("x [m]", "y [m]", "z [m]"),
         "rpy": ("roll [deg]", "pitch [deg]", "yaw [deg]"),
         "speed": ("speed [m/s]", "turn rate [deg/s]"),
     }[kind]
+    if kind == "speed" and not is_timed:
+        labels = ("step [m/pose]", "turn [deg/pose]")
     if kind == "speed" and all(trajectory.quaternions is None for _, _, trajectory in lines):
         labels = labels[:1]
     figure = canvas.new_figure(_PANEL_IN * len(labels) + _REST_IN)
@@ -216,10 +240,17 @@ def _over_time(
             axes.set_ylabel(label)
         if kind == "speed":
             axes.set_ylim(bottom=0.0)
-    panels[-1].set_xlabel("time [s]")
+    panels[-1].set_xlabel("time [s]" if is_timed else "pose")
     figure.align_ylabels()
     canvas.legend_below(figure, *panels[0].get_legend_handles_labels())
     return figure
+
+
+def _by_index(trajectory: Trajectory) -> Trajectory:
+    """Return a trajectory with the indices of its poses as seconds."""
+    return dataclasses.replace(
+        trajectory, stamps=NANOSECONDS * np.arange(len(trajectory), dtype=np.int64)
+    )
 
 
 def _columns(trajectory: Trajectory, kind: str) -> tuple[Stamps, Floats]:
@@ -227,7 +258,7 @@ def _columns(trajectory: Trajectory, kind: str) -> tuple[Stamps, Floats]:
     if kind == "xyz":
         return trajectory.stamps, trajectory.positions
     if kind == "speed":
-        linear, turning = speeds(trajectory)
+        linear, turning = _speeds(trajectory)
         columns = [linear] if turning is None else [linear, np.degrees(turning)]
         return trajectory.stamps[1:], np.column_stack(columns)
     assert trajectory.quaternions is not None
@@ -248,6 +279,6 @@ def _lines(
 def _look(place: int) -> Mapping[str, object]:
     """Return the line style of the trajectory at a position in the list."""
     if place == _REFERENCE:
-        return {"color": canvas.truth_colour(), "linewidth": 1.6}
+        return {"color": canvas.groundtruth_colour(), "linewidth": 1.6}
     colour, dashes = canvas.line_style(place)
     return {"color": colour, "linestyle": dashes, "linewidth": 1.0}

@@ -33,11 +33,8 @@ class PlanePanels:
     ) -> None:
         """Create the figure and its panels.
 
-        Args:
-            everything: All points (N, 2) that the panels must show, metres.
-            names: Names of the paths by position in the list, which determines their colours.
-            title: Title of the figure.
-            is_split: Whether every path has its own panel; None to decide by their number.
+        `everything`: all points (N, 2) that the panels must show, metres. `is_split`: whether
+        every path has its own panel; None to decide by their number.
         """
         self._names = names
         self._split = canvas.is_crowded(len(names)) if is_split is None else is_split
@@ -106,31 +103,27 @@ class PlanePanels:
         axes.add_collection(outline, autolim=False)
         axes.add_collection(coloured, autolim=False)
 
-    def add_ramp(self, label: str) -> None:
-        """Add the colour bar of coloured paths."""
+    def add_ramp(self, label: str, *, is_exceeded: bool) -> None:
+        """Add the colour bar of coloured paths, with an arrow if values exceed its end."""
         coloured = self._shown[0].collections[-1]
-        self.figure.colorbar(coloured, ax=self._all, label=label, aspect=30, pad=0.02)
+        extend = "max" if is_exceeded else "neither"
+        self.figure.colorbar(
+            coloured, ax=self._all, label=label, aspect=30, pad=0.02, extend=extend
+        )
 
     def finish(
         self,
-        truth: Floats | None,
+        groundtruth: Floats | None,
         between: Floats | None,
         axis_names: tuple[str, str],
-        truth_name: str = "groundtruth",
+        groundtruth_name: str = "groundtruth",
     ) -> Figure:
-        """Draw groundtruth and marks in all panels, label the axes, and return the figure.
-
-        Args:
-            truth: The groundtruth (N, 2); None for none.
-            between: (M, 2), whose first and last row are marked; None for no marks.
-            axis_names: Names of the plane's axes.
-            truth_name: Name of the groundtruth in the legend.
-        """
+        """Draw groundtruth and marks in all panels, label the axes, and return the figure."""
         for place, axes in enumerate(self._shown):
-            if truth is not None:
+            if groundtruth is not None:
                 axes.plot(
-                    *truth.T, color=canvas.truth_colour(), linewidth=1.6, zorder=1.8,
-                    label=truth_name,
+                    *groundtruth.T, color=canvas.groundtruth_colour(), linewidth=1.6, zorder=1.8,
+                    label=groundtruth_name,
                 )  # fmt: skip
             if between is not None:
                 canvas.mark_ends(axes, between)
@@ -143,7 +136,7 @@ class PlanePanels:
                 axes.set_xlabel(across)
         handles, labels = self._shown[0].get_legend_handles_labels()
         # The groundtruth comes first.
-        order = sorted(range(len(labels)), key=lambda row: labels[row] != truth_name)
+        order = sorted(range(len(labels)), key=lambda row: labels[row] != groundtruth_name)
         canvas.legend_below(
             self.figure, [handles[row] for row in order], [labels[row] for row in order]
         )

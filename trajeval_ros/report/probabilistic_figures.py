@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from trajeval_ros.likelihood.assessment import Assessment
+    from trajeval_ros.likelihood.likelihood_assessment import LikelihoodAssessment
 
 
 _SIGMAS = 2.0
@@ -32,22 +32,12 @@ _LABELS = ("x [m]", "y [m]", "z [m]")
 
 
 def write_probabilistic(
-    assessments: Sequence[Assessment],
+    assessments: Sequence[LikelihoodAssessment],
     folder: Path,
     names: Sequence[str],
     style: FigureStyle = PLAIN,
 ) -> list[Path]:
-    """Write `groundtruth_uncertainty`, `mahalanobis` and `likelihood_by_edge`.
-
-    Args:
-        assessments: One per estimate, against the same groundtruth.
-        folder: Existing folder; figures of the same names are replaced.
-        names: Names of the estimates in legends.
-        style: Formats and style.
-
-    Returns:
-        The files that were written.
-    """
+    """Write `groundtruth_uncertainty`, `mahalanobis` and `likelihood_by_edge`."""
     legend = canvas.short_names(names)
     drawings = {
         "groundtruth_uncertainty": partial(groundtruth_between_samples, assessments[0]),
@@ -58,7 +48,7 @@ def write_probabilistic(
     return save_all(drawings, folder, style)
 
 
-def groundtruth_between_samples(assessment: Assessment) -> Figure:
+def groundtruth_between_samples(assessment: LikelihoodAssessment) -> Figure:
     """Draw positions with +-2 sigma around the longest gap between samples."""
     continuous = assessment.continuous
     samples = continuous.samples
@@ -88,7 +78,7 @@ def groundtruth_between_samples(assessment: Assessment) -> Figure:
             linestyle="none",
             marker=".",
             markersize=3,
-            color=canvas.truth_colour(),
+            color=canvas.groundtruth_colour(),
         )
         axes.set_ylabel(label)
     panels[-1].set_xlabel("time since the first groundtruth sample [s]")
@@ -96,7 +86,9 @@ def groundtruth_between_samples(assessment: Assessment) -> Figure:
     return figure
 
 
-def mahalanobis_over_time(assessments: Sequence[Assessment], names: Sequence[str]) -> Figure:
+def mahalanobis_over_time(
+    assessments: Sequence[LikelihoodAssessment], names: Sequence[str]
+) -> Figure:
     """Draw the squared Mahalanobis distance of every aligned pose per degree of freedom."""
     figure = canvas.new_figure(2.7, "1: error as expected from the groundtruth's uncertainty")
     axes = figure.subplots()
@@ -124,7 +116,9 @@ def _draw_over_time(
     axes.plot(*rows.T, color=colour, linestyle=dashes, linewidth=0.9, label=label)
 
 
-def likelihood_by_edge(assessments: Sequence[Assessment], names: Sequence[str]) -> Figure:
+def likelihood_by_edge(
+    assessments: Sequence[LikelihoodAssessment], names: Sequence[str]
+) -> Figure:
     """Draw minus the log density of every edge, given the previous edges, over time."""
     figure = canvas.new_figure(2.7, "Likelihood by edge, given all previous edges")
     axes = figure.subplots()

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.metrics.drift import position_percent
 from trajeval_ros.metrics.evaluation import Evaluation
-from trajeval_ros.metrics.relative_evaluation import SubTrajectoryErrors
-from trajeval_ros.metrics.sub_trajectory_length import Length
+from trajeval_ros.metrics.relative_evaluation import SubTrajectoryErrors, position_percent
+from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.report import canvas
 from trajeval_ros.report.definitions import first_state_alignment_of, positions_only
 
@@ -35,7 +34,7 @@ def relative_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> F
     """Draw the distributions of position and rotation errors for every length."""
     lengths = evaluations[0].protocol.lengths
     title = f"Relative error of sub-trajectories, {first_state_alignment_of(evaluations)}"
-    everything = [segments for e in evaluations for segments in e.segments or ()]
+    everything = [segments for e in evaluations for segments in e.relative or ()]
     if not any(segments.count for segments in everything):
         figure = canvas.new_figure(0.9, title)
         canvas.say_instead(figure.subplots(), _why_nothing(evaluations))
@@ -63,7 +62,7 @@ def relative_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> F
         axes.set_visible(False)
     for metric, axes in zip(metrics, panels, strict=False):
         for place, evaluation in enumerate(evaluations):
-            _draw_boxes(axes, evaluation.segments or (), metric, place, len(evaluations))
+            _draw_boxes(axes, evaluation.relative or (), metric, place, len(evaluations))
         _write_counts(axes, evaluations)
         axes.set_ylabel(_METRICS[metric])
         axes.set_ylim(bottom=0.0)
@@ -94,19 +93,13 @@ def _draw_boxes(
         if errors is not None and len(errors):
             numbers = np.percentile(errors, [5, 25, 50, 75, 95]).tolist()
             boxes.append((group + shift, numbers))
-    canvas.draw_boxes(
-        axes,
-        boxes,
-        0.85 * width,
-        colour=colour,
-        dashes=dashes,
-    )
+    canvas.draw_boxes(axes, boxes, 0.85 * width, colour=colour, dashes=dashes)
 
 
 def _write_counts(axes: Axes, evaluations: Sequence[Evaluation]) -> None:
     """Write the number of sub-trajectories below every length; of many estimates its range."""
     for group in range(len(evaluations[0].protocol.lengths)):
-        counts = [e.segments[group].count if e.segments else 0 for e in evaluations]
+        counts = [e.relative[group].count if e.relative else 0 for e in evaluations]
         colours = [canvas.line_style(place)[0] for place in range(len(counts))]
         texts = [str(count) for count in counts]
         if len(set(counts)) == 1 or len(counts) > _MOST_COUNT_ROWS:
@@ -159,7 +152,7 @@ def _add_legend(figure: Figure, names: Sequence[str]) -> None:
 
 def _why_nothing(evaluations: Sequence[Evaluation]) -> str:
     """Return why there are no relative errors."""
-    if all(e.segments is None for e in evaluations):
+    if all(e.relative is None for e in evaluations):
         reasons = dict.fromkeys(map(positions_only, evaluations))
         return f"Withheld: {'; '.join(reasons)}."
     longest = max(e.association.groundtruth.path_length_m for e in evaluations)

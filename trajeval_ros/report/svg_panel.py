@@ -1,4 +1,4 @@
-"""Axes of plots as SVG: numbers, lines, boxes and dots with the CSS classes of a page.
+"""Axes of figures as SVG: numbers, lines, boxes and dots with the CSS classes of a page.
 
 A comparison can have hundreds of plots. SVG takes a hundredth of matplotlib's time and a tenth of
 the size. The classes are in `report/templates/style.css.j2`.
@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.report.ticks import tick_labels, tick_places
+from trajeval_ros.report.canvas import tick_labels, tick_places
+from trajeval_ros.report.line_thinning import simplified_rows
 
 LETTER_PX, LINE_PX = 6.4, 15.0  # size of text in the style sheet
 _TICK_PX, _NAME_PX = 16.0, 15.0
 _PER_TICK_PX = (46.0, 30.0)  # least distance of ticks in x and y
-_CELL_PX = 1.0  # motion of a line within a cell of this size is not drawn
+_DETAIL_PX = 0.1  # largest distance of a drawn path from the data
 _COLUMN_PX = 2.0  # width of a column in which a line over time is drawn by its extremes
 _TENTHS = 10.0  # coordinates of lines are integers in tenths of pixels
 
@@ -35,18 +36,15 @@ class SvgPanel:
         x_limits: tuple[float, float],
         y_limits: tuple[float, float],
     ) -> None:
-        """Create empty axes.
-
-        Args:
-            corner: The upper left corner.
-            size: Width and height.
-            x_limits: Values at the left and the right edge, which differ.
-            y_limits: Values at the lower and the upper edge, which differ.
-        """
         self.left, self.top = corner
         self.wide, self.high = size
         self._x_limits, self._y_limits = x_limits, y_limits
-        self.parts: list[str] = []
+        # The area of the axes, from which the script of a page reads the values below the pointer.
+        x, y = (" ".join(f"{limit:.9g}" for limit in limits) for limits in (x_limits, y_limits))
+        self.parts: list[str] = [
+            f'<rect class="a" x="{self.left:g}" y="{self.top:g}" width="{self.wide:g}" '
+            f'height="{self.high:g}" data-x="{x}" data-y="{y}"/>'
+        ]
 
     def x(self, values: Floats | float) -> Floats:
         """Return the x coordinates of values."""
@@ -100,16 +98,16 @@ class SvgPanel:
     def line(self, points: Floats, kind: str, *, over_time: bool = False) -> None:
         """Draw a line (N, 2), interrupted by rows of NaN, without invisible details.
 
-        Args:
-            points: Values.
-            kind: CSS classes.
-            over_time: Whether x never decreases; then only the extremes of every column are drawn.
+        `over_time`: whether x never decreases; then only the extremes of every column are drawn.
         """
         at = np.column_stack([self.x(points[:, 0]), self.y(points[:, 1])])
         breaks = np.flatnonzero(~np.isfinite(at).all(axis=1))
         pieces = [piece[np.isfinite(piece).all(axis=1)] for piece in np.split(at, breaks)]
-        thin = _extremes if over_time else _moving
-        path = "".join(_path(piece[thin(piece)]) for piece in pieces if len(piece))
+        path = "".join(
+            _path(piece[_extremes(piece) if over_time else simplified_rows(piece, _DETAIL_PX)])
+            for piece in pieces
+            if len(piece)
+        )
         if path:
             self.parts.append(f'<path class="c {kind}" transform="scale(.1)" d="{path}"/>')
 
@@ -145,22 +143,6 @@ class SvgPanel:
         self.parts.append(f'<path class="g" d="{"".join(lines)}"/>')
 
 
-def svg_of(panels: Sequence[SvgPanel], size: tuple[float, float], label: str) -> str:
-    """Return a figure as an HTML element.
-
-    Args:
-        panels: The panels of the figure.
-        size: Width and height, pixels.
-        label: Description for screen readers.
-    """
-    wide, high = size
-    inside = "".join(part for panel in panels for part in panel.parts)
-    return (
-        f'<svg role="img" aria-label="{shown(label)}" viewBox="0 0 {wide:g} {high:g}" '
-        f'style="max-width:{1.35 * wide:.0f}px">{inside}</svg>'
-    )
-
-
 def shown(text: str) -> str:
     """Return foreign text on one line, escaped for HTML."""
     return escape(one_line(text))
@@ -169,13 +151,6 @@ def shown(text: str) -> str:
 def text_width(text: str) -> float:
     """Return the approximate width of a text, pixels."""
     return LETTER_PX * sum(2 if unicodedata.east_asian_width(c) in "WF" else 1 for c in text)
-
-
-def _moving(at: Floats) -> NDArray[np.intp]:
-    """Return the rows of a line (N, 2) at which it enters another cell, and the last row."""
-    cells = np.floor(at / _CELL_PX)
-    moves = (cells[1:] != cells[:-1]).any(axis=1)
-    return np.flatnonzero(np.concatenate([[True], moves]) | (np.arange(len(at)) == len(at) - 1))
 
 
 def _extremes(at: Floats) -> NDArray[np.intp]:

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from trajeval_ros.formatting.numbers import NOTHING, four_digits, with_unit
+from trajeval_ros.formatting.numbers import NOTHING, four_digits, whole_percent, with_unit
+from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.relative_evaluation import SubTrajectoryErrors
 from trajeval_ros.metrics.statistics import Statistics
-from trajeval_ros.report.console import add_rows, new_table
-from trajeval_ros.report.definitions import RE_FORM_TEXTS
-from trajeval_ros.report.metric_labels import ABSOLUTE_LABELS, RELATIVE_LABELS
+from trajeval_ros.report.console import Table
+from trajeval_ros.report.definitions import ABSOLUTE_LABELS, RE_FORM_TEXTS, RELATIVE_LABELS
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
+    from trajeval_ros.likelihood.likelihood_assessment import LikelihoodAssessment
     from trajeval_ros.pipeline.outcome import RunOutcome
 
 _STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
@@ -26,19 +25,31 @@ _PARTS = ("horizontal_m", "vertical_m")
 _WITHOUT_IF_NARROW = {"std", "min", "p95", "rotation_deg_per_m", "tilt_deg"}
 
 
+_NUMBERS = (
+    "ATE supported [m]",
+    "of poses",
+    "approx. 95 % [m]",
+    "ATE weighted [m]",
+    "NLL/pose [nats]",
+    "chi2/dof",
+    "scale z",
+    "tilt z",
+)
+
+
 def absolute_table(evaluations: Sequence[Evaluation], width: int) -> Table:
     """Return the table of absolute errors, a row per estimate and metric."""
     shown = [statistic for statistic in _STATISTICS if _fits(statistic, width)]
     form = evaluations[0].protocol.ate_form
     title = f"Absolute trajectory error, {form} form"
-    table = new_table(title, ["estimate", "error"], [*shown, "pairs"])
+    table = Table(title, ["estimate", "error"], [*shown, "pairs"])
     for evaluation in evaluations:
         name = evaluation.estimate.name
         for metric, label in ABSOLUTE_LABELS.items():
             statistics = evaluation.ate.get(metric)
             if statistics is not None and (metric not in _PARTS or _are_apart(evaluation)):
                 numbers = [four_digits(getattr(statistics, column)) for column in shown]
-                add_rows(table, [[name, label, *numbers, str(statistics.count)]])
+                table.add([name, label, *numbers, str(statistics.count)])
                 name = ""
     return table
 
@@ -52,7 +63,7 @@ def states_table(runs: Sequence[RunOutcome]) -> Table | None:
     """Return the RMSE by the number of aligned states; None if it is not configured."""
     if not any(run.by_states for run in runs):
         return None
-    table = new_table(
+    table = Table(
         "ATE (RMSE) by the number of aligned states",
         ["estimate", "states"],
         [ABSOLUTE_LABELS["position_m"], ABSOLUTE_LABELS["rotation_deg"], "states used"],
@@ -62,7 +73,7 @@ def states_table(runs: Sequence[RunOutcome]) -> Table | None:
         for row in run.by_states:
             errors = [_rmse(statistics) for statistics in (row.position_m, row.rotation_deg)]
             used = NOTHING if row.states_used is None else str(row.states_used)
-            add_rows(table, [[name, row.states, *errors, used]])
+            table.add([name, row.states, *errors, used])
             name = ""
     return table
 
@@ -91,7 +102,7 @@ def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | Non
         metric
         for metric in RELATIVE_LABELS
         if _fits(metric, width)
-        and any(part.statistics.get(metric) for e in evaluations for part in e.segments or ())
+        and any(part.statistics.get(metric) for e in evaluations for part in e.relative or ())
     ]
     if not metrics:
         return None
@@ -99,18 +110,18 @@ def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | Non
     what = "mean (median)" if with_medians else "mean"
     title = f"Relative error, {what}: {RE_FORM_TEXTS[evaluations[0].protocol.re_form]}"
     headings = [RELATIVE_LABELS[metric] for metric in metrics]
-    table = new_table(title, ["estimate", "length"], [*headings, "count"])
+    table = Table(title, ["estimate", "length"], [*headings, "count"])
     for evaluation in evaluations:
         name = evaluation.estimate.name
-        for segment in evaluation.segments or ():
+        for segment in evaluation.relative or ():
             cells = [_mean(segment.statistics.get(metric), with_medians) for metric in metrics]
             count = str(segment.count)
-            add_rows(table, [[name, _length_text(segment), *cells, count]])
+            table.add([name, _length_text(segment), *cells, count])
             name = ""
         pooled = evaluation.pooled["position_percent"]
-        if pooled is not None and len(evaluation.segments or ()) > 1:
+        if pooled is not None and len(evaluation.relative or ()) > 1:
             cells = [_mean(evaluation.pooled.get(metric), with_medians) for metric in metrics]
-            add_rows(table, [[name, "all", *cells, str(pooled.count)]])
+            table.add([name, "all", *cells, str(pooled.count)])
     return table
 
 
@@ -132,3 +143,62 @@ def _mean(statistics: Statistics | None, with_median: bool) -> str:
         return NOTHING
     mean = four_digits(statistics.mean)
     return f"{mean} ({four_digits(statistics.median)})" if with_median else mean
+
+
+def probabilistic_table(assessments: Mapping[str, LikelihoodAssessment]) -> Table:
+    """Return a row per estimate."""
+    first = next(iter(assessments.values()))
+    noise = first.continuous.samples.noise
+    rivals = ["log Bayes factor, best competitor"] if len(assessments) > 1 else []
+    table = Table(
+        f"Against continuous groundtruth, model {first.continuous.model}, noise "
+        f"{noise.position_m:g} m",
+        ["estimate"],
+        [*_NUMBERS, *rivals],
+    )
+    for name, assessment in assessments.items():
+        against = [_against_rivals(assessment)] if rivals else []
+        table.add([name, *_cells(assessment), *against])
+    return table
+
+
+def probabilistic_lines(assessments: Mapping[str, LikelihoodAssessment]) -> list[str]:
+    """Return the remarks that all estimates share once, then the others with names."""
+    remarks = [dict.fromkeys(assessment.statements) for assessment in assessments.values()]
+    shared = [line for line in remarks[0] if all(line in own for own in remarks)]
+    lines = [f"  {line}" for line in shared]
+    for name, own in zip(assessments, remarks, strict=True):
+        lines += [f"  {name}: {line}" for line in own if line not in shared]
+    return lines
+
+
+def _cells(assessment: LikelihoodAssessment) -> list[str]:
+    """Return the numbers of an estimate as texts."""
+    ate, scores = assessment.ate, assessment.gauge_scores
+    interval = NOTHING
+    if ate.interval_m is not None:
+        interval = " to ".join(map(four_digits, ate.interval_m))
+    scale = tilt = NOTHING
+    # Unobservable quantities are no errors: frames can be tilted, and a camera has no scale.
+    gauge = assessment.error.residuals.gauge
+    if scores is not None and scores.scale is not None and gauge is not Gauge.SIM3:
+        scale = f"{scores.scale.z[0]:+.1f}"
+    if scores is not None and gauge is Gauge.YAW:
+        tilt = ", ".join(f"{z:+.1f}" for z in scores.tilt.z)
+    return [
+        NOTHING if ate.supported_m is None else four_digits(ate.supported_m),
+        whole_percent(ate.supported_share),
+        interval,
+        four_digits(ate.weighted_m),
+        f"{assessment.error.nll_per_pose:.2f}",
+        f"{assessment.error.chi2_per_dof:.3g}",
+        scale,
+        tilt,
+    ]
+
+
+def _against_rivals(assessment: LikelihoodAssessment) -> str:
+    """Return the log Bayes factor against the best competitor."""
+    if not assessment.log_bayes:
+        return NOTHING
+    return f"{min(assessment.log_bayes.values()):+.1f}"

@@ -1,18 +1,33 @@
-"""The result lines of an evaluation: errors, their definitions, and coverage."""
+"""The result lines of an evaluation: errors, their definitions, coverage and diagnosis."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from trajeval_ros.diagnosis.few_pairs import few_pairs
-from trajeval_ros.diagnosis.warnings import completeness_in_words, reasons
-from trajeval_ros.formatting.numbers import counted, percent, significant, with_unit
+from trajeval_ros.diagnosis.causes import CAUSES
+from trajeval_ros.diagnosis.evaluation_tests import few_pairs
+from trajeval_ros.diagnosis.warnings import completeness_in_words
+from trajeval_ros.formatting.numbers import (
+    NOTHING,
+    counted,
+    four_digits,
+    percent,
+    significant,
+    with_unit,
+)
 from trajeval_ros.geometry.up_axis import ASSUMED, UpAxis
+from trajeval_ros.geometry.valid_poses import reasons
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.report.definitions import METHOD_TEXTS, WEIGHT_TEXTS
 
 if TYPE_CHECKING:
+    from trajeval_ros.calibration.apply import Ate
+    from trajeval_ros.diagnosis.findings import Diagnosis
     from trajeval_ros.metrics.own_error import OwnError
+    from trajeval_ros.pipeline.outcome import RunOutcome
+
+
+_STATED = ("few_pairs", "identical")  # causes that the line or the numbers state already
 
 
 def verdict(evaluation: Evaluation) -> list[str]:
@@ -20,9 +35,13 @@ def verdict(evaluation: Evaluation) -> list[str]:
     position, rotation = evaluation.ate["position_m"], evaluation.ate["rotation_deg"]
     assert position is not None
     name = evaluation.estimate.name or "estimate"
-    turned = (
-        "rotation withheld" if rotation is None else f"{with_unit(rotation.rmse, 'deg')} rotation"
-    )
+    turned = "rotation withheld"
+    if rotation is not None:
+        turned = f"{with_unit(rotation.rmse, 'deg')} rotation"
+        if evaluation.association.has_headings_only:
+            turned += " including tilt against 2-D headings"
+    elif evaluation.relative is not None:
+        turned = "rotation and drift withheld"
     protocol, pairs = evaluation.protocol, evaluation.association
     states = evaluation.alignment.states_used
     how = "first state" if states == 1 else f"first {states} states"
@@ -37,7 +56,7 @@ def verdict(evaluation: Evaluation) -> list[str]:
         f", scale {evaluation.alignment.similarity.scale:.4f}" if protocol.gauge.has_scale else ""
     )
     return [
-        f"{name}: ATE {with_unit(position.rmse, 'm')} position, {turned} "
+        f"{name}: {_kitti(evaluation)}ATE {with_unit(position.rmse, 'm')} position, {turned} "
         f"(rmse{_drift(evaluation)})"
         + (f"; {few}" if (few := few_pairs(protocol, pairs)) else ""),
         f"  aligned by {protocol.gauge.value} ({protocol.gauge.description}){modality}, "
@@ -92,10 +111,25 @@ def _score(evaluation: Evaluation) -> list[str]:
     ]
 
 
+def _kitti(evaluation: Evaluation) -> str:
+    """Return the drift of KITTI's ranking as text, the mean over all lengths; else nothing."""
+    drift, turning = (
+        evaluation.pooled[each] for each in ("position_percent", "rotation_deg_per_m")
+    )
+    if evaluation.protocol.name != "kitti" or evaluation.drift is None or drift is None:
+        return ""
+    parts = [f"{significant(drift.mean, 4)} %"]
+    if turning is not None:
+        parts.append(f"{significant(100.0 * turning.mean, 3)} deg/100 m")
+    lengths = [part.length_m for part in evaluation.relative or () if part.count and part.length_m]
+    span = " to ".join(f"{each:g}" for each in dict.fromkeys((min(lengths), max(lengths))))
+    return f"{', '.join(parts)} (KITTI, {span} m); "
+
+
 def _drift(evaluation: Evaluation) -> str:
     """Return the drift over the longest sub-trajectories as text."""
     drift = evaluation.drift
-    if drift is None:
+    if drift is None or _kitti(evaluation):
         return ""
     mean, length = significant(drift.percent.mean, 3), with_unit(drift.length_m, "m")
     return f"); drift {mean} % of {length} (mean"
@@ -131,3 +165,39 @@ def own_error_line(own: OwnError) -> str:
             f"(correlation time {own.correlation_s:g} s), noise {own.noise_rms_m:.2g} m"
         )
     return said + guess
+
+
+def diagnosis_lines(run: RunOutcome) -> list[str]:
+    """Return a line per correction that was applied, and one per detected mistake."""
+    lines = []
+    for finding in run.corrected:
+        tried, option = finding.tried, finding.option
+        assert tried is not None
+        assert tried.before is not None
+        if not option.startswith("--correct"):
+            option += " (--correct)"
+        errors = f"ATE {_ate(tried.before)} before, {_ate(tried.after)} after"
+        lines.append(f"  corrected with {option}: {errors}; {finding.sentence}")
+    return lines + [f"  diagnosis: {finding.text}" for finding in run.diagnosis.findings]
+
+
+def doubt(diagnosis: Diagnosis) -> str:
+    """Return the end of the first result line if a mistake dominates the errors: its cause."""
+    graver = [each for each in diagnosis.findings if each.rank >= CAUSES["scale"].rank]
+    shown = [each.cause.replace("_", " ") for each in graver if each.cause not in _STATED]
+    return f"; not an error of the estimator alone: {', '.join(shown)}" if shown else ""
+
+
+def explanation(diagnosis: Diagnosis) -> list[str]:
+    """Return a line per test: its statistics, and the mistakes found or why it is not possible."""
+    lines = []
+    for test in diagnosis.examined:
+        scores = ", ".join(f"{name} {value:.4g}" for name, value in test.scores.items())
+        said = ", ".join(seen.cause for seen in test.seen) or test.why_not or "no mistake"
+        lines.append(f"{test.test}: {said}" + (f" ({scores})" if scores else ""))
+    return lines
+
+
+def _ate(ate: Ate) -> str:
+    turned = NOTHING if ate.rotation_deg is None else four_digits(ate.rotation_deg)
+    return f"{four_digits(ate.position_m)} m, {turned} deg"

@@ -14,11 +14,6 @@ class BackgroundTask(Generic[Found]):
     """Runs one computation at a time on its own thread."""
 
     def __init__(self, most_share: float) -> None:
-        """Create it idle.
-
-        Args:
-            most_share: Largest share of a core for all computations together.
-        """
         self._threads = ThreadPoolExecutor(1, thread_name_prefix="background")
         self._share = most_share
         self._running: Future[tuple[Found, float]] | None = None

@@ -7,8 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.io.bags.pacing import PlaybackResult, play
-from trajeval_ros.io.bags.playback import CLOCK_TOPIC, Channel, Playback
+from trajeval_ros.io.bags.playback import CLOCK_TOPIC, Channel, Playback, PlaybackResult, play
 from trajeval_ros.ros.lifetime import StopSignal, ros
 from trajeval_ros.ros.message_types import message_class
 
@@ -38,29 +37,22 @@ def replay(
 ) -> PlaybackResult[Channel]:
     """Publish a playback; SIGINT, SIGTERM and SIGHUP end it early.
 
-    Args:
-        playback: The channels and messages to publish.
-        rate: Seconds of bag time per second.
-        patience_s: Longest time to wait until every topic has a subscriber, seconds.
-        with_clock: Whether to publish the bag time on /clock.
-        arguments: ROS arguments, from `--ros-args` on.
-        begin: Called at the start with the channels without a subscriber.
-        advance: Called periodically with the played and the total bag time.
-
-    Raises:
-        InputError: The bag is damaged.
-        SettingsError: ROS rejects the arguments.
+    It starts after `patience_s`, or as soon as all topics with poses have a subscriber; without
+    such topics, as soon as all have one. `begin` is called with those that
+    have none, and `advance` periodically with the played and the total bag time.
     """
     with ros(arguments) as stop:
         import rclpy
 
         node = rclpy.create_node(NODE_NAME, start_parameter_services=False)  # nothing spins it
         publishers = {each: _publisher(node, each) for each in playback.channels}
-        set_clock = _clock(node) if with_clock else _no_clock
-        begin(_without_subscriber(publishers, patience_s, stop))
+        set_clock = _clock(node) if with_clock else None
+        awaited = {each: publishers[each] for each in playback.awaited}
+        begin(_without_subscriber(awaited, patience_s, stop))
 
         def tick(time_ns: int) -> None:
-            set_clock(time_ns)
+            if set_clock is not None:
+                set_clock(time_ns)
             advance(time_ns - playback.begin_ns, playback.end_ns - playback.begin_ns)
 
         played = play(
@@ -126,7 +118,6 @@ def _send(publisher: Any, payload: bytes, stop: StopSignal) -> float:
 
 
 def _clock(node: Node) -> Callable[[int], None]:
-    """Return a function that publishes a bag time on /clock."""
     from rosgraph_msgs.msg import Clock
 
     publisher = node.create_publisher(Clock, CLOCK_TOPIC, 1)
@@ -139,14 +130,10 @@ def _clock(node: Node) -> Callable[[int], None]:
     return publish
 
 
-def _no_clock(time_ns: int) -> None:
-    pass
-
-
 def _without_subscriber(
     publishers: dict[Channel, Any], patience_s: float, stop: StopSignal
 ) -> list[Channel]:
-    """Wait until every topic has a subscriber; return the channels that still have none."""
+    """Wait until all channels have a subscriber; return those that still have none."""
     until = time.monotonic() + patience_s
     while True:
         alone = [each for each, to in publishers.items() if not to.get_subscription_count()]

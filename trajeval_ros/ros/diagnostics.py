@@ -3,113 +3,195 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from trajeval_ros.diagnosis.warnings import reasons
-from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry.dropped_counts import add_counts
-from trajeval_ros.online.alarms import LIMITED_QUANTITIES, Peak, alarms
-from trajeval_ros.online.error_topics import status_values
-from trajeval_ros.online.notices import ERROR, OK, STALE, WARN, Notice, gravest_first
+from trajeval_ros.formatting.numbers import counted, whole_percent, with_unit
+from trajeval_ros.formatting.remarks import Level, Remark, most_severe_first, warning
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.geometry.valid_poses import (
+    MOST_UNUSABLE,
+    NO_STATE,
+    add_counts,
+    in_words,
+    reasons,
+)
+from trajeval_ros.metrics.stream_health import FEWEST_RECENT
+from trajeval_ros.online.alarms import (
+    LIMITED_QUANTITIES,
+    AlarmLimits,
+    Peak,
+    about_loss,
+    alarm_below,
+    alarms,
+)
+from trajeval_ros.online.error_topics import status_values, stream_values
+from trajeval_ros.online.jump_detector import Jump
 from trajeval_ros.online.reports import Snapshot, Update
+from trajeval_ros.ros.clock_remarks import about_clocks, sync_risk_m
 from trajeval_ros.ros.live_estimate import LiveEstimate
+from trajeval_ros.ros.live_outputs import LiveOutputs
 from trajeval_ros.ros.live_run import LiveRun
-from trajeval_ros.ros.recorded_state import sync_risk_m
-from trajeval_ros.ros.status_message import status_message
-from trajeval_ros.ros.unused_messages import groundtruth_dropped
+from trajeval_ros.ros.recorded_state import groundtruth_dropped, missing_source
+from trajeval_ros.ros.status_topics import DiagnosticsTopic, EventTopic, status_message
+from trajeval_ros.ros.terminal import summary
+from trajeval_ros.ros.watching import Watching
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+_START_S = 3.0  # publishers and topics are discovered within this time
+_MANY = f"over {whole_percent(MOST_UNUSABLE)}"
+_FEWEST_FAULTS = 10  # fewer faulty messages are no warning, whatever their share
 
 
-def diagnose(
-    node: str,
+class Status(NamedTuple):
+    """The status of one estimate."""
+
+    level: Level
+    text: str
+    values: dict[str, Any]  # by name and unit; None if not available
+
+    @classmethod
+    def of(
+        cls,
+        run: LiveRun,
+        estimate: LiveEstimate,
+        snapshot: Snapshot,
+        newest: Update,
+        remarks: Sequence[Remark],
+        peaks: Mapping[str, Peak],
+        undrawn: int,
+    ) -> Status:
+        """Return the present status; the text has the numbers of the start of its conditions."""
+        told = most_severe_first(estimate.standing.as_told(remarks))
+        values = _values(run, estimate, snapshot, newest)
+        values |= {
+            f"{words}, largest since the last status [{unit}]": peaks[name].value
+            for name, words, unit in LIMITED_QUANTITIES
+            if name in peaks
+        }
+        values["updates not drawn in Rerun"] = undrawn or None
+        text = "; ".join(each.text for each in told) or "evaluating"
+        return cls(told[0].level if told else Level.NOTE, text, values)
+
+
+def remarks_about(
     run: LiveRun,
     estimate: LiveEstimate,
     snapshot: Snapshot,
-    newest: Update,
-    notices: Sequence[Notice],
     peaks: Mapping[str, Peak],
-    undrawn: int,
-) -> Any:
-    """Return the status of one estimate.
+    limits: Mapping[str, AlarmLimits],
+) -> list[Remark]:
+    """Return the current remarks about one estimate.
 
-    Args:
-        node: Name of the node.
-        run: The run.
-        estimate: One of its estimates.
-        snapshot: Its evaluation.
-        newest: Errors of its newest pair.
-        notices: Notices from `notices_about`.
-        peaks: The largest values since the last status.
-        undrawn: Number of updates that Rerun did not receive.
-    """
-    told = gravest_first(notices)
-    values = _values(run, estimate, snapshot, newest)
-    values |= {
-        f"{words}, largest since the last status [{unit}]": peaks[name].value
-        for name, words, unit in LIMITED_QUANTITIES
-        if name in peaks
-    }
-    values["updates not drawn in Rerun"] = undrawn or None
-    return status_message(
-        told[0].level if told else OK,
-        f"{node}: {estimate.name}",
-        "; ".join(each.text for each in told) or "evaluating",
-        values,
-    )
-
-
-def notices_about(
-    run: LiveRun,
-    estimate: LiveEstimate,
-    snapshot: Snapshot,
-    peaks: Mapping[str, Peak],
-    limits: Mapping[str, Any],
-) -> list[Notice]:
-    """Return the current notices about one estimate.
-
-    Args:
-        run: The run.
-        estimate: One of its estimates.
-        snapshot: Its evaluation.
-        peaks: The largest values since the last status.
-        limits: The parameters.
+    Peaks are the largest values since the last status. Limits are by name of the quantity.
     """
     return [
-        *_about_data(run, estimate),
-        *_about_coverage(snapshot, limits),
+        *_about_data(run, estimate, snapshot),
+        *_about_coverage(snapshot, limits["coverage"]),
+        *_about_rate(estimate, limits["rate_hz"]),
+        *about_loss(snapshot),
         *alarms(peaks, limits),
         *about_integrity(snapshot),
         *_about_start(run),
-        *_about_clock(run, estimate),
+        *about_clocks(run, estimate),
         *_about_run(run, estimate, snapshot),
     ]
 
 
-def _about_data(run: LiveRun, estimate: LiveEstimate) -> Iterator[Notice]:
-    """Report missing data, without which no error is updated."""
-    for what, side in (("groundtruth", run.groundtruth), ("estimate", estimate.side)):
+def about_jump(estimate: LiveEstimate, jump: Jump) -> Remark:
+    """Return the remark about a jump of an estimate."""
+    cause = (
+        "probably a restart with a new origin, which one alignment can't fit; to start a new run, "
+        "call ~/reset or set on_restart"
+    )
+    if estimate.source.stream.clock_steps.found is not None:
+        cause = "a clock stepped, so poses are paired with those of another time"
+    said = (
+        f"{estimate.name} jumps by {jump.position_m:.2f} m and {jump.rotation_deg:.0f} deg at "
+        f"{jump.stamp / NANOSECONDS:.3f} s: {cause}"
+    )
+    steps = {"position_m": jump.position_m, "rotation_deg": jump.rotation_deg}
+    return warning("jump", said, values={"stamp_ns": jump.stamp, **steps})
+
+
+def _about_data(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> Iterator[Remark]:
+    for what, side in (("groundtruth", run.groundtruth), ("estimate", estimate.source)):
         silent_s = side.silent_s
         if silent_s is None:
-            yield Notice("silence", STALE, f"no {what} yet on {side.source}", what)
+            level = Level.WARNING if side.waits_s > _START_S else Level.NOTE
+            yield Remark(level, "silence", f"no {what} yet on {side.source}", what)
         elif silent_s > side.stream.patience_s:
             said = f"no {what} for {silent_s:.0f} s on {side.source}"
-            yield Notice("silence", STALE, said, what)
-        if side.stream.trouble:
-            yield Notice("data", WARN, side.stream.trouble, what)
+            yield Remark(Level.ERROR, "silence", said, what)
+        if side.stream.trouble is not None:
+            yield replace(side.stream.trouble, subject=what)
+        if side.mixed:
+            yield warning("publishers", side.mixed, what)
+    buffer = estimate.evaluator.buffer
+    for what, side, dropped, used in (
+        (
+            "groundtruth",
+            run.groundtruth,
+            groundtruth_dropped(run, estimate),
+            buffer.groundtruth_count,
+        ),
+        (
+            "estimate",
+            estimate.source,
+            add_counts(estimate.status.dropped, buffer.dropped),
+            buffer.estimate_count + buffer.waiting,
+        ),
+    ):
+        yield from _about_unusable(side.source, what, dropped, used)
+    late = snapshot.dropped.get("out_of_order", 0)
+    if _are_many(late, snapshot.pairs):
+        said = (
+            f"{estimate.source.source}: {_MANY} of the poses arrive out of "
+            "order: live values exclude them, results on disk include them"
+        )
+        yield warning("data", said, "out_of_order", {"value": late})
 
 
-def _about_coverage(snapshot: Snapshot, limits: Mapping[str, Any]) -> list[Notice]:
+def _about_unusable(
+    source: str, what: str, dropped: Mapping[str, int], used: int
+) -> Iterator[Remark]:
+    unusable = {reason: count for reason, count in dropped.items() if reason in NO_STATE}
+    count = sum(unusable.values())
+    if _are_many(count, used):
+        said = (
+            f"{source}: {_MANY} of the poses are unusable and dropped: "
+            f"{', '.join(map(in_words, unusable))}"
+        )
+        yield warning("data", said, f"unusable_{what}", {"value": count / (count + used)})
+
+
+def _are_many(count: int, others: int) -> bool:
+    """Return whether so many messages are of a fault that the user is warned."""
+    return count >= _FEWEST_FAULTS and count > MOST_UNUSABLE * (count + others)
+
+
+def _about_coverage(snapshot: Snapshot, limits: AlarmLimits) -> list[Remark]:
     coverage, what = snapshot.estimate_coverage, "poses have groundtruth"
     if coverage is None and snapshot.coverage is not None:  # pairs at groundtruth's times
         coverage, what = snapshot.coverage.covered, "fixes or points have an estimate"
-    for level, name in ((ERROR, "error_coverage"), (WARN, "warn_coverage")):
-        if coverage is not None and coverage < limits[name]:
-            said = f"only {100 * coverage:.0f} % of the {what}"
-            values = {"value": coverage, "limit": limits[name]}
-            return [Notice("alarm", level, said, "coverage", values)]
-    return []
+    if coverage is None:
+        return []
+    text = f"only {whole_percent(coverage)} of the {what}"
+    return alarm_below("coverage", coverage, limits, text)
 
 
-def about_integrity(snapshot: Snapshot) -> list[Notice]:
+def _about_rate(estimate: LiveEstimate, limits: AlarmLimits) -> list[Remark]:
+    recent = estimate.status.stream.recent()
+    rate_hz = recent.rate_hz
+    if rate_hz is None or recent.messages < FEWEST_RECENT:
+        return []
+    text = f"rate {with_unit(rate_hz, 'Hz')} is below {{limit:g}} Hz"
+    return alarm_below("rate_hz", rate_hz, limits, text)
+
+
+def about_integrity(snapshot: Snapshot) -> list[Remark]:
     """Report the region of the Stanford diagram of the newest pair, unless it is nominal."""
     parts = () if snapshot.integrity is None else snapshot.integrity.parts
     found = []
@@ -118,94 +200,149 @@ def about_integrity(snapshot: Snapshot) -> list[Notice]:
         if max(error, level) <= limit and error <= level:
             continue
         is_hazardous = level <= limit < error
-        state = "hazardously misleading" if is_hazardous else "misleading"
-        if error <= level:
-            state = "unavailable"
+        misleading = "hazardously misleading" if is_hazardous else "misleading"
+        state = "unavailable" if error <= level else misleading
         said = (
             f"integrity, {each.part}: {state}: error {error:.3g}, protection level {level:.3g}, "
             f"alert limit {limit:g} {each.unit}"
         )
-        values: dict[str, float | int | str]
-        values = {"value": error, "level": level, "limit": limit, "unit": each.unit}
-        gravity = ERROR if is_hazardous else WARN
-        found.append(Notice("alarm", gravity, said, f"integrity_{each.part}", values))
+        values: dict[str, float | str] = {
+            "value": error,
+            "level": level,
+            "limit": limit,
+            "unit": each.unit,
+        }
+        severity = Level.ERROR if is_hazardous else Level.WARNING
+        found.append(Remark(severity, "alarm", said, f"integrity_{each.part}", values))
     return found
 
 
-def _about_clock(run: LiveRun, estimate: LiveEstimate) -> Iterator[Notice]:
-    clock, applied_s = estimate.clock.report, estimate.evaluator.settings.offset_s
-    if run.holds or clock.offset_s is None or clock.half_width_95_s is None:
-        return
-    apart_s = clock.offset_s - applied_s
-    if clock.is_significant and abs(apart_s) > clock.half_width_95_s:
-        yield Notice(
-            "clock",
-            WARN,
-            f"the clocks differ by {1e3 * apart_s:+.0f} ms +- {1e3 * clock.half_width_95_s:.2g} "
-            "ms, not applied; to apply it, set time_offset:=auto",
-            values={"offset_s": apart_s, "half_width_95_s": clock.half_width_95_s},
-        )
-
-
-def _about_start(run: LiveRun) -> Iterator[Notice]:
-    """Report what the start of the evaluation waits for, and what was not found."""
+def _about_start(run: LiveRun) -> Iterator[Remark]:
     body = run.body
-    if run.waits_for:
-        yield Notice("alignment", OK, f"evaluation waits for {run.waits_for}")
+    if run.idle:
+        yield Remark(Level.NOTE, "run", f"{run.idle}; call ~/start")
+    if run.start.waits_for:
+        yield Remark(Level.NOTE, "alignment", f"evaluation waits for {run.start.waits_for}")
     if body.why_not and (not run.holds or body.transform is not None):
         said = f"hand_eye:={body.source} is not applied: {body.why_not}"
-        yield Notice("hint", WARN, said, "hand_eye")
+        yield warning("hint", said, "hand_eye")
 
 
-def _about_run(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> Iterator[Notice]:
+def _about_run(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> Iterator[Remark]:
     if snapshot.warming_up:
-        yield Notice("alignment", OK, f"warming up: {snapshot.warming_up}")
+        yield Remark(Level.NOTE, "alignment", "warming up")
     elif snapshot.alignment is not None and snapshot.alignment.freedom is not None:
         misleading = snapshot.alignment.freedom.misleading
-        if misleading:
-            yield Notice("hint", WARN, misleading, "alignment")
+        if misleading and snapshot.loss is None:
+            yield warning("hint", misleading, "alignment")
     if not run.holds:
         yield from estimate.slow.hints
     if snapshot.why_not_consistency and not snapshot.warming_up:
-        said = f"no NEES: {snapshot.why_not_consistency}"
-        yield Notice("hint", WARN, said, "covariance")
+        why, _, advice = snapshot.why_not_consistency.partition("; ")
+        # The evaluation of files has one more option, a joint covariance.
+        said = f"no NEES: {why}" + ("; use covariance:=none" if "--covariance" in advice else "")
+        yield warning("hint", said, "covariance")
     if estimate.doubt:
-        yield Notice("hint", WARN, estimate.doubt.replace("--up=", "up:="), "up")
-    if estimate.jumps.count:
+        yield warning("hint", estimate.doubt.replace("--up=", "up:="), "up")
+    stepped = estimate.source.stream.clock_steps.found is not None
+    if estimate.jumps.count and snapshot.loss is None and not stepped:
         said = f"{counted(estimate.jumps.count, 'jump')}, probably a restart with a new origin"
-        yield Notice("jump", WARN, said, "count")
-    lost = run.groundtruth.lost + estimate.side.lost
+        yield warning("jump", said, "count")
+    lost = run.groundtruth.lost + estimate.source.lost
     if lost:
-        yield Notice("loss", WARN, f"{counted(lost, 'message')} lost")
+        yield warning("loss", f"{counted(lost, 'message')} lost")
     if forgotten := estimate.evaluator.buffer.why_forgotten:
-        yield Notice("delay", WARN, forgotten)
-    trouble = estimate.files.pairs.trouble or (snapshot.pairs and run.folders.finisher.trouble)
+        yield warning("delay", forgotten)
+    trouble = estimate.pairs_file.trouble or (snapshot.pairs and run.finisher.trouble)
     if trouble:
-        yield Notice("disk", ERROR, f"results can't be written: {trouble}")
+        yield Remark(Level.ERROR, "disk", f"results can't be written: {trouble}")
+
+
+def _about_twins(node: Node) -> list[Remark]:
+    """Report other nodes with the same name, because their topics have equal names."""
+    name = node.get_fully_qualified_name()
+    everybody = node.get_node_names_and_namespaces()
+    names = [f"{namespace.rstrip('/')}/{each}" for each, namespace in everybody]
+    if names.count(name) < 2:
+        return []
+    said = (
+        f"{names.count(name)} nodes have the name {name} and publish on the same topics; start "
+        "them with different names, as in --ros-args -r __node:=evaluator_2"
+    )
+    return [warning("hint", said, "name")]
 
 
 def _values(
     run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot, newest: Update
 ) -> dict[str, Any]:
-    """Return the values of the status, by name; those that are None are omitted."""
     return {
         "groundtruth": run.groundtruth.source,
-        "estimate": estimate.side.source,
-        "segment": estimate.segment,
+        "estimate": estimate.source.source,
+        "warming up": snapshot.warming_up or None,
         **status_values(snapshot, newest),
-        "dropped": reasons(add_counts(estimate.stream.status.dropped, snapshot.dropped)) or None,
+        "dropped": reasons(add_counts(estimate.status.dropped, snapshot.dropped)) or None,
         "groundtruth dropped": reasons(groundtruth_dropped(run, estimate)) or None,
         f"waiting for {estimate.evaluator.buffer.interpolated}": snapshot.waiting,
-        "messages lost": estimate.side.lost,
+        "messages lost": estimate.source.lost,
         "groundtruth messages lost": run.groundtruth.lost,
-        "arrival after stamp [s]": estimate.stream.arrivals.offset_s,
-        "groundtruth arrival after stamp [s]": run.groundtruth.stream.arrivals.offset_s,
+        **stream_values(estimate.status.stream.recent()),
+        **stream_values(run.groundtruth_status.stream.recent(), "groundtruth "),
         "clock offset [s]": estimate.clock.report.offset_s,
         "clock offset, sigma [s]": estimate.clock.report.sigma_s,
         "clock offset, status": estimate.clock.report.status,
         "time offset applied [s]": None if run.holds else estimate.evaluator.settings.offset_s,
         "hand eye": run.body.source if run.body.hand_eye is not None else None,
-        "sync risk [m]": sync_risk_m(run.groundtruth, estimate.side, estimate.evaluator.buffer),
+        "sync risk [m]": sync_risk_m(run, estimate),
         "latency p95 [s]": estimate.latency.p95_s,
-        "results": run.folders.finisher.folder,
+        "results": run.folder,
     }
+
+
+class StatusReports:
+    """Publishes the status of a run and the events about its changes."""
+
+    def __init__(self, node: Node, events: EventTopic, watching: Watching) -> None:
+        self._node, self._events, self._watching = node, events, watching
+        self._diagnostics = DiagnosticsTopic(node)
+        self.newest: dict[str, Status] = {}  # by name of the estimate
+        self.remarks: dict[str, list[Remark]] = {}  # the newest published ones, by estimate
+
+    def publish(
+        self,
+        run: LiveRun,
+        outputs: LiveOutputs,
+        limits: Mapping[str, AlarmLimits],
+        window: str,
+        undrawn: int,
+    ) -> list[str]:
+        """Publish diagnostics and new events; return the estimates' parts of the status line."""
+        twins, parts, self.newest = _about_twins(self._node), [], {}
+        for estimate in run.estimates:
+            snapshot = outputs.snapshots.get(estimate.name)
+            if snapshot is None:
+                continue
+            newest = outputs.newest.get(estimate.name, Update())
+            peaks = estimate.peaks.take()
+            remarks = remarks_about(run, estimate, snapshot, peaks, limits)
+            remarks += [*twins, *outputs.remarks(estimate)]
+            self.remarks[estimate.name] = remarks
+            self._publish_changes(estimate, remarks)
+            self.newest[estimate.name] = Status.of(
+                run, estimate, snapshot, newest, remarks, peaks, undrawn
+            )
+            missing = missing_source(run, estimate)
+            parts.append(summary(estimate.name, snapshot, window, newest.position_m, missing))
+        statuses = [
+            status_message(self._node, each.level, name, each.text, each.values)
+            for name, each in self.newest.items()
+        ]
+        self._diagnostics.publish([*statuses, *self._watching.statuses()])
+        return parts
+
+    def _publish_changes(self, estimate: LiveEstimate, remarks: Sequence[Remark]) -> None:
+        """Publish the remarks that are new, more severe, or no longer true."""
+        # Every jump was published as an event.
+        told = estimate.standing.renew(each for each in remarks if each.code != "jump")
+        for each in told:
+            self._events.publish(estimate.name, each)
+        self._watching.see(told)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import signal
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -38,17 +40,26 @@ def _endings() -> list[signal.Signals]:
     return endings
 
 
+_LIST = re.compile(r"([\w/.~]+:=)\[([^\[\]\"']*:[^\[\]\"']*)\]")
+
+
+def quoted(arguments: Sequence[str]) -> list[str]:
+    """Return ROS arguments with quotes in lists whose items contain a colon.
+
+    YAML allows a colon in a plain item, as in [/odom,/tf:odom.base_link]; the parser of ROS fails.
+    """
+
+    def with_quotes(found: re.Match[str]) -> str:
+        return f"{found[1]}{json.dumps([each.strip() for each in found[2].split(',')])}"
+
+    return [_LIST.sub(with_quotes, each) if _LIST.fullmatch(each) else each for each in arguments]
+
+
 @contextmanager
 def ros(arguments: Sequence[str] = ()) -> Iterator[StopSignal]:
     """Run ROS in this process, until the end of the block.
 
     The context stays valid after a signal, so the last results can be published and written.
-
-    Args:
-        arguments: ROS arguments, from `--ros-args` on.
-
-    Raises:
-        SettingsError: ROS rejects the arguments.
     """
     import rclpy
     from rclpy.signals import SignalHandlerOptions
@@ -57,10 +68,13 @@ def ros(arguments: Sequence[str] = ()) -> Iterator[StopSignal]:
     before: dict[signal.Signals, Any] = {each: signal.signal(each, stop) for each in _endings()}
     try:
         try:
-            rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+            rclpy.init(args=quoted(arguments), signal_handler_options=SignalHandlerOptions.NO)
         except Exception as error:  # of several private kinds
             said = " ".join(str(error).split())
-            raise SettingsError(f"ROS can't start with {' '.join(arguments)}: {said}") from error
+            raise SettingsError(
+                f"ROS can't start with {' '.join(arguments)}: {said}; in lists, put topics with a "
+                'colon in quotes, as in ["/odom", "/tf:odom.base_link"]'
+            ) from error
         yield stop
     finally:
         rclpy.try_shutdown()

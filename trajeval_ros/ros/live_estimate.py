@@ -1,222 +1,202 @@
-"""The evaluation of one estimate: from messages to errors and a pair file."""
+"""The evaluation of one estimate in one run: from decoded messages to errors and a pair file."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
-from trajeval_ros.diagnosis.vertical import doubt_of
+import numpy as np
+
+from trajeval_ros.consistency.s_transformation import unknown_covariances
+from trajeval_ros.diagnosis.geometry_tests import up_axis_doubt
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.dropped_counts import add_counts
-from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import BODYS_VELOCITIES
 from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.geometry.valid_poses import judge_poses
+from trajeval_ros.io.bags.pose_messages import COVARIANCE_TYPES, decode_poses
+from trajeval_ros.io.live.pair_file import REVISED_SUFFIX, SUFFIX, PairWriter, write_revised
+from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH
-from trajeval_ros.online.alarms import Peaks
+from trajeval_ros.online.alarms import Peaks, Standing
 from trajeval_ros.online.evaluator import OnlineEvaluator
-from trajeval_ros.online.jump_detector import Jump
+from trajeval_ros.online.jump_detector import Jump, JumpDetector
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.notices import Standing
 from trajeval_ros.online.reports import Snapshot, Update, united
-from trajeval_ros.online.revised import RevisedPath
-from trajeval_ros.online.state_rows import Pairs, trajectory
-from trajeval_ros.online.trail import Trail
-from trajeval_ros.ros.estimate_topic import EstimateTopic
-from trajeval_ros.ros.held_messages import HeldCall, HeldMessages
-from trajeval_ros.ros.poses import PoseStream, StateColumns
-from trajeval_ros.ros.position_uncertainty import position_uncertainty
-from trajeval_ros.ros.segment_files import SegmentFiles
-from trajeval_ros.ros.segment_jumps import SegmentJumps
+from trajeval_ros.online.state_rows import (
+    COVARIANCE,
+    POSITION,
+    QUATERNION,
+    Pairs,
+    states,
+    trajectory,
+)
+from trajeval_ros.online.whole_run import RevisedPath, ThinnedRun
+from trajeval_ros.ros.marker_body import MarkerBody
+from trajeval_ros.ros.pose_source import PoseSource
+from trajeval_ros.ros.poses import StateColumns, StreamStatus
 from trajeval_ros.ros.slow_evaluation import SlowEvaluation
 from trajeval_ros.ros.timing import Latency
 
 
-class LiveEstimate:
-    """Evaluates one estimate topic.
+class DecodedMessages(NamedTuple):
+    """Messages of one source: some poses, or one path.
 
-    Attributes:
-        side: Source of its messages.
-        name: Its name in topics and files.
-        segment: Number of the segment in the folder, from 1.
-        epoch: Number of steps back of time before this segment.
-        began_by: Why a new segment started; empty for the first one.
-        files: Its files.
-        stream: Decodes its messages.
-        evaluator: Its evaluation.
-        latency: Time from arrival to publication of its errors.
-        jumps: Restarts and corrections of the estimate; the first one may end the segment.
-        clock: Estimate of its clock offset; none if the topic carries paths.
-        trail: The run, thinned to few poses.
-        revised: The newest path, if the topic carries paths.
-        watch: Receives all new pairs, to draw them.
-        peaks: The largest errors since the last status.
-        slow: Hints, and the errors of the newest path.
-        standing: Reported conditions that still hold.
-        newest: Type and bytes of the newest message; None before the first one and for paths.
-        doubt: Why the groundtruth's up axis is probably wrong, at the newest snapshot; empty if it
-            is plausible.
+    Timestamps (N,) are for the detection of steps back; a path has only that of its last pose.
+    Times (N,) are those of reception by the middleware; for a path, its time of arrival.
     """
+
+    stamps: Stamps
+    states: StateColumns
+    times: Stamps
+    newest: tuple[str, bytes] | None = None  # type and bytes of the newest message of poses
+    is_path: bool = False
+
+    def part(self, rows: slice) -> DecodedMessages:
+        """Return some of the messages; a path has one part."""
+        if self.is_path:
+            return self
+        return self._replace(
+            stamps=self.stamps[rows], states=self.states.picked(rows), times=self.times[rows]
+        )
+
+
+class LiveEstimate:
+    """Evaluates one estimate in one run."""
 
     def __init__(
         self,
-        topic: EstimateTopic,
+        source: PoseSource,
         settings: OnlineSettings,
         folder: Path,
-        *,
-        hold: bool = False,
-        after: LiveEstimate | None = None,
-        began_by: str = "",
+        body: MarkerBody,
+        clock: OnlineClock,
+        description: Mapping[str, Any],
     ) -> None:
-        """Create it with an empty pair file.
-
-        Args:
-            topic: The topic.
-            settings: Settings of the evaluation.
-            folder: Folder for its files.
-            hold: Whether to store messages until `release` sets the clock offset.
-            after: The previous segment of the same topic.
-            began_by: As in the attribute.
-
-        Raises:
-            InputError: The file can't be made.
-        """
-        self.side, self.name, self.stream = topic.side, topic.side.name, topic.side.stream
-        self._body, self._worker = topic.body, topic.worker
-        self.began_by = began_by
-        self.folder = folder
-        self.segment: int = 1 if after is None or after.folder != folder else after.segment + 1
-        self.epoch: int = 0 if after is None else after.epoch
-        self._dropped_before = {
-            id(each.stream): dict(each.stream.status.dropped)
-            for each in (topic.side, topic.groundtruth)
-        }
-        self._dropped_until: dict[int, dict[str, int]] | None = None
-        self.files = SegmentFiles(folder, self.name, self.segment, topic.description)
-        if after is not None:  # which closes later
-            after._dropped_until = self._dropped_before
-        before = None if after is None else after.jumps
-        self.jumps: SegmentJumps = SegmentJumps(splits=topic.splits, before=before)
-        # The evaluator has no reference to this segment, so a complete segment can be freed.
+        self.source, self.name = source, source.name
+        self.status = StreamStatus()
+        self._body, self._path_of = body, folder / self.name
+        self.pairs_file = PairWriter(folder / f"{self.name}{SUFFIX}", description)
+        self._state: Mapping[str, Any] = {}
+        # The evaluator has no reference to this object, so that a complete run can be freed.
         self.evaluator = OnlineEvaluator(
-            settings,
-            record_waypoints=self.files.pairs.append_waypoints,
-            buffer=None if before is None else before.following,
+            settings, record_waypoints=self.pairs_file.append_waypoints
         )
-        self.latency, self.trail = Latency(), Trail()
-        self.revised: RevisedPath | None = None
-        self.watch: Callable[[LiveEstimate, Pairs], object] | None = None
-        self.clock = OnlineClock(settings.protocol.gauge, self._worker)
-        self.peaks, self.standing = Peaks(), Standing()
-        self.slow = SlowEvaluation()
-        self.doubt = ""
+        self.jumps, self._found_jumps = JumpDetector(), list[Jump]()
+        self.ends_at_jump = False  # whether the run ends at the first jump
+        self.restarted_at: int | None = None  # timestamp of the first pair after that jump
+        self.latency, self.thinned = Latency(), ThinnedRun()
+        self.revised: RevisedPath | None = None  # the newest path, if the topic carries paths
+        self.on_pairs: Callable[[LiveEstimate, Pairs], object] | None = None  # draws them
+        self.clock = clock  # estimate of its clock offset; none if the topic carries paths
+        self.peaks, self.standing = Peaks(), Standing()  # peaks since the last status
+        self.slow = SlowEvaluation()  # hints, and the errors of the newest path
+        self.doubt = ""  # why the groundtruth's up axis is probably wrong, at the newest snapshot
         self._given_up = None if settings.up is None else settings.up[1]
-        self._held = HeldMessages() if hold else None
-        self._held_for_next: Sequence[HeldCall] = ()
-        self._released: list[Update] = []
-        self.newest: tuple[str, bytes] | None = None
+        self._updates: list[Update] = []
+        self.newest: tuple[str, bytes] | None = None  # type and bytes of the newest pose
         self._undigested: list[Pairs] = []
-        if after is not None:
-            self._follow(after)
 
-    def _follow(self, before: LiveEstimate) -> None:
-        """Take over the state that is common to all segments."""
-        self.latency, self.peaks, self.standing = before.latency, before.peaks, before.standing
-        self.watch = before.watch
-        self.evaluator.set_offset(before.evaluator.settings.offset_s)
-        self._judge_by_body()
+    def continue_after(self, before: LiveEstimate) -> None:
+        """Take what the previous run received and did not use, and what it knows."""
+        self.jumps, self.clock = before.jumps, before.clock  # the usual step size, and the offset
+        self._found_jumps, before._found_jumps = before._found_jumps, []
+        self.evaluator.frames = copy(before.evaluator.frames)
+        self.evaluator.continue_after(before.evaluator)
+        self._note_velocities(BODYS_VELOCITIES in before.status.remarks)
+
+    def share_groundtruth(self, before: LiveEstimate) -> None:
+        """Copy the newest groundtruth states, of the evaluated body, from the previous run."""
         self.evaluator.frames.groundtruth_up = before.evaluator.frames.groundtruth_up
-        self.evaluator.frames.estimate_up = before.evaluator.frames.estimate_up
-        self._take_held(before._held_for_next)
+        self.evaluator.add_groundtruth(*before.evaluator.buffer.newest_groundtruth)
 
-    def set_gauge(self, gauge: Gauge) -> None:
-        """Set another gauge; call it before the first groundtruth."""
-        self.evaluator.set_gauge(gauge)
-        self.clock = OnlineClock(gauge, self._worker)
-
-    def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
-        """Add groundtruth states: timestamps (N,) and rows (N, 10)."""
-        self.clock.add_groundtruth(stamps, rows)
-        if self._held is not None and not self._held.calls and not self._body.is_wanted:
-            # No estimate is stored so far. The evaluator drops old groundtruth itself.
-            self.evaluator.add_groundtruth(stamps, rows)
-        else:
-            self._now_or_later(
-                "groundtruth",
-                stamps,
-                lambda segment: segment.evaluator.add_groundtruth(stamps, self._body.truth(rows)),
-            )
-
-    def share_groundtruth(self, other: LiveEstimate) -> None:
-        """Copy the newest groundtruth states, of the evaluated body, from another segment."""
-        self.evaluator.add_groundtruth(*other.evaluator.buffer.newest_groundtruth)
+    def begin_to_evaluate(self, offset_s: float) -> None:
+        """Use a clock offset, seconds, and the marker pose from now on."""
+        self.evaluator.set_offset(offset_s)
+        hand_eye = self._body.hand_eye
+        if hand_eye is not None and not self._body.of_marker:
+            self.evaluator.judge_moved_groundtruth(hand_eye)
 
     @property
     def up(self) -> UpAxis:
         """The up axis of its frame."""
-        return self.stream.up(self._given_up)
+        return self.source.stream.up(self._given_up)
 
     @property
     def offset_ns(self) -> int:
         """Clock offset that is added to its timestamps, nanoseconds."""
         return self.evaluator.settings.offset_ns
 
-    @property
-    def held_s(self) -> float:
-        """Time span of the stored messages, seconds."""
-        return 0.0 if self._held is None else self._held.span_s
-
-    def release(self, offset_s: float) -> None:
-        """Evaluate the stored messages with a clock offset, seconds, and use it from now on."""
-        assert self._held is not None
-        self.evaluator.set_offset(offset_s)
-        self._judge_by_body()
-        if self.revised is not None:
-            self.revised.states = self._body.estimated(self.revised.states)
-        held, self._held = self._held, None
-        self._take_held(held.calls)
-
-    def _judge_by_body(self) -> None:
-        """Use the marker pose in the test of covariances."""
-        hand_eye = self._body.hand_eye
-        if hand_eye is not None and not self._body.of_marker:
-            self.evaluator.judge_moved_groundtruth(hand_eye)
-
-    def _take_held(self, calls: Sequence[HeldCall]) -> None:
-        """Evaluate stored messages up to a jump; later ones belong to the next segment."""
-        for place, (side, call) in enumerate(calls, start=1):
-            call(self)
-            # One by one, as if messages arrived now, so that the buffers stay small. Groundtruth
-            # is kept until the estimates that arrived with it are paired.
-            if side == "estimate":
-                self._released.append(self._evaluate_new())
-                if self.jumps.following is not None:
-                    self._held_for_next = calls[place:]
-                    return
-
-    def take(self, poses: StateColumns, received: Stamps) -> None:
-        """Add states and their times of reception, (N,), nanoseconds since 1970."""
+    def see(self, messages: DecodedMessages) -> None:
+        """Use messages for what precedes the evaluation: axes, clock, and their kind."""
         self.evaluator.frames.estimate_up = self.up
-        self.clock.add_estimate(poses.stamps, poses.states)
-        self._now_or_later(
-            "estimate", poses.stamps, lambda segment: segment._evaluate(poses, received)
+        if not messages.is_path:
+            self.clock.add_estimate(messages.states.stamps, messages.states.states)
+        elif self.revised is None:
+            self.revised = RevisedPath(self.evaluator.settings.protocol.gauge, self.up)
+            reason = "paths are revised during the run, so their clock can't be estimated"
+            self.clock.report = ClockReport(status="unobservable", reason=reason)
+
+    def take(self, messages: DecodedMessages) -> None:
+        """Evaluate messages that `see` has seen, at the next update."""
+        poses = messages.states
+        rows = self._body.estimated(poses.states)
+        if messages.is_path:
+            assert self.revised is not None
+            new = self.revised.renew(poses.stamps, rows)
+            self.source.stream.count_new(poses.picked(new), int(messages.times[0]))
+            self.evaluator.add_estimate(poses.stamps[new], rows[new])
+            return
+        self.newest = messages.newest or self.newest
+        self.latency.arrive(poses.stamps + self.offset_ns, messages.times)
+        self._note_velocities(
+            self._body.leaves_out_velocities_of(poses.states, is_groundtruth=False)
+            or self.evaluator.frames.leaves_out_velocities_of(poses.states)
         )
+        self.evaluator.add_estimate(poses.stamps, rows)
 
-    def update(self, *, at_end: bool = False) -> Update:
-        """Evaluate the messages that have arrived, write the pairs, and return the new errors."""
-        released, self._released = self._released, []
-        return united([*released, self._evaluate_new(at_end=at_end)])
+    def _note_velocities(self, are_left_out: bool) -> None:
+        if are_left_out:
+            self.status.note(BODYS_VELOCITIES)
 
-    def _evaluate_new(self, *, at_end: bool = False) -> Update:
-        """Evaluate the pairs that are possible now, up to a jump that ends the segment."""
+    def evaluate(self, *, at_end: bool = False) -> None:
+        """Evaluate the pairs that are possible now, up to a jump that ends the run."""
+        if self.restarted_at is not None and not at_end:
+            return  # what waits belongs to the next run, which takes it before the end
         buffer = self.evaluator.buffer
         pairs = self.evaluator.frames.of_same_point(buffer.made(at_end=at_end))
-        pairs = self.jumps.before_first(pairs, self._scale, buffer)
-        buffer.settle()
+        if self.ends_at_jump and len(pairs.stamps):
+            pairs = self._until_jump(pairs)
+        buffer.settle(self.restarted_at)
         if len(pairs.stamps):
-            self._record(pairs)
-        return self.evaluator.evaluate(pairs, at_end=at_end)
+            # Pairs are written to disk before anything else.
+            self.pairs_file.append(*pairs)
+            narrow = pairs.without_covariances()
+            self._undigested.append(narrow)
+            if self.on_pairs is not None:
+                self.on_pairs(self, narrow)
+        self._updates.append(self.evaluator.evaluate(pairs, at_end=at_end))
+
+    def update(self, *, at_end: bool = False) -> Update:
+        """Evaluate the messages that have arrived, and return the new errors."""
+        self.evaluate(at_end=at_end)
+        updates, self._updates = self._updates, []
+        return united(updates)
+
+    def _until_jump(self, pairs: Pairs) -> Pairs:
+        narrow, detector = pairs.without_covariances(), copy(self.jumps)
+        found = detector.update(narrow, self._scale)
+        if not found:
+            self.jumps = detector
+            return pairs
+        self.restarted_at = found[0].stamp
+        row = int(pairs.stamps.searchsorted(self.restarted_at))
+        self._found_jumps = self.jumps.update(narrow.picked(slice(row + 1)), self._scale)
+        self.jumps.count = 0  # a run contains no jump
+        return pairs.picked(slice(row))
 
     @property
     def _scale(self) -> float:
@@ -226,66 +206,72 @@ class LiveEstimate:
     def snapshot(self) -> Snapshot:
         """Return the state of the evaluation, without yaw and tilt if the up axis is doubtful."""
         snapshot = self.evaluator.snapshot()
-        stamps, truth, _ = self.trail.columns()
+        stamps, groundtruth, _ = self.thinned.columns()
         if len(stamps):
-            self.doubt = doubt_of(trajectory(stamps, truth, self.evaluator.frames.groundtruth_up))
+            self.doubt = up_axis_doubt(
+                trajectory(stamps, groundtruth, self.evaluator.frames.groundtruth_up)
+            )
         if not self.doubt:
             return snapshot
         return replace(snapshot, ate={**snapshot.ate, "yaw_deg": None, "tilt_deg": None})
 
     def digest(self) -> list[Jump]:
-        """Add the pairs since the last call to trail and revision; return their jumps.
+        """Add the pairs since the last call to thinned and revision; return their jumps.
 
+        Jumps of an estimate that has lost track are no restarts, and are left out.
         This is separate from `update`, since a few calls per second are enough.
         """
-        if not self._undigested:
-            return self.jumps.take()
-        pairs, self._undigested = Pairs.in_order(self._undigested), []
-        self.jumps.among(pairs, self._scale)
-        self.trail.add(pairs)
-        if self.revised is not None:  # by the estimate's own clock
-            self.revised.record(pairs._replace(stamps=pairs.stamps - self.offset_ns))
-        return self.jumps.take()
+        if self._undigested:
+            pairs, self._undigested = Pairs.in_order(self._undigested), []
+            if not self.ends_at_jump:
+                self._found_jumps += self.jumps.update(pairs, self._scale)
+            self.thinned.add(pairs)
+            if self.revised is not None:  # by the estimate's own clock
+                self.revised.record(pairs._replace(stamps=pairs.stamps - self.offset_ns))
+        found, self._found_jumps = self._found_jumps, []
+        return found if self.evaluator.tracking.present is None else []
 
-    def renew_slow(self, truth_body: str) -> bool:
+    def renew_slow(self, groundtruth_body: str) -> bool:
         """Run the slow evaluation; return whether the newest path has been evaluated.
 
-        Args:
-            truth_body: Name of the body that the groundtruth is of.
+        `groundtruth_body` is the name of the groundtruth's body.
         """
         evaluator = self.evaluator
         protocol = evaluator.settings.protocol
         if evaluator.frozen_at is not None:
             protocol = replace(protocol, align_states=evaluator.frozen_at)
         return self.slow.renew(
-            self.trail,
+            self.thinned,
             None if self.why_not_revised else self.revised,
             protocol,
             (evaluator.frames.groundtruth_up, self.up),
-            self._body.renamed(truth_body, self.stream.status.child_frame),
+            self._body.renamed(groundtruth_body, self.status.child_frame),
+            evaluator.tracking.losses,
             of_clocks=self.clock.report.offset_s is None,
         )
 
     def uncertainty(self) -> tuple[int, Floats, Floats] | None:
         """Return timestamp, position (3,) and its covariance (3, 3) of the newest message.
 
-        They refer to the evaluated body, with the clock offset applied, as in pairs.
-
-        Returns:
-            None if there is no message, or its covariance is unknown.
+        They refer to the evaluated body, with the clock offset applied, as in pairs. None without
+        a message, or if its covariance is unknown.
         """
-        told = self.newest and position_uncertainty(*self.newest, self._body)
-        if not told:
+        message_type, payload = self.newest or ("", b"")
+        if message_type not in COVARIANCE_TYPES:
             return None
-        stamp, position, covariance = told
-        return stamp + self.offset_ns, position, covariance
-
-    def dropped_since_begun(self, stream: PoseStream) -> dict[str, int]:
-        """Return the number of messages without a pose in this segment so far, by reason."""
-        until = self._dropped_until
-        before = self._dropped_before[id(stream)]
-        now = stream.status.dropped if until is None else until[id(stream)]
-        return add_counts({each: count - before.get(each, 0) for each, count in now.items()})
+        pose = decode_poses([payload], message_type, covariance=True)
+        if not len(pose.stamps) or pose.covariances is None or pose.stamps[0] == 0:
+            return None
+        # `unknown_covariances` accepts zeros in the first covariance, so it is passed twice.
+        unknown = unknown_covariances(pose.covariances.repeat(2, 0))
+        if unknown or not judge_poses(pose.positions)[0][0]:
+            return None
+        rows = states(pose.positions, pose.quaternions)
+        [moved] = self._body.estimated(np.hstack([rows, pose.covariances.reshape(1, 36)]))
+        if not np.isfinite(moved[POSITION]).all():
+            return None
+        covariance = moved[COVARIANCE].reshape(6, 6)[:3, :3]
+        return int(pose.stamps[0]) + self.offset_ns, moved[POSITION], covariance
 
     @property
     def why_not_revised(self) -> str:
@@ -299,64 +285,31 @@ class LiveEstimate:
             "with fixes or points, or by a lever arm; evaluate a recording"
         )
 
+    def write_state(self, state: Mapping[str, Any]) -> None:
+        """Write what `trajeval finish` needs besides pairs (`recorded_state`), if it changed."""
+        if state == self._state:
+            self.pairs_file.write()
+            return
+        self._state = state
+        none = np.empty((0, 10))
+        self.pairs_file.append(np.empty(0, dtype=np.int64), none, none, state)
+
     def write_revised(self) -> None:
-        """Write the newest path, if there is one.
-
-        Raises:
-            InputError: It can't be written.
-        """
-        if self.revised is not None and not self.why_not_revised:
-            self.files.write_path(self.revised, self.offset_ns)
-
-    def _record(self, pairs: Pairs) -> None:
-        """Write new pairs to disk before anything else."""
-        self.files.pairs.append(*pairs)
-        pairs = pairs.without_covariances()
-        self._undigested.append(pairs)
-        if self.watch is not None:
-            self.watch(self, pairs)
-
-    def take_path(self, path: StateColumns, arrived_ns: int) -> None:
-        """Add a path: evaluate its new poses, and store the revision of the others."""
-        self.evaluator.frames.estimate_up = self.up
-        if self.revised is None:
-            self.revised = RevisedPath(self.evaluator.settings.protocol.gauge, self.up)
-            reason = "paths are revised during the run, so their clock can't be estimated"
-            self.clock.report = ClockReport(status="unobservable", reason=reason)
-        states = self._body.estimated(path.states)
-        new = path.picked(self.revised.renew(path.stamps, states))
-        self.stream.count_new(new, arrived_ns)
-        self._now_or_later(
-            "estimate",
-            new.stamps,
-            lambda segment: segment.evaluator.add_estimate(
-                new.stamps, self._body.estimated(new.states)
-            ),
+        """Write the newest path, if there is one."""
+        path = self.revised
+        if path is None or self.why_not_revised or not len(path.stamps):
+            return
+        stamps, positions = path.stamps + self.offset_ns, path.states[:, POSITION]
+        quaternions = path.states[:, QUATERNION]
+        write_whole(
+            self._path_of.with_name(self.name + REVISED_SUFFIX),
+            lambda file: write_revised(file, stamps, positions, quaternions),
         )
 
     def close(self) -> None:
-        """Write everything to disk.
-
-        Raises:
-            InputError: The files can't be written.
-        """
+        """Write everything to disk."""
         self.slow.close()
         try:
             self.write_revised()
         finally:
-            self.files.pairs.close()
-
-    def _evaluate(self, poses: StateColumns, received: Stamps) -> None:
-        self.latency.arrive(poses.stamps + self.offset_ns, received)
-        left_out = self._body.leaves_out_velocities_of(poses.states, is_truth=False)
-        if left_out or self.evaluator.frames.leaves_out_velocities_of(poses.states):
-            self.stream.status.note(BODYS_VELOCITIES)
-        self.evaluator.add_estimate(poses.stamps, self._body.estimated(poses.states))
-
-    def _now_or_later(
-        self, side: str, stamps: Stamps, evaluate: Callable[[LiveEstimate], None]
-    ) -> None:
-        if self._held is None:
-            evaluate(self)
-        elif len(stamps):
-            self._held.add(side, stamps, evaluate)
+            self.pairs_file.close()

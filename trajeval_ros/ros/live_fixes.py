@@ -8,40 +8,25 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
-from trajeval_ros.geometry.fix_selection import FixRule
+from trajeval_ros.geometry.fix_selection import FixRule, fixes_of_rows
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.geodesy import Datum
-from trajeval_ros.io.fix_rows import fixes_of_rows
 
 ORIGIN_UNKNOWN = (
     "gauge none needs a common frame, and the origin of the fixes is arbitrary; give the origin "
     "of the estimate's frame with datum:=LAT,LON,HEIGHT, or use gauge:=yaw"
 )
-
-
 _NO_HEIGHTS = "the fixes have no height; use gauge:=planar"
 
 
 class LiveFixes:
-    """Selects the fixes of a receiver by their own quality, and converts them to metres.
-
-    Attributes:
-        rule: Selects fixes and defines their frame.
-        datum: Origin of the frame; None before the first used fix.
-        refused: Why no fix can be used; empty if fixes are used.
-    """
+    """Selects the fixes of a receiver by their own quality, and converts them to metres."""
 
     def __init__(self, rule: FixRule | None = None, gauge: Gauge = Gauge.YAW) -> None:
-        """Create it.
-
-        Args:
-            rule: Rules for the selection of fixes.
-            gauge: Gauge of the alignment: `none` requires a datum, `planar` needs no heights.
-        """
-        self.rule = rule or FixRule()
-        self.datum: Datum | None = None
+        self.rule = rule or FixRule()  # selects fixes and defines their frame
+        self.datum: Datum | None = None  # origin of the frame; None before the first used fix
         needs_datum = gauge is Gauge.NONE and self.rule.datum is None
-        self.refused = ORIGIN_UNKNOWN if needs_datum else ""
+        self.refused = ORIGIN_UNKNOWN if needs_datum else ""  # why no fix can be used
         self._is_level = gauge is Gauge.PLANAR
         self._lacks_heights = False
         self._antennas: list[str] = []
@@ -58,14 +43,9 @@ class LiveFixes:
     ) -> tuple[Booleans, Floats, dict[str, int]]:
         """Return the positions of the used fixes.
 
-        Args:
-            stamps: (N,), nanoseconds.
-            places: (N, 3), latitude and longitude in degrees, height in metres.
-            quality: (N, 11), as in `PoseColumns`.
-
-        Returns:
-            Which fixes are used, (N,), their positions (M, 3), metres, and the number of the other
-            fixes by reason.
+        Places (N, 3) are latitude and longitude in degrees and height in metres, with a quality
+        (N, 11) as in `PoseColumns`. Returned are which fixes are used, (N,), their positions
+        (M, 3), metres, and the number of the other fixes by reason.
         """
         fixes = fixes_of_rows(places, quality)
         kept, dropped = self.rule.usable(fixes, level=self._is_level)
@@ -84,11 +64,7 @@ class LiveFixes:
         return kept, used.positions(level=self._is_level), dropped
 
     def mixed(self, antennas: list[str]) -> str:
-        """Return a warning if fixes of several receivers alternate on the topic; else empty.
-
-        Args:
-            antennas: Frames of the new fixes, in order.
-        """
+        """Return a warning if fixes of several receivers alternate on the topic; else empty."""
         for each in antennas:
             if not self._antennas or self._antennas[-1] != each:
                 self._antennas = [*self._antennas, each][-3:]

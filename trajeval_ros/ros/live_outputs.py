@@ -1,27 +1,258 @@
-"""The published errors of all estimates: topics and transforms."""
+"""The published errors of all estimates, under `~/NAME/`: topics and transforms."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
 
-from rclpy.node import Node
+import numpy as np
 
-from trajeval_ros.online.notices import Notice
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.formatting.remarks import Remark, warning
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.frame_axes import between_own_axes
+from trajeval_ros.geometry.gauge import Gauge, Similarity
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.geometry.trajectory_edits import every_nth
+from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.io.bags.encode_messages import (
+    encode_alignment,
+    encode_path,
+    encode_paths,
+    encode_transforms,
+    encode_vector_stamped,
+)
+from trajeval_ros.io.bags.pose_messages import TRANSFORM_TYPES
+from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.metrics.stream_health import StreamHealth
+from trajeval_ros.online import error_topics as topics
 from trajeval_ros.online.reports import Snapshot, Update
-from trajeval_ros.ros.frame_broadcaster import FrameBroadcaster
+from trajeval_ros.online.whole_run import MOST_POSES, ThinnedRun
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
-from trajeval_ros.ros.publishers import Outputs
-from trajeval_ros.ros.revised_outputs import RevisedOutputs
+from trajeval_ros.ros.message_types import message_class
+from trajeval_ros.ros.status_topics import advertise
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+
+_QUEUE = 1000  # messages; all messages of a tick are published at once
+
+
+class _Topics:
+    """Publishers below one name, made when needed: `Float64` and `Vector3Stamped`."""
+
+    def __init__(self, node: Node, prefix: str, *, latched: bool) -> None:
+        self._node, self._prefix, self._is_latched = node, prefix, latched
+        self._numbers: dict[str, Any] = {}
+        self._vectors: dict[str, Any] = {}
+
+    def _latched(self, kind: Any, name: str) -> Any:
+        """Return a publisher whose newest message late subscribers receive at once."""
+        return advertise(self._node, kind, f"{self._prefix}/{name}", 1, latched=True)
+
+    def _advertise(self, name: str) -> None:
+        from std_msgs.msg import Float64
+
+        if name not in self._numbers:
+            depth = 1 if self._is_latched else 10
+            topic = f"{self._prefix}/{name}"
+            self._numbers[name] = advertise(
+                self._node, Float64, topic, depth, latched=self._is_latched
+            )
+
+    def _publish(self, name: str, value: float | None) -> None:
+        from std_msgs.msg import Float64
+
+        if value is not None:
+            self._advertise(name)
+            self._numbers[name].publish(Float64(data=value))
+
+    def advertise_vector(self, name: str) -> None:
+        """Create the publisher of vectors with timestamps, unless it exists."""
+        if name not in self._vectors:
+            kind = message_class(topics.VECTOR_TYPE)
+            depth = 1 if self._is_latched else _QUEUE
+            topic = f"{self._prefix}/{name}"
+            self._vectors[name] = advertise(
+                self._node, kind, topic, depth, latched=self._is_latched
+            )
+
+    def _publish_vectors(
+        self, name: str, stamps: Stamps, vectors: Floats, frame: str = ""
+    ) -> None:
+        self.advertise_vector(name)
+        for message in encode_vector_stamped(stamps, vectors, frame):
+            self._vectors[name].publish(message.tobytes())
+
+
+class RevisedOutputs(_Topics):
+    """Publishers of one estimate that is a path; all are latched, because paths may be rare."""
+
+    def __init__(self, node: Node, name: str) -> None:
+        from geometry_msgs.msg import TransformStamped
+        from nav_msgs.msg import Path
+
+        super().__init__(node, f"~/{name}/revised", latched=True)
+        self._alignment = self._latched(TransformStamped, topics.ALIGNMENT)
+        self._path = self._latched(Path, topics.ALIGNED_PATH)
+
+    def publish(
+        self, evaluation: Evaluation, ups: tuple[UpAxis, UpAxis], frame: str, child_frame: str
+    ) -> None:
+        """Publish the errors, the alignment and the aligned path of its newest version."""
+        stamps, positions = evaluation.aligned.stamps, evaluation.aligned.positions
+        found = [(topics.ATE, evaluation.ate)]
+        found += [
+            (topics.relative_error_topic(str(each.length)), each.statistics)
+            for each in evaluation.relative or ()
+        ]
+        for topic, statistics in found:
+            position, rotation = statistics["position_m"], statistics["rotation_deg"]
+            if position is not None:
+                rotation_deg = None if rotation is None else rotation.rmse
+                vector = topics.position_and_rotation(position.rmse, rotation_deg)
+                self._publish_vectors(topic, stamps[-1:], vector)
+        similarity = evaluation.alignment.similarity
+        turns = evaluation.aligned.quaternions
+        assert turns is not None  # of a path
+        if evaluation.protocol.is_upright:
+            similarity, back = between_own_axes(similarity, *ups), ups[0].matrix.T
+            positions = positions @ back.T
+            turns = lie.multiply(lie.from_matrices(back[None]), turns)
+        self._alignment.publish(encode_alignment(similarity, stamps[-1:], (frame, child_frame)))
+        picked = every_nth(len(stamps), MOST_POSES)
+        self._path.publish(encode_path(stamps[picked], positions[picked], turns[picked], frame))
+
+
+class StreamOutputs(_Topics):
+    """Publishers of the health of one source's messages."""
+
+    def __init__(self, node: Node, name: str) -> None:
+        super().__init__(node, f"~/stream/{name}", latched=False)
+        for each in topics.STREAM_NUMBERS:
+            self._advertise(each)
+
+    def publish(self, health: StreamHealth) -> None:
+        """Publish what is known of the newest messages."""
+        for name, field in topics.STREAM_NUMBERS.items():
+            self._publish(name, getattr(health, field))
+
+
+class Outputs(_Topics):
+    """Publishers of one estimate: numbers, vectors with timestamps, the alignment, and paths.
+
+    PlotJuggler and rqt_plot can draw the numbers.
+    """
+
+    def __init__(self, node: Node, name: str, *, judges: bool) -> None:
+        from geometry_msgs.msg import TransformStamped
+        from nav_msgs.msg import Path
+
+        super().__init__(node, f"~/{name}", latched=False)
+        by_covariances = (
+            (*topics.NEES_NUMBERS, *topics.PROTECTION_LEVELS.values()) if judges else ()
+        )
+        for each in (*topics.NUMBERS, *by_covariances):
+            self._advertise(each)
+        for each in (*topics.VECTORS, topics.ATE):
+            self.advertise_vector(each)
+        self._alignment = self._latched(TransformStamped, topics.ALIGNMENT)
+        self._paths = {
+            each: self._latched(Path, each)
+            for each in (topics.ALIGNED_PATH, topics.GROUNDTRUTH_PATH)
+        }
+
+    def publish_update(
+        self, update: Update, frame: str, offset_ns: int, *, knows_up: bool
+    ) -> None:
+        """Publish the errors of new pairs, and of sub-trajectories that have ended."""
+        for topic in topics.VECTORS:
+            if not self._vectors[topic].get_subscription_count():
+                continue  # vectors without a subscriber are not computed
+            for errors in update.errors:
+                found = topics.vectors_of(errors, topic, offset_ns, knows_up=knows_up)
+                self._publish_vectors(topic, *found, frame)
+        for name in topics.NUMBERS if update.errors else ():
+            numbers = topics.numbers_of(update.errors[-1], name, knows_up=knows_up)
+            self._publish(name, None if numbers is None else float(numbers[-1]))
+        for end in update.ends:
+            vector = topics.position_and_rotation(end.position_m, end.rotation_deg)
+            stamps = np.array([end.stamp - offset_ns])
+            self._publish_vectors(topics.relative_error_topic(end.length), stamps, vector)
+
+    def publish_snapshot(self, snapshot: Snapshot, offset_ns: int) -> None:
+        """Publish the errors of the window."""
+        ate = topics.window_ate(snapshot)
+        if ate is not None and snapshot.stamp is not None:
+            self._publish_vectors(topics.ATE, np.array([snapshot.stamp - offset_ns]), ate)
+        for numbers in (topics.nees_numbers, topics.integrity_numbers):
+            for name, number in numbers(snapshot).items():
+                self._publish(name, number)
+
+    def publish_geometry(
+        self, thinned: ThinnedRun, alignment: Similarity, frame: str, child_frame: str
+    ) -> None:
+        """Publish the alignment, and paths in the groundtruth's frame."""
+        if not len(thinned):
+            return
+        frames = frame, child_frame
+        self._alignment.publish(encode_alignment(alignment, thinned.columns()[0][-1:], frames))
+        for name, path in encode_paths(thinned, alignment, frame).items():
+            self._paths[name].publish(path)
+
+
+class FrameBroadcaster:
+    """Broadcasts one transform per frame of the estimates.
+
+    A frame has one parent. If another node publishes a different parent of an estimate's frame,
+    the TF tree is invalid.
+    """
+
+    def __init__(self, node: Node, gauge: Gauge, tolerance_s: float) -> None:
+        if gauge.has_scale:
+            raise SettingsError(
+                f"broadcast_tf can't publish gauge {gauge.value}, since a transform has no "
+                "scale; remove it, or use a gauge without scale"
+            )
+        kind = message_class(TRANSFORM_TYPES[0])
+        if kind is None:
+            raise SettingsError("broadcast_tf needs tf2_msgs; install ros-$ROS_DISTRO-tf2-msgs")
+        self._publisher = advertise(node, kind, "/tf")
+        self._tolerance_ns = round(tolerance_s * NANOSECONDS)
+        self._owners: dict[str, str] = {}
+        self._refused: dict[str, Remark] = {}
+
+    def publish(
+        self, name: str, alignment: Similarity, stamp: int, frame: str, child_frame: str
+    ) -> None:
+        """Publish an estimate's alignment."""
+        owner = self._owners.setdefault(child_frame, name)
+        why = ""
+        if not frame or not child_frame or frame == child_frame:
+            why = f"two frame names are required, found {frame!r} and {child_frame!r}"
+        elif owner != name:
+            why = f"{child_frame} is also the frame of {owner}, and a frame has only one parent"
+        self._refused.pop(name, None)
+        if why:
+            said = f"broadcast_tf:=true has no effect for {name}: {why}"
+            self._refused[name] = warning("hint", said, "broadcast_tf")
+            return
+        pose = np.concatenate([alignment.translation, alignment.rotation_xyzw])
+        stamps = np.array([stamp + self._tolerance_ns])
+        self._publisher.publish(
+            bytes(encode_transforms(stamps, pose[None], (frame, child_frame))[0])
+        )
+
+    def remarks(self, name: str) -> list[Remark]:
+        """Return why the alignment of an estimate is not broadcast; empty if it is."""
+        return [self._refused[name]] if name in self._refused else []
 
 
 class LiveOutputs:
-    """Publishes the errors of a run.
-
-    Attributes:
-        newest: The newest published errors by estimate.
-        snapshots: The newest published state by estimate.
-    """
+    """Publishes the errors of a run."""
 
     def __init__(
         self,
@@ -31,24 +262,18 @@ class LiveOutputs:
         *,
         judges: bool,
     ) -> None:
-        """Create the publishers.
-
-        Args:
-            node: The ROS node.
-            names: Names of the estimates.
-            broadcaster: Publishes the alignments as transforms; None if it is not requested.
-            judges: Whether covariances are tested.
-        """
         self._node, self._broadcaster = node, broadcaster
         self._outputs = {each: Outputs(node, each, judges=judges) for each in names}
         self._revised: dict[str, RevisedOutputs] = {}
-        self.newest: dict[str, Update] = {}
-        self.snapshots: dict[str, Snapshot] = {}
+        self._streams: dict[str, StreamOutputs] = {}  # by name of the source
+        self.newest: dict[str, Update] = {}  # the newest published errors by estimate
+        self.snapshots: dict[str, Snapshot] = {}  # the newest published state by estimate
 
     def advertise_lengths(self, lengths: Sequence[str]) -> None:
         """Create the publishers of relative errors for lengths of sub-trajectories."""
         for each in self._outputs.values():
-            each.advertise_lengths(lengths)
+            for length in lengths:
+                each.advertise_vector(topics.relative_error_topic(length))
 
     def begin_run(self) -> None:
         """Forget the errors of the previous run."""
@@ -58,7 +283,7 @@ class LiveOutputs:
         """Publish the errors of new pairs, and the alignment; needs a pair."""
         assert update.stamp is not None
         self.newest[estimate.name] = update
-        frame = run.groundtruth.stream.status.frame
+        frame = run.groundtruth_status.frame
         self._outputs[estimate.name].publish_update(
             update, frame, estimate.offset_ns, knows_up=not estimate.doubt
         )
@@ -68,21 +293,29 @@ class LiveOutputs:
                 estimate.evaluator.alignment.similarity,
                 update.stamp - estimate.offset_ns,
                 frame,
-                estimate.stream.status.frame,
+                estimate.status.frame,
             )
+
+    def publish_streams(self, run: LiveRun) -> None:
+        """Publish the health of the messages of all sources."""
+        sides = [(run.groundtruth, run.groundtruth_status)]
+        for source, status in sides + [(each.source, each.status) for each in run.estimates]:
+            if source.name not in self._streams:
+                self._streams[source.name] = StreamOutputs(self._node, source.name)
+            self._streams[source.name].publish(status.stream.recent())
 
     def publish_snapshot(self, estimate: LiveEstimate) -> Snapshot:
         """Publish the errors of the window, and return them."""
         snapshot = estimate.snapshot()
         self.snapshots[estimate.name] = snapshot
         estimate.peaks.see_snapshot(snapshot)
-        self._outputs[estimate.name].publish_snapshot(snapshot)
+        self._outputs[estimate.name].publish_snapshot(snapshot, estimate.offset_ns)
         return snapshot
 
     def publish_revised(self, run: LiveRun, estimate: LiveEstimate) -> float | None:
         """Publish the errors of the newest path if it is new; return its position ATE, metres."""
-        truth = run.groundtruth.stream.status
-        is_new = estimate.renew_slow(truth.child_frame)
+        groundtruth = run.groundtruth_status
+        is_new = estimate.renew_slow(groundtruth.child_frame)
         revised = estimate.slow.revised
         if revised is None:
             return None
@@ -90,7 +323,7 @@ class LiveOutputs:
         if name not in self._revised:
             self._revised[name] = RevisedOutputs(self._node, name)
         if is_new:
-            frames = truth.frame, estimate.stream.status.frame
+            frames = groundtruth.frame, estimate.status.frame
             self._revised[name].publish(revised, (run.groundtruth_up, estimate.up), *frames)
         position = revised.ate["position_m"]
         return None if position is None else position.rmse
@@ -99,12 +332,12 @@ class LiveOutputs:
         """Publish the paths, if there is an alignment."""
         if snapshot.alignment is not None:
             self._outputs[estimate.name].publish_geometry(
-                estimate.trail,
+                estimate.thinned,
                 snapshot.alignment.similarity,
-                run.groundtruth.stream.status.frame,
-                estimate.stream.status.frame,
+                run.groundtruth_status.frame,
+                estimate.status.frame,
             )
 
-    def notices(self, estimate: LiveEstimate) -> list[Notice]:
+    def remarks(self, estimate: LiveEstimate) -> list[Remark]:
         """Return the conditions of an estimate's transform."""
-        return [] if self._broadcaster is None else self._broadcaster.notices(estimate.name)
+        return [] if self._broadcaster is None else self._broadcaster.remarks(estimate.name)

@@ -1,109 +1,123 @@
-"""A live run: one groundtruth, its estimates, and their output folder, without timers."""
+"""One live run: a groundtruth, its estimates, and their output folder."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.exceptions import TrajevalError
-from trajeval_ros.geometry.arrays import Stamps
+from trajeval_ros.formatting.remarks import Level, Remark
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import MARKERS_VELOCITIES
-from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.io.live.fix_file import FixWriter, read_fix_rows
+from trajeval_ros.io.requests.setting import AUTO
+from trajeval_ros.online.live_clock import OnlineClock
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.notices import OK, Notice
 from trajeval_ros.online.reports import Update
-from trajeval_ros.online.time_steps import TimeSteps
-from trajeval_ros.ros.estimate_segments import EstimateSegments
-from trajeval_ros.ros.estimate_topic import EstimateTopic
-from trajeval_ros.ros.live_estimate import LiveEstimate
+from trajeval_ros.pipeline.request import Request
+from trajeval_ros.ros.live_estimate import DecodedMessages, LiveEstimate
 from trajeval_ros.ros.marker_body import MarkerBody
-from trajeval_ros.ros.poses import StateColumns
-from trajeval_ros.ros.recorded_state import recorded_state
-from trajeval_ros.ros.run_folders import RunFolders
-from trajeval_ros.ros.segmentation import Segmentation
-from trajeval_ros.ros.sides import Side, TimeAt
-from trajeval_ros.ros.start_decision import StartDecision
-
-_QUIET_S = 0.1
-_LAST_MESSAGES_S = 2.0
+from trajeval_ros.ros.output_folder import Finisher
+from trajeval_ros.ros.pose_source import PoseSource
+from trajeval_ros.ros.poses import StateColumns, StreamStatus
+from trajeval_ros.ros.start_decision import HeldMessages, StartDecision
 
 
 class LiveRun:
     """Passes the same groundtruth to every estimate, and stores the results on disk.
 
-    Attributes:
-        groundtruth: Source of the groundtruth.
-        folders: Its output folders.
-        news: Notices that are not published yet.
-        watch: Receives the states of the groundtruth, and the number of steps back of its time, to
-            draw them.
-        body: The body that is evaluated.
+    Sources are numbered: 0 is the groundtruth, and 1 the first estimate.
+    The protocol values are settings by name. `began_by` is the cause of a run that the user did
+    not start. `about` has the user's label and metadata.
     """
 
     def __init__(
         self,
-        groundtruth: Side,
-        sides: Sequence[Side],
+        sources: Sequence[PoseSource],
         settings: OnlineSettings,
-        words: dict[str, Any],
+        protocol_values: Mapping[str, Any],
         folder: Path,
-        *,
-        find_offset: bool = False,
-        body: MarkerBody | None = None,
-        segmentation: Segmentation | None = None,
-        new_folder: Callable[[], Path] | None = None,
+        start: StartDecision,
+        worker: Executor,
+        began_by: str = "",
+        about: Mapping[str, Any] | None = None,
     ) -> None:
-        """Create it.
-
-        Args:
-            groundtruth: Source of the groundtruth.
-            sides: Sources of the estimates.
-            settings: Settings of the evaluation.
-            words: The same settings, as arguments of `settings.protocol_from`.
-            folder: Existing folder for the files.
-            find_offset: Estimate the clock offset from the first minute, and apply it if it is
-                significant.
-            body: The body, if the groundtruth is measured at a marker on it; else None.
-            segmentation: When a new segment starts.
-            new_folder: Creates the folder for the segment after a step of time.
-
-        Raises:
-            InputError: The files can't be made.
-        """
-        self._segmentation = segmentation or Segmentation()
-        resets = self._segmentation.on_time_jump == "reset"
-        self.folders = RunFolders(folder, new_folder if resets else None)
-        self.groundtruth = groundtruth
-        self.words = words
+        self.groundtruth, self.folder, self.began_by = sources[0], folder, began_by
+        self.about = about or {}
+        self.idle = ""  # why messages are dropped; empty while they are evaluated
+        self.groundtruth_status = StreamStatus()
+        self.protocol_values = protocol_values
+        self.finisher = Finisher(folder)  # writes result.json in another process
+        self.on_groundtruth: Callable[[StateColumns], object] | None = None  # draws it
+        self.news: list[Remark] = []  # remarks that are not published yet
+        # Messages, by source, of the next run: an estimate restarted before them.
+        self.unused: list[tuple[int, DecodedMessages]] = []
+        self._sources, self._settings, self.start = sources, settings, start
+        self._worker = worker
+        self._fixes: FixWriter | None = None
         self._given_up = None if settings.up is None else settings.up[0]
-        self.watch: Callable[[StateColumns, int], object] | None = None
-        self.body = body or MarkerBody()
-        self._start = StartDecision(self.body, find_offset=find_offset)
-        self._settings = settings
-        self._time = TimeSteps()
-        self._troubles: list[str] = []
-        self.news: list[Notice] = []
-        self._worker = ThreadPoolExecutor(1, "clocks")
-        splits = self._segmentation.on_restart == "segment"
-        self._tracks = [
-            EstimateSegments(
-                EstimateTopic(side, groundtruth, place, self.body, self._worker, splits),
+        self._held = HeldMessages() if start.holds else None
+        self.estimates = [
+            LiveEstimate(
+                source,
                 settings,
                 folder,
-                hold=self.holds,
+                start.body,
+                OnlineClock(settings.protocol.gauge, worker),
+                {"groundtruth": sources[0].source, "estimate": source.source, "place": place},
             )
-            for place, side in enumerate(sides)
+            for place, source in enumerate(sources[1:])
         ]
-        for side in (groundtruth, *sides):
-            side.stream.begins_anew = self._segmentation.on_time_jump != "ignore"
-        self._gauge_is_default = words["gauge"] is None and words["modality"] is None
-        for each in self.estimates:
-            each.files.write_state(recorded_state(self, each))
+        if not start.holds:
+            for each in self.estimates:
+                each.begin_to_evaluate(settings.offset_s)
+
+    def following(self, folder: Path, began_by: str) -> LiveRun:
+        """Return the run after this one, with the same settings, clock offset and body."""
+        return LiveRun(
+            self._sources,
+            self._settings,
+            self.protocol_values,
+            folder,
+            self.start,
+            self._worker,
+            began_by,
+            self.about,
+        )
+
+    def status_of(self, source: int) -> StreamStatus:
+        """Return the counts, frames and notes of a source's messages in this run."""
+        return self.estimates[source - 1].status if source else self.groundtruth_status
+
+    @property
+    def body(self) -> MarkerBody:
+        """The body that is evaluated."""
+        return self.start.body
+
+    @property
+    def request(self) -> Request:
+        """The settings of the run, for the provenance of its results."""
+        settings, body = self._settings, self.body
+        finds_body = body.source == AUTO
+        return Request(
+            settings.protocol,
+            CalibrationRequest(
+                offset=self.start.finds_offset,
+                hand_eye=finds_body,
+                known=None if finds_body else body.hand_eye,
+            ),
+            settings.covariances,
+            up=settings.up,
+            fixes=self.groundtruth.stream.fixes.rule,
+            integrity=settings.integrity,
+        )
 
     @property
     def groundtruth_up(self) -> UpAxis:
@@ -111,211 +125,177 @@ class LiveRun:
         return self.groundtruth.stream.up(self._given_up)
 
     @property
-    def estimates(self) -> list[LiveEstimate]:
-        """The newest segments of all estimate topics."""
-        return [each.current for each in self._tracks]
-
-    @property
-    def _open(self) -> list[LiveEstimate]:
-        """All segments that are not closed yet."""
-        return [segment for each in self._tracks for segment in each.open]
-
-    def take(self, time_at: TimeAt | None) -> None:
-        """Receive the messages that have arrived; `time_at` returns simulated time."""
-        stream = self.groundtruth.stream
-        for message_type, taken, arrived in self.groundtruth.take(time_at):
-            poses = stream.poses(message_type, taken.payloads, arrived)
-            if poses.fixes is not None and self._gauge_is_default:
-                self._keep_upright()
-            for part in self._parts(self._time, poses.stamps):
-                for track in self._tracks:
-                    self._begin_if_due(track, self._time, track.truth_epoch(self._time))
-                self._feed(poses.picked(part))
-        for track in self._tracks:
-            for message in track.messages(time_at):
-                for part in self._parts(track.time, message.stamps):
-                    self._begin_if_due(track, track.time, track.own_epoch)
-                    track.take(message, part)
-        for estimate in self.estimates:
-            # Before the start nothing is evaluated, so waiting for the clock estimate is possible.
-            estimate.clock.update(waits=self.holds)
-        self._decide()
-
-    def update(self) -> Iterator[tuple[LiveEstimate, Update]]:
-        """Evaluate the messages that were taken; yield the new errors by estimate."""
-        for each in self._tracks:
-            before = each.current
-            for estimate, update in each.update(self._settings):
-                if estimate is not before:
-                    self._tell_begun([estimate])
-                before = estimate
-                yield estimate, update
-        self._close_segments()
-
-    def change(self, settings: OnlineSettings, words: dict[str, Any]) -> None:
-        """Use other lengths and another window from now on."""
-        known = {name: self.words[name] for name in ("time_offset", "gauge")}
-        self.words = {**words, **known}
-        self._settings = settings.with_gauge(self._settings.protocol.gauge)
-        for each in self.estimates:
-            each.evaluator.change(settings)
-
-    def write_states(self) -> None:
-        """Write the state that `trajeval finish` needs besides pairs."""
-        for each in self._open:
-            each.files.write_state(recorded_state(self, each))
-
-    def save(self) -> None:
-        """Start to write result.json; requires pairs and no running process.
-
-        Raises:
-            InputError: The pairs can't be written.
-        """
-        self.write_states()
-        for each in self.estimates:
-            each.write_revised()
-        self.folders.finisher.save()
-
-    def drain(self, time_at: TimeAt | None) -> None:
-        """Receive and evaluate the last messages, including those in transit."""
-        until = time.monotonic() + _LAST_MESSAGES_S
-        quiet_since = time.monotonic()
-        while time.monotonic() < min(until, quiet_since + _QUIET_S):
-            before = self._received
-            self.take(time_at)
-            if self._received > before:
-                quiet_since = time.monotonic()
-            time.sleep(_QUIET_S / 10)
-        self.conclude(time_at)
-
-    def conclude(self, time_at: TimeAt | None) -> None:
-        """Evaluate everything that has arrived, including poses that wait for groundtruth."""
-        self.take(time_at)
-        self._feed(self.groundtruth.stream.last_poses())
-        for track in self._tracks:
-            track.take_last()
-        self._conclude_clocks()
-        for _ in self.update():
-            pass
-        for each in self._open:
-            each.update(at_end=True)
-            each.digest()
-
-    def close(self) -> list[str]:
-        """Write all pairs to disk; return the reasons for missing ones."""
-        self.write_states()
-        self._worker.shutdown(wait=False, cancel_futures=True)
-        troubles = [_trouble(each.close) for each in self._open]
-        troubles += [_trouble(close) for close in self.folders.close()]
-        return [each for each in [*self._troubles, *troubles] if each]
+    def has_pairs(self) -> bool:
+        """Whether there are pairs."""
+        return any(each.evaluator.pairs for each in self.estimates)
 
     @property
     def holds(self) -> bool:
         """Whether messages are only stored, because the start is not decided yet."""
-        return self._start.holds
+        return self._held is not None
 
     @property
-    def waits_for(self) -> str:
-        """What the start of the evaluation waits for; empty after the start."""
-        return self._start.waits_for
+    def restarted(self) -> LiveEstimate | None:
+        """The first estimate whose jump ends the run; None if there is none."""
+        return next((each for each in self.estimates if each.restarted_at is not None), None)
 
-    @property
-    def about_clocks(self) -> str:
-        """A sentence about the estimated clock offset; empty if it was not requested."""
-        return self._start.about_clocks
+    def end_at_jumps(self, ends: bool) -> None:
+        """Set whether the run ends at the first jump of an estimate."""
+        for each in self.estimates:
+            each.ends_at_jump = ends
 
-    @property
-    def has_pairs(self) -> bool:
-        """Whether there are pairs in the present folder."""
-        return self.folders.has_pairs(self._open)
+    def take(self, source: int, messages: DecodedMessages) -> None:
+        """Take messages of a source."""
+        if source:
+            self.estimates[source - 1].see(messages)
+        else:
+            self._see_groundtruth(messages.states)
+        if self._held is None or self._held.may_pass(source, self.body):
+            self._pass_on(source, messages)
+        elif len(messages.states.stamps):
+            self._held.add(source, messages)
 
-    def _feed(self, poses: StateColumns) -> None:
-        """Pass groundtruth states to all estimates."""
-        fed = [
-            each for track in self._tracks for each in track.open_at(track.truth_epoch(self._time))
-        ]
-        if poses.fixes is not None and len(poses.stamps):
-            for folder in dict.fromkeys(each.folder for each in fed):
-                self.folders.keep_fixes(folder, poses.stamps, poses.fixes)
-        for each in fed:
-            each.evaluator.frames.groundtruth_up = self.groundtruth_up
-            each.add_groundtruth(poses.stamps, poses.states)
+    def update(self) -> Iterator[tuple[LiveEstimate, Update]]:
+        """Evaluate the messages that were taken; yield the new errors by estimate."""
+        for each in self.estimates:
+            yield each, each.update()
+
+    def decide(self, *, at_end: bool = False) -> None:
+        """Evaluate the stored messages when clock offset and marker pose are decided."""
+        for each in self.estimates:
+            # Before the start nothing is evaluated, so waiting for the clock estimate is possible.
+            each.clock.update(at_end=at_end, waits=self.holds)
+        held_s = 0.0 if self._held is None else self._held.span_s
+        offset_s = self.start.look(self.estimates[0], held_s, at_end=at_end)
+        if offset_s is None or self._held is None:
+            return
+        self.protocol_values = {**self.protocol_values, "time_offset": offset_s}
+        self._settings = self._settings.with_offset(offset_s)
+        for each in self.estimates:
+            each.begin_to_evaluate(offset_s)
+        held, self._held = self._held.messages, None
+        self._one_by_one(held, self._pass_on)
+
+    def continue_after_restart(self, before: LiveRun) -> None:
+        """Take what the previous run, which a restart has ended, received and did not use."""
+        for new, old in zip(self.estimates, before.estimates, strict=True):
+            new.continue_after(old)
+        self._describe_groundtruth_of(before)
+        unused, before.unused = before.unused, []
+        self._one_by_one(unused, self.take)
+
+    def continue_after_silence(self, before: LiveRun, stepped_back: Sequence[int]) -> None:
+        """Take the groundtruth of the previous run, since its time has not stepped back."""
+        for place, (new, old) in enumerate(zip(self.estimates, before.estimates, strict=True), 1):
+            if place in stepped_back:
+                new.share_groundtruth(old)
+            else:
+                new.continue_after(old)
+        self._describe_groundtruth_of(before)
+
+    def resume(self) -> None:
+        """Evaluate messages again after a pause, in which the robot may have moved."""
+        self.idle = ""
+        for each in self.estimates:
+            each.jumps.skip()
+
+    def conclude(self) -> None:
+        """Evaluate the poses that wait for groundtruth, because no further messages follow."""
+        for each in self.estimates:
+            each.update(at_end=True)
+            each.digest()
+
+    def change(self, settings: OnlineSettings, protocol_values: Mapping[str, Any]) -> None:
+        """Use other lengths and another window from now on."""
+        known = {name: self.protocol_values[name] for name in ("time_offset", "gauge")}
+        self.protocol_values = {**protocol_values, **known}
+        settings = settings.with_gauge(self._settings.protocol.gauge)
+        self._settings = settings.with_offset(self._settings.offset_s)
+        for each in self.estimates:
+            each.evaluator.change(settings)
+
+    def close(self) -> list[str]:
+        """Write all pairs to disk; return the reasons for missing ones."""
+        files: list[Callable[[], object]] = [each.close for each in self.estimates]
+        files += [] if self._fixes is None else [self._fixes.close]
+        return [trouble for close in files if (trouble := _trouble(close))]
+
+    def _see_groundtruth(self, poses: StateColumns) -> None:
+        if poses.fixes is not None:
+            self._keep_upright()
+            if len(poses.stamps):
+                self._keep_fixes(poses.stamps, poses.fixes)
+        for each in self.estimates:
+            each.clock.add_groundtruth(poses.stamps, poses.states)
         if not len(poses.stamps):
             return
-        self._start.see_groundtruth(poses.states)
-        if self.body.leaves_out_velocities_of(poses.states, is_truth=True):
-            self.groundtruth.stream.status.note(MARKERS_VELOCITIES)
-        if self.watch is not None:
-            moved = poses._replace(states=self.body.truth(poses.states))
-            self.watch(moved, self._time.count)
+        self.start.see_groundtruth(poses.states)
+        self._note_velocities(
+            self.body.leaves_out_velocities_of(poses.states, is_groundtruth=True)
+        )
+        if self.on_groundtruth is not None:
+            self.on_groundtruth(poses._replace(states=self.body.groundtruth(poses.states)))
+
+    def _pass_on(self, source: int, messages: DecodedMessages) -> None:
+        if source:
+            self.estimates[source - 1].take(messages)
+            return
+        stamps, rows = messages.states.stamps, self.body.groundtruth(messages.states.states)
+        for each in self.estimates:
+            each.evaluator.frames.groundtruth_up = self.groundtruth_up
+            each.evaluator.add_groundtruth(stamps, rows)
+
+    def _one_by_one(
+        self,
+        messages: Sequence[tuple[int, DecodedMessages]],
+        take: Callable[[int, DecodedMessages], None],
+    ) -> None:
+        """Evaluate messages as if they arrived now, so that the buffers stay small.
+
+        Groundtruth is kept until the estimates that arrived with it are paired. Messages after a
+        restart are left for the next run.
+        """
+        for row, (source, each) in enumerate(messages):
+            take(source, each)
+            if source:
+                self.estimates[source - 1].evaluate()
+                if self.restarted is not None:
+                    self.unused = list(messages[row + 1 :])
+                    return
 
     def _keep_upright(self) -> None:
         """Set the yaw gauge if none is set, because errors in heights of fixes cause a tilt."""
-        self._gauge_is_default = False
-        self.words = {**self.words, "gauge": Gauge.YAW.value}
+        values = self.protocol_values
+        if values["gauge"] is not None or values["modality"] is not None:
+            return
+        self.protocol_values = {**values, "gauge": Gauge.YAW.value}
         self._settings = self._settings.with_gauge(Gauge.YAW)
-        for each in self._open:
-            each.set_gauge(Gauge.YAW)
+        for each in self.estimates:
+            each.evaluator.set_gauge(Gauge.YAW)
+            each.clock = OnlineClock(Gauge.YAW, self._worker)
         said = f"{self.groundtruth.source}: GNSS fixes; the alignment uses gauge yaw"
-        self.news.append(Notice("alignment", OK, said))
+        self.news.append(Remark(Level.NOTE, "alignment", said))
 
-    def _parts(self, side: TimeSteps, stamps: Stamps) -> Iterator[slice]:
-        """Yield the parts of a side's timestamps between steps back, unless these are ignored."""
-        if self._segmentation.on_time_jump == "ignore":
-            return iter([slice(None)])
-        return side.parts(stamps)
+    def _keep_fixes(self, stamps: Stamps, fixes: Floats) -> None:
+        """Write the original fixes to disk, because pairs do not contain their quality."""
+        self._fixes = self._fixes or FixWriter(self.folder)
+        self._fixes.append(stamps, fixes)
 
-    def _begin_if_due(self, track: EstimateSegments, side: TimeSteps, epoch: int) -> None:
-        """Start a segment of an estimate if the time of one side has stepped back."""
-        if epoch <= track.current.epoch:
-            return
-        if self.holds:
-            self._conclude_clocks()
-        folder = self.folders.after_step_back(track.current)
-        said = f"time stepped back by {side.back_ns / NANOSECONDS:.1f} s"
-        track.begin(epoch, said, self._settings, folder)
-        self._tell_begun([track.current])
+    def _note_velocities(self, are_left_out: bool) -> None:
+        if are_left_out:
+            self.groundtruth_status.note(MARKERS_VELOCITIES)
 
-    def _tell_begun(self, begun: Sequence[LiveEstimate]) -> None:
-        for each in begun:
-            each.files.write_state(recorded_state(self, each))
-            said = f"{each.name}: {each.began_by}; segment {each.segment} starts"
-            values: dict[str, float | int | str] = {
-                "segment": each.segment,
-                "folder": str(each.folder),
-            }
-            self.news.append(Notice("restart", OK, said, values=values))
-
-    def _close_segments(self) -> None:
-        """Close segments that no further message can belong to."""
-        for track in self._tracks:
-            for each in track.complete(self._time):
-                each.update(at_end=True)
-                each.digest()
-                each.files.write_state(recorded_state(self, each))
-                self.folders.see_closed(each)
-                self._troubles.append(_trouble(each.close))
-        self.folders.leave(self._open)
-
-    def _conclude_clocks(self) -> None:
-        """Decide on clocks and body now, because no further messages follow."""
-        for each in self.estimates:
-            each.clock.update(at_end=True)
-        self._decide(at_end=True)
-
-    def _decide(self, *, at_end: bool = False) -> None:
-        """Evaluate the stored messages when clock offset and marker pose are decided."""
-        offset_s = self._start.look(self.estimates, at_end=at_end)
-        if offset_s is None:
-            return
-        self.words = {**self.words, "time_offset": offset_s}
-        for each in self.estimates:
-            each.release(offset_s)
-
-    @property
-    def _received(self) -> int:
-        streams = [self.groundtruth.stream, *(each.stream for each in self.estimates)]
-        return sum(each.status.poses for each in streams)
+    def _describe_groundtruth_of(self, before: LiveRun) -> None:
+        """Draw groundtruth that was taken from the previous run; keep its fixes and its note."""
+        if self.on_groundtruth is not None:
+            stamps, rows = self.estimates[0].evaluator.buffer.newest_groundtruth
+            self.on_groundtruth(StateColumns(stamps, rows, np.arange(len(stamps))))
+        self._note_velocities(MARKERS_VELOCITIES in before.groundtruth_status.remarks)
+        if before._fixes is not None:
+            stamps, fixes = read_fix_rows(before.folder)
+            taken = [each.evaluator.buffer.newest_groundtruth[0] for each in self.estimates]
+            kept = np.isin(stamps, np.concatenate(taken))
+            self._keep_fixes(stamps[kept], fixes[kept])
 
 
 def _trouble(write: Callable[[], object]) -> str:

@@ -2,31 +2,84 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from trajeval_ros.calibration.calibrate import Calibration
+from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.marker import HandEye
-from trajeval_ros.io.requests.hand_eye_file import hand_eye_json
-from trajeval_ros.io.requests.request_words import AUTO, NONE
-from trajeval_ros.online.marker_rows import body_rows, marker_rows
+from trajeval_ros.io.bags.pose_messages import TRANSFORM_TYPES, decode_transforms
+from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey, fixed_transform
+from trajeval_ros.io.hand_eye_file import hand_eye_json
+from trajeval_ros.io.requests.setting import AUTO, NONE
+from trajeval_ros.online.live_frames import body_rows, marker_rows
 from trajeval_ros.online.state_rows import VELOCITY
-from trajeval_ros.ros.static_transform import StaticTransform
+from trajeval_ros.ros.message_types import require_installed
+from trajeval_ros.ros.subscriptions import TopicInput
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+
+_MOST_EDGES = 10_000
+
+
+class StaticTransform:
+    """Looks up the transform between two frames, `/tf_static:BODY.MARKER`."""
+
+    def __init__(self, node: Node, source: str) -> None:
+        topic, _, frames = source.partition(":")
+        self._body, dot, self._marker = (each.strip("/ ") for each in frames.partition("."))
+        if not (self._body and dot and self._marker):
+            raise SettingsError(
+                f"hand_eye {source!r} has no pair of frames; write body and marker frame as in "
+                "/tf_static:base_link.marker"
+            )
+        require_installed(TRANSFORM_TYPES[0], f"hand_eye {source}", "give a file")
+        self.source = source  # the source in the notation of the user
+        # Why the transform is not known yet; empty when it is.
+        self.trouble = f"{source}: no static transform received so far"
+        self._input = TopicInput(node, topic, TRANSFORM_TYPES[:1], is_static=True)
+        self._edges: dict[EdgeKey, Edge] = {}
+
+    def match(self) -> str:
+        """Connect to the present publishers; return a sentence for the log."""
+        return self._input.match()
+
+    def leave(self) -> None:
+        """Unsubscribe."""
+        self._input.leave()
+
+    def take(self) -> HandEye | None:
+        """Process new transforms; return the marker's pose in the body, None if not known yet."""
+        payloads = self._input.take().payloads
+        if not payloads:
+            return None
+        for key, columns in decode_transforms(payloads)[0].items():
+            if key in self._edges or len(self._edges) < _MOST_EDGES:
+                edge = Edge.from_columns(columns.stamps, columns.numbers, True)
+                if len(edge.stamps):
+                    self._edges[key] = edge
+        try:
+            lever_m, quaternion = fixed_transform(
+                self._edges, self._body, self._marker, self.source.partition(":")[0]
+            )
+        except InputError as error:
+            self.trouble = str(error)
+            return None
+        self.trouble = ""
+        return HandEye(quaternion, lever_m, self._body, self._marker)
 
 
 class MarkerBody:
     """The marker's pose in the body, given or estimated; transforms states by it.
 
-    Attributes:
-        source: Source of the pose: a file, frames, or `auto`; `none` for no marker.
-        transform: Looks up the frames; None for other sources.
-        hand_eye: The pose; None while it is unknown, or if it is not applied.
-        of_marker: Whether the evaluated body is the marker: the groundtruth has no orientation, so
-            the estimate is moved to the marker instead of the groundtruth to the body.
-        why_not: Why the requested pose is not applied; else empty.
+    Its source is a file, frames, or `auto`; `none` for no marker. If the groundtruth has no
+    orientation, the evaluated body is the marker: the estimate is moved to the marker instead of
+    the groundtruth to the body.
     """
 
     def __init__(
@@ -36,18 +89,10 @@ class MarkerBody:
         transform: StaticTransform | None = None,
         rotation_frame: str = "world",
     ) -> None:
-        """Create it.
-
-        Args:
-            source: Source of the pose, as in the attribute.
-            known: The pose, if a file contains it.
-            transform: Looks up the frames.
-            rotation_frame: Frame of the rotation errors in the estimates' covariances.
-        """
         self.source, self.transform = source, transform
-        self.hand_eye: HandEye | None = None
-        self.of_marker = False
-        self.why_not = ""
+        self.hand_eye: HandEye | None = None  # None while unknown, or if it is not applied
+        self.of_marker = False  # whether the evaluated body is the marker
+        self.why_not = ""  # why the requested pose is not applied; else empty
         self._found, self._rotation_frame = known, rotation_frame
         self._without: list[str] = []  # rotation or lever arm that is not applied, with the reason
 
@@ -57,12 +102,7 @@ class MarkerBody:
         return self.source != NONE
 
     def look(self, calibration: Calibration | None, *, is_spent: bool) -> bool:
-        """Look for the pose; return whether to stop waiting.
-
-        Args:
-            calibration: Calibration of the first estimate so far.
-            is_spent: Whether the time limit is reached.
-        """
+        """Look for the pose; return whether to stop waiting."""
         if self.transform is not None:
             self._found = self.transform.take() or self._found
             self.why_not = self.transform.trouble
@@ -81,12 +121,7 @@ class MarkerBody:
         return is_spent or self._found is not None
 
     def settle(self, *, is_oriented: bool, has_scale: bool) -> None:
-        """Apply the pose from now on, if it is known.
-
-        Args:
-            is_oriented: Whether the groundtruth has orientations.
-            has_scale: Whether the alignment has a scale.
-        """
+        """Apply the pose from now on, if it is known."""
         if self._found is None:
             self.why_not = self.why_not or "not observable in the recording so far"
         elif not is_oriented and has_scale:
@@ -98,7 +133,7 @@ class MarkerBody:
             self.hand_eye, self.of_marker = self._found, not is_oriented
             self.why_not = ""
 
-    def truth(self, rows: Floats) -> Floats:
+    def groundtruth(self, rows: Floats) -> Floats:
         """Return groundtruth states (N, 10) of the evaluated body."""
         if self.hand_eye is None or self.of_marker:
             return rows
@@ -116,9 +151,9 @@ class MarkerBody:
             return groundtruth, estimate
         return self.hand_eye.names(groundtruth, estimate, of_marker=self.of_marker)
 
-    def leaves_out_velocities_of(self, rows: Floats, *, is_truth: bool) -> bool:
+    def leaves_out_velocities_of(self, rows: Floats, *, is_groundtruth: bool) -> bool:
         """Return whether states (N, 10) of a side have velocities that a lever arm invalidates."""
-        if self.hand_eye is None or self.of_marker is is_truth:
+        if self.hand_eye is None or self.of_marker is is_groundtruth:
             return False
         velocities = rows[:, VELOCITY]
         return bool(self.hand_eye.lever_m.any() and np.nan_to_num(velocities).any())
@@ -132,13 +167,10 @@ class MarkerBody:
             return ""
         turned_deg = float(np.degrees(lie.angle(self.hand_eye.rotation_xyzw)))
         x, y, z = self.hand_eye.lever_m.tolist()
-        applied = (
-            f"marker pose: rotation {turned_deg:.1f} deg, position ({x:.3f}, {y:.3f}, {z:.3f}) m"
-        )
         without = f", {' and '.join(self._without)}" if self._without else ""
         return (
-            f"{applied} in the body frame{without}; estimated from the start of the run and "
-            "applied"
+            f"marker pose: rotation {turned_deg:.1f} deg, position ({x:.3f}, {y:.3f}, {z:.3f}) m "
+            f"in the body frame{without}; estimated from the start of the run and applied"
         )
 
     @property

@@ -6,7 +6,7 @@ import importlib
 import sys
 from typing import Any
 
-from trajeval_ros.exceptions import InputError
+from trajeval_ros.exceptions import InputError, SettingsError
 
 
 def require_ros() -> None:
@@ -35,3 +35,13 @@ def message_class(message_type: str) -> Any | None:
 def is_installed(message_type: str) -> bool:
     """Return whether messages of a type can be published and received."""
     return message_class(message_type) is not None
+
+
+def require_installed(message_type: str, user: str, otherwise: str) -> None:
+    """Raise SettingsError, with what to install or to do `otherwise`, if a type is missing."""
+    if not is_installed(message_type):
+        package = message_type.partition("/")[0]
+        raise SettingsError(
+            f"{user} needs {package}; install ros-$ROS_DISTRO-{package.replace('_', '-')}, or "
+            f"{otherwise}"
+        )

@@ -3,57 +3,56 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
-from trajeval_ros.exceptions import SettingsError, TrajevalError
+from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
 from trajeval_ros.formatting.escaping import one_line
-from trajeval_ros.online.notices import OK, Notice
+from trajeval_ros.formatting.remarks import Level, Remark
+from trajeval_ros.io.live.metrics_file import write_metrics
+from trajeval_ros.io.requests.setting import AUTO
 from trajeval_ros.ros import parameters
-from trajeval_ros.ros.events import EventTopic
-from trajeval_ros.ros.frame_broadcaster import FrameBroadcaster
+from trajeval_ros.ros.diagnostics import StatusReports, about_jump
 from trajeval_ros.ros.live_fixes import LiveFixes
-from trajeval_ros.ros.live_outputs import LiveOutputs
+from trajeval_ros.ros.live_outputs import FrameBroadcaster, LiveOutputs
 from trajeval_ros.ros.live_run import LiveRun
-from trajeval_ros.ros.marker_body import MarkerBody
-from trajeval_ros.ros.node_log import log
+from trajeval_ros.ros.live_runs import LiveRuns
+from trajeval_ros.ros.marker_body import MarkerBody, StaticTransform
 from trajeval_ros.ros.output_folder import make_folder
-from trajeval_ros.ros.parameter_table import PARAMETERS, RESET, SAVE
+from trajeval_ros.ros.parameter_table import PARAMETERS, PAUSE, RESET, SAVE, START, STOP
+from trajeval_ros.ros.pose_source import PoseSource, TimeAt, name_apart
+from trajeval_ros.ros.recorded_state import why_no_pair, write_states
 from trajeval_ros.ros.rerun_output import RerunOutput
 from trajeval_ros.ros.result_writing import ResultWriting
-from trajeval_ros.ros.segment_jumps import about_jump
-from trajeval_ros.ros.sides import Side, TimeAt, name_apart
-from trajeval_ros.ros.simulated_clock import SimulatedClock
-from trajeval_ros.ros.static_transform import StaticTransform
-from trajeval_ros.ros.status_reports import StatusReports
+from trajeval_ros.ros.start_decision import StartDecision
+from trajeval_ros.ros.status_topics import EventTopic, log
 from trajeval_ros.ros.terminal import StatusLine
-from trajeval_ros.ros.unused_messages import why_no_pair
+from trajeval_ros.ros.timing import SimulatedClock
 from trajeval_ros.ros.watching import Watching
+from trajeval_ros.viewer.sinks import sinks_for
 
-_SNAPSHOTS_SHARE = 0.05  # largest share of a core; with the whole run as window, cost increases
+_PAUSED, _STOPPED = "paused", "stopped"
 
 
 class EvaluatorNode:
     """Evaluates estimate topics against a groundtruth topic, side by side."""
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
-        """Create publishers, services and the output folder, and start.
-
-        Args:
-            node: The ROS node.
-            values: Its parameters.
-
-        Raises:
-            SettingsError: A parameter is invalid.
-            InputError: The output folder can't be created.
-        """
         self._node, self._values = node, values
         self._settings = parameters.settings_of(self._values)
+        self._alarm_limits = parameters.alarm_limits_of(self._values)
+        sinks_for(self._values["rerun"], Path(), "")  # refuses a wrong value at the start
         # It refuses a gauge with a scale before the output folder is made.
         broadcaster = (
-            FrameBroadcaster(self._node, self._settings.protocol.gauge)
+            FrameBroadcaster(
+                self._node, self._settings.protocol.gauge, self._values["transform_tolerance"]
+            )
             if self._values["broadcast_tf"]
             else None
         )
@@ -62,24 +61,28 @@ class EvaluatorNode:
         self._events = EventTopic(self._node)
         self._watching = Watching(self._node, self._values, self._events, self._log)
         self._statuses = StatusReports(self._node, self._events, self._watching)
-        self._run = self._new_run()
-        self._picture = self._new_picture()
+        self._worker = ThreadPoolExecutor(1, "clocks")
+        self._runs = self._new_runs()
+        self._pictures = {self._runs.current: self._new_picture(self._runs.current)}
         self._outputs = LiveOutputs(
             self._node,
-            [each.name for each in self._run.estimates],
+            [each.name for each in self._runs.current.estimates],
             broadcaster,
             judges=self._settings.covariances.source != "none",
         )
-        self._snapshot_at = 0.0
-        self._results = ResultWriting(lambda: self._run, self._log)
+        self._results = ResultWriting(lambda: self._runs.current, self._log)
         self._advertise()
-        self._log(f"output folder: {self._run.folders.finisher.folder}")
+        self._log(f"output folder: {self._runs.current.folder}")
 
     def finish(self) -> bool:
         """Evaluate the last messages and write everything; return whether it was written."""
         self._line.clear()
         try:
-            self._run.drain(self._time_at)
+            if self._runs.current.idle:
+                self._runs.discard()
+                self._runs.conclude(self._time_at)
+            else:
+                self._runs.drain(self._time_at)
             self._watching.conclude()
         finally:
             written = self._write()
@@ -87,42 +90,76 @@ class EvaluatorNode:
 
     def _write(self) -> bool:
         for each in self._picture.close():
-            self._log(each, warn=True)
-        troubles = self._run.close()
-        self._results.finish_left_folders(self._run)
+            self._log(each, Level.WARNING)
+        run = self._runs.current
+        write_states(run)
+        troubles = run.close()
         for each in troubles:
-            self._log_error(each)
-        if not self._run.has_pairs:
-            self._log_error(why_no_pair(self._run))
-            return False
-        return self._run.folders.finisher.finish(quiet=False) and not troubles
+            self._log(each, Level.ERROR)
+        if run.has_pairs:
+            return run.finisher.finish(quiet=False) and not troubles
+        # The last loop of a bag may end soon after its start.
+        level = Level.WARNING if self._results.has_finished else Level.ERROR
+        self._log(why_no_pair(run), level)
+        return self._results.has_finished and not troubles
 
-    def _new_run(self) -> LiveRun:
-        gauge = self._settings.protocol.gauge
-        fixes = LiveFixes(parameters.fixes_of(self._values), gauge)
-        groundtruth = Side(self._node, self._values["groundtruth_topic"], fixes)
-        sides = [Side(self._node, each) for each in self._values["estimate_topics"]]
-        name_apart(sides, self._node.get_namespace())
+    def _new_runs(self) -> LiveRuns:
+        gauge, values = self._settings.protocol.gauge, self._values
+        fixes = LiveFixes(parameters.request_of(values).fixes, gauge)
+        groundtruth = PoseSource(self._node, values["groundtruth_topic"], fixes)
+        estimates = [PoseSource(self._node, each) for each in values["estimate_topics"]]
+        name_apart(estimates, self._node.get_namespace())
+        sources = [groundtruth, *estimates]
+        runs = LiveRuns(
+            sources, lambda: self._new_run(sources), self._new_folder, parameters.rule_of(values)
+        )
+        runs.on_begun, runs.on_closed = self._begin_run, self._close_run
+        return runs
+
+    def _new_folder(self) -> Path:
+        return make_folder(self._values["output"])
+
+    def _new_run(self, sources: Sequence[PoseSource]) -> LiveRun:
         hand_eye = self._values["hand_eye"]
         transform = (
             StaticTransform(self._node, hand_eye) if parameters.names_frames(hand_eye) else None
         )
         known = parameters.known_hand_eye_of(self._values)
+        axes = self._settings.covariances.rotation_frame
+        body = MarkerBody(hand_eye, known, transform, axes)
+        start = StartDecision(body, find_offset=self._values["time_offset"] == AUTO)
         return LiveRun(
-            groundtruth,
-            sides,
+            sources,
             self._settings,
-            parameters.words_of(self._values),
-            make_folder(self._values["output"]),
-            find_offset=parameters.finds_offset(self._values),
-            body=MarkerBody(hand_eye, known, transform, self._settings.covariances.rotation_frame),
-            segmentation=parameters.segmentation_of(self._values),
-            new_folder=lambda: make_folder(self._values["output"]),
+            parameters.protocol_values_of(self._values),
+            self._new_folder(),
+            start,
+            self._worker,
+            about={
+                "label": self._values["label"],
+                "metadata": parameters.metadata_of(self._values),
+            },
         )
 
-    def _new_picture(self, before: RerunOutput | None = None) -> RerunOutput:
-        gauge = self._settings.protocol.gauge
-        picture = RerunOutput(self._values["rerun"], self._run, gauge, before)
+    def _begin_run(self, ended: LiveRun, begun: LiveRun) -> None:
+        self._pictures[begun] = self._new_picture(begun, self._pictures[ended])
+        self._outputs.begin_run()
+        why = f"{begun.began_by}; " if begun.began_by else ""
+        said = f"{why}previous results are in {ended.folder}, new results in {begun.folder}"
+        self._log(said)
+        values = {"folder": str(begun.folder)}
+        self._events.publish("run", Remark(Level.NOTE, "restart", said, values=values))
+
+    def _close_run(self, run: LiveRun, troubles: list[str]) -> None:
+        self._pictures.pop(run).end()
+        for each in troubles:
+            self._log(each, Level.WARNING)
+        self._results.finish(run)
+
+    def _new_picture(self, run: LiveRun, before: RerunOutput | None = None) -> RerunOutput:
+        protocol = self._settings.protocol
+        value, modality = self._values["rerun"], protocol.modality
+        picture = RerunOutput(value, run, protocol.gauge, before, modality)
         if picture.address:
             self._log(f"Rerun: rerun --connect {picture.address}")
         return picture
@@ -133,9 +170,19 @@ class EvaluatorNode:
         self._outputs.advertise_lengths(self._lengths)
         # A call of ~/save that waits must not delay other services.
         asked = ReentrantCallbackGroup()
-        self._node.create_service(Trigger, RESET, self._reset, callback_group=asked)
-        self._node.create_service(Trigger, SAVE, self._save, callback_group=asked)
+        for name, answer in (
+            (SAVE, self._save),
+            (RESET, self._reset),
+            (START, self._start),
+            (STOP, self._stop),
+            (PAUSE, self._pause),
+        ):
+            self._node.create_service(Trigger, name, answer, callback_group=asked)
         self._node.add_on_set_parameters_callback(self._set)
+
+    @property
+    def _picture(self) -> RerunOutput:
+        return self._pictures[self._runs.current]
 
     @property
     def tick_period_s(self) -> float:
@@ -145,7 +192,6 @@ class EvaluatorNode:
 
     @property
     def _lengths(self) -> list[str]:
-        """The lengths of sub-trajectories that are evaluated during the run."""
         return [str(each) for each in self._settings.protocol.lengths if each.unit != "%"]
 
     # Periodic work.
@@ -153,67 +199,82 @@ class EvaluatorNode:
     def tick(self) -> None:
         """Receive messages, evaluate them, publish their errors."""
         self._watching.tick()
-        self._run.take(self._time_at)
-        for estimate, update in self._run.update():
+        if self._runs.current.idle:
+            self._runs.discard()
+        else:
+            self._runs.take(self._time_at)
+        for estimate, update in self._runs.update():
             if update.stamp is None:
                 continue
-            self._outputs.publish_update(self._run, estimate, update)
+            self._outputs.publish_update(self._runs.current, estimate, update)
             self._picture.update(estimate, update)
             latency_s = estimate.latency.publish(update.stamp, time.time_ns())
             estimate.peaks.see("latency_s", latency_s)
             estimate.peaks.see_update(update, knows_up=not estimate.doubt)
-        self._tell_of_segments()
-        for estimate in self._run.estimates:
-            for side in (self._run.groundtruth, estimate.side):
-                estimate.peaks.see("staleness_s", side.silent_s)
+        run = self._runs.current
+        news, run.news = run.news, []
+        for each in news:
+            self._log(each.text)
+            self._events.publish("run", each)
+        for estimate in run.estimates:
+            for source in (run.groundtruth, estimate.source):
+                estimate.peaks.see("staleness_s", source.silent_s)
 
     def report(self) -> None:
         """Match publishers, detect jumps, and publish the errors of the window."""
         self._match()
-        for estimate in self._run.estimates:
+        run = self._runs.current
+        for estimate in run.estimates:
             for jump in estimate.digest():
-                notice = about_jump(estimate.name, jump)
-                self._log(notice.text, warn=True)
-                self._events.publish(estimate.name, notice)
+                remark = about_jump(estimate, jump)
+                if self._events.publish(estimate.name, remark):
+                    self._log(remark.text, remark.level)
                 self._picture.jump(estimate, jump)
-        begin = time.monotonic()
-        if begin < self._snapshot_at:
-            return
-        for estimate in self._run.estimates:
+        self._outputs.publish_streams(run)
+        for estimate in run.estimates:
+            arrival_s = estimate.status.stream.recent().arrival_p95_s
+            estimate.peaks.see("arrival_s", arrival_s)
             snapshot = self._outputs.publish_snapshot(estimate)
-            revised_m = self._outputs.publish_revised(self._run, estimate)
+            revised_m = self._outputs.publish_revised(run, estimate)
             self._picture.snapshot(estimate, snapshot, revised_m)
-            self._outputs.publish_geometry(self._run, estimate, snapshot)
-        took = time.monotonic() - begin
-        self._snapshot_at = begin + took / _SNAPSHOTS_SHARE
-
-    def _tell_of_segments(self) -> None:
-        """Report new segments, and write the results of complete folders."""
-        news, self._run.news = self._run.news, []
-        for each in news:
-            self._log(each.text)
-            self._events.publish("run", each)
-        self._results.finish_left_folders(self._run)
+            self._outputs.publish_geometry(run, estimate, snapshot)
 
     def _match(self) -> None:
         if self._time_at is not None:
             self._simulated_time.match()
-        for side in (self._run.groundtruth, *(each.side for each in self._run.estimates)):
-            for each in side.match():
-                self._log(each.text, warn=each.level > OK)
-                self._events.publish(side.name, each)
+        run = self._runs.current
+        for source in (run.groundtruth, *(each.source for each in run.estimates)):
+            for each in source.match():
+                if self._events.publish(source.name, each):
+                    self._log(each.text, each.level)
         self._watching.match()
-        if self._run.body.transform is not None and (said := self._run.body.transform.match()):
+        if run.body.transform is not None and (said := run.body.transform.match()):
             self._log(said)
 
-    def tell(self) -> None:
-        """Write counts, publish diagnostics, save periodically, update the status line."""
-        self._run.write_states()
-        undrawn = self._picture.dropped
-        parts = self._statuses.publish(self._run, self._outputs, self._values, undrawn)
-        for news in self._picture.news():
-            self._log(f"no output in Rerun: {news}", warn=True)
+    def save(self) -> None:
+        """Write counts, the file of metrics and, periodically, results."""
+        run = self._runs.current
+        write_states(run)
+        metrics = {
+            name: {"status": int(each.level), **each.values}
+            for name, each in self._statuses.newest.items()
+        }
+        with suppress(InputError):  # the pair file reports a disk that can't be written
+            write_metrics(run.folder, metrics)
         self._results.tell(self._values["autosave_period"])
+
+    def tell(self) -> None:
+        """Publish diagnostics, and update the status line."""
+        run = self._runs.current
+        undrawn = self._picture.dropped
+        window = self._values["window"]
+        limits = self._alarm_limits
+        parts = self._statuses.publish(run, self._outputs, limits, window, undrawn)
+        self._picture.statuses(self._statuses.remarks)
+        for each in self._events.publish_counts():
+            self._log(each.text, each.level)
+        for news in self._picture.news():
+            self._log(f"no output in Rerun: {news}", Level.WARNING)
         if (line := self._line.show(parts)) is not None:
             self._log(line)
 
@@ -228,33 +289,56 @@ class EvaluatorNode:
     def _reset(self, request: Any, response: Any) -> Any:
         """Handle ~/reset: end this run, keep its results, and start another one."""
         del request
+        ended = self._runs.current
         try:
-            begun = self._new_run()
+            self._runs.reset(self._time_at)
         except TrajevalError as error:
             return _answered(response, str(error))
-        ended, self._run = self._run, begun
-        ended.conclude(self._time_at)
-        for trouble in ended.close():
-            self._log(trouble, warn=True)
-        self._results.finish_left_folders(ended)
-        for side in (ended.groundtruth, *(each.side for each in ended.estimates)):
-            side.leave()
         if ended.body.transform is not None:
             ended.body.transform.leave()
         self._match()
-        self._picture = self._new_picture(self._picture)
-        self._outputs.begin_run()
-        self._results.finish(ended)
-        said = (
-            f"previous results are in {ended.folders.finisher.folder}, new results in "
-            f"{self._run.folders.finisher.folder}"
-        )
+        begun = self._runs.current
+        said = f"previous results are in {ended.folder}, new results in {begun.folder}"
+        return _answered(response, said, success=True)
+
+    def _start(self, request: Any, response: Any) -> Any:
+        """Handle ~/start: begin a run after ~/stop, or continue it after ~/pause."""
+        run = self._runs.current
+        if not run.idle:
+            return _answered(response, "a run is active; to start a new one, call ~/reset")
+        self._runs.discard()
+        if run.idle == _STOPPED:
+            return self._reset(request, response)
+        run.resume()
+        return self._tell_run(response, f"the run in {run.folder} continues")
+
+    def _pause(self, request: Any, response: Any) -> Any:
+        """Handle ~/pause: drop messages until ~/start."""
+        del request
+        run = self._runs.current
+        if run.idle:
+            return _answered(response, f"no active run: {run.idle}")
+        run.idle = _PAUSED
+        return self._tell_run(response, f"the run in {run.folder} is paused")
+
+    async def _stop(self, request: Any, response: Any) -> Any:
+        """Handle ~/stop: end this run; respond when result.json is written."""
+        run = self._runs.current
+        if run.idle == _STOPPED:
+            return _answered(response, f"no active run: {run.idle}")
+        if not run.idle:
+            self._runs.conclude(self._time_at)
+            run = self._runs.current  # another one if a restart was among the last messages
+        run.idle = _STOPPED
+        self._tell_run(response, f"the run in {run.folder} has ended")
+        return await self._save(request, response)
+
+    def _tell_run(self, response: Any, said: str) -> Any:
         self._log(said)
-        self._events.publish("run", Notice("restart", OK, said))
+        self._events.publish("run", Remark(Level.NOTE, "run", said))
         return _answered(response, said, success=True)
 
     def _set(self, changes: list[Any]) -> Any:
-        """Accept or reject parameters that are set during the run."""
         from rcl_interfaces.msg import SetParametersResult
 
         known = {each.name: each for each in PARAMETERS}
@@ -266,26 +350,23 @@ class EvaluatorNode:
             }
             values = {**self._values, **new}
             settings = parameters.settings_of(values)
+            limits = parameters.alarm_limits_of(values)
+            parameters.metadata_of(values)
         except SettingsError as error:
             return SetParametersResult(successful=False, reason=one_line(str(error)))
-        self._values, self._settings = values, settings
+        self._values, self._settings, self._alarm_limits = values, settings, limits
         self._outputs.advertise_lengths(self._lengths)
-        self._run.change(settings, parameters.words_of(values))
+        self._runs.current.change(settings, parameters.protocol_values_of(values))
         return SetParametersResult(successful=True)
 
     # Log.
 
-    def _log(self, text: str, warn: bool = False) -> None:
+    def _log(self, text: str, level: Level = Level.NOTE) -> None:
         self._line.clear()
-        log(self._node, text, warn=warn)
-
-    def _log_error(self, text: str) -> None:
-        self._line.clear()
-        self._node.get_logger().error(one_line(text))
+        log(self._node, text, level)
 
     @property
     def _time_at(self) -> TimeAt | None:
-        """The function that returns simulated times; None without simulated time."""
         return self._simulated_time.at if self._node.get_parameter("use_sim_time").value else None
 
 

@@ -22,14 +22,7 @@ _NICE = 10
 
 
 def make_folder(name: str) -> Path:
-    """Create the folder for a run; if it exists, with a number appended to its name.
-
-    Args:
-        name: Name from the user; empty for the date and time.
-
-    Raises:
-        InputError: It can't be made.
-    """
+    """Create the folder for a run; if it exists, with a number appended to its name."""
     named = Path(name or f"trajeval_{datetime.now():%Y_%m_%d-%H_%M_%S}").expanduser().resolve()
     folder, number = named, 1
     while folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
@@ -43,16 +36,11 @@ def make_folder(name: str) -> Path:
 
 
 class Finisher:
-    """Runs `trajeval finish` on a folder, one process at a time.
-
-    Attributes:
-        trouble: Why the last process failed; empty if it did not.
-    """
+    """Runs `trajeval finish` on a folder, one process at a time."""
 
     def __init__(self, folder: Path) -> None:
-        """Create it without a process."""
         self.folder = folder
-        self.trouble = ""
+        self.trouble = ""  # why the last process failed; empty if it did not
         self._process: subprocess.Popen[str] | None = None
         self._began = self._took_s = 0.0
         self._next_at = 0.0
@@ -131,7 +119,6 @@ class Autosave:
     """Decides when result.json is written again, and explains a longer period than requested."""
 
     def __init__(self) -> None:
-        """Create it; the first save is due after one period."""
         self._saved_at = time.monotonic()
         self._told_s = 0.0
 

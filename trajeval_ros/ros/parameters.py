@@ -9,26 +9,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from trajeval_ros.consistency.covariance_request import CovarianceRequest
-from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.geometry.fix_selection import FixRule
-from trajeval_ros.geometry.geodesy import parse_datum
+from trajeval_ros.exceptions import SettingsError, require_one_of
 from trajeval_ros.geometry.marker import HandEye
-from trajeval_ros.io.requests.request_words import (
-    AUTO,
-    NONE,
-    integrity_request,
+from trajeval_ros.io.requests.request_from import (
+    in_names_of_settings,
     known_hand_eye,
-    parse_lever,
-    parse_noise,
-    parse_up,
+    request_from,
 )
-from trajeval_ros.metrics.settings import protocol_from
-from trajeval_ros.online.intake import Limits
+from trajeval_ros.io.requests.setting import ALL, AUTO, NODE, NONE
+from trajeval_ros.io.requests.settings_table import FROZEN, SETTINGS
+from trajeval_ros.online.alarms import LIMITED_QUANTITIES, AlarmLimits
 from trajeval_ros.online.live_settings import OnlineSettings
+from trajeval_ros.online.state_buffer import BufferLimits
 from trajeval_ros.online.window import Window
-from trajeval_ros.ros.parameter_table import FROZEN, PARAMETERS, NodeParameter
-from trajeval_ros.ros.segmentation import Segmentation
+from trajeval_ros.pipeline.request import Request
+from trajeval_ros.ros.live_runs import NewRunRule
+from trajeval_ros.ros.parameter_table import PARAMETERS, NodeParameter
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -50,9 +46,12 @@ def declare(node: Node) -> dict[str, Any]:
         # YAML reads `window: 500` as a number and `max_gap: 1` as an integer. Both are valid,
         # therefore types are dynamic.
         descriptor = ParameterDescriptor(
-            description=each.description, read_only=not each.is_live, dynamic_typing=True
+            description=each.description,
+            additional_constraints=f"one of {', '.join(each.choices)}" if each.choices else "",
+            read_only=not each.is_live,
+            dynamic_typing=True,
         )
-        if each.range is not None:
+        if each.range is not None and isinstance(each.default, float):
             low, high = each.range
             descriptor.floating_point_range = [
                 FloatingPointRange(from_value=low, to_value=high, step=0.0)
@@ -63,17 +62,19 @@ def declare(node: Node) -> dict[str, Any]:
             said = " ".join(str(error).split())
             raise SettingsError(f"parameter {each.name} is not valid: {said}") from error
         values[each.name] = converted(each, declared.value)
-    needed = ["estimate_topics"] if values["watch"] else ["groundtruth_topic", "estimate_topics"]
+    needed = (
+        ["estimate_topics"] if values["watch_factor"] else ["groundtruth_topic", "estimate_topics"]
+    )
     if not all(values[each] for each in needed):
         raise SettingsError(
             "the parameters groundtruth_topic and estimate_topics are required; set them, as in "
             "--ros-args -p groundtruth_topic:=/mocap/pose -p estimate_topics:=[/vio/odometry]; "
-            "without groundtruth, set watch to a file with limits"
+            "without groundtruth, set watch_factor:=1.0"
         )
-    if not values["watch"] and (alone := [each for each in _OF_WATCH if values[each]]):
+    if not values["watch_factor"] and (alone := [each for each in _OF_WATCH if values[each]]):
         raise SettingsError(
-            f"parameter {alone[0]} needs the parameter watch; set watch to a file with limits, "
-            "which trajeval watch --learn writes"
+            f"parameter {alone[0]} needs the parameter watch_factor; set it, as in "
+            "watch_factor:=1.0"
         )
     return values
 
@@ -96,71 +97,109 @@ def converted(parameter: NodeParameter, value: Any) -> Any:
     Raises:
         SettingsError: The type does not fit, or the value is outside of the parameter's range.
     """
-    wanted, is_number = parameter.default, isinstance(value, int | float)
+    wanted, name = parameter.default, parameter.name
     if isinstance(wanted, bool):
         if isinstance(value, bool):
             return value
-        raise SettingsError(f"parameter {parameter.name} must be true or false, not {value!r}")
+        raise SettingsError(f"parameter {name} must be true or false, not {value!r}")
     if isinstance(value, bool) or value is None:
-        raise SettingsError(f"parameter {parameter.name} can't be {value}")
-    if isinstance(wanted, list) and isinstance(value, str | list):
-        return [str(each) for each in ([value] if isinstance(value, str) else value) if each]
-    if isinstance(wanted, str) and isinstance(value, str | int | float):
-        return (
-            np.format_float_positional(value, trim="-") if isinstance(value, float) else str(value)
+        choices = f"; use one of {', '.join(parameter.choices)}" if parameter.choices else ""
+        raise SettingsError(
+            f"parameter {name} can't be {str(value).lower()}, which is also the meaning of yes, "
+            f"no, on and off in YAML{choices}"
         )
-    if isinstance(wanted, float) and is_number:
+    if isinstance(wanted, float) and isinstance(value, int | float):
         low, high = parameter.range or (float(value), float(value))
         if low <= value <= high:
             return float(value)
-        raise SettingsError(
-            f"parameter {parameter.name} must be from {low:g} to {high:g}, not {value:g}"
-        )
+        raise SettingsError(f"parameter {name} must be from {low:g} to {high:g}, not {value:g}")
+    if isinstance(wanted, list) and isinstance(value, str | list):
+        return [str(each) for each in ([value] if isinstance(value, str) else value) if each]
+    if isinstance(wanted, str) and isinstance(value, str | int | float):
+        if isinstance(value, float):
+            value = np.format_float_positional(value, trim="-")
+        if parameter.choices and str(value) not in ("", *parameter.choices):
+            require_one_of(str(value), parameter.choices, f"value of parameter {name}")
+        return str(value)
     kind = {list: "a list of topics", str: "a text", float: "a number"}[type(wanted)]
-    raise SettingsError(f"parameter {parameter.name} must be {kind}, not {value!r}")
+    raise SettingsError(f"parameter {name} must be {kind}, not {value!r}")
 
 
-def words_of(values: dict[str, Any]) -> dict[str, Any]:
-    """Return the settings as arguments of `protocol_from`, like those of the command line."""
-    states = values["align_states"]
+def request_of(values: dict[str, Any]) -> Request:
+    """Return the request that the parameters state, without a known pose of the marker.
+
+    Raises:
+        SettingsError: Values are invalid or contradict each other.
+    """
+    settings = _settings_of(values)
+    if settings["hand_eye"] != AUTO:
+        del settings["hand_eye"]
+    try:
+        return request_from(settings)
+    except SettingsError as error:
+        raise SettingsError(in_names_of_settings(str(error), ":=")) from error
+
+
+def protocol_values_of(values: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings of the protocol by name, for the state of the run."""
+    settings = _settings_of(values)
+    if settings["time_offset"] == AUTO:
+        settings["time_offset"] = None
     return {
-        "gauge": values["gauge"] or None,
-        "modality": values["modality"] or None,
-        "align_states": "all" if states == FROZEN else states,
-        "align_with": values["align_with"],
-        "association": values["association"],
-        "max_time_difference": None,
-        "max_gap": values["max_gap"],
-        "time_offset": _time_offset(values["time_offset"]),
-        "lever_m": parse_lever(values["lever_arm"]) if values["lever_arm"] else None,
-        "lengths": values["lengths"],
-        "ate_form": None,
-        "re_form": None,
+        name: settings[name]
+        for name in settings
+        if SETTINGS[name].targets[0].startswith("protocol.") and name != "groundtruth_noise"
     }
 
 
-def fixes_of(values: dict[str, Any]) -> FixRule:
-    """Return the rule for the GNSS fixes of the groundtruth.
+def _settings_of(values: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings of a request by name; empty and 0 are no values."""
+    settings = {
+        name: None if values[name] == "" else values[name]
+        for name, setting in SETTINGS.items()
+        if NODE in setting.verbs
+    }
+    for name in ("min_fix_status", "max_fix_sigma"):
+        settings[name] = settings[name] or None
+    if settings["min_fix_status"]:
+        settings["min_fix_status"] = int(settings["min_fix_status"])
+    if settings["align_states"] == FROZEN:
+        settings["align_states"] = ALL
+    if settings["alert_limit"] is None:
+        settings["risk"] = None
+    return settings
+
+
+def alarm_limits_of(values: dict[str, Any]) -> dict[str, AlarmLimits]:
+    """Return the limits for alarms by name of the quantity.
 
     Raises:
         SettingsError: A value is not valid.
     """
-    return FixRule(
-        datum=parse_datum(values["datum"]) if values["datum"] else None,
-        min_status=int(values["min_fix_status"]) or None,
-        max_sigma_m=values["max_fix_sigma"] or None,
-        correlation_s=values["fix_correlation"],
-    )
+    names = [*(each.name for each in LIMITED_QUANTITIES), "rate_hz", "coverage"]
+    return {each: AlarmLimits.parse(values[f"limits_{each}"], f"limits_{each}") for each in names}
 
 
-def segmentation_of(values: dict[str, Any]) -> Segmentation:
-    """Return the rules for new segments."""
-    return Segmentation(values["on_time_jump"], values["on_restart"])
+def metadata_of(values: dict[str, Any]) -> dict[str, str]:
+    """Return the facts about the run by name.
+
+    Raises:
+        SettingsError: One has no name.
+    """
+    found = {}
+    for each in values["metadata"]:
+        name, equals, value = each.partition("=")
+        if not name.strip() or not equals:
+            raise SettingsError(
+                f"parameter metadata must be facts as in operator=Ann, not {each!r}"
+            )
+        found[name.strip()] = value.strip()
+    return found
 
 
-def finds_offset(values: dict[str, Any]) -> bool:
-    """Return whether to estimate and apply the clock offset."""
-    return bool(values["time_offset"] == AUTO)
+def rule_of(values: dict[str, Any]) -> NewRunRule:
+    """Return the causes of new runs."""
+    return NewRunRule(values["on_time_jump"], values["on_restart"])
 
 
 def names_frames(hand_eye: str) -> bool:
@@ -178,40 +217,19 @@ def known_hand_eye_of(values: dict[str, Any]) -> HandEye | None:
     return None if text in (NONE, AUTO) or names_frames(text) else known_hand_eye(text)
 
 
-def _time_offset(text: str) -> float:
-    try:
-        return 0.0 if text == AUTO else float(text)
-    except ValueError:
-        raise SettingsError(
-            f"parameter time_offset must be a number of seconds or {AUTO}, not {text!r}"
-        ) from None
-
-
 def settings_of(values: dict[str, Any]) -> OnlineSettings:
     """Return the settings of the evaluation.
 
     Raises:
         SettingsError: Values are invalid or contradict each other.
     """
+    request = request_of(values)
     return OnlineSettings(
-        protocol=protocol_from("default", **words_of(values)),
+        protocol=request.protocol,
         window=Window.parse(values["window"]),
         freeze=values["align_states"] == FROZEN,
-        limits=Limits(past_s=values["max_delay"] or math.inf),
-        covariances=_covariances(values),
-        integrity=integrity_request(values["alert_limit"], values["risk"])
-        if values["alert_limit"]
-        else None,
-        up=parse_up(values["up"]) if values["up"] else None,
-    )
-
-
-def _covariances(values: dict[str, Any]) -> CovarianceRequest:
-    source, noise = values["covariance"], values["groundtruth_noise"]
-    if source not in ("none", "message"):
-        raise SettingsError(f"parameter covariance must be none or message, not {source!r}")
-    return CovarianceRequest(
-        source,
-        rotation_frame=values["rotation_covariance_frame"],
-        groundtruth_noise=parse_noise(noise) if noise else None,
+        limits=BufferLimits(past_s=values["max_delay"] or math.inf),
+        covariances=request.covariances,
+        integrity=request.integrity,
+        up=request.up,
     )

@@ -1,48 +1,46 @@
-"""Conversion of messages to the states of the live evaluator, with counts and notes."""
+"""Conversion of messages to the states of the live evaluator, with counts and remarks."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.diagnosis.warnings import reasons
-from trajeval_ros.geometry import lie
+from trajeval_ros.formatting.remarks import Remark, note, warning
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
-from trajeval_ros.geometry.dropped_counts import count_up
 from trajeval_ros.geometry.fix_selection import FRAME
+from trajeval_ros.geometry.geodesy import Datum
+from trajeval_ros.geometry.reading import FORMAT
 from trajeval_ros.geometry.stamp_trust import LONE, NEAR_NS, StampTrust, trusted_states
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.geometry.valid_poses import add_counts, count_up, in_words
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE, PoseColumns, decode_path, decode_poses
-from trajeval_ros.online.notices import WARN, Notice
-from trajeval_ros.online.state_rows import POSITION, QUATERNION, VELOCITY, WIDTH, as_wide, states
+from trajeval_ros.io.bags.usable_poses import Frames, UsablePoses, usable_poses
+from trajeval_ros.metrics.stream_health import StreamMonitor
+from trajeval_ros.online.state_buffer import usable_rows
+from trajeval_ros.online.state_rows import POSITION, WIDTH, as_wide, states
+from trajeval_ros.ros.clock_steps import ClockSteps
 from trajeval_ros.ros.live_fixes import LiveFixes
 from trajeval_ros.ros.timing import Arrivals
 
-_MOST_NOTES = 20
+_MOST_REMARKS = 20
+_STEPS_BACK = "time_steps_back"  # code of a remark
 _STALE_AFTER_S, _STALE_PERIODS = 5.0, 3.0
 _TROUBLE_AFTER = 10  # consecutive messages without a pose
 
 
 class StateColumns(NamedTuple):
-    """States of N messages.
+    """States of N messages."""
 
-    Attributes:
-        stamps: (N,) nanoseconds.
-        states: (N, 10) or (N, 46), in the columns of `online.state_rows`.
-        rows: (N,), index of the message.
-        fixes: (N, 14), place and quality of GNSS fixes as in their messages; None for others.
-    """
-
-    stamps: Stamps
-    states: Floats
-    rows: NDArray[np.int64]
-    fixes: Floats | None = None
+    stamps: Stamps  # (N,) nanoseconds
+    states: Floats  # (N, 10) or (N, 46), in the columns of `online.state_rows`
+    rows: NDArray[np.int64]  # (N,), index of the message
+    fixes: Floats | None = None  # (N, 14), place and quality of GNSS fixes as in their messages
 
     def picked(self, rows: NDArray[Any] | slice) -> StateColumns:
         """Return the states of a mask, of indices, or of a slice."""
@@ -60,25 +58,17 @@ class StateColumns(NamedTuple):
 
 @dataclass
 class StreamStatus:
-    """Counts, frames and notes of a stream.
+    """Counts, frames and remarks of a stream in one run."""
 
-    Attributes:
-        poses: Number of poses, including repeated timestamps.
-        first: The earliest timestamp, nanoseconds; None before the first pose.
-        last: The latest timestamp, nanoseconds; None before the first pose.
-        frame: Frame of the poses, from the first message.
-        child_frame: Name of their body.
-        dropped: Number of messages without a valid pose, by reason.
-        notes: Changes during the run, as sentences.
-    """
-
-    poses: int = 0
-    first: int | None = None
-    last: int | None = None
-    frame: str = ""
-    child_frame: str = ""
-    dropped: dict[str, int] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
+    poses: int = 0  # number of poses, including repeated timestamps
+    first: int | None = None  # the earliest timestamp, nanoseconds; None before the first pose
+    last: int | None = None  # the latest timestamp, nanoseconds; None before the first pose
+    frame: str = ""  # frame of the poses, from the first message
+    child_frame: str = ""  # name of their body
+    dropped: dict[str, int] = field(default_factory=dict)  # messages without a pose, by reason
+    remarks: list[Remark] = field(default_factory=list)  # also changes during the run
+    datum: Datum | None = None  # origin of GNSS fixes; None before the first one
+    stream: StreamMonitor = field(default_factory=StreamMonitor)  # rate, gaps and delays
 
     @property
     def duration_s(self) -> float:
@@ -87,12 +77,16 @@ class StreamStatus:
             return 0.0
         return (self.last - self.first) / NANOSECONDS
 
-    def note(self, sentence: str) -> bool:
-        """Store a new sentence, up to a limit; return whether it was stored."""
-        if len(self.notes) >= _MOST_NOTES or sentence in self.notes:
+    def note(self, remark: Remark) -> bool:
+        """Store a new remark, up to a limit; return whether it was stored."""
+        if len(self.remarks) >= _MOST_REMARKS or remark in self.remarks:
             return False
-        self.notes.append(sentence)
+        self.remarks.append(remark)
         return True
+
+    def has(self, code: str) -> bool:
+        """Return whether there is a remark with a code."""
+        return any(each.code == code for each in self.remarks)
 
     def drop(self, reason: str, number: int) -> None:
         """Count messages without a valid pose."""
@@ -100,45 +94,52 @@ class StreamStatus:
 
 
 class PoseStream:
-    """Decodes the messages of one topic.
-
-    Attributes:
-        status: Counts, frames and notes so far.
-        arrivals: Delay of messages relative to their timestamps.
-        news: Notices that are not published yet.
-        trouble: Why messages currently contain no valid poses; empty if they do.
-        fixes: Selects GNSS fixes, if the topic carries fixes.
-        begins_anew: Whether time may step back to a new start, as in a bag played in a loop.
-        heard_at: Time of the last message, by `time.monotonic`; None before the first.
-    """
+    """Decodes the messages of one topic."""
 
     def __init__(
         self, topic: str, *, covariances: bool = False, fixes: LiveFixes | None = None
     ) -> None:
-        """Create it for a topic.
-
-        Args:
-            topic: Name of the topic.
-            covariances: Whether to decode the covariances of messages that have one.
-            fixes: Selects GNSS fixes; None for topics without fixes.
-        """
-        self._covariances = covariances
-        self.fixes = fixes or LiveFixes()
+        self._covariances = covariances  # whether to decode those of messages
+        self.fixes = fixes or LiveFixes()  # selects GNSS fixes, if the topic carries fixes
         self.status = StreamStatus()
-        self.arrivals = Arrivals()
-        self.news: list[Notice] = []
-        self.trouble = ""
-        self.heard_at: float | None = None
-        self.begins_anew = False
+        self.arrivals = Arrivals()  # delay of messages relative to their timestamps
+        self.clock_steps = ClockSteps()  # of an estimate, relative to the groundtruth
+        self.news: list[Remark] = []  # remarks that are not published yet
+        self.trouble: Remark | None = None  # why messages currently contain no valid poses
+        self.heard_at: float | None = None  # by `time.monotonic`
+        self.begins_anew = False  # whether a step back of time begins a new run
         self._topic = topic
         self._type = ""
-        self._names: tuple[str, str] | None = None
+        self._frames: Frames | None = None
         self._previous: int | None = None
         self._trust = StampTrust()
+        self._newest_stamp = 0  # of the newest usable pose
         self._batch, self._width = 0, WIDTH
-        self._lone_note = ""
-        self._in_a_row = 0
+        self._in_a_row: dict[str, int] = {}  # unusable messages since the last pose
         self._is_told = False
+
+    def begin_run(self, status: StreamStatus) -> None:
+        """Count messages in the status of another run from now on."""
+        before, self.status = self.status, status
+        status.frame, status.child_frame = before.frame, before.child_frame
+        if self._frames is not None:
+            _, status.frame, status.child_frame = self._frames
+        status.remarks += [each for each in before.remarks if each.code == FORMAT]
+        status.datum = self.fixes.datum
+        for each in self._all_trusts:
+            each.lone = each.farthest_ns = 0
+
+    def begin_anew(self) -> None:
+        """Forget earlier messages: their time, and the origin of fixes."""
+        self._trust, self._previous, self.fixes.datum = StampTrust(), None, None
+
+    def forget_clocks(self) -> None:
+        """Compare clocks from now on; the previous run must be closed."""
+        self.arrivals, self.clock_steps = Arrivals(), ClockSteps()
+
+    @property
+    def _all_trusts(self) -> Iterable[StampTrust]:
+        return [self._trust]
 
     @property
     def patience_s(self) -> float:
@@ -158,9 +159,10 @@ class PoseStream:
         self._see_type(message_type)
         columns = decode_poses(payloads, message_type, covariance=self._covariances)
         if columns.fix_quality is not None:
-            found = self._fix_states(columns, columns.fix_quality)
+            found = self._fix_states(columns)
+            self.status.stream.add(found.stamps, arrived_ns[found.rows])
         else:
-            found = self._trusted(self._states(columns))
+            found = self._trusted(self._states(columns), arrived_ns)
         self.arrivals.see(found.stamps, arrived_ns[found.rows])
         self._count(found)
         return found
@@ -168,7 +170,7 @@ class PoseStream:
     def last_poses(self) -> StateColumns:
         """Return the states whose timestamps are still under test, at the end of the run."""
         none = np.empty(0, dtype=np.int64)
-        found = self._trusted(StateColumns(none, np.empty((0, WIDTH)), none), at_end=True)
+        found = self._trusted(StateColumns(none, np.empty((0, WIDTH)), none), none, at_end=True)
         self._count(found)
         return found
 
@@ -187,53 +189,67 @@ class PoseStream:
     def count_new(self, new: StateColumns, arrived_ns: int) -> None:
         """Count the new states of a path that arrived at a time, nanoseconds."""
         self.arrivals.see(new.stamps[-1:], np.array([arrived_ns]))
+        self.status.stream.add(new.stamps[-1:], np.array([arrived_ns])[: len(new.stamps)])
         self._count(new)
 
     def _see_type(self, message_type: str) -> None:
         self.heard_at = time.monotonic()
         if message_type != self._type:
             self._type = message_type
-            self.status.note(f"format: {message_type}")
+            self.status.note(note(FORMAT, f"format: {message_type}"))
+
+    def _usable(self, columns: PoseColumns) -> UsablePoses:
+        """Return the poses with a timestamp; count the others and note changes of frames."""
+        found = usable_poses(columns, columns.stamps != 0, self._frames)
+        for reason, number in found.dropped.items():
+            self.status.drop(reason, number)
+        if columns.frames:
+            if self._frames is None:
+                _, self.status.frame, self.status.child_frame = columns.frames[0]
+            self._frames = columns.frames[-1]
+        for one, other in found.frame_changes:
+            before, now = (" of ".join(filter(None, each[:0:-1])) for each in (one, other))
+            said = f"{self._topic}: the frame changes from {before} to {now}"
+            self._tell("frame_changed", "frame", said)
+        return found
 
     def _states(self, columns: PoseColumns) -> StateColumns:
-        """Return the states in the columns, without poses that have no timestamp."""
-        status = self.status
-        status.drop("undecodable", columns.undecodable)
-        for _, frame, child_frame in columns.frames:
-            self._see_frames(frame, child_frame)
-        stamps, states_ = columns.stamps, states(columns.positions, columns.quaternions)
-        if columns.quaternions is not None and columns.body_velocities is not None:
-            usable = np.where(np.isfinite(states_[:, QUATERNION]), states_[:, QUATERNION], 0.0)
-            states_[:, VELOCITY] = lie.rotate(usable, columns.body_velocities)
+        (columns, velocities, dropped, _) = self._usable(columns)
+        states_ = states(columns.positions, columns.quaternions, velocities)
         if columns.covariances is not None:
             states_ = np.hstack([states_, columns.covariances.reshape(-1, 36)])
-        timed = stamps != 0  # a timestamp that was not set
-        untimed = int(np.count_nonzero(~timed))
-        status.drop("zero_stamp", untimed)
-        self._see_trouble(len(stamps) - untimed, columns.undecodable + untimed)
-        return StateColumns(stamps[timed], states_[timed], columns.rows[timed])
+        usable, unusable = usable_rows(states_)
+        stamps = columns.stamps[usable]
+        repeated = np.diff(stamps, prepend=self._newest_stamp) == 0
+        self._newest_stamp = int(stamps[-1]) if len(stamps) else self._newest_stamp
+        count = int(np.count_nonzero(repeated))
+        dropped = add_counts(dropped, unusable, {"duplicate_stamp": count})
+        self._see_trouble(len(stamps) - count, dropped)
+        return StateColumns(columns.stamps, states_, columns.rows)
 
-    def _fix_states(self, columns: PoseColumns, quality: Floats) -> StateColumns:
+    def _fix_states(self, columns: PoseColumns) -> StateColumns:
         """Return the used fixes, in metres, without those that have no timestamp."""
         status = self.status
-        timed = columns.stamps != 0
-        status.drop("undecodable", columns.undecodable)
-        status.drop("zero_stamp", int(np.count_nonzero(~timed)))
-        stamps, rows = columns.stamps[timed], columns.rows[timed]
-        places, quality = columns.positions[timed], quality[timed]
-        kept, positions, dropped = self.fixes.placed(stamps, places, quality)
-        for reason, count in dropped.items():
-            status.drop(reason, count)
         antennas = [antenna for _, antenna, _ in columns.frames]
-        for antenna in antennas:
-            self._see_frames(FRAME, antenna)
-        self._see_trouble(len(positions), columns.undecodable + len(columns.stamps))
-        if (mixed := self.fixes.mixed(antennas)) and status.note(mixed):
-            self.news.append(Notice("data", WARN, f"{self._topic}: {mixed}"))
-        as_sent = np.hstack([places, quality])[kept]
-        return StateColumns(stamps[kept], states(positions), rows[kept], as_sent)
+        own = [(row, FRAME, antenna) for row, antenna, _ in columns.frames]
+        found = self._usable(replace(columns, frames=own))
+        columns = found.columns
+        assert columns.fix_quality is not None
+        kept, positions, dropped = self.fixes.placed(
+            columns.stamps, columns.positions, columns.fix_quality
+        )
+        status.datum = self.fixes.datum
+        for reason, number in dropped.items():
+            status.drop(reason, number)
+        self._see_trouble(len(positions), add_counts(found.dropped, dropped))
+        if (mixed := self.fixes.mixed(antennas)) and status.note(note("frame_changed", mixed)):
+            self.news.append(warning("data", f"{self._topic}: {mixed}"))
+        as_sent = np.hstack([columns.positions, columns.fix_quality])[kept]
+        return StateColumns(columns.stamps[kept], states(positions), columns.rows[kept], as_sent)
 
-    def _trusted(self, found: StateColumns, *, at_end: bool = False) -> StateColumns:
+    def _trusted(
+        self, found: StateColumns, arrived_ns: Stamps, *, at_end: bool = False
+    ) -> StateColumns:
         """Return the states whose timestamps are trusted by now, and all invalid poses.
 
         States that waited get the row of the first of these messages.
@@ -244,9 +260,15 @@ class PoseStream:
         found = found._replace(states=as_wide(found.states, self._width))
         batches = np.full(len(found.stamps), self._batch)
         picked, batches = found.picked(poses), batches[poses]
-        stamps, states_, rows, batches = self._trust.take(
-            picked.stamps, picked.states, picked.rows, batches, at_end=at_end
+        stamps, states_, rows, batches, arrived = self._trust.take(
+            picked.stamps,
+            picked.states,
+            picked.rows,
+            batches,
+            arrived_ns[picked.rows],
+            at_end=at_end,
         )
+        self.status.stream.add(stamps, arrived)
         rows = np.where(batches == self._batch, rows, 0)
         if self._trust.lone > before:
             self._tell_lone(self._trust)
@@ -258,23 +280,26 @@ class PoseStream:
         """Count isolated timestamps, and report them once."""
         if not trust.lone:
             return
-        if not self._lone_note:
-            self.news.append(Notice("data", WARN, f"{self._topic}: {trust.said}"))
-        notes = [each for each in self.status.notes if each != self._lone_note]
-        self._lone_note = trust.said
-        self.status.notes = [*notes, trust.said]
+        if not self.status.has(LONE):
+            self.news.append(warning("data", f"{self._topic}: {trust.said}"))
+        others = [each for each in self.status.remarks if each.code != LONE]
+        self.status.remarks = [*others, note(LONE, trust.said)]
 
-    def _see_trouble(self, poses: int, dropped: int) -> None:
-        """Report once that messages arrive without valid poses."""
-        self._in_a_row = 0 if poses else self._in_a_row + dropped
+    def _see_trouble(self, poses: int, dropped: Mapping[str, int]) -> None:
+        """Report once that messages arrive without valid poses.
+
+        `poses` is the number of valid poses among new messages, `dropped` of others by reason.
+        """
+        self._in_a_row = {} if poses else add_counts(self._in_a_row, dropped)
         if poses:
-            self.trouble = ""
-        elif self._in_a_row >= _TROUBLE_AFTER:
-            why = self.fixes.why_none or reasons(self.status.dropped)
-            self.trouble = f"{self._topic}: no message with a valid pose: {why}"
+            self.trouble = None
+        elif sum(self._in_a_row.values()) >= _TROUBLE_AFTER:
+            why = self.fixes.why_none or ", ".join(map(in_words, self._in_a_row))
+            said = f"{self._topic}: no message with a valid pose ({why})"
+            self.trouble = warning("data", said)
             if not self._is_told:
                 self._is_told = True
-                self.news.append(Notice("data", WARN, self.trouble))
+                self.news.append(self.trouble)
 
     def _count(self, found: StateColumns) -> None:
         poses = _are_poses(found.states)
@@ -295,29 +320,22 @@ class PoseStream:
 
     def _tell_step_back(self, back_s: float) -> None:
         if self.begins_anew:
-            return  # the new segment reports it
-        told = any("timestamps step back" in each for each in self.status.notes)
-        if told or back_s < NEAR_NS / NANOSECONDS:
+            return  # the new run reports it
+        if self.status.has(_STEPS_BACK) or back_s < NEAR_NS / NANOSECONDS:
             return
-        sentence = (
+        said = (
             f"{self._topic}: timestamps step back by {back_s:.1f} s, as after a restart of a "
             "clock or bag; older poses are excluded from live values; to start a new run, "
             "call ~/reset or set on_time_jump"
         )
-        if self.status.note(sentence):
-            self.news.append(Notice("restart", WARN, sentence, values={"back_s": back_s}))
+        self._tell(_STEPS_BACK, "restart", said, {"back_s": back_s})
 
-    def _see_frames(self, frame: str, child_frame: str) -> None:
-        names = frame, child_frame
-        if self._names is None:
-            self.status.frame, self.status.child_frame = names
-        elif names != self._names:
-            before = " of ".join(filter(None, reversed(self._names)))
-            now = " of ".join(filter(None, reversed(names)))
-            sentence = f"{self._topic}: the frame changes from {before} to {now}"
-            if self.status.note(sentence):
-                self.news.append(Notice("frame", WARN, sentence))
-        self._names = names
+    def _tell(
+        self, code: str, event: str, said: str, values: Mapping[str, float] | None = None
+    ) -> None:
+        """Store a new note, and publish it as a warning with the code of an event."""
+        if self.status.note(note(code, said)):
+            self.news.append(warning(event, said, values=values))
 
 
 def _are_poses(rows: Floats) -> Booleans:

@@ -1,83 +1,96 @@
-"""The state that a live run stores next to its pairs, for `trajeval finish`.
-
-It has the settings, counts and warnings.
-"""
+"""The state that a live run stores next to its pairs, and the messages that it does not use."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from typing import Any
 
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry.dropped_counts import add_counts
-from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.online.pairing import Pairing
+from trajeval_ros.formatting.remarks import Remark, remark_json, warning
+from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.geometry.valid_poses import add_counts, reasons
+from trajeval_ros.io.requests.settings_table import settings_of
+from trajeval_ros.online.state_buffer import StateCounts
+from trajeval_ros.ros.clock_remarks import about_clock_faults, sync_risk_m
 from trajeval_ros.ros.live_estimate import LiveEstimate
-from trajeval_ros.ros.live_fixes import LiveFixes
-from trajeval_ros.ros.sides import Side
-from trajeval_ros.ros.unused_messages import groundtruth_dropped
-
-if TYPE_CHECKING:
-    from trajeval_ros.ros.live_run import LiveRun
-
-_SAME_CLOCK_S = 60.0
+from trajeval_ros.ros.live_run import LiveRun
+from trajeval_ros.ros.poses import StreamStatus
 
 
-def recorded_state(run: LiveRun, estimate: LiveEstimate) -> dict[str, Any]:
+def write_states(run: LiveRun) -> None:
+    """Write the state of all estimates that `trajeval finish` needs besides pairs."""
+    for each in run.estimates:
+        each.write_state(_recorded_state(run, each))
+
+
+def save(run: LiveRun) -> None:
+    """Start to write result.json; requires pairs and no running process."""
+    write_states(run)
+    for each in run.estimates:
+        each.write_revised()
+    run.finisher.save()
+
+
+def _recorded_state(run: LiveRun, estimate: LiveEstimate) -> dict[str, Any]:
     """Return the data that `trajeval finish` needs in addition to the pairs, as JSON values."""
-    buffer = estimate.evaluator.buffer
     return {
-        "settings": run.words,
+        "settings": run.protocol_values,
+        "stated": settings_of(run.request),
         "groundtruth": _groundtruth(run, estimate),
         "live": {
-            "messages_lost": estimate.side.lost,
+            "messages_lost": estimate.source.lost,
             "groundtruth_messages_lost": run.groundtruth.lost,
-            "losses_are_exact": estimate.side.loss_is_exact and run.groundtruth.loss_is_exact,
-            "arrival_offset_s": estimate.stream.arrivals.offset_s,
-            "groundtruth_arrival_offset_s": run.groundtruth.stream.arrivals.offset_s,
-            "sync_risk_m": sync_risk_m(run.groundtruth, estimate.side, buffer),
+            "losses_are_exact": estimate.source.loss_is_exact and run.groundtruth.loss_is_exact,
+            "streams": {
+                "groundtruth": asdict(run.groundtruth_status.stream.whole()),
+                "estimate": asdict(estimate.status.stream.whole()),
+            },
+            "sync_risk_m": sync_risk_m(run, estimate),
             "latency_p95_s": estimate.latency.p95_s,
             "jumps": estimate.jumps.count,
-            "segment": estimate.segment,
+            "began_by": run.began_by,
+            **run.about,
             "clock": asdict(estimate.clock.report),
         },
         "hand_eye": run.body.state,
-        "fixes": _fixes(run.groundtruth.stream.fixes),
-        "warnings": _warnings(run, estimate),
+        "fixes": _fixes(run),
+        "warnings": [remark_json(each) for each in _warnings(run, estimate)],
         **_estimate(estimate),
     }
 
 
-def _groundtruth(run: LiveRun, estimate: LiveEstimate) -> dict[str, Any]:
-    status, buffer = run.groundtruth.stream.status, estimate.evaluator.buffer
+def _side(counts: StateCounts, status: StreamStatus, up: UpAxis) -> dict[str, Any]:
     return {
-        "poses": buffer.groundtruth_intake.poses,
-        "states": buffer.groundtruth_count,
-        "duration_s": buffer.groundtruth_intake.duration_s,
-        "path_length_m": buffer.groundtruth_path_m,
-        "time_without_gaps_ns": buffer.groundtruth_time,
+        "poses": counts.poses,
+        "duration_s": counts.duration_s,
         "frame": status.frame,
         "child_frame": status.child_frame,
-        "up": asdict(run.groundtruth_up),
+        "up": asdict(up),
+        "notes": [remark_json(each) for each in status.remarks],
+    }
+
+
+def _groundtruth(run: LiveRun, estimate: LiveEstimate) -> dict[str, Any]:
+    status, buffer = run.groundtruth_status, estimate.evaluator.buffer
+    return {
+        **_side(buffer.groundtruth_counts, status, run.groundtruth_up),
+        "states": buffer.groundtruth_count,
+        "path_length_m": buffer.groundtruth_path_m,
+        "time_without_gaps_ns": buffer.groundtruth_time,
         "dropped": groundtruth_dropped(run, estimate),
-        "notes": list(status.notes),
     }
 
 
 def _estimate(estimate: LiveEstimate) -> dict[str, Any]:
-    status, evaluator = estimate.stream.status, estimate.evaluator
+    status, evaluator = estimate.status, estimate.evaluator
     covariances, buffer = evaluator.settings.covariances, evaluator.buffer
     between = buffer.interpolation
     return {
         "estimate": {
-            "poses": buffer.estimate_intake.poses,
+            **_side(buffer.estimate_counts, status, estimate.up),
             "states": buffer.estimate_count,
-            "duration_s": buffer.estimate_intake.duration_s,
-            "first_stamp_ns": buffer.estimate_intake.first,
-            "frame": status.frame,
-            "child_frame": status.child_frame,
-            "up": asdict(estimate.up),
-            "notes": list(status.notes),
+            "first_stamp_ns": buffer.estimate_counts.first,
             "interpolation": None if between is None else asdict(between),
         },
         "covariances": {
@@ -85,51 +98,70 @@ def _estimate(estimate: LiveEstimate) -> dict[str, Any]:
             "rotation_frame": covariances.rotation_frame,
             "groundtruth_noise": covariances.groundtruth_noise,
         },
-        "dropped": add_counts(estimate.dropped_since_begun(estimate.stream), buffer.dropped),
+        "dropped": add_counts(estimate.status.dropped, buffer.dropped),
         "aligned_by": evaluator.frozen_at,
     }
 
 
-def _fixes(fixes: LiveFixes) -> dict[str, Any] | None:
-    """Return how GNSS fixes are used; None for other groundtruth."""
-    if fixes.datum is None:
+def _fixes(run: LiveRun) -> dict[str, Any] | None:
+    datum = run.groundtruth_status.datum
+    if datum is None:
         return None
-    datum = fixes.datum.coordinates.tolist()
-    return {"datum": datum, "correlation_s": fixes.rule.correlation_s}
+    rule = run.groundtruth.stream.fixes.rule
+    return {"datum": datum.coordinates.tolist(), "correlation_s": rule.correlation_s}
 
 
-def _warnings(run: LiveRun, estimate: LiveEstimate) -> list[str]:
-    warnings = [
-        f"{counted(side.lost, 'message')} of {side.source} lost in transport to the live evaluator"
-        for side in (run.groundtruth, estimate.side)
-        if side.lost
+def _warnings(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
+    for source in (run.groundtruth, estimate.source):
+        if source.lost:
+            yield warning(
+                "messages_lost",
+                f"{counted(source.lost, 'message')} of {source.source} lost in transport to the "
+                "live evaluator",
+            )
+    for each in about_clock_faults(run, estimate):
+        yield replace(each, code=f"clock_{each.subject}")
+    for code, said in (
+        ("clock_offset", run.start.about_clocks),
+        ("not_revised", estimate.why_not_revised),
+        ("marker", run.body.said),
+        ("memory", estimate.evaluator.buffer.why_forgotten),
+    ):
+        if said:
+            yield warning(code, said)
+    if estimate.pairs_file.lost:
+        yield warning(
+            "pairs_lost",
+            f"{counted(estimate.pairs_file.lost, 'pair')} missing, since the disk could not be "
+            f"written: {estimate.pairs_file.why_lost}",
+        )
+
+
+def missing_source(run: LiveRun, estimate: LiveEstimate) -> str:
+    """Return a source of an estimate without any message so far; empty if there is none."""
+    sources = (run.groundtruth, estimate.source)
+    return next((each.source for each in sources if each.silent_s is None), "")
+
+
+def groundtruth_dropped(run: LiveRun, estimate: LiveEstimate) -> dict[str, int]:
+    """Return the number of groundtruth states that an estimate does not use, by reason."""
+    dropped = run.groundtruth_status.dropped
+    return add_counts(dropped, estimate.evaluator.buffer.groundtruth_counts.dropped)
+
+
+def why_no_pair(run: LiveRun) -> str:
+    """Return why there are no pairs: the number of poses per topic, and reasons."""
+    found = [(run.groundtruth, run.groundtruth_status, groundtruth_dropped(run, run.estimates[0]))]
+    for each in run.estimates:
+        dropped = add_counts(each.status.dropped, each.evaluator.buffer.dropped)
+        found.append((each.source, each.status, dropped))
+    counts = [
+        f"{counted(status.poses, 'pose')} on {source.source}"
+        + (f" ({reasons(dropped)})" if dropped else "")
+        for source, status, dropped in found
     ]
-    if estimate.began_by:
-        warnings.append(
-            f"segment {estimate.segment} of {estimate.side.source}: {estimate.began_by}"
-        )
-    forgotten = estimate.evaluator.buffer.why_forgotten
-    known = run.about_clocks, estimate.why_not_revised, run.body.said, forgotten
-    warnings += filter(None, known)
-    if estimate.files.pairs.lost:
-        warnings.append(
-            f"{counted(estimate.files.pairs.lost, 'pair')} missing, since the disk could not be "
-            f"written: {estimate.files.pairs.why_lost}"
-        )
-    return warnings
-
-
-def sync_risk_m(groundtruth: Side, estimate: Side, buffer: Pairing) -> float | None:
-    """Return the position error that unsynchronised clocks may cause, metres.
-
-    This is the groundtruth's mean speed times the difference of the offsets between timestamp and
-    arrival. It is an upper bound: the estimator's own delay is part of the difference. None if
-    timestamps and arrivals are of different clocks, as in a replay without simulated time.
-    """
-    one, other = groundtruth.stream.arrivals.offset_s, estimate.stream.arrivals.offset_s
-    if one is None or other is None or not buffer.groundtruth_time:
-        return None
-    if max(abs(one), abs(other)) > _SAME_CLOCK_S:
-        return None
-    speed = buffer.groundtruth_path_m / (buffer.groundtruth_time / NANOSECONDS)
-    return speed * abs(one - other)
+    clocks = (
+        each.text for estimate in run.estimates for each in about_clock_faults(run, estimate)
+    )
+    said = "no pairs of estimate and groundtruth, no result: " + ", ".join(counts)
+    return "; ".join([said, *clocks])

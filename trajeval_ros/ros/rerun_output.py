@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import functools
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from trajeval_ros.exceptions import TrajevalError
+from trajeval_ros.formatting.remarks import Remark
+from trajeval_ros.geometry.fix_selection import fixes_of_rows
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.io.fix_rows import fixes_of_rows
 from trajeval_ros.online.jump_detector import Jump
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.online.state_rows import Pairs
@@ -24,44 +25,36 @@ FILE = "run.rrd"
 
 
 class RerunOutput:
-    """Draws a live run on every sink that the parameter `rerun` names.
-
-    Attributes:
-        trouble: Why there is no picture; empty if there is one, or none was requested.
-        address: Address for viewers; empty if nothing is served.
-    """
+    """Draws a live run on every sink that the parameter `rerun` names."""
 
     def __init__(
-        self, value: str, run: LiveRun, gauge: Gauge, before: RerunOutput | None = None
+        self,
+        value: str,
+        run: LiveRun,
+        gauge: Gauge,
+        before: RerunOutput | None = None,
+        modality: str | None = None,
     ) -> None:
-        """Start to draw; `news` reports sinks that are not available, and the node continues.
-
-        Args:
-            value: Value of the parameter `rerun`.
-            run: The run to draw.
-            gauge: Gauge of its alignments.
-            before: Picture of the previous run, which ends.
-        """
         self._run = run
         self._streams: list[tuple[DrawingThread, LiveScene]] = []
         self._told: set[str] = set()
-        self.trouble = self.address = ""
-        folder = run.folders.finisher.folder
-        names = [each.name for each in run.estimates]
+        self.trouble = ""  # why there is no picture, if one was requested
+        self.address = ""  # for viewers; empty if nothing is served
+        folder, names = run.folder, [each.name for each in run.estimates]
         try:
             for place, sink in enumerate(sinks_for(value, folder / FILE, str(uuid.uuid4()))):
                 if isinstance(sink, ServerTarget):
                     self.address = sink.url
-                scene = LiveScene(folder.name, names, gauge)
-                after = None if before is None else before._ending(place)
+                scene = LiveScene(folder.name, names, gauge, modality)
+                after = None if before is None else before._stream(place)
                 self._streams.append((DrawingThread(sink, scene, after), scene))
         except TrajevalError as error:
             self.trouble = str(error)
         if self._streams:
             give_way()
-            run.watch = self._groundtruth
+            run.on_groundtruth = self._groundtruth
             for each in run.estimates:
-                each.watch = self._pairs
+                each.on_pairs = self._pairs
 
     def update(self, estimate: LiveEstimate, update: Update) -> None:
         """Show the errors of the newest pair."""
@@ -70,9 +63,8 @@ class RerunOutput:
 
     def jump(self, estimate: LiveEstimate, jump: Jump) -> None:
         """Show a jump of an estimate."""
-        name = estimate.name
-        text = f"{name} jumps by {jump.position_m:.2f} m and {jump.rotation_deg:.0f} deg"
-        self._put(lambda scene: scene.event(name, jump.stamp, text))
+        text = f"{estimate.name} jumps by {jump.position_m:.2f} m and {jump.rotation_deg:.0f} deg"
+        self._put(lambda scene: scene.event(jump.stamp, text))
 
     def snapshot(
         self, estimate: LiveEstimate, snapshot: Snapshot, revised_m: float | None
@@ -86,6 +78,15 @@ class RerunOutput:
         uncertain = estimate.uncertainty() if self._streams else None
         if uncertain is not None:
             self._put(lambda scene: scene.uncertainty(name, *uncertain))
+
+    def statuses(self, remarks: Mapping[str, Sequence[Remark]]) -> None:
+        """Show the current remarks about estimates, by name."""
+        for estimate in self._run.estimates:
+            stamps = self._run.groundtruth_status.last, estimate.status.last
+            known = [each for each in stamps if each is not None]
+            if known and estimate.name in remarks:
+                name, stamp, now = estimate.name, max(known), remarks[estimate.name]
+                self._put(functools.partial(_show_status, name, stamp, now))
 
     def news(self) -> list[str]:
         """Return the problems since the last call."""
@@ -108,25 +109,31 @@ class RerunOutput:
         late = [stream.name for stream, _ in self._streams if not stream.close()]
         return [*self.news(), *(f"Rerun's {each} does not stop in time" for each in late)]
 
-    def _ending(self, place: int) -> DrawingThread | None:
-        if place >= len(self._streams):
-            return None
-        stream, _ = self._streams[place]
-        stream.end()
-        return stream
+    def end(self) -> None:
+        """Stop drawing without waiting, because the run is complete."""
+        for stream, _ in self._streams:
+            stream.end()
 
-    def _groundtruth(self, poses: StateColumns, epoch: int) -> None:
-        up, datum = self._run.groundtruth_up, self._run.groundtruth.stream.fixes.datum
-        self._put(lambda scene: scene.groundtruth(poses.stamps, poses.states, up, epoch))
+    def _stream(self, place: int) -> DrawingThread | None:
+        return self._streams[place][0] if place < len(self._streams) else None
+
+    def _groundtruth(self, poses: StateColumns) -> None:
+        status, up = self._run.groundtruth_status, self._run.groundtruth_up
+        frames, datum = (status.frame, status.child_frame), status.datum
+        self._put(lambda scene: scene.groundtruth(poses.stamps, poses.states, up, *frames))
         if poses.fixes is not None and datum is not None:
             as_sent = fixes_of_rows(poses.fixes[:, :3], poses.fixes[:, 3:])
             fixes = replace(as_sent, datum=datum)
             self._put(lambda scene: scene.fixes(poses.stamps, fixes))
 
     def _pairs(self, estimate: LiveEstimate, pairs: Pairs) -> None:
-        name, segment = estimate.name, (estimate.epoch, estimate.segment)
-        self._put(lambda scene: scene.pairs(name, *pairs, segment))
+        name, frames = estimate.name, (estimate.status.frame, estimate.status.child_frame)
+        self._put(lambda scene: scene.pairs(name, *pairs, *frames))
 
     def _put(self, draw: Callable[[LiveScene], object]) -> None:
         for stream, scene in self._streams:
             stream.put(functools.partial(draw, scene))
+
+
+def _show_status(name: str, stamp: int, remarks: Sequence[Remark], scene: LiveScene) -> None:
+    scene.status(name, stamp, remarks)

@@ -6,69 +6,76 @@ import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.ros import parameters
 from trajeval_ros.ros.lifetime import StopSignal, ros
 from trajeval_ros.ros.message_types import require_ros
-from trajeval_ros.ros.node_log import log
+from trajeval_ros.ros.status_topics import log
 from trajeval_ros.viewer.stream import give_way
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
     from trajeval_ros.ros.node import EvaluatorNode
-    from trajeval_ros.ros.watch_node import WatchNode
+    from trajeval_ros.ros.watching import WatchNode
 
 # Period of serving services and the simulated clock. An executor rebuilds its wait set for every
 # event. At the rate of /clock, this takes longer than the evaluation.
 _SERVE_EVERY_S = 0.1
-_REPORT_EVERY_S = 0.5
-_TELL_EVERY_S = 1.0
+# Numbers of the window, paths and alarms are at most 0.5 s old; 0.1 s are for busy machines.
+_REPORT_EVERY_S = 0.4
+_REPORTS_SHARE = (
+    0.1  # the cost is proportional to estimates and window, which may be the whole run
+)
+_SAVE_EVERY_S = 1.0
 
 
 class PeriodicTask:
-    """Periodic work."""
+    """Periodic work, within a share of a core.
 
-    def __init__(self, do: Callable[[], object], period_s: Callable[[], float]) -> None:
-        """Create it.
+    Its cost is CPU time: on a busy machine the work takes longer, and is not done less often.
+    """
 
-        Args:
-            do: The work.
-            period_s: Returns the time until the next call, seconds.
-        """
+    def __init__(
+        self, do: Callable[[], object], period_s: Callable[[], float], most_share: float = 1.0
+    ) -> None:
         self.next_at = time.monotonic()
-        self._do, self._period_s = do, period_s
+        self._do, self._period_s, self._share = do, period_s, most_share
 
     def do_if_due(self, now: float) -> None:
         """Do it if it is due; missed periods are not repeated."""
-        if now >= self.next_at:
-            self._do()
-            self.next_at = max(self.next_at + self._period_s(), now)
+        if now < self.next_at:
+            return
+        begin_s = time.thread_time()
+        self._do()
+        least_s = (time.thread_time() - begin_s) / self._share
+        self.next_at = max(self.next_at + max(self._period_s(), least_s), now)
 
 
 def evaluate_live(arguments: Sequence[str]) -> int:
-    """Run the evaluator until SIGINT, SIGTERM or SIGHUP; returns the exit status.
-
-    Args:
-        arguments: ROS arguments, from `--ros-args` on.
-
-    Raises:
-        SettingsError: ROS rejects the arguments, or a parameter is invalid.
-        InputError: ROS can't be imported, or the output folder can't be made.
-    """
+    """Run the evaluator until SIGINT, SIGTERM or SIGHUP; returns the exit status."""
     require_ros()
     with ros(arguments) as stop:
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
 
-        node = Node("evaluator")
+        try:
+            node = Node("evaluator")
+        except Exception as error:  # rclpy's exceptions here have no common base class
+            said = " ".join(str(error).split())
+            raise SettingsError(
+                f"the node can't start: {said}; use_sim_time must be true or false"
+            ) from error
         work = _evaluator_or_watch(node)
         give_way()
         executor = SingleThreadedExecutor()  # other executors ignore callback groups
         executor.add_node(node)
         duties = [
             PeriodicTask(work.tick, lambda: work.tick_period_s),
-            PeriodicTask(work.report, lambda: _REPORT_EVERY_S),
-            PeriodicTask(work.tell, lambda: _TELL_EVERY_S),
+            PeriodicTask(work.report, lambda: _REPORT_EVERY_S, _REPORTS_SHARE),
+            PeriodicTask(work.tell, lambda: _REPORT_EVERY_S),
+            PeriodicTask(work.save, lambda: _SAVE_EVERY_S),
             PeriodicTask(lambda: executor.spin_once(timeout_sec=0.0), lambda: _SERVE_EVERY_S),
         ]
         try:
@@ -81,15 +88,14 @@ def evaluate_live(arguments: Sequence[str]) -> int:
 
 
 def _evaluator_or_watch(node: Node) -> EvaluatorNode | WatchNode:
-    """Return the evaluator, or the watch if there is no groundtruth topic."""
     values = parameters.declare(node)
     for each in parameters.about_unknown(node):
-        log(node, each, warn=True)
+        log(node, each, Level.WARNING)
     if values["groundtruth_topic"]:
         from trajeval_ros.ros.node import EvaluatorNode
 
         return EvaluatorNode(node, values)
-    from trajeval_ros.ros.watch_node import WatchNode
+    from trajeval_ros.ros.watching import WatchNode
 
     return WatchNode(node, values)
 

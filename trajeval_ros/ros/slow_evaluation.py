@@ -2,19 +2,69 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
+from trajeval_ros.diagnosis.warnings import about_frames
+from trajeval_ros.formatting.remarks import Remark, warning
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.io.requests.request_from import in_names_of_settings
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.online.notices import Notice
-from trajeval_ros.online.revised import RevisedPath
-from trajeval_ros.online.rows_evaluation import evaluate_rows
+from trajeval_ros.metrics.tracking_loss import Loss
 from trajeval_ros.online.state_rows import Pairs
-from trajeval_ros.online.trail import Trail
+from trajeval_ros.online.whole_run import (
+    RevisedPath,
+    ThinnedRun,
+    association_of,
+    evaluate_rows,
+)
+from trajeval_ros.pipeline.pipeline import diagnose
+from trajeval_ros.pipeline.request import Request
 from trajeval_ros.ros.background import BackgroundTask
-from trajeval_ros.ros.live_hints import hints_about
+from trajeval_ros.ros.parameter_table import PARAMETERS
+
+PARAMETER_NAMES = {each.name for each in PARAMETERS}
+_CLOCKS = {"clock_offset", "clock_drift", "small_clock_offset"}
+# Tests that need all messages. The thinned contains only some of the pairs.
+_NOT_BY_SOME_PAIRS = {
+    "few_pairs", "keyframes", "stamps_rounded", "duplicated", "groundtruth_held",
+    "groundtruth_frozen", "groundtruth_bridged", "gap_bridged", "restart",
+    # The evaluator reports these from all pairs.
+    "frozen", "frozen_at_start", "diverged", "diverged_at_start",
+}  # fmt: skip
+# From this duration on, clocks that differ by 37 s (TAI and UTC) have half of the motion in
+# common.
+_OTHER_RUN_FROM_S = 75.0
+
+
+def hints_about(
+    pairs: Pairs,
+    protocol: Protocol,
+    ups: tuple[UpAxis, UpAxis],
+    bodies: tuple[str, str],
+    losses: Sequence[Loss],
+    *,
+    of_clocks: bool,
+) -> list[Remark]:
+    """Return the mistakes that are found in pairs without losses, and differences of frames."""
+    found = [("frames", each.text) for each in about_frames(*bodies)]
+    plain = replace(protocol, lengths=(), align_states=None, align_with="positions")
+    if len(pairs.stamps):
+        some = association_of(pairs, plain, ups)
+        left_out = _NOT_BY_SOME_PAIRS if of_clocks else _NOT_BY_SOME_PAIRS | _CLOCKS
+        if some.estimate.duration_s < _OTHER_RUN_FROM_S:
+            left_out = left_out | {"other_run"}
+        diagnosis, _ = diagnose(some.groundtruth, some.estimate, Request(plain), some, losses)
+        found += [
+            (each.cause, each.text) for each in diagnosis.findings if each.cause not in left_out
+        ]
+    return [
+        warning("hint", in_names_of_settings(text, ":=", PARAMETER_NAMES), subject)
+        for subject, text in found
+    ]
+
 
 _MOST_SHARE = 0.03  # largest share of a core
 # Span of the run before the first hints, and factor of its growth before the next ones.
@@ -24,46 +74,32 @@ _GROWTH = 1.3
 
 @dataclass(frozen=True, eq=False)
 class _Findings:
-    hints: list[Notice] | None
+    hints: list[Remark] | None
     revised: Evaluation | None
 
 
 class SlowEvaluation:
-    """Runs evaluations that are too slow for a tick, repeatedly.
-
-    Attributes:
-        hints: Newest hints.
-        revised: Evaluation of the newest path; None for estimates that are not paths.
-    """
+    """Runs evaluations that are too slow for a tick, repeatedly."""
 
     def __init__(self) -> None:
-        """Create it without results."""
-        self.hints: list[Notice] = []
-        self.revised: Evaluation | None = None
+        self.hints: list[Remark] = []  # newest hints
+        self.revised: Evaluation | None = None  # of the newest path
         self._task: BackgroundTask[_Findings] = BackgroundTask(_MOST_SHARE)
         self._hints_at_s = _FIRST_S
         self._version = 0  # version of the evaluated path
 
     def renew(
         self,
-        trail: Trail,
+        thinned: ThinnedRun,
         path: RevisedPath | None,
         protocol: Protocol,
         ups: tuple[UpAxis, UpAxis],
         bodies: tuple[str, str],
+        losses: Sequence[Loss],
         *,
         of_clocks: bool,
     ) -> bool:
-        """Collect results, and start again if due; return whether a path was evaluated.
-
-        Args:
-            trail: The run, thinned to few pairs.
-            path: Newest path; None for estimates that are not paths.
-            protocol: The settings.
-            ups: The up axes of groundtruth and estimate.
-            bodies: Names of the bodies of both sides.
-            of_clocks: Whether to test the clocks.
-        """
+        """Collect results, and start again if due; return whether a path was evaluated."""
         found = self._task.take()
         if found is not None:
             self.hints = self.hints if found.hints is None else found.hints
@@ -72,11 +108,11 @@ class SlowEvaluation:
         if not self._task.is_due:
             return has_revised
         some = newest = None
-        stamps, truth, estimate = trail.columns()
+        stamps, groundtruth, estimate = thinned.columns()
         span_s = int(stamps[-1] - stamps[0]) / NANOSECONDS if len(stamps) else 0.0
         if span_s >= self._hints_at_s:
             self._hints_at_s = _GROWTH * span_s
-            some = Pairs(stamps.copy(), truth.copy(), estimate.copy())  # since they change
+            some = Pairs(stamps.copy(), groundtruth.copy(), estimate.copy())  # since they change
         if path is not None and path.version != self._version:
             newest, self._version = path.pairs(), path.version
 
@@ -84,7 +120,7 @@ class SlowEvaluation:
             return _Findings(
                 None
                 if some is None
-                else hints_about(some, protocol, ups, bodies, of_clocks=of_clocks),
+                else hints_about(some, protocol, ups, bodies, losses, of_clocks=of_clocks),
                 None if newest is None else evaluate_rows(newest, protocol, ups),
             )
 

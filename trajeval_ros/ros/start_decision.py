@@ -3,16 +3,60 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.online.state_rows import QUATERNION
-from trajeval_ros.ros.live_estimate import LiveEstimate
+from trajeval_ros.ros.live_estimate import DecodedMessages, LiveEstimate
 from trajeval_ros.ros.marker_body import MarkerBody
 
+# Limit of memory, in case timestamps do not advance: two minutes of both sides at 1 kHz.
+_MOST_STATES = 250_000
 _DECISION_S = 60.0
+
+
+class HeldMessages:
+    """Messages that arrive before the start; they are evaluated later, in order of arrival."""
+
+    def __init__(self) -> None:
+        self.messages: list[tuple[int, DecodedMessages]] = []  # with the numbers of their sources
+        self._spans: dict[int, tuple[int, int]] = {}
+        self._states = 0
+        self._has_estimates = False
+
+    def may_pass(self, source: int, body: MarkerBody) -> bool:
+        """Return whether messages need not be stored.
+
+        Before the first estimate, the evaluator drops old groundtruth itself.
+        """
+        return source == 0 and not self.messages and not body.is_wanted
+
+    def add(self, source: int, messages: DecodedMessages) -> None:
+        """Store N > 0 messages of a source."""
+        self.messages.append((source, messages))
+        if source and not self._has_estimates:
+            self._has_estimates = True
+            self._spans.clear()  # the span counts from the first estimate
+        stamps = messages.states.stamps
+        self._states += len(stamps)
+        first, last = int(stamps.min()), int(stamps.max())
+        earliest, latest = self._spans.get(source, (first, last))
+        self._spans[source] = min(first, earliest), max(last, latest)
+
+    @property
+    def span_s(self) -> float:
+        """Longest time span of a source's states since the first estimate, seconds.
+
+        Zero without an estimate. Sources are measured separately, since their clocks may differ by
+        years. Infinite if more states are stored than the limit.
+        """
+        if self._states > _MOST_STATES:
+            return math.inf
+        if not self._has_estimates:
+            return 0.0
+        return max((last - first for first, last in self._spans.values()), default=0) / NANOSECONDS
 
 
 class StartDecision:
@@ -20,21 +64,17 @@ class StartDecision:
 
     Both are estimated from the first estimate, because estimates with different offsets are not
     comparable. The clock offset of a path can't be estimated.
-
-    Attributes:
-        holds: Whether messages are only stored, because the decision is still open.
-        about_clocks: A sentence about the estimated clock offset; empty if it was not requested.
     """
 
     def __init__(self, body: MarkerBody, *, find_offset: bool) -> None:
         """Create it; messages are stored only if a marker pose or the offset is requested.
 
-        Args:
-            body: Finds the marker pose, if one is requested.
-            find_offset: Whether to find the clock offset, and apply it if it is significant.
+        With `find_offset`, the clock offset is estimated, and applied if it is significant.
         """
-        self._body, self._finds_offset = body, find_offset
-        self.holds, self.about_clocks = find_offset or body.is_wanted, ""
+        self.body, self.finds_offset = body, find_offset
+        # Whether messages are only stored, because the decision is still open.
+        self.holds = find_offset or body.is_wanted
+        self.about_clocks = ""  # a sentence about the clock offset, if it was requested
         self._is_oriented: bool | None = None  # of the groundtruth; None before its first state
 
     @property
@@ -42,8 +82,8 @@ class StartDecision:
         """What the start of the evaluation waits for; empty after the start."""
         if not self.holds:
             return ""
-        clocks = "the clock offset" if self._finds_offset else ""
-        marker = f"hand_eye {self._body.source}" if self._body.is_wanted else ""
+        clocks = "the clock offset" if self.finds_offset else ""
+        marker = f"hand_eye {self.body.source}" if self.body.is_wanted else ""
         return " and ".join(filter(None, (clocks, marker)))
 
     def see_groundtruth(self, states: Floats) -> None:
@@ -51,34 +91,28 @@ class StartDecision:
         if self._is_oriented is None:
             self._is_oriented = not np.isnan(states[0, QUATERNION.start])
 
-    def look(self, estimates: Sequence[LiveEstimate], *, at_end: bool = False) -> float | None:
+    def look(self, first: LiveEstimate, held_s: float, *, at_end: bool = False) -> float | None:
         """Return the clock offset, seconds, at the moment of the decision; otherwise None.
 
-        The decision is made when everything is known, or after one minute of held messages.
-
-        Args:
-            estimates: Newest segments of all estimates.
-            at_end: Decide now, because no further messages follow.
+        The decision is made when everything is known about the first estimate, after one minute of
+        held messages, or `at_end`.
         """
         if not self.holds:
             return None
-        first, held_s = estimates[0], max(each.held_s for each in estimates)
         is_spent = at_end or held_s >= _DECISION_S
         is_significant = first.clock.report.is_significant
-        is_known = is_significant or first.revised is not None or not self._finds_offset
-        if self._body.is_wanted:
-            is_known &= self._body.look(first.clock.calibration, is_spent=is_spent)
+        is_known = is_significant or first.revised is not None or not self.finds_offset
+        if self.body.is_wanted:
+            is_known &= self.body.look(first.clock.calibration, is_spent=is_spent)
             if self._is_oriented is None and not at_end and held_s < math.inf:
                 return None
         if not (is_known or is_spent):
             return None
         self.holds = False
-        if self._body.is_wanted:
+        if self.body.is_wanted:
             gauge = first.evaluator.settings.protocol.gauge
-            self._body.settle(
-                is_oriented=self._is_oriented is not False, has_scale=gauge.has_scale
-            )
-        return self._offset_s(first) if self._finds_offset else first.evaluator.settings.offset_s
+            self.body.settle(is_oriented=self._is_oriented is not False, has_scale=gauge.has_scale)
+        return self._offset_s(first) if self.finds_offset else first.evaluator.settings.offset_s
 
     def _offset_s(self, first: LiveEstimate) -> float:
         known, name = first.clock.report, first.name

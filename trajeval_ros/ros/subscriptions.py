@@ -12,13 +12,39 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.ros.graph import publishers_of, why_unmatched
-from trajeval_ros.ros.message_types import message_class
-from trajeval_ros.ros.qos import is_same, matching
+from trajeval_ros.io.checks import nearest
+from trajeval_ros.ros.message_types import is_installed, message_class
 
 if TYPE_CHECKING:
     from rclpy.node import Node
+
+
+# Queue of a subscription, in messages. If it is full, messages are lost even with reliable
+# delivery. It holds 20 s of groundtruth at 1 kHz. On a machine with five busy processes per core,
+# the node reads its subscriptions up to 4 s late. Only waiting messages take memory.
+DEPTH = 20_000
+
+
+def matching(publishers: Sequence[Any], *, is_static: bool = False) -> Any:
+    """Return the strictest profile that all publishers offer.
+
+    A subscription that requests more than a publisher offers does not connect, and there is no
+    error. Therefore it is reliable only if all publishers are, and latched (transient local) only
+    if all are. Static transforms are usually published before the subscription, so it is latched
+    if any publisher is.
+    """
+    from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+    offered = [each.qos_profile for each in publishers]
+    reliable = all(each.reliability == ReliabilityPolicy.RELIABLE for each in offered)
+    enough = any if is_static else all
+    latched = enough(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in offered)
+    return QoSProfile(
+        depth=DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
 
 UNMATCHED_AFTER_S = 5.0
 _REMIND_EVERY_S = 30.0
@@ -26,39 +52,26 @@ _REMIND_EVERY_S = 30.0
 
 @dataclass(frozen=True)
 class ReceivedMessages:
-    """The messages that waited on a topic.
+    """The messages that waited on a topic."""
 
-    Attributes:
-        payloads: Serialised messages, in order of arrival.
-        received: Times of reception by the middleware, nanoseconds since 1970.
-    """
-
-    payloads: list[bytes] = field(default_factory=list)
-    received: list[int] = field(default_factory=list)
+    payloads: list[bytes] = field(default_factory=list)  # serialised messages, in order of arrival
+    received: list[int] = field(default_factory=list)  # by the middleware, ns since 1970
 
 
 class Losses:
     """Counts lost messages, from gaps in the sequence numbers of the publishers.
 
-    Attributes:
-        count: Number of lost messages.
-        is_exact: Whether all gaps can be detected. Humble's middleware has no sequence numbers,
-            and Jazzy's does not distinguish the publishers of a topic.
+    Humble's middleware has no sequence numbers, and Jazzy's does not distinguish the publishers of
+    a topic. Then the count is not exact.
     """
 
     def __init__(self) -> None:
-        """Create it without a loss."""
-        self.count = 0
+        self.count = 0  # number of lost messages
         self.is_exact = True
         self._last: dict[bytes, int] = {}
 
     def see(self, info: dict[str, Any], publishers: int) -> None:
-        """Process the middleware's information on a message.
-
-        Args:
-            info: The information.
-            publishers: Number of publishers of the topic.
-        """
+        """Process the middleware's information on a message."""
         number = info.get("publication_sequence_number")
         identity = bytes((info.get("publisher_gid") or {}).get("data", b""))
         if number is None or (publishers > 1 and not identity):
@@ -73,78 +86,45 @@ class Losses:
 
 
 class TopicInput:
-    """Subscribes to a topic with the type and quality of service of its current publishers.
-
-    Attributes:
-        topic: Its name after remapping.
-        is_static: Whether it carries static transforms, which are optional.
-        type: Type of its messages; empty without a publisher.
-        losses: Counts messages that were published and did not arrive.
-    """
+    """Subscribes to a topic with the type and quality of service of its current publishers."""
 
     def __init__(
         self,
         node: Node,
         topic: str,
-        types: Sequence[str] | None,
+        types: Sequence[str],
         *,
         is_static: bool = False,
         is_optional: bool = False,
     ) -> None:
-        """Start to search for publishers.
-
-        Args:
-            node: The subscribing node.
-            topic: Name in the notation of the user, before remapping.
-            types: Readable types; None for all installed types.
-            is_static: See the attribute.
-            is_optional: Whether a missing publisher is not reported.
-        """
-        self.topic, self.is_static = node.resolve_topic_name(topic), is_static
-        self._is_optional = is_optional or is_static
-        self.type = ""
-        self.losses = Losses()
+        self.topic = node.resolve_topic_name(topic)  # after remapping
+        self.is_static = is_static  # static transforms are optional
+        self._is_optional = is_optional or is_static  # a missing publisher is not reported
+        self.type = ""  # type of its messages; empty without a publisher
+        self.publishers: list[str] = []  # names of the nodes that publish it
+        self.losses = Losses()  # counts messages that were published and did not arrive
         # The node remaps names itself, so this is the name before remapping. A second remapping
         # can change a name again.
-        self._node, self._name, self._types = node, topic, types if types is None else tuple(types)
+        self._node, self._name, self._types = node, topic, tuple(types)
         self._group = _polled()
         self._subscription: Any = None
         self._profile: Any = None
         self._class: Any = None
-        self._publishers = 0
         self._remind_at = time.monotonic() + UNMATCHED_AFTER_S
-
-    @property
-    def is_latched(self) -> bool:
-        """Whether late subscribers receive the newest messages from its publishers."""
-        from rclpy.qos import DurabilityPolicy
-
-        latched = DurabilityPolicy.TRANSIENT_LOCAL
-        return self._profile is not None and bool(self._profile.durability == latched)
 
     def match(self) -> str:
         """Connect to the present publishers; return a sentence for the log, or an empty text."""
-        publishers = publishers_of(self._node, self._name, self._types)
+        publishers = _publishers_of(self._node, self._name, self._types)
         if not publishers:
-            unknown = self._types is None and self._node.count_publishers(self._name)
-            return "" if self._is_optional and not unknown else self._remind()
+            return "" if self._is_optional else self._remind()
         profile = matching(publishers, is_static=self.is_static)
         kind = publishers[0].topic_type
         self._remind_at = time.monotonic() + UNMATCHED_AFTER_S
-        joined = len(publishers) > max(1, self._publishers)
-        self._publishers = len(publishers)
-        if joined:
-            names = ", ".join(sorted({each.node_name for each in publishers}))
-            mixed = (
-                f"; messages of {counted(len(publishers), 'publisher')} on {self.topic} are "
-                f"mixed ({names})"
-            )
-        else:
-            mixed = ""
+        self.publishers = sorted(each.node_name for each in publishers)
         again = self._subscription is not None
         if again:
-            if kind == self.type and is_same(profile, self._profile):
-                return mixed.removeprefix("; ")
+            if kind == self.type and _offer(profile) == _offer(self._profile):
+                return ""
             self._node.destroy_subscription(self._subscription)
         self.type, self._profile, self._class = kind, profile, message_class(kind)
         self._subscription = self._node.create_subscription(
@@ -156,9 +136,8 @@ class TopicInput:
             callback_group=self._group,
             event_callbacks=_no_events(),
         )
-        offer = f"{profile.reliability.name.lower()}, {profile.durability.name.lower()}"
         verb = "subscribed again" if again else "subscribed"
-        return f"{verb} to {self.topic}: {kind}, {offer}{mixed}"
+        return f"{verb} to {self.topic}: {kind}, {_offer(profile)}"
 
     def take(self) -> ReceivedMessages:
         """Return the messages since the last call."""
@@ -169,7 +148,7 @@ class TopicInput:
         with handle:
             while (message := handle.take_message(self._class, True)) is not None:
                 payload, info = message
-                self.losses.see(info, self._publishers)
+                self.losses.see(info, len(self.publishers))
                 taken.payloads.append(payload)
                 taken.received.append(info["received_timestamp"])
         return taken
@@ -184,7 +163,11 @@ class TopicInput:
         if time.monotonic() < self._remind_at:
             return ""
         self._remind_at = time.monotonic() + _REMIND_EVERY_S
-        return why_unmatched(self._node, self._name, self._types)
+        return _why_unmatched(self._node, self._name, self._types)
+
+
+def _offer(profile: Any) -> str:
+    return f"{profile.reliability.name.lower()}, {profile.durability.name.lower()}"
 
 
 def _polled() -> Any:
@@ -192,16 +175,14 @@ def _polled() -> Any:
     from rclpy.callback_groups import CallbackGroup
 
     class Polled(CallbackGroup):  # type: ignore[misc]
-        def can_execute(self, entity: Any) -> bool:
-            del entity
+        def can_execute(self, entity: Any) -> bool:  # noqa: ARG002
             return False
 
-        def beginning_execution(self, entity: Any) -> bool:
-            del entity
+        def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002
             return False
 
         def ending_execution(self, entity: Any) -> None:
-            del entity
+            pass
 
     return Polled()
 
@@ -218,3 +199,39 @@ def _no_events() -> Any:
 
 def _never(message: Any) -> None:
     raise AssertionError(f"a polled subscription was spun: {message!r}")
+
+
+def _publishers_of(node: Node, name: str, types: tuple[str, ...]) -> list[Any]:
+    """Return the endpoints that publish a topic with one of the types, all of one type."""
+    found = [
+        each
+        for each in node.get_publishers_info_by_topic(name)
+        if each.topic_type in types and is_installed(each.topic_type)
+    ]
+    return [each for each in found if each.topic_type == found[0].topic_type]
+
+
+def _why_unmatched(node: Node, name: str, types: tuple[str, ...]) -> str:
+    """Return why no message is received on a topic, and similar names or other types."""
+    topic = node.resolve_topic_name(name)
+    there = node.get_publishers_info_by_topic(name)
+    for each in there:
+        kind = each.topic_type
+        if kind in types:
+            return (
+                f"{topic} has type {kind}, which is not installed; install "
+                f"ros-$ROS_DISTRO-{kind.partition('/')[0].replace('_', '-')}"
+            )
+    if there:
+        kinds = ", ".join(sorted({each.topic_type for each in there}))
+        return f"{topic} has type {kinds}, not a supported type of poses ({', '.join(types)})"
+    poses = [
+        other
+        for other, kinds in node.get_topic_names_and_types()
+        if any(kind in types for kind in kinds)
+        and node.count_publishers(other)
+        and not other.startswith(f"{node.get_fully_qualified_name()}/")
+    ]
+    if poses:
+        return f"no publisher on {topic}; poses are on {nearest(topic, poses)}"
+    return f"no publisher on {topic}, and no poses on any other topic"

@@ -9,7 +9,7 @@ import sys
 import time
 
 from trajeval_ros.formatting.escaping import one_line
-from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.formatting.numbers import counted, whole_percent
 from trajeval_ros.online.reports import Snapshot
 
 _LOG_EVERY_S = 10.0
@@ -20,7 +20,6 @@ class StatusLine:
     """Writes to stderr, as the log does, so that results can be piped."""
 
     def __init__(self) -> None:
-        """Determine whether stderr is a terminal."""
         self._width = _width()
         self._shown = False
         self._log_at = 0.0
@@ -85,15 +84,7 @@ def leave_lost_terminal() -> None:
 def summary(
     name: str, snapshot: Snapshot, window: str, newest_m: float | None, missing: str
 ) -> str:
-    """Return one estimate's part of the line.
-
-    Args:
-        name: Name of the estimate.
-        snapshot: Its evaluation.
-        window: Window of its ATE, as in the parameter.
-        newest_m: Position error of the newest pair.
-        missing: A topic without messages so far; empty if there is none.
-    """
+    """Return one estimate's part of the line."""
     if not snapshot.pairs:
         waiting = f"{counted(snapshot.waiting, 'pose')} waiting for groundtruth"
         return f"{name}: " + (
@@ -115,5 +106,5 @@ def summary(
         words.append(f"RE {length} {errors.position_m:.3f} m")
     words.append(f"{counted(snapshot.pairs, 'pair')}")
     if snapshot.estimate_coverage is not None and snapshot.estimate_coverage < 0.995:
-        words.append(f"{100 * snapshot.estimate_coverage:.0f} % covered")
+        words.append(f"{whole_percent(snapshot.estimate_coverage)} covered")
     return " ".join(words)

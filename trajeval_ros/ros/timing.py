@@ -1,48 +1,123 @@
-"""Delay of messages at arrival, and time from arrival to the publication of their errors."""
+"""Times of arrival: simulated time, delays, and latency."""
 
 from __future__ import annotations
 
+import struct
 from collections import deque
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.stream_health import UNKNOWN
+from trajeval_ros.ros.subscriptions import TopicInput
 
-_BATCHES = 200  # batches of messages in the median
-UNKNOWN = int(np.iinfo(np.int64).min)  # an unknown time of arrival
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+
+_LATENCIES = 2000  # in the percentile
 _WAITING = 10_000  # largest number of estimates whose errors are not published yet
 
 
+_EVERY_NS = 50_000_000  # time of arrival between two stored messages
+_KEPT = 300  # stored messages per stream, at least 15 s
+# All streams have the same span, so that their offsets are comparable in a replay at any rate.
+_OFFSET_NS = 5 * NANOSECONDS
+_CONTINUOUS_S = 1.0  # timestamps that differ by more from their times of arrival are a step
+
+
 class Arrivals:
-    """The offset between the timestamps of a stream and the times of arrival."""
+    """The timestamps of a stream and their times of arrival, at most 20 per second."""
 
     def __init__(self) -> None:
-        """Create it empty."""
-        self._offsets: deque[float] = deque(maxlen=_BATCHES)
+        self._samples: deque[tuple[int, int]] = deque(maxlen=_KEPT)
 
-    def see(self, stamps: NDArray[np.int64], arrived_ns: NDArray[np.int64]) -> None:
+    def see(self, stamps: Stamps, arrived_ns: Stamps) -> None:
         """Add timestamps (N,) of messages and their times of arrival (N,), nanoseconds.
 
         A time of arrival may be `UNKNOWN`.
         """
-        middle = len(stamps) // 2  # one message represents the batch
-        if len(stamps) and arrived_ns[middle] != UNKNOWN:
-            self._offsets.append(int(arrived_ns[middle] - stamps[middle]) / NANOSECONDS)
+        known = arrived_ns != UNKNOWN
+        stamps, arrived_ns = stamps[known], arrived_ns[known]
+        if not len(stamps):
+            return
+        last = self._samples[-1][0] if self._samples else UNKNOWN
+        if arrived_ns[0] < last:
+            self._samples.clear()  # simulated time started again
+        steps = np.diff(arrived_ns // _EVERY_NS, prepend=last // _EVERY_NS)
+        new = steps != 0
+        self._samples.extend(zip(arrived_ns[new].tolist(), stamps[new].tolist(), strict=True))
+
+    @property
+    def columns(self) -> tuple[Stamps, Stamps]:
+        """Times of arrival and timestamps of stored messages, (N,) each, nanoseconds."""
+        arrived, stamps = np.array(self._samples, dtype=np.int64).reshape(-1, 2).T
+        return arrived, stamps
 
     @property
     def offset_s(self) -> float | None:
         """Median of arrival minus timestamp, s: transport, processing, and clock offset."""
-        return float(np.median(self._offsets)) if self._offsets else None
+        arrived, stamps = self.columns
+        if not len(arrived):
+            return None
+        newest = arrived >= arrived[-1] - _OFFSET_NS
+        return float(np.median((arrived - stamps)[newest])) / NANOSECONDS
+
+    def ahead(self, arrived: Stamps, stamps: Stamps) -> tuple[Stamps, NDArray[np.bool_]]:
+        """Return how far timestamps are ahead of the messages that arrive at the same time.
+
+        Args:
+            arrived: (N,) times of arrival in order, nanoseconds.
+            stamps: (N,) timestamps of another stream.
+
+        Returns:
+            Differences (K,), nanoseconds, and which messages are compared (N,): those that arrive
+            between two messages without a step of the clock between these.
+        """
+        times, own = self.columns
+        after = times.searchsorted(arrived, side="left")
+        inside = (after > 0) & (after < len(times))
+        steady = np.abs(self._steps_s(times, own)) <= _CONTINUOUS_S
+        inside[inside] = steady[after[inside] - 1]
+        end, begin = after[inside], after[inside] - 1
+        share = (arrived[inside] - times[begin]) / (times[end] - times[begin])
+        between = own[begin] + np.round(share * (own[end] - own[begin])).astype(np.int64)
+        return stamps[inside] - between, inside
+
+    def step_since(self, arrived_ns: int) -> tuple[float, int]:
+        """Return the largest step of the clock after a time of arrival, seconds, or 0.
+
+        With it comes the first timestamp after the step. Late messages without a step back are
+        none, since their delay explains them.
+        """
+        times, own = self.columns
+        steps = self._steps_s(times, own)
+        is_step = (steps > _CONTINUOUS_S) | ((steps < -_CONTINUOUS_S) & (np.diff(own) < 0))
+        rows = np.flatnonzero(is_step & (times[1:] > arrived_ns))
+        if not len(rows):
+            return 0.0, 0
+        row = rows[np.abs(steps[rows]).argmax()]
+        return float(steps[row]), int(own[row + 1])
+
+    @staticmethod
+    def _steps_s(arrived: Stamps, stamps: Stamps) -> Floats:
+        """Return the steps of timestamps (N - 1,) beyond those of the times of arrival, s."""
+        passed, stepped = np.diff(arrived) / NANOSECONDS, np.diff(stamps) / NANOSECONDS
+        forward = stepped > 0.0
+        rate = float(np.median(stepped[forward] / passed[forward])) if forward.any() else 1.0
+        steps: Floats = stepped - rate * passed
+        return steps
 
 
 class Latency:
     """The time from an estimate's arrival to the publication of its error."""
 
     def __init__(self) -> None:
-        """Create it empty."""
         self._waiting: deque[tuple[int, int]] = deque(maxlen=_WAITING)
-        self._seconds: deque[float] = deque(maxlen=10 * _BATCHES)
+        self._seconds: deque[float] = deque(maxlen=_LATENCIES)
 
     def arrive(self, stamps: NDArray[np.int64], received_ns: NDArray[np.int64]) -> None:
         """Store the times of arrival of estimates."""
@@ -66,3 +141,64 @@ class Latency:
     def p95_s(self) -> float | None:
         """The 95th percentile of the latest latencies, seconds."""
         return float(np.percentile(list(self._seconds), 95)) if self._seconds else None
+
+
+TOPIC, TYPE = "/clock", "rosgraph_msgs/msg/Clock"
+_SAMPLES = 256  # samples that are kept; with /clock at 100 Hz, 2.5 s
+_NS = struct.Struct("<iI")
+_ENCAPSULATION = b"\0\1"  # little-endian CDR, as every node of ROS writes it
+
+
+class ClockSamples:
+    """Samples of simulated time and their times of reception, for interpolation.
+
+    The clock of a ROS node does not interpolate: with /clock at 10 Hz it has steps of 0.1 s.
+    """
+
+    def __init__(self) -> None:
+        self._samples: deque[tuple[int, int]] = deque(maxlen=_SAMPLES)
+
+    def see(self, received: int, time_ns: int) -> None:
+        """Add a simulated time and its time of reception, nanoseconds."""
+        if self._samples and (time_ns < self._samples[-1][1] or received < self._samples[-1][0]):
+            self._samples.clear()  # time starts again
+        self._samples.append((received, time_ns))
+
+    def at(self, received: Stamps) -> Stamps:
+        """Return the simulated time at which messages were received, (N,), nanoseconds.
+
+        After the newest sample, time is extrapolated for at most one interval of samples. Later
+        times, and times before the oldest sample, are `UNKNOWN`.
+        """
+        found = np.full(len(received), UNKNOWN)
+        if len(self._samples) < 2:
+            return found
+        walls, times = np.array(self._samples).T
+        last = walls[-1] - walls[-2]
+        rate = (times[-1] - times[-2]) / max(last, 1)
+        known = (received >= walls[0]) & (received <= walls[-1] + last)
+        # Differences to the newest sample are small; whole times lose digits as float64.
+        between = np.interp(received - walls[-1], walls - walls[-1], times - times[-1])
+        beyond = np.maximum(received - walls[-1], 0) * rate
+        return np.where(known, times[-1] + np.round(between + beyond).astype(np.int64), found)
+
+
+class SimulatedClock:
+    """Reads /clock directly, because an executor does not report times of reception."""
+
+    def __init__(self, node: Node) -> None:
+        self._input = TopicInput(node, TOPIC, (TYPE,), is_optional=True)
+        self._samples = ClockSamples()
+
+    def match(self) -> None:
+        """Connect to the present publishers."""
+        self._input.match()
+
+    def at(self, received: Stamps) -> Stamps:
+        """Return the simulated time at which messages were received; see `ClockSamples.at`."""
+        taken = self._input.take()
+        for payload, when in zip(taken.payloads, taken.received, strict=True):
+            if payload[:2] == _ENCAPSULATION and len(payload) >= 4 + _NS.size:
+                seconds, nanoseconds = _NS.unpack_from(payload, 4)
+                self._samples.see(when, seconds * NANOSECONDS + nanoseconds)
+        return self._samples.at(received)

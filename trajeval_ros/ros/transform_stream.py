@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.remarks import note, warning
 from trajeval_ros.geometry.arrays import Stamps
+from trajeval_ros.geometry.reading import FORMAT
 from trajeval_ros.geometry.stamp_trust import LONE, NEAR_NS, StampTrust
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.pose_messages import TransformColumns, decode_transforms
@@ -22,7 +24,7 @@ from trajeval_ros.io.bags.transform_tree import (
     find_way,
     leading_edge,
 )
-from trajeval_ros.online.notices import WARN, Notice
+from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.state_rows import states
 from trajeval_ros.ros.poses import PoseStream, StateColumns
 
@@ -43,10 +45,9 @@ class TransformStream(PoseStream):
     """
 
     def __init__(self, source: str, parent: str, child: str) -> None:
-        """Create it for the pose of `child` in `parent`."""
         super().__init__(source)
         self.status.frame, self.status.child_frame = parent, child
-        self.status.note("format: TF")
+        self.status.note(note(FORMAT, "format: TF"))
         self._parent, self._child = parent, child
         self._edges: dict[EdgeKey, Edge] = {}
         self._trusts: dict[EdgeKey, StampTrust] = {}
@@ -59,8 +60,7 @@ class TransformStream(PoseStream):
         self, message_type: str, payloads: Sequence[bytes], arrived_ns: Stamps
     ) -> StateColumns:
         """Return the states that new messages complete, with the index of the last message."""
-        # Timestamps are tested per edge.
-        del message_type
+        del message_type  # timestamps are tested per edge
         edges, undecodable = decode_transforms(payloads)
         self.status.drop("undecodable", undecodable)
         for key, columns in edges.items():
@@ -76,6 +76,9 @@ class TransformStream(PoseStream):
             self._until = int(stamps[-1])
             self.heard_at = time.monotonic()
             self.arrivals.see(stamps[-1:], arrived_ns[-1:])
+            arrived = np.full(len(stamps), UNKNOWN)  # only of the newest
+            arrived[-1] = arrived_ns[-1]
+            self.status.stream.add(stamps, arrived)
         self._forget()
         self._count(found)
         return found
@@ -90,14 +93,17 @@ class TransformStream(PoseStream):
             if self._wants(key) and (known is None or known.is_static):
                 self._keep(key, Edge.from_columns(columns.stamps, columns.numbers, True))
 
+    @property
+    def _all_trusts(self) -> Iterable[StampTrust]:
+        return self._trusts.values()
+
     def tell_trouble(self) -> None:
         """Warn once if `trouble` lasts for `_WARN_AFTER_S`, even if no more transforms arrive."""
         if self.trouble and self._warn_at is not None and time.monotonic() > self._warn_at:
             self._warn_at = np.inf
-            self.news.append(Notice("data", WARN, self.trouble))
+            self.news.append(self.trouble)
 
     def _extend(self, key: EdgeKey, columns: TransformColumns) -> None:
-        """Add transforms to a moving edge."""
         timed = columns.stamps != 0  # a timestamp that was not set
         trust = self._trusts.setdefault(key, StampTrust())
         before = trust.lone
@@ -110,7 +116,7 @@ class TransformStream(PoseStream):
             last = stamps[:1] if known is None or known.is_static else known.stamps[-1:]
             back = np.flatnonzero(np.diff(np.concatenate([last, stamps])) < -NEAR_NS)
             if len(back):
-                self._begin_anew()
+                self._drop_moving()
                 stamps, numbers = stamps[back[-1] :], numbers[back[-1] :]
         new = Edge.from_columns(stamps, numbers, False)
         if key == self._leading and len(new.stamps):
@@ -118,7 +124,12 @@ class TransformStream(PoseStream):
         known = self._edges.get(key)
         self._keep(key, new if known is None or known.is_static else known.joined(new))
 
-    def _begin_anew(self) -> None:
+    def begin_anew(self) -> None:
+        """Forget earlier messages."""
+        self._trusts = {}
+        self._drop_moving()
+
+    def _drop_moving(self) -> None:
         """Drop moving transforms, because time started again."""
         self._edges = {key: edge for key, edge in self._edges.items() if edge.is_static}
         self._way, self._leading, self._until = [], None, _NEVER
@@ -131,24 +142,19 @@ class TransformStream(PoseStream):
             self._edges[key] = edge
 
     def _new_stamps(self) -> Stamps:
-        """Return the timestamps with a new pose."""
         try:
             leading, span = self._lead()
         except InputError as error:
-            self.trouble = str(error)
+            self.trouble = warning("data", str(error))
             if self._warn_at is None:
                 self._warn_at = time.monotonic() + _WARN_AFTER_S
             return np.empty(0, dtype=np.int64)
-        self.trouble = ""
+        self.trouble = None
         stamps = self._edges[leading].within(*span)
         return stamps[stamps > self._until]
 
     def _lead(self) -> tuple[EdgeKey, tuple[int, int]]:
-        """Return the leading edge, and first and last timestamp that all edges cover.
-
-        Raises:
-            InputError: There are no poses yet; the message has the reason.
-        """
+        """Return the leading edge, and first and last timestamp that all edges cover."""
         if not self._way:
             self._way = find_way(self._edges, self._parent, self._child, self._topic)
             self._edges = {key: self._edges[key] for key, _ in self._way}
@@ -168,7 +174,6 @@ class TransformStream(PoseStream):
         return self._leading, span
 
     def _forget(self) -> None:
-        """Remove transforms that no later pose needs."""
         for key, edge in self._edges.items():
             if edge.is_static:
                 continue

@@ -1,176 +1,263 @@
-"""Monitoring with or without an evaluation: watch, black box, snapshots."""
+"""Monitoring with or without an evaluation: the watch, and snapshots on an alarm."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from trajeval_ros.io.requests.limits_file import read_limits
-from trajeval_ros.online.notices import ERROR, OK, STALE, Notice, Standing, gravest_first
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.formatting.remarks import Level, Remark, most_severe_first, warning
+from trajeval_ros.io.bags.rate_messages import IMU_TYPE
+from trajeval_ros.online.alarms import Standing
 from trajeval_ros.ros.background import BackgroundTask
-from trajeval_ros.ros.black_box import BlackBox, BlackBoxSettings
-from trajeval_ros.ros.events import EventTopic
-from trajeval_ros.ros.live_watch import LiveWatch, WatchReport
-from trajeval_ros.ros.snapshots import Snapshots
-from trajeval_ros.ros.status_message import status_message
-from trajeval_ros.ros.watched_topics import WatchedTopics
+from trajeval_ros.ros.live_watch import LiveWatch, WatchedMessages, WatchReport
+from trajeval_ros.ros.message_types import require_installed
+from trajeval_ros.ros.pose_source import PoseSource, about_publishers
+from trajeval_ros.ros.status_topics import DiagnosticsTopic, EventTopic, log, status_message
+from trajeval_ros.ros.subscriptions import TopicInput
+from trajeval_ros.watchdog.signals import pair_sources
 
 if TYPE_CHECKING:
     from rclpy.node import Node
+
+
+class WatchNode:
+    """Watches an estimate, with the evaluator's name and parameters."""
+
+    def __init__(self, node: Node, values: dict[str, Any]) -> None:
+        self._values = values
+        self._watching = Watching(node, values, EventTopic(node), partial(log, node))
+        self._diagnostics = DiagnosticsTopic(node)
+        log(node, "no groundtruth_topic: the estimate is watched without evaluation")
+
+    @property
+    def tick_period_s(self) -> float:
+        """Time between two ticks, seconds."""
+        period: float = 1.0 / self._values["publish_rate"]
+        return period
+
+    def tick(self) -> None:
+        """Receive messages, and report alarms."""
+        self._watching.tick()
+
+    def report(self) -> None:
+        """Match publishers."""
+        self._watching.match()
+
+    def tell(self) -> None:
+        """Publish diagnostics."""
+        self._diagnostics.publish(self._watching.statuses())
+
+    def save(self) -> None:
+        """Do nothing, because there is no output to write."""
+
+    def finish(self) -> bool:
+        """Process the last messages; return True, because there is no output to write."""
+        self._watching.conclude()
+        return True
+
+
+_SNAPSHOT_PATIENCE_S = 10.0
+# Least time between two calls. The recorder's memory covers about as much time, so that a snapshot
+# soon after another one has the same messages again.
+_SNAPSHOT_PAUSE_S = 60.0
+
+
+class Snapshots:
+    """Calls the snapshot service of a recorder that runs in snapshot mode."""
+
+    def __init__(self, node: Node, service: str) -> None:
+        try:
+            from rosbag2_interfaces.srv import Snapshot
+        except ImportError as error:
+            raise SettingsError(
+                f"snapshot_service {service} needs rosbag2_interfaces; install "
+                "ros-$ROS_DISTRO-rosbag2-interfaces, or remove it"
+            ) from error
+        try:
+            self._client = node.create_client(Snapshot, service)
+        except Exception as error:  # rclpy's exceptions here have no common base class
+            said = " ".join(str(error).split())
+            raise SettingsError(f"{service!r} is not a service name: {said}") from error
+        self._request, self._name = Snapshot.Request, self._client.srv_name
+        self._free_at = 0.0
+        self._answer: Any = None
+        self._late_at = 0.0
+        self._is_asked_for = False
+
+    def trigger(self) -> None:
+        """Request a snapshot, unless the last request is too recent."""
+        now = time.monotonic()
+        if now >= self._free_at:
+            self._free_at = now + _SNAPSHOT_PAUSE_S
+            self._is_asked_for = True
+
+    def renew(self) -> tuple[str, Level] | None:
+        """Call the service or check its response; return a sentence and its level."""
+        if self._is_asked_for:
+            self._is_asked_for = False
+            if not self._client.service_is_ready():
+                return (
+                    f"no snapshot: no service {self._name}; start ros2 bag record with "
+                    "--snapshot-mode",
+                    Level.WARNING,
+                )
+            self._answer = self._client.call_async(self._request())
+            self._late_at = time.monotonic() + _SNAPSHOT_PATIENCE_S
+        if self._answer is None:
+            return None
+        if self._answer.done():
+            answer, self._answer = self._answer.result(), None
+            if answer.success:
+                return f"snapshot taken by {self._name}", Level.NOTE
+            return f"no snapshot: {self._name} refused", Level.WARNING
+        if time.monotonic() < self._late_at:
+            return None
+        self._client.remove_pending_request(self._answer)
+        self._answer = None
+        said = f"no snapshot: no answer of {self._name} within {_SNAPSHOT_PATIENCE_S:g} s"
+        return said, Level.WARNING
+
 
 # Processing one message takes about as much CPU time as processing twenty.
 _LOOK_EVERY_S = 0.1
 _MOST_SHARE = 0.25  # largest share of a core, for topics with high rates
 _STALE_AFTER_S = 5.0
 
-Log = Callable[[str, bool], object]
+Log = Callable[[str, Level], object]
 
 
 class EstimateWatch:
-    """Watches the first estimate on its own thread.
-
-    Attributes:
-        name: Subject of its events and its status.
-        report: The newest report.
-    """
+    """Watches the first estimate on its own thread, by subscriptions of its own."""
 
     def __init__(self, node: Node, values: Mapping[str, Any]) -> None:
-        """Create it.
-
-        Args:
-            node: Subscribes.
-            values: The parameters.
-
-        Raises:
-            InputError: The limits can't be read, or were learned without a source that is there.
-            SettingsError: A topic's name is not valid.
-        """
-        limits = read_limits(Path(values["watch"]).expanduser())
-        self._node_name = node.get_fully_qualified_name()
-        self._topics = WatchedTopics(node, values)
+        imu, corrections = values["imu_topic"], values["map_to_odom"]
+        self._estimate = PoseSource(node, values["estimate_topics"][0])
+        partners = [PoseSource(node, each) for each in values["watch_with"]]
+        sources = pair_sources([each.name for each in partners])
+        # Second estimates, and transforms from the map, by source.
+        self._others = dict(zip(sources, partners, strict=True))
+        if corrections:
+            self._others["map"] = PoseSource(node, corrections)
+        if imu:
+            require_installed(IMU_TYPE, f"imu_topic {imu}", "remove it")
+        self._imu = TopicInput(node, imu, [IMU_TYPE]) if imu else None
         self._watch = LiveWatch(
-            limits,
             values["watch_factor"],
-            self._topics.estimate.stream,
-            {source: each.stream for source, each in self._topics.others.items()},
-            has_imu=bool(values["imu_topic"]),
+            self._estimate.stream,
+            {source: each.stream for source, each in self._others.items()},
+            has_imu=bool(imu),
         )
         self._task: BackgroundTask[WatchReport] = BackgroundTask(_MOST_SHARE)
         self._look_at = 0.0
-        self.report = WatchReport()
-        self.name = f"{self._topics.estimate.name} watch"
+        self._forget_gathered()
+        self._report = WatchReport()
+        self.name = f"{self._estimate.name} watch"  # subject of its events and its status
+        self._node, self.standing = node, Standing()
 
-    def match(self) -> list[Notice]:
-        """Connect to the current publishers; returns notices."""
-        return self._topics.match()
+    def match(self) -> list[Remark]:
+        """Connect to the current publishers; return remarks."""
+        sides = [self._estimate, *self._others.values()]
+        told = [each for side in sides for each in side.match()]
+        if self._imu is not None and (said := self._imu.match()):
+            told.append(about_publishers(said))
+        return told
 
     def tick(self) -> WatchReport | None:
         """Gather the messages that have arrived, and process them if due; return a new report."""
-        self._topics.gather()
+        self._gather()
         found = self._task.take()
         if self._task.is_due and time.monotonic() >= self._look_at:
             self._look_at = time.monotonic() + _LOOK_EVERY_S
-            messages = self._topics.gathered()
+            messages = self._gathered()
             self._task.start(lambda: self._watch.look(messages))
-        self.report = found or self.report
+        self._report = found or self._report
         return found
 
     def conclude(self) -> list[WatchReport]:
         """Process the last messages; return the reports about them."""
-        self._topics.gather()
+        self._gather()
         running = self._task.wait()
-        self.report = self._watch.look(self._topics.gathered())
+        self._report = self._watch.look(self._gathered())
         self._task.close()
-        return [self.report] if running is None else [running, self.report]
+        return [self._report] if running is None else [running, self._report]
 
-    @property
-    def history(self) -> dict[str, Any]:
-        """The signals of the last minute with their limits, for the JSON file of a clip."""
-        return {"estimate": self._topics.estimate.source, **self.report.history}
+    def _gather(self) -> None:
+        if self._imu is not None:
+            self._readings += self._imu.take().payloads
+        for source, each in self._others.items():
+            self._of_others[source] += each.take(None)
+        self._estimates += self._estimate.take(None)
+
+    def _gathered(self) -> WatchedMessages:
+        gathered = WatchedMessages(self._estimates, self._of_others, self._readings)
+        self._forget_gathered()
+        return gathered
+
+    def _forget_gathered(self) -> None:
+        self._estimates: list[Any] = []
+        self._readings: list[bytes] = []
+        self._of_others: dict[str, list[Any]] = {each: [] for each in self._others}
 
     def status(self) -> Any:
         """Return the status, as `diagnostic_msgs/DiagnosticStatus`."""
-        notices = gravest_first([*self._about_silence(), *self.report.notices])
+        present = [*self._about_silence(), *self._report.remarks]
+        remarks = most_severe_first(self.standing.as_told(present))
         return status_message(
-            notices[0].level if notices else OK,
-            f"{self._node_name}: {self.name}",
-            "; ".join(each.text for each in notices) or "no alarm",
-            self.report.values,
+            self._node,
+            remarks[0].level if remarks else Level.NOTE,
+            self.name,
+            "; ".join(each.text for each in remarks) or "no alarm",
+            self._report.values,
         )
 
-    def _about_silence(self) -> list[Notice]:
-        side = self._topics.estimate
-        silent_s = side.silent_s
+    def _about_silence(self) -> list[Remark]:
+        side, silent_s = self._estimate, self._estimate.silent_s
         if silent_s is None:
-            return [Notice("silence", STALE, f"nothing to watch yet on {side.source}")]
+            return [warning("silence", f"nothing to watch yet on {side.source}")]
         if silent_s > _STALE_AFTER_S:
             said = f"nothing to watch for {silent_s:.0f} s on {side.source}"
-            return [Notice("silence", STALE, said)]
+            return [Remark(Level.ERROR, "silence", said)]
         return []
 
 
 class Watching:
-    """The watch, the black box and rosbag2's snapshots, as requested by the parameters."""
+    """The watch and rosbag2's snapshots, as requested by the parameters."""
 
     def __init__(
         self, node: Node, values: Mapping[str, Any], events: EventTopic, log: Log
     ) -> None:
-        """Create it.
-
-        Args:
-            node: Subscribes.
-            values: The parameters.
-            events: Topic on which alarms are published.
-            log: Called with a sentence, and whether it is a warning.
-
-        Raises:
-            InputError: A file can't be read, a folder not made, or the limits were learned
-                without a source that is there.
-            SettingsError: A parameter is not valid, or the service's type is not installed.
-        """
         self._events, self._log = events, log
-        kept = BlackBoxSettings.of(values)
-        self._watch = EstimateWatch(node, values) if values["watch"] else None
-        self._box = None if kept is None else BlackBox(node, kept, values)
+        self._watch = EstimateWatch(node, values) if values["watch_factor"] else None
         service = values["snapshot_service"]
-        pause_s = values["black_box_pause"]
-        self._snapshots = Snapshots(node, service, pause_s) if service else None
-        self._standing = Standing()
+        self._snapshots = Snapshots(node, service) if service else None
 
     def match(self) -> None:
         """Connect to the current publishers."""
         if self._watch is not None:
             for each in self._watch.match():
-                self._log(f"watch: {each.text}", each.level > OK)
-        if self._box is not None:
-            for said, warn in self._box.match():
-                self._log(said, warn)
+                self._log(f"watch: {each.text}", each.level)
 
     def tick(self) -> None:
         """Process the messages that have arrived, and report alarms."""
         if self._watch is not None and (report := self._watch.tick()) is not None:
             self._tell(report)
-        if self._box is not None:
-            self._box.tick()
         if self._snapshots is not None and (told := self._snapshots.renew()) is not None:
             self._log(*told)
 
-    def see(self, notices: Iterable[Notice]) -> None:
-        """Process notices of the evaluation: exceeded error limits start a clip and a snapshot."""
-        for each in notices:
-            if each.kind == "alarm" and each.level == ERROR:
-                self._trigger(each)
+    def see(self, remarks: Iterable[Remark]) -> None:
+        """Process remarks of the evaluation: exceeded error limits request a snapshot."""
+        for each in remarks:
+            if each.code == "alarm" and each.level == Level.ERROR and self._snapshots is not None:
+                self._snapshots.trigger()
 
     def conclude(self) -> None:
-        """Process the last messages, report alarms, and write the waiting clip."""
+        """Process the last messages, and report alarms."""
         if self._watch is not None:
             for report in self._watch.conclude():
                 self._tell(report)
-        if self._box is not None:
-            for said, warn in self._box.conclude():
-                self._log(said, warn)
 
     def statuses(self) -> list[Any]:
         """Return the statuses for the diagnostics, as `diagnostic_msgs/DiagnosticStatus`."""
@@ -179,17 +266,8 @@ class Watching:
     def _tell(self, report: WatchReport) -> None:
         assert self._watch is not None
         name = self._watch.name
-        for each in [*report.news, *self._standing.renew(report.notices)]:
-            self._log(f"{name}: {each.text}", each.level > OK)
+        for each in [*report.news, *self._watch.standing.renew(report.remarks)]:
+            self._log(f"{name}: {each.text}", min(each.level, Level.WARNING))
             self._events.publish(name, each)
-        for each in report.begun:
-            self._trigger(each)
-
-    def _trigger(self, cause: Notice) -> None:
-        if self._box is not None:
-            self._box.trigger(cause, self._history)
-        if self._snapshots is not None:
+        if report.begun and self._snapshots is not None:
             self._snapshots.trigger()
-
-    def _history(self) -> dict[str, Any]:
-        return {} if self._watch is None else self._watch.history

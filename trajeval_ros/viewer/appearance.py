@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from trajeval_ros.formatting import palette
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.metrics.statistics import round_below
 from trajeval_ros.viewer import colours
-from trajeval_ros.viewer.entity_data import LineLook, marker
-from trajeval_ros.viewer.legend import declare_legend
+from trajeval_ros.viewer.entity_data import LineLook, marker, pose_axes
 from trajeval_ros.viewer.scene_entities import (
     ALIGNMENT_YAW,
     ATE_POSITION,
     ATE_ROTATION,
     ERRORS_WITHIN,
+    LEGEND,
     MAP_FIXES,
     NEES,
     NEES_LIMIT,
@@ -34,9 +37,96 @@ from trajeval_ros.viewer.scene_entities import (
 )
 from trajeval_ros.viewer.sdk import sdk
 
-_AXES_M = 0.4
+# Width of the strip, height of a row and width of a letter, in units of the view.
+WIDTH, ROW = 1000.0, 46.0
+_RAMP_END, _NAMES_BEGIN = 250.0, 330.0
+_LETTER = 12.0
+_MOST_BESIDE = 3
+_LINE, _BELOW, _STEPS, _RADIUS = 6.0, 8.0, 64, 4.0
+_SWATCH = 0.55  # of the room of a name
+_SCALE = f"{LEGEND}/scale"
+
+
+def declare_legend(recording: Any, estimates: Sequence[EstimateEntities]) -> None:
+    """Log the colour scale of errors, and the colours and names of groundtruth and estimates."""
+    rerun, _ = sdk()
+    ends = np.linspace(0.0, _RAMP_END, _STEPS + 1)
+    line = np.stack([ends, np.full(_STEPS + 1, _LINE)], axis=1)
+    shown = [
+        ("groundtruth", colours.GROUNDTRUTH),
+        *((each.name, each.colour) for each in estimates),
+    ]
+    beside = -(-len(shown) // rows_of(len(estimates)))
+    room = (WIDTH - _NAMES_BEGIN) / beside
+    row, column = np.divmod(np.arange(len(shown)), beside)
+    places = np.stack([_NAMES_BEGIN + (column + 0.5) * room, _LINE + ROW * row], axis=1)
+    letters = int(room / _LETTER)
+    half = np.array([0.5 * _SWATCH * room, 0.0])
+    ramp = np.stack([line[:-1], line[1:]], axis=1)
+    swatches = np.stack([places - half, places + half], axis=1)
+    errors = colours.of_errors(np.linspace(0.0, 1.0, _STEPS), 1.0).tolist()
+    lines = rerun.LineStrips2D(
+        np.concatenate([ramp, swatches]),
+        colors=[*errors, *(colour for _, colour in shown)],
+        radii=_RADIUS,
+    )
+    names = [shortened(name, letters) for name, _ in shown]
+    # An entity takes a kilobyte, so both are in one.
+    recording.log(f"{LEGEND}/colours", lines, _texts(places + [0.0, _BELOW], names), static=True)
+
+
+def _texts(places: Any, texts: Sequence[str]) -> Any:
+    """Return texts below places (N, 2); their colour is readable on Rerun's light theme, too."""
+    rerun, _ = sdk()
+    return rerun.Points2D(places, colors=[_TEXT], radii=0.0, labels=texts, show_labels=True)
+
+
+_TEXT: colours.Colour = (128, 132, 140)
+
+
+def rows_of(estimates: int) -> int:
+    """Return the number of rows for the names of N estimates and of the groundtruth."""
+    return -(-(1 + estimates) // _MOST_BESIDE)
+
+
+_VISIBLE, _ENLARGED = 0.01, 0.04  # of the size of the scene: an error that is drawn as it is
+
+
+@dataclass(frozen=True)
+class ErrorScale:
+    """The colours of position errors, and the enlargement of the lines that show them."""
+
+    full_m: float  # error at the end of the colours, metres
+    factor: float  # of the lines
+
+    @classmethod
+    def of(cls, full_m: float, size_m: float) -> ErrorScale:
+        """Return the scale for a scene of a size, metres; lines that paths hide are enlarged."""
+        if full_m >= _VISIBLE * size_m:
+            return cls(full_m, 1.0)
+        return cls(full_m, round_below(max(1.0, _ENLARGED * size_m / full_m)))
+
+    @property
+    def in_words(self) -> str:
+        """The meaning of the colours and lines."""
+        words = f"{palette.RAMP_WORDS}: position error from 0 to {self.full_m:g} m"
+        return words + (f"; the lines are enlarged {self.factor:g} times" * (self.factor > 1.0))
+
+    def row(self) -> tuple[str, Any]:
+        """Return the entity of the scale's labels, and the labels."""
+        texts = ["0", f"lines x {self.factor:g}" * (self.factor > 1.0), f"{self.full_m:g} m"]
+        places = [[share * _RAMP_END, _LINE + _BELOW] for share in (0.0, 0.5, 1.0)]
+        shown = [place for place, text in enumerate(texts) if text]
+        return _SCALE, _texts([places[each] for each in shown], [texts[each] for each in shown])
+
+
+def shortened(name: str, letters: int) -> str:
+    """Return a name with a limited number of letters: the end of a long one."""
+    return name if len(name) <= letters else f"…{name[1 - letters :]}"
+
+
 _ON_MAP = 2.0
-GROUNDTRUTH_PATH = LineLook(colours.GROUNDTRUTH, 1.2)
+GROUNDTRUTH_PATH = LineLook(colours.GROUNDTRUTH, 1.4)
 
 
 def path_of_estimate(colour: colours.Colour, estimates: int) -> LineLook:
@@ -62,16 +152,11 @@ def declare(
     recording.log(WORLD, getattr(rerun.ViewCoordinates, view), static=True)
     declare_legend(recording, estimates)
     _declare_path(recording, GroundtruthEntities.path, GROUNDTRUTH_PATH, is_live=is_live)
-    recording.log(
-        GroundtruthEntities.pose, marker(np.zeros(3), colours.GROUNDTRUTH, ""), static=True
-    )
+    recording.log(GroundtruthEntities.pose, marker(np.zeros(3), colours.GROUNDTRUTH), static=True)
     for each in estimates:
         look = path_of_estimate(each.colour, len(estimates))
         _declare_path(recording, each.path, look, is_live=is_live)
-        # Labels of several estimates overlap; their names are in the legend.
-        label = each.name if len(estimates) == 1 else ""
-        looks = marker(np.zeros(3), each.colour, label), rerun.TransformAxes3D(_AXES_M)
-        recording.log(each.pose, *looks, static=True)
+        recording.log(each.pose, marker(np.zeros(3), each.colour), static=True)
         for entity, width in ((each.by_error, 2.6), (each.correspondences, 0.8)):
             radii = [rerun.Radius.ui_points(width)]
             recording.log(entity, rerun.LineStrips3D.from_fields(radii=radii), static=True)
@@ -79,6 +164,15 @@ def declare(
         _declare_series(recording, each)
         if gauge.has_scale:
             _series(recording, each.metric(SCALE), f"{each.name}, scale", each.colour, 1.6)
+
+
+def declare_axes(recording: Any, estimates: Sequence[EstimateEntities], size_m: float) -> None:
+    """Log the length of the axes of the newest poses, for a scene of a size, metres."""
+    for each in estimates:
+        recording.log(each.pose, pose_axes(_AXES * size_m), static=True)
+
+
+_AXES = 0.03  # of the size of the scene
 
 
 def declare_revised(recording: Any, estimate: EstimateEntities) -> None:
@@ -92,10 +186,7 @@ def declare_length(recording: Any, estimate: EstimateEntities, length: str, plac
     shade = 0.45 + 0.55 * min(place, 4) / 4.0
     colour = tuple(round(shade * each) for each in estimate.colour)
     _series(
-        recording,
-        estimate.metric(RELATIVE_ERROR, length),
-        f"{estimate.name} {length}",
-        colour,
+        recording, estimate.metric(RELATIVE_ERROR, length), f"{estimate.name} {length}", colour
     )
 
 

@@ -10,9 +10,47 @@ import numpy as np
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.viewer import colours, scene_entities
-from trajeval_ros.viewer.layout_parts import until_now, whole_run, with_panels
-from trajeval_ros.viewer.legend import ROW, WIDTH, rows_of
+from trajeval_ros.viewer.appearance import ROW, WIDTH, rows_of
+from trajeval_ros.viewer.named_frames import frame_of
+from trajeval_ros.viewer.paths import size_of
+from trajeval_ros.viewer.scene_entities import TIMELINE
 from trajeval_ros.viewer.sdk import sdk
+
+
+def with_panels(views: Any) -> Any:
+    """Return a layout of views, with the panels around them closed."""
+    _, layout = sdk()
+    return layout.Blueprint(
+        views,
+        layout.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
+        layout.SelectionPanel(state="collapsed"),
+        layout.BlueprintPanel(state="collapsed"),
+        auto_views=False,
+    )
+
+
+def until_now() -> Any:
+    """Return the times up to the cursor, for entities that grow during the run."""
+    _, layout = sdk()
+    return layout.VisibleTimeRanges(
+        [
+            layout.VisibleTimeRange(
+                TIMELINE,
+                start=layout.TimeRangeBoundary.infinite(),
+                end=layout.TimeRangeBoundary.cursor_relative(),
+            )
+        ]
+    )
+
+
+def whole_run() -> Any:
+    """Return the time axis of a plot: the whole run, not Rerun's default around the cursor."""
+    rerun, layout = sdk()
+    everything = rerun.TimeRange(
+        start=layout.TimeRangeBoundary.infinite(), end=layout.TimeRangeBoundary.infinite()
+    )
+    return layout.TimeAxis(link="independent", view_range=everything)
+
 
 _MOST_COLOURED = 1  # estimate coloured by error; several need a colour per estimate
 
@@ -25,31 +63,32 @@ def blueprint(
     has_consistency: bool = False,
     has_map: bool = False,
     bounds: tuple[Floats, Floats] | None = None,
+    rotations_deg: Floats | None = None,
 ) -> Any:
     """Return the layout.
 
     Args:
-        estimates: Entities of the estimates.
-        gauge: Gauge of the alignments.
-        is_live: Whether data arrive while the viewer is open.
-        has_consistency: Whether errors are drawn with bands of three standard deviations.
-        has_map: Whether latitudes and longitudes are known.
-        bounds: Smallest and largest coordinates (3,), (3,) of all paths, if known.
+        bounds: Smallest and largest coordinates of all paths, (3,) and (3,).
+        rotations_deg: Rotation errors of all estimates (N,), for the range of their plot.
     """
     _, layout = sdk()
+    spaces = [
+        _space(estimates, is_live=is_live, bounds=bounds, follows=follows)
+        for follows in (False, True)
+    ]
     # A legend of several estimates would cover the plot.
-    space = _space(estimates, is_live=is_live, bounds=bounds)
-    errors = _errors(gauge, is_live=is_live, legend=len(estimates) == 1)
+    top_deg = _top(rotations_deg)
+    errors = _errors(gauge, is_live=is_live, estimates=len(estimates), top_deg=top_deg)
     return with_panels(
         layout.Horizontal(
             layout.Vertical(
-                layout.Tabs(space, _map()) if has_map else space,
+                layout.Tabs(*spaces, *([_map()] if has_map else [])),
                 _legend(len(estimates)),
                 row_shares=[16, 1 + rows_of(len(estimates))],
             ),
             layout.Tabs(errors, _within_bands()) if has_consistency else errors,
             column_shares=[5, 3] if len(estimates) == 1 else [5, 4],
-        ),
+        )
     )
 
 
@@ -59,7 +98,27 @@ def _map() -> Any:
     return layout.MapView(origin=f"/{scene_entities.MAP}", name="Map")
 
 
-def _errors(gauge: Gauge, *, is_live: bool, legend: bool) -> Any:
+_OUTLIERS = 98.0  # percentile: a few large errors must not flatten a plot
+
+
+def _top(errors: Floats | None) -> float | None:
+    """Return the end of the axis of errors (N,); None if all of them fit well."""
+    if errors is None or not len(errors):
+        return None
+    top = 1.3 * float(np.percentile(errors, _OUTLIERS))
+    return top if 0.0 < 1.5 * top < float(errors.max()) else None
+
+
+def state_lanes(name: str) -> Any:
+    """Return the view of states over time."""
+    _, layout = sdk()
+    contents = [f"/{each}/**" for each in scene_entities.LANES]
+    return layout.StateTimelineView(
+        origin="/", contents=contents, name=name, time_view=whole_run()
+    )
+
+
+def _errors(gauge: Gauge, *, is_live: bool, estimates: int, top_deg: float | None) -> Any:
     _, layout = sdk()
     return layout.Vertical(
         layout.TextDocumentView(origin=f"/{scene_entities.SUMMARY}", name="Summary"),
@@ -73,10 +132,12 @@ def _errors(gauge: Gauge, *, is_live: bool, legend: bool) -> Any:
             "Rotation error and RMSE [deg]",
             scene_entities.ROTATION_ERROR,
             scene_entities.ATE_ROTATION,
+            top=top_deg,
         ),
         layout.Tabs(
-            layout.TextLogView(origin=f"/{scene_entities.EVENTS}", name="Events"),
-            _plot("Relative error [m]", scene_entities.RELATIVE_ERROR, legend=legend),
+            state_lanes("Status"),
+            event_list("Events"),
+            _plot("Relative error [m]", scene_entities.RELATIVE_ERROR, legend=estimates == 1),
             _plot("Yaw error [deg]", scene_entities.YAW_ERROR),
             *([_plot("Scale", scene_entities.SCALE)] if gauge.has_scale else []),
             *(
@@ -86,7 +147,7 @@ def _errors(gauge: Gauge, *, is_live: bool, legend: bool) -> Any:
             ),
         ),
         name="Errors",
-        row_shares=[7, 4, 3, 3],
+        row_shares=[7, 4, 3, 3] if estimates == 1 else [6, 4, 3, 4],
     )
 
 
@@ -118,7 +179,9 @@ def _space(
     *,
     is_live: bool,
     bounds: tuple[Floats, Floats] | None,
+    follows: bool,
 ) -> Any:
+    """Return the view of the paths: of the whole scene, or from behind the first estimate."""
     _, layout = sdk()
     # Live, only the latest rows are visible: their entities are drawn again as they grow.
     growing = [] if is_live else _drawn_once(estimates)
@@ -129,14 +192,28 @@ def _space(
         hidden = [] if is_live else [each.path.past for each in estimates]
     for each in hidden:
         overrides.setdefault(each, []).append(layout.EntityBehavior(visible=False))
+    at = estimates[0].pose if follows else scene_entities.WORLD
+    behind = layout.EyeControls3D(
+        position=_BEHIND_M, look_target=(0.0, 0.0, 0.0), eye_up=(0.0, 0.0, 1.0)
+    )
     return layout.Spatial3DView(
-        origin=f"/{scene_entities.WORLD}",
-        name="Groundtruth and aligned estimate",
+        origin=f"/{at}",
+        # Entities of other recordings are drawn, too. Named frames in them would otherwise change
+        # the frame of the view.
+        contents=["/**", *(f"- /{each}/**" for each in _FLAT)],
+        spatial_information=layout.SpatialInformation(target_frame=frame_of(at)),
+        name="Follow" if follows else "Groundtruth and aligned estimate",
         overrides=overrides,
         background=layout.Background(color=colours.BACKGROUND),
-        line_grid=layout.LineGrid3D(visible=True, color=colours.GRID, spacing=_spacing(bounds)),
-        eye_controls=_eye(bounds, 1.0 if len(estimates) == 1 else 1.2),
+        line_grid=layout.LineGrid3D(
+            visible=not follows, color=colours.GRID, spacing=_spacing(bounds)
+        ),
+        eye_controls=behind if follows else _eye(bounds, 1.0 if len(estimates) == 1 else 1.2),
     )
+
+
+_BEHIND_M = (-6.0, 0.0, 3.0)  # in the frame of the body
+_FLAT = (scene_entities.LEGEND, scene_entities.MAP, "metrics")
 
 
 def _drawn_once(estimates: Sequence[scene_entities.EstimateEntities]) -> list[str]:
@@ -150,13 +227,23 @@ def _drawn_once(estimates: Sequence[scene_entities.EstimateEntities]) -> list[st
     ]
 
 
-def _plot(name: str, *quantities: str, legend: bool = False) -> Any:
+def event_list(name: str) -> Any:
+    """Return the view of the log."""
+    _, layout = sdk()
+    columns = layout.TextLogColumns(
+        timeline_columns=[TIMELINE], text_log_columns=["loglevel", "body"]
+    )
+    return layout.TextLogView(origin=f"/{scene_entities.EVENTS}", name=name, columns=columns)
+
+
+def _plot(name: str, *quantities: str, legend: bool = False, top: float | None = None) -> Any:
     _, layout = sdk()
     return layout.TimeSeriesView(
         origin="/metrics",
         contents=[f"/metrics/{each}/**" for each in quantities],
         name=name,
         axis_x=whole_run(),
+        axis_y=None if top is None else layout.ScalarAxis(range=(0.0, top)),
         plot_legend=layout.PlotLegend(layout.Corner2D.LeftTop, visible=legend),
     )
 
@@ -176,7 +263,7 @@ def _eye(bounds: tuple[Floats, Floats] | None, distance: float) -> Any:
         return None
     _, layout = sdk()
     low, high = bounds
-    centre, size = (low + high) / 2.0, max(float(np.linalg.norm(high - low)), 1e-2)
+    centre, size = (low + high) / 2.0, size_of(bounds)
     return layout.EyeControls3D(
         position=centre + distance * size * np.array([0.0, -0.52, 0.66]),
         look_target=centre,

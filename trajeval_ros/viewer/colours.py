@@ -13,7 +13,7 @@ Colours = NDArray[np.uint8]
 
 BACKGROUND: Colour = (17, 19, 24)
 GRID: Colour = (52, 56, 66)
-GROUNDTRUTH: Colour = (150, 154, 163)
+GROUNDTRUTH: Colour = (222, 224, 230)
 BAND: Colour = (200, 200, 205)
 ESTIMATES: tuple[Colour, ...] = tuple(map(palette.rgb, palette.ESTIMATES_ON_DARK))
 _RAMP = np.array([palette.rgb(each) for each in palette.RAMP])
@@ -48,6 +48,11 @@ def scale_for(errors: Floats) -> float:
     return float(next(step for step in steps if step * decade >= most * 0.999) * decade)
 
 
-def in_words(full_m: float) -> str:
-    """Return a sentence about the colours of errors."""
-    return f"{palette.RAMP_WORDS}: position error from 0 to {full_m:g} m"
+_LEAST_USED = 0.2  # of a scale that lasts
+
+
+def lasting_scale(errors: Floats, present_m: float | None) -> float:
+    """Return the present end of the scale, m, while it suits errors (N,), else a new one."""
+    wanted_m = scale_for(errors)
+    lasts = present_m is not None and _LEAST_USED * present_m <= wanted_m <= present_m
+    return present_m if lasts and present_m is not None else wanted_m

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from trajeval_ros.consistency.result import Consistency
+from trajeval_ros.consistency.consistency_result import Consistency
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.statistics import round_below
@@ -29,15 +29,8 @@ def send_consistency(
 ) -> float:
     """Draw errors with bands of three standard deviations, NEES with its limit, and ellipsoids.
 
-    Args:
-        recording: The recording to draw on.
-        evaluation: Evaluation of the estimate.
-        consistency: Its consistency, with covariances of single poses.
-        entities: Entities of the estimate.
-        origin: Offset (3,), metres, that is subtracted from the groundtruth's coordinates.
-
-    Returns:
-        Factor by which the ellipsoids are enlarged.
+    The origin (3,), metres, is subtracted from the groundtruth's coordinates. Returns the factor
+    by which the ellipsoids are enlarged.
     """
     appearance.declare_consistency(recording, entities)
     assert consistency.sigmas is not None
@@ -69,12 +62,12 @@ def _send_ellipsoids(
     recording: Any, entity: str, evaluation: Evaluation, covariances: Floats, origin: Floats
 ) -> float:
     """Draw ellipsoids evenly along the path, in the gauge of the alignment, like the errors."""
-    truth, aligned = evaluation.association.groundtruth, evaluation.aligned
-    along = truth.travelled
+    groundtruth, aligned = evaluation.association.groundtruth, evaluation.aligned
+    along = groundtruth.travelled
     evenly = np.searchsorted(along, np.linspace(0.0, along[-1], _ELLIPSOIDS))
     rows = np.unique(np.minimum(evenly, len(along) - 1))
     half_axes, _ = entity_data.ellipsoid_axes(covariances[rows])
-    extent = float(np.ptp(truth.positions, axis=0).max())
+    extent = float(np.ptp(groundtruth.positions, axis=0).max())
     largest = max(2.0 * float(half_axes.max()), 1e-12)
     factor = max(1.0, round_below(_LARGEST * extent / largest))
     ellipsoids = entity_data.ellipsoids(

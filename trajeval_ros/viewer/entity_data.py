@@ -11,25 +11,20 @@ from scipy.spatial.transform import Rotation
 
 from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.geometry.arrays import Floats, Indices, Stamps
-from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.viewer import colours
 from trajeval_ros.viewer.scene_entities import SIGMAS, TIMELINE
 from trajeval_ros.viewer.sdk import sdk
 
-_DOT = 5.0
+_DOT = 3.5  # points of the screen, at any distance
 
 
 @dataclass(frozen=True)
 class EntityData:
-    """Elements of one kind.
+    """Elements of one kind."""
 
-    Attributes:
-        archetype: The kind, a class of rerun-sdk.
-        fields: Values of the N elements, by name of the argument.
-    """
-
-    archetype: Any
-    fields: dict[str, Any]
+    archetype: Any  # the kind, a class of rerun-sdk
+    fields: dict[str, Any]  # values of the N elements, by name of the argument
 
     def row(self) -> Any:
         """Return all elements as one row, for `log`."""
@@ -55,15 +50,10 @@ def log(recording: Any, entity: str, stamp: int, row: Any) -> None:
 
 @dataclass(frozen=True)
 class LineLook:
-    """The look of lines.
+    """The look of lines."""
 
-    Attributes:
-        colour: Their colour.
-        radius: Half of their width, in points of the screen.
-    """
-
-    colour: colours.Colour
-    radius: float
+    colour: colours.Colour  # their colour
+    radius: float  # half of their width, in points of the screen
 
     @property
     def fields(self) -> dict[str, Any]:
@@ -86,11 +76,14 @@ def path_by_error(points: Floats, errors: Floats, rows: Indices, full_m: float) 
     return EntityData(rerun.LineStrips3D, {"strips": _narrow(points[rows]), "colors": colors})
 
 
-def correspondences(truth: Floats, aligned: Floats, full_m: float) -> EntityData:
-    """Return lines between positions (N, 3) and (N, 3), coloured by their lengths."""
+def correspondences(
+    groundtruth: Floats, aligned: Floats, full_m: float, factor: float
+) -> EntityData:
+    """Return errors as lines from (N, 3) to (N, 3), enlarged by a factor, coloured by length."""
     rerun, _ = sdk()
-    errors = np.sqrt(np.square(truth - aligned).sum(axis=1))
-    strips, colors = np.stack([truth, aligned], axis=1), colours.of_errors(errors, full_m)
+    errors = np.sqrt(np.square(groundtruth - aligned).sum(axis=1))
+    ends = groundtruth + factor * (aligned - groundtruth)
+    strips, colors = np.stack([groundtruth, ends], axis=1), colours.of_errors(errors, full_m)
     return EntityData(rerun.LineStrips3D, {"strips": _narrow(strips), "colors": colors})
 
 
@@ -104,13 +97,7 @@ def poses(positions: Floats, quaternions: Floats | None) -> EntityData:
 
 
 def ellipsoids(centres: Floats, covariances: Floats, factor: float = 1.0) -> EntityData:
-    """Return ellipsoids of three standard deviations, enlarged by a factor.
-
-    Args:
-        centres: Positions (N, 3), metres.
-        covariances: Covariances (N, 3, 3), m^2.
-        factor: Factor of the size.
-    """
+    """Return ellipsoids of three standard deviations at (N, 3), enlarged by a factor."""
     rerun, _ = sdk()
     half_axes, directions = ellipsoid_axes(covariances)
     fields = {
@@ -159,27 +146,24 @@ def alignment(similarity: Similarity) -> Any:
     """Return the alignment of an estimate with the groundtruth's frame, including its scale."""
     rerun, _ = sdk()
     return rerun.Transform3D(
-        translation=similarity.translation,
-        mat3x3=similarity.rotation,
-        scale=similarity.scale,
+        translation=similarity.translation, mat3x3=similarity.rotation, scale=similarity.scale
     )
 
 
-def marker(position: Floats, colour: colours.Colour, label: str = "") -> Any:
-    """Return a dot at a position (3,), with a name."""
+def marker(position: Floats, colour: colours.Colour) -> Any:
+    """Return a dot at a position (3,); its size does not depend on the distance."""
     rerun, _ = sdk()
     return rerun.Points3D(
         [position],
         colors=[colour],
         radii=[rerun.Radius.ui_points(_DOT)],
-        labels=[label] if label else None,
-        show_labels=bool(label),
     )
 
 
-def start(position: Floats) -> Any:
-    """Return a marker at the start of the groundtruth, (3,)."""
-    return marker(position, colours.GROUNDTRUTH, "groundtruth starts here")
+def pose_axes(length_m: float) -> Any:
+    """Return the axes of a pose with a length, metres."""
+    rerun, _ = sdk()
+    return rerun.TransformAxes3D(length_m)
 
 
 def event(text: str, *, warn: bool) -> Any:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.viewer import entity_data
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.viewer import entity_data, scene_entities
 from trajeval_ros.viewer.entity_data import LineLook
 from trajeval_ros.viewer.paths import is_gap
 from trajeval_ros.viewer.scene_entities import PathEntities
@@ -28,7 +29,6 @@ class Thinning:
     """Selects poses at a limited rate, one per 0.1 s."""
 
     def __init__(self) -> None:
-        """Create it."""
         self._last = _NEVER
 
     def pick(self, stamps: Stamps) -> NDArray[np.int64]:
@@ -50,13 +50,6 @@ class LivePath:
     """
 
     def __init__(self, entities: PathEntities, log: Log, look: LineLook) -> None:
-        """Create it without a pose.
-
-        Args:
-            entities: Where it is drawn.
-            log: Draws an archetype at a stamp.
-            look: Look of the past, which `appearance.declare` does not declare.
-        """
         self._entities, self._log, self._look = entities, log, look
         self._past: list[list[list[Floats]]] = [[] for _ in entities.levels]
         self._piece: list[Floats] = []
@@ -98,15 +91,15 @@ class LivePath:
         if len(self._piece) > 1:
             self._draw(self._stamp, self._entities.recent, [np.array(self._piece)])
 
-    def clear(self, stamp: int) -> None:
-        """Remove the path at a stamp; the next position starts another one."""
-        self._stamp, self._piece = stamp, []
+    def restart(self, stamp: int) -> None:
+        """Draw only what is added from a timestamp on; another entity has the path so far."""
         for level, rows in enumerate(self._past):
             if rows:
                 rows.clear()
-                self._draw_level(level)
-        self._draw(stamp, self._entities.recent, [])
-        self._draw(stamp, self._entities.newest, [])
+                self._draw(stamp, self._entities.levels[level], [])
+        for entity in (self._entities.recent, self._entities.newest):
+            self._draw(stamp, entity, [])
+        self._piece = self._piece[-1:]
 
     def _end_piece(self) -> None:
         if len(self._piece) > 1:
@@ -147,7 +140,6 @@ class RowHistory:
     """Rows of a whole run by timestamp; beyond a limit every second row is dropped."""
 
     def __init__(self, width: int) -> None:
-        """Create it empty, for rows of `width` numbers."""
         self._stamps: Stamps = np.empty(1024, dtype=np.int64)
         self._rows: Floats = np.empty((1024, width))
         self._count = self._seen = 0
@@ -177,3 +169,33 @@ class RowHistory:
     def columns(self) -> tuple[Stamps, Floats]:
         """Return views of stamps (N,) and rows."""
         return self._stamps[: self._count], self._rows[: self._count]
+
+
+NEVER = int(np.iinfo(np.int64).min)  # before all timestamps
+
+
+class LiveRecording:
+    """Draws on a recording; without one, nothing is drawn."""
+
+    def __init__(self) -> None:
+        self.stream: Any = None  # the recording; None without one
+        self.begin = NEVER  # first time of the picture, nanoseconds
+
+    def send(self, draw: Callable[..., None], *values: object) -> None:
+        """Call a function that draws values on a recording."""
+        if self.stream is not None:
+            draw(self.stream, *values)
+
+    def log(self, stamp: int, entity: str, row: Any) -> None:
+        """Log one row at a time of the picture."""
+        self.send(entity_data.log, entity, stamp, row)
+
+    def number(self, stamp: int, entity: str, value: float | None) -> None:
+        """Log a value of a series, if there is one."""
+        if value is not None:
+            self.log(stamp, entity, entity_data.numbers([value]).row())
+
+    def event(self, stamp: int, text: str, *, warn: bool = True) -> None:
+        """Log a line of text, with the time since the start."""
+        since = "" if self.begin == NEVER else f"{(stamp - self.begin) / NANOSECONDS:.1f} s: "
+        self.log(stamp, scene_entities.EVENTS, entity_data.event(since + text, warn=warn))

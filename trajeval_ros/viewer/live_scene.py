@@ -10,69 +10,69 @@ import numpy as np
 
 from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.fixes import Fixes
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
-from trajeval_ros.viewer import appearance, entity_data, legend, scene_entities, text_panel
+from trajeval_ros.viewer import appearance, colours, entity_data, scene_entities, text_panel
+from trajeval_ros.viewer.appearance import ErrorScale
 from trajeval_ros.viewer.blueprint import blueprint
-from trajeval_ros.viewer.estimate_picture import EstimatePicture, Segment
-from trajeval_ros.viewer.groundtruth_picture import GroundtruthPicture
-from trajeval_ros.viewer.live_map import LiveMap
-from trajeval_ros.viewer.live_recording import LiveRecording
-from trajeval_ros.viewer.map_track import is_on_map
+from trajeval_ros.viewer.fix_map import LiveMap, is_on_map
+from trajeval_ros.viewer.live_path import LiveRecording
+from trajeval_ros.viewer.live_pictures import EstimatePicture, GroundtruthPicture
+from trajeval_ros.viewer.named_frames import NamedFrames
 from trajeval_ros.viewer.paths import between_origins, bounds_of
-from trajeval_ros.viewer.picture_time import PictureTime
+from trajeval_ros.viewer.recording_properties import send_of_snapshots
+from trajeval_ros.viewer.state_lanes import LiveLanes
 
 if TYPE_CHECKING:
     from trajeval_ros.online.reports import Snapshot, Update
 
 
 _WORDS_EVERY_NS = 2 * NANOSECONDS
+_GROWN = 1.5  # of the scene, until the axes of poses are drawn larger
 
 
 class LiveScene:
-    """Draws on the present recording; without one it only stores the data.
+    """Draws on the present recording; without one it only stores the data."""
 
-    Attributes:
-        blueprint: The layout.
-    """
-
-    def __init__(self, title: str, names: Sequence[str], gauge: Gauge) -> None:
-        """Create it.
-
-        Args:
-            title: Title of the run.
-            names: Names of the estimates.
-            gauge: Gauge of the alignments.
-        """
+    def __init__(
+        self, title: str, names: Sequence[str], gauge: Gauge, modality: str | None = None
+    ) -> None:
         self._title = one_line(title)
-        self._recording, self._time = LiveRecording(), PictureTime()
-        self._told_shift_ns = 0
-        self._gauge, self._up = gauge, Z_UP
-        self._truth = GroundtruthPicture(self._recording, self._time)
+        self._recording = LiveRecording()
+        self._gauge, self._modality, self._up = gauge, modality, Z_UP
+        self._groundtruth = GroundtruthPicture(self._recording)
+        self._lanes, self._frames = LiveLanes(self._recording), NamedFrames()
         self._estimates: dict[str, EstimatePicture] = {}
         for place, name in enumerate(names):
             entities = scene_entities.EstimateEntities(name, place)
             look = appearance.path_of_estimate(entities.colour, len(names))
-            self._estimates[name] = EstimatePicture(entities, look, self._recording, self._time)
-        self._full_m: float | None = None
+            self._estimates[name] = EstimatePicture(
+                entities, look, self._recording, self._lanes, is_alone=len(names) == 1
+            )
+        self._scale: ErrorScale | None = None  # None before the first colours
+        self._axes_for_m = 0.0  # size of the scene that the axes of poses are drawn for
+        self._told: set[tuple[str, ...]] = set()
         self._map = LiveMap(self._recording.log)
-        self.blueprint = self._layout()
+        self.blueprint = self._layout()  # the layout
 
     def begin(self, recording: Any) -> None:
-        """Draw on a recording from now on, starting with the present loop or segment."""
+        """Draw on a recording from now on, starting with everything so far."""
         self._recording.stream = recording
         recording.send_recording_name(self._title)
         self._declare()
-        self._truth.draw_again()
+        self._groundtruth.draw_again()
         if self._map.datum is not None:
             appearance.declare_map(recording, self._entities)
             self._map.draw(is_growing=True)
-        self._full_m = None  # draws the scale of the legend again, together with the colours
+        self._lanes.draw_again()
+        self._frames.send(recording)
         for each in self._estimates.values():
             each.draw_again()
+        self._colour(self._groundtruth.newest, is_growing=True)
 
     def leave(self) -> None:
         """Stop drawing until another recording begins."""
@@ -80,38 +80,37 @@ class LiveScene:
 
     def finish(self) -> None:
         """Draw all periodic entities for the last time."""
-        for each in self._estimates.values():
+        self._colour(self._groundtruth.newest, is_growing=False)
+        for each in self._aligned:
             times, _ = each.memory.columns()
-            if len(times) and each.similarity is not None:
-                self._draw_errors(each, int(times[-1]), is_growing=False)
-                self._tell(int(times[-1]), is_growing=False)
+            self._draw_errors(each, int(times[-1]), is_growing=False)
+            self._tell(int(times[-1]), is_growing=False)
         self._map.draw(is_growing=False)
+        self._send_properties()
         self._frame()
 
     def groundtruth(
-        self, stamps: Stamps, states: Floats, up: UpAxis = Z_UP, epoch: int = 0
+        self, stamps: Stamps, states: Floats, up: UpAxis = Z_UP, frame: str = "", body: str = ""
     ) -> None:
-        """Add groundtruth.
+        """Add groundtruth: timestamps (N,), states (N, 10), the up axis and name of its frame.
 
-        Args:
-            stamps: Timestamps (N,).
-            states: States (N, 10).
-            up: Up axis of its frame.
-            epoch: Number of steps back of its time so far.
+        `body` is the name of its body's frame.
         """
         usable = np.isfinite(states[:, :3]).all(axis=1)
         stamps, states = stamps[usable], states[usable]
         if not len(stamps):
             return
-        if self._truth.origin is None:
-            self._truth.begin(int(stamps[0]), states)
+        if self._groundtruth.origin is None:
+            self._groundtruth.begin(int(stamps[0]), states)
             if up != self._up:
                 self._up = up
                 self._declare()
-        if epoch > self._truth.epoch:
-            self._truth.begin_loop(epoch, int(stamps[0]), states)
-            self._tell_shift()
-        self._truth.add(stamps, states)
+            self._attach(frame, scene_entities.WORLD, self._groundtruth.origin)
+            self._attach(body, scene_entities.GroundtruthEntities.pose)
+        self._groundtruth.add(stamps, states)
+        if self._groundtruth.size_m > _GROWN * self._axes_for_m:
+            self._axes_for_m = self._groundtruth.size_m
+            self._recording.send(appearance.declare_axes, self._entities, self._axes_for_m)
 
     def fixes(self, stamps: Stamps, fixes: Fixes) -> None:
         """Add the GNSS fixes, N > 0, whose states were passed to `groundtruth`."""
@@ -120,7 +119,8 @@ class LiveScene:
         is_first = self._map.datum is None
         if is_first:
             self._recording.send(appearance.declare_map, self._entities)
-        self._map.add(stamps + self._truth.time.shift_ns, fixes)
+        self._map.add(stamps, fixes)
+        self._lanes.fixes(stamps, fixes.status)
         if is_first:
             self.blueprint = self._layout()
             self._recording.send(lambda recording: recording.send_blueprint(self.blueprint))
@@ -129,26 +129,20 @@ class LiveScene:
         self,
         name: str,
         stamps: Stamps,
-        truth: Floats,
+        groundtruth: Floats,
         states: Floats,
-        segment: Segment = (0, 1),
+        frame: str = "",
+        body: str = "",
     ) -> None:
-        """Add pairs of an estimate.
+        """Add pairs of an estimate: timestamps (N,), groundtruth (N, 10), estimate (N, 10).
 
-        Args:
-            name: Name of the estimate.
-            stamps: Timestamps (N,).
-            truth: Groundtruth (N, 10).
-            states: Estimate (N, 10).
-            segment: The segment of the pairs. Pairs of earlier segments are not drawn.
+        `frame` and `body` are the names of the frames of its poses and of its body.
         """
-        each, origin = self._estimates[name], self._truth.origin
-        if not len(stamps) or origin is None or segment < each.segment:
-            return
-        if segment > each.segment:
-            each.begin_segment(segment, int(stamps[0]))
-            self._tell_shift()
-        each.add(stamps, truth[:, :3] - origin, states)
+        each = self._estimates[name]
+        if len(stamps) and self._groundtruth.origin is not None:
+            each.add(stamps, groundtruth[:, :3] - self._groundtruth.origin, states)
+            self._attach(frame, each.entities.frame, each.origin)
+            self._attach(body, each.entities.pose)
 
     def update(self, name: str, update: Update) -> None:
         """Draw the published errors of the newest pair."""
@@ -159,32 +153,45 @@ class LiveScene:
 
         `revised_m` is the position ATE of the newest path, metres; None without one.
         """
-        each, origin = self._estimates[name], self._truth.origin
-        time = stamp + each.time.shift_ns
-        each.errors(time, snapshot, revised_m)
+        each, origin = self._estimates[name], self._groundtruth.origin
+        each.errors(stamp, snapshot, revised_m)
         if snapshot.alignment is not None and each.origin is not None:
             assert origin is not None
             similarity = between_origins(snapshot.alignment.similarity, origin, each.origin)
-            each.align(time, similarity, self._gauge, self._up)
-        if time >= each.told_at + _WORDS_EVERY_NS:
-            each.told_at = time
+            each.align(stamp, similarity, self._gauge, self._up)
+        if stamp >= each.told_at + _WORDS_EVERY_NS:
+            each.told_at = stamp
             if each.similarity is not None:
-                self._draw_errors(each, time)
-            self._tell(time)
+                if each.has_grown:
+                    self._colour(stamp, [each], is_growing=True)
+                self._draw_errors(each, stamp)
+            self._tell(stamp)
 
     def uncertainty(self, name: str, stamp: int, position: Floats, covariance: Floats) -> None:
         """Draw a position (3,) of an estimate and its covariance (3, 3), in its own frame."""
         self._estimates[name].uncertainty(stamp, position, covariance)
 
-    def event(self, name: str, stamp: int, text: str) -> None:
-        """Add a line to the log, at a timestamp of an estimate."""
-        self._recording.event(stamp + self._estimates[name].time.shift_ns, text)
+    def event(self, stamp: int, text: str) -> None:
+        """Add a line to the log."""
+        self._recording.event(stamp, text)
 
     def dropped(self, count: int) -> None:
-        """Store the number of updates that were not drawn."""
-        if self._truth.origin is not None:
-            words = f"{counted(count, 'update')} dropped: drawing is too slow"
-            self._recording.event(self._time.newest, words)
+        """Report the number of updates that were not drawn, and end the lines before them."""
+        if self._groundtruth.origin is not None:
+            words = f"{counted(count, 'update')} not drawn: the machine is too slow"
+            self._recording.event(self._groundtruth.newest, words)
+            for each in self._estimates.values():
+                each.interrupt()
+
+    def status(self, name: str, stamp: int, remarks: Sequence[Remark]) -> None:
+        """Draw the status of an estimate at a time: all remarks about it that hold."""
+        self._lanes.status(self._estimates[name].entities.name, stamp, remarks)
+        new = [each for each in remarks if each.level > Level.NOTE and each.code != "jump"]
+        for each in new:
+            key = name, each.code, each.subject
+            if key not in self._told:  # a set as large as the number of kinds of remarks
+                self._told.add(key)
+                self._recording.event(stamp, f"{name}: {each.text}")
 
     @property
     def _entities(self) -> list[scene_entities.EstimateEntities]:
@@ -194,42 +201,70 @@ class LiveScene:
         declare = functools.partial(appearance.declare, is_live=True)
         self._recording.send(declare, self._entities, self._gauge, self._up)
 
-    def _tell_shift(self) -> None:
-        """State how times of the picture differ from timestamps, if this has changed."""
-        if self._time.shift_ns == self._told_shift_ns:
+    @property
+    def _aligned(self) -> list[EstimatePicture]:
+        """The estimates with pairs and an alignment."""
+        known = self._estimates.values()
+        return [each for each in known if len(each.memory) and each.similarity is not None]
+
+    def _attach(self, frame: str, entity: str, origin: Floats | None = None) -> None:
+        name = self._frames.attach(frame, entity, origin)
+        if name is not None:
+            self._recording.send(self._frames.send, name)
+
+    def _colour(
+        self, time: int, which: Sequence[EstimatePicture] = (), *, is_growing: bool
+    ) -> None:
+        """Colour paths by their errors; all of them if none are named or the scale changes."""
+        if not self._aligned:
             return
-        self._told_shift_ns = self._time.shift_ns
-        shift_s = self._told_shift_ns // NANOSECONDS
-        words = f"time stepped back: the picture's times are now timestamps + {shift_s} s"
-        self._recording.event(self._time.newest, words, warn=False)
+        errors = np.concatenate([each.position_errors for each in self._aligned])
+        present = self._scale.full_m if self._scale is not None and is_growing else None
+        full_m = colours.lasting_scale(errors, present)
+        if self._scale is None or full_m != self._scale.full_m or not which:
+            which = self._aligned
+            self._scale = ErrorScale.of(full_m, self._groundtruth.size_m)
+            self._recording.log(time, *self._scale.row())
+        for each in which:
+            each.colour(time, self._scale)
 
     def _draw_errors(self, each: EstimatePicture, time: int, *, is_growing: bool = True) -> None:
-        """Draw all errors of a segment with its alignment: colours, correspondences and map."""
-        if each.has_grown or not is_growing:
-            full_m = each.colour(time)
-            if full_m != self._full_m:
-                self._full_m = full_m
-                self._recording.log(time, *legend.scale(full_m))
-        each.correspond(time, self._full_m or 1.0)
-        assert self._truth.origin is not None
+        """Draw errors with the present alignment: lines, and the path on the map."""
+        assert self._scale is not None
+        each.correspond(time, self._scale)
+        assert self._groundtruth.origin is not None
         stamps, _ = each.memory.columns()
-        aligned = each.aligned + self._truth.origin
+        aligned = each.aligned + self._groundtruth.origin
         on_map = each.entities.on_map
         self._map.draw_track(time, on_map, stamps, aligned, is_growing=is_growing)
 
     def _layout(self, bounds: tuple[Floats, Floats] | None = None) -> Any:
         has_map = self._map.datum is not None
-        return blueprint(self._entities, self._gauge, is_live=True, has_map=has_map, bounds=bounds)
+        rotations = [each.rotations.columns()[1].ravel() for each in self._estimates.values()]
+        return blueprint(
+            self._entities,
+            self._gauge,
+            is_live=True,
+            has_map=has_map,
+            bounds=bounds,
+            rotations_deg=np.concatenate(rotations),
+        )
+
+    def _send_properties(self) -> None:
+        told = [each for each in self._estimates.values() if each.snapshot is not None]
+        self._recording.send(
+            send_of_snapshots,
+            self._title,
+            (self._gauge, self._modality),
+            [each.snapshot for each in told],
+            [each.entities.name for each in told],
+        )
 
     def _frame(self) -> None:
         """Set the view so that a newly opened recording shows the whole run."""
-        aligned = [
-            each.aligned
-            for each in self._estimates.values()
-            if len(each.memory) and each.similarity is not None
-        ]
-        if len(self._truth.corners):
-            seen = self._layout(bounds_of([self._truth.corners, *aligned]))
+        aligned = [each.aligned for each in self._aligned]
+        if len(self._groundtruth.corners):
+            seen = self._layout(bounds_of([self._groundtruth.corners, *aligned]))
             self._recording.send(
                 lambda recording: recording.send_blueprint(seen, make_active=False)
             )
@@ -241,7 +276,7 @@ class LiveScene:
             snapshots,
             [each.entities.name for each in told],
             self._gauge,
-            self._full_m,
+            self._scale,
             is_growing=is_growing,
         )
         self._recording.log(time, scene_entities.SUMMARY, entity_data.summary(words))

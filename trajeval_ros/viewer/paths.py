@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
-from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.gauge import Similarity
 
 _NEAR_M = 1000.0
 _GAP_NS = 500_000_000
@@ -23,9 +23,9 @@ def origin_for(positions: Floats) -> Floats:
     return np.round(first) if np.abs(first).max() > _NEAR_M else np.zeros(3)
 
 
-def between_origins(similarity: Similarity, truth: Floats, estimate: Floats) -> Similarity:
+def between_origins(similarity: Similarity, groundtruth: Floats, estimate: Floats) -> Similarity:
     """Return an alignment of coordinates relative to these origins, (3,) and (3,)."""
-    moved = similarity.positions(estimate[None])[0] - truth
+    moved = similarity.positions(estimate[None])[0] - groundtruth
     return Similarity(similarity.rotation, moved, similarity.scale)
 
 
@@ -34,6 +34,11 @@ def bounds_of(paths: Sequence[Floats]) -> tuple[Floats, Floats]:
     low = np.min([each.min(axis=0) for each in paths], axis=0)
     high = np.max([each.max(axis=0) for each in paths], axis=0)
     return low, high
+
+
+def size_of(bounds: tuple[Floats, Floats]) -> float:
+    """Return the distance between smallest and largest coordinates, (3,) and (3,), not zero."""
+    return max(float(np.linalg.norm(bounds[1] - bounds[0])), 1e-2)
 
 
 def gaps(stamps: Stamps) -> Booleans:
@@ -54,15 +59,9 @@ def _least_gap_ns(usual_ns: float) -> float:
 
 
 def pieces(count: int, is_gap: Booleans, most: int) -> Indices:
-    """Cut a path of N points into equal pieces that share their ends.
+    """Cut a path of N points into equal pieces that share their ends; return their rows (M, P).
 
-    Args:
-        count: N.
-        is_gap: (N - 1,) which steps are gaps; a piece repeats its last point instead.
-        most: Largest number of pieces.
-
-    Returns:
-        Indices of the points of every piece, (M, P).
+    Steps (N - 1,) that are gaps are not drawn: a piece repeats its last point instead.
     """
     steps = count - 1
     if steps < 1:

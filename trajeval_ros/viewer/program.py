@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
+from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.viewer.sdk import sdk
 from trajeval_ros.viewer.sinks import LOOPBACK
 
@@ -29,16 +30,7 @@ def free_port() -> int:
 
 @contextmanager
 def rerun_program(port: int, *arguments: str, **options: Any) -> Iterator[subprocess.Popen[bytes]]:
-    """Run the program during the block.
-
-    Args:
-        port: Port of its server, on the loopback address only.
-        arguments: Its other arguments.
-        options: Arguments of `subprocess.Popen`.
-
-    Raises:
-        InputError: rerun-sdk is not installed.
-    """
+    """Run the program during the block."""
     sdk()
     import rerun_cli
 
@@ -83,3 +75,46 @@ def _sigterm_as_exit() -> Iterator[None]:
 
 def _exit(number: int, _: object) -> NoReturn:
     raise SystemExit(128 + number)
+
+
+_MAGIC = b"RRF"
+_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
+
+
+def has_display() -> bool:
+    """Return whether a window can be opened; always true on systems other than Linux."""
+    return sys.platform != "linux" or any(map(os.environ.get, _DISPLAYS))
+
+
+def require_recording(file: Path) -> None:
+    """Check that a file is one of Rerun (.rrd)."""
+    try:
+        with file.open("rb") as opened:
+            magic = opened.read(len(_MAGIC))
+    except OSError as error:
+        raise InputError(f"{file} can't be read: {reason_of(error)}") from error
+    if magic != _MAGIC:
+        raise InputError(f"{file} is not a Rerun file; give a .rrd file or an output folder")
+
+
+def show(file: Path, *, in_browser: bool = False) -> None:
+    """Open a file (.rrd) in the viewer, and wait until it is closed."""
+    require_recording(file)
+    if not (in_browser or has_display()):
+        raise InputError(
+            "no display found; use --web and open the page in a browser, or --screenshot FILE.png"
+        )
+    port, page = free_port(), free_port()
+    options = ["--serve-web", "--web-viewer-port", str(page)] if in_browser else []
+    try:
+        with rerun_program(port, *options, str(file)) as viewer:
+            if in_browser:
+                source = f"rerun%2Bhttp%3A%2F%2F{LOOPBACK}%3A{port}%2Fproxy"
+                address = f"http://{LOOPBACK}:{page}/?url={source}"
+                print(f"open {address} in a browser; stop with Ctrl-C")
+                sys.stdout.flush()
+            status = viewer.wait()
+    except KeyboardInterrupt:
+        return
+    if status:
+        raise InputError(f"Rerun's viewer exited with status {status}")

@@ -8,23 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from trajeval_ros.consistency.result import Consistency
+from trajeval_ros.consistency.consistency_result import Consistency
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.evaluation import Evaluation
-from trajeval_ros.viewer import (
-    appearance,
-    colours,
-    entity_data,
-    legend,
-    scene_entities,
-    text_panel,
-)
+from trajeval_ros.viewer import appearance, colours, entity_data, scene_entities, text_panel
+from trajeval_ros.viewer.appearance import ErrorScale
 from trajeval_ros.viewer.blueprint import blueprint
 from trajeval_ros.viewer.consistency_bands import send_consistency
-from trajeval_ros.viewer.map_track import is_on_map, send_map
+from trajeval_ros.viewer.fix_map import is_on_map, send_map
+from trajeval_ros.viewer.named_frames import NamedFrames
 from trajeval_ros.viewer.paths import (
     between_origins,
     bounds_of,
@@ -32,9 +27,12 @@ from trajeval_ros.viewer.paths import (
     origin_for,
     peaks,
     pieces,
+    size_of,
     spread,
 )
 from trajeval_ros.viewer.recording_file import recording_writer
+from trajeval_ros.viewer.recording_properties import send_of_evaluations
+from trajeval_ros.viewer.state_lanes import send_fixes, send_gaps
 
 _MOST_POINTS = 50_000  # of a path
 _MOST_ROWS = 900  # rows that a viewer draws per frame, of all paths together
@@ -45,40 +43,40 @@ _COLOURED_PER_ROW = 8
 
 
 def write_recording(
-    path: Path,
-    evaluations: Sequence[Evaluation],
-    consistencies: Sequence[Consistency | None] = (),
+    path: Path, evaluations: Sequence[Evaluation], consistencies: Sequence[Consistency | None] = ()
 ) -> None:
-    """Write a Rerun file (.rrd) with estimates evaluated against one groundtruth.
-
-    Args:
-        path: The file; it is replaced if it exists.
-        evaluations: One per estimate, with the same groundtruth and protocol.
-        consistencies: Consistencies of the same estimates, None if not requested; empty for none.
-
-    Raises:
-        InputError: rerun-sdk is not installed, or the file can't be written.
-    """
+    """Write a Rerun file (.rrd) with estimates evaluated against one groundtruth."""
     consistencies = [
         None if each is None or each.covariances is None else each for each in consistencies
     ] or [None] * len(evaluations)
     names = [each.estimate.name or "estimate" for each in evaluations]
     estimates = [scene_entities.EstimateEntities(name, place) for place, name in enumerate(names)]
-    truth = evaluations[0].groundtruth
-    origin = origin_for(truth.positions)
+    groundtruth = evaluations[0].groundtruth
+    origin = origin_for(groundtruth.positions)
+    bounds = _bounds(evaluations, origin)
     layout = blueprint(
         estimates,
         evaluations[0].protocol.gauge,
         is_live=False,
         has_consistency=any(consistencies),
-        has_map=is_on_map(truth.fixes, truth.up),
-        bounds=_bounds(evaluations, origin),
+        has_map=is_on_map(groundtruth.reading.fixes, groundtruth.up),
+        bounds=bounds,
+        rotations_deg=_rotations(evaluations),
     )
+    title = ", ".join(each.name for each in estimates)
 
     def draw(recording: Any) -> None:
-        _draw(recording, evaluations, consistencies, estimates, origin)
+        _draw(recording, evaluations, consistencies, estimates, origin, size_of(bounds))
+        told = [each.name for each in estimates]
+        send_of_evaluations(recording, title, evaluations, consistencies, told)
 
-    write_whole(path, recording_writer(", ".join(each.name for each in estimates), layout, draw))
+    write_whole(path, recording_writer(title, layout, draw))
+
+
+def _rotations(evaluations: Sequence[Evaluation]) -> Floats:
+    """Return the rotation errors of all estimates (N,), degrees."""
+    known = [each.absolute.rotation_deg for each in evaluations]
+    return np.concatenate([each for each in known if each is not None] or [np.empty(0)])
 
 
 def _draw(
@@ -87,25 +85,27 @@ def _draw(
     consistencies: Sequence[Consistency | None],
     estimates: Sequence[scene_entities.EstimateEntities],
     origin: Floats,
+    size_m: float,
 ) -> None:
     first = evaluations[0]
     appearance.declare(
         recording, estimates, first.protocol.gauge, first.groundtruth.up, is_live=False
     )
     full_m = colours.scale_for(np.concatenate([each.absolute.position_m for each in evaluations]))
-    entity, row = legend.scale(full_m)
-    recording.log(entity, row, static=True)
-    truth = first.groundtruth
+    scale = ErrorScale.of(full_m, size_m)
+    recording.log(*scale.row(), static=True)
+    appearance.declare_axes(recording, estimates, size_m)
+    groundtruth = first.groundtruth
     rows = max(50, _MOST_ROWS // (1 + 2 * len(evaluations)))
-    _send_path(recording, scene_entities.GroundtruthEntities.path.past, truth, origin, rows)
-    _send_poses(recording, scene_entities.GroundtruthEntities.pose, truth, origin)
-    start = entity_data.start(truth.positions[0] - origin)
+    _send_path(recording, scene_entities.GroundtruthEntities.path.past, groundtruth, origin, rows)
+    _send_poses(recording, scene_entities.GroundtruthEntities.pose, groundtruth, origin)
+    start = entity_data.marker(groundtruth.positions[0] - origin, colours.GROUNDTRUTH)
     recording.log(scene_entities.GroundtruthEntities.start, start, static=True)
     remarks = []
     for evaluation, consistency, entities in zip(
         evaluations, consistencies, estimates, strict=True
     ):
-        _draw_estimate(recording, evaluation, entities, origin, full_m, rows)
+        _draw_estimate(recording, evaluation, entities, origin, scale, rows)
         said = list(evaluation.warnings)
         if consistency is not None:
             factor = send_consistency(recording, evaluation, consistency, entities, origin)
@@ -116,15 +116,17 @@ def _draw(
             _send_covariances(recording, entities.covariance, evaluation.estimate, its_origin)
         name = f"{entities.name}: " if len(estimates) > 1 else ""
         remarks += [f"{name}{each}" for each in said]
-    if is_on_map(truth.fixes, truth.up):
+    if is_on_map(groundtruth.reading.fixes, groundtruth.up):
         send_map(recording, evaluations, estimates)
     if origin.any():
         remarks.append(text_panel.origin_in_words(origin))
     entity_data.send_origin(recording, origin)
     names = [each.name for each in estimates]
-    words = text_panel.of_evaluations(evaluations, consistencies, names, full_m, remarks)
+    words = text_panel.of_evaluations(evaluations, consistencies, names, scale, remarks)
     recording.log(scene_entities.SUMMARY, entity_data.summary(words), static=True)
     _send_events(recording, evaluations, names)
+    _send_lanes(recording, evaluations, estimates)
+    _send_frames(recording, evaluations, estimates, origin)
 
 
 def _draw_estimate(
@@ -132,7 +134,7 @@ def _draw_estimate(
     evaluation: Evaluation,
     entities: scene_entities.EstimateEntities,
     origin: Floats,
-    full_m: float,
+    scale: ErrorScale,
     rows: int,
 ) -> None:
     estimate, pairs = evaluation.estimate, evaluation.association
@@ -141,10 +143,12 @@ def _draw_estimate(
     recording.log(entities.frame, entity_data.alignment(similarity), static=True)
     _send_path(recording, entities.path.past, estimate, its_origin, rows)
     _send_poses(recording, entities.pose, estimate, its_origin)
-    _send_by_error(recording, entities.by_error, evaluation, its_origin, full_m, rows)
+    _send_by_error(recording, entities.by_error, evaluation, its_origin, scale.full_m, rows)
     some = spread(len(pairs), _MOST_CORRESPONDENCES)
-    truth, aligned = pairs.groundtruth.positions[some], evaluation.aligned.positions[some]
-    joined = entity_data.correspondences(truth - origin, aligned - origin, full_m)
+    groundtruth, aligned = pairs.groundtruth.positions[some], evaluation.aligned.positions[some]
+    joined = entity_data.correspondences(
+        groundtruth - origin, aligned - origin, scale.full_m, scale.factor
+    )
     joined.send(recording, entities.correspondences, pairs.estimate.stamps[some])
     _send_numbers(recording, evaluation, entities)
 
@@ -160,12 +164,7 @@ def _send_path(
 
 
 def _send_by_error(
-    recording: Any,
-    entity: str,
-    evaluation: Evaluation,
-    origin: Floats,
-    full_m: float,
-    most: int,
+    recording: Any, entity: str, evaluation: Evaluation, origin: Floats, full_m: float, most: int
 ) -> None:
     paired = evaluation.association.estimate
     some = spread(len(paired), _MOST_POINTS)
@@ -210,6 +209,10 @@ def _send_numbers(
     ):
         if column is not None:
             _send_series(recording, entities.metric(quantity), stamps, column)
+            after = stamps[:-1][gaps(stamps)] + 1
+            if len(after):  # the viewer panics at a chunk without rows
+                nothing = entity_data.numbers(np.full(len(after), np.nan))  # ends the line
+                nothing.send(recording, entities.metric(quantity), after)
     for quantity, metric in (
         (scene_entities.ATE_POSITION, "position_m"),
         (scene_entities.ATE_ROTATION, "rotation_deg"),
@@ -221,7 +224,7 @@ def _send_numbers(
     if evaluation.protocol.gauge.has_scale:
         level = np.full(2, evaluation.alignment.similarity.scale)
         _send_series(recording, entities.metric(scene_entities.SCALE), ends, level)
-    for place, segment in enumerate(evaluation.segments or ()):
+    for place, segment in enumerate(evaluation.relative or ()):
         if segment.count:
             length = str(segment.length)
             appearance.declare_length(recording, entities, length, place)
@@ -247,6 +250,36 @@ def _send_events(recording: Any, evaluations: Sequence[Evaluation], names: Seque
         for each in evaluation.warnings:
             _say(recording, stamps[-1], f"{name}: {each}")
         _say(recording, stamps[0], f"{name}: first of {counted(len(stamps), 'pair')}", warn=False)
+
+
+def _send_lanes(
+    recording: Any,
+    evaluations: Sequence[Evaluation],
+    estimates: Sequence[scene_entities.EstimateEntities],
+) -> None:
+    groundtruth = evaluations[0].groundtruth
+    fixes = groundtruth.reading.fixes
+    if fixes is not None and len(fixes) == len(groundtruth):
+        send_fixes(recording, groundtruth.stamps, fixes.status)
+    for evaluation, entities in zip(evaluations, estimates, strict=True):
+        stamps = evaluation.association.estimate.stamps
+        send_gaps(recording, entities.tracking, stamps, gaps(stamps))
+
+
+def _send_frames(
+    recording: Any,
+    evaluations: Sequence[Evaluation],
+    estimates: Sequence[scene_entities.EstimateEntities],
+    origin: Floats,
+) -> None:
+    frames, groundtruth = NamedFrames(), evaluations[0].groundtruth
+    frames.attach(groundtruth.frame, scene_entities.WORLD, origin)
+    for evaluation, entities in zip(evaluations, estimates, strict=True):
+        estimate = evaluation.estimate
+        frames.attach(estimate.frame, entities.frame, origin_for(estimate.positions))
+        frames.attach(estimate.child_frame, entities.pose)
+    frames.attach(groundtruth.child_frame, scene_entities.GroundtruthEntities.pose)
+    frames.send(recording)
 
 
 def _say(recording: Any, stamp: np.int64, text: str, *, warn: bool = True) -> None:

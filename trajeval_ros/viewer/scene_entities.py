@@ -10,10 +10,13 @@
     world/estimate/NAME/pose                      newest estimated pose
     world/estimate/NAME/covariance                three standard deviations of its position
     world/uncertainty/NAME                        the same of its error, in the alignment's gauge
-    world/correspondences/NAME                    lines between poses of the same time
+    world/correspondences/NAME                    errors as lines from the groundtruth
     metrics/QUANTITY/NAME...                      errors over time
+    status/NAME, alarm/NAME/QUANTITY              states over time
+    tracking/NAME, gnss/fixes
+    frames/FRAME                                  ROS frames, attached to entities of the world
     summary, events                               texts
-    legend/{ramp,scale,names}                     legend of the colours
+    legend/{colours,scale}                        legend of the colours
     map/fixes, map/estimate/NAME                  latitude and longitude, with GNSS fixes
 
 `appearance` defines the styles, `entity_data` the logged data.
@@ -38,6 +41,10 @@ WORLD = "world"
 SUMMARY, EVENTS, LEGEND = "summary", "events", "legend"
 MAP = "map"
 MAP_FIXES = f"{MAP}/fixes"
+FRAMES = "frames"
+STATUS, ALARM, TRACKING = "status", "alarm", "tracking"
+FIX_STATUS = "gnss/fixes"
+LANES = (STATUS, ALARM, TRACKING, FIX_STATUS)
 SIGMAS = 3.0
 _LEVELS = 5
 
@@ -78,6 +85,12 @@ class GroundtruthEntities:
     pose = f"{WORLD}/groundtruth/pose"
 
 
+def lane(kind: str, *parts: str) -> str:
+    """Return the entity of states over time, of a kind of `LANES`."""
+    rerun, _ = sdk()
+    return "/".join([kind, *map(rerun.escape_entity_path_part, parts)])
+
+
 class EstimateEntities:
     """The entities of one estimate.
 
@@ -87,7 +100,6 @@ class EstimateEntities:
     """
 
     def __init__(self, name: str, place: int) -> None:
-        """Create the entities of the estimate at an index of the list."""
         rerun, _ = sdk()
         self.name, self.colour = one_line(name), colours.of_estimate(place)
         self._part = rerun.escape_entity_path_part(self.name)
@@ -99,6 +111,7 @@ class EstimateEntities:
         self.on_map = f"{MAP}/estimate/{self._part}"
         self.uncertainty = f"{WORLD}/uncertainty/{self._part}"
         self.correspondences = f"{WORLD}/correspondences/{self._part}"
+        self.tracking = lane(TRACKING, self.name)
 
     def metric(self, quantity: str, part: str = "") -> str:
         """Return the entity of a quantity."""

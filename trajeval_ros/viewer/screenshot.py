@@ -13,14 +13,16 @@ from pathlib import Path
 from typing import Any
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.viewer.program import free_port, rerun_program
+from trajeval_ros.io.temporary import temporary_folder
+from trajeval_ros.io.writing import write_whole
+from trajeval_ros.viewer.program import free_port, require_recording, rerun_program
 from trajeval_ros.viewer.sdk import sdk
 from trajeval_ros.viewer.sinks import LOOPBACK
 
 _PATIENCE_S = 60.0
 _SETTLE_S = 4.0
 _LOOK_EVERY_S = 0.25
-_SIZE = "1600x900"
+_WIDTH, _HEIGHT, _MENU = 1600, 900, 36  # the menu also has badges of the machine
 _NO_DRIVER = (
     "Rerun's viewer needs a Vulkan driver; install mesa-vulkan-drivers (Debian, Ubuntu), which "
     "needs no graphics card"
@@ -28,32 +30,24 @@ _NO_DRIVER = (
 
 
 def save_png(file: Path, png: Path) -> None:
-    """Write a screenshot of the viewer that has just opened a file (.rrd).
-
-    Args:
-        file: The file to show.
-        png: The file to write.
-
-    Raises:
-        InputError: rerun-sdk is not installed, there is nothing to draw with, or the viewer
-            doesn't answer in time.
-    """
+    """Write a screenshot of the viewer that has just opened a file (.rrd), without its menu."""
     sdk()
-    # `--screenshot-to` takes its picture before the file is loaded.
-    with headless_viewer(file) as url:
-        ask_for_screenshot(url, png)
+    require_recording(file)
+    from PIL import Image
+
+    with temporary_folder("screenshot") as folder:
+        taken = folder / "screenshot.png"
+        # `--screenshot-to` takes its picture before the file is loaded.
+        with headless_viewer(file) as url:
+            ask_for_screenshot(url, taken)
+        with Image.open(taken) as whole:
+            box = (0, _MENU * whole.height // _HEIGHT, whole.width, whole.height)
+            shown = whole.convert("RGB").crop(box)
+    write_whole(png, lambda path: shown.save(path, "PNG", optimize=True), follow_link=True)
 
 
 def ask_for_screenshot(url: str, png: Path) -> None:
-    """Request a screenshot from a viewer.
-
-    Args:
-        url: Address of the viewer.
-        png: The file to write.
-
-    Raises:
-        InputError: The viewer can't be reached or does not answer.
-    """
+    """Request a screenshot from a viewer."""
     from rerun.experimental import ViewerClient
 
     try:
@@ -78,14 +72,10 @@ def headless_viewer(file: Path) -> Iterator[str]:
     """Run the viewer of a file (.rrd) without a window, and yield its address.
 
     After a minute the viewer is ended, and connections to it fail, because the SDK has no timeout.
-
-    Raises:
-        InputError: rerun-sdk is not installed, there is nothing to draw with, or the viewer
-            isn't up in time.
     """
     port = free_port()
     silent: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    options = ("--headless", "--hide-welcome-screen", "--window-size", _SIZE)
+    options = ("--headless", "--hide-welcome-screen", "--window-size", f"{_WIDTH}x{_HEIGHT}")
     with rerun_program(port, *options, str(file), **silent) as viewer:
         late = threading.Event()
 

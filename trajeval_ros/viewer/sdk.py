@@ -18,11 +18,7 @@ def is_installed() -> bool:
 
 @cache
 def sdk() -> tuple[Any, Any]:
-    """Return the modules `rerun` and `rerun.blueprint`.
-
-    Raises:
-        InputError: rerun-sdk is not installed, or is incompatible with other packages.
-    """
+    """Return the modules `rerun` and `rerun.blueprint`."""
     # It reads this at import. Its log is verbose; this package reports one sentence instead.
     is_ours = "RUST_LOG" not in os.environ
     os.environ.setdefault("RUST_LOG", "off")

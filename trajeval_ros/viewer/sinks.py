@@ -6,16 +6,18 @@ import contextlib
 import os
 import re
 import socket
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
 from trajeval_ros.exceptions import InputError, SettingsError, reason_of
-from trajeval_ros.viewer.flushing import flush_to, open_file
+from trajeval_ros.viewer.recording_file import flush_to, open_file
 from trajeval_ros.viewer.scene_entities import APPLICATION
 from trajeval_ros.viewer.sdk import sdk
 from trajeval_ros.viewer.stream import Sink
 
 LOOPBACK = "127.0.0.1"
+_ALL_ADDRESSES = ("0.0.0.0", "::")
 PORT = 9876
 _FILE_FLUSH_S = 20.0
 _SERVER_MEMORY = "512MB"
@@ -78,30 +80,35 @@ class FileTarget:
 
 
 class ServerTarget:
-    """A server on this machine, for viewers that connect at any time."""
+    """A server, for viewers that connect at any time."""
 
     name = "server"
     check_every_s = 1.0
 
-    def __init__(self, port: int, recording_id: str) -> None:
-        """Name the port."""
-        self.url = f"rerun+http://{LOOPBACK}:{port}/proxy"
-        self._port, self._id = port, recording_id
+    def __init__(self, address: str, port: int, recording_id: str) -> None:
+        """Name the address of this machine to listen at, and the port."""
+        host = socket.gethostname() if address in _ALL_ADDRESSES else address
+        self.url = f"rerun+http://{f'[{host}]' if ':' in host else host}:{port}/proxy"
+        self._address, self._port, self._id = address, port, recording_id
 
     def open(self, blueprint: Any) -> Any:
         """Return a recording that the server holds."""
         rerun, _ = sdk()
-        with socket.socket() as probe:
+        family = socket.AF_INET6 if ":" in self._address else socket.AF_INET
+        with socket.socket(family) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
-                probe.bind((LOOPBACK, self._port))
+                probe.bind((self._address, self._port))
             except OSError as error:
+                where = "" if self._address == LOOPBACK else f" of {self._address}"
                 raise InputError(
-                    f"Rerun can't use port {self._port}: {reason_of(error)}; choose another port, "
-                    f"as in rerun:=serve:{self._port + 1}"
+                    f"Rerun can't use port {self._port}{where}: {reason_of(error)}; choose "
+                    f"another port, as in rerun:=serve:{self._port + 1}"
                 ) from error
         recording = _recording(self._id, flush_s=0.5)
-        server = rerun.GrpcServerSink(LOOPBACK, self._port, server_memory_limit=_SERVER_MEMORY)
+        server = rerun.GrpcServerSink(
+            self._address, self._port, server_memory_limit=_SERVER_MEMORY
+        )
         recording.set_sinks(server, default_blueprint=blueprint)
         return recording
 
@@ -122,11 +129,7 @@ class ViewerTarget:
     check_every_s = 2.0
 
     def __init__(self, url: str, recording_id: str) -> None:
-        """Name the viewer.
-
-        Raises:
-            SettingsError: The URL is not valid.
-        """
+        """Name the viewer."""
         match = re.fullmatch(r"rerun\+https?://(\[[^\]]+\]|[^:/\s]+):(\d{1,5})/proxy", url)
         if match is None:
             raise SettingsError(
@@ -163,30 +166,33 @@ class ViewerTarget:
 
 
 def sinks_for(value: str, file: Path, recording_id: str) -> list[Sink]:
-    """Return the sinks for a value of the parameter `rerun`.
-
-    Args:
-        value: `none`, `file`, `serve`, `serve:PORT` or `connect:URL`; all but `none` write a file.
-        file: The file.
-        recording_id: Identifies the recording on all sinks.
-
-    Raises:
-        SettingsError: It is none of these.
-    """
+    """Return the sinks for a value of the parameter `rerun`."""
     kind, _, where = value.partition(":")
     if value == "none":
         return []
     kept = FileTarget(file, recording_id)
     if value == "file":
         return [kept]
-    if kind == "serve" and (not where or (where.isdecimal() and 0 < int(where) < 65536)):
-        return [kept, ServerTarget(int(where or PORT), recording_id)]
+    if kind == "serve" and (served := _served(where)) is not None:
+        return [kept, ServerTarget(*served, recording_id)]
     if kind == "connect":
         return [kept, ViewerTarget(where, recording_id)]
     raise SettingsError(
-        "rerun must be none, file, serve, serve:PORT or "
+        "rerun must be none, file, serve, serve:PORT, serve:ADDRESS:PORT or "
         f"connect:rerun+http://{LOOPBACK}:{PORT}/proxy, not {value!r}"
     )
+
+
+def _served(where: str) -> tuple[str, int] | None:
+    """Return address and port of `PORT` or `ADDRESS:PORT`; None for other texts."""
+    address, _, port = where.rpartition(":")
+    try:
+        if address:
+            address = str(ip_address(address.removeprefix("[").removesuffix("]")))
+        number = int(port or PORT)
+    except ValueError:
+        return None
+    return (address or LOOPBACK, number) if 0 < number < 65536 else None
 
 
 def _recording(recording_id: str, flush_s: float) -> Any:

@@ -35,29 +35,16 @@ def give_way() -> None:
 
 
 class Sink(Protocol):
-    """The destination of a recording.
+    """The destination of a recording."""
 
-    Attributes:
-        name: Name for messages.
-        check_every_s: Period of `check`, seconds.
-    """
-
-    name: str
-    check_every_s: float
+    name: str  # name for messages
+    check_every_s: float  # period of `check`, seconds
 
     def open(self, blueprint: Any) -> Any | None:
-        """Return a new recording; None if there is no receiver yet.
-
-        Raises:
-            TrajevalError: The sink can't be opened, now or later.
-        """
+        """Return a new recording; None if there is no receiver yet."""
 
     def check(self, recording: Any) -> bool:
-        """Write the data so far; return False if the sink is lost and may be opened again.
-
-        Raises:
-            TrajevalError: The sink is lost and can't be opened again.
-        """
+        """Write the data so far; return False if the sink is lost and may be opened again."""
 
     def close(self, recording: Any) -> None:
         """Write everything, and end."""
@@ -82,24 +69,12 @@ class Drawing(Protocol):
 
 
 class DrawingThread:
-    """Draws on a sink, on its own thread.
-
-    Attributes:
-        dropped: Number of jobs that did not reach the sink.
-        trouble: Why the sink receives no more data; empty while it does.
-    """
+    """Draws on a sink, on its own thread."""
 
     def __init__(self, sink: Sink, drawing: Drawing, after: DrawingThread | None = None) -> None:
-        """Create it; the thread opens the sink, since this may take long.
-
-        Args:
-            sink: The destination.
-            drawing: Draws on its recordings.
-            after: A stream that is closing; this one uses its port or file afterwards.
-        """
         self.name = sink.name
-        self.dropped = 0
-        self.trouble = ""
+        self.dropped = 0  # number of jobs that did not reach the sink
+        self.trouble = ""  # why the sink receives no more data; empty while it does
         self._sink, self._drawing = sink, drawing
         self._jobs: deque[Job] = deque()
         self._closing = threading.Event()
@@ -122,6 +97,11 @@ class DrawingThread:
         """Stop without waiting."""
         self._closing.set()
 
+    def wait_for_end(self) -> None:
+        """Wait until another thread has ended it, and then for a few seconds at most."""
+        self._closing.wait()
+        self._thread.join(_PATIENCE_S)
+
     def close(self) -> bool:
         """Write everything and end; return whether this was possible in a few seconds."""
         self.end()
@@ -130,7 +110,7 @@ class DrawingThread:
 
     def _work(self) -> None:
         if self._after is not None:
-            self._after.close()
+            self._after.wait_for_end()
             self._after = None
         check_at = 0.0
         while not self._closing.wait(_LOOK_EVERY_S) or self._jobs:
@@ -142,9 +122,13 @@ class DrawingThread:
                 self._guarded(self._tend)
                 check_at = time.monotonic() + self._sink.check_every_s
             while self._jobs and time.monotonic() < check_at:
-                if self._recording is None:
+                if self._recording is None:  # nothing to draw on, and nobody to tell
                     self.dropped += 1
+                    self._told_dropped += 1
                 self._guarded(self._jobs.popleft())
+            if time.monotonic() >= self._tell_at:
+                self._guarded(self._tell_dropped)
+        self._guarded(self._tell_dropped)
         if self._recording is not None:
             self._guarded(self._drawing.finish)
             self._guarded(lambda: self._sink.close(self._recording))
@@ -158,7 +142,10 @@ class DrawingThread:
                 self._drawing.begin(recording)
         elif not self._sink.check(self._recording):
             self._forget()
-        elif self.dropped > self._told_dropped and time.monotonic() >= self._tell_at:
+
+    def _tell_dropped(self) -> None:
+        """Show how much was dropped, if that has changed."""
+        if self._recording is not None and self.dropped > self._told_dropped:
             self._told_dropped = self.dropped
             self._tell_at = time.monotonic() + _TELL_DROPS_EVERY_S
             self._drawing.dropped(self.dropped)

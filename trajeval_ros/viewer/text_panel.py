@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from trajeval_ros.consistency.result import Consistency
+from trajeval_ros.consistency.consistency_result import Consistency
 from trajeval_ros.formatting.escaping import markdown_text
 from trajeval_ros.formatting.numbers import NOTHING, degrees, metres, percent
 from trajeval_ros.formatting.text_tables import BOLD, MarkedText, markdown_table
@@ -15,9 +15,8 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.statistics import Statistics
-from trajeval_ros.metrics.sub_trajectory_length import Length
-from trajeval_ros.viewer import colours
-from trajeval_ros.viewer.legend import shortened
+from trajeval_ros.metrics.sub_trajectories import Length
+from trajeval_ros.viewer.appearance import ErrorScale, shortened
 
 if TYPE_CHECKING:
     from trajeval_ros.online.reports import Snapshot
@@ -39,7 +38,7 @@ def of_evaluations(
     evaluations: Sequence[Evaluation],
     consistencies: Sequence[Consistency | None],
     names: Sequence[str],
-    full_m: float,
+    scale: ErrorScale,
     remarks: Sequence[str],
 ) -> str:
     """Return the text about recorded runs."""
@@ -61,14 +60,14 @@ def of_evaluations(
     if any(consistencies):
         rows.append(("Consistency", [_verdict(each) for each in consistencies]))
         rows.append(("NEES / dof", [_nees(each) for each in consistencies]))
-    return _text(names, rows, full_m, remarks)
+    return _text(names, rows, scale, remarks)
 
 
 def of_snapshots(
     snapshots: Sequence[Snapshot],
     names: Sequence[str],
     gauge: Gauge,
-    full_m: float | None,
+    scale: ErrorScale | None,
     *,
     is_growing: bool,
 ) -> str:
@@ -91,7 +90,7 @@ def of_snapshots(
         for name, each in zip(names, snapshots, strict=True)
         if each.warming_up
     ]
-    return _text(names, rows, full_m, remarks, is_growing=is_growing)
+    return _text(names, rows, scale, remarks, is_growing=is_growing)
 
 
 def origin_in_words(origin: Floats) -> str:
@@ -111,7 +110,6 @@ def rmse_of(statistics: Mapping[str, Statistics | None], metric: str) -> float |
 
 
 def _scales(gauge: Gauge, alignments: Sequence[Alignment | None]) -> list[Row]:
-    """Return the row of scales; no row if the gauge has no scale."""
     if not gauge.has_scale:
         return []
     texts = [NOTHING if each is None else f"{each.similarity.scale:.4f}" for each in alignments]
@@ -153,31 +151,28 @@ def _nees(consistency: Consistency | None) -> str:
     return f"{worst.max:.3g} at most{limit}"
 
 
-def _drift_so_far(snapshot: Snapshot) -> str:
+def longest_drift(snapshot: Snapshot) -> tuple[Length, float] | None:
+    """Return the longest length with a relative error so far, and its mean position error, m."""
     known = [Length.parse(text) for text, errors in snapshot.relative.items() if errors.count]
     if not known:
-        return NOTHING
-    longest = str(max(known, key=lambda length: (length.unit == "m", length.value)))
-    return f"{snapshot.relative[longest].position_m:.3f} m in {longest}"
+        return None
+    longest = max(known, key=lambda length: (length.unit == "m", length.value))
+    return longest, snapshot.relative[str(longest)].position_m
+
+
+def _drift_so_far(snapshot: Snapshot) -> str:
+    drift = longest_drift(snapshot)
+    return NOTHING if drift is None else f"{drift[1]:.3f} m in {drift[0]}"
 
 
 def _text(
     names: Sequence[str],
     rows: list[Row],
-    full_m: float | None,
+    scale: ErrorScale | None,
     remarks: Sequence[str] = (),
     *,
     is_growing: bool = False,
 ) -> str:
-    """Return the whole text.
-
-    Args:
-        names: Names of the estimates.
-        rows: Labels, with one value per estimate.
-        full_m: Error at the end of the colour scale; None before the first colours.
-        remarks: One sentence each.
-        is_growing: Whether the newest part of the path is not coloured yet.
-    """
     labels = [label for label, _ in rows]
     if len(names) > _MOST_COLUMNS:
         # One row per estimate, because columns of numbers are narrower than columns of names.
@@ -193,18 +188,16 @@ def _text(
             ["", *(MarkedText(each, BOLD) for each in names)],
             [[label, *values] for label, values in rows],
         )
-    meaning = ["The grey line is the groundtruth."]
-    if full_m is not None:
-        meaning.append(
-            "The other line is the aligned estimate."
-            if len(names) == 1
-            else "The other lines are the aligned estimates."
-        )
-        what = "The estimate is" if len(names) == 1 else "Lines from estimate to groundtruth are"
-        meaning.append(f"{what} {colours.in_words(full_m)}.")
-        if is_growing and len(names) == 1:
-            meaning.append("The colours of the newest part follow later.")
-    else:
+    meaning = ["The white line is the groundtruth, from the dot on."]
+    if scale is None:
         meaning.append("The other line is the estimate in its own frame (not aligned yet).")
+    else:
+        one = len(names) == 1
+        lines = "line is the aligned estimate" if one else "lines are the aligned estimates"
+        meaning.append(f"The other {lines}.")
+        what = "The estimate and the lines to it are" if one else "Lines to the estimates are"
+        meaning.append(f"{what} {scale.in_words}.")
+        if is_growing and one:
+            meaning.append("The colours of the newest part follow later.")
     said = (f"* {markdown_text(each)}" for each in remarks)
     return "\n".join([*table, "", " ".join(meaning), "", *said])

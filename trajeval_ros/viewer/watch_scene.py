@@ -12,13 +12,20 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.viewer import colours, entity_data, scene_entities
-from trajeval_ros.viewer.layout_parts import until_now, whole_run, with_panels
+from trajeval_ros.viewer.blueprint import (
+    event_list,
+    state_lanes,
+    until_now,
+    whole_run,
+    with_panels,
+)
 from trajeval_ros.viewer.paths import gaps, origin_for, peaks, pieces, spread
 from trajeval_ros.viewer.recording_file import recording_writer
 from trajeval_ros.viewer.sdk import sdk
-from trajeval_ros.watchdog.alarm_book import AlarmBook
+from trajeval_ros.viewer.state_lanes import ERROR, OK, WARNING, send_lane
 from trajeval_ros.watchdog.recording import Watched
 from trajeval_ros.watchdog.signals import signal_of
+from trajeval_ros.watchdog.watch_alarms import AlarmBook
 
 PATH, POSE = f"{scene_entities.WORLD}/watched/path", f"{scene_entities.WORLD}/watched/pose"
 _PLOTS = "watch"
@@ -35,21 +42,11 @@ _MOST_POSES = 3000
 
 
 def write_watch(path: Path, estimate: Trajectory, seen: Watched, book: AlarmBook) -> None:
-    """Write a Rerun file (.rrd) of a watched run.
-
-    Args:
-        path: The file; it is replaced if it exists.
-        estimate: The watched estimate.
-        seen: Its signals.
-        book: Its alarms and the limits.
-
-    Raises:
-        InputError: rerun-sdk is not installed, or the file can't be written.
-    """
+    """Write a Rerun file (.rrd) of a watched run."""
     ratios = {
-        name: readings.values / limit
+        name: readings.values / book.limit(name)
         for name, readings in seen.signals.items()
-        if (limit := book.limits.limit(name, book.factor)) and len(readings.values)
+        if len(readings.values)
     }
     kinds = [kind for kind in _KINDS if any(signal_of(each).needs == kind for each in ratios)]
 
@@ -125,14 +122,26 @@ def _tell(recording: Any, seen: Watched, book: AlarmBook) -> None:
     for notice in seen.notices:
         say(seen.armed_s, notice, warn=False)
     say(seen.armed_s, "armed", warn=False)
+    changes: dict[str, list[tuple[float, str]]] = {}
     for alarm in book.alarms:
         unit = signal_of(alarm.signal).unit
         level = "error" if book.is_error(alarm) else "warning"
         peak, limit = (with_unit(each, unit) for each in (alarm.peak, alarm.limit))
         said = f"{level}: {alarm.signal} up to {peak}, limit {limit}"
         say(alarm.begin_s, said, warn=True)
+        lane = changes.setdefault(alarm.signal, [(seen.armed_s, OK)])
+        lane.append((alarm.begin_s, ERROR if book.is_error(alarm) else WARNING))
         if alarm.is_over:
+            lane.append((alarm.last_s, OK))
             say(alarm.last_s, f"{alarm.signal} is below its limit again", warn=False)
+    for signal, lane in changes.items():
+        stamps = _stamps(seen, np.array([seconds for seconds, _ in lane]))
+        send_lane(
+            recording,
+            scene_entities.lane(scene_entities.ALARM, signal),
+            stamps,
+            [state for _, state in lane],
+        )
 
 
 def _blueprint(kinds: list[str]) -> Any:
@@ -155,9 +164,9 @@ def _blueprint(kinds: list[str]) -> Any:
                     overrides={PATH: [until_now()]},
                     background=layout.Background(color=colours.BACKGROUND),
                 ),
-                layout.TextLogView(origin=f"/{scene_entities.EVENTS}", name="Alarms"),
+                layout.Tabs(state_lanes("Alarms"), event_list("Events")),
                 row_shares=[3, 1],
             ),
             layout.Vertical(*plots),
-        ),
+        )
     )

@@ -8,9 +8,6 @@ import numpy as np
 
 from trajeval_ros.geometry.arrays import Booleans, Floats
 
-# Columns: the camera's right, down and forward in a body whose x is forward, y left and z up.
-FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-
 
 @dataclass(frozen=True)
 class Camera:
@@ -18,23 +15,15 @@ class Camera:
 
     A pixel is (r,): u and v, followed by u and v of the second camera if it is a stereo pair
     (r = 4). The second camera is translated along the first one's x axis (tutorial, eq. 3).
-
-    Attributes:
-        focal_px: Focal length, pixels.
-        width: Image width, pixels.
-        height: Image height, pixels.
-        noise_px: Standard deviation of a measured coordinate, pixels.
-        nearest_m: Least depth of visible points.
-        farthest_m: Largest depth of visible points.
-        baseline_m: Translation of a stereo pair's second camera; None for a single camera.
     """
 
-    focal_px: float
-    width: int
-    height: int
-    noise_px: float = 1.0
-    nearest_m: float = 0.3
-    farthest_m: float = 30.0
+    focal_px: float  # focal length, pixels
+    width: int  # image width, pixels
+    height: int  # image height, pixels
+    noise_px: float = 1.0  # standard deviation of a measured coordinate, pixels
+    nearest_m: float = 0.3  # least depth of visible points
+    farthest_m: float = 30.0  # largest depth of visible points
+    # Translation of a stereo pair's second camera; None for a single camera.
     baseline_m: float | None = None
 
     @property

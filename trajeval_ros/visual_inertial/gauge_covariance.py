@@ -26,11 +26,7 @@ _ROUNDING = 1e-13
 
 
 def fixed_covariance(problem: Problem, state: State) -> Floats:
-    """Return the covariance of gauge fixation, eq. (10): zero for the fixed parameters.
-
-    Raises:
-        DegenerateGeometryError: More than the gauge's four directions are undetermined.
-    """
+    """Return the covariance of gauge fixation, eq. (10): zero for the fixed parameters."""
     return _fixed(_undamped(problem, state))
 
 
@@ -42,9 +38,6 @@ def free_covariance(problem: Problem, state: State) -> Floats:
 
     The result depends on the landmarks and on the units, and is not meaningful by itself: see
     `transform`.
-
-    Raises:
-        DegenerateGeometryError: More than the gauge's four directions are undetermined.
     """
     reduced = _undamped(problem, state)
     fixed = _fixed(reduced)
@@ -72,9 +65,6 @@ def prior_covariance(problem: Problem, state: State, weight: float) -> Floats:
     The prior adds its variance 1/w along the gauge's directions to the covariance C of gauge
     fixation, independently of the measurements: C + V V^T / w. The columns of V are the state's
     perturbations by one metre or radian of the prior's four parameters.
-
-    Raises:
-        DegenerateGeometryError: More than the gauge's four directions are undetermined.
     """
     fixed = fixed_covariance(problem, state)
     basis = state.gauge_basis[: len(fixed)]
@@ -86,16 +76,10 @@ def prior_covariance(problem: Problem, state: State, weight: float) -> Floats:
 def transform(
     covariance: Floats, state: State, rotation: Floats, position: Floats
 ) -> tuple[Floats, State]:
-    """Transform a covariance to the gauge of fixation: eq. (12) to (15).
+    """Transform a covariance (wN, wN) and its state to the gauge of fixation: eq. (12) to (15).
 
-    Args:
-        covariance: (wN, wN) in any gauge: free, prior, or fixed elsewhere.
-        state: The estimate of this covariance.
-        rotation: (3, 3) reference of the first rotation in the gauge of fixation.
-        position: (3,) first position in that gauge.
-
-    Returns:
-        The covariance, and the equivalent state in that gauge.
+    The covariance is in any gauge: free, prior, or fixed elsewhere. `rotation` (3, 3) is the
+    reference of the first rotation in the gauge of fixation, `position` (3,) the first position.
     """
     # Eq. (13), with the exact twist; the z component of the rotation vector has an error of 3e-5.
     angle = -so3.yaw_of_matrix(state.rotations[0] @ rotation.T)

@@ -15,19 +15,12 @@ from trajeval_ros.visual_inertial.state import MOTION_WIDTH, State
 
 @dataclass(frozen=True)
 class BiasNoise:
-    """Prior of an IMU's biases.
+    """Prior of an IMU's biases."""
 
-    Attributes:
-        gyroscope: Standard deviation at the first keyframe, rad/s.
-        accelerometer: The same, m/s^2.
-        gyroscope_walk: Density of the random walk, rad/s^2/sqrt(Hz).
-        accelerometer_walk: The same, m/s^3/sqrt(Hz).
-    """
-
-    gyroscope: float
-    accelerometer: float
-    gyroscope_walk: float
-    accelerometer_walk: float
+    gyroscope: float  # standard deviation at the first keyframe, rad/s
+    accelerometer: float  # the same, m/s^2
+    gyroscope_walk: float  # density of the random walk, rad/s^2/sqrt(Hz)
+    accelerometer_walk: float  # the same, m/s^3/sqrt(Hz)
 
     @property
     def at_first(self) -> Floats:
@@ -45,16 +38,11 @@ class InertialErrors(NamedTuple):
 
     Rows are rotation, velocity, position and the b = 6 changes of the biases; b is 0 where biases
     are known. Columns are those of `State.moved`: position, rotation, velocity, biases.
-
-    Attributes:
-        residuals: (N - 1, 9 + b).
-        by_before: (N - 1, 9 + b, 9 + b), by the earlier keyframe.
-        by_after: (N - 1, 9 + b, 9 + b), by the later one.
     """
 
-    residuals: Floats
-    by_before: Floats
-    by_after: Floats
+    residuals: Floats  # (N - 1, 9 + b)
+    by_before: Floats  # (N - 1, 9 + b, 9 + b), by the earlier keyframe
+    by_after: Floats  # (N - 1, 9 + b, 9 + b), by the later one
 
 
 class _Terms(NamedTuple):

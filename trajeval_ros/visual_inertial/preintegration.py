@@ -19,36 +19,23 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 
 @dataclass(frozen=True)
 class ImuNoise:
-    """Noise densities of an IMU.
+    """Noise densities of an IMU."""
 
-    Attributes:
-        gyroscope: rad/s/sqrt(Hz).
-        accelerometer: m/s^2/sqrt(Hz).
-    """
-
-    gyroscope: float
-    accelerometer: float
+    gyroscope: float  # rad/s/sqrt(Hz)
+    accelerometer: float  # m/s^2/sqrt(Hz)
 
 
 @dataclass(frozen=True, eq=False)
 class Preintegrated:
-    """The motion between keyframes i and i + 1 as measured by the IMU, for I intervals.
+    """The motion between keyframes i and i + 1 as measured by the IMU, for I intervals."""
 
-    Attributes:
-        durations_s: (I,).
-        rotations: (I, 3, 3), of body i + 1 in body i.
-        velocities: (I, 3), change of velocity in body i without gravity's, m/s.
-        positions: (I, 3), change of position in body i without gravity's and v_i's, metres.
-        covariances: (I, 9, 9) of (rotation about the body's axes, velocity, position).
-        by_biases: (I, 9, 6), derivative by the biases of gyroscope (rad/s) and accelerometer
-            (m/s^2) that are subtracted from the samples.
-    """
-
-    durations_s: Floats
-    rotations: Floats
-    velocities: Floats
-    positions: Floats
-    covariances: Floats
+    durations_s: Floats  # (I,)
+    rotations: Floats  # (I, 3, 3), of body i + 1 in body i
+    velocities: Floats  # (I, 3), change of velocity in body i without gravity's, m/s
+    positions: Floats  # (I, 3), change of position in body i without gravity's and v_i's, metres
+    covariances: Floats  # (I, 9, 9) of (rotation about the body's axes, velocity, position)
+    # (I, 9, 6), derivative by the biases of gyroscope (rad/s) and accelerometer (m/s^2) that are
+    # subtracted from the samples.
     by_biases: Floats
 
 

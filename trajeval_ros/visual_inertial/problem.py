@@ -20,10 +20,7 @@ from trajeval_ros.visual_inertial.inertial_errors import (
     InertialMeasurements,
 )
 from trajeval_ros.visual_inertial.preintegration import GRAVITY, Preintegrated
-from trajeval_ros.visual_inertial.reprojection_errors import (
-    CameraMeasurements,
-    ReprojectionErrors,
-)
+from trajeval_ros.visual_inertial.reprojection_errors import CameraMeasurements, ReprojectionErrors
 from trajeval_ros.visual_inertial.state import MOTION_WIDTH, State
 from trajeval_ros.visual_inertial.visibility import Visibility
 
@@ -33,29 +30,19 @@ class NormalEquations:
     """J^T J and J^T r by blocks, for N keyframes, K landmarks and M observations.
 
     A keyframe has w parameters: 9, or 15 with biases (`State.moved`).
-
-    Attributes:
-        cost: Half the squared length of all residuals.
-        reprojection_px: Mean length of the reprojection errors, pixels.
-        diagonal: (N, w, w), each keyframe with itself.
-        coupling: (N - 1, w, w), each keyframe (rows) with the next one (columns).
-        cross: (6, 3, M), position and rotation of the observation's keyframe (rows) with its
-            landmark (columns).
-        landmark: (K, 3, 3), each landmark with itself.
-        motion_gradient: (N, w).
-        landmark_gradient: (K, 3).
-        visibility: Keyframes and landmarks of the observations.
     """
 
-    cost: float
-    reprojection_px: float
-    diagonal: Floats
-    coupling: Floats
+    cost: float  # half the squared length of all residuals
+    reprojection_px: float  # mean length of the reprojection errors, pixels
+    diagonal: Floats  # (N, w, w), each keyframe with itself
+    coupling: Floats  # (N - 1, w, w), each keyframe (rows) with the next one (columns)
+    # (6, 3, M), position and rotation of the observation's keyframe (rows) with its landmark
+    # (columns)
     cross: Floats
-    landmark: Floats
-    motion_gradient: Floats
-    landmark_gradient: Floats
-    visibility: Visibility
+    landmark: Floats  # (K, 3, 3), each landmark with itself
+    motion_gradient: Floats  # (N, w)
+    landmark_gradient: Floats  # (K, 3)
+    visibility: Visibility  # keyframes and landmarks of the observations
 
 
 class Problem:
@@ -76,24 +63,13 @@ class Problem:
         gravity: Floats = GRAVITY,
         bias_noise: BiasNoise | None = None,
     ) -> None:
-        """Store the measurements.
+        """Store the measurements: pixels (M, r) of K landmarks, and N - 1 intervals of the IMU.
 
-        Args:
-            camera: Intrinsics and noise.
-            camera_in_body: (3, 3) rotation.
-            pixels: (M, r) measured.
-            keyframe_of: (M,), keyframes of the observations.
-            landmark_of: (M,), landmarks of the observations.
-            landmarks: Number of landmarks K.
-            preintegrated: N - 1 intervals between keyframes.
-            lever_arm: (3,) the camera's centre in the body, metres; None for the body's origin.
-            weights: (M, r, r), factors of the reprojection errors before their division by the
-                camera's noise; None for identities.
-            gravity: (3,) in the world, along z, m/s^2.
-            bias_noise: Prior, to estimate biases at all keyframes; None if they are known.
-
-        Raises:
-            InputError: No observations, or observations of one keyframe only.
+        The observations have keyframes (M,) and landmarks (M,). The camera is at the body's origin
+        without a lever arm (3,), metres. The weights (M, r, r) are factors of the reprojection
+        errors before their division by the camera's noise, identities by default. Gravity (3,) is
+        along the world's z axis, m/s^2. Without a bias noise, biases are known; otherwise they are
+        estimated at all keyframes.
         """
         if not len(pixels) or not len(preintegrated.durations_s):
             raise InputError(
@@ -103,8 +79,7 @@ class Problem:
         self.camera, self.camera_in_body, self.pixels = camera, camera_in_body, pixels
         self.keyframes, self.landmarks = len(preintegrated.durations_s) + 1, landmarks
         self._between = InertialMeasurements(preintegrated, gravity, bias_noise)
-        # Parameters of a keyframe.
-        self.width = self._between.width
+        self.width = self._between.width  # parameters of a keyframe
         self.preintegrated = preintegrated
         self.gravity = gravity
         self.visibility = Visibility(keyframe_of, landmark_of, self.keyframes, landmarks)

@@ -1,17 +1,114 @@
-"""The Schur complement: landmarks eliminated from the normal equations."""
+"""The Schur complement: landmarks eliminated from the normal equations.
+
+The matrix of the motion is banded if tracks are short, otherwise dense. The undamped information
+of the motion is sparse, for runs that are too long for a dense one.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
+import scipy.sparse
+from numpy.lib.stride_tricks import as_strided
 
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.visual_inertial.motion_matrix import MotionMatrix
-from trajeval_ros.visual_inertial.problem import NormalEquations
+from trajeval_ros.geometry.arrays import Floats, Indices
+from trajeval_ros.visual_inertial.problem import NormalEquations, Problem
+from trajeval_ros.visual_inertial.state import State
 from trajeval_ros.visual_inertial.visibility import Visibility
+
+# Longest track, relative to the number of keyframes, with which a banded factor is faster.
+_BANDED_SHARE = 0.25
+
+
+class MotionMatrix:
+    """A symmetric matrix (wN, wN) of N keyframes with w parameters each, zero at first.
+
+    Its blocks are written through views. This works for both kinds of storage, since element
+    (i, j) is at place `begin + i + step * j` in memory: a dense matrix is stored by columns, and
+    row j of a banded one has the elements beside the diagonal of column j. Only the lower triangle
+    is read.
+    """
+
+    def __init__(self, visibility: Visibility, width: int) -> None:
+        """Reserve memory for the keyframes that are coupled by landmarks or the IMU."""
+        keyframes, reach = visibility.keyframes, visibility.longest_track
+        self._width, self._size = width, width * keyframes
+        self._is_banded = reach <= _BANDED_SHARE * keyframes
+        if self._is_banded:
+            # A view of a window has its upper triangle, and keyframes without a common landmark.
+            widest = max(2, *(window.keyframes for window in visibility.windows))
+            self._begin = width * widest - 1
+            self._step = 2 * self._begin
+            self._storage = np.zeros((self._size, self._step + 1))
+            self._band = self._storage[:, self._begin : self._begin + width * reach]
+        else:
+            self._begin, self._step = 0, self._size
+            self._storage = np.zeros((self._size, self._size))
+
+    @property
+    def diagonal(self) -> Floats:
+        """The diagonal (wN,), a view."""
+        return self._view(0, (self._size,), (1 + self._step,))
+
+    def blocks(self, offset: int) -> Floats:
+        """Return the blocks `offset` below the diagonal, (N - offset, w, w), a view."""
+        width = self._width
+        count = self._size // width - offset
+        steps = (width * (1 + self._step), 1, self._step)
+        return self._view(width * offset, (count, width, width), steps)
+
+    def window(self, first: int, last: int) -> Floats:
+        """Return the block of the n keyframes of a window, (n, w, n, w), a view.
+
+        It is symmetric. Columns come first, as in memory.
+        """
+        count, width = last - first, self._width
+        steps = (width * self._step, self._step, width, 1)
+        return self._view(width * first * (1 + self._step), (count, width, count, width), steps)
+
+    def hold(self, indices: Indices) -> None:
+        """Hold parameters of the first keyframe: their rows and columns become those of I."""
+        self._storage[indices] = 0.0
+        self.blocks(0)[0, indices] = 0.0
+        self.diagonal[indices] = 1.0
+
+    def solved(self, right: Floats) -> Floats:
+        """Return A^-1 b for b (wN,), and overwrite the matrix.
+
+        Raises:
+            numpy.linalg.LinAlgError: The matrix is not positive definite.
+        """
+        if self._is_banded:
+            solution = scipy.linalg.solveh_banded(
+                self._band.T, right, lower=True, check_finite=False
+            )
+        else:
+            factor = scipy.linalg.cho_factor(
+                self._storage.T, lower=True, overwrite_a=True, check_finite=False
+            )
+            solution = scipy.linalg.cho_solve(factor, right, check_finite=False)
+        return np.asarray(solution)
+
+    def dense(self) -> Floats:
+        """Return the matrix (wN, wN)."""
+        if self._is_banded:
+            matrix = np.zeros((self._size, self._size))
+            for below, elements in enumerate(self._band.T):
+                columns = np.arange(self._size - below)
+                matrix[columns + below, columns] = elements[: self._size - below]
+        else:
+            matrix = np.tril(self._storage.T)
+        return matrix + np.tril(matrix, -1).T
+
+    def _view(self, place: int, shape: tuple[int, ...], steps: tuple[int, ...]) -> Floats:
+        start = self._storage.ravel()[self._begin + place :]
+        strides = tuple(step * start.itemsize for step in steps)
+        return as_strided(start, shape, strides)
+
 
 # Pivots below this share of a landmark's largest pivot are rounding (one view, or no parallax).
 _ROUNDING = 1e-13
@@ -19,24 +116,16 @@ _ROUNDING = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class ReducedSystem:
-    """The normal equations of the motion, and the factors for the landmarks' step.
+    """The normal equations of the motion, and the factors for the landmarks' step."""
 
-    Attributes:
-        matrix: (wN, wN), H_mm - W V^-1 W^T.
-        gradient: (N, w), g_m - W V^-1 g_l.
-        half: (6, 3, M), the blocks of W L^-T with V = L L^T, by observation; rows are position and
-            rotation of its keyframe.
-        inverse: (3, 3, K), L^-1.
-        pull: (3, K), L^-1 g_l.
-        visibility: Keyframes and landmarks of the observations.
-    """
-
-    matrix: MotionMatrix
-    gradient: Floats
+    matrix: MotionMatrix  # (wN, wN), H_mm - W V^-1 W^T
+    gradient: Floats  # (N, w), g_m - W V^-1 g_l
+    # (6, 3, M), the blocks of W L^-T with V = L L^T, by observation; rows are position and
+    # rotation of its keyframe.
     half: Floats
-    inverse: Floats
-    pull: Floats
-    visibility: Visibility
+    inverse: Floats  # (3, 3, K), L^-1
+    pull: Floats  # (3, K), L^-1 g_l
+    visibility: Visibility  # keyframes and landmarks of the observations
 
     def landmarks_after(self, motion_step: Floats) -> Floats:
         """Return the landmarks' step V^-1 (-g_l - W^T dm) (3K,) for the motion's step dm (wN,)."""
@@ -70,12 +159,7 @@ def motion_matrix(normal: NormalEquations) -> MotionMatrix:
 def reduce_landmarks(
     normal: NormalEquations, motion_damping: Floats, landmark_damping: Floats
 ) -> ReducedSystem:
-    """Eliminate the landmarks.
-
-    Args:
-        normal: The normal equations.
-        motion_damping: (wN,) added to the motion's diagonal.
-        landmark_damping: (K, 3) added to the landmarks' diagonal.
+    """Eliminate the landmarks, with damping (wN,) and (K, 3) added to the diagonals.
 
     Raises:
         numpy.linalg.LinAlgError: The position of a landmark is not determined.
@@ -124,3 +208,48 @@ def require_seen_landmarks(normal: NormalEquations) -> None:
             f"{counted(len(open_), 'landmark')} without parallax or with one observation, the "
             f"first is {open_[0]}; remove them"
         )
+
+
+def information_of(problem: Problem, state: State) -> scipy.sparse.csr_matrix:
+    """Return H_mm - W V^-1 W^T (wN, wN), undamped.
+
+    Only keyframes that observe a common landmark are coupled. The rank is wN - 4 in any gauge.
+    """
+    normal = problem.normal_equations(state)
+    require_seen_landmarks(normal)
+    half = _sparse_half(normal)
+    shared = (half @ half.T).tocoo()
+    direct = _motion_blocks(normal)
+    rows, columns = (
+        problem.width * (index // 6) + index % 6 for index in (shared.row, shared.col)
+    )
+    eliminated = scipy.sparse.coo_matrix((shared.data, (rows, columns)), shape=direct.shape)
+    information = (direct - eliminated).tocsr()
+    return (information + information.T).tocsr() / 2.0
+
+
+def _motion_blocks(normal: NormalEquations) -> scipy.sparse.csr_matrix:
+    """Return H_mm (wN, wN), the motion's block of the normal equations."""
+    count, width, _ = normal.diagonal.shape
+    diagonal = scipy.sparse.bsr_matrix(
+        (normal.diagonal, np.arange(count), np.arange(count + 1)),
+        shape=(width * count, width * count),
+    )
+    starts = np.minimum(np.arange(count + 1), count - 1)
+    coupling = scipy.sparse.bsr_matrix(
+        (normal.coupling, np.arange(1, count), starts), shape=(width * count, width * count)
+    )
+    return (diagonal + coupling + coupling.T).tocsr()
+
+
+def _sparse_half(normal: NormalEquations) -> scipy.sparse.bsr_matrix:
+    """Return W L^-T (6N, 3K) with V = L L^T, in blocks (6, 3)."""
+    visibility = normal.visibility
+    # Sorted by keyframe, as required for the rows of a block-sparse matrix.
+    order = np.lexsort((visibility.landmark_of, visibility.keyframe_of))
+    starts = np.searchsorted(visibility.keyframe_of[order], np.arange(visibility.keyframes + 1))
+    blocks = half_blocks(normal, inverse_landmark_factors(normal, 0.0))
+    return scipy.sparse.bsr_matrix(
+        (np.moveaxis(blocks, -1, 0)[order], visibility.landmark_of[order], starts),
+        shape=(6 * visibility.keyframes, 3 * visibility.landmarks),
+    )

@@ -20,51 +20,32 @@ class ReprojectionErrors(NamedTuple):
 
     d r / d landmark is `by_point`, d r / d position its negative, and d r / d rotation is
     `by_point` [d]x with d the `rays`.
-
-    Attributes:
-        residuals: (r, M).
-        by_point: (r, 3, M).
-        rays: (3, M), from keyframe to landmark, in the world, metres.
     """
 
-    residuals: Floats
-    by_point: Floats
-    rays: Floats
+    residuals: Floats  # (r, M)
+    by_point: Floats  # (r, 3, M)
+    rays: Floats  # (3, M), from keyframe to landmark, in the world, metres
 
 
 class VisualBlocks(NamedTuple):
-    """J^T J and J^T r of the camera alone, by blocks.
+    """J^T J and J^T r of the camera alone, by blocks."""
 
-    Attributes:
-        lengths: (M,), lengths of the whitened errors.
-        diagonal: (N, 6, 6), position and rotation of each keyframe with itself.
-        cross: (6, 3, M), position and rotation of the observation's keyframe (rows) with its
-            landmark (columns).
-        landmark: (K, 3, 3), each landmark with itself.
-        motion_gradient: (N, 6).
-        landmark_gradient: (K, 3).
-    """
-
-    lengths: Floats
-    diagonal: Floats
+    lengths: Floats  # (M,), lengths of the whitened errors
+    diagonal: Floats  # (N, 6, 6), position and rotation of each keyframe with itself
+    # (6, 3, M), position and rotation of the observation's keyframe (rows) with its landmark
+    # (columns)
     cross: Floats
-    landmark: Floats
-    motion_gradient: Floats
-    landmark_gradient: Floats
+    landmark: Floats  # (K, 3, 3), each landmark with itself
+    motion_gradient: Floats  # (N, 6)
+    landmark_gradient: Floats  # (K, 3)
 
 
 class _Points(NamedTuple):
-    """Landmarks as they are observed.
+    """Landmarks as they are observed."""
 
-    Attributes:
-        rays: (3, M), from the body to the landmark, in the world.
-        to_camera: (3, 3, M), rotation from the world to the camera.
-        in_camera: (3, M), landmark in the camera.
-    """
-
-    rays: Floats
-    to_camera: Floats
-    in_camera: Floats
+    rays: Floats  # (3, M), from the body to the landmark, in the world
+    to_camera: Floats  # (3, 3, M), rotation from the world to the camera
+    in_camera: Floats  # (3, M), landmark in the camera
 
 
 class CameraMeasurements:

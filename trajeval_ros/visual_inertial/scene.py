@@ -7,47 +7,141 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError, require_one_of
 from trajeval_ros.geometry import so3
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
+from trajeval_ros.simulation.motion import Motion
 from trajeval_ros.visual_inertial.camera import Camera
-from trajeval_ros.visual_inertial.initial_state import initial_state
-from trajeval_ros.visual_inertial.landmarks import draw_landmarks
-from trajeval_ros.visual_inertial.motion import Motion
-from trajeval_ros.visual_inertial.preintegration import (
-    GRAVITY,
-    ImuNoise,
-    preintegrate,
-)
+from trajeval_ros.visual_inertial.preintegration import GRAVITY, ImuNoise, preintegrate
 from trajeval_ros.visual_inertial.problem import Problem
-from trajeval_ros.visual_inertial.state import State
+from trajeval_ros.visual_inertial.state import State, initial_state
+from trajeval_ros.visual_inertial.visibility import FEWEST_VIEWS
+
+LAYOUTS = ("plane", "random")
+_DEPTHS_M = (1.5, 7.0)
+_FRONT_WALL_M, _SIDE_WALLS_M, _FLOOR_M, _FARTHEST_WALL_M = 4.0, 3.0, 1.5, 12.0
+_SCATTER_M = 0.05
+_MARGIN = 0.05
+_ROUNDS = 100
+
+
+def draw_landmarks(
+    generator: np.random.Generator,
+    layout: str,
+    count: int,
+    positions: Floats,
+    cameras: Floats,
+    camera: Camera,
+    track: int,
+) -> tuple[Floats, Indices, Indices, Floats]:
+    """Draw K landmarks that at least three keyframes see.
+
+    With layout `plane` they are on walls and a floor around the motion, with `random` anywhere in
+    view. The keyframes have positions (N, 3) and rotations (N, 3, 3) from the camera to the world.
+    `track` is the largest number of keyframes for which a landmark is tracked, before and after
+    the keyframe that it was drawn from.
+
+    Returns:
+        Landmarks (K, 3), and of M observations the keyframe (M,), the landmark (M,) and the
+        noise-free pixels (M, r), in order of landmarks.
+    """
+    require_one_of(layout, LAYOUTS, "layout of landmarks")
+    keyframes = len(positions)
+    batches: list[tuple[Floats, Booleans, Indices]] = []
+    kept = 0
+    for _ in range(_ROUNDS):
+        origin = generator.integers(0, keyframes, 4 * count)
+        size = [camera.width, camera.height]
+        pixels = generator.uniform(_MARGIN, 1.0 - _MARGIN, (4 * count, 2)) * size
+        rays = np.einsum("nij,nj->ni", cameras[origin], camera.rays(pixels))
+        if layout == "random":
+            depths = generator.uniform(*_DEPTHS_M, 4 * count)
+            points = positions[origin] + depths[:, None] * rays
+        else:
+            depths = _depths_of_walls(positions, cameras, origin, rays)
+            points = positions[origin] + depths[:, None] * rays
+            points += generator.normal(0.0, _SCATTER_M, points.shape)
+        seen, near = _sightings(points, origin, positions, cameras, camera, track)
+        good = (seen.sum(axis=1) >= FEWEST_VIEWS) & (depths < _FARTHEST_WALL_M)
+        batches.append((points[good], seen[good], near[good]))
+        kept += int(np.count_nonzero(good))
+        if kept >= count:
+            break
+    else:
+        raise DegenerateGeometryError(
+            f"only {kept} of {count} landmarks are observed by {FEWEST_VIEWS} keyframes; use "
+            "closer keyframes or a wider camera"
+        )
+    points, seen, near = (
+        np.concatenate(columns)[:count] for columns in zip(*batches, strict=True)
+    )
+    landmark_of, place = np.nonzero(seen)
+    keyframe_of = near[landmark_of, place]
+    in_camera = _in_camera(points[landmark_of], positions[keyframe_of], cameras[keyframe_of])
+    return points, keyframe_of, landmark_of, camera.pixels(in_camera)
+
+
+def _sightings(
+    points: Floats, origin: Indices, positions: Floats, cameras: Floats, camera: Camera, track: int
+) -> tuple[Booleans, Indices]:
+    """Return which keyframes of a point's track see it (mask), and these keyframes' indices."""
+    keyframes = len(positions)
+    span = min(2 * track + 1, keyframes)
+    first = np.clip(origin - track, 0, keyframes - span)
+    near = first[:, None] + np.arange(span)
+    in_camera = _in_camera(points[:, None], positions[near], cameras[near])
+    return camera.sees(in_camera) & (np.abs(near - origin[:, None]) <= track), near
+
+
+def _in_camera(points: Floats, positions: Floats, cameras: Floats) -> Floats:
+    moved: Floats = np.einsum("...ji,...j->...i", cameras, points - positions)
+    return moved
+
+
+def _depths_of_walls(positions: Floats, cameras: Floats, origin: Indices, rays: Floats) -> Floats:
+    """Return the depths at which rays meet a wall ahead, at the sides, or the floor."""
+    centre = positions.mean(axis=0)
+    ahead = cameras[:, :, 2].mean(axis=0) * [1.0, 1.0, 0.0]
+    ahead /= np.linalg.norm(ahead)
+    left = np.cross([0.0, 0.0, 1.0], ahead)
+    normals = np.stack([ahead, left, -left, [0.0, 0.0, -1.0]])
+    distances = np.array(
+        [
+            ahead @ centre + _FRONT_WALL_M,
+            left @ centre + _SIDE_WALLS_M,
+            -left @ centre + _SIDE_WALLS_M,
+            _FLOOR_M - positions[:, 2].min(),
+        ]
+    )
+    towards = rays @ normals.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depths = (distances - positions[origin] @ normals.T) / towards
+    # Excludes walls that are parallel to the ray, behind the camera, or too close.
+    depths[~(depths > 0.5)] = np.inf
+    nearest: Floats = np.where(np.isfinite(depths), depths, _FARTHEST_WALL_M).min(axis=1)
+    return nearest
+
 
 IMU_RATE_HZ = 200.0
 
 
 @dataclass(frozen=True)
 class SensorProfile:
-    """Sensors, and whether the estimator's model of them is exact.
+    """Sensors, and whether the estimator's model of them is exact."""
 
-    Attributes:
-        camera: Intrinsics and noise.
-        imu: Noise densities.
-        landmarks: Default number of landmarks.
-        honest: True: samples and integration match exactly, so all errors are noise that the
-            covariance includes. False: the IMU is sampled at the start of steps and integrated by
-            Euler's rule, which adds errors that the covariance doesn't include. The smaller the
-            IMU's noise, the more they matter.
-    """
-
-    camera: Camera
-    imu: ImuNoise
-    landmarks: int
-    honest: bool = True
+    camera: Camera  # intrinsics and noise
+    imu: ImuNoise  # noise densities
+    landmarks: int  # default number of landmarks
+    # True: samples and integration match exactly, so all errors are noise that the covariance
+    # includes. False: the IMU is sampled at the start of steps and integrated by Euler's rule,
+    # which adds errors that the covariance doesn't include. The smaller the IMU's noise, the more
+    # they matter.
+    is_exact: bool = True
 
     @property
     def scheme(self) -> str:
         """Scheme of the preintegration: `middle` or `start`."""
-        return "middle" if self.honest else "start"
+        return "middle" if self.is_exact else "start"
 
 
 # The densities of EuRoC's IMU, an ADIS16448, from its sensor.yaml.
@@ -61,48 +155,30 @@ PROFILES = {
     "euroc": SensorProfile(Camera(458.0, 752, 480), _EUROC_IMU, 100),
     # The baseline is EuRoC's.
     "stereo": SensorProfile(Camera(150.0, 320, 240, baseline_m=0.11), ImuNoise(7e-4, 1e-2), 50),
-    "overconfident": SensorProfile(Camera(315.0, 640, 480), _GOOD_IMU, 50, honest=False),
+    "overconfident": SensorProfile(Camera(315.0, 640, 480), _GOOD_IMU, 50, is_exact=False),
 }
 
 
 def profile_named(name: str) -> SensorProfile:
-    """Return a profile by name.
-
-    Raises:
-        SettingsError: Unknown name.
-    """
-    if name not in PROFILES:
-        raise SettingsError(f"unknown profile {name!r}; use one of {', '.join(PROFILES)}")
+    """Return a profile by name."""
+    require_one_of(name, PROFILES, "profile")
     return PROFILES[name]
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """True states, and the noise-free measurements of the sensors.
+    """True states, and the noise-free measurements of the sensors."""
 
-    Attributes:
-        profile: The sensors.
-        times_s: (N,), times of the keyframes.
-        truth: True keyframes and landmarks.
-        flown: True states at the IMU's rate, from 0 s to the last keyframe, without landmarks.
-        keyframe_of: (M,) keyframe of each observation.
-        landmark_of: (M,) landmark of each observation.
-        pixels: (M, r).
-        angular_velocities: (N - 1, m, 3) between keyframes, rad/s.
-        accelerations: (N - 1, m, 3), m/s^2.
-        camera_in_body: (3, 3).
-    """
-
-    profile: SensorProfile
-    times_s: Floats
-    truth: State
-    flown: State
-    keyframe_of: NDArray[np.int64]
-    landmark_of: NDArray[np.int64]
-    pixels: Floats
-    angular_velocities: Floats
-    accelerations: Floats
-    camera_in_body: Floats
+    profile: SensorProfile  # the sensors
+    times_s: Floats  # (N,), times of the keyframes
+    groundtruth: State  # True keyframes and landmarks
+    flown: State  # True states at the IMU's rate, from 0 s to the last keyframe, without landmarks
+    keyframe_of: NDArray[np.int64]  # (M,) keyframe of each observation
+    landmark_of: NDArray[np.int64]  # (M,) landmark of each observation
+    pixels: Floats  # (M, r)
+    angular_velocities: Floats  # (N - 1, m, 3) between keyframes, rad/s
+    accelerations: Floats  # (N - 1, m, 3), m/s^2
+    camera_in_body: Floats  # (3, 3)
 
     def measured(self, generator: np.random.Generator) -> Problem:
         """Return the estimation problem of one set of noisy measurements."""
@@ -139,13 +215,13 @@ class Scene:
             pixels,
             self.keyframe_of,
             self.landmark_of,
-            len(self.truth.landmarks),
+            len(self.groundtruth.landmarks),
             preintegrated,
         )
 
     def disturbed(self, generator: np.random.Generator) -> State:
         """Return a random initial state (gauge paper, section V-B)."""
-        return initial_state(self.truth, generator)
+        return initial_state(self.groundtruth, generator)
 
 
 def make_scene(
@@ -159,19 +235,8 @@ def make_scene(
 ) -> Scene:
     """Return a scene: keyframes evenly over a motion, with landmarks drawn from a seed.
 
-    Args:
-        motion: Motion of the body.
-        layout: Layout of the landmarks, `plane` or `random`.
-        profile: Sensors.
-        seed: Seed of the landmarks.
-        keyframes: Number of keyframes N.
-        landmarks: Number of landmarks K; the profile's by default.
-        track: Largest number of keyframes for which a landmark is tracked, before and after the
-            keyframe that it was drawn from; all by default.
-
-    Raises:
-        SettingsError: Too few keyframes or landmarks, or keyframes closer than the IMU's samples.
-        DegenerateGeometryError: Too few landmarks are observed by several keyframes.
+    By default, landmarks have the profile's number and are tracked in all keyframes; see
+    `draw_landmarks`.
     """
     samples = int(motion.duration_s * IMU_RATE_HZ / max(keyframes - 1, 1) + 1e-9)
     if keyframes < 3 or samples < 1:
@@ -186,9 +251,9 @@ def make_scene(
             f"{wanted} landmarks are too few to determine a camera pose; use at least 8"
         )
     times = np.arange((keyframes - 1) * samples + 1) / IMU_RATE_HZ
-    rates, forces = _perfect_samples(motion, times, honest=profile.honest)
+    rates, forces = _perfect_samples(motion, times, is_exact=profile.is_exact)
     rates, forces = (column.reshape(keyframes - 1, samples, 3) for column in (rates, forces))
-    flown = _flown(motion, times, honest=profile.honest)
+    flown = _flown(motion, times, is_exact=profile.is_exact)
     positions, rotations = flown.positions[::samples], flown.rotations[::samples]
     points, keyframe_of, landmark_of, pixels = draw_landmarks(
         np.random.default_rng(seed),
@@ -213,10 +278,10 @@ def make_scene(
     )
 
 
-def _perfect_samples(motion: Motion, times: Floats, *, honest: bool) -> tuple[Floats, Floats]:
+def _perfect_samples(motion: Motion, times: Floats, *, is_exact: bool) -> tuple[Floats, Floats]:
     """Return the measurements of a noise-free IMU over the steps between `times`."""
     rotations = motion.rotations(times)
-    if not honest:
+    if not is_exact:
         turned = np.swapaxes(rotations[:-1], 1, 2)
         forces = motion.accelerations(times[:-1]) - GRAVITY
         return motion.angular_velocities(times[:-1]), np.einsum("nij,nj->ni", turned, forces)
@@ -228,15 +293,15 @@ def _perfect_samples(motion: Motion, times: Floats, *, honest: bool) -> tuple[Fl
     return rates, np.einsum("nji,nj->ni", middle, forces)
 
 
-def _flown(motion: Motion, times: Floats, *, honest: bool) -> State:
-    """Return the truth at the IMU's rate, as a state without landmarks.
+def _flown(motion: Motion, times: Floats, *, is_exact: bool) -> State:
+    """Return the true motion at the IMU's rate, as a state without landmarks.
 
-    For an honest profile it is the integral of the perfect samples, so that measurements have no
+    For an exact model it is the integral of the perfect samples, so that measurements have no
     errors except noise: attitudes and velocities are those of the motion, positions are the sum of
     the velocities, within about 10 um of the motion in a flight of the paper's length.
     """
     positions, velocities = motion.positions(times), motion.velocities(times)
-    if honest:
+    if is_exact:
         steps = (velocities[:-1] + velocities[1:]) / (2.0 * IMU_RATE_HZ)
         positions = positions[0] + np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
     return State.at(positions, motion.rotations(times), velocities, np.zeros((0, 3)))

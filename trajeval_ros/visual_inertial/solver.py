@@ -39,38 +39,23 @@ class GaugeHandling(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """Properties of the I accepted states and, first, of the initial state, (I + 1,).
+    """Properties of the I accepted states and, first, of the initial state, (I + 1,)."""
 
-    Attributes:
-        cost: Half the squared length of all residuals, the prior's included.
-        reprojection_px: Mean reprojection error.
-        position_m: Distance of the first position from its initial value.
-        yaw_deg: Absolute z component of the first rotation's Dphi.
-    """
-
-    cost: Floats
-    reprojection_px: Floats
-    position_m: Floats
-    yaw_deg: Floats
+    cost: Floats  # half the squared length of all residuals, the prior's included
+    reprojection_px: Floats  # mean reprojection error
+    position_m: Floats  # distance of the first position from its initial value
+    yaw_deg: Floats  # absolute z component of the first rotation's Dphi
 
 
 @dataclass(frozen=True, eq=False)
 class SolverResult:
-    """The result of the iterations.
+    """The result of the iterations."""
 
-    Attributes:
-        state: The estimate.
-        cost: Cost of the state.
-        iterations: Number of linear solves.
-        reason: Stopping rule: `function`, `step`, `gradient`, `iterations` or `radius`.
-        trace: Costs and gauge of the accepted states.
-    """
-
-    state: State
-    cost: float
-    iterations: int
-    reason: str
-    trace: Trace
+    state: State  # the estimate
+    cost: float  # cost of the state
+    iterations: int  # number of linear solves
+    reason: str  # stopping rule: `function`, `step`, `gradient`, `iterations` or `radius`
+    trace: Trace  # costs and gauge of the accepted states
 
 
 def solve(
@@ -85,9 +70,7 @@ def solve(
     """Minimise eq. (1).
 
     Args:
-        problem: The measurements.
         initial: Initial state; also the reference of gauge fixation and gauge prior.
-        handling: How the gauge freedom is handled.
         prior_weight: w of the gauge prior, eq. (11), for position (1/m^2) and yaw (1/rad^2).
         function_tolerance: Relative change of the cost below which the iterations stop.
         keep_last_step: Ceres discards the step with which it detects convergence. False does so,

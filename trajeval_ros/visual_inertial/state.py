@@ -21,27 +21,18 @@ class State:
     landmarks. w is 9 if the biases are known, and 15 if they are estimated. Rotations are
     perturbed on the left, R <- Exp(dphi) R (eq. 8), except for the first one. This is Exp(Dphi)
     R_ref with steps added to the vector Dphi (eq. 9), so that its yaw can be fixed.
-
-    Attributes:
-        positions: (N, 3), metres.
-        rotations: (N, 3, 3), body to world.
-        velocities: (N, 3), m/s, in the world.
-        landmarks: (K, 3), metres.
-        biases: (N, 6) of gyroscope (rad/s) and accelerometer (m/s^2), relative to those already
-            subtracted from the samples; (N, 0) if they are not estimated.
-        first_turn: (3,), Dphi of eq. (9), rad.
-        reference_rotation: (3, 3), R_ref, the first rotation's initial value.
-        reference_position: (3,), the first position's initial value.
     """
 
-    positions: Floats
-    rotations: Floats
-    velocities: Floats
-    landmarks: Floats
+    positions: Floats  # (N, 3), metres
+    rotations: Floats  # (N, 3, 3), body to world
+    velocities: Floats  # (N, 3), m/s, in the world
+    landmarks: Floats  # (K, 3), metres
+    # (N, 6) of gyroscope (rad/s) and accelerometer (m/s^2), relative to those already subtracted
+    # from the samples; (N, 0) if they are not estimated.
     biases: Floats
-    first_turn: Floats
-    reference_rotation: Floats
-    reference_position: Floats
+    first_turn: Floats  # (3,), Dphi of eq. (9), rad
+    reference_rotation: Floats  # (3, 3), R_ref, the first rotation's initial value
+    reference_position: Floats  # (3,), the first position's initial value
 
     @classmethod
     def at(
@@ -141,3 +132,28 @@ class State:
 def _gravity_cross(vectors: Floats) -> Floats:
     """Return e_z x v."""
     return np.stack([-vectors[:, 1], vectors[:, 0], np.zeros(len(vectors))], axis=1)
+
+
+_POSITION_M, _ROTATION_DEG = 0.05, 6.0
+_VELOCITY_MPS, _LANDMARK_M = 0.05, 0.075
+
+
+def initial_state(groundtruth: State, generator: np.random.Generator) -> State:
+    """Return keyframes and landmarks with the paper's initial errors, and with true biases."""
+    count = len(groundtruth.positions)
+    turns = np.radians(_ROTATION_DEG) * _directions(generator, count)
+    rotations = so3.exp(turns) @ groundtruth.rotations
+    positions = groundtruth.positions + _POSITION_M * _directions(generator, count)
+    velocities = groundtruth.velocities + generator.uniform(
+        -_VELOCITY_MPS, _VELOCITY_MPS, (count, 3)
+    )
+    landmarks = groundtruth.landmarks + generator.uniform(
+        -_LANDMARK_M, _LANDMARK_M, groundtruth.landmarks.shape
+    )
+    return State.at(positions, rotations, velocities, landmarks, groundtruth.biases)
+
+
+def _directions(generator: np.random.Generator, count: int) -> Floats:
+    vectors = generator.standard_normal((count, 3))
+    directions: Floats = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    return directions

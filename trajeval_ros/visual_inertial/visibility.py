@@ -9,29 +9,23 @@ import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Indices
 
+# A landmark with one view has an unknown depth and adds a null direction. Two views are the
+# minimum, but determine the depth poorly if the keyframes are close.
+FEWEST_VIEWS = 3
 # Shortest windows: with shorter ones, calls cost more time than products.
 _FEWEST_STARTS = 8
 
 
 @dataclass(frozen=True, eq=False)
 class LandmarkWindow:
-    """Landmarks of similar tracks that begin near each other, and all keyframes of their tracks.
+    """Landmarks of similar tracks that start near each other, and the tracks' keyframes."""
 
-    Attributes:
-        first: First of the n keyframes.
-        last: The keyframe after the last one.
-        landmarks: Number k of landmarks.
-        observations: (m,), the landmarks' observations.
-        rows: (m,), keyframes of the observations, counted from `first`.
-        columns: (m,), landmarks of the observations, counted in the window.
-    """
-
-    first: int
-    last: int
-    landmarks: int
-    observations: Indices
-    rows: Indices
-    columns: Indices
+    first: int  # first of the n keyframes
+    last: int  # the keyframe after the last one
+    landmarks: int  # number k of landmarks
+    observations: Indices  # (m,), the landmarks' observations
+    rows: Indices  # (m,), keyframes of the observations, counted from `first`
+    columns: Indices  # (m,), landmarks of the observations, counted in the window
 
     @property
     def keyframes(self) -> int:
@@ -75,10 +69,6 @@ class Visibility:
         landmark_of: (M,), landmarks of the observations.
         keyframes: N.
         landmarks: K.
-        by_keyframe: Sums over the observations of each keyframe.
-        by_landmark: Sums over the observations of each landmark.
-        longest_track: Largest number of keyframes from a landmark's first to its last, at least 2.
-        windows: All landmarks, by windows of keyframes.
     """
 
     def __init__(
@@ -87,15 +77,18 @@ class Visibility:
         """Store the keyframes (M,) and landmarks (M,) of the observations."""
         self.keyframe_of, self.landmark_of = keyframe_of, landmark_of
         self.keyframes, self.landmarks = keyframes, landmarks
+        # Sums over the observations of each keyframe.
         self.by_keyframe = Sums(keyframe_of, keyframes)
+        # Sums over the observations of each landmark.
         self.by_landmark = Sums(landmark_of, landmarks)
         first = np.full(landmarks, keyframes)
         last = np.full(landmarks, -1)
         np.minimum.at(first, landmark_of, keyframe_of)
         np.maximum.at(last, landmark_of, keyframe_of)
         # The IMU couples two keyframes.
+        # Largest number of keyframes from a landmark's first to its last, at least 2.
         self.longest_track = max(int((last - first).max()) + 1, 2)
-        self.windows = list(self._windows(first, last))
+        self.windows = list(self._windows(first, last))  # all landmarks, by windows of keyframes
 
     def _windows(self, first: Indices, last: Indices) -> Iterator[LandmarkWindow]:
         # Tracks of up to 8, 16, 32, ... keyframes that begin within as many: a product has few

@@ -12,12 +12,11 @@ import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.watchdog.correction_signals import CorrectionSignals
 from trajeval_ros.watchdog.inertial_mounting import IMU_WIDTH
 from trajeval_ros.watchdog.inertial_signals import InertialSignals
 from trajeval_ros.watchdog.pair_signals import PairSignals
-from trajeval_ros.watchdog.pose_signals import PoseSignals
-from trajeval_ros.watchdog.recent import (
+from trajeval_ros.watchdog.pose_signals import CorrectionSignals, PoseSignals
+from trajeval_ros.watchdog.row_buffer import (
     POSE_WIDTH,
     POSITION,
     REMEMBERED_S,
@@ -25,8 +24,9 @@ from trajeval_ros.watchdog.recent import (
     STATE_WIDTH,
     TIME,
     VELOCITY,
-    Feed,
-    Recent,
+    Comparison,
+    OrderedFeed,
+    RowBuffer,
     lengths,
 )
 from trajeval_ros.watchdog.signals import PAIR, Readings, Signals, joined
@@ -49,28 +49,15 @@ class Watchdog:
     Attributes:
         moved_s: Duration of motion so far, until arming, seconds.
         armed_s: Time of arming, seconds since the first message; None before.
-        restarts: Number of restarts of the estimator.
-
-    Example:
-        >>> from trajeval_ros import simulate
-        >>> from trajeval_ros.watchdog.engine import Watchdog
-        >>> estimate = simulate(seed=1, duration_s=60.0).estimate
-        >>> watchdog = Watchdog()
-        >>> signals = watchdog.add_states(
-        ...     estimate.stamps, estimate.positions, estimate.quaternions
-        ... )
-        >>> watchdog.armed_s is not None and "jump_m" in signals
-        True
     """
 
     def __init__(self, origin: int | None = None, pairs: Sequence[str] = (PAIR,)) -> None:
         """Create it without a message.
 
-        Args:
-            origin: Timestamp, ns, from which seconds are counted; None for the first message.
-            pairs: The second estimates, as `pair_sources` names them.
+        Seconds count from the timestamp `origin`, ns, or from the first message. `pairs` are the
+        second estimates, as `pair_sources` names them.
         """
-        self.restarts = 0
+        self.restarts = 0  # number of restarts of the estimator
         self._origin = origin
         self._told: list[str] = []
         self._pair_names = tuple(pairs)
@@ -80,14 +67,12 @@ class Watchdog:
         self.moved_s = 0.0
         self.armed_s: float | None = None
         widths = {"imu": IMU_WIDTH, **dict.fromkeys(("map", *self._pair_names), POSE_WIDTH)}
-        self._feeds = {name: Feed() for name in ("states", *widths)}
-        self._states = Recent(STATE_WIDTH)
-        self._waiting = {name: Recent(width) for name, width in widths.items()}
+        self._feeds = {name: OrderedFeed() for name in ("states", *widths)}
+        self._states = RowBuffer(STATE_WIDTH)
+        self._waiting = {name: RowBuffer(width) for name, width in widths.items()}
         self._pose: PoseSignals | None = None
         self._twist: TwistSignals | None = None
-        self._inertial: InertialSignals | None = None
-        self._corrections: CorrectionSignals | None = None
-        self._pairs: dict[str, PairSignals] = {}
+        self._others: dict[str, InertialSignals | CorrectionSignals | PairSignals] = {}
         self._counted_s = -np.inf
 
     @property
@@ -98,8 +83,9 @@ class Watchdog:
     @property
     def notices(self) -> list[str]:
         """Findings about the sources, one sentence each."""
-        groups = (self._twist, self._inertial, *self._pairs.values())
-        found = [each for group in groups if group is not None for each in group.notices]
+        groups = [] if self._twist is None else [self._twist.notices]
+        groups += [each.notices for each in self._others.values() if isinstance(each, Comparison)]
+        found = [each for group in groups for each in group]
         return [*self._told, *found]
 
     @property
@@ -124,16 +110,11 @@ class Watchdog:
         positions: Floats,
         quaternions: Floats,
         body_velocities: Floats | None = None,
-        body_rates: Floats | None = None,
     ) -> Signals:
         """Add states of the estimate; return the signals that they determine.
 
-        Args:
-            stamps: (N,), ns.
-            positions: (N, 3), metres.
-            quaternions: (N, 4), xyzw, unit.
-            body_velocities: (N, 3), m/s, in the body frame; None if messages have no twist.
-            body_rates: (N, 3), rad/s, in the body frame; None if messages have no twist.
+        `stamps`: (N,), ns. `positions`: (N, 3), metres. `quaternions`: (N, 4), xyzw, unit.
+        `body_velocities`: (N, 3), m/s, in the body frame; None if messages have no twist.
         """
         if not len(stamps):
             return {}
@@ -141,8 +122,7 @@ class Watchdog:
         latest = np.maximum.accumulate(np.concatenate([[self.last_s], seconds]))[:-1]
         back = np.flatnonzero(seconds < latest - RESTART_S)
         unknown = np.full((len(stamps), 3), np.nan)
-        twist = [unknown if each is None else each for each in (body_velocities, body_rates)]
-        columns = [positions, quaternions, *twist]
+        columns = [positions, quaternions, unknown if body_velocities is None else body_velocities]
         if not len(back):
             return self._add_in_order(seconds, *columns)
         first = int(back[0])
@@ -161,14 +141,14 @@ class Watchdog:
         if not len(rows):
             return {}
         if self.armed_s is not None:
-            return self._judged(rows)
+            return self._signals(rows)
         self._states.append(rows)
         if not self._arms():
             self._states.forget(rows[-1, TIME] - REMEMBERED_S)
             return {}
         kept = self._states.rows.copy()
-        self._states = Recent(STATE_WIDTH)
-        return self._judged_from(kept)
+        self._states = RowBuffer(STATE_WIDTH)
+        return self._first_signals(kept)
 
     def _arms(self) -> bool:
         """Sum the duration of motion; arm if it is long enough, and return whether it is."""
@@ -188,7 +168,7 @@ class Watchdog:
         self.armed_s = float(some[1 + int(np.searchsorted(total, ARMING_S)), TIME])
         return True
 
-    def _judged_from(self, kept: Floats) -> Signals:
+    def _first_signals(self, kept: Floats) -> Signals:
         """Create the signals from the data before arming; return their first readings."""
         assert self.armed_s is not None
         oldest = self.armed_s - REMEMBERED_S
@@ -196,34 +176,28 @@ class Watchdog:
         before = kept[kept[:, TIME] < self.armed_s]
         period_s = float(np.median(np.diff(before[:, TIME])))
         self._pose = PoseSignals(period_s)
-        self._inertial = InertialSignals(period_s, self.armed_s)
-        self._corrections = CorrectionSignals()
-        self._pairs = {
-            name: PairSignals(name, period_s, self.armed_s) for name in self._pair_names
-        }
+        self._others = {"imu": InertialSignals(period_s, self.armed_s), "map": CorrectionSignals()}
+        for name in self._pair_names:
+            self._others[name] = PairSignals(name, period_s, self.armed_s)
         velocities = before[:, VELOCITY]
         if np.isfinite(velocities).all() and velocities.any():
-            self._twist = TwistSignals(before, period_s)
+            self._twist = TwistSignals(before)
         parts = []
         for name, each in self._waiting.items():
             each.forget_until(oldest)
             parts.append(self._by_source(name, each.rows))
         self._waiting = {}
-        return joined([*parts, self._judged(kept)])
+        return joined([*parts, self._signals(kept)])
 
-    def _judged(self, rows: Floats) -> Signals:
+    def _signals(self, rows: Floats) -> Signals:
         parts: list[Signals] = []
         assert self._pose is not None
-        assert self._inertial is not None
-        assert self._corrections is not None
         for begin in range(0, len(rows), _BLOCK):
             some = rows[begin : begin + _BLOCK]
             parts.append(self._pose.add(some))
             if self._twist is not None and self._twist.usable:
                 parts.append(self._twist.add(some))
-            parts.append(self._inertial.add(some))
-            parts.append(self._corrections.add(some))
-            parts += [each.add(some) for each in self._pairs.values()]
+            parts += [each.add(some) for each in self._others.values()]
         return self._since_armed(joined(parts))
 
     def _since_armed(self, signals: Signals) -> Signals:
@@ -237,36 +211,17 @@ class Watchdog:
         return found
 
     def add_inertial(self, stamps: Stamps, rates: Floats, accelerations: Floats) -> Signals:
-        """Add readings of the IMU; return the signals that they determine.
-
-        Args:
-            stamps: (N,), ns.
-            rates: (N, 3), rad/s, in the IMU's axes.
-            accelerations: (N, 3), m/s^2, specific force in the same axes.
-        """
+        """Add readings of the IMU in its axes, rad/s and m/s^2; return the signals."""
         return self._add_source("imu", stamps, rates, accelerations)
 
     def add_partner(
         self, stamps: Stamps, positions: Floats, quaternions: Floats, source: str = PAIR
     ) -> Signals:
-        """Add states of a second estimate; return the signals that they determine.
-
-        Args:
-            stamps: (N,), ns.
-            positions: (N, 3), in any frame and scale.
-            quaternions: (N, 4), xyzw, unit.
-            source: Name of the second estimate, as `pair_sources` returns it.
-        """
+        """Add states of a second estimate, in any frame and scale; return the signals."""
         return self._add_source(source, stamps, positions, quaternions)
 
     def add_corrections(self, stamps: Stamps, positions: Floats, quaternions: Floats) -> Signals:
-        """Add transforms from the map; return the signals that they determine.
-
-        Args:
-            stamps: (N,), ns.
-            positions: (N, 3), metres: the origin of the estimate's frame in the map.
-            quaternions: (N, 4), xyzw, unit.
-        """
+        """Add transforms: poses of the estimate's frame in the map; return the signals."""
         return self._add_source("map", stamps, positions, quaternions)
 
     def _add_source(self, name: str, stamps: Stamps, *columns: Floats) -> Signals:
@@ -285,10 +240,4 @@ class Watchdog:
         """Return the signals that rows of a source determine, after arming."""
         if not len(rows):
             return {}
-        if name in self._pairs:
-            return self._pairs[name].add_partner(rows)
-        assert self._inertial is not None
-        assert self._corrections is not None
-        if name == "imu":
-            return self._inertial.add_inertial(rows)
-        return self._corrections.add_transforms(rows)
+        return self._others[name].add_other(rows)

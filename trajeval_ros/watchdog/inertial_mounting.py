@@ -10,14 +10,13 @@ import numpy as np
 from trajeval_ros.calibration.hand_eye import closest_rotation
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
-from trajeval_ros.watchdog.recent import (
-    QUATERNION,
-    TIME,
-    lengths,
-    window_begins,
+from trajeval_ros.watchdog.rotations_over_time import (
+    between,
+    only_axis,
+    running_products,
+    slerp_at,
 )
-from trajeval_ros.watchdog.rotations_over_time import between, running_products, slerp_at
-from trajeval_ros.watchdog.turning_axis import only_axis
+from trajeval_ros.watchdog.row_buffer import QUATERNION, TIME, lengths, window_begins
 
 # Columns of an IMU row after `TIME` and `SINCE`: rad/s, m/s^2.
 GYRO, ACCELERATION = slice(2, 5), slice(5, 8)
@@ -27,6 +26,8 @@ _COARSE_S, _FINE_S, _NEAR_S = 0.05, 0.005, 0.05
 _INCREMENT_S, _BIAS_S = 0.5, 10.0
 _MOST = 2000
 _PASSES = 5
+_BIAS_PRIOR_RADPS = 0.02
+_MEDIAN_LENGTH, _LEAST_RAD = 1.538, 1e-4  # of a normal vector of three components, in sigma
 _SCALE_RAD = 0.01  # the loss is linear for larger residuals
 # IMU and estimate are unrelated if the median misfit of rotations divided by their median angle
 # exceeds this. Only rotations above this quantile of the angle are used.
@@ -37,23 +38,19 @@ _TOLD_OFFSET_S, _TOLD_TURN_DEG = 0.05, 5.0
 
 @dataclass(frozen=True)
 class Mounting:
-    """Rotation, time offset and gyroscope bias of an IMU on the estimate's body.
+    """Rotation, time offset and gyroscope bias of an IMU on the estimate's body."""
 
-    Attributes:
-        rotation: Rotation from the IMU's axes to the estimate's body (4,), xyzw.
-        bias: Bias of the gyroscope (3,), rad/s, in the IMU's axes.
-        offset_s: Time offset: time t of the estimate's clock is t + offset of the IMU's clock.
-        axis: The only axis (3,) about which the robot rotated, in the body; `rotation` is not
-            determined about it. None if the robot rotated about several axes.
-        misfit: Median difference of rotations in 0.5 s divided by their median angle, for the 25 %
-            of them with the largest angles.
-    """
-
-    rotation: Floats
-    bias: Floats
-    offset_s: float
+    rotation: Floats  # rotation from the IMU's axes to the estimate's body (4,), xyzw
+    bias: Floats  # bias of the gyroscope (3,), rad/s, in the IMU's axes
+    offset_s: float  # time offset: time t of the estimate's clock is t + offset of the IMU's clock
+    # The only axis (3,) about which the robot rotated, in the body; `rotation` is not determined
+    # about it. None if the robot rotated about several axes.
     axis: Floats | None
+    # Median difference of rotations in 0.5 s divided by their median angle, for the 25 % of them
+    # with the largest angles.
     misfit: float
+    # (6, 6), covariance of the bias (rad/s) and of the rotation (rad), both in the body
+    covariance: Floats
 
     @property
     def is_related(self) -> bool:
@@ -83,13 +80,7 @@ class Mounting:
 
 
 def turned_by_gyro(imu: Floats, bias: Floats, first: Floats) -> Floats:
-    """Integrate the gyroscope to orientations (N, 4), xyzw, at the rows of the IMU.
-
-    Args:
-        imu: Rows of the IMU, (N, 8).
-        bias: Bias of the gyroscope (3,), rad/s.
-        first: Orientation at the first row (4,), xyzw.
-    """
+    """Integrate the gyroscope (N, 8) from an orientation `first` to (N, 4), at its rows."""
     dt = np.diff(imu[:, TIME])[:, None]
     rate = 0.5 * (imu[1:, GYRO] + imu[:-1, GYRO]) - bias
     steps = lie.from_rotation_vector(rate * dt)
@@ -97,12 +88,7 @@ def turned_by_gyro(imu: Floats, bias: Floats, first: Floats) -> Floats:
 
 
 def mounting_of(states: Floats, imu: Floats) -> Mounting:
-    """Estimate the mounting of an IMU from rotations in 0.5 s.
-
-    Args:
-        states: States of the estimate before arming, (N, 9 or more).
-        imu: Rows of the IMU, (M, 8), which cover the states.
-    """
+    """Estimate the mounting from rotations in 0.5 s of states (N, 9) and IMU rows (M, 8)."""
     identity = np.array([0.0, 0.0, 0.0, 1.0])
     raw = turned_by_gyro(imu, np.zeros(3), identity)
     begins, known = window_begins(states, 0, _INCREMENT_S)
@@ -132,23 +118,18 @@ def mounting_of(states: Floats, imu: Floats) -> Mounting:
     axis = only_axis(own, by_gyro(best_of(coarse, None)))
     offset_s = best_of(best_of(coarse, axis) + near, axis)
     misfit, rotation, bias = _turn_and_bias(own, by_gyro(offset_s), span, axis)
-    quaternion, bias = _refined(states, imu, offset_s, lie.from_matrix(rotation), bias)
-    return Mounting(quaternion, bias, offset_s, axis, misfit)
+    first = lie.from_matrix(rotation)
+    quaternion, bias, covariance = _refined(states, imu, offset_s, first, bias)
+    return Mounting(quaternion, bias, offset_s, axis, misfit, covariance)
 
 
 def _turn_and_bias(
     own: Floats, gyro: Floats, span: Floats, axis: Floats | None
 ) -> tuple[float, Floats, Floats]:
-    """Fit rotation and bias to rotation vectors, as in `Mounting`.
+    """Fit rotation (3, 3) and bias (3,), rad/s, to rotation vectors; return them after the misfit.
 
-    Args:
-        own: Rotation vectors of the estimate, (N, 3), rad.
-        gyro: Rotation vectors of the gyroscope, (N, 3), rad.
-        span: Durations, (N, 1), s.
-        axis: The only axis (3,) of rotation; None for several.
-
-    Returns:
-        Misfit, rotation (3, 3) and bias (3,), rad/s.
+    The rotation vectors of estimate and gyroscope are (N, 3), rad, the durations (N, 1), s. With
+    an `axis` (3,), only rotations about it count.
     """
     bias, rotation = np.zeros(3), np.eye(3)
     for _ in range(_PASSES):
@@ -163,12 +144,13 @@ def _turn_and_bias(
 
 def _refined(
     states: Floats, imu: Floats, offset_s: float, rotation: Floats, bias: Floats
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Floats, Floats]:
     """Refine rotation (4,) and bias (3,) on windows of 10 s, where the bias has more effect.
 
     With the mounting X, the rotation G by the gyroscope and A by the estimate, the residual is
     r = Log((X G X')' A). The method is Gauss-Newton with dr/db = P' X int G dt, dr/dX = I - P',
-    P = X G X', and a soft l1 loss. A prime is the transpose.
+    P = X G X', and a soft l1 loss. A prime is the transpose. The third result is the covariance of
+    bias and rotation in the body (6, 6), with the prior of a gyroscope's bias.
     """
     times = states[:, TIME]
     begins, known = window_begins(states, 0, _BIAS_S)
@@ -176,8 +158,10 @@ def _refined(
     ends: Indices = np.flatnonzero(known & inside)
     ends = ends[:: max(1, len(ends) // _MOST)]
     begins = begins[ends]
-    if not len(ends):
-        return rotation, bias
+    covariance = np.diag([_BIAS_PRIOR_RADPS**2] * 3 + [1.0] * 3)
+    if len(ends) < 2:
+        return rotation, bias, covariance
+    weak, overlap = np.linalg.inv(covariance), float(np.median(np.diff(times[ends]))) / _BIAS_S
     own = between(states[begins, QUATERNION], states[ends, QUATERNION])
     for _ in range(_PASSES):
         track = turned_by_gyro(imu, bias, np.array([0.0, 0.0, 0.0, 1.0]))
@@ -204,13 +188,14 @@ def _refined(
             [back @ lie.to_matrix(rotation) @ swept, np.eye(3) - back], axis=2
         )
         weights = (1.0 + np.square(residual / _SCALE_RAD)) ** -0.25
-        solution = np.linalg.lstsq(
-            (jacobian * weights[:, :, None]).reshape(-1, 6),
-            -(residual * weights).reshape(-1),
-            rcond=1e-3,
-        )[0]
+        weighted = (jacobian * weights[:, :, None]).reshape(-1, 6)
+        solution = np.linalg.lstsq(weighted, -(residual * weights).reshape(-1), rcond=1e-3)[0]
+        sigma = max(float(np.median(lengths(residual))) / _MEDIAN_LENGTH, _LEAST_RAD)
+        covariance = np.linalg.inv(overlap / sigma**2 * weighted.T @ weighted + weak)
         bias = bias + solution[:3]
         rotation = lie.multiply(
             lie.from_rotation_vector(np.asarray(solution[3:], float)), rotation
         )
-    return lie.normalized(rotation), bias
+    into_body = np.eye(6)
+    into_body[:3, :3] = lie.to_matrix(rotation[None])[0]
+    return lie.normalized(rotation), bias, into_body @ covariance @ into_body.T

@@ -7,95 +7,71 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.calibration.hand_eye import closest_rotation
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
-from trajeval_ros.watchdog.recent import (
+from trajeval_ros.geometry.so3 import skew
+from trajeval_ros.watchdog.judging import judged
+from trajeval_ros.watchdog.rotations_over_time import between, slerp_at
+from trajeval_ros.watchdog.row_buffer import (
     POSE_WIDTH,
     POSITION,
     QUATERNION,
     SINCE,
     TIME,
-    Recent,
+    Comparison,
+    RowBuffer,
     interpolated,
     lengths,
     only,
     window_begins,
 )
-from trajeval_ros.watchdog.rotations_over_time import angles_deg, between, slerp_at
-from trajeval_ros.watchdog.signals import PAIR, WINDOWS_S, Signals, finite, source_words
-from trajeval_ros.watchdog.turning_axis import only_axis
+from trajeval_ros.watchdog.signals import PAIR, Signals, finite, source_words
 
+_WINDOWS_S = (5.0, 20.0)
 _CALIBRATION_S = 2.0
 _PASSES = 10
 _TRIM = 4.0  # residuals above this multiple of their median are outliers
 _LEAST_M, _LEAST_RAD = 1e-3, 1e-3
-# Without rotation the lever arm is not observable: least median angle in 2 s, rad.
-_LEAST_TURN = 0.1
+# Standard deviations of the prior: a lever arm on a robot, and any scale within a few octaves.
+_LEVER_M, _LOG_SCALE = 0.5, 1.0
+_MEDIAN_LENGTH = 1.538  # of a normal vector of three components with unit standard deviation
+_MOST_LOG_STEP = 0.5
 _FEWEST = 20
-_SCALE_S = 10.0
-_OTHER_POSITION, _OTHER_QUATERNION = slice(9, 12), slice(12, 16)
-_PATH, _OTHER_PATH = 16, 17
-_WIDTH = 18
+_SPEED_S = 1.0
+_OTHER_POSITION, _OTHER_QUATERNION, _PATH = slice(9, 12), slice(12, 16), 16
+_WIDTH = 17
 
 
 @dataclass(frozen=True)
 class BodyDifference:
-    """The pose of the second estimate's body in the body of the estimate, and its scale.
+    """The pose of the second estimate's body in the body of the estimate, and its scale."""
 
-    Attributes:
-        rotation: Rotation from the axes of the second body to the axes of the body (4,), xyzw.
-        lever_m: Origin of the second body in the body (3,), metres.
-        scale: Metres of the estimate per metre of the second estimate.
-    """
-
+    # Rotation from the axes of the second body to the axes of the body (4,), xyzw.
     rotation: Floats
-    lever_m: Floats
-    scale: float
+    lever_m: Floats  # origin of the second body in the body (3,), metres
+    scale: float  # metres of the estimate per metre of the second estimate
+    # (7, 7), covariance of rotation (rad, in the body), lever arm and log scale
+    covariance: Floats
 
 
-class PairSignals:
-    """Compares relative motions of an estimate and its partner.
-
-    Attributes:
-        notices: Findings at the start, one sentence each.
-        usable: Whether the two can be compared.
-    """
+class PairSignals(Comparison):
+    """Compares relative motions of an estimate and its partner."""
 
     def __init__(self, source: str, period_s: float, armed_s: float) -> None:
-        """Create it; the body difference is estimated once the partner reaches the arming.
+        """Create it; data until `armed_s` determine the body difference.
 
-        Args:
-            source: The second estimate, `pair` or `pair.NAME`; NAME is appended to signals.
-            period_s: Usual time between states of the estimate.
-            armed_s: Time of arming; later data are not used for the body difference.
+        `source` is `pair` or `pair.NAME`, and NAME is appended to signals. `period_s` is the usual
+        time between states of the estimate.
         """
+        super().__init__(POSE_WIDTH)
         self._source, self._suffix = source, source.removeprefix(PAIR)
-        self.notices: list[str] = []
-        self.usable = True
-        self._armed_s = armed_s
-        self._least_path_m = _SCALE_S / period_s * 0.05
+        self._armed_s, self._period_s = armed_s, period_s
         self._body: BodyDifference | None = None
-        self._states = Recent(POSE_WIDTH)
-        self._partner = Recent(POSE_WIDTH)
-        self._rows = Recent(_WIDTH)
+        self._rows = RowBuffer(_WIDTH)
         self._done = -np.inf
 
-    def add_partner(self, rows: Floats) -> Signals:
-        """Add states of the partner (N, 9); return the signals at states that it covers."""
-        if not self.usable:
-            return {}
-        self._partner.remember(rows)
-        return self._advance()
-
-    def add(self, rows: Floats) -> Signals:
-        """Add states (N, 9 or more); return the signals at states that the partner covers."""
-        if not self.usable:
-            return {}
-        self._states.remember(rows[:, :POSE_WIDTH])
-        return self._advance()
-
     def _advance(self) -> Signals:
-        states, partner = self._states.rows, self._partner.rows
+        states, partner = self._states.rows, self._other.rows
         if not len(states) or len(partner) < 2:
             return {}
         first = int(np.searchsorted(states[:, TIME], self._done, side="right"))
@@ -106,16 +82,16 @@ class PairSignals:
         old = len(self._rows.rows)
         self._rows.append(_matched(states[first:ready], partner))
         self._states.forget(self._done)
-        self._partner.forget(self._done - 60.0)
+        self._other.forget(self._done - 60.0)
         if self._body is None:
             if self._done < self._armed_s:
                 return {}
             old = 0
             if not self._find_body():
                 return {}
-        self._add_paths(old)
+        self._add_path(old)
         signals = self._signals(old)
-        self._rows.forget(self._done - WINDOWS_S[-1] - 2.0 * _SCALE_S)
+        self._rows.forget(self._done - 2.0 * _WINDOWS_S[-1])
         return signals
 
     def _find_body(self) -> bool:
@@ -126,58 +102,66 @@ class PairSignals:
             begins, known = window_begins(rows, 0, _CALIBRATION_S)
             ends = np.flatnonzero(known)
             if len(ends) >= _FEWEST:
-                self._body = body_difference(*_motions(rows, begins[ends], ends))
+                # Windows of 2 s that end at every state are not independent.
+                overlap = self._period_s / _CALIBRATION_S
+                self._body = body_difference(*_motions(rows, begins[ends], ends), overlap=overlap)
                 return True
-        self.usable = False
-        self.notices.append(
+        return self._refuse(
             f"too little data of the {source_words(self._source)} during the motion before "
             "arming: it is not compared"
         )
-        return False
 
-    def _add_paths(self, first: int) -> None:
-        """Fill in the running sums of the displacements in 1 s of both, for the scale signal."""
+    def _add_path(self, first: int) -> None:
+        """Fill in the path length, m, by the second estimate's displacements in 1 s."""
         rows = self._rows.rows
         assert self._body is not None
-        begins, known = window_begins(rows, first, 1.0)
-        for column, position, scale in (
-            (_PATH, POSITION, 1.0),
-            (_OTHER_PATH, _OTHER_POSITION, self._body.scale),
-        ):
-            chords = lengths(rows[first:, position] - rows[begins, position])
-            before = rows[first - 1, column] if first else 0.0
-            rows[first:, column] = before + scale * np.cumsum(np.where(known, chords, 0.0))
+        begins, known = window_begins(rows, first, _SPEED_S)
+        motions = _motions(rows, begins, np.arange(first, len(rows)))
+        moved = lengths(_predicted(self._body, *motions)[1])
+        before = rows[first - 1, _PATH] if first else 0.0
+        share = self._period_s / _SPEED_S
+        rows[first:, _PATH] = before + share * np.cumsum(np.where(known, moved, 0.0))
 
     def _signals(self, first: int) -> Signals:
         rows, body = self._rows.rows, self._body
         assert body is not None
-        times = rows[first:, TIME]
+        times, ends = rows[first:, TIME], np.arange(first, len(rows))
         signals = {}
-        for window_s in WINDOWS_S:
+        for window_s in _WINDOWS_S:
             begins, known = window_begins(rows, first, window_s)
-            turn, step, other_turn, other_step = _motions(
-                rows, begins, np.arange(first, len(rows))
-            )
-            angle = np.degrees(np.abs(lie.angle(turn) - lie.angle(other_turn)))
-            expected = lie.multiply(
-                lie.multiply(body.rotation, other_turn), lie.conjugate(body.rotation)
-            )
-            moved = body.scale * lie.rotate(body.rotation, other_step) + body.lever_m
-            moved -= lie.rotate(turn, np.broadcast_to(body.lever_m, moved.shape))
+            motions = _motions(rows, begins, ends)
+            turn, step = motions[:2]
+            expected, moved = _predicted(body, *motions)
+            jacobian = _displacement_jacobian(body, turn, motions[3])
+            floor_m, floor_rad = 0.01 + 0.005 * window_s, np.radians(0.1 + 0.02 * window_s)
+            off_m = judged(step - moved, jacobian, body.covariance, floor_m)
+            path_m = rows[first:, _PATH] - rows[begins, _PATH]
+            back = np.swapaxes(lie.to_matrix(expected), 1, 2) - np.eye(3)
+            off_turn = lie.rotation_vector(between(expected, turn))
+            off_rad = judged(off_turn, back, body.covariance[:3, :3], floor_rad)
             for stem, values in (
-                ("pair_m", lengths(step - moved)),
-                ("pair_deg", angles_deg(between(expected, turn))),
-                ("pair_angle_deg", angle),
+                ("pair_percent", 100.0 * off_m / (1.0 + path_m)),
+                ("pair_deg", np.degrees(off_rad)),
             ):
                 signals[f"{stem}_{window_s:g}s{self._suffix}"] = finite(times, only(values, known))
-        begins, known = window_begins(rows, first, _SCALE_S)
-        own, other = (rows[first:, each] - rows[begins, each] for each in (_PATH, _OTHER_PATH))
-        enough = np.minimum(own, other) > self._least_path_m
-        ratio = np.abs(np.log(np.maximum(own, 1e-9) / np.maximum(other, 1e-9)))
-        signals[f"pair_scale{self._suffix}"] = finite(
-            times, only(np.where(enough, ratio, 0.0), known)
-        )
         return signals
+
+
+def _predicted(
+    body: BodyDifference, turns: Floats, _: Floats, other_turns: Floats, other_steps: Floats
+) -> tuple[Floats, Floats]:
+    """Return rotations (N, 4) and displacements (N, 3) by the second estimate's motions."""
+    expected = lie.multiply(lie.multiply(body.rotation, other_turns), lie.conjugate(body.rotation))
+    moved = body.scale * lie.rotate(body.rotation, other_steps) + body.lever_m
+    moved -= lie.rotate(turns, np.broadcast_to(body.lever_m, moved.shape))
+    return expected, moved
+
+
+def _displacement_jacobian(body: BodyDifference, turns: Floats, other_steps: Floats) -> Floats:
+    """Return the derivatives (N, 3, 7) of predicted displacements by the body difference."""
+    along = body.scale * lie.rotate(body.rotation, other_steps)
+    left = np.eye(3) - lie.to_matrix(turns)
+    return np.concatenate([-skew(along), left, along[:, :, None]], axis=2)
 
 
 def _matched(states: Floats, partner: Floats) -> Floats:
@@ -195,64 +179,63 @@ def _matched(states: Floats, partner: Floats) -> Floats:
     return rows
 
 
-def _motions(rows: Floats, begins: Indices, ends: Indices) -> tuple[Floats, ...]:
+def _motions(
+    rows: Floats, begins: Indices, ends: Indices
+) -> tuple[Floats, Floats, Floats, Floats]:
     """Return rotations (N, 4) and displacements (N, 3) of both estimates, in the first body.
 
     The first body is the body frame at the start of the motion.
     """
-    found = []
-    for position, quaternion in (
-        (POSITION, QUATERNION),
-        (_OTHER_POSITION, _OTHER_QUATERNION),
-    ):
+
+    def of(position: slice, quaternion: slice) -> tuple[Floats, Floats]:
         start = rows[begins, quaternion]
-        found.append(between(start, rows[ends, quaternion]))
         moved = rows[ends, position] - rows[begins, position]
-        found.append(lie.rotate(lie.conjugate(start), moved))
-    return tuple(found)
+        return between(start, rows[ends, quaternion]), lie.rotate(lie.conjugate(start), moved)
+
+    return *of(POSITION, QUATERNION), *of(_OTHER_POSITION, _OTHER_QUATERNION)
 
 
 def body_difference(
-    turns: Floats, steps: Floats, other_turns: Floats, other_steps: Floats
+    turns: Floats, steps: Floats, other_turns: Floats, other_steps: Floats, overlap: float = 1.0
 ) -> BodyDifference:
-    """Estimate the body difference from relative motions, by trimmed least squares.
+    """Estimate the body difference and its covariance by one weighted, trimmed least squares.
 
-    Rotations determine the rotation X between the bodies: A X = X B. Displacements determine the
-    lever arm l and the scale s: t_A = s X t_B + (I - R_A) l. If the robot rotates about only one
-    axis, displacements also determine X about this axis.
-
-    Args:
-        turns: Rotations A of the estimate, (N, 4), xyzw.
-        steps: Displacements t_A of the estimate, (N, 3), metres.
-        other_turns: Rotations B of the second estimate, (N, 4), xyzw.
-        other_steps: Displacements t_B of the second estimate, (N, 3), in its scale.
+    Rotations A X = X B and displacements t_A = s X t_B + (I - R_A) l determine rotation X, lever
+    arm l and scale s. Both are weighted by the medians of their residuals. A prior covers what the
+    motion does not determine. The method is Gauss-Newton. Rotations are (N, 4), xyzw, and
+    displacements (N, 3). `overlap` is the number of independent motions divided by N.
     """
     a, b = lie.rotation_vector(turns), lie.rotation_vector(other_turns)
     left = np.eye(3) - lie.to_matrix(turns)
     # Angles do not depend on the body difference. If they differ, one of the two is an outlier.
     off_angle = np.abs(lengths(a) - lengths(b))
     kept: Booleans = off_angle < _TRIM * np.median(off_angle) + _LEAST_RAD
-    sees_lever = float(np.median(lengths(a))) > _LEAST_TURN
-    one_axis = only_axis(a[kept], b[kept]) is not None
-    rotation, lever, scale = np.eye(3), np.zeros(3), 1.0
+    moved_m, other_m = (float(np.median(lengths(each[kept]))) for each in (steps, other_steps))
+    scale = moved_m / max(other_m, 1e-9)
+    rotation = closest_rotation(
+        np.concatenate([a[kept], steps[kept]]),
+        np.concatenate([b[kept], scale * other_steps[kept]]),
+    )
+    lever, covariance = np.zeros(3), np.eye(7)
+    weak = np.diag([1e-9] * 3 + [_LEVER_M**-2] * 3 + [_LOG_SCALE**-2])
     for _ in range(_PASSES):
-        targets, vectors = a[kept], b[kept]
-        if one_axis:
-            # Metres and radians have equal weights: only displacements determine the rotation
-            # about the axis.
-            moved = steps - left @ lever
-            targets = np.concatenate([targets, moved[kept]])
-            vectors = np.concatenate([vectors, scale * other_steps[kept]])
-        rotation = closest_rotation(targets, vectors)
-        along = other_steps @ rotation.T
-        design = np.concatenate([left if sees_lever else 0.0 * left, along[:, :, None]], axis=2)
-        solution = np.linalg.lstsq(
-            design[kept].reshape(-1, 4), steps[kept].reshape(-1), rcond=1e-3
-        )[0]
-        lever, scale = solution[:3], float(solution[3])
-        off = lengths(steps - design @ solution)
-        off_turn = lengths(a - b @ rotation.T)
-        kept = (off < _TRIM * np.median(off) + _LEAST_M) & (
-            off_turn < _TRIM * np.median(off_turn) + _LEAST_RAD
+        turned, along = b @ rotation.T, scale * other_steps @ rotation.T
+        off_turn, off = a - turned, steps - along - left @ lever
+        sizes, turn_sizes = lengths(off), lengths(off_turn)
+        kept = (sizes < _TRIM * np.median(sizes) + _LEAST_M) & (
+            turn_sizes < _TRIM * np.median(turn_sizes) + _LEAST_RAD
         )
-    return BodyDifference(lie.from_matrix(rotation), lever, scale)
+        sigma_rad = max(float(np.median(turn_sizes)) / _MEDIAN_LENGTH, _LEAST_RAD)
+        sigma_m = max(float(np.median(sizes)) / _MEDIAN_LENGTH, _LEAST_M)
+        by_turn = np.concatenate([-skew(turned), np.zeros((len(a), 3, 4))], axis=2) / sigma_rad
+        by_step = np.concatenate([-skew(along), left, along[:, :, None]], axis=2) / sigma_m
+        jacobian = np.concatenate([by_turn, by_step], axis=1)[kept].reshape(-1, 7)
+        residual = np.concatenate([off_turn / sigma_rad, off / sigma_m], axis=1)[kept].ravel()
+        gradient = overlap * jacobian.T @ residual
+        gradient[3:6] -= lever / _LEVER_M**2
+        covariance = np.linalg.inv(overlap * jacobian.T @ jacobian + weak)
+        step = covariance @ gradient
+        rotation = so3.exp(step[:3]) @ rotation
+        lever = lever + step[3:6]
+        scale *= float(np.exp(np.clip(step[6], -_MOST_LOG_STEP, _MOST_LOG_STEP)))
+    return BodyDifference(lie.from_matrix(rotation), lever, scale, covariance)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -16,30 +16,22 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.inertial import InertialReadings
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.watchdog.engine import ARMING_S, Watchdog
-from trajeval_ros.watchdog.signals import Readings, Signals, joined, source_of
-from trajeval_ros.watchdog.unseen import unseen
+from trajeval_ros.watchdog.signals import PAIR, Readings, Signals, joined, source_of, source_words
+from trajeval_ros.watchdog.watch_alarms import AlarmBook
 
 _SLICE_S = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class WatchedRun:
-    """An estimate and the sources that it is compared with.
+    """An estimate and the sources that it is compared with."""
 
-    Attributes:
-        estimate: The states that are watched, in order of arrival.
-        twist: Angular velocities in the estimate's messages; None if they have none.
-        imu: Readings of the robot's IMU.
-        partners: Second estimates of the same robot, of any frame, body and scale, by source (see
-            `pair_sources`).
-        corrections: Transforms from the map to the estimate's frame.
-    """
-
-    estimate: Trajectory
-    twist: InertialReadings | None = None
-    imu: InertialReadings | None = None
+    estimate: Trajectory  # the states that are watched, in order of arrival
+    imu: InertialReadings | None = None  # readings of the robot's IMU
+    # Second estimates of the same robot, of any frame, body and scale, by source (see
+    # `pair_sources`).
     partners: Mapping[str, Trajectory] = field(default_factory=dict)
-    corrections: Trajectory | None = None
+    corrections: Trajectory | None = None  # transforms from the map to the estimate's frame
 
     @property
     def others(self) -> list[Trajectory]:
@@ -50,21 +42,13 @@ class WatchedRun:
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """Signals of a recording.
+    """Signals of a recording."""
 
-    Attributes:
-        origin: Timestamp, ns, from which seconds are counted.
-        signals: Values since arming, by name.
-        armed_s: Time of arming, s.
-        end_s: Time of the last state, s.
-        notices: Findings about the sources, one sentence each.
-    """
-
-    origin: int
-    signals: Signals
-    armed_s: float
-    end_s: float
-    notices: tuple[str, ...]
+    origin: int  # timestamp, ns, from which seconds are counted
+    signals: Signals  # values since arming, by name
+    armed_s: float  # time of arming, s
+    end_s: float  # time of the last state, s
+    notices: tuple[str, ...]  # findings about the sources, one sentence each
 
     @property
     def hours(self) -> float:
@@ -73,23 +57,12 @@ class Watched:
 
 
 def watched(run: WatchedRun) -> Watched:
-    """Watch a recording.
-
-    Raises:
-        InputError: The estimate has no orientations, or the robot hardly moves.
-
-    Example:
-        >>> from trajeval_ros import simulate
-        >>> from trajeval_ros.watchdog.recording import WatchedRun, watched
-        >>> seen = watched(WatchedRun(simulate(seed=1, duration_s=60.0).estimate))
-        >>> sorted(seen.signals)[:2]
-        ['freeze_hard_s', 'gap']
-    """
+    """Watch a recording."""
     name = run.estimate.name or "the estimate"
     if not len(run.estimate):
         raise InputError(f"{name} has no usable pose")
     for each in (run.estimate, *run.others):
-        if not each.stamped:
+        if not each.reading.stamped:
             raise InputError(
                 f"{each.name or 'an estimate'} has no timestamps, which watch needs; give a "
                 "recording with timestamps"
@@ -117,7 +90,7 @@ def watched(run: WatchedRun) -> Watched:
         if source is not None
     }
     there = {source_of(name) for name in signals}
-    notices = [*watchdog.notices, *unseen(needs, there, watchdog.notices)]
+    notices = [*watchdog.notices, *undetected_faults(needs, there, watchdog.notices)]
     if watchdog.out_of_order:
         notices.append(
             f"{counted(watchdog.out_of_order, 'state')} of {name} dropped: timestamps do not "
@@ -135,7 +108,6 @@ def _fed(watchdog: Watchdog, run: WatchedRun) -> Iterator[Signals]:
     """Feed all sources in slices of time, as in a live run, and yield the signals."""
     estimate, imu = run.estimate, run.imu
     velocities = _body_velocities(estimate)
-    rates = None if run.twist is None else rates_at(estimate.stamps, run.twist)
     takers: list[Callable[[Stamps, Floats, Floats], Signals]] = [
         partial(watchdog.add_partner, source=each) for each in run.partners
     ]
@@ -162,7 +134,6 @@ def _fed(watchdog: Watchdog, run: WatchedRun) -> Iterator[Signals]:
             estimate.positions[rows],
             estimate.quaternions[rows],
             None if velocities is None else velocities[rows],
-            None if rates is None else rates[rows],
         )
 
 
@@ -185,16 +156,42 @@ def _body_velocities(estimate: Trajectory) -> Floats | None:
     return lie.rotate(lie.conjugate(estimate.quaternions), estimate.velocities)
 
 
-def rates_at(stamps: Stamps, twist: InertialReadings) -> Floats:
-    """Return angular velocities (N, 3), rad/s, at states.
+def error_spans(run: WatchedRun, factor: float) -> list[tuple[int, int]]:
+    """Return first and last timestamp of every error, ns, in the estimate's clock."""
+    seen = watched(run)
+    book = AlarmBook(factor)
+    book.add(seen.signals)
+    return [
+        (
+            seen.origin + round(alarm.begin_s * NANOSECONDS),
+            seen.origin + round(alarm.last_s * NANOSECONDS),
+        )
+        for alarm in book.alarms
+        if book.is_error(alarm)
+    ]
 
-    Args:
-        stamps: Timestamps of the states (N,), ns.
-        twist: Angular velocities in the same messages; a state without one has NaN.
+
+_SEES = {"imu": "slow rotation", PAIR: "slow divergence", "map": "map corrections"}
+
+
+def undetected_faults(
+    needs: Collection[str], there: Collection[str], notices: Sequence[str]
+) -> Iterator[str]:
+    """Yield one sentence per source whose faults are not detected.
+
+    `needs` are the given sources: `twist`, `imu`, `pair`, `pair.NAME`, `map`. `there` are those
+    with signals. A source that a notice names has no further sentence.
     """
-    order = np.argsort(twist.stamps, kind="stable")
-    place = np.minimum(np.searchsorted(twist.stamps[order], stamps), len(order) - 1)
-    rows = order[place]
-    same = twist.stamps[rows] == stamps
-    rates: Floats = np.where(same[:, None], twist.rates[rows], np.nan)
-    return rates
+    if "twist" not in needs:
+        yield "no twist: disagreement of pose and velocity is not detected"
+    kinds = {each.partition(".")[0] for each in needs}
+    for kind in ("imu", PAIR):
+        if kind not in kinds:
+            yield f"no {source_words(kind)}: {_SEES[kind]} not detected"
+    for each in sorted(set(needs) - {"twist"} - set(there)):
+        words = source_words(each)
+        if not any(words in notice for notice in notices):
+            yield (
+                f"no data of the {words} after arming ({ARMING_S:g} s of motion), so "
+                f"{_SEES[each.partition('.')[0]]} not detected; check its clock"
+            )

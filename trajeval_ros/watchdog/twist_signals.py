@@ -1,68 +1,55 @@
-"""Signals of the twist: displacements of the pose minus the integral of the twist."""
+"""Signal of the twist: displacements of the pose minus the integral of the twist."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, Indices
-from trajeval_ros.watchdog.recent import (
+from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.watchdog.row_buffer import (
     POSITION,
     QUATERNION,
-    RATE,
     SINCE,
     STATE_WIDTH,
     TIME,
     VELOCITY,
-    Recent,
+    RowBuffer,
     change_within,
     interpolated,
     lengths,
     only,
     window_begins,
 )
-from trajeval_ros.watchdog.rotations_over_time import between
-from trajeval_ros.watchdog.signals import WINDOWS_S, Signals, finite
+from trajeval_ros.watchdog.signals import Signals, finite
 
+_WINDOW_S = 5.0
 _LAGS_S = np.arange(-0.5, 1.001, 0.025)
+# The lag is estimated from displacements in 1 s, in ten blocks of the time before arming.
+_LAG_WINDOW_S, _BLOCKS, _P_VALUE = 1.0, 10, 0.005
 # A smaller lag is within the noise of its estimate.
 _LEAST_LAG_S = 0.03
 _TOLD_LAG_S = 0.05
-_LEAST_SPREAD = 1e-6  # m/s, rad/s
-_SCALE_S = 10.0
-_SLOWEST_M = 0.05  # rms of displacements in 1 s
 # Minimum ratio of residuals in body and world axes for a twist in world axes.
 _CLEARLY = 3.0
 _INTEGRAL = slice(STATE_WIDTH, STATE_WIDTH + 3)
-_PRODUCT, _SQUARE = STATE_WIDTH + 3, STATE_WIDTH + 4
 
 
 class TwistSignals:
-    """Compares displacements with the integral of the twist, corrected for its lag.
+    """Compares displacements with the integral of the twist, corrected for its lag."""
 
-    Attributes:
-        lag_s: Lag of the twist relative to the pose, s.
-        notices: Findings at the start, one sentence each.
-        usable: Whether the twist is in the body frame, so that it can be compared.
-    """
-
-    def __init__(self, before: Floats, period_s: float) -> None:
-        """Estimate the lag, and test in which frame the twist is.
-
-        Args:
-            before: (N, 15) states before arming, with velocities in the body.
-            period_s: Usual time between states.
-        """
-        self.notices: list[str] = []
-        self._least_square = _SLOWEST_M**2 * _SCALE_S / period_s
-        self.lag_s = _lag_of(before)
-        self._waiting = Recent(STATE_WIDTH)
-        self._rows = Recent(_SQUARE + 1)
+    def __init__(self, before: Floats) -> None:
+        """Estimate the lag from states (N, 12) before arming, and find the twist's frame."""
+        self.notices: list[str] = []  # findings at the start, one sentence each
+        self.lag_s, chance = _lag_of(before)  # lag of the twist relative to the pose, s
+        self._waiting = RowBuffer(STATE_WIDTH)
+        self._rows = RowBuffer(_INTEGRAL.stop)
+        # Whether the twist is in the body frame, so that it can be compared.
         self.usable = self._is_in_body(before)
         if abs(self.lag_s) > _TOLD_LAG_S:
             way = "later" if self.lag_s > 0.0 else "earlier"
             self.notices.append(
-                f"the twist is {abs(self.lag_s):.2f} s {way} than the pose (corrected)"
+                f"the twist is {abs(self.lag_s):.2f} s {way} than the pose (corrected; "
+                f"p = {chance:.2g})"
             )
 
     def _is_in_body(self, before: Floats) -> bool:
@@ -79,14 +66,11 @@ class TwistSignals:
         return False
 
     def add(self, rows: Floats) -> Signals:
-        """Add states (N, 15); return the signals at states for which the twist has arrived."""
+        """Add states (N, 12); return the signals at states for which the twist has arrived."""
         self._waiting.append(rows)
         waiting = self._waiting.rows
-        ready = int(
-            np.searchsorted(
-                waiting[:, TIME], waiting[-1, TIME] - max(self.lag_s, 0.0), side="right"
-            )
-        )
+        until = waiting[-1, TIME] - max(self.lag_s, 0.0)
+        ready = int(np.searchsorted(waiting[:, TIME], until, side="right"))
         done = self._rows.rows[-1, TIME] if len(self._rows.rows) else -np.inf
         first = int(np.searchsorted(waiting[:, TIME], done, side="right"))
         if first >= ready:
@@ -96,90 +80,78 @@ class TwistSignals:
             waiting[:, TIME], waiting[:, VELOCITY], new[:, TIME] + self.lag_s
         )
         old = len(self._rows.rows)
-        self._rows.append(np.column_stack([new, np.zeros((len(new), 5))]))
+        self._rows.append(np.column_stack([new, np.zeros((len(new), 3))]))
         self._integrate(old, velocities)
         self._waiting.forget(new[-1, TIME] - abs(self.lag_s) - 1.0)
-        signals = self._signals(old)
-        self._rows.forget(new[-1, TIME] - 2.0 * _SCALE_S)
-        return signals
+        rows = self._rows.rows
+        _, known = window_begins(rows, old, _WINDOW_S)
+        pose, twist = (
+            change_within(rows, old, _WINDOW_S, columns) for columns in (POSITION, _INTEGRAL)
+        )
+        found = finite(rows[old:, TIME], only(lengths(pose - twist), known))
+        self._rows.forget(new[-1, TIME] - 2.0 * _WINDOW_S)
+        return {"twist_m_5s": found}
 
     def _integrate(self, first: int, velocities: Floats) -> None:
-        """Integrate the velocities in the estimate's world frame, by the trapezoidal rule.
-
-        Also fill in the running sums for the scale signal.
-        """
+        """Integrate the velocities in the estimate's world frame, by the trapezoidal rule."""
         rows = self._rows.rows
         rows[first:, VELOCITY] = lie.rotate(rows[first:, QUATERNION], velocities)
         begin = max(first - 1, 0)
-        some = rows[begin:]
-        steps = 0.5 * (some[1:, VELOCITY] + some[:-1, VELOCITY])
-        steps *= np.diff(some[:, TIME])[:, None]
-        rows[begin + 1 :, _INTEGRAL] = rows[begin, _INTEGRAL] + np.cumsum(steps, axis=0)
-        _, known = window_begins(rows, first, 1.0)
-        pose, twist = (
-            change_within(rows, first, 1.0, columns) for columns in (POSITION, _INTEGRAL)
-        )
-        for column, values in (
-            (_PRODUCT, np.sum(pose * twist, axis=1)),
-            (_SQUARE, np.sum(twist * twist, axis=1)),
-        ):
-            before = rows[first - 1, column] if first else 0.0
-            rows[first:, column] = before + np.cumsum(np.where(known, values, 0.0))
-
-    def _signals(self, first: int) -> Signals:
-        rows = self._rows.rows
-        own, times = rows[first:], rows[first:, TIME]
-        signals = {}
-        for window_s in WINDOWS_S[:2]:
-            _, known = window_begins(rows, first, window_s)
-            pose, twist = (
-                change_within(rows, first, window_s, columns) for columns in (POSITION, _INTEGRAL)
-            )
-            signals[f"twist_m_{window_s:g}s"] = finite(times, only(lengths(pose - twist), known))
-        begins, known = window_begins(rows, first, _SCALE_S)
-        product = own[:, _PRODUCT] - rows[begins, _PRODUCT]
-        square = own[:, _SQUARE] - rows[begins, _SQUARE]
-        enough = square > self._least_square
-        off = np.abs(product / np.where(enough, square, 1.0) - 1.0)
-        signals["twist_scale"] = finite(times, only(np.where(enough, off, 0.0), known))
-        return signals
+        path = _path(rows[begin:, TIME], rows[begin:, VELOCITY])
+        rows[begin:, _INTEGRAL] = rows[begin, _INTEGRAL] + path
 
 
-def _steps_of(states: Floats) -> tuple[Floats, Floats, Indices]:
-    """Return the steps without a gap: middle times (M,), velocities (M, 3) and indices (M,)."""
-    dt = np.diff(states[:, TIME])
-    whole = states[1:, SINCE] <= states[:-1, TIME]
-    velocity = np.diff(states[:, POSITION], axis=0)[whole] / dt[whole, None]
-    middle = 0.5 * (states[1:, TIME] + states[:-1, TIME])[whole]
-    return middle, velocity, np.flatnonzero(whole)
+def _path(times: Floats, velocities: Floats) -> Floats:
+    """Return the integral of velocities (N, 3) since the first time, by the trapezoidal rule."""
+    steps = 0.5 * (velocities[1:] + velocities[:-1]) * np.diff(times)[:, None]
+    path: Floats = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+    return path
 
 
-def _lag_of(states: Floats) -> float:
-    """Return the lag of the twist, s, at which speeds and turn rates agree best.
+def _lag_of(states: Floats) -> tuple[float, float]:
+    """Return the lag of the twist, s, and its p-value; lag 0 if no other lag is significant.
 
-    The cost is the standard deviation of the difference divided by that of the quantity itself,
-    summed over both. A constant speed, which does not depend on the lag, then has little effect.
+    The cost of a lag is the mean difference of displacements in 1 s and integrals of the twist,
+    as vectors. The lag that is best in nine blocks of the time is applied to the tenth. Its gains
+    over no lag are tested by Wilcoxon's signed-rank test: a flat cost has none, and a large gain
+    in one block does not decide.
     """
-    middle, velocity, rows = _steps_of(states)
-    dt = (states[1:, TIME] - states[:-1, TIME])[rows]
-    turns = lie.angle(between(states[:-1, QUATERNION], states[1:, QUATERNION]))[rows] / dt
-    shown = [(lengths(velocity), lengths(states[:, VELOCITY]))]
-    if np.isfinite(states[:, RATE]).all() and states[:, RATE].any():
-        shown.append((turns, lengths(states[:, RATE])))
+    begins, known = window_begins(states, 0, _LAG_WINDOW_S)
+    ends = np.flatnonzero(known)
+    if len(ends) < 10 * _BLOCKS:
+        return 0.0, 1.0
+    begins = begins[ends]
+    times, moved = states[:, TIME], states[ends, POSITION] - states[begins, POSITION]
+    costs = []
+    for lag_s in _LAGS_S:
+        told = interpolated(times, states[:, VELOCITY], times + lag_s)
+        path = _path(times, lie.rotate(states[:, QUATERNION], told))
+        off = lengths(moved - (path[ends] - path[begins]))
+        costs.append([part.mean() for part in np.array_split(off, _BLOCKS)])
+    cost = np.array(costs)
+    in_others = cost.sum(axis=1, keepdims=True) - cost
+    none = int(np.argmin(np.abs(_LAGS_S)))
+    gains = cost[none] - cost[np.argmin(in_others, axis=0), np.arange(_BLOCKS)]
+    chance = _signed_rank_p_value(gains)
+    lag_s = float(_LAGS_S[int(np.argmin(cost.sum(axis=1)))])
+    if chance > _P_VALUE or abs(lag_s) <= _LEAST_LAG_S:
+        return 0.0, chance
+    return lag_s, chance
 
-    def spread(lag: float) -> float:
-        at = middle + lag
-        off = [np.std(pose - np.interp(at, states[:, TIME], told)) for pose, told in shown]
-        usual = [max(float(np.std(pose)), _LEAST_SPREAD) for pose, _ in shown]
-        return float(np.sum(np.divide(off, usual)))
 
-    lag = min(_LAGS_S.tolist(), key=spread)
-    return lag if abs(lag) > _LEAST_LAG_S else 0.0
+def _signed_rank_p_value(gains: Floats) -> float:
+    """Return the one-sided p-value of positive gains (N,), exact over all 2^N signs."""
+    ranks = np.argsort(np.argsort(np.abs(gains))) + 1.0
+    signs = (np.arange(2 ** len(gains))[:, None] >> np.arange(len(gains))) & 1
+    return float(np.mean(signs @ ranks >= ranks[gains > 0.0].sum()))
 
 
 def _misfit(states: Floats, velocities: Floats, lag_s: float) -> float:
     """Return the median difference between velocities of the poses and of the twist, m/s."""
-    middle, velocity, rows = _steps_of(states)
+    dt = np.diff(states[:, TIME])
+    whole = states[1:, SINCE] <= states[:-1, TIME]
+    velocity = np.diff(states[:, POSITION], axis=0)[whole] / dt[whole, None]
+    middle = 0.5 * (states[1:, TIME] + states[:-1, TIME])[whole]
     told = interpolated(states[:, TIME], velocities, middle + lag_s)
-    in_world = lie.rotate(states[rows, QUATERNION], told)
+    in_world = lie.rotate(states[:-1, QUATERNION][whole], told)
     return float(np.median(lengths(velocity - in_world)))

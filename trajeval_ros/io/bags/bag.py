@@ -17,13 +17,11 @@ from typing import TYPE_CHECKING
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.install_command import extra_command
 from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.formatting.remarks import Remark, damaged, note
 from trajeval_ros.io.bags import foxglove
-from trajeval_ros.io.bags.bag_folder import BagFolder
-from trajeval_ros.io.bags.blocks import Block, in_order, merged
-from trajeval_ros.io.bags.containers import Container, open_file
-from trajeval_ros.io.bags.metadata import Metadata
-from trajeval_ros.io.bags.recorded_topic import Reading, Topic
-from trajeval_ros.io.bags.selection import TopicSelection
+from trajeval_ros.io.bags.bag_folder import BagFolder, Metadata
+from trajeval_ros.io.bags.blocks import Block, TopicSelection, in_order, merged
+from trajeval_ros.io.bags.containers import Container, Topic, TopicReading, open_file
 from trajeval_ros.io.checks import nearest
 from trajeval_ros.io.temporary import temporary_folder
 
@@ -38,30 +36,19 @@ _REPAIRS = {".mcap": "mcap recover", ".bag": "rosbag reindex"}
 
 
 class Bag:
-    """A bag that is open; a context manager.
-
-    Attributes:
-        path: The file or directory.
-        topics: Its topics by name; a name with several types is one topic per type.
-        notes: Problems that were worked around.
-        damage: Unreadable parts, one sentence per part. `messages` adds to it.
-    """
+    """A bag that is open; a context manager."""
 
     def __init__(
         self, path: Path, advance: Advance | None = None, *, strict: bool = False
     ) -> None:
         """Open the bag.
 
-        Args:
-            path: A file, or the directory of a rosbag2.
-            advance: Called repeatedly with the number of messages read and the number of all.
-            strict: Whether to verify all that is read, and to refuse what is damaged.
-
-        Raises:
-            InputError: It is no bag, or nothing of it can be read.
+        `advance`: called repeatedly with the number of messages read and the number of all.
+        `strict`: whether to verify all that is read, and to refuse what is damaged.
         """
-        self.path = path
-        self.notes: list[str] = []
+        self.path = path  # the file or directory
+        self.notes: list[str] = []  # problems that were worked around
+        # Unreadable parts, one sentence per part. `messages` adds to it.
         self.damage: list[str] = []
         self._advance = advance
         self._strict = strict
@@ -74,6 +61,7 @@ class Bag:
                 raise self._unread[0]
             if strict and self.damage:
                 raise InputError("; ".join(self.damage))
+            # Its topics by name; a name with several types is one topic per type.
             self.topics = sorted(self._list_topics(), key=lambda topic: topic.name)
             self._stack = self._stack.pop_all()
 
@@ -85,18 +73,16 @@ class Bag:
 
     @property
     def span(self) -> tuple[int, int]:
-        """The first and the last log time of all messages, ns.
-
-        Raises:
-            InputError: There is no message.
-        """
+        """The first and the last log time of all messages, ns."""
         with _one_sentence(self.path):
             spans = [span for each in self._containers if (span := each.span) is not None]
         if not spans:
             raise InputError(f"{self.path} is an empty bag: it has no messages")
         return min(first for first, _ in spans), max(last for _, last in spans)
 
-    def blocks(self, readings: Sequence[Reading]) -> Iterator[tuple[Reading, Key, Block]]:
+    def blocks(
+        self, readings: Sequence[TopicReading]
+    ) -> Iterator[tuple[TopicReading, Key, Block]]:
         """Yield all messages of some topics in blocks of one connection, in one pass over the bag.
 
         After the last block, every reading lists its damage, such as a number of messages that
@@ -113,18 +99,17 @@ class Bag:
                 }
                 if not selections:
                     continue
-                for own, block in merged(container.blocks(tuple(selections))):
+                wanted_by: dict[int, list[TopicReading]] = {}
+                for selection, reading in selections.items():
+                    for each in selection.connections:
+                        wanted_by.setdefault(each, []).append(reading)
+                for block in merged(container.blocks(tuple(selections))):
                     for plain in block.decompressed():
                         for connection, messages in plain.by_connection():
-                            for selection in own:
-                                if connection in selection.connections:
-                                    selections[selection].count += len(messages)
-                                    done += len(messages)
-                                    yield (
-                                        selections[selection],
-                                        (id(container), connection),
-                                        messages,
-                                    )
+                            for reading in wanted_by[connection]:
+                                reading.count += len(messages)
+                                done += len(messages)
+                                yield reading, (id(container), connection), messages
                     if self._advance is not None:
                         self._advance(done, max(done, total))
                 for selection, reading in selections.items():
@@ -135,32 +120,24 @@ class Bag:
         for reading in readings:
             reading.damage += self._missing([reading.topic], reading.count)
 
-    def findings(self, readings: Sequence[Reading]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return the notes and the damage of readings, and of opening the bag.
-
-        Raises:
-            InputError: There is damage, and the bag is read strictly.
-        """
+    def remarks(self, readings: Sequence[TopicReading]) -> tuple[Remark, ...]:
+        """Return the notes and the damage of readings, and of opening the bag."""
         notes, damage = [*self.notes], [*self.damage]
         for reading in readings:
             notes += reading.notes
             damage += reading.damage
             if self._strict and damage:
                 raise InputError("; ".join(dict.fromkeys(damage)))
-        return tuple(dict.fromkeys(notes)), tuple(dict.fromkeys(damage))
+        noted = [note("bag", each) for each in dict.fromkeys(notes)]
+        return (*noted, *(damaged(each) for each in dict.fromkeys(damage)))
 
     def messages(
         self, topics: Sequence[Topic], begin: int | None = None, end: int | None = None
     ) -> Iterator[tuple[Topic, int, bytes]]:
         """Yield topic, log time in ns and payload of the messages, in order of their log times.
 
-        Args:
-            topics: Those wanted.
-            begin: The first log time wanted, ns.
-            end: The first log time that isn't wanted any more, ns.
-
-        Raises:
-            InputError: The bag is damaged, and is read strictly.
+        `begin`: the first log time wanted, ns. `end`: the first log time that isn't wanted any
+        more, ns.
         """
         done = 0
         selections: list[TopicSelection] = []
@@ -197,7 +174,7 @@ class Bag:
     ) -> Iterator[tuple[Topic, int, bytes]]:
         """Yield the messages that one file has of the topics, in order."""
         blocks = container.blocks([selection], begin, end, in_order=True)
-        plain = itertools.chain.from_iterable(each.decompressed() for _, each in blocks)
+        plain = itertools.chain.from_iterable(each.decompressed() for each in blocks)
         for connection, log_time, payload in in_order(plain):
             yield wanted[connection], log_time, payload
 
@@ -213,11 +190,7 @@ class Bag:
         ]
 
     def find(self, name: str) -> list[Topic]:
-        """Return the topics of that name, one per type.
-
-        Raises:
-            InputError: There is none, or what reads it isn't installed.
-        """
+        """Return the topics of that name, one per type."""
         found = [topic for topic in self.topics if topic.name == name]
         if any(topic.lacks_protobuf for topic in found):
             raise InputError(

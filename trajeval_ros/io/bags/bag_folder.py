@@ -1,17 +1,93 @@
-"""The files of a rosbag2's directory."""
+"""The files of a rosbag2's directory, and its metadata.yaml."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.bags.metadata import Metadata, read_metadata
+from trajeval_ros.io.yaml_file import read_mapping
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Qos
 
 _METADATA = "metadata.yaml"
 _COMPRESSED = ".zstd"
 _ENDINGS = (".mcap", ".db3", f".mcap{_COMPRESSED}", f".db3{_COMPRESSED}")
+
+
+@dataclass(frozen=True)
+class FilePath:
+    """A file of a bag, as written in its metadata.yaml.
+
+    Up to version 3 the path starts with the former name of the folder. Paths can be of another
+    machine or operating system.
+    """
+
+    written: str
+
+    @property
+    def name(self) -> str:
+        """The file's name in the folder."""
+        return self._parts[-1]
+
+    @property
+    def leads_out(self) -> bool:
+        """Whether the path is outside of the bag's folder."""
+        return ".." in self._parts or not self._parts[0] or self._parts[0].endswith(":")
+
+    @property
+    def _parts(self) -> list[str]:
+        return re.split(r"[/\\]", self.written)
+
+
+@dataclass(frozen=True)
+class Metadata:
+    """The contents of a metadata.yaml, of versions 1 (Foxy) to 9 (Rolling)."""
+
+    files: tuple[FilePath, ...]
+    counts: dict[tuple[str, str], int]  # number of messages by topic and type
+
+
+def read_metadata(path: Path) -> Metadata:
+    """Return the contents of a metadata.yaml."""
+    found = read_mapping(path, "information about a bag", is_generated=True)
+    try:
+        content = found["rosbag2_bagfile_information"]
+        paths = content["relative_file_paths"]
+        if not isinstance(paths, list) or not all(isinstance(each, str) for each in paths):
+            raise TypeError("no paths")
+        files = tuple(FilePath(each) for each in paths)
+        counts: dict[tuple[str, str], int] = {}
+        for topic in content["topics_with_message_count"]:
+            key = topic["topic_metadata"]["name"], topic["topic_metadata"]["type"]
+            count = int(topic["message_count"])
+            if not 0 <= count < 1 << 63:
+                raise ValueError("no number of messages")
+            counts[key] = counts.get(key, 0) + count
+    except (
+        TypeError,
+        KeyError,
+        ValueError,
+        AttributeError,
+        OverflowError,
+    ) as error:  # a wrong structure
+        raise InputError(f"{path} has no bag information") from error
+    return Metadata(files, counts)
+
+
+def qos_of(profiles: Any) -> list[Qos]:
+    """Return the offered quality of service, an empty list if it is invalid."""
+    if not profiles:
+        return []
+    from rosbags.rosbag2.metadata import parse_qos
+
+    try:
+        return parse_qos(profiles)
+    except Exception:  # of many types, depending on the damage
+        return []
 
 
 def holds_bag(folder: Path) -> bool:
@@ -21,39 +97,29 @@ def holds_bag(folder: Path) -> bool:
 
 @dataclass(frozen=True)
 class BagFolder:
-    """The contents of a bag's directory, compared with its metadata.
+    """The contents of a bag's directory, compared with its metadata."""
 
-    Attributes:
-        files: Of the bag, in order.
-        metadata: None where there is none that can be read.
-        notes: Problems that were worked around.
-        damage: Missing files, one sentence per file.
-    """
-
-    files: tuple[Path, ...]
-    metadata: Metadata | None
-    notes: tuple[str, ...]
-    damage: tuple[str, ...]
+    files: tuple[Path, ...]  # of the bag, in order
+    metadata: Metadata | None  # None where there is none that can be read
+    notes: tuple[str, ...]  # problems that were worked around
+    damage: tuple[str, ...]  # missing files, one sentence per file
 
     @classmethod
     def of(cls, path: Path) -> BagFolder:
-        """Look at a directory.
-
-        Raises:
-            InputError: There is no bag in it.
-        """
+        """Look at a directory."""
+        found = [file for ending in _ENDINGS for file in path.glob(f"*{ending}")]
         files = sorted(
-            (file for ending in _ENDINGS for file in path.glob(f"*{ending}")),
-            key=lambda file: [int(part) if part.isdigit() else part for part in _split(file.name)],
+            filter(Path.is_file, found),  # a pipe blocks
+            key=lambda file: _split(file.name),
         )
         described, metadata = path / _METADATA, None
-        notes: tuple[str, ...] = ()
+        notes = tuple(f"{each} skipped: not a file" for each in found if each not in files)
         damage: tuple[str, ...] = ()
-        if described.exists():
+        if described.is_file():
             try:
                 metadata = read_metadata(described)
             except InputError as error:
-                notes = (f"{error}; {described.name} ignored",)
+                notes += (f"{error}; {described.name} ignored",)
         listed: set[str] = set()
         if metadata is not None:
             said, damage = _judged(path, metadata)
@@ -89,7 +155,7 @@ def _without_copies(files: list[Path], listed: set[str]) -> list[Path]:
 
 def _judged(folder: Path, metadata: Metadata) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return notes and damage: files that the metadata lists and the folder does not have."""
-    there = {_plain(each.name) for each in folder.iterdir()}
+    there = {_plain(each.name) for each in folder.iterdir() if each.is_file()}
     missing = [each.written for each in metadata.files if _plain(each.name) not in there]
     outside = [each.written for each in metadata.files if each.leads_out]
     notes = [
@@ -102,6 +168,6 @@ def _judged(folder: Path, metadata: Metadata) -> tuple[tuple[str, ...], tuple[st
     )
 
 
-def _split(name: str) -> list[str]:
+def _split(name: str) -> list[str | int]:
     """Return a name in parts that sort by number: `bag_2` before `bag_10`."""
-    return re.split(r"(\d+)", name)
+    return [int(each) if each.isdecimal() else each for each in re.split(r"(\d+)", name)]

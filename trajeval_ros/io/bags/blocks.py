@@ -1,24 +1,53 @@
-"""Messages in blocks: one buffer for many messages, without a Python object per message."""
+"""Messages in blocks: one buffer for many messages, without a Python object per message.
+
+Values are gathered from any positions of a buffer at once.
+"""
 
 from __future__ import annotations
 
+import functools
 import heapq
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import TypeVar
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Booleans, Indices
-from trajeval_ros.io.bags.byte_buffers import Buffer, bytes_type, gather
+from trajeval_ros.io.bags.message_definitions import LARGEST_MESSAGE
 
-Owner = TypeVar("Owner")
-
+Buffer = NDArray[np.uint8]
 ROWS = 8192  # of a block, at most
 BYTES = 1 << 20  # of a block made of single messages, until which more are added
 LARGEST = 1 << 30  # bytes that anything compressed may say that it has
-_LARGEST_MESSAGE = 1 << 28  # bytes that one message may become
 _ZSTD = np.frombuffer(b"\x28\xb5\x2f\xfd", dtype=np.uint8)
+
+
+def gather(buffer: Buffer, places: Indices, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return the values (N,) at the places (N,), which need no alignment.
+
+    `buffer`: (B,) bytes. `places`: where the values start; all of them end within the buffer.
+    """
+    if not len(places):
+        return np.zeros(0, dtype=dtype)
+    # Cells of a value's size from every byte on: they overlap, only the requested ones are copied.
+    size = dtype.itemsize
+    cells: NDArray[Any] = np.ndarray(len(buffer) - size + 1, bytes_type(size), buffer, 0, (1,))
+    values: NDArray[Any] = cells[places].view(dtype)
+    return values
+
+
+@functools.lru_cache(maxsize=256)
+def bytes_type(size: int) -> np.dtype[np.void]:
+    """Return the type of `size` bytes."""
+    return np.dtype(f"V{size}")
+
+
+def are_same(values: NDArray[Any]) -> bool:
+    """Return whether all values (N,) have the same bytes; N is at least 1."""
+    content = values.tobytes()
+    return content == content[: values.itemsize] * len(values)
 
 
 def logged_within(log_times: Indices, begin: int | None, end: int | None) -> Booleans:
@@ -33,30 +62,19 @@ def logged_within(log_times: Indices, begin: int | None, end: int | None) -> Boo
 
 @dataclass(frozen=True)
 class Block:
-    """Messages of some connections.
+    """Messages of some connections."""
 
-    Attributes:
-        earliest: Lower bound of the log times in this block and in all later ones, ns.
-        connections: (N,) ids of the connections.
-        log_times: (N,) int64, ns.
-        buffer: (B,) bytes that contain the messages.
-        begins: (N,) offsets of the messages in the buffer.
-        sizes: (N,) sizes of the messages, bytes.
-    """
-
-    earliest: int
-    connections: Indices
-    log_times: Indices
-    buffer: Buffer
-    begins: Indices
-    sizes: Indices
+    earliest: int  # lower bound of the log times in this block and in all later ones, ns
+    connections: Indices  # (N,) ids of the connections
+    log_times: Indices  # (N,) int64, ns
+    buffer: Buffer  # (B,) bytes that contain the messages
+    begins: Indices  # (N,) offsets of the messages in the buffer
+    sizes: Indices  # (N,) sizes of the messages, bytes
 
     def __len__(self) -> int:
-        """Return the number of messages."""
         return len(self.begins)
 
     def __getitem__(self, rows: Booleans | Indices | slice) -> Block:
-        """Return some of the messages."""
         return replace(
             self,
             connections=self.connections[rows],
@@ -159,40 +177,19 @@ def blocks_of(messages: Iterable[tuple[int, int, bytes]]) -> Iterator[Block]:
         yield block_of(connections, log_times, payloads)
 
 
-def merged(
-    blocks: Iterable[tuple[Sequence[Owner], Block]],
-) -> Iterator[tuple[Sequence[Owner], Block]]:
-    """Yield the same messages in fewer blocks, without the bytes between them.
-
-    Args:
-        blocks: Blocks with their owners. Only blocks of the same owners are merged. The order of
-            an owner's messages does not change.
-    """
-    waiting: dict[tuple[Owner, ...], _Waiting] = {}
-    for several, block in blocks:
-        owners = tuple(several)
-        for other in [each for each in waiting if each != owners]:
-            if any(each in owners for each in other):
-                yield other, _concatenated(waiting.pop(other).blocks)
-        own = waiting.setdefault(owners, _Waiting())
-        own.add(block.compact())
-        if own.rows >= ROWS or own.size >= BYTES:
-            yield owners, _concatenated(waiting.pop(owners).blocks)
-    for owners, own in waiting.items():
-        yield owners, _concatenated(own.blocks)
-
-
-class _Waiting:
-    """Blocks that are too small to be decoded yet, with the numbers of messages and bytes."""
-
-    def __init__(self) -> None:
-        self.blocks: list[Block] = []
-        self.rows = self.size = 0
-
-    def add(self, block: Block) -> None:
-        self.blocks.append(block)
-        self.rows += len(block)
-        self.size += len(block.buffer)
+def merged(blocks: Iterable[Block]) -> Iterator[Block]:
+    """Yield the same messages in fewer blocks, without the bytes between them."""
+    waiting: list[Block] = []
+    rows = size = 0
+    for block in blocks:
+        waiting.append(block.compact())
+        rows += len(block)
+        size += len(waiting[-1].buffer)
+        if rows >= ROWS or size >= BYTES:
+            yield _concatenated(waiting)
+            waiting, rows, size = [], 0, 0
+    if waiting:
+        yield _concatenated(waiting)
 
 
 def _concatenated(blocks: Sequence[Block]) -> Block:
@@ -234,4 +231,25 @@ def in_order(blocks: Iterable[Block]) -> Iterator[tuple[int, int, bytes]]:
 def _decompressed(payload: bytes) -> bytes | memoryview:
     from trajeval_ros.io.bags.compression import decompress, most_of
 
-    return decompress("zstd", payload, min(most_of(len(payload), BYTES), _LARGEST_MESSAGE))
+    return decompress("zstd", payload, min(most_of(len(payload), BYTES), LARGEST_MESSAGE))
+
+
+@dataclass(eq=False)
+class TopicSelection:
+    """Some connections of a file, and the damage found while reading them."""
+
+    connections: frozenset[int]  # their ids
+    damage: list[str] = field(default_factory=list)  # unreadable parts, one sentence per part
+    notes: list[str] = field(default_factory=list)  # other information on the reading
+
+
+def all_connections(selections: Sequence[TopicSelection]) -> frozenset[int]:
+    """Return the ids of the connections of all selections."""
+    return frozenset().union(*(each.connections for each in selections))
+
+
+def are_of(ids: Indices, wanted: Collection[int]) -> Booleans:
+    """Return which of the ids (N,) are of some connections."""
+    if len(wanted) == 1:  # takes a tenth of the time of isin
+        return np.asarray(ids == next(iter(wanted)))
+    return np.isin(ids, list(wanted))

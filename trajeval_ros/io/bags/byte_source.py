@@ -3,27 +3,58 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, Protocol
-
-from trajeval_ros.io.fetched_bytes import current_counter
 
 GAP = 1 << 16  # bytes between requested ranges that cost less than another read
 
 
-class ByteSource(Protocol):
-    """A source of bytes that can be read at any offset.
+class DamagedError(Exception):
+    """Bytes are not what the format requires; the message describes the difference."""
 
-    Attributes:
-        name: Its name in messages.
-        size: Bytes.
-        is_far: Whether several requests should be sent at once, because answers take long.
-    """
+
+class FetchedBytes:
+    """A thread-safe counter of bytes."""
+
+    def __init__(self) -> None:
+        self.total = 0  # bytes of objects, without protocol headers and listings
+        self._lock = threading.Lock()
+
+    def add(self, count: int) -> None:
+        """Add `count` bytes to the total."""
+        with self._lock:
+            self.total += count
+
+
+_COUNTER: ContextVar[FetchedBytes] = ContextVar("fetched_bytes", default=FetchedBytes())  # noqa: B039
+
+
+def current_counter() -> FetchedBytes:
+    """Return the counter of the innermost block of `counting_fetched_bytes`."""
+    return _COUNTER.get()
+
+
+@contextmanager
+def counting_fetched_bytes() -> Iterator[FetchedBytes]:
+    """Count the bytes of the remote objects that this thread opens in the block."""
+    counter = FetchedBytes()
+    token = _COUNTER.set(counter)
+    try:
+        yield counter
+    finally:
+        _COUNTER.reset(token)
+
+
+class ByteSource(Protocol):
+    """A source of bytes that can be read at any offset."""
 
     name: str
     size: int
-    is_far: bool
+    is_far: bool  # whether several requests should be sent at once, because answers take long
 
     def read(self, offset: int, size: int) -> bytes:
         """Return `size` bytes from an offset on, fewer at the end."""
@@ -41,7 +72,6 @@ class LocalFile:
     is_far = False
 
     def __init__(self, path: Path) -> None:
-        """Open the file."""
         self.name = str(path)
         self._file = path.open("rb", buffering=0)
         self.size = os.fstat(self._file.fileno()).st_size
@@ -71,11 +101,6 @@ class RemoteFile:
     is_far = True
 
     def __init__(self, path: Any) -> None:
-        """Look the object up.
-
-        Args:
-            path: A path of universal_pathlib.
-        """
         self.name = str(path)
         self._files, self._path = path.fs, path.path
         self.size = int(self._files.size(self._path))
@@ -108,12 +133,6 @@ class ByteWindow:
     """A part of a source in memory, for reading small ranges one after the other."""
 
     def __init__(self, source: ByteSource, size: int) -> None:
-        """Start without bytes.
-
-        Args:
-            source: The source.
-            size: Bytes that are read at once.
-        """
         self._source, self._size = source, size
         self._begin, self._data = 0, b""
 
@@ -125,14 +144,6 @@ class ByteWindow:
             self._begin, self._data = offset, self._source.read(offset, room)
             place = 0
         return self._data[place : place + size]
-
-
-def beginning_of(path: Any, size: int) -> bytes:
-    """Return the first bytes of a path of this machine, or of universal_pathlib."""
-    if isinstance(path, Path):
-        with path.open("rb") as file:
-            return file.read(size)
-    return RemoteFile(path).read(0, size)  # an open file would fetch megabytes ahead
 
 
 def source_of(path: Any) -> LocalFile | RemoteFile:

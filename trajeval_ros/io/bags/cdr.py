@@ -12,7 +12,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Indices
-from trajeval_ros.io.bags.byte_buffers import Buffer, are_same, gather
+from trajeval_ros.io.bags.blocks import Buffer, are_same, gather
 from trajeval_ros.io.bags.cdr_batch import ROS1_ALIGNMENT, XCDR2_ALIGNMENT, MessageBatch
 from trajeval_ros.io.bags.cdr_columns import Columns, joined
 from trajeval_ros.io.bags.cdr_steps import steps_of
@@ -32,12 +32,9 @@ class CdrPlan:
     ) -> None:
         """Prepare to decode.
 
-        Args:
-            fields: Of the type.
-            wanted: Paths of fields, such as `header.frame_id`. The path of a nested message with
-                numbers of one type, such as `pose.position`, gives one column (N, k). None means
-                one column per field.
-            is_ros1: Whether messages are serialised as by ROS 1.
+        `wanted`: paths of fields, such as `header.frame_id`. The path of a nested message with
+        numbers of one type, such as `pose.position`, gives one column (N, k). None means one
+        column per field.
 
         Raises:
             UnplannedError: A field does not exist, or is not one column.
@@ -56,10 +53,8 @@ class CdrPlan:
     def decode_at(self, buffer: Buffer, begins: Indices, sizes: Indices) -> Columns:
         """Return the columns of messages that lie in a buffer.
 
-        Args:
-            buffer: (B,) bytes.
-            begins: (N,) int64, offsets of the messages.
-            sizes: (N,) int64, bytes. All messages end within the buffer.
+        `buffer`: (B,) bytes. `begins`: (N,) int64, offsets of the messages. `sizes`: (N,) int64,
+        bytes. All messages end within the buffer.
         """
         everything = np.arange(len(begins))
         if self._is_ros1:

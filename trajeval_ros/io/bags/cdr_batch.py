@@ -13,10 +13,16 @@ import dataclasses
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Booleans, Indices
-from trajeval_ros.io.bags.byte_buffers import Buffer, are_same, gather
-from trajeval_ros.io.bags.cdr_columns import Columns, Numbers, StringColumn, joined
+from trajeval_ros.io.bags.blocks import Buffer, are_same, gather
+from trajeval_ros.io.bags.cdr_columns import (
+    Columns,
+    Numbers,
+    Offsets,
+    StringColumn,
+    joined,
+    texts_at,
+)
 from trajeval_ros.io.bags.cdr_steps import Elements, FixedFields, Span, Step, String
-from trajeval_ros.io.bags.cdr_strings import Offsets, texts_at
 
 XCDR2_ALIGNMENT = 4  # bytes, the largest of a field
 ROS1_ALIGNMENT = 1
@@ -27,13 +33,8 @@ class MessageBatch:
     """Messages, or elements of sequences, that are decoded together.
 
     Attributes:
-        rows: (N,) the payload's number, or an id of the enclosing batch for elements.
-        ids: (N,) numbers of the messages in this batch, counted before any is left out.
-        origins: (N,) offsets of the first fields in the buffer. Alignment counts from there.
-        rooms: (N,) bytes from the origin to the end of the payload.
         least_room: Lower bound of `rooms`.
         most_room: Upper bound of `rooms`.
-        at: Position of the next field, counted from the origin.
     """
 
     def __init__(
@@ -49,14 +50,16 @@ class MessageBatch:
         self.buffer = buffer
         self.order = order
         self.limit = limit
-        self.rows = rows
+        self.rows = rows  # (N,) the payload's number, or an id of the enclosing batch for elements
+        # (N,) numbers of the messages in this batch, counted before any is left out.
         self.ids = np.arange(len(rows))
+        # (N,) offsets of the first fields in the buffer. Alignment counts from there.
         self.origins = origins
-        self.rooms = rooms
+        self.rooms = rooms  # (N,) bytes from the origin to the end of the payload
         self.least_room, self.most_room = 0, 0
         if len(rooms):
             self.least_room, self.most_room = int(rooms.min()), int(rooms.max())
-        self.at = at
+        self.at = at  # position of the next field, counted from the origin
         self._numbers: list[tuple[Span, Indices]] = []
         self._texts: dict[str, StringColumn] = {}
         self._sequences: dict[str, list[MessageBatch]] = {}

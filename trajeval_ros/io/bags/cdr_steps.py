@@ -36,31 +36,21 @@ class Column:
 
 @dataclass(frozen=True)
 class FixedFields:
-    """Consecutive numbers at fixed distances from the first.
+    """Consecutive numbers at fixed distances from the first."""
 
-    Attributes:
-        alignment: Of the first number, which is the largest one.
-        size: Bytes.
-        spans: The requested columns. Columns close to each other are copied at once.
-    """
-
-    alignment: int
-    size: int
+    alignment: int  # of the first number, which is the largest one
+    size: int  # bytes
+    # The requested columns. Columns close to each other are copied at once.
     spans: tuple[Span, ...]
 
 
 @dataclass(frozen=True)
 class Span:
-    """Columns of a run that are copied at once.
+    """Columns of a run that are copied at once."""
 
-    Attributes:
-        offset: From the beginning of the run.
-        columns: Their names.
-        types: The numpy type of a row by byte order, with a field for each column.
-    """
-
-    offset: int
+    offset: int  # from the beginning of the run
     columns: tuple[str, ...]
+    # The numpy type of a row by byte order, with a field for each column.
     types: dict[str, np.dtype[Any]]
 
 

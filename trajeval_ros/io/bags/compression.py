@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
+
+import numpy as np
 
 from trajeval_ros.exceptions import InputError
 
@@ -21,11 +24,6 @@ def most_of(size: int, floor: int) -> int:
 def decompress(kind: str, data: bytes | memoryview, limit: int) -> bytes | memoryview:
     """Return the readable part of compressed data, at most `limit` bytes. Callers check the size.
 
-    Args:
-        kind: `zstd`, `lz4`, `bz2` or nothing.
-        data: Compressed data, which can be truncated.
-        limit: Bytes.
-
     Raises:
         ValueError: The compression is unknown.
     """
@@ -40,42 +38,40 @@ def decompress(kind: str, data: bytes | memoryview, limit: int) -> bytes | memor
     raise ValueError(f"unknown compression {kind[:20]!r}; use zstd, lz4 or none")
 
 
-def _zstd(data: bytes | memoryview, limit: int) -> bytes:
+def _zstd(data: bytes | memoryview, limit: int) -> memoryview:
     import zstandard
 
     reader = zstandard.ZstdDecompressor(max_window_size=_LARGEST_WINDOW).stream_reader(
         data, read_across_frames=True
     )
-    pieces: list[bytes] = []
-    left = limit
-    try:
-        while left and (piece := reader.read(min(left, 4 * _PIECE))):
-            pieces.append(piece)
-            left -= len(piece)
-    except zstandard.ZstdError:
-        pass
-    return pieces[0] if len(pieces) == 1 else b"".join(pieces)
+    room, size = _room_of(limit), 0
+    with contextlib.suppress(zstandard.ZstdError):
+        while size < limit and (count := reader.readinto(room[size : size + 4 * _PIECE])):
+            size += count
+    return room[:size]
 
 
-def _lz4(data: bytes | memoryview, limit: int) -> bytes:
+def _lz4(data: bytes | memoryview, limit: int) -> memoryview:
     import lz4.frame
 
     # LZ4FrameDecompressor copies what it is given, and what is left of it.
     context = lz4.frame.create_decompression_context()
-    pieces: list[bytes] = []
-    left, rest = limit, memoryview(data)
-    try:
-        while left:
+    room, size, rest = _room_of(limit), 0, memoryview(data)
+    with contextlib.suppress(RuntimeError, EOFError, MemoryError):
+        while size < limit:
             piece, taken, is_end = lz4.frame.decompress_chunk(
-                context, rest, max_length=min(left, 4 * _PIECE)
+                context, rest, max_length=min(limit - size, 4 * _PIECE)
             )
-            pieces.append(piece)
-            left, rest = left - len(piece), rest[taken:]
+            room[size : size + len(piece)] = piece
+            size, rest = size + len(piece), rest[taken:]
             if is_end or not (taken or piece):
                 break
-    except (RuntimeError, EOFError, MemoryError):
-        pass
-    return pieces[0] if len(pieces) == 1 else b"".join(pieces)
+    return room[:size]
+
+
+def _room_of(size: int) -> memoryview:
+    """Return writable bytes. The system provides the memory of a page when it is written."""
+    return np.empty(size, dtype=np.uint8).data
 
 
 def _bz2(data: bytes | memoryview, limit: int) -> bytes:
@@ -88,12 +84,7 @@ def _bz2(data: bytes | memoryview, limit: int) -> bytes:
 
 
 def decompress_file(path: Path, folder: Path) -> Path:
-    """Return the decompressed copy of a file of zstd, made in a folder.
-
-    Raises:
-        InputError: Nothing of it can be decompressed, the disk is full, or the compression ratio
-            is larger than that of any recording.
-    """
+    """Return the decompressed copy of a file of zstd, made in a folder."""
     import zstandard
 
     limit = most_of(path.stat().st_size, _LARGEST_FILE)

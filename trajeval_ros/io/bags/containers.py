@@ -1,35 +1,33 @@
-"""The files of a bag, opened by their first bytes."""
+"""The files of a bag, opened by their first bytes, and the topics in them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.bags.blocks import Block
+from trajeval_ros.io.bags import foxglove
+from trajeval_ros.io.bags.blocks import Block, TopicSelection
 from trajeval_ros.io.bags.byte_source import LocalFile, RemoteFile, source_of
 from trajeval_ros.io.bags.compression import decompress_file
 from trajeval_ros.io.bags.mcap_records import MAGIC
-from trajeval_ros.io.bags.selection import TopicSelection
+from trajeval_ros.io.bags.pose_messages import FIX_TYPE, POSE_2D, POSE_TYPES, TRANSFORM_TYPES
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
 _HEAD = 16  # bytes that identify the format
 _SQLITE, _ROS1, _ZSTD = b"SQLite format 3\0", b"#ROSBAG V", b"(\xb5/\xfd"
+_ENCODINGS = ("cdr", "ros1")
 
 
 class Container(Protocol):
-    """An open file of a bag.
+    """An open file of a bag."""
 
-    Attributes:
-        connections: Topics by connection, with the declared number of messages.
-        damage: Unreadable parts that were found at opening, one sentence per part.
-    """
-
-    connections: list[Connection]
-    damage: list[str]
+    connections: list[Connection]  # topics by connection, with the declared number of messages
+    damage: list[str]  # unreadable parts that were found at opening, one sentence per part
 
     @property
     def span(self) -> tuple[int, int] | None:
@@ -42,17 +40,13 @@ class Container(Protocol):
         end: int | None = None,
         *,
         in_order: bool = False,
-    ) -> Iterator[tuple[Sequence[TopicSelection], Block]]:
+    ) -> Iterator[Block]:
         """Yield the messages of some connections, of all selections in one pass over the file.
 
-        A block is yielded with the selections that have messages in it. After the last block,
-        every selection lists its damage.
-
-        Args:
-            selections: The requested connections.
-            begin: The first log time wanted, ns.
-            end: The first log time after the requested ones, ns.
-            in_order: Whether blocks must be in order of their earliest log times.
+        After the last block, every selection lists the damage of what was read for it. Damage of a
+        piece that may have messages of several selections is listed by all of them. `begin`: the
+        first log time wanted, ns. `end`: the first log time after the requested ones, ns.
+        `in_order`: whether blocks must be in order of their earliest log times.
         """
 
     def close(self) -> None:
@@ -62,13 +56,7 @@ class Container(Protocol):
 def open_file(path: Path, folder: Path, *, strict: bool = False) -> Container:
     """Return an open file.
 
-    Args:
-        path: The file.
-        folder: Where a file that is compressed as a whole is decompressed.
-        strict: Whether to verify all that is read.
-
-    Raises:
-        InputError: It is no bag.
+    `folder`: where a file that is compressed as a whole is decompressed.
     """
     source, plain = source_of(path), path
     beginning = source.read(0, _HEAD)
@@ -79,7 +67,7 @@ def open_file(path: Path, folder: Path, *, strict: bool = False) -> Container:
         source.name = str(path)  # the user knows nothing of a copy
         beginning = source.read(0, _HEAD)
     if beginning.startswith(MAGIC):
-        from trajeval_ros.io.bags.mcap_index import McapReader
+        from trajeval_ros.io.bags.mcap_bag import McapReader
 
         return McapReader(source, strict=strict)
     if beginning.startswith(_ROS1) and isinstance(source, LocalFile):
@@ -96,3 +84,81 @@ def open_file(path: Path, folder: Path, *, strict: bool = False) -> Container:
 
         return SqliteReader(plain, source.name)
     raise InputError(f"{path} is not a bag: neither MCAP, sqlite3 nor ROS 1")
+
+
+@dataclass(frozen=True, eq=False)
+class Topic:
+    """A topic of a bag."""
+
+    name: str  # with a slash before it
+    type: str
+    declared: int | None  # the number of messages according to the bag, None if unknown
+    # Its connections in the files of the bag.
+    connections: tuple[Connection, ...] = field(repr=False, default=())
+
+    @property
+    def count(self) -> int:
+        """The number of its messages, counted if the bag does not declare it."""
+        if self.declared is not None:
+            return self.declared
+        return sum(each.owner.count(each.id) for each in self.connections)  # type: ignore[attr-defined]
+
+    @property
+    def expected(self) -> int:
+        """An estimate of the number of messages for reserving memory, without counting them."""
+        if self.declared is not None:
+            return self.declared
+        return sum(each.owner.rows for each in self.connections)  # type: ignore[attr-defined]
+
+    @property
+    def holds_poses(self) -> bool:
+        """Whether its messages are poses."""
+        own = (POSE_2D, foxglove.POSE_TYPE, foxglove.FIX_TYPE)
+        return self.type in (*POSE_TYPES, *own) and self._is_readable
+
+    @property
+    def holds_fixes(self) -> bool:
+        """Whether its messages are GNSS fixes."""
+        return self.type in (FIX_TYPE, foxglove.FIX_TYPE)
+
+    @property
+    def holds_transforms(self) -> bool:
+        """Whether its messages are TF."""
+        types = (*TRANSFORM_TYPES, *foxglove.TRANSFORM_TYPES)
+        return self.type in types and self._is_readable
+
+    @property
+    def lacks_protobuf(self) -> bool:
+        """Whether only the decoder of protobuf is missing."""
+        return (
+            self.type in foxglove.TYPES
+            and not self._is_readable
+            and all(encoding_of(each) in foxglove.ENCODINGS for each in self.connections)
+        )
+
+    def connections_in(self, container: Container) -> frozenset[int]:
+        """Return the ids of its connections in one file of the bag."""
+        return frozenset(each.id for each in self.connections if each.owner is container)
+
+    @property
+    def _is_readable(self) -> bool:
+        encodings = [encoding_of(each) for each in self.connections]
+        if self.type in foxglove.TYPES:
+            return all(foxglove.is_decodable(each) for each in encodings)
+        return all(each in _ENCODINGS for each in encodings)
+
+
+@dataclass(eq=False)
+class TopicReading:
+    """A topic that is read, and the damage found."""
+
+    topic: Topic
+    count: int = 0  # number of messages read so far
+    # Unreadable parts, one sentence per part; complete after the last message.
+    damage: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # other information on the reading
+
+
+def encoding_of(connection: Connection) -> str:
+    """Return the serialisation of a connection's messages, such as `cdr` or `ros1`."""
+    return getattr(connection.ext, "serialization_format", "ros1")

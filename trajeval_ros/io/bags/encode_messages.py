@@ -1,4 +1,4 @@
-"""Poses as CDR messages, for all states of a trajectory at once.
+"""Poses, alignments and paths as CDR messages, for all states of a trajectory at once.
 
 The names of frames are constant. Therefore all messages have one layout, and a message is one row
 of bytes.
@@ -11,9 +11,14 @@ from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.fixes import Fixes
+from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.online.error_topics import ALIGNED_PATH, GROUNDTRUTH_PATH
+from trajeval_ros.online.state_rows import POSITION, QUATERNION
+from trajeval_ros.online.whole_run import ThinnedRun
 
 Messages = NDArray[np.uint8]
+_POSE_SIZE = 56  # bytes: position and quaternion
 _GPS = 1  # of the services in sensor_msgs/NavSatStatus
 _ENCAPSULATION = np.array([0, 1, 0, 0], dtype=np.uint8)  # little-endian CDR
 
@@ -74,12 +79,8 @@ def encode_odometry(
 ) -> Messages:
     """Return nav_msgs/Odometry (N, size) without angular velocities.
 
-    Args:
-        stamps: (N,).
-        poses: (N, 7), position and quaternion xyzw.
-        covariances: (N, 36) of the poses.
-        body_velocities: (N, 3) in the body.
-        frames: Of the fixed frame and of the body.
+    `stamps`: (N,). `poses`: (N, 7), position and quaternion xyzw. `covariances`: (N, 36) of the
+    poses. `body_velocities`: (N, 3) in the body. `frames`: of the fixed frame and of the body.
     """
     layout = _with_header(frames[0])
     layout.add_text("child", frames[1])
@@ -110,10 +111,7 @@ def encode_fixes(stamps: Stamps, fixes: Fixes, frame: str) -> Messages:
 def encode_transforms(stamps: Stamps, poses: Floats, frames: tuple[str, str]) -> Messages:
     """Return tf2_msgs/TFMessage (N, size) with one transform per message, of poses (N, 7).
 
-    Args:
-        stamps: (N,).
-        poses: Of the child in the parent.
-        frames: Parent and child.
+    `stamps`: (N,). `poses`: of the child in the parent.
     """
     layout = _MessageLayout()
     layout.add("count", "<u4")
@@ -164,11 +162,7 @@ def _transforms(
 def encode_imu(stamps: Stamps, rates: Floats, accelerations: Floats, frame: str) -> Messages:
     """Return sensor_msgs/Imu (N, size) without orientations: their covariance starts with -1.
 
-    Args:
-        stamps: (N,).
-        rates: (N, 3), rad/s.
-        accelerations: (N, 3), m/s^2.
-        frame: Of the sensor.
+    `stamps`: (N,). `rates`: (N, 3), rad/s. `accelerations`: (N, 3), m/s^2.
     """
     layout = _with_header(frame)
     for name, size in (
@@ -197,3 +191,62 @@ def _with_header(frame: str, before: _MessageLayout | None = None) -> _MessageLa
 def _times(stamps: Stamps) -> NDArray[np.int64]:
     """Return seconds and nanoseconds (N, 2)."""
     return np.stack(np.divmod(stamps, NANOSECONDS), axis=1)
+
+
+def encode_path(stamps: Stamps, positions: Floats, quaternions: Floats, frame: str) -> bytes:
+    """Return a nav_msgs/Path in little-endian CDR, stamped as its last pose.
+
+    `stamps`: (N,) nanoseconds. `positions`: (N, 3), metres. `quaternions`: (N, 4), xyzw.
+    """
+    name = frame.encode() + b"\0"
+    header = np.dtype([("stamp", "<i4", 2), ("length", "<u4"), ("name", f"S{len(name)}")])
+    count = len(stamps)
+    # Alignment counts from the end of the encapsulation. A pose ends at a multiple of eight bytes.
+    # Therefore all poses after the first one have the same layout.
+    first = _aligned(header.itemsize, 4) + 4
+    numbers = _aligned(first + header.itemsize, 8)
+    stride = _aligned(header.itemsize, 8) + _POSE_SIZE
+    payload = bytearray(4 + (numbers + _POSE_SIZE + (count - 1) * stride if count else first))
+    body = memoryview(payload)[4:]
+    payload[:4] = b"\0\1\0\0"
+    np.ndarray((), "<u4", body, first - 4)[...] = count
+    headers = [np.ndarray(1, header, body)]
+    if count:
+        headers += [
+            np.ndarray(1, header, body, first),
+            np.ndarray(count - 1, header, body, numbers + _POSE_SIZE, (stride,)),
+        ]
+        poses = np.ndarray((count, 7), "<f8", body, numbers, (stride, 8))
+        poses[:, :3], poses[:, 3:] = positions, quaternions
+    of_each = (stamps[-1:], stamps[:1], stamps[1:])
+    for fields, times in zip(headers, of_each, strict=False):
+        fields["stamp"] = np.stack(np.divmod(times, NANOSECONDS), axis=-1) if count else 0
+        fields["length"], fields["name"] = len(name), name
+    return bytes(payload)
+
+
+def _aligned(offset: int, alignment: int) -> int:
+    return -(-offset // alignment) * alignment
+
+
+def encode_alignment(alignment: Similarity, stamps: Stamps, frames: tuple[str, str]) -> bytes:
+    """Return geometry_msgs/TransformStamped at a timestamp (1,), without the scale."""
+    pose = np.concatenate([alignment.translation, alignment.rotation_xyzw])
+    return bytes(encode_transform_stamped(stamps, pose[None], frames)[0])
+
+
+def encode_paths(thinned: ThinnedRun, alignment: Similarity, frame: str) -> dict[str, bytes]:
+    """Return by topic the nav_msgs/Path of the aligned estimate and of the groundtruth."""
+    stamps, groundtruth, estimate = thinned.columns()
+    positions, turned = alignment.positions(estimate[:, POSITION]), _turned(estimate)
+    aligned = encode_path(stamps, positions, alignment.quaternions(turned), frame)
+    turned = _turned(groundtruth)
+    of_groundtruth = encode_path(stamps, groundtruth[:, POSITION], turned, frame)
+    return {ALIGNED_PATH: aligned, GROUNDTRUTH_PATH: of_groundtruth}
+
+
+def _turned(rows: Floats) -> Floats:
+    """Return the quaternions (N, 4) of states (N, 10), identities of positions alone."""
+    quaternions = np.nan_to_num(rows[:, QUATERNION])
+    quaternions[~quaternions.any(axis=1), 3] = 1.0
+    return quaternions

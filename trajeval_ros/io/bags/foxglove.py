@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Indices
-from trajeval_ros.io.bags.blocks import block_of
-from trajeval_ros.io.bags.byte_buffers import Buffer
+from trajeval_ros.io.bags.blocks import Buffer, block_of
 from trajeval_ros.io.bags.cdr_columns import Columns, StringColumn
 
 POSE_TYPE = "foxglove.PoseInFrame"
@@ -61,12 +60,6 @@ class FoxglovePlan:
     """How messages of one type and encoding become the columns of their counterpart in ROS."""
 
     def __init__(self, message_type: str, encoding: str) -> None:
-        """Prepare to decode.
-
-        Args:
-            message_type: One of `TYPES`.
-            encoding: One of `ENCODINGS` that `is_decodable`.
-        """
         self._parse = _from_json if encoding == "json" else _from_protobuf(message_type)
         self._stamp = _IN_JSON if encoding == "json" else _IN_PROTOBUF
         self._type = message_type

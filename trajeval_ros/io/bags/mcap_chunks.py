@@ -11,10 +11,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.bags.blocks import LARGEST, Block
-from trajeval_ros.io.bags.byte_source import ByteSource
+from trajeval_ros.io.bags.blocks import LARGEST, Block, are_of
+from trajeval_ros.io.bags.byte_source import ByteSource, DamagedError
 from trajeval_ros.io.bags.compression import LARGEST_CHUNK, LARGEST_RATIO, decompress, most_of
-from trajeval_ros.io.bags.damaged_bytes import DamagedError
 from trajeval_ros.io.bags.mcap_records import (
     CHANNEL,
     CHUNK,
@@ -28,7 +27,6 @@ from trajeval_ros.io.bags.mcap_records import (
     head_of,
     records,
 )
-from trajeval_ros.io.bags.selection import are_of
 
 _TIMES = struct.Struct("<QQQI")  # of a chunk: first and last log time, size, checksum
 _LENGTH, _SIZE = struct.Struct("<I"), struct.Struct("<Q")
@@ -37,31 +35,19 @@ RECORD_HEAD = HEAD + MESSAGE_HEAD
 
 @dataclass
 class Chunk:
-    """The position of a chunk, and its properties in the index.
+    """The position of a chunk, and its properties in the index."""
 
-    Attributes:
-        offset: Of its record in the file.
-        length: Of its record.
-        first: Log time of its first message, ns.
-        last: Log time of its last one.
-        compression: `zstd`, `lz4` or nothing.
-        size: Bytes of its records, decompressed.
-        indexes: Offset in the file of the message index, by channel.
-        index_end: Offset of the end of these indexes.
-        channels: Channels with messages in the chunk; None if unknown.
-        is_cut: Whether the file ends within the chunk.
-    """
-
-    offset: int
+    offset: int  # of its record in the file
     length: int
-    first: int
-    last: int
-    compression: str
-    size: int
+    first: int  # log time of its first message, ns
+    last: int  # log time of its last one
+    compression: str  # `zstd`, `lz4` or nothing
+    size: int  # bytes of its records, decompressed
+    # Offset in the file of the message index, by channel.
     indexes: dict[int, int] = field(default_factory=dict)
-    index_end: int = 0
-    channels: frozenset[int] | None = None
-    is_cut: bool = False
+    index_end: int = 0  # offset of the end of these indexes
+    channels: frozenset[int] | None = None  # channels with messages in the chunk; None if unknown
+    is_cut: bool = False  # whether the file ends within the chunk
 
     @property
     def data_offset(self) -> int:
@@ -74,11 +60,7 @@ class Chunk:
 
 
 def chunk_at(source: ByteSource, offset: int, length: int, *, is_cut: bool = False) -> Chunk:
-    """Return the chunk that the header of its record describes.
-
-    Raises:
-        DamagedError: The header is damaged.
-    """
+    """Return the chunk that the header of its record describes."""
     head = source.read(offset, HEAD + _TIMES.size + 4 + 64)
     try:
         first, last, size, _ = _TIMES.unpack_from(head, HEAD)
@@ -115,11 +97,7 @@ def require_budget(source: ByteSource, chunks: Iterable[Chunk]) -> None:
 
 
 def whole(source: ByteSource, chunk: Chunk) -> bytes | memoryview:
-    """Return the records of a chunk; of a truncated one, its first part.
-
-    Raises:
-        DamagedError: It can't be decompressed, or its checksum differs.
-    """
+    """Return the records of a chunk; of a truncated one, its first part."""
     require_size(chunk)
     record = memoryview(source.read(chunk.offset, chunk.length))
     place = chunk.data_offset - chunk.offset
@@ -148,12 +126,7 @@ def whole(source: ByteSource, chunk: Chunk) -> bytes | memoryview:
 def walked(
     data: bytes | memoryview, registry: Registry | None = None
 ) -> tuple[MessageIndex, bool]:
-    """Return the messages in a chunk's records, and whether all records are complete.
-
-    Args:
-        data: The records.
-        registry: Schemas and channels are added to it.
-    """
+    """Return the messages in a chunk's records, and whether all records are complete."""
     found, end = MessageIndexBuilder(), 0
     for opcode, offset, length in records(data):
         if opcode == MESSAGE:

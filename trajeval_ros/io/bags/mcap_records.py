@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Booleans, Indices
-from trajeval_ros.io.bags.damaged_bytes import DamagedError
+from trajeval_ros.io.bags.byte_source import DamagedError
 from trajeval_ros.io.bags.message_definitions import full_name
 
 if TYPE_CHECKING:
@@ -30,43 +30,38 @@ _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQ")
 
 
+@dataclass(frozen=True)
+class Declared:
+    """Contents that a summary declares."""
+
+    counts: Mapping[int, int] = field(default_factory=dict)  # number of messages by channel
+    messages: int | None = None  # number of all messages; None if it is unknown
+    chunks: frozenset[int] = frozenset()  # offsets
+
+
 class NoIndexError(DamagedError):
-    """A file has no index, which the format allows.
+    """A file has no complete index, which the format allows."""
 
-    Attributes:
-        counts: Number of messages by channel, from its statistics.
-    """
-
-    def __init__(self, counts: Mapping[int, int] | None = None) -> None:
-        """Create the error."""
+    def __init__(self, declared: Declared) -> None:
         super().__init__("it has no index")
-        self.counts = counts or {}
+        self.declared = declared
 
 
 @dataclass
 class MessageIndex:
-    """Positions of messages in a chunk or in a file.
+    """Positions of messages in a chunk or in a file."""
 
-    Attributes:
-        channels: (N,) ids.
-        log_times: (N,) ns.
-        offsets: (N,) of their records.
-        sizes: (N,) bytes of their payloads.
-    """
-
-    channels: Indices
-    log_times: Indices
-    offsets: Indices
-    sizes: Indices
+    channels: Indices  # (N,) ids
+    log_times: Indices  # (N,) ns
+    offsets: Indices  # (N,) of their records
+    sizes: Indices  # (N,) bytes of their payloads
 
     def __getitem__(self, rows: Booleans | Indices | slice) -> MessageIndex:
-        """Return some of them."""
         return MessageIndex(
             self.channels[rows], self.log_times[rows], self.offsets[rows], self.sizes[rows]
         )
 
     def __len__(self) -> int:
-        """Return their number."""
         return len(self.offsets)
 
 
@@ -95,11 +90,7 @@ class Registry:
     channels: dict[int, Channel] = field(default_factory=dict)
 
     def add(self, opcode: int, content: bytes | memoryview) -> None:
-        """Add a schema or channel from its record. The first record of an id is used.
-
-        Raises:
-            DamagedError: The record is damaged.
-        """
+        """Add a schema or channel from its record. The first record of an id is used."""
         from mcap.data_stream import ReadDataStream
         from mcap.records import Channel, Schema
 
@@ -149,7 +140,7 @@ def _connection(
         MessageDefinitionFormat,
     )
 
-    from trajeval_ros.io.bags.metadata import qos_of
+    from trajeval_ros.io.bags.bag_folder import qos_of
 
     formats = {"ros2msg": "MSG", "ros1msg": "MSG", "ros2idl": "IDL"}
     name, encoding, text = "", "", ""

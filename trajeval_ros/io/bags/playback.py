@@ -1,50 +1,112 @@
-"""The part of a bag that is played: topics, their names, and the time window."""
+"""Playback of a bag: topics, their names, the time window, and the pace."""
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
-from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
+import time
+from collections import Counter
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.bag import Bag
-from trajeval_ros.io.bags.recorded_topic import Topic
-from trajeval_ros.io.bags.ros1_to_cdr import Convert, converter, is_ros1, ros2_type
+from trajeval_ros.io.bags.containers import Topic, encoding_of
+from trajeval_ros.io.bags.message_definitions import types_in
 
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+Convert = Callable[[bytes], bytes]
+
+_RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
+_HEADER = "std_msgs/msg/Header"  # without `seq` in ROS 2
+_TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 CLOCK_TOPIC = "/clock"
 _SHORTEST = 4  # bytes of the encapsulation of CDR
+TICK_S = 0.01
+# Messages due sooner are sent at once: a wake-up takes as long as sending.
+_SHORTEST_SLEEP_S = 0.001
+ChannelT = TypeVar("ChannelT", bound=Hashable)
+
+
+def ros2_type(message_type: str) -> str:
+    """Return the name in ROS 2 of a type of ROS 1."""
+    return _RENAMED.get(message_type, message_type)
+
+
+def is_ros1(topic: Topic) -> bool:
+    """Return whether a topic was recorded by ROS 1."""
+    return encoding_of(topic.connections[0]) == "ros1"
+
+
+def converter(topic: Topic) -> Convert | None:
+    """Return a function that converts serialised messages of ROS 1 to CDR.
+
+    Returns:
+        None if the type has other fields in ROS 2.
+    """
+    from rosbags.typesys import Stores, get_typestore
+
+    ros2 = get_typestore(Stores.ROS2_JAZZY)
+    store = get_typestore(Stores.EMPTY)
+    name = topic.type
+    try:
+        text = topic.connections[0].msgdef.data
+        recorded = types_in("MSG", text, topic.type)
+        kept = (_HEADER, *_TIMES)
+        store.register({key: value for key, value in recorded.items() if key not in kept})
+        store.register({key: ros2.fielddefs[key] for key in kept if key not in store.fielddefs})
+        store.get_msgdef(name)
+    except Exception:  # rosbags raises many types; the standard definition is used instead
+        store, name = ros2, ros2_type(name)
+        if name not in ros2.fielddefs:
+            return None
+    if ros2_type(name) in ros2.fielddefs:
+        here, there = _layout(store, name), _layout(ros2, ros2_type(name))
+        if here != there:
+            return None
+    return lambda payload: bytes(store.ros1_to_cdr(payload, name))
+
+
+def _layout(store: Typestore, message_type: str) -> list[Any]:
+    """Return the types of all fields without names, with the types in nested messages."""
+    return [_spelled_out(store, kind) for _, kind in store.fielddefs[message_type][1]]
+
+
+def _spelled_out(store: Typestore, kind: Any) -> Any:
+    """Return a field's type with the layout in place of a message's name."""
+    from rosbags.interfaces import Nodetype
+
+    node, content = kind
+    if node == Nodetype.NAME:
+        return _layout(store, content)
+    if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        inner, length = content
+        return node, _spelled_out(store, inner), length
+    return node, content
 
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """A topic of the bag, as it is published; equal to itself only.
+    """A topic of the bag, as it is published; equal to itself only."""
 
-    Attributes:
-        topic: As it was recorded.
-        name: As ROS 2 allows it.
-        type: As ROS 2 calls it.
-        is_latched: Whether late subscribers get earlier messages.
-        convert: Converts recorded messages to CDR; None if they are CDR.
-    """
-
-    topic: Topic
-    name: str
-    type: str
-    is_latched: bool
-    convert: Convert | None
+    topic: Topic  # as it was recorded
+    name: str  # as ROS 2 allows it
+    type: str  # as ROS 2 calls it
+    is_latched: bool  # whether late subscribers get earlier messages
+    convert: Convert | None  # converts recorded messages to CDR; None if they are CDR
 
 
 class Playback:
     """The messages of an open bag that are to be played, in order of their log times.
 
     Attributes:
-        channels: The channels that are played.
-        notes: Differences from the recording, with reasons.
         begin_ns: The log time at which it begins.
         end_ns: The last log time.
-        damaged: Number of messages skipped so far.
     """
 
     def __init__(
@@ -59,20 +121,12 @@ class Playback:
     ) -> None:
         """Choose the channels and the time window.
 
-        Args:
-            bag: An open bag.
-            is_known: Whether messages of a type can be published on this machine.
-            topics: Names of the requested topics; empty means all.
-            start_s: Where to begin, seconds from the bag's beginning.
-            end_s: Where to end, seconds from the bag's beginning; None means its end.
-            with_clock: Whether the clock is published instead of a recorded one.
-
-        Raises:
-            InputError: There is no such topic, one can't be published, or nothing can.
-            SettingsError: Begin and end leave nothing.
+        `topics`: names of the requested topics; empty means all. `start_s`: where to begin,
+        seconds from the bag's beginning. `end_s`: where to end, seconds from the bag's beginning;
+        None means its end.
         """
-        self.notes: list[str] = []
-        self.damaged = 0
+        self.notes: list[str] = []  # differences from the recording, with reasons
+        self.damaged = 0  # number of messages skipped so far
         self._bag = bag
         first, last = bag.span
         self.begin_ns, self.end_ns = _window(first, last, start_s, end_s)
@@ -84,12 +138,15 @@ class Playback:
         """How long it takes at the rate 1, seconds."""
         return (self.end_ns - self.begin_ns) / NANOSECONDS
 
-    def messages(self) -> Iterator[tuple[int, Channel, bytes]]:
-        """Yield log time in ns, channel and CDR of all messages.
+    @property
+    def awaited(self) -> list[Channel]:
+        """The channels with poses, which evaluators read; without any transforms, else all."""
+        topics = self.channels
+        posed = [each for each in topics if each.topic.count and each.topic.holds_poses]
+        return posed or [each for each in topics if each.topic.holds_transforms] or topics
 
-        Raises:
-            InputError: The bag is damaged.
-        """
+    def messages(self) -> Iterator[tuple[int, Channel, bytes]]:
+        """Yield log time in ns, channel and CDR of all messages."""
         channels = {(each.topic.name, each.topic.type): each for each in self.channels}
         window = () if self._is_whole else (self.begin_ns, self.end_ns + 1)
         topics = [each.topic for each in self.channels]
@@ -159,12 +216,7 @@ class Playback:
 
 
 def allowed_name(name: str, taken: Collection[str] = ()) -> str:
-    """Return a topic's name with underscores for characters that ROS 2 does not allow.
-
-    Args:
-        name: As it was recorded.
-        taken: Names of other topics.
-    """
+    """Return a topic's name with underscores for characters that ROS 2 does not allow."""
     tokens = [re.sub(r"\W+", "_", token, flags=re.ASCII) for token in name.split("/") if token]
     tokens = [f"_{token}" if token[0].isdigit() else token for token in tokens]
     allowed = "/" + "/".join(tokens or ["unnamed"])
@@ -208,3 +260,69 @@ def _window(first: int, last: int, start_s: float, end_s: float | None) -> tuple
         raise SettingsError(f"--end {end_s:g} must be after --start {start_s:g}")
     begin = first + round(start_s * NANOSECONDS)
     return begin, last if end_s is None else first + round(end_s * NANOSECONDS)
+
+
+@dataclass
+class PlaybackResult(Generic[ChannelT]):
+    """Result of a playback."""
+
+    counts: Counter[ChannelT] = field(default_factory=Counter)  # number of messages by channel
+    worst_lag_s: float = 0.0  # by how much the latest message was late; waiting is not counted
+    waited_s: float = 0.0  # how long sending waited for subscribers, seconds
+    reached_ns: int = 0  # bag time of the end
+    took_s: float = 0.0  # how long it took, seconds
+    is_complete: bool = True  # whether all messages were played
+
+
+def play(
+    messages: Iterable[tuple[int, ChannelT, bytes]],
+    begin_ns: int,
+    rate: float,
+    *,
+    publish: Callable[[ChannelT, bytes], float],
+    tick: Callable[[int], None],
+    is_stopped: Callable[[], bool] = lambda: False,
+) -> PlaybackResult[ChannelT]:
+    """Publish messages when they are due. Late messages are published at once, none is skipped.
+
+    Bag time stops while sending waits for subscribers. Otherwise slow subscribers receive all
+    messages of that time at once.
+
+    Args:
+        messages: Bag time in ns, channel and payload, in order of time.
+        rate: Seconds of bag time per second.
+        publish: Sends a message; returns how long it waited for subscribers, seconds.
+        tick: Called with the bag time every `TICK_S`. It never decreases, and never passes a
+            message that is not sent.
+        is_stopped: Called at least every `TICK_S` while waiting.
+    """
+    played: PlaybackResult[ChannelT] = PlaybackResult(reached_ns=begin_ns)
+    stream = iter(messages)
+    opening = list(itertools.islice(stream, 1))  # the time to open the bag is not counted
+    began = next_tick = time.monotonic()
+    for time_ns, channel, payload in itertools.chain(opening, stream):
+        due = began + (time_ns - begin_ns) / NANOSECONDS / rate
+        while True:
+            if is_stopped():
+                played.is_complete = False
+                break
+            moment = time.monotonic()
+            if moment >= next_tick:
+                elapsed_ns = int((moment - began) * rate * NANOSECONDS)
+                played.reached_ns = max(played.reached_ns, min(begin_ns + elapsed_ns, time_ns))
+                tick(played.reached_ns)
+                next_tick += TICK_S * (1 + (moment - next_tick) // TICK_S)
+            if moment >= due:
+                break
+            time.sleep(max(_SHORTEST_SLEEP_S, min(due, next_tick) - moment))
+        if not played.is_complete:
+            break
+        waited_s = publish(channel, payload)
+        began += waited_s
+        played.waited_s += waited_s
+        played.counts[channel] += 1
+        played.worst_lag_s = max(played.worst_lag_s, moment - due)
+        played.reached_ns = max(played.reached_ns, time_ns)
+    tick(played.reached_ns)
+    played.took_s = time.monotonic() - began
+    return played

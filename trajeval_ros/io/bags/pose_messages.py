@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.formatting.remarks import note
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.cdr import CdrPlan
 from trajeval_ros.io.bags.cdr_columns import Columns, StringColumn
@@ -19,49 +20,37 @@ from trajeval_ros.io.bags.message_definitions import STANDARD, Fields, Unplanned
 FIX_TYPE = "sensor_msgs/msg/NavSatFix"
 TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 PATH_TYPE = "nav_msgs/msg/Path"
+POSE_2D = "geometry_msgs/msg/Pose2D"
+POSE_2D_TIMES = note("log_times", "no timestamps in messages: log times used, height 0")
+_POSE_2D_FIELDS: Fields = (("x", "f8"), ("y", "f8"), ("theta", "f8"))
 
 
 @dataclass(frozen=True)
 class PoseColumns:
-    """The poses of a topic.
+    """The poses of a topic."""
 
-    Attributes:
-        stamps: (N,) int64, nanoseconds, of the headers.
-        positions: (N, 3), metres; of fixes latitude and longitude, degrees, and height, metres.
-        quaternions: (N, 4), xyzw, or None if the type has none.
-        body_velocities: (N, 3), m/s, in the body, or None.
-        covariances: (N, 6, 6), position first, or None.
-        fix_quality: (N, 11) of fixes: status, type of covariance, and the covariance about east,
-            north and up, m^2, row by row; else None.
-        frames: First row, frame and child frame at every change of the frames.
-        rows: (N,) int64, number of the message of a pose.
-        undecodable: Number of messages that can't be decoded.
-    """
-
-    stamps: NDArray[np.int64]
+    stamps: NDArray[np.int64]  # (N,) int64, nanoseconds, of the headers
+    # (N, 3), metres; of fixes latitude and longitude, degrees, and height, metres.
     positions: Floats
-    quaternions: Floats | None
-    body_velocities: Floats | None
-    covariances: Floats | None
+    quaternions: Floats | None  # (N, 4), xyzw, or None if the type has none
+    body_velocities: Floats | None  # (N, 3), m/s, in the body, or None
+    covariances: Floats | None  # (N, 6, 6), position first, or None
+    # (N, 11) of fixes: status, type of covariance, and the covariance about east, north and up,
+    # m^2, row by row; else None.
     fix_quality: Floats | None
+    # First row, frame and child frame at every change of the frames.
     frames: list[tuple[int, str, str]]
-    rows: NDArray[np.int64]
-    undecodable: int
+    rows: NDArray[np.int64]  # (N,) int64, number of the message of a pose
+    undecodable: int  # number of messages that can't be decoded
 
 
 @dataclass(frozen=True)
 class TransformColumns:
-    """The transforms of one edge, in order of arrival.
+    """The transforms of one edge, in order of arrival."""
 
-    Attributes:
-        stamps: (N,) int64, nanoseconds, of the headers.
-        numbers: (N, 7): translation in metres, quaternion xyzw.
-        rows: (N,) int64, number of the message of a transform.
-    """
-
-    stamps: NDArray[np.int64]
-    numbers: Floats
-    rows: NDArray[np.int64]
+    stamps: NDArray[np.int64]  # (N,) int64, nanoseconds, of the headers
+    numbers: Floats  # (N, 7): translation in metres, quaternion xyzw
+    rows: NDArray[np.int64]  # (N,) int64, number of the message of a transform
 
 
 @dataclass(frozen=True)
@@ -108,7 +97,6 @@ _PATHS = {
 }
 POSE_TYPES = (*_PATHS, PATH_TYPE)
 COVARIANCE_TYPES = tuple(name for name, paths in _PATHS.items() if paths.covariance)
-_POSE_SIZE = 56  # bytes: position and quaternion
 _OF_A_PATH = _PATHS["geometry_msgs/msg/PoseStamped"]
 _OF_TRANSFORMS = _PATHS["geometry_msgs/msg/TransformStamped"]
 
@@ -118,11 +106,8 @@ def decode_poses(
 ) -> PoseColumns:
     """Return the poses of messages of ROS 2, by the standard definition of their type.
 
-    Args:
-        payloads: The messages in untrusted CDR. Messages that can't be decoded are left out and
-            counted.
-        message_type: One of `POSE_TYPES` but `nav_msgs/msg/Path`.
-        covariance: Whether to decode the covariances.
+    `payloads`: the messages in untrusted CDR. Messages that can't be decoded are left out and
+    counted. `message_type`: one of `POSE_TYPES` but `nav_msgs/msg/Path`.
     """
     columns = _plan(message_type, covariance=covariance).decode(payloads)
     return poses_of(columns, message_type, len(payloads) - len(columns.rows))
@@ -157,12 +142,8 @@ def plan_of(
 ) -> CdrPlan:
     """Return how the poses or transforms of a type are decoded.
 
-    Args:
-        fields: Of the type, as a bag defines it. The standard definition is used if this is None
-            or lacks a field of a pose.
-        message_type: One of `POSE_TYPES` or `TRANSFORM_TYPES`.
-        covariance: Whether to decode covariances.
-        is_ros1: Whether messages are serialised as by ROS 1.
+    `fields`: of the type, as a bag defines it. The standard definition is used if this is None or
+    lacks a field of a pose. `message_type`: one of `POSE_TYPES` or `TRANSFORM_TYPES`.
     """
     wanted = _wanted(message_type, covariance=covariance)
     if fields is not None:
@@ -185,13 +166,7 @@ def _wanted(message_type: str, *, covariance: bool) -> list[str]:
 
 
 def poses_of(columns: Columns, message_type: str, undecodable: int) -> PoseColumns:
-    """Return decoded columns as poses; for paths, the poses of all of them.
-
-    Args:
-        columns: As decoded by `plan_of`.
-        message_type: One of `POSE_TYPES`.
-        undecodable: Number of messages that can't be decoded.
-    """
+    """Return decoded columns as poses; for paths, the poses of all of them."""
     # Foxglove's types have the fields of their counterparts.
     counterpart = _PATHS[FIX_TYPE] if "latitude" in columns.numbers else _OF_A_PATH
     paths = _PATHS.get(message_type, counterpart)
@@ -282,46 +257,25 @@ def _appended(edge: TransformColumns, other: TransformColumns) -> TransformColum
     )
 
 
-def encode_path(
-    stamps: NDArray[np.int64],
-    positions: Floats,
-    quaternions: Floats,
-    frame: str,
-) -> bytes:
-    """Return a nav_msgs/Path in little-endian CDR, stamped as its last pose.
-
-    Args:
-        stamps: (N,) nanoseconds.
-        positions: (N, 3), metres.
-        quaternions: (N, 4), xyzw.
-        frame: Of the path and of all its poses.
-    """
-    name = frame.encode() + b"\0"
-    header = np.dtype([("stamp", "<i4", 2), ("length", "<u4"), ("name", f"S{len(name)}")])
-    count = len(stamps)
-    # Alignment counts from the end of the encapsulation. A pose ends at a multiple of eight bytes.
-    # Therefore all poses after the first one have the same layout.
-    first = _aligned(header.itemsize, 4) + 4
-    numbers = _aligned(first + header.itemsize, 8)
-    stride = _aligned(header.itemsize, 8) + _POSE_SIZE
-    payload = bytearray(4 + (numbers + _POSE_SIZE + (count - 1) * stride if count else first))
-    body = memoryview(payload)[4:]
-    payload[:4] = b"\0\1\0\0"
-    np.ndarray((), "<u4", body, first - 4)[...] = count
-    headers = [np.ndarray(1, header, body)]
-    if count:
-        headers += [
-            np.ndarray(1, header, body, first),
-            np.ndarray(count - 1, header, body, numbers + _POSE_SIZE, (stride,)),
-        ]
-        poses = np.ndarray((count, 7), "<f8", body, numbers, (stride, 8))
-        poses[:, :3], poses[:, 3:] = positions, quaternions
-    of_each = (stamps[-1:], stamps[:1], stamps[1:])
-    for fields, times in zip(headers, of_each, strict=False):
-        fields["stamp"] = np.stack(np.divmod(times, NANOSECONDS), axis=-1) if count else 0
-        fields["length"], fields["name"] = len(name), name
-    return bytes(payload)
+def pose_2d_plan(*, is_ros1: bool) -> CdrPlan:
+    """Return how messages of the type are decoded."""
+    return CdrPlan(_POSE_2D_FIELDS, is_ros1=is_ros1)
 
 
-def _aligned(offset: int, alignment: int) -> int:
-    return -(-offset // alignment) * alignment
+def poses_2d_of(columns: Columns, log_times: Stamps, undecodable: int) -> PoseColumns:
+    """Return decoded columns as poses in the plane z = 0, stamped by their recording."""
+    x, y, theta = (
+        columns.numbers[name].ravel().astype(np.float64) for name in ("x", "y", "theta")
+    )
+    zeros = np.zeros(len(x))
+    return PoseColumns(
+        stamps=log_times[columns.rows],
+        positions=np.column_stack([x, y, zeros]),
+        quaternions=np.column_stack([zeros, zeros, np.sin(theta / 2.0), np.cos(theta / 2.0)]),
+        body_velocities=None,
+        covariances=None,
+        fix_quality=None,
+        frames=[(0, "", "")] if len(x) else [],
+        rows=columns.rows,
+        undecodable=undecodable,
+    )

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.arrays import Booleans, Stamps
 from trajeval_ros.geometry.inertial import InertialReadings
 from trajeval_ros.geometry.trajectory import NANOSECONDS
@@ -16,6 +17,7 @@ from trajeval_ros.geometry.valid_poses import LARGEST
 from trajeval_ros.io.bags.bag import Bag
 from trajeval_ros.io.bags.cdr import CdrPlan
 from trajeval_ros.io.bags.cdr_columns import Columns
+from trajeval_ros.io.bags.containers import Topic, TopicReading, encoding_of
 from trajeval_ros.io.bags.message_definitions import (
     STANDARD,
     Fields,
@@ -23,7 +25,6 @@ from trajeval_ros.io.bags.message_definitions import (
     recorded_fields,
     ros1_fields,
 )
-from trajeval_ros.io.bags.recorded_topic import Reading, Topic, encoding_of
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
@@ -39,28 +40,18 @@ _FIELDS = {
 def decode_rates(payloads: Sequence[bytes | memoryview], message_type: str) -> InertialReadings:
     """Return the readings of ROS 2 messages, by the standard definition of their type.
 
-    Args:
-        payloads: In CDR. Messages that can't be decoded or are not finite are left out and
-            counted.
-        message_type: `sensor_msgs/msg/Imu` or `nav_msgs/msg/Odometry`.
+    `payloads`: in CDR. Messages that can't be decoded or are not finite are left out and counted.
+    `message_type`: `sensor_msgs/msg/Imu` or `nav_msgs/msg/Odometry`.
     """
     columns = _plan(message_type).decode(payloads)
     return _readings(columns, message_type, len(payloads))
 
 
 def read_rates(path: Path, name: str) -> InertialReadings:
-    """Read a topic of a bag, in order of the log times of its messages.
-
-    Args:
-        path: A bag.
-        name: Of a topic with IMU messages, or with odometry.
-
-    Raises:
-        InputError: The topic does not exist, has another type, or has no usable message.
-    """
+    """Read a topic of a bag, in order of the log times of its messages."""
     with Bag(path) as bag:
         topic = _topic(bag, name)
-        reading = Reading(topic)
+        reading = TopicReading(topic)
         plans = {
             (id(each.owner), each.id): _plan_of(
                 recorded_fields(each), topic.type, is_ros1=encoding_of(each) == "ros1"
@@ -72,7 +63,7 @@ def read_rates(path: Path, name: str) -> InertialReadings:
             columns = plans[key].decode_at(block.buffer, block.begins, block.sizes)
             parts.append(_readings(columns, topic.type, len(block)))
             times.append(block.log_times[columns.rows][_usable(columns, topic.type)])
-        _, damage = bag.findings([reading])
+        remarks = bag.remarks([reading])
     if not sum(map(len, parts)):
         raise InputError(f"{path}:{name} has no usable {topic.type}")
     order = np.argsort(np.concatenate(times), kind="stable")
@@ -84,7 +75,7 @@ def read_rates(path: Path, name: str) -> InertialReadings:
         parts[0].frame,
         f"{path}:{name}",
         sum(each.undecodable for each in parts),
-        damage,
+        tuple(each.text for each in remarks if each.level is Level.ERROR),
     )
 
 

@@ -18,10 +18,9 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Booleans, Indices
-from trajeval_ros.io.bags.blocks import LARGEST, Block
-from trajeval_ros.io.bags.byte_source import GAP, ByteSource, ByteWindow
+from trajeval_ros.io.bags.blocks import LARGEST, Block, TopicSelection, all_connections, are_of
+from trajeval_ros.io.bags.byte_source import GAP, ByteSource, ByteWindow, DamagedError
 from trajeval_ros.io.bags.compression import LARGEST_CHUNK, LARGEST_RATIO, decompress, most_of
-from trajeval_ros.io.bags.damaged_bytes import DamagedError
 from trajeval_ros.io.bags.message_definitions import full_name
 from trajeval_ros.io.bags.ros1_records import (
     BAG_HEADER,
@@ -36,7 +35,6 @@ from trajeval_ros.io.bags.ros1_records import (
     find_messages,
     record_at,
 )
-from trajeval_ros.io.bags.selection import TopicSelection, all_connections, are_of
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -48,44 +46,23 @@ _HEADS = 1 << 12  # bytes read at once of records that are looked at
 
 @dataclass(frozen=True)
 class _Chunk:
-    """A chunk of the file.
-
-    Attributes:
-        record: Its record.
-        compression: One of `_COMPRESSIONS`.
-        size: Of its data after decompression, bytes.
-        index: Its messages, in order of their offsets.
-        first: Log time of the first one, ns.
-    """
+    """A chunk of the file."""
 
     record: BagRecord
-    compression: str
-    size: int
-    index: ChunkIndex
-    first: int
+    compression: str  # one of `_COMPRESSIONS`
+    size: int  # of its data after decompression, bytes
+    index: ChunkIndex  # its messages, in order of their offsets
+    first: int  # log time of the first one, ns
 
 
 class Ros1Reader:
-    """An open bag of ROS 1.
-
-    Attributes:
-        connections: Its connections; several may have one topic.
-        damage: What opening it found that can't be read, one sentence each.
-        span: First and last log time of all messages, ns; None if there is none.
-    """
+    """An open bag of ROS 1."""
 
     def __init__(self, source: ByteSource) -> None:
-        """Read the index.
-
-        Args:
-            source: The file.
-
-        Raises:
-            DamagedError: The bag has no index, or a damaged one.
-            InputError: The chunks are compressed more than those of any recording.
-        """
-        self.connections: list[Connection] = []
-        self.damage: list[str] = []
+        """Read the index."""
+        self.connections: list[Connection] = []  # its connections; several may have one topic
+        self.damage: list[str] = []  # what opening it found that can't be read, one sentence each
+        # First and last log time of all messages, ns; None if there is none.
         self.span: tuple[int, int] | None = None
         self._source = source
         self._chunks: list[_Chunk] = []
@@ -114,7 +91,7 @@ class Ros1Reader:
         end: int | None = None,
         *,
         in_order: bool = False,  # noqa: ARG002  # they always are
-    ) -> Iterator[tuple[Sequence[TopicSelection], Block]]:
+    ) -> Iterator[Block]:
         """Yield the messages of some connections, of all selections in one pass."""
         lost = {each: Counter[str]() for each in selections}
         wanted = all_connections(selections)
@@ -128,7 +105,7 @@ class Ros1Reader:
                 if count := int(np.count_nonzero(own & ~valid)):
                     lost[selection][reason] += count
             if valid.any():
-                yield selections, block if valid.all() else block[valid]
+                yield block if valid.all() else block[valid]
         for selection in selections:
             selection.damage += [
                 f"{self._source.name} is damaged: {reason}, {counted(count, 'message')} lost; to "
@@ -152,11 +129,7 @@ class Ros1Reader:
         return block, valid, reason
 
     def _data(self, chunk: _Chunk, offsets: Indices) -> tuple[bytes | memoryview, Indices]:
-        """Return bytes of a chunk, and where in them the messages at some offsets are.
-
-        Raises:
-            DamagedError: The chunk is truncated, or can't be decompressed.
-        """
+        """Return bytes of a chunk, and where in them the messages at some offsets are."""
         record = chunk.record
         if chunk.compression == "none":
             every = chunk.index.offsets

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Booleans, Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.io.bags.blocks import logged_within
-from trajeval_ros.io.bags.byte_buffers import gather
-from trajeval_ros.io.bags.damaged_bytes import DamagedError
+from trajeval_ros.io.bags.blocks import gather, logged_within
+from trajeval_ros.io.bags.byte_source import DamagedError
 
 MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
 ENTRY_SIZE = 12  # bytes of a message in an index: seconds, nanoseconds, offset
@@ -28,19 +27,12 @@ Read = Callable[[int, int], bytes]  # the bytes from an offset on, fewer at the 
 
 @dataclass(frozen=True)
 class BagRecord:
-    """A record of a bag, or the fields in the data of one.
+    """A record of a bag, or the fields in the data of one."""
 
-    Attributes:
-        header: Its fields, serialised.
-        places: Where the value of a field is in the header, by name.
-        begin: Where its data start.
-        size: Bytes of its data.
-    """
-
-    header: bytes
-    places: dict[str, slice]
-    begin: int
-    size: int
+    header: bytes  # its fields, serialised
+    places: dict[str, slice]  # where the value of a field is in the header, by name
+    begin: int  # where its data start
+    size: int  # bytes of its data
 
     @property
     def end(self) -> int:
@@ -52,22 +44,14 @@ class BagRecord:
         return self.header[self.places.get(name, slice(0))].decode(errors="replace")
 
     def number(self, name: str, size: int) -> int:
-        """Return a field as an unsigned number of `size` bytes.
-
-        Raises:
-            DamagedError: The record does not have such a field.
-        """
+        """Return a field as an unsigned number of `size` bytes."""
         value = self.header[self.places.get(name, slice(0))]
         if len(value) != size:
             raise DamagedError(f"a record has no field {name!r}")
         return int.from_bytes(value, "little")
 
     def time(self, name: str) -> int:
-        """Return a field as a time in nanoseconds.
-
-        Raises:
-            DamagedError: The record does not have such a field.
-        """
+        """Return a field as a time in nanoseconds."""
         both = self.number(name, 8)
         return (both & 0xFFFFFFFF) * NANOSECONDS + (both >> 32)
 
@@ -75,13 +59,8 @@ class BagRecord:
 def record_at(read: Read, offset: int, kind: int | None = None) -> BagRecord:
     """Return the record at an offset.
 
-    Args:
-        read: Reads the bytes that the offset counts in.
-        offset: Of the record.
-        kind: What it must be, such as `CHUNK`; None for any.
-
-    Raises:
-        DamagedError: The record is truncated, damaged or of another kind.
+    `read`: reads the bytes that the offset counts in. `kind`: what it must be, such as `CHUNK`;
+    None for any.
     """
     length = _number(read(offset, 4))
     if length > _LARGEST_HEADER:
@@ -95,11 +74,7 @@ def record_at(read: Read, offset: int, kind: int | None = None) -> BagRecord:
 
 
 def fields_at(read: Read, record: BagRecord) -> BagRecord:
-    """Return the fields in the data of a connection's record.
-
-    Raises:
-        DamagedError: The data are truncated or damaged.
-    """
+    """Return the fields in the data of a connection's record."""
     if record.size > _LARGEST_CONNECTION:
         raise DamagedError("a connection has an invalid size")
     data = read(record.begin, record.size)
@@ -129,22 +104,15 @@ def _number(data: bytes) -> int:
 
 @dataclass(frozen=True)
 class ChunkIndex:
-    """Indexed messages of a chunk.
+    """Indexed messages of a chunk."""
 
-    Attributes:
-        connections: (N,) their ids.
-        entries: (N, 3) uint32: seconds, nanoseconds, and offset in the chunk.
-    """
-
-    connections: Indices
-    entries: NDArray[np.uint32]
+    connections: Indices  # (N,) their ids
+    entries: NDArray[np.uint32]  # (N, 3) uint32: seconds, nanoseconds, and offset in the chunk
 
     def __len__(self) -> int:
-        """Return the number of messages."""
         return len(self.entries)
 
     def __getitem__(self, rows: Booleans | Indices) -> ChunkIndex:
-        """Return some of the messages."""
         return ChunkIndex(self.connections[rows], self.entries[rows])
 
     def within(self, begin: int | None, end: int | None) -> ChunkIndex:
@@ -172,12 +140,8 @@ def find_messages(
 
     A message is valid if its record has the connection and the time of the index. A recorder
     writes the same layout in all records. It is taken from the first one and compared with all at
-    once. Only records that differ are parsed one by one.
-
-    Args:
-        data: Bytes of a chunk.
-        offsets: (N,) of the messages in these bytes.
-        index: The messages.
+    once. Only records that differ are parsed one by one. `offsets`: (N,) of the messages in these
+    bytes.
     """
 
     def read(offset: int, size: int) -> bytes:
@@ -202,11 +166,7 @@ def find_messages(
 
 
 def _message_at(read: Read, offset: int) -> BagRecord:
-    """Return the record of a message; a connection's first message comes after its record.
-
-    Raises:
-        DamagedError: There is none.
-    """
+    """Return the record of a message; a connection's first message comes after its record."""
     for _ in range(_MOST_CONNECTIONS):
         record = record_at(read, offset)
         kind = record.number("op", 1)

@@ -1,21 +1,30 @@
-"""Files of rosbag2 in sqlite3, read by the rows of the wanted topics."""
+"""Files of rosbag2 in sqlite3, read by the rows of the wanted topics.
+
+A file is untrusted: its schema can contain SQL. Views, virtual tables and computed columns are
+refused, so that no SQL of the file is executed. Pages can be linked several times, which repeats
+rows: the operations and the bytes of every query are limited by the size of the file.
+"""
 
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Collection, Iterator, Sequence
+import sys
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.bags.blocks import ROWS, Block, block_of, blocks_of
-from trajeval_ros.io.bags.byte_source import LocalFile
-from trajeval_ros.io.bags.metadata import qos_of
-from trajeval_ros.io.bags.selection import TopicSelection, all_connections
-from trajeval_ros.io.bags.sqlite_losses import lost_of_log, refuse_truncated
-from trajeval_ros.io.bags.sqlite_pages import MessagePages
+from trajeval_ros.io.bags.bag_folder import qos_of
+from trajeval_ros.io.bags.blocks import (
+    ROWS,
+    Block,
+    TopicSelection,
+    all_connections,
+    block_of,
+    blocks_of,
+)
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -25,40 +34,35 @@ Place = tuple[int, int]  # of a message in the order of reading: log time or 0, 
 _UNKNOWN = -1  # counting reads the whole file
 _FETCHED = 1 << 18  # bytes at once, which fit in a core's cache
 _SMALLEST_ROW = 8  # bytes, of its id, lengths, topic and time
-_COLUMNS = [(name, "INTEGER") for name in ("id", "topic_id", "timestamp")] + [("data", "BLOB")]
-_FEW = 16  # rows at first, until their size is known
+_MOST_OPERATIONS = 64  # of sqlite's virtual machine per row; a query needs about 20, with a sort
+_CHECKED = 1 << 16  # operations between two checks of their number
+_LOG_MAGICS = (0x377F0682, 0x377F0683)
+_LOG_HEADER, _FRAME_HEADER = 32, 24  # bytes
 
 
 class SqliteReader:
-    """An open .db3 file.
-
-    Attributes:
-        connections: Its topics.
-        damage: What opening it found that can't be read, one sentence each.
-    """
+    """An open .db3 file."""
 
     def __init__(self, path: Path, name: str) -> None:
-        """Open the file, and the write-ahead log next to it if there is one.
-
-        Args:
-            path: The file.
-            name: Its name in messages.
-
-        Raises:
-            InputError: It is damaged, or its log can't be read.
-        """
-        self.damage: list[str] = []
+        """Open the file, and the write-ahead log next to it if there is one."""
+        self.damage: list[str] = []  # what opening it found that can't be read, one sentence each
         self._counts: dict[int, int] | None = None
         self._path, self._name = path, name
         log = path.with_name(f"{path.name}-wal")
-        has_log = self._has_log = log.exists() and log.stat().st_size > 0
+        has_log = log.exists() and log.stat().st_size > 0
         if not has_log:
-            refuse_truncated(path, name)
+            _refuse_truncated(path, name)
         # Without a log nothing is written, and sqlite needs no locks, which require permissions.
         mode = "mode=ro" if has_log else "immutable=1"
+        self._size = path.stat().st_size + (log.stat().st_size if has_log else 0)
+        self._checks = 0  # left for the current query
         uri = f"{path.resolve().as_uri()}?{mode}"
         self._database = sqlite3.connect(uri, uri=True, check_same_thread=False)
         self._database.text_factory = lambda text: text.decode(errors="replace")
+        self._database.set_progress_handler(self._is_over_limit, _CHECKED)
+        self._database.execute("PRAGMA trusted_schema = OFF")
+        if sys.version_info >= (3, 11):
+            self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(self._size, _FETCHED))
         try:
             self.connections = self._list_connections()
         except sqlite3.Error as error:
@@ -70,13 +74,13 @@ class SqliteReader:
                     f"{path} 'PRAGMA wal_checkpoint(TRUNCATE)'`"
                 ) from error
             raise
-        if has_log and (lost := lost_of_log(log)):
+        if has_log and (lost := _lost_of_log(log)):
             self.damage.append(f"{log}: {lost}, their messages are missing")
 
     @property
     def span(self) -> tuple[int, int] | None:
         """First and last log time of all messages, ns; None if there is none."""
-        first, last = self._database.execute(
+        first, last = self._query(
             "SELECT min(timestamp), max(timestamp) FROM messages "
             "WHERE typeof(timestamp) = 'integer'"
         ).fetchone()
@@ -93,91 +97,67 @@ class SqliteReader:
         end: int | None = None,
         *,
         in_order: bool = False,
-    ) -> Iterator[tuple[Sequence[TopicSelection], Block]]:
+    ) -> Iterator[Block]:
         """Yield the messages of some topics, of all selections in one scan of the table."""
-        yield from self._blocks(selections, _Window(begin, end, in_order), None)
+        damage: list[str] = []
+        left = self._size
+        window = _Window(begin, end, in_order)
+        for block in self._found(window, all_connections(selections), damage):
+            left -= len(block.buffer)
+            if left < 0:
+                damage.append(f"{self._name} is damaged: messages overlap, the rest was not read")
+                break
+            yield block
+        for selection in selections:
+            selection.damage += damage
 
-    def _blocks(
-        self, selections: Sequence[TopicSelection], window: _Window, reached: Place | None
-    ) -> Iterator[tuple[Sequence[TopicSelection], Block]]:
-        """Yield the messages after a place; None means all."""
-        wanted = all_connections(selections)
-        if reached is None and not window.in_order:
-            for key, block in self._paged(wanted):
-                reached = window.place(0, key)
-                if len(part := block.within(window.begin, window.end)):
-                    yield selections, part
-        query, values = window.query(wanted)
+    def _found(
+        self, window: _Window, wanted: Collection[int], damage: list[str]
+    ) -> Iterator[Block]:
+        """Yield the messages of some topics, and add damage to the list."""
+        reached: Place | None = None
         try:
-            rows = self._database.execute(*window.after(query, values, reached))
-            count = _FEW
-            while some := rows.fetchmany(count):
-                keys, topics, log_times, payloads = zip(*some, strict=True)
-                block = block_of(topics, log_times, payloads)
-                yield selections, block
-                reached = window.place(log_times[-1], keys[-1])
-                size = len(block.buffer) // len(block)
-                count = min(ROWS, 1 + _FETCHED // max(size, 1))
+            for place, block in self._scan(window, wanted):
+                yield block
+                reached = place
         except sqlite3.DatabaseError as error:
-            said = f"{self._name} is damaged: {error}"
-        else:
-            return
-        if len(selections) > 1:  # the damage can be of one of them only
-            for selection in selections:
-                yield from self._blocks([selection], window, reached)
-            return
-        (selection,) = selections
-        selection.damage.append(said)
-        # The same query reaches the damaged page again. The other rows are read one by one.
-        left = [
-            window.place(log_time, key)
-            for log_time, key in self._one_by_one(query, values, selection)
-        ]
-        for block in blocks_of(
-            row[1:]
-            for each in sorted(left)
-            if reached is None or each > reached
-            for row in self._row(query, values, each[1])
-        ):
-            yield selections, block
+            damage.append(f"{self._name} is damaged: {error}")
+            # A scan ends at the damaged page. The other rows are read one by one.
+            yield from self._row_by_row(window, wanted, reached, damage)
 
-    def _paged(self, wanted: Collection[int]) -> Iterator[tuple[int, Block]]:
-        """Yield messages of some topics by pages, as far as these are as recorders write them.
+    def _scan(self, window: _Window, wanted: Collection[int]) -> Iterator[tuple[Place, Block]]:
+        """Yield the messages of some topics, with the place of the last one."""
+        rows = self._query(*window.ordered_query(wanted))
+        for some in _groups(rows):
+            keys, topics, log_times, payloads = zip(*some, strict=True)
+            yield window.place(log_times[-1], keys[-1]), block_of(topics, log_times, payloads)
 
-        Each block comes with the last id that was read. sqlite has to read the other messages.
-        """
-        if self._has_log or list(self._columns("messages").items()) != _COLUMNS:
-            return
-        roots = self._database.execute(
-            "SELECT rootpage FROM sqlite_master WHERE type = 'table' AND name = 'messages'"
-        ).fetchall()
-        file = LocalFile(self._path)
-        try:
-            for (root,) in roots:
-                yield from MessagePages(file, root).blocks(wanted)
-        except OSError:  # a part of the disk can't be read, and sqlite reads what is around it
-            return
-        finally:
-            file.close()
+    def _row_by_row(
+        self, window: _Window, wanted: Collection[int], reached: Place | None, damage: list[str]
+    ) -> Iterator[Block]:
+        """Yield the messages after a place of a damaged file that sqlite finds by their ids."""
+        query, values = window.query(wanted)
 
-    def _one_by_one(
-        self, query: str, values: tuple[Any, ...], selection: TopicSelection
-    ) -> Iterator[tuple[int, int]]:
-        """Yield log time and id of all readable messages in a damaged file."""
+        def row(key: int) -> list[Any]:
+            try:
+                return self._query(f"{query} AND id = ?", (*values, key)).fetchall()
+            except sqlite3.DatabaseError:
+                return []
+
         last = self.rows
         # A row has several bytes. Therefore larger ids are gaps or damage.
         most = self._path.stat().st_size // _SMALLEST_ROW
         if last > most:
-            selection.damage.append(f"{self._name}: ids beyond {most} ignored")
+            damage.append(f"{self._name}: ids beyond {most} ignored")
             last = most
-        for key in range(1, last + 1):
-            yield from ((row[2], row[0]) for row in self._row(query, values, key))
-
-    def _row(self, query: str, values: tuple[Any, ...], key: int) -> list[Any]:
-        try:
-            return self._database.execute(f"{query} AND id = ?", (*values, key)).fetchall()
-        except sqlite3.DatabaseError:
-            return []
+        found = (each for key in range(1, last + 1) for each in row(key))
+        places = sorted(window.place(log_time, key) for key, _, log_time, _ in found)
+        yield from blocks_of(
+            each[1:]
+            for place in places
+            if reached is None or place > reached
+            for each in row(place[1])
+        )
 
     def _list_connections(self) -> list[Connection]:
         """Return the topics, with the definitions of their types if the file has them."""
@@ -191,7 +171,7 @@ class SqliteReader:
         formats = {"ros2msg": MessageDefinitionFormat.MSG, "ros2idl": MessageDefinitionFormat.IDL}
         texts = {}
         if self._columns("message_definitions"):
-            rows = self._database.execute(
+            rows = self._bounded(
                 f"SELECT {_text('topic_type')}, {_text('encoding')}, "
                 f"{_text('encoded_message_definition')} FROM message_definitions"
             )
@@ -203,7 +183,7 @@ class SqliteReader:
         if not self._columns("topics") or not self._columns("messages"):
             raise InputError(f"{self._name} is not a bag: it has no tables of topics and messages")
         has_qos = "offered_qos_profiles" in self._columns("topics")
-        rows = self._database.execute(
+        rows = self._bounded(
             f"SELECT id, {_text('name')}, {_text('type')}, {_text('serialization_format')}, "
             + (_text("offered_qos_profiles") if has_qos else "''")
             + " FROM topics ORDER BY id"
@@ -227,7 +207,9 @@ class SqliteReader:
     def rows(self) -> int:
         """The largest id of a message, which is at least their number; 0 if it can't be read."""
         try:
-            ((last,),) = self._database.execute("SELECT max(id) FROM messages").fetchall()
+            ((last,),) = self._query(
+                "SELECT max(id) FROM messages WHERE typeof(id) = 'integer'"
+            ).fetchall()
         except sqlite3.DatabaseError:
             return 0
         return last or 0
@@ -237,30 +219,71 @@ class SqliteReader:
         if self._counts is None:
             query = "SELECT topic_id, count(*) FROM messages GROUP BY topic_id"
             try:
-                self._counts = dict(self._database.execute(query).fetchall())
+                self._counts = dict(self._query(query).fetchall())
             except sqlite3.DatabaseError:
                 self._counts = {}
         return self._counts.get(topic, 0)
 
-    def _columns(self, table: str) -> dict[str, str]:
-        """Return the types of a table's columns by name, in order; none if there is no table."""
-        rows = self._database.execute(f"PRAGMA table_info({table})")
-        return {name: kind for _, name, kind, *_ in rows}
+    def _columns(self, table: str) -> set[str]:
+        """Return the names of a stored table's columns; none if there is no table.
+
+        Raises:
+            InputError: Reading the table executes SQL of the file.
+        """
+        ((count, stored),) = self._query(
+            "SELECT count(*), sum(type = 'table' AND rootpage > 0 AND sql LIKE 'CREATE TABLE %') "
+            "FROM sqlite_master WHERE name = ? COLLATE NOCASE",
+            (table,),
+        )
+        columns = self._query(f"PRAGMA table_xinfo({table})").fetchall()
+        if (count and not stored) or any(hidden for *_, hidden in columns):
+            raise InputError(
+                f"{self._name}: {table} is a view or has computed columns; export the recording "
+                "as a bag with stored tables"
+            )
+        return {name for _, name, *_ in columns}
+
+    def _query(self, query: str, values: tuple[Any, ...] = ()) -> sqlite3.Cursor:
+        """Start a query, which fails if it needs more operations than the file has rows for."""
+        operations = _MOST_OPERATIONS * self._size // _SMALLEST_ROW
+        self._checks = 16 + operations // _CHECKED
+        return self._database.execute(query, values)
+
+    def _is_over_limit(self) -> bool:
+        self._checks -= 1
+        return self._checks < 0
+
+    def _bounded(self, query: str) -> Iterator[Any]:
+        """Yield rows of text, which together are at most as large as the file."""
+        left = self._size
+        for row in self._query(query):
+            left -= sum(len(cell) for cell in row if isinstance(cell, str))
+            if left < 0:
+                raise sqlite3.DatabaseError("its rows overlap")
+            yield row
+
+
+def _groups(rows: Iterable[tuple[Any, ...]]) -> Iterator[list[tuple[Any, ...]]]:
+    """Yield rows, which end with a payload, in groups of bounded size."""
+    some: list[tuple[Any, ...]] = []
+    left = _FETCHED
+    for row in rows:
+        some.append(row)
+        left -= len(row[-1])
+        if left <= 0 or len(some) == ROWS:
+            yield some
+            some, left = [], _FETCHED
+    if some:
+        yield some
 
 
 @dataclass(frozen=True)
 class _Window:
-    """The rows of the requested topics that are read, and their order.
+    """The rows of the requested topics that are read, and their order."""
 
-    Attributes:
-        begin: The first requested log time, ns; None means all.
-        end: The first log time after the requested ones, ns; None means all.
-        in_order: Whether they are read in order of their log times.
-    """
-
-    begin: int | None
-    end: int | None
-    in_order: bool
+    begin: int | None  # the first requested log time, ns; None means all
+    end: int | None  # the first log time after the requested ones, ns; None means all
+    in_order: bool  # whether they are read in order of their log times
 
     def query(self, wanted: Collection[int]) -> tuple[str, tuple[Any, ...]]:
         """Return the query of the requested messages, and its values."""
@@ -276,14 +299,9 @@ class _Window:
             query, values = f"{query} AND timestamp < ?", (*values, self.end)
         return query, values
 
-    def after(
-        self, query: str, values: tuple[Any, ...], place: Place | None
-    ) -> tuple[str, tuple[Any, ...]]:
-        """Return the query of the messages after a place, in order, and its values."""
-        if place is not None and self.in_order:
-            query, values = f"{query} AND (timestamp, id) > (?, ?)", (*values, *place)
-        elif place is not None:
-            query, values = f"{query} AND id > ?", (*values, place[1])
+    def ordered_query(self, wanted: Collection[int]) -> tuple[str, tuple[Any, ...]]:
+        """Return the query of the requested messages in order, and its values."""
+        query, values = self.query(wanted)
         # The order of time reads pages in random order. Other callers read rows as stored.
         return f"{query} ORDER BY {'timestamp, id' if self.in_order else 'id'}", values
 
@@ -295,3 +313,47 @@ class _Window:
 def _text(column: str) -> str:
     """Return a column as text: every row of sqlite can have any type, such as a blob."""
     return f"ifnull(CAST({column} AS TEXT), '')"
+
+
+def _lost_of_log(log: Path) -> str:
+    """Return a sentence on pages of the log that sqlite did not use, which it does not report.
+
+    See sqlite's file format, 4.1 and 4.4. The log is a header and frames of one page. The index
+    next to it has the number of committed frames.
+    """
+    with log.open("rb") as file:
+        header = file.read(_LOG_HEADER)
+        if int.from_bytes(header[:4], "big") not in _LOG_MAGICS or len(header) < _LOG_HEADER:
+            return "none of its pages is readable"
+        frame = _FRAME_HEADER + int.from_bytes(header[8:12], "big")
+        size = log.stat().st_size
+        count = 0
+        while _LOG_HEADER + (count + 1) * frame <= size:
+            file.seek(_LOG_HEADER + count * frame + 8)
+            if file.read(8) != header[16:24]:  # a frame of an older log
+                break
+            count += 1
+    index, used = log.with_name(f"{log.name.removesuffix('-wal')}-shm"), 0
+    if index.exists():  # it does not, if the database is not in the mode WAL
+        with index.open("rb") as file:
+            used = int.from_bytes(file.read(20)[16:], sys.byteorder)
+    return f"{count - used} of its {count} pages are unreadable" if used < count else ""
+
+
+def _refuse_truncated(path: Path, name: str) -> None:
+    """Raise InputError if sqlite's header counts more pages than the file has.
+
+    With missing pages, sqlite often returns fewer messages without an error.
+    """
+    with path.open("rb") as file:
+        header = file.read(100).ljust(100, b"\0")
+    size_field = int.from_bytes(header[16:18], "big")
+    page_size = 65536 if size_field == 1 else size_field
+    pages = int.from_bytes(header[28:32], "big")
+    is_valid = header[24:28] == header[92:96]  # older versions of sqlite do not update the count
+    size = path.stat().st_size
+    if is_valid and size < pages * page_size:
+        raise InputError(
+            f"{name} is truncated: it has {size} of {pages * page_size} bytes; copy it again, or "
+            "recover the data with the sqlite3 command `.recover`"
+        )

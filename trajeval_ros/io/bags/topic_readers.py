@@ -1,55 +1,136 @@
-"""Readers of one topic. One pass over a bag gives blocks of messages to many readers."""
+"""Readers of one topic. One pass over a bag gives blocks of messages to many readers.
+
+Poses are gathered in columns that grow in place.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry.stamp_trust import trusted_states
 from trajeval_ros.io.bags.bag import Bag, Key
-from trajeval_ros.io.bags.blocks import Block
+from trajeval_ros.io.bags.blocks import ROWS, Block
 from trajeval_ros.io.bags.cdr import CdrPlan
 from trajeval_ros.io.bags.cdr_columns import Columns
+from trajeval_ros.io.bags.containers import Topic, TopicReading, encoding_of
 from trajeval_ros.io.bags.foxglove import TYPES as FOXGLOVE_TYPES
 from trajeval_ros.io.bags.foxglove import FoxglovePlan
-from trajeval_ros.io.bags.growing_columns import GrowingPoses
 from trajeval_ros.io.bags.message_definitions import recorded_fields
-from trajeval_ros.io.bags.pose_2d import POSE_2D, pose_2d_plan, poses_2d_of
 from trajeval_ros.io.bags.pose_messages import (
     PATH_TYPE,
+    POSE_2D,
     PoseColumns,
     TransformColumns,
     edges_of,
     plan_of,
+    pose_2d_plan,
+    poses_2d_of,
     poses_of,
 )
-from trajeval_ros.io.bags.recorded_topic import Reading, Topic, encoding_of
 from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey
 from trajeval_ros.io.checks import times
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
+_RESERVED = 1 << 24  # bytes of a column, at most: counts of messages are not trusted
+_COLUMNS = ("stamps", "positions", "quaternions", "body_velocities", "covariances", "fix_quality")
+
+
+class GrowingPoses:
+    """The poses of a topic, added part by part."""
+
+    def __init__(self, expected: int) -> None:
+        """Prepare to add.
+
+        `expected`: number of poses to reserve memory for. The kernel provides memory only when it
+        is written to, so an excessive number costs nothing.
+        """
+        self._expected = expected
+        self._columns: dict[str, _Column] = {}
+        self._frames: list[tuple[int, str, str]] = []
+        self._undecodable = self._count = self._messages = 0
+
+    def add(self, part: PoseColumns, log_times: NDArray[np.int64]) -> None:
+        """Add poses, and the log times of all messages that they were decoded from."""
+        columns = {name: getattr(part, name) for name in _COLUMNS} | {
+            "rows": part.rows + self._messages,
+            "log": log_times[part.rows],
+        }
+        for name, rows in columns.items():
+            if rows is not None:
+                if name not in self._columns:
+                    self._columns[name] = _Column(rows, self._expected)
+                self._columns[name].extend(rows)
+        self._frames += [(self._count + row, frame, child) for row, frame, child in part.frames]
+        self._undecodable += part.undecodable
+        self._count += len(part.stamps)
+        self._messages += len(log_times)
+
+    def done(self) -> PoseColumns:
+        """Return all poses in order of their log times."""
+        columns = {name: column.done() for name, column in self._columns.items()}
+        frames, log_times = self._frames, columns.pop("log")
+        if (np.diff(log_times) < 0).any():
+            order = np.argsort(log_times, kind="stable")
+            columns = {name: column[order] for name, column in columns.items()}
+            firsts = np.array([row for row, *_ in frames])
+            which = (np.searchsorted(firsts, order, side="right") - 1).tolist()
+            frames = [(row, *frames[change][1:]) for row, change in enumerate(which)]
+        changes = [
+            change
+            for before, change in zip([None, *frames], frames, strict=False)
+            if before is None or before[1:] != change[1:]
+        ]
+        return PoseColumns(
+            columns["stamps"],
+            columns["positions"],
+            columns.get("quaternions"),
+            columns.get("body_velocities"),
+            columns.get("covariances"),
+            columns.get("fix_quality"),
+            changes,
+            columns["rows"],
+            self._undecodable,
+        )
+
+
+class _Column:
+    """Rows that grow in place. Concatenating small arrays at the end takes twice the memory."""
+
+    def __init__(self, like: NDArray[Any], expected: int) -> None:
+        shape = like.shape[1:]
+        most = _RESERVED // (like.dtype.itemsize * math.prod(shape))
+        self._rows = np.empty((max(ROWS, min(expected, most)), *shape), like.dtype)
+        self._count = 0
+
+    def extend(self, rows: NDArray[Any]) -> None:
+        end = self._count + len(rows)
+        if end > len(self._rows):
+            self._resize(max(end, len(self._rows) * 9 // 8))
+        self._rows[self._count : end] = rows
+        self._count = end
+
+    def done(self) -> NDArray[Any]:
+        self._resize(self._count)
+        return self._rows
+
+    def _resize(self, count: int) -> None:
+        # Large arrays are not copied, only the page table changes. No other view exists.
+        self._rows.resize((count, *self._rows.shape[1:]), refcheck=False)
+
 
 class PoseReader:
-    """Reads the poses of a topic; of one with paths, those of the last path.
-
-    Attributes:
-        reading: The topic, and the damage found while it is read.
-    """
+    """Reads the poses of a topic; of one with paths, those of the last path."""
 
     def __init__(self, topic: Topic, *, covariances: bool) -> None:
-        """Prepare to read.
-
-        Args:
-            topic: One that holds poses.
-            covariances: Whether to decode them, too.
-        """
-        self.reading = Reading(topic)
+        self.reading = TopicReading(topic)  # the topic, and the damage found while it is read
         kind = _LastPath if topic.type == PATH_TYPE else _Poses
         self._poses = kind(_Decoders(topic, covariances=covariances))
 
@@ -63,18 +144,12 @@ class PoseReader:
 
 
 class TransformReader:
-    """Reads the edges of the TF tree that a topic has.
-
-    Attributes:
-        reading: The topic, and the damage found while it is read.
-        undecodable: Number of messages that can't be decoded.
-        lone: Number of transforms of all edges with an isolated timestamp.
-    """
+    """Reads the edges of the TF tree that a topic has."""
 
     def __init__(self, topic: Topic) -> None:
-        """Prepare to read a topic that holds transforms."""
-        self.reading = Reading(topic)
-        self.undecodable = self.lone = 0
+        self.reading = TopicReading(topic)  # the topic, and the damage found while it is read
+        self.undecodable = 0  # number of messages that can't be decoded
+        self.lone = 0  # number of transforms of all edges with an isolated timestamp
         self._decoders = _Decoders(topic, covariances=False)
         self._parts: dict[EdgeKey, list[tuple[TransformColumns, NDArray[np.int64]]]] = {}
 
@@ -116,9 +191,7 @@ def read_topics(bag: Bag, readers: Collection[PoseReader | TransformReader]) -> 
 def tree_topics(bag: Bag, name: str) -> list[Topic]:
     """Return the topics of the TF tree that a topic belongs to.
 
-    Args:
-        bag: An open bag.
-        name: `/tf`, or one with its name in a namespace; its `_static` sibling belongs to it.
+    `name`: `/tf`, or one with its name in a namespace; its `_static` sibling belongs to it.
     """
     base = name.removesuffix("_static")
     names = (base, f"{base}_static", "/tf_static")

@@ -10,16 +10,16 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.dropped_counts import add_counts
+from trajeval_ros.formatting.remarks import Level, Remark, note
+from trajeval_ros.geometry.fix_selection import trajectory_of_rows
 from trajeval_ros.geometry.marker import HandEye
+from trajeval_ros.geometry.reading import FORMAT, Reading
 from trajeval_ros.geometry.stamp_trust import LONE, trusted_states
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.bags.bag import Advance, Bag
-from trajeval_ros.io.bags.pose_2d import POSE_2D, POSE_2D_NOTE
-from trajeval_ros.io.bags.recorded_topic import Topic
+from trajeval_ros.io.bags.containers import Topic
+from trajeval_ros.io.bags.pose_messages import POSE_2D, POSE_2D_TIMES
 from trajeval_ros.io.bags.topic_readers import (
     PoseReader,
     TransformReader,
@@ -28,23 +28,17 @@ from trajeval_ros.io.bags.topic_readers import (
     tree_topics,
 )
 from trajeval_ros.io.bags.transform_tree import compose_transforms, fixed_transform
+from trajeval_ros.io.bags.usable_poses import usable_poses
 from trajeval_ros.io.checks import check_stamps, judge_rotations
-from trajeval_ros.io.fix_rows import trajectory_of_rows
 
 
 @dataclass(frozen=True)
 class BagSource:
-    """A trajectory in a bag.
+    """A trajectory in a bag."""
 
-    Attributes:
-        topic: Name of the topic, "" for the only one that holds poses.
-        frames: (parent, child) if the topic holds transforms, else None.
-        covariances: Whether to read them, too.
-    """
-
-    topic: str
-    frames: tuple[str, str] | None
-    covariances: bool = True
+    topic: str  # name of the topic, "" for the only one that holds poses
+    frames: tuple[str, str] | None  # (parent, child) if the topic holds transforms, else None
+    covariances: bool = True  # whether to read them, too
 
 
 def read_bag(
@@ -56,17 +50,10 @@ def read_bag(
 ) -> list[Trajectory]:
     """Read trajectories from a bag, all of them in one pass.
 
-    Args:
-        path: A bag.
-        sources: The requested trajectories.
-        advance: Called repeatedly with the number of messages read and the number of all.
-        strict: Whether to verify all data that are read, and to refuse damage.
+    `advance`: called repeatedly with the number of messages read and the number of all.
 
     Returns:
         One trajectory per source; the same object for equal sources.
-
-    Raises:
-        InputError: The bag, a topic or its poses can't be used.
     """
     with Bag(path, advance, strict=strict) as bag:
         plan = _Plan(bag)
@@ -93,11 +80,7 @@ class _Plan:
         return [*self._poses.values(), *self._transforms.values()]
 
     def add(self, source: BagSource) -> Callable[[], Trajectory]:
-        """Return a function that makes the trajectory of a source after the reading.
-
-        Raises:
-            InputError: There is no such topic, or it holds no poses.
-        """
+        """Return a function that makes the trajectory of a source after the reading."""
         bag, frames = self._bag, source.frames
         if frames is not None:
             found = bag.find(source.topic)
@@ -115,21 +98,14 @@ class _Plan:
         if key not in self._poses:
             self._poses[key] = PoseReader(topic, covariances=source.covariances)
         reader = self._poses[key]
-        notes = () if source.topic else (f"{topic.name} is the only topic with poses",)
-        return lambda: trajectory_of(bag, reader, notes)
+        if source.topic:
+            return lambda: trajectory_of(bag, reader)
+        only = note("only_topic", f"{topic.name} is the only topic with poses")
+        return lambda: trajectory_of(bag, reader, (only,))
 
 
 def read_hand_eye_of_bag(path: Path, topic: str, frames: tuple[str, str]) -> HandEye:
-    """Return T_B_M from the static transforms of a bag.
-
-    Args:
-        path: Of the bag.
-        topic: Of transforms, such as `/tf_static`.
-        frames: The body's and the marker's.
-
-    Raises:
-        InputError: The bag can't be read, or no static transforms connect the frames.
-    """
+    """Return T_B_M from the static transforms of a bag."""
     body, marker = frames
     with Bag(path) as bag:
         tree = [TransformReader(each) for each in tree_topics(bag, topic)]
@@ -176,75 +152,66 @@ def _choose(bag: Bag, name: str) -> Topic:
     )
 
 
-def trajectory_of(bag: Bag, reader: PoseReader, notes: tuple[str, ...] = ()) -> Trajectory:
-    """Return the trajectory of a topic that was read.
-
-    Args:
-        bag: The bag.
-        reader: Of the topic, after the last message.
-        notes: Notes to start with.
-
-    Raises:
-        InputError: None of its messages can be used, or the bag is damaged and read strictly.
-    """
+def trajectory_of(bag: Bag, reader: PoseReader, remarks: tuple[Remark, ...] = ()) -> Trajectory:
+    """Return the trajectory of a topic that was read."""
     topic = reader.reading.topic
-    found, damage = bag.findings([reader.reading])
+    found = bag.remarks([reader.reading])
     columns = reader.poses()
     where = f"{bag.path}:{topic.name}"
     if not len(columns.stamps):
-        why = "; ".join(damage)
+        why = "; ".join(each.text for each in found if each.level is Level.ERROR)
         if columns.undecodable:
             why = f"none of its {columns.undecodable} messages can be decoded"
         raise InputError(f"{where} has no poses" + (f": {why}" if why else ""))
+    count = len(columns.stamps)
     are_times = check_stamps(columns.stamps, f"{where}, header.stamp")
-    timed = slice(None) if are_times.all() else are_times  # a mask would copy everything
+    columns, velocities, dropped, frame_changes = usable_poses(columns, are_times)
     quaternions, judgement = judge_rotations(columns.quaternions)
-    velocities = None
-    if columns.body_velocities is not None and quaternions is not None:
-        velocities = _world_velocities(columns.body_velocities, quaternions)
+    if velocities is not None and (
+        quaternions is None or not velocities.any() or not np.isfinite(velocities).any()
+    ):
+        velocities = None
     covariances = columns.covariances
     if covariances is not None and not covariances.any():
         covariances = None
     changes = [
         f"{where}: frame_id changes from {before[1:]} to {after[1:]} at pose {after[0]}"
-        for before, after in zip(columns.frames, columns.frames[1:], strict=False)
+        for before, after in frame_changes
     ]
     if topic.type == POSE_2D:
-        notes = (*notes, POSE_2D_NOTE)
+        remarks = (*remarks, POSE_2D_TIMES)
     if len(changes) > 1:
         changes = [f"{changes[0]}, and {counted(len(changes) - 1, 'more time')}"]
-    dropped = {
-        "undecodable": columns.undecodable,
-        "zero_stamp": int(np.count_nonzero(~are_times)),
-    }
+    remarks = (note(FORMAT, f"format: {topic.type}"), *remarks, *found)
     if columns.fix_quality is not None:
+        receivers = _receivers(where, columns.frames)
         return trajectory_of_rows(
             where,
-            columns.stamps[timed],
-            columns.positions[timed],
-            columns.fix_quality[timed],
+            columns.stamps,
+            columns.positions,
+            columns.fix_quality,
+            Reading(dropped=dropped, remarks=(*remarks, *receivers)),
             child_frame=columns.frames[0][1],
             name=topic.name.strip("/"),
-            dropped=dropped,
-            notes=(f"format: {topic.type}", *notes, *found, *_receivers(where, columns.frames)),
-            damage=damage,
         )
+    frames = (note("frame_changed", each) for each in changes)
     everything = Trajectory.from_columns(
-        columns.stamps[timed],
-        columns.positions[timed],
-        None if quaternions is None else quaternions[timed],
-        velocities=None if velocities is None else velocities[timed],
-        covariances=None if covariances is None else covariances[timed],
+        columns.stamps,
+        columns.positions,
+        quaternions,
+        velocities=velocities,
+        covariances=covariances,
         frame=columns.frames[0][1],
         up=UpAxis.of_frame(columns.frames[0][1]),
         child_frame=columns.frames[0][2],
         name=topic.name.strip("/"),
-        unturned=columns.quaternions is not None and quaternions is None,
-        dropped=dropped,
-        notes=(f"format: {topic.type}", *notes, *found, *changes, *judgement),
-        damage=damage,
+        reading=Reading(
+            has_identity_rotations=columns.quaternions is not None and quaternions is None,
+            dropped=dropped,
+            remarks=(*remarks, *frames, *judgement),
+        ),
     )
-    return _usable(_without_lone_stamps(everything), where, len(columns.stamps))
+    return _usable(_without_lone_stamps(everything), where, count)
 
 
 def _without_lone_stamps(trajectory: Trajectory) -> Trajectory:
@@ -252,26 +219,22 @@ def _without_lone_stamps(trajectory: Trajectory) -> Trajectory:
     rows, trust = trusted_states(trajectory.stamps)
     if not trust.lone:
         return trajectory
-    return replace(
-        trajectory[rows],
-        dropped=add_counts(trajectory.dropped, {LONE: trust.lone}),
-        notes=(*trajectory.notes, trust.said),
-    )
+    trusted = trajectory[rows]
+    reading = trusted.reading.with_dropped({LONE: trust.lone})
+    return replace(trusted, reading=reading.remarked(note(LONE, trust.said)))
 
 
-def _receivers(where: str, frames: list[tuple[int, str, str]]) -> tuple[str, ...]:
-    """Refuse fixes of several receivers, which have different antennas; note one renaming.
-
-    Raises:
-        InputError: They alternate.
-    """
+def _receivers(where: str, frames: list[tuple[int, str, str]]) -> tuple[Remark, ...]:
+    """Refuse fixes of several receivers, which have different antennas; remark on one renaming."""
     names = list(dict.fromkeys(frame for _, frame, _ in frames))
     if len(frames) > 2:
         raise InputError(
             f"{where} has fixes of several receivers (frame_id {', '.join(map(repr, names))}); "
             "record one topic per receiver"
         )
-    return (f"frame_id changes from {names[0]} to {names[1]}",) if len(names) > 1 else ()
+    if len(names) < 2:
+        return ()
+    return (note("frame_changed", f"frame_id changes from {names[0]} to {names[1]}"),)
 
 
 def _transform_trajectory(
@@ -280,7 +243,7 @@ def _transform_trajectory(
     """Return the trajectory of a child frame in a parent frame."""
     parent, child = frames
     where = f"{bag.path}:{topic}:{parent}.{child}"
-    notes, damage = bag.findings([each.reading for each in tree])
+    remarks = bag.remarks([each.reading for each in tree])
     stamps, positions, quaternions = compose_transforms(tree_of(tree), parent, child, where)
     check_stamps(stamps, where)
     trajectory = Trajectory.from_columns(
@@ -291,12 +254,13 @@ def _transform_trajectory(
         up=UpAxis.of_frame(parent),
         child_frame=child,
         name=f"{parent}.{child}",
-        dropped={
-            "undecodable": sum(each.undecodable for each in tree),
-            LONE: sum(each.lone for each in tree),
-        },
-        notes=("format: TF", *notes),
-        damage=damage,
+        reading=Reading(
+            dropped={
+                "undecodable": sum(each.undecodable for each in tree),
+                LONE: sum(each.lone for each in tree),
+            },
+            remarks=(note(FORMAT, "format: TF"), *remarks),
+        ),
     )
     return _usable(trajectory, where, len(stamps))
 
@@ -304,24 +268,7 @@ def _transform_trajectory(
 def _usable(trajectory: Trajectory, where: str, count: int) -> Trajectory:
     """Return the trajectory, or raise InputError if it has no poses."""
     if not len(trajectory):
-        why = ", ".join(f"{number} {reason}" for reason, number in trajectory.dropped.items())
+        dropped = trajectory.reading.dropped
+        why = ", ".join(f"{number} {reason}" for reason, number in dropped.items())
         raise InputError(f"{where}: no valid pose in {counted(count, 'message')} ({why})")
     return trajectory
-
-
-def _world_velocities(body: Floats, quaternions: Floats) -> Floats | None:
-    """Return the velocities (N, 3) in the frame, or None if all are zero or not finite."""
-    if not body.any() or not np.isfinite(body).any():
-        return None
-    lengths = np.linalg.norm(quaternions, axis=1)
-    usable = np.isfinite(lengths) & (lengths > 1e-6)
-    velocities = np.zeros_like(body)
-    if usable.any():
-        (velocities[usable],) = lie.by_blocks(_turned, quaternions[usable], body[usable])
-    return velocities
-
-
-def _turned(quaternions: Floats, vectors: Floats) -> tuple[Floats]:
-    """Return the vectors (N, 3) turned by quaternions (N, 4) of any length."""
-    matrices = lie.to_matrix(lie.normalized(quaternions))
-    return (np.einsum("nij,nj->ni", matrices, vectors),)

@@ -24,28 +24,19 @@ LEADS_BY_S = 2.0  # of transforms, by which the leading edge is known
 
 @dataclass(frozen=True)
 class Edge:
-    """The pose of a child frame in its parent frame over time.
+    """The pose of a child frame in its parent frame over time."""
 
-    Attributes:
-        stamps: (N,) int64, nanoseconds, increasing.
-        translations: (N, 3), metres.
-        quaternions: (N, 4), xyzw, unit.
-        is_static: Whether the pose holds for all times; then N = 1.
-    """
-
-    stamps: Stamps
-    translations: Floats
-    quaternions: Floats
-    is_static: bool
+    stamps: Stamps  # (N,) int64, nanoseconds, increasing
+    translations: Floats  # (N, 3), metres
+    quaternions: Floats  # (N, 4), xyzw, unit
+    is_static: bool  # whether the pose holds for all times; then N = 1
 
     @classmethod
     def from_columns(cls, stamps: Stamps, numbers: Floats, is_static: bool) -> Edge:
         """Make an edge of transforms as they arrived.
 
-        Args:
-            stamps: (N,) int64, nanoseconds.
-            numbers: (N, 7): translation, quaternion xyzw.
-            is_static: Whether they are from `/tf_static`; then the last one is used.
+        `stamps`: (N,) int64, nanoseconds. `numbers`: (N, 7): translation, quaternion xyzw.
+        `is_static`: whether they are from `/tf_static`; then the last one is used.
 
         Transforms that are not poses or have no time are left out. Of several transforms with
         the same stamp, the last one is used.
@@ -100,16 +91,8 @@ def compose_transforms(
     """Return the pose of `child` in `parent` over time: stamps, positions and quaternions xyzw.
 
     The stamps are those of the leading edge between the two frames, within the common time span of
-    all edges. The other edges are interpolated there, and never extrapolated.
-
-    Args:
-        edges: Edges by (parent, child).
-        parent: A frame, without leading slash.
-        child: Another one. The edges between them can have either direction.
-        where: Name of the source in messages.
-
-    Raises:
-        InputError: A frame is unknown, they aren't connected, or the edges don't overlap in time.
+    all edges. The other edges are interpolated there, and never extrapolated. `parent`: a frame,
+    without leading slash. `child`: another one. The edges between them can have either direction.
     """
     way = find_way([key for key, edge in edges.items() if len(edge.stamps)], parent, child, where)
     span = common_span(edges, way)
@@ -132,14 +115,8 @@ def fixed_transform(
 ) -> tuple[Floats, Floats]:
     """Return the pose of `child` in `parent`, which never changes: position (3,), xyzw (4,).
 
-    Args:
-        edges: Edges by (parent, child). Moving edges are not used.
-        parent: A frame, without leading slash.
-        child: Another one. The edges between them can have either direction.
-        where: Name of the source in messages.
-
-    Raises:
-        InputError: A frame is unknown, or they aren't connected.
+    `edges`: edges by (parent, child). Moving edges are not used. `parent`: a frame, without
+    leading slash. `child`: another one. The edges between them can have either direction.
     """
     way = find_way([key for key, edge in edges.items() if edge.is_static], parent, child, where)
     position, quaternion = compose(edges, way, np.zeros(1, dtype=np.int64))
@@ -184,17 +161,7 @@ def compose(edges: Mapping[EdgeKey, Edge], way: Way, stamps: Stamps) -> tuple[Fl
 
 
 def find_way(keys: Iterable[EdgeKey], parent: str, child: str, where: str) -> Way:
-    """Return the shortest way from parent to child.
-
-    Args:
-        keys: The edges that there are.
-        parent: A frame, without leading slash.
-        child: Another one.
-        where: Name of the source in messages.
-
-    Raises:
-        InputError: A frame is unknown, or they aren't connected.
-    """
+    """Return the shortest way from parent to child."""
     neighbours: dict[str, list[tuple[str, EdgeKey, bool]]] = {}
     for key in keys:
         neighbours.setdefault(key[0], []).append((key[1], key, True))

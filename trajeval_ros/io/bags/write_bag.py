@@ -16,10 +16,11 @@ from trajeval_ros.io.bags.encode_messages import (
     encode_fixes,
     encode_imu,
     encode_odometry,
+    encode_path,
     encode_pose_stamped,
     encode_transforms,
 )
-from trajeval_ros.io.bags.pose_messages import FIX_TYPE, PATH_TYPE, encode_path
+from trajeval_ros.io.bags.pose_messages import FIX_TYPE, PATH_TYPE
 from trajeval_ros.io.temporary import temporary_folder
 from trajeval_ros.io.writing import refused_by_disk
 
@@ -50,18 +51,13 @@ def write_bag(
             velocity and covariance, zeros where the trajectory has none),
             `geometry_msgs/msg/PoseStamped`, `nav_msgs/msg/Path` (one message with all poses), or
             of a trajectory with fixes `sensor_msgs/msg/NavSatFix`.
-        storage: The file format inside.
         transforms: Trajectories to write to `/tf`, of their child frames in their frames.
-        inertial: Readings of IMUs by topic.
-
-    Raises:
-        InputError: The path exists, a type is unknown, or a stamp is before 1970 or after 2038.
     """
     if path.exists():
         raise InputError(f"{path} exists; choose another name or remove it")
     types = (ODOMETRY, POSE_STAMPED, PATH_TYPE, FIX_TYPE)
     for topic, (each, message_type) in topics.items():
-        if message_type not in types or (message_type == FIX_TYPE and each.fixes is None):
+        if message_type not in types or (message_type == FIX_TYPE and each.reading.fixes is None):
             raise InputError(
                 f"{topic} can't be written as {message_type}; use {' or '.join(types)}"
             )
@@ -82,21 +78,12 @@ def write_bag(
 
 
 def write_mcap(
-    path: Path,
-    topics: Mapping[str, tuple[Trajectory, str]],
-    transforms: Sequence[Trajectory] = (),
+    path: Path, topics: Mapping[str, tuple[Trajectory, str]], transforms: Sequence[Trajectory] = ()
 ) -> None:
-    """Write one MCAP file with the contents of `write_bag`, completely or not at all.
-
-    Raises:
-        InputError: As `write_bag`.
-    """
+    """Write one MCAP file with the contents of `write_bag`, completely or not at all."""
     if path.exists():
         raise InputError(f"{path} exists; choose another name or remove it")
-    with (
-        refused_by_disk(str(path)),
-        temporary_folder(path.name, path.parent) as folder,
-    ):
+    with refused_by_disk(str(path)), temporary_folder(path.name, path.parent) as folder:
         bag = folder / path.stem
         write_bag(bag, topics, "mcap", transforms)
         (bag / f"{path.stem}.mcap").rename(path)
@@ -139,8 +126,8 @@ def _serialised(
             found.append((topic, message_type, stamps[-1:], [memoryview(payload)]))
             continue
         if message_type == FIX_TYPE:
-            assert trajectory.fixes is not None
-            rows = encode_fixes(stamps, trajectory.fixes, trajectory.child_frame)
+            assert trajectory.reading.fixes is not None
+            rows = encode_fixes(stamps, trajectory.reading.fixes, trajectory.child_frame)
         elif message_type == POSE_STAMPED:
             rows = encode_pose_stamped(stamps, _poses(trajectory), frame)
         else:

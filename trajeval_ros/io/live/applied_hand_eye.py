@@ -10,7 +10,7 @@ from typing import Any
 from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.marker import HandEye
-from trajeval_ros.io.requests.hand_eye_file import hand_eye_of
+from trajeval_ros.io.hand_eye_file import hand_eye_of
 from trajeval_ros.pipeline.outcome import RunOutcome
 from trajeval_ros.pipeline.request import Request
 
@@ -20,23 +20,17 @@ class AppliedHandEye:
     """The hand-eye transform recorded in a pair file.
 
     Attributes:
-        hand_eye: The transform.
-        source: Its source.
         of_marker: Whether the estimate was converted to the marker; otherwise the groundtruth was
             converted to the body.
     """
 
-    hand_eye: HandEye
-    source: str
+    hand_eye: HandEye  # the transform
+    source: str  # its source
     of_marker: bool
 
     @classmethod
     def in_state(cls, state: Mapping[str, Any], path: str) -> AppliedHandEye | None:
-        """Return the transform in a pair file's state; None if it has none.
-
-        Raises:
-            InputError: The transform is not valid.
-        """
+        """Return the transform in a pair file's state; None if it has none."""
         recorded = state.get("hand_eye")
         if recorded is None:
             return None
@@ -44,15 +38,7 @@ class AppliedHandEye:
         return cls(hand_eye, str(recorded["source"]), bool(recorded["of_marker"]))
 
     def require_no_other(self, request: Request, rotation_frame: str) -> None:
-        """Refuse a request for another transform, which would be applied in addition.
-
-        Args:
-            request: The request for the evaluation.
-            rotation_frame: Axes of rotation covariances in the live run.
-
-        Raises:
-            SettingsError: The request has another transform, or other axes of covariances.
-        """
+        """Refuse a request for another transform, which would be applied in addition."""
         asked = request.covariances
         if self.of_marker and asked.source == "message" and asked.rotation_frame != rotation_frame:
             raise SettingsError(
@@ -67,13 +53,13 @@ class AppliedHandEye:
             )
 
     def renamed(
-        self, truth: Mapping[str, Any], estimate: Mapping[str, Any]
+        self, groundtruth: Mapping[str, Any], estimate: Mapping[str, Any]
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Return the descriptions of both sides with the names of the common body."""
         names = self.hand_eye.names(
-            truth["child_frame"], estimate["child_frame"], of_marker=self.of_marker
+            groundtruth["child_frame"], estimate["child_frame"], of_marker=self.of_marker
         )
-        return {**truth, "child_frame": names[0]}, {**estimate, "child_frame": names[1]}
+        return {**groundtruth, "child_frame": names[0]}, {**estimate, "child_frame": names[1]}
 
     def judging(self, covariances: CovarianceRequest) -> CovarianceRequest:
         """Return a request for covariances that takes the groundtruth's noise at the marker."""

@@ -36,11 +36,6 @@ class ChunkWriter:
     """
 
     def __init__(self, path: Path, magic: bytes, rows: NDArray[Any], text: bytes) -> None:
-        """Create the file, which must not exist, with its first chunk.
-
-        Raises:
-            InputError: The file cannot be created.
-        """
         self.path, self.trouble = path, ""
         self._waiting = bytearray()
         self._length = 0  # of the whole chunks on disk
@@ -63,11 +58,7 @@ class ChunkWriter:
         return True
 
     def close(self) -> None:
-        """Write and synchronise everything, and close the file.
-
-        Raises:
-            InputError: The disk accepts no more data.
-        """
+        """Write and synchronise everything, and close the file."""
         self.write()
         try:
             os.fsync(self._file)
@@ -97,15 +88,8 @@ class ChunkWriter:
 def read_chunks(path: Path, kinds: Mapping[bytes, np.dtype[Any]]) -> tuple[list[Chunk], int]:
     """Read a file up to its end or to its first damage.
 
-    Args:
-        path: The file.
-        kinds: The type of the rows by magic number.
-
     Returns:
         The text and the rows of every chunk, and the number of bytes after the last valid chunk.
-
-    Raises:
-        InputError: The file cannot be read.
     """
     try:
         content = path.read_bytes()

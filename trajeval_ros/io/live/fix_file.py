@@ -14,12 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.fix_selection import fixes_of_rows
 from trajeval_ros.geometry.fixes import Fixes
 from trajeval_ros.geometry.geodesy import Datum
-from trajeval_ros.io.fix_rows import fixes_of_rows
-from trajeval_ros.io.json_file import json_text
+from trajeval_ros.io.json_file import json_text, require_schema
 from trajeval_ros.io.live.chunk_file import ChunkWriter, read_chunks
-from trajeval_ros.io.schema import require_schema
 
 FORMAT = "trajeval-fixes/1"
 NAME = "groundtruth.fixes"
@@ -32,11 +31,6 @@ class FixWriter(ChunkWriter):
     """Appends to the file of fixes in a run's folder."""
 
     def __init__(self, folder: Path) -> None:
-        """Create the file, which must not exist.
-
-        Raises:
-            InputError: The file cannot be created.
-        """
         text = json_text({"format": FORMAT}).encode()
         super().__init__(folder / NAME, _MAGIC, np.empty(0, _ROW), text)
 
@@ -48,21 +42,19 @@ class FixWriter(ChunkWriter):
         self.write()
 
 
-def read_fixes(folder: Path, datum: Datum) -> tuple[Stamps, Fixes]:
-    """Return the fixes of a live run in order of time, the first of equal timestamps.
-
-    Args:
-        folder: The run's folder.
-        datum: Origin of the fixes' frame.
-
-    Raises:
-        InputError: The file cannot be read, or is no file of fixes.
-    """
+def read_fix_rows(folder: Path) -> tuple[Stamps, Floats]:
+    """Return stamps (N,), nanoseconds, and rows (N, 14) of the file of fixes, as written."""
     path = folder / NAME
     chunks, _ = read_chunks(path, {_MAGIC: _ROW})
     schema = chunks[0][0].get("format") if chunks else None
     require_schema(path, schema, FORMAT, "file of fixes", "evaluate a recording of the run")
     rows = np.concatenate([rows for _, rows in chunks])
-    stamps, first = np.unique(rows["stamp"].astype(np.int64), return_index=True)
-    fields = rows["fix"][first].astype(np.float64)
+    return rows["stamp"].astype(np.int64), rows["fix"].astype(np.float64)
+
+
+def read_fixes(folder: Path, datum: Datum) -> tuple[Stamps, Fixes]:
+    """Return the fixes of a live run in order of time, the first of equal timestamps."""
+    stamps, fields = read_fix_rows(folder)
+    stamps, first = np.unique(stamps, return_index=True)
+    fields = fields[first]
     return stamps, replace(fixes_of_rows(fields[:, :3], fields[:, 3:]), datum=datum)

@@ -6,7 +6,7 @@ nanoseconds, and the states of groundtruth and estimate, ten float64 each: posit
 xyzw, velocity; NaN if not measured. Other magic numbers mark other rows: pairs followed by the
 estimate's covariance, 36 float64 as in its message; and groundtruth waypoints between pairs, or
 fixes and points without a pair: a timestamp and seven float64, position and quaternion. Version 2
-had no covariances.
+had no covariances, and sentences up to version 3 had no level and code.
 """
 
 from __future__ import annotations
@@ -19,13 +19,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.io.json_file import json_text
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.valid_poses import judge_poses
+from trajeval_ros.io.json_file import json_text, require_schema
 from trajeval_ros.io.live.chunk_file import ChunkWriter, read_chunks
-from trajeval_ros.io.schema import require_schema
-from trajeval_ros.metrics.pair_steps import StampedPoses
+from trajeval_ros.io.npz_file import read_arrays, write_arrays
+from trajeval_ros.metrics.coverage import StampedPoses
 
-FORMAT, _BEFORE = "trajeval-pairs/3", "trajeval-pairs/2"
+FORMAT = "trajeval-pairs/4"
+_BEFORE = ("trajeval-pairs/2", "trajeval-pairs/3")
 SUFFIX = ".pairs"
 
 _ROW = np.dtype([("stamp", "<i8"), ("groundtruth", "<f8", 10), ("estimate", "<f8", 10)])
@@ -45,11 +50,6 @@ class PairWriter(ChunkWriter):
     """
 
     def __init__(self, path: Path, description: Mapping[str, Any]) -> None:
-        """Create the file, which must not exist.
-
-        Raises:
-            InputError: The file cannot be created.
-        """
         self.lost, self.why_lost = 0, ""
         text = json_text({"format": FORMAT, **description}).encode()
         super().__init__(path, _PAIRS, np.empty(0, _ROW), text)
@@ -86,34 +86,22 @@ class RecordedPairs:
     """The content of a pair file.
 
     Attributes:
-        description: Description of the run.
-        state: The newest counts; empty if none were written.
-        pairs_at_state: Number of pairs when these counts were written.
-        stamps: (N,) nanoseconds, in order of arrival.
-        groundtruth: (N, 10) states.
-        estimate: (N, 10) states, in the estimate's own frame.
         covariances: (N, 6, 6) of the estimate, zeros if unknown; None if all are unknown.
-        waypoints: (M,) of the groundtruth between pairs, in order of time.
-        torn: Number of bytes after the last valid chunk.
     """
 
-    description: dict[str, Any]
-    state: dict[str, Any]
-    pairs_at_state: int
-    stamps: Stamps
-    groundtruth: Floats
-    estimate: Floats
+    description: dict[str, Any]  # description of the run
+    state: dict[str, Any]  # the newest counts; empty if none were written
+    pairs_at_state: int  # number of pairs when these counts were written
+    stamps: Stamps  # (N,) nanoseconds, in order of arrival
+    groundtruth: Floats  # (N, 10) states
+    estimate: Floats  # (N, 10) states, in the estimate's own frame
     covariances: Floats | None
-    waypoints: StampedPoses
-    torn: int
+    waypoints: StampedPoses  # (M,) of the groundtruth between pairs, in order of time
+    torn: int  # number of bytes after the last valid chunk
 
 
 def read_pairs(path: Path) -> RecordedPairs:
-    """Read a pair file up to its end or to its first damage.
-
-    Raises:
-        InputError: The file cannot be read, or is no pair file.
-    """
+    """Read a pair file up to its end or to its first damage."""
     chunks, torn = read_chunks(path, _KINDS)
     texts: list[dict[str, Any]] = []
     rows: list[NDArray[Any]] = []
@@ -129,7 +117,7 @@ def read_pairs(path: Path) -> RecordedPairs:
             texts.append(text)
             pairs_at_state = count
     schema = texts[0].get("format") if texts else None
-    if schema != _BEFORE:
+    if schema not in _BEFORE:
         require_schema(
             path, schema, FORMAT, "pair file of a live run", "evaluate a recording of the run"
         )
@@ -157,3 +145,30 @@ def read_pairs(path: Path) -> RecordedPairs:
         waypoints=StampedPoses(passed_stamps, passed_poses),
         torn=torn,
     )
+
+
+REVISED_SUFFIX = ".revised.npz"
+
+
+def write_revised(path: Path, stamps: Stamps, positions: Floats, quaternions: Floats) -> None:
+    """Write the poses of a path, stamps (N,), positions (N, 3), quaternions (N, 4), to a file."""
+    columns = {"stamps": stamps, "positions": positions, "quaternions": quaternions}
+    write_arrays(path, columns, compressed=False)
+
+
+def read_revised(path: Path) -> Trajectory:
+    """Return the trajectory in a file of `write_revised`."""
+    arrays = read_arrays(path, ("stamps", "positions", "quaternions"))
+    kinds = [(name, array.dtype.kind, array.shape) for name, array in arrays.items()]
+    count = len(arrays["stamps"]) if arrays.get("stamps", np.zeros(())).ndim else 0
+    if not count or kinds != [
+        ("stamps", "i", (count,)),
+        ("positions", "f", (count, 3)),
+        ("quaternions", "f", (count, 4)),
+    ]:
+        raise InputError(
+            f"{path} must have equal numbers of timestamps, positions and quaternions"
+        )
+    if not np.logical_and(*judge_poses(arrays["positions"], arrays["quaternions"])).all():
+        raise InputError(f"{path} has poses that are not finite")
+    return Trajectory(arrays["stamps"], arrays["positions"], lie.normalized(arrays["quaternions"]))

@@ -11,18 +11,22 @@ import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
-from trajeval_ros.geometry.dropped_counts import NO_STATE, add_counts
+from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
-from trajeval_ros.geometry.valid_poses import LARGEST, judge_poses
+from trajeval_ros.geometry.valid_poses import LARGEST, NO_STATE, add_counts, judge_poses
 from trajeval_ros.io.checks import judge_rotations
-from trajeval_ros.io.live.pair_file import RecordedPairs
-from trajeval_ros.io.live.revised_file import read_revised
+from trajeval_ros.io.live.pair_file import RecordedPairs, read_revised
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH, Association, AssociationRule
-from trajeval_ros.metrics.completeness import completeness
-from trajeval_ros.metrics.coverage import Coverage, CoverageSums, time_without_gaps
-from trajeval_ros.metrics.interpolation import Interpolation
-from trajeval_ros.metrics.pair_steps import StampedPoses, StepMeter
+from trajeval_ros.metrics.completeness import Interpolation, completeness
+from trajeval_ros.metrics.coverage import (
+    Coverage,
+    CoverageSums,
+    StampedPoses,
+    StepMeter,
+    time_without_gaps,
+)
+from trajeval_ros.metrics.lost_tracking import frozen_ns
 from trajeval_ros.metrics.protocol import Protocol
 
 
@@ -37,16 +41,16 @@ def all_groundtruth(pairs: Association, recorded: RecordedPairs) -> Trajectory:
 
 def recorded_association(
     recorded: RecordedPairs, protocol: Protocol, ups: Sequence[UpAxis]
-) -> tuple[Association, tuple[str, ...], tuple[str, ...]]:
-    """Return the pairs in order of time with counts, and notes about groundtruth and estimate."""
+) -> Association:
+    """Return the pairs in order of time with counts."""
     # A timestamp occurs twice if the bag was played again after its states were dropped.
     usable = np.flatnonzero(_are_states(recorded.groundtruth) & _are_states(recorded.estimate))
     stamps, order = np.unique(recorded.stamps[usable], return_index=True)
     order = usable[order]
     again = len(usable) - len(stamps)
     later = len(recorded.stamps) - recorded.pairs_at_state
-    groundtruth, truth_notes = _trajectory(stamps, recorded.groundtruth[order])
-    estimate, notes = _trajectory(stamps, recorded.estimate[order])
+    groundtruth = _trajectory(stamps, recorded.groundtruth[order])
+    estimate = _trajectory(stamps, recorded.estimate[order])
     if recorded.covariances is not None:
         estimate = dataclasses.replace(estimate, covariances=recorded.covariances[order])
     first = recorded.state["estimate"].get("first_stamp_ns")
@@ -54,12 +58,12 @@ def recorded_association(
     rule = protocol.association.for_kind("poses" if oriented else "points")
     states = recorded.state["estimate"]["states"] + later - again
     is_sparse = rule.method == AT_GROUNDTRUTH
-    pairs = Association(
+    return Association(
         rule=rule,
         groundtruth=dataclasses.replace(groundtruth, up=ups[0]),
         estimate=dataclasses.replace(estimate, up=ups[1]),
         estimate_coverage=None if is_sparse else len(stamps) / states,
-        coverage=recorded_coverage(groundtruth, recorded, rule),
+        coverage=recorded_coverage(groundtruth, estimate, recorded, rule),
         dropped=add_counts(
             recorded.state["dropped"],
             {"duplicate_stamp": again, "not_finite": len(recorded.stamps) - len(usable)},
@@ -67,7 +71,6 @@ def recorded_association(
         from_the_start=is_sparse or first is None or first == int(stamps[0]),
         interpolation=_interpolation(recorded.state["estimate"].get("interpolation")),
     )
-    return pairs, truth_notes, notes
 
 
 def _interpolation(words: Mapping[str, float] | None) -> Interpolation | None:
@@ -84,9 +87,9 @@ def _are_states(rows: Floats) -> Booleans:
 
 
 def recorded_coverage(
-    groundtruth: Trajectory, recorded: RecordedPairs, rule: AssociationRule
+    groundtruth: Trajectory, estimate: Trajectory, recorded: RecordedPairs, rule: AssociationRule
 ) -> Coverage:
-    """Return the coverage of pairs with these groundtruth states."""
+    """Return the coverage of pairs of these states."""
     if rule.method == AT_GROUNDTRUTH:
         missing = _usable(recorded.waypoints)
         stamps = np.concatenate([groundtruth.stamps, missing.stamps])
@@ -99,10 +102,14 @@ def recorded_coverage(
     sums = CoverageSums(rule.max_gap_s)
     waypoints = _usable(recorded.waypoints)
     sums.add(StepMeter(max_gap_ns).measure(waypoints, pairs))
-    truth = recorded.state["groundtruth"]
+    counts = recorded.state["groundtruth"]
     # In a killed run, the newest counts are older than the newest pairs.
     passed_ns = time_without_gaps(waypoints.stamps, max_gap_ns)
-    return sums.coverage(max(truth["time_without_gaps_ns"], passed_ns), max(truth["states"], 1))
+    return sums.coverage(
+        max(counts["time_without_gaps_ns"], passed_ns),
+        max(counts["states"], 1),
+        frozen_ns(groundtruth, estimate, rule.max_gap_s),
+    )
 
 
 def _usable(waypoints: StampedPoses) -> StampedPoses:
@@ -112,23 +119,26 @@ def _usable(waypoints: StampedPoses) -> StampedPoses:
     return StampedPoses(waypoints.stamps[rows], waypoints.poses[rows])
 
 
-def _trajectory(stamps: Stamps, rows: Floats) -> tuple[Trajectory, tuple[str, ...]]:
-    """Return states (N, 10) as a trajectory without unmeasured quantities, and notes about it."""
+def _trajectory(stamps: Stamps, rows: Floats) -> Trajectory:
+    """Return states (N, 10) as a trajectory without unmeasured quantities."""
     turns, velocities = rows[:, 3:7], rows[:, 7:]
-    quaternions, notes = judge_rotations(None if np.isnan(turns).any() else turns)
+    quaternions, remarks = judge_rotations(None if np.isnan(turns).any() else turns)
     return Trajectory(
         stamps,
         rows[:, :3],
         None if quaternions is None else lie.normalized(quaternions),
         None if np.isnan(velocities).any() or not velocities.any() else velocities,
-    ), notes
+        reading=Reading(remarks=remarks),
+    )
 
 
 def revised_association(
     causal: Association, recorded: RecordedPairs, path: Path
 ) -> tuple[Association, dict[str, Any]]:
     """Return the pairs with the finally revised poses, and the counts of these."""
-    revised = dataclasses.replace(read_revised(path), up=causal.estimate.up)
+    revised = dataclasses.replace(
+        read_revised(path), up=causal.estimate.up, reading=causal.estimate.reading
+    )
     stamps = revised.stamps
     rows, places = np.intersect1d(causal.estimate.stamps, stamps, return_indices=True)[1:]
     groundtruth, estimate = causal.groundtruth[rows], revised[places]
@@ -144,7 +154,7 @@ def revised_association(
         groundtruth=groundtruth,
         estimate=estimate,
         estimate_coverage=causal.estimate_coverage and len(rows) / len(stamps),
-        coverage=recorded_coverage(groundtruth, recorded, causal.rule),
+        coverage=recorded_coverage(groundtruth, estimate, recorded, causal.rule),
         dropped=dropped,
     )
     return pairs, {

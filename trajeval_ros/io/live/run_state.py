@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from trajeval_ros.formatting.remarks import Level, Remark, remark_of
 from trajeval_ros.geometry.up_axis import UP_AXES
 
 Check = Callable[[Any], bool]
 
 
 def require_run_state(description: Mapping[str, Any], state: Mapping[str, Any]) -> None:
-    """Check the description and the newest counts of a live run.
-
-    Raises:
-        ValueError: A value is not valid; the message has its name.
-        KeyError: A value is missing.
-    """
+    """Check the description and the newest counts of a live run."""
     for keys, fits in _DESCRIPTION.items():
         _require(description, keys, fits)
     for keys, fits in _STATE.items():
@@ -47,8 +43,27 @@ def _is_mapping(value: Any) -> bool:
     return isinstance(value, dict)
 
 
-def _are_texts(value: Any) -> bool:
-    return isinstance(value, list) and all(map(_is_text, value))
+def _is_remark(value: Any) -> bool:
+    if isinstance(value, str):  # of schema 3 and before
+        return True
+    if not isinstance(value, dict) or value.keys() != {"level", "code", "text"}:
+        return False
+    return all(map(_is_text, value.values())) and value["level"].upper() in Level.__members__
+
+
+def _are_remarks(value: Any) -> bool:
+    return isinstance(value, list) and all(map(_is_remark, value))
+
+
+def recorded_remarks(values: Sequence[Any], level: Level) -> list[Remark]:
+    """Return the remarks of a valid state.
+
+    Pair files of schema 3 and earlier have sentences, whose level is given.
+    """
+    return [
+        Remark(level, "live_run", each) if isinstance(each, str) else remark_of(each)
+        for each in values
+    ]
 
 
 def _is_up(value: Any) -> bool:
@@ -79,7 +94,7 @@ _STATE: dict[str, Check] = {
             ("duration_s", _is_amount),
             ("frame", _is_text),
             ("child_frame", _is_text),
-            ("notes", _are_texts),
+            ("notes", _are_remarks),
             ("up", _is_up),
         )
     },
@@ -90,5 +105,5 @@ _STATE: dict[str, Check] = {
     "aligned_by": lambda value: value is None or (_is_count(value) and value > 0),
     "settings": _is_mapping,
     "live": _is_mapping,
-    "warnings": _are_texts,
+    "warnings": _are_remarks,
 }

@@ -1,1 +1,1 @@
-"""Reading of the user's settings: options, protocols, transforms, joint covariances, limits."""
+"""Settings by name, and the requests that they state."""

@@ -10,11 +10,11 @@ import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.io.requests.hand_eye_file import hand_eye_json
+from trajeval_ros.io.hand_eye_file import hand_eye_json
 
 if TYPE_CHECKING:
+    from trajeval_ros.calibration.apply import Calibrated
     from trajeval_ros.calibration.calibrate import Calibration
-    from trajeval_ros.calibration.calibrated import Calibrated
     from trajeval_ros.calibration.significance import Parameter
 
 

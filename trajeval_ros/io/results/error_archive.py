@@ -48,7 +48,7 @@ def write_errors(path: Path, outcome: Outcome) -> None:
         arrays |= {f"{name}.{column}": values for column, values in columns.items()}
         if run.likelihood is not None and run.likelihood.edges is not None:
             arrays[f"{name}.probabilistic.edges"] = run.likelihood.edges.edges
-        for segment in run.evaluation.segments or ():
+        for segment in run.evaluation.relative or ():
             errors = columns_of(segment.errors)
             arrays |= {f"{name}.{segment.length}.{key}": each for key, each in errors.items()}
     # Not compressed: on long runs, compression takes half of the time and saves a fifth in size.

@@ -11,43 +11,50 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trajeval_ros import __version__
-from trajeval_ros.diagnosis.vertical import doubt_of
+from trajeval_ros.diagnosis.geometry_tests import up_axis_doubt
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.formatting.escaping import one_line
-from trajeval_ros.formatting.topic_names import part_of_topic
+from trajeval_ros.formatting.escaping import one_line, part_of_topic
+from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.frame_axes import between_own_axes
+from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
-from trajeval_ros.geometry.upright import between_own_axes
-from trajeval_ros.io.bags.alignment_messages import encode_alignment, encode_paths
-from trajeval_ros.io.bags.encode_messages import encode_numbers, encode_vector_stamped
+from trajeval_ros.io.bags.encode_messages import (
+    encode_alignment,
+    encode_numbers,
+    encode_paths,
+    encode_vector_stamped,
+)
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.online.error_topics import (
     ALIGNMENT,
     ALIGNMENT_TYPE,
+    ATE,
+    DIAGNOSTIC_LEVELS,
     DIAGNOSTICS,
     DIAGNOSTICS_TYPE,
     NODE,
     NUMBER_TYPE,
     NUMBERS,
+    ROBOT,
     VECTOR_TYPE,
     VECTORS,
     numbers_of,
+    position_and_rotation,
     relative_error_topic,
     status_texts,
     status_values,
     vectors_of,
-    window_numbers,
+    window_ate,
 )
 from trajeval_ros.online.live_relative_errors import RunningErrors
-from trajeval_ros.online.notices import OK, WARN
 from trajeval_ros.online.pair_errors import PairErrors
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.online.state_rows import Pairs, states
-from trajeval_ros.online.trail import Trail
+from trajeval_ros.online.whole_run import ThinnedRun
 from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
 
 _LATEST_NS = 2**31 * NANOSECONDS  # limit of ROS timestamps
@@ -121,7 +128,7 @@ class _RecordedRun:
 
     def channels(self) -> Iterator[_Channel]:
         """Yield the topics with their messages."""
-        errors, knows_up = self._errors, not doubt_of(self._evaluation.groundtruth)
+        errors, knows_up = self._errors, not up_axis_doubt(self._evaluation.groundtruth)
         begin, whole = self._times[:1], self._times[[0, -1]]
         for topic in VECTORS:
             stamps, vectors = vectors_of(errors, topic, self._offset_ns, knows_up=knows_up)
@@ -131,18 +138,18 @@ class _RecordedRun:
             values = numbers_of(errors, topic, knows_up=knows_up)
             if values is not None:
                 yield self._numbers(topic, self._times, values)
-        for segment in self._evaluation.segments or ():
+        for segment in self._evaluation.relative or ():
             found, topic = segment.errors, relative_error_topic(str(segment.length))
-            yield self._numbers(topic, self._times[found.ends], found.position_m)
-        for topic, value in window_numbers(self._snapshot).items():
-            if value is not None:
-                yield self._numbers(topic, whole, np.repeat(value, len(whole)))
+            vectors = position_and_rotation(found.position_m, found.rotation_deg)
+            yield self._vectors(topic, self._times[found.ends], vectors)
+        if (ate := window_ate(self._snapshot)) is not None:
+            yield self._vectors(ATE, whole, ate.repeat(2, axis=0))
         frames = self._frame, self._child_frame
         transform = encode_alignment(self._alignment, self._times[-1:], frames)
         yield self._channel(ALIGNMENT, ALIGNMENT_TYPE, begin, [transform])
-        trail = Trail()
-        trail.add(self._pairs)
-        for topic, path in encode_paths(trail, self._alignment, self._frame).items():
+        thinned = ThinnedRun()
+        thinned.add(self._pairs)
+        for topic, path in encode_paths(thinned, self._alignment, self._frame).items():
             yield self._channel(topic, PATH_TYPE, begin, [path])
 
     def status(self) -> Any:
@@ -150,10 +157,10 @@ class _RecordedRun:
         types, warnings = _message_types().types, self._evaluation.warnings
         values = status_values(self._snapshot, Update(errors=(self._errors,)))
         return types["diagnostic_msgs/msg/DiagnosticStatus"](
-            level=WARN if warnings else OK,
+            level=DIAGNOSTIC_LEVELS[Level.WARNING if warnings else Level.NOTE],
             name=f"{NODE}: {self._name}",
             message=one_line("; ".join(warnings)) or "evaluated",
-            hardware_id="",
+            hardware_id=ROBOT,
             values=[
                 types["diagnostic_msgs/msg/KeyValue"](key, one_line(value))
                 for key, value in status_texts(self._sources | values).items()
@@ -163,6 +170,10 @@ class _RecordedRun:
     def _numbers(self, topic: str, times: Stamps, values: Floats) -> _Channel:
         return self._channel(topic, NUMBER_TYPE, times, _each(encode_numbers(values)))
 
+    def _vectors(self, topic: str, stamps: Stamps, vectors: Floats) -> _Channel:
+        messages = _each(encode_vector_stamped(stamps, vectors, ""))
+        return self._channel(topic, VECTOR_TYPE, stamps, messages)
+
     def _channel(
         self, topic: str, message_type: str, times: Stamps, messages: Iterable[bytes]
     ) -> _Channel:
@@ -170,18 +181,21 @@ class _RecordedRun:
 
 
 def _as_live(
-    evaluation: Evaluation, truth_up: UpAxis, estimate_up: UpAxis
+    evaluation: Evaluation, groundtruth_up: UpAxis, estimate_up: UpAxis
 ) -> tuple[Pairs, Similarity]:
     """Return the pairs and the alignment in the original axes of both frames.
 
     Under an upright gauge, the evaluation has turned the trajectories to z up.
     """
     pairs, similarity = evaluation.association, evaluation.alignment.similarity
-    truth, estimate = pairs.groundtruth, pairs.estimate
+    groundtruth, estimate = pairs.groundtruth, pairs.estimate
     if evaluation.protocol.is_upright:
-        similarity = between_own_axes(similarity, truth_up, estimate_up)
-        truth, estimate = _turned_back(truth, truth_up), _turned_back(estimate, estimate_up)
-    return Pairs(pairs.estimate.stamps, _rows(truth), _rows(estimate)), similarity
+        similarity = between_own_axes(similarity, groundtruth_up, estimate_up)
+        groundtruth, estimate = (
+            _turned_back(groundtruth, groundtruth_up),
+            _turned_back(estimate, estimate_up),
+        )
+    return Pairs(pairs.estimate.stamps, _rows(groundtruth), _rows(estimate)), similarity
 
 
 def _turned_back(trajectory: Trajectory, up: UpAxis) -> Trajectory:
@@ -199,13 +213,14 @@ def _snapshot(evaluation: Evaluation) -> Snapshot:
     pairs, position = evaluation.association, evaluation.ate["position_m"]
     rmse = None if position is None else position.rmse
     relative = {}
-    for each in evaluation.segments or ():
+    for each in evaluation.relative or ():
         positions, rotations = (each.statistics[name] for name in ("position_m", "rotation_deg"))
         if positions is not None and rotations is not None:
             count = each.count
             relative[str(each.length)] = RunningErrors(count, positions.mean, rotations.mean)
     return Snapshot(
         pairs=len(pairs),
+        stamp=int(pairs.estimate.stamps[-1]),
         warming_up="",
         alignment=evaluation.alignment,
         position_rmse_m=rmse,

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.geometry.similarity import Similarity
+from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.results.probabilistic_json import probabilistic_columns
-from trajeval_ros.metrics.error_vectors import error_vectors
 from trajeval_ros.pipeline.outcome import RunOutcome
 
 if TYPE_CHECKING:  # the module imports scipy.stats, a slow import
-    from trajeval_ros.consistency.result import Consistency
+    from trajeval_ros.consistency.consistency_result import Consistency
 
 _XYZ, _TURNS = ("x", "y", "z"), ("roll", "pitch", "yaw")
 _COMPONENTS = {3: _XYZ, 4: (*_XYZ, "w"), 6: (*_XYZ, *_TURNS)}
@@ -37,7 +36,7 @@ def pair_columns(run: RunOutcome, up: UpAxis) -> dict[str, NDArray[Any]]:
         With a continuous groundtruth also `probabilistic.` columns (`probabilistic_columns`).
     """
     evaluation = run.evaluation
-    aligned, vectors = evaluation.aligned, error_vectors(evaluation)
+    aligned, vectors = evaluation.aligned, evaluation.error_vectors
     if evaluation.protocol.is_upright and up.name != "z":
         back = Similarity(up.matrix.T, np.zeros(3))
         aligned = back.trajectory(aligned)

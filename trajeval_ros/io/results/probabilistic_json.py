@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from trajeval_ros.likelihood.assessment import Assessment
+    from trajeval_ros.likelihood.likelihood_assessment import LikelihoodAssessment
     from trajeval_ros.likelihood.observable_directions import GaugeScores
 
 _AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
-def probabilistic_json(assessment: Assessment) -> dict[str, Any]:
+def probabilistic_json(assessment: LikelihoodAssessment) -> dict[str, Any]:
     """Return the block of one estimate; docs/result.md describes every field."""
-    from trajeval_ros.likelihood.assessment import TOLERANCE
+    from trajeval_ros.likelihood.likelihood_assessment import TOLERANCE
 
     error, ate, noise = assessment.error, assessment.ate, assessment.continuous.samples.noise
     return {
@@ -45,7 +45,7 @@ def probabilistic_json(assessment: Assessment) -> dict[str, Any]:
     }
 
 
-def probabilistic_columns(assessment: Assessment) -> dict[str, Any]:
+def probabilistic_columns(assessment: LikelihoodAssessment) -> dict[str, Any]:
     """Return the columns of an assessment of N pairs by name.
 
     Returns:

@@ -1,36 +1,42 @@
 """Content of result.json, the result of an evaluation for other programs.
 
-The schema is `trajeval/1`. docs/result.md describes all fields. Two evaluations of the same input
+The schema is `trajeval/2`. docs/result.md describes all fields. Two evaluations of the same input
 give the same bytes.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from trajeval_ros import __version__
+from trajeval_ros.formatting.remarks import remark_json
+from trajeval_ros.geometry.frame_axes import between_own_axes
 from trajeval_ros.geometry.up_axis import UpAxis
-from trajeval_ros.geometry.upright import between_own_axes
+from trajeval_ros.io.requests.settings_table import settings_of
 from trajeval_ros.io.results.calibration_json import calibration_json
-from trajeval_ros.io.results.diagnosis_json import diagnosis_json, mended_json
-from trajeval_ros.io.results.integrity_json import integrity_json
 from trajeval_ros.io.results.probabilistic_json import probabilistic_json
 from trajeval_ros.metrics.relative_evaluation import SubTrajectoryErrors
 from trajeval_ros.metrics.statistics import Statistics
 from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
 
 if TYPE_CHECKING:
-    from trajeval_ros.consistency.result import Consistency
+    from trajeval_ros.consistency.consistency_result import Consistency
+    from trajeval_ros.consistency.integrity import Integrity
+    from trajeval_ros.diagnosis.findings import Finding
 
-SCHEMA = "trajeval/1"
+SCHEMA = "trajeval/2"
 
 
 def result_of(outcome: Outcome) -> dict[str, Any]:
     """Return the content of result.json for one or more estimates and one groundtruth."""
     groundtruth, runs = outcome.groundtruth, outcome.runs
-    protocol, time_span = runs[0].evaluation.protocol, outcome.request.time_span
-    mends = outcome.request.mends
+    # The protocol of a live run is in its own folder.
+    request = dataclasses.replace(outcome.request, protocol=runs[0].evaluation.protocol)
     inputs = {
         each.source: each.fingerprint for each in (groundtruth, *(run.estimate for run in runs))
     }
@@ -46,36 +52,25 @@ def result_of(outcome: Outcome) -> dict[str, Any]:
             "up": dataclasses.asdict(groundtruth.up),
             "kind": groundtruth.kind,
             "fixes": groundtruth.fixes and dataclasses.asdict(groundtruth.fixes),
-            "notes": list(groundtruth.notes),
+            "remarks": [remark_json(each) for each in groundtruth.remarks],
         },
         "runs": [_run(run, groundtruth.up) for run in runs],
         "failed": [dataclasses.asdict(each) for each in outcome.failed],
         "provenance": {
             "version": __version__,
-            "protocol": protocol.name,
-            "settings": {
-                "align_with": protocol.align_with,
-                "apply": protocol.apply,
-                "align_weights": protocol.align_weights,
-                "in_order": protocol.in_order,
-                "lengths": [str(length) for length in protocol.lengths],
-                "selection": dataclasses.asdict(protocol.selection),
-                "lever_m": None if protocol.lever_m is None else list(protocol.lever_m),
-                "time_span": None if time_span is None else dataclasses.asdict(time_span),
-                "mends": dataclasses.asdict(mends) if mends.anything else None,
-                "fix": outcome.request.fix or None,
-            },
+            "protocol": request.protocol.name,
+            "settings": outcome.settings or settings_of(request),
             "inputs": inputs,
         },
     }
 
 
-def _run(run: RunOutcome, truth_up: UpAxis) -> dict[str, Any]:
+def _run(run: RunOutcome, groundtruth_up: UpAxis) -> dict[str, Any]:
     evaluation, estimate = run.evaluation, run.estimate
     protocol, pairs = evaluation.protocol, evaluation.association
     similarity, coverage = evaluation.alignment.similarity, pairs.coverage
     if protocol.is_upright:  # then the alignment is between frames turned to z up
-        similarity = between_own_axes(similarity, truth_up, estimate.up)
+        similarity = between_own_axes(similarity, groundtruth_up, estimate.up)
     return {
         "estimate": {
             "source": estimate.source,
@@ -85,7 +80,7 @@ def _run(run: RunOutcome, truth_up: UpAxis) -> dict[str, Any]:
             "frame": estimate.frame,
             "child_frame": estimate.child_frame,
             "up": dataclasses.asdict(estimate.up),
-            "notes": list(estimate.notes),
+            "remarks": [remark_json(each) for each in estimate.remarks],
         },
         "association": {
             "method": pairs.rule.method,
@@ -127,10 +122,10 @@ def _run(run: RunOutcome, truth_up: UpAxis) -> dict[str, Any]:
         },
         "own_error": run.own_error and dataclasses.asdict(run.own_error),
         "re": None
-        if evaluation.segments is None
+        if evaluation.relative is None
         else {
             "form": protocol.re_form,
-            "segments": [_segment(each) for each in evaluation.segments],
+            "segments": [_segment(each) for each in evaluation.relative],
             "pooled": {name: statistics_json(value) for name, value in evaluation.pooled.items()},
         },
         "score": None if evaluation.score is None else dataclasses.asdict(evaluation.score),
@@ -139,10 +134,10 @@ def _run(run: RunOutcome, truth_up: UpAxis) -> dict[str, Any]:
         "consistency": None if run.consistency is None else _consistency(run.consistency),
         "integrity": None if run.integrity is None else integrity_json(run.integrity),
         "probabilistic": None if run.likelihood is None else probabilistic_json(run.likelihood),
-        "diagnosis": diagnosis_json(run.diagnosis),
-        "mended": mended_json(run.mended),
+        "diagnosis": findings_json(run.diagnosis.findings),
+        "corrected": findings_json(run.corrected),
         "live": run.live,
-        "warnings": list(evaluation.warnings),
+        "remarks": [remark_json(each) for each in evaluation.remarks],
     }
 
 
@@ -176,3 +171,56 @@ def _consistency(consistency: Consistency) -> dict[str, Any]:
 def statistics_json(statistics: Statistics | None) -> dict[str, float | int] | None:
     """Return the object STATS of the schema; None without statistics."""
     return None if statistics is None else dataclasses.asdict(statistics)
+
+
+def findings_json(findings: Sequence[Finding]) -> list[dict[str, Any]]:
+    """Return the findings about an estimate, the most severe first."""
+    return [_finding(each) for each in findings]
+
+
+def _finding(finding: Finding) -> dict[str, Any]:
+    tried, asdict = finding.tried, dataclasses.asdict
+    return {
+        "cause": finding.cause,
+        "sentence": finding.sentence,
+        "advice": finding.advice,
+        "option": finding.option or None,
+        "confidence": finding.confidence,
+        "explained": finding.explained,
+        "evidence": {
+            name: value for name, value in finding.evidence.items() if math.isfinite(value)
+        },
+        "before": None if tried is None or tried.before is None else asdict(tried.before),
+        "after": None if tried is None else asdict(tried.after),
+    }
+
+
+def integrity_json(integrity: Integrity) -> dict[str, Any]:
+    """Return fractions, episodes and statistics for every part of the pose (docs/result.md)."""
+    return {
+        "risk": integrity.risk,
+        "exactness": integrity.exactness,
+        "parts": [
+            {
+                "part": part.part,
+                "unit": part.unit,
+                "alert_limit": part.alert_limit,
+                "areas": part.areas,
+                "episodes": part.episodes,
+                "availability": part.availability,
+                "bounded": part.bounded,
+                "inflation_999": part.inflation,
+                "effective_number": part.effective,
+                "hazardous_95": list(part.hazardous_95),
+                "time_to_alert": {
+                    "median_s": part.time_to_alert.median,
+                    "worst_s": part.time_to_alert.worst,
+                    "episodes": len(part.time_to_alert.seconds) + part.time_to_alert.missed,
+                    "missed": part.time_to_alert.missed,
+                },
+                "error_median": float(np.median(part.errors)),
+                "protection_level_median": float(np.median(part.levels)),
+            }
+            for part in integrity.parts
+        ],
+    }

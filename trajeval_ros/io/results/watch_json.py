@@ -5,20 +5,20 @@ from __future__ import annotations
 from typing import Any
 
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.watchdog.alarm_book import AlarmBook
 from trajeval_ros.watchdog.recording import Watched
 from trajeval_ros.watchdog.signals import signal_of
+from trajeval_ros.watchdog.watch_alarms import AlarmBook
 
-SCHEMA = "trajeval-watch/1"
+SCHEMA = "trajeval-watch/2"
 
 
 def watch_json(estimate: str, seen: Watched, book: AlarmBook) -> dict[str, Any]:
-    """Return signals with limits, alarms and evidence (docs/watchdog.md).
+    """Return signals with limits, and alarms (docs/watchdog.md).
 
     Args:
         estimate: SOURCE of the estimate.
         seen: Signals of the run.
-        book: Alarms of the run, and the limits.
+        book: Alarms of the run, and the factor.
     """
 
     def stamp(seconds: float) -> int:
@@ -35,7 +35,7 @@ def watch_json(estimate: str, seen: Watched, book: AlarmBook) -> dict[str, Any]:
                 "unit": signal_of(name).unit,
                 "largest": float(values[row]),
                 "stamp_ns": stamp(float(seconds[row])),
-                "limit": book.limits.limit(name, book.factor),
+                "limit": book.limit(name),
             }
         )
     return {
@@ -44,12 +44,6 @@ def watch_json(estimate: str, seen: Watched, book: AlarmBook) -> dict[str, Any]:
         "armed_ns": stamp(seen.armed_s),
         "judged_s": seen.end_s - seen.armed_s,
         "factor": book.factor,
-        "evidence": {
-            "hours": book.limits.hours,
-            "most_false_alarms_per_hour": book.limits.most_per_hour,
-            "checked": book.limits.checked,
-            "sources": dict(book.limits.sources),
-        },
         "alarms": [
             {
                 "signal": alarm.signal,

@@ -50,23 +50,14 @@ _DIGIT_MASKS = np.array(
 
 @dataclass(frozen=True)
 class RowFormat:
-    """The columns of a file and how they are read.
-
-    Attributes:
-        columns: Number of columns.
-        time: Index of the column with timestamps, or None.
-        values: Indices of the columns that are read as numbers.
-        separator: As `Layout.separator`.
-        dates: Whether the timestamps are calendar dates.
-        names: Names of the columns, for messages; () if unknown.
-    """
+    """The columns of a file and how they are read."""
 
     columns: int
-    time: int | None
-    values: tuple[int, ...]
-    separator: str = ""
-    dates: bool = False
-    names: tuple[str, ...] = ()
+    time: int | None  # index of the column with timestamps, or None
+    values: tuple[int, ...]  # indices of the columns that are read as numbers
+    separator: str = ""  # as `Layout.separator`
+    dates: bool = False  # whether the timestamps are calendar dates
+    names: tuple[str, ...] = ()  # names of the columns, for messages; () if unknown
 
     @cached_property
     def pick(self) -> slice | list[int]:
@@ -78,25 +69,16 @@ class RowFormat:
 
 @dataclass(frozen=True)
 class ParsedRows:
-    """The numbers of a block of N rows.
+    """The numbers of a block of N rows."""
 
-    Attributes:
-        stamps: N exact numbers of the time column; None if there is no such column.
-        timed: (N,) bool, whether the timestamp is finite; all True without a time column.
-        values: (N, M), the columns `RowFormat.values`.
-    """
-
+    # N exact numbers of the time column; None if there is no such column.
     stamps: ExactNumbers | None
-    timed: Booleans
-    values: Floats
+    timed: Booleans  # (N,) bool, whether the timestamp is finite; all True without a time column
+    values: Floats  # (N, M), the columns `RowFormat.values`
 
 
 def parse_rows(block: bytes, rows: RowFormat) -> ParsedRows:
-    """Return the numbers of a block of complete lines; empty lines are skipped.
-
-    Raises:
-        RowError: A line has a wrong number of columns, or a column is not a number.
-    """
+    """Return the numbers of a block of complete lines; empty lines are skipped."""
     if rows.separator:
         tokens = tokenize_fields(block, rows.columns, rows.separator)
     else:
@@ -154,11 +136,7 @@ def _parse_decimals(tokens: Tokens) -> _Decimals | None:
 
 
 def _parse_numbers(tokens: Tokens) -> Floats:
-    """Return the numbers (N,), equal to the results of `float`.
-
-    Raises:
-        WordError: A word is not a number.
-    """
+    """Return the numbers (N,), equal to the results of `float`."""
     parts = _parse_decimals(tokens)
     if parts is None:
         return _convert(tokens)
@@ -182,11 +160,7 @@ def _parse_stamps(tokens: Tokens) -> tuple[ExactNumbers, Booleans]:
 
 
 def _parse_dates(tokens: Tokens) -> tuple[ExactNumbers, Booleans]:
-    """Return calendar dates as N exact seconds since 1970, and the mask (N,) of present dates.
-
-    Raises:
-        WordError: A word is neither empty nor a date.
-    """
+    """Return calendar dates as N exact seconds since 1970, and the mask (N,) of present dates."""
     words = _words(tokens)
     empty = words == b""
     try:
@@ -238,11 +212,7 @@ def _parse_digits(text: Bytes, ends: Indices, counts: Indices) -> NDArray[np.uin
 
 
 def _convert(tokens: Tokens) -> Floats:
-    """Return numbers of any notation as `float` converts them (N,); NaN for empty words.
-
-    Raises:
-        WordError: A word is not a number.
-    """
+    """Return numbers of any notation as `float` converts them (N,); NaN for empty words."""
     words = _words(tokens)
     missing = words == b""
     words[missing] = b"0"

@@ -11,9 +11,12 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
+from trajeval_ros.geometry.fix_selection import trajectory_of_rows
+from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.io.fix_rows import trajectory_of_rows
+from trajeval_ros.io.text.head import ANY_GGA
 
 _KNOWN, _UNKNOWN = 2.0, 0.0  # types of covariance in sensor_msgs/NavSatFix
 
@@ -22,7 +25,6 @@ _GGA = (
     rb"(?m)^\$(..GGA,(\d\d)(\d\d)(\d\d)(?:\.(\d+))?,(\d+\.?\d*),([NS]),(\d+\.?\d*),([EW]),"
     rb"(\d),[^,\n]*,[^,\n]*,(-?\d+\.?\d*),M?,(-?\d+\.?\d*)?,[^*\n]*)\*([0-9A-Fa-f]{2})"
 )
-_ANY_GGA = rb"(?m)^\$..GGA,"
 # A receiver without a fix (RMC with V) may not know the date yet.
 _DATE = (
     rb"(?m)^\$(..RMC,(\d{6})(?:\.\d+)?,A(?:,[^,\n]*){6},(\d\d)(\d\d)(\d\d)[^*\n]*"
@@ -35,28 +37,14 @@ _QUALITIES = np.array([-1.0, 0.0, 1.0, 0.0, 2.0, 2.0, -1.0, -1.0, 0.0, 0.0])
 
 
 def fixes_of(
-    path: Path,
-    stamps: Stamps,
-    groups: Mapping[str, Floats],
-    *,
-    stamped: bool,
-    dropped: dict[str, int],
-    notes: Sequence[str],
+    path: Path, stamps: Stamps, groups: Mapping[str, Floats], reading: Reading
 ) -> Trajectory:
     """Return the trajectory of the fixes in the columns of a file.
 
-    Args:
-        path: The file, for messages and the trajectory's name.
-        stamps: (N,), nanoseconds.
-        groups: Columns (N, width), by the name of their group in the layout.
-        stamped: Whether `stamps` are times.
-        dropped: Number of dropped rows, by reason.
-        notes: Notes about the file.
-
-    Raises:
-        InputError: The fixes have no timestamps, or no fix can be used.
+    `stamps`: (N,), nanoseconds. `groups`: columns (N, width), by the name of their group in the
+    layout.
     """
-    if not stamped:
+    if not reading.stamped:
         raise InputError(
             f"{path} has latitude and longitude, but no time; add a column named time, or name "
             "the columns with --columns 't latitude longitude height'"
@@ -72,31 +60,22 @@ def fixes_of(
     if "place_sigma" in groups:
         quality[:, 1] = _KNOWN
         quality[:, [2, 6, 10]] = groups["place_sigma"] ** 2
-    return trajectory_of_rows(
-        str(path), stamps, places, quality, name=path.stem, dropped=dropped, notes=tuple(notes)
-    )
+    return trajectory_of_rows(str(path), stamps, places, quality, reading, name=path.stem)
 
 
-def read_nmea(path: Path) -> Trajectory | None:
-    """Read the GGA lines of a file; None if its first 64 KiB contain no GGA line.
+def read_nmea(path: Path) -> Trajectory:
+    """Read the GGA lines of a file.
 
     The date is taken from the first intact RMC or ZDA line with a valid one. Without such a line,
     the first day is 1970-01-01. Heights are above the ellipsoid: the sum of altitude and geoid
     separation.
-
-    Raises:
-        InputError: No GGA line can be used.
-        OSError: The file can't be read.
     """
-    with path.open("rb") as file:
-        beginning = _lines(file.read(1 << 16))
-    if not re.search(_ANY_GGA, beginning):
-        return None
-    data = _lines(path.read_bytes())
+    # Every line ends in a line feed; offsets of characters are kept.
+    data = path.read_bytes().replace(b"\r", b"\n")
     matches = list(re.finditer(_GGA, data))
     intact = _intact(data, matches)
     lines = [each for each, good in zip(matches, intact.tolist(), strict=True) if good]
-    broken = len(re.findall(_ANY_GGA, data)) - len(lines)
+    broken = len(re.findall(ANY_GGA, data)) - len(lines)
     if not lines:
         raise InputError(f"{path}: no complete fix in {counted(broken, 'GGA line')}")
     fields = [each.groups() for each in lines]
@@ -119,15 +98,12 @@ def read_nmea(path: Path) -> Trajectory | None:
         stamps,
         np.column_stack([level, heights.sum(axis=1)]),
         quality,
+        Reading(
+            dropped={"undecodable": broken},
+            remarks=(note("format", "format: NMEA 0183, GGA"), *timing),
+        ),
         name=path.stem,
-        dropped={"undecodable": broken},
-        notes=("format: NMEA 0183, GGA", *timing),
     )
-
-
-def _lines(data: bytes) -> bytes:
-    """Return text in which every line ends in a line feed; offsets of characters are kept."""
-    return data.replace(b"\r", b"\n")
 
 
 def _intact(data: bytes, matches: Sequence[re.Match[bytes]]) -> Booleans:
@@ -140,13 +116,13 @@ def _intact(data: bytes, matches: Sequence[re.Match[bytes]]) -> Booleans:
     return np.asarray(sums == said)
 
 
-def _days(data: bytes, places: Sequence[int], seconds: Indices) -> tuple[Indices, tuple[str, ...]]:
-    """Return the days since 1970 of the lines (N,), and notes about them.
+def _days(
+    data: bytes, places: Sequence[int], seconds: Indices
+) -> tuple[Indices, tuple[Remark, ...]]:
+    """Return the days since 1970 of the lines (N,), and remarks on them.
 
-    Args:
-        data: Content of the file.
-        places: (N,), offsets of the lines, bytes.
-        seconds: (N,), time of day of the lines, seconds.
+    `places`: (N,), offsets of the lines, bytes. `seconds`: (N,), time of day of the lines,
+    seconds.
     """
     days = np.concatenate([[0], np.cumsum(np.diff(seconds) < -_HALF_A_DAY_S)])
     for said in re.finditer(_DATE, data):
@@ -155,8 +131,8 @@ def _days(data: bytes, places: Sequence[int], seconds: Indices) -> tuple[Indices
         if told is not None and _intact(data, [said])[0]:
             break
     else:
-        note = "no RMC or ZDA line with a date: timestamps count from midnight, 1970-01-01"
-        return days, (note,)
+        undated = "no RMC or ZDA line with a date: timestamps count from midnight, 1970-01-01"
+        return days, (note("no_date", undated),)
     # The line with the date has the same day as the GGA line before it, except over midnight.
     row = max(int(np.searchsorted(places, said.start())) - 1, 0)
     own_s = int(time[:2]) * 3600 + int(time[2:4]) * 60 + int(time[4:6])

@@ -31,24 +31,21 @@ _SAMPLE = 50  # rows from which a layout is recognised
 _UTF8_MARK = b"\xef\xbb\xbf"
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _GZIP_MARK = b"\x1f\x8b"
+_PICTURES = {b"\x89PNG": "PNG", b"\xff\xd8\xff": "JPEG", b"GIF8": "GIF"}
 _WITH_COMMA = rb"[-+]?\d+,\d+([eE][-+]?\d+)?"
 _DECIMAL_COMMAS = re.compile(rb"%s((\s*;\s*|\s+)%s){2,}" % (_WITH_COMMA, _WITH_COMMA))
+ANY_GGA = rb"(?m)^\$..GGA,"
 _GRAPH = rb"(?m)^(VERTEX_SE3:QUAT|VERTEX_SE2)\s"
 _BODY_TWISTS, _OTHERS = "RIGHT_PERTURBATION", "LEFT_PERTURBATION|ROTATION_TRANSLATION"
 
 
 @dataclass(frozen=True)
 class TextFormat:
-    """Layout and start of the rows of a text file.
+    """Layout and start of the rows of a text file."""
 
-    Attributes:
-        layout: Meaning of the columns.
-        start: Offset of the first row, bytes.
-        no_row: Pattern of the text that does not belong to rows, such as comments.
-    """
-
-    layout: Layout
-    start: int
+    layout: Layout  # meaning of the columns
+    start: int  # offset of the first row, bytes
+    # Pattern of the text that does not belong to rows, such as comments.
     no_row: re.Pattern[bytes] = COMMENT
 
     @property
@@ -57,18 +54,16 @@ class TextFormat:
         return len(self.layout.columns)
 
 
+def holds_nmea(path: Path) -> bool:
+    """Return whether the first 64 KiB of a file contain a GGA line of NMEA 0183."""
+    with path.open("rb") as file:
+        return re.search(ANY_GGA, file.read(_HEAD).replace(b"\r", b"\n")) is not None
+
+
 def recognise_text(path: Path, named: Sequence[str] = ()) -> TextFormat:
     """Return the layout of a file, from its first lines.
 
-    Args:
-        path: The file.
-        named: Names of the columns, as the user states them; () to recognise the layout.
-
-    Raises:
-        InputError: The file is empty, is not text, has an unknown layout, or has another number
-            of columns than `named`.
-        SettingsError: The names are not valid, as for `layout_of`.
-        OSError: The file can't be read.
+    `named`: names of the columns, as the user states them; () to recognise the layout.
     """
     if named:
         return _as_named(path, layout_of(named))
@@ -154,31 +149,19 @@ def _graph(path: Path) -> TextFormat | None:
 
 @dataclass(frozen=True)
 class Head:
-    """The first lines of a file: header lines and the first rows.
+    """The first lines of a file: header lines and the first rows."""
 
-    Attributes:
-        header: Lines before the first row, without comment signs.
-        sample: Numbers of the first rows; can be empty if `table` is set.
-        commas: Whether commas separate columns.
-        start: Offset of the first row, bytes.
-        table: Layout, if the line above the rows names all columns and has single separators, as
-            in CSV; else None.
-    """
-
-    header: list[str]
-    sample: list[list[float]]
-    commas: bool
-    start: int
+    header: list[str]  # lines before the first row, without comment signs
+    sample: list[list[float]]  # numbers of the first rows; can be empty if `table` is set
+    commas: bool  # whether commas separate columns
+    start: int  # offset of the first row, bytes
+    # Layout, if the line above the rows names all columns and has single separators, as in CSV;
+    # else None.
     table: Layout | None = None
 
 
 def read_head(path: Path) -> Head:
-    """Return the header and the first rows of a file.
-
-    Raises:
-        InputError: The file is empty, is not text, or has no row of numbers in its first lines.
-        OSError: The file can't be read.
-    """
+    """Return the header and the first rows of a file."""
     start, lines = _first_lines(path)
     header: list[str] = []
     named = False
@@ -193,7 +176,7 @@ def read_head(path: Path) -> Head:
             return Head(header, _sample(lines[index:]), True, start, table)
         numbers = [_to_float(word) for word in words]
         if words and None not in numbers:
-            return Head(header, _sample(lines[index:]), b"," in line, start)
+            return Head(header, _sample(lines[index:]), b"," in line or b";" in line, start)
         if words and (named or numbers.count(None) < len(numbers)):
             at = numbers.index(None)
             wrong = words[at][:40].decode(errors="replace")
@@ -222,11 +205,7 @@ def _table(header: Sequence[str], line: bytes) -> Layout | None:
 
 
 def _first_lines(path: Path) -> tuple[int, list[bytes]]:
-    """Return the position of the first line of a text file, and its first lines with their ends.
-
-    Raises:
-        InputError: As for `_beginning`.
-    """
+    """Return the position of the first line of a file, and its first lines with their ends."""
     data = _beginning(path)
     start = len(_UTF8_MARK) if data.startswith(_UTF8_MARK) else 0
     lines = data[start:].splitlines(keepends=True)
@@ -236,11 +215,7 @@ def _first_lines(path: Path) -> tuple[int, list[bytes]]:
 
 
 def _beginning(path: Path) -> bytes:
-    """Return the first `_HEAD` bytes of a text file.
-
-    Raises:
-        InputError: The file is empty, binary, or UTF-16 text.
-    """
+    """Return the first `_HEAD` bytes of a text file."""
     with path.open("rb") as file:
         data = file.read(_HEAD)
     if not data.strip():
@@ -249,14 +224,17 @@ def _beginning(path: Path) -> bytes:
         raise InputError(f"{path} is UTF-16 text; convert it to UTF-8")
     if data.startswith(_GZIP_MARK):
         raise InputError(f"{path} is compressed with gzip; decompress it with gunzip")
+    picture = next((name for mark, name in _PICTURES.items() if data.startswith(mark)), "")
+    if picture:
+        raise InputError(f"{path} is a picture ({picture}); give a file with poses")
     if b"\0" in data.partition(b"\n")[0]:
         raise InputError(f"{path} is a binary file of unknown format, neither text nor a bag")
     return data
 
 
 def _words(line: bytes) -> list[bytes]:
-    """Return the words of a line between spaces and commas, without its comment."""
-    return COMMENT.sub(b"", line).replace(b",", b" ").split()
+    """Return the words of a line between spaces, commas and semicolons, without its comment."""
+    return COMMENT.sub(b"", line).replace(b",", b" ").replace(b";", b" ").split()
 
 
 def _to_float(word: bytes) -> float | None:

@@ -5,13 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 
-from trajeval_ros.io.text.layouts import (
-    FRAME,
-    GROUPS,
-    IGNORED,
-    OPENVINS_STATE,
-    Layout,
-)
+from trajeval_ros.io.text.layouts import FRAME, GROUPS, IGNORED, OPENVINS_STATE, Layout
 
 SEPARATORS = (",", ";", "\t")  # single separators of columns; spaces separate in any number
 # Patterns are compiled on use, since most files have no header.
@@ -46,8 +40,8 @@ _AXIS = "|".join(_AXES)
 _VARIANCE = rf"(?:.*_)?(?:var|variance)_?({_AXIS})"
 _PAIR = rf"(?:.*_)?(?:cov|covariance)_?({_AXIS})_?({_AXIS})"
 _OPENVINS_TRIANGLES = {
-    **{f"pr{each}": f"pr{each}" for each in (11, 12, 13, 22, 23, 33)},
-    **{f"pt{each}": f"pt{each}" for each in (11, 12, 13, 22, 23, 33)},
+    "pr11": "pr11", "pr12": "pr12", "pr13": "pr13", "pr22": "pr22", "pr23": "pr23", "pr33": "pr33",
+    "pt11": "pt11", "pt12": "pt12", "pt13": "pt13", "pt22": "pt22", "pt23": "pt23", "pt33": "pt33",
     "qrr": "pr11", "qrp": "pr12", "qry": "pr13", "qpp": "pr22", "qpy": "pr23", "qyy": "pr33",
     "pxx": "pt11", "pxy": "pt12", "pxz": "pt13", "pyy": "pt22", "pyz": "pt23", "pzz": "pt33",
 }  # fmt: skip
@@ -73,10 +67,6 @@ def separator_of(line: str) -> str:
 
 def from_header(line: str, columns: int) -> Layout | None:
     """Return the layout that a header line describes.
-
-    Args:
-        line: Header line, without its comment sign.
-        columns: Number of columns in the rows below.
 
     Returns:
         The layout. None if the number of names is not `columns`, or if no position is named.

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -85,23 +86,15 @@ FIXED_AXES, BODY_TWISTS = "fixed axes", "body twists"
 
 @dataclass(frozen=True)
 class Layout:
-    """The meaning of the columns of a file.
+    """The meaning of the columns of a file."""
 
-    Attributes:
-        name: Name of the format.
-        columns: Names of the columns, from `NAMES`.
-        note: Assumptions and ignored columns, "" if there are none.
-        up: Axis of the fixed frame that points up.
-        covariances: Convention of 6 x 6 covariances, `FIXED_AXES` or `BODY_TWISTS`.
-        separator: Single separator of columns, which can then be empty or text. "" if any number
-            of spaces and commas separates columns.
-    """
-
-    name: str
-    columns: tuple[str, ...]
-    note: str = ""
-    up: UpAxis = Z_UP
-    covariances: str = FIXED_AXES
+    name: str  # name of the format
+    columns: tuple[str, ...]  # names of the columns, from `NAMES`
+    note: str = ""  # assumptions and ignored columns, "" if there are none
+    up: UpAxis = Z_UP  # axis of the fixed frame that points up
+    covariances: str = FIXED_AXES  # convention of 6 x 6 covariances, `FIXED_AXES` or `BODY_TWISTS`
+    # Single separator of columns, which can then be empty or text. "" if any number of spaces and
+    # commas separates columns.
     separator: str = ""
 
     @cached_property
@@ -142,11 +135,7 @@ class Layout:
 def layout_of(columns: Sequence[str]) -> Layout:
     """Return the layout of columns that the user named.
 
-    Args:
-        columns: Names, as in `t x y z qw qx qy qz`, with `_` for ignored columns.
-
-    Raises:
-        SettingsError: A name is unknown or repeated, there are several times, or no position.
+    `columns`: names, as in `t x y z qw qx qy qz`, with `_` for ignored columns.
     """
     for name in columns:
         if name not in NAMES:
@@ -200,9 +189,7 @@ _BY_COUNT = {
         _layout("TUM with an id", f"_ {_POSE}", "the first of 9 columns is an id"),
         _layout("TUM with velocity", f"{_POSE} vx vy vz", _ORDER.format("qx qy qz qw", "TUM")),
         _layout(
-            "EuRoC/ASL",
-            f"{_POSE_W} vx vy vz {_BIASES}",
-            "no header: 17 columns read as EuRoC",
+            "EuRoC/ASL", f"{_POSE_W} vx vy vz {_BIASES}", "no header: 17 columns read as EuRoC"
         ),
         _layout(
             "OpenVINS with covariance",
@@ -234,12 +221,7 @@ KNOWN = (
 def by_count(rows: Sequence[Sequence[float]], commas: bool) -> Layout:
     """Return the usual layout of files without a header, by the number of columns.
 
-    Args:
-        rows: First rows of the file, all of the same length, at least one.
-        commas: Whether commas separate the columns.
-
-    Raises:
-        InputError: No layout has this number of columns, or 12 or 13 columns are not poses.
+    `rows`: first rows of the file, all of the same length, at least one.
     """
     columns = len(rows[0])
     if columns in (12, 13):
@@ -267,11 +249,7 @@ def _fits(layout: Layout, rows: Floats) -> bool:
 
 
 def _kitti(rows: Sequence[Sequence[float]]) -> Layout:
-    """Return KITTI's layout: a 3 x 4 matrix, optionally after a frame index or a time.
-
-    Raises:
-        InputError: The matrices are not rotations with a translation.
-    """
+    """Return KITTI's layout: a 3 x 4 matrix, optionally after a frame index or a time."""
     leading = len(rows[0]) - 12
     matrices = np.array(rows)[:, leading:].reshape(-1, 3, 4)
     axes = matrices[np.isfinite(matrices).all(axis=(1, 2)), :, :3]
@@ -292,3 +270,38 @@ def _kitti(rows: Sequence[Sequence[float]]) -> Layout:
         columns=(name, *_KITTI.columns),
         note=f"the first of 13 columns is {said}",
     )
+
+
+@dataclass(frozen=True)
+class TextHints:
+    """Information about text files that the user states."""
+
+    columns: tuple[str, ...] = ()  # names of the columns (`layouts.NAMES`); () to recognise them
+    # Rows per second of files without timestamps; None if unknown.
+    frame_rate_hz: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.columns:
+            layout_of(self.columns)
+        rate = self.frame_rate_hz
+        if rate is not None and not (math.isfinite(rate) and rate > 0.0):
+            raise SettingsError(f"the frame rate must be greater than zero, not {rate:g}")
+
+    @property
+    def of_reference(self) -> TextHints:
+        """Hints for the groundtruth or reference: the rate only, since its columns can differ."""
+        return TextHints(frame_rate_hz=self.frame_rate_hz)
+
+    @classmethod
+    def of(cls, columns: str | None, frame_rate_hz: float | None) -> TextHints:
+        """Return hints from options of the command line.
+
+        `columns`: names separated by spaces or commas; None to recognise them.
+        """
+        names = () if columns is None else tuple(columns.replace(",", " ").split())
+        if columns is not None and not names:
+            raise SettingsError("--columns is empty; name at least x, y and z")
+        return cls(names, frame_rate_hz)
+
+
+NO_HINTS = TextHints()

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
 
@@ -12,18 +12,29 @@ from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.reading import FORMAT, NAMED_COLUMNS, Reading
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.checks import check_stamps, judge_rotations
 from trajeval_ros.io.text.decimals import ParsedRows, RowFormat, parse_rows
 from trajeval_ros.io.text.geographic import fixes_of, read_nmea
-from trajeval_ros.io.text.head import COMMENT, TextFormat, read_head, recognise_text
-from trajeval_ros.io.text.hints import NO_HINTS, TextHints
-from trajeval_ros.io.text.layouts import DATE, FRAME, UNITS, Layout
+from trajeval_ros.io.text.head import COMMENT, TextFormat, holds_nmea, read_head, recognise_text
+from trajeval_ros.io.text.layouts import (
+    AS_NAMED,
+    DATE,
+    FRAME,
+    NO_HINTS,
+    UNITS,
+    Layout,
+    TextHints,
+)
+from trajeval_ros.io.text.number_tables import array_table, read_table
 from trajeval_ros.io.text.stamps import ExactNumbers, to_nanoseconds
-from trajeval_ros.io.text.states import states_of
+from trajeval_ros.io.text.states import FileColumns, states_of
 from trajeval_ros.io.text.tokens import RowError
 
+ROW_TIMES = "row_times"  # code of the remark on a frame rate that was used
 Advance = Callable[[int, int], None]
 
 # Bytes that are allocated and freed once. After that, glibc's malloc keeps as much memory for the
@@ -32,7 +43,6 @@ Advance = Callable[[int, int], None]
 _WORKING_MEMORY = 16 << 20
 _SPARE_ROWS = 1000
 _FRAMES = 10**8  # limit of frame numbers
-COUNTED = "timestamps counted at"  # note of a frame rate that was used
 _BLOCK = 1 << 19  # bytes that are parsed at once; their arrays fit into the processor's cache
 
 
@@ -42,37 +52,50 @@ def read_text(
     hints: TextHints = NO_HINTS,
     beside: Path | None = None,
 ) -> Trajectory:
-    """Read a trajectory from a text file; the layout is recognised from the content.
+    """Read a trajectory from a file of text, JSON lines or numpy, recognised from the content.
 
-    Args:
-        path: An existing, readable file.
-        advance: Progress callback, called with the number of bytes done and their total.
-        hints: Columns and frame rate, as the user states them.
-        beside: Original of `path` if that is a copy. Files with timestamps are next to the
-            original. By default `path`.
-
-    Raises:
-        InputError: The file is not a trajectory, or has no valid pose. The message names the
-            line if a line is the reason.
-        OSError: The file can't be read.
+    `advance`: progress callback, called with the number of bytes done and their total. `hints`:
+    columns and frame rate, as the user states them. `beside`: original of `path` if that is a
+    copy. Files with timestamps are next to the original. By default `path`.
     """
-    fixes = read_nmea(path)
-    if fixes is not None:
-        return fixes
-    text = recognise_text(path, hints.columns)
-    layout = text.layout
-    columns = _read_columns(path, text, advance)
-    frames = _frames_of(path, layout, columns)
     origin = path if beside is None else beside
-    stamps, stamped, timing = _stamps_of(origin, layout, columns, frames, hints)
+    table = read_table(path, origin, hints)
+    if table is not None:
+        return trajectory_of(origin, *table, hints, origin)
+    if holds_nmea(path):
+        return read_nmea(path)
+    text = recognise_text(path, hints.columns)
+    return trajectory_of(path, text.layout, _read_columns(path, text, advance), hints, origin)
+
+
+def trajectory_of(
+    path: Path,
+    layout: Layout,
+    columns: FileColumns,
+    hints: TextHints = NO_HINTS,
+    origin: Path | None = None,
+) -> Trajectory:
+    """Return the trajectory in the columns of a file.
+
+    `path`: named in messages. `origin`: the file next to which files with times are; None to
+    search for none.
+    """
+    frames = _frames_of(path, layout, columns)
+    stamps, stamped, timing = _stamps_of(path, layout, columns, frames, hints, origin)
     if stamped:
         check_stamps(stamps, str(path))
-    notes = [f"format: {layout.name}", *filter(None, [layout.note]), *timing]
-    dropped = {"not_finite": columns.untimed}
+    named = NAMED_COLUMNS if layout.name == AS_NAMED else FORMAT
+    remarks = [note(named, f"format: {layout.name}")]
+    if layout.note:
+        remarks.append(note("layout", layout.note))
+    reading = Reading(
+        stamped=stamped,
+        numbered=layout.time_name == FRAME,
+        dropped={"not_finite": columns.untimed},
+        remarks=(*remarks, *timing),
+    )
     if layout.is_geographic:
-        return fixes_of(
-            path, stamps, columns.groups, stamped=stamped, dropped=dropped, notes=notes
-        )
+        return fixes_of(path, stamps, columns.groups, reading)
     states = states_of(path, layout, columns.groups, columns.count)
     quaternions, judgement = judge_rotations(states.quaternions)
     trajectory = Trajectory.from_columns(
@@ -83,14 +106,13 @@ def read_text(
         gyroscope_biases=columns.groups.get("gyroscope_bias"),
         accelerometer_biases=columns.groups.get("accelerometer_bias"),
         covariances=None if quaternions is None else states.covariances,
-        frames=frames,
-        matrices=states.matrices,
         up=layout.up,
         name=path.stem,
-        stamped=stamped,
-        numbered=layout.time_name == FRAME,
-        dropped=dropped,
-        notes=(*notes, *judgement, *states.notes),
+        reading=dataclasses.replace(
+            reading.remarked(*judgement, *states.remarks),
+            frame_numbers=frames,
+            matrices=states.matrices,
+        ),
     )
     if not len(trajectory):
         count = columns.untimed + len(stamps)
@@ -101,29 +123,15 @@ def read_text(
     return trajectory
 
 
-@dataclass(frozen=True)
-class _Columns:
-    """The columns of the N valid rows of a file.
-
-    Attributes:
-        stamps: N exact numbers, None if there is no time column.
-        groups: Columns (N, width), by the name of their group in the layout.
-        count: N.
-        untimed: Number of rows that were dropped because their timestamp is not finite.
-    """
-
-    stamps: ExactNumbers | None
-    groups: dict[str, Floats]
-    count: int
-    untimed: int
+def array_trajectory(array: NDArray[np.generic], name: str) -> Trajectory:
+    """Return the trajectory in an array as in a .npy file; `name` is its name in messages."""
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"the {name} is an array of {array.dtype}; give numbers")
+    return trajectory_of(Path(name), *array_table(array, Path(name)))
 
 
-def _read_columns(path: Path, text: TextFormat, advance: Advance | None) -> _Columns:
-    """Read all rows of a file by blocks, into arrays with room for the estimated number of rows.
-
-    Raises:
-        InputError: A line is not a row of the layout.
-    """
+def _read_columns(path: Path, text: TextFormat, advance: Advance | None) -> FileColumns:
+    """Read all rows of a file by blocks, into arrays with room for the estimated number."""
     total = path.stat().st_size - text.start
     wanted = text.layout.groups
     groups = {group: np.empty((0, len(columns))) for group, columns in wanted.items()}
@@ -146,7 +154,7 @@ def _read_columns(path: Path, text: TextFormat, advance: Advance | None) -> _Col
         count += len(values)
         if advance is not None:
             advance(end, text.start + total)
-    return _Columns(
+    return FileColumns(
         ExactNumbers.concatenate(stamps) if stamps else None,
         {group: array[:count] for group, array in groups.items()},
         count,
@@ -174,11 +182,7 @@ def _enlarged(array: Floats, count: int, room: int) -> Floats:
 
 
 def _parse_blocks(path: Path, text: TextFormat) -> Iterator[tuple[int, ParsedRows]]:
-    """Yield (offset of the end in bytes, rows) for every block of complete lines of a file.
-
-    Raises:
-        InputError: A line is not a row of the layout, or is too long.
-    """
+    """Yield (offset of the end in bytes, rows) for every block of complete lines of a file."""
     done, row_format = text.start, _row_format(text.layout)
     np.empty(_WORKING_MEMORY, dtype=np.uint8)
     with path.open("rb", buffering=0) as file:
@@ -199,11 +203,7 @@ def _parse_blocks(path: Path, text: TextFormat) -> Iterator[tuple[int, ParsedRow
 
 
 def _line_blocks(path: Path, file: FileIO) -> Iterator[bytes]:
-    """Yield the rest of a file in blocks of complete lines.
-
-    Raises:
-        InputError: A line has more than `_BLOCK` bytes.
-    """
+    """Yield the rest of a file in blocks of complete lines."""
     rest = b""
     while part := file.read(_BLOCK):
         end = part.rfind(b"\n") + 1
@@ -238,12 +238,8 @@ def _row_format(layout: Layout) -> RowFormat:
     )
 
 
-def _frames_of(path: Path, layout: Layout, rows: _Columns) -> NDArray[np.int64] | None:
-    """Return the frame numbers (N,); None if the rows have timestamps.
-
-    Raises:
-        InputError: A frame number is negative, too large, or not an integer.
-    """
+def _frames_of(path: Path, layout: Layout, rows: FileColumns) -> NDArray[np.int64] | None:
+    """Return the frame numbers (N,); None if the rows have timestamps."""
     if rows.stamps is None:
         return np.arange(rows.count)
     if layout.time_name != FRAME:
@@ -261,30 +257,33 @@ def _frames_of(path: Path, layout: Layout, rows: _Columns) -> NDArray[np.int64] 
 def _stamps_of(
     path: Path,
     layout: Layout,
-    rows: _Columns,
+    rows: FileColumns,
     frames: NDArray[np.int64] | None,
     hints: TextHints,
-) -> tuple[NDArray[np.int64], bool, list[str]]:
-    """Return timestamps (N,) in nanoseconds, whether they are times, and notes about them.
-
-    Raises:
-        InputError: The unit of the timestamps can't be recognised or does not fit.
-    """
+    origin: Path | None,
+) -> tuple[NDArray[np.int64], bool, list[Remark]]:
+    """Return timestamps (N,) in nanoseconds, whether they are times, and remarks on them."""
     if frames is None:
         assert rows.stamps is not None
         if not rows.count:
             return np.zeros(0, dtype=np.int64), True, []
         if layout.time_name == DATE:
-            return to_nanoseconds(rows.stamps, NANOSECONDS)[0], True, ["dates read as UTC"]
+            return (
+                to_nanoseconds(rows.stamps, NANOSECONDS)[0],
+                True,
+                [note("dates", "dates read as UTC")],
+            )
         try:
             stamps, in_nanoseconds = to_nanoseconds(
                 rows.stamps, UNITS[layout.time_name], far_apart_is_ns=layout.separator == ","
             )
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-        return stamps, True, ["timestamps are in nanoseconds"] if in_nanoseconds else []
-    notes = []
-    for times_path in (path.with_name(f"{path.stem}_times.txt"), path.with_name("times.txt")):
+        unit = [note("nanoseconds", "timestamps are in nanoseconds")] if in_nanoseconds else []
+        return stamps, True, unit
+    remarks = []
+    names = () if origin is None else (origin.stem + "_times.txt", "times.txt")
+    for times_path in (origin.with_name(name) for name in names if origin is not None):
         if "matrix" not in layout.groups or not times_path.is_file():
             continue
         times = _read_times(times_path)
@@ -294,25 +293,22 @@ def _stamps_of(
             else len(times) == rows.count
         )
         if matches:
-            return times[frames], True, [f"timestamps read from {times_path}"]
-        notes.append(
+            return times[frames], True, [note("times_file", f"timestamps read from {times_path}")]
+        said = (
             f"{times_path} ignored: it has {counted(len(times), 'row')} for "
             f"{counted(rows.count, 'pose')}"
         )
+        remarks.append(note("times_file_ignored", said))
     rate = hints.frame_rate_hz
     if rate is not None:
         stamps = np.round(frames * (NANOSECONDS / rate)).astype(np.int64)
-        return stamps, True, [*notes, f"{COUNTED} {rate:g} Hz"]
-    notes.append("no timestamps: frames counted, 1 s apart; set their rate with --frame-rate")
-    return frames * NANOSECONDS, False, notes
+        return stamps, True, [*remarks, note(ROW_TIMES, f"timestamps counted at {rate:g} Hz")]
+    said = "no timestamps: frames counted, 1 s apart; set their rate with --frame-rate"
+    return frames * NANOSECONDS, False, [*remarks, note("no_timestamps", said)]
 
 
 def _read_times(path: Path) -> NDArray[np.int64]:
-    """Return the timestamps (N,), nanoseconds, of a file with one time per line.
-
-    Raises:
-        InputError: The file does not have one time per line.
-    """
+    """Return the timestamps (N,), nanoseconds, of a file with one time per line."""
     head = read_head(path)
     if len(head.sample[0]) != 1:
         raise InputError(

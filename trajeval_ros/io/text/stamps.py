@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.geometry.arrays import Booleans
+from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 
 Unsigned = NDArray[np.uint64]
@@ -31,17 +31,11 @@ _DATES = rb"%s(?: %s)*" % (_ONE_DATE, _ONE_DATE)
 
 @dataclass(frozen=True)
 class ExactNumbers:
-    """N numbers as sign * (whole + billionths * 1e-9).
+    """N numbers as sign * (whole + billionths * 1e-9)."""
 
-    Attributes:
-        negative: (N,) bool.
-        whole: (N,) uint64.
-        billionths: (N,) uint64, from 0 to 1e9; 1e9 is possible because of rounding.
-    """
-
-    negative: Booleans
-    whole: Unsigned
-    billionths: Unsigned
+    negative: Booleans  # (N,) bool
+    whole: Unsigned  # (N,) uint64
+    billionths: Unsigned  # (N,) uint64, from 0 to 1e9; 1e9 is possible because of rounding
 
     @classmethod
     def concatenate(cls, parts: list[ExactNumbers]) -> ExactNumbers:
@@ -52,8 +46,15 @@ class ExactNumbers:
             np.concatenate([part.billionths for part in parts]),
         )
 
+    @classmethod
+    def of_floats(cls, values: Floats) -> ExactNumbers:
+        """Return finite values (N,) with the digits that they have."""
+        sizes = np.abs(values)
+        whole = np.floor(sizes)
+        parts = np.round((sizes - whole) * NANOSECONDS)
+        return cls(values < 0.0, whole.astype(np.uint64), parts.astype(np.uint64))
+
     def __getitem__(self, rows: Booleans) -> ExactNumbers:
-        """Return the numbers selected by a mask (N,)."""
         return ExactNumbers(self.negative[rows], self.whole[rows], self.billionths[rows])
 
 
@@ -67,10 +68,8 @@ def billionths(fraction: Unsigned, decimals: NDArray[np.int64]) -> Unsigned:
 def exact_numbers(characters: NDArray[np.uint8]) -> ExactNumbers:
     """Read N numbers with any exponent and any number of digits.
 
-    Args:
-        characters: (N, width), texts of numbers that `float` accepts, padded with zero bytes on
-            the right. The results for NaN and infinity are undefined: drop them by their float
-            value.
+    `characters`: (N, width), texts of numbers that `float` accepts, padded with zero bytes on the
+    right. The results for NaN and infinity are undefined: drop them by their float value.
 
     The loop runs over the characters of a number, for all numbers at once. It keeps 19
     significant digits and rounds by the 20th.
@@ -117,6 +116,7 @@ def exact_dates(words: NDArray[np.bytes_]) -> ExactNumbers:
 
     Raises:
         ValueError: A word is not a date, or has another time zone.
+        InputError: A date is outside of the range of int64 nanoseconds.
     """
     plain = np.char.replace(words, b"/", b"-")
     for zone in (b"Z", b" UTC", b"+00:00", b"+0000"):
@@ -124,7 +124,10 @@ def exact_dates(words: NDArray[np.bytes_]) -> ExactNumbers:
     if not re.fullmatch(_DATES, b" ".join(plain.tolist())):  # numpy also accepts only a year
         raise ValueError("no date")
     # Converted from str, since numpy 1.26 crashes on bytes with an invalid date such as month 13.
-    stamps = plain.astype(np.str_).astype("datetime64[ns]").astype(np.int64)
+    dates = plain.astype(np.str_)
+    if (np.abs(dates.astype("datetime64[s]").astype(np.int64)) > _LAST_SECOND).any():
+        raise InputError("its dates leave the years 1678 to 2261; correct or remove them")
+    stamps = dates.astype("datetime64[ns]").astype(np.int64)
     whole, rest = np.divmod(np.abs(stamps).view(np.uint64), np.uint64(NANOSECONDS))
     return ExactNumbers(stamps < 0, whole, rest)
 
@@ -134,30 +137,33 @@ def to_nanoseconds(
 ) -> tuple[NDArray[np.int64], bool]:
     """Return the timestamps (N,) in nanoseconds, and whether the file has nanoseconds.
 
-    If the unit is unknown, numbers are nanoseconds in two cases. They are so large that they
-    count from 1970. Or they are whole numbers with a large median step that are too large for
-    seconds, as from a clock that started at zero.
-
-    Args:
-        numbers: N numbers, N > 0.
-        unit_ns: Nanoseconds per unit, if the header names the unit; None if it is unknown.
-        far_apart_is_ns: Whether whole numbers with a large median step are nanoseconds even if
-            they are small enough for seconds. Set it for formats with timestamps in nanoseconds.
-
-    Raises:
-        InputError: The numbers are neither seconds nor nanoseconds, or too large for the unit.
+    If the unit is unknown, numbers are nanoseconds in two cases. Most are so large that they count
+    from 1970. Or they are whole numbers with a large median step that are too large for seconds,
+    as from a clock that started at zero. `unit_ns`: nanoseconds per unit, if the header names the
+    unit; None if it is unknown. `far_apart_is_ns`: whether whole numbers with a large median step
+    are nanoseconds even if they are small enough for seconds. Set it for formats with timestamps
+    in nanoseconds.
     """
     largest = float(numbers.whole.max())
+    some = np.sort(numbers.whole[numbers.whole > 0])  # zero means "not set"
+    typical = float(some[(len(some) - 1) // 2]) if len(some) else 0.0
     if unit_ns not in (None, 1, NANOSECONDS):
         return _scaled(numbers, unit_ns), False
     in_nanoseconds = unit_ns == 1 or (
         unit_ns is None
         and (
-            largest >= _EPOCH_NANOSECONDS
+            typical >= _EPOCH_NANOSECONDS
             or (_is_sparse(numbers) and (far_apart_is_ns or largest > _LAST_SECOND))
         )
     )
-    if largest > (_LAST_NANOSECOND if in_nanoseconds else _LAST_SECOND):
+    last = _LAST_NANOSECOND if in_nanoseconds else _LAST_SECOND
+    if typical <= last < largest:
+        count = int((numbers.whole > last).sum())
+        raise InputError(
+            f"most timestamps are near {typical:.6g}, and {count} of {len(numbers.whole)} up to "
+            f"{largest:.6g}; correct or remove these rows"
+        )
+    if largest > last:
         raise InputError(
             f"its timestamps (up to {largest:.6g}) are neither seconds nor nanoseconds; convert "
             "the first column, or name its unit (t_ms, t_us) with --columns"
@@ -170,11 +176,7 @@ def to_nanoseconds(
 
 
 def _scaled(numbers: ExactNumbers, unit_ns: int) -> NDArray[np.int64]:
-    """Return numbers in milliseconds or microseconds as nanoseconds (N,), rounded.
-
-    Raises:
-        InputError: A number is too large for int64 nanoseconds.
-    """
+    """Return numbers in milliseconds or microseconds as nanoseconds (N,), rounded."""
     if float(numbers.whole.max()) * unit_ns > _LAST_NANOSECOND:
         raise InputError(
             f"its timestamps are too large for a unit of {unit_ns} ns; choose another unit"

@@ -9,9 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.array_input import quaternions_of
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.io.text.layouts import BODY_TWISTS, GROUPS, Layout
+from trajeval_ros.io.text.stamps import ExactNumbers
 
 _LARGEST_ANGLE = 2.0 * np.pi + 0.01  # rad, with a margin for rounded digits
 _LARGEST_SUM = 1e9  # rad; larger sums of angles have too few digits for the angle itself
@@ -19,48 +22,42 @@ _COVARIANCES = {
     *("covariance", "covariance_upper", "covariance_lower", "variances"),
     *("rotation_covariance", "position_covariance"),
 }
-_NO_Z = "no column z: assumed 0"
+_NO_Z = note("no_height", "no column z: assumed 0")
+
+
+@dataclass(frozen=True)
+class FileColumns:
+    """The columns of the N valid rows of a file."""
+
+    stamps: ExactNumbers | None  # N exact numbers, None if there is no time column
+    groups: dict[str, Floats]  # columns (N, width), by the name of their group in the layout
+    count: int  # N
+    untimed: int  # number of rows that were dropped because their timestamp is not finite
 
 
 @dataclass(frozen=True, eq=False)
 class States:
-    """N states from the columns of a file; a quantity without columns is None.
+    """N states from the columns of a file; a quantity without columns is None."""
 
-    Attributes:
-        positions: (N, 3), metres.
-        quaternions: (N, 4), xyzw, NaN for invalid rotations.
-        velocities: (N, 3), m/s, in the fixed frame.
-        covariances: (N, 6, 6), position first, about the axes of the fixed frame.
-        matrices: (N, 3, 3), rotation matrices of KITTI, as in the file.
-        notes: Notes about the states.
-    """
-
-    positions: Floats
-    quaternions: Floats | None
-    velocities: Floats | None
-    covariances: Floats | None
-    matrices: Floats | None
-    notes: tuple[str, ...]
+    positions: Floats  # (N, 3), metres
+    quaternions: Floats | None  # (N, 4), xyzw, NaN for invalid rotations
+    velocities: Floats | None  # (N, 3), m/s, in the fixed frame
+    covariances: Floats | None  # (N, 6, 6), position first, about the axes of the fixed frame
+    matrices: Floats | None  # (N, 3, 3), rotation matrices of KITTI, as in the file
+    remarks: tuple[Remark, ...]
 
 
 def states_of(path: Path, layout: Layout, groups: Mapping[str, Floats], count: int) -> States:
     """Return the states of a file.
 
-    Args:
-        path: The file, for messages.
-        layout: Layout of the file.
-        groups: Columns (N, width), by the name of their group in the layout.
-        count: N.
-
-    Raises:
-        InputError: An angle in radians is larger than a full turn.
+    `groups`: columns (N, width), by the name of their group in the layout.
     """
-    notes = []
+    remarks = []
     matrices = None
     if "matrix" in groups:
         whole = groups["matrix"].reshape(-1, 3, 4)
         matrices, positions = whole[:, :, :3], np.ascontiguousarray(whole[:, :, 3])
-        quaternions: Floats | None = _of_matrices(matrices)
+        quaternions: Floats | None = quaternions_of(matrices)
     else:
         quaternions = groups.get("quaternion")
         if quaternions is None:
@@ -69,15 +66,15 @@ def states_of(path: Path, layout: Layout, groups: Mapping[str, Floats], count: i
             positions = groups["position"]
         else:
             positions = np.column_stack([groups["planar"], np.zeros(count)])
-            notes.append(_NO_Z)
+            remarks.append(_NO_Z)
     velocities = groups.get("velocity")
     if velocities is None and "body_velocity" in groups and quaternions is not None:
         velocities = lie.rotate(_usable(quaternions), groups["body_velocity"])
     covariances = None
     if quaternions is not None and _COVARIANCES & groups.keys():
         covariances, said = _covariances(layout, groups, _usable(quaternions))
-        notes += said
-    return States(positions, quaternions, velocities, covariances, matrices, tuple(notes))
+        remarks += said
+    return States(positions, quaternions, velocities, covariances, matrices, tuple(remarks))
 
 
 def _usable(quaternions: Floats) -> Floats:
@@ -88,35 +85,10 @@ def _usable(quaternions: Floats) -> Floats:
     return found
 
 
-def _of_matrices(rotations: Floats) -> Floats:
-    """Return the quaternions (N, 4) of matrices (N, 3, 3); NaN if one is not a rotation."""
-    valid = np.asarray(np.isfinite(rotations).all(axis=(1, 2)))
-    valid[valid] = np.linalg.det(rotations[valid]) > 0.0
-    quaternions = np.full((len(rotations), 4), np.nan)
-    if valid.any():
-        quaternions[valid] = lie.from_matrices(_nearest_rotations(rotations[valid]))
-    return quaternions
-
-
-def _nearest_rotations(matrices: Floats) -> Floats:
-    """Return the rotations (N, 3, 3) nearest to matrices (N, 3, 3) with rounded digits.
-
-    scipy also projects such matrices, but its result depends on the version: errors differ by up
-    to 5e-7 of their value.
-    """
-    u, _, vt = np.linalg.svd(matrices)
-    nearest: Floats = u @ vt
-    return nearest
-
-
 def _of_angles(
     path: Path, layout: Layout, groups: Mapping[str, Floats], count: int
 ) -> Floats | None:
-    """Return the quaternions (N, 4) of R = Rz(yaw) Ry(pitch) Rx(roll); None without angles.
-
-    Raises:
-        InputError: An angle in radians is larger than a full turn.
-    """
+    """Return the quaternions (N, 4) of R = Rz(yaw) Ry(pitch) Rx(roll); None without angles."""
     group = next(
         (each for each in ("angles", "angles_deg", "heading", "heading_deg") if each in groups),
         None,
@@ -146,8 +118,8 @@ def _of_angles(
 
 def _covariances(
     layout: Layout, groups: Mapping[str, Floats], quaternions: Floats
-) -> tuple[Floats | None, list[str]]:
-    """Return covariances (N, 6, 6) about the axes of the fixed frame, and notes about them.
+) -> tuple[Floats | None, list[Remark]]:
+    """Return covariances (N, 6, 6) about the axes of the fixed frame, and remarks on them.
 
     The covariances are None if only one of position and rotation covariance is present.
     """
@@ -160,8 +132,9 @@ def _covariances(
         for first, group in ((0, "position_covariance"), (3, "rotation_covariance")):
             found[:, rows + first, columns + first] = groups[group]
             found[:, columns + first, rows + first] = groups[group]
-        note = "rotation covariances rotated from the body frame (OpenVINS) to the fixed frame"
-        return world_from_body_rotations(found, lie.to_matrix(quaternions)), [note]
+        said = "rotation covariances rotated from the body frame (OpenVINS) to the fixed frame"
+        turned = world_from_body_rotations(found, lie.to_matrix(quaternions))
+        return turned, [note("covariance_axes", said)]
     if "covariance" in groups:
         found = groups["covariance"].reshape(-1, 6, 6)
     elif "covariance_upper" in groups or "covariance_lower" in groups:
@@ -177,5 +150,5 @@ def _covariances(
         from trajeval_ros.geometry.covariance_frames import world_from_body_twists
 
         return world_from_body_twists(found, lie.to_matrix(quaternions)), []
-    note = "covariances read as position first, in the fixed frame"
-    return np.ascontiguousarray(found), [note]
+    said = "covariances read as position first, in the fixed frame"
+    return np.ascontiguousarray(found), [note("covariance_axes", said)]

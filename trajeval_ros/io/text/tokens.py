@@ -16,50 +16,32 @@ _PADDING = b" " * _LONGEST_WORD  # keeps the fixed-width words of `characters_of
 
 
 class RowError(ValueError):
-    """A row that can't be read.
-
-    Attributes:
-        line: Index of the line in the block, from 0.
-        reason: Description of the error.
-    """
+    """A row that can't be read."""
 
     def __init__(self, line: int, reason: str) -> None:
-        """Store the index of the line in the block, and the reason."""
         super().__init__(reason)
-        self.line = line
-        self.reason = reason
+        self.line = line  # index of the line in the block, from 0
+        self.reason = reason  # description of the error
 
 
 class WordError(ValueError):
-    """A word that is not a number.
-
-    Attributes:
-        start: Index of the first character in the padded block.
-        reason: Description of the error.
-    """
+    """A word that is not a number."""
 
     def __init__(self, start: int, reason: str) -> None:
-        """Store the index of the first character, and the reason."""
         super().__init__(reason)
-        self.start = start
-        self.reason = reason
+        self.start = start  # index of the first character in the padded block
+        self.reason = reason  # description of the error
 
 
 @dataclass(frozen=True)
 class Tokens:
-    """Positions of numbers in a block of text.
+    """Positions of numbers in a block of text."""
 
-    Attributes:
-        text: (B,), bytes of the padded block.
-        starts: (N,) or (N, columns), index of the first character.
-        ends: Same shape, index after the last character.
-        dots: Same shape, index of the decimal point, or `ends` if there is none. None if a word
-            of the block has characters other than digits, one leading sign and one point.
-    """
-
-    text: Bytes
-    starts: Indices
-    ends: Indices
+    text: Bytes  # (B,), bytes of the padded block
+    starts: Indices  # (N,) or (N, columns), index of the first character
+    ends: Indices  # same shape, index after the last character
+    # Same shape, index of the decimal point, or `ends` if there is none. None if a word of the
+    # block has characters other than digits, one leading sign and one point.
     dots: Indices | None
 
     def __getitem__(self, pick: Indices | tuple[slice, slice | list[int] | int]) -> Tokens:
@@ -76,9 +58,6 @@ def tokenize(block: bytes, columns: int) -> Tokens:
     """Return the positions (N, columns) of the numbers of all lines.
 
     Any number of spaces, tabs, commas and semicolons separates numbers. Empty lines are skipped.
-
-    Raises:
-        RowError: A line has another number of columns, or the block contains zero bytes.
     """
     text = _padded(block)
     separates = text <= ord(" ")
@@ -113,11 +92,7 @@ def _points(
 
 
 def _check_lines(text: Bytes, starts: Indices, ends: Indices, columns: int) -> None:
-    """Check that every line has `columns` numbers or none.
-
-    Raises:
-        RowError: A line has another number of columns.
-    """
+    """Check that every line has `columns` numbers or none."""
     is_newline = text == ord("\n")
     last_ends = ends[columns - 1 :: columns]
     if (
@@ -157,9 +132,6 @@ def tokenize_fields(block: bytes, columns: int, separator: str) -> Tokens:
 
     Fields can be empty or text. A separator between double quotes is text. Spaces and quotes
     around a field are removed. Empty lines are skipped.
-
-    Raises:
-        RowError: A line has another number of columns, or the block contains zero bytes.
     """
     text = _padded(block)
     is_newline = text == ord("\n")
@@ -222,11 +194,7 @@ def _wrong_count(line: int, count: int, columns: int) -> RowError:
 
 
 def characters_of(tokens: Tokens) -> Bytes:
-    """Return the characters (N, width) of the numbers, with zero bytes after their ends.
-
-    Raises:
-        WordError: A word has more than `_LONGEST_WORD` characters.
-    """
+    """Return the characters (N, width) of the numbers, with zero bytes after their ends."""
     lengths = tokens.ends - tokens.starts
     width = int(lengths.max(initial=1))
     if width > _LONGEST_WORD:

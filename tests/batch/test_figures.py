@@ -1,0 +1,87 @@
+"""The figures of a comparison as files, and which of its runs compete for the best."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from comparison_runs import write_run, write_runs
+
+pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+
+from trajeval_ros.batch.comparison_summary import summary_of
+from trajeval_ros.batch.summary_tables import matrices
+from trajeval_ros.cli.app import main
+from trajeval_ros.report.matrix import to_latex
+
+
+@pytest.mark.slow
+def test_figures_are_written_as_files(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    command = ["compare", str(write_runs(tmp_path)), "--output", str(out), "--quiet"]
+    assert main([*command, "--workers", "1"]) == 0
+    stems = {"ate_position_m", "ate_rotation_deg"}
+    for sequence in ("hall", "yard"):
+        stems |= {f"re_position_percent_{sequence}", f"re_rotation_deg_{sequence}"}
+        stems |= {f"trajectories_{sequence}", f"errors_{sequence}"}
+    figures = out / "figures"
+    assert {each.name for each in figures.iterdir()} == {f"{stem}.svg" for stem in stems}
+    before = {each.name: each.read_bytes() for each in figures.iterdir()}
+    for each in figures.iterdir():
+        each.unlink()
+    figures.rmdir()
+    assert main([*command, "--workers", "1"]) == 0
+    assert {each.name: each.read_bytes() for each in figures.iterdir()} == before
+    # Figures of a sequence that is gone do not stay.
+    (tmp_path / "runs.yaml").open("a").write("sequences: [hall]\n")
+    assert main([*command, "--workers", "1"]) == 0
+    assert not list(figures.glob("*yard*"))
+    assert list(figures.glob("*hall*"))
+
+
+def test_who_covers_less_than_the_others_is_never_the_best(tmp_path: Path) -> None:
+    config = write_runs(tmp_path, sequences=("hall",), trials=1)
+    write_run(tmp_path / "good" / "hall_trial0.txt", 1.001, count=150, seconds=10.0)
+    out = tmp_path / "out"
+    assert main(["compare", str(config), "--output", str(out), "--quiet", "--workers", "1"]) == 0
+    absolute, *_, relative = matrices(summary_of(out))[:3]
+    for table in (absolute, relative):
+        cells = dict(table.rows)
+        good, bad = cells["good"][0], cells["bad"][0]
+        assert good.value is not None
+        assert bad.value is not None
+        assert good.value < bad.value
+        assert (good.is_ranked, bad.is_ranked) == (False, True)
+        # The larger number is not marked as the best; the other one is marked as not ranked.
+        assert not any(map(any, table.ranks()))
+        assert good.marks.split()[-1] == "¶"
+        assert "¶" not in bad.marks
+        said = "¶ not ranked: good (covers 50 %)."
+        assert said in table.caption
+        assert said in (out / "tables.md").read_text()
+        assert r"$^\P$ not ranked: good (covers 50 \%)." in to_latex(table)
+    text = (out / "report.html").read_text()
+    assert "smallest position ATE" not in text
+    assert said in text
+    assert "Compare only runs with the same coverage: use --common-time-span." in text
+    # Where all cover as little, they compare.
+    write_run(tmp_path / "bad" / "hall_trial0.txt", 1.03, count=150, seconds=10.0)
+    assert main(["compare", str(config), "--output", str(out), "--quiet", "--workers", "1"]) == 0
+    assert matrices(summary_of(out))[0].ranks() == [[1], [2]]
+    text = (out / "report.html").read_text()
+    assert "good has the smallest position ATE on 1 of 1 sequence." in text
+
+
+def test_a_common_time_span_decides_ranks_coverage_and_advice(tmp_path: Path) -> None:
+    config = write_runs(tmp_path, sequences=("hall",), trials=1)
+    write_run(tmp_path / "good" / "hall_trial0.txt", 1.001, count=150, seconds=10.0)
+    out = tmp_path / "out"
+    command = ["compare", str(config), "--output", str(out), "--quiet", "--workers", "1"]
+    assert main([*command, "--common-time-span"]) == 0
+    absolute = matrices(summary_of(out))[0]
+    assert absolute.ranks() == [[1], [2]]
+    assert absolute.coverage == pytest.approx((0.5, 0.5), abs=0.02)
+    assert "¶" not in absolute.caption
+    text = (out / "report.html").read_text()
+    assert "good has the smallest position ATE on 1 of 1 sequence." in text
+    assert "use --common-time-span" not in text

@@ -1,0 +1,140 @@
+"""A body rotation that one kind of rows contradicts isn't applied, and the reason is said."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from calibration_flights import Fault, fly
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from strategies import seeds
+
+from trajeval_ros.calibration import significance
+from trajeval_ros.calibration.apply import evaluate_calibrated
+from trajeval_ros.calibration.calibrate import calibrate
+from trajeval_ros.calibration.calibration_request import CalibrationRequest
+from trajeval_ros.calibration.increments import POSITION, ROTATION
+from trajeval_ros.calibration.robust_fit import huber_cost
+from trajeval_ros.calibration.significance import chance_of
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.report.calibration_lines import calibration_lines
+
+AUTO = CalibrationRequest(offset=True, hand_eye=True)
+YAW = dataclasses.replace(Protocol(), gauge=Gauge.YAW)
+
+
+def mirrored(poses: Trajectory, axis: int) -> Trajectory:
+    """Return what an estimator with one axis of world and body inverted would report."""
+    assert poses.rotations is not None
+    flip = np.diag(np.where(np.arange(3) == axis, -1.0, 1.0))
+    turned = Rotation.from_matrix(flip @ poses.rotations.as_matrix() @ flip)
+    return dataclasses.replace(
+        poses, positions=poses.positions @ flip, quaternions=turned.as_quat()
+    )
+
+
+def jumping(poses: Trajectory, seed: int, deg: float) -> Trajectory:
+    """Return poses whose attitude jumps every 4 s or so, by Student's t2; positions don't know."""
+    assert poses.rotations is not None
+    random = np.random.default_rng(seed)
+    jumps = random.standard_t(2, (len(poses), 3)) * np.radians(deg)
+    jumps *= (random.random(len(poses)) < 0.05 / 4.0)[:, None]
+    turned = Rotation.from_rotvec(np.cumsum(jumps, axis=0)) * poses.rotations
+    return dataclasses.replace(poses, quaternions=turned.as_quat())
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_nothing_is_applied_to_mirrored_axes(axis: int) -> None:
+    truth, estimate = fly(axis, 60.0)
+    found = evaluate_calibrated(truth, mirrored(estimate, axis), YAW, AUTO)
+    assert found.calibration is not None
+    turn = found.calibration.turn
+    assert turn.chance is not None
+    assert turn.chance < 1e-6  # by all rows together it would be there
+    assert turn.value is not None
+    assert np.degrees(np.linalg.norm(turn.value)) > 170.0
+    assert turn.status == "insignificant"
+    assert turn.reason == significance.POSITIONS_WORSE
+    assert found.hand_eye is None
+    assert not found.offset_applied
+    assert found.after == found.before
+    (line,) = (each for each in calibration_lines("", found) if "body rotation" in each)
+    assert "not significant, not applied; it reduces the rotation error" in line
+
+
+# Of the first 30 flights those in which the fit of all rows finds a rotation of 1 and of 5 deg.
+@pytest.mark.parametrize("kind", ["road", "car"])
+@pytest.mark.parametrize("seed", [7, 27])
+def test_attitude_that_drifts_on_its_own_is_no_rotation_of_the_body(kind: str, seed: int) -> None:
+    truth, estimate = fly(seed, 60.0, kind)
+    turn = calibrate(truth, jumping(estimate, seed, 0.5)).turn
+    assert turn.chance is not None
+    assert turn.chance < 0.0027
+    assert turn.status == "insignificant"
+    assert turn.reason == significance.POSITIONS_ALONE
+
+
+@pytest.mark.parametrize("kind", ["drone", "road"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_rotation_that_both_kinds_of_rows_show_is_kept(kind: str, seed: int) -> None:
+    axis = np.random.default_rng(seed).normal(size=3)
+    axis[:2] += np.sign(axis[:2])  # on a road, not about its only axis
+    vector = np.radians(5.0) * axis / np.linalg.norm(axis)
+    truth, estimate = fly(seed, 120.0, kind, Fault(rotation_vector=vector))
+    turn = calibrate(truth, estimate).turn
+    assert turn.is_significant
+    assert turn.value is not None
+    np.testing.assert_allclose(turn.value, vector, atol=np.radians(1.0))
+
+
+@given(seeds, st.sampled_from([POSITION, ROTATION]), st.floats(1.0, 1e3))
+def test_hubers_cost_is_quadratic_within_and_linear_beyond(
+    seed: int, kind: slice, far: float
+) -> None:
+    random = np.random.default_rng(seed)
+    residual = random.normal(size=(50, 6))
+    lengths = np.linalg.norm(residual[:, kind], axis=1)
+    bound = 2.5 * np.median(lengths) / 1.5382
+    within = residual * (0.9 * bound / lengths.max())
+    assert huber_cost(within, residual, kind) == pytest.approx(
+        np.mean((0.9 * bound * lengths / lengths.max()) ** 2) / 2.0
+    )
+    beyond = residual * (bound * far / lengths)[:, None]
+    assert huber_cost(beyond, residual, kind) == pytest.approx(bound**2 * (far - 0.5))
+
+
+def test_what_is_all_zero_costs_the_finest_spread() -> None:
+    nothing = np.zeros((5, 6))
+    assert huber_cost(nothing, nothing, POSITION) == pytest.approx(1e-12)
+    assert huber_cost(nothing, nothing, ROTATION) == pytest.approx(1e-14)
+
+
+def test_chance_is_that_of_hotellings_test() -> None:
+    """With one component it is Student's t, both sides; of normal values, uniform."""
+    from scipy.stats import t
+
+    assert chance_of(np.array([0.3]), np.array([[0.01]]), 12) == pytest.approx(2.0 * t.sf(3.0, 11))
+
+
+def test_a_position_ate_that_grows_is_explained() -> None:
+    truth, estimate = fly(1, 60.0, fault=Fault(offset_s=0.1))
+    found = evaluate_calibrated(truth, estimate, YAW, AUTO)
+    assert found.offset_applied
+    assert found.before is not None
+    smaller = dataclasses.replace(found.before, position_m=found.after.position_m / 1.04)
+    grown = dataclasses.replace(found, before=smaller, lever_applied=False)
+    assert "the position ATE increases by 4 %" in calibration_lines("", grown)[-1]
+    assert "with the lever arm" not in calibration_lines("", grown)[-1]
+    anyway = dataclasses.replace(found.after, position_m=0.9 * smaller.position_m)
+    better = dataclasses.replace(grown, if_applied=anyway)
+    assert f"it is {anyway.position_m:.4g} m" in calibration_lines("", better)[-1]
+    for unchanged in (
+        dataclasses.replace(grown, before=found.after),
+        dataclasses.replace(grown, offset_applied=False, rotation_applied=False),
+    ):
+        assert "grows" not in "".join(calibration_lines("", unchanged))

@@ -1,0 +1,176 @@
+"""Warnings that name a likely cause and the option that tests it, and change no number."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from calibration_flights import Fault, fly
+from calibration_recordings import RECORDINGS
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros.calibration.calibrate import calibrate
+from trajeval_ros.calibration.calibration_request import CalibrationRequest
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.metrics.association import AssociationRule
+from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.metrics.named_protocols import PROTOCOLS
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.pipeline.pipeline import evaluate, run
+from trajeval_ros.pipeline.request import Request
+
+YAW = Protocol(gauge=Gauge.YAW, lengths=())
+CLOCKS, BODIES, ARRIVAL = (
+    "estimate the offset with --time-offset auto",
+    "estimate it with --hand-eye auto",
+    "arrival times",
+)
+HINTS = (CLOCKS, BODIES, ARRIVAL)
+Recording = Callable[[str], Trajectory]
+
+
+def hints(evaluation: Evaluation) -> list[str]:
+    return [each for each in evaluation.warnings if any(hint in each for hint in HINTS)]
+
+
+def without_rotations(trajectory: Trajectory) -> Trajectory:
+    return dataclasses.replace(trajectory, quaternions=None)
+
+
+@pytest.mark.parametrize("kind", ["drone", "car", "straight", "translating"])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_right_pair_gets_no_hint(seed: int, kind: str) -> None:
+    truth, estimate = fly(seed, 40.0, kind)
+    assert not hints(evaluate(truth, estimate, YAW))
+    assert not hints(evaluate(without_rotations(truth), estimate, YAW))
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_recordings_get_no_hint(recording: Recording, name: str) -> None:
+    truth, estimate = (recording(each) for each in RECORDINGS[name])
+    for gauge in (Gauge.YAW, Gauge.SE3, Gauge.SIM3):
+        assert not hints(evaluate(truth, estimate, dataclasses.replace(YAW, gauge=gauge)))
+
+
+@pytest.mark.parametrize("trial", range(10))
+@pytest.mark.parametrize("run", ["MH_01", "MH_05", "V2_03"])
+def test_keyframes_get_no_hint(recording: Recording, run: str, trial: int) -> None:
+    truth = recording(f"euroc/groundtruth/{run}.txt")
+    estimate = recording(f"euroc/vislam_ba/{run}_trial{trial}.txt")
+    assert not hints(evaluate(truth, estimate, YAW))
+
+
+@pytest.mark.parametrize("stamps", [1, 2, 30])
+def test_many_pairs_of_few_stamps_show_no_clock(stamps: int) -> None:
+    # A burst of groundtruth about each estimated state; far more of these stand alone.
+    burst = np.arange(-30, 31, dtype=np.int64) * 10**6
+    times = np.arange(stamps, dtype=np.int64) * 10**9
+    truth_times = (times[:, None] + burst).ravel()
+    alone = np.arange(1, 61 * stamps + 10, dtype=np.int64) * 10**9 + times[-1]
+
+    def moving(times: np.ndarray) -> Trajectory:
+        seconds = times / 1e9
+        positions = np.column_stack([np.sin(seconds), np.cos(0.7 * seconds), 0.1 * seconds])
+        turns = np.column_stack([0.0 * seconds, np.sin(seconds), seconds])
+        return Trajectory(times, positions, Rotation.from_rotvec(turns).as_quat())
+
+    protocol = dataclasses.replace(
+        YAW, gauge=Gauge.NONE, association=AssociationRule("evo", 0.05), in_order=False
+    )
+    found = evaluate(moving(truth_times), moving(np.concatenate([times, alone])), protocol)
+    assert len(found.association) == 61 * stamps
+    assert len(set(found.association.estimate.stamps.tolist())) == stamps
+    assert not hints(found)
+
+
+def test_clocks_apart_are_noticed_by_turning() -> None:
+    truth, estimate = fly(1, 40.0, fault=Fault(0.1))
+    (hint,) = hints(evaluate(truth, estimate, YAW))
+    assert CLOCKS in hint
+    assert "angular rates" in hint
+    assert "+100 ms" in hint
+    rule = AssociationRule(time_offset_s=0.1)
+    assert not hints(evaluate(truth, estimate, dataclasses.replace(YAW, association=rule)))
+
+
+def test_a_run_that_is_too_short_to_calibrate_gets_no_advice_to_do_it() -> None:
+    assert not hints(evaluate(*fly(1, 9.0, fault=Fault(0.1), drift=0.1), YAW))
+    assert hints(evaluate(*fly(1, 13.0, fault=Fault(0.1), drift=0.1), YAW))
+
+
+@pytest.mark.parametrize("name", ["default", "rpg", "evo"])
+def test_another_body_is_noticed(name: str) -> None:
+    truth, estimate = fly(1, 40.0, fault=Fault(0.0, 0.0, (0.6, -1.0, 1.5)))
+    protocol = dataclasses.replace(PROTOCOLS[name], gauge=Gauge.YAW, lengths=())
+    (hint,) = hints(evaluate(truth, estimate, protocol))
+    assert BODIES in hint
+    assert "rotation of 109 deg" in hint
+
+
+@pytest.mark.parametrize(("duration_s", "causes"), [(20.0, ["body", "lever_arm"]), (40.0, [])])
+def test_who_has_calibrated_is_not_told_to_calibrate(duration_s: float, causes: list[str]) -> None:
+    fault = Fault(0.0, 0.0, (0.6, -1.0, 1.5), (0.3, 0.0, 0.3))
+    truth, estimate = fly(1, duration_s, fault=fault)
+    request = Request(protocol=YAW, calibration=CalibrationRequest(hand_eye=True))
+    findings = run(truth, [estimate], request).runs[0].diagnosis.findings
+    assert [each.cause for each in findings] == causes
+    for each in findings:
+        assert "--hand-eye auto could not determine it" in each.text
+        assert not each.correction
+    before = run(truth, [estimate], Request(protocol=YAW)).runs[0].diagnosis.findings
+    (body,) = (each for each in before if each.cause == "body")
+    # Advice is tried: in 20 s it cannot be determined.
+    assert body.correction == ({} if causes else {"hand_eye": "auto"})
+
+
+@pytest.mark.parametrize(("deg", "hinted"), [(4.0, False), (7.0, True)])
+def test_another_body_is_told_from_five_degrees_on(deg: float, hinted: bool) -> None:
+    turn = np.radians(deg) * np.array([0.0, 0.6, 0.8])
+    found = hints(evaluate(*fly(1, 40.0, fault=Fault(0.0, 0.0, turn), drift=0.1), YAW))
+    assert bool(found) is hinted
+    assert all(BODIES in each and f"rotation of {deg:.0f} deg" in each for each in found)
+
+
+def test_a_world_that_is_turned_is_no_other_body() -> None:
+    truth, estimate = fly(1, 40.0)
+    assert estimate.rotations is not None
+    tilted = dataclasses.replace(estimate, positions=estimate.positions[:, [1, 0, 2]])
+    assert not [each for each in hints(evaluate(truth, tilted, YAW)) if BODIES in each]
+
+
+@pytest.mark.parametrize("side", ["groundtruth", "estimate"])
+def test_stamps_of_arrival_are_noticed(side: str) -> None:
+    random = np.random.default_rng(0)
+    truth, estimate = fly(1, 40.0)
+    late = {"groundtruth": truth, "estimate": estimate}[side]
+    step_s = float(np.median(np.diff(late.stamps))) * 1e-9
+    delays = np.rint(1e9 * random.exponential(0.3 * step_s, len(late))).astype(np.int64)
+    late = dataclasses.replace(late, stamps=np.sort(late.stamps + delays))
+    pair = (late, estimate) if side == "groundtruth" else (truth, late)
+    found = [each for each in hints(evaluate(*pair, YAW)) if ARRIVAL in each]
+    assert len(found) == 1
+    assert f"the {side}'s timestamps are probably arrival times" in found[0]
+
+
+def test_irregular_but_honest_stamps_are_no_arrivals() -> None:
+    truth, estimate = fly(1, 60.0)
+    kept = np.random.default_rng(1).random(len(truth)) < 0.2
+    assert not hints(evaluate(truth[kept], estimate, YAW))
+
+
+def test_stamps_of_a_real_estimator_that_are_late(recording: Recording) -> None:
+    # They are in a camera's axes, which their frames' names don't tell.
+    truth, late, well = (
+        dataclasses.replace(recording(f"bags/ROS_example.bag:/{name}"), up=UpAxis("-y"))
+        for name in ("groundtruth", "S-PTAM", "ORB-SLAM")
+    )
+    (hint,) = hints(evaluate(truth, late, YAW))
+    assert CLOCKS in hint
+    assert not hints(evaluate(truth, well, YAW))
+    found = calibrate(truth, late).offset
+    assert found.is_significant
+    assert found.value == pytest.approx([-0.18], abs=0.01)

@@ -1,0 +1,53 @@
+"""Exit status of programs: what is printed for each error, and no more than a line."""
+
+from __future__ import annotations
+
+import io
+import sys
+from collections.abc import Callable
+
+import pytest
+
+from trajeval_ros.cli.programs import INTERRUPTED, exit_status
+from trajeval_ros.exceptions import InputError, SettingsError
+
+
+def raising(error: BaseException) -> Callable[[], int | None]:
+    def work() -> int | None:
+        raise error
+
+    return work
+
+
+@pytest.mark.parametrize(
+    ("work", "status", "said"),
+    [
+        (lambda: None, 0, ""),
+        (lambda: 0, 0, ""),
+        (lambda: 1, 1, ""),
+        (lambda: INTERRUPTED, 130, "trajeval: interrupted\n"),
+        (raising(KeyboardInterrupt()), 130, "trajeval: interrupted\n"),
+        (raising(InputError("a: b\n  c\t; d")), 2, "trajeval: a: b c ; d\n"),
+        (raising(SettingsError("\x1b[31mred")), 2, "trajeval: \\x1b[31mred\n"),
+        (raising(OSError(28, "No space left", "x.txt")), 2, "trajeval: x.txt: no space left\n"),
+        (raising(OSError(28, "No space left")), 2, "trajeval: no space left\n"),
+        (raising(OSError("broken")), 2, "trajeval: broken\n"),
+    ],
+)
+def test_status_and_message(
+    work: Callable[[], int | None], status: int, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert exit_status(work) == status
+    assert capsys.readouterr() == ("", said)
+
+
+def test_defects_are_not_hidden() -> None:
+    with pytest.raises(ZeroDivisionError):
+        exit_status(lambda: 1 // 0)
+
+
+def test_a_closed_output_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdout", None)
+    assert exit_status(lambda: print("lost")) == 0
+    assert isinstance(sys.stdout, io.TextIOBase)
+    sys.stdout.close()

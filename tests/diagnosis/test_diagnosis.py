@@ -1,0 +1,379 @@
+"""Findings are printed first and stored in result.json; corrections are options, and printed."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.diagnosis_mistakes import MISTAKES
+from benchmarks.diagnosis_runs import Pair, simulated
+from trajeval_ros import CalibrationRequest, Protocol, Request, Trajectory, run, simulate
+from trajeval_ros.cli.app import main
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.geometry import so3
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.metrics.named_protocols import protocol_named
+from trajeval_ros.pipeline.pipeline import evaluate
+
+DRONE = simulated(5000, "drone", "walk", 60.0)
+
+
+def written(trajectory: Trajectory, path: Path) -> str:
+    assert trajectory.quaternions is not None
+    columns = [trajectory.stamps / 1e9, trajectory.positions, trajectory.quaternions]
+    np.savetxt(path, np.column_stack(columns), fmt="%.9f")
+    return str(path)
+
+
+def files(pair: Pair, folder: Path) -> list[str]:
+    truth, estimate = folder / "groundtruth.txt", folder / "vio.txt"
+    return ["-g", written(pair.truth, truth), "-e", written(pair.estimate, estimate)]
+
+
+def test_the_finding_stands_under_the_headline_and_nowhere_else(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = MISTAKES["estimate in mm"].make(DRONE)
+    result = tmp_path / "result.json"
+    arguments = [*files(wrong, tmp_path), "--gauge", "yaw", "--json", str(result)]
+    assert main(["evaluate", *arguments]) == 0
+    shown = capsys.readouterr()
+    lines = shown.out.splitlines()
+    assert lines[0].startswith("vio: ATE ")
+    assert lines[1].startswith("  diagnosis: the estimate is in millimetres")
+    assert re.search(
+        r"to metres: ATE 4\d{3}\.\d m, with --correct unit 0\.7\d+ m, or trajeval trajectory "
+        r"SOURCE --scale 0\.001$",
+        lines[1],
+    )
+    assert "millimetres" not in shown.err
+    assert "jumps" not in shown.err
+    (found,) = json.loads(result.read_text())["runs"][0]["diagnosis"]
+    assert found["cause"] == "unit"
+    assert found["option"] == "--correct unit"
+    assert found["confidence"] == "fitted"
+    assert found["evidence"]["scale"] == pytest.approx(1e-3, rel=0.05)
+    assert found["before"]["position_m"] > 1000.0 * found["after"]["position_m"]
+
+
+def test_a_correction_is_printed_with_the_errors_before_and_after(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = MISTAKES["estimate in mm"].make(DRONE)
+    result = tmp_path / "result.json"
+    arguments = [*files(wrong, tmp_path), "--gauge", "yaw", "--json", str(result)]
+    assert main(["evaluate", *arguments, "--correct", "unit"]) == 0
+    shown = capsys.readouterr()
+    assert "  corrected with --correct unit: ATE " in shown.out
+    assert "positions multiplied by 0.001" in shown.err
+    read = json.loads(result.read_text())
+    (corrected,) = read["runs"][0]["corrected"]
+    assert corrected["cause"] == "unit"
+    assert corrected["before"]["position_m"] > 100.0 * corrected["after"]["position_m"]
+    assert corrected["after"]["position_m"] == read["runs"][0]["ate"]["position_m"]["rmse"]
+    assert read["provenance"]["settings"]["correct"] == "unit"
+    assert read["runs"][0]["diagnosis"] == []
+
+
+def test_a_correction_by_an_option_names_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = MISTAKES["scale lost"].make(DRONE)
+    assert main(["evaluate", *files(wrong, tmp_path), "--gauge", "yaw", "--correct", "scale"]) == 0
+    assert "  corrected with --gauge sim3 (--correct): ATE " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["estimate in mm", "wxyz, estimate", "transposed rotations", "inverse, estimate", "mirrored"],
+)
+def test_a_converted_file_gives_the_same_numbers_as_the_correction(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    wrong = MISTAKES[name].make(DRONE)
+    given = files(wrong, tmp_path)
+    result = tmp_path / "result.json"
+    ates = []
+    conversion = ""
+    for option in (["--correct", "suggested"], []):
+        if not option:
+            convert = ["trajectory", given[3], *conversion.split()]
+            saved = ["--save-as", "tum", "--output", str(tmp_path / "converted"), "--quiet"]
+            assert main([*convert, *saved]) == 0
+            given[3] = str(tmp_path / "converted" / "vio.txt")
+        arguments = [*given, "--gauge", "yaw", "--json", str(result), "--quiet"]
+        assert main(["evaluate", *arguments, *option]) == 0
+        found = json.loads(result.read_text())["runs"][0]
+        ates.append([found["ate"][each]["rmse"] for each in ("position_m", "rotation_deg")])
+        if option:
+            (corrected,) = found["corrected"]
+            assert corrected["option"] == f"--correct {corrected['cause']}"
+            assert main(["diagnose", given[1], given[3], "--gauge", "yaw"]) == 0
+            line = capsys.readouterr().out.splitlines()[0]
+            conversion = line.partition("trajeval trajectory SOURCE ")[2]
+            assert conversion
+    assert ates[1] == pytest.approx(ates[0], rel=1e-6)
+
+
+def test_nothing_is_corrected_without_a_request() -> None:
+    wrong = MISTAKES["estimate in mm"].make(DRONE)
+    found = run(wrong.truth, [wrong.estimate], Request(wrong.protocol)).runs[0]
+    assert found.corrected == ()
+    plain = run(DRONE.truth, [DRONE.estimate], Request(DRONE.protocol)).runs[0]
+    assert found.diagnosis.suggested is not None
+    assert plain.diagnosis.suggested is None
+
+
+def test_a_correction_of_what_is_not_there_is_refused() -> None:
+    request = Request(DRONE.protocol, correct="wxyz")
+    with pytest.raises(InputError, match="wxyz not found"):
+        run(DRONE.truth, [DRONE.estimate], request)
+    with pytest.raises(SettingsError, match="cause to correct"):
+        Request(correct="gremlins")
+    suggested = dataclasses.replace(request, correct="suggested")
+    assert run(DRONE.truth, [DRONE.estimate], suggested).runs[0].corrected == ()
+
+
+def test_all_poses_twice_are_100_percent() -> None:
+    twice = Trajectory(
+        *(np.concatenate([each, each]) for each in (DRONE.estimate.stamps,
+                                                    DRONE.estimate.positions))
+    )  # fmt: skip
+    found = run(DRONE.truth, [twice], Request(DRONE.protocol)).runs[0].diagnosis
+    assert "100 % of the estimate's poses occur twice" in found.findings[0].text
+
+
+@pytest.mark.parametrize(("every", "is_told"), [(3, True), (20, False)])
+def test_many_unusable_poses_are_told(every: int, is_told: bool) -> None:
+    positions = DRONE.estimate.positions.copy()
+    positions[::every] = np.nan
+    estimate = Trajectory.from_columns(
+        DRONE.estimate.stamps, positions, DRONE.estimate.quaternions
+    )
+    (outcome,) = run(DRONE.truth, [estimate], Request(DRONE.protocol)).runs
+    said = "33.3 % of the estimate's poses are not usable and were dropped: "
+    said += f"{-(-len(positions) // 3)} not finite"
+    assert any(each.startswith(said) for each in outcome.evaluation.warnings) == is_told
+
+
+def test_why_a_length_has_no_sub_trajectories_is_told() -> None:
+    sparse = DRONE.estimate[::40]
+    protocol = Protocol(gauge="yaw", lengths=("0.1s", "0.01m", "1000m", "500s"))
+    (outcome,) = run(DRONE.truth, [sparse], Request(protocol)).runs
+    step_s = float(np.median(np.diff(sparse.seconds)))
+    said = [each for each in outcome.evaluation.warnings if each.startswith("no sub-traj")]
+    assert said[0].startswith("no sub-trajectories of 1000 m, 500 s: the paired path has ")
+    assert said[1].startswith(
+        f"no sub-trajectories of 0.1 s, 0.01 m: pairs are {step_s:.2g} s and "
+    )
+    assert said[1].endswith("m apart (median); use longer sub-trajectories")
+
+
+def test_a_correction_that_no_option_makes_is_refused() -> None:
+    wrong = MISTAKES["duplicated"].make(DRONE)
+    with pytest.raises(InputError, match="no option corrects the finding"):
+        run(wrong.truth, [wrong.estimate], Request(wrong.protocol, correct="suggested"))
+
+
+def test_hand_eye_refuses_poses_that_are_read_wrongly() -> None:
+    wrong = MISTAKES["mirrored"].make(DRONE)
+    request = Request(wrong.protocol, CalibrationRequest(hand_eye=True))
+    with pytest.raises(InputError, match=r"left-handed.*--axes"):
+        run(wrong.truth, [wrong.estimate], request)
+
+
+def test_the_same_estimate_twice_is_told_once() -> None:
+    outcome = run(DRONE.truth, [DRONE.estimate, DRONE.estimate], Request(DRONE.protocol))
+    causes = [[each.cause for each in one.diagnosis.findings] for one in outcome.runs]
+    assert causes == [[], ["same_estimate"]]
+    assert "identical to" in outcome.runs[1].evaluation.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("truth", "estimate", "is_swapped"),
+    [
+        ("vio.txt", "groundtruth.txt", True),
+        ("est.txt", "run/gt.csv", True),
+        ("run.mcap:/odom", "run.mcap:/vicon/drone/pose", True),
+        ("run.mcap:/odom", "run.mcap:/tf:map.mocap", True),
+        ("s3://lab/poses.txt", "s3://lab/leica0.txt", True),
+        ("gt.txt", "vio.txt", False),
+        ("gt.txt", "mocap.txt", False),
+        ("mav0/state_groundtruth_estimate0/data.csv", "reference.txt", False),
+        ("MH_01.txt", "gt/vio.txt", False),
+        ("MH_01.txt", "vicon_bags/run.mcap:/odom", False),
+        ("V1_01.csv", "vicon_room1_01.txt", False),
+        ("poses.txt", "orb_slam_gt_scale.txt", False),
+        ("poses.txt", "gtsam.txt", False),
+        ("", "groundtruth.txt", False),
+        ("", "", False),
+    ],
+)
+def test_swapped_sides_are_named_by_their_names(
+    truth: str, estimate: str, is_swapped: bool
+) -> None:
+    sides = (
+        dataclasses.replace(each, reading=Reading(source))
+        for each, source in ((DRONE.truth, truth), (DRONE.estimate, estimate))
+    )
+    assert ("swapped" in _causes(*sides, Protocol(gauge="yaw"))) == is_swapped
+
+
+def _causes(truth: Trajectory, estimate: Trajectory, protocol: Protocol) -> list[str]:
+    diagnosis = run(truth, [estimate], Request(protocol)).runs[0].diagnosis
+    return [each.cause for each in diagnosis.findings]
+
+
+@pytest.mark.parametrize("decimals", [3, 6, 16])
+@pytest.mark.parametrize("protocol", ["default", "evo", "kitti"])
+def test_a_copy_of_the_groundtruth_is_named(protocol: str, decimals: int) -> None:
+    truth = dataclasses.replace(DRONE.truth, positions=DRONE.truth.positions + [4e5, 5e6, 100.0])
+    copy = dataclasses.replace(truth, positions=truth.positions.round(decimals))
+    by_index = protocol == "kitti"
+    for estimate in (copy, copy if by_index else copy[7:-9:5]):
+        found = run(truth, [estimate], Request(protocol_named(protocol))).runs[0].diagnosis
+        assert found.findings[0].cause == "identical"
+        assert "100 % of the positions" in found.findings[0].text
+        assert ("in equal rows" in found.findings[0].text) == by_index
+
+
+def test_a_copy_of_four_poses_is_named_and_a_body_at_rest_is_not() -> None:
+    four = DRONE.truth[1000:2000:250]
+    assert "identical" in _causes(four, four, Protocol(gauge="translation", lengths="none"))
+    rest = dataclasses.replace(four, positions=np.zeros((4, 3)))
+    assert "identical" not in _causes(rest, rest, Protocol(gauge="none", lengths="none"))
+
+
+def test_a_moved_copy_is_named() -> None:
+    truth = DRONE.truth
+    turn = so3.exp(np.array([0.1, -0.2, 2.0]))
+    moved = dataclasses.replace(truth, positions=truth.positions @ turn.T + [0.1, 0.2, 0.3])
+    found = run(truth, [moved], Request(Protocol(gauge="yaw"))).runs[0].diagnosis.findings[0]
+    assert found.cause == "identical"
+    assert "100 % of the positions at equal timestamps, after a rigid fit, are equal" in found.text
+    scaled = dataclasses.replace(truth, positions=truth.positions * 1.001)
+    assert "identical" not in _causes(truth, scaled, Protocol(gauge="yaw"))
+
+
+def test_a_good_estimate_is_no_copy() -> None:
+    truth, random = DRONE.truth, np.random.default_rng(0)
+    later = dataclasses.replace(truth, stamps=truth.stamps + 2_500_000)
+    noise = 1e-4 * random.standard_normal(truth.positions.shape)
+    noisy = dataclasses.replace(truth, positions=truth.positions + noise)
+    for estimate in (later, noisy):
+        for protocol in (Protocol(gauge="yaw"), protocol_named("evo")):
+            assert "identical" not in _causes(truth, estimate, protocol)
+    # Its first tenth is a copy, as of an estimator that groundtruth initialises.
+    begun = np.where(np.arange(len(truth))[:, None] < len(truth) // 10, 0.0, noise)
+    started = dataclasses.replace(truth, positions=truth.positions + begun)
+    assert "identical" not in _causes(truth, started, Protocol(gauge="yaw"))
+
+
+def test_frames_that_are_apart_are_told_where_nothing_aligns_them() -> None:
+    flight = simulate(seed=1, duration_s=30.0)
+    truth = flight.groundtruth
+    estimate = dataclasses.replace(truth[::10], positions=truth.positions[::10] + [0.0, 0.0, 47.0])
+    noise = np.random.default_rng(0).normal(0.0, 0.01, estimate.positions.shape)
+    estimate = dataclasses.replace(estimate, positions=estimate.positions + noise)
+    warning = evaluate(truth, estimate, Protocol(gauge="none")).warnings[0]
+    assert "0.00, -47.00) m" in warning.replace("-0.00", "0.00")
+    assert "geoid" in warning
+    assert "--gauge translation" in warning
+
+
+def test_diagnose_explains_at_length(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _, truth, _, estimate = files(MISTAKES["mirrored"].make(DRONE), tmp_path)
+    assert main(["diagnose", truth, estimate, "--gauge", "yaw"]) == 0
+    shown = capsys.readouterr().out
+    assert shown.startswith("mirrored (fitted, explains ")
+    for test in (
+        "rounded stamps: no mistake",
+        "clocks: no mistake (offset_s",
+        "conventions: convention_tie (",
+        "tried advice: ",
+    ):
+        assert test in shown
+    assert main(["diagnose", truth, estimate, "--gauge", "yaw", "--json", "-"]) == 0
+    read = json.loads(capsys.readouterr().out)
+    assert read["findings"][0]["cause"] == "mirrored"
+    assert {each["test"] for each in read["examined"]} >= {"clocks", "conventions"}
+    saved = tmp_path / "diagnosis.json"
+    assert main(["diagnose", truth, estimate, "--gauge", "yaw", "--json", str(saved)]) == 0
+    assert capsys.readouterr().out == shown
+    assert json.loads(saved.read_text()) == read
+
+
+def test_diagnose_helps_where_nothing_can_be_evaluated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    later = dataclasses.replace(DRONE.estimate, stamps=DRONE.estimate.stamps + 3600 * 10**9)
+    _, truth, _, estimate = files(dataclasses.replace(DRONE, estimate=later), tmp_path)
+    assert main(["diagnose", truth, estimate]) == 0
+    shown = capsys.readouterr().out
+    assert shown.startswith("evaluation not possible: ")
+    assert "clock_offset" in shown
+    assert re.search(r"--time-offset=-3600\.\d", shown) or "--time-offset=-3599.9" in shown
+
+
+def test_a_comparison_marks_a_run_that_shows_a_mistake(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+    from trajeval_ros.batch.compare_runs import compare
+    from trajeval_ros.batch.summary_tables import matrices
+
+    written(DRONE.truth, tmp_path / "hall.txt")
+    copied = dataclasses.replace(DRONE, estimate=DRONE.truth)
+    wrong = MISTAKES["wxyz, estimate"].make(DRONE)
+    for name, pair in (("good", DRONE), ("bad", wrong), ("wrong", wrong), ("copy", copied)):
+        (tmp_path / name).mkdir()
+        written(pair.estimate, tmp_path / name / "hall.txt")
+    config = tmp_path / "runs.yaml"
+    config.write_text(
+        "groundtruth: '{sequence}.txt'\nsequences: [hall]\ngauge: yaw\nlengths: '8'\n"
+        "runs:\n  good: 'good/{sequence}.txt'\n  bad: 'bad/{sequence}.txt'\n"
+        "  wrong: 'wrong/{sequence}.txt'\n  copy: 'copy/{sequence}.txt'\n"
+    )
+    summary = compare(config, tmp_path / "out", workers=1, report=False)
+    assert {each.algorithm: each.diagnosis for each in summary.trials} == {
+        "good": (),
+        "bad": ("wxyz",),
+        "wrong": ("wxyz",),
+        "copy": ("identical",),
+    }
+    table = next(each for each in matrices(summary) if each.name == "ate_rotation_deg")
+    notes = {algorithm: cells[0].note for algorithm, cells in table.rows}
+    assert notes == {"good": "", "bad": "§", "wrong": "§", "copy": "§"}
+    assert "§ mistakes found (identical: copy hall; wxyz: bad hall and 1 more)" in table.caption
+    assert "¶ not ranked: copy (is the groundtruth)." in table.caption
+    for each in matrices(summary):
+        ranked = {algorithm: cells[0].is_ranked for algorithm, cells in each.rows}
+        assert ranked == {"good": True, "bad": True, "wrong": True, "copy": False}
+
+
+@pytest.mark.parametrize(
+    ("exchanged", "unit", "causes"),
+    [
+        (False, 1.0, []),
+        (True, 1.0, ["covariance_order"]),
+        (False, 180.0 / np.pi, ["covariance_degrees"]),
+    ],
+)
+def test_covariances_in_another_order_or_unit(
+    exchanged: bool, unit: float, causes: list[str]
+) -> None:
+    request = Request(dataclasses.replace(DRONE.protocol, gauge=Gauge.SE3))
+    ate = run(DRONE.truth, [DRONE.estimate], request).runs[0].evaluation.ate
+    position, rotation = ate["position_m"], ate["rotation_deg"]
+    assert position is not None
+    assert rotation is not None
+    sigmas = np.repeat([position.median, unit * np.radians(rotation.median)], 3) / np.sqrt(3.0)
+    sigmas = np.roll(sigmas, 3) if exchanged else sigmas
+    covariances = np.tile(np.diag(sigmas**2), (len(DRONE.estimate), 1, 1))
+    told = dataclasses.replace(DRONE.estimate, covariances=covariances)
+    found = run(DRONE.truth, [told], request).runs[0].diagnosis
+    assert [each.cause for each in found.findings] == causes

@@ -1,0 +1,87 @@
+"""Limits of the diagnosis, from both sides."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trajeval_ros.diagnosis.clock_tests import other_rate
+from trajeval_ros.diagnosis.convention_tests import conventions
+from trajeval_ros.diagnosis.hypotheses import AS_READ, TRANSPOSED, WXYZ, Hypothesis
+from trajeval_ros.diagnosis.input_pair import TimedPoses
+from trajeval_ros.diagnosis.input_tests import rounded_stamps
+
+NO_TURNS: Any = SimpleNamespace(
+    groundtruth_turned=None,
+    estimate_turned=None,
+    true_steps=np.ones((5, 3)),
+    steps=np.ones((5, 3)),
+)
+
+
+def hypothesis(cause: str, changes: int, cost: float) -> Hypothesis:
+    return Hypothesis(cause, "estimate", changes, cost, np.eye(3), 1.0, 1.0, 0.0, np.eye(3))
+
+
+@pytest.mark.parametrize(("saved", "agreement"), [(0.01, 90.0), (0.03, 93.0)])
+def test_another_change_of_the_convention_must_explain_more(
+    saved: float, agreement: float
+) -> None:
+    found = conventions(
+        [
+            hypothesis(AS_READ, 0, 0.99),
+            hypothesis(WXYZ, 1, 0.1),
+            hypothesis(WXYZ, 2, 0.1 - saved),
+        ],
+        NO_TURNS,
+        NO_TURNS,
+        None,
+    )
+    [seen] = found.seen
+    assert seen.cause == WXYZ
+    assert seen.values["agreement"] == pytest.approx(agreement)
+    assert TRANSPOSED not in found.scores
+
+
+@pytest.mark.parametrize(
+    ("step_s", "named_s"), [(1.0, 1.0), (0.5, 0.5), (0.1, 0.1), (0.75, None), (0.25, None)]
+)
+def test_rounded_timestamps_have_steps_of_clocks(step_s: float, named_s: float | None) -> None:
+    seconds = step_s * (1 + np.arange(120) // 3)
+    positions = np.cumsum(np.ones((120, 3)), axis=0)
+    poses = TimedPoses(seconds, positions)
+    read = SimpleNamespace(stamps=np.rint(seconds * 1e9).astype(np.int64))
+    true = SimpleNamespace(stamps=np.arange(120, dtype=np.int64) * 12_345_678)
+    inputs: Any = SimpleNamespace(
+        estimate_poses=poses, groundtruth_poses=poses, estimate=read, groundtruth=true
+    )
+    found = [seen.values["step_s"] for seen in rounded_stamps(inputs).seen]
+    assert found == ([] if named_s is None else [pytest.approx(named_s)])
+
+
+@pytest.mark.parametrize(
+    ("offset_s", "peak", "overlap_s", "is_other"),
+    [
+        (9.0, 0.4, 60.0, True),
+        (0.2, 0.4, 60.0, False),
+        (9.0, 0.75, 60.0, False),
+        (9.0, 0.4, 14.0, False),
+    ],
+)
+def test_another_run_has_an_offset_a_low_peak_and_a_long_overlap(
+    offset_s: float, peak: float, overlap_s: float, is_other: bool
+) -> None:
+    match: Any = SimpleNamespace(offset_s=offset_s, peak=peak, overlap_s=overlap_s)
+    apart = [hypothesis(AS_READ, 0, 0.99), hypothesis(WXYZ, 1, 0.9)]
+    found = conventions(apart, NO_TURNS, NO_TURNS, match)
+    assert [seen.cause for seen in found.seen] == (["other_run"] if is_other else [])
+
+
+def test_a_clock_rate_is_not_searched_in_a_gap() -> None:
+    seconds = np.array([0.0, 1.0, 2.0, 200.0, 201.0])
+    poses = TimedPoses(seconds, np.cumsum(np.ones((5, 3)), axis=0))
+    assert other_rate(poses, poses, None) == (1.0, None)
+    assert other_rate(poses[:1], poses[:1], None) == (1.0, None)

@@ -1,0 +1,109 @@
+"""Messages that match the data: positions alone, points, 2-D headings and other bodies."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from trajeval_ros import AssociationRule, Protocol, Trajectory, evaluate, simulate
+from trajeval_ros.diagnosis.evaluation_tests import number_of_pairs
+from trajeval_ros.diagnosis.findings import Diagnosis, Finding
+from trajeval_ros.diagnosis.warnings import remarks_on
+from trajeval_ros.geometry import lie
+from trajeval_ros.report.verdict_lines import verdict
+
+GROUNDTRUTH = simulate(seed=3, duration_s=40.0).groundtruth
+ESTIMATE = GROUNDTRUTH[::10]
+
+
+def points_of(count: int) -> Trajectory:
+    rows = np.linspace(500, len(GROUNDTRUTH) - 500, count).astype(int)
+    points = GROUNDTRUTH[rows]
+    return dataclasses.replace(points, quaternions=None, velocities=None)
+
+
+def test_jumps_of_positions_alone_have_no_degrees() -> None:
+    positions = ESTIMATE.positions.copy()
+    for row in range(100, len(positions), 100):
+        positions[row:] += 2.0 * np.random.default_rng(row).normal(size=3)
+    protocol = Protocol(lengths=())
+    jumped = dataclasses.replace(ESTIMATE, positions=positions)
+    for estimate, has_turns in (
+        (jumped, True),
+        (dataclasses.replace(jumped, quaternions=None), False),
+    ):
+        found = evaluate(GROUNDTRUTH, estimate, protocol)
+        remarks = remarks_on(found, Diagnosis((), ()))
+        [said] = [each.text for each in remarks if each.code == "jumps"]
+        assert said.startswith("the estimate jumps at ")
+        assert (" deg " in said) == has_turns
+
+
+def test_a_two_dimensional_heading_has_no_tilt() -> None:
+    heading = lie.from_rotation_vector(
+        np.outer(np.linspace(0.0, 2.0, len(ESTIMATE)), [0.0, 0.0, 1.0])
+    )
+    level = dataclasses.replace(ESTIMATE, quaternions=heading)
+    protocol = Protocol(gauge="yaw", lengths=("5m",))
+    found = evaluate(GROUNDTRUTH, level, protocol)
+    assert found.ate["tilt_deg"] is None
+    assert found.ate["yaw_deg"] is not None
+    assert found.relative is not None
+    assert found.relative[0].statistics["tilt_deg"] is None
+    [said] = [each for each in found.warnings if "2-D headings" in each]
+    assert said.startswith("the orientations of the estimate are 2-D headings")
+    assert "including tilt against 2-D headings" in verdict(found)[0]
+    assert evaluate(level, level, protocol).ate["tilt_deg"] is not None
+    # A robot on a floor has no tilt: that of its estimate is an error.
+    assert evaluate(level, ESTIMATE, protocol).ate["tilt_deg"] is not None
+
+
+def test_drift_is_withheld_with_rotations() -> None:
+    """The alignment by positions differs from the orientations: another body."""
+    estimate = ESTIMATE
+    assert estimate.quaternions is not None
+    other = lie.from_rotation_vector(np.array([0.0, 0.0, 1.2]))
+    turned = dataclasses.replace(
+        estimate, quaternions=lie.multiply(estimate.quaternions, other[None])
+    )
+    for evaluated, withheld in ((turned, True), (estimate, False)):
+        protocol = Protocol(gauge="se3", lengths=("5m",))
+        found = evaluate(GROUNDTRUTH, evaluated, protocol)
+        assert bool(found.withheld) == withheld
+        assert (found.drift is None) == withheld
+        assert ("rotation and drift withheld" in verdict(found)[0]) == withheld
+        assert ("; drift " in verdict(found)[0]) != withheld
+
+
+@pytest.mark.parametrize("method", ["nearest", "evo"])
+def test_points_have_no_coverage_of_poses(method: str) -> None:
+    points = points_of(8)
+    rule = AssociationRule(method, max_time_difference_s=0.1)
+    found = evaluate(points, ESTIMATE, Protocol(association=rule, lengths=()))
+    assert points.kind == "points"
+    assert found.association.estimate_coverage is None
+    assert found.association.groundtruth_coverage == 1.0
+    assert not found.association.dropped
+    assert any("8 of 8 points (100.0 %)" in line for line in verdict(found))
+    rule = AssociationRule(method, max_time_difference_s=1e-4)
+    moved = dataclasses.replace(points, stamps=points.stamps + np.arange(8) % 2 * 2_000_000)
+    found = evaluate(moved, ESTIMATE, Protocol(association=rule, lengths=(), gauge="none"))
+    assert found.association.dropped == {"no_estimate_within_max_time_difference": 4}
+    assert found.association.groundtruth_coverage == 0.5
+
+
+def test_advice_for_points_that_are_all_paired_is_to_survey_more() -> None:
+    points = points_of(5)
+    rule = AssociationRule("nearest", max_time_difference_s=0.1)
+    protocol = Protocol(association=rule, lengths=())
+    found = evaluate(points, ESTIMATE, protocol)
+    examined = number_of_pairs(protocol, found.association, points, ESTIMATE)
+    said = Finding.of(examined.seen[0]).text
+    assert said.endswith("; survey more points")
+    assert "limit" not in said
+    assert "--max" not in said
+    few = evaluate(GROUNDTRUTH[:500:100], ESTIMATE, protocol)
+    examined = number_of_pairs(protocol, few.association, few.groundtruth, few.estimate)
+    assert "--max-time-difference" in Finding.of(examined.seen[0]).text

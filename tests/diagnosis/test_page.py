@@ -1,0 +1,104 @@
+"""The page about diagnoses quotes what is printed today."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import pytest
+from paths import ROOT
+
+from benchmarks.diagnosis import found
+from benchmarks.diagnosis_further import FURTHER
+from benchmarks.diagnosis_mistakes import MISTAKES
+from benchmarks.diagnosis_runs import Pair, simulated
+from benchmarks.diagnosis_users import USERS
+from trajeval_ros import Request, run
+from trajeval_ros.diagnosis.causes import CAUSES
+from trajeval_ros.diagnosis.diagnose import diagnose
+from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.metrics.evaluation import evaluate
+
+PAGE = ROOT / "docs" / "diagnosis.md"
+TEXT = PAGE.read_text("utf-8")
+ROWS = {
+    name
+    for names in re.findall(r"^\| (`.+?) \| .+ \|$", TEXT, re.M)
+    for name in re.findall(r"`(\w+)`", names)
+}
+DRONE = simulated(5000, "drone", "walk", 100.0)
+CAR = simulated(5004, "car", "walk", 100.0)
+ROBOT = simulated(5006, "robot", "walk", 100.0)
+ALL = {**MISTAKES, **FURTHER, **USERS}
+# What shows a cause whose name is not the only one of a mistake, or that a drone does not show.
+SHOWN_BY = {
+    "convention_tie": ("transposed rotations", CAR),
+    "frozen": ("frozen", DRONE),
+    "frozen_at_start": ("frozen at the start", DRONE),
+    "diverged_at_start": ("diverging from the start", DRONE),
+    "diverged": ("diverging, 3 m/s2", DRONE),
+    "inverse": ("inverse, estimate", DRONE),
+    "mirrored": ("mirrored", DRONE),
+    "groundtruth_up_axis": ("KITTI by yaw", CAR),
+    "up_axis": ("camera axes", DRONE),
+    "up_axis_or_mirrored": ("NED", ROBOT),
+    "wxyz": ("wxyz, estimate", DRONE),
+    "axes_mixed": ("positions in other axes", DRONE),
+    "conventions": ("z and qz flipped", DRONE),
+    "rotations": ("Euler order", DRONE),
+    "tilted": ("world tilted by 25 deg", DRONE),
+    "unit": ("estimate in mm", DRONE),
+    "clock_drift": ("clock 1000 ppm", DRONE),
+    "body": ("marker", DRONE),
+}
+
+
+TIES = {"convention_tie", "up_axis_or_mirrored"}
+
+
+def shown(cause: str) -> Pair:
+    """Return a recording with the mistake."""
+    if cause == "other_run":
+        return dataclasses.replace(DRONE, truth=simulated(5400, "drone", "walk", 100.0).truth)
+    names = [name for name, mistake in ALL.items() if mistake.causes == (cause,)]
+    name, pair = SHOWN_BY.get(cause) or (names[0], DRONE)
+    return ALL[name].make(pair)
+
+
+def printed(cause: str) -> str:
+    """Return the message of a cause."""
+    if cause == "same_estimate":
+        one = dataclasses.replace(DRONE.estimate, reading=Reading("vio.txt"))
+        diagnosis = run(DRONE.truth, [one, one], Request(DRONE.protocol)).runs[1].diagnosis
+    elif cause in TIES:  # that trials of the corrections decide
+        pair = shown(cause)
+        evaluation = evaluate(pair.truth, pair.estimate, pair.protocol)
+        diagnosis = diagnose(evaluation, pair.truth, pair.estimate)
+    else:
+        diagnosis = found(shown(cause))
+    finding = diagnosis.named(cause)
+    assert finding is not None, diagnosis.findings
+    return finding.text
+
+
+def without_numbers(text: str) -> str:
+    """Return a message in one line; the digits depend on the recording and on the processor."""
+    return re.sub(r"[-+]?\d[\d.]*(e[-+]\d+)?", "#", " ".join(text.split()))
+
+
+def test_every_cause_has_an_entry() -> None:
+    assert set(CAUSES) == ROWS
+
+
+@pytest.mark.parametrize("cause", CAUSES)
+def test_a_message_states_what_is_wrong_and_what_to_do(cause: str) -> None:
+    said, _, advice = printed(cause).rpartition("; ")
+    assert len(said) > 20
+    assert len(advice) > 10
+    assert "{" not in said + advice
+
+
+def test_the_examples_are_as_they_are_printed() -> None:
+    lines = re.findall(r"^  diagnosis: (.*)$", TEXT, re.M)
+    for line, cause in zip(lines, ("unit", "wxyz"), strict=True):
+        assert without_numbers(line) == without_numbers(printed(cause))

@@ -1,0 +1,90 @@
+"""Advice is tried: mistakes that were named wrongly or not at all are named and corrected."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from benchmarks.diagnosis import CORRECTED, found, left_by_corrections
+from benchmarks.diagnosis_mistakes import MISTAKES
+from benchmarks.diagnosis_runs import Pair, simulated
+from benchmarks.diagnosis_users import USERS
+from trajeval_ros import Request, run
+
+DRONE = simulated(5000, "drone", "walk", 100.0)
+CAR = simulated(5004, "car", "walk", 100.0)
+RUNS = {"drone": DRONE, "car": CAR}
+# What planar motion does not show, or shows as a tie.
+NOT_ON_CARS = {
+    "groundtruth flat",
+    "z alone flipped",
+    "z and qz flipped",
+    "positions alone converted",
+    "roll and pitch swapped",
+}
+# Corrected as far as a car shows the body, or as an estimate of the body is right.
+WITHOUT_BODY = {"camera poses", "raw NED and FRD", "NWU for ENU"}
+# The nearest convention leaves other angles.
+ABOUT = {"compass heading", "Euler order", "roll and pitch swapped", "attitude NWU"}
+CASES = [
+    (name, kind) for name in USERS for kind in RUNS if not (kind == "car" and name in NOT_ON_CARS)
+]
+
+
+@pytest.mark.parametrize(("name", "kind"), CASES)
+def test_a_mistake_of_users_is_named_and_corrected(name: str, kind: str) -> None:
+    pair = RUNS[kind]
+    wrong = USERS[name].make(pair)
+    first = found(wrong).suggested
+    assert first is not None
+    assert first.cause in {*USERS[name].causes, "convention_tie"}
+    if first.correction and name not in ABOUT and not (kind == "car" and name in WITHOUT_BODY):
+        if name == "groundtruth in feet" and first.cause == "scale":
+            return  # the ATE stays in feet
+        assert left_by_corrections(pair, wrong) < CORRECTED
+
+
+@pytest.mark.parametrize("name", [*sorted(USERS), *sorted(MISTAKES)])
+def test_no_advice_makes_the_ate_worse(name: str) -> None:
+    wrong = {**USERS, **MISTAKES}[name].make(CAR)
+    for finding in found(wrong).findings:
+        if finding.tried is not None:
+            assert finding.tried.helps(finding.cause)
+
+
+def test_corrections_are_repeated_until_nothing_is_left() -> None:
+    wrong = MISTAKES["estimate in mm"].make(MISTAKES["wxyz, estimate"].make(DRONE))
+    after = run(wrong.truth, [wrong.estimate], Request(wrong.protocol, correct="suggested"))
+    steps = [each.cause for each in after.runs[0].corrected]
+    assert sorted(steps) == ["unit", "wxyz"]
+    assert not after.runs[0].diagnosis.findings
+
+
+def test_a_frozen_groundtruth_is_no_clock_offset() -> None:
+    for seed in range(5004, 5008):
+        pair = simulated(seed, "car" if seed < 5006 else "robot", "walk", 100.0)
+        causes = {each.cause for each in found(MISTAKES["groundtruth frozen"].make(pair)).findings}
+        assert causes == {"groundtruth_frozen"}
+
+
+def test_rotations_that_differ_too_much_are_no_other_body() -> None:
+    causes = {each.cause for each in found(USERS["radians as degrees"].make(DRONE)).findings}
+    assert causes == {"rotations"}
+
+
+def test_a_right_recording_is_not_evaluated_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    from trajeval_ros.metrics import evaluation
+    from trajeval_ros.pipeline import preparation
+
+    calls: list[Pair] = []
+    real = evaluation.evaluate
+
+    def counted(*given: object) -> object:
+        calls.append(DRONE)
+        return real(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(preparation.metrics, "evaluate", counted)
+    right = dataclasses.replace(DRONE)
+    run(right.truth, [right.estimate], Request(right.protocol))
+    assert len(calls) == 1

@@ -1,0 +1,119 @@
+"""Gauges, modalities, and the group laws of their elements."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from scipy.spatial.transform import Rotation
+from strategies import gauges, make_element, make_groundtruth, seeds
+
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry.gauge import MODALITIES, Gauge, Similarity, gauge_for
+from trajeval_ros.metrics.protocol import Protocol
+
+
+@pytest.mark.parametrize(
+    ("modality", "gauge"),
+    [("mono", Gauge.SIM3), ("stereo", Gauge.SE3), ("mono-inertial", Gauge.YAW)],
+)
+def test_modalities_are_table_one_of_the_tutorial(modality: str, gauge: Gauge) -> None:
+    assert MODALITIES[modality] is gauge
+
+
+@pytest.mark.parametrize("default", [Gauge.SE3, Gauge.NONE])
+def test_nothing_asked_for_is_the_default(default: Gauge) -> None:
+    assert gauge_for(None, None, default) is default
+
+
+def test_the_default_protocols_gauge_is_se3() -> None:
+    assert Protocol().gauge is Gauge.SE3
+
+
+@pytest.mark.parametrize("gauge", list(Gauge))
+def test_gauges_have_their_names(gauge: Gauge) -> None:
+    assert gauge_for(gauge.value, None, Gauge.SE3) is gauge
+    assert gauge.description
+
+
+@pytest.mark.parametrize("modality", list(MODALITIES))
+def test_a_gauge_may_repeat_the_modality_but_not_contradict_it(modality: str) -> None:
+    implied = MODALITIES[modality]
+    for default in Gauge:  # which contradicts nothing: nobody asked for it
+        assert gauge_for(None, modality, default) is implied
+    assert gauge_for(implied.value, modality, Gauge.SE3) is implied
+    for other in Gauge:
+        if other is not implied:
+            with pytest.raises(SettingsError, match="only one"):
+                gauge_for(other.value, modality, Gauge.SE3)
+
+
+@pytest.mark.parametrize(("gauge", "modality"), [("yav", None), (None, "sonar")])
+def test_unknown_names_are_refused_with_those_that_are(
+    gauge: str | None, modality: str | None
+) -> None:
+    with pytest.raises(SettingsError, match=r"yaw|stereo-inertial"):
+        gauge_for(gauge, modality, Gauge.SE3)
+
+
+def compose(a: Similarity, b: Similarity) -> Similarity:
+    return Similarity(
+        a.rotation @ b.rotation, a.positions(b.translation[None])[0], a.scale * b.scale
+    )
+
+
+@given(gauge=gauges, a=seeds, b=seeds)
+def test_transforming_is_a_group_action(gauge: Gauge, a: int, b: int) -> None:
+    first, second = make_element(gauge, a), make_element(gauge, b)
+    trajectory = make_groundtruth(a ^ b, 30)
+    in_turn = second.trajectory(first.trajectory(trajectory))
+    at_once = compose(second, first).trajectory(trajectory)
+    np.testing.assert_allclose(in_turn.positions, at_once.positions, atol=1e-9)
+    assert in_turn.velocities is not None
+    assert at_once.velocities is not None
+    np.testing.assert_allclose(in_turn.velocities, at_once.velocities, atol=1e-9)
+    assert in_turn.rotations is not None
+    assert at_once.rotations is not None
+    np.testing.assert_allclose(
+        (in_turn.rotations * at_once.rotations.inv()).magnitude(), 0.0, atol=1e-14
+    )
+
+
+@given(seed=seeds)
+def test_transforming_is_eq_8(seed: int) -> None:
+    element = make_element(Gauge.SIM3, seed)
+    trajectory = make_groundtruth(seed, 10)
+    after = element.trajectory(trajectory)
+    assert trajectory.rotations is not None
+    assert after.rotations is not None
+    assert trajectory.velocities is not None
+    assert after.velocities is not None
+    s, R, t = element.scale, element.rotation, element.translation
+    for i in range(10):
+        np.testing.assert_allclose(after.positions[i], s * R @ trajectory.positions[i] + t)
+        np.testing.assert_allclose(after.velocities[i], s * R @ trajectory.velocities[i])
+        np.testing.assert_allclose(
+            after.rotations[i].as_matrix(), R @ trajectory.rotations[i].as_matrix(), atol=1e-14
+        )
+    np.testing.assert_array_equal(after.gyroscope_biases, trajectory.gyroscope_biases)
+    np.testing.assert_array_equal(after.accelerometer_biases, trajectory.accelerometer_biases)
+
+
+def test_the_identity_changes_nothing() -> None:
+    trajectory = make_groundtruth(4, 10)
+    after = Similarity.identity().trajectory(trajectory)
+    np.testing.assert_array_equal(after.positions, trajectory.positions)
+    # Normalised again: a sum of four squares, its root and a division, 4 u together.
+    np.testing.assert_allclose(
+        after.quaternions, trajectory.quaternions, rtol=2.0 * np.finfo(np.float64).eps
+    )
+
+
+@given(seed=seeds)
+def test_a_similaritys_quaternion_is_its_rotation(seed: int) -> None:
+    element = make_element(Gauge.SE3, seed)
+    quaternion = element.rotation_xyzw
+    assert quaternion[3] >= 0.0
+    np.testing.assert_allclose(
+        Rotation.from_quat(quaternion).as_matrix(), element.rotation, atol=1e-14
+    )

@@ -1,0 +1,231 @@
+"""Pair files: whatever happens to a disk, what was written whole is read, and nothing else."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import seeds
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.live import chunk_file
+from trajeval_ros.io.live.pair_file import PairWriter, RecordedPairs, read_pairs
+
+DESCRIPTION = {"groundtruth": "/truth", "estimate": "/vio", "place": 0}
+
+
+def chunk(seed: int, count: int) -> tuple[Any, Any, Any]:
+    random = np.random.default_rng(seed)
+    rows = random.normal(size=(2, count, 10))
+    rows[:, :, 7:] = np.nan
+    return random.integers(-(2**62), 2**62, size=count), *rows
+
+
+def write(path: Path, counts: list[int], seed: int = 0) -> list[tuple[Any, Any, Any]]:
+    """Write chunks of pairs, every other one with counts of its own; returns them."""
+    path.unlink(missing_ok=True)
+    writer = PairWriter(path, DESCRIPTION)
+    chunks = [chunk(seed + place, count) for place, count in enumerate(counts)]
+    for place, each in enumerate(chunks):
+        writer.append(*each, {"number": place} if place % 2 else None)
+    writer.close()
+    return chunks
+
+
+def assert_prefix(read: RecordedPairs, chunks: list[tuple[Any, Any, Any]]) -> int:
+    """Assert that a file holds the first chunks, each whole; returns their number."""
+    ends = np.cumsum([0, *(len(each[0]) for each in chunks)])
+    held = int(np.searchsorted(ends, len(read.stamps), side="left"))
+    assert ends[held] == len(read.stamps)
+    for name, column in zip(("stamps", "groundtruth", "estimate"), range(3), strict=True):
+        expected = np.concatenate([chunks[0][column][:0], *(c[column] for c in chunks[:held])])
+        np.testing.assert_array_equal(getattr(read, name), expected)
+    return held
+
+
+@given(seed=seeds, counts=st.lists(st.integers(1, 4), min_size=1, max_size=5), data=st.data())
+def test_a_file_torn_at_any_byte_holds_the_chunks_before(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, counts: list[int], data: st.DataObject
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "torn.pairs"
+    chunks = write(path, counts, seed % 2**31)
+    content = path.read_bytes()
+    beginning = len(content) - sum(16 + 168 * count for count in counts) - 13 * (len(counts) // 2)
+    cut = data.draw(st.integers(0, len(content)))
+    path.write_bytes(content[:cut])
+    if cut < beginning:
+        with pytest.raises(InputError, match="is not a pair file"):
+            read_pairs(path)
+        return
+    read = read_pairs(path)
+    held = assert_prefix(read, chunks)
+    assert read.torn < 16 + 168 * 4 + 13
+    assert read.description["estimate"] == "/vio"
+    assert read.state == ({"number": (held // 2) * 2 - 1} if held >= 2 else {})
+
+
+@given(place=st.integers(0, 10_000), value=st.integers(0, 255))
+def test_a_changed_byte_ends_a_file_before_its_chunk(
+    tmp_path_factory: pytest.TempPathFactory, place: int, value: int
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "changed.pairs"
+    chunks = write(path, [3, 2, 4])
+    content = bytearray(path.read_bytes())
+    beginning = len(content) - 3 * 16 - 9 * 168 - 13
+    if content[place % len(content)] == value or place % len(content) >= beginning:
+        content[place % len(content)] = value
+        path.write_bytes(content)
+        assert_prefix(read_pairs(path), chunks)
+        return
+    content[place % len(content)] = value
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="is not a pair file"):
+        read_pairs(path)
+
+
+@pytest.mark.parametrize("count", [1, 2**20, 2**32 - 1])
+@pytest.mark.parametrize("length", [0, 2**31, 2**32 - 1])
+def test_a_head_that_lies_about_sizes_takes_no_memory(
+    tmp_path: Path, count: int, length: int
+) -> None:
+    path = tmp_path / "hostile.pairs"
+    chunks = write(path, [2])
+    with path.open("ab") as file:
+        file.write(struct.pack("<4sIII", b"TEPC", count, length, 0) + b"rest")
+    read = read_pairs(path)
+    assert assert_prefix(read, chunks) == 1
+    assert read.torn == 20
+
+
+@pytest.mark.parametrize("text", [b"[1]", b"nonsense", b"\xff\xfe", b'"text"'])
+def test_a_chunk_whose_text_is_no_object_is_damage(tmp_path: Path, text: bytes) -> None:
+    path = tmp_path / "odd.pairs"
+    chunks = write(path, [2])
+    with path.open("ab") as file:
+        file.write(struct.pack("<4sIII", b"TEPC", 0, len(text), zlib.crc32(text)) + text)
+    assert assert_prefix(read_pairs(path), chunks) == 1
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda path: path.write_bytes(b""),
+        lambda path: path.write_bytes(b"stamps,x,y,z\n1,2,3,4\n"),
+        lambda path: path.mkdir(),
+        lambda path: None,
+    ],
+    ids=["empty", "text", "folder", "missing"],
+)
+def test_what_is_no_pair_file_is_one_sentence(
+    tmp_path: Path, make: Callable[[Path], object]
+) -> None:
+    path = tmp_path / "x.pairs"
+    make(path)
+    with pytest.raises(InputError, match=r"x\.pairs"):
+        read_pairs(path)
+
+
+def test_another_format_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "later.pairs"
+    text = json.dumps({"format": "trajeval-pairs/9"}).encode()
+    path.write_bytes(struct.pack("<4sIII", b"TEPC", 0, len(text), zlib.crc32(text)) + text)
+    with pytest.raises(InputError, match="trajeval-pairs/4"):
+        read_pairs(path)
+
+
+def test_a_file_that_exists_is_not_written_over(tmp_path: Path) -> None:
+    path = tmp_path / "mine.pairs"
+    path.write_text("mine")
+    with pytest.raises(InputError, match="file exists"):
+        PairWriter(path, DESCRIPTION)
+    assert path.read_text() == "mine"
+
+
+class Disk:
+    """A disk that takes so many bytes more, and then fails as a full one does."""
+
+    def __init__(self, room: int) -> None:
+        self.room = room
+        self._write = os.write
+
+    def __call__(self, file: int, data: Any) -> int:
+        if not self.room and len(data):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        taken = self._write(file, bytes(data[: self.room]))
+        self.room -= taken
+        return taken
+
+
+@given(room=st.integers(0, 2500))
+def test_a_full_disk_is_written_to_again(
+    tmp_path_factory: pytest.TempPathFactory, room: int
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "full.pairs"
+    path.unlink(missing_ok=True)
+    chunks = [chunk(place, 3) for place in range(5)]
+    writer = PairWriter(path, DESCRIPTION)
+    disk = Disk(room)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "write", disk)
+        for each in chunks[:4]:
+            writer.append(*each)
+        is_full = room < 4 * (16 + 3 * 168)
+        assert (writer.trouble == "no space left on device") == is_full
+        assert assert_prefix(read_pairs(path), chunks) <= 4  # never half a chunk
+        assert read_pairs(path).torn == 0
+        disk.room = 10**6
+        writer.append(*chunks[4])
+        assert writer.trouble == ""
+        writer.close()
+    assert assert_prefix(read_pairs(path), chunks) == 5
+    assert writer.lost == 0
+
+
+@pytest.fixture
+def on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[PairWriter, Disk]:
+    """A writer with four chunks, of which there is room for two to wait."""
+    monkeypatch.setattr(chunk_file, "_MOST_WAITING", 1200)
+    writer = PairWriter(tmp_path / "lost.pairs", DESCRIPTION)
+    disk = Disk(0)
+    monkeypatch.setattr(os, "write", disk)
+    for place in range(4):
+        writer.append(*chunk(place, 3))
+    return writer, disk
+
+
+def test_what_waits_for_a_disk_is_bounded_and_the_rest_counted(
+    on_a_full_disk: tuple[PairWriter, Disk],
+) -> None:
+    writer, _ = on_a_full_disk
+    assert writer.lost == 6
+    with pytest.raises(InputError, match=r"can't be written completely: no space left"):
+        writer.close()
+
+
+def test_why_pairs_were_lost_is_known_when_the_disk_is_well_again(
+    on_a_full_disk: tuple[PairWriter, Disk],
+) -> None:
+    writer, disk = on_a_full_disk
+    disk.room = 10**6
+    writer.write()
+    assert (writer.trouble, writer.lost) == ("", 6)
+    assert writer.why_lost == "no space left on device"
+    writer.close()
+
+
+def test_a_disk_that_is_full_from_the_start_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "write", Disk(3))
+    with pytest.raises(InputError, match="no space left on device"):
+        PairWriter(tmp_path / "never.pairs", DESCRIPTION)

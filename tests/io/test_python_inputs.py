@@ -1,0 +1,123 @@
+"""`evaluate` of arrays, paths and tables, and trajectories from arrays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trajeval_ros import InputError, Trajectory, evaluate, read_trajectory, simulate
+from trajeval_ros.geometry import lie
+
+FLIGHT = simulate(seed=5, duration_s=40.0)
+SIDES = (FLIGHT.groundtruth, FLIGHT.estimate)
+ATE = evaluate(*SIDES).ate["position_m"]
+
+
+def matrices(trajectory: Trajectory) -> np.ndarray:
+    found = np.tile(np.eye(4), (len(trajectory), 1, 1))
+    assert trajectory.quaternions is not None
+    found[:, :3, :3] = lie.to_matrix(trajectory.quaternions)
+    found[:, :3, 3] = trajectory.positions
+    return found
+
+
+def rmse(*sides: object) -> float:
+    found = evaluate(*sides).ate["position_m"]  # type: ignore[arg-type]
+    assert found is not None
+    return found.rmse
+
+
+def test_matrices_of_any_form_and_both_kinds_of_times() -> None:
+    assert ATE is not None
+    by_stamps = [Trajectory.from_matrices(matrices(each), stamps=each.stamps) for each in SIDES]
+    assert rmse(*by_stamps) == pytest.approx(ATE.rmse, rel=1e-9)
+    by_seconds = [
+        Trajectory.from_matrices(matrices(each)[:, :3].tolist(), seconds=each.stamps / 1e9)
+        for each in SIDES
+    ]
+    assert rmse(*by_seconds) == pytest.approx(ATE.rmse, rel=1e-4)  # rounded to 0.2 us
+
+
+def test_positions_and_quaternions_in_both_orders() -> None:
+    assert ATE is not None
+    made = []
+    for each in SIDES:
+        assert each.quaternions is not None
+        wxyz = np.roll(each.quaternions, 1, axis=1)
+        made.append(Trajectory.from_positions(each.positions, wxyz, stamps=each.stamps, wxyz=True))
+    assert rmse(*made) == pytest.approx(ATE.rmse, rel=1e-9)
+    assert made[0].quaternions is not None
+    assert SIDES[0].quaternions is not None
+    np.testing.assert_allclose(made[0].quaternions, SIDES[0].quaternions, rtol=0, atol=1e-12)
+    bare = Trajectory.from_positions(SIDES[1].positions, stamps=SIDES[1].stamps, name="bare")
+    assert bare.quaternions is None
+    assert rmse(SIDES[0], bare) == pytest.approx(ATE.rmse, rel=1e-9)
+
+
+def test_tables_of_pandas() -> None:
+    pandas = pytest.importorskip("pandas", reason="pandas is missing")
+    assert ATE is not None
+    frames = []
+    for each in SIDES:
+        columns = dict(zip(["x", "y", "z"], each.positions.T, strict=True))
+        assert each.quaternions is not None
+        columns |= dict(zip(["qx", "qy", "qz", "qw"], each.quaternions.T, strict=True))
+        frames.append(pandas.DataFrame({"timestamp": each.stamps, **columns}))
+    assert rmse(*frames) == pytest.approx(ATE.rmse, rel=1e-9)
+    dates = [each.set_index(pandas.to_datetime(each.pop("timestamp"))) for each in frames]
+    assert rmse(*dates) == pytest.approx(ATE.rmse, rel=1e-9)
+    with pytest.raises(InputError, match="has the columns a, b; name the positions x, y and z"):
+        Trajectory.from_pandas(pandas.DataFrame({"a": [1.0], "b": [2.0]}))
+    with pytest.raises(InputError, match="only qx of qx, qy, qz and qw"):
+        Trajectory.from_pandas(frames[0][["x", "y", "z", "qx"]])
+    with pytest.raises(InputError, match="not DataFrame; for arrays and tables"):
+        read_trajectory(frames[0])
+
+
+def test_paths_and_arrays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert ATE is not None
+    paths = []
+    for name, each in zip(("gt", "est"), SIDES, strict=True):
+        rows = np.column_stack([each.stamps / 1e9, each.positions, each.quaternions])
+        np.savetxt(tmp_path / f"{name}.txt", rows, fmt="%.9f")
+        paths.append(tmp_path / f"{name}.txt")
+    assert rmse(*map(str, paths)) == pytest.approx(ATE.rmse, rel=1e-3)
+    assert rmse(*map(np.loadtxt, paths)) == pytest.approx(ATE.rmse, rel=1e-3)
+    # Arrays without times pair by row, whatever lies in the working directory.
+    monkeypatch.chdir(tmp_path)
+    np.savetxt("times.txt", np.arange(50.0))
+    pairs = evaluate(*SIDES).association
+    both = matrices(pairs.groundtruth), matrices(pairs.estimate)
+    assert rmse(*both) == pytest.approx(ATE.rmse, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (lambda: Trajectory.from_matrices(np.zeros((5, 3, 3))),
+         r"matrices have shape \(5, 3, 3\), expected \(N, 4, 4\) or \(N, 3, 4\)"),
+        (lambda: Trajectory.from_positions(np.zeros((5, 2)), seconds=np.arange(5.0)),
+         r"positions have shape \(5, 2\), expected \(N, 3\)"),
+        (lambda: Trajectory.from_positions(np.zeros((5, 3)), np.ones((4, 4))),
+         r"quaternions have shape \(4, 4\), expected \(5, 4\)"),
+        (lambda: Trajectory.from_positions(np.zeros((5, 3)), seconds=np.arange(4.0)),
+         r"seconds have shape \(4,\), expected \(5,\)"),
+        (lambda: Trajectory.from_positions(np.zeros((5, 3)), seconds=np.arange(5) + 10**18),
+         "give them as integers with stamps="),
+        (lambda: Trajectory.from_positions(np.zeros((5, 3)), stamps=np.arange(5.0)),
+         "must be integer nanoseconds, not float64"),
+        (lambda: Trajectory.from_positions(np.zeros((2, 3)), seconds=[0, 1], stamps=[0, 1]),
+         "times are given twice"),
+        (lambda: Trajectory.from_positions([[1, 2, 3], [1, 2]]), "not an array of real numbers"),
+        (lambda: Trajectory.from_columns(np.arange(5), np.zeros((5, 3)), np.ones((4, 4))),
+         r"quaternions have shape \(4, 4\), expected \(5, 4\)"),
+        (lambda: evaluate({}, np.zeros((5, 7))), "the groundtruth is of type dict; give a Traj"),
+        (lambda: evaluate(np.zeros((5, 9)), np.zeros((5, 9))), r"groundtruth has shape \(5, 9\)"),
+    ],
+)  # fmt: skip
+def test_wrong_arrays_are_named(made: object, said: str) -> None:
+    assert callable(made)
+    with pytest.raises(InputError, match=said):
+        made()

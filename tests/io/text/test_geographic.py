@@ -1,0 +1,152 @@
+"""Fixes in text files: named columns, and NMEA."""
+
+from __future__ import annotations
+
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fix_runs import DATUM
+from nmea import PLACES, POSITIONS, gga, sentence
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.remarks import Level
+from trajeval_ros.geometry.geodesy import east_north_up
+from trajeval_ros.io.sources import read_trajectory
+
+
+@pytest.mark.parametrize("separator", [",", " "])
+@pytest.mark.parametrize(
+    "names", [("lat", "lon", "alt"), ("latitude", "longitude", "height"), ("Lat[deg]", "Lng", "h")]
+)
+def test_named_columns(names: tuple[str, str, str], separator: str, tmp_path: Path) -> None:
+    file = tmp_path / "fixes.csv"
+    rows = [
+        separator.join(
+            [f"1700000000.{row:03d}", *(repr(float(x)) for x in place), "0.01", "0.02", "0.03"]
+        )
+        for row, place in enumerate(PLACES)
+    ]
+    header = separator.join(["time", *names, "sigma_e", "sigma_n", "sigma_u"])
+    file.write_text("\n".join([header, *rows]))
+    found = read_trajectory(file)
+    assert found.kind == "gnss"
+    assert found.reading.fixes is not None
+    np.testing.assert_array_equal(found.reading.fixes.places, PLACES)
+    np.testing.assert_array_equal(found.stamps, 1_700_000_000 * 10**9 + np.arange(30) * 10**6)
+    np.testing.assert_allclose(found.reading.fixes.sigma_level_m, 0.02)
+    np.testing.assert_allclose(found.reading.fixes.sigma_up_m, 0.03)
+
+
+def test_columns_without_height_and_with_status(tmp_path: Path) -> None:
+    file = tmp_path / "fixes.txt"
+    rows = [
+        f"{row} {latitude!r} {longitude!r} {row % 3 - 1}"
+        for row, (latitude, longitude, _) in enumerate(PLACES.tolist())
+    ]
+    file.write_text("# t latitude longitude status\n" + "\n".join(rows))
+    found = read_trajectory(file)
+    assert found.reading.fixes is not None
+    assert not found.reading.fixes.have_heights
+    assert found.reading.dropped == {"no_fix": 10}
+
+
+def test_nmea(tmp_path: Path) -> None:
+    file = tmp_path / "log.nmea"
+    begin = datetime(2024, 3, 31, 23, 59, 50, tzinfo=timezone.utc).timestamp()
+    lines = []
+    for row, place in enumerate(PLACES):
+        lines.append(gga(begin + row + 0.25, place))
+        if row == 4:
+            lines.append(sentence("GNRMC,235954.25,A,4724.0,N,00830.0,E,0.1,77.0,310324,,,R"))
+        lines.append("$GNGSA,A,3,01*00")
+    lines[6] = lines[6][:30] + "9" + lines[6][31:]  # a bit that fell over
+    file.write_text("\r\n".join(lines))
+    found = read_trajectory(file)
+    kept = np.arange(30) != 3
+    assert found.reading.dropped == {"undecodable": 1}
+    expected = int(begin) * 10**9 + np.arange(30) * 10**9 + 250_000_000
+    np.testing.assert_array_equal(found.stamps, expected[kept])
+    assert found.reading.fixes is not None
+    np.testing.assert_allclose(
+        east_north_up(found.reading.fixes.places, DATUM), POSITIONS[kept], rtol=0, atol=2e-4
+    )
+    assert set(found.reading.fixes.status.tolist()) == {2}
+    assert not found.reading.fixes.known.any()
+
+
+@pytest.mark.parametrize(
+    ("quality", "status"), [(0, None), (1, 0), (2, 1), (4, 2), (5, 2), (6, None)]
+)
+def test_nmea_s_quality(quality: int, status: int | None, tmp_path: Path) -> None:
+    file = tmp_path / "log.txt"
+    file.write_text("\n".join(gga(100.0 + row, PLACES[row], quality) for row in range(5)))
+    if status is None:
+        with pytest.raises(InputError, match="5 no fix"):
+            read_trajectory(file)
+        return
+    found = read_trajectory(file)
+    assert found.reading.fixes is not None
+    assert set(found.reading.fixes.status.tolist()) == {status}
+    assert any("1970-01-01" in note for note in found.reading.said(Level.NOTE))
+
+
+def test_southern_and_western_places(tmp_path: Path) -> None:
+    file = tmp_path / "log.txt"
+    places = PLACES * [-1.0, -1.0, 1.0]
+    file.write_text("\n".join(gga(row, place) for row, place in enumerate(places)))
+    found = read_trajectory(file)
+    assert found.reading.fixes is not None
+    np.testing.assert_allclose(found.reading.fixes.places[:, :2], places[:, :2], rtol=0, atol=1e-9)
+
+
+def test_an_nmea_file_without_a_whole_line(tmp_path: Path) -> None:
+    file = tmp_path / "log.txt"
+    file.write_text("$GPGGA,,,,,,0,,,,,,,,*66\n" * 3)
+    with pytest.raises(InputError, match="no complete fix in 3 GGA lines"):
+        read_trajectory(file)
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_every_line_end_of_nmea_is_read(end: str, tmp_path: Path) -> None:
+    file = tmp_path / "log.nmea"
+    file.write_bytes(end.join(gga(row, place) for row, place in enumerate(PLACES)).encode())
+    assert len(read_trajectory(file)) == len(PLACES)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        sentence("GPRMC,000001,A,4724.0,N,00830.0,E,0.1,77.0,000000,,,A"),  # no such day
+        sentence("GPRMC,000001,A,4724.0,N,00830.0,E,0.1,77.0,310224,,,A"),
+        sentence("GPZDA,000001,32,01,2024,00,00"),
+        sentence("GPZDA,000001,01,01,0000,00,00"),
+        sentence("GPRMC,000001,V,,,,,,,060180,,,N"),  # before a fix, the receiver's own epoch
+        sentence("GPRMC,000001,A,4724.0,N,00830.0,E,0.1,77.0,010203,,,A")[:-1] + "x",
+        sentence("GPRMC,000001,A,4724.0,N,00830.0,E,0.1,77.0,010203,,,A").replace("47", "48"),
+        "$GPRMC,000001,A",  # cut off; the fields of the next lines are not its own
+        "$GPRMC,000001,A,4724.0,N,00830.0,E",
+    ],
+)
+def test_a_line_without_a_valid_date_is_passed_over(wrong: str, tmp_path: Path) -> None:
+    file = tmp_path / "log.nmea"
+    lines = [wrong, *(gga(row, place) for row, place in enumerate(PLACES[:5]))]
+    file.write_text("\n".join(lines))
+    undated = read_trajectory(file)
+    assert undated.stamps[0] == 0
+    assert any("1970-01-01" in note for note in undated.reading.said(Level.NOTE))
+    file.write_text("\n".join([*lines, sentence("GPZDA,000004,05,06,2025,00,00")]))
+    day = int(datetime(2025, 6, 5, tzinfo=timezone.utc).timestamp())
+    np.testing.assert_array_equal(read_trajectory(file).stamps, (day + np.arange(5)) * 10**9)
+
+
+@pytest.mark.parametrize("height", ["1.2.3", "-", ".", ""])
+def test_a_height_that_is_no_number_is_dropped(height: str, tmp_path: Path) -> None:
+    file = tmp_path / "log.nmea"
+    odd = sentence(f"GPGGA,000009,4724.0,N,00830.0,E,4,12,0.7,{height},M,47.2,M,,")
+    lines = [gga(row, place) for row, place in enumerate(PLACES[:5])]
+    file.write_text("\n".join([*lines, odd]))
+    assert read_trajectory(file).reading.dropped == {"undecodable": 1}
+    file.write_text("\n".join([*lines, odd.replace("47.2", "1.2.3")]))
+    assert read_trajectory(file).reading.dropped == {"undecodable": 1}

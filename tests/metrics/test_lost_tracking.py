@@ -1,0 +1,153 @@
+"""Frozen and diverging estimates are detected soon, at the right time, and nowhere else."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import make_element
+
+from benchmarks.diagnosis_runs import DRIFTS, KINDS, simulated
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.metrics.association import associate
+from trajeval_ros.metrics.lost_tracking import LostTracking, losses_of
+from trajeval_ros.metrics.tracking_loss import Loss
+from trajeval_ros.online.state_rows import states
+
+PAIRS = {
+    kind: associate(pair.truth, pair.estimate, pair.protocol.association)
+    for kind in ("drone", "handheld")
+    for pair in [simulated(31, kind, "walk", 60.0)]
+}
+
+
+def rows(trajectory: Trajectory) -> Floats:
+    return states(trajectory.positions, trajectory.quaternions)
+
+
+def frozen(trajectory: Trajectory, begin: int, end: int) -> Floats:
+    poses = rows(trajectory)
+    poses[begin:end] = poses[begin]
+    return poses
+
+
+def diverging(trajectory: Trajectory, begin: int, mps2: float) -> Floats:
+    poses = rows(trajectory)
+    since = np.clip(trajectory.seconds - trajectory.seconds[begin], 0.0, None)
+    poses[:, :3] += np.outer(0.5 * mps2 * since**2, [0.0, 0.6, 0.8])
+    return poses
+
+
+def batches(
+    stamps: Stamps, groundtruth: Floats, estimate: Floats, cuts: list[int]
+) -> LostTracking:
+    tracking = LostTracking()
+    for begin, end in itertools.pairwise([0, *sorted(cuts), len(stamps)]):
+        tracking.add(stamps[begin:end], groundtruth[begin:end], estimate[begin:end])
+    return tracking
+
+
+@given(
+    kind=st.sampled_from(sorted(PAIRS)),
+    begin=st.integers(300, 900),
+    count=st.integers(2, 400),
+    cuts=st.lists(st.integers(1, 1100), max_size=20),
+    fault=st.booleans(),
+)
+def test_losses_do_not_depend_on_batches(
+    kind: str, begin: int, count: int, cuts: list[int], fault: bool
+) -> None:
+    pairs = PAIRS[kind]
+    poses = (
+        frozen(pairs.estimate, begin, begin + count)
+        if fault
+        else diverging(pairs.estimate, begin, 1.0)
+    )
+    stamps, truth = pairs.estimate.stamps, rows(pairs.groundtruth)
+    assert batches(stamps, truth, poses, cuts).losses == batches(stamps, truth, poses, []).losses
+
+
+def delays(pairs_of: str, poses: Floats, begin: int) -> tuple[Loss, float, float]:
+    """Return the loss, and the times of its warning and of its error after the onset, seconds."""
+    pairs, tracking, found = PAIRS[pairs_of], LostTracking(), dict[bool, float]()
+    stamps, truth = pairs.estimate.stamps, rows(pairs.groundtruth)
+    for row in range(len(stamps)):
+        tracking.add(*(column[row : row + 1] for column in (stamps, truth, poses)))
+        loss = tracking.present
+        if loss is not None:
+            after_s = float(stamps[row] - stamps[begin]) / NANOSECONDS
+            assert after_s > 0.0
+            for level in (False, loss.is_error):
+                found.setdefault(level, after_s)
+    loss = tracking.present
+    assert loss is not None
+    return loss, found[False], found[True]
+
+
+@pytest.mark.parametrize("kind", sorted(PAIRS))
+@pytest.mark.parametrize("begin", [400, 550, 700])
+def test_a_frozen_estimate_is_a_warning_in_2_s_and_an_error_in_5_s(kind: str, begin: int) -> None:
+    poses = frozen(PAIRS[kind].estimate, begin, 10_000)
+    loss, warned_s, error_s = delays(kind, poses, begin)
+    assert loss.cause == "frozen"
+    onset_s = (loss.begin_ns - PAIRS[kind].estimate.stamps[begin]) / NANOSECONDS
+    assert 0.0 <= onset_s < 1.0
+    assert warned_s < 2.0
+    assert error_s < 5.0
+
+
+@pytest.mark.parametrize("kind", sorted(PAIRS))
+@pytest.mark.parametrize("begin", [400, 550, 700])
+def test_a_divergence_of_3_mps2_is_an_error_in_5_s(kind: str, begin: int) -> None:
+    poses = diverging(PAIRS[kind].estimate, begin, 3.0)
+    loss, _, error_s = delays(kind, poses, begin)
+    assert loss.cause == "diverged"
+    onset_s = (loss.begin_ns - PAIRS[kind].estimate.stamps[begin]) / NANOSECONDS
+    assert -1.0 < onset_s < 2.0
+    assert error_s < 5.0
+
+
+@pytest.mark.parametrize("drift", DRIFTS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_drift_is_no_loss(kind: str, drift: str) -> None:
+    pair = simulated(99_000, kind, drift, 120.0)
+    pairs = associate(pair.truth, pair.estimate, pair.protocol.association)
+    assert losses_of(pairs.groundtruth, pairs.estimate, of_fixes=False) == []
+
+
+@given(seed=st.integers(0, 100), row=st.integers(50, 1000), metres=st.floats(0.0, 100.0))
+def test_neither_another_frame_nor_a_jump_is_a_loss(seed: int, row: int, metres: float) -> None:
+    pairs = PAIRS["drone"]
+    estimate = make_element(Gauge.SIM3, seed).trajectory(pairs.estimate)
+    poses = rows(estimate)
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    poses[row:, :3] = poses[row:, :3] @ turn.T + metres  # a restart in another frame
+    tracking = batches(pairs.estimate.stamps, rows(pairs.groundtruth), poses, [])
+    assert tracking.losses == []
+
+
+def test_a_robot_at_rest_is_not_frozen() -> None:
+    stamps = np.arange(600) * NANOSECONDS // 20
+    truth = states(
+        np.random.default_rng(0).normal(0.0, 0.003, (600, 3)), np.tile([0, 0, 0, 1.0], (600, 1))
+    )
+    still = states(np.zeros((600, 3)), np.tile([0, 0, 0, 1.0], (600, 1)))
+    assert batches(stamps, truth, still, [100]).losses == []
+
+
+@pytest.mark.parametrize("count", [200, 600])
+def test_frozen_time_is_not_covered(count: int) -> None:
+    pair = simulated(31, "drone", "walk", 60.0)
+    poses = frozen(pair.estimate, 400, 400 + count)
+    estimate = Trajectory(pair.estimate.stamps, poses[:, :3], poses[:, 3:7])
+    before, after = (
+        associate(pair.truth, each, pair.protocol.association).coverage.covered
+        for each in (pair.estimate, estimate)
+    )
+    frozen_s = (count - 1) / 20.0
+    assert before - after == pytest.approx(frozen_s / 60.0, abs=1.0 / 60.0)

@@ -1,0 +1,172 @@
+"""The error of an estimate without the noise of the fixes, and jumps of either."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from fix_runs import fixes_of, quality
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trajeval_ros import AssociationRule, Protocol, Request, run
+from trajeval_ros.geometry.fix_selection import FixRule
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.alignment import align
+from trajeval_ros.metrics.own_error import correlations_of, debiased, jumps_of
+
+COUNT = 200
+TIMES = np.arange(COUNT, dtype=float)
+PATH = np.stack([40 * np.cos(TIMES / 30), 40 * np.sin(TIMES / 30), 2 * np.sin(TIMES / 7)], 1)
+STAMPS = (TIMES * 1e9).astype(np.int64) + 1_700_000_000 * 10**9
+SIGMAS = np.array([0.3, 0.3, 0.6])
+
+
+def noise_of(correlation_s: float) -> np.ndarray:
+    if correlation_s == 0.0:
+        return np.eye(COUNT)
+    return correlations_of(STAMPS, correlation_s)
+
+
+@pytest.mark.parametrize("correlation_s", [0.0, 30.0, 1e6])
+def test_the_square_has_no_bias(correlation_s: float) -> None:
+    random = np.random.default_rng(1)
+    truth = PATH + np.cumsum(random.standard_normal((COUNT, 3)), axis=0) * 0.02
+    exact = truth - align(Gauge.YAW, truth, PATH).similarity.positions(PATH)
+    expected = float(np.square(exact).sum(axis=1).mean())
+    covariances = np.tile(np.diag(SIGMAS**2), (COUNT, 1, 1))
+    noise = noise_of(correlation_s)
+    root = np.linalg.cholesky(noise + 1e-12 * np.eye(COUNT))
+    squares, inside, draws = [], 0, 300
+    for _ in range(draws):
+        fixes = truth + root @ random.standard_normal((COUNT, 3)) * SIGMAS
+        aligned = align(Gauge.YAW, fixes, PATH).similarity.positions(PATH)
+        own = debiased(fixes - aligned, aligned, covariances, noise, Gauge.YAW)
+        naive = float(np.square(fixes - aligned).sum(axis=1).mean())
+        squares.append(naive - own.noise_rms_m**2)
+        inside += own.interval_m[0] <= np.sqrt(expected) <= own.interval_m[1]
+    off = (np.mean(squares) - expected) / (np.std(squares) / np.sqrt(draws))
+    assert abs(off) < 3.0
+    assert inside >= 0.9 * draws
+
+
+@given(st.sampled_from(["none", "translation", "yaw", "se3", "sim3"]), st.integers(0, 100))
+def test_without_noise_it_is_the_ate(gauge: str, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    errors = random.standard_normal((COUNT, 3))
+    nothing = np.zeros((COUNT, 3, 3))
+    own = debiased(errors, PATH, nothing, noise_of(100.0), Gauge.of(gauge))
+    ate = np.sqrt(np.square(errors).sum(axis=1).mean())
+    assert own.ate_m == pytest.approx(ate)
+    assert own.interval_m == pytest.approx((ate, ate))
+    assert own.noise_rms_m == 0.0
+
+
+def test_noise_that_never_changes_is_aligned_away() -> None:
+    errors = np.random.default_rng(0).standard_normal((COUNT, 3))
+    covariances = np.tile(np.diag(SIGMAS**2), (COUNT, 1, 1))
+    constant = np.ones((COUNT, COUNT))
+    own = debiased(errors, PATH, covariances, constant, Gauge.TRANSLATION)
+    assert own.noise_rms_m == pytest.approx(0.0, abs=1e-6)
+    assert own.effective == pytest.approx(1.0)
+    # And what is new each time is worth its number.
+    own = debiased(errors, PATH, covariances, np.eye(COUNT), Gauge.TRANSLATION)
+    assert own.effective == pytest.approx(COUNT)
+
+
+def test_a_jump_is_there_and_back() -> None:
+    random = np.random.default_rng(4)
+    errors = np.cumsum(random.standard_normal((COUNT, 3)) * 0.01, axis=0)
+    assert not jumps_of(STAMPS, errors).any()
+    errors[50:58, :2] += 5.0
+    assert np.flatnonzero(jumps_of(STAMPS, errors)).tolist() == list(range(50, 58))
+    errors[120:, 0] += 5.0  # for good: that is believed
+    assert np.flatnonzero(jumps_of(STAMPS, errors)).tolist() == list(range(50, 58))
+
+
+def test_one_or_no_pair_has_no_jump() -> None:
+    for count in (0, 1, 2):
+        assert not jumps_of(STAMPS[:count], PATH[:count]).any()
+
+
+def runs_of(*estimates: np.ndarray, fixes: np.ndarray = PATH, kind: int = 2) -> list:
+    random = np.random.default_rng(7)
+    noisy = fixes + 0.02 * random.standard_normal(fixes.shape)
+    truth = fixes_of(STAMPS, noisy, quality(COUNT, kind=kind))
+    turned = np.tile([0.0, 0.0, 0.0, 1.0], (COUNT, 1))
+    turned[:, 2], turned[:, 3] = np.sin(TIMES / 60), np.cos(TIMES / 60)
+    others = [
+        Trajectory(STAMPS, each, turned, name=f"e{number}")
+        for number, each in enumerate(estimates)
+    ]
+    # The states are a second apart.
+    association = AssociationRule("groundtruth-stamps", max_gap_s=2.0)
+    protocol = Protocol(gauge="yaw", association=association, lengths=())
+    rule = Request(protocol, fixes=FixRule(correlation_s=60.0))
+    return list(run(truth, others, rule).runs)
+
+
+def drifting(seed: int) -> np.ndarray:
+    steps = np.random.default_rng(seed).standard_normal((COUNT, 3))
+    return PATH + np.cumsum(steps, axis=0) * 0.02
+
+
+def test_nothing_is_dropped_because_it_disagrees() -> None:
+    jumping = drifting(1)
+    jumping[100:120] += [20.0, 0.0, 0.0]
+    (found,) = runs_of(jumping)
+    assert len(found.evaluation.association) == COUNT
+    ate, own = found.evaluation.ate["position_m"], found.own_error
+    assert ate is not None
+    assert ate.rmse > 5.0
+    assert own is not None
+    assert own.jumps == 20
+    assert own.ate_m < 0.5 < own.with_jumps_m
+    assert not own.resolved  # that claims no more than an upper end
+    assert any("add a second estimate" in each for each in found.evaluation.warnings)
+
+
+def test_a_jump_of_one_estimate_is_its_own() -> None:
+    jumping = drifting(1)
+    jumping[100:110] += [20.0, 0.0, 0.0]
+    bad, good = runs_of(jumping, drifting(2))
+    assert bad.own_error is not None
+    assert good.own_error is not None
+    assert (bad.own_error.jumps, bad.own_error.own_jumps) == (0, 10)
+    assert (good.own_error.jumps, good.own_error.own_jumps) == (0, 0)
+    assert bad.own_error.ate_m > 3.0
+    assert any("only this estimate jumps" in w for w in bad.evaluation.warnings)
+
+
+def test_a_jump_of_all_is_the_fixes() -> None:
+    multipath = PATH.copy()
+    multipath[60:66] += [8.0, 0.0, 0.0]
+    for each in runs_of(drifting(1), drifting(2), fixes=multipath):
+        assert each.own_error is not None
+        assert (each.own_error.jumps, each.own_error.own_jumps) == (6, 0)
+        assert each.own_error.ate_m < 0.5 < each.own_error.with_jumps_m
+        assert any("caused by the receiver" in w for w in each.evaluation.warnings)
+
+
+@pytest.mark.parametrize("kind", [0, 1, 2, 3])
+def test_covariances_that_nobody_knows_give_no_figure(kind: int) -> None:
+    (found,) = runs_of(drifting(1), kind=kind)
+    if kind == 0:
+        assert found.own_error is None
+        assert any(
+            "200 of the 200 paired fixes have no cov" in w for w in found.evaluation.warnings
+        )
+    else:
+        assert found.own_error is not None
+        assert found.own_error.by_guess == (kind == 1)
+        low, high = found.own_error.interval_m
+        assert low <= found.own_error.ate_m <= high
+
+
+def test_heights_that_change_their_meaning_are_told() -> None:
+    stepping = PATH.copy()
+    stepping[80:, 2] += 47.0
+    (found,) = runs_of(drifting(1), fixes=stepping)
+    assert any("change by +47" in w and "sea level" in w for w in found.evaluation.warnings)
+    (found,) = runs_of(drifting(1))
+    assert not any("sea level" in w for w in found.evaluation.warnings)

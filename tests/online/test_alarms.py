@@ -1,0 +1,203 @@
+"""Alarms: no excursion passes unseen between two looks, and each is told once."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trajeval_ros import Protocol, Trajectory
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.formatting.remarks import Level, Remark, most_severe_first
+from trajeval_ros.geometry import lie
+from trajeval_ros.online.alarms import (
+    LIMITED_QUANTITIES,
+    AlarmLimits,
+    Peak,
+    Peaks,
+    Standing,
+    alarms,
+)
+from trajeval_ros.online.evaluator import OnlineEvaluator
+from trajeval_ros.online.live_settings import OnlineSettings
+from trajeval_ros.online.state_rows import states
+
+NONE = {each.name: AlarmLimits() for each in LIMITED_QUANTITIES}
+SECOND = 10**9
+
+
+def circling(count: int, rate_hz: int) -> Trajectory:
+    """Return a body that circles at 1 m/s and nods."""
+    t = np.arange(count) / rate_hz
+    nods = np.stack([0.2 * np.sin(t), 0.1 * np.cos(2.0 * t), t / 3.0], axis=1)
+    return Trajectory(
+        stamps=SECOND + np.arange(count) * (SECOND // rate_hz),
+        positions=np.stack([3.0 * np.cos(t / 3.0), 3.0 * np.sin(t / 3.0), 0.0 * t], axis=1),
+        quaternions=lie.from_rotation_vector(nods),
+    )
+
+
+def levels(
+    position: np.ndarray, turned_deg: np.ndarray, limits: dict[str, Any], tick_s: float = 0.05
+) -> list[dict[str, int]]:
+    """Return what is over its limits in each second of a flight with such errors.
+
+    The estimate is off by `position` (N, 3) metres and by `turned_deg` (N,) about gravity.
+    """
+    flight = circling(len(position), 200)
+    assert flight.quaternions is not None
+    turned = np.zeros((len(position), 3))
+    turned[:, 2] = np.radians(turned_deg)
+    estimate = dataclasses.replace(
+        flight,
+        positions=flight.positions + position,
+        quaternions=lie.multiply(lie.from_rotation_vector(turned), flight.quaternions),
+    )
+    live = OnlineEvaluator(OnlineSettings(Protocol(gauge="none", lengths=())))
+    peaks, seen = Peaks(), []
+    every = round(tick_s * 200)
+    for tick, row in enumerate(range(0, len(flight), every)):
+        for add, side in ((live.add_groundtruth, flight), (live.add_estimate, estimate)):
+            rows = slice(row, row + every)
+            assert side.quaternions is not None
+            add(side.stamps[rows], states(side.positions[rows], side.quaternions[rows]))
+        peaks.see_update(live.update(), knows_up=True)
+        if (tick + 1) * every % 200 == 0:
+            seen.append({each.subject: each.level for each in alarms(peaks.take(), limits)})
+    return seen
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("phase", [0.0, 0.37])
+def test_all_excursions_of_a_tenth_of_a_second_are_seen(phase: float) -> None:
+    seconds = 201
+    position = np.zeros((200 * seconds, 3))
+    # In every second second, at another place of it.
+    begins = 200 + 400 * np.arange(100) + np.rint(170 * ((phase + 0.618 * np.arange(100)) % 1.0))
+    for begin in begins.astype(int):
+        position[begin : begin + 20, 0] = 0.5
+    turned = np.where(position[:, 0] > 0.0, 5.0, 0.0)
+    limits = {
+        **NONE,
+        "position_error_m": AlarmLimits(0.1, 0.4),
+        "yaw_error_deg": AlarmLimits(3.0),
+        "rotation_error_deg": AlarmLimits(6.0),
+    }
+    seen = levels(position, turned, limits)
+    assert len(seen) == seconds
+    expected = {"position_error_m": Level.ERROR, "yaw_error_deg": Level.WARNING}
+    assert [each == expected for each in seen] == [
+        bool((position[200 * second : 200 * second + 200] > 0).any()) for second in range(seconds)
+    ]
+    assert sum(each == expected for each in seen) == 100
+    assert all(each in ({}, expected) for each in seen)
+
+
+def test_the_largest_value_counts_once_and_says_when_it_was() -> None:
+    peaks = Peaks()
+    for value, stamp in ((0.1, 1), (0.9, 2), (0.4, 3), (None, None)):
+        peaks.see("position_error_m", value, stamp)
+    assert peaks.take() == {"position_error_m": Peak(0.9, 2)}
+    assert peaks.take() == {}
+
+
+@pytest.mark.parametrize("quantity", LIMITED_QUANTITIES)
+def test_every_quantity_has_two_limits(quantity: Any) -> None:
+    limits = {**NONE, quantity.name: AlarmLimits.parse("1,2.0", "limits")}
+    found = [alarms({quantity.name: Peak(each, 7)}, limits) for each in (0.9, 1.0, 1.5, 2.5)]
+    assert found[:2] == [[], []]
+    [warned], [failed] = found[2:]
+    assert (warned.level, failed.level) == (Level.WARNING, Level.ERROR)
+    assert warned.subject == quantity.name
+    number, limit = (f"{each} {quantity.unit}".strip() for each in ("1.5", "1"))
+    assert warned.text == f"{quantity.words} {number} is over {limit}"
+    assert failed.values == {"value": 2.5, "limit": 2.0, "unit": quantity.unit, "stamp_ns": 7}
+    assert alarms({quantity.name: Peak(9.0)}, NONE) == []
+
+
+def test_drift_is_the_largest_of_the_sub_trajectories_that_ended() -> None:
+    flight = circling(180, 20)
+    assert flight.quaternions is not None
+    positions = flight.positions * np.linspace(1.0, 1.2, 180)[:, None]
+    rows = states(flight.positions, flight.quaternions)
+    drifted = states(positions, flight.quaternions)
+    found = []
+    for count in (1, 180):  # one by one, and all together
+        protocol = Protocol(gauge="none", lengths=("4m", "3s"))
+        live, peaks = OnlineEvaluator(OnlineSettings(protocol)), Peaks()
+        live.add_groundtruth(flight.stamps, rows)
+        for begin in range(0, 180, count):
+            part = slice(begin, begin + count)
+            live.add_estimate(flight.stamps[part], drifted[part])
+            peaks.see_update(live.update(), knows_up=True)
+        found.append(peaks.take()["drift_percent"].value)
+    assert found[0] == pytest.approx(found[1], rel=1e-9)
+    assert found[0] > 0.0
+
+
+def test_what_stands_is_told_when_it_begins_gets_graver_and_ends() -> None:
+    standing = Standing()
+    warned = Remark(Level.WARNING, "alarm", "0.2 m is over 0.1 m", "position_error_m")
+    worse = dataclasses.replace(warned, level=Level.ERROR, text="0.6 m is over 0.5 m")
+    silent = Remark(Level.ERROR, "silence", "no estimate for 6 s", "estimate")
+    warming = Remark(Level.NOTE, "alignment", "warming up")
+    assert standing.renew([warned, warming]) == [warned]
+    assert standing.renew([dataclasses.replace(warned, text="0.3 m is over 0.1 m")]) == []
+    assert standing.renew([worse, silent]) == [worse, silent]
+    assert standing.renew([warned, silent]) == []
+    [over] = standing.renew([silent])
+    assert (over.level, over.text) == (Level.NOTE, "no longer: 0.2 m is over 0.1 m")
+    assert standing.renew([silent, warned]) == [warned]
+
+
+def test_an_error_comes_before_a_warning() -> None:
+    levels = [Level.NOTE, Level.ERROR, Level.WARNING]
+    remarks = [Remark(each, "a", "") for each in levels]
+    assert [each.level for each in most_severe_first(remarks)] == sorted(levels, reverse=True)
+
+
+def test_the_text_of_a_condition_keeps_the_numbers_of_its_start() -> None:
+    standing = Standing()
+    first = Remark(Level.WARNING, "alarm", "0.2 m is over 0.1 m", "position_error_m")
+    later = dataclasses.replace(first, text="0.3 m is over 0.1 m")
+    worse = dataclasses.replace(first, level=Level.ERROR, text="0.6 m is over 0.5 m")
+    standing.renew([first])
+    standing.renew([later])
+    assert standing.as_told([later]) == [first]
+    assert standing.as_told([worse]) == [worse]
+    standing.renew([])
+    assert standing.as_told([later]) == [later]
+
+
+@pytest.mark.parametrize(
+    ("text", "limits"), [("", (0, 0)), ("0", (0, 0)), ("2", (0, 2)), ("0.5, 1e1", (0.5, 10))]
+)
+def test_limits_are_one_number_or_two(text: str, limits: tuple[float, float]) -> None:
+    assert AlarmLimits.parse(text, "limits_nees") == limits
+
+
+@pytest.mark.parametrize("text", ["1,2,3", "x", "-1", "1,nan", "inf", ","])
+def test_other_limits_are_refused(text: str) -> None:
+    with pytest.raises(SettingsError, match="parameter limits_nees must be the limits"):
+        AlarmLimits.parse(text, "limits_nees")
+
+
+def test_errors_of_pairs_reach_the_alarms() -> None:
+    position = np.zeros((800, 3))
+    position[250:270, 0] = 0.5
+    limits = {
+        **NONE,
+        "position_error_m": AlarmLimits(0.1, 0.4),
+        "yaw_error_deg": AlarmLimits(3.0),
+        "rotation_error_deg": AlarmLimits(3.0),
+    }
+    seen = levels(position, np.where(position[:, 0] > 0.0, 5.0, 0.0), limits)
+    assert [each for each in seen if each] == [
+        {
+            "position_error_m": Level.ERROR,
+            "yaw_error_deg": Level.WARNING,
+            "rotation_error_deg": Level.WARNING,
+        }
+    ]

@@ -1,0 +1,62 @@
+"""A live evaluator reports a loss of tracking with its onset and the ATE until then."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.diagnosis_further import FURTHER
+from benchmarks.diagnosis_runs import simulated
+from trajeval_ros.diagnosis.diagnose import diagnose
+from trajeval_ros.formatting.remarks import Level
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.evaluation import evaluate
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.online.alarms import about_loss
+from trajeval_ros.online.evaluator import OnlineEvaluator
+from trajeval_ros.online.live_settings import OnlineSettings
+from trajeval_ros.online.state_rows import states
+
+DRONE = simulated(5000, "drone", "walk", 100.0)
+
+
+def rows(trajectory: Trajectory) -> np.ndarray:
+    return states(trajectory.positions, trajectory.quaternions)
+
+
+@pytest.mark.parametrize(
+    ("name", "code"), [("frozen until the end", "frozen"), ("diverging, 3 m/s2", "diverged")]
+)
+def test_live_and_recorded_report_the_same_loss(name: str, code: str) -> None:
+    pair = FURTHER[name].make(DRONE)
+    protocol = Protocol(gauge=Gauge.YAW, lengths=())
+    live = OnlineEvaluator(OnlineSettings(protocol))
+    told, truth, estimate = [], rows(pair.truth), rows(pair.estimate)
+    passed = 0
+    for row in range(0, len(estimate), 10):
+        part = slice(row, row + 10)
+        until = int(pair.truth.stamps.searchsorted(pair.estimate.stamps[part][-1])) + 1
+        live.add_groundtruth(pair.truth.stamps[passed:until], truth[passed:until])
+        passed = until
+        live.add_estimate(pair.estimate.stamps[part], estimate[part])
+        live.update()
+        told += about_loss(live.snapshot())
+    levels = [each.level for each in told]
+    assert {each.code for each in told} == {code}
+    assert levels == sorted(levels)
+    assert levels[-1] is Level.ERROR
+    assert len({each.text for each in told}) == 1  # the message does not change every second
+    evaluation = evaluate(pair.truth, pair.estimate, protocol)
+    (finding,) = diagnose(evaluation, pair.truth, pair.estimate).findings
+    assert finding.cause == code
+    (loss,) = live.tracking.losses
+    at_s = (loss.begin_ns - pair.truth.stamps[0]) / 1e9
+    assert finding.evidence["at_s"] == pytest.approx(at_s, abs=1e-6)
+    before_m = told[-1].values["ate_before_m"]
+    assert finding.evidence["ate_before_m"] == pytest.approx(before_m, rel=0.05)
+    live.add_groundtruth(pair.truth.stamps[passed:], truth[passed:])
+    live.update(at_end=True)
+    covered = live.snapshot().coverage
+    assert covered is not None
+    assert covered.covered == pytest.approx(evaluation.association.coverage.covered, abs=1e-9)

@@ -1,0 +1,311 @@
+"""The live evaluator: equal to the offline one, in any order of arrival."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from live_feeding import SECOND, assert_live_is_offline, feed, make_pair, rows_of
+from strategies import gauges, make_groundtruth, seeds
+
+from trajeval_ros import Gauge, Protocol, Trajectory, evaluate
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.metrics.named_protocols import PROTOCOLS
+from trajeval_ros.metrics.sub_trajectories import Length, Selection
+from trajeval_ros.online.dense_pairing import DensePairing
+from trajeval_ros.online.evaluator import OnlineEvaluator
+from trajeval_ros.online.live_settings import OnlineSettings
+from trajeval_ros.online.state_buffer import BufferLimits
+from trajeval_ros.online.state_rows import states
+from trajeval_ros.online.window import Window
+
+RECORDINGS = [
+    ("euroc/groundtruth/MH_01.txt", "euroc/vio_mono/MH_01.txt", Gauge.YAW, "z"),
+    ("euroc/groundtruth/V1_02_asl.csv", "euroc/V1_02_estimate.txt", Gauge.SE3, "z"),
+    ("tum/fr2_desk_groundtruth.txt", "tum/fr2_desk_ORB.txt", Gauge.SIM3, "z"),
+    ("bags/ROS_example.bag:groundtruth", "bags/ROS_example.bag:ORB-SLAM", Gauge.SE3, "-y"),
+]
+
+
+@pytest.mark.parametrize(("groundtruth", "estimate", "gauge", "axis"), RECORDINGS)
+@pytest.mark.parametrize("delay_s", [0.0, 0.3])
+def test_live_is_offline_on_recordings(
+    recording: Callable[[str], Trajectory],
+    groundtruth: str,
+    estimate: str,
+    gauge: Gauge,
+    axis: str,
+    delay_s: float,
+) -> None:
+    protocol = Protocol(gauge=gauge)
+    evaluator = OnlineEvaluator(OnlineSettings(protocol, up=(axis, axis)))
+    sides = [
+        dataclasses.replace(recording(each), up=UpAxis(axis)) for each in (groundtruth, estimate)
+    ]
+    feed(evaluator, *sides, delay_s=delay_s, drain_s=0.25)
+    offline = evaluate(*sides, protocol)
+    assert_live_is_offline(evaluator, offline)
+    for segment in offline.relative or ():
+        live = evaluator.snapshot().relative[str(segment.length)]
+        assert live.count == len(segment.errors.ends)
+        if live.count and not gauge.has_scale:
+            mean = segment.statistics["position_m"]
+            assert mean is not None
+            assert live.position_m == pytest.approx(mean.mean, rel=1e-9)
+
+
+@given(seed=seeds, gauge=gauges)
+def test_live_is_offline(seed: int, gauge: Gauge) -> None:
+    groundtruth, estimate = make_pair(seed, 300)
+    protocol = Protocol(gauge=gauge, lengths=("3m", "2s", "7f"), align_states=None)
+    evaluator = OnlineEvaluator(OnlineSettings(protocol))
+    feed(evaluator, groundtruth, estimate, drain_s=0.37)
+    assert_live_is_offline(evaluator, evaluate(groundtruth, estimate, protocol), 1e-8)
+
+
+def feed_in_batches(
+    evaluator: OnlineEvaluator, groundtruth: Trajectory, estimate: Trajectory, size: int
+) -> None:
+    """Feed both streams in order of their stamps, so many messages between two updates."""
+    stamps = np.concatenate([groundtruth.stamps, estimate.stamps])
+    order = np.argsort(stamps, kind="stable")
+    groundtruth_rows, estimate_rows = rows_of(groundtruth), rows_of(estimate)
+    for begin in range(0, len(order), size):
+        batch = order[begin : begin + size]
+        g, e = batch[batch < len(groundtruth)], batch[batch >= len(groundtruth)] - len(groundtruth)
+        evaluator.add_groundtruth(groundtruth.stamps[g], groundtruth_rows[g])
+        evaluator.add_estimate(estimate.stamps[e], estimate_rows[e])
+        evaluator.update()
+    evaluator.update(at_end=True)
+
+
+def numbers_of(thing: object) -> Iterator[float | str | None]:
+    """Yield all that a snapshot says, number by number, names before what they name."""
+    if dataclasses.is_dataclass(thing) and not isinstance(thing, type):
+        thing = {field.name: getattr(thing, field.name) for field in dataclasses.fields(thing)}
+    if isinstance(thing, dict):
+        for name in sorted(thing):
+            yield name
+            yield from numbers_of(thing[name])
+    elif isinstance(thing, np.ndarray):
+        yield from thing.ravel().tolist()
+    else:
+        assert thing is None or isinstance(thing, int | float | str)
+        yield thing
+
+
+@settings(max_examples=10)
+@given(seed=seeds, frames=st.integers(1, 40))
+def test_frames_are_counted_live_as_offline(seed: int, frames: int) -> None:
+    groundtruth, estimate = make_pair(seed, 200)
+    protocol = Protocol(lengths=(Length(frames, "f"),))
+    evaluator = OnlineEvaluator(OnlineSettings(protocol))
+    feed(evaluator, groundtruth, estimate, drain_s=0.37)
+    live = evaluator.snapshot().relative[f"{frames}f"]
+    (segment,) = evaluate(groundtruth, estimate, protocol).relative or ()
+    assert live.count == len(segment.errors.ends) > 0
+    position, rotation = (segment.statistics[each] for each in ("position_m", "rotation_deg"))
+    assert position is not None
+    assert rotation is not None
+    assert live.position_m == pytest.approx(position.mean, rel=1e-9)
+    assert live.rotation_deg == pytest.approx(rotation.mean, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("settings", "what"),
+    [
+        ({"lengths": "5deg"}, "degrees"),
+        ({"lengths": "0.1rad"}, "degrees"),
+        ({"selection": Selection(pairs="consecutive")}, "consecutive"),
+        ({"selection": "first-past"}, "selection first-past, every 1 is not supported live"),
+        ({"selection": Selection(every=10)}, "selection nearest, every 10 is not supported live"),
+        ({"selection": Selection(path="estimate")}, "along the estimate is not supported live"),
+        ({"gauge": "sim3", "apply": "scale"}, "scale"),
+    ],
+)
+def test_what_only_a_recording_shows_is_refused(settings: dict[str, Any], what: str) -> None:
+    with pytest.raises(SettingsError, match=what):
+        OnlineSettings(Protocol(**settings))
+
+
+@settings(max_examples=10)
+@given(seed=seeds)
+@pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.SE3])
+@pytest.mark.parametrize("window", ["0", "5s", "4m", "37"])
+def test_batches_of_any_size_give_the_same_snapshot(seed: int, gauge: Gauge, window: str) -> None:
+    groundtruth, estimate = make_pair(seed, 300)
+    protocol = Protocol(gauge=gauge, lengths=(Length(3, "m"), Length(8, "m"), Length(2, "s")))
+    said = []
+    for size in (1, 24, 10_000):
+        evaluator = OnlineEvaluator(OnlineSettings(protocol, Window.parse(window)))
+        feed_in_batches(evaluator, groundtruth, estimate, size)
+        said.append(list(numbers_of(evaluator.snapshot())))
+    assert len(said[1:]) > 0
+    for others in said[1:]:
+        for mine, other in zip(said[0], others, strict=True):
+            if isinstance(mine, float):
+                assert other == pytest.approx(mine, rel=1e-9, abs=1e-11)
+            else:
+                assert other == mine
+
+
+@given(seed=seeds)
+def test_order_of_arrival_within_the_buffer_changes_no_pair(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    groundtruth, estimate = make_pair(seed, 200)
+    evaluator = OnlineEvaluator(OnlineSettings(limits=BufferLimits(past_s=1e3)))
+    for source, add in (
+        (groundtruth, evaluator.add_groundtruth),
+        (estimate, evaluator.add_estimate),
+    ):
+        # All of it, in shuffled pieces, some of them twice.
+        order = random.permutation(len(source))
+        rows = rows_of(source)
+        for piece in np.array_split(np.concatenate([order, order[:20]]), 7):
+            add(source.stamps[piece], rows[piece])
+    evaluator.update(at_end=True)
+    expected = evaluate(groundtruth, estimate, PROTOCOLS["default"]).association
+    pairs = evaluator.association()
+    np.testing.assert_array_equal(pairs.estimate.stamps, expected.estimate.stamps)
+    np.testing.assert_allclose(pairs.groundtruth.positions, expected.groundtruth.positions)
+    assert pairs.dropped.pop("duplicate_stamp") == 20
+    assert pairs.dropped == expected.dropped
+
+
+def test_groundtruth_that_starts_late_ends_early_or_pauses_is_never_made_up() -> None:
+    stamps = (np.arange(400) * SECOND // 20).astype(np.int64)
+    path = np.column_stack([np.cos(stamps / SECOND), np.sin(stamps / SECOND), np.zeros(400)])
+    keep = ((stamps > 3 * SECOND) & (stamps < 8 * SECOND)) | (
+        (stamps > 10 * SECOND) & (stamps < 15 * SECOND)
+    )
+    linear = Protocol(gauge=Gauge.YAW, association="linear")
+    evaluator = OnlineEvaluator(OnlineSettings(linear))
+    evaluator.add_estimate(stamps + 1, states(path))
+    evaluator.update()
+    evaluator.add_groundtruth(stamps[keep], states(path[keep]))
+    evaluator.update(at_end=True)
+    groundtruth, estimate = Trajectory(stamps[keep], path[keep]), Trajectory(stamps + 1, path)
+    expected = evaluate(groundtruth, estimate, linear).association
+    assert evaluator.association().dropped == expected.dropped
+    assert set(expected.dropped) == {
+        "before_groundtruth", "after_groundtruth", "in_groundtruth_gap",
+    }  # fmt: skip
+
+
+def test_a_bag_that_is_played_twice_has_the_groundtruth_of_one() -> None:
+    buffer = DensePairing()
+    stamps = (np.arange(3000) * SECOND // 50).astype(np.int64)
+    rows = states(np.column_stack([0.02 * np.arange(3000), np.zeros((3000, 2))]))
+    told = []
+    for _ in range(2):
+        for part in np.array_split(np.arange(3000), 600):
+            buffer.add_groundtruth(stamps[part], rows[part])
+            buffer.add_estimate(stamps[part], rows[part])
+            buffer.take()
+        told.append((buffer.groundtruth_path_m, buffer.groundtruth_time, buffer.groundtruth_count))
+    assert told[0] == (pytest.approx(59.98), int(stamps[-1]), 3000)
+    assert told[1] == told[0]
+    again = buffer.groundtruth_counts.dropped
+    assert again["too_late"] + again["duplicate_stamp"] == 3000
+    assert sum(buffer.dropped.values()) == 3000
+
+
+def test_a_late_groundtruth_state_adds_no_path() -> None:
+    buffer = DensePairing(limits=BufferLimits(past_s=1.0))
+    stamps = (np.arange(500) * SECOND // 50).astype(np.int64)
+    rows = states(np.column_stack([0.02 * np.arange(500), np.zeros((500, 2))]))
+    buffer.add_groundtruth(stamps, rows)
+    buffer.take()
+    buffer.add_groundtruth(stamps[:400] + 1, rows[:400])
+    buffer.take()
+    assert buffer.groundtruth_path_m == pytest.approx(0.02 * 499)
+    assert buffer.groundtruth_time == stamps[-1]
+    assert buffer.groundtruth_counts.dropped == {"too_late": 400}
+
+
+def test_states_that_are_no_poses_are_counted_by_reason() -> None:
+    evaluator = OnlineEvaluator()
+    stamps = np.arange(4, dtype=np.int64) * SECOND // 10
+    positions = np.zeros((4, 3))
+    positions[1, 0] = np.nan
+    quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (4, 1))
+    quaternions[2] = 0.0
+    evaluator.add_groundtruth(stamps, states(np.zeros((4, 3)), quaternions[[0, 0, 0, 0]]))
+    evaluator.add_estimate(stamps, states(positions, quaternions))
+    evaluator.update(at_end=True)
+    assert evaluator.snapshot().pairs == 2
+    assert evaluator.snapshot().dropped == {"not_finite": 1, "zero_quaternion": 1}
+
+
+def test_a_frozen_alignment_waits_until_it_is_determined_and_then_stays() -> None:
+    groundtruth = make_groundtruth(9, 800)
+    drift = np.cumsum(np.random.default_rng(0).normal(scale=1e-3, size=(800, 3)), axis=0)
+    estimate = dataclasses.replace(groundtruth, positions=groundtruth.positions + drift)
+    evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge=Gauge.YAW), freeze=True))
+    half = len(estimate) // 2
+    feed(evaluator, groundtruth, estimate[:half])
+    frozen = evaluator.snapshot()
+    assert frozen.alignment is not None
+    assert frozen.warming_up == ""
+    assert frozen.alignment.states_used < half
+    later = OnlineEvaluator(OnlineSettings(Protocol(gauge=Gauge.YAW), freeze=True))
+    feed(later, groundtruth, estimate)
+    np.testing.assert_array_equal(
+        later.snapshot().alignment.similarity.rotation,  # type: ignore[union-attr]
+        frozen.alignment.similarity.rotation,
+    )
+
+
+def test_standing_still_is_warming_up() -> None:
+    stamps = (np.arange(100) * SECOND // 20).astype(np.int64)
+    still = np.random.default_rng(0).normal(scale=1e-3, size=(100, 3))
+    evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge=Gauge.SE3), freeze=True))
+    evaluator.add_groundtruth(stamps, states(np.zeros((100, 3))))
+    evaluator.add_estimate(stamps, states(still))
+    evaluator.update()
+    assert "do not determine" in evaluator.snapshot().warming_up
+
+
+@pytest.mark.parametrize("first", [1, 40])
+def test_alignment_by_the_first_states_is_that_of_offline(first: int) -> None:
+    groundtruth, estimate = make_pair(21, 400)
+    protocol = Protocol(gauge=Gauge.YAW, align_states=first, lengths=())
+    evaluator = OnlineEvaluator(OnlineSettings(protocol))
+    feed(evaluator, groundtruth, estimate)
+    assert_live_is_offline(evaluator, evaluate(groundtruth, estimate, protocol))
+
+
+def test_what_cannot_be_live_is_refused_with_the_reason() -> None:
+    with pytest.raises(SettingsError, match="linear"):
+        OnlineSettings(PROTOCOLS["evo"])
+    with pytest.raises(SettingsError, match="frozen"):
+        OnlineSettings(Protocol(align_states=5), freeze=True)
+    with pytest.raises(SettingsError, match="whole run"):
+        OnlineEvaluator(OnlineSettings(window=Window.parse("5s"))).association()
+    for text in ("", "-5s", "5 km", "5s5"):
+        with pytest.raises(SettingsError, match="is not valid"):
+            Window.parse(text)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e200])
+def test_a_velocity_that_is_none_leaves_the_pose(value: float) -> None:
+    groundtruth, estimate = make_pair(3, 60)
+    assert estimate.velocities is not None
+    velocities = estimate.velocities.copy()
+    velocities[20, 1] = value
+    evaluator = OnlineEvaluator()
+    wild = Trajectory(estimate.stamps, estimate.positions, estimate.quaternions, velocities)
+    feed(evaluator, groundtruth, wild)
+    ate = evaluator.snapshot().ate
+    assert ate["velocity_mps"] is None
+    expected = evaluate(groundtruth, dataclasses.replace(estimate, velocities=None))
+    assert ate["position_m"] is not None
+    assert expected.ate["position_m"] is not None
+    assert ate["position_m"].count == expected.ate["position_m"].count
+    assert ate["position_m"].rmse == pytest.approx(expected.ate["position_m"].rmse)

@@ -1,0 +1,80 @@
+"""Errors as vectors: as long as the offline errors, and in the frames that are stated."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import make_estimate, make_groundtruth, seeds
+
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.gauge import Similarity
+from trajeval_ros.geometry.up_axis import UP_AXES, Z_UP, UpAxis
+from trajeval_ros.metrics.absolute_errors import absolute_errors
+from trajeval_ros.online.pair_errors import PairErrors
+from trajeval_ros.online.state_rows import Pairs, states
+
+
+def lengths(vectors: np.ndarray | None) -> np.ndarray:
+    assert vectors is not None
+    return np.linalg.norm(vectors, axis=1)
+
+
+@given(seed=seeds, axis=st.sampled_from(sorted(UP_AXES)))
+def test_vectors_are_as_long_as_the_offline_errors(seed: int, axis: str) -> None:
+    up = UpAxis(axis)
+    groundtruth = dataclasses.replace(make_groundtruth(seed, 50), up=up)
+    estimate = make_estimate(groundtruth, seed + 1)
+    groundtruth = groundtruth[: len(estimate)]
+    turn = lie.to_matrix(lie.from_rotation_vector(np.array([0.1, -0.2, 0.3])))
+    alignment = Similarity(turn, np.array([1.0, 2.0, 3.0]), 1.1)
+    expected = absolute_errors(groundtruth, alignment.trajectory(estimate))
+    rows = [states(e.positions, e.quaternions, e.velocities) for e in (groundtruth, estimate)]
+    found = PairErrors(Pairs(groundtruth.stamps, *rows), alignment, up, rotation=True)
+    near = {"rtol": 1e-9, "atol": 1e-9}
+    np.testing.assert_allclose(lengths(found.position), expected.position_m, **near)
+    np.testing.assert_allclose(lengths(found.along_cross_vertical), expected.position_m, **near)
+    np.testing.assert_allclose(lengths(found.rotation_vector_deg), expected.rotation_deg, **near)
+    if expected.velocity_mps is not None:
+        np.testing.assert_allclose(lengths(found.velocity), expected.velocity_mps, **near)
+    assert found.yaw_deg is not None
+    assert found.attitude_deg is not None
+    np.testing.assert_allclose(np.abs(found.yaw_deg), expected.yaw_deg, **near)
+    np.testing.assert_allclose(found.tilt_deg, expected.tilt_deg, **near)
+    # The part of the attitude error along the up axis is yaw, the rest is tilt.
+    above = up.matrix[2]
+    np.testing.assert_allclose(found.attitude_deg @ above, found.yaw_deg, **near)
+    across = found.attitude_deg - np.outer(found.yaw_deg, above)
+    np.testing.assert_allclose(lengths(across), expected.tilt_deg, **near)
+
+
+def test_along_is_where_the_body_heads() -> None:
+    turned = lie.from_rotation_vector(np.array([[0.0, 0.0, np.pi / 2.0]]))  # faces y
+    groundtruth = states(np.array([[1.0, 2.0, 3.0]]), turned)
+    estimate = states(np.array([[1.0, 1.5, 2.9]]), turned)  # half a metre behind, and below
+    pairs = Pairs(np.array([5]), groundtruth, estimate)
+    found = PairErrors(pairs, Similarity.identity(), Z_UP, rotation=True)
+    assert found.along_cross_vertical is not None
+    assert found.along_cross_vertical[0] == pytest.approx([0.5, 0.0, 0.1], abs=1e-12)
+    assert found.velocity is None  # nobody measures one
+
+
+def test_what_is_not_measured_or_not_determined_is_withheld() -> None:
+    places = np.ones((4, 3))
+    turns = np.tile([0.0, 0.0, 0.0, 1.0], (4, 1))
+    moving = np.array([[1.0, 0.0, 0.0]] * 3 + [[0.0, 0.0, 0.0]])
+    full, points = states(places, turns, moving), states(places)
+    stamps = np.arange(4)
+    without = PairErrors(Pairs(stamps, points, full), Similarity.identity(), Z_UP, rotation=True)
+    assert without.rotation_deg is without.yaw_deg is without.tilt_deg is None
+    assert without.rotation_vector_deg is without.attitude_deg is None
+    assert without.along_cross_vertical is without.velocity is None
+    opened = PairErrors(Pairs(stamps, full, full), Similarity.identity(), Z_UP, rotation=False)
+    assert opened.rotation_deg is opened.attitude_deg is opened.velocity is None
+    assert opened.along_cross_vertical is not None
+    both = PairErrors(Pairs(stamps, full, full), Similarity.identity(), Z_UP, rotation=True)
+    assert both.velocity is not None
+    assert np.isnan(both.velocity).any(axis=1).tolist() == [False, False, False, True]

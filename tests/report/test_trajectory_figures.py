@@ -1,0 +1,318 @@
+"""The figures of `trajeval trajectory`: what is drawn, over which ground, in which colours."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trajeval_ros.cli.app import main
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.travelled import speeds
+from trajeval_ros.simulation.drifting_odometry import simulate
+
+pytest.importorskip("matplotlib", reason="figures need the extra `plot`")
+
+from matplotlib.image import imread
+from paths import ROOT
+from PIL import Image
+
+from trajeval_ros.io.ground_image import parse_bounds, read_ground_image
+from trajeval_ros.report.figure_style import FigureStyle, house_style
+from trajeval_ros.report.motion_figures import PLOTS, Colours, motion_drawings
+from trajeval_ros.report.plane_panels import PlanePanels
+
+MAP = "image: map.pgm\nresolution: 0.5\norigin: [-3.0, 2.0, {yaw}]\nnegate: 0\n"
+
+
+def circle(count: int = 200, radius_m: float = 2.0, turns_s: float = 0.1) -> Trajectory:
+    """A body on a level circle, facing ahead."""
+    angle = 2.0 * np.pi * turns_s * np.arange(count) * 0.05
+    positions = radius_m * np.stack([np.cos(angle), np.sin(angle), np.zeros(count)], axis=1)
+    turn = np.stack([np.zeros(count), np.zeros(count), angle], axis=1)
+    return Trajectory.from_columns(
+        stamps=(NANOSECONDS * 0.05 * np.arange(count)).round().astype(np.int64),
+        positions=positions,
+        quaternions=lie.from_rotation_vector(turn),
+        name="circle",
+    )
+
+
+def grey_map(folder: Path, yaw: float = 0.0) -> Path:
+    """A ROS map of 4 x 6 cells; only that in the left lower corner is occupied."""
+    pixels = np.full((4, 6), 254, dtype=np.uint8)
+    pixels[3, 0] = 0
+    Image.fromarray(pixels).save(folder / "map.pgm")
+    (folder / "map.yaml").write_text(MAP.format(yaw=yaw))
+    return folder / "map.yaml"
+
+
+def test_a_home_that_cannot_be_written_gives_no_warnings(tmp_path: Path) -> None:
+    """Nor does a list of fonts that takes long to make, of which the same logger warns."""
+    assert main(["simulate", str(tmp_path / "flight"), "--duration", "10"]) == 0
+    nowhere = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME"), "/proc/nowhere")
+    command = ["trajectory", f"{tmp_path / 'flight'}:/vio/odometry", "--plot", "xy", "--quiet"]
+    done = subprocess.run(
+        [sys.executable, "-m", "trajeval_ros", *command, "--output", str(tmp_path / "plots")],
+        env={**os.environ, "PYTHONPATH": str(ROOT), **nowhere},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "plots" / "path_xy.png").exists()
+
+
+def test_speeds_of_a_circle() -> None:
+    path = circle()
+    linear, turning = speeds(path.stamps, path.positions, path.quaternions)
+    chord = 2.0 * 2.0 * math.sin(math.pi * 0.1 * 0.05) / 0.05
+    np.testing.assert_allclose(linear, chord, rtol=1e-9)
+    assert turning is not None
+    np.testing.assert_allclose(turning, 2.0 * math.pi * 0.1, rtol=1e-9)
+    _, nothing = speeds(path.stamps, path.positions, None)
+    assert nothing is None
+
+
+def test_every_plot_shows_the_trajectory_and_its_reference() -> None:
+    flown = circle()
+    reference = dataclasses.replace(circle(400), name="truth")
+    with house_style():
+        drawings = motion_drawings(PLOTS, [flown], reference)
+        figures = {name: draw() for name, draw in drawings.items()}
+    assert list(figures) == [
+        "path_xy", "path_xz", "path_yz", "path_3d",
+        "xyz_over_time", "rpy_over_time", "speed_over_time",
+    ]  # fmt: skip
+    for figure in figures.values():
+        (legend,) = figure.legends
+        assert {"reference", "circle"} <= {text.get_text() for text in legend.get_texts()}
+    _, _, yaw = figures["rpy_over_time"].axes
+    (line,) = [each for each in yaw.lines if each.get_label() == "circle"]
+    np.testing.assert_allclose(
+        line.get_ydata(), np.degrees(2.0 * np.pi * 0.1 * line.get_xdata()), atol=1e-6
+    )
+    _, turning = figures["speed_over_time"].axes
+    np.testing.assert_allclose(turning.lines[-1].get_ydata(), 36.0, rtol=1e-9)
+
+
+def test_the_path_is_coloured_by_its_error_with_a_bar() -> None:
+    reference = circle()
+    ramp = np.linspace(0.0, 0.5, len(reference))
+    off = reference.positions + ramp[:, None] * [0.0, 0.0, 1.0]
+    off[7] += [0.0, 0.0, 90.0]  # an outlier does not set the scale
+    estimate = dataclasses.replace(reference, positions=off)
+    for largest, wanted in ((None, np.percentile(ramp, 99.0)), (0.2, 0.2)):
+        colours = Colours("error", largest)
+        with house_style():
+            (draw,) = motion_drawings(["xy"], [estimate], reference, colours=colours).values()
+            figure = draw()
+        panel, bar = figure.axes
+        assert bar.get_ylabel() == "position error [m]"
+        coloured = panel.collections[-1]
+        np.testing.assert_allclose(coloured.get_array()[8:-1], ramp[8:-2], atol=1e-9)
+        assert coloured.get_clim() == pytest.approx((0.0, wanted), rel=0.02)
+        assert coloured.colorbar.extend == "max"
+    with pytest.raises(InputError, match="--reference"):
+        motion_drawings(["xy"], [reference], None, colours=Colours("error"))["path_xy"]()
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.5 * math.pi])
+def test_a_ros_map_lies_where_its_origin_says(yaw: float, tmp_path: Path) -> None:
+    ground = read_ground_image(grey_map(tmp_path, yaw))
+    # The left lower corner of the left lower cell, and the middle of it.
+    corner, middle = ground.to_world @ [0.0, 4.0, 1.0], ground.to_world @ [0.5, 3.5, 1.0]
+    np.testing.assert_allclose(corner, [-3.0, 2.0], atol=1e-12)
+    turned = [0.25, 0.25] if yaw == 0.0 else [-0.25, 0.25]
+    np.testing.assert_allclose(middle, [-3.0 + turned[0], 2.0 + turned[1]], atol=1e-12)
+    assert ground.pixels[3, 0] == 0
+    assert ground.pixels[0, 0] == 254
+
+
+def test_the_map_is_drawn_below_the_path(tmp_path: Path) -> None:
+    positions = np.array([[-3.0, 2.0, 0.0], [0.0, 4.0, 0.0]])
+    stamps = np.array([0, NANOSECONDS])
+    path = Trajectory.from_columns(stamps=stamps, positions=positions, name="path")
+    ground = read_ground_image(grey_map(tmp_path))
+    with house_style():
+        (draw,) = motion_drawings(["xy"], [path], None, ground=ground).values()
+        figure = draw()
+        figure.set_layout_engine("none")
+        figure.savefig(tmp_path / "drawn.png", dpi=100)
+    (axes,) = figure.axes
+    pixels = imread(tmp_path / "drawn.png")[:, :, :3]
+
+    def seen(x: float, y: float) -> float:
+        column, row = axes.transData.transform([x, y])
+        return float(pixels[len(pixels) - 1 - round(row), round(column)].mean())
+
+    assert seen(-2.6, 2.1) == pytest.approx(0.0, abs=0.02)
+    assert seen(-2.6, 3.7) == pytest.approx(254 / 255, abs=0.02)
+    assert seen(-1.0, 2.2) == pytest.approx(254 / 255, abs=0.02)
+
+
+def test_world_files_are_of_pixel_centres_and_bounds_of_corners(tmp_path: Path) -> None:
+    image = tmp_path / "field.png"
+    Image.fromarray(np.zeros((10, 20, 3), dtype=np.uint8)).save(image)
+    with pytest.raises(InputError, match="--map-bounds"):
+        read_ground_image(image)
+    (tmp_path / "field.pgw").write_text("0.5\n0\n0\n-0.5\n448000.25\n5411999.75\n")
+    by_file = read_ground_image(image)
+    by_bounds = read_ground_image(image, parse_bounds("448000,5411995,448010,5412000"))
+    np.testing.assert_allclose(by_file.to_world, by_bounds.to_world)
+
+
+def test_large_images_are_drawn_small_and_huge_ones_refused(tmp_path: Path) -> None:
+    image = tmp_path / "large.png"
+    Image.new("L", (3000, 2000)).save(image)
+    ground = read_ground_image(image, (0.0, 0.0, 30.0, 20.0))
+    height, width = ground.pixels.shape
+    assert height * width <= 4_010_000
+    np.testing.assert_allclose(ground.to_world @ [width, height, 1.0], [30.0, 0.0], atol=1e-9)
+    Image.new("1", (10_000, 10_000)).save(image)
+    with pytest.raises(InputError, match=r"large.png"):
+        read_ground_image(image, (0.0, 0.0, 1.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("image: map.pgm\n", "resolution"),
+        ("resolution: 1.0\n", "no field image"),
+        ("image: map.pgm\nresolution: 0\norigin: [0, 0, 0]\n", "greater than 0"),
+        ("image: map.pgm\nresolution: .nan\norigin: [0, 0, 0]\n", "resolution"),
+        (f"image: map.pgm\nresolution: {10**400}\norigin: [0, 0, 0]\n", "64 bits"),
+        ("image: map.pgm\nresolution: 1\norigin: [0, 0]\n", "origin"),
+        ("image: map.pgm\nresolution: 1\norigin: [0, 0, x]\n", "origin"),
+        ("image: [a]\nresolution: 1\norigin: [0, 0, 0]\n", "no field image"),
+        ("image: none.pgm\nresolution: 1\norigin: [0, 0, 0]\n", "none.pgm"),
+        ("image: map.yaml\nresolution: 1\norigin: [0, 0, 0]\n", "map.yaml"),
+        ("!!python/object/apply:os.system ['true']\n", "YAML"),
+    ],
+)
+def test_maps_that_are_none_are_told(text: str, said: str, tmp_path: Path) -> None:
+    path = grey_map(tmp_path)
+    path.write_text(text)
+    with pytest.raises(InputError, match=said):
+        read_ground_image(path)
+
+
+@given(st.text(max_size=30))
+def test_bounds_are_read_or_refused(text: str) -> None:
+    try:
+        x0, y0, x1, y1 = parse_bounds(text)
+    except SettingsError:
+        return
+    assert x0 < x1
+    assert y0 < y1
+
+
+def test_the_command_draws_and_replaces_its_figures_only(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag, out = tmp_path / "flight", tmp_path / "out"
+    assert main(["simulate", str(bag), "--duration", "10"]) == 0
+    command = ["trajectory", f"{bag}:/vio/odometry", "--reference", f"{bag}:/groundtruth/pose"]
+    command += ["--gauge", "yaw", "--output", str(out)]
+    more = ["--plot", "xy,speed", "--colour-by", "error", "--map", str(grey_map(tmp_path))]
+    assert main([*command, *more, "--figure-format", "png,svg"]) == 0
+    names = ["path_xy.png", "path_xy.svg", "speed_over_time.png", "speed_over_time.svg"]
+    assert sorted(each.name for each in out.iterdir()) == names
+    assert imread(out / "path_xy.png").std() > 0.05
+    (out / "path_xy.png").write_bytes(b"older")
+    assert main([*command, *more]) == 0
+    assert imread(out / "path_xy.png").std() > 0.05
+    # Trajectories are data: they are never replaced.
+    assert main([*command, "--save-as", "tum"]) == 0
+    capsys.readouterr()
+    assert main([*command, "--save-as", "tum"]) == 2
+    assert "exists" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--plot", "zx"], "use one of xy"),
+        (["--colour-by", "error"], "--plot"),
+        (["--plot", "xz", "--map", "map.yaml"], "add xy"),
+        (["--plot", "xy", "--map-bounds", "0,0,1,1"], "--map"),
+        (["--plot", "xy", "--map", "gone.png", "--map-bounds", "1,1,0,0"], "bounds"),
+        (["--plot", "xy", "--map", "gone.png", "--map-bounds", "0,0,1,1"], "gone.png"),
+    ],
+)
+def test_what_cannot_be_drawn_is_told_before_anything_is_read(
+    more: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["trajectory", "no.txt", *more]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert "no.txt" not in error
+
+
+def test_trajectories_without_stamps_are_drawn_over_the_index() -> None:
+    made = circle()
+    late = dataclasses.replace(made, stamps=made.stamps + 1_700_000_000 * NANOSECONDS)
+    counted = dataclasses.replace(made, reading=Reading("KITTI", stamped=False))
+    labels = {"xyz": "z [m]", "rpy": "yaw [deg]", "speed": "turn [deg/pose]"}
+    with house_style():
+        for kind, drawing in zip(
+            ("xy", *labels),
+            motion_drawings(("xy", *labels), [counted], late).values(),
+            strict=True,
+        ):
+            figure = drawing()
+            if kind == "xy":
+                continue
+            axes = figure.axes[-1]
+            assert axes.get_xlabel() == "pose"
+            assert axes.get_ylabel().replace("$", "") == labels[kind]
+            for line in axes.lines[:2]:
+                assert line.get_xdata()[-1] == len(made) - 1
+                assert 0 <= line.get_xdata()[0] <= 1
+        steps = figure.axes[0].lines[1].get_ydata()
+    np.testing.assert_allclose(steps, np.linalg.norm(np.diff(made.positions, axis=0), axis=1)[0])
+    with pytest.raises(
+        InputError, match="circle has no timestamps, which --colour-by speed needs; set"
+    ):
+        motion_drawings(["xy"], [counted], None, colours=Colours("speed"))
+    positions = dataclasses.replace(simulate(0, 5.0).groundtruth, quaternions=None)
+    with pytest.raises(InputError, match="no orientations"):
+        motion_drawings(["rpy"], [positions], None)
+
+
+@pytest.mark.parametrize(
+    ("width", "rows"), [("ieee-column", [2, 2, 1]), ("ieee-page", [3, 2])], ids=["narrow", "wide"]
+)
+def test_five_paths_fill_rows_evenly_and_the_lowest_of_each_column_is_labelled(
+    width: str, rows: list[int]
+) -> None:
+    angle = np.linspace(0.0, 6.0, 50)
+    truth = np.stack([np.cos(angle), 0.8 * np.sin(angle), 0.0 * angle], axis=1)
+    with house_style(FigureStyle.parse(None, width, None, has_titles=True)):
+        names = {each: f"vio_{each}" for each in range(5)}
+        panels = PlanePanels([truth[:, :2]], names, "Trajectories on hall")
+        for each in range(5):
+            panels.draw_path(each, truth[:, :2])
+        figure = panels.finish(truth[:, :2], truth[:, :2], ("x", "y"))
+        figure.draw_without_rendering()
+        shown = [axes for axes in figure.axes if axes.get_visible()]
+        boxes = [axes.get_window_extent() for axes in shown]
+        heights = sorted({round(box.y0) for box in boxes}, reverse=True)
+        assert [sum(round(box.y0) == each for box in boxes) for each in heights] == rows
+        for axes, box in zip(shown, boxes, strict=True):
+            below = any(round(other.x0) == round(box.x0) and other.y0 < box.y0 for other in boxes)
+            assert axes.get_xlabel() == ("" if below else "x [m]")
+            assert any(each.label1.get_visible() for each in axes.xaxis.get_major_ticks()) != below
+        title = figure.texts[0].get_window_extent()
+        assert all(axes.title.get_window_extent().y1 <= title.y0 for axes in shown)

@@ -1,0 +1,260 @@
+"""Clocks that differ or step, unusable poses and repeated events, without a network."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_runs import ESTIMATE, GROUNDTRUTH, Live
+from numpy.typing import NDArray
+from ros_bags import ODOM, POSE, Message, messages_of, odometry_message
+
+from trajeval_ros import simulate
+from trajeval_ros.formatting.remarks import Level, Remark
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.online.alarms import LIMITED_QUANTITIES, AlarmLimits
+from trajeval_ros.online.jump_detector import Jump
+from trajeval_ros.ros.clock_remarks import about_clock_faults
+from trajeval_ros.ros.diagnostics import about_jump, remarks_about
+from trajeval_ros.ros.live_runs import NewRunRule
+from trajeval_ros.ros.recorded_state import why_no_pair
+
+SECOND = 10**9
+FLIGHT = simulate(8, 20.0)
+TRUTH, ESTIMATED = FLIGHT.groundtruth[::10], FLIGHT.estimate
+BEGIN = int(TRUTH.stamps[0])
+FAR_JUMP = Jump(BEGIN, 6.6, 0.0)
+LIMITED = ("coverage", "rate_hz", *(each.name for each in LIMITED_QUANTITIES))
+LIMITS = {name: AlarmLimits() for name in LIMITED}
+
+
+def at(source: Trajectory, seconds: float) -> int:
+    """Return the first row that many seconds after the start."""
+    return int(source.stamps.searchsorted(BEGIN + round(seconds * SECOND)))
+
+
+def sent(
+    source: Trajectory,
+    topic: str,
+    stamps: NDArray[np.int64],
+    rate: float = 1.0,
+    late_s: float = 0.0,
+) -> list[Message]:
+    """Return messages with other timestamps, logged when the poses are measured."""
+    logged = BEGIN + (source.stamps - BEGIN) / rate + round(late_s * SECOND)
+    fed = messages_of(
+        dataclasses.replace(source, stamps=stamps), topic, POSE if topic == GROUNDTRUTH else ODOM
+    )
+    by_stamp = {stamp: row for row, stamp in enumerate(stamps.tolist())}
+    return [
+        (name, kind, int(logged[by_stamp[stamp]]), payload) for name, kind, stamp, payload in fed
+    ]
+
+
+def stepped(source: Trajectory, seconds: float, step_s: float) -> NDArray[np.int64]:
+    """Return timestamps that step after some seconds."""
+    stamps = source.stamps.copy()
+    stamps[at(source, seconds) :] += round(step_s * SECOND)
+    return stamps
+
+
+def fly(live: Live, *streams: list[Message]) -> None:
+    for message in sorted(
+        (each for stream in streams for each in stream), key=lambda each: each[2]
+    ):
+        live.feed([message])
+
+
+def clock_faults(live: Live) -> list[Remark]:
+    return list(about_clock_faults(live.run, live.run.estimates[0]))
+
+
+def remarks(live: Live) -> list[Remark]:
+    [estimate] = live.run.estimates
+    return remarks_about(live.run, estimate, estimate.snapshot(), {}, LIMITS)
+
+
+@pytest.mark.parametrize(
+    ("ahead_s", "side", "cause"),
+    [
+        (100.0, "100 s ahead of", "not synchronised"),
+        (-100.0, "100 s behind", "not synchronised"),
+        (7200.0, "7200 s ahead of", "set time_offset:=-7200"),
+        (18.0, "18 s ahead of", "GPS time is 18 s ahead of UTC"),
+        (-37.0, "37 s behind", "TAI is 37 s ahead of UTC"),
+        (-BEGIN / SECOND + 50.0, "behind", "/vio count from the start of a computer"),
+    ],
+)
+def test_clocks_with_nothing_in_common_are_reported_within_three_seconds(
+    tmp_path: Path, ahead_s: float, side: str, cause: str
+) -> None:
+    live = Live(tmp_path / "live", ODOM)
+    until = at(ESTIMATED, 3.0)
+    stamps = ESTIMATED.stamps + round(ahead_s * SECOND)
+    fly(
+        live,
+        sent(TRUTH, GROUNDTRUTH, TRUTH.stamps)[: at(TRUTH, 3.0)],
+        sent(ESTIMATED, ESTIMATE, stamps)[:until],
+    )
+    [fault] = clock_faults(live)
+    assert (fault.level, fault.code, fault.subject) == (Level.WARNING, "clock", "apart")
+    assert side in fault.text
+    assert cause in fault.text
+    assert fault in remarks(live)
+    assert fault.text in why_no_pair(live.run)
+    live.end()
+
+
+@pytest.mark.parametrize("late_s", [0.0, 5.0])
+@pytest.mark.parametrize("rate", [0.5, 1.0, 15.0])
+def test_equal_clocks_are_not_reported_at_any_rate(
+    tmp_path: Path, rate: float, late_s: float
+) -> None:
+    """Also of an estimator that is late, and after tracking losses and gaps."""
+    live = Live(tmp_path / "live", ODOM)
+    rows = ESTIMATED.seconds
+    with_gap = ESTIMATED[(rows < 7.0) | (rows > 12.0)]
+    truth = TRUTH[(TRUTH.seconds < 13.0) | (TRUTH.seconds > 15.5)]
+    fly(
+        live,
+        sent(truth, GROUNDTRUTH, truth.stamps, rate),
+        sent(with_gap, ESTIMATE, with_gap.stamps, rate, late_s / rate),
+    )
+    assert clock_faults(live) == []
+    live.end()
+
+
+def test_an_estimator_that_stalls_and_catches_up_has_no_faulty_clock(tmp_path: Path) -> None:
+    live = Live(tmp_path / "live", ODOM)
+    messages = []
+    for name, kind, logged, payload in sent(ESTIMATED, ESTIMATE, ESTIMATED.stamps):
+        since_s = (logged - BEGIN) / SECOND
+        if 6.0 < since_s < 9.0:
+            logged += 4 * SECOND  # the estimator is 4 s late
+        elif 9.0 <= since_s < 13.0:
+            continue  # and leaves out images
+        messages.append((name, kind, logged, payload))
+    fly(live, sent(TRUTH, GROUNDTRUTH, TRUTH.stamps), messages)
+    assert clock_faults(live) == []
+    live.end()
+
+
+@pytest.mark.parametrize("on_time_jump", ["reset", "ignore"])
+@pytest.mark.parametrize("rate", [1.0, 8.0])
+@pytest.mark.parametrize("of_groundtruth", [False, True])
+@pytest.mark.parametrize("step_s", [3.0, -3.0])
+def test_a_step_of_one_clock_is_a_warning_until_a_reset(
+    tmp_path: Path, step_s: float, of_groundtruth: bool, rate: float, on_time_jump: str
+) -> None:
+    live = Live(tmp_path / "live", ODOM, rule=NewRunRule(on_time_jump))
+    sides = [
+        (TRUTH, GROUNDTRUTH, step_s if of_groundtruth else 0.0),
+        (ESTIMATED, ESTIMATE, 0.0 if of_groundtruth else step_s),
+    ]
+    feeds = [
+        sent(source, topic, stepped(source, 8.0, by_s), rate) for source, topic, by_s in sides
+    ]
+    soon = BEGIN + round((8.0 + 3.0 * max(1.0, rate)) / rate * SECOND)
+    fly(live, *([each for each in feed if each[2] <= soon] for feed in feeds))
+    [fault] = clock_faults(live)
+    assert (fault.level, fault.subject) == (Level.WARNING, "step")
+    topic = GROUNDTRUTH if of_groundtruth else ESTIMATE
+    way = "forward" if step_s > 0 else "back"
+    assert f"the clock of {topic} stepped {way} by 3.0 s" in fault.text
+    assert fault.values["step_s"] == pytest.approx(step_s, abs=0.3)
+    jump = about_jump(live.run.estimates[0], FAR_JUMP)
+    assert "a clock stepped" in jump.text
+    assert "restart" not in jump.text
+    live.reset()
+    assert clock_faults(live) == []
+    live.end()
+    [run] = live.result["runs"]
+    assert "clock_step" in [each["code"] for each in run["remarks"]]
+
+
+@pytest.mark.parametrize("step_s", [-5.0, 5.0])
+def test_a_step_of_both_clocks_is_a_new_run_and_no_fault(tmp_path: Path, step_s: float) -> None:
+    live = Live(tmp_path / "live", ODOM)
+    fly(
+        live,
+        sent(TRUTH, GROUNDTRUTH, stepped(TRUTH, 8.0, step_s)),
+        sent(ESTIMATED, ESTIMATE, stepped(ESTIMATED, 8.4, step_s)),
+    )
+    assert clock_faults(live) == []
+    assert len(live.folders) == (2 if step_s < 0 else 1)
+    live.end()
+
+
+def spoiled(kind: str, share: float) -> list[Message]:
+    """Return the messages of an estimate of which some are unusable, in order of measurement."""
+    assert ESTIMATED.quaternions is not None
+    logged = ESTIMATED.stamps.tolist()
+    stamps, places, turns = (
+        each.copy() for each in (ESTIMATED.stamps, ESTIMATED.positions, ESTIMATED.quaternions)
+    )
+    rows = np.flatnonzero(np.random.default_rng(3).random(len(stamps)) < share)
+    if kind == "nan":
+        places[rows] = np.nan
+    elif kind == "zero quaternion":
+        turns[rows] = 0.0
+    elif kind == "zero stamp":
+        stamps[rows] = 0
+    else:
+        stamps[rows] = stamps[rows - 1] if share < 1.0 else stamps[0]
+    columns = zip(logged, stamps.tolist(), places, turns, strict=True)
+    return [(ESTIMATE, ODOM, each, odometry_message(*rest)) for each, *rest in columns]
+
+
+KINDS = {
+    "nan": "not finite",
+    "zero quaternion": "with a zero quaternion",
+    "zero stamp": "with timestamp zero",
+    "repeated": "with a duplicate timestamp",
+}
+
+
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_a_stream_of_unusable_poses_is_a_warning_at_once(tmp_path: Path, kind: str) -> None:
+    live = Live(tmp_path / "live", ODOM)
+    fly(live, sent(TRUTH, GROUNDTRUTH, TRUTH.stamps)[:200], spoiled(kind, 1.0)[:20])
+    [told] = [each for each in remarks(live) if "no message with a valid pose" in each.text]
+    assert told.level == Level.WARNING
+    assert KINDS[kind] in told.text
+    live.end()
+
+
+@pytest.mark.parametrize(("share", "is_told"), [(0.08, True), (0.02, False)])
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_a_share_of_unusable_poses_is_a_warning_live_and_in_the_result(
+    tmp_path: Path, kind: str, share: float, is_told: bool
+) -> None:
+    live = Live(tmp_path / "live", ODOM)
+    fly(live, sent(TRUTH, GROUNDTRUTH, TRUTH.stamps), spoiled(kind, share))
+    told = [each for each in remarks(live) if each.subject == "unusable_estimate"]
+    live.end()
+    [run] = live.result["runs"]
+    assert [each.level for each in told] == [Level.WARNING] * is_told
+    assert any(each["code"] == "unusable_poses" for each in run["remarks"]) == is_told
+    assert all(KINDS[kind] in each.text for each in told)
+
+
+def test_states_out_of_order_are_counted_once_and_reported(tmp_path: Path) -> None:
+    live = Live(tmp_path / "live", ODOM)
+    feed = sent(ESTIMATED, ESTIMATE, ESTIMATED.stamps)
+    late = [
+        (*each[:2], each[2] + SECOND // 2 * (row % 3 == 0), each[3])
+        for row, each in enumerate(feed)
+    ]
+    fly(live, sent(TRUTH, GROUNDTRUTH, TRUTH.stamps), late)
+    [estimate] = live.run.estimates
+    snapshot = estimate.snapshot()
+    dropped = snapshot.dropped["out_of_order"]
+    assert dropped > 0.2 * len(feed)
+    assert snapshot.pairs + sum(snapshot.dropped.values()) + snapshot.waiting == len(feed)
+    [told] = [each for each in remarks(live) if each.subject == "out_of_order"]
+    assert told.level == Level.WARNING
+    live.end()
+    [run] = live.result["runs"]
+    assert run["association"]["pairs"] >= snapshot.pairs + dropped

@@ -1,0 +1,80 @@
+"""Faults of streams over the network: two publishers, other clocks, topics of the same name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ros_processes import GROUNDTRUTH, Peer, evaluating
+
+pytest.importorskip(
+    "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
+)
+pytestmark = pytest.mark.ros
+
+GOOD, AHEAD, BROKEN = "/vio/odometry", "/vio_odometry", "/broken"
+FAULTS = {
+    "vio_odometry": "messages of 2 publishers are mixed (peer, peer)",
+    "vio_odometry_2": "are 7200 s ahead of those of the groundtruth",
+    "broken": "no message with a valid pose (not finite)",
+}
+
+
+def pose(t: float, x: float) -> Any:
+    from geometry_msgs.msg import PoseStamped
+
+    message = PoseStamped()
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(round(t * 1e9), 10**9)
+    message.pose.position.x = x
+    message.pose.orientation.w = 1.0
+    return message
+
+
+def test_faults_of_streams_are_warnings_with_their_causes(
+    peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    """The list of topics has no quotes, and two of the topics have the same name."""
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+    from geometry_msgs.msg import PoseStamped
+
+    arrays = peer.hear("/diagnostics", DiagnosticArray)
+    events = peer.hear("/evaluator/event", DiagnosticStatus, latched=True)
+    topics = f"estimate_topics:=[{GOOD},{AHEAD},{BROKEN},/tf:odom.base_link]"
+    names = (GROUNDTRUTH, GOOD, GOOD, AHEAD, BROKEN)
+    publishers = [peer.publisher(each, PoseStamped) for each in names]
+    with evaluating(tmp_path / "out", environment, "-p", topics, lengths="none") as live:
+        for each in publishers:
+            peer.until(lambda: each.get_subscription_count() == 1, "it has subscribed")  # noqa: B023
+
+        def publish_until_told() -> bool:
+            now = peer.node.get_clock().now().nanoseconds / 1e9
+            values = (
+                (now, now),
+                (now, now),
+                (now, now + 5.0),
+                (now + 7200.0, now),
+                (now, float("nan")),
+            )
+            for publisher, (stamp, x) in zip(publishers, values, strict=True):
+                publisher.publish(pose(stamp, x))
+            return told(arrays) >= set(FAULTS)
+
+        peer.until(publish_until_told, "all faults are in diagnostics")
+        peer.until(lambda: told([DiagnosticArray(status=events)]) >= set(FAULTS), "and are events")
+        live.end()
+    [result] = [each for each in live.result["runs"] if each["estimate"]["name"] == "vio_odometry"]
+    assert "mixed_publishers" in {
+        each["code"] for side in (result, result["estimate"]) for each in side["remarks"]
+    }
+
+
+def told(arrays: list[Any]) -> set[str]:
+    """Return the estimates whose fault is a warning."""
+    return {
+        name
+        for array in arrays
+        for status in array.status
+        for name, fault in FAULTS.items()
+        if status.name.endswith(f": {name}") and fault in status.message and status.level != b"\0"
+    }

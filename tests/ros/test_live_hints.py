@@ -1,0 +1,159 @@
+"""Hints while a run goes on, and the thread that looks for them."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from marker_flights import MOUNTED, of_marker
+from ros_bags import TRANSFORMS, transforms_message, write_messages
+from waiting import until
+
+from benchmarks.diagnosis_runs import simulated
+from trajeval_ros import simulate
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.remarks import Level, Remark
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.up_axis import Z_UP
+from trajeval_ros.io.requests.request_from import in_names_of_settings, known_hand_eye
+from trajeval_ros.metrics.association import associate
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.online.state_rows import Pairs, states
+from trajeval_ros.ros.background import BackgroundTask
+from trajeval_ros.ros.slow_evaluation import PARAMETER_NAMES, hints_about
+from trajeval_ros.simulation.drifting_odometry import Simulation
+
+
+@pytest.fixture(scope="module")
+def flight() -> Simulation:
+    return simulate(seed=5, duration_s=30.0)
+
+
+def hints(
+    flight: Simulation, *, late_ns: int = 0, marker: bool = False, of_clocks: bool = True
+) -> list[Remark]:
+    groundtruth = of_marker(flight.groundtruth) if marker else flight.groundtruth
+    estimate = dataclasses.replace(flight.estimate, stamps=flight.estimate.stamps + late_ns)
+    bodies = ("marker", "base_link") if marker else ("base_link", "base_link")
+    return hints_of(groundtruth, estimate, bodies, of_clocks=of_clocks)
+
+
+def hints_of(
+    groundtruth: Trajectory,
+    estimate: Trajectory,
+    bodies: tuple[str, str] = ("", ""),
+    *,
+    of_clocks: bool = True,
+) -> list[Remark]:
+    protocol = Protocol(gauge="yaw")
+    found = associate(groundtruth, estimate, protocol.association)
+    sides = [
+        states(each.positions, each.quaternions) for each in (found.groundtruth, found.estimate)
+    ]
+    pairs = Pairs(found.estimate.stamps, *sides)
+    return hints_about(pairs, protocol, (Z_UP, Z_UP), bodies, (), of_clocks=of_clocks)
+
+
+def test_a_sound_run_has_no_hints(flight: Simulation) -> None:
+    assert hints(flight) == []
+
+
+def test_another_body_is_told_with_the_parameter(flight: Simulation) -> None:
+    found = {each.subject: each for each in hints(flight, marker=True)}
+    assert found.keys() == {"frames", "body"}
+    assert {each.level for each in found.values()} == {Level.WARNING}
+    # 30 s are too short for an estimate, which was tried.
+    assert "hand_eye:=auto could not determine it" in found["body"].text
+    assert found["body"].text.endswith("give it with hand_eye:=FILE")
+    assert "of body 'marker' and the estimate of 'base_link'" in found["frames"].text
+
+
+def test_clocks_that_differ_are_told_unless_they_are_known(flight: Simulation) -> None:
+    [clock] = hints(flight, late_ns=150_000_000)
+    assert clock.subject == "small_clock_offset"
+    assert "time_offset:=auto" in clock.text
+    assert hints(flight, late_ns=150_000_000, of_clocks=False) == []
+
+
+@pytest.mark.parametrize(
+    ("apart_s", "duration_s", "told"),
+    [(18, 30.0, set()), (18, 60.0, {"clock_offset"}), (-37, 60.0, set())],
+)
+def test_far_clocks_are_no_other_run(apart_s: int, duration_s: float, told: set[str]) -> None:
+    """What clocks leave in common in the first minute can be too short to tell."""
+    pair = simulated(9001, "drone", "walk", duration_s + abs(apart_s))
+    late = dataclasses.replace(pair.estimate, stamps=pair.estimate.stamps + apart_s * 10**9)
+    assert {each.subject for each in hints_of(pair.truth, late)} == told
+
+
+def test_another_run_is_told_in_time() -> None:
+    one, other = (simulated(seed, "drone", "walk", 80.0) for seed in (9001, 9002))
+    [found] = hints_of(one.truth, other.estimate)
+    assert found.subject == "other_run"
+
+
+def test_mistakes_of_conventions_are_told_as_an_evaluation_tells_them(flight: Simulation) -> None:
+    flight = dataclasses.replace(
+        flight,
+        estimate=dataclasses.replace(
+            flight.estimate, positions=1000.0 * flight.estimate.positions
+        ),
+    )
+    [found] = hints(flight)
+    assert found.subject == "unit"
+    # The node has no such parameter.
+    assert "--correct unit" in found.text
+
+
+def test_few_pairs_are_no_reason_for_a_hint() -> None:
+    none = np.empty((0, 10))
+    pairs = Pairs(np.empty(0, np.int64), none, none)
+    assert hints_about(pairs, Protocol(), (Z_UP, Z_UP), ("", ""), (), of_clocks=True) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("estimate it with --hand-eye auto", "estimate it with hand_eye:=auto"),
+        ("(--hand-eye auto)", "(hand_eye:=auto)"),
+        ("--time-offset -0.1", "time_offset:=-0.1"),
+        ("--scale 0.001", "--scale 0.001"),
+        ("are axes right (--up)?", "are axes right (up)?"),
+        ("a well-kept -- dash", "a well-kept -- dash"),
+    ],
+)
+def test_options_are_parameters_of_the_node(text: str, expected: str) -> None:
+    assert in_names_of_settings(text, ":=", PARAMETER_NAMES) == expected
+
+
+def test_nobody_waits_for_what_is_computed_beside() -> None:
+    go_on, task = threading.Event(), BackgroundTask[int](most_share=1.0)
+    task.start(lambda: 7 if go_on.wait() else 0)
+    assert task.take() is None
+    assert not task.is_due
+    go_on.set()
+    found: list[int] = []
+    until(lambda: found or [found.append(each) for each in [task.take()] if each], "it is found")
+    assert found == [7]
+    assert task.take() is None
+    until(lambda: task.is_due, "something else may be computed")
+    task.close()
+
+
+def test_a_bag_has_the_marker_among_its_static_transforms(tmp_path: Path) -> None:
+    inner = ("base_link", "mount", 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    back = MOUNTED.inverse()
+    outer = ("marker", "mount", 0, back.lever_m, back.rotation_xyzw)
+    messages = [
+        ("/tf_static", TRANSFORMS, 10**9, transforms_message(each)) for each in (inner, outer)
+    ]
+    write_messages(tmp_path / "bag", messages)
+    found = known_hand_eye(f"{tmp_path / 'bag'}:/tf_static:base_link.marker")
+    assert found.lever_m == pytest.approx(MOUNTED.lever_m)
+    assert abs(found.rotation_xyzw @ MOUNTED.rotation_xyzw) == pytest.approx(1.0)
+    assert (found.body, found.marker) == ("base_link", "marker")
+    with pytest.raises(InputError, match="unknown frame markr"):
+        known_hand_eye(f"{tmp_path / 'bag'}:/tf_static:base_link.markr")

@@ -1,0 +1,60 @@
+"""What time it was in a simulation when a message was received."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trajeval_ros.ros.timing import UNKNOWN, Arrivals, ClockSamples
+
+WALL, SIMULATED = 1_700_000_000_000_000_000, 1_000_000_000
+PERIOD = 100_000_000  # as /clock at 10 Hz
+
+
+def played(rate: float, count: int) -> ClockSamples:
+    clock = ClockSamples()
+    for row in range(count):
+        clock.see(WALL + row * PERIOD, SIMULATED + round(rate * row * PERIOD))
+    return clock
+
+
+@given(rate=st.floats(0.01, 50.0), after=st.integers(0, 10 * PERIOD))
+def test_time_goes_on_between_messages(rate: float, after: int) -> None:
+    found = played(rate, 10).at(np.array([WALL + after]))
+    assert found[0] == pytest.approx(SIMULATED + rate * after, abs=2)
+
+
+def test_time_that_nobody_told_is_unknown() -> None:
+    clock = played(1.0, 10)
+    newest = WALL + 9 * PERIOD
+    times = np.array([WALL - 1, WALL, newest + PERIOD, newest + PERIOD + 1])
+    assert (clock.at(times) == UNKNOWN).tolist() == [True, False, False, True]
+    assert (played(1.0, 1).at(times) == UNKNOWN).all()
+
+
+def test_time_may_begin_anew() -> None:
+    clock = played(1.0, 10)
+    for row in range(3):
+        clock.see(WALL + (20 + row) * PERIOD, SIMULATED + row * PERIOD)
+    assert clock.at(np.array([WALL + 20 * PERIOD + 7]))[0] == SIMULATED + 7
+    assert clock.at(np.array([WALL + 7]))[0] == UNKNOWN
+
+
+def test_arrivals_at_unknown_times_are_left_out() -> None:
+    arrivals = Arrivals()
+    arrivals.see(np.array([5]), np.array([UNKNOWN]))
+    assert arrivals.offset_s is None
+    arrivals.see(np.array([SIMULATED]), np.array([SIMULATED + 20_000_000]))
+    assert arrivals.offset_s == pytest.approx(0.02)
+
+
+def test_what_comes_at_once_arrives_at_once_whatever_the_clock_s_rate() -> None:
+    """Messages 20 ms late, a clock at 10 Hz: by the newest clock message up to 0.1 s more."""
+    clock, arrivals = played(1.0, 100), Arrivals()
+    walls = WALL + np.arange(1, 90, 7) * PERIOD // 9
+    stamps = SIMULATED + (walls - WALL) - 20_000_000
+    for stamp, wall in zip(stamps, walls, strict=True):
+        arrivals.see(np.array([stamp]), clock.at(np.array([wall])))
+    assert arrivals.offset_s == pytest.approx(0.02, abs=1e-6)

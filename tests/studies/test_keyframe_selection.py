@@ -1,0 +1,347 @@
+"""Keyframes, observations, landmarks and outliers of recorded tracks, by their definitions."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tracks_folders import PIXEL_NOISE
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry import lie, so3
+from trajeval_ros.studies.keyframe_selection import KeyframeSelection, select
+from trajeval_ros.studies.measurement_tests import (
+    residual_groups,
+    split_half_nees,
+    track_correlation,
+)
+from trajeval_ros.studies.outliers import (
+    CHI2_LIMIT,
+    TRACKER_NOISE_PX,
+    _is_good,
+    _parallax,
+    reject_outliers,
+    triangulated,
+)
+from trajeval_ros.studies.sensor_recording import SAME_INSTANT_NS, SensorRecording
+from trajeval_ros.studies.tracks_folder import read_tracks_folder
+from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
+from trajeval_ros.visual_inertial.preintegration import GRAVITY, ImuNoise
+
+IMU_NOISE = ImuNoise(1.7e-4, 2e-3)
+BIAS_NOISE = BiasNoise(1e-5, 1e-4, 1e-3, 1e-2)
+
+
+@pytest.fixture(scope="module")
+def recording(tracks_flight: Path) -> SensorRecording:
+    return read_tracks_folder(tracks_flight)
+
+
+def selected(
+    recording: SensorRecording,
+    every: int = 3,
+    most: int = 30,
+    bias_noise: BiasNoise | None = None,
+) -> KeyframeSelection:
+    return select(recording, every, most, PIXEL_NOISE, IMU_NOISE, GRAVITY, bias_noise)
+
+
+def with_samples(
+    recording: SensorRecording, kept: np.ndarray, stamps: np.ndarray | None = None
+) -> SensorRecording:
+    """Return a recording with some samples of the IMU, at other times if given."""
+    return dataclasses.replace(
+        recording,
+        imu_stamps=recording.imu_stamps[kept] if stamps is None else stamps,
+        angular_velocities=recording.angular_velocities[kept],
+        accelerations=recording.accelerations[kept],
+    )
+
+
+def test_keyframes_are_every_nth_image_that_both_cover(recording: SensorRecording) -> None:
+    whole = selected(recording)
+    count = len(recording.image_stamps)
+    truth = recording.groundtruth
+    assert truth.quaternions is not None
+    assert truth.velocities is not None
+    assert len(whole.groundtruth.positions) == -(-count // 3)
+    np.testing.assert_array_equal(whole.groundtruth.positions, truth.positions[::3])
+    np.testing.assert_array_equal(whole.groundtruth.velocities, truth.velocities[::3])
+    np.testing.assert_array_equal(
+        whole.groundtruth.rotations, lie.to_matrix(truth.quaternions[::3])
+    )
+    assert whole.notes == ()
+    few = selected(recording, most=5)
+    np.testing.assert_array_equal(few.groundtruth.positions, truth.positions[:15:3])
+    # An IMU that starts a microsecond after image 4 covers it, and one nanosecond later does not.
+    stamps = recording.imu_stamps
+    for late_ns, first in ((SAME_INSTANT_NS, 4), (SAME_INSTANT_NS + 1, 5)):
+        moved = stamps[stamps >= recording.image_stamps[4]].copy()
+        moved[0] += late_ns
+        part = selected(with_samples(recording, stamps >= recording.image_stamps[4], moved), 3, 5)
+        np.testing.assert_array_equal(
+            part.groundtruth.positions, truth.positions[first : first + 15 : 3]
+        )
+        assert part.notes == (
+            f"images outside the time span of IMU or groundtruth, dropped: {first}",
+        )
+    for early_ns, last in ((SAME_INSTANT_NS, 40), (SAME_INSTANT_NS + 1, 39)):
+        kept = stamps <= recording.image_stamps[40]
+        moved = stamps[kept].copy()
+        moved[-1] -= early_ns
+        part = selected(with_samples(recording, kept, moved), 1, 100)
+        np.testing.assert_array_equal(part.groundtruth.positions, truth.positions[: last + 1])
+        assert part.notes[-1].endswith(f"dropped: {count - 1 - last}")
+    assert len(selected(recording, every=20).groundtruth.positions) == 3
+    with pytest.raises(InputError, match=r"only 2 keyframes \(47 of 47 images .*, one in 24"):
+        selected(recording, every=24)
+
+
+def test_observations_are_those_of_tracks_in_three_keyframes(recording: SensorRecording) -> None:
+    found = selected(recording)
+    frames = np.arange(0, len(recording.image_stamps), 3)
+    seen: dict[int, list[tuple[int, int]]] = {}
+    for row, (image, track) in enumerate(zip(recording.image_of, recording.track_of, strict=True)):
+        if image in frames:
+            seen.setdefault(int(track), []).append((int(image) // 3, row))
+    long = {track: rows for track, rows in seen.items() if len(rows) >= 3}
+    assert found.landmarks == len(long) < len(seen) or len(long) == len(seen)
+    expected = {
+        (keyframe, place): row
+        for place, track in enumerate(sorted(long))
+        for keyframe, row in long[track]
+    }
+    pairs = list(zip(found.keyframe_of.tolist(), found.landmark_of.tolist(), strict=True))
+    assert set(pairs) == expected.keys()
+    measured = recording.pixels[[expected[pair] for pair in pairs]]
+    lens = recording.camera.lens
+    plane = (found.pixels - found.camera.centre) / found.camera.focal_px
+    again, derivative = lens.distorted(plane)
+    np.testing.assert_allclose(again, measured, atol=1e-5)
+    np.testing.assert_allclose(found.weights, derivative / found.camera.focal_px, rtol=1e-6)
+    assert found.camera.focal_px == pytest.approx(np.sqrt(458.0 * 457.0))
+    assert found.camera.noise_px == PIXEL_NOISE
+    assert found.with_noise(0.7).camera.noise_px == 0.7
+
+
+def test_kept_observations_leave_landmarks_with_three_views(recording: SensorRecording) -> None:
+    found = selected(recording)
+    views = np.bincount(found.landmark_of)
+    lost = int(np.flatnonzero(views == 3)[0]) if (views == 3).any() else int(views.argmin())
+    wanted = np.ones(len(found.pixels), dtype=bool)
+    rows = np.flatnonzero(found.landmark_of == lost)
+    wanted[rows[: len(rows) - 2]] = False  # two views of it are left
+    part, left = found.kept(wanted)
+    assert left.tolist() == [each for each in range(found.landmarks) if each != lost]
+    assert part.landmarks == found.landmarks - 1
+    others = found.landmark_of != lost
+    np.testing.assert_array_equal(part.pixels, found.pixels[others])
+    np.testing.assert_array_equal(part.weights, found.weights[others])
+    np.testing.assert_array_equal(part.keyframe_of, found.keyframe_of[others])
+    np.testing.assert_array_equal(left[part.landmark_of], found.landmark_of[others])
+
+
+def test_the_imu_between_keyframes_agrees_with_groundtruth(recording: SensorRecording) -> None:
+    found = selected(recording)
+    assert found.preintegrated.durations_s == pytest.approx(
+        np.full(len(found.groundtruth.positions) - 1, 0.15)
+    )
+    turns = np.swapaxes(found.groundtruth.rotations[:-1], 1, 2) @ found.groundtruth.rotations[1:]
+    off = so3.log(np.swapaxes(turns, 1, 2) @ found.preintegrated.rotations)
+    assert np.abs(off).max() < 1e-3
+    np.testing.assert_allclose(found.gravity_felt, GRAVITY, atol=0.02)
+    assert found.drift_against_gyroscope_deg < 0.1
+    turned = dataclasses.replace(
+        recording,
+        angular_velocities=recording.angular_velocities + np.array([0.0, 0.0, np.radians(1.0)]),
+    )
+    duration_s = float(found.preintegrated.durations_s.sum())
+    assert selected(turned).drift_against_gyroscope_deg == pytest.approx(duration_s, rel=0.1)
+    pushed = dataclasses.replace(recording, accelerations=recording.accelerations * 1.01)
+    felt = selected(pushed).gravity_felt
+    assert np.linalg.norm(felt) == pytest.approx(9.81 * 1.01, rel=5e-3)
+
+
+def test_biases_are_those_of_their_time_or_their_mean(recording: SensorRecording) -> None:
+    """A bias that rises with time is removed by interpolation, and its mean by the mean."""
+    truth = recording.groundtruth
+    assert truth.gyroscope_biases is not None
+    rise = 0.2  # rad/s per second
+    seconds = (truth.stamps - truth.stamps[0]) / 1e9
+    sampled = (recording.imu_stamps - truth.stamps[0]) / 1e9
+    axis = np.array([0.0, 0.0, rise])
+    drifting = dataclasses.replace(
+        recording,
+        angular_velocities=recording.angular_velocities + np.outer(sampled, axis),
+        groundtruth=dataclasses.replace(
+            truth, gyroscope_biases=truth.gyroscope_biases + np.outer(seconds, axis)
+        ),
+    )
+    plain, found = selected(recording), selected(drifting)
+    np.testing.assert_allclose(
+        found.preintegrated.rotations, plain.preintegrated.rotations, atol=1e-6
+    )
+    assert found.bias_noise is None
+    assert found.groundtruth.biases.shape == (len(found.groundtruth.positions), 0)
+    mean = selected(drifting, bias_noise=BIAS_NOISE)
+    assert mean.bias_noise == BIAS_NOISE
+    assert mean.groundtruth.biases.shape == (len(found.groundtruth.positions), 6)
+    # The mean is over the keyframes' time, of which the last image may not be a part.
+    middle = seconds[: 3 * (len(mean.groundtruth.positions) - 1)].mean()
+    centres = 0.15 * (np.arange(len(mean.groundtruth.positions) - 1) + 0.5)
+    off = so3.log(np.swapaxes(plain.preintegrated.rotations, 1, 2) @ mean.preintegrated.rotations)
+    np.testing.assert_allclose(off[:, 2], 0.15 * rise * (centres - middle), atol=3e-4)
+
+
+@pytest.mark.parametrize(("removed", "is_read"), [(19, True), (20, False)])
+def test_a_gap_of_the_imu_is_refused(
+    removed: int, is_read: bool, recording: SensorRecording
+) -> None:
+    """Samples are 5 ms apart, and a gap may last 0.1 s."""
+    kept = np.ones(len(recording.imu_stamps), dtype=bool)
+    kept[100 : 100 + removed] = False
+    part = with_samples(recording, kept)
+    if is_read:
+        assert selected(part).preintegrated.durations_s == pytest.approx(np.full(15, 0.15))
+        return
+    said = rf"IMU gap of 0\.1\d s after {recording.imu_stamps[99]} ns; choose another part"
+    with pytest.raises(InputError, match=said):
+        selected(part)
+
+
+def test_landmarks_are_where_their_rays_meet(recording: SensorRecording) -> None:
+    found = selected(recording).with_noise(TRACKER_NOISE_PX)
+    state = triangulated(found)
+    assert state.positions is found.groundtruth.positions
+    errors = found.problem().residuals(state)[0] * TRACKER_NOISE_PX
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(PIXEL_NOISE, rel=0.1)
+    angles = _parallax(found, state)
+    centres = state.positions + state.rotations @ found.lever_arm
+    for landmark in range(0, found.landmarks, 17):
+        rays = (
+            state.landmarks[landmark] - centres[found.keyframe_of[found.landmark_of == landmark]]
+        )
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        widest = np.arccos(np.clip((rays @ rays.T).min(), -1.0, 1.0))
+        assert angles[landmark] == pytest.approx(widest, abs=1e-7)
+    # Good: within the limit, from 0.2 to 30 m, and with 1 degree of parallax.
+    squares = np.square(errors / TRACKER_NOISE_PX).sum(axis=1)
+    depths = found.problem().points(state)[:, 2]
+    wide = np.degrees(angles) > 1.0
+    expected = (squares <= CHI2_LIMIT) & (depths > 0.2) & (depths < 30.0) & wide[found.landmark_of]
+    np.testing.assert_array_equal(_is_good(found, state, CHI2_LIMIT), expected)
+    small = float(np.median(squares))
+    assert np.count_nonzero(_is_good(found, state, small)) <= len(squares) / 2 + 1
+    near = dataclasses.replace(state, landmarks=centres[0] + (state.landmarks - centres[0]) * 5.0)
+    too_far = found.problem().points(near)[:, 2] >= 30.0
+    assert too_far.any()
+    assert not _is_good(found, near, np.inf)[too_far].any()
+
+
+def test_planted_outliers_are_dropped_and_nothing_else(recording: SensorRecording) -> None:
+    clean = reject_outliers(selected(recording))
+    first = clean.rounds[0]
+    assert clean.rounds[-1][1] == first[1]
+    assert clean.within_3px == 1.0
+    assert clean.median_px == pytest.approx(PIXEL_NOISE * 1.18, rel=0.25)
+    assert clean.selection.camera.noise_px == PIXEL_NOISE
+    wrong = dataclasses.replace(recording, pixels=recording.pixels.copy())
+    rows = np.flatnonzero(recording.image_of % 3 == 0)[::40]
+    wrong.pixels[rows] += [25.0, -10.0]
+    found = reject_outliers(selected(wrong))
+    assert found.rounds[0] == first
+    assert first[0] - len(rows) - 5 <= found.rounds[-1][0] <= first[0] - len(rows)
+    assert found.rounds[-1] == found.rounds[-2]
+    # They also move their landmarks, by which other errors grow.
+    assert 1.0 - 6 * len(rows) / first[0] < found.within_3px <= 1.0 - len(rows) / first[0]
+    np.testing.assert_allclose(found.state.positions, clean.state.positions, atol=2e-3)
+    # Smaller errors pass the first, coarse test, and are dropped until none are left.
+    wrong.pixels[rows] += [-20.0, 6.0]
+    slow = reject_outliers(selected(wrong))
+    assert slow.rounds[1][0] > first[0] - len(rows)
+    assert slow.rounds[-1] == slow.rounds[-2] < slow.rounds[1]
+    assert slow.rounds[-1][0] > first[0] - 3 * len(rows)
+    judged = slow.selection.with_noise(TRACKER_NOISE_PX)
+    assert _is_good(judged, slow.state, 1.01 * CHI2_LIMIT).all()
+    few = dataclasses.replace(recording, pixels=recording.pixels.copy())
+    few.pixels[recording.track_of >= 49] += np.random.default_rng(0).uniform(
+        50.0, 90.0, (int(np.count_nonzero(recording.track_of >= 49)), 2)
+    )
+    with pytest.raises(InputError, match=r"only \d+ of 150 tracks have three keyframes"):
+        reject_outliers(selected(few))
+
+
+@pytest.mark.parametrize("bias_noise", [None, BIAS_NOISE])
+def test_redundancies_by_the_hat_matrix(
+    bias_noise: BiasNoise | None, recording: SensorRecording
+) -> None:
+    """Of all residuals, with their Jacobian by differences."""
+    whole = selected(recording, most=4, bias_noise=bias_noise)
+    few, _ = whole.kept(whole.landmark_of < 15)
+    problem, state = few.problem(), triangulated(few)
+
+    def residuals(step: np.ndarray) -> list[np.ndarray]:
+        moved = state.moved(step)
+        inertial = problem.inertial(moved)[0]
+        biases = np.concatenate([inertial[:, 9:].ravel(), problem.first_biases(moved)[0].ravel()])
+        kinds = [inertial[:, begin : begin + 3].ravel() for begin in (0, 3, 6)]
+        return [problem.residuals(moved)[0].ravel(), *kinds, biases]
+
+    size = problem.width * problem.keyframes + 3 * problem.landmarks
+    columns = [
+        (np.concatenate(residuals(step)) - np.concatenate(residuals(-step))) / 2e-6
+        for step in 1e-6 * np.eye(size)
+    ]
+    basis, singular, _ = np.linalg.svd(np.stack(columns, axis=1), full_matrices=False)
+    used = np.square(basis[:, : size - 4]).sum(axis=1)  # four directions are undetermined
+    assert singular[size - 4] < 1e-4 * singular[size - 5]
+    parts = residuals(np.zeros(size))
+    ends = np.cumsum([len(part) for part in parts])
+    groups = residual_groups(problem, state)
+    assert [group.name for group in groups] == [
+        "pixels", "IMU rotation", "IMU velocity", "IMU position", "IMU biases",
+    ][: len(groups)]  # fmt: skip
+    assert len(groups) == (4 if bias_noise is None else 5)
+    for group, part, share in zip(groups, parts, np.split(used, ends), strict=False):
+        assert group.count == len(part)
+        assert group.chi2 == pytest.approx(part @ part, rel=1e-9)
+        assert group.redundancy == pytest.approx(len(part) - share.sum(), abs=1e-3)
+        assert group.ratio == group.chi2 / group.redundancy
+
+
+def test_correlation_along_tracks_by_its_definition(recording: SensorRecording) -> None:
+    found = selected(recording)
+    problem, state = found.problem(), triangulated(found)
+    errors = problem.residuals(state)[0]
+    at = {
+        (int(keyframe), int(landmark)): error
+        for keyframe, landmark, error in zip(
+            problem.visibility.keyframe_of, problem.visibility.landmark_of, errors, strict=True
+        )
+    }
+    expected = []
+    for lag in (1, 4):
+        pairs = [(error, at[key[0] + lag, key[1]]) for key, error in at.items()
+                 if (key[0] + lag, key[1]) in at]  # fmt: skip
+        one, other = (np.array(each) for each in zip(*pairs, strict=True))
+        expected.append(np.vdot(one, other) / np.linalg.norm(one) / np.linalg.norm(other))
+    np.testing.assert_allclose(track_correlation(problem, state, (1, 4)), expected, rtol=1e-9)
+    assert np.isnan(track_correlation(problem, state, (problem.keyframes,))).all()
+
+
+@pytest.mark.parametrize("landmarks", [39, 40])
+def test_halves_of_landmarks_have_at_least_twenty(
+    landmarks: int, recording: SensorRecording
+) -> None:
+    whole = selected(recording)
+    few, _ = whole.kept(whole.landmark_of < landmarks)
+    assert few.landmarks == landmarks
+    generator = np.random.default_rng(1)
+    if landmarks < 40:
+        with pytest.raises(InputError, match=r"39 landmarks are too few .* at least 40 are"):
+            split_half_nees(few, triangulated(few), 1, generator)
+        return
+    (nees,) = split_half_nees(few, triangulated(few), 1, generator)
+    assert 0.5 < nees < 2.0

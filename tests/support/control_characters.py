@@ -1,0 +1,16 @@
+"""Characters that control a terminal."""
+
+from __future__ import annotations
+
+import unicodedata
+
+
+def controls(text: str) -> list[str]:
+    """Return what a terminal would obey, by Unicode's categories."""
+    obeyed = {"Cc", "Cs", "Zl", "Zp"}
+    bidi = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
+    return [
+        each
+        for each in text
+        if unicodedata.category(each) in obeyed or unicodedata.bidirectional(each) in bidi
+    ]

@@ -1,0 +1,22 @@
+"""The joint covariance of a groundtruth at a few times, dense."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.continuous_time.joint_groundtruth import JointPosterior
+
+
+def dense_covariance(joint: JointPosterior) -> NDArray[np.float64]:
+    """Return the covariance (d Q, d Q) of all queries."""
+    knots, width = joint.factor.scale.shape
+    units = np.eye(knots * width).reshape(knots, width, -1)
+    everything = joint.factor.solve(units).reshape(knots, width, knots, width)
+    near = everything[joint.rows][:, :, joint.rows]
+    covariance = np.einsum("adi,aibj,bej->adbe", joint.by_knot, near, joint.by_knot)
+    each = np.arange(len(joint.rows))
+    covariance[each, :, each] += joint.motion
+    dimension = joint.motion.shape[-1]
+    dense: NDArray[np.float64] = covariance.reshape(len(each) * dimension, -1)
+    return dense

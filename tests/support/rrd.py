@@ -1,0 +1,89 @@
+"""Reads Rerun's files back as numpy, with rerun-sdk alone."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow
+
+TIMELINE = "ros_time"
+
+
+class Rrd:
+    """The rows of a file, by entity and component."""
+
+    def __init__(self, path: Path) -> None:
+        from rerun.chunk import RrdReader
+
+        with warnings.catch_warnings():  # a file that was cut off has no footer
+            warnings.simplefilter("ignore")
+            self._chunks = [
+                (each.entity_path, each.is_static, each.to_record_batch())
+                for each in RrdReader(str(path)).stream()
+            ]
+
+    @property
+    def least_rows(self) -> int:
+        """The number of rows of the smallest chunk; the viewer panics at a chunk without rows."""
+        return min(batch.num_rows for _, _, batch in self._chunks)
+
+    @property
+    def entities(self) -> set[str]:
+        return {entity.strip("/") for entity, _, _ in self._chunks}
+
+    def rows(self, entity: str, component: str) -> tuple[np.ndarray, list[Any]]:
+        """Return stamps (N,) in order and the values of each row; static rows have stamp 0."""
+        found: list[tuple[int, Any]] = []
+        for path, is_static, batch in self._chunks:
+            if path.strip("/") != entity or component not in batch.schema.names:
+                continue
+            column = batch.column(component)
+            for row in range(batch.num_rows):
+                if column[row].is_valid:
+                    stamp = 0 if is_static else batch.column(TIMELINE)[row].value
+                    found.append((stamp, _values(column[row].values)))
+        found.sort(key=lambda each: each[0])
+        return np.array([each[0] for each in found], np.int64), [each[1] for each in found]
+
+    def numbers(self, entity: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return stamps and values without the NaN that end the lines of a plot."""
+        stamps, rows = self.rows(entity, "Scalars:scalars")
+        values = np.array([each[0] for each in rows], np.float64)
+        known = np.isfinite(values)
+        return stamps[known], values[known]
+
+    def strips(self, entity: str) -> tuple[np.ndarray, list[list[np.ndarray]]]:
+        return self.rows(entity, "LineStrips3D:strips")
+
+    def path(self, entity: str, now: int) -> list[np.ndarray]:
+        """Return the strips of a live path that are in sight at a time, coloured ones included."""
+        found = []
+        shown = f"{entity}/path/", f"{entity}/by_error"
+        for part in sorted(each for each in self.entities if each.startswith(shown)):
+            stamps, rows = self.strips(part)
+            until = int(np.searchsorted(stamps, now, side="right"))
+            found += [strip for row in rows[max(until - 1, 0) : until] for strip in row]
+        return found
+
+    def transforms(self, entity: str) -> tuple[np.ndarray, list[tuple[Any, Any, float]]]:
+        """Return stamps, and rotation (3, 3), translation and scale of each."""
+        stamps, turns = self.rows(entity, "Transform3D:mat3x3")
+        _, moves = self.rows(entity, "Transform3D:translation")
+        _, scales = self.rows(entity, "Transform3D:scale")
+        return stamps, [
+            (turn.reshape(3, 3).T, move[0], float(np.ravel(scale)[0]))
+            for turn, move, scale in zip(turns, moves, scales, strict=True)
+        ]
+
+
+def _values(values: pyarrow.Array) -> Any:
+    kind = values.type
+    if pyarrow.types.is_list(kind):
+        width = kind.value_type.list_size
+        return [np.array(each.values.flatten()).reshape(-1, width) for each in values]
+    if pyarrow.types.is_fixed_size_list(kind):
+        return np.array(values.flatten()).reshape(len(values), kind.list_size)
+    return values.to_pylist()

@@ -1,0 +1,136 @@
+"""What an evaluation shows and gives to other libraries: reprs, HTML, columns, tables."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import sys
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from strategies import make_pair
+
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.online.evaluator import OnlineEvaluator
+from trajeval_ros.pipeline.outcome import FailedRun, Outcome
+from trajeval_ros.pipeline.pipeline import evaluate, run
+from trajeval_ros.pipeline.request import Request
+
+HOSTILE = '<script>alert("x")</script> & co'
+
+
+def outcome_of(name: str = "vio") -> Outcome:
+    pair = make_pair(3, 300, smooth=True)
+    estimate = dataclasses.replace(pair.estimate, name=name)
+    return run(pair.groundtruth, [estimate], Request(Protocol(gauge="yaw", lengths=(2, "1s"))))
+
+
+def evaluation_of(name: str = "vio") -> Evaluation:
+    return outcome_of(name).runs[0].evaluation
+
+
+def test_reprs_are_short_and_without_arrays() -> None:
+    outcome = outcome_of()
+    outcome = dataclasses.replace(outcome, failed=(FailedRun("slam", "slam.txt", "it is empty"),))
+    evaluation = outcome.runs[0].evaluation
+    assert evaluation.relative is not None
+    for each in (outcome, outcome.runs[0], evaluation, evaluation.relative[0]):
+        text = repr(each)
+        assert len(text.splitlines()) <= 8
+        assert len(text) < 500
+        assert "array(" not in text
+    position = evaluation.ate["position_m"]
+    assert position is not None
+    assert f"{position.rmse:.4g} m" in repr(evaluation)
+    assert f"{position.rmse:.4g} m" in repr(outcome)
+    assert "slam: failed it is empty" in repr(outcome)
+    assert len(repr(position).splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", ["vio", HOSTILE])
+def test_html_is_well_formed_and_shows_names_as_they_are(name: str) -> None:
+    outcome = outcome_of(name)
+    for each in (outcome, outcome.runs[0].evaluation):
+        html = each._repr_html_()
+        assert "<script" not in html
+        tree = ElementTree.fromstring(html)
+        assert name in " ".join(tree.itertext())
+        widths = {len(row) for row in tree.iter("tr")}
+        assert len(widths) == 1
+
+
+def test_columns_are_the_errors_themselves() -> None:
+    evaluation = evaluation_of()
+    columns = evaluation.to_columns()
+    assert {len(column) for column in columns.values()} == {len(evaluation.association)}
+    np.testing.assert_array_equal(columns["position_m"], evaluation.absolute.position_m)
+    assert columns["stamps"].dtype == np.int64
+    assert evaluation.relative is not None
+    for each, spelled in zip(evaluation.relative, (2.0, "1s"), strict=True):
+        relative = evaluation.to_columns(spelled)
+        assert {len(column) for column in relative.values()} == {len(each.errors.ends)}
+        np.testing.assert_array_equal(relative["position_m"], each.errors.position_m)
+
+
+def test_a_length_that_was_not_computed_is_refused() -> None:
+    with pytest.raises(SettingsError, match=re.escape("no relative errors of 9m; available: 2m")):
+        evaluation_of().to_columns(9)
+
+
+def test_arrow_has_the_same_numbers() -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is missing")
+    evaluation = evaluation_of()
+    table = evaluation.to_arrow()
+    for name, column in evaluation.to_columns().items():
+        np.testing.assert_array_equal(table[name].to_numpy(), column)
+
+
+def test_pandas_has_the_same_numbers() -> None:
+    pytest.importorskip("pandas", reason="pandas is missing")
+    evaluation = evaluation_of()
+    frame = evaluation.to_pandas("2m")
+    for name, column in evaluation.to_columns("2m").items():
+        np.testing.assert_array_equal(frame[name].to_numpy(), column)
+
+
+@pytest.mark.parametrize("package", ["pyarrow", "pandas"])
+def test_a_missing_package_gets_one_sentence(
+    package: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    evaluation = evaluation_of()
+    monkeypatch.setitem(sys.modules, package, None)
+    ask = evaluation.to_arrow if package == "pyarrow" else evaluation.to_pandas
+    with pytest.raises(InputError, match=f"needs {package}; install it"):
+        ask()
+
+
+@pytest.mark.parametrize("columns", [3, 7])
+def test_live_states_may_lack_columns(columns: int) -> None:
+    pair = make_pair(3, 300, smooth=True)
+    live = OnlineEvaluator()
+    for add, side in (
+        (live.add_groundtruth, pair.groundtruth),
+        (live.add_estimate, pair.estimate),
+    ):
+        assert side.quaternions is not None
+        add(side.stamps, np.hstack([side.positions, side.quaternions])[:, :columns])
+    live.update(at_end=True)
+    found = live.snapshot().ate
+    sides = [
+        each if columns == 7 else dataclasses.replace(each, quaternions=None)
+        for each in (pair.groundtruth, pair.estimate)
+    ]
+    expected = evaluate(*sides).ate
+    assert expected["position_m"] is not None
+    assert found["position_m"] is not None
+    assert found["position_m"].count == expected["position_m"].count
+    assert found["position_m"].rmse == pytest.approx(expected["position_m"].rmse, abs=1e-9)
+    assert (found["rotation_deg"] is None) == (columns == 3)
+
+
+def test_live_states_of_another_shape_are_refused() -> None:
+    with pytest.raises(InputError, match=r"3, 7, 10 or 46 columns"):
+        OnlineEvaluator().add_estimate(np.zeros(2, dtype=np.int64), np.zeros((2, 4)))

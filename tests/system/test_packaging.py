@@ -1,0 +1,244 @@
+"""Packages of pip and ROS: one version, dependencies that resolve, archives that install."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+from paths import ROOT
+from ruamel.yaml import YAML
+
+from trajeval_ros import __version__
+
+# Where distributions of ROS 2 are built for.
+UBUNTU = {
+    "humble": "jammy",
+    "jazzy": "noble",
+    "kilted": "noble",
+    "lyrical": "resolute",
+    "rolling": "resolute",
+}
+
+
+def _read_yaml(path: Path) -> Any:
+    return YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+
+
+def _ros_package() -> ElementTree.Element:
+    return ElementTree.parse(ROOT / "package.xml").getroot()
+
+
+def test_all_descriptions_name_one_version() -> None:
+    assert _ros_package().findtext("version") == __version__
+    citation = _read_yaml(ROOT / "CITATION.cff")
+    assert citation["version"] == __version__
+    assert _recipe()["package"] == {"name": "trajeval-ros", "version": __version__}
+    changelog = (ROOT / "CHANGELOG.md").read_text()
+    assert f"## {__version__} ({citation['date-released']})\n" in changelog
+
+
+def _recipe() -> Any:
+    """The draft for conda-forge, as conda-build renders it."""
+    jinja2 = pytest.importorskip("jinja2", reason="the recipe is rendered by jinja2")
+    template = jinja2.Environment(undefined=jinja2.StrictUndefined).from_string(
+        (ROOT / "recipe/meta.yaml").read_text()
+    )
+    return YAML(typ="safe", pure=True).load(template.render(PYTHON="python", python_min="3.10"))
+
+
+def test_the_recipe_requires_what_pip_does() -> None:
+    described = (ROOT / "pyproject.toml").read_text()
+    table = described.partition("\ndependencies = [")[2].partition("\n]")[0]
+    by_pip = {each.replace("mcap", "python-mcap") for each in re.findall(r'"(.+?)"', table)}
+    by_conda = {each.replace(" ", "") for each in _recipe()["requirements"]["run"]}
+    assert by_conda == {"python>=3.10,<3.15", *by_pip}
+
+
+@pytest.mark.parametrize(
+    "path",
+    sorted([*(ROOT / ".github").rglob("*.yml"), ROOT / "action.yml"]),
+    ids=lambda path: path.name,
+)
+def test_workflows_and_forms_can_be_parsed(path: Path) -> None:
+    assert _read_yaml(path)
+
+
+def test_the_ros_package_says_where_its_developers_are() -> None:
+    package = _ros_package()
+    assert {url.get("type") for url in package.iter("url")} == {
+        "website", "repository", "bugtracker",
+    }  # fmt: skip
+    people = [*package.iter("maintainer"), *package.iter("author")]
+    assert len(people) == 2
+    assert not [person for person in people if person.get("email", "").endswith(".example")]
+
+
+def _installs_by_apt(rule: Any, codename: str) -> bool:
+    """Whether a rule of rosdep names packages of Ubuntu, and not of pip."""
+    if isinstance(rule, dict) and "pip" not in rule:
+        rule = rule.get(codename, rule.get("*"))
+    return isinstance(rule, list) and bool(rule)
+
+
+@pytest.mark.parametrize("distribution", UBUNTU)
+def test_dependencies_of_the_ros_package_resolve_by_apt(
+    distribution: str, shared_data: Path
+) -> None:
+    lists = shared_data.parent / "rosdistro"
+    released = set(json.loads((lists / "released_packages.json").read_text())[distribution])
+    keys = {**_read_yaml(lists / "base.yaml"), **_read_yaml(lists / "python.yaml")}
+    names = {
+        element.text or ""
+        for element in _ros_package()
+        if element.tag == "depend" or element.tag.endswith("_depend")
+    }
+    assert len(names) > 15
+    missing = [
+        name
+        for name in sorted(names)
+        if name not in released
+        and not _installs_by_apt(keys.get(name, {}).get("ubuntu"), UBUNTU[distribution])
+    ]
+    assert missing == []
+
+
+def test_a_key_of_pip_is_no_package_of_ubuntu() -> None:
+    assert _installs_by_apt(["python3-numpy"], "noble")
+    assert _installs_by_apt({"*": ["python3-rich"], "focal": {"pip": {}}}, "noble")
+    assert not _installs_by_apt({"pip": {"packages": ["rosbags"]}}, "noble")
+    assert not _installs_by_apt({"*": ["python3-rich"], "noble": None}, "noble")
+    assert not _installs_by_apt(None, "noble")
+
+
+def _run(*command: object, **environment: str) -> str:
+    done = subprocess.run(
+        [str(word) for word in command], cwd=ROOT, env={**os.environ, **environment},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def _build(folder: Path) -> None:
+    """Build the source distribution, and the wheel from it.
+
+    In a copy of the checkout: setuptools writes into it, also what metadata other tests read.
+    """
+    pytest.importorskip("build", reason="archives need the extra `release`")
+    with tempfile.TemporaryDirectory() as copied:
+        checkout = Path(copied) / "checkout"
+        left_out = shutil.ignore_patterns(".*", "__pycache__", "*.egg-info", "build", "data")
+        shutil.copytree(ROOT, checkout, ignore=left_out)
+        command = [sys.executable, "-m", "build", "--outdir", folder, checkout]
+        _run(*command, SOURCE_DATE_EPOCH="1700000000")
+
+
+@pytest.fixture(scope="module")
+def archives(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The source distribution and the wheel that is built from it."""
+    folder = tmp_path_factory.mktemp("dist")
+    _build(folder)
+    return folder
+
+
+@pytest.mark.slow
+def test_archives_are_what_an_index_accepts(archives: Path) -> None:
+    files = sorted(archives.iterdir())
+    assert [re.sub(r".*?(-py3-none-any\.whl|\.tar\.gz)$", r"\1", each.name) for each in files] == [
+        "-py3-none-any.whl",
+        ".tar.gz",
+    ]
+    _run(sys.executable, "-m", "twine", "check", "--strict", *files)
+    _run(sys.executable, "-m", "check_wheel_contents", "--toplevel", "trajeval_ros", files[0])
+
+
+@pytest.mark.slow
+def test_a_wheel_is_built_to_the_same_bytes(archives: Path, tmp_path: Path) -> None:
+    _build(tmp_path)
+    (again,), (first,) = tmp_path.glob("*.whl"), archives.glob("*.whl")
+    digests = [hashlib.sha256(each.read_bytes()).hexdigest() for each in (again, first)]
+    assert digests[0] == digests[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["*.whl", "*.tar.gz"])
+def test_an_archive_works_in_an_empty_environment(
+    kind: str, archives: Path, tmp_path: Path
+) -> None:
+    (archive,) = archives.glob(kind)
+    _run(sys.executable, "-m", "venv", tmp_path / "empty")
+    programs = tmp_path / "empty" / "bin"
+    constraints = ["--constraint", ROOT / "constraints.txt"]
+    _run(programs / "python", "-m", "pip", "install", "--quiet", *constraints, archive)
+    trajeval, flight = programs / "trajeval", tmp_path / "flight"
+    assert _run(trajeval, "--version") == f"trajeval_ros {__version__}\n"
+    _run(trajeval, "simulate", flight, "--duration", "10")
+    sources = ["-g", f"{flight}:/groundtruth/pose", "-e", f"{flight}:/vio/odometry"]
+    assert "ATE" in _run(trajeval, "evaluate", *sources)
+    assert (programs.parent / "share/trajeval_ros/package.xml").is_file()
+
+
+WITHOUT_PIP = """
+import sys
+
+class Refuse:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {missing!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+sys.meta_path.insert(0, Refuse())
+sys.argv = ["evaluator", *{arguments!r}]
+from trajeval_ros.__main__ import {program}
+sys.exit({program}())
+"""
+# Which Ubuntu has too old, or not at all.
+BY_PIP = [
+    "click",
+    "rich_click",
+    "rosbags",
+    "mcap",
+    "lz4",
+    "zstandard",
+    "jinja2",
+    "pyarrow",
+    "rerun",
+]
+
+
+def _without_pip(
+    *arguments: str, program: str = "ros_evaluator"
+) -> subprocess.CompletedProcess[str]:
+    code = WITHOUT_PIP.format(missing=BY_PIP, arguments=list(arguments), program=program)
+    return subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+
+
+def test_the_nodes_program_needs_no_package_of_pip() -> None:
+    done = _without_pip("--help")
+    assert done.returncode == 0, done.stderr
+    assert "estimate_topics" in done.stdout
+
+
+def test_the_nodes_program_takes_ros_arguments_alone() -> None:
+    done = _without_pip("--gauge", "se3")
+    assert done.returncode == 2
+    assert "unknown argument --gauge se3" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_program_without_its_packages_says_so() -> None:
+    done = _without_pip(program="ros_replay")
+    assert done.returncode == 2
+    assert "No module named 'click'" in done.stderr
+    assert "pip install trajeval-ros" in done.stderr

@@ -1,0 +1,48 @@
+"""Passwords in URLs: refused before anything is asked for, and never repeated."""
+
+from __future__ import annotations
+
+import pytest
+
+from trajeval_ros.batch.patterns import Pattern
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.sources import parse_source, require_no_password
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "s3://me:secret@bucket/{sequence}.mcap:/odometry",
+        "sftp://me:se@cret@host/{sequence}",
+        "https://secret@host.net/{sequence}.mcap",
+    ],
+)
+def test_a_password_in_a_url_is_refused_and_not_repeated(url: str) -> None:
+    for read in (parse_source, Pattern.parse):
+        with pytest.raises(InputError, match="has a user name or password") as told:
+            read(url)
+        assert "cret" not in str(told.value)
+        assert url.partition("@")[0] not in str(told.value)
+
+
+@pytest.mark.parametrize("name", ["X-Amz-Signature", "sig", "access_token", "api_key"])
+def test_a_token_in_a_url_is_refused_and_not_repeated(name: str) -> None:
+    for read in (parse_source, Pattern.parse):
+        with pytest.raises(
+            InputError, match=r"https://host\.net has a secret in its query"
+        ) as told:
+            read(f"https://host.net/x.mcap?part=1&{name}=hidden")
+        assert "hidden" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "s3://bucket/a:b@c.mcap",
+        "sftp://me@host:22/x:/tf:a:b@c",
+        "s3://bucket:/topic@x",
+        "github://owner:repository@main/x.txt",
+    ],
+)
+def test_a_user_a_port_and_a_topic_are_no_password(url: str) -> None:
+    require_no_password(url)

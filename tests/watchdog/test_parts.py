@@ -1,0 +1,414 @@
+"""Parts of the watchdog by their definitions: rows, rotations, signals, limits and alarms."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from watched_flights import SECOND, flight
+
+from benchmarks.watch_faults import FAULTS
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.watchdog.inertial_mounting import Mounting
+from trajeval_ros.watchdog.judging import judged
+from trajeval_ros.watchdog.pair_signals import PairSignals, body_difference
+from trajeval_ros.watchdog.pose_signals import CorrectionSignals, PoseSignals
+from trajeval_ros.watchdog.recording import error_spans, undetected_faults
+from trajeval_ros.watchdog.rotations_over_time import angles_deg, running_products, slerp_at
+from trajeval_ros.watchdog.row_buffer import OrderedFeed, RowBuffer, window_begins
+from trajeval_ros.watchdog.signals import (
+    SIGNALS,
+    Readings,
+    in_order,
+    joined,
+    pair_sources,
+    signal_of,
+    source_of,
+    source_words,
+)
+from trajeval_ros.watchdog.twist_signals import _lag_of
+from trajeval_ros.watchdog.watch_alarms import AlarmBook
+
+PAGE = Path(__file__).parents[2] / "docs" / "watchdog.md"
+FACTOR = 1.0 / signal_of("jump_m").limit  # its limit is then 1 m
+
+UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
+
+
+def poses(times: Floats, positions: Floats, quaternions: Floats = UPRIGHT) -> Floats:
+    """Return rows of poses without a gap."""
+    turns = np.broadcast_to(quaternions, (len(times), 4))
+    return OrderedFeed().rows(times, np.asarray(positions), turns)
+
+
+def along_x(times: Floats, speed: float = 1.0) -> Floats:
+    return np.outer(speed * times, [1.0, 0.0, 0.0])
+
+
+def test_rows_have_the_start_of_their_gapless_part() -> None:
+    feed = OrderedFeed()
+    rows = feed.rows(np.array([0.0, 1.0, 3.0, 5.5, 5.5, 4.0, 6.0]), np.arange(7.0)[:, None])
+    assert rows.tolist() == [
+        [0.0, 0.0, 0.0], [1.0, 0.0, 1.0], [3.0, 0.0, 2.0], [5.5, 5.5, 3.0], [6.0, 5.5, 6.0],
+    ]  # fmt: skip
+    assert (feed.last, feed.out_of_order) == (6.0, 2)
+    assert feed.rows(np.array([6.0, 5.0]), np.zeros((2, 1))).shape == (0, 3)
+    assert feed.out_of_order == 4
+    assert feed.rows(np.array([8.0, 10.5]), np.zeros((2, 1)))[:, 1].tolist() == [5.5, 10.5]
+
+
+def test_old_rows_are_forgotten() -> None:
+    recent = RowBuffer(2)
+    for begin in range(0, 50_000, 500):
+        recent.append(np.column_stack([np.arange(begin, begin + 500.0), np.zeros(500)]))
+        recent.forget(begin - 100.0)
+        assert recent.rows[0, 0] == max(begin - 100.0, 0.0)
+        assert recent.rows[-1, 0] == begin + 499.0
+    recent.forget_until(49_700.5)
+    assert recent.rows[0, 0] == 49_700.0
+    recent.forget_until(49_701.0)
+    assert recent.rows[0, 0] == 49_701.0
+    recent.forget_until(1.0)
+    assert recent.rows[0, 0] == 49_701.0
+    assert len(recent._store) < 5000
+
+
+def test_windows_begin_at_their_first_row_and_have_no_gap() -> None:
+    times = np.array([0.0, 0.5, 1.0, 1.5, 5.0, 5.5, 6.0])
+    rows = OrderedFeed().rows(times, np.zeros((7, 1)))
+    begins, known = window_begins(rows, 1, 1.0)
+    assert begins.tolist() == [0, 0, 1, 4, 4, 4]
+    assert known.tolist() == [False, True, True, False, False, True]
+
+
+def test_rotations_over_time() -> None:
+    generator = np.random.default_rng(4)
+    steps = Rotation.random(9, random_state=4)
+    first = Rotation.random(random_state=5)
+    expected, now = [], first
+    for step in steps:
+        now = now * step
+        expected.append(now)
+    found = Rotation.from_quat(running_products(first.as_quat(), steps.as_quat()))
+    assert max((a.inv() * b).magnitude() for a, b in zip(found, expected, strict=True)) < 1e-12
+    assert running_products(first.as_quat(), np.zeros((0, 4))).shape == (0, 4)
+    times = np.arange(3.0)
+    turned = lie.from_rotation_vector(np.outer([0.0, 0.2, 0.8], [0.0, 0.0, 1.0]))
+    found = slerp_at(times, turned, np.array([-1.0, 0.5, 1.25, 9.0]))
+    np.testing.assert_allclose(lie.rotation_vector(found)[:, 2], [0.0, 0.1, 0.35, 0.8], atol=1e-12)
+    angles = np.array([0.0, 10.0, 179.0, 181.0, 350.0, 370.0])
+    about = lie.from_rotation_vector(np.outer(np.radians(angles), [0.6, 0.0, 0.8]))
+    signs = generator.choice([-1.0, 1.0], len(angles))[:, None]
+    for quaternions in (about, signs * about):
+        np.testing.assert_allclose(
+            angles_deg(quaternions), [0.0, 10.0, 179.0, 179.0, 10.0, 10.0], atol=1e-5
+        )
+
+
+def test_limits_are_those_of_the_table_in_the_documentation() -> None:
+    rows = re.findall(r"^\| `(\w+)` \|.*\| ([\d.]+) ?([^|]*?) \|$", PAGE.read_text(), re.M)
+    assert {name: (float(limit), unit) for name, limit, unit in rows} == {
+        each.name: (each.limit, each.unit) for each in SIGNALS
+    }
+    assert AlarmBook(2.0).limit("jump_m") == pytest.approx(0.24)
+    assert AlarmBook().limit("pair_deg_5s.wheel") == 3.0
+
+
+def test_names_of_signals_and_sources() -> None:
+    names = ("gap", "pair_deg_5s", "pair_deg_5s.wheel", "gyro_deg_1s")
+    assert [source_of(name) for name in names] == ["", "pair", "pair.wheel", "imu"]
+    assert source_words("pair.wheel") == "second estimate wheel"
+    assert source_words("pair") == "second estimate"
+    assert in_order(["gap", "pair_deg_5s.b", "pair_deg_5s"]) == [
+        "pair_deg_5s.b", "pair_deg_5s", "gap",
+    ]  # fmt: skip
+    assert pair_sources(["wheel"]) == ["pair"]
+    assert pair_sources(["vio", "wheel"]) == ["pair.vio", "pair.wheel"]
+    with pytest.raises(SettingsError, match="have the name b; remove"):
+        pair_sources(["a", "b", "b"])
+    parts = [
+        {"gap": Readings(np.array([0.0]), np.array([1.0]))},
+        {"smooth": Readings(np.array([0.5]), np.array([3.0]))},
+        {"gap": Readings(np.array([1.0]), np.array([2.0]))},
+    ]
+    found = joined(parts)
+    assert list(found) == ["gap", "smooth"]
+    assert [each.tolist() for each in found["gap"]] == [[0.0, 1.0], [1.0, 2.0]]
+
+
+def one_second(**values: float) -> dict[str, Readings]:
+    return {name: Readings(np.array([1.0]), np.array([value])) for name, value in values.items()}
+
+
+def test_alarms_that_a_restart_ends() -> None:
+    book = AlarmBook(FACTOR)
+    book.add(one_second(jump_m=1.1))
+    (before,) = book.standing
+    book.end_all()
+    assert before.is_over
+    assert not book.standing
+    (after,) = book.add({"jump_m": Readings(np.array([0.1]), np.array([1.2]))})
+    assert book.alarms == [before, after]
+    book.forget(1.0)
+    assert book.alarms == [before, after]
+    book.forget(1.5)  # the second one has not ended
+    assert book.alarms == [after]
+
+
+def test_alarms_of_two_sources_at_a_time_are_errors() -> None:
+    for names, gap_s, is_error in (
+        (("jump_m", "pair_deg_5s"), 5.0, True),
+        (("jump_m", "pair_deg_5s"), 5.1, False),
+        (("jump_m", "gap"), 1.0, False),  # both of the poses alone
+    ):
+        book = AlarmBook()
+        for place, name in enumerate(names):
+            value = np.array([1.2 * book.limit(name)])
+            book.add({name: Readings(np.array([10.0 + place * gap_s]), value)})
+        assert [book.is_error(each) for each in book.alarms] == [is_error, is_error]
+        assert [each.signal for each in book.standing] == list(names)
+
+
+def test_an_alarm_of_five_seconds_or_far_beyond_its_limit_is_an_error() -> None:
+    for seconds, values, is_error in (
+        ([0.0, 2.0, 4.9], [1.1, 0.71, 0.71], False),
+        ([0.0, 2.0, 5.0], [1.1, 0.71, 0.71], True),
+        ([0.0, 2.0, 5.0], [1.1, 0.71, 0.70], False),
+        ([0.0], [1.5], False),
+        ([0.0], [1.51], True),
+    ):
+        book = AlarmBook(FACTOR)
+        (alarm,) = book.add({"jump_m": Readings(np.array(seconds), np.array(values))})
+        assert book.is_error(alarm) == is_error
+        assert alarm.peak == max(values)
+
+
+def test_errors_are_spans_of_the_estimates_clock() -> None:
+    run = flight()
+    origin = int(run.estimate.stamps[0])
+    onset = origin + 50 * SECOND
+    assert error_spans(run, 1.0) == []
+    bad = FAULTS["jump 1 m"](run.estimate, onset, np.random.default_rng(1))
+    spans = error_spans(dataclasses.replace(run, estimate=bad), 1.0)
+    assert spans
+    assert all(onset <= begin <= end <= int(run.estimate.stamps[-1]) for begin, end in spans)
+    assert min(begin for begin, _ in spans) - onset < SECOND
+
+
+def test_what_is_not_detected_is_said_once() -> None:
+    assert list(undetected_faults(["twist", "imu", "pair"], ["imu", "pair"], [])) == []
+    assert list(undetected_faults(["imu", "pair.a"], ["pair.a"], ["the IMU is odd"])) == [
+        "no twist: disagreement of pose and velocity is not detected"
+    ]
+    assert [each.partition(":")[0] for each in undetected_faults([], [], [])] == [
+        "no twist", "no IMU", "no second estimate",
+    ]  # fmt: skip
+    (said,) = undetected_faults(["twist", "imu", "pair", "map"], ["imu", "pair"], [])
+    assert said.startswith("no data of the map-to-odom transform after arming (30 s of motion)")
+
+
+def test_remarks_about_an_imu_need_a_difference_that_matters() -> None:
+    def said(turn_deg: float, offset_s: float, axis: Floats | None = None) -> list[str]:
+        turn = lie.from_rotation_vector(np.radians([turn_deg, 0.0, 0.0]))
+        return Mounting(turn, np.zeros(3), offset_s, axis, 0.1, np.eye(6)).remarks()
+
+    assert said(4.9, 0.049) == said(-4.9, -0.049) == []
+    assert [each[:37] for each in said(5.1, 0.0)] == ["the IMU frame is rotated by 5.1 deg f"]
+    assert said(0.0, 0.051) == ["the estimate's clock is 0.051 s behind the IMU's (applied)"]
+    assert said(0.0, -0.051) == ["the estimate's clock is 0.051 s ahead of the IMU's (applied)"]
+    assert [each[:40] for each in said(9.0, 0.0, np.ones(3))] == [
+        "the robot rotated about only one axis: t"
+    ]
+    related = Mounting(UPRIGHT, np.zeros(3), 0.0, None, 0.499, np.eye(6))
+    assert related.is_related
+    assert not dataclasses.replace(related, misfit=0.5).is_related
+
+
+def test_signals_of_poses_on_a_straight_line() -> None:
+    times = np.arange(400) * 0.05
+    found = PoseSignals(0.05).add(poses(times, along_x(times)))
+    assert found["jump_m"].seconds[0] == times[2]
+    assert found["jump_m"].values.max() < 1e-12
+    assert found["gap"].values == pytest.approx(np.ones(399))
+    assert found["freeze_hard_s"].values.max() == 0.0
+
+
+def test_signals_of_a_jump_a_gap_and_a_freeze() -> None:
+    times = np.arange(400) * 0.05
+    positions = along_x(times, 2.0)
+    positions[200:, 1] += 0.5
+    turns = np.tile(UPRIGHT, (400, 1))
+    turns[200:] = lie.from_rotation_vector(np.array([0.0, 0.0, np.radians(3.0)]))
+    found = PoseSignals(0.05).add(poses(times, positions, turns))
+    assert found["jump_m"].values.max() == pytest.approx(0.5)
+    assert found["jump_deg"].values.max() == pytest.approx(3.0)
+    assert found["jump_m"].seconds[found["jump_m"].values.argmax()] in times[200:202]
+    late = times.copy()
+    late[300:] += 0.2
+    gaps = PoseSignals(0.05).add(poses(late, along_x(late)))["gap"]
+    assert (gaps.values.max(), gaps.seconds[gaps.values.argmax()]) == pytest.approx(
+        (5.0, late[300])
+    )
+    stopped = along_x(np.minimum(times, 15.0))
+    frozen = PoseSignals(0.05).add(poses(times, stopped))["freeze_hard_s"]
+    assert frozen.values[-1] == pytest.approx(times[-1] - 15.0)
+    assert frozen.values[frozen.seconds < 15.01].max() == 0.0
+
+
+def test_map_corrections_move_the_robot_where_it_is() -> None:
+    signals = CorrectionSignals()
+    times = np.arange(0.0, 30.0, 0.1)
+    assert signals.add_other(poses(np.array([0.0]), np.zeros((1, 3)))) == {}
+    first = signals.add(poses(times, along_x(times)))
+    assert {name: len(each.values) for name, each in first.items()} == {
+        "map_correction_m_1s": 0, "map_correction_deg_1s": 0,
+    }  # fmt: skip
+    turn = lie.from_rotation_vector(np.array([0.0, 0.0, np.radians(2.0)]))
+    found = signals.add_other(poses(np.array([10.0]), np.zeros((1, 3)), turn))
+    # At 10 m from the origin, 2 degrees are 0.349 m.
+    assert found["map_correction_m_1s"].values == pytest.approx([20.0 * np.sin(np.radians(1.0))])
+    assert found["map_correction_deg_1s"].values == pytest.approx([2.0])
+    again = signals.add_other(poses(np.array([12.0]), np.zeros((1, 3)), turn))
+    assert again["map_correction_deg_1s"].values == pytest.approx([0.0], abs=1e-9)
+
+
+def test_the_body_of_a_partner_by_its_definition() -> None:
+    generator = np.random.default_rng(2)
+    turns = lie.from_rotation_vector(generator.normal(0.0, 0.5, (80, 3)))
+    steps = generator.normal(0.0, 1.0, (80, 3))
+    rotation, lever = Rotation.random(random_state=3), np.array([0.3, -0.2, 0.1])
+    own = Rotation.from_quat(turns)
+    other_turns = (rotation.inv() * own * rotation).as_quat()
+    other_steps = rotation.inv().apply(steps - lever + own.apply(lever)) / 1.7
+    found = body_difference(turns, steps, other_turns, other_steps)
+    assert (Rotation.from_quat(found.rotation).inv() * rotation).magnitude() < 1e-6
+    np.testing.assert_allclose(found.lever_m, lever, atol=1e-6)
+    assert found.scale == pytest.approx(1.7)
+    assert np.sqrt(np.diag(found.covariance)).max() < 1e-3
+
+
+@pytest.mark.parametrize("seed", range(4200, 4206))
+def test_the_body_of_a_partner_of_a_planar_robot_is_within_its_standard_deviations(
+    seed: int,
+) -> None:
+    """Rotations determine the body about one axis only, displacements the rest of it."""
+    generator = np.random.default_rng(seed)
+    count = 400
+    own = Rotation.from_rotvec(np.outer(generator.normal(0.0, 0.5, count), [0.0, 0.0, 1.0]))
+    steps = generator.normal(0.0, 1.0, (count, 3)) * [1.0, 1.0, 0.0]
+    rotation, lever = Rotation.from_rotvec([0.4, -0.5, 0.3]), np.array([0.2, -0.1, 0.15])
+    other_steps = rotation.inv().apply(steps - lever + own.apply(lever)) / 1.7
+    other_steps += generator.normal(0.0, 0.005, steps.shape)
+    noisy = rotation.inv() * own * rotation
+    noisy *= Rotation.from_rotvec(generator.normal(0.0, 0.002, (count, 3)))
+    found = body_difference(own.as_quat(), steps, noisy.as_quat(), other_steps)
+    sigma = np.sqrt(np.diag(found.covariance))
+    off = (Rotation.from_quat(found.rotation) * rotation.inv()).as_rotvec()
+    assert np.degrees(np.linalg.norm(off)) < 0.5
+    assert (np.abs(off) < 4.0 * sigma[:3]).all()
+    assert (np.abs(found.lever_m - lever) < 4.0 * sigma[3:6]).all()
+    assert abs(np.log(found.scale / 1.7)) < 4.0 * sigma[6]
+    # The lever arm along the axis has no effect: only the prior of 0.5 m is known.
+    assert sigma[5] == pytest.approx(0.5, rel=0.05)
+    assert max(sigma[3:5]) < 0.01
+
+
+def test_residuals_count_where_the_calibration_is_known() -> None:
+    residuals = np.array([[0.3, 0.0, 0.0], [0.0, 0.4, 0.0], [0.0, 0.0, 0.0]])
+    jacobians = np.tile(np.eye(3), (3, 1, 1))
+    covariance = np.diag([1e-12, 0.2**2, 1.0])
+    found = judged(residuals, jacobians, covariance, 0.1)
+    assert found == pytest.approx([0.3, 0.4 * 0.1 / np.hypot(0.1, 0.2), 0.0])
+
+
+def lag_run(lag_s: float, speed: Floats, seed: int) -> tuple[float, float]:
+    """Return the lag that is found, and its p-value, of a twist with noise."""
+    generator = np.random.default_rng(seed)
+    times = np.arange(len(speed)) * 0.04
+    heading = 0.5 * np.sin(0.3 * times)
+    turns = lie.from_rotation_vector(np.outer(heading, [0.0, 0.0, 1.0]))
+    along = np.stack([np.cos(heading), np.sin(heading), 0.0 * times], axis=1)
+    path = np.cumsum(along * speed[:, None], axis=0) * 0.04
+    told = np.interp(times - lag_s, times, speed) + generator.normal(0.0, 0.015, len(times))
+    path += generator.normal(0.0, 0.0015, path.shape)
+    body = np.outer(told, [1.0, 0.0, 0.0])
+    states = OrderedFeed().rows(times, path, turns, body)
+    return _lag_of(states)
+
+
+def test_a_lag_of_the_twist_needs_evidence() -> None:
+    times = np.arange(900) * 0.04
+    swinging = 1.0 + 0.4 * np.sin(1.1 * times) + 0.2 * np.sin(2.3 * times)
+    for seed in range(20):
+        assert lag_run(0.0, swinging, seed)[0] == 0.0
+        lag_s, chance = lag_run(0.06, swinging, seed)
+        assert lag_s == pytest.approx(0.06, abs=0.026)
+        assert chance <= 0.005
+        # At constant speed the lag has no effect.
+        assert lag_run(0.06, np.ones(900), seed)[0] == 0.0
+
+
+def test_a_pose_that_is_repeated_in_motion_is_counted() -> None:
+    times = np.arange(400) * 0.05
+    held = along_x(times)[np.repeat(np.arange(0, 400, 2), 2)]
+    found = PoseSignals(0.05).add(poses(times, held))["repeats"]
+    assert found.values.max() == 20.0
+    stops = along_x(np.minimum(times, 10.0))
+    assert PoseSignals(0.05).add(poses(times, stops))["repeats"].values.max() == 1.0
+    # Wheel odometry repeats its pose at rest.
+    shaking = np.zeros((400, 3))
+    shaking[::2, 0] = 1e-4
+    rest = np.repeat(shaking[::2], 2, axis=0)
+    assert PoseSignals(0.05).add(poses(times, rest))["repeats"].values.max() == 0.0
+    whole = PoseSignals(0.05)
+    parts = [
+        whole.add(poses(times, held)[rows])["repeats"].values
+        for rows in np.split(np.arange(400), [7, 8, 200])
+    ]
+    np.testing.assert_array_equal(np.concatenate(parts), found.values)
+
+
+def test_a_partner_with_one_state_is_waited_for() -> None:
+    times = np.arange(0.0, 40.0, 0.1)
+    positions = np.column_stack([np.sin(times), np.cos(0.7 * times), 0.1 * times])
+    states = poses(times, positions)
+    pair = PairSignals("pair.b", 0.1, 30.0)
+    assert pair.add(states[:1]) == {}
+    assert pair.add_other(states[:1]) == {}
+    assert pair.add(states[1:]) == {}
+    found = pair.add_other(states[1:])
+    assert pair.usable
+    assert set(found) == {
+        f"pair_{name}s.b" for name in ("percent_5", "percent_20", "deg_5", "deg_20")
+    }
+    assert found["pair_percent_5s.b"].values.max() < 1e-6
+    assert found["pair_percent_5s.b"].seconds[-1] == times[-1]
+    # The fault of the partner: it moves 0.5 m aside at 36 s, after a path of 5 s.
+    other = positions + np.where(times >= 36.0, 0.5, 0.0)[:, None] * [0.0, 0.0, 1.0]
+    pair = PairSignals("pair", 0.1, 30.0)
+    pair.add(states)
+    found = pair.add_other(poses(times, other))
+    seconds, values = found["pair_percent_5s"]
+    path_m = 5.0 * np.median(np.linalg.norm(positions[10:] - positions[:-10], axis=1))
+    assert values.max() == pytest.approx(100.0 * 0.5 / (1.0 + path_m), rel=0.3)
+    assert seconds[values.argmax()] >= 36.0
+
+
+def test_too_little_of_a_partner_is_said() -> None:
+    times = np.arange(0.0, 40.0, 0.1)
+    states = poses(times, along_x(times))
+    pair = PairSignals("pair", 0.1, 30.0)
+    assert pair.add(states) == {}
+    assert pair.add_other(states[290:]) == {}
+    assert not pair.usable
+    assert pair.notices == [
+        "too little data of the second estimate during the motion before arming: it is not "
+        "compared"
+    ]
+    assert pair.add(states) == pair.add_other(states) == {}

@@ -1,0 +1,307 @@
+"""The report of a comparison on disk: one page, figures, and further pages for many runs."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from trajeval_ros import __version__
+from trajeval_ros.batch.comparison_summary import ComparisonSummary, Trial
+from trajeval_ros.batch.figure_drafts import (
+    MOST_ALGORITHMS,
+    MOST_SEQUENCES,
+    FigureDraft,
+    absolute_drafts,
+    sequence_drafts,
+)
+from trajeval_ros.batch.finished_comparison import FIGURES, PAGES, REPORT, RUNS
+from trajeval_ros.batch.records import RECORDS, RecordStore
+from trajeval_ros.batch.results_table import (
+    ATE,
+    OK,
+    POOLED,
+    RE,
+    STATISTICS,
+    ResultsTable,
+    state_of,
+)
+from trajeval_ros.batch.summary_tables import definition, matrices
+from trajeval_ros.diagnosis.warnings import LOW_COVERAGE
+from trajeval_ros.formatting.numbers import counted, percent, three_decimals, whole_percent
+from trajeval_ros.io.writing import refused_by_disk, write_text
+from trajeval_ros.metrics.coverage import Gap
+from trajeval_ros.metrics.sub_trajectories import Length
+from trajeval_ros.report.comparison_figures import BoxPlot, figure_of, run_errors_svg, run_path_svg
+from trajeval_ros.report.comparison_page import Plot, ReportPages, RunPage
+from trajeval_ros.report.definitions import ABSOLUTE_LABELS, RELATIVE_LABELS
+
+_HEAD_BYTES = 2000
+_MOST_DETAILS = 1000  # runs with figures and statistics
+_MOST_ON_A_PAGE = 100
+# Limit of details on a page and of figures on the first one; a page stays below 5 MB.
+_MOST_BYTES = 2_000_000
+_COLUMNS = (
+    "key", "kind", "metric", "length", "count", *STATISTICS, "groundtruth", "estimate", "pairs",
+    "estimate_coverage", "span_s", "scale", "groundtruth_span", "longest_gap_s", "longest_gap_m",
+    "longest_gap_deg", "estimate_sha256", "groundtruth_sha256",
+)  # fmt: skip
+
+
+def write_report(
+    folder: Path,
+    summary: ComparisonSummary,
+    advance: Callable[[int, int], None] = lambda done, total: None,
+) -> Path:
+    """Write the report of a comparison, and its figures as SVG files, into its folder."""
+    pages = ReportPages(summary.title, __version__, state_of(folder / RUNS))
+    records = RecordStore(folder / RECORDS)
+    shown = _shown(summary.trials)
+    runs, details = [], []
+    for number, run in enumerate(_run_pages(folder, summary, records, shown), 1):
+        details.append(pages.details(number, run))
+        runs.append(run.brief())
+        advance(number, len(shown))
+    plots, drawn = _plots(folder / FIGURES, summary, records)
+    parts = _parts(details)
+    names = [f"runs_{number}.html" for number in range(1, len(parts) + 1)]
+    on_first_page = len(parts) == 1
+    with refused_by_disk(f"the folder {folder / PAGES}"):
+        _remove_pages(folder / PAGES)
+        if not on_first_page:
+            (folder / PAGES).mkdir(exist_ok=True)
+    links = []
+    for name, part in zip(names, parts, strict=True):
+        where = "" if on_first_page else f"{PAGES}/{name}"
+        links += [f"{where}#run{place + 1}" for place in part]
+        if not on_first_page:
+            inside = details[part.start : part.stop]
+            write_text(folder / PAGES / name, pages.runs(name, names, REPORT, inside))
+    text = pages.overview(
+        definition(summary.settings),
+        _findings(summary, drawn),
+        matrices(summary),
+        plots,
+        runs,
+        links,
+        details if on_first_page else (),
+        "All runs" if len(shown) == len(summary.trials) else "Runs that stand out",
+    )
+    write_text(folder / REPORT, text)  # last: its existence states that the report is complete
+    return folder / REPORT
+
+
+def is_drawn(folder: Path) -> bool:
+    """Return whether the report belongs to the tables, by their hash, not by file times."""
+    state = state_of(folder / RUNS)
+    try:
+        with (folder / REPORT).open("rb") as file:
+            begun = file.read(_HEAD_BYTES)
+    except FileNotFoundError:
+        return False
+    return bool(state) and state.encode() in begun and (folder / FIGURES).is_dir()
+
+
+def _shown(trials: Sequence[Trial]) -> list[Trial]:
+    """Return the runs with details, in their order: all, or failed and inaccurate ones."""
+    if len(trials) <= _MOST_DETAILS:
+        return list(trials)
+    by_sequence: dict[str, list[float]] = {}
+    for each in trials:
+        if "position_m" in each.rmse:
+            by_sequence.setdefault(each.sequence, []).append(each.rmse["position_m"])
+    usual = {sequence: median(errors) for sequence, errors in by_sequence.items()}
+
+    def standing_out(place: int) -> tuple[bool, float]:
+        each = trials[place]
+        error = each.rmse.get("position_m", 0.0)
+        return each.status != OK, error / (usual.get(each.sequence) or 1.0)
+
+    order = sorted(range(len(trials)), key=standing_out, reverse=True)
+    return [trials[place] for place in sorted(order[:_MOST_DETAILS])]
+
+
+def _plots(
+    folder: Path, summary: ComparisonSummary, records: RecordStore
+) -> tuple[list[Plot], int]:
+    """Write the figures of all runs together as files.
+
+    `folder`: folder for the files; figures of an earlier report are removed.
+
+    Returns:
+        The figures of the report, and the number of sequences in them.
+    """
+    with refused_by_disk(f"the folder {folder}"):
+        folder.mkdir(exist_ok=True)
+        for stem in ("ate", "re", "trajectories", "errors"):
+            for file in folder.glob(f"{stem}_*.svg"):
+                file.unlink()
+    absolute = [_drawn(draft, folder) for draft in absolute_drafts(summary)]
+    boxes: list[Plot] = []
+    paths: list[Plot] = []
+    size = count = 0
+    for sequence in summary.sequences[:MOST_SEQUENCES]:
+        drafts = list(sequence_drafts(summary, records, sequence))
+        plots = [(draft, _drawn(draft, folder)) for draft in drafts]
+        shown = [(draft, plot) for draft, plot in plots if draft.is_in_report]
+        size += sum(len(plot.svg) for _, plot in shown)
+        if size > _MOST_BYTES:
+            continue
+        count += 1
+        for draft, plot in shown:
+            (boxes if isinstance(draft.plot, BoxPlot) else paths).append(plot)
+    return [*absolute, *boxes, *paths], count
+
+
+def _drawn(draft: FigureDraft, folder: Path) -> Plot:
+    """Draw a figure, write it to a file, and return it for the report."""
+    figure = figure_of(draft.plot)
+    name = re.sub(r"[^\w.-]+", "_", draft.name)
+    write_text(folder / f"{name}.svg", figure.to_file(draft.title))
+    return Plot(draft.title, draft.caption, figure.to_html() if draft.is_in_report else "")
+
+
+def _parts(details: Sequence[str]) -> list[range]:
+    """Return the details of each page; a single page if they are few and small."""
+    parts, first, size = [], 0, 0
+    for place, each in enumerate(details):
+        if place - first == _MOST_ON_A_PAGE or (size + len(each) > _MOST_BYTES and size):
+            parts.append(range(first, place))
+            first, size = place, 0
+        size += len(each)
+    return [*parts, range(first, len(details))]
+
+
+def _remove_pages(folder: Path) -> None:
+    """Remove the pages of a previous report."""
+    for each in folder.glob("runs_*.html"):
+        each.unlink()
+    with contextlib.suppress(OSError):  # it does not exist, or has other files
+        folder.rmdir()
+
+
+def _findings(summary: ComparisonSummary, drawn: int) -> list[str]:
+    """Return the main findings."""
+    trials = summary.trials
+    lost = [trial for trial in trials if trial.status != OK]
+    findings = [
+        f"{counted(len(trials), 'run')} of {counted(len(summary.algorithms), 'algorithm')} on "
+        f"{counted(len(summary.sequences), 'sequence')}: {len(trials) - len(lost)} evaluated"
+        + (f", {len(lost)} failed or missing. Failed runs are ranked last." if lost else ".")
+    ]
+    if len(trials) > _MOST_DETAILS:
+        findings.append(
+            f"Details are shown for {_MOST_DETAILS} runs: failed runs first, then runs with the "
+            "largest error relative to the median of their sequence. Tables include all runs."
+        )
+    if len(summary.sequences) > drawn or len(summary.algorithms) > MOST_ALGORITHMS:
+        findings.append(
+            f"Figures by sequence show the first {drawn} sequences and {MOST_ALGORITHMS} "
+            "algorithms. Tables include all."
+        )
+    tables = matrices(summary)
+    wins = {
+        name: ranks.count(1)
+        for table in tables[:1]
+        for (name, _), ranks in zip(table.rows, table.ranks(), strict=True)
+    }
+    most_wins = max(wins.values(), default=0)
+    if most_wins:
+        best = [name for name, count in wins.items() if count == most_wins]
+        *others, last = best
+        listed = f"{', '.join(others)} and {last}" if others else last
+        cells = [cell for _, cells in tables[0].rows for cell in cells]
+        among = "" if all(cell.is_ranked for cell in cells) else " of the ranked runs"
+        has = "each have" if others else "has"
+        findings.append(
+            f"{listed} {has} the smallest position ATE{among} on {most_wins} of "
+            f"{counted(len(summary.sequences), 'sequence')}."
+        )
+    if tables and not summary.settings["common_time_span"]:
+        coverage = dict(zip(summary.algorithms, tables[0].coverage, strict=True))
+        most = max(coverage, key=lambda name: coverage[name])
+        findings += [
+            f"{name} covers {whole_percent(coverage[name])} of the groundtruth and {most} covers "
+            f"{whole_percent(coverage[most])}. Compare only runs with the same coverage: use "
+            "--common-time-span."
+            for name in summary.algorithms
+            if coverage[name] < LOW_COVERAGE * coverage[most]
+        ]
+    return findings
+
+
+def _run_pages(
+    folder: Path, summary: ComparisonSummary, records: RecordStore, trials: Sequence[Trial]
+) -> Iterator[RunPage]:
+    """Yield the details of some runs."""
+    statistics: dict[str, list[tuple[str, ...]]] = defaultdict(list)
+    facts: dict[str, tuple[tuple[str, str], ...]] = {}
+    keys = [trial.key for trial in trials if trial.status == OK]
+    for row in ResultsTable(folder / RUNS).select(_COLUMNS, key=keys):
+        key = row["key"]
+        if key not in facts:
+            facts[key] = _facts(row)
+        if row["kind"] in (ATE, RE, POOLED):
+            statistics[key].append(_statistics(row))
+        else:
+            facts[key] += ((f"{row['kind']}, {row['metric']}", three_decimals(row["mean"])),)
+    places = {algorithm: place for place, algorithm in enumerate(summary.algorithms)}
+    for trial in trials:
+        yield RunPage(
+            algorithm=trial.algorithm,
+            sequence=trial.sequence,
+            trial=trial.trial,
+            status=trial.status,
+            reason=trial.reason,
+            position_m=trial.rmse.get("position_m"),
+            rotation_deg=trial.rmse.get("rotation_deg"),
+            coverage=trial.coverage,
+            facts=facts.get(trial.key, ()),
+            headings=("error", *STATISTICS, "count"),
+            statistics=tuple(statistics.get(trial.key, ())),
+            warnings=trial.warnings,
+            svgs=_figures(records, trial.key, places[trial.algorithm]) if trial.key else (),
+        )
+
+
+def _figures(records: RecordStore, key: str, place: int) -> tuple[str, ...]:
+    record = records.read(key, with_pooled=False)
+    if record is None:
+        return ()
+    columns = record.columns
+    return (
+        run_path_svg(place, record.groundtruth_up, columns["groundtruth"], columns["path"]),
+        run_errors_svg(place, columns["errors"]),
+    )
+
+
+def _statistics(row: dict[str, Any]) -> tuple[str, ...]:
+    labels = ABSOLUTE_LABELS if row["kind"] == ATE else RELATIVE_LABELS
+    where = {ATE: "ATE", POOLED: "RE all lengths"}.get(row["kind"])
+    where = where or f"RE {Length.parse(row['length']).text}"
+    values = [three_decimals(row[name]) for name in STATISTICS]
+    return (f"{where}, {labels[row['metric']]}", *values, str(row["count"]))
+
+
+def _facts(row: dict[str, Any]) -> tuple[tuple[str, str], ...]:
+    return (
+        ("estimate", row["estimate"]),
+        ("groundtruth", row["groundtruth"]),
+        ("pairs", f"{row['pairs']} over {row['span_s']:.1f} s, "
+                  f"{percent(row['estimate_coverage'])} of the poses"),
+        *_gap(row),
+        ("scale", f"{row['scale']:.5g}"),
+        ("sha256", f"{row['estimate_sha256'][:16]}… and {row['groundtruth_sha256'][:16]}…"),
+    )  # fmt: skip
+
+
+def _gap(row: dict[str, Any]) -> tuple[tuple[str, str], ...]:
+    if row["longest_gap_s"] is None:
+        return ()
+    gap = Gap(row["longest_gap_s"], row["longest_gap_m"], row["longest_gap_deg"])
+    first_to_last = f"{percent(row['groundtruth_span'])} of the groundtruth's time"
+    return (("first to last pair", first_to_last), ("longest gap", str(gap)))

@@ -1,0 +1,227 @@
+"""Output of the verbs that evaluate: files, tables and the exit status."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from trajeval_ros.cli.pictures import Pictures
+from trajeval_ros.cli.programs import may_break
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.escaping import visible
+from trajeval_ros.formatting.remarks import Level
+from trajeval_ros.io.json_file import json_text
+from trajeval_ros.io.results.requirement import Requirement
+from trajeval_ros.io.results.result_json import result_of
+from trajeval_ros.io.sources import parse_source
+from trajeval_ros.report.figure_style import PLAIN, FigureStyle
+
+if TYPE_CHECKING:
+    from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
+    from trajeval_ros.report.console import Console
+
+_NO_PICTURES = Pictures()
+
+
+def write_and_print(
+    outcome: Outcome,
+    requirements: Sequence[Requirement],
+    *,
+    json: str | None,
+    output: Path | None,
+    quiet: bool,
+    pictures: Pictures = _NO_PICTURES,
+    mcap: Path | None = None,
+    look: FigureStyle = PLAIN,
+) -> None:
+    """Write and print an evaluation; exit with status 1 if a requirement is not met.
+
+    Args:
+        outcome: The evaluated runs.
+        requirements: Requirements that every run must meet.
+        json: File for result.json, `-` for stdout; None for no file.
+        output: Folder for the result, errors and figures; None for no folder.
+        quiet: Whether to print only missing data and unmet requirements.
+        pictures: Output for Rerun.
+        mcap: File for the errors as ROS 2 messages; None for no file.
+        look: Style of the figures in the folder.
+
+    Raises:
+        InputError: A file can't be written.
+        SettingsError: A requirement names a number that the result does not have.
+        click.exceptions.Exit: A requirement is not met.
+    """
+    result, runs = result_of(outcome), outcome.runs
+    # A requirement with an unknown name is an error; it is raised before anything is written.
+    lengths = result["provenance"]["settings"]["lengths"]
+    unmet = [
+        f"{run['estimate']['name']}: {why}"
+        for run in result["runs"]
+        for requirement in requirements
+        if (why := requirement.unmet(run, lengths))
+    ]
+    failed = [f"{each.name}: {each.reason}" for each in outcome.failed]
+    if requirements:
+        unmet += failed
+    if output is not None:
+        from trajeval_ros.cli.evaluation_folder import write_folder
+
+        write_folder(output, result, outcome, look)
+    pictures.write(runs)
+    if mcap is not None:
+        from trajeval_ros.io.results.error_recording import write_error_recording
+
+        write_error_recording(mcap, outcome)
+    if json == "-":
+        with may_break():
+            sys.stdout.write(json_text(result, indent=2))
+    elif json is not None:
+        from trajeval_ros.io.writing import write_text
+
+        write_text(Path(json), json_text(result, indent=2), follow_link=True)
+    if not quiet and json != "-":
+        with may_break():
+            _print(outcome, output)
+        _tell("warning", failed)
+    else:
+        # Missing data are reported even with --quiet.
+        _tell("warning", outcome.damage)
+    pictures.show(runs)
+    _tell("trajeval", unmet)
+    if unmet:
+        raise click.exceptions.Exit(1)
+
+
+def _tell(who: str, lines: Iterable[str]) -> None:
+    with may_break():
+        for line in lines:
+            print(f"{who}: {visible(line)}", file=sys.stderr)
+
+
+def refuse_inputs(outputs: Sequence[Path | None], sources: Sequence[str]) -> None:
+    """Refuse to overwrite an input, before anything is read.
+
+    Raises:
+        InputError: An output is an input.
+    """
+    inputs = [str(parse_source(source).path) for source in sources]
+    for output in filter(None, outputs):
+        for path in inputs:
+            with contextlib.suppress(OSError):  # a URL, or a file that does not exist
+                if output.samefile(path):
+                    raise InputError(f"output {output} is also an input; choose another output")
+
+
+def _print(outcome: Outcome, output: Path | None) -> None:
+    from trajeval_ros.report.calibration_lines import calibration_lines
+    from trajeval_ros.report.consistency_lines import consistency_lines
+    from trajeval_ros.report.console import console
+
+    terminal = console()
+    _print_verdicts(terminal, outcome)
+    _print_likelihoods(terminal, outcome)
+    _print_errors(terminal, outcome.runs)
+    for run in outcome.runs:
+        if run.calibrated is not None:
+            for line in calibration_lines(run.estimate.name, run.calibrated):
+                terminal.print(line, soft_wrap=True)
+        if run.consistency is not None:
+            for line in consistency_lines(run.estimate.name, run.consistency):
+                terminal.print(line, soft_wrap=True)
+    _print_integrity(terminal, outcome.runs)
+    if output is not None:
+        from trajeval_ros.cli.evaluation_folder import contents
+
+        terminal.print(f"\n{contents(output)}", soft_wrap=True)
+    terminal.file.flush()
+    _print_remarks(outcome.runs)
+
+
+def _print_verdicts(terminal: Console, outcome: Outcome) -> None:
+    from trajeval_ros.report.verdict_lines import diagnosis_lines, doubt, own_error_line, verdict
+
+    for run in outcome.runs:
+        headline, *rest = verdict(run.evaluation)
+        headline += doubt(run.diagnosis)
+        for line in (headline, *diagnosis_lines(run), *rest):
+            terminal.print(line, soft_wrap=True)
+        if run.own_error is not None:
+            terminal.print(own_error_line(run.own_error), soft_wrap=True)
+    if outcome.request.gauge_is_default:
+        terminal.print(
+            f"  gauge {outcome.runs[0].evaluation.protocol.gauge.value} by default; set the "
+            "sensors with --modality (mono, stereo, stereo-inertial, ...)",
+            soft_wrap=True,
+        )
+
+
+def _print_likelihoods(terminal: Console, outcome: Outcome) -> None:
+    likely = outcome.likelihoods
+    if not likely:
+        return
+    from trajeval_ros.report.console import show
+    from trajeval_ros.report.tables import probabilistic_lines, probabilistic_table
+
+    terminal.print()
+    show(terminal, probabilistic_table(likely))
+    for line in probabilistic_lines(likely):
+        terminal.print(line, soft_wrap=True)
+
+
+def _print_errors(terminal: Console, runs: Sequence[RunOutcome]) -> None:
+    from trajeval_ros.report import tables
+    from trajeval_ros.report.console import show
+
+    evaluations = [run.evaluation for run in runs]
+    terminal.print()
+    show(terminal, tables.absolute_table(evaluations, terminal.width))
+    by_states = tables.states_table(runs)
+    if by_states is not None:
+        terminal.print()
+        show(terminal, by_states)
+        for line in tables.states_remarks(runs):
+            terminal.print(line, soft_wrap=True)
+    relative = tables.relative_table(evaluations, terminal.width)
+    if relative is not None:
+        terminal.print()
+        show(terminal, relative)
+
+
+def _print_remarks(runs: Sequence[RunOutcome]) -> None:
+    """Print notes about the inputs, and warnings, on stderr."""
+    from trajeval_ros.report.console import console
+
+    remarks = console(sys.stderr)
+    groundtruth = runs[0].evaluation.groundtruth
+    for trajectory in (groundtruth, *(run.evaluation.estimate for run in runs)):
+        notes = "; ".join(trajectory.reading.said(Level.NOTE))
+        if notes:
+            remarks.print(f"note: {trajectory.name}: {notes}", soft_wrap=True)
+    for run in runs:
+        printed = {each.cause for each in run.diagnosis.findings}  # below the headline
+        for remark in run.evaluation.remarks:
+            if remark.code not in printed:
+                remarks.print(f"warning: {run.estimate.name}: {remark.text}", soft_wrap=True)
+
+
+def _print_integrity(terminal: Console, runs: Sequence[RunOutcome]) -> None:
+    asked = {run.estimate.name: run.integrity for run in runs if run.integrity is not None}
+    if not asked:
+        return
+    from trajeval_ros.report import consistency_lines
+    from trajeval_ros.report.console import Table, show
+
+    table = Table("", consistency_lines.INTEGRITY_WORDS, consistency_lines.INTEGRITY_NUMBERS)
+    for name, integrity in asked.items():
+        for row in consistency_lines.integrity_rows(name, integrity):
+            table.add(row)
+    terminal.print()
+    show(terminal, table)
+    for name, integrity in asked.items():
+        for line in consistency_lines.integrity_lines(name, integrity):
+            terminal.print(line, soft_wrap=True)

@@ -1,0 +1,98 @@
+"""`trajeval diagnose`: tests of a pair of trajectories for common mistakes."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from trajeval_ros.cli.command import verb
+from trajeval_ros.cli.options import argument, settings_options, shared_options
+from trajeval_ros.cli.progress import progress
+from trajeval_ros.cli.source_names import names_of
+from trajeval_ros.diagnosis.diagnose import Diagnosis
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.io.json_file import json_text
+from trajeval_ros.io.requests.request_from import request_from
+from trajeval_ros.io.requests.setting import AUTO, DIAGNOSE
+from trajeval_ros.io.results.result_json import findings_json
+from trajeval_ros.io.sources import read_many
+from trajeval_ros.io.writing import write_text
+from trajeval_ros.pipeline.pipeline import diagnose as search
+
+_PARAMETERS = (
+    argument("groundtruth", metavar="GROUNDTRUTH", help="Source, as for `trajeval evaluate`."),
+    argument("estimate", metavar="ESTIMATE", help="Source, as for `trajeval evaluate`."),
+    *settings_options(DIAGNOSE),
+    *shared_options(DIAGNOSE),
+)  # fmt: skip
+
+
+@verb(*_PARAMETERS)
+def diagnose(groundtruth: str, estimate: str, json: str | None, **settings: Any) -> None:
+    """Searches for mistakes that explain a bad or suspicious result.
+
+    Prints every test with its statistics and its result, or the reason why it is not applicable
+    (docs/diagnosis.md). Findings do not change any result. To correct a mistake, use --correct
+    of trajeval evaluate.
+
+        trajeval diagnose groundtruth.txt estimate.txt --modality stereo-inertial
+    """
+    if settings["time_offset"] == AUTO:
+        raise SettingsError(
+            "--time-offset auto: diagnose estimates the clock offset anyway; remove it, or give "
+            "seconds"
+        )
+    request = request_from(settings)
+    sources = [groundtruth, estimate]
+    with progress(f"reading {', '.join(names_of(sources))}") as advance:
+        first, second = read_many(sources, advance=advance, covariances=[False, True])
+    request = request.for_trajectories(first, [second])
+    found, refused = search(first, second, request)
+    if json is not None:
+        text = json_text(
+            {"findings": findings_json(found.findings), "examined": _scores(found)}, indent=2
+        )
+        if json == "-":
+            print(text)
+            return
+        write_text(Path(json), text, follow_link=True)
+    _print(found, refused)
+
+
+def _scores(found: Diagnosis) -> list[dict[str, Any]]:
+    return [
+        {
+            "test": each.test,
+            "scores": {
+                name: value if math.isfinite(value) else None
+                for name, value in each.scores.items()
+            },
+            "seen": [seen.cause for seen in each.seen],
+            "why_not": each.why_not or None,
+        }
+        for each in found.examined
+    ]
+
+
+def _print(found: Diagnosis, refused: str) -> None:
+    from trajeval_ros.report.console import console
+    from trajeval_ros.report.verdict_lines import explanation
+
+    terminal = console()
+    if refused:
+        terminal.print(f"evaluation not possible: {refused}", soft_wrap=True)
+    for each in found.findings:
+        terminal.print(
+            f"{each.cause} ({each.confidence}, explains {100.0 * each.explained:.0f} % of the "
+            f"error): {each.text}",
+            soft_wrap=True,
+        )
+    if not found.findings:
+        terminal.print(
+            "no mistake found; docs/diagnosis.md lists mistakes that recordings cannot reveal",
+            soft_wrap=True,
+        )
+    terminal.print("\ntests, their results and statistics:")
+    for line in explanation(found):
+        terminal.print(f"  {line}", soft_wrap=True)

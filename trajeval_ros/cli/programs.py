@@ -1,0 +1,112 @@
+"""What all programs have: exit status, errors as one line, closed pipes, ROS arguments.
+
+The live evaluator's program is here, too: `ros2 run trajeval_ros evaluator` runs on machines with
+only ROS packages, so this module does not import click.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from trajeval_ros.exceptions import SettingsError, TrajevalError, reason_of
+from trajeval_ros.formatting.escaping import visible
+
+INTERRUPTED = 130
+_ROS_ARGUMENTS = "--ros-args"
+
+
+def exit_status(work: Callable[[], int | None]) -> int:
+    """Run a program and return its exit status.
+
+    The status is 2 after an error of the input or of a file, and 130 after Ctrl-C.
+
+    Args:
+        work: The program. It returns its status, or None for 0.
+    """
+    if sys.stdout is None:  # closed, as by `>&-`
+        sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - open until exit
+    status = None
+    try:
+        with may_break():
+            status = work()
+    except TrajevalError as error:
+        return _fail(str(error))
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _fail(f"{where}{reason_of(error)}")
+    except KeyboardInterrupt:
+        status = INTERRUPTED
+    if status == INTERRUPTED:  # also returned by `cli.app`, because click catches Ctrl-C
+        print("trajeval: interrupted", file=sys.stderr)
+    return status or 0
+
+
+def _fail(sentence: str) -> int:
+    with may_break():
+        print(f"trajeval: {visible(' '.join(sentence.split()))}", file=sys.stderr)
+    return 2
+
+
+@contextmanager
+def may_break() -> Iterator[None]:
+    """Continue after the block if the reader of its output closes the pipe, as `head` does.
+
+    Then stdout, and stderr if it has the same reader (`2>&1 | head`), are redirected to /dev/null.
+    """
+    try:
+        yield
+        sys.stdout.flush()
+    except (BrokenPipeError, SystemExit) as error:
+        # rich raises SystemExit after a BrokenPipeError.
+        if isinstance(error, SystemExit) and not isinstance(error.__context__, BrokenPipeError):
+            raise
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        for stream in (sys.stdout, sys.stderr):
+            if _has_no_reader(stream.fileno()):
+                os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)
+
+
+def _has_no_reader(file: int) -> bool:
+    poll = select.poll()
+    poll.register(file, 0)
+    return bool(poll.poll(0))
+
+
+def evaluator_main(arguments: Sequence[str]) -> int:
+    """Run the live evaluator and return its exit status."""
+    return exit_status(lambda: _run(arguments))
+
+
+def evaluator(ros_arguments: Sequence[str]) -> int:
+    """Run the live evaluator and return its exit status."""
+    from trajeval_ros.ros.run import evaluate_live
+
+    return evaluate_live(ros_arguments)
+
+
+def split_ros_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the arguments before `--ros-args`, and the ROS arguments from there on."""
+    given = list(arguments)
+    cut = given.index(_ROS_ARGUMENTS) if _ROS_ARGUMENTS in given else len(given)
+    return given[:cut], given[cut:]
+
+
+def _run(arguments: Sequence[str]) -> int:
+    from trajeval_ros.ros.evaluator_help import HELP
+
+    own, ros_arguments = split_ros_arguments(arguments)
+    if own in (["--help"], ["-h"]):
+        print(HELP)
+        return 0
+    if own:
+        raise SettingsError(
+            f"evaluator: unknown argument {' '.join(own)}; give all settings as ROS parameters, "
+            "as in --ros-args -p groundtruth_topic:=/mocap/pose (see evaluator --help)"
+        )
+    return evaluator(ros_arguments)

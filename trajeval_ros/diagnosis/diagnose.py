@@ -1,0 +1,393 @@
+"""The door of the diagnosis: all tests of an evaluation and its inputs, in their order.
+
+Every test relies on the previous ones: numbers, groundtruth, clocks, restarts, conventions, and
+then scale, axes and bodies. A finding that invalidates the next tests ends them. Drift is never
+reported as a mistake: all tests use short motions, in which it is small.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from trajeval_ros.diagnosis.causes import CAUSES
+from trajeval_ros.diagnosis.clock_tests import (
+    USABLE,
+    ClockMatch,
+    clock_offset,
+    clock_rate,
+    match_clocks,
+    other_rate,
+)
+from trajeval_ros.diagnosis.column_tests import columns_of_others
+from trajeval_ros.diagnosis.convention_tests import conventions
+from trajeval_ros.diagnosis.dropout_tests import groundtruth_defects, restart, without_defects
+from trajeval_ros.diagnosis.evaluation_tests import (
+    covariance_blocks,
+    frame_offset,
+    number_of_pairs,
+    small_clock_offset,
+)
+from trajeval_ros.diagnosis.findings import (
+    Corrections,
+    Diagnosis,
+    Examined,
+    Finding,
+    Seen,
+    Tried,
+    finding_to_correct,
+    require_correctable,
+)
+from trajeval_ros.diagnosis.geometry_tests import (
+    body,
+    groundtruth_plane,
+    lever_arm,
+    require_up_axis,
+    scale,
+    vertical,
+    without_vertical,
+)
+from trajeval_ros.diagnosis.hypotheses import ShortMotions, fit_hypotheses
+from trajeval_ros.diagnosis.input_pair import InputPair, TimedPoses
+from trajeval_ros.diagnosis.input_tests import (
+    duplicated_rows,
+    rhythm,
+    rounded_stamps,
+    same_positions,
+    standing_still,
+    swapped_names,
+    velocities,
+)
+from trajeval_ros.diagnosis.lost_tracking_tests import (
+    begins_at_start,
+    is_certain,
+    is_large,
+    losses_in,
+    lost_tracking,
+)
+from trajeval_ros.diagnosis.trials import Again, with_tried_advice
+from trajeval_ros.diagnosis.warnings import about_unused_rule, remarks_on, require_same_body
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.metrics.association import Association, associate
+
+if TYPE_CHECKING:
+    from trajeval_ros.formatting.remarks import Remark
+    from trajeval_ros.geometry.fix_selection import FixRule
+    from trajeval_ros.geometry.gauge import Gauge
+    from trajeval_ros.geometry.trajectory import Trajectory
+    from trajeval_ros.metrics.evaluation import Evaluation
+    from trajeval_ros.metrics.input_summary import InputSummary
+    from trajeval_ros.metrics.own_error import OwnError
+    from trajeval_ros.metrics.protocol import Protocol
+    from trajeval_ros.metrics.tracking_loss import Loss
+
+__all__ = [
+    "Corrections",
+    "Diagnosis",
+    "Finding",
+    "Tried",
+    "diagnose",
+    "diagnose_inputs",
+    "diagnosed",
+    "finding_to_correct",
+    "fix_remarks",
+    "require_conventions",
+    "require_correctable",
+    "require_fixes",
+    "require_up_axis",
+    "same_estimate",
+]
+
+_SHORTEST_S, _FEWEST = 8.0, 12
+_MOVING_S, _TURNING_S = 2.0, 0.5
+_LEAST_GAP_S, _MOST_GAP_S = 0.3, 1.1
+# These findings invalidate all other tests.
+_FINAL = {
+    "identical", "stands_still", "stamps_rounded", "degrees", "row_numbers", "increments",
+}  # fmt: skip
+_NO_PEAK, _LONG_S = 0.45, 20.0
+# With such a finding, the errors contain no information on small offsets and covariances.
+_GRAVE = 5.2  # of ranks
+# A smaller coarse offset, in seconds or cells, is not significant.
+_NONE_S, _NONE_CELLS = 0.005, 0.05
+
+
+def diagnosed(
+    evaluation: Evaluation,
+    groundtruth: Trajectory,
+    estimate: Trajectory,
+    again: Again,
+    *,
+    paired: bool = False,
+    hand_eye_calibrated: bool = False,
+) -> tuple[Evaluation, Diagnosis]:
+    """Return an evaluation with remarks and without meaningless errors, and its diagnosis.
+
+    It is refused if it is aligned by the orientations of another body. The arguments are those of
+    `diagnose`, what evaluates again with corrections, and whether the body transform was
+    estimated.
+    """
+    diagnosis = diagnose(evaluation, groundtruth, estimate, paired=paired)
+    if hand_eye_calibrated:
+        diagnosis = diagnosis.after_hand_eye_calibration()
+    diagnosis = with_tried_advice(diagnosis, evaluation, again)
+    require_same_body(evaluation, diagnosis)
+    evaluation = without_vertical(evaluation)
+    remarks = (*remarks_on(evaluation, diagnosis), *evaluation.remarks)
+    return dataclasses.replace(evaluation, remarks=remarks), diagnosis
+
+
+def diagnose(
+    evaluation: Evaluation,
+    groundtruth: Trajectory,
+    estimate: Trajectory,
+    *,
+    paired: bool = False,
+    losses: Sequence[Loss] | None = None,
+) -> Diagnosis:
+    """Search for mistakes that affect an evaluation of two trajectories.
+
+    These are in the order of their sources, without the time offset. They may be `paired`: contain
+    only the pairs, row by row. `losses` of tracking are by default those in the pairs.
+    """
+    protocol, pairs = evaluation.protocol, evaluation.association
+    time_offset_s = None
+    if paired or pairs.rule.method == "index":
+        groundtruth, estimate, time_offset_s = pairs.groundtruth, pairs.estimate, 0.0
+        protocol = dataclasses.replace(protocol, association=pairs.rule)
+    elif protocol.lever_m is not None:
+        groundtruth, estimate = evaluation.groundtruth, evaluation.estimate
+    number = number_of_pairs(protocol, pairs, evaluation.groundtruth, evaluation.estimate)
+    losses = losses_in(pairs) if losses is None else losses
+    inputs = InputPair.of(groundtruth, estimate, protocol, time_offset_s=time_offset_s)
+    found, is_lost = _tested_where_tracked(losses, pairs, inputs, protocol)
+    if is_lost:
+        return Diagnosis.of([number, *found.examined])
+    examined = [number, *found.examined, frame_offset(evaluation)]
+    if all(each.rank < _GRAVE for each in found.findings):
+        if _may_be_apart(found):
+            examined.append(small_clock_offset(evaluation, *inputs.in_order))
+        examined.append(covariance_blocks(evaluation))
+    return Diagnosis.of(examined)
+
+
+def diagnose_inputs(
+    groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol
+) -> Diagnosis:
+    """Search for mistakes in two trajectories that can't be evaluated."""
+    groundtruth.require_usable()
+    estimate.require_usable()
+    try:
+        pairs = associate(groundtruth, estimate, protocol.association)
+    except InputError:  # no pairs: their number is not the cause
+        return _tested(InputPair.of(groundtruth, estimate, protocol))
+    number = number_of_pairs(protocol, pairs, groundtruth, estimate)
+    inputs = InputPair.of(groundtruth, estimate, protocol)
+    found, _ = _tested_where_tracked(losses_in(pairs), pairs, inputs, protocol)
+    return Diagnosis.of([number, *found.examined])
+
+
+def _tested_where_tracked(
+    losses: Sequence[Loss], pairs: Association, inputs: InputPair, protocol: Protocol
+) -> tuple[Diagnosis, bool]:
+    """Report losses, and apply the other tests to the rest, since a loss looks like most mistakes.
+
+    Returns:
+        The diagnosis, and whether the estimate was lost. A divergence that stays within the size
+        of the path may be the effect of another mistake, such as clocks that differ.
+    """
+    known = [each for each in losses if is_certain(each, pairs)]
+    found = _tested_without(known, inputs)
+    uncertain = [each for each in losses if each not in known and is_large(each, pairs)]
+    from_start = any(begins_at_start(each, pairs) for each in uncertain)
+    explained = any(_explains_loss(each, from_start) for each in found.findings)
+    if uncertain and not explained:
+        known = sorted((*known, *uncertain), key=lambda each: each.begin_ns)
+        found = _tested_without(known, inputs)
+    if not known:
+        return found, False
+    first_ns = int(inputs.groundtruth.stamps.min())
+    lost = lost_tracking(known, pairs, protocol, first_ns)
+    # Lost messages look like keyframes.
+    rest = [each for each in found.examined if each.test != "keyframes"]
+    return Diagnosis.of([lost, *rest]), True
+
+
+def _tested_without(losses: Sequence[Loss], inputs: InputPair) -> Diagnosis:
+    rest = inputs.tracked(losses) if losses else inputs
+    if losses and min(len(rest.groundtruth), len(rest.estimate)) < _FEWEST:
+        return Diagnosis()
+    return _tested(rest)
+
+
+def _explains_loss(finding: Finding, from_start: bool) -> bool:
+    """Return whether a mistake makes displacements differ, from the start or later."""
+    if finding.cause == "other_run":
+        return from_start
+    return finding.rank >= CAUSES["unit"].rank and finding.cause != "swapped"
+
+
+def require_conventions(
+    groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol, pairs: Association | None
+) -> None:
+    """Refuse a hand-eye calibration of poses with a wrong convention.
+
+    The calibration would confuse a mirrored axis with a body rotated by 180 deg.
+    """
+    if pairs is not None:
+        groundtruth, estimate = pairs.groundtruth, pairs.estimate
+    groundtruth.require_usable()
+    estimate.require_usable()
+    offset_s = None if pairs is None else 0.0
+    inputs = InputPair.of(groundtruth, estimate, protocol, time_offset_s=offset_s)
+    found = _tested(inputs).of_conventions()
+    if found is not None:
+        raise InputError(f"--hand-eye auto needs correct conventions, but {found.text}")
+
+
+def require_fixes(
+    groundtruth: Trajectory, estimates: Sequence[Trajectory], gauge: Gauge, rule: FixRule
+) -> None:
+    """Refuse a gauge that the groundtruth's GNSS fixes, if it has any, do not support."""
+    if groundtruth.reading.fixes is not None:
+        from trajeval_ros.diagnosis.gnss_warnings import require_fixes_fit
+
+        require_fixes_fit(groundtruth, estimates, gauge, rule)
+
+
+def fix_remarks(
+    evaluation: Evaluation,
+    rule: FixRule,
+    own: OwnError | None = None,
+    why: str = "",
+    *,
+    lever_arm_known: bool = False,
+    of: int = 1,
+) -> list[Remark]:
+    """Return remarks on groundtruth of GNSS fixes, or on settings of fixes without them.
+
+    `own` is the error without the noise of the fixes, or None for the reason `why`, and `of` the
+    number of evaluated estimates. The antenna's place may be known (`lever_arm_known`).
+    """
+    if evaluation.groundtruth.reading.fixes is None:
+        return list(about_unused_rule(rule))
+    from trajeval_ros.diagnosis.gnss_warnings import about_fixes
+
+    return list(about_fixes(evaluation, own, why, lever_arm_known=lever_arm_known, of=of))
+
+
+def same_estimate(estimate: InputSummary, others: Sequence[InputSummary]) -> Finding | None:
+    """Return the finding about an estimate with the same poses as another one; else None."""
+    for other in others:
+        if other.fingerprint == estimate.fingerprint:
+            name = other.source or other.name or "another one"
+            return Finding.of(Seen("same_estimate", 1.0, {"other": name}))
+    return None
+
+
+def _tested(inputs: InputPair) -> Diagnosis:
+    """Apply all tests of the inputs; both sides have at least one state."""
+    examined = [
+        standing_still(inputs),
+        rounded_stamps(inputs),
+        same_positions(inputs),
+        duplicated_rows(inputs),
+        swapped_names(inputs),
+        *columns_of_others(inputs),
+    ]
+    if not _causes(examined) & _FINAL:
+        examined += _tests_of_motion(inputs)
+    return Diagnosis.of(examined)
+
+
+def _tests_of_motion(inputs: InputPair) -> list[Examined]:
+    groundtruth, estimate = inputs.in_order
+    if min(groundtruth.span_s, estimate.span_s) < _SHORTEST_S or len(estimate) < _FEWEST:
+        return [Examined("motions", why_not=f"a side is shorter than {_SHORTEST_S:g} s")]
+    examined, match = [], None
+    if inputs.by_time:
+        examined += [
+            groundtruth_defects(groundtruth, estimate, inputs.max_gap_s),
+            rhythm(groundtruth, estimate),
+        ]
+        defect = bool(_causes(examined) - {"keyframes"})
+        if defect:
+            groundtruth = without_defects(groundtruth)
+        match = match_clocks(groundtruth, estimate)
+        rate = 1.0
+        if not defect and (match is None or match.peak < USABLE):
+            rate, match = other_rate(groundtruth, estimate, match)
+            estimate = estimate.shifted(0.0, rate - 1.0)
+        examined += [clock_offset(match, inputs.time_offset_s, rate)]
+        offset_s = _offset_of(match, examined[-1])
+        if defect:
+            drift = Examined("clock rates", why_not="the groundtruth has defects")
+        else:
+            drift = clock_rate(groundtruth, estimate, match, offset_s, inputs.time_offset_s, rate)
+        examined.append(drift)
+        if drift.seen:  # which includes an offset
+            examined[-2] = dataclasses.replace(examined[-2], seen=())
+            estimate = estimate.shifted(drift.scores["offset_s"], 1e-6 * drift.scores["ppm"])
+        else:
+            estimate = estimate.shifted(offset_s)
+    examined.append(velocities(groundtruth, estimate))
+    return [*examined, *_tests_of_geometry(inputs, groundtruth, estimate, match)]
+
+
+def _offset_of(match: ClockMatch | None, clocks: Examined) -> float:
+    """Return the offset between the clocks that other tests apply, seconds."""
+    if match is None:
+        return 0.0
+    return match.offset_s if clocks.seen or match.is_usable else 0.0
+
+
+def _tests_of_geometry(
+    inputs: InputPair, groundtruth: TimedPoses, estimate: TimedPoses, match: ClockMatch | None
+) -> list[Examined]:
+    gap_s = max(inputs.max_gap_s, 4.0 * groundtruth.usual_step_s, _LEAST_GAP_S)
+    step_s = estimate.usual_step_s
+    if inputs.by_time:
+        gap_s = min(gap_s, _MOST_GAP_S)
+    moving, turning = (
+        ShortMotions.between(groundtruth, estimate, apart_s, gap_s)
+        for apart_s in (max(_MOVING_S, 2.0 * step_s), max(_TURNING_S, step_s))
+    )
+    if not (moving.enough and turning.enough):
+        if match is not None and match.overlap_s > _LONG_S and match.peak < _NO_PEAK:
+            other = Seen("other_run", 1.0, {"peak": match.peak})
+            return [Examined("conventions", {"peak": match.peak}, (other,))]
+        return [Examined("conventions", why_not="too few short motions have groundtruth")]
+    examined = [restart(groundtruth, estimate)]
+    if examined[-1].seen:
+        return examined
+    moving, turning = moving.without_jumps(estimate), turning.without_jumps(estimate)
+    hypotheses = fit_hypotheses(moving, turning)
+    examined.append(conventions(hypotheses, moving, turning, match))
+    found = _causes(examined)
+    if found - {"rotations"}:
+        return examined
+    if found or examined[-1].why_not:  # only the positions can be compared
+        moving, turning = moving.without_rotations(), turning.without_rotations()
+        hypotheses = fit_hypotheses(moving, turning)
+    as_read = hypotheses[0]
+    examined.append(scale(as_read, moving, inputs.gauge))
+    if inputs.groundtruth.up.is_given:
+        examined.append(Examined("plane of the groundtruth", why_not="its up axis was given"))
+    else:
+        examined.append(groundtruth_plane(as_read, moving, turning, inputs.gauge))
+    if not examined[-1].seen:
+        examined.append(vertical(as_read, moving, turning, inputs.gauge))
+    return [*examined, body(as_read, moving), lever_arm(as_read, moving)]
+
+
+def _causes(examined: list[Examined]) -> set[str]:
+    return {seen.cause for each in examined for seen in each.seen}
+
+
+def _may_be_apart(found: Diagnosis) -> bool:
+    """Return whether a search on a finer grid can find an offset."""
+    clocks = next((each.scores for each in found.examined if each.test == "clocks"), {})
+    if "offset_s" not in clocks or clocks["peak"] < clocks["usable_from"]:
+        return True
+    return abs(clocks["offset_s"]) > max(_NONE_S, _NONE_CELLS * clocks["cell_s"])

@@ -1,0 +1,195 @@
+"""The two inputs of a comparison: trajectories, their columns over seconds, and the settings."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.interpolation import mix, slerp, steps_at
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.trajectory_edits import evenly
+from trajeval_ros.geometry.travelled import step_lengths
+from trajeval_ros.metrics.association import INTERPOLATING
+from trajeval_ros.metrics.statistics import median
+from trajeval_ros.metrics.tracking_loss import FROZEN
+
+if TYPE_CHECKING:
+    from trajeval_ros.metrics.protocol import Protocol
+    from trajeval_ros.metrics.tracking_loss import Loss
+
+_ENOUGH = 2000  # steps, for a median
+_ROUNDING_S = 1e-6
+
+
+class Between(NamedTuple):
+    """Interpolated poses, row by row."""
+
+    positions: Floats  # (N, 3)
+    quaternions: Floats | None  # (N, 4); None without orientations
+    known: Booleans  # (N,) whether both neighbours exist and are close enough in time
+
+
+@dataclass(frozen=True, eq=False)
+class TimedPoses:
+    """Poses over seconds."""
+
+    seconds: Floats  # (N,) timestamps since an epoch that both sides share
+    positions: Floats  # (N, 3), in the unit of the source
+    quaternions: Floats | None = None  # (N, 4), xyzw; None without orientations
+    # (N, 3), units of the source per second; None without velocities.
+    velocities: Floats | None = None
+
+    @classmethod
+    def of(cls, trajectory: Trajectory, epoch_ns: int, offset_s: float = 0.0) -> TimedPoses:
+        """Return the columns of a trajectory, `offset_s` added to its timestamps."""
+        return cls(
+            (trajectory.stamps - epoch_ns) / NANOSECONDS + offset_s,
+            trajectory.positions,
+            trajectory.quaternions,
+            trajectory.velocities,
+        )
+
+    def __len__(self) -> int:
+        return len(self.seconds)
+
+    def __getitem__(self, rows: slice | Indices | Booleans) -> TimedPoses:
+        return TimedPoses(
+            self.seconds[rows],
+            self.positions[rows],
+            None if self.quaternions is None else self.quaternions[rows],
+            None if self.velocities is None else self.velocities[rows],
+        )
+
+    def in_order(self) -> TimedPoses:
+        """Return the poses sorted by time, and the first one of equal times."""
+        steps = np.diff(self.seconds)
+        if (steps > 0.0).all():
+            return self
+        order = np.argsort(self.seconds, kind="stable")
+        first = np.concatenate([[True], np.diff(self.seconds[order]) > 0.0])
+        return self[order[first]]
+
+    def shifted(self, offset_s: float, rate: float = 0.0) -> TimedPoses:
+        """Return poses in order with an offset (s) and a rate of the clock corrected."""
+        if not (offset_s or rate):
+            return self
+        seconds = self.seconds + offset_s + rate * (self.seconds - self.seconds[0])
+        return TimedPoses(seconds, self.positions, self.quaternions, self.velocities)
+
+    @property
+    def span_s(self) -> float:
+        """Time from the first to the last of poses in order, seconds."""
+        return float(self.seconds[-1] - self.seconds[0]) if len(self) else 0.0
+
+    @cached_property
+    def usual_step_s(self) -> float:
+        """Median time step of poses in order, seconds."""
+        if len(self) < 2:
+            return 1.0
+        some = evenly(len(self) - 1, _ENOUGH)
+        return median(self.seconds[some + 1] - self.seconds[some])
+
+    @cached_property
+    def moved(self) -> Floats:
+        """Lengths (N - 1,) of the steps between consecutive poses."""
+        return step_lengths(self.positions)
+
+    @property
+    def extent(self) -> float:
+        """Standard deviation of the positions about their mean, units of the source."""
+        return float(np.linalg.norm(np.std(self.positions, axis=0))) if len(self) else 0.0
+
+    def at(self, seconds: Floats, max_gap_s: float = np.inf) -> Between:
+        """Return the poses at times (N,), of a track in order with at least two poses."""
+        start, fraction = steps_at(self.seconds, seconds)
+        end = start + 1
+        gap = self.seconds[end] - self.seconds[start]
+        known = (fraction > -1e-9) & (fraction < 1.0 + 1e-9) & (gap <= max_gap_s)
+        fraction = np.clip(fraction, 0.0, 1.0)
+        quaternions = None
+        if self.quaternions is not None:
+            quaternions = slerp(self.quaternions, start, end, fraction)
+        return Between(mix(self.positions, start, end, fraction), quaternions, known)
+
+
+def lengths(vectors: Floats) -> Floats:
+    """Return the lengths (...) of vectors (..., k)."""
+    found: Floats = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class InputPair:
+    """Groundtruth, an estimate and the settings of their comparison."""
+
+    groundtruth: Trajectory  # as it was read
+    estimate: Trajectory  # as it was read
+    groundtruth_poses: TimedPoses  # columns of the groundtruth, in the order of the source
+    # Columns of the estimate; the applied time offset is added to the timestamps.
+    estimate_poses: TimedPoses
+    gauge: Gauge
+    max_gap_s: float  # longest step of the groundtruth to interpolate across
+    time_offset_s: float  # offset that is added to the timestamps of the estimate, seconds
+    by_time: bool  # whether states are paired by timestamps; otherwise by row index
+
+    @classmethod
+    def of(
+        cls,
+        groundtruth: Trajectory,
+        estimate: Trajectory,
+        protocol: Protocol,
+        *,
+        time_offset_s: float | None = None,
+    ) -> InputPair:
+        """Return two trajectories, with at least one state each, with the settings of a protocol.
+
+        The estimate's timestamps get `time_offset_s`, by default the protocol's.
+        """
+        rule = protocol.association
+        offset_s = rule.time_offset_s if time_offset_s is None else time_offset_s
+        epoch_ns = int(groundtruth.stamps.min())
+        interpolates = rule.method in INTERPOLATING
+        return cls(
+            groundtruth,
+            estimate,
+            TimedPoses.of(groundtruth, epoch_ns),
+            TimedPoses.of(estimate, epoch_ns, offset_s),
+            protocol.gauge,
+            rule.max_gap_s if interpolates else 2.0 * rule.max_time_difference_s,
+            rule.time_offset_s,
+            rule.method != "index" and groundtruth.reading.stamped and estimate.reading.stamped,
+        )
+
+    def tracked(self, losses: Sequence[Loss]) -> InputPair:
+        """Return both sides until a divergence or the end, the estimate without frozen poses."""
+        epoch_ns = int(self.groundtruth.stamps.min())
+        times, true_times = self.estimate_poses.seconds, self.groundtruth_poses.seconds
+        kept, true_kept = np.ones(len(times), dtype=bool), np.ones(len(true_times), dtype=bool)
+        for each in losses:
+            # Timestamps as seconds are rounded.
+            begin_s, end_s = (
+                (stamp - epoch_ns) / NANOSECONDS + _ROUNDING_S
+                for stamp in (each.begin_ns, each.end_ns)
+            )
+            goes_on = each.is_over and each.cause == FROZEN
+            kept &= (times <= begin_s) | (goes_on & (times > end_s))
+            true_kept &= (true_times <= begin_s) | goes_on
+        return dataclasses.replace(
+            self,
+            groundtruth=self.groundtruth[true_kept],
+            estimate=self.estimate[kept],
+            groundtruth_poses=self.groundtruth_poses[true_kept],
+            estimate_poses=self.estimate_poses[kept],
+        )
+
+    @cached_property
+    def in_order(self) -> tuple[TimedPoses, TimedPoses]:
+        """Groundtruth and estimate sorted by time, of equal times the first pose."""
+        return self.groundtruth_poses.in_order(), self.estimate_poses.in_order()

@@ -1,0 +1,122 @@
+"""Tests for an estimate that froze or diverged, and the part of it that other tests use."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from trajeval_ros.diagnosis.findings import Examined, Seen, Value
+from trajeval_ros.exceptions import TrajevalError
+from trajeval_ros.formatting.numbers import with_unit
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.evaluation import evaluate_pairs
+from trajeval_ros.metrics.lost_tracking import losses_of
+from trajeval_ros.metrics.tracking_loss import DIVERGED, FROZEN, Loss
+
+if TYPE_CHECKING:
+    from trajeval_ros.geometry.arrays import Floats
+    from trajeval_ros.metrics.association import Association
+    from trajeval_ros.metrics.protocol import Protocol
+
+_TEST = "lost tracking"
+_START_S = 1.0  # a loss within this time after the first pair is one of the start
+_FEWEST = 10  # pairs before a loss, for their ATE
+# Of the size of the groundtruth's path. Inverse poses have up to twice its size.
+_UNBOUNDED = 3.0
+_LARGE_PART, _LARGE = 0.2, 1.5  # of the run, and of the groundtruth's path
+
+
+def losses_in(pairs: Association) -> Sequence[Loss]:
+    """Return the losses of tracking in pairs; none without timestamps."""
+    if pairs.rule.method == "index":
+        return ()
+    return losses_of(pairs.groundtruth, pairs.estimate, of_fixes=pairs.is_at_groundtruth)
+
+
+def is_certain(loss: Loss, pairs: Association) -> bool:
+    """Return whether no other mistake can look like a loss: a repeated pose, or unbounded motion.
+
+    Until the loss, the sizes of both paths give the unit of the estimate.
+    """
+    if loss.cause == FROZEN:
+        return True
+    stamps, true, own = (
+        pairs.estimate.stamps,
+        pairs.groundtruth.positions,
+        pairs.estimate.positions,
+    )
+    before, lost = stamps <= loss.begin_ns, (stamps > loss.begin_ns) & (stamps <= loss.end_ns)
+    if np.count_nonzero(before) < _FEWEST or loss.is_over:
+        return False
+    unit = _size(true[before]) / max(_size(own[before]), 1e-12)
+    return unit * _size(own[lost]) > _UNBOUNDED * _size(true)
+
+
+def is_large(loss: Loss, pairs: Association) -> bool:
+    """Return whether a divergence is long, and larger than a large drift."""
+    is_long = not loss.is_over or loss.duration_s > _LARGE_PART * pairs.estimate.duration_s
+    return is_long and loss.moved_m > _LARGE * loss.true_m
+
+
+def begins_at_start(loss: Loss, pairs: Association) -> bool:
+    """Return whether a loss begins with the first pairs."""
+    return loss.begin_ns - int(pairs.estimate.stamps[0]) < _START_S * NANOSECONDS
+
+
+def _size(positions: Floats) -> float:
+    return float(np.linalg.norm(np.ptp(positions, axis=0)))
+
+
+def lost_tracking(
+    losses: Sequence[Loss], pairs: Association, protocol: Protocol, first_ns: int
+) -> Examined:
+    """Report losses, with the ATE until the first one.
+
+    Times are since `first_ns`, the groundtruth's first timestamp.
+    """
+    seen = []
+    for kind in (DIVERGED, FROZEN):
+        some = [each for each in losses if each.cause == kind]
+        if not some:
+            continue
+        begin = some[0]
+        longest = max(some, key=lambda each: each.duration_s)
+        told = begin if kind == DIVERGED else longest
+        at_s = (told.begin_ns - first_ns) / NANOSECONDS
+        values: dict[str, Value] = {
+            "at_s": at_s,
+            "after_s": (told.end_ns - first_ns) / NANOSECONDS,
+            "lost_s": told.duration_s,
+            "until": f" for {told.duration_s:.1f} s" if told.is_over else "",
+            "number": f" (longest of {len(some)} times)" if len(some) > 1 else "",
+            "true_m": told.true_m,
+            "true_deg": told.true_deg,
+            "moved_m": told.moved_m,
+            "before": "",
+        }
+        cause = kind
+        if begins_at_start(told, pairs) and (told.is_over or kind == DIVERGED):
+            cause = f"{kind}_at_start"
+        elif (ate := _ate_before(losses[0].begin_ns, pairs, protocol)) is not None:
+            before = f"; the ATE until then is {with_unit(ate, 'm')}"
+            values |= {"ate_before_m": ate, "before": before}
+        seen.append(Seen(cause, 1.0, values))
+    return Examined(_TEST, {"losses": float(len(losses))}, tuple(seen))
+
+
+def _ate_before(begin_ns: int, pairs: Association, protocol: Protocol) -> float | None:
+    """Return the position ATE of the pairs until a loss, metres; None if there are too few."""
+    rows = pairs.estimate.stamps <= begin_ns
+    if np.count_nonzero(rows) < _FEWEST:
+        return None
+    sides = pairs.groundtruth[rows], pairs.estimate[rows]
+    part = dataclasses.replace(pairs, groundtruth=sides[0], estimate=sides[1])
+    plain = dataclasses.replace(protocol, lengths=(), score=None, recall=None, ate_form="plain")
+    try:
+        found = evaluate_pairs(part, *sides, plain).ate["position_m"]
+    except TrajevalError:
+        return None
+    return None if found is None else found.rmse

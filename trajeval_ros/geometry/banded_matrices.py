@@ -1,0 +1,215 @@
+"""Block tridiagonal and banded matrices, in O(N).
+
+Relative poses have a block tridiagonal covariance, since consecutive ones share a state
+(probabilistic paper, eq. 15). States of a Markov process have such an information matrix. An
+estimator's information matrix is banded: `BandedGaussian` cuts its parameters into segments at
+least as long as the bandwidth, so that a segment is coupled to its neighbours only. A block
+elimination from the first to the last segment needs one small Cholesky factor per segment.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg.lapack import dtbtrs
+
+from trajeval_ros.exceptions import DegenerateGeometryError
+from trajeval_ros.geometry.arrays import Floats
+
+_NEGLIGIBLE = 1e-20
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """The Cholesky factor L of S A S, with S diagonal and A the matrix: A = S^-1 L L^T S^-1.
+
+    Rows and columns are scaled to a unit diagonal, so that different units (metres and radians,
+    positions and accelerations) do not cost precision.
+    """
+
+    band: Floats  # (2 d, N d) lower banded storage of L
+    scale: Floats  # (N, d), the diagonal of S
+
+    @classmethod
+    def of(cls, diagonal: Floats, lower: Floats) -> Factor:
+        """Factorise the matrix of blocks (N, d, d) and, below them, (N - 1, d, d).
+
+        Raises:
+            numpy.linalg.LinAlgError: It is not positive definite.
+        """
+        entries = np.einsum("nii->ni", diagonal)
+        if not (entries > 0.0).all():
+            raise np.linalg.LinAlgError("a diagonal entry is not positive")
+        scale = 1.0 / np.sqrt(entries)
+        band = _lower_band(
+            diagonal * scale[:, :, None] * scale[:, None, :],
+            lower * scale[1:, :, None] * scale[:-1, None, :],
+        )
+        return cls(cholesky_banded(band, lower=True, overwrite_ab=True), scale)
+
+    @property
+    def log_diagonal(self) -> Floats:
+        """Logarithms of the diagonal of the matrix's factor S^-1 L, (N, d)."""
+        logarithms: Floats = np.log(self.band[0]).reshape(self.scale.shape) - np.log(self.scale)
+        return logarithms
+
+    @property
+    def log_determinant(self) -> float:
+        """Logarithm of the matrix's determinant."""
+        return 2.0 * float(self.log_diagonal.sum())
+
+    def whitened(self, rows: Floats) -> Floats:
+        """Return (S^-1 L)^-1 x for x (N, d): of unit covariance if the covariance of x is A."""
+        scaled = (rows * self.scale).reshape(-1, 1)
+        return np.asarray(dtbtrs(self.band, scaled, uplo="L")[0]).reshape(rows.shape)
+
+    def solve(self, rows: Floats) -> Floats:
+        """Return A^-1 x for x (N, d) or (N, d, k)."""
+        scale = self.scale if rows.ndim == 2 else self.scale[..., None]
+        flat = (rows * scale).reshape(self.scale.size, -1)
+        solved = np.asarray(cho_solve_banded((self.band, True), flat, check_finite=False))
+        return solved.reshape(rows.shape) * scale
+
+    def inverse_blocks(self) -> tuple[Floats, Floats]:
+        """Return the blocks of A^-1 on the diagonal (N, d, d), and right of it (N - 1, d, d).
+
+        The recursion P_k = C_k + G_k^T P_{k+1} G_k runs backwards over the states. It is
+        associative. Doubling the step in every round takes as many rounds as needed until states
+        that far apart are uncorrelated.
+        """
+        count, size = self.scale.shape
+        diagonal, lower = _blocks(self.band, count, size)
+        inverted = np.linalg.inv(diagonal)
+        own = np.swapaxes(inverted, 1, 2) @ inverted
+        gain = lower @ inverted[:-1]
+        blocks, reach = own.copy(), np.concatenate([gain, np.zeros((1, size, size))])
+        step = 1
+        while step < count and np.abs(reach[:-step]).max() > _NEGLIGIBLE:
+            near = reach[:-step]
+            # Both right-hand sides are read before either array changes.
+            more = np.swapaxes(near, 1, 2) @ blocks[step:] @ near
+            farther = reach[step:] @ near
+            blocks[:-step] += more
+            reach[:-step] = farther
+            reach[-step:] = 0.0
+            step *= 2
+        beside = -np.swapaxes(gain, 1, 2) @ blocks[1:]
+        scale = self.scale
+        return (
+            blocks * scale[:, :, None] * scale[:, None, :],
+            beside * scale[:-1, :, None] * scale[1:, None, :],
+        )
+
+
+def _lower_band(diagonal: Floats, lower: Floats) -> Floats:
+    """Return the lower banded storage (2 d, N d): row i - j holds the entries (i, j).
+
+    Columns are contiguous, as LAPACK requires.
+    """
+    count, size, _ = diagonal.shape
+    band = np.zeros((count, size, 2 * size))
+    for column in range(size):
+        band[:, column, : size - column] = diagonal[:, column:, column]
+        band[:-1, column, size - column : 2 * size - column] = lower[:, :, column]
+    return band.reshape(count * size, 2 * size).T
+
+
+def _blocks(band: Floats, count: int, size: int) -> tuple[Floats, Floats]:
+    """Return the blocks of a factor in lower banded storage, on and below the diagonal."""
+    columns = band.T.reshape(count, size, 2 * size)
+    diagonal = np.zeros((count, size, size))
+    lower = np.zeros((count - 1, size, size))
+    for column in range(size):
+        diagonal[:, column:, column] = columns[:, column, : size - column]
+        lower[:, :, column] = columns[:-1, column, size - column : 2 * size - column]
+    return diagonal, lower
+
+
+def bandwidth(matrix: scipy.sparse.csr_matrix) -> int:
+    """Return the largest distance of an entry from the diagonal."""
+    entries = matrix.tocoo()
+    return int(np.abs(entries.row - entries.col).max(initial=0))
+
+
+class BandedGaussian:
+    """The block factors of an information matrix (n, n), positive definite and banded."""
+
+    def __init__(self, information: scipy.sparse.csr_matrix) -> None:
+        """Eliminate the segments in order."""
+        size = information.shape[0]
+        links = max(size // max(bandwidth(information), 1), 1)
+        cuts = np.linspace(0, size, links + 1).astype(int)
+        self._rows = [slice(*bounds) for bounds in itertools.pairwise(cuts)]
+        # Per segment: the Cholesky factor D of its Schur complement, and the regression -D^-1 U
+        # on the next segment.
+        self._factors: list[Floats] = []
+        self._regressions: list[Floats] = []
+        correction: Floats | float = 0.0
+        for rows, after in zip(self._rows, [*self._rows[1:], slice(size, size)], strict=True):
+            left = information[rows, rows].toarray() - correction
+            coupling = information[rows, after].toarray()
+            try:
+                factor = scipy.linalg.cholesky(left, lower=True)
+            except np.linalg.LinAlgError as error:
+                raise DegenerateGeometryError(
+                    "the measurements do not determine all directions except position and yaw; "
+                    "add landmarks, or keyframes with other viewpoints"
+                ) from error
+            whitened = scipy.linalg.solve_triangular(factor, coupling, lower=True)
+            correction = whitened.T @ whitened
+            self._factors.append(factor)
+            self._regressions.append(
+                -scipy.linalg.solve_triangular(factor, whitened, lower=True, trans="T")
+            )
+
+    def sampled(self, normals: Floats) -> Floats:
+        """Return a sample (n, ...) of the Gaussian from standard normal numbers (n, ...)."""
+        sample = np.empty_like(normals)
+        ahead = np.empty((0, *normals.shape[1:]))
+        for rows, factor, regression in self._backwards():
+            noise = scipy.linalg.solve_triangular(factor, normals[rows], lower=True, trans="T")
+            ahead = noise + regression @ ahead
+            sample[rows] = ahead
+        return sample
+
+    def solved(self, columns: Floats) -> Floats:
+        """Return the covariance times columns (n, k)."""
+        product = columns.astype(float)
+        for rows, after, regression in zip(
+            self._rows[:-1], self._rows[1:], self._regressions[:-1], strict=True
+        ):
+            product[after] += regression.T @ product[rows]
+        ahead = np.empty((0, columns.shape[1]))
+        for rows, factor, regression in self._backwards():
+            ahead = scipy.linalg.cho_solve((factor, True), product[rows]) + regression @ ahead
+            product[rows] = ahead
+        return product
+
+    def marginals(self, starts: NDArray[np.int64], size: int) -> Floats:
+        """Return the blocks (B, size, size) on the covariance's diagonal that start at `starts`.
+
+        A block can extend over two segments.
+        """
+        blocks = np.empty((len(starts), size, size))
+        covariance = np.empty((0, 0))
+        for rows, factor, regression in self._backwards():
+            cross = regression @ covariance
+            own = scipy.linalg.cho_solve((factor, True), np.eye(len(factor)))
+            own += cross @ regression.T
+            # With the next segment, for blocks that extend over both.
+            joint = np.block([[own, cross], [cross.T, covariance]])
+            here = np.flatnonzero((starts >= rows.start) & (starts < rows.stop))
+            within = (starts[here] - rows.start)[:, None] + np.arange(size)
+            blocks[here] = joint[within[:, :, None], within[:, None, :]]
+            covariance = own
+        return blocks
+
+    def _backwards(self) -> Iterator[tuple[slice, Floats, Floats]]:
+        return zip(self._rows[::-1], self._factors[::-1], self._regressions[::-1], strict=True)

@@ -1,0 +1,122 @@
+"""How a trajectory was read: its source, remarks, counts, and data of special sources by row."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.formatting.remarks import Level, Remark
+from trajeval_ros.geometry.arrays import Booleans, Floats
+from trajeval_ros.geometry.valid_poses import add_counts
+
+if TYPE_CHECKING:
+    from trajeval_ros.geometry.fixes import Fixes
+
+# Codes of the remark that names the format of a source, also if the user named its columns.
+FORMAT, NAMED_COLUMNS = FORMATS = "format", "named_columns"
+# Shape of a row by name of the data by row; fixes are no array.
+_ROWS: dict[str, tuple[int, ...] | None] = {
+    "frame_numbers": (),
+    "matrices": (3, 3),
+    "fixes": None,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """How the N states of a trajectory were read; immutable."""
+
+    source: str = ""  # the source, as the user names it; "" if there is none
+    # False if the file has no timestamps; stamps then count rows, one second apart.
+    stamped: bool = True
+    # Whether the file has the numbers in `frame_numbers`; otherwise they count its rows.
+    numbered: bool = False
+    # Whether a topic's orientations were dropped because all are the identity. A live run cannot
+    # detect this before the last message.
+    has_identity_rotations: bool = False
+    dropped: Mapping[str, int] = field(default_factory=dict)  # number of dropped rows, by reason
+    # What was detected or corrected (notes), contradictions between states (warnings) and
+    # unreadable parts of the source (errors).
+    remarks: tuple[Remark, ...] = ()
+    # The N GNSS fixes of the positions, with their datum; None for other sources.
+    fixes: Fixes | None = None
+    # (N,) int64, numbers in an image sequence (KITTI), or None.
+    frame_numbers: NDArray[np.int64] | None = None
+    # (N, 3, 3), rotation matrices exactly as in KITTI's file, or None. With few digits they are
+    # not quite the rotations of `Trajectory.quaternions`.
+    matrices: Floats | None = None
+
+    @property
+    def format(self) -> str:
+        """The format of the source; "" if unknown."""
+        found = (each.text for each in self.remarks if each.code in FORMATS)
+        return next(found, "").removeprefix("format: ")
+
+    def require_rows(self, count: int) -> None:
+        """Check that the data by row are of `count` states.
+
+        Raises:
+            TypeError: A column is no array.
+            ValueError: A column has a wrong shape, or the number of fixes is wrong.
+        """
+        for name, row_shape in _ROWS.items():
+            column = getattr(self, name)
+            if column is None:
+                continue
+            if row_shape is not None:
+                require_column(name, column, (count, *row_shape))
+            elif len(column) != count:
+                raise ValueError(
+                    f"{counted(len(column), 'fix', 'fixes')} for {counted(count, 'timestamp')}; "
+                    "give one fix per timestamp"
+                )
+
+    def __getitem__(self, rows: slice | NDArray[np.int64] | Booleans) -> Reading:
+        """Return the reading with the data of a slice, a mask or an array of indices."""
+        picked: dict[str, Any] = {
+            name: column[rows] for name in _ROWS if (column := getattr(self, name)) is not None
+        }
+        return dataclasses.replace(self, **picked) if picked else self
+
+    def without(self, *names: str) -> Reading:
+        """Return the reading without some data by row; without names, without all of them."""
+        gone: dict[str, Any] = {
+            name: None for name in names or _ROWS if getattr(self, name) is not None
+        }
+        return dataclasses.replace(self, **gone) if gone else self
+
+    def remarked(self, *remarks: Remark) -> Reading:
+        """Return the reading with further remarks."""
+        if not remarks:
+            return self
+        return dataclasses.replace(self, remarks=(*self.remarks, *remarks))
+
+    def with_dropped(self, counts: Mapping[str, int]) -> Reading:
+        """Return the reading with further dropped rows, by reason."""
+        return dataclasses.replace(self, dropped=add_counts(self.dropped, counts))
+
+    def said(self, level: Level) -> tuple[str, ...]:
+        """Return the sentences of the remarks of a level."""
+        return tuple(each.text for each in self.remarks if each.level is level)
+
+
+def require_column(name: str, column: object, shape: tuple[int, ...]) -> None:
+    """Check that a column is an array of a shape.
+
+    Raises:
+        TypeError: It is no array.
+        ValueError: It has another shape.
+    """
+    if not isinstance(column, np.ndarray):
+        raise TypeError(f"{name} must be a numpy array, not {type(column).__name__}")
+    if column.shape != shape:
+        raise ValueError(f"{name} has shape {column.shape}, expected {shape}")
+
+
+NOT_READ = Reading()

@@ -1,0 +1,227 @@
+"""MCAP files, read by their index: only bytes with requested messages are read.
+
+The summary at the end of a file has the positions of its chunks. The message index of a chunk has
+the positions of a channel's messages. If a chunk is not compressed, only these bytes are read. A
+file without summary or footer is scanned from its start.
+"""
+
+from __future__ import annotations
+
+import functools
+import zlib
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from trajeval_ros.io.bags.blocks import BYTES, ROWS, Block, TopicSelection, all_connections
+from trajeval_ros.io.bags.byte_source import ByteSource, DamagedError
+from trajeval_ros.io.bags.mcap_chunk_reading import ChunkMessages, read_chunk
+from trajeval_ros.io.bags.mcap_chunks import Chunk, of_channels
+from trajeval_ros.io.bags.mcap_contents import END_SIZE, data_end, read_summary, scanned_contents
+from trajeval_ros.io.bags.mcap_records import HEAD, MESSAGE_HEAD, MessageIndex, NoIndexError
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
+
+# Bytes. glibc returns freed memory to the kernel above a threshold: the largest size freed so far.
+# Mapping the pages of every chunk again takes as long as its decompression.
+_KEPT = 16 << 20
+_DECOMPRESSING, _ASKED = 2, 8  # threads; one more chunk than there are waits
+_IN_FLIGHT = 1 << 28  # bytes of the chunks that are in memory at once, unless one has more
+Piece = tuple[int, Chunk | MessageIndex]  # first log time; chunk, or messages outside of chunks
+S = TypeVar("S")
+T = TypeVar("T")
+
+
+class McapReader:
+    """An open MCAP file."""
+
+    def __init__(self, source: ByteSource, *, strict: bool = False) -> None:
+        """Read the summary, or walk through the file if it has none that can be used."""
+        self.damage: list[str] = []  # what opening it found that can't be read, one sentence each
+        self._source = source
+        self._strict = strict
+        self._known: tuple[int, int] | None = None
+        try:
+            found, self._known = read_summary(source)
+            self.damage += [f"{source.name}: {each}" for each in found.damage]
+        except DamagedError as error:
+            declared = error.declared if isinstance(error, NoIndexError) else None
+            found = scanned_contents(source, declared)
+            if found.damage or not isinstance(error, NoIndexError):
+                self.damage.append(
+                    f"{source.name}: {'; '.join([*found.damage, str(error)])}; read record by "
+                    f"record, the last whole one ends at byte {found.end} of {source.size}"
+                )
+        if strict and len(found.messages):
+            self._verify_data()
+        self._chunks = sorted(found.chunks, key=lambda chunk: chunk.first)
+        self._messages = found.messages
+        self.connections: list[Connection] = found.registry.connections(found.counts, self)
+
+    @property
+    def span(self) -> tuple[int, int] | None:
+        """First and last log time of all messages, ns; None if there is none."""
+        if self._known is not None:
+            return self._known
+        times = [(chunk.first, chunk.last) for chunk in self._chunks if chunk.last]
+        if len(self._messages):
+            log_times = self._messages.log_times
+            times.append((int(log_times.min()), int(log_times.max())))
+        if not times:
+            return None
+        return min(first for first, _ in times), max(last for _, last in times)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._source.close()
+
+    def blocks(
+        self,
+        selections: Sequence[TopicSelection],
+        begin: int | None = None,
+        end: int | None = None,
+        *,
+        in_order: bool = False,  # noqa: ARG002  # they always are
+    ) -> Iterator[Block]:
+        """Yield the messages of some channels, of all selections in one pass over the chunks."""
+        wanted = all_connections(selections)
+        pieces: list[Piece] = [
+            (chunk.first, chunk)
+            for chunk in self._chunks
+            if (begin is None or chunk.last >= begin or not chunk.indexes)
+            and (end is None or chunk.first < end)
+            and (self._strict or chunk.may_hold(wanted))
+        ]
+        pieces += [(int(each.log_times[0]), each) for each in self._runs(wanted)]
+        pieces.sort(key=lambda piece: piece[0])
+        lost = {each: Counter[str]() for each in selections}
+        partial: Counter[TopicSelection] = Counter()
+        for (_, place), found in zip(pieces, self._loaded(pieces, wanted), strict=True):
+            concerned = [
+                each
+                for each in selections
+                if not isinstance(place, Chunk) or place.may_hold(each.connections)
+            ]
+            for selection in concerned:
+                # If an index lists none of the messages, the declared count shows losses.
+                if found.damage:
+                    lost[selection][found.damage] += 1
+                partial[selection] += found.is_partial
+            if found.block is not None and len(block := found.block.within(begin, end)):
+                yield block
+        for selection in selections:
+            selection.damage += [
+                f"{self._source.name}: {reason}" + (f", {count} times" if count > 1 else "")
+                for reason, count in lost[selection].items()
+            ]
+            if partial[selection]:
+                count = sum(
+                    isinstance(place, Chunk) and place.may_hold(selection.connections)
+                    for _, place in pieces
+                )
+                selection.notes.append(
+                    f"{partial[selection]} of {count} chunks were read in part and their "
+                    "checksums not verified; to verify them, use --strict"
+                )
+
+    def _loaded(self, pieces: Sequence[Piece], wanted: Collection[int]) -> Iterator[ChunkMessages]:
+        """Yield the messages of the pieces, by threads if this saves time."""
+        threads = _ASKED if self._source.is_far else 0
+        compressions = {each.compression for _, each in pieces if isinstance(each, Chunk)}
+        if compressions - {""}:
+            bytes(_KEPT)
+        if "zstd" in compressions:  # lz4 takes less time than its threads would
+            threads = max(threads, _DECOMPRESSING)
+        load = functools.partial(self._load, wanted)
+        if threads:
+            return _prefetched(load, pieces, _room_of, threads)
+        return map(load, pieces)
+
+    def _load(self, wanted: Collection[int], piece: Piece) -> ChunkMessages:
+        """Return the wanted messages of a chunk, or messages outside of chunks."""
+        _, place = piece
+        if isinstance(place, Chunk):
+            return read_chunk(self._source, place, wanted, strict=self._strict)
+        try:
+            return ChunkMessages(self._loose(place))
+        except DamagedError as error:
+            return ChunkMessages(None, str(error))
+
+    def _runs(self, wanted: Collection[int]) -> Iterator[MessageIndex]:
+        """Yield the requested messages outside of chunks, in runs of one block."""
+        loose = of_channels(self._messages, wanted)
+        loose = loose[np.argsort(loose.log_times, kind="stable")]
+        groups = np.cumsum(loose.sizes) // BYTES + np.arange(len(loose)) // ROWS
+        breaks = np.flatnonzero(np.diff(groups)) + 1
+        for rows in np.split(np.arange(len(loose)), breaks):
+            if len(rows):
+                yield loose[rows]
+
+    def _loose(self, messages: MessageIndex) -> Block:
+        """Return messages outside of chunks."""
+        begins = messages.offsets + (HEAD + MESSAGE_HEAD)
+        ends = begins + messages.sizes
+        order = np.argsort(begins)
+        far = np.flatnonzero(begins[order][1:] - ends[order][:-1] > END_SIZE) + 1
+        pieces, places, total = [], np.empty(len(messages), dtype=np.int64), 0
+        runs = np.split(order, far)
+        ranges = [(int(begins[run[0]]), int(ends[run[-1]] - begins[run[0]])) for run in runs]
+        for run, data, (first, size) in zip(
+            runs, self._source.read_all(ranges), ranges, strict=True
+        ):
+            if len(data) != size:
+                raise DamagedError("messages are truncated")
+            places[run] = begins[run] - first + total
+            pieces.append(data)
+            total += size
+        return Block(
+            int(messages.log_times.min()),
+            messages.channels,
+            messages.log_times,
+            np.frombuffer(b"".join(pieces), dtype=np.uint8),
+            places,
+            messages.sizes,
+        )
+
+    def _verify_data(self) -> None:
+        """Verify the checksum of a file with messages outside of chunks."""
+        checksum, offset = 0, 0
+        end, expected = data_end(self._source)
+        while expected and offset < end:
+            data = self._source.read(offset, min(BYTES, end - offset))
+            checksum, offset = zlib.crc32(data, checksum), offset + len(data)
+        if checksum != expected:
+            self.damage.append(f"{self._source.name}: checksum mismatch")
+
+
+def _room_of(piece: Piece) -> int:
+    """Return the bytes that a piece needs in memory."""
+    place = piece[1]
+    return place.size if isinstance(place, Chunk) else int(place.sizes.sum())
+
+
+def _prefetched(
+    load: Callable[[S], T], pieces: Iterable[S], room_of: Callable[[S], int], threads: int
+) -> Iterator[T]:
+    """Yield the loaded pieces in order, while threads load the next ones."""
+    waiting: deque[tuple[int, Future[T]]] = deque()
+    in_flight = 0
+    with ThreadPoolExecutor(threads) as pool:
+        try:
+            for piece in pieces:
+                room = room_of(piece)
+                while waiting and (len(waiting) > threads or in_flight + room > _IN_FLIGHT):
+                    done, future = waiting.popleft()
+                    yield future.result()
+                    in_flight -= done
+                waiting.append((room, pool.submit(load, piece)))
+                in_flight += room
+            while waiting:
+                yield waiting.popleft()[1].result()
+        finally:
+            for _, future in waiting:
+                future.cancel()

@@ -1,0 +1,187 @@
+"""Wanted messages of a chunk of MCAP.
+
+Of an uncompressed chunk, only the byte ranges that its message indexes list are read if they are
+at most half of it. Every other chunk is read whole and verified.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajeval_ros.io.bags.blocks import LARGEST, Block, gather
+from trajeval_ros.io.bags.byte_source import GAP, ByteSource, DamagedError
+from trajeval_ros.io.bags.mcap_chunks import (
+    RECORD_HEAD,
+    Chunk,
+    block_in,
+    of_channels,
+    require_size,
+    walked,
+    whole,
+)
+from trajeval_ros.io.bags.mcap_records import (
+    HEAD,
+    MESSAGE,
+    MESSAGE_HEAD,
+    MESSAGE_INDEX,
+    MessageIndex,
+    head_of,
+)
+
+_TAIL = 4096  # bytes read for the last message of a run, whose length is unknown
+_WORTHWHILE = 0.5  # of a chunk; above, the whole chunk is read and verified
+
+
+@dataclass(frozen=True)
+class ChunkMessages:
+    """The wanted messages of a piece of a file."""
+
+    block: Block | None  # the readable messages; None if there is none
+    damage: str = ""  # what can't be read; "" if all can
+    is_partial: bool = False  # whether a chunk was read in part, without verification
+
+
+def read_chunk(
+    source: ByteSource, chunk: Chunk, wanted: Collection[int], *, strict: bool
+) -> ChunkMessages:
+    """Return the messages of the wanted channels, all read at once."""
+    indexed = None
+    try:
+        require_size(chunk)
+        if not strict and not chunk.indexes.keys().isdisjoint(wanted):
+            try:
+                indexed = _index_of(source, chunk, wanted)
+                if (runs := _runs_of(chunk, indexed)) is not None:
+                    return ChunkMessages(_partial(source, chunk, indexed, runs), is_partial=True)
+            except DamagedError:
+                indexed = None  # the chunk itself can be intact
+        data = whole(source, chunk)
+    except DamagedError as error:
+        return ChunkMessages(None, str(error))
+    if indexed is not None:
+        with contextlib.suppress(DamagedError):
+            found = _measured(data, indexed, len(data))
+            return ChunkMessages(block_in(data, found, chunk.first))
+    messages, is_whole = walked(data)
+    found = of_channels(messages, wanted)
+    is_damaged = not is_whole and not chunk.is_cut
+    return ChunkMessages(
+        block_in(data, found, chunk.first), "a chunk has incomplete records" if is_damaged else ""
+    )
+
+
+def _index_of(source: ByteSource, chunk: Chunk, wanted: Collection[int]) -> MessageIndex:
+    """Return the requested messages of a chunk's message index, with unknown sizes (-1)."""
+    places = {channel: at for channel, at in chunk.indexes.items() if channel in wanted}
+    begin = min(places.values())
+    end = max(chunk.index_end, max(places.values()) + HEAD + 6)
+    data = source.read(begin, min(end - begin, LARGEST))
+    channels, log_times, offsets = [], [], []
+    for channel, at in places.items():
+        at -= begin
+        if at + HEAD + 6 > len(data):
+            raise DamagedError("a message index is truncated")
+        opcode, length = head_of(data, at)
+        own, size = struct.unpack_from("<HI", data, at + HEAD)
+        if opcode != MESSAGE_INDEX or own != channel or size + 6 != length or size % 16:
+            raise DamagedError("a message index is misplaced")
+        if at + HEAD + length > len(data):
+            raise DamagedError("a message index is truncated")
+        entries = np.frombuffer(data, "<i8", size // 8, at + HEAD + 6).reshape(-1, 2)
+        channels.append(np.full(len(entries), channel))
+        log_times.append(entries[:, 0])
+        offsets.append(entries[:, 1])
+    found = MessageIndex(
+        np.concatenate(channels),
+        np.concatenate(log_times),
+        np.concatenate(offsets),
+        np.full(sum(map(len, offsets)), -1),
+    )
+    found = found[np.argsort(found.offsets, kind="stable")]
+    if len(found) and (found.offsets[0] < 0 or found.offsets[-1] + RECORD_HEAD > chunk.size):
+        raise DamagedError("a message index points outside its chunk")
+    return found
+
+
+def _measured(
+    data: bytes | memoryview, messages: MessageIndex, limit: int, shift: int = 0
+) -> MessageIndex:
+    """Return messages, given in order of their offsets, with the sizes of their records.
+
+    The data start at the position `shift` of a chunk with `limit` bytes.
+    """
+    if not len(messages):
+        return messages
+    buffer = np.frombuffer(data, dtype=np.uint8)
+    head = np.dtype(
+        [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("_", "<u4"), ("time", "<i8")]
+    )
+    heads = gather(buffer, messages.offsets - shift, head)
+    lengths = heads["length"].astype(np.int64)
+    ends = messages.offsets + HEAD + lengths
+    fits = (lengths >= MESSAGE_HEAD) & (lengths <= LARGEST)
+    fits &= ends <= np.append(messages.offsets[1:], limit)
+    are_right = (
+        (heads["opcode"] == MESSAGE)
+        & (heads["channel"] == messages.channels)
+        & (heads["time"] == messages.log_times)
+    )
+    if not (fits & are_right).all():
+        raise DamagedError("a message is not at its indexed position")
+    return MessageIndex(
+        messages.channels, messages.log_times, messages.offsets, lengths - MESSAGE_HEAD
+    )
+
+
+def _runs_of(chunk: Chunk, messages: MessageIndex) -> list[tuple[int, int]] | None:
+    """Return the byte ranges (begin, end) of a chunk to read; None means the whole chunk."""
+    if chunk.compression or chunk.is_cut or not len(messages):
+        return None
+    first, last = int(messages.offsets[0]), int(messages.offsets[-1])
+    if last - first <= GAP:
+        end = min(last + _TAIL, chunk.size)
+        return [(first, end)] if end - first <= _WORTHWHILE * chunk.size else None
+    breaks = np.flatnonzero(np.diff(messages.offsets) > GAP)
+    begins = messages.offsets[np.concatenate([[0], breaks + 1])]
+    lasts = messages.offsets[np.concatenate([breaks, [len(messages) - 1]])]
+    ends = np.minimum(lasts + _TAIL, chunk.size)
+    if (ends - begins).sum() > _WORTHWHILE * chunk.size:
+        return None
+    return list(zip(begins.tolist(), ends.tolist(), strict=True))
+
+
+def _partial(
+    source: ByteSource, chunk: Chunk, messages: MessageIndex, runs: list[tuple[int, int]]
+) -> Block:
+    """Return wanted messages of an uncompressed chunk without reading all of it."""
+    base = chunk.data_offset
+    pieces = source.read_all([(base + begin, end - begin) for begin, end in runs])
+    begins, sizes, total = [], [], 0
+    for number, (begin, end) in enumerate(runs):
+        if len(pieces[number]) != end - begin:
+            raise DamagedError("a chunk is truncated")
+        inside = messages
+        if len(runs) > 1:
+            inside = messages[(messages.offsets >= begin) & (messages.offsets < end)]
+        found = _measured(pieces[number], inside, chunk.size, begin)
+        last = int(found.offsets[-1] + RECORD_HEAD + found.sizes[-1])
+        if last > end:
+            pieces[number] += source.read(base + end, last - end)
+            if len(pieces[number]) != last - begin:
+                raise DamagedError("a chunk is truncated")
+        begins.append(found.offsets + (RECORD_HEAD - begin + total))
+        sizes.append(found.sizes)
+        total += len(pieces[number])
+    return Block(
+        chunk.first,
+        messages.channels,
+        messages.log_times,
+        np.frombuffer(b"".join(pieces), dtype=np.uint8),
+        np.concatenate(begins),
+        np.concatenate(sizes),
+    )

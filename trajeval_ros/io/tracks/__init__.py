@@ -1,1 +1,0 @@
-"""Reading of recordings with feature tracks, IMU and groundtruth."""

@@ -1,0 +1,79 @@
+"""Frozen and diverging estimates, detected in pairs in order of time, at a constant cost per pair.
+
+Live and offline evaluation share this code, so that they report the same times.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.divergence import Divergence
+from trajeval_ros.metrics.repeated_poses import MOVED_M, MOVED_OF_FIXES_M, RepeatedPoses
+from trajeval_ros.metrics.tracking_loss import Loss
+
+
+class LostTracking:
+    """Detects losses in batches of pairs of any size."""
+
+    def __init__(self, *, of_fixes: bool = False) -> None:
+        """Create it before the first pair.
+
+        Divergence from fixes and points is not detected: they are too few or too noisy.
+        """
+        self._repeats = RepeatedPoses(MOVED_OF_FIXES_M if of_fixes else MOVED_M)
+        self._divergence = None if of_fixes else Divergence()
+
+    def add(self, stamps: Stamps, groundtruth: Floats, estimate: Floats) -> None:
+        """Take N pairs in order: stamps (N,), ns, and poses (N, 7 or more), NaN if unknown."""
+        self._repeats.add(stamps, groundtruth, estimate)
+        if self._divergence is not None:
+            self._divergence.add(stamps, groundtruth[:, :3], estimate[:, :3])
+
+    @property
+    def losses(self) -> list[Loss]:
+        """All losses so far, in order of their begin."""
+        diverged = [] if self._divergence is None else self._divergence.losses
+        return sorted((*self._repeats.losses, *diverged), key=lambda each: each.begin_ns)
+
+    @property
+    def present(self) -> Loss | None:
+        """The loss that is not over, the earlier one of two; None if there is none."""
+        return next((each for each in self.losses if not each.is_over), None)
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether a loss that is detected later will begin at the newest pair or after it."""
+        return self._repeats.is_clear and (self._divergence is None or self._divergence.is_clear)
+
+
+def losses_of(groundtruth: Trajectory, estimate: Trajectory, *, of_fixes: bool) -> list[Loss]:
+    """Return the losses in N pairs."""
+    tracking = LostTracking(of_fixes=of_fixes)
+    tracking.add(*_in_order(groundtruth, estimate))
+    return tracking.losses
+
+
+def frozen_ns(groundtruth: Trajectory, estimate: Trajectory, max_gap_s: float) -> int:
+    """Return the time of frozen estimates in N pairs, nanoseconds, without longer steps."""
+    repeats = RepeatedPoses(max_gap_s=max_gap_s)
+    repeats.add(*_in_order(groundtruth, estimate))
+    return repeats.time_ns
+
+
+def _in_order(groundtruth: Trajectory, estimate: Trajectory) -> tuple[Stamps, Floats, Floats]:
+    """Return stamps (N,) and poses (N, 7) of both sides, in order of time."""
+    stamps, poses = estimate.stamps, (_poses(groundtruth), _poses(estimate))
+    if (stamps[1:] >= stamps[:-1]).all():
+        return stamps, *poses
+    order = np.argsort(stamps, kind="stable")
+    return stamps[order], poses[0][order], poses[1][order]
+
+
+def _poses(trajectory: Trajectory) -> Floats:
+    """Return the poses (N, 7) of a trajectory; without orientations, quaternions are NaN."""
+    turns = trajectory.quaternions
+    if turns is None:
+        turns = np.full((len(trajectory), 4), np.nan)
+    return np.hstack([trajectory.positions, turns])

@@ -1,0 +1,153 @@
+"""Tests of measured keyframes, to decide whether their errors can be trusted."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.studies.keyframe_selection import select
+from trajeval_ros.studies.measurement_tests import (
+    ResidualGroup,
+    groundtruth_nees,
+    residual_groups,
+    split_half_nees,
+    track_correlation,
+)
+from trajeval_ros.studies.outliers import Rejection, reject_outliers
+from trajeval_ros.studies.sensor_recording import SensorRecording
+from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance
+from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
+from trajeval_ros.visual_inertial.preintegration import ImuNoise
+from trajeval_ros.visual_inertial.problem import Problem
+from trajeval_ros.visual_inertial.state import MOTION_WIDTH, State, initial_state
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredScene:
+    """The problem of the gauge study; trials only differ in their initial state."""
+
+    problem: Problem  # the measurements
+    # Groundtruth of the keyframes, and the landmarks of the solution without outliers, since their
+    # true positions are unknown.
+    groundtruth: State
+
+    @classmethod
+    def of(cls, rejection: Rejection) -> MeasuredScene:
+        """Return the scene of the measurements without outliers."""
+        groundtruth = dataclasses.replace(
+            rejection.selection.groundtruth, landmarks=rejection.state.landmarks
+        )
+        return cls(rejection.selection.problem(), groundtruth)
+
+    def measured(self, generator: np.random.Generator) -> Problem:  # noqa: ARG002
+        """Return the problem: there is one set of measurements."""
+        return self.problem
+
+    def disturbed(self, generator: np.random.Generator) -> State:
+        """Return a random initial state (gauge paper, section V-B)."""
+        return initial_state(self.groundtruth, generator)
+
+
+LAGS = (1, 2, 5, 10)
+# Assumed noise of groundtruth per axis, which is unknown: m, deg, m/s.
+GROUNDTRUTH_NOISES = ((0.0, 0.0, 0.0), (1e-3, 0.1, 5e-3), (1e-3, 0.2, 5e-3), (2e-3, 0.3, 1e-2))
+_SPLITS = 10
+_GRAVITY_TOLERANCE, _TILT_TOLERANCE_DEG = 0.1, 2.0
+_DRIFT_TOLERANCE_DEG_PER_S = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class MeasurementModel:
+    """Settings of a recording's examination."""
+
+    every: int  # number of images from one keyframe to the next
+    keyframes: int  # largest number of keyframes
+    pixel_noise: float  # standard deviation of a measured coordinate, pixels
+    imu_noise: ImuNoise  # noise densities of the IMU
+    # Prior of the biases, to estimate them; None to use groundtruth's biases.
+    bias_noise: BiasNoise | None
+    gravity: float  # m/s^2
+    is_split: bool  # whether to test the covariance by halves of the landmarks
+
+
+@dataclass(frozen=True, eq=False)
+class Examination:
+    """Measured keyframes, with tests of their data and residuals."""
+
+    scene: MeasuredScene  # the problem for the gauge study
+    rejection: Rejection  # the measurements without outliers, and their solution
+    duration_s: float  # from first to last keyframe
+    notes: tuple[str, ...]  # what reader and selection joined, inserted or dropped
+    gravity: Floats  # (3,) from groundtruth and IMU, m/s^2
+    # Angle between groundtruth's and the gyroscope's rotation from the first to the last keyframe.
+    drift_deg: float
+    groups: list[ResidualGroup]  # chi-square by group of residuals
+    correlation: Floats  # (lags,) of reprojection errors along tracks
+    # NEES of the poses over its degrees of freedom, for each of `GROUNDTRUTH_NOISES`
+    nees: list[float]
+    # (6,) standard deviations of the last keyframe's biases; (0,) where biases are known
+    biases_sigma: Floats
+    # (splits,), NEES of the differences of two halves, without groundtruth; None if not requested
+    split_half: Floats | None
+
+
+def examine(recording: SensorRecording, model: MeasurementModel) -> Examination:
+    """Select keyframes, reject outliers, and test data and residuals."""
+    gravity = np.array([0.0, 0.0, -model.gravity])
+    whole = select(
+        recording,
+        model.every,
+        model.keyframes,
+        model.pixel_noise,
+        model.imu_noise,
+        gravity,
+        model.bias_noise,
+    )
+    felt = whole.gravity_felt
+    off = abs(float(np.linalg.norm(felt)) - model.gravity)
+    tilt_deg = tilt_of(felt)
+    if off > _GRAVITY_TOLERANCE or tilt_deg > _TILT_TOLERANCE_DEG:
+        raise InputError(
+            f"{recording.name}: gravity from groundtruth and IMU is {np.linalg.norm(felt):.3f} "
+            f"m/s^2, {tilt_deg:.1f} deg from the vertical, expected {model.gravity:g} m/s^2; "
+            "check the expected value, biases, extrinsics and frames"
+        )
+    duration_s = float(whole.preintegrated.durations_s.sum())
+    drift_deg = whole.drift_against_gyroscope_deg
+    if drift_deg > _DRIFT_TOLERANCE_DEG_PER_S * duration_s:
+        raise InputError(
+            f"{recording.name}: groundtruth and gyroscope differ by {drift_deg:.1f} deg after "
+            f"{duration_s:.2f} s; check the gyroscope's biases, extrinsics and frames"
+        )
+    rejection = reject_outliers(whole)
+    selection, state = rejection.selection, rejection.state
+    scene = MeasuredScene.of(rejection)
+    covariance = fixed_covariance(scene.problem, state)
+    split_half = None
+    if model.is_split:
+        split_half = split_half_nees(selection, state, _SPLITS, np.random.default_rng(0))
+    return Examination(
+        scene=scene,
+        rejection=rejection,
+        duration_s=duration_s,
+        notes=recording.notes + whole.notes,
+        gravity=felt,
+        drift_deg=drift_deg,
+        groups=residual_groups(scene.problem, state),
+        correlation=track_correlation(scene.problem, state, LAGS),
+        nees=[
+            groundtruth_nees(scene.groundtruth, state, covariance, (p, float(np.radians(phi)), v))
+            for p, phi, v in GROUNDTRUTH_NOISES
+        ],
+        biases_sigma=np.sqrt(np.diagonal(covariance)[-state.width :][MOTION_WIDTH:]),
+        split_half=split_half,
+    )
+
+
+def tilt_of(gravity: Floats) -> float:
+    """Return the angle between a gravity vector (3,) and -z, deg."""
+    return float(np.degrees(np.arctan2(np.linalg.norm(gravity[:2]), -gravity[2])))
