@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,14 @@ _ROWS: dict[str, tuple[int, ...] | None] = {
 }
 
 
+class DeclaredReset(NamedTuple):
+    """A jump of the pose that the estimator declares."""
+
+    stamp_ns: int  # timestamp of the first pose after it, nanoseconds
+    position_m: float  # step of the position that the velocity does not explain
+    rotation_deg: float  # turn between the poses before and after it
+
+
 @dataclass(frozen=True, eq=False)
 class Reading:
     """How the N states of a trajectory were read; immutable."""
@@ -44,6 +52,7 @@ class Reading:
     # What was detected or corrected (notes), contradictions between states (warnings) and
     # unreadable parts of the source (errors).
     remarks: tuple[Remark, ...] = ()
+    resets: tuple[DeclaredReset, ...] = ()  # resets that the estimator declares
     # The N GNSS fixes of the positions, with their datum; None for other sources.
     fixes: Fixes | None = None
     # (N,) int64, numbers in an image sequence (KITTI), or None.

@@ -97,6 +97,9 @@ NO_STATE = (
     "lone_stamp",
     "not_finite",
     "undecodable",
+    # of PX4's messages
+    *("no_position", "no_orientation", "unknown_frame", "other_frame"),
+    *("xy_valid_false", "z_valid_false", "no_attitude_within_0.1_s"),
     "zero_quaternion",
     "zero_stamp",
 )

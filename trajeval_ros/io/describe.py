@@ -89,8 +89,25 @@ def describe(
             return _describe_bag(source, parts.path, advance)
         except OSError as error:
             raise InputError(f"{parts.path} can't be read: {reason_of(error)}") from error
+    if parts.is_log and not parts.topic:
+        return _describe_log(source, parts.path)
     trajectory = read_trajectory(source, advance=advance, hints=hints)
     return Description(parts.path, (summarize(source, trajectory),))
+
+
+def _describe_log(source: str, path: Path) -> Description:
+    """Return the topics with poses of a log of PX4."""
+    from trajeval_ros.io.ulog import PoseLog
+
+    log = PoseLog(path)
+    found = []
+    for topic in log.topics:
+        name = f"{source}:{topic}"
+        try:
+            found.append(summarize(name, log.trajectory(topic)))
+        except InputError as error:
+            found.append(TrajectorySummary(name, "ULog", log.count(topic), problem=str(error)))
+    return Description(path, tuple(found), remarks=tuple(log.remarks))
 
 
 def _describe_bag(source: str, path: Path, advance: Advance | None) -> Description:
@@ -110,7 +127,7 @@ def _describe_bag(source: str, path: Path, advance: Advance | None) -> Descripti
     edges: dict[tuple[str, str, str], EdgeSummary] = {}
     with Bag(path, advance) as bag:
         posed = {
-            topic: PoseReader(topic, covariances=True)
+            topic: PoseReader(bag, topic, covariances=True)
             for topic in bag.topics
             if topic.holds_poses and topic.count
         }

@@ -98,6 +98,13 @@ def _recognised(path: Path) -> FoundSource | None:
         except (InputError, OSError) as error:
             return FoundSource(path, kind, problem=str(error))
         return FoundSource(path, kind, tuple(topics))
+    if path.suffix.lower() == ".ulg":
+        from trajeval_ros.io.ulog import PoseLog
+
+        try:
+            return FoundSource(path, "PX4 log", tuple(PoseLog(path).topics))
+        except (InputError, OSError) as error:
+            return FoundSource(path, "PX4 log", problem=str(error))
     if path.suffix.lower() not in _TEXTS or not path.is_file():
         return None
     try:

@@ -1,5 +1,7 @@
 """Reading of the trajectory of a SOURCE: `PATH`, `BAG:TOPIC` or `BAG:/tf:PARENT.CHILD`.
 
+A log of PX4 (.ulg) is read as a bag: `LOG.ulg:TOPIC`.
+
 The format of a file is detected from its content. Text is also read from a pipe, such as a
 shell's `<(COMMAND)`, and from stdin, written `-`.
 """
@@ -29,6 +31,7 @@ Advance = Callable[[int, int], None]
 _AT_ONCE = 1 << 23  # bytes per request to a store
 _HEAD = 16  # bytes at the start of a file from which its format is detected
 _BAG_BEGINNINGS = (b"\x89MCAP0\r\n", b"SQLite format 3\0", b"#ROSBAG V")
+_ULOG = b"ULog\x01\x12\x35"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _URL = re.compile(r"[a-z][a-z0-9+.-]*://")
 _SECRET = re.compile(
@@ -49,6 +52,7 @@ class Source:
     frames: tuple[str, str] | None  # (parent, child) of a transform, or None
     is_bag: bool  # whether the path is a bag
     is_pipe: bool = False  # whether the path is a pipe, which can be read only once
+    is_log: bool = False  # whether the path is a log of PX4
 
 
 def read_trajectory(
@@ -144,7 +148,8 @@ def read_many(
     for number, parts in enumerate(parsed):
         # A pipe can be read only once: all its sources are one entry, whatever their hints.
         own_hints = NO_HINTS if parts.is_pipe else known[number]
-        name = _same_bag(parts.path) if parts.is_bag else (str(parts.path), own_hints)
+        has_topics = parts.is_bag or parts.is_log
+        name = _same_bag(parts.path) if has_topics else (str(parts.path), own_hints)
         files.setdefault(name, []).append(number)
     read: dict[int, Trajectory] = {}
     for done, numbers in enumerate(files.values()):
@@ -152,6 +157,14 @@ def read_many(
         with _naming(first.path):
             if first.is_pipe and len(numbers) > 1:
                 raise InputError("a pipe can be read only once; use it for one source")
+            if first.is_log:
+                from trajeval_ros.io.ulog import read_log
+
+                logged = read_log(
+                    first.path, [parsed[each].topic for each in numbers], strict=strict
+                )
+                read |= zip(numbers, logged, strict=True)
+                continue
             if not first.is_bag:
                 with _local_file(first.path) as file:
                     if first.is_pipe and _begins_as_bag(file):
@@ -177,6 +190,10 @@ def _with_source(trajectory: Trajectory, source: str) -> Trajectory:
 def each_topic(source: str) -> list[str]:
     """Return the source itself, or for a bag without a topic one source per topic with poses."""
     parts = parse_source(source)
+    if parts.is_log and not parts.topic:
+        from trajeval_ros.io.ulog import PoseLog
+
+        return [f"{source}:{topic}" for topic in PoseLog(parts.path).topics] or [source]
     if not parts.is_bag or parts.topic:
         return [source]
     from trajeval_ros.io.bags.bag import Bag
@@ -229,11 +246,12 @@ def parse_source(source: str) -> Source:
             if not path.is_fifo():
                 raise InputError(f"{path} is a device; give a file or a pipe")
             return Source(path, rest, None, is_bag=False, is_pipe=True)
-        is_bag = path.is_dir() or _begins_as_bag(path)
+        is_log = path.is_file() and _beginning_of(path).startswith(_ULOG)
+        is_bag = not is_log and (path.is_dir() or _begins_as_bag(path))
     except OSError as error:
         raise InputError(f"{path} can't be read: {reason_of(error)}") from error
-    if not rest:
-        return Source(path, "", None, is_bag)
+    if not rest or is_log:
+        return Source(path, rest, None, is_bag, is_log=is_log)
     if not is_bag:
         raise InputError(f"{path} is not a bag and has no topic {rest}; give only the file")
     topic, _, frames = rest.partition(":")

@@ -11,6 +11,7 @@ import numpy as np
 from trajeval_ros.formatting.remarks import Remark
 from trajeval_ros.geometry.fixes import Fixes
 from trajeval_ros.geometry.geodesy import Datum
+from trajeval_ros.geometry.reading import DeclaredReset
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 
@@ -54,6 +55,7 @@ class InputSummary:
     fixes: FixSummary | None  # summary of GNSS fixes; None for other kinds
     remarks: tuple[Remark, ...]  # those on its reading
     fingerprint: str  # sha256 of the pose columns
+    resets: tuple[DeclaredReset, ...] = ()  # resets that the estimator declares
 
     @classmethod
     def of(cls, read: Trajectory, used: Trajectory) -> InputSummary:
@@ -71,6 +73,7 @@ class InputSummary:
             kind=read.kind,
             fixes=None if fixes is None else FixSummary.of(fixes, read.reading.dropped),
             remarks=used.reading.remarks,
+            resets=read.reading.resets,
             fingerprint=fingerprint(read),
         )
 

@@ -19,8 +19,9 @@ from trajeval_ros.geometry.stamp_trust import LONE, NEAR_NS, StampTrust, trusted
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.valid_poses import add_counts, count_up, in_words
-from trajeval_ros.io.bags.pose_messages import PATH_TYPE, PoseColumns, decode_path, decode_poses
-from trajeval_ros.io.bags.usable_poses import Frames, UsablePoses, usable_poses
+from trajeval_ros.io.bags.pose_columns import Frames, PoseColumns
+from trajeval_ros.io.bags.pose_messages import PATH_TYPE, decode_path, decode_poses
+from trajeval_ros.io.bags.usable_poses import UsablePoses, usable_poses
 from trajeval_ros.metrics.stream_health import StreamMonitor
 from trajeval_ros.online.state_buffer import usable_rows
 from trajeval_ros.online.state_rows import POSITION, WIDTH, as_wide, states

@@ -14,6 +14,7 @@ from trajeval_ros.io.bags.byte_source import LocalFile, RemoteFile, source_of
 from trajeval_ros.io.bags.compression import decompress_file
 from trajeval_ros.io.bags.mcap_records import MAGIC
 from trajeval_ros.io.bags.pose_messages import FIX_TYPE, POSE_2D, POSE_TYPES, TRANSFORM_TYPES
+from trajeval_ros.io.bags.px4_messages import GPS
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -119,7 +120,7 @@ class Topic:
     @property
     def holds_fixes(self) -> bool:
         """Whether its messages are GNSS fixes."""
-        return self.type in (FIX_TYPE, foxglove.FIX_TYPE)
+        return self.type in (FIX_TYPE, foxglove.FIX_TYPE, GPS)
 
     @property
     def holds_transforms(self) -> bool:

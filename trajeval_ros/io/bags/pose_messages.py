@@ -16,6 +16,8 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.cdr import CdrPlan
 from trajeval_ros.io.bags.cdr_columns import Columns, StringColumn
 from trajeval_ros.io.bags.message_definitions import STANDARD, Fields, UnplannedError, ros1_fields
+from trajeval_ros.io.bags.pose_columns import PoseColumns
+from trajeval_ros.io.bags.px4_messages import ATTITUDE, PX4_POSE_TYPES, Px4Plan, poses_of_px4
 
 FIX_TYPE = "sensor_msgs/msg/NavSatFix"
 TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
@@ -23,25 +25,6 @@ PATH_TYPE = "nav_msgs/msg/Path"
 POSE_2D = "geometry_msgs/msg/Pose2D"
 POSE_2D_TIMES = note("log_times", "no timestamps in messages: log times used, height 0")
 _POSE_2D_FIELDS: Fields = (("x", "f8"), ("y", "f8"), ("theta", "f8"))
-
-
-@dataclass(frozen=True)
-class PoseColumns:
-    """The poses of a topic."""
-
-    stamps: NDArray[np.int64]  # (N,) int64, nanoseconds, of the headers
-    # (N, 3), metres; of fixes latitude and longitude, degrees, and height, metres.
-    positions: Floats
-    quaternions: Floats | None  # (N, 4), xyzw, or None if the type has none
-    body_velocities: Floats | None  # (N, 3), m/s, in the body, or None
-    covariances: Floats | None  # (N, 6, 6), position first, or None
-    # (N, 11) of fixes: status, type of covariance, and the covariance about east, north and up,
-    # m^2, row by row; else None.
-    fix_quality: Floats | None
-    # First row, frame and child frame at every change of the frames.
-    frames: list[tuple[int, str, str]]
-    rows: NDArray[np.int64]  # (N,) int64, number of the message of a pose
-    undecodable: int  # number of messages that can't be decoded
 
 
 @dataclass(frozen=True)
@@ -95,7 +78,7 @@ _PATHS = {
         fix_quality=("status.status", "position_covariance_type", "position_covariance"),
     ),
 }
-POSE_TYPES = (*_PATHS, PATH_TYPE)
+POSE_TYPES = (*_PATHS, PATH_TYPE, *PX4_POSE_TYPES)
 COVARIANCE_TYPES = tuple(name for name, paths in _PATHS.items() if paths.covariance)
 _OF_A_PATH = _PATHS["geometry_msgs/msg/PoseStamped"]
 _OF_TRANSFORMS = _PATHS["geometry_msgs/msg/TransformStamped"]
@@ -109,8 +92,13 @@ def decode_poses(
     `payloads`: the messages in untrusted CDR. Messages that can't be decoded are left out and
     counted. `message_type`: one of `POSE_TYPES` but `nav_msgs/msg/Path`.
     """
-    columns = _plan(message_type, covariance=covariance).decode(payloads)
-    return poses_of(columns, message_type, len(payloads) - len(columns.rows))
+    if message_type in PX4_POSE_TYPES:
+        columns = Px4Plan(None, message_type).decode(payloads)
+    else:
+        columns = _plan(message_type, covariance=covariance).decode(payloads)
+    return poses_of(
+        columns, message_type, len(payloads) - len(columns.rows), covariance=covariance
+    )
 
 
 def decode_path(payload: bytes | memoryview) -> PoseColumns:
@@ -165,8 +153,12 @@ def _wanted(message_type: str, *, covariance: bool) -> list[str]:
     return _PATHS[message_type].wanted(covariance=covariance)
 
 
-def poses_of(columns: Columns, message_type: str, undecodable: int) -> PoseColumns:
+def poses_of(
+    columns: Columns, message_type: str, undecodable: int, *, covariance: bool = True
+) -> PoseColumns:
     """Return decoded columns as poses; for paths, the poses of all of them."""
+    if message_type in (*PX4_POSE_TYPES, ATTITUDE):
+        return poses_of_px4(columns, message_type, undecodable, covariance=covariance)
     # Foxglove's types have the fields of their counterparts.
     counterpart = _PATHS[FIX_TYPE] if "latitude" in columns.numbers else _OF_A_PATH
     paths = _PATHS.get(message_type, counterpart)

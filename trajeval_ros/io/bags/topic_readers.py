@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry.stamp_trust import trusted_states
+from trajeval_ros.geometry.valid_poses import add_counts
 from trajeval_ros.io.bags.bag import Bag, Key
 from trajeval_ros.io.bags.blocks import ROWS, Block
 from trajeval_ros.io.bags.cdr import CdrPlan
@@ -22,16 +23,24 @@ from trajeval_ros.io.bags.containers import Topic, TopicReading, encoding_of
 from trajeval_ros.io.bags.foxglove import TYPES as FOXGLOVE_TYPES
 from trajeval_ros.io.bags.foxglove import FoxglovePlan
 from trajeval_ros.io.bags.message_definitions import recorded_fields
+from trajeval_ros.io.bags.pose_columns import COLUMNS, Frames, PoseColumns, frames_changes
 from trajeval_ros.io.bags.pose_messages import (
     PATH_TYPE,
     POSE_2D,
-    PoseColumns,
     TransformColumns,
     edges_of,
     plan_of,
     pose_2d_plan,
     poses_2d_of,
     poses_of,
+)
+from trajeval_ros.io.bags.px4_messages import (
+    ATTITUDE,
+    LOCAL_POSITION,
+    PX4_POSE_TYPES,
+    Px4Plan,
+    attitude_name,
+    with_attitudes,
 )
 from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey
 from trajeval_ros.io.checks import times
@@ -40,7 +49,6 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
 _RESERVED = 1 << 24  # bytes of a column, at most: counts of messages are not trusted
-_COLUMNS = ("stamps", "positions", "quaternions", "body_velocities", "covariances", "fix_quality")
 
 
 class GrowingPoses:
@@ -54,12 +62,13 @@ class GrowingPoses:
         """
         self._expected = expected
         self._columns: dict[str, _Column] = {}
-        self._frames: list[tuple[int, str, str]] = []
+        self._frames: list[Frames] = []
+        self._dropped: dict[str, int] = {}
         self._undecodable = self._count = self._messages = 0
 
     def add(self, part: PoseColumns, log_times: NDArray[np.int64]) -> None:
         """Add poses, and the log times of all messages that they were decoded from."""
-        columns = {name: getattr(part, name) for name in _COLUMNS} | {
+        columns = {name: getattr(part, name) for name in COLUMNS} | {
             "rows": part.rows + self._messages,
             "log": log_times[part.rows],
         }
@@ -70,6 +79,7 @@ class GrowingPoses:
                 self._columns[name].extend(rows)
         self._frames += [(self._count + row, frame, child) for row, frame, child in part.frames]
         self._undecodable += part.undecodable
+        self._dropped = add_counts(self._dropped, part.dropped)
         self._count += len(part.stamps)
         self._messages += len(log_times)
 
@@ -83,21 +93,11 @@ class GrowingPoses:
             firsts = np.array([row for row, *_ in frames])
             which = (np.searchsorted(firsts, order, side="right") - 1).tolist()
             frames = [(row, *frames[change][1:]) for row, change in enumerate(which)]
-        changes = [
-            change
-            for before, change in zip([None, *frames], frames, strict=False)
-            if before is None or before[1:] != change[1:]
-        ]
         return PoseColumns(
-            columns["stamps"],
-            columns["positions"],
-            columns.get("quaternions"),
-            columns.get("body_velocities"),
-            columns.get("covariances"),
-            columns.get("fix_quality"),
-            changes,
-            columns["rows"],
-            self._undecodable,
+            **{name: columns.get(name) for name in COLUMNS},  # type: ignore[arg-type]
+            frames=frames_changes(frames),
+            undecodable=self._undecodable,
+            dropped=self._dropped,
         )
 
 
@@ -127,10 +127,18 @@ class _Column:
 
 
 class PoseReader:
-    """Reads the poses of a topic; of one with paths, those of the last path."""
+    """Reads the poses of a topic; of one with paths, those of the last path.
 
-    def __init__(self, topic: Topic, *, covariances: bool) -> None:
+    PX4's local positions get the orientations of the attitude's topic, if the bag has it.
+    """
+
+    def __init__(self, bag: Bag, topic: Topic, *, covariances: bool) -> None:
         self.reading = TopicReading(topic)  # the topic, and the damage found while it is read
+        named = [each for each in bag.topics if each.name == attitude_name(topic.name)]
+        attitudes = [each for each in named if each.type == ATTITUDE]
+        self.attitudes: PoseReader | None = None
+        if topic.type == LOCAL_POSITION and attitudes:
+            self.attitudes = PoseReader(bag, attitudes[0], covariances=False)
         kind = _LastPath if topic.type == PATH_TYPE else _Poses
         self._poses = kind(_Decoders(topic, covariances=covariances))
 
@@ -140,7 +148,10 @@ class PoseReader:
 
     def poses(self) -> PoseColumns:
         """Return all poses, in order of the log times of their messages."""
-        return self._poses.done()
+        columns = self._poses.done()
+        if self.attitudes is None:
+            return columns
+        return with_attitudes(columns, self.attitudes.poses())
 
 
 class TransformReader:
@@ -184,6 +195,9 @@ class TransformReader:
 def read_topics(bag: Bag, readers: Collection[PoseReader | TransformReader]) -> None:
     """Give all messages to their readers in one pass over a bag."""
     fed = {each.reading: each for each in readers}
+    for each in readers:
+        if isinstance(each, PoseReader) and each.attitudes is not None:
+            fed[each.attitudes.reading] = each.attitudes
     for reading, key, block in bag.blocks(list(fed)):
         fed[reading].add(key, block)
 
@@ -212,14 +226,18 @@ class _Decoders:
     """The decoders of a topic by connection, because definitions can differ."""
 
     def __init__(self, topic: Topic, *, covariances: bool) -> None:
-        self.topic = topic
+        self.topic, self.covariances = topic, covariances
         self._plans = {
             (id(each.owner), each.id): self._plan(each, covariances=covariances)
             for each in topic.connections
         }
 
-    def _plan(self, connection: Connection, *, covariances: bool) -> CdrPlan | FoxglovePlan:
+    def _plan(
+        self, connection: Connection, *, covariances: bool
+    ) -> CdrPlan | FoxglovePlan | Px4Plan:
         encoding = encoding_of(connection)
+        if self.topic.type in (*PX4_POSE_TYPES, ATTITUDE):
+            return Px4Plan(recorded_fields(connection), self.topic.type)
         if self.topic.type in FOXGLOVE_TYPES:
             return FoxglovePlan(self.topic.type, encoding)
         if self.topic.type == POSE_2D:
@@ -256,7 +274,8 @@ class _Poses:
         if kind == POSE_2D:
             poses = poses_2d_of(columns, log_times, undecodable)
         else:
-            poses = poses_of(columns, kind, undecodable)
+            wanted = self._decoders.covariances
+            poses = poses_of(columns, kind, undecodable, covariance=wanted)
         self._poses.add(poses, log_times)
 
     def done(self) -> PoseColumns:

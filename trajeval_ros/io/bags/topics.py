@@ -19,7 +19,16 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.bags.bag import Advance, Bag
 from trajeval_ros.io.bags.containers import Topic
+from trajeval_ros.io.bags.declared_resets import about_resets, declared_resets
+from trajeval_ros.io.bags.pose_columns import PoseColumns
 from trajeval_ros.io.bags.pose_messages import POSE_2D, POSE_2D_TIMES
+from trajeval_ros.io.bags.px4_messages import (
+    PX4_POSE_TYPES,
+    about_px4,
+    expected_sizes,
+    majority_frame,
+    why_none,
+)
 from trajeval_ros.io.bags.topic_readers import (
     PoseReader,
     TransformReader,
@@ -28,7 +37,7 @@ from trajeval_ros.io.bags.topic_readers import (
     tree_topics,
 )
 from trajeval_ros.io.bags.transform_tree import compose_transforms, fixed_transform
-from trajeval_ros.io.bags.usable_poses import usable_poses
+from trajeval_ros.io.bags.usable_poses import WORLD_TWIST, has_world_twist, usable_poses
 from trajeval_ros.io.checks import check_stamps, judge_rotations
 
 
@@ -96,7 +105,7 @@ class _Plan:
         topic = _choose(bag, source.topic)
         key = topic, source.covariances
         if key not in self._poses:
-            self._poses[key] = PoseReader(topic, covariances=source.covariances)
+            self._poses[key] = PoseReader(bag, topic, covariances=source.covariances)
         reader = self._poses[key]
         if source.topic:
             return lambda: trajectory_of(bag, reader)
@@ -156,13 +165,37 @@ def trajectory_of(bag: Bag, reader: PoseReader, remarks: tuple[Remark, ...] = ()
     """Return the trajectory of a topic that was read."""
     topic = reader.reading.topic
     found = bag.remarks([reader.reading])
-    columns = reader.poses()
     where = f"{bag.path}:{topic.name}"
+    why = "; ".join(each.text for each in found if each.level is Level.ERROR)
+    if topic.type == POSE_2D:
+        remarks = (*remarks, POSE_2D_TIMES)
+    everything = (note(FORMAT, f"format: {topic.type}"), *remarks, *found)
+    return trajectory_of_columns(where, topic.name, topic.type, reader.poses(), everything, why)
+
+
+def trajectory_of_columns(
+    where: str,
+    name: str,
+    message_type: str,
+    columns: PoseColumns,
+    remarks: tuple[Remark, ...],
+    why: str = "",
+) -> Trajectory:
+    """Return the trajectory in the poses of a topic.
+
+    `where`: source in messages. `why`: reason for missing poses, if the source is damaged.
+    """
     if not len(columns.stamps):
-        why = "; ".join(each.text for each in found if each.level is Level.ERROR)
         if columns.undecodable:
             why = f"none of its {columns.undecodable} messages can be decoded"
+            if message_type in PX4_POSE_TYPES:
+                why += f": {expected_sizes(message_type)}"
+        elif columns.dropped:
+            why = why_none(columns.dropped)
         raise InputError(f"{where} has no poses" + (f": {why}" if why else ""))
+    if message_type in PX4_POSE_TYPES:
+        columns = majority_frame(columns)
+        remarks = (*remarks, *about_px4(columns))
     count = len(columns.stamps)
     are_times = check_stamps(columns.stamps, f"{where}, header.stamp")
     columns, velocities, dropped, frame_changes = usable_poses(columns, are_times)
@@ -171,6 +204,8 @@ def trajectory_of(bag: Bag, reader: PoseReader, remarks: tuple[Remark, ...] = ()
         quaternions is None or not velocities.any() or not np.isfinite(velocities).any()
     ):
         velocities = None
+    if velocities is not None and has_world_twist(columns):
+        remarks = (*remarks, WORLD_TWIST)
     covariances = columns.covariances
     if covariances is not None and not covariances.any():
         covariances = None
@@ -178,11 +213,8 @@ def trajectory_of(bag: Bag, reader: PoseReader, remarks: tuple[Remark, ...] = ()
         f"{where}: frame_id changes from {before[1:]} to {after[1:]} at pose {after[0]}"
         for before, after in frame_changes
     ]
-    if topic.type == POSE_2D:
-        remarks = (*remarks, POSE_2D_TIMES)
     if len(changes) > 1:
         changes = [f"{changes[0]}, and {counted(len(changes) - 1, 'more time')}"]
-    remarks = (note(FORMAT, f"format: {topic.type}"), *remarks, *found)
     if columns.fix_quality is not None:
         receivers = _receivers(where, columns.frames)
         return trajectory_of_rows(
@@ -192,8 +224,10 @@ def trajectory_of(bag: Bag, reader: PoseReader, remarks: tuple[Remark, ...] = ()
             columns.fix_quality,
             Reading(dropped=dropped, remarks=(*remarks, *receivers)),
             child_frame=columns.frames[0][1],
-            name=topic.name.strip("/"),
+            name=name.strip("/"),
         )
+    resets = declared_resets(columns, velocities)
+    told = about_resets(resets, int(columns.stamps.min()))
     frames = (note("frame_changed", each) for each in changes)
     everything = Trajectory.from_columns(
         columns.stamps,
@@ -204,11 +238,12 @@ def trajectory_of(bag: Bag, reader: PoseReader, remarks: tuple[Remark, ...] = ()
         frame=columns.frames[0][1],
         up=UpAxis.of_frame(columns.frames[0][1]),
         child_frame=columns.frames[0][2],
-        name=topic.name.strip("/"),
+        name=name.strip("/"),
         reading=Reading(
             has_identity_rotations=columns.quaternions is not None and quaternions is None,
             dropped=dropped,
-            remarks=(*remarks, *frames, *judgement),
+            remarks=(*remarks, *told, *frames, *judgement),
+            resets=resets,
         ),
     )
     return _usable(_without_lone_stamps(everything), where, count)

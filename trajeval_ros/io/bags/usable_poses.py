@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
+from trajeval_ros.formatting.remarks import note
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats
-from trajeval_ros.io.bags.pose_messages import PoseColumns
+from trajeval_ros.geometry.valid_poses import add_counts
+from trajeval_ros.io.bags.pose_columns import Frames, PoseColumns
 
-Frames = tuple[int, str, str]  # first row, frame and child frame
+WORLD_TWIST = note("world_twist", "twist in the fixed frame: child_frame_id equals frame_id")
 
 
 class UsablePoses(NamedTuple):
@@ -35,28 +36,23 @@ def usable_poses(
     """
     frames = columns.frames if before is None else [before, *columns.frames]
     changes = [(one, other) for one, other in pairwise(frames) if one[1:] != other[1:]]
-    untimed = int(np.count_nonzero(~timed))
-    dropped = {"undecodable": columns.undecodable, "zero_stamp": untimed}
-    if untimed:  # a mask copies everything
-        columns = replace(
-            columns,
-            stamps=columns.stamps[timed],
-            positions=columns.positions[timed],
-            quaternions=_picked(columns.quaternions, timed),
-            body_velocities=_picked(columns.body_velocities, timed),
-            covariances=_picked(columns.covariances, timed),
-            fix_quality=_picked(columns.fix_quality, timed),
-            rows=columns.rows[timed],
-        )
+    columns = columns.picked(timed, "zero_stamp")
+    dropped = add_counts({"undecodable": columns.undecodable}, columns.dropped)
     return UsablePoses(columns, _velocities(columns), dropped, changes)
 
 
-def _picked(column: Floats | None, rows: Booleans) -> Floats | None:
-    return None if column is None else column[rows]
+def has_world_twist(columns: PoseColumns) -> bool:
+    """Return whether the twist is in the fixed frame: the body has its name, as of VINS-Fusion."""
+    frames = columns.frames
+    return bool(frames) and all(frame and frame == child for _, frame, child in frames)
 
 
 def _velocities(columns: PoseColumns) -> Floats | None:
     """Return the velocities (N, 3) in the frame; zero where the quaternion has no length."""
+    if columns.velocities is not None:
+        return columns.velocities
+    if has_world_twist(columns):
+        return columns.body_velocities
     body, quaternions = columns.body_velocities, columns.quaternions
     if body is None or quaternions is None:
         return None

@@ -81,6 +81,7 @@ def _run(run: RunOutcome, groundtruth_up: UpAxis) -> dict[str, Any]:
             "child_frame": estimate.child_frame,
             "up": dataclasses.asdict(estimate.up),
             "remarks": [remark_json(each) for each in estimate.remarks],
+            "resets": [each._asdict() for each in estimate.resets],
         },
         "association": {
             "method": pairs.rule.method,

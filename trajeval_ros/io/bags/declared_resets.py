@@ -1,0 +1,63 @@
+"""Resets that an estimator declares by a counter, as PX4 does: its pose jumps there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.formatting.remarks import Remark, note
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.reading import DeclaredReset
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.io.bags.pose_columns import PoseColumns
+
+_MOST = 5  # resets that the note lists
+
+
+def declared_resets(columns: PoseColumns, velocities: Floats | None) -> tuple[DeclaredReset, ...]:
+    """Return the resets of poses whose counter differs from that of the pose before.
+
+    A counter of one byte wraps, so every difference counts. The step is the position less the one
+    before carried on by its `velocities` (N, 3), m/s in the frame, if they are known.
+    """
+    if columns.flags is None:
+        return ()
+    after = 1 + np.flatnonzero(np.diff(columns.flags[:, 0]))
+    before = after - 1
+    steps = columns.positions[after] - columns.positions[before]
+    if velocities is not None:
+        seconds = (columns.stamps[after] - columns.stamps[before]) / NANOSECONDS
+        steps -= np.nan_to_num(velocities[before]) * seconds[:, None]
+    turns = np.zeros(len(after))
+    if columns.quaternions is not None:
+        first, last = columns.quaternions[before], columns.quaternions[after]
+        turns = np.degrees(lie.angle(lie.multiply(lie.conjugate(first), last)))
+    return tuple(
+        DeclaredReset(stamp, step, turn)
+        for stamp, step, turn in zip(
+            columns.stamps[after].tolist(),
+            np.linalg.norm(steps, axis=1).tolist(),
+            turns.tolist(),
+            strict=True,
+        )
+    )
+
+
+def about_resets(resets: Sequence[DeclaredReset], first: int) -> Iterator[Remark]:
+    """Yield the note on declared resets; `first` is the first timestamp, nanoseconds."""
+    if not resets:
+        return
+    listed = [
+        f"at {(each.stamp_ns - first) / NANOSECONDS:.2f} s {each.position_m:.2f} m "
+        f"and {each.rotation_deg:.1f} deg"
+        for each in resets[:_MOST]
+    ]
+    more = f", and {len(resets) - _MOST} more" if len(resets) > _MOST else ""
+    yield note(
+        "declared_resets",
+        f"{counted(len(resets), 'reset')} declared by the estimator: {', '.join(listed)}{more}; "
+        f"to evaluate what follows, use --start @{resets[-1].stamp_ns / NANOSECONDS:.3f}",
+    )

@@ -1,0 +1,142 @@
+"""Trajectories from logs of PX4 (.ulg), read with pyulog: `LOG.ulg:TOPIC` or `LOG.ulg:TOPIC.1`."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.install_command import extra_command
+from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.formatting.remarks import Remark, damaged, note
+from trajeval_ros.geometry.reading import FORMAT
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.bags.cdr_columns import Columns
+from trajeval_ros.io.bags.px4_messages import (
+    ATTITUDE,
+    GPS,
+    LOCAL_POSITION,
+    ODOMETRY,
+    attitude_name,
+    poses_of_px4,
+    with_attitudes,
+)
+from trajeval_ros.io.bags.topics import trajectory_of_columns
+from trajeval_ros.io.checks import nearest
+
+_EXTRA = "px4"
+# Message types of px4_msgs by the topics of uORB.
+_TYPES = {
+    "vehicle_odometry": ODOMETRY,
+    "vehicle_visual_odometry": ODOMETRY,
+    "vehicle_mocap_odometry": ODOMETRY,
+    "estimator_odometry": ODOMETRY,
+    "vehicle_local_position": LOCAL_POSITION,
+    "vehicle_local_position_groundtruth": LOCAL_POSITION,
+    "estimator_local_position": LOCAL_POSITION,
+    "vehicle_gps_position": GPS,
+    "sensor_gps": GPS,
+}
+_ATTITUDES = tuple(attitude_name(name) for name, kind in _TYPES.items() if kind == LOCAL_POSITION)
+_ELEMENT = re.compile(r"(.+)\[(\d+)\]")
+
+
+class PoseLog:
+    """The poses in a log."""
+
+    def __init__(self, path: Path, *, strict: bool = False) -> None:
+        """Read the topics with poses of a log.
+
+        Raises:
+            InputError: The log can't be read, or is damaged and `strict` is set.
+        """
+        try:
+            from pyulog import ULog
+        except ImportError as error:
+            raise InputError(
+                f"{path} is a log of PX4, which needs an extra; install it: "
+                f"{extra_command(_EXTRA)}"
+            ) from error
+        self.path = path
+        said = io.StringIO()
+        try:
+            with contextlib.redirect_stdout(said):  # where pyulog prints its warnings
+                log = ULog(str(path), [*_TYPES, *_ATTITUDES], disable_str_exceptions=True)
+        except Exception as error:  # of many types, for damaged files
+            reason = " ".join(str(error).split())[:200] or type(error).__name__
+            raise InputError(f"{path} can't be read as a log of PX4: {reason}") from error
+        self.remarks: list[Remark] = []
+        if log.file_corruption:
+            text = f"{path} is damaged: pyulog left out what it could not read"
+            if strict:
+                raise InputError(text)
+            self.remarks.append(damaged(text))
+        if log.dropouts:
+            lost_s = sum(each.duration for each in log.dropouts) / 1000.0
+            text = f"{counted(len(log.dropouts), 'dropout')} of the logger, {lost_s:.1f} s"
+            self.remarks.append(note("dropouts", text))
+        self._data = {_name(each): each for each in log.data_list}
+        self.topics = [name for name in self._data if name.partition(".")[0] in _TYPES]
+
+    def count(self, name: str) -> int:
+        """Return the number of messages of a topic."""
+        return len(self._data[name].data["timestamp"])
+
+    def trajectory(self, name: str) -> Trajectory:
+        """Return the trajectory of a topic, such as `vehicle_odometry`, or `NAME.1`.
+
+        Raises:
+            InputError: The log lacks the topic, or it has no usable pose.
+        """
+        if name not in self.topics:
+            raise InputError(
+                f"{self.path} has no topic {name}; topics with poses: {nearest(name, self.topics)}"
+            )
+        base, _, instance = name.partition(".")
+        columns = _columns_of(self._data[name].data)
+        poses = poses_of_px4(columns, _TYPES[base], 0)
+        attitude = ".".join(filter(None, (attitude_name(base), instance)))
+        if _TYPES[base] == LOCAL_POSITION and attitude in self._data:
+            turned = poses_of_px4(_columns_of(self._data[attitude].data), ATTITUDE, 0)
+            poses = with_attitudes(poses, turned)
+        remarks = (note(FORMAT, f"format: ULog, {_TYPES[base]}"), *self.remarks)
+        where = f"{self.path}:{name}"
+        return trajectory_of_columns(where, name, _TYPES[base], poses, remarks)
+
+
+def read_log(path: Path, topics: Sequence[str], *, strict: bool = False) -> list[Trajectory]:
+    """Return the trajectories of topics of a log; "" is the only topic with poses."""
+    log = PoseLog(path, strict=strict)
+    if "" in topics and len(log.topics) != 1:
+        listed = ", ".join(log.topics)
+        raise InputError(
+            f"{path} has several topics with poses; choose one as in {path}:TOPIC, of {listed}"
+            if listed
+            else f"{path} has no topic with poses"
+        )
+    return [log.trajectory(topic.lstrip("/") or log.topics[0]) for topic in topics]
+
+
+def _name(data: Any) -> str:
+    """Return the name of a topic, with its instance unless that is the first."""
+    return f"{data.name}.{data.multi_id}" if data.multi_id else str(data.name)
+
+
+def _columns_of(fields: dict[str, Any]) -> Columns:
+    """Return the fields of a log as columns; `q[0]` to `q[3]` become one, (N, 4)."""
+    arrays: dict[str, list[Any]] = {}
+    numbers = {}
+    for name, column in fields.items():
+        element = _ELEMENT.fullmatch(name)
+        if element is None:
+            numbers[name] = column
+        else:
+            arrays.setdefault(element[1], []).append(column)
+    numbers |= {name: np.column_stack(columns) for name, columns in arrays.items()}
+    return Columns(np.arange(len(fields["timestamp"])), numbers, {}, {})
