@@ -31,6 +31,7 @@ from trajeval_ros.io.bags.topics import trajectory_of_columns
 from trajeval_ros.io.checks import nearest
 
 _EXTRA = "px4"
+_HEADER = 16  # bytes before the first message
 # Message types of px4_msgs by the topics of uORB.
 _TYPES = {
     "vehicle_odometry": ODOMETRY,
@@ -72,8 +73,10 @@ class PoseLog:
             reason = " ".join(str(error).split())[:200] or type(error).__name__
             raise InputError(f"{path} can't be read as a log of PX4: {reason}") from error
         self.remarks: list[Remark] = []
-        if log.file_corruption:
-            text = f"{path} is damaged: pyulog left out what it could not read"
+        cut = 0 if log.file_corruption else _cut_off(path)
+        if log.file_corruption or cut:
+            what = f"its last {cut} bytes are cut off" if cut else "unreadable parts are left out"
+            text = f"{path} is damaged: {what}"
             if strict:
                 raise InputError(text)
             self.remarks.append(damaged(text))
@@ -121,6 +124,15 @@ def read_log(path: Path, topics: Sequence[str], *, strict: bool = False) -> list
             else f"{path} has no topic with poses"
         )
     return [log.trajectory(topic.lstrip("/") or log.topics[0]) for topic in topics]
+
+
+def _cut_off(path: Path) -> int:
+    """Return the number of bytes of an incomplete message at the end, which pyulog ignores."""
+    raw = path.read_bytes()
+    at = _HEADER
+    while at + 3 <= len(raw) and (after := at + 3 + raw[at] + (raw[at + 1] << 8)) <= len(raw):
+        at = after
+    return len(raw) - at
 
 
 def _name(data: Any) -> str:

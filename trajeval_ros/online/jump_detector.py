@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,7 @@ class Jump:
     stamp: int  # timestamp of the first pair after it, nanoseconds
     position_m: float  # difference between the distances of estimate and groundtruth
     rotation_deg: float  # difference between the angles of estimate and groundtruth
+    declared: bool = False  # whether the estimator declares it
 
 
 class JumpDetector:
@@ -31,10 +33,15 @@ class JumpDetector:
         self._typical_m = self._typical_deg = 0.0
         self._weight = 0.0
         self._were_jumps = np.zeros(2, dtype=bool)  # the newest steps
+        self._declared: list[int] = []  # timestamps of resets that no step has passed yet
 
     def skip(self) -> None:
         """Do not examine the step to the next pair."""
         self._newest = None
+
+    def declare(self, stamps: Iterable[int]) -> None:
+        """Take the timestamps of the first poses after declared resets, nanoseconds."""
+        self._declared += stamps
 
     def update(self, pairs: Pairs, scale: float) -> list[Jump]:
         """Return the jumps among new pairs, in order of time; late pairs are ignored."""
@@ -58,7 +65,9 @@ class JumpDetector:
             estimate[:, QUATERNION] if turned else None,
             scale,
         )
-        jumps = self._alone(steps.jumps(self._typical_m, self._typical_deg), len(steps.true_m))
+        found = self._alone(steps.jumps(self._typical_m, self._typical_deg), len(steps.true_m))
+        declared = self._declared_steps(pairs.stamps)
+        jumps = np.union1d(found, declared)
         self._learn(steps, jumps)
         self.count += len(jumps)
         return [
@@ -66,9 +75,18 @@ class JumpDetector:
                 int(pairs.stamps[row + 1]),
                 float(steps.position_m[row]),
                 float(steps.rotation_deg[row]),
+                row in declared,
             )
             for row in jumps.tolist()
         ]
+
+    def _declared_steps(self, stamps: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the steps between pairs (N,) in which a reset was declared."""
+        due = [each for each in self._declared if each <= stamps[-1]]
+        self._declared = [each for each in self._declared if each > stamps[-1]]
+        ends = np.searchsorted(stamps, np.array(due, dtype=np.int64))
+        steps: NDArray[np.int64] = np.unique(ends[ends > 0] - 1)
+        return steps
 
     def _alone(self, jumps: NDArray[np.int64], count: int) -> NDArray[np.int64]:
         """Return the jumps among `count` new steps that do not follow two others.

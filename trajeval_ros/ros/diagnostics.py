@@ -106,14 +106,17 @@ def about_jump(estimate: LiveEstimate, jump: Jump) -> Remark:
         "probably a restart with a new origin, which one alignment can't fit; to start a new run, "
         "call ~/reset or set on_restart"
     )
-    if estimate.source.stream.clock_steps.found is not None:
+    if jump.declared:
+        cause = "the estimator declares a reset; to start a new run there, set on_restart"
+    elif estimate.source.stream.clock_steps.found is not None:
         cause = "a clock stepped, so poses are paired with those of another time"
     said = (
         f"{estimate.name} jumps by {jump.position_m:.2f} m and {jump.rotation_deg:.0f} deg at "
         f"{jump.stamp / NANOSECONDS:.3f} s: {cause}"
     )
     steps = {"position_m": jump.position_m, "rotation_deg": jump.rotation_deg}
-    return warning("jump", said, values={"stamp_ns": jump.stamp, **steps})
+    values = {"stamp_ns": jump.stamp, **steps, "declared": jump.declared}
+    return warning("restart" if jump.declared else "jump", said, values=values)
 
 
 def _about_data(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> Iterator[Remark]:

@@ -151,6 +151,8 @@ class LiveEstimate:
             self.evaluator.add_estimate(poses.stamps[new], rows[new])
             return
         self.newest = messages.newest or self.newest
+        resets, self.source.stream.resets = self.source.stream.resets, []
+        self.jumps.declare(each + self.offset_ns for each in resets)
         self.latency.arrive(poses.stamps + self.offset_ns, messages.times)
         self._note_velocities(
             self._body.leaves_out_velocities_of(poses.states, is_groundtruth=False)

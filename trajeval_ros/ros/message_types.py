@@ -40,8 +40,15 @@ def is_installed(message_type: str) -> bool:
 def require_installed(message_type: str, user: str, otherwise: str) -> None:
     """Raise SettingsError, with what to install or to do `otherwise`, if a type is missing."""
     if not is_installed(message_type):
-        package = message_type.partition("/")[0]
         raise SettingsError(
-            f"{user} needs {package}; install ros-$ROS_DISTRO-{package.replace('_', '-')}, or "
+            f"{user} needs {message_type.partition('/')[0]}; {how_to_install(message_type)}, or "
             f"{otherwise}"
         )
+
+
+def how_to_install(message_type: str) -> str:
+    """Return how to install the package of a type; px4_msgs has no package and is built."""
+    package = message_type.partition("/")[0]
+    if package == "px4_msgs":
+        return "build PX4/px4_msgs (branch release/1.16 for PX4 1.16) in this workspace"
+    return f"install ros-$ROS_DISTRO-{package.replace('_', '-')}"

@@ -13,6 +13,7 @@ from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.escaping import part_of_topic
 from trajeval_ros.formatting.remarks import Level, Remark, warning
 from trajeval_ros.io.bags.pose_messages import FIX_TYPE, PATH_TYPE, POSE_TYPES, TRANSFORM_TYPES
+from trajeval_ros.io.bags.px4_messages import GPS, LOCAL_POSITION, PX4_POSE_TYPES
 from trajeval_ros.ros.live_fixes import LiveFixes
 from trajeval_ros.ros.message_types import require_installed
 from trajeval_ros.ros.poses import PoseStream
@@ -55,8 +56,9 @@ class PoseSource:
             self.inputs = [TopicInput(node, topic, types), *static.values()]
         else:
             self.stream = PoseStream(self.source, covariances=fixes is None, fixes=fixes)
-            others = (_POINT_TYPE, FIX_TYPE) if fixes is None else (PATH_TYPE,)
-            readable = [each for each in POSE_TYPES if each not in others]
+            points = (_POINT_TYPE, FIX_TYPE, LOCAL_POSITION, GPS)
+            others = points if fixes is None else (PATH_TYPE,)
+            readable = [each for each in (*POSE_TYPES, *PX4_POSE_TYPES) if each not in others]
             self.inputs = [TopicInput(node, topic, readable)]
 
     def match(self) -> list[Remark]:

@@ -116,6 +116,8 @@ class PoseStream:
         self._trust = StampTrust()
         self._newest_stamp = 0  # of the newest usable pose
         self._batch, self._width = 0, WIDTH
+        self.resets: list[int] = []  # timestamps of declared resets that are not taken yet
+        self._resets_seen: int | None = None  # the newest reset counter
         self._in_a_row: dict[str, int] = {}  # unusable messages since the last pose
         self._is_told = False
 
@@ -216,6 +218,7 @@ class PoseStream:
 
     def _states(self, columns: PoseColumns) -> StateColumns:
         (columns, velocities, dropped, _) = self._usable(columns)
+        self._see_resets(columns)
         states_ = states(columns.positions, columns.quaternions, velocities)
         if columns.covariances is not None:
             states_ = np.hstack([states_, columns.covariances.reshape(-1, 36)])
@@ -227,6 +230,15 @@ class PoseStream:
         dropped = add_counts(dropped, unusable, {"duplicate_stamp": count})
         self._see_trouble(len(stamps) - count, dropped)
         return StateColumns(columns.stamps, states_, columns.rows)
+
+    def _see_resets(self, columns: PoseColumns) -> None:
+        """Store the timestamps of poses whose reset counter differs from the one before."""
+        if columns.flags is None or not len(columns.stamps):
+            return
+        counters = columns.flags[:, 0]
+        before = counters[0] if self._resets_seen is None else self._resets_seen
+        self.resets += columns.stamps[np.diff(counters, prepend=before) != 0].tolist()
+        self._resets_seen = int(counters[-1])
 
     def _fix_states(self, columns: PoseColumns) -> StateColumns:
         """Return the used fixes, in metres, without those that have no timestamp."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.io.checks import nearest
-from trajeval_ros.ros.message_types import is_installed, message_class
+from trajeval_ros.ros.message_types import how_to_install, is_installed, message_class
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -218,10 +218,7 @@ def _why_unmatched(node: Node, name: str, types: tuple[str, ...]) -> str:
     for each in there:
         kind = each.topic_type
         if kind in types:
-            return (
-                f"{topic} has type {kind}, which is not installed; install "
-                f"ros-$ROS_DISTRO-{kind.partition('/')[0].replace('_', '-')}"
-            )
+            return f"{topic} has type {kind}, which is not installed; {how_to_install(kind)}"
     if there:
         kinds = ", ".join(sorted({each.topic_type for each in there}))
         return f"{topic} has type {kinds}, not a supported type of poses ({', '.join(types)})"

@@ -14,7 +14,7 @@ from trajeval_ros.io.bags.byte_source import LocalFile, RemoteFile, source_of
 from trajeval_ros.io.bags.compression import decompress_file
 from trajeval_ros.io.bags.mcap_records import MAGIC
 from trajeval_ros.io.bags.pose_messages import FIX_TYPE, POSE_2D, POSE_TYPES, TRANSFORM_TYPES
-from trajeval_ros.io.bags.px4_messages import GPS
+from trajeval_ros.io.bags.px4_messages import GPS, PX4_POSE_TYPES
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -114,7 +114,7 @@ class Topic:
     @property
     def holds_poses(self) -> bool:
         """Whether its messages are poses."""
-        own = (POSE_2D, foxglove.POSE_TYPE, foxglove.FIX_TYPE)
+        own = (*PX4_POSE_TYPES, POSE_2D, foxglove.POSE_TYPE, foxglove.FIX_TYPE)
         return self.type in (*POSE_TYPES, *own) and self._is_readable
 
     @property

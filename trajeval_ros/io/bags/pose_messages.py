@@ -78,7 +78,7 @@ _PATHS = {
         fix_quality=("status.status", "position_covariance_type", "position_covariance"),
     ),
 }
-POSE_TYPES = (*_PATHS, PATH_TYPE, *PX4_POSE_TYPES)
+POSE_TYPES = (*_PATHS, PATH_TYPE)
 COVARIANCE_TYPES = tuple(name for name, paths in _PATHS.items() if paths.covariance)
 _OF_A_PATH = _PATHS["geometry_msgs/msg/PoseStamped"]
 _OF_TRANSFORMS = _PATHS["geometry_msgs/msg/TransformStamped"]
