@@ -215,13 +215,26 @@ def _print_next_step(terminal: Console, description: Description) -> None:
     usable = [each for each in description.trajectories if not each.problem]
     references = [each for each in usable if each.could_be == "groundtruth"]
     others = [each for each in usable if each.could_be != "groundtruth"]
-    if len(references) == 1 and others:
-        estimates = " ".join(f"-e {shlex.quote(each.source)}" for each in others)
+    for each in others:
+        if each.system is not None:
+            topic = each.source.rpartition(":")[2]
+            terminal.print(
+                f"{topic}: looks like {each.system.name}: {each.system.trap}", soft_wrap=True
+            )
+    if len(references) != 1 or not others:
+        return
+    commands: dict[str, list[str]] = {}  # estimates, by the end of their command
+    for each in others:
+        system = each.system
+        end = "SENSORS" if system is None else f"{system.modality} {system.options}".strip()
+        commands.setdefault(end, []).append(f"-e {shlex.quote(each.source)}")
+    for end, estimates in commands.items():
         terminal.print(
-            f"\ntrajeval evaluate -g {shlex.quote(references[0].source)} {estimates} "
-            "--modality SENSORS",
+            f"\ntrajeval evaluate -g {shlex.quote(references[0].source)} {' '.join(estimates)} "
+            f"--modality {end}",
             soft_wrap=True,
         )
+    if "SENSORS" in commands:
         terminal.print(f"SENSORS: {', '.join(MODALITIES)}", soft_wrap=True)
 
 

@@ -281,7 +281,11 @@ def _about_inputs(evaluation: Evaluation) -> Iterator[Remark]:
     # `fix_hints` has the warning about antennas.
     is_fix = groundtruth.kind == "gnss"
     if not is_fix:
-        yield from about_frames(groundtruth.child_frame, estimate.child_frame)
+        # Of VINS-Fusion, the body has the name of the fixed frame, which names no body.
+        bodies = (
+            each.child_frame != each.frame and each.child_frame for each in (groundtruth, estimate)
+        )
+        yield from about_frames(*(body or "" for body in bodies))
     paired = evaluation.association.estimate
     for name, side in (("groundtruth", groundtruth), ("estimate", paired)):
         yield from _about_projection(name, side)

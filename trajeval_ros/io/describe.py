@@ -13,6 +13,7 @@ from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry.fixes import quality_of
 from trajeval_ros.geometry.reading import FORMATS
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.io.known_systems import KnownSystem, recognised
 from trajeval_ros.io.sources import Advance, parse_source, read_trajectory
 from trajeval_ros.io.text.layouts import NO_HINTS, TextHints
 
@@ -47,6 +48,7 @@ class TrajectorySummary:
         """The sentences of the remarks, except the format."""
         return tuple(each.text for each in self.remarks if each.code not in FORMATS)
 
+    system: KnownSystem | None = None  # the system that probably published it
     problem: str = ""  # reason why the trajectory can't be evaluated, "" if it can
 
 
@@ -184,9 +186,12 @@ def summarize(source: str, trajectory: Trajectory) -> TrajectorySummary:
     travelled = ordered.travelled
     speeds = np.zeros(0) if unstamped else np.diff(travelled) / steps
     still = unstamped or len(ordered) < 2
+    kind = reading.format.removeprefix("ULog, ")
+    topic = source.rpartition(":")[2]
     return TrajectorySummary(
         source=source,
         kind=reading.format,
+        system=recognised(kind, topic, ordered.frame, ordered.child_frame),
         poses=len(ordered),
         rate_hz=0.0 if unstamped else _rate_hz(ordered.stamps),
         first_ns=int(ordered.stamps[0]),

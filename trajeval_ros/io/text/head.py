@@ -72,7 +72,7 @@ def recognise_text(path: Path, named: Sequence[str] = ()) -> TextFormat:
         return graph
     head = read_head(path)
     try:
-        layout = head.table or _from_header(head) or by_count(head.sample, head.commas)
+        layout = head.table or _from_header(head) or _by_count(head)
     except InputError as error:
         raise InputError(f"{path} is not a readable trajectory: {error}") from None
     if layout.name == "smfeval":
@@ -121,6 +121,10 @@ def _of_row(layout: Layout, line: bytes) -> Layout | None:
     return dataclasses.replace(layout, columns=columns)
 
 
+def _by_count(head: Head) -> Layout:
+    return by_count(head.sample, head.commas, head.comma_at_end)
+
+
 def _from_header(head: Head) -> Layout | None:
     layouts = (from_header(line, len(head.sample[0])) for line in reversed(head.header))
     return next((layout for layout in layouts if layout is not None), None)
@@ -155,6 +159,7 @@ class Head:
     sample: list[list[float]]  # numbers of the first rows; can be empty if `table` is set
     commas: bool  # whether commas separate columns
     start: int  # offset of the first row, bytes
+    comma_at_end: bool = False  # whether the first row ends with a comma
     # Layout, if the line above the rows names all columns and has single separators, as in CSV;
     # else None.
     table: Layout | None = None
@@ -173,10 +178,11 @@ def read_head(path: Path) -> Head:
             )
         table = _table(header, line) if words else None
         if table is not None:
-            return Head(header, _sample(lines[index:]), True, start, table)
+            return Head(header, _sample(lines[index:]), True, start, table=table)
         numbers = [_to_float(word) for word in words]
         if words and None not in numbers:
-            return Head(header, _sample(lines[index:]), b"," in line or b";" in line, start)
+            commas, at_end = b"," in line or b";" in line, line.rstrip().endswith(b",")
+            return Head(header, _sample(lines[index:]), commas, start, at_end)
         if words and (named or numbers.count(None) < len(numbers)):
             at = numbers.index(None)
             wrong = words[at][:40].decode(errors="replace")

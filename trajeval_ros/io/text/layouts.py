@@ -36,6 +36,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "position": ("x", "y", "z"),
     "planar": ("x", "y"),
     "quaternion": ("qx", "qy", "qz", "qw"),
+    "rotation_vector": ("rx", "ry", "rz"),
     "angles": _ANGLES,
     "angles_deg": tuple(f"{each}_deg" for each in _ANGLES),
     "heading": ("yaw",),
@@ -62,6 +63,7 @@ _PLACES = {*_METRES, "place", "level_place"}
 # Groups with the same quantity: a group is ignored if one of these is present.
 _INSTEAD = {
     "planar": ("position",),
+    "rotation_vector": ("quaternion",),
     "angles": ("quaternion",),
     "angles_deg": ("quaternion", "angles"),
     "heading": ("quaternion", "angles", "angles_deg"),
@@ -173,6 +175,7 @@ G2O = {
     "VERTEX_SE2": _layout("g2o", "frame x y yaw"),
 }
 OPENVINS_STATE = _layout("OpenVINS state", f"t qx qy qz qw x y z vx vy vz {_BIASES}")
+_ID_LAST = _layout("TUM with an id", f"{_POSE} _", "the last of 9 columns is an id")
 _KITTI = _layout("KITTI", _MATRIX, up=_CAMERA)
 # Layouts of files without a header, by the number of columns.
 _BY_COUNT = {
@@ -196,6 +199,11 @@ _BY_COUNT = {
             " ".join([_POSE, *GROUPS["rotation_covariance"], *GROUPS["position_covariance"]]),
         ),
         _layout(
+            "FAST-LIO",
+            f"t rx ry rz x y z _ _ _ vx vy vz {'_ ' * 12}",
+            "no header: 25 columns read as the log of FAST-LIO, whose times start at 0",
+        ),
+        _layout(
             "smfeval",
             " ".join([_POSE, *LOWER]),
             "covariances read as body twists, position first (default of smfeval)",
@@ -213,21 +221,25 @@ _OF_NANOSECONDS = {
 }
 KNOWN = (
     "supported: TUM (8 columns), KITTI (12 or 13), EuRoC/ASL (17), VINS-Mono (11), OpenVINS "
-    "(20), smfeval (29), TartanAir (7), t x y z (4), g2o, and files with a header; for "
-    f"others, use {EXAMPLE}, with {IGNORED} for columns to ignore"
+    "(20), FAST-LIO (25), smfeval (29), TartanAir (7), t x y z (4), g2o, and files with a header; "
+    f"for others, use {EXAMPLE}, with {IGNORED} for columns to ignore"
 )
 
 
-def by_count(rows: Sequence[Sequence[float]], commas: bool) -> Layout:
+def by_count(rows: Sequence[Sequence[float]], commas: bool, comma_at_end: bool = False) -> Layout:
     """Return the usual layout of files without a header, by the number of columns.
 
-    `rows`: first rows of the file, all of the same length, at least one.
+    `rows`: first rows of the file, all of the same length, at least one. `comma_at_end`: whether
+    lines end with a comma, as those of VINS in any unit of time.
     """
     columns = len(rows[0])
     if columns in (12, 13):
         return _kitti(rows)
-    of_nanoseconds = _OF_NANOSECONDS if commas and abs(rows[0][0]) > 1e12 else {}
+    is_of_vins = comma_at_end or (commas and abs(rows[0][0]) > 1e12)
+    of_nanoseconds = _OF_NANOSECONDS if is_of_vins else {}
     found = of_nanoseconds.get(columns) or _BY_COUNT.get(columns)
+    if columns == len(_ID_LAST.columns) and _ends_with_id(np.array(rows)):
+        return _ID_LAST
     if found is None or not _fits(found, np.array(rows)):
         raise InputError(f"unknown layout with {counted(columns, 'column')}; {KNOWN}")
     return found
@@ -246,6 +258,13 @@ def _fits(layout: Layout, rows: Floats) -> bool:
         lengths = np.linalg.norm(rows[:, list(layout.groups["quaternion"])], axis=1)
     usable = lengths[np.isfinite(lengths) & (lengths > 0.0)]
     return bool((np.abs(usable - 1.0) < _LENGTH_ONE).all())
+
+
+def _ends_with_id(rows: Floats) -> bool:
+    """Return whether rows (N, C) are poses of TUM, and whole numbers that increase."""
+    ids = rows[:, -1]
+    whole = bool((ids == np.round(ids)).all() and (np.diff(ids) >= 1.0).all())
+    return whole and _fits(_ID_LAST, rows)
 
 
 def _kitti(rows: Sequence[Sequence[float]]) -> Layout:

@@ -7,6 +7,7 @@ not detected here: the diagnosis names them.
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -106,6 +107,8 @@ def _rows(array: Any, path: Path, hints: TextHints = NO_HINTS) -> tuple[Layout, 
         title = ", ".join(["N", *map(str, array.shape[1:])])
         layout = Layout(f"numpy ({title})", tuple(names.split()))
         _check(path, layout, rows)
+    if array.dtype == np.float32:
+        layout = dataclasses.replace(layout, note="float32: 7 digits")
     return layout, rows
 
 
@@ -156,7 +159,8 @@ def _with_times(layout: Layout, rows: Floats, path: Path) -> tuple[Layout, Float
             )
         is_number = (times == np.round(times)).all() and np.abs(times).max() < _FRAMES
         columns = (FRAME if is_number else "t", *layout.columns)
-        layout = Layout(layout.name, columns, f"times read from {beside}")
+        said = "; ".join(filter(None, (layout.note, f"times read from {beside}")))
+        layout = Layout(layout.name, columns, said)
         return layout, np.column_stack([times, rows])
     return layout, rows
 

@@ -43,6 +43,8 @@ Advance = Callable[[int, int], None]
 _WORKING_MEMORY = 16 << 20
 _SPARE_ROWS = 1000
 _FRAMES = 10**8  # limit of frame numbers
+# Layouts whose first column can count the frames of an image sequence.
+_NUMBERED = ("TUM", "numpy (N, 7)", AS_NAMED)
 _BLOCK = 1 << 19  # bytes that are parsed at once; their arrays fit into the processor's cache
 
 
@@ -80,6 +82,9 @@ def trajectory_of(
     `path`: named in messages. `origin`: the file next to which files with times are; None to
     search for none.
     """
+    if origin is not None and _counts_frames(layout, columns, origin):
+        renamed = (FRAME if each == "t" else each for each in layout.columns)
+        layout = dataclasses.replace(layout, columns=tuple(renamed))
     frames = _frames_of(path, layout, columns)
     stamps, stamped, timing = _stamps_of(path, layout, columns, frames, hints, origin)
     if stamped:
@@ -282,9 +287,8 @@ def _stamps_of(
         unit = [note("nanoseconds", "timestamps are in nanoseconds")] if in_nanoseconds else []
         return stamps, True, unit
     remarks = []
-    names = () if origin is None else (origin.stem + "_times.txt", "times.txt")
-    for times_path in (origin.with_name(name) for name in names if origin is not None):
-        if "matrix" not in layout.groups or not times_path.is_file():
+    for times_path in () if origin is None else _files_of_times(origin):
+        if "matrix" not in layout.groups and layout.name not in _NUMBERED:
             continue
         times = _read_times(times_path)
         matches = (
@@ -305,6 +309,25 @@ def _stamps_of(
         return stamps, True, [*remarks, note(ROW_TIMES, f"timestamps counted at {rate:g} Hz")]
     said = "no timestamps: frames counted, 1 s apart; set their rate with --frame-rate"
     return frames * NANOSECONDS, False, [*remarks, note("no_timestamps", said)]
+
+
+def _files_of_times(origin: Path) -> list[Path]:
+    """Return the files next to a file that may have the times of its frames."""
+    paths = [origin.with_name(name) for name in (f"{origin.stem}_times.txt", "times.txt")]
+    return [path for path in paths if path.is_file() and path != origin]
+
+
+def _counts_frames(layout: Layout, rows: FileColumns, origin: Path) -> bool:
+    """Return whether a first column of whole numbers in equal steps counts frames.
+
+    It does so if a file with the times of the frames is next to the file, as for VGGT-SLAM.
+    """
+    if layout.time_name != "t" or layout.name not in _NUMBERED or rows.stamps is None:
+        return False
+    whole = rows.stamps.whole
+    steps = np.unique(np.diff(whole.astype(np.int64)))
+    is_counted = not rows.stamps.billionths.any() and len(steps) == 1 and steps[0] > 0
+    return is_counted and int(whole.max()) < _FRAMES and bool(_files_of_times(origin))
 
 
 def _read_times(path: Path) -> NDArray[np.int64]:

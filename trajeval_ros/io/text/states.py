@@ -60,6 +60,8 @@ def states_of(path: Path, layout: Layout, groups: Mapping[str, Floats], count: i
         quaternions: Floats | None = quaternions_of(matrices)
     else:
         quaternions = groups.get("quaternion")
+        if quaternions is None and "rotation_vector" in groups:
+            quaternions = lie.from_rotation_vector(groups["rotation_vector"])
         if quaternions is None:
             quaternions = _of_angles(path, layout, groups, count)
         if "position" in groups:
