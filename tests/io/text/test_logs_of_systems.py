@@ -1,0 +1,115 @@
+"""Text logs in the layouts of named systems: the poses that were written are read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.remarks import Level
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.sources import read_trajectory
+
+COUNT = 40
+TURNS = Rotation.random(COUNT, rng=3)
+POSITIONS = np.random.default_rng(4).normal(size=(COUNT, 3))
+TIMES = 1_700_000_000.0 + 0.5 * np.arange(COUNT)
+XYZW = TURNS.as_quat()
+WXYZ = XYZW[:, [3, 0, 1, 2]]
+
+
+def write(path: Path, rows: Sequence[str]) -> Path:
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+def check(found: Trajectory, times: Sequence[float] | None = None) -> None:
+    expected = TIMES if times is None else np.array(times)
+    np.testing.assert_allclose(found.stamps / 1e9, expected, atol=1e-6, rtol=0)
+    np.testing.assert_allclose(found.positions, POSITIONS, atol=1e-6)
+    assert found.rotations is not None
+    assert (found.rotations * TURNS.inv()).magnitude().max() < 1e-5
+
+
+def numbers(values: np.ndarray, sign: str = " ") -> str:
+    return sign.join(f"{value:.7f}" for value in values)
+
+
+@pytest.mark.parametrize("digits", [0, 6])
+@pytest.mark.parametrize("with_velocity", [False, True])
+def test_a_comma_at_the_end_is_of_vins(tmp_path: Path, digits: int, with_velocity: bool) -> None:
+    """The quaternion has w first in every unit of time."""
+    times = np.round(TIMES + 0.001, digits)
+    more = [np.ones(3)] if with_velocity else []
+    rows = [
+        f"{time:.{digits}f},{numbers(np.concatenate([p, q, *more]), ',')},"
+        for time, p, q in zip(times, POSITIONS, WXYZ, strict=True)
+    ]
+    kept = slice(0, None, 2) if digits == 0 else slice(None)  # whole seconds repeat
+    found = read_trajectory(write(tmp_path / "vio.csv", rows[kept]))
+    np.testing.assert_allclose(found.positions, POSITIONS[kept], atol=1e-6)
+    assert found.rotations is not None
+    assert (found.rotations * TURNS[kept].inv()).magnitude().max() < 1e-5
+    assert (found.velocities is not None) == with_velocity
+
+
+def test_the_log_of_fast_lio_has_rotation_vectors(tmp_path: Path) -> None:
+    rest = np.zeros(3), [1.0, 2.0, 3.0], np.zeros(12)
+    rows = [
+        f"{0.1 * row:.6f} {numbers(np.concatenate([v, p, *rest]))} \r"
+        for row, (v, p) in enumerate(zip(TURNS.as_rotvec(), POSITIONS, strict=True))
+    ]
+    found = read_trajectory(write(tmp_path / "pos_log.txt", rows))
+    check(found, (0.1 * np.arange(COUNT)).tolist())
+    assert found.velocities is not None
+    np.testing.assert_array_equal(found.velocities[0], [1.0, 2.0, 3.0])
+    assert "log of FAST-LIO" in "; ".join(found.reading.said(Level.NOTE))
+
+
+def test_an_id_in_the_last_column(tmp_path: Path) -> None:
+    rows = [
+        f"{time:.6f} {numbers(np.concatenate([p, q]))} {2 * row + 1}"
+        for row, (time, p, q) in enumerate(zip(TIMES, POSITIONS, XYZW, strict=True))
+    ]
+    check(read_trajectory(write(tmp_path / "poses.txt", rows)))
+    rows[3] = f"{rows[3].rpartition(' ')[0]} 2.5"
+    with pytest.raises(InputError, match="unknown layout with 9 columns"):
+        read_trajectory(write(tmp_path / "poses.txt", rows))
+
+
+@pytest.mark.parametrize("name", ["times.txt", "slam_times.txt"])
+def test_frame_numbers_use_the_times_in_the_folder(tmp_path: Path, name: str) -> None:
+    rows = [
+        f"{3 * row:.8f} {numbers(np.concatenate([p, q]))}"
+        for row, (p, q) in enumerate(zip(POSITIONS, XYZW, strict=True))
+    ]
+    path = write(tmp_path / "slam.txt", rows)
+    assert read_trajectory(path).stamps[1] == 3 * 10**9  # without times these are seconds
+    every = 1_700_000_000.0 + np.arange(3 * COUNT) / 6.0
+    write(tmp_path / name, [f"{time:.9f}" for time in every])
+    found = read_trajectory(path)
+    check(found)
+    assert f"timestamps read from {tmp_path / name}" in "; ".join(found.reading.said(Level.NOTE))
+
+
+def test_times_in_the_folder_are_not_of_a_file_with_timestamps(tmp_path: Path) -> None:
+    rows = [
+        f"{time:.6f} {numbers(np.concatenate([p, q]))}"
+        for time, p, q in zip(TIMES, POSITIONS, XYZW, strict=True)
+    ]
+    write(tmp_path / "times.txt", [f"{each}" for each in range(COUNT)])
+    check(read_trajectory(write(tmp_path / "slam.txt", rows)))
+
+
+def test_frame_numbers_of_an_array_use_the_times_in_the_folder(tmp_path: Path) -> None:
+    np.save(tmp_path / "poses.npy", np.column_stack([POSITIONS, XYZW]).astype(np.float32))
+    np.save(tmp_path / "tstamps.npy", 3.0 * np.arange(COUNT))
+    every = 1_700_000_000.0 + np.arange(3 * COUNT) / 6.0
+    write(tmp_path / "times.txt", [f"{time:.9f}" for time in every])
+    found = read_trajectory(tmp_path / "poses.npy")
+    check(found)
+    assert "float32" in "; ".join(found.reading.said(Level.NOTE))
