@@ -431,6 +431,6 @@ def test_a_cut_log_is_read_up_to_its_end(tmp_path: Path) -> None:
     whole = read_trajectory(f"{DATA / 'synthetic_1_16.ulg'}:vehicle_odometry")
     np.testing.assert_array_equal(found.positions, whole.positions[: len(found)])
     assert len(found) == 1555
-    assert "its last 27 bytes are cut off" in "; ".join(found.reading.said(Level.ERROR))
+    assert "its last 27 bytes are truncated" in "; ".join(found.reading.said(Level.ERROR))
     with pytest.raises(InputError, match="27 bytes"):
         read_trajectory(f"{path}:vehicle_odometry", strict=True)

@@ -75,7 +75,7 @@ class PoseLog:
         self.remarks: list[Remark] = []
         cut = 0 if log.file_corruption else _cut_off(path)
         if log.file_corruption or cut:
-            what = f"its last {cut} bytes are cut off" if cut else "unreadable parts are left out"
+            what = f"its last {cut} bytes are truncated" if cut else "unreadable parts are dropped"
             text = f"{path} is damaged: {what}"
             if strict:
                 raise InputError(text)
