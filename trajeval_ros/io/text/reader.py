@@ -325,8 +325,10 @@ def _counts_frames(layout: Layout, rows: FileColumns, origin: Path) -> bool:
     if layout.time_name != "t" or layout.name not in _NUMBERED or rows.stamps is None:
         return False
     whole = rows.stamps.whole
-    steps = np.unique(np.diff(whole.astype(np.int64)))
-    is_counted = not rows.stamps.billionths.any() and len(steps) == 1 and steps[0] > 0
+    steps = np.diff(whole.astype(np.int64))
+    is_counted = (
+        not rows.stamps.billionths.any() and len(steps) > 0 and 0 < steps.min() == steps.max()
+    )
     return is_counted and int(whole.max()) < _FRAMES and bool(_files_of_times(origin))
 
 
