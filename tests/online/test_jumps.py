@@ -101,6 +101,21 @@ def test_an_estimate_in_millimetres_does_not_jump_all_along(cuts: list[int]) -> 
     assert jump == Jump(int(groundtruth.stamps[150]), pytest.approx(1e5, rel=0.01), 0.0)
 
 
+def test_a_declared_reset_is_one_jump_however_small() -> None:
+    """It is reported with the first pair at or after it, also if that comes later."""
+    pairs = pairs_of(*[make_groundtruth(2, 60)] * 2)
+    detector = JumpDetector()
+    detector.declare([int(pairs.stamps[30])])
+    assert detector.update(part(pairs, 0, 30), 1.0) == []
+    (jump,) = detector.update(part(pairs, 30, 60), 1.0)
+    assert (jump.stamp, jump.declared) == (int(pairs.stamps[30]), True)
+    large = restarted(make_groundtruth(2, 60), 40, 1e4)
+    detector = JumpDetector()
+    detector.declare([int(large.stamps[40])])
+    (jump,) = detector.update(large, 1.0)  # one event, not two
+    assert jump.declared
+
+
 def test_pairs_that_come_late_are_passed_over() -> None:
     pairs = pairs_of(*[make_groundtruth(2, 60)] * 2)
     detector = JumpDetector()
