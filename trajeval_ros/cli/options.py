@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -214,6 +214,22 @@ def _completion(metavar: str, choices: Iterable[str]) -> Callable[..., list[Comp
         return found
 
     return complete
+
+
+_FORMATS = ("tum", "kitti", "euroc", "bag", "bag2")  # first words of evo
+
+
+def refuse_format(sources: Sequence[str], usage: str) -> None:
+    """Refuse the name of a format before the sources, which evo requires.
+
+    Raises:
+        SettingsError: The first word is a format, and no file has its name.
+    """
+    if sources[:1] and sources[0] in _FORMATS and not Path(sources[0]).exists():
+        raise SettingsError(
+            f"{sources[0]} is a format, which is detected from the content; remove it: trajeval "
+            f"{usage}"
+        )
 
 
 def require_used(hints: TextHints, remarks: Iterable[Remark]) -> None:

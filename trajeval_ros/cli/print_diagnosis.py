@@ -9,13 +9,13 @@ from typing import Any
 from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.options import argument, settings_options, shared_options
 from trajeval_ros.cli.progress import progress
-from trajeval_ros.cli.source_names import names_of
 from trajeval_ros.diagnosis.diagnose import Diagnosis
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.io.json_file import json_text
 from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.requests.setting import AUTO, DIAGNOSE
 from trajeval_ros.io.results.result_json import findings_json
+from trajeval_ros.io.source_names import names_of
 from trajeval_ros.io.sources import read_many
 from trajeval_ros.io.writing import write_text
 from trajeval_ros.pipeline.pipeline import diagnose as search

@@ -218,7 +218,7 @@ def _recorded(
 ) -> dict[str, Scene]:
     import dataclasses
 
-    from trajeval_ros.cli.source_names import names_of
+    from trajeval_ros.io.source_names import names_of
     from trajeval_ros.io.sources import read_trajectory
     from trajeval_ros.simulation.motion import recorded
     from trajeval_ros.visual_inertial.scene import make_scene
