@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.formatting.escaping import part_of_topic
 from trajeval_ros.io.sources import STDIN, parse_source
+
+_FORMATS = ("tum", "kitti", "euroc", "bag", "bag2")  # first words of evo
 
 
 def split_name(text: str) -> tuple[str, str]:
@@ -65,3 +68,29 @@ def _parts(source: str) -> list[str]:
         return [*folders, part_of_topic(topic, kept="-")]
     stem, _, ending = folders[-1].rpartition(".")
     return [*folders[:-1], stem if stem and ending.isalnum() else folders[-1]]
+
+
+def sources_of(
+    verb: str, by_position: Sequence[str], groundtruth: str | None, estimates: Sequence[str]
+) -> list[str]:
+    """Return the groundtruth and the estimates of a verb, from arguments or options.
+
+    Raises:
+        SettingsError: One is missing or given twice.
+    """
+    if by_position[:1] and by_position[0] in _FORMATS and not Path(by_position[0]).exists():
+        raise SettingsError(
+            f"{by_position[0]} is a format, which is detected from the content; remove it: "
+            f"trajeval {verb} GROUNDTRUTH ESTIMATE"
+        )
+    if by_position and (groundtruth is not None or estimates):
+        raise SettingsError(
+            "sources are given twice; use either GROUNDTRUTH ESTIMATE... or --groundtruth and "
+            "--estimate"
+        )
+    first = by_position[:1] if groundtruth is None else [groundtruth]
+    estimates = estimates or by_position[1:]
+    if first and estimates:
+        return [*first, *estimates]
+    missing = "groundtruth" if estimates else "estimate" if first else "groundtruth and estimate"
+    raise SettingsError(f"{missing} missing; call trajeval {verb} GROUNDTRUTH ESTIMATE")

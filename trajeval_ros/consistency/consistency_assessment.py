@@ -37,6 +37,7 @@ from trajeval_ros.consistency.s_transformation import (
     STransformation,
     carried,
     carried_information,
+    constant_covariances,
     errors_of,
     independent_noise,
     initial_uncertainty,
@@ -290,7 +291,7 @@ def assess_marginals(
         )
     # Checked first: the covariances of a single pair would look like unknown ones.
     transformation, errors = aligned.transformation(), aligned.errors()
-    why = unknown_covariances(covariances)
+    why = unknown_covariances(covariances) or constant_covariances(covariances)
     if why:
         raise InputError(f"covariances of {name} are not valid: {why}; use --covariance none")
     blocks = carried(covariances, aligned.similarity)
