@@ -21,6 +21,7 @@ from trajeval_ros.consistency.consistency_result import (
     sigmas_of,
     verdict_of,
 )
+from trajeval_ros.consistency.constant_covariances import constant_covariances
 from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.consistency.joint_covariance import JointCovariance
 from trajeval_ros.consistency.nees import (
@@ -37,7 +38,6 @@ from trajeval_ros.consistency.s_transformation import (
     STransformation,
     carried,
     carried_information,
-    constant_covariances,
     errors_of,
     independent_noise,
     initial_uncertainty,

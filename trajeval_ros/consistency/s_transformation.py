@@ -200,7 +200,6 @@ def _require_orientations(groundtruth: Trajectory, aligned: Trajectory) -> None:
 _SENTINEL = 1e6
 # Rounding of covariances with seven digits.
 _ASYMMETRY, _NEGATIVE = 1e-6, 1e-9
-_FEWEST_CONSTANT = 10  # equal covariances
 
 
 def unknown_covariances(covariances: Floats) -> str:
@@ -226,20 +225,6 @@ def unknown_covariances(covariances: Floats) -> str:
     if not is_covariance(covariances[1:]).all():
         return "some are not symmetric, or have negative eigenvalues"
     return ""
-
-
-def constant_covariances(covariances: Floats) -> str:
-    """Return that covariances (N, 6, 6) are constant, so no estimates; empty if they vary.
-
-    The first pose can have another one.
-    """
-    if len(covariances) <= _FEWEST_CONSTANT or (covariances[1:] != covariances[1]).any():
-        return ""
-    variances = covariances[1].diagonal()
-    return (
-        f"all are equal ({variances[:3].mean():.3g} m^2, {variances[3:].mean():.3g} rad^2): a "
-        "constant that the estimator publishes as a placeholder"
-    )
 
 
 def is_covariance(covariances: Floats) -> Booleans:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trajeval_ros.calibration.clock_offset import OffsetGuess, guess_offset
-from trajeval_ros.consistency.s_transformation import constant_covariances
+from trajeval_ros.consistency.constant_covariances import constant_covariances
 from trajeval_ros.diagnosis.clock_tests import LEAST_LIKELY, unlikeness_ratio
 from trajeval_ros.diagnosis.findings import Examined, Seen, Value
 from trajeval_ros.diagnosis.input_pair import TimedPoses
