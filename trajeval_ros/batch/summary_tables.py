@@ -25,7 +25,11 @@ from trajeval_ros.report.matrix import UNRANKED, Cell, Matrix
 
 _PARTIAL, _FEW, _DIAGNOSED = "†", "‡", "§"
 _COPY = "is the groundtruth"
-_NO_MISTAKES = {"few_pairs", "keyframes"}  # findings with a separate mark, or without one
+_NO_MISTAKES = {
+    "few_pairs",
+    "frames_lost",
+    "keyframes",
+}  # findings with a separate mark, or without one
 _COMPARABLE = (
     f"Only algorithms with at least {whole_percent(LOW_COVERAGE)} of the largest coverage are "
     "ranked. A number that is worse than an unranked one is not marked as the best."

@@ -13,10 +13,10 @@ from trajeval_ros.cli.options import (
     OUTPUT,
     argument,
     option,
-    refuse_format,
     require_used,
     settings_options,
     shared_options,
+    sources_of,
 )
 from trajeval_ros.cli.pictures import Pictures
 from trajeval_ros.cli.progress import progress
@@ -117,7 +117,7 @@ def evaluate(
     look.check()
     if look != PLAIN and output is None:
         raise SettingsError("the options of figures need an output folder; add --output DIR")
-    truth, *named = _sources(by_position, groundtruth, estimate)
+    truth, *named = sources_of("evaluate", by_position, groundtruth, estimate)
     split = [("", truth), *map(split_name, named)]
     sources = [source for _, source in split]
     names = names_with([name for name, _ in split], sources)
@@ -139,24 +139,6 @@ def evaluate(
         mcap=mcap,
         look=look,
     )
-
-
-def _sources(
-    by_position: Sequence[str], groundtruth: str | None, estimates: Sequence[str]
-) -> list[str]:
-    """Return the groundtruth and the estimates, from arguments or options."""
-    refuse_format(by_position, "evaluate GROUNDTRUTH ESTIMATE")
-    if by_position and (groundtruth is not None or estimates):
-        raise SettingsError(
-            "sources are given twice; use either GROUNDTRUTH ESTIMATE... or --groundtruth and "
-            "--estimate"
-        )
-    first = by_position[:1] if groundtruth is None else [groundtruth]
-    estimates = estimates or by_position[1:]
-    if first and estimates:
-        return [*first, *estimates]
-    missing = "groundtruth" if estimates else "estimate" if first else "groundtruth and estimate"
-    raise SettingsError(f"{missing} missing; call trajeval evaluate GROUNDTRUTH ESTIMATE")
 
 
 def _read(

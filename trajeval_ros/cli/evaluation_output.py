@@ -206,7 +206,8 @@ def _print_remarks(runs: Sequence[RunOutcome]) -> None:
         printed = {each.cause for each in run.diagnosis.findings}  # below the headline
         for remark in run.evaluation.remarks:
             if remark.code not in printed:
-                remarks.print(f"warning: {run.estimate.name}: {remark.text}", soft_wrap=True)
+                kind = "note" if remark.level is Level.NOTE else "warning"
+                remarks.print(f"{kind}: {run.estimate.name}: {remark.text}", soft_wrap=True)
 
 
 def _print_integrity(terminal: Console, runs: Sequence[RunOutcome]) -> None:

@@ -37,12 +37,12 @@ STUDY_GAUGE, STUDY_ASSOCIATION = "study gauge", "study association"
 # Options of several verbs that are not settings of a request.
 _SHARED = (
     Setting(name="groundtruth", letter="-g", metavar="SOURCE", panel=INPUT,
-        verbs=(EVALUATE, STUDY_ASSOCIATION), is_common=True,
+        verbs=(EVALUATE, DIAGNOSE, STUDY_ASSOCIATION), is_common=True,
         help="Groundtruth: PATH, BAG:TOPIC or BAG:/tf:PARENT.CHILD; - reads text from stdin. "
         "The format is detected from the content: text (TUM, KITTI, EuRoC, OpenVINS, VINS-Mono) "
         "or bag (MCAP, rosbag2 sqlite3, ROS 1)."),
     Setting(name="estimate", letter="-e", metavar="SOURCE", panel=INPUT,
-        verbs=(EVALUATE, STUDY_ASSOCIATION), is_common=True, is_repeatable=True,
+        verbs=(EVALUATE, DIAGNOSE, STUDY_ASSOCIATION), is_common=True, is_repeatable=True,
         help="Trajectory to evaluate. Repeat the option to evaluate several."),
     Setting(name="columns", metavar="NAMES", panel=INPUT,
         verbs=(EVALUATE, COMPARE, TRAJECTORY, "info"),
@@ -250,3 +250,25 @@ def require_used(hints: TextHints, remarks: Iterable[Remark]) -> None:
             "--frame-rate is for text files without timestamps, and no such file was read; remove "
             "it"
         )
+
+
+def sources_of(
+    verb: str, by_position: Sequence[str], groundtruth: str | None, estimates: Sequence[str]
+) -> list[str]:
+    """Return the groundtruth and the estimates of a verb, from arguments or options.
+
+    Raises:
+        SettingsError: One is missing or given twice.
+    """
+    refuse_format(by_position, f"{verb} GROUNDTRUTH ESTIMATE")
+    if by_position and (groundtruth is not None or estimates):
+        raise SettingsError(
+            "sources are given twice; use either GROUNDTRUTH ESTIMATE... or --groundtruth and "
+            "--estimate"
+        )
+    first = by_position[:1] if groundtruth is None else [groundtruth]
+    estimates = estimates or by_position[1:]
+    if first and estimates:
+        return [*first, *estimates]
+    missing = "groundtruth" if estimates else "estimate" if first else "groundtruth and estimate"
+    raise SettingsError(f"{missing} missing; call trajeval {verb} GROUNDTRUTH ESTIMATE")

@@ -29,7 +29,10 @@ def read_watched(
     """
     asked = (estimate, *partners.values(), corrections)
     poses = [each for each in asked if each is not None]
-    read = dict(zip(poses, read_many(poses, advance=advance, covariances=False), strict=True))
+    # Only those of an estimate with an IMU are tested.
+    covariances = [imu is not None and each == estimate for each in poses]
+    found = read_many(poses, advance=advance, covariances=covariances)
+    read = dict(zip(poses, found, strict=True))
     return WatchedRun(
         read[estimate],
         None if imu is None else _imu_of(imu),

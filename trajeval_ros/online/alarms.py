@@ -161,7 +161,7 @@ def about_loss(snapshot: Snapshot) -> list[Remark]:
     return [Remark(level, loss.cause, text, values=values)]
 
 
-_VARYING = {"alarm", "loss", "silence"}
+_VARYING = {"alarm", "late", "loss", "silence", "yaw_information"}
 
 
 class Standing:

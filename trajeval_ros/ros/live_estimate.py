@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import replace
@@ -96,6 +97,7 @@ class LiveEstimate:
         self.slow = SlowEvaluation()  # hints, and the errors of the newest path
         self.doubt = ""  # why the groundtruth's up axis is probably wrong, at the newest snapshot
         self._given_up = None if settings.up is None else settings.up[1]
+        self._paired_at = 0.0
         self._updates: list[Update] = []
         self.newest: tuple[str, bytes] | None = None  # type and bytes of the newest pose
         self._undigested: list[Pairs] = []
@@ -172,6 +174,7 @@ class LiveEstimate:
             pairs = self._until_jump(pairs)
         buffer.settle(self.restarted_at)
         if len(pairs.stamps):
+            self._paired_at = time.monotonic()
             # Pairs are written to disk before anything else.
             self.pairs_file.append(*pairs)
             narrow = pairs.without_covariances()
@@ -179,6 +182,11 @@ class LiveEstimate:
             if self.on_pairs is not None:
                 self.on_pairs(self, narrow)
         self._updates.append(self.evaluator.evaluate(pairs, at_end=at_end))
+
+    @property
+    def unpaired_s(self) -> float:
+        """Time since the newest pair was made, seconds."""
+        return time.monotonic() - self._paired_at
 
     def update(self, *, at_end: bool = False) -> Update:
         """Evaluate the messages that have arrived, and return the new errors."""
