@@ -122,7 +122,7 @@ def circle(stamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def on_circle(turn: float = TURN) -> tuple[Trajectory, Trajectory]:
     # Groundtruth at 100 Hz has a state at every age, so nothing is interpolated.
     fine = np.arange(0, 30 * SECOND, SECOND // 100)
-    stamps = np.arange(0, 29 * SECOND, SECOND // 10)
+    stamps = np.arange(0, 30 * SECOND, SECOND // 10)
     times = stamps + 130_000_000
     positions, turned = circle(stamps)
     forwards = np.tile([RADIUS * TURN, 0.0, 0.0], (len(stamps), 1))

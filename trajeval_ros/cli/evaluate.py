@@ -185,6 +185,7 @@ def _read(
             covariances=covariances,
             strict=strict,
             hints=hints,
+            received=request.received,
         )
     return [
         dataclasses.replace(trajectory, name=name)

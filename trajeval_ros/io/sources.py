@@ -58,6 +58,7 @@ def read_trajectory(
     covariances: bool = True,
     strict: bool = False,
     hints: TextHints = NO_HINTS,
+    received: str = "",
 ) -> Trajectory:
     r"""Read the trajectory that a SOURCE names.
 
@@ -69,6 +70,7 @@ def read_trajectory(
         covariances: Whether to read the covariances of a bag.
         strict: Whether to verify all data that is read from a bag, and to refuse a damaged bag.
         hints: Columns and frame rate of a text file, as the user states them.
+        received: Whether to read the poses of a bag as they were received; see `read_many`.
 
     Raises:
         InputError: The source can't be read; the message states where, what and what to do.
@@ -83,7 +85,12 @@ def read_trajectory(
         <Trajectory run, 2 poses, 0.5 s, 2.0 m>
     """
     (trajectory,) = read_many(
-        [source], advance=advance, covariances=covariances, strict=strict, hints=hints
+        [source],
+        advance=advance,
+        covariances=covariances,
+        strict=strict,
+        hints=hints,
+        received=received,
     )
     return trajectory
 

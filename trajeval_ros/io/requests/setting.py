@@ -24,8 +24,9 @@ if TYPE_CHECKING:
     from trajeval_ros.pipeline.request import Request
 
 AUTO, NONE, MESSAGE, ALL = "auto", "none", "message", "all"
-INPUT, ALIGN, PAIR, GNSS, ERRORS, CONSISTENCY = (
+INPUT, ALIGN, PAIR, GNSS, ERRORS, CONSISTENCY, AVAILABLE = (
     "Input", "Alignment", "Association", "GNSS fixes and surveyed points", "Errors", "Consistency",
+    "As-available accuracy",
 )  # fmt: skip
 EVALUATE, COMPARE, FINISH, TRAJECTORY, DIAGNOSE, NODE = (
     "evaluate", "compare", "finish", "trajectory", "diagnose", "evaluator",
