@@ -104,7 +104,11 @@ def run(
 
 
 def run_live_pairs(
-    pairs: Association, groundtruth: Trajectory, estimate: Trajectory, request: Request
+    pairs: Association,
+    groundtruth: Trajectory,
+    estimate: Trajectory,
+    request: Request,
+    streams: tuple[Trajectory, Trajectory] | None = None,
 ) -> RunOutcome:
     """Evaluate the recorded pairs of a live run.
 
@@ -113,6 +117,7 @@ def run_live_pairs(
         groundtruth: The groundtruth states of the pairs, in place of all groundtruth.
         estimate: The estimated states of the pairs, in place of all of them.
         request: What to compute. Time offsets and likelihoods need more than pairs.
+        streams: All groundtruth states and poses as received, for the as-available accuracy.
 
     Raises:
         InputError: The pairs lack data that the request needs.
@@ -128,7 +133,7 @@ def run_live_pairs(
             "likelihoods and time spans need the complete groundtruth, and a live run stores "
             "only pairs; evaluate a bag"
         )
-    return _evaluated(Inputs(groundtruth, estimate, pairs), request)
+    return _evaluated(Inputs(groundtruth, estimate, pairs, streams), request)
 
 
 def evaluate(

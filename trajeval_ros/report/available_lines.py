@@ -11,7 +11,7 @@ _CLOCKS = {"log": "log times", "publish": "publish times"}
 
 
 def stream_line(stream: StreamHealth) -> str:
-    """Return the line about arrivals, missed messages and gaps of a recorded stream; "" if none."""
+    """Return the line about arrivals, missed messages and gaps of a stream; "" if none."""
     parts = []
     if stream.arrival_p50_s is not None and stream.arrival_p95_s is not None:
         median, p95, most = (

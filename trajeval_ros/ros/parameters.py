@@ -167,6 +167,8 @@ def _settings_of(values: dict[str, Any]) -> dict[str, Any]:
         settings["align_states"] = ALL
     if settings["alert_limit"] is None:
         settings["risk"] = None
+    if settings["as_available"] == NONE:
+        settings["deadline"] = None
     return settings
 
 
@@ -232,4 +234,5 @@ def settings_of(values: dict[str, Any]) -> OnlineSettings:
         covariances=request.covariances,
         integrity=request.integrity,
         up=request.up,
+        available=request.available,
     )
