@@ -159,7 +159,8 @@ class LiveEstimate:
             self.evaluator.add_estimate(poses.stamps[new], rows[new])
             return
         self.newest = messages.newest or self.newest
-        self._receive(poses.stamps, messages.times, rows)
+        if poses.arrived is not None:
+            self._receive(poses.stamps, poses.arrived, rows)
         self.latency.arrive(poses.stamps + self.offset_ns, messages.times)
         self._note_velocities(
             self._body.leaves_out_velocities_of(poses.states, is_groundtruth=False)
