@@ -109,10 +109,12 @@ def judged_receptions(
     rule = rule or ClockRule()
     latencies_s = (times - stamps) / NANOSECONDS
     seconds = (stamps - stamps[0]) / NANOSECONDS
-    at_s, slope = _fastest(seconds, latencies_s)
+    # Differences to the fastest message are small; between epochs, float64 would lose digits.
+    above_s = (times - stamps - (times - stamps).min()) / NANOSECONDS
+    at_s, slope = _fastest(seconds, above_s)
     copied = float(np.mean(np.abs(latencies_s) < _COPIED_S)) > _MOST_COPIED
     if rule.offset_s is None:
-        above_ns = np.round((latencies_s - at_s - slope * seconds) * NANOSECONDS)
+        above_ns = np.round((above_s - at_s - slope * seconds) * NANOSECONDS)
         times = stamps + above_ns.astype(np.int64) + round(rule.fastest_s * NANOSECONDS)
         verdict = "copied" if copied else "ok"
     else:

@@ -302,11 +302,11 @@ _ROWS = (
         "as alerts in the time to alert."),
     Setting(name="as_available", target="available.motion",
         read=lambda request: NONE if request.available is None else request.available.motion,
-        metavar="|".join(MOTIONS), panel=AVAILABLE, verbs=(EVALUATE, COMPARE, FINISH, NODE),
+        metavar=f"[{'|'.join(MOTIONS)}]", value_if_alone=HOLD, panel=AVAILABLE, verbs=(EVALUATE, COMPARE, FINISH, NODE),
         choices=(NONE, *MOTIONS), node_choices=(NONE, HOLD, CONSTANT),
         help="Error of the newest pose that was received, at 100 Hz (docs/as_available.md). "
-        "Prediction of a pose for at most 0.5 s: hold, constant (twist between the newest two "
-        "poses) or twist (of the message). Default: none.",
+        "Prediction of a pose for at most 0.5 s: hold (without a value), constant (twist between "
+        "the newest two poses) or twist (of the message). Default: none.",
         node_help="Error of the newest pose that was received: none, hold, or constant (the pose "
         "is predicted by the twist between the newest two)."),
     Setting(name="deadline", kind=float, target="available.deadline_s",
