@@ -217,7 +217,7 @@ def test_no_later_message_is_older_and_none_is_used_before_its_reception(seed: i
 def test_wrong_timestamps_do_not_change_the_held_error(seed: int, shift_ms: int) -> None:
     truth, estimate = rough(seed)
     wrong = dataclasses.replace(estimate, stamps=estimate.stamps - shift_ms * 10**6)
-    rule = AvailabilityRule()
+    rule = AvailabilityRule("hold")
     one, other = (as_available(truth, each, IDENTITY, rule, 0.5) for each in (estimate, wrong))
     if other.samples is None:  # then messages were received before their timestamps
         assert other.numbers.clock is not None

@@ -65,7 +65,7 @@ def test_nothing_is_reported_from_impossible_clocks_or_unknown_receptions() -> N
         (estimate.stamps - 50_000_000, "impossible"),
         (np.full(len(estimate), UNKNOWN), None),
     ):
-        live = LiveAvailability(AvailabilityRule(), 0.5, 10.0)
+        live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
         live.add_groundtruth(truth.stamps, np.hstack([truth.positions, truth.quaternions]))
         live.add_estimate(estimate.stamps, times, rows)
         assert live.update(IDENTITY) is None

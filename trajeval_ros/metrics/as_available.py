@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,15 +12,14 @@ from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.availability import (
-    HOLD,
     HORIZON_S,
     MOTIONS,
     PARTS,
     RATE_HZ,
     STEP_NS,
     TWIST,
+    AvailableSamples,
     Messages,
-    Samples,
     in_use,
     instants,
     sampled,
@@ -28,6 +27,7 @@ from trajeval_ros.metrics.availability import (
 from trajeval_ros.metrics.reception_clock import ClockRule, ReceptionClock, judged_receptions
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
 
+NONE = "none"
 RECEIVED = ("auto", "publish", "log")
 
 
@@ -37,23 +37,29 @@ class AvailabilityRule:
 
     Attributes:
         motion: Prediction of a pose: `hold`, `constant` (the twist between the newest two poses)
-            or `twist` (that of the message).
+            or `twist` (that of the message); `none` to compute nothing.
         deadline_s: Largest age of a pose that is in time, seconds.
         received: Which times of a bag are receptions; `auto`: publish times if they differ.
-        clock: Correction of the receptions.
+        receive_clock: Correction of the receptions, as `ClockRule.parse` reads it.
     """
 
-    motion: str = HOLD
+    motion: str = NONE
     deadline_s: float = 0.1
     received: str = "auto"
-    clock: ClockRule = field(default_factory=ClockRule)
+    receive_clock: str = "0"
 
     def __post_init__(self) -> None:
         """Refuse unknown values."""
-        require_one_of(self.motion, MOTIONS, "prediction of --as-available")
+        require_one_of(self.motion, (NONE, *MOTIONS), "prediction of --as-available")
         require_one_of(self.received, RECEIVED, "time of reception")
+        ClockRule.parse(self.receive_clock)
         if not self.deadline_s > 0.0:
             raise SettingsError(f"the deadline must be positive, not {self.deadline_s:g} s")
+
+    @property
+    def is_asked_for(self) -> bool:
+        """Whether something is computed."""
+        return self.motion != NONE
 
 
 @dataclass(frozen=True)
@@ -167,7 +173,7 @@ class AsAvailable:
     """
 
     numbers: Availability
-    samples: Samples | None = None
+    samples: AvailableSamples | None = None
     messages: Messages | None = None
 
 
@@ -193,7 +199,8 @@ def as_available(
     if receptions is None or not len(receptions):
         said = "no times of reception; evaluate a bag, or name a column received"
         return AsAvailable(Availability(rule.motion, rule.deadline_s, "", None, None, said))
-    times, clock = judged_receptions(estimate.stamps + offset_ns, receptions.times, rule.clock)
+    own_clock = ClockRule.parse(rule.receive_clock)
+    times, clock = judged_receptions(estimate.stamps + offset_ns, receptions.times, own_clock)
     about = (rule.motion, rule.deadline_s, receptions.by, clock, receptions.recording_s)
     said = "" if clock.is_usable else clock.sentence
     if rule.motion == TWIST and (receptions.body_rates is None or estimate.velocities is None):
@@ -213,7 +220,7 @@ def as_available(
 
 def _numbers(
     about: tuple[str, float, str, ReceptionClock, tuple[float, float] | None],
-    samples: Samples,
+    samples: AvailableSamples,
     messages: Messages,
     before: int,
     lacking: int,

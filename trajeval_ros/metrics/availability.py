@@ -135,7 +135,7 @@ class Messages:
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class AvailableSamples:
     """The as-available errors at N instants.
 
     Attributes:
@@ -158,10 +158,10 @@ class Samples:
         age: Stamps = self.ages.sum(axis=0)
         return age
 
-    def picked(self, rows: Booleans) -> Samples:
+    def picked(self, rows: Booleans) -> AvailableSamples:
         """Return the samples of a mask."""
         rotation = None if self.rotation is None else self.rotation[:, rows]
-        return Samples(
+        return AvailableSamples(
             self.stamps[rows],
             self.rows[rows],
             self.ages[:, rows],
@@ -182,7 +182,7 @@ def in_use(messages: Messages, stamps: Stamps) -> Indices:
 
 def sampled(
     groundtruth: Trajectory, messages: Messages, stamps: Stamps, max_gap_s: float
-) -> Samples:
+) -> AvailableSamples:
     """Return the as-available errors at instants (N,) after the first reception.
 
     Instants without groundtruth at one of the four ages are left out. `messages`: aligned to the
@@ -205,7 +205,9 @@ def sampled(
     if states.quaternions is not None and messages.oriented:
         turned = lie.multiply(states.quaternions[places], lie.conjugate(quaternions))
         rotation = _differences(lie.rotation_vector(turned))
-    return Samples(stamps[kept], rows, np.diff(reached, axis=0), _differences(position), rotation)
+    return AvailableSamples(
+        stamps[kept], rows, np.diff(reached, axis=0), _differences(position), rotation
+    )
 
 
 def _predicted(messages: Messages, rows: Indices, reached: Stamps) -> tuple[Floats, Floats]:

@@ -35,10 +35,6 @@ class ClockRule:
     offset_s: float | None = 0.0
     fastest_s: float = 0.0
 
-    def __str__(self) -> str:
-        """Return the rule as users write it."""
-        return f"{_FASTEST}:{self.fastest_s:g}" if self.offset_s is None else f"{self.offset_s:g}"
-
     @classmethod
     def parse(cls, text: str) -> ClockRule:
         """Return the rule in a text `OFFSET` or `fastest:LATENCY`, seconds.

@@ -22,8 +22,8 @@ from trajeval_ros.metrics.availability import (
     RATE_HZ,
     RECENT,
     STEP_NS,
+    AvailableSamples,
     Messages,
-    Samples,
     in_use,
     instants,
     sampled,
@@ -51,7 +51,7 @@ class LiveAvailability:
         self._next: int | None = None
         self._ages_s: deque[float] = deque(maxlen=_RECENT_SAMPLES)
         self._is_late, self._latency_s = False, 0.0
-        self.newest: Samples | None = None
+        self.newest: AvailableSamples | None = None
         self.clock: ReceptionClock | None = None
         self.missed = 0
 
@@ -69,7 +69,7 @@ class LiveAvailability:
         if known.any():
             self._messages.append((stamps[known], times[known], rows[known, :7]))
 
-    def update(self, similarity: Similarity | None) -> Samples | None:
+    def update(self, similarity: Similarity | None) -> AvailableSamples | None:
         """Return the samples that are final now, under the present alignment; None without one."""
         self.newest = None
         if similarity is None or not self._truth or not self._messages:
@@ -115,7 +115,7 @@ class LiveAvailability:
             turns = np.full((len(truth), 4), np.nan)
         self._truth = [(truth.stamps[row:], np.hstack([truth.positions, turns])[row:])]
 
-    def _count(self, samples: Samples) -> None:
+    def _count(self, samples: AvailableSamples) -> None:
         ages_s = samples.age / NANOSECONDS
         late = np.concatenate([[self._is_late], ages_s > self._rule.deadline_s])
         self.missed += int(np.count_nonzero(late[1:] & ~late[:-1]))

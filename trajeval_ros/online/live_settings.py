@@ -36,7 +36,7 @@ class OnlineSettings:
         integrity: Alert limits and risk for protection levels; None for none.
         up: Up axes of the groundtruth's and the estimate's frame; None for the axes implied by
             the frames' names, or z.
-        available: As-available accuracy to compute; None for none.
+        available: As-available accuracy to compute, if it is asked for.
 
     Raises:
         SettingsError: An invalid window or axis, or a protocol that is not supported live.
@@ -55,7 +55,7 @@ class OnlineSettings:
     covariances: CovarianceRequest
     integrity: IntegrityRequest | None
     up: tuple[str, str] | None
-    available: AvailabilityRule | None
+    available: AvailabilityRule
 
     def __init__(
         self,
@@ -76,7 +76,7 @@ class OnlineSettings:
             "covariances": covariances or CovarianceRequest(),
             "up": up,
             "integrity": integrity,
-            "available": available,
+            "available": available or AvailabilityRule(),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)

@@ -274,7 +274,7 @@ def _stream(estimate: Trajectory) -> StreamHealth | None:
 def _available(inputs: Inputs, evaluation: Evaluation, request: Request) -> AsAvailable | None:
     """Compute the as-available accuracy; None if not requested."""
     rule, protocol = request.available, evaluation.protocol
-    if rule is None:
+    if not rule.is_asked_for:
         return None
     groundtruth, estimate = evaluation.groundtruth, evaluation.estimate
     if inputs.streams is not None:

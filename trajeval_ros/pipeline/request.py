@@ -53,7 +53,7 @@ class Request:
         correct: Cause to correct if the diagnosis finds it, `suggested` for the most severe
             finding; "" for no correction.
         integrity: Alert limits and risk for protection levels; None for none.
-        available: As-available accuracy to compute; None for none.
+        available: The as-available accuracy to compute, if it is asked for.
         watch_factor: Factor of a watchdog whose errors count as alerts; None for none.
 
     Raises:
@@ -80,7 +80,7 @@ class Request:
     correct: str = ""
     integrity: IntegrityRequest | None = None
     watch_factor: float | None = None
-    available: AvailabilityRule | None = None
+    available: AvailabilityRule = field(default_factory=AvailabilityRule)
 
     def __post_init__(self) -> None:
         """Refuse contradictory parts and unknown axes."""
@@ -125,7 +125,7 @@ class Request:
     @property
     def received(self) -> str:
         """Which times of a bag are receptions; empty if poses are not read as received."""
-        return "" if self.available is None else self.available.received
+        return self.available.received if self.available.is_asked_for else ""
 
     def for_trajectories(
         self, groundtruth: Trajectory, estimates: Sequence[Trajectory]

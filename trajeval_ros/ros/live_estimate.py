@@ -103,7 +103,7 @@ class LiveEstimate:
         self._undigested: list[Pairs] = []
         # As-available accuracy, if requested; transforms are composed later than received.
         self.availability: ReceivedStreams | None = None
-        if settings.available is not None and not isinstance(source.stream, TransformStream):
+        if settings.available.is_asked_for and not isinstance(source.stream, TransformStream):
             self.availability = ReceivedStreams(settings, self._path_of)
 
     def continue_after(self, before: LiveEstimate) -> None:

@@ -167,8 +167,6 @@ def _settings_of(values: dict[str, Any]) -> dict[str, Any]:
         settings["align_states"] = ALL
     if settings["alert_limit"] is None:
         settings["risk"] = None
-    if settings["as_available"] == NONE:
-        settings["deadline"] = None
     return settings
 
 

@@ -17,8 +17,7 @@ class ReceivedStreams:
     """Writes what was received to a file, and computes the errors of the newest pose."""
 
     def __init__(self, settings: OnlineSettings, path: Path) -> None:
-        """Create the file, whose name starts with that of the estimate; it needs a rule."""
-        assert settings.available is not None
+        """Create the file, whose name starts with that of the estimate."""
         self.file = ReceptionWriter(path.with_name(path.name + SUFFIX))
         self.errors = LiveAvailability(
             settings.available, settings.protocol.association.max_gap_s, settings.limits.past_s

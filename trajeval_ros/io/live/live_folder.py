@@ -98,7 +98,7 @@ def _evaluate_pairs(
     request = _as_available(request, state.get("stated") or {})
     received = path.with_name(name + RECEIVED_SUFFIX)
     streams = None
-    if request.available is not None and received.exists():
+    if request.available.is_asked_for and received.exists():
         streams = read_received(received, ups)
     live = dict(state["live"])
     remarks = recorded_remarks(state["warnings"], Level.WARNING)
@@ -291,7 +291,7 @@ def _run(
 def _as_available(request: Request, stated: Mapping[str, Any]) -> Request:
     """Return the request with the live run's as-available accuracy, unless it has its own."""
     motion = stated.get("as_available", NONE)
-    if request.available is not None or motion == NONE:
+    if request.available.is_asked_for or motion == NONE:
         return request
     try:
         rule = AvailabilityRule(motion, float(stated["deadline"]))

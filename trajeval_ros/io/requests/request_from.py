@@ -20,7 +20,6 @@ from trajeval_ros.io.requests.setting import ALL, AUTO, MESSAGE, NONE, parse_noi
 from trajeval_ros.io.requests.settings_table import SETTINGS
 from trajeval_ros.io.sources import parse_source
 from trajeval_ros.io.yaml_file import read_mapping, require_known
-from trajeval_ros.metrics.as_available import AvailabilityRule
 from trajeval_ros.metrics.association import INTERPOLATING
 from trajeval_ros.metrics.named_protocols import protocol_named
 from trajeval_ros.metrics.protocol import Protocol
@@ -51,7 +50,6 @@ def request_from(settings: Mapping[str, Any]) -> Request:
     offset, hand_eye = plain.pop("time_offset", None), plain.pop("hand_eye", NONE)
     covariance = plain.pop("covariance", NONE)
     alert_limit, risk = plain.pop("alert_limit", None), plain.pop("risk", None)
-    available = _availability(plain)
     time_span = TimeSpan.parse(plain.pop("start", None), plain.pop("end", None))
     table = plain.pop("align_states") if _is_table(given.get("align_states")) else None
     calibration = _calibration(offset, hand_eye)
@@ -81,7 +79,6 @@ def request_from(settings: Mapping[str, Any]) -> Request:
         time_span=time_span,
         states_table=() if table is None else parse_first_states(table),
         integrity=None if alert_limit is None else _integrity(alert_limit, risk),
-        available=available,
         gauge_is_default=name == "default" and not given.keys() & {"gauge", "modality"},
         **{each: value for each, value in others.items() if "." not in each},
     )
@@ -236,7 +233,8 @@ def _require_together(given: Mapping[str, Any]) -> None:
         raise SettingsError("--risk needs --alert-limit; add it")
     if given.get("as_available", NONE) == NONE:
         for name in given.keys() & {"deadline", "received", "receive_clock"}:
-            raise SettingsError(f"{SETTINGS[name].option} needs --as-available; add it")
+            if given[name] != SETTINGS[name].default:
+                raise SettingsError(f"{SETTINGS[name].option} needs --as-available; add it")
 
 
 def _require_effect(given: Mapping[str, Any], protocol: Protocol) -> None:
@@ -283,19 +281,6 @@ def _calibration(time_offset: str | float | None, hand_eye: str) -> CalibrationR
     if hand_eye in (NONE, AUTO):
         return CalibrationRequest(offset=offset, hand_eye=hand_eye == AUTO)
     return CalibrationRequest(offset=offset, known=known_hand_eye(hand_eye), source=hand_eye)
-
-
-def _availability(plain: dict[str, Any]) -> AvailabilityRule | None:
-    """Take the settings of the as-available accuracy; None if it is not requested."""
-    names = ("as_available", "deadline", "received", "receive_clock")
-    values = {name: plain.pop(name) for name in names if name in plain}
-    if values.get("as_available", NONE) == NONE:
-        return None
-    fields: dict[str, Any] = {}
-    for name, value in values.items():
-        ((path, converted),) = _changes(name, value).items()
-        fields[path.removeprefix("available.")] = converted
-    return AvailabilityRule(**fields)
 
 
 def _integrity(alert_limit: str, risk: float | None) -> IntegrityRequest:
