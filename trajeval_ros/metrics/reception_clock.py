@@ -18,7 +18,8 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS
 _COPIED_S, _MOST_COPIED = 1e-6, 0.99
 _DAY_S = 86400.0
 _EARLY_S, _LATE_S = 1e-3, 1.0
-_DRIFT_PPM = 20.0
+# Clocks drift by less than the largest value; a larger slope is a growing queue.
+_DRIFT_PPM, _LARGEST_PPM = 20.0, 1000.0
 _FASTEST = "fastest"
 _WITHHELD = ("copied", "epochs", "impossible")
 
@@ -128,7 +129,7 @@ def _verdict(latencies_s: Floats, slope: float) -> str:
         return "impossible"
     if smallest_s > _LATE_S:
         return "suspicious"
-    return "drift" if 1e6 * abs(slope) > _DRIFT_PPM else "ok"
+    return "drift" if _DRIFT_PPM < 1e6 * abs(slope) < _LARGEST_PPM else "ok"
 
 
 def _fastest(seconds: Floats, latencies_s: Floats) -> tuple[float, float]:
