@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -328,3 +329,52 @@ def test_reference(case: dict[str, Any]) -> None:
     assert_equal(numbers, expected, case["pair"], 1e-9)
     assert found.samples is not None
     assert found.samples.stamps[[0, -1]].tolist() == [case["first_t_ns"], case["last_t_ns"]]
+
+
+def delayed(estimate: Trajectory, latency_s: float) -> Trajectory:
+    times = estimate.stamps + round(latency_s * SECOND)
+    reading = dataclasses.replace(estimate.reading, receptions=Receptions(times))
+    return dataclasses.replace(estimate, reading=reading)
+
+
+def both_errors(truth: Trajectory, estimate: Trajectory) -> tuple[float, float]:
+    """Return the ATE and the as-available rmse in the yaw gauge, metres."""
+    evaluation = evaluate(truth, estimate, Protocol(gauge="yaw", lengths=()))
+    found = as_available(
+        evaluation.groundtruth,
+        evaluation.estimate,
+        evaluation.alignment.similarity,
+        AvailabilityRule("hold"),
+        0.5,
+    )
+    ate, available = evaluation.ate["position_m"], found.numbers.position_m
+    assert ate is not None
+    assert available is not None
+    return ate.rmse, available.rmse
+
+
+def test_latency_changes_the_order_of_two_real_estimates(shared_data: Path) -> None:
+    folder = shared_data / "euroc"
+    truth = read_trajectory(folder / "groundtruth" / "MH_01.txt")
+    slow = read_trajectory(folder / "vins_mono" / "MH_01.csv")
+    fast = read_trajectory(folder / "vio_mono" / "MH_01.txt")[5:]  # after placeholders
+    slow_at, slow_available = both_errors(truth, delayed(slow, 0.14))
+    fast_at, fast_available = both_errors(truth, delayed(fast, 0.015))
+    assert slow_at < fast_at
+    assert slow_available > fast_available
+    assert (slow_at, fast_at) == pytest.approx((0.2057, 0.2101), abs=2e-4)
+    assert slow_available == pytest.approx(0.213985938143, rel=2e-3)
+    assert fast_available == pytest.approx(0.209836823632, rel=2e-3)
+
+
+def test_keyframes_change_the_order_without_any_latency(shared_data: Path) -> None:
+    folder = shared_data / "euroc"
+    truth = read_trajectory(folder / "groundtruth" / "MH_05.txt")
+    keyframes = read_trajectory(folder / "vislam_ba" / "MH_05_trial0.txt")
+    fast = read_trajectory(folder / "vio_mono" / "MH_05.txt")[5:]
+    at, available = both_errors(truth, delayed(keyframes, 1e-4))
+    fast_at, fast_available = both_errors(truth, delayed(fast, 1e-4))
+    assert at < fast_at
+    assert available > fast_available
+    assert (at, available) == pytest.approx((0.163, 1.606), rel=5e-3)
+    assert (fast_at, fast_available) == pytest.approx((0.2145, 0.2107), rel=5e-3)

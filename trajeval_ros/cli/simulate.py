@@ -49,7 +49,8 @@ _PARAMETERS = (
         help="Storage format of the bag: mcap (default of Jazzy) or sqlite3."),
     option("--profile", metavar="NAME", default=_DRIFT,
         help="Odometry model. drift: kinematic model without covariance. slow: the same, received "
-        "at least 0.12 s after its timestamp and with dropouts. paper, stereo, euroc: consistent visual-inertial estimator with covariance (at most 1800 s), with the "
+        "at least 0.12 s after its timestamp and with dropouts. paper, stereo, euroc: "
+        "consistent visual-inertial estimator with covariance (at most 1800 s), with the "
         "sensors of the gauge paper, with a second camera, or with the sensors of EuRoC. "
         "overconfident: estimator whose joint NEES is several times its degrees of freedom (at "
         "most 10 s)."),
