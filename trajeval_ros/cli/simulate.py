@@ -209,7 +209,7 @@ def _topics(
     groundtruth: Trajectory, estimate: Trajectory, seed: int, *, slow: bool = False
 ) -> dict[str, tuple[Trajectory, str]]:
     """Return the trajectories by topic; the estimate with its times of reception."""
-    from trajeval_ros.simulation.receptions import SLOW, USUAL, with_receptions
+    from trajeval_ros.simulation.simulated_delays import SLOW, USUAL, with_receptions
 
     estimate = with_receptions(estimate, SLOW if slow else USUAL, seed)
     return {

@@ -36,8 +36,9 @@ def write_errors(path: Path, outcome: Outcome) -> None:
     Keys of pairs are `NAME.stamps` (int64, nanoseconds), `NAME.position_m`, ... (`pair_columns`).
     Keys of sub-trajectories contain their length: `NAME.8m.starts` and `NAME.8m.ends` (indices of
     pairs), `NAME.8m.position_m`, ... As-available errors: `NAME.available.stamps`, `row` (of the
-    message in use), `age_ns`, `error_m` (N, 3), `parts_m` (4, N, 3). `NAME.probabilistic.edges` (N - 1,) are log densities of the
-    relative poses of consecutive pairs, nats. `schema` is the version of this layout.
+    message in use), `age_ns`, `error_m` (N, 3), `parts_m` (4, N, 3). `NAME.probabilistic.edges`
+    (N - 1,) are log densities of the relative poses of consecutive pairs, nats. `schema` is the
+    version of this layout.
 
     Raises:
         OSError: The file can't be written.
