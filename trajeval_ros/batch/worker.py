@@ -73,7 +73,12 @@ def work(task: Task) -> WorkerResult:
 def _evaluate(task: Task) -> Record:
     run, request = task.run, task.request
     groundtruth = _groundtruth(run.groundtruth, task.inputs[0], run.hints.of_reference)
-    read = read_trajectory(run.estimate, covariances=request.reads_covariances, hints=run.hints)
+    read = read_trajectory(
+        run.estimate,
+        covariances=request.reads_covariances,
+        hints=run.hints,
+        received=request.received,
+    )
     estimate = dataclasses.replace(read, name=run.name)
     outcome = run_pipeline(groundtruth, [estimate], request)
     evaluation = outcome.runs[0].evaluation

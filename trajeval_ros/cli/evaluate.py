@@ -161,6 +161,7 @@ def _read(
             covariances=covariances,
             strict=strict,
             hints=hints,
+            received=request.received,
         )
     return [
         dataclasses.replace(trajectory, name=name)

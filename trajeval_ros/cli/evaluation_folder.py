@@ -21,7 +21,7 @@ _RESULT = "result.json"
 _HEAD = 64  # bytes with the schema
 _OURS = re.compile(
     "(trajectory_(top|side)|(absolute|relative)_error|groundtruth_uncertainty|mahalanobis"
-    r"|likelihood_by_edge|(consistency|uncertainty_top|stanford)(_\d+)?)(-img\d+)?\.(png|pdf|svg|pgf)"
+    r"|likelihood_by_edge|(as_available|consistency|uncertainty_top|stanford)(_\d+)?)(-img\d+)?\.(png|pdf|svg|pgf)"
 )
 _HAVE_FIGURES = find_spec("matplotlib") is not None
 
@@ -61,6 +61,10 @@ def _write(folder: Path, result: dict[str, object], outcome: Outcome, look: Figu
                     from trajeval_ros.report.consistency_figure import write_consistency
 
                     write_consistency(run.evaluation, run.consistency, temporary, *named, look)
+                if run.available is not None and run.available.samples is not None:
+                    from trajeval_ros.report.available_figure import write_available
+
+                    write_available(run.evaluation, run.available, temporary, named[1], look)
                 if run.integrity is not None:
                     from trajeval_ros.report.consistency_figure import write_stanford
 

@@ -118,11 +118,13 @@ def shared_options(verb: str) -> list[click.Parameter]:
 
 def _option_of(setting: Setting) -> HelpedOption:
     is_flag = setting.kind is bool
+    alone = {"is_flag": False, "flag_value": setting.value_if_alone}
     return HelpedOption(
         [setting.option, *([setting.letter] if setting.letter else [])],
         help=setting.text,
         type=None if is_flag else _click_type(setting.kind),
-        is_flag=is_flag or None,  # False would make the value optional
+        # False would make the value optional.
+        **(alone if setting.value_if_alone else {"is_flag": is_flag or None}),
         multiple=setting.is_repeatable,
         metavar=None if is_flag else setting.metavar or _metavar(setting),
         panel=setting.panel,

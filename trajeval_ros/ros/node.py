@@ -235,6 +235,9 @@ class EvaluatorNode:
             arrival_s = estimate.status.stream.recent().arrival_p95_s
             estimate.peaks.see("arrival_s", arrival_s)
             snapshot = self._outputs.publish_snapshot(estimate)
+            if estimate.availability is not None:
+                self._outputs.publish_available(run, estimate)
+                estimate.peaks.see("age_s", estimate.availability.errors.age_p95_s)
             revised_m = self._outputs.publish_revised(run, estimate)
             self._picture.snapshot(estimate, snapshot, revised_m)
             self._outputs.publish_geometry(run, estimate, snapshot)

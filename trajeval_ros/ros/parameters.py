@@ -232,4 +232,5 @@ def settings_of(values: dict[str, Any]) -> OnlineSettings:
         covariances=request.covariances,
         integrity=request.integrity,
         up=request.up,
+        available=request.available,
     )

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros.formatting.remarks import note
 from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.cdr import CdrPlan
 from trajeval_ros.io.bags.cdr_columns import Columns, StringColumn
@@ -42,6 +43,21 @@ class PoseColumns:
     frames: list[tuple[int, str, str]]
     rows: NDArray[np.int64]  # (N,) int64, number of the message of a pose
     undecodable: int  # number of messages that can't be decoded
+    body_rates: Floats | None = None  # (N, 3), rad/s, in the body, or None
+    receptions: Receptions | None = None  # of the N poses of a bag
+    as_received: PoseColumns | None = None  # of paths, the last pose of every message
+
+    def picked(self, rows: NDArray[Any]) -> PoseColumns:
+        """Return the poses of a mask or of indices; the frames are unchanged."""
+        columns = {
+            name: column[rows]
+            for name in (
+                *("stamps", "positions", "quaternions", "body_velocities", "covariances"),
+                *("fix_quality", "rows", "body_rates", "receptions"),
+            )
+            if (column := getattr(self, name)) is not None
+        }
+        return replace(self, **columns)
 
 
 @dataclass(frozen=True)
@@ -60,16 +76,18 @@ class _Paths:
     position: str | tuple[str, ...]
     quaternion: str = ""
     body_velocity: str = ""
+    body_rate: str = ""
     covariance: str = ""
     child_frame: str = ""
     fix_quality: tuple[str, ...] = ()
 
-    def wanted(self, *, covariance: bool) -> list[str]:
+    def wanted(self, *, covariance: bool, rates: bool = False) -> list[str]:
         """Return the fields to decode."""
         position = (self.position,) if isinstance(self.position, str) else self.position
         own = [*position, self.quaternion, self.body_velocity, self.child_frame]
         own += self.fix_quality
         own += [self.covariance] if covariance else []
+        own += [self.body_rate] if rates else []
         return [*_HEADER, *(path for path in own if path)]
 
 
@@ -79,6 +97,7 @@ _PATHS = {
         "pose.pose.position",
         "pose.pose.orientation",
         "twist.twist.linear",
+        "twist.twist.angular",
         "pose.covariance",
         "child_frame_id",
     ),
@@ -138,14 +157,19 @@ def _plan(message_type: str, *, covariance: bool = False) -> CdrPlan:
 
 
 def plan_of(
-    fields: Fields | None, message_type: str, *, covariance: bool = False, is_ros1: bool = False
+    fields: Fields | None,
+    message_type: str,
+    *,
+    covariance: bool = False,
+    rates: bool = False,
+    is_ros1: bool = False,
 ) -> CdrPlan:
     """Return how the poses or transforms of a type are decoded.
 
     `fields`: of the type, as a bag defines it. The standard definition is used if this is None or
     lacks a field of a pose. `message_type`: one of `POSE_TYPES` or `TRANSFORM_TYPES`.
     """
-    wanted = _wanted(message_type, covariance=covariance)
+    wanted = _wanted(message_type, covariance=covariance, rates=rates)
     if fields is not None:
         try:
             return CdrPlan(fields, wanted, is_ros1=is_ros1)
@@ -156,13 +180,13 @@ def plan_of(
     return CdrPlan(standard, wanted, is_ros1=is_ros1)
 
 
-def _wanted(message_type: str, *, covariance: bool) -> list[str]:
+def _wanted(message_type: str, *, covariance: bool, rates: bool) -> list[str]:
     """Return the requested fields of a type of poses or transforms."""
     if message_type == PATH_TYPE:
         return [f"poses.{path}" for path in _OF_A_PATH.wanted(covariance=False)]
     if message_type in TRANSFORM_TYPES:
         return [f"transforms.{path}" for path in _OF_TRANSFORMS.wanted(covariance=False)]
-    return _PATHS[message_type].wanted(covariance=covariance)
+    return _PATHS[message_type].wanted(covariance=covariance, rates=rates)
 
 
 def poses_of(columns: Columns, message_type: str, undecodable: int) -> PoseColumns:
@@ -185,6 +209,7 @@ def poses_of(columns: Columns, message_type: str, undecodable: int) -> PoseColum
         _changes(columns.texts["header.frame_id"], columns.texts.get(paths.child_frame)),
         columns.rows,
         undecodable,
+        _floats(numbers[paths.body_rate]) if paths.body_rate in numbers else None,
     )
 
 

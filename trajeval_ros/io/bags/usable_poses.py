@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -38,21 +37,8 @@ def usable_poses(
     untimed = int(np.count_nonzero(~timed))
     dropped = {"undecodable": columns.undecodable, "zero_stamp": untimed}
     if untimed:  # a mask copies everything
-        columns = replace(
-            columns,
-            stamps=columns.stamps[timed],
-            positions=columns.positions[timed],
-            quaternions=_picked(columns.quaternions, timed),
-            body_velocities=_picked(columns.body_velocities, timed),
-            covariances=_picked(columns.covariances, timed),
-            fix_quality=_picked(columns.fix_quality, timed),
-            rows=columns.rows[timed],
-        )
+        columns = columns.picked(timed)
     return UsablePoses(columns, _velocities(columns), dropped, changes)
-
-
-def _picked(column: Floats | None, rows: Booleans) -> Floats | None:
-    return None if column is None else column[rows]
 
 
 def _velocities(columns: PoseColumns) -> Floats | None:
