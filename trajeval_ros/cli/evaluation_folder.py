@@ -112,8 +112,8 @@ def _is_own(folder: Path) -> bool:
 
 def _foreign(path: Path) -> InputError:
     return InputError(
-        f"{path} is not from an evaluation, which replaces it; choose another --output, or move it "
-        "away"
+        f"{path} is not from an evaluation, which replaces it; choose another --output, or "
+        "move it away"
     )
 
 
