@@ -11,7 +11,12 @@ def test_a_warning_has_its_numbers() -> None:
 
 
 def test_the_most_severe_remarks_are_first() -> None:
-    given = [note("a", "a note"), warning("b", "a warning"), damaged("a chunk"), note("c", "another")]
+    given = [
+        note("a", "a note"),
+        warning("b", "a warning"),
+        damaged("a chunk"),
+        note("c", "another"),
+    ]
     assert [each.text for each in most_severe_first(given)] == [
         "a chunk", "a warning", "a note", "another",
     ]  # fmt: skip
