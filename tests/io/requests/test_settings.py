@@ -250,6 +250,7 @@ def test_a_new_setting_is_one_row() -> None:
 
 
 def test_rows_are_sound() -> None:
+    assert SETTINGS
     for name, setting in SETTINGS.items():
         assert isinstance(setting, Setting)
         assert setting.name == name
