@@ -238,7 +238,9 @@ def _explained(candidates: _Candidates, columns: Sequence[_Column], runs: int) -
     if not matches:
         far = first.distance - _PRIOR_WEIGHT * np.log(candidates.priors)
         near = [each for each in np.argsort(far)[: 4 * _NEAREST] if np.isfinite(far[each])]
-        nearest = _grouped(candidates, np.array(near)[:, None], -far[near])[:_NEAREST]
+        # Halved shares keep the order of the nearest definition of every group.
+        order = 0.5 ** np.arange(len(near))
+        nearest = _grouped(candidates, np.array(near)[:, None], order)[:_NEAREST]
     return Explanation(searched, len(rows), expected, likely, none, matches, nearest)
 
 
