@@ -55,7 +55,7 @@ def explain(
     run: Sequence[tuple[str, str, str]],
     json: str | None,
 ) -> int:
-    """Finds the definition that gives a published number.
+    r"""Finds the definition that gives a published number.
 
     Compares the number with the values of evo, rpg_trajectory_evaluation, KITTI's devkit and
     their variants, and prints the command of every match (docs/explain.md). The exit status is 0
@@ -69,7 +69,8 @@ def explain(
 
     Numbers of one column, for several sequences:
 
-        trajeval explain --unit m --run gt1.txt vio1.txt 0.21 --run gt2.txt vio2.txt 0.63
+        trajeval explain --unit m --run gt1.txt vio1.txt 0.21 \
+            --run gt2.txt vio2.txt 0.63
     """
     runs, unit = _runs(given, run, with_number, unit)
     sources = [source for truth, estimate, _ in runs for source in (truth, estimate)]

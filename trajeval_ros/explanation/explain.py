@@ -239,7 +239,7 @@ def _explained(candidates: _Candidates, columns: Sequence[_Column], runs: int) -
         far = first.distance - _PRIOR_WEIGHT * np.log(candidates.priors)
         near = [each for each in np.argsort(far)[: 4 * _NEAREST] if np.isfinite(far[each])]
         # Halved shares keep the order of the nearest definition of every group.
-        order = 0.5 ** np.arange(len(near))
+        order: Floats = np.power(0.5, np.arange(len(near), dtype=np.float64))
         nearest = _grouped(candidates, np.array(near)[:, None], order)[:_NEAREST]
     return Explanation(searched, len(rows), expected, likely, none, matches, nearest)
 
