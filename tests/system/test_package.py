@@ -35,6 +35,7 @@ LAYERS = {
     "visual_inertial": 4,
     "diagnosis": 5,
     "watchdog": 5,
+    "explanation": 6,
     "pipeline": 6,
     "online": 6,
     "io": 7,

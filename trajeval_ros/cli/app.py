@@ -28,6 +28,7 @@ VERBS: dict[str, str] = {
     "trajectory": "edit_trajectories",
     "evaluate": "evaluate",
     "diagnose": "print_diagnosis",
+    "explain": "print_explanation",
     "view": "view",
     "compare": "compare",
     "evaluator": "programs",

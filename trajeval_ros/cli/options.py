@@ -54,7 +54,7 @@ _SHARED = (
     Setting(name="strict", kind=bool, panel=INPUT, verbs=(EVALUATE, TRAJECTORY),
         help="Verification of all data read from a bag. Exits with status 2 if it is damaged."),
     Setting(name="json", metavar="FILE|-", panel=OUTPUT,
-        verbs=(EVALUATE, FINISH, DIAGNOSE, "watch", STUDY_ASSOCIATION), is_common=True,
+        verbs=(EVALUATE, FINISH, DIAGNOSE, "explain", "watch", STUDY_ASSOCIATION), is_common=True,
         help="JSON output file. With -, only the JSON is printed to stdout."),
     Setting(name="require", metavar="BOUND", panel=OUTPUT, verbs=(EVALUATE, FINISH),
         is_repeatable=True,
@@ -152,6 +152,7 @@ def option(
     panel: str = "",
     is_common: bool = False,
     is_repeatable: bool = False,
+    count: int = 1,
 ) -> HelpedOption:
     """Return an option that a single verb has; a bool is a flag.
 
@@ -164,6 +165,7 @@ def option(
         panel: Heading in the help.
         is_common: Whether the short help shows it.
         is_repeatable: Whether it may be given several times.
+        count: Number of its values.
     """
     is_flag = kind is bool
     return HelpedOption(
@@ -173,6 +175,7 @@ def option(
         is_flag=is_flag or None,  # False would make the value optional
         default=(None if "/" in names[0] else False) if is_flag else default,
         multiple=is_repeatable,
+        nargs=count,
         metavar=None if is_flag else metavar or _TYPES.get(kind, "N"),
         panel=panel,
         is_common=is_common,
