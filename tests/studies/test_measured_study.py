@@ -21,7 +21,7 @@ from trajeval_ros.studies.outliers import reject_outliers
 from trajeval_ros.studies.sensor_recording import SensorRecording
 from trajeval_ros.studies.tracks_folder import read_tracks_folder
 from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance, free_covariance
-from trajeval_ros.visual_inertial.preintegration import GRAVITY, ImuNoise
+from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise
 from trajeval_ros.visual_inertial.solver import GaugeHandling, solve
 
 NOISE = ImuNoise(6e-4, 2e-2)

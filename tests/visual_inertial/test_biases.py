@@ -29,7 +29,7 @@ from trajeval_ros.visual_inertial.gauge_covariance import (
     transform,
 )
 from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
-from trajeval_ros.visual_inertial.preintegration import GRAVITY, ImuNoise, preintegrate
+from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise, preintegrate
 from trajeval_ros.visual_inertial.problem import Problem
 from trajeval_ros.visual_inertial.scene import PROFILES, make_scene
 from trajeval_ros.visual_inertial.solver import GAUGE_INDICES, GaugeHandling, solve

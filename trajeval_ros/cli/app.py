@@ -34,6 +34,7 @@ VERBS: dict[str, str] = {
     "finish": "finish",
     "replay": "replay",
     "watch": "watch",
+    "groundtruth": "examine_groundtruth",
     "simulate": "simulate",
     "demo": "demo",
     "study gauge": "study_gauge",
