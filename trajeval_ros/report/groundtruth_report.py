@@ -60,16 +60,17 @@ def sentences(found: Examination, saved: Sequence[Path]) -> Iterator[str]:
         return
     noise_m, noise_deg = fits.position_noise_m, math.degrees(fits.rotation_noise_rad)
     yield (
-        f"Noise of a pose per axis: {1e3 * noise_m:.2g} mm, {noise_deg:.2g} deg; for an "
-        f"evaluation: --groundtruth-noise {noise_m:.2g},{noise_deg:.2g}"
+        f"Noise of a pose per axis: {1e3 * noise_m:.2g} mm, {noise_deg:.2g} deg "
+        f"(--groundtruth-noise {noise_m:.2g},{noise_deg:.2g})."
     )
     assert fits.repaired.covariances is not None
     variances = np.median(np.einsum("nii->ni", fits.repaired.covariances), axis=0)
-    position_mm, rotation_deg = np.sqrt([variances[:3].mean(), variances[3:].mean()])
+    position_m, rotation_rad = np.sqrt([variances[:3].mean(), variances[3:].mean()])
+    rotation_deg = math.degrees(rotation_rad)
     yield (
-        f"Repaired groundtruth of the IMU: standard deviation {1e3 * position_mm:.2g} mm, "
-        f"{math.degrees(rotation_deg):.2g} deg per axis. These are lower limits: the IMU does not "
-        "reveal errors that last for more than a second."
+        f"Repaired groundtruth of the IMU, standard deviation per axis: {1e3 * position_m:.2g} "
+        f"mm, {rotation_deg:.2g} deg (--groundtruth-noise {position_m:.2g},{rotation_deg:.2g}). They "
+        "are lower limits: the IMU does not reveal errors that last for more than a second."
     )
     yield from (f"saved {path}" for path in saved)
 
@@ -95,6 +96,7 @@ def groundtruth_figure(original: Trajectory, found: Examination, fits: Fits) -> 
             label = "jump" if not number else None
             axes.axvline(second, color=canvas.ink(), linewidth=0.7, linestyle=":", label=label)
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
         axes.set_ylabel(f"{kind}\nresidual [{unit}]")
         axes.set_xlim(0.0, float(fits.short.seconds[-1]))
         if jumps:

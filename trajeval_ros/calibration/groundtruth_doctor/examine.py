@@ -44,6 +44,7 @@ IMU_NOISE = ImuNoise(8e-4, 2e-2)
 _ITERATIONS = 14
 _OVERLAP_S = 20.0
 _AT_REST_RADPS = 0.05
+_CERTAIN_CORRELATION = 0.95
 _GYROSCOPE_ONLY = 1e3  # m/s^2/sqrt(Hz), for an IMU without accelerometer
 # Errors that one recording does not reveal, from differences to two published calibrations: deg,
 # mm, ms, ppm, deg. Scale errors of accelerometers shift the lever arm along gravity.
@@ -192,13 +193,15 @@ def _with_imu(
     shift_s = time_offset_s
     if shift_s is None:
         guess = guess_of(ordered, imu, origin)
-        shift_s = guess.offset_s if guess.is_usable else 0.0
-        if not guess.is_usable and turning > _AT_REST_RADPS:
+        # So high a correlation is not a coincidence, even if periodic motion has a second peak.
+        is_usable = guess.is_usable or guess.peak > _CERTAIN_CORRELATION
+        shift_s = guess.offset_s if is_usable else 0.0
+        if not is_usable and turning > _AT_REST_RADPS:
             raise InputError(
                 f"{name} and the IMU have no common rotation (correlation {guess.peak:.2f}, "
                 "required 0.7); use recordings of the same run, or give --time-offset"
             )
-        if not guess.is_usable:
+        if not is_usable:
             free[OFFSET], free[SKEW] = False, False
             notes.append("the rig does not turn: the clock is unknown")
     shift_ns = round(shift_s * NANOSECONDS)
