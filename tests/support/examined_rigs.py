@@ -18,8 +18,14 @@ from trajeval_ros.geometry.inertial import InertialReadings
 START_NS = 1_700_000_000_000_000_000
 GRAVITY = np.array([0.0, 0.0, 9.81])
 REAL = SHARED / "data" / "groundtruth_doctor"
-TURNS = {"handheld": (0.35, 0.35, 0.5), "car": (0.0, 0.0, 1.2), "rest": (0.0, 0.0, 0.0)}
-MOVES = {"handheld": (0.4, 0.4, 0.25), "car": (3.0, 3.0, 0.0), "rest": (0.0, 0.0, 0.0)}
+TURNS = {
+    "handheld": (0.35, 0.35, 0.5), "car": (0.0, 0.0, 1.2), "turntable": (0.0, 0.0, 1.5),
+    "rest": (0.0, 0.0, 0.0),
+}  # fmt: skip
+MOVES = {
+    "handheld": (0.4, 0.4, 0.25), "car": (3.0, 3.0, 0.0), "turntable": (0.0, 0.0, 0.0),
+    "rest": (0.0, 0.0, 0.0),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

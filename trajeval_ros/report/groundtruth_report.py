@@ -69,8 +69,11 @@ def sentences(found: Examination, saved: Sequence[Path]) -> Iterator[str]:
     rotation_deg = math.degrees(rotation_rad)
     yield (
         f"Repaired groundtruth of the IMU, standard deviation per axis: {1e3 * position_m:.2g} "
-        f"mm, {rotation_deg:.2g} deg (--groundtruth-noise {position_m:.2g},{rotation_deg:.2g}). They "
-        "are lower limits: the IMU does not reveal errors that last for more than a second."
+        f"mm, {rotation_deg:.2g} deg (--groundtruth-noise {position_m:.2g},{rotation_deg:.2g})."
+    )
+    yield (
+        "Its covariances are lower limits: the IMU does not reveal errors that last for more "
+        "than a second."
     )
     yield from (f"saved {path}" for path in saved)
 

@@ -14,7 +14,6 @@ from trajeval_ros.calibration.significance import (
     CHANCE,
     INSIGNIFICANT,
     SIGNIFICANT,
-    UNOBSERVABLE,
     chance_of,
 )  # fmt: skip
 from trajeval_ros.formatting.numbers import counted
@@ -55,7 +54,7 @@ class Cause:
 
     Attributes:
         name: Its name in tables and JSON.
-        verdict: `significant`, `insignificant`, `inconclusive` or `unobservable`.
+        verdict: `significant`, `insignificant` or `inconclusive`.
         value: Its size in `unit`; None if unknown.
         unit: Unit of the value.
         standard_deviation: Of the value, in `unit`; None for causes that are counted.
@@ -95,7 +94,7 @@ def parameter_cause(
     parameter = PARAMETERS[name]
     value, sigma = values[parameter.columns], sigmas[parameter.columns]
     if not observable[parameter.columns].any():
-        return Cause(name, UNOBSERVABLE, unit=parameter.unit)
+        return Cause(name, INCONCLUSIVE, unit=parameter.unit)
     chance = chance_of(value, np.diag(sigma**2), BLOCKS)
     size = float(np.linalg.norm(value))
     along = float(sigma.max()) if size == 0.0 else float(np.linalg.norm(value * sigma)) / size

@@ -45,6 +45,7 @@ _ITERATIONS = 14
 _OVERLAP_S = 20.0
 _AT_REST_RADPS = 0.05
 _CERTAIN_CORRELATION = 0.95
+_IN_PLACE_M, _SECOND_AXIS_RADPS = 0.3, 0.1
 _GYROSCOPE_ONLY = 1e3  # m/s^2/sqrt(Hz), for an IMU without accelerometer
 # Errors that one recording does not reveal, from differences to two published calibrations: deg,
 # mm, ms, ppm, deg. Scale errors of accelerometers shift the lever arm along gravity.
@@ -201,9 +202,12 @@ def _with_imu(
                 f"{name} and the IMU have no common rotation (correlation {guess.peak:.2f}, "
                 "required 0.7); use recordings of the same run, or give --time-offset"
             )
-        if not is_usable:
-            free[OFFSET], free[SKEW] = False, False
-            notes.append("the rig does not turn: the clock is unknown")
+    if turning <= _AT_REST_RADPS:
+        free[: SKEW + 1] = False
+        notes.append("the rig does not turn: rotation, lever arm and clock are unknown")
+    elif _turns_in_place(ordered.positions, imu.rates):
+        free[:6] = False
+        notes.append("the rig turns about one axis in place: rotation and lever arm are unknown")
     shift_ns = round(shift_s * NANOSECONDS)
     samples = Samples(
         (ordered.stamps + (shift_ns - origin)) / NANOSECONDS,
@@ -258,6 +262,13 @@ def _with_imu(
         repaired(chosen, ordered, shift_ns, poses.gaps),
     )
     return Examination(by_name, poses, fits, tuple(notes))
+
+
+def _turns_in_place(positions: Floats, rates: Floats) -> bool:
+    """Return whether neither a turn about a second axis nor accelerations determine the body."""
+    extent_m = float(np.linalg.norm(np.std(positions, axis=0)))
+    deviations = np.linalg.eigvalsh(np.cov(rates.T))
+    return extent_m < _IN_PLACE_M and float(deviations[1]) < _SECOND_AXIS_RADPS**2
 
 
 def _imu_of(readings: InertialReadings) -> tuple[ImuSeconds, int]:

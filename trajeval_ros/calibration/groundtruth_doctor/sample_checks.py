@@ -26,7 +26,8 @@ _LEAST_JUMP = (5e-3, float(np.radians(0.3)))  # m, rad
 _JUMP_SIGMAS = 8.0
 _MEDIAN_OF_CHI3 = 1.538
 _MOST_JUMPS_PER_MINUTE = 20.0  # more steps are noise that is not white
-_OUTLIER_SIGMAS, _SLOWEST_MPS = 8.0, 1e-3
+_OUTLIER_SIGMAS = 8.0
+_SLOWEST = 0.05  # m/s or rad/s; slower samples do not show errors of timestamps
 
 
 class Span(NamedTuple):
@@ -177,14 +178,16 @@ def _jitter(errors: Floats, speeds: Floats, scale: float) -> tuple[float, float]
     those without it.
     """
     speed = np.linalg.norm(speeds, axis=1)
-    used = (speed > _SLOWEST_MPS) & (np.linalg.norm(errors, axis=1) < _OUTLIER_SIGMAS * scale)
+    used = (speed > _SLOWEST) & (np.linalg.norm(errors, axis=1) < _OUTLIER_SIGMAS * scale)
+    if not used.any():
+        return 0.0, np.inf
     errors, speed = errors[used], speed[used]
     along = np.einsum("ni,ni->n", errors, speeds[used]) / speed
     excess = 1.5 * along**2 - 0.5 * np.square(errors).sum(axis=1)
-    block = np.arange(len(speed)) * BLOCKS // max(len(speed), 1)
+    block = np.arange(len(speed)) * BLOCKS // len(speed)
     products = np.bincount(block, excess * speed**2, BLOCKS)
     weights = np.bincount(block, speed**4, BLOCKS)
-    total = max(float(weights.sum()), 1e-30)
+    total = float(weights.sum())
     variance = float(products.sum()) / total
     scatter = np.square(products - variance * weights).sum() * BLOCKS / (BLOCKS - 1)
     return variance, max(float(np.sqrt(scatter)) / total, 1e-30)
