@@ -12,7 +12,7 @@ from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.io.requests.setting import INPUT
 
 if TYPE_CHECKING:
-    from trajeval_ros.calibration.groundtruth_doctor.examine import Examination
+    from trajeval_ros.calibration.groundtruth_doctor.examine import ExaminedGroundtruth
     from trajeval_ros.geometry.preintegration import ImuNoise
     from trajeval_ros.geometry.trajectory import Trajectory
 
@@ -127,7 +127,7 @@ def _write(
     truth: str,
     imu: str | None,
     original: Trajectory,
-    found: Examination,
+    found: ExaminedGroundtruth,
     save_as: str | None,
     output: Path,
     figure: Path | None,
@@ -165,7 +165,7 @@ def _write(
     return saved
 
 
-def _print(found: Examination, saved: list[Path]) -> None:
+def _print(found: ExaminedGroundtruth, saved: list[Path]) -> None:
     from trajeval_ros.report import groundtruth_report
     from trajeval_ros.report.console import Table, console, show
 

@@ -16,7 +16,7 @@ from trajeval_ros.report import canvas
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from trajeval_ros.calibration.groundtruth_doctor.examine import Examination, Fits
+    from trajeval_ros.calibration.groundtruth_doctor.examine import ExaminedGroundtruth, Fits
 
 WORDS = ("cause", "verdict")
 NUMBERS = ("value", "+- 95 %", "unit", "p")
@@ -24,7 +24,7 @@ _T95 = 2.201  # Student's t with 11 degrees of freedom
 _HORIZONS = (("rotation", slice(0, 3), "deg"), ("lever arm", slice(3, 6), "mm"))
 
 
-def cause_rows(found: Examination) -> list[tuple[str, ...]]:
+def cause_rows(found: ExaminedGroundtruth) -> list[tuple[str, ...]]:
     """Return a row per cause."""
     return [
         (
@@ -49,7 +49,7 @@ def _p_value(value: float | None) -> str:
     return "< 1e-6" if value < 1e-6 else f"{value:.2g}"
 
 
-def sentences(found: Examination, saved: Sequence[Path]) -> Iterator[str]:
+def sentences(found: ExaminedGroundtruth, saved: Sequence[Path]) -> Iterator[str]:
     """Yield the findings, the notes, and a line on the repaired groundtruth."""
     yield from (each.sentence for each in found.significant)
     if not found.significant:
@@ -78,7 +78,7 @@ def sentences(found: Examination, saved: Sequence[Path]) -> Iterator[str]:
     yield from (f"saved {path}" for path in saved)
 
 
-def groundtruth_figure(original: Trajectory, found: Examination, fits: Fits) -> Figure:
+def groundtruth_figure(original: Trajectory, found: ExaminedGroundtruth, fits: Fits) -> Figure:
     """Draw the residuals over time with the jumps, and the calibration of both horizons."""
     named = canvas.short_names([original.name or "groundtruth"])
     figure = canvas.new_figure(5.2, f"{named[0]}, {len(found.significant)} significant causes")

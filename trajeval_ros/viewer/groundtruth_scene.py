@@ -15,13 +15,15 @@ from trajeval_ros.viewer.recording_file import recording_writer
 from trajeval_ros.viewer.sdk import sdk
 
 if TYPE_CHECKING:
-    from trajeval_ros.calibration.groundtruth_doctor.examine import Examination, Fits
+    from trajeval_ros.calibration.groundtruth_doctor.examine import ExaminedGroundtruth, Fits
 
 _MOST_POINTS, _MOST_ROWS, _MOST_NUMBERS = 50_000, 2000, 20_000
 _RESIDUALS = "groundtruth"
 
 
-def write_groundtruth(path: Path, original: Trajectory, found: Examination, fits: Fits) -> None:
+def write_groundtruth(
+    path: Path, original: Trajectory, found: ExaminedGroundtruth, fits: Fits
+) -> None:
     """Write a Rerun file (.rrd) of both trajectories, the residuals and the findings."""
     rerun, layout = sdk()
 

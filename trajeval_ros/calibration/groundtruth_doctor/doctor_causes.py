@@ -49,7 +49,7 @@ SMOOTH_M = 2e-5  # a smaller high-frequency noise is that of a model
 
 
 @dataclass(frozen=True)
-class Cause:
+class GroundtruthCause:
     """A cause of errors, and whether the recording shows it.
 
     Attributes:
@@ -81,7 +81,7 @@ class Cause:
 
 def parameter_cause(
     name: str, values: Floats, sigmas: Floats, *, observable: Booleans, axes: str = ""
-) -> Cause:
+) -> GroundtruthCause:
     """Return the verdict on parameters of the calibration.
 
     Args:
@@ -94,7 +94,7 @@ def parameter_cause(
     parameter = PARAMETERS[name]
     value, sigma = values[parameter.columns], sigmas[parameter.columns]
     if not observable[parameter.columns].any():
-        return Cause(name, INCONCLUSIVE, unit=parameter.unit)
+        return GroundtruthCause(name, INCONCLUSIVE, unit=parameter.unit)
     chance = chance_of(value, np.diag(sigma**2), BLOCKS)
     size = float(np.linalg.norm(value))
     along = float(sigma.max()) if size == 0.0 else float(np.linalg.norm(value * sigma)) / size
@@ -110,7 +110,9 @@ def parameter_cause(
         if axes:
             sentence += f" Its component along {axes} is not observable and assumed zero."
     components = tuple(value.tolist())
-    return Cause(name, verdict, size, parameter.unit, along, chance, components, sentence)
+    return GroundtruthCause(
+        name, verdict, size, parameter.unit, along, chance, components, sentence
+    )
 
 
 def _sentence(name: str, value: float, half_width: float) -> str:
@@ -142,7 +144,9 @@ def _sentence(name: str, value: float, half_width: float) -> str:
     )
 
 
-def fused_cause(short_deg: float, long_deg: float, sigma_deg: float, *, disagree: bool) -> Cause:
+def fused_cause(
+    short_deg: float, long_deg: float, sigma_deg: float, *, disagree: bool
+) -> GroundtruthCause:
     """Return the verdict on a fusion with an IMU under a wrong body, from two horizons."""
     sentence = (
         f"The body rotations over 0.1 s and over 2 s disagree ({short_deg:.1f} and {long_deg:.1f} "
@@ -150,10 +154,12 @@ def fused_cause(short_deg: float, long_deg: float, sigma_deg: float, *, disagree
         f"its orientation is uncertain by {sigma_deg:.2g} deg."
     )
     verdict = SIGNIFICANT if disagree else INSIGNIFICANT
-    return Cause("fused", verdict, abs(long_deg - short_deg), "deg", sentence=sentence * disagree)
+    return GroundtruthCause(
+        "fused", verdict, abs(long_deg - short_deg), "deg", sentence=sentence * disagree
+    )
 
 
-def pose_causes(checks: PoseChecks, origin: int) -> list[Cause]:
+def pose_causes(checks: PoseChecks, origin: int) -> list[GroundtruthCause]:
     """Return the verdicts on the poses alone; times count from `origin`, a timestamp in ns."""
     gap = max(checks.gaps, key=lambda each: each.duration_s, default=None)
     frozen = max(checks.frozen, key=lambda each: each.duration_s, default=None)
@@ -190,7 +196,7 @@ def pose_causes(checks: PoseChecks, origin: int) -> list[Cause]:
     ]  # fmt: skip
 
 
-def residual_causes(checks: ResidualChecks, origin: int) -> list[Cause]:
+def residual_causes(checks: ResidualChecks, origin: int) -> list[GroundtruthCause]:
     """Return the verdicts from the residuals; times count from `origin`, a timestamp in ns."""
     jittered = checks.jitter_s if checks.jitter_sigmas > _JITTER_SIGMAS else 0.0
     return [
@@ -206,11 +212,11 @@ def residual_causes(checks: ResidualChecks, origin: int) -> list[Cause]:
     ]  # fmt: skip
 
 
-def _jumps(kind: str, checks: ResidualChecks, origin: int) -> Cause:
+def _jumps(kind: str, checks: ResidualChecks, origin: int) -> GroundtruthCause:
     jumps = [each for each in checks.jumps if each.kind == kind]
     name = f"{kind}_jumps"
     if not jumps:
-        return Cause(name, INSIGNIFICANT, 0.0)
+        return GroundtruthCause(name, INSIGNIFICANT, 0.0)
     largest = max(jumps, key=lambda each: each.size)
     size = f"{1e3 * largest.size:.0f} mm"
     if kind == "rotation":
@@ -219,10 +225,10 @@ def _jumps(kind: str, checks: ResidualChecks, origin: int) -> Cause:
         f"{counted(len(jumps), f'{kind} jump')} of up to {size}; the largest is at "
         f"{(largest.stamp_ns - origin) / 1e9:.2f} s."
     )
-    return Cause(name, SIGNIFICANT, float(len(jumps)), sentence=sentence)
+    return GroundtruthCause(name, SIGNIFICANT, float(len(jumps)), sentence=sentence)
 
 
-def _counted(name: str, value: float, unit: str, limit: float, sentence: str) -> Cause:
+def _counted(name: str, value: float, unit: str, limit: float, sentence: str) -> GroundtruthCause:
     found = value > limit
     verdict = SIGNIFICANT if found else INSIGNIFICANT
-    return Cause(name, verdict, float(value), unit, sentence=sentence * found)
+    return GroundtruthCause(name, verdict, float(value), unit, sentence=sentence * found)

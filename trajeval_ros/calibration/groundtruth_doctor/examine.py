@@ -11,7 +11,7 @@ from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import (
     PARAMETERS,
     SMOOTH_M,
     UNITS,
-    Cause,
+    GroundtruthCause,
     fused_cause,
     parameter_cause,
     pose_causes,
@@ -28,7 +28,7 @@ from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
     check_poses,
     check_residuals,
 )  # fmt: skip
-from trajeval_ros.calibration.groundtruth_doctor.sample_rows import Samples
+from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
 from trajeval_ros.calibration.groundtruth_doctor.start import first_rig, guess_of, knots_of
 from trajeval_ros.calibration.significance import SIGNIFICANT
 from trajeval_ros.exceptions import InputError
@@ -108,7 +108,7 @@ class Fits:
 
 
 @dataclass(frozen=True, eq=False)
-class Examination:
+class ExaminedGroundtruth:
     """The verdicts on a groundtruth.
 
     Attributes:
@@ -118,13 +118,13 @@ class Examination:
         notes: Limits of the examination, one sentence per limit.
     """
 
-    causes: dict[str, Cause]
+    causes: dict[str, GroundtruthCause]
     poses: PoseChecks
     fits: Fits | None
     notes: tuple[str, ...]
 
     @property
-    def significant(self) -> list[Cause]:
+    def significant(self) -> list[GroundtruthCause]:
         """The causes that the recording shows."""
         return [each for each in self.causes.values() if each.verdict == SIGNIFICANT]
 
@@ -135,7 +135,7 @@ def examine(
     *,
     imu_noise: ImuNoise = IMU_NOISE,
     time_offset_s: float | None = None,
-) -> Examination:
+) -> ExaminedGroundtruth:
     """Return the verdicts on a groundtruth and, with an IMU of the same rig, its repair.
 
     Args:
@@ -164,7 +164,7 @@ def examine(
     if readings is None:
         checks = check_poses(groundtruth, None, first)
         causes = pose_causes(checks, first)
-        return Examination(
+        return ExaminedGroundtruth(
             {each.name: each for each in causes}, checks, None, tuple(_notes(checks))
         )
     return _with_imu(groundtruth, readings, imu_noise, time_offset_s)
@@ -175,7 +175,7 @@ def _with_imu(
     readings: InertialReadings,
     imu_noise: ImuNoise,
     time_offset_s: float | None,
-) -> Examination:
+) -> ExaminedGroundtruth:
     name = groundtruth.name or "the groundtruth"
     if groundtruth.quaternions is None:
         raise InputError(
@@ -209,7 +209,7 @@ def _with_imu(
         free[:6] = False
         notes.append("the rig turns about one axis in place: rotation and lever arm are unknown")
     shift_ns = round(shift_s * NANOSECONDS)
-    samples = Samples(
+    samples = TruthSamples(
         (ordered.stamps + (shift_ns - origin)) / NANOSECONDS,
         ordered.positions,
         lie.to_matrix(ordered.quaternions),
@@ -261,7 +261,7 @@ def _with_imu(
         residuals,
         repaired(chosen, ordered, shift_ns, poses.gaps),
     )
-    return Examination(by_name, poses, fits, tuple(notes))
+    return ExaminedGroundtruth(by_name, poses, fits, tuple(notes))
 
 
 def _turns_in_place(positions: Floats, rates: Floats) -> bool:
@@ -301,7 +301,7 @@ def _horizons(noise: ImuNoise) -> tuple[Horizon, Horizon]:
 
 
 def _fitted(
-    samples: Samples, imu: ImuSeconds, horizon: Horizon, free: Booleans, *, turns: bool
+    samples: TruthSamples, imu: ImuSeconds, horizon: Horizon, free: Booleans, *, turns: bool
 ) -> JointFit:
     knots = knots_of(samples, imu, horizon.knot_s)
     lasts_s = float(knots[-1] - knots[0]) if len(knots) else 0.0
@@ -366,7 +366,9 @@ def _summary(fit: JointFit, shift_s: float) -> HorizonFit:
     )
 
 
-def _apply(chosen: JointFit, short: JointFit, causes: Mapping[str, Cause], shift_s: float) -> None:
+def _apply(
+    chosen: JointFit, short: JointFit, causes: Mapping[str, GroundtruthCause], shift_s: float
+) -> None:
     """Solve again with insignificant parameters at zero, and the clock of the short fit."""
     free, rig = chosen.free.copy(), chosen.rig
     fixed = np.zeros(COUNT, dtype=bool)

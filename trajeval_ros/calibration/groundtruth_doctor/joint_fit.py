@@ -22,7 +22,7 @@ from trajeval_ros.calibration.groundtruth_doctor.rig import GRAVITY, LEVER, Rig,
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import (
     Predicted,
     SampleRows,
-    Samples,
+    TruthSamples,
     averaged,
     predict,
 )  # fmt: skip
@@ -62,7 +62,12 @@ class JointFit:
     """The fit of one horizon; `solve` changes it."""
 
     def __init__(
-        self, samples: Samples, steps: InertialSteps, rig: Rig, horizon: Horizon, free: Booleans
+        self,
+        samples: TruthSamples,
+        steps: InertialSteps,
+        rig: Rig,
+        horizon: Horizon,
+        free: Booleans,
     ) -> None:
         """Start at a rig. `free` (10,) has the parameters that are estimated."""
         self.samples, self.steps, self.rig, self.free = samples, steps, rig, free

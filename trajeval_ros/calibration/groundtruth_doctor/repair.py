@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from trajeval_ros.calibration.groundtruth_doctor.joint_fit import JointFit
-from trajeval_ros.calibration.groundtruth_doctor.sample_checks import Span
+from trajeval_ros.calibration.groundtruth_doctor.sample_checks import PoseSpan
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import rig_at
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
@@ -17,7 +17,7 @@ _POSE = [6, 7, 8, 0, 1, 2]  # columns of a state: position, then rotation
 
 
 def repaired(
-    fit: JointFit, groundtruth: Trajectory, shift_ns: int, gaps: tuple[Span, ...]
+    fit: JointFit, groundtruth: Trajectory, shift_ns: int, gaps: tuple[PoseSpan, ...]
 ) -> Trajectory:
     """Return the IMU's states by its clock; gaps of up to 2 s are bridged.
 
@@ -49,7 +49,7 @@ def repaired(
     )
 
 
-def _with_bridges(stamps: Stamps, gaps: tuple[Span, ...]) -> Stamps:
+def _with_bridges(stamps: Stamps, gaps: tuple[PoseSpan, ...]) -> Stamps:
     usual = int(np.median(np.diff(stamps)))
     bridges = [
         np.arange(gap.start_ns + usual, gap.start_ns + round(gap.duration_s * NANOSECONDS), usual)

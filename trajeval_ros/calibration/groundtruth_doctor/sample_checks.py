@@ -30,14 +30,14 @@ _OUTLIER_SIGMAS = 8.0
 _SLOWEST = 0.05  # m/s or rad/s; slower samples do not show errors of timestamps
 
 
-class Span(NamedTuple):
+class PoseSpan(NamedTuple):
     """An interval of time."""
 
     start_ns: int  # by the groundtruth's clock
     duration_s: float
 
 
-class Jump(NamedTuple):
+class GroundtruthJump(NamedTuple):
     """A step of the groundtruth."""
 
     stamp_ns: int  # of the first pose after it, by the groundtruth's clock
@@ -50,12 +50,12 @@ class PoseChecks:
     """Faults of the poses of a groundtruth alone."""
 
     rate_hz: float
-    gaps: tuple[Span, ...]
+    gaps: tuple[PoseSpan, ...]
     missing_share: float  # poses that the rate requires and that are missing
     repeated_stamps: int  # equal or decreasing timestamps
     interval_sigma_s: float  # robust standard deviation of the intervals
     held_share: float  # repeated poses in motion, in runs below 0.2 s
-    frozen: tuple[Span, ...]  # longer runs of repeated poses
+    frozen: tuple[PoseSpan, ...]  # longer runs of repeated poses
     position_noise_m: float  # standard deviation per axis, above a quarter of the rate
     rotation_noise_rad: float | None
 
@@ -85,7 +85,7 @@ def check_poses(groundtruth: Trajectory, imu: ImuSeconds | None, origin: int) ->
         if duration_s < max(_FROZEN_S, _USUAL_STEPS * usual):
             held[begin:end] = True
         elif imu is None or _turns(imu, seconds[begin], seconds[end]):
-            frozen.append(Span(int(ordered.stamps[begin]), duration_s))
+            frozen.append(PoseSpan(int(ordered.stamps[begin]), duration_s))
     fresh = np.concatenate([[True], ~same])
     rotation_noise = None
     if ordered.quaternions is not None:
@@ -95,7 +95,7 @@ def check_poses(groundtruth: Trajectory, imu: ImuSeconds | None, origin: int) ->
     return PoseChecks(
         rate_hz=1.0 / usual,
         gaps=tuple(
-            Span(int(ordered.stamps[at]), float(steps[at]))
+            PoseSpan(int(ordered.stamps[at]), float(steps[at]))
             for at in np.flatnonzero(steps > max(_GAP_S, _USUAL_STEPS * usual))
         ),
         missing_share=missing / (len(ordered) + missing),
@@ -131,7 +131,7 @@ class ResidualChecks:
     jitter_s: float  # standard deviation of random errors of the timestamps
     jitter_sigmas: float  # significance of its square
     outlier_share: float
-    jumps: tuple[Jump, ...]
+    jumps: tuple[GroundtruthJump, ...]
     noisy_steps: tuple[str, ...]  # kinds with so many steps that they are noise
 
 
@@ -152,7 +152,7 @@ def check_residuals(fit: JointFit, groundtruth: Trajectory) -> ResidualChecks:
     squared, sigma = min(estimates, key=lambda each: each[1])
     stamps = groundtruth.stamps[found.rows]
     minutes = float(stamps[-1] - stamps[0]) / NANOSECONDS / 60.0
-    jumps: list[Jump] = []
+    jumps: list[GroundtruthJump] = []
     noisy, outliers = [], []
     for (kind, errors, _), least in zip(kinds, _LEAST_JUMP, strict=False):
         outliers.append(_outliers(errors, least))
@@ -161,7 +161,7 @@ def check_residuals(fit: JointFit, groundtruth: Trajectory) -> ResidualChecks:
             noisy.append(kind)
             continue
         pairs = zip(stamps[rows].tolist(), sizes.tolist(), strict=True)
-        jumps += [Jump(stamp, kind, size) for stamp, size in pairs]
+        jumps += [GroundtruthJump(stamp, kind, size) for stamp, size in pairs]
     return ResidualChecks(
         jitter_s=float(np.sqrt(max(squared, 0.0))),
         jitter_sigmas=squared / sigma,

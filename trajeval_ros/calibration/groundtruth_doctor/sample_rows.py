@@ -36,7 +36,7 @@ _LEAST_SCALE = 1e-6  # m, rad
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class TruthSamples:
     """The groundtruth by seconds of its own clock, in order."""
 
     seconds: Floats  # (N,)
@@ -72,7 +72,7 @@ class Predicted:
     rotation_errors: Floats  # (S, 3), in M; zero for a groundtruth without orientations
 
 
-def predict(samples: Samples, steps: InertialSteps, motions: Motions, rig: Rig) -> Predicted:
+def predict(samples: TruthSamples, steps: InertialSteps, motions: Motions, rig: Rig) -> Predicted:
     """Return the rig at all samples between the first and the last knot."""
     seconds = samples.imu_seconds(rig.offset_s, rig.skew)
     rows = np.flatnonzero((seconds >= steps.knots[0]) & (seconds < steps.knots[-1]))

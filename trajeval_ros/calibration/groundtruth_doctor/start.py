@@ -7,7 +7,7 @@ import numpy as np
 from trajeval_ros.calibration.clock_offset import SEARCH_S, OffsetGuess, guess_offset
 from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds, InertialSteps
 from trajeval_ros.calibration.groundtruth_doctor.rig import GRAVITY_MPS2, Rig
-from trajeval_ros.calibration.groundtruth_doctor.sample_rows import Samples
+from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
 from trajeval_ros.calibration.hand_eye import robust_rotation
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Floats, Stamps
@@ -32,19 +32,23 @@ def guess_of(groundtruth: Trajectory, imu: ImuSeconds, origin: int) -> OffsetGue
     turned = lie.running_products(first, lie.from_rotation_vector(middles))
     turns = np.concatenate([first[None], turned])
     orientations = Trajectory(stamps, np.zeros((len(stamps), 3)), turns)
+    # Without repeated poses a frozen interval is a gap, and its end no fast turn.
+    assert groundtruth.quaternions is not None
+    fresh = np.asarray(np.diff(groundtruth.quaternions, axis=0, prepend=np.nan).any(axis=1))
+    groundtruth = groundtruth[fresh]
     meets = stamps[0] < groundtruth.stamps[-1] and groundtruth.stamps[0] < stamps[-1]
     search_s = SEARCH_S if meets else None  # all overlaps, for clocks of different epochs
     return guess_offset(orientations, groundtruth, search_s=search_s, signal="angular rate")
 
 
-def knots_of(samples: Samples, imu: ImuSeconds, step_s: float) -> Floats:
+def knots_of(samples: TruthSamples, imu: ImuSeconds, step_s: float) -> Floats:
     """Return knots (N,) inside both recordings, seconds of the IMU."""
     low = max(samples.seconds[0], imu.seconds[0]) + _INSIDE_S
     high = min(samples.seconds[-1], imu.seconds[-1]) - _INSIDE_S
     return np.arange(low, high, step_s)
 
 
-def first_rig(samples: Samples, imu: ImuSeconds, knots: Floats, *, turns: bool) -> Rig:
+def first_rig(samples: TruthSamples, imu: ImuSeconds, knots: Floats, *, turns: bool) -> Rig:
     """Return the rig at the knots (N,) from the interpolated groundtruth.
 
     `turns`: whether the body's rotation is estimated from the increments; otherwise it starts at
@@ -76,7 +80,7 @@ def first_rig(samples: Samples, imu: ImuSeconds, knots: Floats, *, turns: bool) 
     )
 
 
-def _body_and_bias(samples: Samples, imu: ImuSeconds, knots: Floats) -> tuple[Floats, Floats]:
+def _body_and_bias(samples: TruthSamples, imu: ImuSeconds, knots: Floats) -> tuple[Floats, Floats]:
     """Return R_IM (3, 3) and the bias (3,), rad/s, from rotations over a quarter of a second."""
     ends = np.arange(knots[0], knots[-1], _INCREMENT_S)
     steps = InertialSteps(ends, imu)
@@ -90,7 +94,7 @@ def _body_and_bias(samples: Samples, imu: ImuSeconds, knots: Floats) -> tuple[Fl
     return body, bias
 
 
-def _orientations(samples: Samples, at: Floats) -> Floats:
+def _orientations(samples: TruthSamples, at: Floats) -> Floats:
     """Return R_WM (M, 3, 3) at times (M,), interpolated."""
     assert samples.rotations is not None
     quaternions = lie.from_matrices(samples.rotations)

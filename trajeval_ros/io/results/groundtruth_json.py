@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from trajeval_ros.calibration.groundtruth_doctor.examine import Examination, HorizonFit
+from trajeval_ros.calibration.groundtruth_doctor.examine import ExaminedGroundtruth, HorizonFit
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.hand_eye_file import hand_eye_json
 
@@ -13,7 +13,7 @@ SCHEMA = "trajeval-groundtruth/1"
 
 
 def groundtruth_json(
-    truth: str, imu: str | None, original: Trajectory, found: Examination
+    truth: str, imu: str | None, original: Trajectory, found: ExaminedGroundtruth
 ) -> dict[str, Any]:
     """Return verdicts, fits and noise.
 
