@@ -186,7 +186,8 @@ def test_jumps_outliers_frozen_and_held_poses() -> None:
         if abs(each.stamp_ns - int(truth.stamps[2000])) <= 20_000_000
     ]
     assert jump.size == pytest.approx(0.02, rel=0.25)
-    assert fits.checks.outlier_share == pytest.approx(30 / len(changed), rel=0.35)
+    # A held pose is behind the motion, and an outlier, too.
+    assert fits.checks.outlier_share == pytest.approx(130 / len(changed), rel=0.15)
     [frozen] = found.poses.frozen
     assert frozen.start_ns == truth.stamps[1500]
     assert frozen.duration_s == pytest.approx(0.59)
