@@ -35,6 +35,7 @@ VERBS: dict[str, str] = {
     "finish": "finish",
     "replay": "replay",
     "watch": "watch",
+    "groundtruth": "examine_groundtruth",
     "simulate": "simulate",
     "demo": "demo",
     "study gauge": "study_gauge",
