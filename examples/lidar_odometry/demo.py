@@ -65,14 +65,15 @@ def run(folder: Path, estimators: Sequence[str], seconds: float, *, is_real_time
         print("\n--- Run the odometry in this process (rclpy is not installed)", flush=True)
         write_without_ros(bag, chosen, seconds)
     print("\n--- Evaluate the recording", flush=True)
-    sources = [word for topic in topics for word in ("--estimate", f"{bag}:{topic}")]
+    sources = each_with("--estimate", [f"{bag}:{topic}" for topic in topics])
+    # With ROS, the evaluator has printed the tables and drawn the picture.
+    more = ["--quiet"] if has_ros else ["--rrd", str(recorded / "run.rrd")]
     trajeval(
         "evaluate", "--groundtruth", f"{bag}:{GROUNDTRUTH_TOPIC}", *sources,
-        "--modality", "lidar", "--output", recorded, *([] if has_ros else ["--rrd", recorded / "run.rrd"]),
-        *(["--quiet"] if has_ros else []),
+        "--modality", "lidar", "--output", recorded, *more,
     )  # fmt: skip
-    results = [json.loads((each / "result.json").read_text("utf-8")) for each in (live, recorded)
-               if has_ros or each == recorded]  # fmt: skip
+    folders = [live, recorded] if has_ros else [recorded]
+    results = [json.loads((each / "result.json").read_text("utf-8")) for each in folders]
     if has_ros:
         for line in table(*results):
             print(line)
@@ -95,7 +96,7 @@ def is_there(estimator: str) -> bool:
 
 def topic_of(estimator: str) -> str:
     """Return the topic of an estimator's odometry."""
-    return f"/{Path(estimator).stem}/odometry"
+    return f"/{Path(estimator).stem}"
 
 
 def make_way(folder: Path) -> None:
@@ -117,7 +118,7 @@ def evaluate_live(
         "modality:=lidar",
         f"output:={json.dumps(str(folder / 'live'))}",
         "rerun:=file",
-        f"rerun_points:=/{Path(estimators[0]).stem}/points",
+        f"rerun_points:={topics[0]}/points",
     ]
     with ExitStack() as stack:
         evaluator = stack.enter_context(
@@ -131,6 +132,7 @@ def evaluate_live(
             for each in estimators
         ]
         pace = ["--real-time"] if is_real_time else []
+        running = [*zip(estimators, nodes, strict=True), ("the evaluator", evaluator)]
         lidar = stack.enter_context(
             process(
                 "examples.lidar_odometry.sensor", str(seconds), *topics, *pace,
@@ -138,10 +140,10 @@ def evaluate_live(
             )
         )  # fmt: skip
         counts = record(folder / "bag", topics, lidar)
-        for each in (*nodes, evaluator):
+        for name, each in running:
             each.send_signal(signal.SIGINT)
             if each.wait(_PATIENCE_S):
-                raise InputError(f"{each.args[2]} exited with status {each.returncode}")  # type: ignore[index]
+                raise InputError(f"{name} exited with status {each.returncode}")
     return counts
 
 
@@ -192,8 +194,9 @@ def record(bag: Path, topics: Sequence[str], lidar: subprocess.Popen[str]) -> Ma
             subscribe(topic, Odometry, "nav_msgs/msg/Odometry")
         while lidar.poll() is None and not stop.is_asked_for:
             rclpy.spin_once(node, timeout_sec=0.05)
-        if lidar.returncode or lidar.stdout is None:
-            raise InputError("the lidar has ended early" if lidar.returncode is None or lidar.returncode < 0 else "the demo has ended early")
+        if lidar.returncode != 0 or lidar.stdout is None:
+            # The lidar has printed the reason.
+            raise InputError("the lidar did not publish the whole flight")
         expected = json.loads(lidar.stdout.read())
         end = time.monotonic() + _PATIENCE_S
         while any(counts[topic] < expected[topic] for topic in counts):
@@ -226,16 +229,21 @@ def table(live: dict[str, Any], recorded: dict[str, Any]) -> list[str]:
                 for key in path:
                     value = value[key]
                 values.append(f"{value:12.6g}")
-            lines.append(f"{runs[0]['name']:14}{label:20}" + "".join(values))
+            lines.append(f"{name_of(runs[0]):14}{label:20}" + "".join(values))
     apart = difference(live, recorded)
     lines.append(f"largest difference of all errors: {apart:.2g}")
     return lines
 
 
+def name_of(run: dict[str, Any]) -> str:
+    """Return the name of an estimator from its result."""
+    return str(run["estimate"]["name"])
+
+
 def check(result: dict[str, Any], *, is_real_time: bool) -> None:
     """Raise InputError if an error is above its limit; in real time, the load decides."""
     for each in result["runs"]:
-        name, ate_m = each["name"].removesuffix("_odometry"), each["ate"]["position_m"]["rmse"]
+        name, ate_m = name_of(each), each["ate"]["position_m"]["rmse"]
         limit_m = LIMITS_M.get(name)
         if limit_m is not None and ate_m > limit_m and not is_real_time:
             raise InputError(f"{name}: position ATE {ate_m:.3f} m, more than {limit_m} m")
@@ -287,8 +295,6 @@ if __name__ == "__main__":
         parser.error(f"--seconds must be from 5 to {LONGEST_S:g}")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
-        run(
-            known.folder, known.estimators, known.seconds, is_real_time=known.real_time
-        )
+        run(known.folder, known.estimators, known.seconds, is_real_time=known.real_time)
     except TrajevalError as error:
         parser.exit(2, f"demo-real: {error}\n")

@@ -3,8 +3,8 @@
     python -m examples.lidar_odometry.odometry ESTIMATOR [--subscribers 2]
 
 ESTIMATOR is `small_gicp`, `kiss_icp` or a Python file with a class `Estimator`. The node receives
-/points and publishes NAME/odometry, and NAME/points: the scan without the distortion by the
-motion.
+/points and publishes /NAME, and /NAME/points: the scan without the distortion by the motion, and
+without what is above the body.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from trajeval_ros import Trajectory
 from trajeval_ros.geometry.arrays import Floats
 
 VOXEL_M = 1.0
-NAMES = {"small_gicp": "small_gicp", "kiss_icp": "kiss_icp"}
+ROOF_M = 0.6  # above the body: a view from above must not show the ceiling
 
 
 class Estimator(Protocol):
@@ -118,7 +118,7 @@ def in_one_process(name: str, sweeps: int, flight: Flight) -> Trajectory:
     for number in range(sweeps):
         stamp, points, after = flight.sweep(number)
         # As they are transmitted.
-        points, after = (np.float64(np.float32(each)) for each in (points, after))
+        points, after = (each.astype(np.float32).astype(float) for each in (points, after))
         poses.append(estimator.register(points, after).copy())
         stamps.append(stamp + end_of_sweep_ns())
     matrices = np.array(poses)
@@ -152,7 +152,7 @@ def run_node(name: str, subscribers: int, arguments: Sequence[str]) -> None:
         node = rclpy.create_node(Path(name).stem)
         estimator, before = estimator_of(name), np.eye(4)
         topic = f"/{Path(name).stem}"
-        odometry = node.create_publisher(Odometry, f"{topic}/odometry", QoSProfile(depth=50))
+        odometry = node.create_publisher(Odometry, topic, QoSProfile(depth=50))
         undone = node.create_publisher(PointCloud2, f"{topic}/points", QoSProfile(depth=5))
 
         def receive(cloud: Any) -> None:
@@ -164,7 +164,7 @@ def run_node(name: str, subscribers: int, arguments: Sequence[str]) -> None:
             stamp += end_of_sweep_ns()
             odometry.publish(_odometry(pose, stamp, f"{Path(name).stem}_odom"))
             rows[:, :3] = undistorted(points, after, np.linalg.inv(before) @ pose)
-            undone.publish(cloud_message(rows, stamp))
+            undone.publish(cloud_message(rows[points[:, 2] < ROOF_M], stamp))
             before = pose
 
         while odometry.get_subscription_count() < subscribers and not stop.is_asked_for:

@@ -85,17 +85,19 @@ def run_node(
         ):
             raise InputError(f"not all programs have started within {_PATIENCE_S:g} s")
         truth = flight.groundtruth
+        quaternions = truth.quaternions
+        assert quaternions is not None
         shift = time.time_ns() - int(truth.stamps[0]) if is_real_time else 0
         published = place = 0
         for number in range(sweeps):
             stamp, points, after = flight.sweep(number)
             end = stamp + round(PERIOD_S * 1e9)
-            # The groundtruth of the sweep arrives before it.
-            while truth.stamps[place] <= end:
+            # The groundtruth of the sweep arrives before it, with a pose after its end.
+            while not place or truth.stamps[place - _EVERY] < end:
                 due = int(truth.stamps[place]) + shift
                 if is_real_time:
                     until(lambda: time.time_ns() >= due, PERIOD_S)  # noqa: B023
-                poses.publish(_pose(truth.positions[place], truth.quaternions[place], due))
+                poses.publish(_pose(truth.positions[place], quaternions[place], due))
                 place, published = place + _EVERY, published + 1
             clouds.publish(cloud_message(np.column_stack([points, after]), stamp + shift))
             if is_real_time:
@@ -136,9 +138,7 @@ if __name__ == "__main__":
     parser.add_argument("--real-time", action="store_true", help="publish by the clock")
     known, remaining = parser.parse_known_args()
     try:
-        counts = run_node(
-            known.seconds, known.topics, remaining, is_real_time=known.real_time
-        )
+        counts = run_node(known.seconds, known.topics, remaining, is_real_time=known.real_time)
     except InputError as error:
         parser.exit(2, f"{error}\n")
     print(json.dumps(counts))
