@@ -29,7 +29,7 @@ ALONE := ROS_HOME=$$(mktemp -d) && export ROS_HOME && trap 'rm -rf "$$ROS_HOME"'
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install demo demo-real test test-jazzy test-ros lint format bench bench-gnss bench-live \
+.PHONY: help install demo demo-real test test-jazzy test-ros test-real lint format bench bench-gnss bench-live \
 	bench-runs bench-scale bench-diagnosis bench-watch soak parity fuzz fuzz-bytes chaos \
 	chaos-ros mutate audit lock colcon-environment ros-environment clean settings site serve-site test-kernels \
 	test-all test-stress oracles
@@ -59,6 +59,9 @@ PYTEST_ALL_CORES := python -m pytest -n auto --dist worksteal
 
 test: $(VENV)/.installed ## Run the tests that take minutes; browsers, viewers, clusters and ROS are left out.
 	$(VENV)/bin/$(PYTEST_ALL_CORES) -m "not slow and not ros and not oracles"
+
+test-real: $(REAL)/.installed ## Run the tests of real estimators, in the environment of `make demo-real`.
+	$(ALONE) $(REAL)/bin/python -m pytest -m ros tests/ros/test_lidar_odometry.py
 
 test-all: $(VENV)/.installed ## Run all tests, those that need ROS 2 included.
 	$(VENV)/bin/$(PYTEST_ALL_CORES) -m "not oracles"

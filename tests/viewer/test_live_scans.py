@@ -31,7 +31,7 @@ class Kept(LiveRecording):
         points = row.positions.as_arrow_array().flatten().to_numpy().reshape(-1, 3)
         self.rows.append((stamp, entity, points))
 
-    def send(self, draw: Any, *values: object) -> None:
+    def send(self, *_: object) -> None:
         self.declared += 1
 
 
