@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from halls import distances
 from paths import ROOT
 
 from trajeval_ros.io.sources import read_trajectory
@@ -61,13 +62,4 @@ def test_live_odometry_is_that_of_one_process(
     (origin,) = picture.rows("__properties/origin", "groundtruth_m")[1]
     for scan in scans[2:]:  # the velocity of the first one is not known yet
         there = scan @ (similarity[2] * similarity[0]).T + similarity[1] + origin
-        assert np.median(distances(flight, there)) < 0.1
-
-
-def distances(flight: Flight, points: np.ndarray) -> np.ndarray:
-    """Return the distances of points (N, 3) to the nearest surface of the hall."""
-    low, high = flight.hall.low, flight.hall.high
-    below, above = low - points[:, None], points[:, None] - high
-    outside = np.linalg.norm(np.maximum(np.maximum(below, above), 0.0), axis=2)
-    inside = np.maximum(below, above).max(axis=2)
-    return np.abs(np.where(inside > 0.0, outside, inside)).min(axis=1)
+        assert np.median(distances(flight.hall, there)) < 0.1
