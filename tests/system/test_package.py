@@ -263,6 +263,7 @@ def test_docs_name_files_that_exist() -> None:
             *PACKAGE.rglob("*.py"),
             *ROOT.glob("*.py"),
             *ROOT.glob("*/*.py"),
+            *(ROOT / "examples").rglob("*.py"),
             *(ROOT / "tests").rglob("*.py"),
         )
     ]
