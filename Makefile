@@ -5,6 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 JAZZY := .venv-jazzy
 ROS := .venv-ros
+REAL := .venv-real
 COLCON := .venv-colcon
 EVO := .venv-evo
 ORACLES := .venv-oracles
@@ -28,7 +29,7 @@ ALONE := ROS_HOME=$$(mktemp -d) && export ROS_HOME && trap 'rm -rf "$$ROS_HOME"'
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install demo test test-jazzy test-ros lint format bench bench-gnss bench-live \
+.PHONY: help install demo demo-real test test-jazzy test-ros test-real lint format bench bench-gnss bench-live \
 	bench-runs bench-scale bench-diagnosis bench-watch soak parity fuzz fuzz-bytes chaos \
 	chaos-ros mutate audit lock colcon-environment ros-environment clean settings site serve-site test-kernels \
 	test-all test-stress oracles
@@ -42,6 +43,13 @@ demo: ## Evaluate a simulated flight live and recorded, draw it in Rerun; see de
 	@$(MAKE) --no-print-directory $(DEMO)/.installed
 	$(ALONE) $(DEMO)/bin/trajeval demo demo_output
 
+SECONDS ?= 60
+ESTIMATORS ?= small_gicp kiss_icp
+
+demo-real: $(REAL)/.installed ## Evaluate real lidar odometry live and recorded; SECONDS=60 REAL_TIME=1.
+	$(ALONE) OPENBLAS_NUM_THREADS=1 $(REAL)/bin/python -m examples.lidar_odometry.demo demo_real_output \
+		--seconds $(SECONDS) $(if $(REAL_TIME),--real-time) --estimators $(ESTIMATORS)
+
 # Each process has one thread of linear algebra: more of them than cores wait for each other.
 test test-all test-jazzy: export OPENBLAS_NUM_THREADS := 1
 
@@ -51,6 +59,10 @@ PYTEST_ALL_CORES := python -m pytest -n auto --dist worksteal
 
 test: $(VENV)/.installed ## Run the tests that take minutes; browsers, viewers, clusters and ROS are left out.
 	$(VENV)/bin/$(PYTEST_ALL_CORES) -m "not slow and not ros and not oracles"
+
+test-real: $(REAL)/.installed ## Run the tests of real estimators, in the environment of `make demo-real`.
+	$(ALONE) $(REAL)/bin/python -m pytest -m ros -k small_gicp \
+		tests/ros/test_lidar_odometry.py
 
 test-all: $(VENV)/.installed ## Run all tests, those that need ROS 2 included.
 	$(VENV)/bin/$(PYTEST_ALL_CORES) -m "not oracles"
@@ -177,9 +189,9 @@ colcon-environment: $(COLCON)/.installed
 ros-environment: $(ROS)/.installed $(ROS)/.tf2_msgs ## Make .venv-ros, with ROS 2 Jazzy's wheels.
 
 clean: ## Remove the environments and all that runs leave behind.
-	rm -rf $(VENV) $(JAZZY) $(ROS) $(COLCON) $(EVO) $(ORACLES) $(LOCK) $(ATHERIS) $(MUTATE) \
+	rm -rf $(VENV) $(JAZZY) $(ROS) $(REAL) $(COLCON) $(EVO) $(ORACLES) $(LOCK) $(ATHERIS) $(MUTATE) \
 		$(AUDIT) $(SITE) site build install log dist *.egg-info \
-		demo_output benchmarks/data benchmarks/results.json \
+		demo_output demo_real_output benchmarks/data benchmarks/results.json \
 		.pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
@@ -212,6 +224,23 @@ $(ROS)/.installed: pyproject.toml setup.py constraints-ros.txt constraints.txt .
 	$(ROS)/bin/python -m pip install --quiet --constraint constraints-ros.txt \
 		--requirement .ci/rerun-requirements.txt --editable ".[ros,plot,test]"
 	$(ROS)/bin/python -m pip install --quiet --constraint constraints.txt --no-deps rerun-sdk
+	touch $@
+
+# Estimators without wheels are left out; the demo names them.
+$(REAL)/.installed: pyproject.toml setup.py constraints-ros.txt constraints.txt \
+		.ci/rerun-requirements.txt .ci/demo-real-requirements.txt
+	$(make_venv)
+ifeq ($(DEMO),$(ROS))
+	$(REAL)/bin/python -m pip install --quiet --constraint constraints-ros.txt \
+		--requirement .ci/rerun-requirements.txt --editable ".[ros,plot,test]"
+	$(REAL)/bin/python -m pip install --quiet --constraint constraints.txt --no-deps rerun-sdk
+else
+	$(REAL)/bin/python -m pip install --quiet --constraint constraints.txt \
+		--editable ".[rerun,plot,test]"
+endif
+	grep -v '^#' .ci/demo-real-requirements.txt | while read -r each; do \
+		$(REAL)/bin/python -m pip install --quiet --only-binary :all: "$$each" || true; \
+	done
 	touch $@
 
 # Without a compiler there is none; then it says so, and the tests of /tf are skipped.

@@ -61,7 +61,7 @@ def _covariances(pair: Pair, *, exchanged: bool, unit: float) -> Pair:
         return pair
     sigmas = np.repeat([position.median, unit * np.radians(rotation.median)], 3) / np.sqrt(3.0)
     sigmas = np.roll(sigmas, 3) if exchanged else sigmas
-    covariances = np.tile(np.diag(sigmas**2), (len(pair.estimate), 1, 1))
+    covariances = np.linspace(1.0, 1.001, len(pair.estimate))[:, None, None] * np.diag(sigmas**2)
     return change(pair, "estimate", covariances=covariances)
 
 

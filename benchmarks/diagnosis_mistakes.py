@@ -9,9 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.diagnosis_runs import Array, Pair
+from trajeval_ros.formatting.remarks import note
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Indices
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.reading import FORMAT, Reading
 from trajeval_ros.geometry.trajectory import Trajectory
 
 Make = Callable[[Pair], Pair]
@@ -238,6 +240,12 @@ def lever(pair: Pair) -> Pair:
     return change(pair, "estimate", positions=one.positions + arm)
 
 
+def lost_frames(pair: Pair) -> Pair:
+    """Keep some poses of odometry, which has no keyframes."""
+    reading = Reading(remarks=(note(FORMAT, "format: nav_msgs/msg/Odometry"),))
+    return change(keyframes(pair), "estimate", reading=reading)
+
+
 def keyframes(pair: Pair) -> Pair:
     """Keep poses that are far from the one before, now farther and now less so."""
     random, one = np.random.default_rng(1), pair.estimate
@@ -295,5 +303,6 @@ MISTAKES: dict[str, Mistake] = {
     "marker": Mistake(marker, ("body",)),
     "lever arm": Mistake(lever, ("lever_arm",)),
     "keyframes": Mistake(keyframes, ("keyframes",)),
+    "lost frames": Mistake(lost_frames, ("frames_lost",)),
     "body twist": Mistake(body_twist, ("twist_body",)),
 }

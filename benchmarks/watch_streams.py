@@ -12,10 +12,11 @@ from trajeval_ros import read_many
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.inertial import InertialReadings
+from trajeval_ros.geometry.interpolation import slerp_at
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.watched_sources import read_watched
 from trajeval_ros.watchdog.recording import WatchedRun
-from trajeval_ros.watchdog.rotations_over_time import between, slerp_at
+from trajeval_ros.watchdog.rotations_over_time import between
 from trajeval_ros.watchdog.signals import PAIR
 
 _STEP_S = 0.005

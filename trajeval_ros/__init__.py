@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     )
     from trajeval_ros.continuous_time.samples import Noise
     from trajeval_ros.exceptions import InputError, NoMatchError, SettingsError, TrajevalError
+    from trajeval_ros.explanation.explain import explain
     from trajeval_ros.geometry.gauge import MODALITIES, Gauge, Similarity
     from trajeval_ros.geometry.marker import HandEye
     from trajeval_ros.geometry.trajectory import Trajectory
@@ -89,6 +90,7 @@ __all__ = [
     "compare",
     "draw",
     "evaluate",
+    "explain",
     "fit_trajectory",
     "read_many",
     "read_trajectory",
@@ -132,6 +134,7 @@ _HOMES = {
     "compare": "batch.compare_runs",
     "draw": "report.figures",
     "evaluate": "io.python_inputs",
+    "explain": "explanation.explain",
     "fit_trajectory": "continuous_time.continuous_trajectory",
     "assess_consistency": "consistency.consistency_assessment",
     "read_many": "io.sources",

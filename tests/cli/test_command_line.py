@@ -16,10 +16,10 @@ from paths import ROOT
 from strategies import make_pair
 
 from trajeval_ros.cli.app import REMOVED, VERBS, main, verb
-from trajeval_ros.cli.source_names import names_of
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.write_bag import ODOMETRY, write_bag, write_mcap
 from trajeval_ros.io.find_sources import DEEPEST, MOST, find_sources
+from trajeval_ros.io.source_names import names_of
 from trajeval_ros.io.sources import read_many
 from trajeval_ros.io.text.text_writer import write_tum
 from trajeval_ros.report.console import Console
@@ -373,3 +373,23 @@ def test_numbers_are_never_cut_by_a_terminal(
     words = {word for line in shown.getvalue().splitlines() for word in line.split()}
     assert {"position", "rotation", "count"} <= words
     assert "…" not in shown.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("typed", "answer"),
+    [
+        ("evaluate tum a b", "trajeval evaluate GROUNDTRUTH ESTIMATE"),
+        ("trajectory kitti a", "trajeval trajectory SOURCE..."),
+        ("compare bag a b", "trajeval compare GROUNDTRUTH ESTIMATE..."),
+        ("evaluate a b -as", "--gauge se3, or --gauge sim3 for evo's -as"),
+        ("trajectory a -p", "--plot xy"),
+        ("trajectory a --save_as_tum", "--save-as tum"),
+        ("compare a --save_table x", "trajeval compare RESULT... --output DIR"),
+        ("evaluate a b --t_offset 1", "--time-offset"),
+    ],
+)
+def test_words_of_evo_are_answered(
+    typed: str, answer: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(typed.split()) == 2
+    assert answer in capsys.readouterr().err

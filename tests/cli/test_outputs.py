@@ -197,13 +197,29 @@ def test_a_comparison_replaces_only_results_of_a_comparison(
     assert [each.name for each in path.parent.iterdir()] == [name]
 
 
+@pytest.mark.parametrize(
+    "name", ["result.json", "errors.npz", "errors.parquet", "absolute_error.png"]
+)
 def test_an_evaluation_replaces_only_results_of_an_evaluation(
-    pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "result.json").write_text('{"mine": 1}')
+    (tmp_path / name).write_text('{"mine": 1}')
+    (tmp_path / "run.rrd").write_text("mine")
     assert main([*pair, "-q", "--output", str(tmp_path)]) == 2
-    assert "result.json is not from an evaluation, which replaces it" in capsys.readouterr().err
-    assert (tmp_path / "result.json").read_text() == '{"mine": 1}'
+    assert f"{name} is not from an evaluation, which replaces it" in capsys.readouterr().err
+    assert (tmp_path / name).read_text() == '{"mine": 1}'
+    (tmp_path / name).unlink()
+    assert main([*pair, "-q", "--output", str(tmp_path)]) == 0
+    assert (tmp_path / "run.rrd").read_text() == "mine"
+
+
+def test_an_evaluation_replaces_what_an_interrupted_one_has_left(
+    pair: list[str], tmp_path: Path
+) -> None:
+    assert main([*pair, "-q", "--output", str(tmp_path)]) == 0
+    (tmp_path / "result.json").unlink()
+    assert main([*pair, "-q", "--output", str(tmp_path)]) == 0
+    assert (tmp_path / "result.json").exists()
 
 
 def test_a_link_to_a_folder_or_a_device_is_replaced(tmp_path: Path) -> None:

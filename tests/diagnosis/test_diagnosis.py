@@ -373,7 +373,7 @@ def test_covariances_in_another_order_or_unit(
     assert rotation is not None
     sigmas = np.repeat([position.median, unit * np.radians(rotation.median)], 3) / np.sqrt(3.0)
     sigmas = np.roll(sigmas, 3) if exchanged else sigmas
-    covariances = np.tile(np.diag(sigmas**2), (len(DRONE.estimate), 1, 1))
+    covariances = np.linspace(1.0, 1.001, len(DRONE.estimate))[:, None, None] * np.diag(sigmas**2)
     told = dataclasses.replace(DRONE.estimate, covariances=covariances)
     found = run(DRONE.truth, [told], request).runs[0].diagnosis
     assert [each.cause for each in found.findings] == causes

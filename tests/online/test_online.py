@@ -51,7 +51,8 @@ def test_live_is_offline_on_recordings(
     feed(evaluator, *sides, delay_s=delay_s, drain_s=0.25)
     offline = evaluate(*sides, protocol)
     assert_live_is_offline(evaluator, offline)
-    for segment in offline.relative or ():
+    assert offline.relative
+    for segment in offline.relative:
         live = evaluator.snapshot().relative[str(segment.length)]
         assert live.count == len(segment.errors.ends)
         if live.count and not gauge.has_scale:

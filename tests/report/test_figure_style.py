@@ -191,7 +191,9 @@ def test_dark_styles_reach_everything(evaluations: list[Evaluation], tmp_path: P
     sheet = tmp_path / "dark.mplstyle"
     dark = Path(matplotlib.get_data_path()) / "stylelib" / "dark_background.mplstyle"
     sheet.write_text(dark.read_text().replace("grid.color: white", "grid.color: 333333"))
-    for path in write_figures(evaluations[:2], tmp_path, FigureStyle(file=sheet)):
+    paths = write_figures(evaluations[:2], tmp_path, FigureStyle(file=sheet))
+    assert len(paths) >= 4
+    for path in paths:
         pixels = imread(path)[:, :, :3]
         assert np.median(pixels) == 0.0
         with house_style(FigureStyle(file=sheet)):

@@ -130,6 +130,11 @@ def test_it_watches_beside_an_evaluation(
     ("values", "complaint"),
     [
         ({"imu_topic": "/imu"}, "parameter imu_topic needs the parameter watch_factor"),
+        ({"rerun_points": "/points"}, "parameter rerun_points needs the parameters rerun and"),
+        (
+            {"rerun": "file", "rerun_points": "/a", "groundtruth_topic": "", "watch_factor": 1.0},
+            "parameter rerun_points needs the parameters rerun and groundtruth_topic",
+        ),
         ({"groundtruth_topic": ""}, "without groundtruth, set watch_factor:=1.0"),
         ({"watch_factor": -1.0}, "watch_factor"),
     ],

@@ -11,6 +11,7 @@ from tracks_folders import PIXEL_NOISE
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie, so3
+from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise
 from trajeval_ros.studies.keyframe_selection import KeyframeSelection, select
 from trajeval_ros.studies.measurement_tests import (
     residual_groups,
@@ -28,7 +29,6 @@ from trajeval_ros.studies.outliers import (
 from trajeval_ros.studies.sensor_recording import SAME_INSTANT_NS, SensorRecording
 from trajeval_ros.studies.tracks_folder import read_tracks_folder
 from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
-from trajeval_ros.visual_inertial.preintegration import GRAVITY, ImuNoise
 
 IMU_NOISE = ImuNoise(1.7e-4, 2e-3)
 BIAS_NOISE = BiasNoise(1e-5, 1e-4, 1e-3, 1e-2)

@@ -13,6 +13,7 @@ from tracks_folders import write_tracks_folder
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise
 from trajeval_ros.studies.examination import Examination, MeasuredScene, MeasurementModel, examine
 from trajeval_ros.studies.gauge_trials import compare_handlings, covariances, sweep
 from trajeval_ros.studies.keyframe_selection import select
@@ -21,7 +22,6 @@ from trajeval_ros.studies.outliers import reject_outliers
 from trajeval_ros.studies.sensor_recording import SensorRecording
 from trajeval_ros.studies.tracks_folder import read_tracks_folder
 from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance, free_covariance
-from trajeval_ros.visual_inertial.preintegration import GRAVITY, ImuNoise
 from trajeval_ros.visual_inertial.solver import GaugeHandling, solve
 
 NOISE = ImuNoise(6e-4, 2e-2)

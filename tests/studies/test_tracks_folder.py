@@ -19,12 +19,12 @@ from tracks_folders import (
 )
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise
 from trajeval_ros.studies.examination import Examination, MeasurementModel, examine
 from trajeval_ros.studies.gauge_trials import compare_handlings, covariances
 from trajeval_ros.studies.keyframe_selection import select
 from trajeval_ros.studies.sensor_recording import Lens
 from trajeval_ros.studies.tracks_folder import read_tracks_folder
-from trajeval_ros.visual_inertial.preintegration import GRAVITY, ImuNoise
 from trajeval_ros.visual_inertial.solver import GaugeHandling
 
 EUROC_NOISE = ImuNoise(1.7e-4, 2e-3)

@@ -24,12 +24,12 @@ from ruamel.yaml import YAML
 from tracks_folders import PIXEL_NOISE, write_tracks_folder
 
 from trajeval_ros.batch.config import plan_of
+from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise
 from trajeval_ros.io.ground_image import read_ground_image
 from trajeval_ros.io.hand_eye_file import read_similarity
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.studies.keyframe_selection import select
 from trajeval_ros.studies.tracks_folder import read_camera, read_tracks_folder
-from trajeval_ros.visual_inertial.preintegration import GRAVITY, ImuNoise
 
 
 def make_tracks(random: Random, folder: Path) -> Changed:

@@ -17,6 +17,7 @@ from trajeval_ros import CovarianceRequest
 from trajeval_ros.cli.app import main
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.requests.request_from import protocol_from
+from trajeval_ros.metrics.as_available import AvailabilityRule
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.reports import Update
 from trajeval_ros.online.state_buffer import BufferLimits
@@ -72,6 +73,7 @@ class Live:
         body: MarkerBody | None = None,
         groundtruth_kind: str = POSE,
         covariances: CovarianceRequest | None = None,
+        available: AvailabilityRule | None = None,
         rule: NewRunRule | None = None,
         others: Sequence[str] = (),
         **words: Any,
@@ -89,7 +91,10 @@ class Live:
         self.begun: list[str] = []  # why runs began
         self.closed: list[Path] = []
         self._settings = OnlineSettings(
-            protocol_from("default", **words), limits=limits, covariances=covariances
+            protocol_from("default", **words),
+            limits=limits,
+            covariances=covariances,
+            available=available,
         )
         self._words, self._find_offset, self._body = words, find_offset, body
         self._worker = ThreadPoolExecutor(1)

@@ -20,6 +20,11 @@ SECOND = 1_000_000_000
 ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
 
 
+def varied(covariance: Floats, count: int) -> Floats:
+    """Return covariances (N, 6, 6) that vary by 1e-9, since constant ones are no estimates."""
+    return (1.0 + 1e-9 * np.arange(count))[:, None, None] * covariance
+
+
 def watched_bag(
     folder: Path,
     name: str,
@@ -41,7 +46,7 @@ def watched_bag(
         onset = int(groundtruth.stamps[0]) + 50 * SECOND
         made[0] = FAULTS[fault](made[0], onset, generator)
     if covariance is not None:
-        covariances = np.tile(covariance, (len(made[0]), 1, 1))
+        covariances = varied(covariance, len(made[0]))
         made[0] = dataclasses.replace(made[0], covariances=covariances)
     write_bag(
         folder / name,

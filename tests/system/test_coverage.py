@@ -377,11 +377,11 @@ def test_span_and_longest_gap_are_told_where_they_differ() -> None:
         evaluation = evaluate(flight.groundtruth, run)
         coverage = evaluation.association.coverage
         [_, _, said] = verdict(evaluation)
-        assert f"{len(run)} keyframe pairs cover 100.0 % of the estimate's poses" in said
+        assert f"{len(run)} pairs cover 100.0 % of the estimate's poses" in said
         assert f"and {100 * coverage.covered:.1f} % of the groundtruth's time" in said
         told = f", {100 * coverage.span:.1f} % from the first to the last pair, longest gap "
         assert (told in said) != is_whole
-        warned = [each for each in evaluation.warnings if "keyframe pairs cover" in each]
+        warned = [each for each in evaluation.warnings if "pairs cover" in each]
         assert len(warned) == (not is_whole)
         if not is_whole:
             gap = coverage.longest_gap

@@ -177,6 +177,7 @@ def test_a_path_of_millimetres_breaks_no_protocol(protocol: str) -> None:
     tiny = moved(groundtruth, Similarity(np.eye(3), np.zeros(3), 1e-5))
     settings = dataclasses.replace(PROTOCOLS[protocol], gauge=Gauge.NONE)
     result = evaluate(tiny, tiny, settings)
+    assert result.ate["position_m"] is not None
     for statistics in all_statistics(result).values():
         assert statistics is None or np.isfinite(statistics.rmse)
 

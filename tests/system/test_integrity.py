@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from paths import SHARED
 from scipy.stats import chi2, norm
-from watched_flights import SECOND, watched_bag
+from watched_flights import SECOND, varied, watched_bag
 
 from trajeval_ros import CovarianceRequest, Protocol, Request, SettingsError, Trajectory, run
 from trajeval_ros.cli.app import main
@@ -121,7 +121,7 @@ def circle(noise_m: float, stated_m: float) -> tuple[Trajectory, Trajectory]:
     return truth, dataclasses.replace(
         truth,
         positions=positions + noise,
-        covariances=np.tile(covariance, (count, 1, 1)),
+        covariances=varied(covariance, count),
         name="estimate",
     )
 
@@ -173,9 +173,7 @@ def write(folder: Path, covariance: Floats) -> list[str]:
     from trajeval_ros.io.bags.write_bag import write_bag
 
     truth, estimate = circle(0.05, 0.05)
-    estimate = dataclasses.replace(
-        estimate, covariances=np.tile(covariance, (len(estimate), 1, 1))
-    )
+    estimate = dataclasses.replace(estimate, covariances=varied(covariance, len(estimate)))
     write_bag(
         folder / "run",
         {

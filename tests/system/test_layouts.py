@@ -93,7 +93,9 @@ def test_plotjuggler_plots_what_is_there(recorded: dict[str, Recorded]) -> None:
 
 
 def test_splitters_of_plotjuggler_count_their_parts() -> None:
-    for each in ElementTree.parse(PLOTJUGGLER).iter("DockSplitter"):
+    splitters = list(ElementTree.parse(PLOTJUGGLER).iter("DockSplitter"))
+    assert splitters
+    for each in splitters:
         assert int(each.attrib["count"]) == len(each) == len(each.attrib["sizes"].split(";"))
 
 

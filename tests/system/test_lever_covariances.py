@@ -169,7 +169,9 @@ def marked(seed: int, count: int) -> tuple[Trajectory, Trajectory]:
         quaternions=lie.multiply(turns, marker.quaternions),
     )
     small = np.diag([1e-5**2] * 3 + [1e-5**2] * 3)
-    return noisy, dataclasses.replace(body, covariances=np.tile(small, (count, 1, 1)))
+    return noisy, dataclasses.replace(
+        body, covariances=np.linspace(1.0, 1.001, count)[:, None, None] * small
+    )
 
 
 def judged(sides: tuple[Trajectory, Trajectory], request: CovarianceRequest) -> Consistency:

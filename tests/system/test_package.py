@@ -35,6 +35,7 @@ LAYERS = {
     "visual_inertial": 4,
     "diagnosis": 5,
     "watchdog": 5,
+    "explanation": 6,
     "pipeline": 6,
     "online": 6,
     "io": 7,
@@ -262,6 +263,7 @@ def test_docs_name_files_that_exist() -> None:
             *PACKAGE.rglob("*.py"),
             *ROOT.glob("*.py"),
             *ROOT.glob("*/*.py"),
+            *(ROOT / "examples").rglob("*.py"),
             *(ROOT / "tests").rglob("*.py"),
         )
     ]

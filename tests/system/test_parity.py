@@ -120,10 +120,11 @@ def test_rotations_that_positions_hardly_determine_are_the_programs_with_a_warni
 
 
 def test_fewer_than_two_sub_trajectories_are_no_zeros() -> None:
-    for row in ROWS:
-        if row.unanswered == parity_calls.TOO_FEW:
-            ours = row.ours()
-            assert ours is None or (ours.count == 1 and ours.rmse > 0.0), str(row)
+    too_few = [row for row in ROWS if row.unanswered == parity_calls.TOO_FEW]
+    assert too_few
+    for row in too_few:
+        ours = row.ours()
+        assert ours is None or (ours.count == 1 and ours.rmse > 0.0), str(row)
 
 
 def test_where_evo_finds_no_match_there_is_none() -> None:
@@ -152,8 +153,9 @@ def test_where_evo_finds_no_pairs_of_states_there_are_none() -> None:
 
 @pytest.mark.parametrize("pair", parity.PAIRS)
 def test_scales_are_the_toolboxs(pair: str) -> None:
-    for row in ROWS:
-        if row.pair == pair and row.tool == "rpg" and not row.relative:
-            assert row.setting is not None
-            ours = parity.evaluated(pair, row.setting).alignment.similarity.scale
-            assert ours == pytest.approx(row.entry["scale"], rel=1e-9), str(row)
+    rows = [row for row in ROWS if row.pair == pair and row.tool == "rpg" and not row.relative]
+    assert rows or pair.startswith("car_kitti")  # the toolbox reads no files of KITTI
+    for row in rows:
+        assert row.setting is not None
+        ours = parity.evaluated(pair, row.setting).alignment.similarity.scale
+        assert ours == pytest.approx(row.entry["scale"], rel=1e-9), str(row)

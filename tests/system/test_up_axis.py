@@ -163,6 +163,7 @@ def test_other_gauges_keep_every_digit_but_yaw_and_tilt() -> None:
         protocol = Protocol(gauge=gauge)
         found, before = evaluate(truth, estimate, protocol), evaluate(*plain, protocol)
         np.testing.assert_array_equal(found.aligned.positions, before.aligned.positions)
+        assert {name.endswith(OF_VERTICAL) for name in all_statistics(before)} == {True, False}
         for name, statistics in all_statistics(before).items():
             same = all_statistics(found)[name] == statistics
             assert same == (not name.endswith(OF_VERTICAL)), name

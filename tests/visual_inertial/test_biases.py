@@ -17,6 +17,7 @@ from visual_inertial_scenes import (
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.geometry import so3
+from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise, preintegrate
 from trajeval_ros.simulation.motion import shape
 from trajeval_ros.studies.examination import Examination, MeasurementModel, examine
 from trajeval_ros.studies.gauge_trials import compare_handlings
@@ -29,7 +30,6 @@ from trajeval_ros.visual_inertial.gauge_covariance import (
     transform,
 )
 from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
-from trajeval_ros.visual_inertial.preintegration import GRAVITY, ImuNoise, preintegrate
 from trajeval_ros.visual_inertial.problem import Problem
 from trajeval_ros.visual_inertial.scene import PROFILES, make_scene
 from trajeval_ros.visual_inertial.solver import GAUGE_INDICES, GaugeHandling, solve

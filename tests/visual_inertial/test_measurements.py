@@ -18,8 +18,8 @@ from visual_inertial_scenes import (
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import so3
+from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise, preintegrate
 from trajeval_ros.simulation.motion import shape
-from trajeval_ros.visual_inertial.preintegration import GRAVITY, ImuNoise, preintegrate
 from trajeval_ros.visual_inertial.problem import Problem
 from trajeval_ros.visual_inertial.scene import PROFILES, Scene, make_scene
 from trajeval_ros.visual_inertial.solver import GAUGE_INDICES, GaugeHandling, solve

@@ -15,12 +15,14 @@ from benchmarks.watch_faults import FAULTS
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.interpolation import slerp_at
+from trajeval_ros.geometry.lie import running_products
 from trajeval_ros.watchdog.inertial_mounting import Mounting
 from trajeval_ros.watchdog.judging import judged
 from trajeval_ros.watchdog.pair_signals import PairSignals, body_difference
 from trajeval_ros.watchdog.pose_signals import CorrectionSignals, PoseSignals
 from trajeval_ros.watchdog.recording import error_spans, undetected_faults
-from trajeval_ros.watchdog.rotations_over_time import angles_deg, running_products, slerp_at
+from trajeval_ros.watchdog.rotations_over_time import angles_deg
 from trajeval_ros.watchdog.row_buffer import OrderedFeed, RowBuffer, window_begins
 from trajeval_ros.watchdog.signals import (
     SIGNALS,

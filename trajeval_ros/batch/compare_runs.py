@@ -82,6 +82,11 @@ def compare(
     known = settings_of_many_runs()
     for name in settings:
         require_one_of(name, known, "setting")
+    if report:
+        from trajeval_ros.batch.comparison_report import write_report
+        from trajeval_ros.report.comparison_page import require_jinja2
+
+        require_jinja2()
     folder = Path(output)
     plan = plan_of(
         target,
@@ -96,8 +101,6 @@ def compare(
         summary = summary_of(folder)
         write_tables(folder, summary)
         if report:
-            from trajeval_ros.batch.comparison_report import write_report
-
             write_report(folder, summary)
     return summary
 

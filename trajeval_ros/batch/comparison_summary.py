@@ -12,6 +12,7 @@ from typing import Any
 from trajeval_ros.batch.finished_comparison import POOLED_FILE, RUNS
 from trajeval_ros.batch.results_table import (
     ATE,
+    AVAILABLE,
     CALIBRATION,
     CONSISTENCY,
     INTEGRITY,
@@ -26,6 +27,8 @@ _NAMES = ("algorithm", "sequence", "trial")
 _OF_A_RUN = (
     "status", "reason", "groundtruth_coverage", "pairs", "key", "warnings", "diagnosis",
 )  # fmt: skip
+# Statistics of as-available numbers.
+_AVAILABLE = {"position_m": "rmse", "age_error_m": "rmse", "age_s": "p95"}
 
 
 @dataclass(frozen=True)
@@ -110,13 +113,16 @@ def summary_of(folder: Path) -> ComparisonSummary:
     rows = ResultsTable(folder / RUNS)
     rmse: dict[tuple[str, ...], dict[str, float]] = defaultdict(dict)
     values: dict[tuple[str, ...], dict[str, float]] = defaultdict(dict)
-    kinds = (ATE, CALIBRATION, CONSISTENCY, INTEGRITY, LIKELIHOOD)
+    kinds = (ATE, AVAILABLE, CALIBRATION, CONSISTENCY, INTEGRITY, LIKELIHOOD)
     # Texts that occur in many rows are stored once.
-    for row in rows.each((*_NAMES, "kind", "metric", "rmse", "mean"), kind=kinds):
+    for row in rows.each((*_NAMES, "kind", "metric", "rmse", "mean", "p95"), kind=kinds):
         run = tuple(intern(row[name]) for name in _NAMES)
         metric = intern(row["metric"])
         if row["kind"] == ATE:
             rmse[run][metric] = row["rmse"]
+        elif row["kind"] == AVAILABLE:
+            column = _AVAILABLE.get(metric, "mean")
+            values[run][intern(f"as_available_{metric}")] = row[column]
         else:
             values[run][metric] = row["mean"]
     trials = []

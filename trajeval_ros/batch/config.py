@@ -20,6 +20,7 @@ from trajeval_ros.io.requests.request_from import (
 )
 from trajeval_ros.io.requests.setting import AUTO, MESSAGE, NONE
 from trajeval_ros.io.requests.settings_table import settings_of_many_runs
+from trajeval_ros.io.source_names import names_of, names_with, split_name
 from trajeval_ros.io.text.layouts import TextHints
 from trajeval_ros.io.yaml_file import read_mapping, require_known
 from trajeval_ros.pipeline.request import Request
@@ -66,6 +67,32 @@ def plan_of(
             f"{target} is not a manifest (.csv or .parquet); copy the file to this machine"
         )
     return _plan_of_yaml(path, settings, columns, frame_rate, common_time_span, hosts)
+
+
+def plan_of_sources(
+    sources: Sequence[str],
+    settings: Mapping[str, Any],
+    *,
+    columns: str | None = None,
+    frame_rate: float | None = None,
+    common_time_span: bool | None = None,
+) -> Plan:
+    """Return the plan of a comparison of estimates of one groundtruth.
+
+    `sources`: the groundtruth, and estimates as SOURCE or NAME=SOURCE. The other arguments are
+    those of `plan_of`.
+    """
+    groundtruth, *estimates = sources
+    named = [split_name(each) for each in estimates]
+    paths = [source for _, source in named]
+    _, *names = names_with(["", *(name for name, _ in named)], [groundtruth, *paths])
+    sequence = names_of([groundtruth])[0]
+    hints = TextHints.of(columns, frame_rate)
+    runs = tuple(
+        PlannedRun(name, sequence, "", groundtruth=groundtruth, estimate=path, hints=hints)
+        for name, path in zip(names, paths, strict=True)
+    )
+    return Plan(sequence, runs, _request({}, settings), bool(common_time_span))
 
 
 def _plan_of_yaml(

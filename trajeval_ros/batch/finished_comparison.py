@@ -17,6 +17,7 @@ from trajeval_ros.batch.plan import PlannedRun
 from trajeval_ros.batch.records import Record
 from trajeval_ros.batch.results_table import (
     ATE,
+    AVAILABLE,
     CALIBRATION,
     CONSISTENCY,
     FAILED,
@@ -42,6 +43,10 @@ from trajeval_ros.metrics.statistics import quantile, statistics_of
 RUNS, POOLED_FILE = "runs.parquet", "pooled.parquet"
 GATES, GATES_JSON = "gates.md", "gates.json"
 REPORT, PAGES, FIGURES = "report.html", "report", "figures"
+_AVAILABLE = (
+    *("position_m", "rotation_deg", "age_error_m", "age_error_deg"),
+    *("age_s", "latency_s", "interval_s"),
+)
 _ABSOLUTE = ("position_m", "rotation_deg", "yaw_deg", "tilt_deg")
 _ABOUT = "README.txt"
 _MADE_BY = "Made by trajeval compare."
@@ -197,6 +202,9 @@ def rows_of_run(run: PlannedRun, record: Record, own_coverage: float) -> Iterato
     }
     yield from _rows(evaluated["ate"], {**same, "kind": ATE})
     yield from _values(evaluated, same)
+    available = evaluated["as_available"] or {}
+    statistics = {name: available.get(name) for name in _AVAILABLE}
+    yield from _rows(statistics, {**same, "kind": AVAILABLE})
     relative = evaluated["re"]
     if relative is None:
         return
@@ -211,6 +219,7 @@ def _values(evaluated: dict[str, Any], same: dict[str, Any]) -> Iterator[dict[st
     calibration, consistency, probabilistic = (
         evaluated[name] or {} for name in ("calibration", "consistency", "probabilistic")
     )
+    available = evaluated["as_available"] or {}
     offset, hand_eye = calibration.get("time_offset") or {}, calibration.get("hand_eye") or {}
     rotation, lever = hand_eye.get("rotation") or {}, hand_eye.get("lever_arm") or {}
     joint, per_pose = (consistency.get(name) or {} for name in ("joint", "per_pose"))
@@ -226,6 +235,7 @@ def _values(evaluated: dict[str, Any], same: dict[str, Any]) -> Iterator[dict[st
         (CONSISTENCY, "joint_nees_per_dof", joint.get("nees_per_dof"), None),
         (CONSISTENCY, "pose_nees_per_dof", per_pose.get("mean"), None),
         *_integrity(evaluated["integrity"] or {}),
+        (AVAILABLE, "available_percent", available.get("available_percent"), None),
         (LIKELIHOOD, "nll_per_pose", probabilistic.get("nll_per_pose"), None),
         (LIKELIHOOD, "weighted_m", ate.get("weighted_m"), None),
         (LIKELIHOOD, "supported_m", ate.get("supported_m"), None),

@@ -11,7 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from trajeval_ros.batch.results_table import ATE, OK, POOLED, RE, STATISTICS, ResultsTable
+from trajeval_ros.batch.results_table import (
+    ATE,
+    AVAILABLE,
+    OK,
+    POOLED,
+    RE,
+    STATISTICS,
+    ResultsTable,
+)
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.arrays import Floats
 
@@ -184,7 +192,7 @@ class GateValues:
             self._require(column, list(_COVERAGES), path)
             column = _COVERAGES[column]
             return {"kind": [ATE], "metric": ["position_m"]}, column
-        self._require(kind, [ATE, "re"], path)
+        self._require(kind, [ATE, AVAILABLE, "re"], path)
         length: str | None = None
         if kind == "re":
             lengths = [key for row in self._numbers if row["length"] and (key := _key(row))]

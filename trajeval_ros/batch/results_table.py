@@ -25,7 +25,7 @@ OK, FAILED, MISSING = "ok", "failed", "missing"
 ATE, RE, POOLED = "ate", "re", "re.pooled"
 # Kinds of rows with one value, in column `mean`; its standard deviation, if known, is in `std`.
 CALIBRATION, CONSISTENCY, LIKELIHOOD = "calibration", "consistency", "likelihood"
-INTEGRITY = "integrity"
+INTEGRITY, AVAILABLE = "integrity", "as_available"
 STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
 _ROWS_AT_ONCE = 5000
 _TEXTS = ("algorithm", "sequence", "trial", "status", "reason", "kind", "metric", "length")

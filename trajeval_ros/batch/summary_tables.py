@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import replace
 from statistics import median
 from typing import Any
 
@@ -25,7 +26,11 @@ from trajeval_ros.report.matrix import UNRANKED, Cell, Matrix
 
 _PARTIAL, _FEW, _DIAGNOSED = "†", "‡", "§"
 _COPY = "is the groundtruth"
-_NO_MISTAKES = {"few_pairs", "keyframes"}  # findings with a separate mark, or without one
+_NO_MISTAKES = {
+    "few_pairs",
+    "frames_lost",
+    "keyframes",
+}  # findings with a separate mark, or without one
 _COMPARABLE = (
     f"Only algorithms with at least {whole_percent(LOW_COVERAGE)} of the largest coverage are "
     "ranked. A number that is worse than an unranked one is not marked as the best."
@@ -104,6 +109,19 @@ _VALUES = {
         "Inflation for 99.9 % of the errors, horizontal",
         "What protection levels must be multiplied by to bound the errors.",
     ),
+    "as_available_position_m": (
+        "As-available error [m], RMSE",
+        "Error of the newest received pose. `ATE: 2` is a rank by ATE that differs.",
+    ),
+    "as_available_age_error_m": (
+        "Age error [m], RMSE",
+        "The part of the as-available error by latency, dropouts and sampling.",
+    ),
+    "as_available_age_s": ("Age of the pose in use [s], 95th percentile", "At 100 Hz."),
+    "as_available_available_percent": (
+        "Available [%]",
+        "Percentage of the time with a pose within the deadline.",
+    ),
     "nll_per_pose": (
         "Negative log-likelihood per pose",
         "Smaller is better. Comparable between estimates with the same timestamps.",
@@ -113,7 +131,12 @@ _VALUES = {
         "Over all poses that the continuous groundtruth covers.",
     ),
 }
-_RANKED = ("nll_per_pose", "weighted_m")  # smaller is better
+_AVAILABLE = "as_available_position_m"
+# Smaller is better.
+_RANKED = (
+    *("nll_per_pose", "weighted_m"),
+    *(_AVAILABLE, "as_available_age_error_m", "as_available_age_s"),
+)
 
 
 def _values(summary: ComparisonSummary, metric: str) -> Matrix | None:
@@ -133,9 +156,34 @@ def _values(summary: ComparisonSummary, metric: str) -> Matrix | None:
         )
     if all(cell.value is None for _, cells in rows for cell in cells):
         return None
+    if metric == _AVAILABLE:
+        rows = _with_ranks_by_ate(summary, rows)
     title, meaning = _VALUES[metric]
     caption = f"{meaning} {definition(summary.settings)}"
     return _matrix(summary, metric, title, caption, rows)
+
+
+def _with_ranks_by_ate(
+    summary: ComparisonSummary, rows: Sequence[tuple[str, tuple[Cell, ...]]]
+) -> list[tuple[str, tuple[Cell, ...]]]:
+    """Return the cells with the rank by ATE where it differs from their own."""
+    marked: list[list[Cell]] = [[] for _ in rows]
+    for column, sequence in enumerate(summary.sequences):
+        cells = [cells[column] for _, cells in rows]
+        of_each = [summary.of(algorithm, sequence) for algorithm, _ in rows]
+        known = [[each.rmse["position_m"] for each in own if each.rmse] for own in of_each]
+        ates = [median(each) if each else None for each in known]
+        ranks = zip(_ranks([each.value for each in cells]), _ranks(ates), strict=True)
+        for place, (cell, (own, by_ate)) in enumerate(zip(cells, ranks, strict=True)):
+            note = f"ATE: {by_ate}" if own and by_ate and own != by_ate else ""
+            marked[place].append(replace(cell, note=note))
+    return [(row[0], tuple(cells)) for row, cells in zip(rows, marked, strict=True)]
+
+
+def _ranks(values: Sequence[float | None]) -> list[int | None]:
+    """Return the ranks of values from 1; None for None."""
+    known = sorted(each for each in values if each is not None)
+    return [None if each is None else known.index(each) + 1 for each in values]
 
 
 def _absolute(summary: ComparisonSummary, metric: str) -> Matrix | None:

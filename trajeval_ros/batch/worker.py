@@ -14,8 +14,8 @@ from trajeval_ros.batch.plan import PlannedRun
 from trajeval_ros.batch.records import Record, encode
 from trajeval_ros.batch.source_hash import hash_of_numbers
 from trajeval_ros.exceptions import TrajevalError
-from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.bags.byte_source import counting_fetched_bytes
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import read_trajectory
@@ -73,7 +73,12 @@ def work(task: Task) -> WorkerResult:
 def _evaluate(task: Task) -> Record:
     run, request = task.run, task.request
     groundtruth = _groundtruth(run.groundtruth, task.inputs[0], run.hints.of_reference)
-    read = read_trajectory(run.estimate, covariances=request.reads_covariances, hints=run.hints)
+    read = read_trajectory(
+        run.estimate,
+        covariances=request.reads_covariances,
+        hints=run.hints,
+        received=request.received,
+    )
     estimate = dataclasses.replace(read, name=run.name)
     outcome = run_pipeline(groundtruth, [estimate], request)
     evaluation = outcome.runs[0].evaluation
@@ -107,19 +112,43 @@ def _columns(evaluation: Evaluation, lengths: tuple[str, ...]) -> dict[str, Floa
         columns[f"{length}.position_m"] = segment.errors.position_m
         if segment.errors.rotation_deg is not None:
             columns[f"{length}.rotation_deg"] = segment.errors.rotation_deg
-    pairs, rotation = evaluation.association, evaluation.absolute.rotation_deg
-    groundtruth, max_gap_s = evaluation.groundtruth, evaluation.protocol.association.max_gap_s
-    position = evaluation.absolute.position_m
-    if rotation is None:
-        rotation = np.full(len(position), np.nan)
-    stamps = pairs.groundtruth.stamps
-    errors = np.stack([pairs.groundtruth.seconds, position, rotation], axis=1)
-    columns["errors"] = thinned(errors, stamps, max_gap_s, _POINTS)
-    path, whole = (
+    pairs, groundtruth = evaluation.association, evaluation.groundtruth
+    return columns | columns_to_draw(
+        pairs.groundtruth.stamps,
+        evaluation.absolute.position_m,
+        evaluation.absolute.rotation_deg,
         groundtruth.up.turned(evaluation.aligned.positions),
-        groundtruth.up.turned(groundtruth.positions),
+        (groundtruth.stamps, groundtruth.up.turned(groundtruth.positions)),
+        evaluation.protocol.association.max_gap_s,
     )
+
+
+def columns_to_draw(
+    stamps: Stamps,
+    position_m: Floats,
+    rotation_deg: Floats | None,
+    path: Floats,
+    groundtruth: tuple[Stamps, Floats],
+    max_gap_s: float,
+) -> dict[str, Floats]:
+    """Return the columns of a record that figures draw, without invisible details.
+
+    Args:
+        stamps: Of the N pairs, nanoseconds.
+        position_m: Position errors (N,), metres.
+        rotation_deg: Rotation errors (N,), degrees; None where withheld.
+        path: Aligned positions (N, 3), metres, height last.
+        groundtruth: Timestamps (M,) and positions (M, 3) of the groundtruth, height last.
+        max_gap_s: Longest step that is no gap, seconds.
+    """
+    if rotation_deg is None:
+        rotation_deg = np.full(len(position_m), np.nan)
+    seconds = (stamps - stamps[0]) / NANOSECONDS
+    times, whole = groundtruth
     tolerance_m = _RESOLUTION * float(np.ptp(whole[:, :2], axis=0).max())
-    columns["path"] = simplified(path, stamps, max_gap_s, tolerance_m)
-    columns["groundtruth"] = simplified(whole, groundtruth.stamps, max_gap_s, tolerance_m)
-    return columns
+    errors = np.stack([seconds, position_m, rotation_deg], axis=1)
+    return {
+        "errors": thinned(errors, stamps, max_gap_s, _POINTS),
+        "path": simplified(path, stamps, max_gap_s, tolerance_m),
+        "groundtruth": simplified(whole, times, max_gap_s, tolerance_m),
+    }

@@ -192,16 +192,7 @@ def _judged(
         )
     rows = _by_rows(increments, fitted, base)
     apart_s = _disagreement(rows, fitted.blocks)
-    if apart_s:
-        warnings.append(
-            warning(
-                "clocks_of_parts_differ",
-                "positions and orientations have different clock offsets: "
-                f"{1e3 * rows['rotation'][0]:+.1f} ms from rotations, "
-                f"{1e3 * rows['position'][0]:+.1f} ms from positions; half of the difference is "
-                "added to the standard deviation",
-            )
-        )
+    hidden_s = systematic.offset_s * (2.0 if duration_s < _SHORT_RUN_S else 1.0)
     if with_skew and duration_s < _SHORT_FOR_SKEW_S:
         warnings.append(
             warning(
@@ -210,7 +201,6 @@ def _judged(
                 f"{_SHORT_FOR_SKEW_S:g} s",
             )
         )
-    hidden_s = systematic.offset_s * (2.0 if duration_s < _SHORT_RUN_S else 1.0)
     extra = {"offset": np.hypot(hidden_s, apart_s / 2.0), "turn": systematic.turn_rad}
     values = {
         "offset": np.array([base / NANOSECONDS + fitted.unknowns.offset_s]),
@@ -242,6 +232,17 @@ def _judged(
     offset = verdict("offset", "s")
     if not guess.is_usable:
         offset = unobservable(guess.problem, offset.reliability)
+    within_s = 0.0 if offset.half_width_95 is None else float(offset.half_width_95[0])
+    if apart_s > within_s:
+        warnings.append(
+            warning(
+                "clocks_of_parts_differ",
+                "positions and orientations have different clock offsets: "
+                f"{1e3 * rows['rotation'][0]:+.1f} ms from rotations, "
+                f"{1e3 * rows['position'][0]:+.1f} ms from positions; half of the difference is "
+                "added to the standard deviation",
+            )
+        )
     return Calibration(
         offset=offset,
         skew=verdict("skew", "s/s") if with_skew else None,

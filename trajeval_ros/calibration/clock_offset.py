@@ -94,22 +94,29 @@ def guess_offset(
     *,
     around_s: float = 0.0,
     search_s: float | None = SEARCH_S,
-    signal: str | None = None,
 ) -> OffsetGuess:
     """Estimate the offset by correlation of angular rates or, if not usable, of speeds.
 
     The search range is `around_s` +- `search_s`; None for all overlaps. Both sides have at least
     two states.
     """
-    if signal is None:
-        by = partial(guess_offset, groundtruth, estimate, around_s=around_s, search_s=search_s)
-        if groundtruth.quaternions is None or estimate.quaternions is None:
-            return by(signal="speed")
-        turning = by(signal="angular rate")
-        if turning.is_usable:
-            return turning
-        moving = by(signal="speed")
-        return moving if moving.is_usable else turning
+    by = partial(_guess_by, groundtruth, estimate, around_s, search_s)
+    if groundtruth.quaternions is None or estimate.quaternions is None:
+        return by("speed")
+    turning = by("angular rate")
+    if turning.is_usable:
+        return turning
+    moving = by("speed")
+    return moving if moving.is_usable else turning
+
+
+def _guess_by(
+    groundtruth: Trajectory,
+    estimate: Trajectory,
+    around_s: float,
+    search_s: float | None,
+    signal: str,
+) -> OffsetGuess:
     turns = signal == "angular rate"
     groundtruth_poses = PoseInterpolator.of(groundtruth, with_rotations=turns)
     estimate_poses = PoseInterpolator.of(estimate, with_rotations=turns, sparse=True)

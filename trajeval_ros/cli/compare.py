@@ -15,6 +15,7 @@ from trajeval_ros.cli.options import (
     OUTPUT,
     argument,
     option,
+    refuse_format,
     settings_options,
     shared_options,
 )
@@ -30,7 +31,9 @@ if TYPE_CHECKING:
     from trajeval_ros.batch.comparison import Progress
     from trajeval_ros.batch.comparison_summary import ComparisonSummary
     from trajeval_ros.batch.executors import Pool
+    from trajeval_ros.batch.finished_results import FinishedResults
     from trajeval_ros.batch.gate import Gate, GateValues
+    from trajeval_ros.batch.plan import Plan
 
 _WORK = "Work"
 
@@ -56,9 +59,12 @@ _GATE_OPTIONS = (
 
 
 _PARAMETERS = (
-    argument("target", metavar="CONFIG.yaml|RUNS.csv|DIR",
+    argument("targets", metavar="CONFIG.yaml|RUNS.csv|DIR|GROUNDTRUTH ESTIMATE...|RESULT...",
+        count=-1,
         help="YAML configuration, manifest (RUNS.csv or RUNS.parquet, also a URL; "
-        "docs/compare.md), or a folder in the layout of ov_eval or rpg_trajectory_evaluation."),
+        "docs/compare.md), folder in the layout of ov_eval or rpg_trajectory_evaluation, "
+        "groundtruth and estimates (NAME=ESTIMATE names one), or output folders of evaluate and "
+        "of live runs."),
     *shared_options(COMPARE),
     *settings_options(COMPARE),
     option("--common-time-span/--whole-runs", kind=bool, panel=ERRORS,
@@ -86,7 +92,7 @@ _PARAMETERS = (
 
 @verb(*_PARAMETERS)
 def compare(
-    target: str,
+    targets: Sequence[str],
     columns: str | None,
     frame_rate: float | None,
     quiet: bool,
@@ -116,6 +122,11 @@ def compare(
 
         trajeval compare runs.csv --modality mono-inertial
 
+    Evaluate estimates of one groundtruth, or show finished results together:
+
+        trajeval compare groundtruth.txt vio.txt Ours=slam.txt --gauge yaw
+        trajeval compare result_vio result_slam
+
     Evaluate a folder in the layout of ov_eval or rpg_trajectory_evaluation:
 
         trajeval compare results --gauge yaw
@@ -129,26 +140,28 @@ def compare(
     from trajeval_ros.batch.comparison import run_plan
     from trajeval_ros.batch.comparison_report import is_drawn, write_report
     from trajeval_ros.batch.comparison_summary import summary_of
-    from trajeval_ros.batch.config import plan_of
+    from trajeval_ros.batch.finished_results import FinishedResults
     from trajeval_ros.batch.records import RECORDS
+    from trajeval_ros.batch.results_table import load_pyarrow
+    from trajeval_ros.report.comparison_page import require_jinja2
 
+    refuse_format(targets, "compare GROUNDTRUTH ESTIMATE...")
+    load_pyarrow()
+    require_jinja2()
     if workers is not None and cluster is not None:
         raise SettingsError(
             "--workers (this machine) and --cluster exclude each other; give one of them"
         )
-    plan = plan_of(
-        target,
-        settings,
-        columns=columns,
-        frame_rate=frame_rate,
-        common_time_span=common_time_span,
-        allow_remote=allow_remote,
-    )
+    reading = {"columns": columns, "frame_rate": frame_rate, "common_time_span": common_time_span}
+    chosen = _comparison_of(targets, settings, reading, allow_remote)
     # The baseline may be the table in the output folder, so it is read before anything is written.
-    gates = _gates_of(baseline, fail_if, undecided, false_alarms, plan.settings, paired=paired)
+    gates = _gates_of(baseline, fail_if, undecided, false_alarms, chosen.settings, paired=paired)
     with only_writer(output, RECORDS, _tell_of_waiting if wait else None):
-        with progress_of_runs() as tell:
-            progress = run_plan(plan, output, lambda: _pool(workers, cluster), tell)
+        if isinstance(chosen, FinishedResults):
+            progress = chosen.write_tables(output)
+        else:
+            with progress_of_runs() as tell:
+                progress = run_plan(chosen, output, lambda: _pool(workers, cluster), tell)
         summary = summary_of(output)
         write_tables(output, summary, transpose=transpose)
         if not is_drawn(output):
@@ -159,6 +172,37 @@ def compare(
         if gates is not None:
             _judge(gates, output, summary.title, quiet=quiet)
         _require_numbers(summary, output)
+
+
+def _comparison_of(
+    targets: Sequence[str],
+    settings: dict[str, Any],
+    reading: dict[str, Any],
+    allow_remote: Sequence[str],
+) -> Plan | FinishedResults:
+    """Return the runs to evaluate, or finished results, which have their own settings."""
+    from trajeval_ros.batch.config import plan_of, plan_of_sources
+    from trajeval_ros.batch.finished_results import RESULT, FinishedResults, is_result
+
+    results = [each for each in targets if is_result(each)]
+    if not results:
+        if len(targets) > 1:
+            return plan_of_sources(targets, settings, **reading)
+        return plan_of(targets[0], settings, **reading, allow_remote=allow_remote)
+    others = [each for each in targets if not is_result(each)]
+    if others:
+        raise InputError(
+            f"{results[0]} has finished results, and {others[0]} has none; give folders with "
+            f"{RESULT}, or groundtruth and estimates"
+        )
+    given = [name for name, value in {**settings, **reading}.items() if value is not None]
+    if given:
+        option = f"--{given[0].replace('_', '-')}"
+        raise SettingsError(
+            f"finished results are not evaluated again, so {option} has no effect; remove it, or "
+            "give groundtruth and estimates"
+        )
+    return FinishedResults(targets)
 
 
 @dataclass(frozen=True)

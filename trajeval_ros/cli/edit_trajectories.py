@@ -14,6 +14,7 @@ from trajeval_ros.cli.options import (
     OUTPUT,
     argument,
     option,
+    refuse_format,
     require_used,
     settings_options,
     shared_options,
@@ -21,7 +22,6 @@ from trajeval_ros.cli.options import (
 from trajeval_ros.cli.plotting import PLOT_OPTIONS, Plotting
 from trajeval_ros.cli.programs import may_break
 from trajeval_ros.cli.progress import progress
-from trajeval_ros.cli.source_names import names_of
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.pose_conventions import ORDERS, POSES, ROTATIONS, Conventions
@@ -30,6 +30,7 @@ from trajeval_ros.io.hand_eye_file import read_similarity
 from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.requests.setting import INPUT, PAIR, TRAJECTORY
 from trajeval_ros.io.save_trajectories import MESSAGES, files_of, save_trajectories
+from trajeval_ros.io.source_names import names_of
 from trajeval_ros.io.sources import each_topic, read_many
 from trajeval_ros.io.text.layouts import TextHints
 from trajeval_ros.metrics.editing import Edited, Editing, edit
@@ -197,6 +198,7 @@ def trajectory(
         raise SettingsError(
             "association continuous computes likelihoods only; use linear or nearest"
         )
+    refuse_format(sources, "trajectory SOURCE...")
     request = request_from(settings)
     protocol = request.protocol
     editing = Editing(

@@ -16,14 +16,15 @@ from trajeval_ros.cli.options import (
     require_used,
     settings_options,
     shared_options,
+    sources_of,
 )
 from trajeval_ros.cli.pictures import Pictures
 from trajeval_ros.cli.progress import progress
-from trajeval_ros.cli.source_names import names_with, split_name
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.requests.setting import EVALUATE
 from trajeval_ros.io.results.requirement import Requirement
+from trajeval_ros.io.source_names import names_with, split_name
 from trajeval_ros.io.sources import read_many
 from trajeval_ros.io.text.layouts import TextHints
 from trajeval_ros.pipeline.pipeline import run
@@ -50,9 +51,6 @@ _PARAMETERS = (
         help="Output file for Rerun's viewer. Open it with `trajeval view FILE`."),
     option("--viewer", kind=bool, panel=OUTPUT, help="Opens the result in Rerun's viewer."),
 )  # fmt: skip
-
-
-_FORMATS = ("tum", "kitti", "euroc", "bag", "bag2")  # first words of evo
 
 
 @verb(*_PARAMETERS)
@@ -119,7 +117,7 @@ def evaluate(
     look.check()
     if look != PLAIN and output is None:
         raise SettingsError("the options of figures need an output folder; add --output DIR")
-    truth, *named = _sources(by_position, groundtruth, estimate)
+    truth, *named = sources_of("evaluate", by_position, groundtruth, estimate)
     split = [("", truth), *map(split_name, named)]
     sources = [source for _, source in split]
     names = names_with([name for name, _ in split], sources)
@@ -143,28 +141,6 @@ def evaluate(
     )
 
 
-def _sources(
-    by_position: Sequence[str], groundtruth: str | None, estimates: Sequence[str]
-) -> list[str]:
-    """Return the groundtruth and the estimates, from arguments or options."""
-    if by_position[:1] and by_position[0] in _FORMATS and not Path(by_position[0]).exists():
-        raise SettingsError(
-            f"{by_position[0]} is a format, which is detected from the content; remove it: "
-            "trajeval evaluate GROUNDTRUTH ESTIMATE"
-        )
-    if by_position and (groundtruth is not None or estimates):
-        raise SettingsError(
-            "sources are given twice; use either GROUNDTRUTH ESTIMATE... or --groundtruth and "
-            "--estimate"
-        )
-    first = by_position[:1] if groundtruth is None else [groundtruth]
-    estimates = estimates or by_position[1:]
-    if first and estimates:
-        return [*first, *estimates]
-    missing = "groundtruth" if estimates else "estimate" if first else "groundtruth and estimate"
-    raise SettingsError(f"{missing} missing; call trajeval evaluate GROUNDTRUTH ESTIMATE")
-
-
 def _read(
     sources: Sequence[str],
     names: Sequence[str],
@@ -185,6 +161,7 @@ def _read(
             covariances=covariances,
             strict=strict,
             hints=hints,
+            received=request.received,
         )
     return [
         dataclasses.replace(trajectory, name=name)

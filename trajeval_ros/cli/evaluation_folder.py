@@ -21,7 +21,7 @@ _RESULT = "result.json"
 _HEAD = 64  # bytes with the schema
 _OURS = re.compile(
     "(trajectory_(top|side)|(absolute|relative)_error|groundtruth_uncertainty|mahalanobis"
-    r"|likelihood_by_edge|(consistency|uncertainty_top|stanford)(_\d+)?)(-img\d+)?\.(png|pdf|svg|pgf)"
+    r"|likelihood_by_edge|(as_available|consistency|uncertainty_top|stanford)(_\d+)?)(-img\d+)?\.(png|pdf|svg|pgf)"
 )
 _HAVE_FIGURES = find_spec("matplotlib") is not None
 
@@ -42,7 +42,7 @@ def write_folder(
 
 def _write(folder: Path, result: dict[str, object], outcome: Outcome, look: FigureStyle) -> None:
     runs = outcome.runs
-    _require_own(folder / _RESULT)
+    is_own = _is_own(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
     # An existing folder may be a mount point, and the only writable place.
     beside = folder if folder.is_dir() else folder.parent
@@ -61,6 +61,10 @@ def _write(folder: Path, result: dict[str, object], outcome: Outcome, look: Figu
                     from trajeval_ros.report.consistency_figure import write_consistency
 
                     write_consistency(run.evaluation, run.consistency, temporary, *named, look)
+                if run.available is not None and run.available.samples is not None:
+                    from trajeval_ros.report.available_figure import write_available
+
+                    write_available(run.evaluation, run.available, temporary, named[1], look)
                 if run.integrity is not None:
                     from trajeval_ros.report.consistency_figure import write_stanford
 
@@ -75,26 +79,46 @@ def _write(folder: Path, result: dict[str, object], outcome: Outcome, look: Figu
         (folder / _RESULT).unlink(missing_ok=True)
         # Remove files of an earlier evaluation.
         (folder / TABLE).unlink(missing_ok=True)
-        if not any(folder.glob(f"*{SUFFIX}")):  # in the folder of a live run, the node wrote it
+        # In the folder of a live run, the node wrote the picture.
+        if is_own and not any(folder.glob(f"*{SUFFIX}")):
             (folder / PICTURE).unlink(missing_ok=True)
         for old in folder.iterdir():
             if _OURS.fullmatch(old.name):
                 old.unlink()
-        for file in sorted(temporary.iterdir(), key=lambda file: file.name == _RESULT):
+        # The archive is the first and identifies the folder if the process is killed.
+        order = {ARCHIVE: 0, _RESULT: 2}
+        for file in sorted(temporary.iterdir(), key=lambda file: order.get(file.name, 1)):
             file.replace(folder / file.name)
 
 
-def _require_own(result: Path) -> None:
-    """Check that an existing result.json is from an evaluation, which replaces it."""
-    if not result.is_file() or result.is_symlink():
-        return
-    with result.open("rb") as file:
-        start = file.read(_HEAD)
-    if start and b'"schema": "trajeval/' not in start:
-        raise InputError(
-            f"{result} is not from an evaluation, which replaces it; choose another --output, or "
-            "move it away"
-        )
+def _is_own(folder: Path) -> bool:
+    """Return whether a folder has results of an evaluation or live run, which are replaced.
+
+    Raises:
+        InputError: A file with the name of a result is from another source.
+    """
+    for name, mark in ((_RESULT, b'"schema": "trajeval/'), (ARCHIVE, b"schema.npy")):
+        path = folder / name
+        if path.is_file() and not path.is_symlink():
+            with path.open("rb") as file:
+                start = file.read(_HEAD)
+            if start and mark not in start:
+                raise _foreign(path)
+            return True
+    if any(folder.glob(f"*{SUFFIX}")):
+        return True
+    for path in folder.iterdir() if folder.is_dir() else ():
+        is_result = path.name == TABLE or _OURS.fullmatch(path.name)
+        if is_result and not path.is_symlink():  # a link is replaced, its target is not
+            raise _foreign(path)
+    return False
+
+
+def _foreign(path: Path) -> InputError:
+    return InputError(
+        f"{path} is not from an evaluation, which replaces it; choose another --output, or "
+        "move it away"
+    )
 
 
 def contents(folder: Path) -> str:

@@ -143,6 +143,7 @@ def _print(outcome: Outcome, output: Path | None) -> None:
 
 
 def _print_verdicts(terminal: Console, outcome: Outcome) -> None:
+    from trajeval_ros.report.available_lines import available_lines, stream_line
     from trajeval_ros.report.verdict_lines import diagnosis_lines, doubt, own_error_line, verdict
 
     for run in outcome.runs:
@@ -150,6 +151,12 @@ def _print_verdicts(terminal: Console, outcome: Outcome) -> None:
         headline += doubt(run.diagnosis)
         for line in (headline, *diagnosis_lines(run), *rest):
             terminal.print(line, soft_wrap=True)
+        if run.stream is not None and (line := stream_line(run.stream)):
+            terminal.print(line, soft_wrap=True)
+        position = run.evaluation.ate["position_m"]
+        if run.available is not None and position is not None:
+            for line in available_lines(run.available.numbers, position.rmse):
+                terminal.print(line, soft_wrap=True)
         if run.own_error is not None:
             terminal.print(own_error_line(run.own_error), soft_wrap=True)
     if outcome.request.gauge_is_default:
@@ -206,7 +213,8 @@ def _print_remarks(runs: Sequence[RunOutcome]) -> None:
         printed = {each.cause for each in run.diagnosis.findings}  # below the headline
         for remark in run.evaluation.remarks:
             if remark.code not in printed:
-                remarks.print(f"warning: {run.estimate.name}: {remark.text}", soft_wrap=True)
+                kind = "note" if remark.level is Level.NOTE else "warning"
+                remarks.print(f"{kind}: {run.estimate.name}: {remark.text}", soft_wrap=True)
 
 
 def _print_integrity(terminal: Console, runs: Sequence[RunOutcome]) -> None:

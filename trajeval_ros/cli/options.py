@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,12 +37,12 @@ STUDY_GAUGE, STUDY_ASSOCIATION = "study gauge", "study association"
 # Options of several verbs that are not settings of a request.
 _SHARED = (
     Setting(name="groundtruth", letter="-g", metavar="SOURCE", panel=INPUT,
-        verbs=(EVALUATE, STUDY_ASSOCIATION), is_common=True,
+        verbs=(EVALUATE, DIAGNOSE, STUDY_ASSOCIATION), is_common=True,
         help="Groundtruth: PATH, BAG:TOPIC or BAG:/tf:PARENT.CHILD; - reads text from stdin. "
         "The format is detected from the content: text (TUM, KITTI, EuRoC, OpenVINS, VINS-Mono) "
         "or bag (MCAP, rosbag2 sqlite3, ROS 1)."),
     Setting(name="estimate", letter="-e", metavar="SOURCE", panel=INPUT,
-        verbs=(EVALUATE, STUDY_ASSOCIATION), is_common=True, is_repeatable=True,
+        verbs=(EVALUATE, DIAGNOSE, STUDY_ASSOCIATION), is_common=True, is_repeatable=True,
         help="Trajectory to evaluate. Repeat the option to evaluate several."),
     Setting(name="columns", metavar="NAMES", panel=INPUT,
         verbs=(EVALUATE, COMPARE, TRAJECTORY, "info"),
@@ -54,14 +54,17 @@ _SHARED = (
     Setting(name="strict", kind=bool, panel=INPUT, verbs=(EVALUATE, TRAJECTORY),
         help="Verification of all data read from a bag. Exits with status 2 if it is damaged."),
     Setting(name="json", metavar="FILE|-", panel=OUTPUT,
-        verbs=(EVALUATE, FINISH, DIAGNOSE, "watch", STUDY_ASSOCIATION), is_common=True,
+        verbs=(
+            EVALUATE, FINISH, DIAGNOSE, "explain", "watch", "groundtruth", STUDY_ASSOCIATION,
+        ),
+        is_common=True,
         help="JSON output file. With -, only the JSON is printed to stdout."),
     Setting(name="require", metavar="BOUND", panel=OUTPUT, verbs=(EVALUATE, FINISH),
         is_repeatable=True,
         help="Requirement for every estimate; exits with status 1 if it is not met. Repeatable. "
         "Examples: 'ate.position_m.rmse < 0.3', 're.8m.position_percent.mean < 1'."),
     Setting(name="quiet", kind=bool, letter="-q", panel=OUTPUT,
-        verbs=(EVALUATE, COMPARE, FINISH, TRAJECTORY, "watch"),
+        verbs=(EVALUATE, COMPARE, FINISH, TRAJECTORY, "watch", "groundtruth"),
         help="No output on the terminal except warnings about missing data."),
     Setting(name="figure_format", metavar="LIST", panel=FIGURES,
         verbs=(EVALUATE, TRAJECTORY, STUDY_GAUGE),
@@ -118,11 +121,13 @@ def shared_options(verb: str) -> list[click.Parameter]:
 
 def _option_of(setting: Setting) -> HelpedOption:
     is_flag = setting.kind is bool
+    alone = {"is_flag": False, "flag_value": setting.value_if_alone}
     return HelpedOption(
         [setting.option, *([setting.letter] if setting.letter else [])],
         help=setting.text,
         type=None if is_flag else _click_type(setting.kind),
-        is_flag=is_flag or None,  # False would make the value optional
+        # False would make the value optional.
+        **(alone if setting.value_if_alone else {"is_flag": is_flag or None}),
         multiple=setting.is_repeatable,
         metavar=None if is_flag else setting.metavar or _metavar(setting),
         panel=setting.panel,
@@ -150,6 +155,7 @@ def option(
     panel: str = "",
     is_common: bool = False,
     is_repeatable: bool = False,
+    count: int = 1,
 ) -> HelpedOption:
     """Return an option that a single verb has; a bool is a flag.
 
@@ -162,6 +168,7 @@ def option(
         panel: Heading in the help.
         is_common: Whether the short help shows it.
         is_repeatable: Whether it may be given several times.
+        count: Number of its values.
     """
     is_flag = kind is bool
     return HelpedOption(
@@ -171,6 +178,7 @@ def option(
         is_flag=is_flag or None,  # False would make the value optional
         default=(None if "/" in names[0] else False) if is_flag else default,
         multiple=is_repeatable,
+        nargs=count,
         metavar=None if is_flag else metavar or _TYPES.get(kind, "N"),
         panel=panel,
         is_common=is_common,
@@ -216,6 +224,22 @@ def _completion(metavar: str, choices: Iterable[str]) -> Callable[..., list[Comp
     return complete
 
 
+_FORMATS = ("tum", "kitti", "euroc", "bag", "bag2")  # first words of evo
+
+
+def refuse_format(sources: Sequence[str], usage: str) -> None:
+    """Refuse the name of a format before the sources, which evo requires.
+
+    Raises:
+        SettingsError: The first word is a format, and no file has its name.
+    """
+    if sources[:1] and sources[0] in _FORMATS and not Path(sources[0]).exists():
+        raise SettingsError(
+            f"{sources[0]} is a format, which is detected from the content; remove it: trajeval "
+            f"{usage}"
+        )
+
+
 def require_used(hints: TextHints, remarks: Iterable[Remark]) -> None:
     """Refuse column names and a frame rate that no source needed.
 
@@ -234,3 +258,25 @@ def require_used(hints: TextHints, remarks: Iterable[Remark]) -> None:
             "--frame-rate is for text files without timestamps, and no such file was read; remove "
             "it"
         )
+
+
+def sources_of(
+    verb: str, by_position: Sequence[str], groundtruth: str | None, estimates: Sequence[str]
+) -> list[str]:
+    """Return the groundtruth and the estimates of a verb, from arguments or options.
+
+    Raises:
+        SettingsError: One is missing or given twice.
+    """
+    refuse_format(by_position, f"{verb} GROUNDTRUTH ESTIMATE")
+    if by_position and (groundtruth is not None or estimates):
+        raise SettingsError(
+            "sources are given twice; use either GROUNDTRUTH ESTIMATE... or --groundtruth and "
+            "--estimate"
+        )
+    first = by_position[:1] if groundtruth is None else [groundtruth]
+    estimates = estimates or by_position[1:]
+    if first and estimates:
+        return [*first, *estimates]
+    missing = "groundtruth" if estimates else "estimate" if first else "groundtruth and estimate"
+    raise SettingsError(f"{missing} missing; call trajeval {verb} GROUNDTRUTH ESTIMATE")

@@ -3,33 +3,42 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from trajeval_ros.cli.command import verb
-from trajeval_ros.cli.options import argument, settings_options, shared_options
+from trajeval_ros.cli.options import argument, settings_options, shared_options, sources_of
 from trajeval_ros.cli.progress import progress
-from trajeval_ros.cli.source_names import names_of
 from trajeval_ros.diagnosis.diagnose import Diagnosis
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.io.json_file import json_text
 from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.requests.setting import AUTO, DIAGNOSE
 from trajeval_ros.io.results.result_json import findings_json
+from trajeval_ros.io.source_names import names_of
 from trajeval_ros.io.sources import read_many
 from trajeval_ros.io.writing import write_text
 from trajeval_ros.pipeline.pipeline import diagnose as search
 
+_TWO = 2  # groundtruth and estimate
+
 _PARAMETERS = (
-    argument("groundtruth", metavar="GROUNDTRUTH", help="Source, as for `trajeval evaluate`."),
-    argument("estimate", metavar="ESTIMATE", help="Source, as for `trajeval evaluate`."),
+    argument("by_position", metavar="GROUNDTRUTH ESTIMATE", count=-1, is_required=False,
+        help="Sources, as for `trajeval evaluate`, instead of -g and -e."),
     *settings_options(DIAGNOSE),
     *shared_options(DIAGNOSE),
 )  # fmt: skip
 
 
 @verb(*_PARAMETERS)
-def diagnose(groundtruth: str, estimate: str, json: str | None, **settings: Any) -> None:
+def diagnose(
+    by_position: Sequence[str],
+    groundtruth: str | None,
+    estimate: Sequence[str],
+    json: str | None,
+    **settings: Any,
+) -> None:
     """Searches for mistakes that explain a bad or suspicious result.
 
     Prints every test with its statistics and its result, or the reason why it is not applicable
@@ -44,7 +53,9 @@ def diagnose(groundtruth: str, estimate: str, json: str | None, **settings: Any)
             "seconds"
         )
     request = request_from(settings)
-    sources = [groundtruth, estimate]
+    sources = sources_of("diagnose", by_position, groundtruth, estimate)
+    if len(sources) != _TWO:
+        raise SettingsError(f"diagnose tests one estimate, not {len(sources) - 1}; give one")
     with progress(f"reading {', '.join(names_of(sources))}") as advance:
         first, second = read_many(sources, advance=advance, covariances=[False, True])
     request = request.for_trajectories(first, [second])

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 FIX_TYPE = "sensor_msgs/msg/NavSatFix"
 RECEIVERS = ("rtk", "consumer")
 STORAGES = ("mcap", "sqlite3")  # plugins of rosbag2
-_DRIFT = "drift"
+_DRIFT, _SLOW = "drift", "slow"
 _FAULTS = ("yaw", "jump", "freeze", "divergence")
 # Lever arm (m), rotation (rad) and time offset (s) of the marker relative to the body.
 _LEVER_M = (0.1, -0.05, 0.2)
@@ -48,7 +48,8 @@ _PARAMETERS = (
         default=STORAGES[0],
         help="Storage format of the bag: mcap (default of Jazzy) or sqlite3."),
     option("--profile", metavar="NAME", default=_DRIFT,
-        help="Odometry model. drift: kinematic model without covariance. paper, stereo, euroc: "
+        help="Odometry model. drift: kinematic model without covariance. slow: the same, received "
+        "at least 0.12 s after its timestamp and with dropouts. paper, stereo, euroc: "
         "consistent visual-inertial estimator with covariance (at most 1800 s), with the "
         "sensors of the gauge paper, with a second camera, or with the sensors of EuRoC. "
         "overconfident: estimator whose joint NEES is several times its degrees of freedom (at "
@@ -107,7 +108,7 @@ def simulate(
         trajeval evaluate fly:/groundtruth/pose fly:/vio/odometry \
             --covariance fly.npz
     """
-    if profile == _DRIFT:
+    if profile in (_DRIFT, _SLOW):
         if runs != 1:
             raise SettingsError(
                 "--runs needs a simulated estimator; choose one, as in --profile euroc"
@@ -124,6 +125,7 @@ def simulate(
             marker=marker,
             gnss=gnss,
             fault=fault,
+            slow=profile == _SLOW,
             overwrite=overwrite,
         )
     else:
@@ -153,7 +155,7 @@ def _write_runs(
     from trajeval_ros.visual_inertial.flight import fly
     from trajeval_ros.visual_inertial.scene import PROFILES
 
-    require_one_of(profile, [_DRIFT, *PROFILES], "profile")
+    require_one_of(profile, [_DRIFT, _SLOW, *PROFILES], "profile")
     if runs < 1 or seed < 0:
         raise SettingsError("--runs must be at least 1, and --seed at least 0")
     if output.name in ("", ".."):
@@ -176,7 +178,7 @@ def _write_runs(
             estimate = odometry.estimate
             write_bag(
                 bag,
-                _topics(flight.groundtruth, estimate),
+                _topics(flight.groundtruth, estimate, seed),
                 storage=storage,
                 inertial={IMU_TOPIC: imu_readings(flight.groundtruth, seed)},
             )
@@ -203,7 +205,13 @@ def _covariance_of(bag: Path) -> Path:
     return bag.with_name(f"{bag.name}.npz")
 
 
-def _topics(groundtruth: Trajectory, estimate: Trajectory) -> dict[str, tuple[Trajectory, str]]:
+def _topics(
+    groundtruth: Trajectory, estimate: Trajectory, seed: int, *, slow: bool = False
+) -> dict[str, tuple[Trajectory, str]]:
+    """Return the trajectories by topic; the estimate with its times of reception."""
+    from trajeval_ros.simulation.simulated_delays import SLOW, USUAL, with_receptions
+
+    estimate = with_receptions(estimate, SLOW if slow else USUAL, seed)
     return {
         GROUNDTRUTH_TOPIC: (groundtruth, "geometry_msgs/msg/PoseStamped"),
         ESTIMATE_TOPIC: (estimate, "nav_msgs/msg/Odometry"),
@@ -219,6 +227,7 @@ def _write_drift(
     marker: bool,
     gnss: str | None,
     fault: str | None,
+    slow: bool,
     overwrite: bool,
 ) -> None:
     """Write a flight with the kinematic drift model."""
@@ -233,7 +242,7 @@ def _write_drift(
     estimate = simulated.estimate
     if fault is not None:
         estimate, more = _with_fault(estimate, fault, seed)
-    topics = _topics(groundtruth, estimate)
+    topics = _topics(groundtruth, estimate, seed, slow=slow)
     if gnss is not None:
         from trajeval_ros.simulation.simulated_sensors import ANTENNA_M, gnss_fixes
 
@@ -255,7 +264,7 @@ def _write_drift(
         options = " --time-offset auto --hand-eye auto"
     write_bag(
         output,
-        _topics(groundtruth, estimate),
+        _topics(groundtruth, estimate, seed, slow=slow),
         storage=storage,
         inertial={IMU_TOPIC: imu_readings(simulated.groundtruth, seed)},
     )

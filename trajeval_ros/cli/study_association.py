@@ -12,10 +12,10 @@ import click
 
 from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.options import STUDY_ASSOCIATION, option, shared_options
-from trajeval_ros.cli.source_names import names_of
 from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.io.source_names import names_of
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.trajectory import Trajectory

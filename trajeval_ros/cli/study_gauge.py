@@ -13,11 +13,11 @@ from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.report.figure_style import FigureStyle
 
 if TYPE_CHECKING:
+    from trajeval_ros.geometry.preintegration import ImuNoise
     from trajeval_ros.studies.examination import Examination, MeasurementModel
     from trajeval_ros.studies.gauge_study import GaugeStudy
     from trajeval_ros.studies.gauge_trials import StudiedScene
     from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
-    from trajeval_ros.visual_inertial.preintegration import ImuNoise
     from trajeval_ros.visual_inertial.scene import Scene, SensorProfile
 
 _SEED = 0
@@ -172,7 +172,7 @@ def _above_zero(option: str, value: float) -> Any:
 
 
 def _imu_noise(text: str) -> ImuNoise:
-    from trajeval_ros.visual_inertial.preintegration import ImuNoise
+    from trajeval_ros.geometry.preintegration import ImuNoise
 
     return ImuNoise(*_numbers("--imu-noise", text, _IMU_NOISE))
 
@@ -218,7 +218,7 @@ def _recorded(
 ) -> dict[str, Scene]:
     import dataclasses
 
-    from trajeval_ros.cli.source_names import names_of
+    from trajeval_ros.io.source_names import names_of
     from trajeval_ros.io.sources import read_trajectory
     from trajeval_ros.simulation.motion import recorded
     from trajeval_ros.visual_inertial.scene import make_scene

@@ -107,8 +107,8 @@ def _named_sources(
     estimate: str, imu: str | None, partners: Sequence[str], corrections: str | None
 ) -> dict[str, str]:
     """Return the given sources by name."""
-    from trajeval_ros.cli.source_names import names_of
     from trajeval_ros.formatting.escaping import part_of_topic
+    from trajeval_ros.io.source_names import names_of
     from trajeval_ros.watchdog.signals import pair_sources
 
     pairs = pair_sources([part_of_topic(each) for each in names_of(partners)])
@@ -122,7 +122,7 @@ def _named_sources(
 def _read(named: Mapping[str, str]) -> WatchedRun:
     """Read all sources."""
     from trajeval_ros.cli.progress import progress
-    from trajeval_ros.cli.source_names import names_of
+    from trajeval_ros.io.source_names import names_of
     from trajeval_ros.io.watched_sources import read_watched
     from trajeval_ros.watchdog.signals import PAIR
 
@@ -156,7 +156,7 @@ def _deliver(
     elif json is not None:
         write_text(Path(json), text, follow_link=True)
     if figure is not None:
-        from trajeval_ros.cli.source_names import names_of
+        from trajeval_ros.io.source_names import names_of
         from trajeval_ros.report import canvas
         from trajeval_ros.report.figure_style import house_style
         from trajeval_ros.report.figures import write_figure

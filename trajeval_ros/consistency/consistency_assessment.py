@@ -21,6 +21,7 @@ from trajeval_ros.consistency.consistency_result import (
     sigmas_of,
     verdict_of,
 )
+from trajeval_ros.consistency.constant_covariances import constant_covariances
 from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.consistency.joint_covariance import JointCovariance
 from trajeval_ros.consistency.nees import (
@@ -82,7 +83,8 @@ def assess_consistency(evaluation: Evaluation, request: CovarianceRequest) -> Co
         >>> from trajeval_ros import evaluate, simulate
         >>> flight = simulate(seed=1, duration_s=30.0)
         >>> block = np.diag([0.1**2] * 3 + [0.01**2] * 3)
-        >>> blocks = np.broadcast_to(block, (len(flight.estimate), 6, 6))
+        >>> growth = np.linspace(1.0, 1.1, len(flight.estimate))
+        >>> blocks = growth[:, None, None] * block
         >>> estimate = replace(flight.estimate, covariances=blocks)
         >>> found = evaluate(flight.groundtruth, estimate, Protocol(gauge="yaw"))
         >>> request = CovarianceRequest("message", groundtruth_noise=(0.002, 0.1))
@@ -290,7 +292,7 @@ def assess_marginals(
         )
     # Checked first: the covariances of a single pair would look like unknown ones.
     transformation, errors = aligned.transformation(), aligned.errors()
-    why = unknown_covariances(covariances)
+    why = unknown_covariances(covariances) or constant_covariances(covariances)
     if why:
         raise InputError(f"covariances of {name} are not valid: {why}; use --covariance none")
     blocks = carried(covariances, aligned.similarity)

@@ -94,7 +94,8 @@ class Consistency:
         >>> from trajeval_ros import evaluate, simulate
         >>> flight = simulate(seed=1, duration_s=30.0)
         >>> block = np.diag([0.1**2] * 3 + [0.01**2] * 3)
-        >>> blocks = np.broadcast_to(block, (len(flight.estimate), 6, 6))
+        >>> growth = np.linspace(1.0, 1.1, len(flight.estimate))
+        >>> blocks = growth[:, None, None] * block
         >>> estimate = replace(flight.estimate, covariances=blocks)
         >>> found = evaluate(flight.groundtruth, estimate, Protocol(gauge="yaw"))
         >>> request = CovarianceRequest("message", groundtruth_noise=(0.002, 0.1))

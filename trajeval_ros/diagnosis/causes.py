@@ -447,6 +447,14 @@ _TABLE = (
         "write them in square radians",
     ),
     Cause(
+        "frames_lost",
+        1.0,
+        FITTED,
+        "the estimate has {rate_hz:.1f} of {of_hz:.0f} poses per second: frames were lost or not "
+        "processed",
+        "reduce the load of the computer, or the rate of the sensor",
+    ),
+    Cause(
         "keyframes",
         1.0,
         FITTED,

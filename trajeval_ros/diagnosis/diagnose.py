@@ -309,9 +309,9 @@ def _tests_of_motion(inputs: InputPair) -> list[Examined]:
     if inputs.by_time:
         examined += [
             groundtruth_defects(groundtruth, estimate, inputs.max_gap_s),
-            rhythm(groundtruth, estimate),
+            rhythm(groundtruth, estimate, is_odometry=_is_odometry(inputs.estimate)),
         ]
-        defect = bool(_causes(examined) - {"keyframes"})
+        defect = bool(_causes(examined) - {"keyframes", "frames_lost"})
         if defect:
             groundtruth = without_defects(groundtruth)
         match = match_clocks(groundtruth, estimate)
@@ -333,6 +333,10 @@ def _tests_of_motion(inputs: InputPair) -> list[Examined]:
             estimate = estimate.shifted(offset_s)
     examined.append(velocities(groundtruth, estimate))
     return [*examined, *_tests_of_geometry(inputs, groundtruth, estimate, match)]
+
+
+def _is_odometry(estimate: Trajectory) -> bool:
+    return estimate.reading.format.endswith("/Odometry")
 
 
 def _offset_of(match: ClockMatch | None, clocks: Examined) -> float:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trajeval_ros.calibration.clock_offset import OffsetGuess, guess_offset
+from trajeval_ros.consistency.constant_covariances import constant_covariances
 from trajeval_ros.diagnosis.clock_tests import LEAST_LIKELY, unlikeness_ratio
 from trajeval_ros.diagnosis.findings import Examined, Seen, Value
 from trajeval_ros.diagnosis.input_pair import TimedPoses
@@ -197,6 +198,8 @@ def covariance_blocks(evaluation: Evaluation) -> Examined:
     covariances = pairs.estimate.covariances
     if covariances is None or errors.rotation_deg is None or len(pairs) < _FEWEST_COVARIANCES:
         return Examined(_COVARIANCES, why_not="no covariances in use, or too few pairs")
+    if constant_covariances(covariances):
+        return Examined(_COVARIANCES, why_not="the covariances are constant")
     variances = np.diagonal(covariances, axis1=1, axis2=2)
     usable = np.isfinite(variances).all(axis=1) & (variances > 0.0).all(axis=1)
     if np.count_nonzero(usable) < _FEWEST_COVARIANCES:

@@ -263,8 +263,11 @@ def velocities(groundtruth: TimedPoses, estimate: TimedPoses) -> Examined:
     return Examined("velocities", scores, tuple(seen), why_not)
 
 
-def rhythm(groundtruth: TimedPoses, estimate: TimedPoses) -> Examined:
-    """Test whether the estimate has only keyframes: few, at irregular times."""
+def rhythm(groundtruth: TimedPoses, estimate: TimedPoses, *, is_odometry: bool) -> Examined:
+    """Test whether the estimate has only keyframes, or lost frames: few, at irregular times.
+
+    Odometry is published once per frame and not optimised later.
+    """
     if len(estimate) < 6:
         return Examined("keyframes", why_not="too few poses")
     rate_hz = (len(estimate) - 1) / max(estimate.span_s, 1e-9)
@@ -276,7 +279,9 @@ def rhythm(groundtruth: TimedPoses, estimate: TimedPoses) -> Examined:
     spread = float(high - low) / usual_s
     scores = {"rate_hz": rate_hz, "spread": spread}
     if spread > 0.5 and usual_s > 4.0 * groundtruth.usual_step_s:
-        return Examined("keyframes", scores, (Seen("keyframes", 0.0, {"rate_hz": rate_hz}),))
+        values: dict[str, Value] = {"rate_hz": rate_hz, "of_hz": 1.0 / float(low)}
+        cause = "frames_lost" if is_odometry else "keyframes"
+        return Examined("keyframes", scores, (Seen(cause, 0.0, values),))
     return Examined("keyframes", scores)
 
 

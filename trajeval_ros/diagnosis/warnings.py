@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trajeval_ros.consistency.yaw_information import YawInformation
 from trajeval_ros.diagnosis.causes import CAUSES
 from trajeval_ros.diagnosis.findings import Diagnosis
 from trajeval_ros.diagnosis.input_tests import stamped_at_arrival
@@ -15,7 +16,8 @@ from trajeval_ros.formatting.numbers import counted, percent, whole_percent
 from trajeval_ros.formatting.remarks import Level, Remark, warning
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.fix_selection import FixRule
-from trajeval_ros.geometry.travelled import StepDifferences, step_lengths
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.travelled import StepDifferences, cause_of_jumps, step_lengths
 from trajeval_ros.geometry.up_axis import ASSUMED
 from trajeval_ros.geometry.valid_poses import MOST_UNUSABLE, NO_STATE, reasons
 from trajeval_ros.metrics.moments import Moments
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
 
 LOW_COVERAGE = 0.9
 LARGE_TILT_DEG = 10.0
+_WHOLE = 0.95  # of the time from the first to the last pair
 # Of a UTM zone; northings below are within 9 deg of the equator.
 _EASTING_M, _NORTHING_M = (1e5, 1e6), (1e6, 1e7)
 # Largest factor on the position ATE by orientations in the alignment, without a warning.
@@ -75,6 +78,7 @@ def remarks_on(evaluation: Evaluation, diagnosis: Diagnosis) -> tuple[Remark, ..
         *_about_rotations(evaluation),
         *_about_coverage(evaluation),
         *_about_relative_errors(evaluation),
+        *_about_yaw_information(evaluation),
         *_about_inputs(evaluation),
     )
 
@@ -171,8 +175,8 @@ def _about_jumps(evaluation: Evaluation) -> Iterator[Remark]:
         f"the estimate jumps {where}, first {groundtruth.seconds[first + 1]:.1f} s after the "
         f"first pair, by {steps.position_m[first]:.2f} m"
         + (f" and {steps.rotation_deg[first]:.0f} deg" if turns else "")
-        + " more than the groundtruth: after a restart with a new origin, one alignment can't "
-        "fit both parts",
+        + f" more than the groundtruth: {cause_of_jumps(len(jumps))}, which one alignment can't "
+        "fit",
     )
 
 
@@ -218,9 +222,12 @@ def _about_coverage(evaluation: Evaluation) -> Iterator[Remark]:
             )
     elif min(pairs.estimate_coverage, pairs.groundtruth_coverage) < LOW_COVERAGE:
         why, coverage = reasons(pairs.dropped), pairs.coverage
-        yield warning(
+        # Without a loss between the first and the last pair, the groundtruth is only longer.
+        lost = coverage.covered < _WHOLE * coverage.span or pairs.estimate_coverage < LOW_COVERAGE
+        yield Remark(
+            Level.WARNING if lost else Level.NOTE,
             "low_coverage",
-            f"the {coverage.of_what} cover {whole_percent(coverage.covered)} of the groundtruth's "
+            f"the pairs cover {whole_percent(coverage.covered)} of the groundtruth's "
             f"time and {whole_percent(pairs.estimate_coverage)} of the estimate's poses"
             + (f" (dropped: {why})" if why else "")
             + (f", {coverage.gap_in_words}" if coverage.longest_gap else "")
@@ -263,6 +270,20 @@ def _about_relative_errors(evaluation: Evaluation) -> Iterator[Remark]:
             f"no sub-trajectories of {', '.join(sparse)}: pairs are {step_s:.2g} s and "
             f"{step_m:.2g} m apart (median); use longer sub-trajectories",
         )
+
+
+def _about_yaw_information(evaluation: Evaluation) -> Iterator[Remark]:
+    """Yield the warning about covariances that claim to know yaw, of inertial estimators."""
+    estimate, rule = evaluation.association.estimate, evaluation.association.rule
+    if estimate.covariances is None or evaluation.protocol.gauge is not Gauge.YAW:
+        return
+    if rule.method == "index":
+        return
+    tested, order = YawInformation(), np.argsort(estimate.stamps, kind="stable")
+    covariances = estimate.covariances[order, 3:, 3:]
+    tested.add(estimate.stamps[order], covariances, estimate.up.matrix[2])
+    if tested.remark is not None:
+        yield tested.remark
 
 
 def about_frames(groundtruth: str, estimate: str) -> Iterator[Remark]:

@@ -102,3 +102,9 @@ def slerp(quaternions: Floats, start: Indices, end: Indices, fraction: Floats) -
         return (lie.normalized(lie.slerp(first, last, fraction)),)
 
     return lie.by_blocks(at, start, end, fraction)[0]
+
+
+def slerp_at(times: Floats, quaternions: Floats, at: Floats) -> Floats:
+    """Interpolate orientations (N, 4) at increasing times (N,) to other times (M,): (M, 4)."""
+    start, fraction = steps_at(times, at)
+    return slerp(quaternions, start, start + 1, np.clip(fraction, 0.0, 1.0))

@@ -100,6 +100,18 @@ def hamilton(left: Sequence[Any], right: Sequence[Any]) -> Iterator[Any]:
     yield w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2
 
 
+def running_products(first: Floats, steps: Floats) -> Floats:
+    """Return first * steps[0] * ... * steps[n] for n = 0 ... N - 1, (N, 4), in log2 N passes."""
+    if not len(steps):
+        return steps
+    products = np.concatenate([multiply(first[None], steps[:1]), steps[1:]])
+    reach = 1
+    while reach < len(products):
+        products[reach:] = multiply(products[:-reach], products[reach:])
+        reach *= 2
+    return normalized(products)
+
+
 def rotate(quaternion: Floats, vector: Floats) -> Floats:
     """Return vectors (..., 3) rotated by quaternions (..., 4)."""
     if max(quaternion.size, vector.size) <= _FEW:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.arrays import Booleans, Floats
+from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.valid_poses import add_counts
 
 if TYPE_CHECKING:
@@ -20,11 +21,12 @@ if TYPE_CHECKING:
 
 # Codes of the remark that names the format of a source, also if the user named its columns.
 FORMAT, NAMED_COLUMNS = FORMATS = "format", "named_columns"
-# Shape of a row by name of the data by row; fixes are no array.
+# Shape of a row by name of the data by row; None for data that are no array.
 _ROWS: dict[str, tuple[int, ...] | None] = {
     "frame_numbers": (),
     "matrices": (3, 3),
     "fixes": None,
+    "receptions": None,
 }
 
 
@@ -60,6 +62,8 @@ class Reading:
     # (N, 3, 3), rotation matrices exactly as in KITTI's file, or None. With few digits they are
     # not quite the rotations of `Trajectory.quaternions`.
     matrices: Floats | None = None
+    # The times of reception of the N messages; None if unknown.
+    receptions: Receptions | None = None
 
     @property
     def format(self) -> str:
@@ -82,8 +86,8 @@ class Reading:
                 require_column(name, column, (count, *row_shape))
             elif len(column) != count:
                 raise ValueError(
-                    f"{counted(len(column), 'fix', 'fixes')} for {counted(count, 'timestamp')}; "
-                    "give one fix per timestamp"
+                    f"{len(column)} {name} for {counted(count, 'timestamp')}; give one per "
+                    "timestamp"
                 )
 
     def __getitem__(self, rows: slice | NDArray[np.int64] | Booleans) -> Reading:

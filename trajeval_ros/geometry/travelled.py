@@ -9,6 +9,7 @@ import numpy as np
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices, Stamps
 
+MOST_RESTARTS = 3  # more jumps are not restarts
 LEAST_JUMP_M = 1.0
 LEAST_JUMP_DEG = 30.0
 _TIMES_TYPICAL = 10.0
@@ -97,6 +98,13 @@ class StepDifferences:
             (self.position_m > limit_m) | (self.rotation_deg > limit_deg)
         )
         return found
+
+
+def cause_of_jumps(number: int) -> str:
+    """Return the probable cause of a number of jumps, for a message."""
+    if number <= MOST_RESTARTS:
+        return "probably a restart with a new origin"
+    return "tracking was probably lost"
 
 
 def speeds(

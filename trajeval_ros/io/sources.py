@@ -62,6 +62,7 @@ def read_trajectory(
     covariances: bool = True,
     strict: bool = False,
     hints: TextHints = NO_HINTS,
+    received: str = "",
 ) -> Trajectory:
     r"""Read the trajectory that a SOURCE names.
 
@@ -73,6 +74,7 @@ def read_trajectory(
         covariances: Whether to read the covariances of a bag.
         strict: Whether to verify all data that is read from a bag, and to refuse a damaged bag.
         hints: Columns and frame rate of a text file, as the user states them.
+        received: Whether to read the poses of a bag as they were received; see `read_many`.
 
     Raises:
         InputError: The source can't be read; the message states where, what and what to do.
@@ -87,7 +89,12 @@ def read_trajectory(
         <Trajectory run, 2 poses, 0.5 s, 2.0 m>
     """
     (trajectory,) = read_many(
-        [source], advance=advance, covariances=covariances, strict=strict, hints=hints
+        [source],
+        advance=advance,
+        covariances=covariances,
+        strict=strict,
+        hints=hints,
+        received=received,
     )
     return trajectory
 
@@ -99,6 +106,7 @@ def read_many(
     covariances: bool | Sequence[bool] = True,
     strict: bool = False,
     hints: TextHints | Sequence[TextHints] = NO_HINTS,
+    received: str = "",
 ) -> list[Trajectory]:
     r"""Read the trajectories of several SOURCEs; a bag with several of them is read once.
 
@@ -111,6 +119,8 @@ def read_many(
         covariances: Whether to read the covariances of a bag; one value, or one per source.
         strict: Whether to verify all data that is read from a bag, and to refuse a damaged bag.
         hints: Columns and frame rate of text files; one value, or one per source.
+        received: Whether to read the poses of a bag as they were received, and by which clock:
+            `log`, `publish`, or `auto` for publish times where they differ; empty for no.
 
     Returns:
         One trajectory per source, in the same order. `reading.source` is the SOURCE.
@@ -175,7 +185,8 @@ def read_many(
             from trajeval_ros.io.bags.topics import BagSource, read_bag
 
             wanted = [
-                BagSource(parsed[each].topic, parsed[each].frames, flags[each]) for each in numbers
+                BagSource(parsed[each].topic, parsed[each].frames, flags[each], received)
+                for each in numbers
             ]
             trajectories = read_bag(first.path, wanted, own, strict=strict)
             read |= zip(numbers, trajectories, strict=True)

@@ -29,16 +29,24 @@ def read_watched(
     """
     asked = (estimate, *partners.values(), corrections)
     poses = [each for each in asked if each is not None]
-    read = dict(zip(poses, read_many(poses, advance=advance, covariances=False), strict=True))
+    # Only those of an estimate with an IMU are tested.
+    covariances = [imu is not None and each == estimate for each in poses]
+    found = read_many(poses, advance=advance, covariances=covariances)
+    read = dict(zip(poses, found, strict=True))
     return WatchedRun(
         read[estimate],
-        None if imu is None else _imu_of(imu),
+        None if imu is None else imu_of(imu),
         {name: read[each] for name, each in partners.items()},
         None if corrections is None else read[corrections],
     )
 
 
-def _imu_of(source: str) -> InertialReadings:
+def imu_of(source: str) -> InertialReadings:
+    """Read an IMU topic of a bag.
+
+    Raises:
+        InputError: The source is no such topic.
+    """
     parts = parse_source(source)
     if not parts.is_bag or not parts.topic or parts.frames is not None:
         raise InputError(

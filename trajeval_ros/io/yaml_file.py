@@ -18,8 +18,12 @@ _MOST_BITS = 64
 _OPENCV_HEAD = "%YAML:1.0"  # in OpenCV's and EuRoC's files; not valid YAML because of the colon
 
 
-def read_mapping(path: Path, what: str, *, is_generated: bool = False) -> dict[str, Any]:
+def read_mapping(
+    path: Path, what: str, *, is_generated: bool = False, as_text: bool = False
+) -> dict[str, Any]:
     """Return the mapping in the first document of a YAML file.
+
+    `as_text`: whether all scalars are texts, so that 0.20 keeps its digits.
 
     `is_generated`: whether a program writes such files. Then they may be larger, and libyaml reads
     them. It is many times faster, but reads an unquoted `no` or `off` as false.
@@ -39,13 +43,9 @@ def read_mapping(path: Path, what: str, *, is_generated: bool = False) -> dict[s
         raise InputError(f"{path} can't be read: {reason_of(error)}") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path} is not valid YAML: {error}") from error
+    yaml = YAML(typ="base" if as_text else "safe", pure=not is_generated)
     try:
-        first = next(
-            iter(
-                YAML(typ="safe", pure=not is_generated).load_all(text.removeprefix(_OPENCV_HEAD))
-            ),
-            None,
-        )
+        first = next(iter(yaml.load_all(text.removeprefix(_OPENCV_HEAD))), None)
     except Exception as error:  # many types: of the parser, and RecursionError of deep nesting
         line = str(getattr(error, "problem", None) or error).split("\n", 1)[0]
         mark = getattr(error, "problem_mark", None)

@@ -60,11 +60,6 @@ class Coverage:
     longest_gap: Gap | None = None
 
     @property
-    def of_what(self) -> str:
-        """What covers the groundtruth, for a message: pairs, or keyframe pairs."""
-        return "keyframe pairs" if self.keyframes else "pairs"
-
-    @property
     def gap_in_words(self) -> str:
         """Span and longest gap, for a message; empty if all steps are covered."""
         if self.longest_gap is None:

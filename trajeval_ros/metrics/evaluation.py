@@ -226,28 +226,28 @@ def evaluate(
         # Surveyed points have no orientation, also if their file has a constant one.
         groundtruth = dataclasses.replace(groundtruth, quaternions=None)
     if protocol.gauge is Gauge.PLANAR:
-        groundtruth = _on_plane(groundtruth)
+        groundtruth = on_plane(groundtruth)
     rule = protocol.association.for_kind(groundtruth.kind)
     if rule.method == AT_GROUNDTRUTH:
         # The lever arm depends on the orientation at the groundtruth's timestamp.
         pairs = associate(groundtruth, estimate, rule)
-        same_point = _of_same_point(pairs.estimate, protocol)
+        same_point = of_same_point(pairs.estimate, protocol)
         pairs = dataclasses.replace(pairs, estimate=same_point)
-        estimate = _of_same_point(estimate, protocol)
+        estimate = of_same_point(estimate, protocol)
     else:
-        estimate = _of_same_point(estimate, protocol)
+        estimate = of_same_point(estimate, protocol)
         pairs = associate(groundtruth, estimate, rule)
     return evaluate_pairs(pairs, groundtruth, estimate, protocol)
 
 
-def _of_same_point(estimate: Trajectory, protocol: Protocol) -> Trajectory:
+def of_same_point(estimate: Trajectory, protocol: Protocol) -> Trajectory:
     """Return the estimate of the groundtruth's point, projected on the plane for gauge planar.
 
     The lever arm is applied before the projection, since roll and pitch move the point sideways.
     """
     if protocol.lever_m is not None:
         estimate = HandEye.of(None, np.array(protocol.lever_m)).of_marker(estimate, 1.0)
-    return _on_plane(estimate) if protocol.gauge is Gauge.PLANAR else estimate
+    return on_plane(estimate) if protocol.gauge is Gauge.PLANAR else estimate
 
 
 def _for_positions(protocol: Protocol) -> Protocol:
@@ -343,7 +343,7 @@ def _absolute_errors(
     return AbsoluteErrors(**dict(zip(names, columns, strict=True)))
 
 
-def _on_plane(trajectory: Trajectory) -> Trajectory:
+def on_plane(trajectory: Trajectory) -> Trajectory:
     """Return the states projected on the xy plane; covariances are kept for the weights."""
     flat = flattened(trajectory, "xy")
     return dataclasses.replace(flat, covariances=trajectory.covariances)

@@ -16,6 +16,11 @@ UNKNOWN = int(np.iinfo(np.int64).min)  # an unknown time of arrival
 FUTURE_NS = 10_000_000
 _RECENT_NS, _RECENT_MESSAGES = 10 * NANOSECONDS, 2000  # the newest 10 s, at 200 Hz or less
 FEWEST_RECENT = 10  # messages of slow streams, such as keyframes
+# Bins of intervals are 2.2 % wide, up to 2^60 ns.
+_PER_OCTAVE, _BINS = 32, 32 * 60
+_FEWEST_INTERVALS, _SHORT = 10, 0.05
+# Intervals of a stream with a period: at most 10 % are over 0.3 periods from a multiple of it.
+_OFF, _MOST_OFF = 0.3, 0.1
 _KEPT = 4096  # delays for the percentiles of a run: error of a percentile about 0.3 % of the ranks
 
 
@@ -33,6 +38,8 @@ class StreamHealth:
         arrival_p95_s: Its 95th percentile, seconds.
         arrival_max_s: Its maximum, seconds.
         from_future: Number of messages with a timestamp later than their arrival, by `FUTURE_NS`.
+        missed: Number of messages that are missing by the stream's own period; None if the
+            intervals are not multiples of a period, as those of keyframes.
     """
 
     messages: int = 0
@@ -43,6 +50,7 @@ class StreamHealth:
     arrival_p95_s: float | None = None
     arrival_max_s: float | None = None
     from_future: int = 0
+    missed: int | None = None
 
 
 class StreamMonitor:
@@ -56,6 +64,7 @@ class StreamMonitor:
         self._messages = self._from_future = 0
         self._first = self._newest = 0  # timestamps, nanoseconds
         self._intervals, self._squares_s2, self._largest_ns = 0, 0.0, 0
+        self._periods = _Periods()
         self._most_s = -math.inf
         self._delays_s, self._step, self._delays = np.empty(0), 1, 0
         self._recent = np.empty((2, 0), dtype=np.int64)  # timestamps and arrivals
@@ -73,6 +82,7 @@ class StreamMonitor:
         seconds = steps / NANOSECONDS
         self._squares_s2 += float(seconds @ seconds)
         self._largest_ns = max(self._largest_ns, int(steps.max(initial=0)))
+        self._periods.add(steps)
         delays_s = _delays_s(stamps, arrived)
         self._from_future += _from_future(delays_s)
         self._most_s = max(self._most_s, float(delays_s.max(initial=-math.inf)))
@@ -95,6 +105,7 @@ class StreamMonitor:
             self._delays_s,
             self._most_s,
             self._from_future,
+            self._periods,
         )
 
     def recent(self) -> StreamHealth:
@@ -116,6 +127,7 @@ class StreamMonitor:
             delays_s,
             float(delays_s.max(initial=-math.inf)),
             _from_future(delays_s),
+            _Periods(steps),
         )
 
     def _keep(self, delays_s: Floats) -> None:
@@ -136,6 +148,7 @@ def _health(
     delays_s: Floats,
     most_s: float,
     from_future: int,
+    periods: _Periods,
 ) -> StreamHealth:
     p50_s, p95_s = np.percentile(delays_s, (50, 95)).tolist() if len(delays_s) else (None, None)
     return StreamHealth(
@@ -147,7 +160,54 @@ def _health(
         p95_s,
         most_s if len(delays_s) else None,
         from_future,
+        periods.missed,
     )
+
+
+class _Periods:
+    """The sums of intervals in logarithmic bins, from which missing messages are counted."""
+
+    def __init__(self, steps: Stamps | None = None) -> None:
+        self._counts = np.zeros(_BINS, dtype=np.int64)
+        self._sums_ns = np.zeros(_BINS, dtype=np.int64)
+        if steps is not None:
+            self.add(steps)
+
+    def add(self, steps: Stamps) -> None:
+        """Add intervals (N,), positive, nanoseconds."""
+        if not len(steps):
+            return
+        bins = np.minimum(np.log2(steps) * _PER_OCTAVE, _BINS - 1).astype(np.int64)
+        np.add.at(self._counts, bins, 1)
+        np.add.at(self._sums_ns, bins, steps)
+
+    @property
+    def missed(self) -> int | None:
+        """The number of messages that are missing between others; None without a period.
+
+        The period is the mean of the shortest intervals: of those below 1.5 times the 5th
+        percentile. An interval of n periods misses n - 1 messages.
+        """
+        used = np.flatnonzero(self._counts)
+        counts = self._counts[used]
+        if counts.sum() < _FEWEST_INTERVALS:
+            return None
+        means_ns = self._sums_ns[used] / counts
+        short = means_ns[counts.cumsum().searchsorted(_SHORT * counts.sum())]
+        near = means_ns < 1.5 * short
+        period_ns = (means_ns * counts)[near].sum() / counts[near].sum()
+        multiples = means_ns / period_ns
+        whole = np.maximum(np.round(multiples), 1.0)
+        if counts[np.abs(multiples - whole) > _OFF].sum() > _MOST_OFF * counts.sum():
+            return None
+        return int(((whole - 1.0) * counts).sum())
+
+
+def health_of(stamps: Stamps, arrived: Stamps) -> StreamHealth:
+    """Return the health of a recorded stream: timestamps (N,) and arrivals (N,), nanoseconds."""
+    monitor = StreamMonitor()
+    monitor.add(stamps, arrived)
+    return monitor.whole()
 
 
 def _steps(stamps: Stamps, newest: int) -> Stamps:

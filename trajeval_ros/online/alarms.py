@@ -34,6 +34,7 @@ LIMITED_QUANTITIES = (
     LimitedQuantity("nees", "mean NEES of the window per degree of freedom", ""),
     LimitedQuantity("latency_s", "time from arrival to publication", "s"),
     LimitedQuantity("staleness_s", "time without a message", "s"),
+    LimitedQuantity("age_s", "95th percentile of the age of the newest pose", "s"),
     LimitedQuantity("arrival_s", "95th percentile of arrival after timestamp", "s"),
 )
 
@@ -161,7 +162,7 @@ def about_loss(snapshot: Snapshot) -> list[Remark]:
     return [Remark(level, loss.cause, text, values=values)]
 
 
-_VARYING = {"alarm", "loss", "silence"}
+_VARYING = {"alarm", "late", "loss", "silence", "yaw_information"}
 
 
 class Standing:

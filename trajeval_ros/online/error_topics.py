@@ -34,6 +34,7 @@ PROTECTION_LEVELS = {
     "vertical": "protection_level_vertical",
     "heading": "protection_level_heading",
 }
+AVAILABLE_ERROR = "available/stamped/position_error"  # live only, at 100 Hz
 NEES_NUMBERS = ("nees", "nees_position", "nees_rotation")  # of the window, live only
 
 # Of every pair, with its timestamp.

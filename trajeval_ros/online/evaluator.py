@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from trajeval_ros.consistency.yaw_information import YawInformation
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
@@ -28,6 +29,7 @@ from trajeval_ros.online.pairing import Pairing
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.online.sparse_pairing import LiveCompleteness, SparsePairing
 from trajeval_ros.online.state_rows import (
+    COVARIANCE,
     POSITION,
     QUATERNION,
     WIDTH,
@@ -86,6 +88,7 @@ class OnlineEvaluator:
         self.store = PairStore(covariances=covariances)
         self._begin_to_align()
         self._count = self._late = 0
+        self._yaw = YawInformation()
         self._ate_before_m: float | None = None  # until nothing suggested a loss of tracking
 
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
@@ -148,6 +151,7 @@ class OnlineEvaluator:
         own, pairs = pairs, self.frames.upright(pairs)
         self.store.append(pairs)
         self._aligning.add(pairs)
+        self._add_covariances(pairs)
         if self.tracking.is_clear:
             self._ate_before_m = self._aligning.rmse(self._aligning.whole)
         ends = self._ends(at_end=at_end)
@@ -187,6 +191,7 @@ class OnlineEvaluator:
             ),
             loss=loss,
             ate_before_loss_m=None if loss is None else self._ate_before_m,
+            about_yaw=self._yaw.remark,
         )
 
     @property
@@ -296,6 +301,12 @@ class OnlineEvaluator:
         self.tracking = LostTracking(of_fixes=isinstance(buffer, SparsePairing))
         of_kind = LiveCompleteness if isinstance(buffer, SparsePairing) else LiveCoverage
         self._coverage: LiveCompleteness | LiveCoverage = of_kind(buffer, self._record_waypoints)
+
+    def _add_covariances(self, pairs: Pairs) -> None:
+        """Test covariances of inertial estimators, in a frame with z up."""
+        if pairs.estimate.shape[1] > WIDTH and self.settings.protocol.gauge is Gauge.YAW:
+            covariances = pairs.estimate[:, COVARIANCE].reshape(-1, 6, 6)[:, 3:, 3:]
+            self._yaw.add(pairs.stamps, covariances, np.array([0.0, 0.0, 1.0]))
 
     def _in_order(self, pairs: Pairs) -> Pairs:
         """Drop pairs older than the newest one; the recording keeps them."""

@@ -10,6 +10,7 @@ from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.metrics.as_available import AvailabilityRule
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH, AUTO
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.sub_trajectories import Selection
@@ -35,6 +36,7 @@ class OnlineSettings:
         integrity: Alert limits and risk for protection levels; None for none.
         up: Up axes of the groundtruth's and the estimate's frame; None for the axes implied by
             the frames' names, or z.
+        available: As-available accuracy to compute, if it is asked for.
 
     Raises:
         SettingsError: An invalid window or axis, or a protocol that is not supported live.
@@ -53,6 +55,7 @@ class OnlineSettings:
     covariances: CovarianceRequest
     integrity: IntegrityRequest | None
     up: tuple[str, str] | None
+    available: AvailabilityRule
 
     def __init__(
         self,
@@ -63,6 +66,7 @@ class OnlineSettings:
         covariances: CovarianceRequest | None = None,
         up: tuple[str, str] | None = None,
         integrity: IntegrityRequest | None = None,
+        available: AvailabilityRule | None = None,
     ) -> None:
         values = {
             "protocol": protocol or Protocol(),
@@ -72,6 +76,7 @@ class OnlineSettings:
             "covariances": covariances or CovarianceRequest(),
             "up": up,
             "integrity": integrity,
+            "available": available or AvailabilityRule(),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)

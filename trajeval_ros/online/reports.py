@@ -16,6 +16,7 @@ from trajeval_ros.online.pair_errors import PairErrors
 if TYPE_CHECKING:
     from trajeval_ros.consistency.consistency_result import Consistency, PerPose
     from trajeval_ros.consistency.integrity import Integrity
+    from trajeval_ros.formatting.remarks import Remark
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +74,7 @@ class Snapshot:
     integrity: Integrity | None = None  # errors of the window against protection levels
     loss: Loss | None = None  # loss of tracking at the newest pair
     ate_before_loss_m: float | None = None  # position ATE of the run until it
+    about_yaw: Remark | None = None  # warning about covariances that claim to know yaw
 
     @property
     def nees(self) -> PerPose | None:

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 from trajeval_ros.diagnosis.diagnose import Diagnosis, Finding
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Level
+from trajeval_ros.metrics.as_available import AsAvailable
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.input_summary import InputSummary
 from trajeval_ros.metrics.states_table import AlignedBy
+from trajeval_ros.metrics.stream_health import StreamHealth
 from trajeval_ros.pipeline.request import Request
 
 if TYPE_CHECKING:
@@ -39,6 +41,8 @@ class RunOutcome:
         diagnosis: The detected mistakes, and the tests for them.
         corrected: The mistakes that were corrected on request, in this order.
         integrity: Errors against protection levels; None if not requested.
+        stream: Rate, gaps and arrivals of the messages of a bag; None for other sources.
+        available: As-available accuracy; None if not requested.
 
     Example:
         >>> from trajeval_ros import run, simulate
@@ -59,6 +63,8 @@ class RunOutcome:
     diagnosis: Diagnosis = field(default_factory=Diagnosis)
     corrected: tuple[Finding, ...] = ()
     integrity: Integrity | None = None
+    stream: StreamHealth | None = None
+    available: AsAvailable | None = None
 
     def __repr__(self) -> str:
         """Return a summary in a few lines."""

@@ -26,12 +26,16 @@ from trajeval_ros.diagnosis.diagnose import (
 from trajeval_ros.diagnosis.diagnose import diagnose as diagnose_evaluation
 from trajeval_ros.diagnosis.trials import Again, with_tried_advice
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
+from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.metrics.as_available import AsAvailable, as_available
+from trajeval_ros.metrics.evaluation import Evaluation, of_same_point, on_plane
 from trajeval_ros.metrics.input_summary import InputSummary
 from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.reception_clock import judged_receptions
 from trajeval_ros.metrics.states_table import states_table
 from trajeval_ros.metrics.statistics import median
+from trajeval_ros.metrics.stream_health import UNKNOWN, StreamHealth, health_of
 from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
 from trajeval_ros.pipeline.preparation import (
     Inputs,
@@ -88,7 +92,7 @@ def run(
     runs: list[RunOutcome] = []
     for estimate in estimates:
         with named(estimate):
-            given, same_as = Inputs(groundtruth, estimate), runs[0].calibrated if runs else None
+            given, same_as = Inputs.of(groundtruth, estimate), runs[0].calibrated if runs else None
             found = _evaluated(given, request, same_as)
             if request.correct:
                 found = _corrected(found, given, request, same_as)
@@ -100,7 +104,11 @@ def run(
 
 
 def run_live_pairs(
-    pairs: Association, groundtruth: Trajectory, estimate: Trajectory, request: Request
+    pairs: Association,
+    groundtruth: Trajectory,
+    estimate: Trajectory,
+    request: Request,
+    streams: tuple[Trajectory, Trajectory] | None = None,
 ) -> RunOutcome:
     """Evaluate the recorded pairs of a live run.
 
@@ -109,6 +117,7 @@ def run_live_pairs(
         groundtruth: The groundtruth states of the pairs, in place of all groundtruth.
         estimate: The estimated states of the pairs, in place of all of them.
         request: What to compute. Time offsets and likelihoods need more than pairs.
+        streams: All groundtruth states and poses as received, for the as-available accuracy.
 
     Raises:
         InputError: The pairs lack data that the request needs.
@@ -124,7 +133,7 @@ def run_live_pairs(
             "likelihoods and time spans need the complete groundtruth, and a live run stores "
             "only pairs; evaluate a bag"
         )
-    return _evaluated(Inputs(groundtruth, estimate, pairs), request)
+    return _evaluated(Inputs(groundtruth, estimate, pairs, streams), request)
 
 
 def evaluate(
@@ -177,7 +186,13 @@ def _measured(
         return inputs, None, inputs.evaluated(protocol)
     evaluation = calibrated.evaluation
     if calibrated.hand_eye is not None:  # a side has another body now
-        inputs = Inputs(evaluation.groundtruth, evaluation.estimate, inputs.pairs)
+        streams = inputs.streams
+        if streams is not None:
+            revised = streams[1]
+            if calibrated.of_marker:
+                revised = calibrated.hand_eye.of_marker(revised, 1.0)
+            streams = evaluation.groundtruth, revised
+        inputs = Inputs(evaluation.groundtruth, evaluation.estimate, inputs.pairs, streams)
     return inputs, calibrated, evaluation
 
 
@@ -228,6 +243,10 @@ def _evaluated(given: Inputs, request: Request, same_as: Calibrated | None = Non
         hand_eye_calibrated=request.calibration.hand_eye,
     )
     consistency = _consistency(evaluation, calibrated, request)
+    available = _available(inputs, evaluation, request)
+    if available is not None:
+        remarks = (*evaluation.remarks, *available.numbers.remarks)
+        evaluation = dataclasses.replace(evaluation, remarks=remarks)
     return RunOutcome(
         InputSummary.of(given.estimate, evaluation.estimate),
         evaluation,
@@ -237,6 +256,40 @@ def _evaluated(given: Inputs, request: Request, same_as: Calibrated | None = Non
         by_states=states_table(evaluation, chosen) if (chosen := request.states_table) else (),
         diagnosis=diagnosis,
         integrity=_integrity(given.estimate, evaluation, consistency, request),
+        stream=_stream(given.estimate),
+        available=available,
+    )
+
+
+def _stream(estimate: Trajectory) -> StreamHealth | None:
+    """Return the health of a recorded stream; without arrivals if they can't be compared."""
+    receptions = estimate.reading.receptions
+    if receptions is None or not len(estimate) or estimate.as_received is not None:
+        return None
+    _, clock = judged_receptions(estimate.stamps, receptions.times)
+    unknown = np.full(len(estimate), UNKNOWN)
+    return health_of(estimate.stamps, receptions.times if clock.is_usable else unknown)
+
+
+def _available(inputs: Inputs, evaluation: Evaluation, request: Request) -> AsAvailable | None:
+    """Compute the as-available accuracy; None if not requested."""
+    rule, protocol = request.available, evaluation.protocol
+    if not rule.is_asked_for:
+        return None
+    groundtruth, estimate = evaluation.groundtruth, evaluation.estimate
+    if inputs.streams is not None:
+        groundtruth, estimate = inputs.streams
+        estimate = of_same_point(estimate, protocol)
+        if protocol.gauge is Gauge.PLANAR:
+            groundtruth = on_plane(groundtruth)
+    association = evaluation.association.rule
+    return as_available(
+        groundtruth.in_order(),
+        estimate,
+        evaluation.alignment.similarity,
+        rule,
+        association.max_gap_s,
+        round(association.time_offset_s * NANOSECONDS),
     )
 
 

@@ -35,11 +35,21 @@ class Inputs:
         groundtruth: Of a live run, only the states in pairs.
         estimate: Of a live run, only the states in pairs.
         pairs: The recorded pairs of a live run; None if states are still to be associated.
+        streams: All groundtruth states, and the poses in the order of their reception; None if
+            these are the two sides.
     """
 
     groundtruth: Trajectory
     estimate: Trajectory
     pairs: Association | None = None
+    streams: tuple[Trajectory, Trajectory] | None = None
+
+    @classmethod
+    def of(cls, groundtruth: Trajectory, estimate: Trajectory) -> Inputs:
+        """Return the two sides, with the poses as received if they were revised afterwards."""
+        revised = estimate.as_received
+        streams = None if revised is None else (groundtruth, revised)
+        return cls(groundtruth, estimate, streams=streams)
 
     def changed(self, groundtruth: Change, estimate: Change) -> Inputs:
         """Apply a change to each side, in the pairs too."""
@@ -50,7 +60,10 @@ class Inputs:
                 groundtruth=groundtruth(pairs.groundtruth),
                 estimate=estimate(pairs.estimate),
             )
-        return Inputs(groundtruth(self.groundtruth), estimate(self.estimate), pairs)
+        streams = self.streams
+        if streams is not None:
+            streams = groundtruth(streams[0]), estimate(streams[1])
+        return Inputs(groundtruth(self.groundtruth), estimate(self.estimate), pairs, streams)
 
     def evaluated(self, protocol: Protocol) -> Evaluation:
         """Associate, unless there are pairs, align and compute the errors."""
@@ -99,7 +112,11 @@ def corrected_and_cut(inputs: Inputs, request: Request) -> Inputs:
     with named(groundtruth):
         groundtruth = span.cut(groundtruth, first_ns)
     offset_ns = round(request.protocol.association.time_offset_s * NANOSECONDS)
-    return Inputs(groundtruth, span.cut(inputs.estimate, first_ns, offset_ns))
+    streams = inputs.streams
+    if streams is not None:
+        streams = groundtruth, span.cut(streams[1], first_ns, offset_ns)
+    estimate = span.cut(inputs.estimate, first_ns, offset_ns)
+    return Inputs(groundtruth, estimate, streams=streams)
 
 
 def with_up_axes(inputs: Inputs, request: Request) -> Inputs:

@@ -21,6 +21,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.trajectory_edits import TimeSpan
 from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.metrics.as_available import AvailabilityRule
 from trajeval_ros.metrics.protocol import GROUNDTRUTH_WEIGHTS, Protocol
 from trajeval_ros.metrics.states_table import FirstStates
 
@@ -52,6 +53,7 @@ class Request:
         correct: Cause to correct if the diagnosis finds it, `suggested` for the most severe
             finding; "" for no correction.
         integrity: Alert limits and risk for protection levels; None for none.
+        available: The as-available accuracy to compute, if it is asked for.
         watch_factor: Factor of a watchdog whose errors count as alerts; None for none.
 
     Raises:
@@ -78,6 +80,7 @@ class Request:
     correct: str = ""
     integrity: IntegrityRequest | None = None
     watch_factor: float | None = None
+    available: AvailabilityRule = field(default_factory=AvailabilityRule)
 
     def __post_init__(self) -> None:
         """Refuse contradictory parts and unknown axes."""
@@ -118,6 +121,11 @@ class Request:
     def reads_groundtruth_covariances(self) -> bool:
         """Whether the covariances in the groundtruth's messages are read."""
         return self.protocol.align_weights == GROUNDTRUTH_WEIGHTS
+
+    @property
+    def received(self) -> str:
+        """Which times of a bag are receptions; empty if poses are not read as received."""
+        return self.available.received if self.available.is_asked_for else ""
 
     def for_trajectories(
         self, groundtruth: Trajectory, estimates: Sequence[Trajectory]

@@ -50,16 +50,27 @@ class RunPage:
         return dataclasses.replace(self, facts=(), statistics=(), warnings=(), svgs=())
 
 
+def require_jinja2() -> None:
+    """Check that Jinja2, which writes the pages, is installed.
+
+    Raises:
+        InputError: It is not installed.
+    """
+    try:
+        import jinja2  # noqa: F401
+    except ImportError as error:
+        raise InputError(
+            "a report needs Jinja2, which is not installed: " + extra_command("compare")
+        ) from error
+
+
 class ReportPages:
     """The pages of one report. They share a style and need no network."""
 
     def __init__(self, title: str, version: str, state: str) -> None:
-        try:
-            import jinja2
-        except ImportError as error:
-            raise InputError(
-                "a report needs Jinja2, which is not installed: " + extra_command("compare")
-            ) from error
+        require_jinja2()
+        import jinja2
+
         self._templates = jinja2.Environment(
             loader=jinja2.PackageLoader("trajeval_ros.report"),
             autoescape=True,

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from trajeval_ros.pipeline.outcome import RunOutcome
 
 
+_MOSTLY = 1.0 / 3.0  # of the rotation ATE: a standard deviation that explains it
 _STATED = ("few_pairs", "identical")  # causes that the line or the numbers state already
 
 
@@ -60,11 +61,21 @@ def verdict(evaluation: Evaluation) -> list[str]:
         f"(rmse{_drift(evaluation)})"
         + (f"; {few}" if (few := few_pairs(protocol, pairs)) else ""),
         f"  aligned by {protocol.gauge.value} ({protocol.gauge.description}){modality}, "
-        f"{how}{poses}{weights}{scale}; {METHOD_TEXTS[pairs.rule.method].format(pairs.rule)}",
+        f"{how}{poses}{weights}{scale}{_spread(evaluation)}; "
+        f"{METHOD_TEXTS[pairs.rule.method].format(pairs.rule)}",
         f"  {_covered(evaluation)}{_dropped(evaluation)}",
         *_up(evaluation.groundtruth.up, evaluation.estimate.up),
         *_score(evaluation),
     ]
+
+
+def _spread(evaluation: Evaluation) -> str:
+    """Return the alignment's standard deviation as text, if the rotation ATE is mostly that."""
+    rotation, freedom = evaluation.ate["rotation_deg"], evaluation.alignment.freedom
+    if rotation is None or freedom is None or freedom.std_deg < _MOSTLY * rotation.rmse:
+        return ""
+    angle = "yaw" if freedom.about_gravity else "rotation"
+    return f", standard deviation of its {angle} {freedom.std_deg:.2g} deg"
 
 
 def _covered(evaluation: Evaluation) -> str:
@@ -74,7 +85,7 @@ def _covered(evaluation: Evaluation) -> str:
         return completeness_in_words(evaluation)
     coverage, path_m = pairs.coverage, f"({pairs.groundtruth.path_length_m:.1f} m)"
     return (
-        f"{len(pairs)} {coverage.of_what} cover {percent(pairs.estimate_coverage)} of the "
+        f"{len(pairs)} pairs cover {percent(pairs.estimate_coverage)} of the "
         f"estimate's poses and {percent(coverage.covered)} of the groundtruth's time {path_m}"
         + (f", {coverage.gap_in_words}" if coverage.longest_gap else "")
     )

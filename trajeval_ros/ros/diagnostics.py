@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from trajeval_ros.formatting.numbers import counted, whole_percent, with_unit
 from trajeval_ros.formatting.remarks import Level, Remark, most_severe_first, warning
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.geometry.travelled import MOST_RESTARTS, cause_of_jumps
 from trajeval_ros.geometry.valid_poses import (
     MOST_UNUSABLE,
     NO_STATE,
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 
 _START_S = 3.0  # publishers and topics are discovered within this time
 _MANY = f"over {whole_percent(MOST_UNUSABLE)}"
+_LATE_S = 1.0  # a longer delay than that of the groundtruth is a warning
 _FEWEST_FAULTS = 10  # fewer faulty messages are no warning, whatever their share
 
 
@@ -91,6 +93,7 @@ def remarks_about(
         *_about_data(run, estimate, snapshot),
         *_about_coverage(snapshot, limits["coverage"]),
         *_about_rate(estimate, limits["rate_hz"]),
+        *_about_lateness(run, estimate),
         *about_loss(snapshot),
         *alarms(peaks, limits),
         *about_integrity(snapshot),
@@ -102,10 +105,11 @@ def remarks_about(
 
 def about_jump(estimate: LiveEstimate, jump: Jump) -> Remark:
     """Return the remark about a jump of an estimate."""
-    cause = (
-        "probably a restart with a new origin, which one alignment can't fit; to start a new run, "
-        "call ~/reset or set on_restart"
-    )
+    cause = cause_of_jumps(estimate.jumps.count)
+    if estimate.jumps.count <= MOST_RESTARTS:
+        cause += (
+            ", which one alignment can't fit; to start a new run, call ~/reset or set on_restart"
+        )
     if jump.declared:
         cause = "the estimator declares a reset; to start a new run there, set on_restart"
     elif estimate.source.stream.clock_steps.found is not None:
@@ -182,6 +186,9 @@ def _about_coverage(snapshot: Snapshot, limits: AlarmLimits) -> list[Remark]:
     if coverage is None:
         return []
     text = f"only {whole_percent(coverage)} of the {what}"
+    late = snapshot.dropped.get("too_late", 0)
+    if 2 * late > sum(snapshot.dropped.values()):
+        text += ": the others arrive too late, after more than max_delay"
     return alarm_below("coverage", coverage, limits, text)
 
 
@@ -192,6 +199,24 @@ def _about_rate(estimate: LiveEstimate, limits: AlarmLimits) -> list[Remark]:
         return []
     text = f"rate {with_unit(rate_hz, 'Hz')} is below {{limit:g}} Hz"
     return alarm_below("rate_hz", rate_hz, limits, text)
+
+
+def _about_lateness(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
+    """Warn of poses that arrive later than the groundtruth of their time.
+
+    In a replay, both arrive long after their timestamps.
+    """
+    own, other = (each.stream.recent() for each in (estimate.status, run.groundtruth_status))
+    if own.arrival_p95_s is None or other.arrival_p50_s is None:
+        return
+    late_s = own.arrival_p95_s - other.arrival_p50_s
+    if own.messages < FEWEST_RECENT or late_s <= _LATE_S:
+        return
+    said = (
+        f"poses arrive {late_s:.1f} s (95th percentile) after the groundtruth of the same time: "
+        "the estimator or its sensor is too slow"
+    )
+    yield warning("late", said, values={"value": late_s, "limit": _LATE_S})
 
 
 def about_integrity(snapshot: Snapshot) -> list[Remark]:
@@ -245,11 +270,13 @@ def _about_run(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> Iter
         # The evaluation of files has one more option, a joint covariance.
         said = f"no NEES: {why}" + ("; use covariance:=none" if "--covariance" in advice else "")
         yield warning("hint", said, "covariance")
+    if snapshot.about_yaw is not None:
+        yield snapshot.about_yaw
     if estimate.doubt:
         yield warning("hint", estimate.doubt.replace("--up=", "up:="), "up")
     stepped = estimate.source.stream.clock_steps.found is not None
     if estimate.jumps.count and snapshot.loss is None and not stepped:
-        said = f"{counted(estimate.jumps.count, 'jump')}, probably a restart with a new origin"
+        said = f"{counted(estimate.jumps.count, 'jump')}, {cause_of_jumps(estimate.jumps.count)}"
         yield warning("jump", said, "count")
     lost = run.groundtruth.lost + estimate.source.lost
     if lost:
@@ -296,7 +323,8 @@ def _values(
         "time offset applied [s]": None if run.holds else estimate.evaluator.settings.offset_s,
         "hand eye": run.body.source if run.body.hand_eye is not None else None,
         "sync risk [m]": sync_risk_m(run, estimate),
-        "latency p95 [s]": estimate.latency.p95_s,
+        **({} if estimate.availability is None else estimate.availability.errors.values),
+        "arrival to publication, p95 [s]": estimate.latency.p95_s,
         "results": run.folder,
     }
 
@@ -334,7 +362,16 @@ class StatusReports:
                 run, estimate, snapshot, newest, remarks, peaks, undrawn
             )
             missing = missing_source(run, estimate)
-            parts.append(summary(estimate.name, snapshot, window, newest.position_m, missing))
+            parts.append(
+                summary(
+                    estimate.name,
+                    snapshot,
+                    window,
+                    newest.position_m,
+                    missing,
+                    unpaired_s=estimate.unpaired_s,
+                )
+            )
         statuses = [
             status_message(self._node, each.level, name, each.text, each.values)
             for name, each in self.newest.items()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import replace
@@ -38,8 +39,10 @@ from trajeval_ros.online.whole_run import RevisedPath, ThinnedRun
 from trajeval_ros.ros.marker_body import MarkerBody
 from trajeval_ros.ros.pose_source import PoseSource
 from trajeval_ros.ros.poses import StateColumns, StreamStatus
+from trajeval_ros.ros.received_streams import ReceivedStreams
 from trajeval_ros.ros.slow_evaluation import SlowEvaluation
 from trajeval_ros.ros.timing import Latency
+from trajeval_ros.ros.transform_stream import TransformStream
 
 
 class DecodedMessages(NamedTuple):
@@ -96,9 +99,14 @@ class LiveEstimate:
         self.slow = SlowEvaluation()  # hints, and the errors of the newest path
         self.doubt = ""  # why the groundtruth's up axis is probably wrong, at the newest snapshot
         self._given_up = None if settings.up is None else settings.up[1]
+        self._paired_at = 0.0
         self._updates: list[Update] = []
         self.newest: tuple[str, bytes] | None = None  # type and bytes of the newest pose
         self._undigested: list[Pairs] = []
+        # As-available accuracy, if requested; transforms are composed later than received.
+        self.availability: ReceivedStreams | None = None
+        if settings.available.is_asked_for and not isinstance(source.stream, TransformStream):
+            self.availability = ReceivedStreams(settings, self._path_of)
 
     def continue_after(self, before: LiveEstimate) -> None:
         """Take what the previous run received and did not use, and what it knows."""
@@ -148,17 +156,25 @@ class LiveEstimate:
             assert self.revised is not None
             new = self.revised.renew(poses.stamps, rows)
             self.source.stream.count_new(poses.picked(new), int(messages.times[0]))
+            newest = poses.stamps.argsort(kind="stable")[-1:]
+            self._receive(poses.stamps[newest], messages.times[: len(newest)], rows[newest])
             self.evaluator.add_estimate(poses.stamps[new], rows[new])
             return
         self.newest = messages.newest or self.newest
         resets, self.source.stream.resets = self.source.stream.resets, []
         self.jumps.declare(each + self.offset_ns for each in resets)
+        if poses.arrived is not None:
+            self._receive(poses.stamps, poses.arrived, rows)
         self.latency.arrive(poses.stamps + self.offset_ns, messages.times)
         self._note_velocities(
             self._body.leaves_out_velocities_of(poses.states, is_groundtruth=False)
             or self.evaluator.frames.leaves_out_velocities_of(poses.states)
         )
         self.evaluator.add_estimate(poses.stamps, rows)
+
+    def _receive(self, stamps: Stamps, times: Stamps, rows: Floats) -> None:
+        if self.availability is not None:
+            self.availability.add_estimate(stamps, times, rows, self.offset_ns)
 
     def _note_velocities(self, are_left_out: bool) -> None:
         if are_left_out:
@@ -174,6 +190,7 @@ class LiveEstimate:
             pairs = self._until_jump(pairs)
         buffer.settle(self.restarted_at)
         if len(pairs.stamps):
+            self._paired_at = time.monotonic()
             # Pairs are written to disk before anything else.
             self.pairs_file.append(*pairs)
             narrow = pairs.without_covariances()
@@ -181,6 +198,11 @@ class LiveEstimate:
             if self.on_pairs is not None:
                 self.on_pairs(self, narrow)
         self._updates.append(self.evaluator.evaluate(pairs, at_end=at_end))
+
+    @property
+    def unpaired_s(self) -> float:
+        """Time since the newest pair was made, seconds."""
+        return time.monotonic() - self._paired_at
 
     def update(self, *, at_end: bool = False) -> Update:
         """Evaluate the messages that have arrived, and return the new errors."""
@@ -289,6 +311,8 @@ class LiveEstimate:
 
     def write_state(self, state: Mapping[str, Any]) -> None:
         """Write what `trajeval finish` needs besides pairs (`recorded_state`), if it changed."""
+        if self.availability is not None:
+            self.availability.file.write()
         if state == self._state:
             self.pairs_file.write()
             return
@@ -314,4 +338,6 @@ class LiveEstimate:
         try:
             self.write_revised()
         finally:
+            if self.availability is not None:
+                self.availability.file.close()
             self.pairs_file.close()

@@ -27,6 +27,7 @@ from trajeval_ros.io.bags.pose_messages import TRANSFORM_TYPES
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.stream_health import StreamHealth
 from trajeval_ros.online import error_topics as topics
+from trajeval_ros.online.live_availability import LiveAvailability
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.online.whole_run import MOST_POSES, ThinnedRun
 from trajeval_ros.ros.live_estimate import LiveEstimate
@@ -192,6 +193,15 @@ class Outputs(_Topics):
             for name, number in numbers(snapshot).items():
                 self._publish(name, number)
 
+    def publish_available(self, errors: LiveAvailability, frame: str) -> None:
+        """Publish the newest as-available errors, and all of them as vectors."""
+        for name, number in errors.numbers.items():
+            self._publish(name, number)
+        if errors.newest is not None:
+            vectors = errors.newest.position.sum(axis=0)
+            topic = topics.AVAILABLE_ERROR
+            self._publish_vectors(topic, errors.newest.stamps, vectors, frame)
+
     def publish_geometry(
         self, thinned: ThinnedRun, alignment: Similarity, frame: str, child_frame: str
     ) -> None:
@@ -311,6 +321,14 @@ class LiveOutputs:
         estimate.peaks.see_snapshot(snapshot)
         self._outputs[estimate.name].publish_snapshot(snapshot, estimate.offset_ns)
         return snapshot
+
+    def publish_available(self, run: LiveRun, estimate: LiveEstimate) -> None:
+        """Publish the as-available errors that are final now."""
+        assert estimate.availability is not None
+        errors, alignment = estimate.availability.errors, estimate.evaluator.alignment
+        errors.update(None if alignment is None else alignment.similarity)
+        frame = run.groundtruth_status.frame
+        self._outputs[estimate.name].publish_available(errors, frame)
 
     def publish_revised(self, run: LiveRun, estimate: LiveEstimate) -> float | None:
         """Publish the errors of the newest path if it is new; return its position ATE, metres."""

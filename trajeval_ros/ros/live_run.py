@@ -117,6 +117,7 @@ class LiveRun:
             up=settings.up,
             fixes=self.groundtruth.stream.fixes.rule,
             integrity=settings.integrity,
+            available=settings.available,
         )
 
     @property
@@ -244,6 +245,8 @@ class LiveRun:
         for each in self.estimates:
             each.evaluator.frames.groundtruth_up = self.groundtruth_up
             each.evaluator.add_groundtruth(stamps, rows)
+            if each.availability is not None:
+                each.availability.add_groundtruth(stamps, rows)
 
     def _one_by_one(
         self,

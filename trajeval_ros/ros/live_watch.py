@@ -17,7 +17,14 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE
 from trajeval_ros.io.bags.rate_messages import IMU_TYPE, decode_rates
-from trajeval_ros.online.state_rows import POSITION, QUATERNION, VELOCITY
+from trajeval_ros.online.state_rows import (
+    COVARIANCE,
+    POSITION,
+    QUATERNION,
+    VELOCITY,
+    WIDTH_WITH_COVARIANCE,
+    as_wide,
+)
 from trajeval_ros.ros.poses import PoseStream
 from trajeval_ros.ros.subscriptions import ReceivedMessages
 from trajeval_ros.watchdog.engine import ARMING_S, Watchdog
@@ -130,7 +137,10 @@ class LiveWatch:
         return self.watchdog.add_partner(*columns, source=source)
 
     def _take_estimate(self, kind: str, taken: ReceivedMessages, arrived: Stamps) -> Signals:
-        stamps, positions, quaternions, velocities = _poses(self._estimate, kind, taken, arrived)
+        found = _poses(self._estimate, kind, taken, arrived)
+        stamps, positions, quaternions, velocities, covariances = found
+        up = self._estimate.up(None).matrix[2]
+        self.watchdog.add_covariances(stamps, covariances, up)
         if np.isfinite(velocities).any():
             self._needs.add("twist")
         return self.watchdog.add_states(
@@ -161,6 +171,8 @@ class LiveWatch:
         elif self.watchdog.armed_s is None:
             moved_s = self.watchdog.moved_s
             yield Remark(Level.NOTE, "watch", f"arming: {moved_s:.0f} of {ARMING_S:g} s of motion")
+        if self.watchdog.about_yaw is not None:
+            yield self.watchdog.about_yaw
 
     def _remark(self, alarm: WatchAlarm) -> Remark:
         signal = signal_of(alarm.signal)
@@ -196,8 +208,12 @@ class LiveWatch:
 
 def _poses(
     stream: PoseStream, kind: str, taken: ReceivedMessages, arrived: Stamps
-) -> tuple[Stamps, Floats, Floats, Floats]:
-    """Return timestamps (N,), positions (N, 3), quaternions (N, 4), world velocities (N, 3)."""
+) -> tuple[Stamps, Floats, Floats, Floats, Floats]:
+    """Return the usable poses of messages.
+
+    Timestamps (N,), positions (N, 3), quaternions (N, 4), world velocities (N, 3), and rotation
+    covariances (N, 3, 3), zeros if they are unknown.
+    """
     if kind == PATH_TYPE:
         raise InputError(
             "a topic to watch has type nav_msgs/msg/Path, whose poses are revised; use a topic "
@@ -207,5 +223,12 @@ def _poses(
     rows = found.states
     usable = np.isfinite(rows[:, POSITION]).all(axis=1)
     usable &= np.isfinite(rows[:, QUATERNION]).all(axis=1)
-    rows = rows[usable]
-    return found.stamps[usable], rows[:, POSITION], rows[:, QUATERNION], rows[:, VELOCITY]
+    rows = as_wide(rows[usable], WIDTH_WITH_COVARIANCE)
+    covariances = rows[:, COVARIANCE].reshape(-1, 6, 6)[:, 3:, 3:]
+    return (
+        found.stamps[usable],
+        rows[:, POSITION],
+        rows[:, QUATERNION],
+        rows[:, VELOCITY],
+        covariances,
+    )

@@ -26,6 +26,7 @@ from trajeval_ros.ros.live_runs import LiveRuns
 from trajeval_ros.ros.marker_body import MarkerBody, StaticTransform
 from trajeval_ros.ros.output_folder import make_folder
 from trajeval_ros.ros.parameter_table import PARAMETERS, PAUSE, RESET, SAVE, START, STOP
+from trajeval_ros.ros.point_topic import PointTopic
 from trajeval_ros.ros.pose_source import PoseSource, TimeAt, name_apart
 from trajeval_ros.ros.recorded_state import why_no_pair, write_states
 from trajeval_ros.ros.rerun_output import RerunOutput
@@ -59,6 +60,8 @@ class EvaluatorNode:
         self._line = StatusLine()
         self._simulated_time = SimulatedClock(self._node)
         self._events = EventTopic(self._node)
+        points = self._values["rerun_points"]
+        self._points = PointTopic(self._node, points) if points else None
         self._watching = Watching(self._node, self._values, self._events, self._log)
         self._statuses = StatusReports(self._node, self._events, self._watching)
         self._worker = ThreadPoolExecutor(1, "clocks")
@@ -211,6 +214,9 @@ class EvaluatorNode:
             latency_s = estimate.latency.publish(update.stamp, time.time_ns())
             estimate.peaks.see("latency_s", latency_s)
             estimate.peaks.see_update(update, knows_up=not estimate.doubt)
+        if self._points is not None:
+            for stamp, points in self._points.take():
+                self._picture.points(stamp, points)
         run = self._runs.current
         news, run.news = run.news, []
         for each in news:
@@ -235,6 +241,9 @@ class EvaluatorNode:
             arrival_s = estimate.status.stream.recent().arrival_p95_s
             estimate.peaks.see("arrival_s", arrival_s)
             snapshot = self._outputs.publish_snapshot(estimate)
+            if estimate.availability is not None:
+                self._outputs.publish_available(run, estimate)
+                estimate.peaks.see("age_s", estimate.availability.errors.age_p95_s)
             revised_m = self._outputs.publish_revised(run, estimate)
             self._picture.snapshot(estimate, snapshot, revised_m)
             self._outputs.publish_geometry(run, estimate, snapshot)
@@ -247,6 +256,9 @@ class EvaluatorNode:
             for each in source.match():
                 if self._events.publish(source.name, each):
                     self._log(each.text, each.level)
+        if self._points is not None:
+            for said in self._points.match():
+                self._log(said)
         self._watching.match()
         if run.body.transform is not None and (said := run.body.transform.match()):
             self._log(said)

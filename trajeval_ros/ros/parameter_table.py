@@ -102,6 +102,10 @@ PARAMETERS = (
         "(file, and a server for viewers on this machine); serve:ADDRESS:PORT (a server for the "
         "network, as in serve:0.0.0.0:9876); connect:URL (file, and a connection to a viewer). "
         "Needs rerun-sdk."),
+    NodeParameter("rerun_points", "",
+        "Topic of a PointCloud2 in the body of the first estimate, drawn in Rerun: 2500 points of "
+        "two scans per second, such as the scans that a lidar odometry has undistorted. Scans "
+        "older than 60 s are hidden. Empty: none."),
     NodeParameter("broadcast_tf", False,
         "Alignment published on /tf, from the groundtruth frame to the estimate frame. The "
         "estimate frame must have no other parent, and the gauge must have no scale."),

@@ -71,6 +71,11 @@ def declare(node: Node) -> dict[str, Any]:
             "--ros-args -p groundtruth_topic:=/mocap/pose -p estimate_topics:=[/vio/odometry]; "
             "without groundtruth, set watch_factor:=1.0"
         )
+    if values["rerun_points"] and (values["rerun"] == NONE or not values["groundtruth_topic"]):
+        raise SettingsError(
+            "parameter rerun_points needs the parameters rerun and groundtruth_topic; set them, "
+            "as in rerun:=file"
+        )
     if not values["watch_factor"] and (alone := [each for each in _OF_WATCH if values[each]]):
         raise SettingsError(
             f"parameter {alone[0]} needs the parameter watch_factor; set it, as in "
@@ -232,4 +237,5 @@ def settings_of(values: dict[str, Any]) -> OnlineSettings:
         covariances=request.covariances,
         integrity=request.integrity,
         up=request.up,
+        available=request.available,
     )

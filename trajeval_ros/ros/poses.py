@@ -22,7 +22,7 @@ from trajeval_ros.geometry.valid_poses import add_counts, count_up, in_words
 from trajeval_ros.io.bags.pose_columns import Frames, PoseColumns
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE, decode_path, decode_poses
 from trajeval_ros.io.bags.usable_poses import UsablePoses, usable_poses
-from trajeval_ros.metrics.stream_health import StreamMonitor
+from trajeval_ros.metrics.stream_health import UNKNOWN, StreamMonitor
 from trajeval_ros.online.state_buffer import usable_rows
 from trajeval_ros.online.state_rows import POSITION, WIDTH, as_wide, states
 from trajeval_ros.ros.clock_steps import ClockSteps
@@ -42,11 +42,13 @@ class StateColumns(NamedTuple):
     states: Floats  # (N, 10) or (N, 46), in the columns of `online.state_rows`
     rows: NDArray[np.int64]  # (N,), index of the message
     fixes: Floats | None = None  # (N, 14), place and quality of GNSS fixes as in their messages
+    arrived: Stamps | None = None  # (N,) times of arrival, nanoseconds, may be `UNKNOWN`
 
     def picked(self, rows: NDArray[Any] | slice) -> StateColumns:
         """Return the states of a mask, of indices, or of a slice."""
         fixes = None if self.fixes is None else self.fixes[rows]
-        return StateColumns(self.stamps[rows], self.states[rows], self.rows[rows], fixes)
+        arrived = None if self.arrived is None else self.arrived[rows]
+        return StateColumns(self.stamps[rows], self.states[rows], self.rows[rows], fixes, arrived)
 
     def joined(self, other: StateColumns) -> StateColumns:
         """Return these states followed by others."""
@@ -54,7 +56,13 @@ class StateColumns(NamedTuple):
             np.concatenate([self.stamps, other.stamps]),
             np.concatenate([self.states, other.states]),
             np.concatenate([self.rows, other.rows]),
+            arrived=np.concatenate([_arrived(self), _arrived(other)]),
         )
+
+
+def _arrived(states_: StateColumns) -> Stamps:
+    unknown = np.full(len(states_.stamps), UNKNOWN)
+    return unknown if states_.arrived is None else states_.arrived
 
 
 @dataclass
@@ -286,7 +294,7 @@ class PoseStream:
         if self._trust.lone > before:
             self._tell_lone(self._trust)
             self.status.drop(LONE, self._trust.lone - before)
-        trusted = StateColumns(stamps, states_, rows)
+        trusted = StateColumns(stamps, states_, rows, None, arrived)
         return trusted if poses.all() else trusted.joined(found.picked(~poses))
 
     def _tell_lone(self, trust: StampTrust) -> None:

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.formatting.remarks import Remark
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.fix_selection import fixes_of_rows
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.online.jump_detector import Jump
@@ -60,6 +61,12 @@ class RerunOutput:
         """Show the errors of the newest pair."""
         name = estimate.name
         self._put(lambda scene: scene.update(name, update))
+
+    def points(self, stamp: int, points: Floats) -> None:
+        """Show points (N, 3) that were measured in the body of the first estimate."""
+        estimate = self._run.estimates[0]
+        name, at = estimate.name, stamp + estimate.offset_ns
+        self._put(lambda scene: scene.points(name, at, points))
 
     def jump(self, estimate: LiveEstimate, jump: Jump) -> None:
         """Show a jump of an estimate."""

@@ -29,7 +29,7 @@ PARAMETER_NAMES = {each.name for each in PARAMETERS}
 _CLOCKS = {"clock_offset", "clock_drift", "small_clock_offset"}
 # Tests that need all messages. The thinned contains only some of the pairs.
 _NOT_BY_SOME_PAIRS = {
-    "few_pairs", "keyframes", "stamps_rounded", "duplicated", "groundtruth_held",
+    "few_pairs", "frames_lost", "keyframes", "stamps_rounded", "duplicated", "groundtruth_held",
     "groundtruth_frozen", "groundtruth_bridged", "gap_bridged", "restart",
     # The evaluator reports these from all pairs.
     "frozen", "frozen_at_start", "diverged", "diverged_at_start",

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 DEPTH = 20_000
 
 
-def matching(publishers: Sequence[Any], *, is_static: bool = False) -> Any:
-    """Return the strictest profile that all publishers offer.
+def matching(publishers: Sequence[Any], *, is_static: bool = False, depth: int = DEPTH) -> Any:
+    """Return the strictest profile that all publishers offer, with a queue of `depth` messages.
 
     A subscription that requests more than a publisher offers does not connect, and there is no
     error. Therefore it is reliable only if all publishers are, and latched (transient local) only
@@ -40,7 +40,7 @@ def matching(publishers: Sequence[Any], *, is_static: bool = False) -> Any:
     enough = any if is_static else all
     latched = enough(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in offered)
     return QoSProfile(
-        depth=DEPTH,
+        depth=depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
@@ -96,6 +96,7 @@ class TopicInput:
         *,
         is_static: bool = False,
         is_optional: bool = False,
+        depth: int = DEPTH,
     ) -> None:
         self.topic = node.resolve_topic_name(topic)  # after remapping
         self.is_static = is_static  # static transforms are optional
@@ -106,6 +107,7 @@ class TopicInput:
         # The node remaps names itself, so this is the name before remapping. A second remapping
         # can change a name again.
         self._node, self._name, self._types = node, topic, tuple(types)
+        self._depth = depth
         self._group = _polled()
         self._subscription: Any = None
         self._profile: Any = None
@@ -117,7 +119,7 @@ class TopicInput:
         publishers = _publishers_of(self._node, self._name, self._types)
         if not publishers:
             return "" if self._is_optional else self._remind()
-        profile = matching(publishers, is_static=self.is_static)
+        profile = matching(publishers, is_static=self.is_static, depth=self._depth)
         kind = publishers[0].topic_type
         self._remind_at = time.monotonic() + UNMATCHED_AFTER_S
         self.publishers = sorted(each.node_name for each in publishers)

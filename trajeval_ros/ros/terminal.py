@@ -13,6 +13,7 @@ from trajeval_ros.formatting.numbers import counted, whole_percent
 from trajeval_ros.online.reports import Snapshot
 
 _LOG_EVERY_S = 10.0
+_OLD_S = 3.0  # the error of an older pair is not shown as the present one
 _BEGIN_ANEW = "\r\x1b[K"
 
 
@@ -82,9 +83,15 @@ def leave_lost_terminal() -> None:
 
 
 def summary(
-    name: str, snapshot: Snapshot, window: str, newest_m: float | None, missing: str
+    name: str,
+    snapshot: Snapshot,
+    window: str,
+    newest_m: float | None,
+    missing: str,
+    *,
+    unpaired_s: float = 0.0,
 ) -> str:
-    """Return one estimate's part of the line."""
+    """Return one estimate's part of the line; the newest pair was made `unpaired_s` ago."""
     if not snapshot.pairs:
         waiting = f"{counted(snapshot.waiting, 'pose')} waiting for groundtruth"
         return f"{name}: " + (
@@ -93,18 +100,21 @@ def summary(
     window = "whole run" if window == "0" else window
     if snapshot.alignment is None or snapshot.window_position_rmse_m is None:
         return f"{name}: warming up, {snapshot.warming_up}"
-    words = [f"{name}: ATE {snapshot.window_position_rmse_m:.3f} m"]
+    words = [
+        f"{name}: {counted(snapshot.pairs, 'pair')}, ATE {snapshot.window_position_rmse_m:.3f} m"
+    ]
     rotation = snapshot.ate.get("rotation_deg")
     if rotation is not None:
         words.append(f"{rotation.rmse:.2f} deg")
     words.append(f"({window})")
-    if newest_m is not None:
+    if unpaired_s > _OLD_S:
+        words.append(f"last pair {unpaired_s:.0f} s ago")
+    elif newest_m is not None:
         words.append(f"now {newest_m:.3f} m")
     ended = [(length, errors) for length, errors in snapshot.relative.items() if errors.count]
     if ended:
         length, errors = ended[-1]
         words.append(f"RE {length} {errors.position_m:.3f} m")
-    words.append(f"{counted(snapshot.pairs, 'pair')}")
     if snapshot.estimate_coverage is not None and snapshot.estimate_coverage < 0.995:
         words.append(f"{whole_percent(snapshot.estimate_coverage)} covered")
     return " ".join(words)

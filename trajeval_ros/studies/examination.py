@@ -9,6 +9,7 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.preintegration import ImuNoise
 from trajeval_ros.studies.keyframe_selection import select
 from trajeval_ros.studies.measurement_tests import (
     ResidualGroup,
@@ -21,7 +22,6 @@ from trajeval_ros.studies.outliers import Rejection, reject_outliers
 from trajeval_ros.studies.sensor_recording import SensorRecording
 from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance
 from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
-from trajeval_ros.visual_inertial.preintegration import ImuNoise
 from trajeval_ros.visual_inertial.problem import Problem
 from trajeval_ros.visual_inertial.state import MOTION_WIDTH, State, initial_state
 

@@ -11,11 +11,11 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
+from trajeval_ros.geometry.preintegration import ImuNoise, Preintegrated, preintegrate
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.studies.sensor_recording import SAME_INSTANT_NS, SensorRecording, at_instants
 from trajeval_ros.visual_inertial.camera import Camera
 from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
-from trajeval_ros.visual_inertial.preintegration import ImuNoise, Preintegrated, preintegrate
 from trajeval_ros.visual_inertial.problem import Problem
 from trajeval_ros.visual_inertial.state import State
 from trajeval_ros.visual_inertial.visibility import FEWEST_VIEWS

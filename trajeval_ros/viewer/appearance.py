@@ -207,6 +207,18 @@ def declare_consistency(recording: Any, estimate: EstimateEntities) -> None:
         recording.log(estimate.metric(quantity), bands, static=True)
 
 
+def declare_points(recording: Any, estimate: EstimateEntities) -> None:
+    """Log the style of scans: darker than the paths in them."""
+    rerun, _ = sdk()
+    look = rerun.Points3D.from_fields(
+        colors=[colours.POINTS], radii=[rerun.Radius.ui_points(_POINT)]
+    )
+    recording.log(estimate.points, look, static=True)
+
+
+_POINT = 0.6
+
+
 def declare_map(recording: Any, estimates: Sequence[EstimateEntities]) -> None:
     """Log the styles of fixes and estimates on the map."""
     rerun, _ = sdk()

@@ -29,14 +29,19 @@ def with_panels(views: Any) -> Any:
     )
 
 
-def until_now() -> Any:
-    """Return the times up to the cursor, for entities that grow during the run."""
+def until_now(seconds: float | None = None) -> Any:
+    """Return the times up to the cursor, all or the newest, for entities that grow."""
     _, layout = sdk()
+    begin = (
+        layout.TimeRangeBoundary.infinite()
+        if seconds is None
+        else layout.TimeRangeBoundary.cursor_relative(seconds=-seconds)
+    )
     return layout.VisibleTimeRanges(
         [
             layout.VisibleTimeRange(
                 TIMELINE,
-                start=layout.TimeRangeBoundary.infinite(),
+                start=begin,
                 end=layout.TimeRangeBoundary.cursor_relative(),
             )
         ]
@@ -186,6 +191,8 @@ def _space(
     # Live, only the latest rows are visible: their entities are drawn again as they grow.
     growing = [] if is_live else _drawn_once(estimates)
     overrides: dict[str, list[Any]] = {each: [until_now()] for each in growing}
+    if is_live:
+        overrides[estimates[0].points] = [until_now(_SCANS_S)]
     if len(estimates) > _MOST_COLOURED:
         hidden = [each.by_error for each in estimates]
     else:  # live, colours are drawn later than the path
@@ -212,6 +219,7 @@ def _space(
     )
 
 
+_SCANS_S = 60.0  # every visible scan takes time in every frame of the viewer
 _BEHIND_M = (-6.0, 0.0, 3.0)  # in the frame of the body
 _FLAT = (scene_entities.LEGEND, scene_entities.MAP, "metrics")
 

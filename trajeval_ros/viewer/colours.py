@@ -13,6 +13,7 @@ Colours = NDArray[np.uint8]
 
 BACKGROUND: Colour = (17, 19, 24)
 GRID: Colour = (52, 56, 66)
+POINTS: Colour = (86, 96, 118)
 GROUNDTRUTH: Colour = (222, 224, 230)
 BAND: Colour = (200, 200, 205)
 ESTIMATES: tuple[Colour, ...] = tuple(map(palette.rgb, palette.ESTIMATES_ON_DARK))

@@ -76,6 +76,12 @@ def path_by_error(points: Floats, errors: Floats, rows: Indices, full_m: float) 
     return EntityData(rerun.LineStrips3D, {"strips": _narrow(points[rows]), "colors": colors})
 
 
+def points(places: Floats) -> EntityData:
+    """Return points (N, 3)."""
+    rerun, _ = sdk()
+    return EntityData(rerun.Points3D, {"positions": _narrow(places)})
+
+
 def correspondences(
     groundtruth: Floats, aligned: Floats, full_m: float, factor: float
 ) -> EntityData:

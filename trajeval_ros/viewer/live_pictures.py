@@ -16,6 +16,7 @@ from trajeval_ros.viewer import appearance, colours, entity_data, scene_entities
 from trajeval_ros.viewer.appearance import ErrorScale
 from trajeval_ros.viewer.entity_data import LineLook
 from trajeval_ros.viewer.live_path import NEVER, LivePath, LiveRecording, RowHistory, Thinning
+from trajeval_ros.viewer.live_scans import LiveScans
 from trajeval_ros.viewer.paths import bounds_of, gaps, origin_for, pieces, size_of
 from trajeval_ros.viewer.scene_entities import GroundtruthEntities
 from trajeval_ros.viewer.state_lanes import TRACKED, LiveLanes
@@ -105,6 +106,7 @@ class EstimatePicture:
         rotations: Drawn rotation errors, degrees.
         origin: Origin of its drawn positions, (3,), in its frame; None before the first pair.
         told_at: Time of its newest text.
+        scans: Scans that were measured in its body.
     """
 
     def __init__(
@@ -119,6 +121,7 @@ class EstimatePicture:
         self.entities, self._recording, self._lanes = entities, recording, lanes
         self._path, self._is_alone = LivePath(entities.path, recording.log, look), is_alone
         self._thinning, self.memory, self.rotations = Thinning(), RowHistory(6), RowHistory(1)
+        self.scans = LiveScans(entities, recording)
         self._errors_at = NEVER  # time of the newest drawn error
         self._settled_at: int | None = None  # time of the first drawn rotation error
         self._between = Thinning()
@@ -138,6 +141,7 @@ class EstimatePicture:
         for place, length in enumerate(self._lengths):
             self._recording.send(appearance.declare_length, self.entities, length, place)
         self._path.draw_again()
+        self.scans.declare()
 
     def add(self, stamps: Stamps, groundtruth: Floats, states: Floats) -> None:
         """Add pairs.
@@ -159,6 +163,7 @@ class EstimatePicture:
                 self._lanes.gap(self.entities.tracking, time, gap)
                 self.interrupt()
             self.memory.add(time, np.concatenate([groundtruth[row], point]))
+        self.scans.place(stamps, states[:, :7] - np.append(self.origin, np.zeros(4)))
         newest = int(stamps[-1])
         if newest >= self._drawn_at + DRAWN_EVERY_NS:
             self._drawn_at = newest

@@ -144,6 +144,10 @@ class LiveScene:
             self._attach(frame, each.entities.frame, each.origin)
             self._attach(body, each.entities.pose)
 
+    def points(self, name: str, stamp: int, points: Floats) -> None:
+        """Add a scan: points (N, 3) in the body of an estimate at a timestamp."""
+        self._estimates[name].scans.add(stamp, points)
+
     def update(self, name: str, update: Update) -> None:
         """Draw the published errors of the newest pair."""
         self._estimates[name].update(update)

@@ -8,6 +8,7 @@
     world/estimate/NAME/path/{past,recent,newest} estimated path, in the estimate's frame
     world/estimate/NAME/by_error                  the same path, coloured by position error
     world/estimate/NAME/pose                      newest estimated pose
+    world/estimate/NAME/points                    scans, live; those of the newest 60 s are visible
     world/estimate/NAME/covariance                three standard deviations of its position
     world/uncertainty/NAME                        the same of its error, in the alignment's gauge
     world/correspondences/NAME                    errors as lines from the groundtruth
@@ -107,6 +108,7 @@ class EstimateEntities:
         self.path = PathEntities.below(self.frame)
         self.by_error = f"{self.frame}/by_error"
         self.pose = f"{self.frame}/pose"
+        self.points = f"{self.frame}/points"
         self.covariance = f"{self.frame}/covariance"
         self.on_map = f"{MAP}/estimate/{self._part}"
         self.uncertainty = f"{WORLD}/uncertainty/{self._part}"

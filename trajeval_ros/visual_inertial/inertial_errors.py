@@ -9,7 +9,7 @@ import numpy as np
 
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.visual_inertial.preintegration import Preintegrated
+from trajeval_ros.geometry.preintegration import Preintegrated
 from trajeval_ros.visual_inertial.state import MOTION_WIDTH, State
 
 

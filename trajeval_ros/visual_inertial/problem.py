@@ -13,13 +13,13 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Floats, Indices
+from trajeval_ros.geometry.preintegration import GRAVITY, Preintegrated
 from trajeval_ros.visual_inertial.camera import Camera
 from trajeval_ros.visual_inertial.inertial_errors import (
     BiasNoise,
     InertialErrors,
     InertialMeasurements,
 )
-from trajeval_ros.visual_inertial.preintegration import GRAVITY, Preintegrated
 from trajeval_ros.visual_inertial.reprojection_errors import CameraMeasurements, ReprojectionErrors
 from trajeval_ros.visual_inertial.state import MOTION_WIDTH, State
 from trajeval_ros.visual_inertial.visibility import Visibility

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError, require_one_of
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
+from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise, preintegrate
 from trajeval_ros.simulation.motion import Motion
 from trajeval_ros.visual_inertial.camera import Camera
-from trajeval_ros.visual_inertial.preintegration import GRAVITY, ImuNoise, preintegrate
 from trajeval_ros.visual_inertial.problem import Problem
 from trajeval_ros.visual_inertial.state import State, initial_state
 from trajeval_ros.visual_inertial.visibility import FEWEST_VIEWS

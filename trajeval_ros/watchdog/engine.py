@@ -10,6 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from trajeval_ros.consistency.yaw_information import YawInformation
+from trajeval_ros.formatting.remarks import Remark
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.watchdog.inertial_mounting import IMU_WIDTH
@@ -74,6 +76,7 @@ class Watchdog:
         self._twist: TwistSignals | None = None
         self._others: dict[str, InertialSignals | CorrectionSignals | PairSignals] = {}
         self._counted_s = -np.inf
+        self._yaw = YawInformation()
 
     @property
     def origin(self) -> int:
@@ -87,6 +90,11 @@ class Watchdog:
         groups += [each.notices for each in self._others.values() if isinstance(each, Comparison)]
         found = [each for group in groups for each in group]
         return [*self._told, *found]
+
+    @property
+    def about_yaw(self) -> Remark | None:
+        """The warning about covariances that claim to know yaw; None without an IMU."""
+        return self._yaw.remark if np.isfinite(self._feeds["imu"].last) else None
 
     @property
     def out_of_order(self) -> int:
@@ -135,6 +143,10 @@ class Watchdog:
         self._begin()
         after = self.add_states(stamps[first:], *(each[first:] for each in columns))
         return joined([before, after])
+
+    def add_covariances(self, stamps: Stamps, covariances: Floats, up: Floats) -> None:
+        """Add covariances of the states that come next, as `YawInformation.add` takes them."""
+        self._yaw.add(stamps, covariances, up)
 
     def _add_in_order(self, seconds: Floats, *columns: Floats) -> Signals:
         rows = self._feeds["states"].rows(seconds, *columns)

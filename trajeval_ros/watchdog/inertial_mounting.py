@@ -10,12 +10,8 @@ import numpy as np
 from trajeval_ros.calibration.hand_eye import closest_rotation
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
-from trajeval_ros.watchdog.rotations_over_time import (
-    between,
-    only_axis,
-    running_products,
-    slerp_at,
-)
+from trajeval_ros.geometry.interpolation import slerp_at
+from trajeval_ros.watchdog.rotations_over_time import between, only_axis
 from trajeval_ros.watchdog.row_buffer import QUATERNION, TIME, lengths, window_begins
 
 # Columns of an IMU row after `TIME` and `SINCE`: rad/s, m/s^2.
@@ -84,7 +80,7 @@ def turned_by_gyro(imu: Floats, bias: Floats, first: Floats) -> Floats:
     dt = np.diff(imu[:, TIME])[:, None]
     rate = 0.5 * (imu[1:, GYRO] + imu[:-1, GYRO]) - bias
     steps = lie.from_rotation_vector(rate * dt)
-    return np.concatenate([first[None], running_products(first, steps)])
+    return np.concatenate([first[None], lie.running_products(first, steps)])
 
 
 def mounting_of(states: Floats, imu: Floats) -> Mounting:

@@ -6,6 +6,7 @@ import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.interpolation import slerp_at
 from trajeval_ros.watchdog.inertial_mounting import (
     ACCELERATION,
     FARTHEST_S,
@@ -15,7 +16,7 @@ from trajeval_ros.watchdog.inertial_mounting import (
     turned_by_gyro,
 )
 from trajeval_ros.watchdog.judging import judged
-from trajeval_ros.watchdog.rotations_over_time import between, slerp_at
+from trajeval_ros.watchdog.rotations_over_time import between
 from trajeval_ros.watchdog.row_buffer import (
     POSE_WIDTH,
     POSITION,

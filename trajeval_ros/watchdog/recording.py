@@ -91,6 +91,8 @@ def watched(run: WatchedRun) -> Watched:
     }
     there = {source_of(name) for name in signals}
     notices = [*watchdog.notices, *undetected_faults(needs, there, watchdog.notices)]
+    if watchdog.about_yaw is not None:
+        notices.insert(0, watchdog.about_yaw.text)
     if watchdog.out_of_order:
         notices.append(
             f"{counted(watchdog.out_of_order, 'state')} of {name} dropped: timestamps do not "
@@ -129,6 +131,9 @@ def _fed(watchdog: Watchdog, run: WatchedRun) -> Iterator[Signals]:
             yield take(other.stamps[rows], other.positions[rows], other.quaternions[rows])
         rows = own[0]
         assert estimate.quaternions is not None
+        if estimate.covariances is not None:
+            covariances = estimate.covariances[rows, 3:, 3:]
+            watchdog.add_covariances(estimate.stamps[rows], covariances, estimate.up.matrix[2])
         yield watchdog.add_states(
             estimate.stamps[rows],
             estimate.positions[rows],

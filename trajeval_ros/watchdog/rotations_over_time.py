@@ -1,4 +1,4 @@
-"""Orientations at any time, products of many rotations, and the axes of rotations."""
+"""Differences of rotations, and their axes."""
 
 from __future__ import annotations
 
@@ -8,25 +8,6 @@ from trajeval_ros.calibration.hand_eye import closest_rotation
 from trajeval_ros.calibration.observability import LEAST_RELIABILITY
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.interpolation import slerp, steps_at
-
-
-def running_products(first: Floats, steps: Floats) -> Floats:
-    """Return first * steps[0] * ... * steps[n] for n = 0 ... N - 1, (N, 4), in log2 N passes."""
-    if not len(steps):
-        return steps
-    products = np.concatenate([lie.multiply(first[None], steps[:1]), steps[1:]])
-    reach = 1
-    while reach < len(products):
-        products[reach:] = lie.multiply(products[:-reach], products[reach:])
-        reach *= 2
-    return lie.normalized(products)
-
-
-def slerp_at(times: Floats, quaternions: Floats, at: Floats) -> Floats:
-    """Interpolate orientations (N, 4) at increasing times (N,) to other times (M,): (M, 4)."""
-    start, fraction = steps_at(times, at)
-    return slerp(quaternions, start, start + 1, np.clip(fraction, 0.0, 1.0))
 
 
 def between(start: Floats, end: Floats) -> Floats:

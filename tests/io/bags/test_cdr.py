@@ -305,6 +305,7 @@ def test_counts_that_cannot_be_cost_nothing() -> None:
 
 
 def test_standard_types_are_those_of_ros() -> None:
+    assert set(POSE_TYPES) - {PATH_TYPE} <= STANDARD.keys()
     for store in (Stores.ROS2_HUMBLE, Stores.ROS2_JAZZY):
         for message_type, fields in STANDARD.items():
             assert fields_of(get_typestore(store).fielddefs, message_type) == fields

@@ -197,7 +197,9 @@ def test_json_of_the_wrong_kind_is_no_message(payload: bytes) -> None:
 @given(payloads=st.lists(st.binary(max_size=60) | st.text().map(str.encode), max_size=4))
 @pytest.mark.parametrize("kind", foxglove.TYPES)
 def test_random_bytes_raise_nothing(kind: str, payloads: list[bytes]) -> None:
-    for encoding in filter(foxglove.is_decodable, ENCODINGS):
+    decodable = list(filter(foxglove.is_decodable, ENCODINGS))
+    assert decodable
+    for encoding in decodable:
         columns = FoxglovePlan(kind, encoding).decode(payloads)
         assert len(columns.rows) <= len(payloads)
 

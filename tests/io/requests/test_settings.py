@@ -130,7 +130,7 @@ def test_options_keys_and_parameters_are_those_of_the_rows() -> None:
     assert {each.name for each in SETTINGS.values() if NODE in each.verbs} <= {
         each.name for each in PARAMETERS
     }
-    assert len(PARAMETERS) <= 50
+    assert len(PARAMETERS) <= 52
     assert not settings_of_many_runs().keys() & {"correct", "watch_factor", "corrections"}
 
 
@@ -250,6 +250,7 @@ def test_a_new_setting_is_one_row() -> None:
 
 
 def test_rows_are_sound() -> None:
+    assert SETTINGS
     for name, setting in SETTINGS.items():
         assert isinstance(setting, Setting)
         assert setting.name == name

@@ -70,6 +70,8 @@ class Block:
     buffer: Buffer  # (B,) bytes that contain the messages
     begins: Indices  # (N,) offsets of the messages in the buffer
     sizes: Indices  # (N,) sizes of the messages, bytes
+    # (N,) int64, ns, by the clock of the publisher; the log times if the format has none.
+    publish_times: Indices
 
     def __len__(self) -> int:
         return len(self.begins)
@@ -81,6 +83,7 @@ class Block:
             log_times=self.log_times[rows],
             begins=self.begins[rows],
             sizes=self.sizes[rows],
+            publish_times=self.publish_times[rows],
         )
 
     def within(self, begin: int | None, end: int | None) -> Block:
@@ -111,7 +114,8 @@ class Block:
             if size >= BYTES or row + 1 == len(self):
                 rows = slice(begin, row + 1)
                 plain = block_of(self.connections[rows], self.log_times[rows], payloads)
-                yield replace(plain, earliest=self.earliest)
+                published = self.publish_times[rows]
+                yield replace(plain, earliest=self.earliest, publish_times=published)
                 payloads, begin, size = [], row + 1, 0
 
     def by_connection(self) -> Iterator[tuple[int, Block]]:
@@ -132,7 +136,7 @@ class Block:
             return replace(self, buffer=buffer, begins=np.arange(len(self)) * size)
         payloads = list(self.payloads())
         own = block_of(self.connections, self.log_times, payloads)
-        return replace(own, earliest=self.earliest)
+        return replace(own, earliest=self.earliest, publish_times=self.publish_times)
 
     def payloads(self) -> Iterator[memoryview]:
         """Yield the serialised messages."""
@@ -156,6 +160,7 @@ def block_of(
         np.frombuffer(b"".join(payloads), dtype=np.uint8),
         np.cumsum(sizes) - sizes,
         sizes,
+        times,
     )
 
 
@@ -206,6 +211,7 @@ def _concatenated(blocks: Sequence[Block]) -> Block:
             [block.begins + before for block, before in zip(blocks, befores, strict=False)]
         ),
         np.concatenate([block.sizes for block in blocks]),
+        np.concatenate([block.publish_times for block in blocks]),
     )
 
 

@@ -19,9 +19,15 @@ import numpy as np
 from trajeval_ros.io.bags.blocks import BYTES, ROWS, Block, TopicSelection, all_connections
 from trajeval_ros.io.bags.byte_source import ByteSource, DamagedError
 from trajeval_ros.io.bags.mcap_chunk_reading import ChunkMessages, read_chunk
-from trajeval_ros.io.bags.mcap_chunks import Chunk, of_channels
+from trajeval_ros.io.bags.mcap_chunks import Chunk, block_at, of_channels
 from trajeval_ros.io.bags.mcap_contents import END_SIZE, data_end, read_summary, scanned_contents
-from trajeval_ros.io.bags.mcap_records import HEAD, MESSAGE_HEAD, MessageIndex, NoIndexError
+from trajeval_ros.io.bags.mcap_records import (
+    HEAD,
+    MESSAGE_HEAD,
+    PUBLISH_TIME,
+    MessageIndex,
+    NoIndexError,
+)
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -163,8 +169,8 @@ class McapReader:
 
     def _loose(self, messages: MessageIndex) -> Block:
         """Return messages outside of chunks."""
-        begins = messages.offsets + (HEAD + MESSAGE_HEAD)
-        ends = begins + messages.sizes
+        begins = messages.offsets + (HEAD + MESSAGE_HEAD - PUBLISH_TIME)
+        ends = begins + PUBLISH_TIME + messages.sizes
         order = np.argsort(begins)
         far = np.flatnonzero(begins[order][1:] - ends[order][:-1] > END_SIZE) + 1
         pieces, places, total = [], np.empty(len(messages), dtype=np.int64), 0
@@ -178,14 +184,8 @@ class McapReader:
             places[run] = begins[run] - first + total
             pieces.append(data)
             total += size
-        return Block(
-            int(messages.log_times.min()),
-            messages.channels,
-            messages.log_times,
-            np.frombuffer(b"".join(pieces), dtype=np.uint8),
-            places,
-            messages.sizes,
-        )
+        earliest, data = int(messages.log_times.min()), b"".join(pieces)
+        return block_at(earliest, messages, data, places + PUBLISH_TIME, messages.sizes)
 
     def _verify_data(self) -> None:
         """Verify the checksum of a file with messages outside of chunks."""

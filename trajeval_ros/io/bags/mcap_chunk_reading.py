@@ -18,6 +18,7 @@ from trajeval_ros.io.bags.byte_source import GAP, ByteSource, DamagedError
 from trajeval_ros.io.bags.mcap_chunks import (
     RECORD_HEAD,
     Chunk,
+    block_at,
     block_in,
     of_channels,
     require_size,
@@ -177,11 +178,5 @@ def _partial(
         begins.append(found.offsets + (RECORD_HEAD - begin + total))
         sizes.append(found.sizes)
         total += len(pieces[number])
-    return Block(
-        chunk.first,
-        messages.channels,
-        messages.log_times,
-        np.frombuffer(b"".join(pieces), dtype=np.uint8),
-        np.concatenate(begins),
-        np.concatenate(sizes),
-    )
+    data = b"".join(pieces)
+    return block_at(chunk.first, messages, data, np.concatenate(begins), np.concatenate(sizes))

@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.bags.blocks import LARGEST, Block, are_of
+from trajeval_ros.geometry.arrays import Indices
+from trajeval_ros.io.bags.blocks import LARGEST, Block, are_of, gather
 from trajeval_ros.io.bags.byte_source import ByteSource, DamagedError
 from trajeval_ros.io.bags.compression import LARGEST_CHUNK, LARGEST_RATIO, decompress, most_of
 from trajeval_ros.io.bags.mcap_records import (
@@ -20,6 +21,7 @@ from trajeval_ros.io.bags.mcap_records import (
     HEAD,
     MESSAGE,
     MESSAGE_HEAD,
+    PUBLISH_TIME,
     SCHEMA,
     MessageIndex,
     MessageIndexBuilder,
@@ -141,14 +143,20 @@ def walked(
 
 def block_in(data: bytes | memoryview, messages: MessageIndex, earliest: int) -> Block:
     """Return messages of a chunk that is in memory."""
-    return Block(
-        earliest,
-        messages.channels,
-        messages.log_times,
-        np.frombuffer(data, dtype=np.uint8),
-        messages.offsets + RECORD_HEAD,
-        messages.sizes,
-    )
+    return block_at(earliest, messages, data, messages.offsets + RECORD_HEAD, messages.sizes)
+
+
+def block_at(
+    earliest: int,
+    messages: MessageIndex,
+    data: bytes | memoryview,
+    begins: Indices,
+    sizes: Indices,
+) -> Block:
+    """Return messages whose payloads are at offsets (N,) in data, after their publish times."""
+    buffer = np.frombuffer(data, dtype=np.uint8)
+    published = gather(buffer, begins - PUBLISH_TIME, np.dtype("<i8"))
+    return Block(earliest, messages.channels, messages.log_times, buffer, begins, sizes, published)
 
 
 def of_channels(messages: MessageIndex, wanted: Collection[int]) -> MessageIndex:

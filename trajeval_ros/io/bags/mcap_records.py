@@ -26,6 +26,7 @@ FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX, STATISTICS,
 HEAD = 9  # bytes of opcode and length
 FOOTER_SIZE = HEAD + 20
 MESSAGE_HEAD = 22  # bytes of a message before its payload
+PUBLISH_TIME = 8  # bytes of the publish time, the last of these
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQ")
 

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Booleans, Floats
+from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.valid_poses import add_counts
 
 Frames = tuple[int, str, str]  # first row, frame and child frame
 # Columns with a row per pose.
 COLUMNS = (
     *("stamps", "positions", "quaternions", "body_velocities", "velocities", "covariances"),
-    *("fix_quality", "flags", "rows"),
+    *("fix_quality", "flags", "rows", "body_rates"),
 )
 
 
@@ -41,6 +42,9 @@ class PoseColumns:
     velocities: Floats | None = None  # (N, 3), m/s, in the frame, of types without those of bodies
     flags: NDArray[np.int64] | None = None  # (N, 2) of PX4: reset counters and quality, or None
     dropped: Mapping[str, int] = field(default_factory=dict)  # messages without a pose, by reason
+    body_rates: Floats | None = None  # (N, 3), rad/s, in the body, or None
+    receptions: Receptions | None = None  # of the N poses of a bag
+    as_received: PoseColumns | None = None  # of paths, the last pose of every message
 
     def picked(self, usable: Booleans, reason: str) -> PoseColumns:
         """Return the poses of a mask (N,); the others are counted as dropped for a reason."""
@@ -58,9 +62,9 @@ class PoseColumns:
         dropped = add_counts(self.dropped, {reason: number})
         return self.rows_of(usable).replaced(frames=frames_changes(frames), dropped=dropped)
 
-    def rows_of(self, usable: Booleans) -> PoseColumns:
-        """Return the columns of the poses of a mask (N,), with unchanged frames."""
-        columns = {name: getattr(self, name) for name in COLUMNS}
+    def rows_of(self, usable: NDArray[Any]) -> PoseColumns:
+        """Return the columns of the poses of a mask or of indices, with unchanged frames."""
+        columns = {name: getattr(self, name) for name in (*COLUMNS, "receptions")}
         return self.replaced(
             **{name: None if each is None else each[usable] for name, each in columns.items()}
         )

@@ -43,16 +43,18 @@ class _Paths:
     position: str | tuple[str, ...]
     quaternion: str = ""
     body_velocity: str = ""
+    body_rate: str = ""
     covariance: str = ""
     child_frame: str = ""
     fix_quality: tuple[str, ...] = ()
 
-    def wanted(self, *, covariance: bool) -> list[str]:
+    def wanted(self, *, covariance: bool, rates: bool = False) -> list[str]:
         """Return the fields to decode."""
         position = (self.position,) if isinstance(self.position, str) else self.position
         own = [*position, self.quaternion, self.body_velocity, self.child_frame]
         own += self.fix_quality
         own += [self.covariance] if covariance else []
+        own += [self.body_rate] if rates else []
         return [*_HEADER, *(path for path in own if path)]
 
 
@@ -62,6 +64,7 @@ _PATHS = {
         "pose.pose.position",
         "pose.pose.orientation",
         "twist.twist.linear",
+        "twist.twist.angular",
         "pose.covariance",
         "child_frame_id",
     ),
@@ -126,14 +129,19 @@ def _plan(message_type: str, *, covariance: bool = False) -> CdrPlan:
 
 
 def plan_of(
-    fields: Fields | None, message_type: str, *, covariance: bool = False, is_ros1: bool = False
+    fields: Fields | None,
+    message_type: str,
+    *,
+    covariance: bool = False,
+    rates: bool = False,
+    is_ros1: bool = False,
 ) -> CdrPlan:
     """Return how the poses or transforms of a type are decoded.
 
     `fields`: of the type, as a bag defines it. The standard definition is used if this is None or
     lacks a field of a pose. `message_type`: one of `POSE_TYPES` or `TRANSFORM_TYPES`.
     """
-    wanted = _wanted(message_type, covariance=covariance)
+    wanted = _wanted(message_type, covariance=covariance, rates=rates)
     if fields is not None:
         try:
             return CdrPlan(fields, wanted, is_ros1=is_ros1)
@@ -144,13 +152,13 @@ def plan_of(
     return CdrPlan(standard, wanted, is_ros1=is_ros1)
 
 
-def _wanted(message_type: str, *, covariance: bool) -> list[str]:
+def _wanted(message_type: str, *, covariance: bool, rates: bool) -> list[str]:
     """Return the requested fields of a type of poses or transforms."""
     if message_type == PATH_TYPE:
         return [f"poses.{path}" for path in _OF_A_PATH.wanted(covariance=False)]
     if message_type in TRANSFORM_TYPES:
         return [f"transforms.{path}" for path in _OF_TRANSFORMS.wanted(covariance=False)]
-    return _PATHS[message_type].wanted(covariance=covariance)
+    return _PATHS[message_type].wanted(covariance=covariance, rates=rates)
 
 
 def poses_of(
@@ -177,6 +185,7 @@ def poses_of(
         _changes(columns.texts["header.frame_id"], columns.texts.get(paths.child_frame)),
         columns.rows,
         undecodable,
+        _floats(numbers[paths.body_rate]) if paths.body_rate in numbers else None,
     )
 
 

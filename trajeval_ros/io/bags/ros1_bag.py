@@ -125,7 +125,8 @@ class Ros1Reader:
         except DamagedError as error:
             reason = str(error)
         buffer = np.frombuffer(data, dtype=np.uint8)
-        block = Block(chunk.first, index.connections, index.log_times, buffer, begins, sizes)
+        times = index.log_times
+        block = Block(chunk.first, index.connections, times, buffer, begins, sizes, times)
         return block, valid, reason
 
     def _data(self, chunk: _Chunk, offsets: Indices) -> tuple[bytes | memoryview, Indices]:

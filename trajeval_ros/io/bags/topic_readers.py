@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trajeval_ros.geometry.arrays import Stamps
+from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.stamp_trust import trusted_states
-from trajeval_ros.geometry.valid_poses import add_counts
+from trajeval_ros.geometry.valid_poses import add_counts, judge_poses
 from trajeval_ros.io.bags.bag import Bag, Key
 from trajeval_ros.io.bags.blocks import ROWS, Block
 from trajeval_ros.io.bags.cdr import CdrPlan
@@ -42,6 +45,7 @@ from trajeval_ros.io.bags.px4_messages import (
     attitude_name,
     with_attitudes,
 )
+from trajeval_ros.io.bags.received_transforms import ReceivedEdge
 from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey
 from trajeval_ros.io.checks import times
 
@@ -66,11 +70,12 @@ class GrowingPoses:
         self._dropped: dict[str, int] = {}
         self._undecodable = self._count = self._messages = 0
 
-    def add(self, part: PoseColumns, log_times: NDArray[np.int64]) -> None:
-        """Add poses, and the log times of all messages that they were decoded from."""
+    def add(self, part: PoseColumns, log_times: Stamps, publish_times: Stamps) -> None:
+        """Add poses, and the times of all messages that they were decoded from."""
         columns = {name: getattr(part, name) for name in COLUMNS} | {
             "rows": part.rows + self._messages,
             "log": log_times[part.rows],
+            "published": publish_times[part.rows],
         }
         for name, rows in columns.items():
             if rows is not None:
@@ -83,10 +88,10 @@ class GrowingPoses:
         self._count += len(part.stamps)
         self._messages += len(log_times)
 
-    def done(self) -> PoseColumns:
-        """Return all poses in order of their log times."""
+    def done(self, received: str = "") -> PoseColumns:
+        """Return all poses in order of their log times, with receptions as `Receptions.of_bag`."""
         columns = {name: column.done() for name, column in self._columns.items()}
-        frames, log_times = self._frames, columns.pop("log")
+        frames, log_times = self._frames, columns["log"]
         if (np.diff(log_times) < 0).any():
             order = np.argsort(log_times, kind="stable")
             columns = {name: column[order] for name, column in columns.items()}
@@ -98,6 +103,7 @@ class GrowingPoses:
             frames=frames_changes(frames),
             undecodable=self._undecodable,
             dropped=self._dropped,
+            receptions=Receptions.of_bag(columns["log"], columns["published"], received),
         )
 
 
@@ -132,7 +138,7 @@ class PoseReader:
     PX4's local positions get the orientations of the attitude's topic, if the bag has it.
     """
 
-    def __init__(self, bag: Bag, topic: Topic, *, covariances: bool) -> None:
+    def __init__(self, bag: Bag, topic: Topic, *, covariances: bool, received: str = "") -> None:
         self.reading = TopicReading(topic)  # the topic, and the damage found while it is read
         named = [each for each in bag.topics if each.name == attitude_name(topic.name)]
         attitudes = [each for each in named if each.type == ATTITUDE]
@@ -140,7 +146,8 @@ class PoseReader:
         if topic.type == LOCAL_POSITION and attitudes:
             self.attitudes = PoseReader(bag, attitudes[0], covariances=False)
         kind = _LastPath if topic.type == PATH_TYPE else _Poses
-        self._poses = kind(_Decoders(topic, covariances=covariances))
+        decoders = _Decoders(topic, covariances=covariances, rates=bool(received))
+        self._poses = kind(decoders, received)
 
     def add(self, key: Key, block: Block) -> None:
         """Add messages of one connection."""
@@ -162,26 +169,46 @@ class TransformReader:
         self.undecodable = 0  # number of messages that can't be decoded
         self.lone = 0  # number of transforms of all edges with an isolated timestamp
         self._decoders = _Decoders(topic, covariances=False)
-        self._parts: dict[EdgeKey, list[tuple[TransformColumns, NDArray[np.int64]]]] = {}
+        self._parts: dict[EdgeKey, list[tuple[TransformColumns, Stamps, Stamps]]] = {}
 
     def add(self, key: Key, block: Block) -> None:
         """Add messages of one connection."""
         columns = self._decoders.decode(key, block)
         self.undecodable += len(block) - len(columns.rows)
         for edge, transforms in edges_of(columns).items():
-            part = transforms, block.log_times[transforms.rows]
+            rows = transforms.rows
+            part = transforms, block.log_times[rows], block.publish_times[rows]
             self._parts.setdefault(edge, []).append(part)
+
+    def received(self, wanted: str) -> dict[EdgeKey, ReceivedEdge]:
+        """Return the transforms of moving edges in the order of their log times.
+
+        `wanted`: the clock of the receptions, as in `Receptions.of_bag`.
+        """
+        found = {}
+        for key, parts in self._parts.items():
+            if self.reading.topic.name.endswith("_static"):
+                continue
+            logged, published = (np.concatenate([each[at] for each in parts]) for at in (1, 2))
+            order = np.argsort(logged, kind="stable")
+            stamps = np.concatenate([each[0].stamps for each in parts])[order]
+            numbers = np.concatenate([each[0].numbers for each in parts])[order]
+            receptions = Receptions.of_bag(logged[order], published[order], wanted)
+            poses = np.logical_and(*judge_poses(numbers[:, :3], numbers[:, 3:])) & times(stamps)
+            rows = np.flatnonzero(poses)
+            rows = rows[trusted_states(stamps[rows])[0]]
+            found[key] = ReceivedEdge(stamps[rows], numbers[rows], receptions[rows])
+        return found
 
     @cached_property
     def edges(self) -> dict[EdgeKey, Edge]:
         """The edges by (parent, child), once all messages were added."""
         is_static = self.reading.topic.name.endswith("_static")
         edges = {}
-        while self._parts:
-            key, parts = self._parts.popitem()
-            order = np.argsort(np.concatenate([logged for _, logged in parts]), kind="stable")
-            stamps = np.concatenate([own.stamps for own, _ in parts])[order]
-            numbers = np.concatenate([own.numbers for own, _ in parts])[order]
+        for key, parts in self._parts.items():
+            order = np.argsort(np.concatenate([logged for _, logged, _ in parts]), kind="stable")
+            stamps = np.concatenate([own.stamps for own, _, _ in parts])[order]
+            numbers = np.concatenate([own.numbers for own, _, _ in parts])[order]
             if not is_static:
                 timed = times(stamps)
                 stamps, numbers = stamps[timed], numbers[timed]
@@ -225,15 +252,15 @@ def tree_of(readers: Iterable[TransformReader]) -> dict[EdgeKey, Edge]:
 class _Decoders:
     """The decoders of a topic by connection, because definitions can differ."""
 
-    def __init__(self, topic: Topic, *, covariances: bool) -> None:
+    def __init__(self, topic: Topic, *, covariances: bool, rates: bool = False) -> None:
         self.topic, self.covariances = topic, covariances
         self._plans = {
-            (id(each.owner), each.id): self._plan(each, covariances=covariances)
+            (id(each.owner), each.id): self._plan(each, covariances, rates)
             for each in topic.connections
         }
 
     def _plan(
-        self, connection: Connection, *, covariances: bool
+        self, connection: Connection, covariances: bool, rates: bool
     ) -> CdrPlan | FoxglovePlan | Px4Plan:
         encoding = encoding_of(connection)
         if self.topic.type in (*PX4_POSE_TYPES, ATTITUDE):
@@ -246,6 +273,7 @@ class _Decoders:
             recorded_fields(connection),
             self.topic.type,
             covariance=covariances,
+            rates=rates,
             is_ros1=encoding == "ros1",
         )
 
@@ -261,35 +289,38 @@ class _Decoders:
 class _Poses:
     """The poses of a topic, gathered block by block."""
 
-    def __init__(self, decoders: _Decoders) -> None:
-        self._decoders = decoders
+    def __init__(self, decoders: _Decoders, received: str) -> None:
+        self._decoders, self._received = decoders, received
         self._poses = GrowingPoses(decoders.topic.expected)
 
     def add(self, key: Key, block: Block) -> None:
         """Add the messages of a connection."""
-        self._add(self._decoders.decode(key, block), block.log_times)
+        columns = self._decoders.decode(key, block)
+        self._add(columns, block.log_times, block.publish_times)
 
-    def _add(self, columns: Columns, log_times: NDArray[np.int64]) -> None:
+    def _add(self, columns: Columns, log_times: Stamps, publish_times: Stamps) -> None:
         undecodable, kind = len(log_times) - len(columns.rows), self._decoders.topic.type
         if kind == POSE_2D:
             poses = poses_2d_of(columns, log_times, undecodable)
         else:
             wanted = self._decoders.covariances
             poses = poses_of(columns, kind, undecodable, covariance=wanted)
-        self._poses.add(poses, log_times)
+        self._poses.add(poses, log_times, publish_times)
 
     def done(self) -> PoseColumns:
         """Return them in order of their log times."""
-        self._add(self._decoders.nothing(), np.zeros(0, dtype=np.int64))
-        return self._poses.done()
+        none = np.zeros(0, dtype=np.int64)
+        self._add(self._decoders.nothing(), none, none)
+        return self._poses.done(self._received)
 
 
 class _LastPath:
     """The last path of a topic, which is the revised trajectory."""
 
-    def __init__(self, decoders: _Decoders) -> None:
-        self._decoders = decoders
+    def __init__(self, decoders: _Decoders, received: str) -> None:
+        self._decoders, self._received = decoders, received
         self._last: tuple[int, Key, Block] | None = None
+        self._newest = _Poses(decoders, received)  # the last pose of every path
 
     def add(self, key: Key, block: Block) -> None:
         """Store the latest message."""
@@ -297,10 +328,16 @@ class _LastPath:
         log_time = int(block.log_times[row])
         if self._last is None or log_time >= self._last[0]:
             self._last = log_time, key, block[row : row + 1].compact()
+        if self._received:
+            self._newest.add(key, block)
 
     def done(self) -> PoseColumns:
         """Return its poses."""
-        poses = _Poses(self._decoders)
+        poses = _Poses(self._decoders, self._received)
         if self._last is not None:
             poses.add(*self._last[1:])
-        return poses.done()
+        if not self._received:
+            return poses.done()
+        newest = self._newest.done()
+        last = np.flatnonzero(np.diff(newest.rows, append=-1))
+        return replace(poses.done(), as_received=newest.rows_of(last))

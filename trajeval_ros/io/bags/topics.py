@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from trajeval_ros.formatting.remarks import Level, Remark, note
 from trajeval_ros.geometry.fix_selection import trajectory_of_rows
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.reading import FORMAT, Reading
+from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.stamp_trust import LONE, trusted_states
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
@@ -29,6 +30,7 @@ from trajeval_ros.io.bags.px4_messages import (
     majority_frame,
     why_none,
 )
+from trajeval_ros.io.bags.received_transforms import compose_received
 from trajeval_ros.io.bags.topic_readers import (
     PoseReader,
     TransformReader,
@@ -36,7 +38,12 @@ from trajeval_ros.io.bags.topic_readers import (
     tree_of,
     tree_topics,
 )
-from trajeval_ros.io.bags.transform_tree import compose_transforms, fixed_transform
+from trajeval_ros.io.bags.transform_tree import (
+    Edge,
+    EdgeKey,
+    compose_transforms,
+    fixed_transform,
+)
 from trajeval_ros.io.bags.usable_poses import WORLD_TWIST, has_world_twist, usable_poses
 from trajeval_ros.io.checks import check_stamps, judge_rotations
 
@@ -48,6 +55,9 @@ class BagSource:
     topic: str  # name of the topic, "" for the only one that holds poses
     frames: tuple[str, str] | None  # (parent, child) if the topic holds transforms, else None
     covariances: bool = True  # whether to read them, too
+    # Whether to read poses as they were received, and by which clock: `log`, `publish`, `auto`
+    # (publish times where they differ); empty for no.
+    received: str = ""
 
 
 def read_bag(
@@ -81,7 +91,7 @@ class _Plan:
 
     def __init__(self, bag: Bag) -> None:
         self._bag = bag
-        self._poses: dict[tuple[Topic, bool], PoseReader] = {}
+        self._poses: dict[tuple[Topic, bool, str], PoseReader] = {}
         self._transforms: dict[Topic, TransformReader] = {}
 
     @property
@@ -101,11 +111,13 @@ class _Plan:
                 self._transforms.setdefault(each, TransformReader(each))
                 for each in tree_topics(bag, source.topic)
             ]
-            return lambda: _transform_trajectory(bag, source.topic, frames, tree)
+            return lambda: _transform_trajectory(bag, source, frames, tree)
         topic = _choose(bag, source.topic)
-        key = topic, source.covariances
+        key = topic, source.covariances, source.received
         if key not in self._poses:
-            self._poses[key] = PoseReader(bag, topic, covariances=source.covariances)
+            self._poses[key] = PoseReader(
+                bag, topic, covariances=source.covariances, received=source.received
+            )
         reader = self._poses[key]
         if source.topic:
             return lambda: trajectory_of(bag, reader)
@@ -224,7 +236,11 @@ def trajectory_of_columns(
             columns.stamps,
             columns.positions,
             columns.fix_quality,
-            Reading(dropped=dropped, remarks=(*remarks, *receivers)),
+            Reading(
+                dropped=dropped,
+                remarks=(*remarks, *receivers),
+                receptions=columns.receptions,
+            ),
             child_frame=columns.frames[0][1],
             name=name.strip("/"),
         )
@@ -246,9 +262,28 @@ def trajectory_of_columns(
             dropped=dropped,
             remarks=(*remarks, *told, *frames, *judgement),
             resets=resets,
+            receptions=_with_rates(columns),
         ),
+        as_received=None if columns.as_received is None else _as_received(columns.as_received),
     )
     return _usable(_without_lone_stamps(everything), where, count)
+
+
+def _with_rates(columns: PoseColumns) -> Receptions | None:
+    """Return the receptions with the angular velocities, if these were decoded."""
+    receptions, rates = columns.receptions, columns.body_rates
+    if receptions is None or rates is None or not np.isfinite(rates).all():
+        return receptions
+    return replace(receptions, body_rates=rates)
+
+
+def _as_received(columns: PoseColumns) -> Trajectory:
+    """Return poses in the order of their reception, whose timestamps may repeat."""
+    columns = columns.rows_of(trusted_states(columns.stamps)[0])
+    reading = Reading(receptions=columns.receptions)
+    return Trajectory.from_columns(
+        columns.stamps, columns.positions, columns.quaternions, reading=reading
+    )
 
 
 def _without_lone_stamps(trajectory: Trajectory) -> Trajectory:
@@ -275,13 +310,14 @@ def _receivers(where: str, frames: list[tuple[int, str, str]]) -> tuple[Remark, 
 
 
 def _transform_trajectory(
-    bag: Bag, topic: str, frames: tuple[str, str], tree: Sequence[TransformReader]
+    bag: Bag, source: BagSource, frames: tuple[str, str], tree: Sequence[TransformReader]
 ) -> Trajectory:
     """Return the trajectory of a child frame in a parent frame."""
     parent, child = frames
-    where = f"{bag.path}:{topic}:{parent}.{child}"
+    where = f"{bag.path}:{source.topic}:{parent}.{child}"
     remarks = bag.remarks([each.reading for each in tree])
-    stamps, positions, quaternions = compose_transforms(tree_of(tree), parent, child, where)
+    edges = tree_of(tree)
+    stamps, positions, quaternions = compose_transforms(edges, parent, child, where)
     check_stamps(stamps, where)
     trajectory = Trajectory.from_columns(
         stamps,
@@ -298,8 +334,24 @@ def _transform_trajectory(
             },
             remarks=(note(FORMAT, "format: TF"), *remarks),
         ),
+        as_received=_newest_transforms(edges, tree, frames, source.received),
     )
     return _usable(trajectory, where, len(stamps))
+
+
+def _newest_transforms(
+    edges: Mapping[EdgeKey, Edge],
+    tree: Sequence[TransformReader],
+    frames: tuple[str, str],
+    received: str,
+) -> Trajectory | None:
+    """Return the poses of transforms as they were received; None if not wanted."""
+    if not received:
+        return None
+    arrived = {key: each for reader in tree for key, each in reader.received(received).items()}
+    stamps, positions, quaternions, receptions = compose_received(edges, arrived, *frames)
+    reading = Reading(receptions=receptions)
+    return Trajectory.from_columns(stamps, positions, quaternions, reading=reading)
 
 
 def _usable(trajectory: Trajectory, where: str, count: int) -> Trajectory:

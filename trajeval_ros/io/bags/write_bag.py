@@ -31,6 +31,7 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 TRANSFORM_TOPIC = "/tf"
 Storage = Literal["mcap", "sqlite3"]
 
+# Topic, type, log times and messages.
 _Serialised = tuple[str, str, Stamps, Iterable[memoryview]]
 
 
@@ -43,7 +44,8 @@ def write_bag(
 ) -> None:
     """Write a bag directory, which gets its name when it is complete.
 
-    Equal trajectories give equal bytes: messages are in order of their log times, the stamps.
+    Equal trajectories give equal bytes: messages are in order of their log times, which are the
+    times of reception of the trajectory, or else the stamps.
 
     Args:
         path: The directory, which must not exist yet; its parent must.
@@ -139,7 +141,9 @@ def _serialised(
                 _body_velocities(trajectory),
                 (frame, trajectory.child_frame),
             )
-        found.append((topic, message_type, stamps, map(memoryview, rows)))
+        receptions = trajectory.reading.receptions
+        logged = stamps if receptions is None else receptions.times
+        found.append((topic, message_type, logged, map(memoryview, rows)))
     for each in transforms:
         trajectory = each.in_order()
         rows = encode_transforms(

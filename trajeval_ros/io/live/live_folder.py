@@ -32,6 +32,8 @@ from trajeval_ros.io.live.applied_hand_eye import AppliedHandEye
 from trajeval_ros.io.live.fix_file import NAME as FIXES
 from trajeval_ros.io.live.fix_file import read_fixes
 from trajeval_ros.io.live.pair_file import REVISED_SUFFIX, SUFFIX, RecordedPairs, read_pairs
+from trajeval_ros.io.live.reception_file import SUFFIX as RECEIVED_SUFFIX
+from trajeval_ros.io.live.reception_file import read_received
 from trajeval_ros.io.live.recorded_association import (
     all_groundtruth,
     recorded_association,
@@ -39,14 +41,18 @@ from trajeval_ros.io.live.recorded_association import (
 )
 from trajeval_ros.io.live.run_state import recorded_remarks, require_run_state
 from trajeval_ros.io.requests.request_from import protocol_from
+from trajeval_ros.io.requests.setting import NONE
 from trajeval_ros.io.requests.settings_table import settings_with
 from trajeval_ros.io.results.result_json import statistics_json
+from trajeval_ros.metrics.as_available import AvailabilityRule
 from trajeval_ros.metrics.association import Association
 from trajeval_ros.metrics.input_summary import FixSummary, InputSummary, fingerprint
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.pipeline.outcome import FailedRun, Outcome, RunOutcome
 from trajeval_ros.pipeline.pipeline import run_live_pairs, with_own_errors
 from trajeval_ros.pipeline.request import Request
+
+Streams = tuple[Trajectory, Trajectory]
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +95,11 @@ def _evaluate_pairs(
         whole = _with_fixes(whole, stamps, fixes)
         groundtruth_of_pairs = _with_fixes(pairs.groundtruth, stamps, fixes)
         pairs = dataclasses.replace(pairs, groundtruth=groundtruth_of_pairs)
+    request = _as_available(request, state.get("stated") or {})
+    received = path.with_name(name + RECEIVED_SUFFIX)
+    streams = None
+    if request.available.is_asked_for and received.exists():
+        streams = read_received(received, ups)
     live = dict(state["live"])
     remarks = recorded_remarks(state["warnings"], Level.WARNING)
     remarks += _about_end(path, recorded)
@@ -103,10 +114,10 @@ def _evaluate_pairs(
         asked_live = applied.judging(asked_live)
     revised = path.with_name(name + REVISED_SUFFIX)
     if revised.exists():
-        causal = _run(pairs, request, *named, name).evaluation
+        causal = _run(pairs, request, *named, name, None).evaluation
         live["causal_ate"] = {name: statistics_json(ate) for name, ate in causal.ate.items()}
         pairs, estimate = revised_association(pairs, recorded, revised)
-    run, why_not = _judged(pairs, request, *named, name, asked_live)
+    run, why_not = _judged(pairs, request, *named, name, asked_live, streams)
     if applied is not None:
         run = applied.told(run)
     evaluation = dataclasses.replace(
@@ -214,18 +225,19 @@ def _judged(
     estimate: dict[str, Any],
     name: str,
     asked_live: CovarianceRequest,
+    streams: Streams | None,
 ) -> tuple[RunOutcome, list[Remark]]:
     """Evaluate the pairs and test covariances as requested now or, otherwise, in the live run.
 
     If a test requested in the live run is not possible, the result has a warning instead.
     """
     if request.covariances.source != "none" or asked_live.source == "none":
-        return _run(pairs, request, groundtruth, estimate, name), []
+        return _run(pairs, request, groundtruth, estimate, name, streams), []
     try:
         asked = dataclasses.replace(request, covariances=asked_live)
-        return _run(pairs, asked, groundtruth, estimate, name), []
+        return _run(pairs, asked, groundtruth, estimate, name, streams), []
     except TrajevalError as error:
-        run = _run(pairs, request, groundtruth, estimate, name)
+        run = _run(pairs, request, groundtruth, estimate, name, streams)
         said = f"the consistency test is not possible: {error}"
         return run, [warning("no_consistency_test", said)]
 
@@ -249,6 +261,7 @@ def _run(
     groundtruth: dict[str, Any],
     estimate: dict[str, Any],
     name: str,
+    streams: Streams | None,
 ) -> RunOutcome:
     """Evaluate the pairs; states without a pair are known as counts only."""
     sides = [
@@ -272,7 +285,19 @@ def _run(
         )
     ]
     pairs = dataclasses.replace(pairs, groundtruth=sides[0], estimate=sides[1])
-    return run_live_pairs(pairs, sides[0], sides[1], request)
+    return run_live_pairs(pairs, sides[0], sides[1], request, streams)
+
+
+def _as_available(request: Request, stated: Mapping[str, Any]) -> Request:
+    """Return the request with the live run's as-available accuracy, unless it has its own."""
+    motion = stated.get("as_available", NONE)
+    if request.available.is_asked_for or motion == NONE:
+        return request
+    try:
+        rule = AvailabilityRule(motion, float(stated["deadline"]))
+    except SettingsError as error:  # a damaged file, no mistake of the user
+        raise ValueError(str(error)) from error
+    return dataclasses.replace(request, available=rule)
 
 
 def evaluate_folder(

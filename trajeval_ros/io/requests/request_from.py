@@ -231,6 +231,10 @@ def _require_together(given: Mapping[str, Any]) -> None:
         raise SettingsError("--lever-arm and --hand-eye exclude each other; give one of them")
     if "risk" in given and "alert_limit" not in given:
         raise SettingsError("--risk needs --alert-limit; add it")
+    if given.get("as_available", NONE) == NONE:
+        for name in given.keys() & {"deadline", "received", "receive_clock"}:
+            if given[name] != SETTINGS[name].default:
+                raise SettingsError(f"{SETTINGS[name].option} needs --as-available; add it")
 
 
 def _require_effect(given: Mapping[str, Any], protocol: Protocol) -> None:

@@ -24,8 +24,9 @@ if TYPE_CHECKING:
     from trajeval_ros.pipeline.request import Request
 
 AUTO, NONE, MESSAGE, ALL = "auto", "none", "message", "all"
-INPUT, ALIGN, PAIR, GNSS, ERRORS, CONSISTENCY = (
+INPUT, ALIGN, PAIR, GNSS, ERRORS, CONSISTENCY, AVAILABLE = (
     "Input", "Alignment", "Association", "GNSS fixes and surveyed points", "Errors", "Consistency",
+    "As-available accuracy",
 )  # fmt: skip
 EVALUATE, COMPARE, FINISH, TRAJECTORY, DIAGNOSE, NODE = (
     "evaluate", "compare", "finish", "trajectory", "diagnose", "evaluator",
@@ -54,6 +55,7 @@ class Setting:
         is_repeatable: Whether the option may be given several times.
         is_of_one_run: Whether it is for a single evaluation, and not for a comparison.
         letter: Short form of the option, as in `-g`.
+        value_if_alone: Value of an option that is given without one; empty if one is required.
         choices: All values, for completion and the descriptor of the parameter; () if others are
             possible.
         range: Smallest and largest value of a parameter.
@@ -77,6 +79,7 @@ class Setting:
     is_repeatable: bool = False
     is_of_one_run: bool = False
     letter: str = ""
+    value_if_alone: str = ""
     choices: tuple[str, ...] = ()
     range: tuple[float, float] | None = None
     is_live: bool = False

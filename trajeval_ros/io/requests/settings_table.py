@@ -24,6 +24,7 @@ from trajeval_ros.io.requests.setting import (
     ALIGN,
     ALL,
     AUTO,
+    AVAILABLE,
     COMPARE,
     CONSISTENCY,
     DIAGNOSE,
@@ -45,7 +46,9 @@ from trajeval_ros.io.requests.setting import (
     parse_score,
     parse_up,
 )
+from trajeval_ros.metrics.as_available import RECEIVED
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH, METHODS
+from trajeval_ros.metrics.availability import CONSTANT, HOLD, MOTIONS
 from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.protocol import (
     ALIGN_WEIGHTS,
@@ -296,6 +299,26 @@ _ROWS = (
         panel=CONSISTENCY, verbs=(EVALUATE,), is_of_one_run=True, range=WATCH_FACTORS,
         help="With --alert-limit: errors of `trajeval watch` with this factor on its limits count "
         "as alerts in the time to alert."),
+    Setting(name="as_available", target="available.motion",
+        metavar=f"[{'|'.join(MOTIONS)}]", value_if_alone=HOLD, panel=AVAILABLE,
+        verbs=(EVALUATE, COMPARE, FINISH, NODE),
+        choices=(NONE, *MOTIONS), node_choices=(NONE, HOLD, CONSTANT),
+        help="Error of the newest pose that was received, at 100 Hz (docs/as_available.md). "
+        "Prediction of a pose for at most 0.5 s: hold (without a value), constant (twist between "
+        "the newest two poses) or twist (of the message). Default: none.",
+        node_help="Error of the newest pose that was received: none, hold, or constant (the pose "
+        "is predicted by the twist between the newest two)."),
+    Setting(name="deadline", kind=float, target="available.deadline_s", metavar="S",
+        panel=AVAILABLE, verbs=(EVALUATE, COMPARE, FINISH), range=(0.001, 3600.0),
+        help="Largest age of a pose in time, in seconds. Default: {default}."),
+    Setting(name="received", target="available.received",
+        panel=AVAILABLE, verbs=(EVALUATE, COMPARE), choices=RECEIVED,
+        help="Times of a bag that are receptions: log times of the recorder, or publish times "
+        "without transport. auto (default): publish times where they differ."),
+    Setting(name="receive_clock", target="available.receive_clock",
+        metavar="S|fastest:S", panel=AVAILABLE, verbs=(EVALUATE, COMPARE),
+        help="Correction of the receiver's clock: seconds that are added to receptions, or the "
+        "latency of the fastest message, as in fastest:0.005. Default: {default}."),
     Setting(name="up", target="up", parse=parse_up, metavar="AXIS|AXIS,AXIS", panel=INPUT,
         verbs=(EVALUATE, COMPARE, FINISH, DIAGNOSE, NODE),
         help=f"Vertical axis ({', '.join(UP_AXES)}) of all frames, or of the groundtruth and of "

@@ -35,8 +35,10 @@ def write_errors(path: Path, outcome: Outcome) -> None:
 
     Keys of pairs are `NAME.stamps` (int64, nanoseconds), `NAME.position_m`, ... (`pair_columns`).
     Keys of sub-trajectories contain their length: `NAME.8m.starts` and `NAME.8m.ends` (indices of
-    pairs), `NAME.8m.position_m`, ... `NAME.probabilistic.edges` (N - 1,) are log densities of the
-    relative poses of consecutive pairs, nats. `schema` is the version of this layout.
+    pairs), `NAME.8m.position_m`, ... As-available errors: `NAME.available.stamps`, `row` (of the
+    message in use), `age_ns`, `error_m` (N, 3), `parts_m` (4, N, 3). `NAME.probabilistic.edges`
+    (N - 1,) are log densities of the relative poses of consecutive pairs, nats. `schema` is the
+    version of this layout.
 
     Raises:
         OSError: The file can't be written.
@@ -46,6 +48,11 @@ def write_errors(path: Path, outcome: Outcome) -> None:
         name = run.estimate.name
         columns = pair_columns(run, outcome.groundtruth.up)
         arrays |= {f"{name}.{column}": values for column, values in columns.items()}
+        if run.available is not None and run.available.samples is not None:
+            samples = run.available.samples
+            columns = {"stamps": samples.stamps, "row": samples.rows, "age_ns": samples.age}
+            columns |= {"error_m": samples.position.sum(axis=0), "parts_m": samples.position}
+            arrays |= {f"{name}.available.{key}": each for key, each in columns.items()}
         if run.likelihood is not None and run.likelihood.edges is not None:
             arrays[f"{name}.probabilistic.edges"] = run.likelihood.edges.edges
         for segment in run.evaluation.relative or ():

@@ -135,6 +135,8 @@ def _run(run: RunOutcome, groundtruth_up: UpAxis) -> dict[str, Any]:
         "consistency": None if run.consistency is None else _consistency(run.consistency),
         "integrity": None if run.integrity is None else integrity_json(run.integrity),
         "probabilistic": None if run.likelihood is None else probabilistic_json(run.likelihood),
+        "stream": run.stream and dataclasses.asdict(run.stream),
+        "as_available": run.available and dataclasses.asdict(run.available.numbers),
         "diagnosis": findings_json(run.diagnosis.findings),
         "corrected": findings_json(run.corrected),
         "live": run.live,

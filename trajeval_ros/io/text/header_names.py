@@ -5,7 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 
-from trajeval_ros.io.text.layouts import FRAME, GROUPS, IGNORED, OPENVINS_STATE, Layout
+from trajeval_ros.io.text.layouts import (
+    FRAME,
+    GROUPS,
+    IGNORED,
+    OPENVINS_STATE,
+    RECEIVED,
+    Layout,
+)
 
 SEPARATORS = (",", ";", "\t")  # single separators of columns; spaces separate in any number
 # Patterns are compiled on use, since most files have no header.
@@ -20,6 +27,7 @@ _UNITS = {
     **dict.fromkeys(("rad", "radian", "radians"), "rad"),
 }
 _TIME = r"(?:t|(?:.*_)?(?:time|timestamp|stamp|date|datetime|utc)(?:_.*)?|time.*|stamp.*)"
+_RECEIVED = r"received(?:_(?:s|ms|us|ns))?"
 _FRAME = r"frame|frame_(?:index|number)|index|image|image_id|id|no"
 # Patterns of column names by group. `{}` is the element: x, y, z or w.
 _VECTORS = {
@@ -109,6 +117,8 @@ def _columns(names: Sequence[str]) -> tuple[str, ...]:
     for place, word in enumerate(plain):
         if word in _OPENVINS_TRIANGLES:
             name(place, _OPENVINS_TRIANGLES[word])
+        elif re.fullmatch(_RECEIVED, word):
+            name(place, RECEIVED)
     _name_time(plain, units, name)
     _name_covariances(plain, name)
     for group, pattern in _VECTORS.items():

@@ -25,7 +25,7 @@ from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 IGNORED = "_"
 # Nanoseconds per unit of time. The unit of `t` is recognised from the values.
 UNITS: dict[str, int | None] = {"t": None, "t_s": 10**9, "t_ms": 10**6, "t_us": 10**3, "t_ns": 1}
-DATE, FRAME = "date", "frame"
+DATE, FRAME, RECEIVED = "date", "frame", "received"
 TIMES = (*UNITS, DATE, FRAME)
 _ANGLES = ("roll", "pitch", "yaw")
 _SIX = range(1, 7)
@@ -56,6 +56,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "level_place": ("latitude", "longitude"),
     "place_sigma": ("sigma_east", "sigma_north", "sigma_up"),
     "fix_status": ("fix_status",),
+    RECEIVED: (RECEIVED,),  # time of reception, in the unit of the timestamps
 }
 _METRES = ("position", "planar", "matrix")
 # Groups that contain a position.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from io import FileIO
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.reading import FORMAT, NAMED_COLUMNS, Reading
+from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.checks import check_stamps, judge_rotations
 from trajeval_ros.io.text.decimals import ParsedRows, RowFormat, parse_rows
@@ -25,6 +26,7 @@ from trajeval_ros.io.text.layouts import (
     DATE,
     FRAME,
     NO_HINTS,
+    RECEIVED,
     UNITS,
     Layout,
     TextHints,
@@ -117,6 +119,7 @@ def trajectory_of(
             reading.remarked(*judgement, *states.remarks),
             frame_numbers=frames,
             matrices=states.matrices,
+            receptions=_receptions(stamps, columns.groups) if stamped else None,
         ),
     )
     if not len(trajectory):
@@ -330,6 +333,29 @@ def _counts_frames(layout: Layout, rows: FileColumns, origin: Path) -> bool:
         not rows.stamps.billionths.any() and len(steps) > 0 and 0 < steps.min() == steps.max()
     )
     return is_counted and int(whole.max()) < _FRAMES and bool(_files_of_times(origin))
+
+
+def _receptions(stamps: NDArray[np.int64], groups: Mapping[str, Floats]) -> Receptions | None:
+    """Return the times in the column `received`, if there is one, to a microsecond.
+
+    They are in a unit of timestamps: the one in which they are nearest to the timestamps (N,). As
+    float64, times since 1970 have errors of 0.1 us.
+    """
+    if RECEIVED not in groups or not len(stamps):
+        return None
+    column = groups[RECEIVED][:, 0]
+    known = np.isfinite(column)
+    if not known.all():
+        raise InputError(
+            f"row {int(np.argmin(known)) + 1} has no number in column {RECEIVED}; correct or "
+            "remove the row"
+        )
+    units = [unit for unit in UNITS.values() if unit is not None]
+    apart = [np.abs(np.median(column * unit - stamps)) for unit in units]
+    unit = units[int(np.argmin(apart))]
+    if (np.abs(column) * unit >= 2.0**63).any():
+        raise InputError(f"column {RECEIVED} has times after the year 2262; correct it")
+    return Receptions(np.round(column * (unit / 1000)).astype(np.int64) * 1000)
 
 
 def _read_times(path: Path) -> NDArray[np.int64]:

@@ -72,8 +72,7 @@ def preintegrate(
     by_attitude = -so3.skew(forces)
     by_gyroscope = -halves @ so3.skew(accelerations) @ half_jacobians
 
-    rotation = np.broadcast_to(np.eye(3), (intervals, 3, 3))
-    velocity, position = np.zeros((intervals, 3)), np.zeros((intervals, 3))
+    rotations, velocities, positions = integrated(steps, forces, held)
     covariance, by_biases = np.zeros((intervals, 9, 9)), np.zeros((intervals, 9, 6))
     transition = np.broadcast_to(np.eye(9), covariance.shape).copy()
     input_ = np.zeros((intervals, 9, 6))
@@ -86,9 +85,9 @@ def preintegrate(
         transition[:, 6:9, 3:6] = np.eye(3) * step_s
         transition[:, 0:3, 0:3] = np.swapaxes(steps[:, k], 1, 2)
         input_[:, 0:3, 0:3] = jacobians[:, k]
-        gain = rotation @ by_attitude[:, k]
-        noise_gain = rotation @ by_gyroscope[:, k]
-        turned = rotation @ halves[:, k]
+        gain = rotations[:, k] @ by_attitude[:, k]
+        noise_gain = rotations[:, k] @ by_gyroscope[:, k]
+        turned = rotations[:, k] @ halves[:, k]
         for rows, factor in ((slice(3, 6), step_s), (slice(6, 9), step_s**2 / 2.0)):
             transition[:, rows, 0:3] = gain * factor
             input_[:, rows, 0:3] = noise_gain * factor
@@ -96,8 +95,31 @@ def preintegrate(
         covariance = transition @ covariance @ np.swapaxes(transition, 1, 2)
         covariance += (input_ * variances) @ np.swapaxes(input_, 1, 2)
         by_biases = transition @ by_biases - input_
-        force = np.einsum("nij,nj->ni", rotation, forces[:, k])
-        position = position + velocity * step_s[:, 0] + force * (step_s[:, 0] ** 2 / 2.0)
-        velocity = velocity + force * step_s[:, 0]
-        rotation = rotation @ steps[:, k]
-    return Preintegrated(held.sum(axis=1), rotation, velocity, position, covariance, by_biases)
+    last = rotations[:, -1], velocities[:, -1], positions[:, -1]
+    return Preintegrated(held.sum(axis=1), *last, covariance, by_biases)
+
+
+def integrated(steps: Floats, forces: Floats, held: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the motion before each of m samples and after the last one, for I intervals.
+
+    Args:
+        steps: (I, m, 3, 3), rotations during the samples.
+        forces: (I, m, 3), accelerations in the axes before the sample, m/s^2.
+        held: (I, m), durations of the samples, s.
+
+    Returns:
+        Rotations (I, m + 1, 3, 3), and velocities and positions (I, m + 1, 3) without those of
+        gravity and of the first velocity.
+    """
+    intervals, samples, _ = forces.shape
+    rotations = np.empty((intervals, samples + 1, 3, 3))
+    rotations[:, 0] = np.eye(3)
+    for k in range(samples):
+        rotations[:, k + 1] = rotations[:, k] @ steps[:, k]
+    velocities, positions = np.zeros((2, intervals, samples + 1, 3))
+    time_s = held[:, :, None]
+    turned = np.einsum("nkij,nkj->nki", rotations[:, :-1], forces)
+    np.cumsum(turned * time_s, axis=1, out=velocities[:, 1:])
+    moved = velocities[:, :-1] * time_s + turned * (time_s**2 / 2.0)
+    np.cumsum(moved, axis=1, out=positions[:, 1:])
+    return rotations, velocities, positions

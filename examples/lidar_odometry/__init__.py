@@ -1,0 +1,1 @@
+"""Real lidar odometry with a simulated lidar: `make demo-real`."""

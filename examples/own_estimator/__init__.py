@@ -1,0 +1,1 @@
+"""An estimator of one's own instead of those of `make demo-real`."""

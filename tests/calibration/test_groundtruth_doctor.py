@@ -1,0 +1,335 @@
+"""The examination of a groundtruth: verdicts, coverage, repair, refusals and real recordings."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from examined_rigs import START_NS, ExaminedRig, real, reference, rig
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros import InputError, Trajectory
+from trajeval_ros.calibration.groundtruth_doctor.examine import ExaminedGroundtruth, Fits, examine
+from trajeval_ros.geometry.inertial import InertialReadings
+
+FAULTS: dict[str, Any] = {
+    "turn_deg": (3.0, -2.0, 1.5), "lever_m": (0.05, -0.03, 0.02), "offset_s": 0.012,
+    "skew": 3e-4, "tilt_deg": 1.5,
+}  # fmt: skip
+CALIBRATION = ("body_rotation", "lever_arm", "clock_offset", "clock_skew", "tilted")
+
+
+def fits_of(found: ExaminedGroundtruth) -> Fits:
+    assert found.fits is not None
+    return found.fits
+
+
+def examined(made: ExaminedRig, **more: Any) -> ExaminedGroundtruth:
+    return examine(made.groundtruth, made.readings, **more)
+
+
+def verdicts(found: ExaminedGroundtruth) -> dict[str, str]:
+    return {name: found.causes[name].verdict for name in CALIBRATION}
+
+
+@pytest.fixture(scope="module")
+def healthy() -> tuple[ExaminedRig, ExaminedGroundtruth]:
+    made = rig(1)
+    return made, examined(made)
+
+
+@pytest.fixture(scope="module")
+def faulty() -> tuple[ExaminedRig, ExaminedGroundtruth]:
+    made = rig(2, **FAULTS)
+    return made, examined(made)
+
+
+def test_a_healthy_groundtruth_has_no_cause(
+    healthy: tuple[ExaminedRig, ExaminedGroundtruth],
+) -> None:
+    made, found = healthy
+    assert found.significant == []
+    fits = fits_of(found)
+    assert not fits.disagree
+    # The fit takes a part of the noise: less than a tenth.
+    assert fits.position_noise_m == pytest.approx(5e-4, rel=0.1)
+    assert fits.rotation_noise_rad == pytest.approx(2e-3, rel=0.1)
+    assert found.poses.position_noise_m == pytest.approx(5e-4, rel=0.1)
+    # Insignificant parameters are not applied: timestamps and points are those of the input.
+    assert set(fits.repaired.stamps.tolist()) <= set(made.groundtruth.stamps.tolist())
+    assert not fits.hand_eye.lever_m.any()
+    assert fits.hand_eye.rotation_xyzw.tolist() == [0.0, 0.0, 0.0, 1.0]
+    position_m, rotation_rad = made.errors(fits.repaired)
+    assert position_m < 5e-4 * np.sqrt(3.0)  # below the noise of the input
+    assert rotation_rad < 0.5 * 2e-3 * np.sqrt(3.0)
+
+
+def test_faults_are_significant_and_within_their_intervals(
+    faulty: tuple[ExaminedRig, ExaminedGroundtruth],
+) -> None:
+    _, found = faulty
+    assert set(verdicts(found).values()) == {"significant"}
+    expected = {
+        "body_rotation": FAULTS["turn_deg"], "lever_arm": np.multiply(1e3, FAULTS["lever_m"]),
+        "clock_offset": [12.0], "clock_skew": [300.0],
+    }  # fmt: skip
+    for name, values in expected.items():
+        cause = found.causes[name]
+        assert cause.half_width is not None
+        apart = np.linalg.norm(np.subtract(cause.components, values))
+        assert apart < 2.0 * cause.half_width, name
+    assert found.causes["tilted"].value == pytest.approx(1.5, abs=0.16)
+    said = " ".join(each.sentence for each in found.significant)
+    assert "early: add 12.0 ms" in said
+    assert "ppm" in said
+    assert "z axis is tilted by 1.5" in said
+
+
+def test_the_repaired_groundtruth_is_of_the_imu(
+    faulty: tuple[ExaminedRig, ExaminedGroundtruth],
+) -> None:
+    made, found = faulty
+    repaired = fits_of(found).repaired
+    assert repaired.rotations is not None
+    # In the tilted world of the groundtruth.
+    level = Rotation.from_rotvec([-FAULTS["tilt_deg"], 0.0, 0.0], degrees=True)
+    turned = level * repaired.rotations
+    in_world = dataclasses.replace(
+        repaired, positions=level.apply(repaired.positions), quaternions=turned.as_quat()
+    )
+    position_m, rotation_rad = made.errors(in_world)
+    lever_mm, rotation_deg = (
+        found.causes[name].half_width for name in ("lever_arm", "body_rotation")
+    )
+    assert lever_mm is not None
+    assert rotation_deg is not None
+    assert 1e3 * position_m < 0.5 * lever_mm
+    assert np.degrees(rotation_rad) < 0.5 * rotation_deg
+    assert repaired.covariances is not None
+    assert np.linalg.eigvalsh(repaired.covariances).min() > 0.0
+    assert repaired.velocities is not None
+    seconds = (repaired.stamps - START_NS) / 1e9
+    speeds = level.apply(repaired.velocities) - made.motion.waves(seconds, 1)[:, :3]
+    assert np.sqrt(np.square(speeds).sum(axis=1).mean()) < 0.02
+
+
+@pytest.mark.parametrize("seed", [5, 6])
+def test_heavy_tails_have_no_false_verdict(seed: int) -> None:
+    found = examined(rig(seed, tails=3.0))
+    assert set(verdicts(found).values()) <= {"insignificant"}
+
+
+def test_verdicts_do_not_depend_on_world_origin_of_time_or_order(
+    faulty: tuple[ExaminedRig, ExaminedGroundtruth],
+) -> None:
+    made, found = faulty
+    up_is_y = Rotation.from_euler("x", -90.0, degrees=True) * Rotation.from_euler("z", 0.4)
+    before = made.groundtruth
+    assert before.rotations is not None
+    turned = dataclasses.replace(
+        before,
+        stamps=before.stamps - START_NS,
+        positions=up_is_y.apply(before.positions) + 7.0,
+        quaternions=(up_is_y * before.rotations).as_quat(),
+    )[np.random.default_rng(0).permutation(len(before))]
+    readings = made.readings
+    order = np.random.default_rng(1).permutation(len(readings.stamps))
+    assert readings.accelerations is not None
+    shuffled = InertialReadings(
+        readings.stamps[order] - START_NS, readings.rates[order], readings.accelerations[order]
+    )
+    again = examine(turned, shuffled)
+    assert verdicts(again) == verdicts(found)
+    for name in CALIBRATION:
+        # The solver stops at a hundredth of a standard deviation.
+        sigma = found.causes[name].standard_deviation
+        assert sigma is not None
+        value = found.causes[name].value
+        assert again.causes[name].value == pytest.approx(value, abs=0.02 * sigma), name
+
+
+def test_clocks_of_different_epochs(healthy: tuple[ExaminedRig, ExaminedGroundtruth]) -> None:
+    made, _ = healthy
+    apart = 1_034_771 * 10**9
+    moved = dataclasses.replace(made.groundtruth, stamps=made.groundtruth.stamps - apart)
+    fits = fits_of(examine(moved, made.readings))
+    assert fits.offset_s == pytest.approx(apart / 1e9, abs=1e-3)
+    first = fits.repaired.stamps[0]
+    assert abs(int(first) - START_NS) < 10**9
+
+
+def test_jumps_outliers_frozen_and_held_poses() -> None:
+    made = rig(3, duration_s=40.0)
+    truth = made.groundtruth
+    assert truth.quaternions is not None
+    positions, quaternions = truth.positions.copy(), truth.quaternions.copy()
+    positions[2000:] += [0.02, 0.0, 0.0]
+    generator = np.random.default_rng(8)
+    bad = generator.choice(np.arange(100, 1400), 30, replace=False)
+    positions[bad] += generator.normal(0.0, 0.05, (30, 3))
+    positions[1500:1560], quaternions[1500:1560] = positions[1500], quaternions[1500]
+    for begin in range(2500, 3000, 5):
+        positions[begin + 1], quaternions[begin + 1] = positions[begin], quaternions[begin]
+    kept = np.ones(len(positions), dtype=bool)
+    kept[3300:3420] = False
+    changed = dataclasses.replace(truth, positions=positions, quaternions=quaternions)[kept]
+    found = examine(changed, made.readings)
+    fits = fits_of(found)
+    assert set(verdicts(found).values()) == {"insignificant"}
+    # The pose also jumps at the end of the frozen interval.
+    [jump] = [
+        each
+        for each in fits.checks.jumps
+        if abs(each.stamp_ns - int(truth.stamps[2000])) <= 20_000_000
+    ]
+    assert jump.size == pytest.approx(0.02, rel=0.25)
+    # A held pose is behind the motion, and an outlier, too.
+    assert fits.checks.outlier_share == pytest.approx(130 / len(changed), rel=0.15)
+    [frozen] = found.poses.frozen
+    assert frozen.start_ns == truth.stamps[1500]
+    assert frozen.duration_s == pytest.approx(0.59)
+    assert found.poses.held_share == pytest.approx(100 / len(changed), rel=0.1)
+    [gap] = found.poses.gaps
+    assert gap.duration_s == pytest.approx(1.21)
+    names = {each.name for each in found.significant}
+    assert {"position_jumps", "outliers", "frozen", "held", "gaps", "missing"} <= names
+    # The gap is bridged.
+    steps = np.diff(fits.repaired.stamps)
+    assert steps.max() < 50_000_000
+
+
+def test_jitter_of_timestamps() -> None:
+    found = examined(rig(4, jitter_s=3e-3))
+    jitter = found.causes["jitter"]
+    assert jitter.verdict == "significant"
+    assert jitter.value == pytest.approx(3.0, rel=0.15)
+
+
+def test_rest_is_inconclusive() -> None:
+    found = examined(rig(1, "rest"))
+    assert found.significant == []
+    assert set(verdicts(found).values()) == {"inconclusive"}
+    assert any("the rig does not turn" in note for note in found.notes)
+
+
+def test_a_car_does_not_determine_the_height_of_the_marker() -> None:
+    found = examined(rig(2, "car", duration_s=60.0, offset_s=0.02))
+    assert found.causes["lever_arm"].verdict == "inconclusive"
+    assert found.causes["clock_offset"].verdict == "significant"
+    assert found.causes["fused"].verdict == "insignificant"
+    assert any("lever arm along z" in note for note in found.notes)
+
+
+def test_a_turntable_has_no_false_verdict() -> None:
+    found = examined(rig(4, "turntable", duration_s=40.0))
+    assert "significant" not in verdicts(found).values()
+    assert found.causes["fused"].verdict == "insignificant"
+
+
+def test_a_gyroscope_alone(faulty: tuple[ExaminedRig, ExaminedGroundtruth]) -> None:
+    made, _ = faulty
+    gyroscope = dataclasses.replace(made.readings, accelerations=None)
+    found = examine(made.groundtruth, gyroscope)
+    assert found.causes["body_rotation"].verdict == "significant"
+    assert found.causes["clock_offset"].value == pytest.approx(12.0, abs=2.2)
+    assert found.causes["lever_arm"].verdict == found.causes["tilted"].verdict == "inconclusive"
+
+
+def test_gaps_and_saturation_of_the_imu(faulty: tuple[ExaminedRig, ExaminedGroundtruth]) -> None:
+    made, found = faulty
+    readings = made.readings
+    assert readings.accelerations is not None
+    rates, force = readings.rates.copy(), readings.accelerations.copy()
+    rates[:, 2] = np.clip(rates[:, 2], -0.8 * rates[:, 2].max(), 0.8 * rates[:, 2].max())
+    kept = np.ones(len(rates), dtype=bool)
+    kept[2000:2040] = False
+    broken = InertialReadings(readings.stamps[kept], rates[kept], force[kept])
+    again = examine(made.groundtruth, broken)
+    assert verdicts(again) == verdicts(found)
+    cause = again.causes["body_rotation"]
+    assert cause.half_width is not None
+    assert np.linalg.norm(np.subtract(cause.components, FAULTS["turn_deg"])) < 2 * cause.half_width
+
+
+def refused(groundtruth: Trajectory, readings: InertialReadings | None, **more: Any) -> str:
+    with pytest.raises(InputError) as error:
+        examine(groundtruth, readings, **more)
+    return str(error.value)
+
+
+def test_refusals(healthy: tuple[ExaminedRig, ExaminedGroundtruth]) -> None:
+    made, _ = healthy
+    truth, readings = made.groundtruth, made.readings
+    assert readings.accelerations is not None
+    assert "overlap for 1" in refused(truth[:1500], readings)
+    assert "and the examination needs 20 s" in refused(truth, readings, time_offset_s=1e4)
+    other = rig(99).readings
+    assert "no common rotation" in refused(truth, other)
+    assert "has no orientations" in refused(Trajectory(truth.stamps, truth.positions), readings)
+    assert "fewer than five poses" in refused(truth[:4], readings)
+    in_g = dataclasses.replace(readings, accelerations=readings.accelerations / 9.81)
+    assert "give specific forces in m/s^2" in refused(truth, in_g)
+    one = InertialReadings(readings.stamps[:1], readings.rates[:1], readings.accelerations[:1])
+    assert "fewer than two readings" in refused(truth, one)
+    unstamped = Trajectory.from_positions(truth.positions, truth.quaternions)
+    assert "has no timestamps" in refused(unstamped, readings)
+
+
+def test_poses_alone() -> None:
+    truth = rig(7).groundtruth
+    stamps = truth.stamps + np.random.default_rng(3).integers(0, 4_000_000, len(truth))
+    stamps[100] = stamps[99]
+    rough = dataclasses.replace(truth, stamps=stamps)
+    found = examine(rough)
+    assert found.fits is None
+    assert {each.name for each in found.significant} == {
+        "repeated_timestamps",
+        "uneven_timestamps",
+    }
+    slow = examine(Trajectory(truth.stamps[::10], truth.positions[::10]))
+    assert slow.significant == []
+    assert slow.poses.rotation_noise_rad is None
+    assert any("upper limit" in note for note in slow.notes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["V1_01_original", "V1_01_corrected", "mocap2gt", "MH_05"])
+def test_real_recordings_give_the_reference(name: str) -> None:
+    stored = reference(Path("groundtruth_doctor.json"))
+    expected, external = stored["real"][name], stored["external"]
+    truth, readings = real(name)
+    found = examine(truth, readings)
+    fits = fits_of(found)
+    for horizon, fit in (("short", fits.short), ("long", fits.long)):
+        sigmas = np.array(expected[f"{horizon}_sd"])
+        assert (np.abs(fit.values - expected[horizon]) < 0.5 * sigmas).all()
+        np.testing.assert_allclose(fit.sigmas[:8], sigmas[:8], rtol=0.1)
+    assert fits.disagree == expected["disagree"]
+    if name == "V1_01_original":
+        names = {each.name for each in found.significant}
+        assert {"body_rotation", "lever_arm", "fused"} == names
+        for cause, key in (("body_rotation", "R_IM_deg"), ("lever_arm", "lever_mm")):
+            apart = np.subtract(found.causes[cause].components, external[name][key])
+            half_width = found.causes[cause].half_width
+            assert half_width is not None
+            assert np.linalg.norm(apart) < min(half_width, {"R": 1.2, "l": 8.0}[key[0]])
+    elif name == "mocap2gt":
+        truth_of = external[name]
+        body = Rotation.from_rotvec(truth_of["R_IM_deg"], degrees=True)
+        turned = body.inv() * Rotation.from_quat(fits.hand_eye.rotation_xyzw)
+        assert np.degrees(turned.magnitude()) < 0.1
+        assert np.linalg.norm(1e3 * fits.hand_eye.lever_m - truth_of["lever_mm"]) < 1.0
+        assert abs(1e3 * fits.offset_s - truth_of["offset_ms"]) < 1.0
+        assert found.causes["tilted"].verdict == "significant"
+    else:
+        assert set(verdicts(found).values()) == {"insignificant"}
+        assert found.causes["fused"].verdict == "insignificant"
+    if name == "MH_05":
+        jumps = {(each.stamp_ns - START_NS) / 1e9: 1e3 * each.size for each in fits.checks.jumps}
+        stated = {41.60: 17, 47.99: 15, 59.06: 21, 80.75: 51, 84.09: 30, 85.64: 34}
+        for second, size_mm in stated.items():
+            [size] = [each for at, each in jumps.items() if abs(at - second) < 0.03]
+            assert size == pytest.approx(size_mm, rel=0.2)

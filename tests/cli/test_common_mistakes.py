@@ -1,0 +1,51 @@
+"""Mistakes that users made with their first files, and the sentences that answer them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from comparison_runs import write_run
+
+from trajeval_ros.cli.app import main
+
+
+@pytest.fixture
+def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the working folder, with trajectories, a picture and a YAML file."""
+    monkeypatch.chdir(tmp_path)
+    write_run(tmp_path / "gt.txt")
+    rows = write_run(tmp_path / "vio.txt", 1.01).read_text().splitlines()
+    later = [f"{float(row.split()[0]) + 9_758_120.0:.6f} {row.split(' ', 1)[1]}" for row in rows]
+    (tmp_path / "later.txt").write_text("\n".join(later))
+    (tmp_path / "picture.txt").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
+    (tmp_path / "flow.yaml").write_text(
+        "groundtruth: g/{sequence}.txt\nruns: {a: {sequence}.txt}\n"
+    )
+    return tmp_path
+
+
+@pytest.mark.usefixtures("files")
+@pytest.mark.parametrize(
+    ("typed", "answer"),
+    [
+        ("evaluate -g gt.txt -g vio.txt -e vio.txt", "--groundtruth is given 2 times"),
+        ("evaluate gt.txt picture.txt", "is a picture (PNG)"),
+        ("evaluate gt.txt later.txt", "113 days apart; the estimate is probably of another"),
+        ("compare flow.yaml", "write patterns with braces in quotes"),
+    ],
+)
+def test_a_mistake_is_answered_with_its_cause(
+    typed: str, answer: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(typed.split()) == 2
+    assert answer in capsys.readouterr().err
+
+
+def test_merged_trajectories_state_what_was_dropped(
+    files: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["gt.txt", "vio.txt", "--merge", "--save-as", "tum", "--output", "out"]
+    assert main(["trajectory", *given]) == 0
+    assert "300" in capsys.readouterr().err
+    assert len(list((files / "out").glob("*.txt"))) == 1

@@ -1,0 +1,94 @@
+"""`trajeval groundtruth`: table, files, the repaired groundtruth in an evaluation, bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from examined_rigs import rig
+
+from trajeval_ros.cli.app import main
+from trajeval_ros.io.bags.write_bag import write_bag
+from trajeval_ros.io.sources import read_trajectory
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = rig(2, turn_deg=(3.0, -2.0, 1.5), offset_s=0.012)
+    path = tmp_path_factory.mktemp("rig") / "run"
+    pose = "geometry_msgs/msg/PoseStamped"
+    write_bag(path, {"/mocap": (made.groundtruth, pose)}, inertial={"/imu": made.readings})
+    return path
+
+
+def test_a_groundtruth_is_repaired_and_evaluated_against(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("matplotlib", reason="figures need the extra `plot`")
+    pytest.importorskip("rerun", reason="rerun-sdk is missing, the extra `rerun`")
+    from rrd import Rrd
+
+    output, picture = tmp_path / "out", tmp_path / "g.rrd"
+    files = ["--json", str(tmp_path / "g.json"), "--figure", str(tmp_path / "g.png")]
+    command = ["groundtruth", f"{bag}:/mocap", "--imu", f"{bag}:/imu", *files]
+    saving = ["--save-as", "mcap", "--output", str(output), "--rrd", str(picture)]
+    assert main([*command, *saving]) == 0
+    said = capsys.readouterr().out
+    assert "is rotated by 3.9" in said
+    assert "covariances are lower limits" in said
+    found = json.loads((tmp_path / "g.json").read_text())
+    assert found["schema"] == "trajeval-groundtruth/1"
+    by_name = {each["name"]: each for each in found["causes"]}
+    assert by_name["body_rotation"]["verdict"] == "significant"
+    assert by_name["clock_offset"]["value"] == pytest.approx(12.0, abs=2.2)
+    assert found["clock"]["offset_s"] == pytest.approx(0.012, abs=2.2e-3)
+    assert (tmp_path / "g.png").read_bytes().startswith(b"\x89PNG")
+    assert {"world/original", "world/repaired", "groundtruth/position_m"} <= Rrd(picture).entities
+    repaired = read_trajectory(f"{output}/groundtruth.mcap:/groundtruth")
+    assert len(repaired) == found["repaired"]["poses"]
+    evaluated = [
+        "evaluate", "-g", f"{output}/groundtruth.mcap:/groundtruth",
+        "-e", f"{output}/groundtruth.mcap:/groundtruth", "--gauge", "se3", "--lengths", "none",
+        "--covariance", "message", "--groundtruth-noise", "0.001,0.05",
+        "--json", str(tmp_path / "e.json"), "--quiet",
+    ]  # fmt: skip
+    assert main(evaluated) == 0
+    assert json.loads((tmp_path / "e.json").read_text())["runs"][0]["consistency"]
+
+
+def test_velocities_and_biases_are_saved(bag: Path, tmp_path: Path) -> None:
+    command = ["groundtruth", f"{bag}:/mocap", "--imu", f"{bag}:/imu", "--imu-noise", "1e-3,2e-2"]
+    assert main([*command, "--save-as", "euroc", "--output", str(tmp_path), "--quiet"]) == 0
+    repaired = read_trajectory(str(tmp_path / "groundtruth.csv"))
+    assert repaired.velocities is not None
+    assert repaired.gyroscope_biases is not None
+    assert np.abs(repaired.gyroscope_biases).max() < 0.1
+
+
+def test_poses_alone_as_json(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["groundtruth", f"{bag}:/mocap", "--json", "-"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["imu"] is None
+    assert "fits" not in found
+    assert main(["groundtruth", f"{bag}:/mocap"]) == 0
+    assert "No cause of errors is significant." in capsys.readouterr().out
+
+
+def test_bad_input_is_one_sentence(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    truth, imu = f"{bag}:/mocap", ["--imu", f"{bag}:/imu"]
+    for arguments, sentence in (
+        (["--figure", "a.png"], "need --imu; add it"),
+        ([*imu, "--imu-noise", "1"], "give two densities"),
+        ([*imu, "--imu-noise", "nan,1"], "give two densities"),
+        ([*imu, "--output", "folder"], "--output needs --save-as"),
+        ([*imu, "--save-as", "excel"], "excel"),
+        (["--imu", truth], "IMU messages are on /imu"),
+        ([*imu, "--time-offset", "900"], "and the examination needs 20 s"),
+    ):
+        assert main(["groundtruth", truth, *arguments]) == 2
+        said = capsys.readouterr()
+        assert not said.out
+        assert said.err.count("\n") == 1
+        assert sentence in said.err

@@ -1,0 +1,401 @@
+"""Published numbers and their definitions: commands, reference numbers, chance and messages."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections import defaultdict
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from paths import TESTS
+
+from trajeval_ros import explain, read_trajectory
+from trajeval_ros.cli.app import main
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.explanation.definition import Command, Definition, command_of
+from trajeval_ros.explanation.definition_values import values_of
+from trajeval_ros.explanation.explain import UNITS, Explanation, PublishedNumber
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.results.requirement import Requirement
+
+PAIRS = TESTS / "data/parity/pairs"
+REFERENCES = json.loads((TESTS / "data/parity/references.json").read_text(encoding="utf-8"))
+
+
+def files(pair: str) -> tuple[Path, Path]:
+    named = REFERENCES["pairs"][pair]
+    return PAIRS / named["groundtruth"], PAIRS / named["estimate"]
+
+
+@cache
+def sides(pair: str) -> tuple[Trajectory, Trajectory]:
+    truth, estimate = files(pair)
+    return read_trajectory(str(truth)), read_trajectory(str(estimate))
+
+
+@cache
+def values(pair: str) -> tuple[dict[Definition, int], list[float]]:
+    return values_of(*sides(pair))
+
+
+def entry(run: dict[str, Any], lengths: list[str], path: str) -> float:
+    """Return an entry of a run by its path, as `--require` reads it."""
+    sentence = Requirement(path, "<", -math.inf).unmet(run, lengths)
+    assert "not met" in sentence, sentence
+    value: Any = run
+    for key in path.split("."):
+        if isinstance(value, dict) and "segments" in value and key != "pooled":
+            value = value["segments"][lengths.index(key)]
+        else:
+            value = value[key]
+    return float(value)
+
+
+def computed(command: Command, formulas: list[str], pair: str, folder: Path) -> list[float]:
+    """Run a command as a process would, and return the values of formulas of its result."""
+    truth, estimate = map(str, files(pair))
+    given = [estimate, truth] if command.exchanged else [truth, estimate]
+    (folder / "protocol.yaml").write_text(command.file or "base: evo\n", encoding="utf-8")
+    here = {"protocol.yaml": str(folder / "protocol.yaml")}
+    options = [here.get(word, word) for word in command.options]
+    saved = folder / "result.json"
+    assert main(["evaluate", *given, *options, "--quiet", "--json", str(saved)]) == 0
+    result = json.loads(saved.read_text(encoding="utf-8"))
+    (run,) = result["runs"]
+    lengths = [
+        f"{each['frames']}f" if "frames" in each
+        else f"{each['duration_s']:g}s" if "duration_s" in each
+        else f"{each['length_m']:g}m"
+        for each in (run["re"] or {"segments": []})["segments"]
+    ]  # fmt: skip
+    if lengths and "rpg" in options and "--lengths" not in options:
+        lengths = ["10%", "20%", "30%", "40%", "50%"]
+
+    def number(match: re.Match[str]) -> str:
+        path = match[0]
+        if path == "groundtruth.path_length_m":
+            return repr(result["groundtruth"]["path_length_m"])
+        return repr(entry(run, lengths, path))
+
+    names = r"(?:ate|re|groundtruth)\.[\w.%]+"
+    return [float(eval(re.sub(names, number, each), {"sqrt": math.sqrt})) for each in formulas]
+
+
+def commands_of(pair: str) -> dict[Command, list[tuple[Definition, float]]]:
+    """Return all definitions and their values by their command, whatever the formula."""
+    places, numbers = values(pair)
+    found = defaultdict(list)
+    for definition, place in places.items():
+        command = command_of(definition)
+        if command is not None:
+            found[command._replace(formula="")].append((definition, numbers[place]))
+    return found
+
+
+def assert_commands_give_values(pair: str, folder: Path, every: int) -> None:
+    commands = list(commands_of(pair).items())[::every]
+    assert len(commands) > 5
+    for command, named in commands:
+        formulas = [found.formula for each, _ in named if (found := command_of(each))]
+        got = computed(command, formulas, pair, folder)
+        for (definition, value), number in zip(named, got, strict=True):
+            assert value == pytest.approx(number, rel=1e-9, abs=1e-9), definition
+
+
+@pytest.mark.parametrize("pair", ["mono_scale", "car_kitti"])
+def test_some_commands_give_their_values(pair: str, tmp_path: Path) -> None:
+    assert_commands_give_values(pair, tmp_path, 12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pair", ["drone_loop", "mono_scale", "car_kitti", "handheld_gaps"])
+def test_all_commands_give_their_values(pair: str, tmp_path: Path) -> None:
+    assert_commands_give_values(pair, tmp_path, 1)
+
+
+ALIGNED = {
+    "": "none", " -a": "se3", " -as": "sim3", " --align_origin": "se3 by the first state",
+    " -s": "scale of sim3 alone",
+}  # fmt: skip
+
+
+def evo_numbers() -> list[tuple[str, str, float]]:
+    """Return pair, alignment and the position RMSE that evo_ape printed."""
+    found = []
+    for each in REFERENCES["references"]:
+        call = re.sub(r"^.*?\.txt \S+", "", each["call"])
+        options = re.sub(r" (-r \w+|--\w*results.*|--no_warnings)", "", call)
+        usual = each["pair"] in ("drone_loop", "handheld_gaps", "mono_scale", "slow_gt", "utm")
+        if each["tool"] == "evo" and "evo_ape" in each["call"] and usual and options in ALIGNED:
+            rmse = each["results"].get("trans_part", {}).get("rmse")
+            if rmse:
+                found.append((each["pair"], ALIGNED[options], rmse))
+    return found
+
+
+@pytest.mark.parametrize(("pair", "alignment", "rmse"), evo_numbers())
+def test_numbers_of_evo_are_found_to_all_digits(pair: str, alignment: str, rmse: float) -> None:
+    places, numbers = values(pair)
+    place = places[Definition("evo", alignment, "position_m", "rmse")]
+    assert numbers[place] == pytest.approx(rmse, rel=1e-6)
+
+
+@pytest.mark.parametrize("alignment", ["none", "se3", "sim3", "yaw", "se3 by the first state"])
+def test_a_number_of_five_digits_is_named(alignment: str) -> None:
+    places, numbers = values("handheld_gaps")
+    place = places[Definition("evo", alignment, "position_m", "rmse")]
+    found = explain([(*sides("handheld_gaps"), [f"{numbers[place]:.5g}"])], "m")
+    assert found.verdict == "named"
+    assert found.matches[0].definitions[0][1:4] == (alignment, "position_m", "rmse")
+    assert found.matches[0].values == ((numbers[place],),)
+    assert "evo" in found.matches[0].associations
+
+
+def test_a_number_without_a_definition_has_none_and_the_nearest() -> None:
+    places, numbers = values("drone_loop")
+    rmse = numbers[places[Definition("evo", "se3", "position_m", "rmse")]]
+    found = explain([(*sides("drone_loop"), [f"{1.00003 * rmse:.7f}"])], "m")
+    assert (found.verdict, found.matches, found.matching) == ("none", (), 0)
+    assert found.none_probability == 1.0
+    assert any(each.definitions[0][1:4] == ("se3", "position_m", "rmse") for each in found.nearest)
+
+
+def test_a_single_digit_is_not_named() -> None:
+    places, numbers = values("drone_loop")
+    rmse = numbers[places[Definition("evo", "se3", "position_m", "rmse")]]
+    found = explain([(*sides("drone_loop"), [f"{rmse:.1g}"])], "m")
+    assert found.verdict in ("possible", "chance")
+    assert found.matching > 3
+
+
+def test_two_numbers_of_a_row_have_one_alignment() -> None:
+    places, numbers = values("handheld_gaps")
+    position, rotation = (
+        f"{numbers[places[Definition('rpg', 'yaw', metric, 'rmse')]]:.3g}"
+        for metric in ("position_m", "rotation_deg")
+    )
+    run = sides("handheld_gaps")
+    alone = explain([(*run, [position])], "m")
+    both = explain([(*run, [position, f"{rotation}deg"])], "m")
+    assert both.expected < alone.expected
+    first = both.matches[0]
+    assert [each[1:4] for each in first.definitions] == [
+        ("yaw", "position_m", "rmse"), ("yaw", "rotation_deg", "rmse"),
+    ]  # fmt: skip
+    for each in both.matches:
+        if not any(one.family for one in each.definitions):
+            assert len({one.alignment for one in each.definitions}) == 1
+
+
+def test_several_runs_need_fewer_digits() -> None:
+    pairs = ("drone_loop", "handheld_gaps", "slow_gt")
+    definition = Definition("rpg", "yaw", "position_m", "rmse")
+    texts = [f"{values(each)[1][values(each)[0][definition]]:.2g}" for each in pairs]
+    found = explain([(*sides(p), [t]) for p, t in zip(pairs, texts, strict=True)], "m")
+    assert found.matches[0].definitions[0][1:4] == definition[1:4]
+    single = [explain([(*sides(p), [t])], "m") for p, t in zip(pairs, texts, strict=True)]
+    assert found.expected < 0.1 * min(each.expected for each in single)
+
+
+def test_unrelated_numbers_match_as_often_as_expected() -> None:
+    """Numbers that are log-uniform within a factor of 2, for which the count is defined."""
+    rng = np.random.default_rng(7)
+    middle, counts, expected = 0.3, [], []
+    for value in middle * np.exp(rng.uniform(-math.log(2.0), math.log(2.0), 60)):
+        found = explain_cached("drone_loop", f"{value:.3f}")
+        counts.append(found.matching)
+        expected.append(found.expected)
+    # The mean of 60 counts with a variance of about twice their mean.
+    deviation = math.sqrt(2.0 * np.mean(expected) / len(counts))
+    assert abs(np.mean(counts) - np.mean(expected)) < 4.0 * deviation
+
+
+def explain_cached(pair: str, number: str) -> Explanation:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("trajeval_ros.explanation.explain.values_of", lambda *_: values(pair))
+        return explain([(*sides(pair), [number])], "m")
+
+
+@given(st.integers(1, 99_999), st.integers(0, 6))
+def test_the_digits_of_a_number_are_those_written(number: int, decimals: int) -> None:
+    text = f"{number / 10**decimals:.{decimals}f}"
+    parsed = PublishedNumber.parse(text, "m")
+    assert parsed.value == float(text)
+    assert parsed.half == pytest.approx(0.5 * 10.0**-decimals)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "expected"),
+    [
+        ("12", "m", (12.0, 0.5, "m")),
+        ("0.20", "m", (0.2, 0.005, "m")),
+        ("6.1", "cm", (0.061, 0.0005, "m")),
+        ("1.25deg", "m", (1.25, 0.005, "deg")),
+        ("1.5 %", "", (1.5, 0.05, "%")),
+        ("0.8deg/100m", "", (0.008, 0.0005, "deg/m")),
+        ("2.1e-3", "", (2.1e-3, 5e-5, "")),
+        ("0.20727512345678901", "m", (0.20727512345678901, 2.0727512345678901e-8, "m")),
+    ],
+)
+def test_numbers_with_units(text: str, unit: str, expected: tuple[float, float, str]) -> None:
+    *numbers, base = PublishedNumber.parse(text, unit)
+    assert numbers == pytest.approx(expected[:2], rel=1e-12)
+    assert base == expected[2]
+
+
+@pytest.mark.parametrize(
+    "text", ["0", "0.00", "-0.2", "nan", "inf", "", ".", "1e999", "abc", "1,2"]
+)
+def test_what_is_no_error_is_refused(text: str) -> None:
+    with pytest.raises(SettingsError, match=r"is not a published error|unknown unit"):
+        PublishedNumber.parse(text)
+
+
+def test_a_float_is_refused_because_it_has_no_digits() -> None:
+    with pytest.raises(SettingsError, match=r"0\.2 has no digits"):
+        explain([(*sides("five_poses"), [0.2])])  # type: ignore[list-item]
+
+
+def test_runs_need_as_many_numbers_each() -> None:
+    run = sides("drone_loop")
+    with pytest.raises(SettingsError, match="1, 2 numbers"):
+        explain([(*run, ["0.2"]), (*run, ["0.2", "1.0deg"])])
+    with pytest.raises(SettingsError, match="3 numbers"):
+        explain([(*run, ["0.2", "0.3", "0.4"])])
+    with pytest.raises(SettingsError, match="no numbers"):
+        explain([])
+
+
+def test_sides_without_pairs_are_refused() -> None:
+    truth, estimate = sides("drone_loop")
+    with pytest.raises(InputError, match="no pairs"):
+        explain([(truth, sides("car_kitti")[1], ["0.2"])])
+    assert estimate is not None
+
+
+def run_verb(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    status = main(["explain", *arguments])
+    captured = capsys.readouterr()
+    return status, captured.out + captured.err
+
+
+def test_the_verb_prints_definition_and_command(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    pair = [str(each) for each in files("handheld_gaps")]
+    places, numbers = values("handheld_gaps")
+    rmse = numbers[places[Definition("evo", "se3 by the first state", "position_m", "rmse")]]
+    status, text = run_verb([*pair, f"{rmse:.5f}", "--unit", "m"], capsys)
+    assert status == 0
+    assert "named" in text
+    assert f"{rmse:.6g} m  position rmse, se3 by the first state" in text
+    assert (
+        f"trajeval evaluate {' '.join(pair)} --protocol evo --gauge se3 --align-states 1" in text
+    )
+    status, text = run_verb([*pair, f"{rmse:.5f}", "--json", "-"], capsys)
+    assert status == 0
+    assert json.loads(text)["matches"][0]["numbers"][0]["command"]["formula"] == (
+        "ate.position_m.rmse"
+    )
+    status, text = run_verb([*pair, f"{rmse * 1.7:.7f}"], capsys)
+    assert status == 3
+    assert "no definition gives this" in text
+    assert "set --unit" in text
+    saved = tmp_path / "found.json"
+    assert run_verb([*pair, f"{rmse:.1g}", "--unit=m", f"--json={saved}"], capsys)[0] == 3
+    assert json.loads(saved.read_text(encoding="utf-8"))["verdict"] in ("possible", "chance")
+
+
+def test_yaml_keeps_zeros_and_equals_the_options(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (a, b), (c, d) = files("drone_loop"), files("slow_gt")
+    runs = tmp_path / "runs.yaml"
+    runs.write_text(
+        f"unit: m\nruns:\n  - {{groundtruth: {a}, estimate: {b}, number: 0.30}}\n"
+        f"  - {{groundtruth: {c}, estimate: {d}, number: [0.20]}}\n",
+        encoding="utf-8",
+    )
+    options = ["--unit", "m", "--run", str(a), str(b), "0.30", "--run", str(c), str(d), "0.20"]
+    by_yaml = run_verb([str(runs), "--json", "-"], capsys)
+    assert by_yaml == run_verb([*options, "--json", "-"], capsys)
+    shorter = [each.replace("0.20", "0.2") for each in options]
+    assert by_yaml != run_verb([*shorter, "--json", "-"], capsys)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "the number needs its run"),
+        (["a.txt", "b.txt"], "the number needs its run"),
+        (["a.txt", "b.txt", "0.2", "--run", "a", "b", "1"], "the number needs its run"),
+        (["no.yaml"], "no.yaml can't be read"),
+        (["a.txt", "b.txt", "0.2", "--unit", "ft"], "a.txt"),
+    ],
+)
+def test_wrong_calls_are_one_sentence(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, text = run_verb(arguments, capsys)
+    assert status == 2
+    assert message in text
+    assert text.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["runs: [3]", "runs: [{groundtruth: a, estimate: b}]", "run: []", "unit: m\nruns: []"],
+)
+def test_wrong_yaml_is_one_sentence(
+    content: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "runs.yaml"
+    path.write_text(content, encoding="utf-8")
+    status, text = run_verb([str(path)], capsys)
+    assert status == 2
+    assert text.count("\n") == 1
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_every_unit_selects_definitions(unit: str) -> None:
+    found = explain_unit("car_kitti", f"1.0{unit}")
+    assert found.searched > 0
+
+
+def explain_unit(pair: str, number: str) -> Explanation:
+    return explain([(*sides(pair), [number])])
+
+
+SEQUENCES = ("MH_01", "MH_05", "V2_03")
+
+
+@pytest.mark.parametrize("name", ["vio_mono/{}", "vislam_ba/{}/3"])
+@pytest.mark.parametrize(("key", "alignment"), [("se3_-1", "se3"), ("posyaw_-1", "yaw")])
+def test_two_digits_of_three_sequences_name_the_definition(
+    name: str,
+    key: str,
+    alignment: str,
+    recording: Callable[[str], Trajectory],
+    reference: Callable[[str], Any],
+) -> None:
+    pairs = [reference("rpg_toolbox")["pairs"][name.format(each)] for each in SEQUENCES]
+    runs = [
+        (
+            recording(each["groundtruth"]),
+            recording(each["estimate"]),
+            [f"{each['align'][key]['trans_m']['rmse']:.2g}"],
+        )
+        for each in pairs
+    ]
+    found = explain(runs, "m")
+    assert found.matches[0].definitions[0][1:4] == (alignment, "position_m", "rmse")
+    assert "rpg" in found.matches[0].associations
+    assert found.expected < 0.1

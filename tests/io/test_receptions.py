@@ -1,0 +1,270 @@
+"""Times of reception from bags and text, and what `trajeval evaluate` makes of them."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+from ros_bags import ODOM, messages_of, path_message, transforms_message
+
+from trajeval_ros import simulate
+from trajeval_ros.cli.app import main
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.sources import read_trajectory
+from trajeval_ros.io.text.layouts import TextHints
+from trajeval_ros.metrics.stream_health import health_of
+
+FLIGHT = simulate(seed=2, duration_s=20.0)
+SECOND = 10**9
+LIDAR = Path("real_estimators") / "lidar"
+
+
+def write_mcap(
+    path: Path, messages: list[tuple[str, str, int, int, bytes]], *, chunked: bool = True
+) -> Path:
+    """Write topic, type, log time, publish time and payload; types are known to the reader."""
+    with path.open("wb") as file:
+        writer = Writer(file, use_chunking=chunked)
+        writer.start("ros2")
+        channels: dict[str, int] = {}
+        for topic, kind, logged, published, payload in messages:
+            if topic not in channels:
+                schema = writer.register_schema(kind, "ros2msg", b"")
+                channels[topic] = writer.register_channel(topic, "cdr", schema)
+            writer.add_message(channels[topic], logged, payload, published)
+        writer.finish()
+    return path
+
+
+@pytest.mark.parametrize("chunked", [True, False])
+def test_publish_times_are_used_where_they_differ(tmp_path: Path, chunked: bool) -> None:
+    random = np.random.default_rng(1)
+    sent = messages_of(FLIGHT.estimate, "/vio", ODOM)
+    delays = (random.uniform(0.01, 0.02, (2, len(sent))) * SECOND).astype(int).cumsum(axis=0)
+    rows = [
+        (topic, kind, stamp + int(logged), stamp + int(published), payload)
+        for (topic, kind, stamp, payload), published, logged in zip(sent, *delays, strict=True)
+    ]
+    path = write_mcap(tmp_path / "run.mcap", rows, chunked=chunked)
+    for received, by, which in (("", "publish", 0), ("publish", "publish", 0), ("log", "log", 1)):
+        receptions = read_trajectory(path, received=received).reading.receptions
+        assert receptions is not None
+        assert receptions.by == by
+        np.testing.assert_array_equal(receptions.times, FLIGHT.estimate.stamps + delays[which])
+        assert (receptions.body_rates is not None) == bool(received)
+    auto = read_trajectory(path, received="auto").reading.receptions
+    assert auto is not None
+    assert auto.recording_s is not None
+    later_s = (delays[1] - delays[0]) / SECOND
+    assert auto.recording_s == pytest.approx((np.median(later_s), later_s.max()))
+
+
+def test_equal_or_missing_publish_times_are_log_times(tmp_path: Path) -> None:
+    sent = messages_of(FLIGHT.estimate, "/vio", ODOM)
+    for published in (None, 0):
+        rows = [
+            (topic, kind, at + 5, at + 5 if published is None else published, payload)
+            for topic, kind, at, payload in sent
+        ]
+        receptions = read_trajectory(write_mcap(tmp_path / "run.mcap", rows)).reading.receptions
+        assert receptions is not None
+        assert (receptions.by, receptions.recording_s) == ("log", None)
+        np.testing.assert_array_equal(receptions.times, FLIGHT.estimate.stamps + 5)
+
+
+def test_of_a_path_the_last_pose_of_every_message_was_received(tmp_path: Path) -> None:
+    estimate = FLIGHT.estimate[:60]
+    assert estimate.quaternions is not None
+    stamps, rows = estimate.stamps.tolist(), []
+    for end in range(20, 61, 20):
+        # Every message moves the whole path by another metre.
+        positions = estimate.positions[:end] + [end / 20.0, 0.0, 0.0]
+        payload = path_message(stamps[:end], positions, estimate.quaternions[:end])
+        at = stamps[end - 1] + 40_000_000
+        rows.append(("/slam", "nav_msgs/msg/Path", at, at, payload))
+    path = write_mcap(tmp_path / "run.mcap", rows)
+    assert read_trajectory(path).as_received is None
+    read = read_trajectory(path, received="auto")
+    assert len(read) == 60
+    received = read.as_received
+    assert received is not None
+    assert received.stamps.tolist() == [stamps[19], stamps[39], stamps[59]]
+    expected = estimate.positions[[19, 39, 59], 0] + [1.0, 2.0, 3.0]
+    np.testing.assert_allclose(received.positions[:, 0], expected, atol=1e-12)
+    receptions = received.reading.receptions
+    assert receptions is not None
+    np.testing.assert_array_equal(receptions.times, received.stamps + 40_000_000)
+
+
+def test_a_correction_acts_from_its_reception_whatever_its_timestamp(tmp_path: Path) -> None:
+    turn = (0.0, 0.0, 0.0, 1.0)
+    ms = 10**6
+
+    def moved(parent: str, child: str, stamp: int, at: int, x: float) -> Any:
+        payload = transforms_message((parent, child, stamp * ms, (x, 0.0, 0.0), turn))
+        return ("/tf", "tf2_msgs/msg/TFMessage", at * ms, at * ms, payload)
+
+    begin = 100_000
+    rows = [moved("odom", "base", begin + 50 * n, begin + 50 * n + 5, 0.1 * n) for n in range(60)]
+    # Dated a second into the future, as AMCL does; the second one moves the map by 1 m.
+    rows += [moved("map", "odom", begin + 1000, begin + 10, 10.0)]
+    rows += [moved("map", "odom", begin + 2000, begin + 1020, 11.0)]
+    rows += [moved("map", "odom", begin + 2900, begin + 1900, 11.0)]
+    path = write_mcap(tmp_path / "run.mcap", sorted(rows, key=lambda each: each[2]))
+    received = read_trajectory(f"{path}:/tf:map.base", received="auto").as_received
+    assert received is not None
+    receptions = received.reading.receptions
+    assert receptions is not None
+    assert receptions.corrected is not None
+    for at, x, stamp, corrected in (
+        (begin + 10, 10.0, begin, begin + 10),
+        (begin + 1005, 12.0, begin + 1000, begin + 10),
+        (begin + 1020, 13.0, begin + 1000, begin + 1020),
+        (begin + 1055, 13.1, begin + 1050, begin + 1020),
+    ):
+        row = int(receptions.times.searchsorted(at * ms))
+        assert receptions.times[row] == at * ms
+        assert received.positions[row, 0] == pytest.approx(x)
+        assert received.stamps[row] == stamp * ms
+        assert receptions.corrected[row] == corrected * ms
+
+
+@pytest.mark.parametrize(
+    ("scale", "unit"), [(1e-9, "t_s"), (1.0, "t_ns"), (1e-6, "t_ms"), (1e-9, "t")]
+)
+def test_column_received_is_in_the_unit_of_the_timestamps(
+    tmp_path: Path, scale: float, unit: str
+) -> None:
+    stamps = 1_700_000_000 * SECOND + np.arange(50) * 50_000_000
+    times = stamps + 37_123_000
+    digits = 9 if scale == 1e-9 else 6 if scale == 1e-6 else 0
+    lines = [
+        f"{stamp * scale:.{digits}f} {at * scale:.{digits}f} {row} 0 0"
+        for row, (stamp, at) in enumerate(zip(stamps.tolist(), times.tolist(), strict=True))
+    ]
+    file = tmp_path / "run.txt"
+    file.write_text("\n".join(lines) + "\n")
+    read = read_trajectory(file, hints=TextHints((unit, "received", "x", "y", "z")))
+    receptions = read.reading.receptions
+    assert receptions is not None
+    # A microsecond is exact for times in seconds; so are whole nanoseconds up to float64.
+    assert np.abs(receptions.times - times).max() <= 1000
+
+
+def test_header_names_the_column_received(tmp_path: Path) -> None:
+    file = tmp_path / "run.csv"
+    file.write_text("t,x,y,z,received\n1.0,0,0,0,1.25\n2.0,1,0,0,2.5\n")
+    receptions = read_trajectory(file).reading.receptions
+    assert receptions is not None
+    assert receptions.times.tolist() == [1_250_000_000, 2_500_000_000]
+    file.write_text("t,x,y,z,received\n1.0,0,0,0,nan\n2.0,1,0,0,2.5\n")
+    with pytest.raises(InputError, match="row 1 has no number in column received"):
+        read_trajectory(file)
+
+
+def csv_latencies(folder: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
+    with (folder / f"{name}_latency.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    stamps = np.array([int(each["stamp_ns"]) for each in rows])
+    return stamps, np.array([int(each["published_ns"]) for each in rows])
+
+
+@pytest.mark.parametrize(
+    ("recording", "name", "messages", "missed", "median_s"),
+    [
+        ("real_time", "small_gicp", 397, 3, 0.0309),
+        ("overload", "rko_lio", 569, 31, 21.2),
+        ("overload", "kiss_icp", 78, 519, 7.5),
+        ("overload", "small_gicp", 544, 56, 21.5),
+    ],
+)
+def test_arrivals_of_real_estimators(
+    shared_data: Path, recording: str, name: str, messages: int, missed: int, median_s: float
+) -> None:
+    folder = shared_data / LIDAR / recording
+    read = read_trajectory(f"{folder / 'bag'}:/{name}/odometry")
+    receptions = read.reading.receptions
+    assert receptions is not None
+    health = health_of(read.stamps, receptions.times)
+    assert (health.messages, health.missed) == (messages, missed)
+    assert health.arrival_p50_s == pytest.approx(median_s, rel=5e-3)
+    # The estimator's own times of publication differ by the way to the recorder.
+    stamps, published = csv_latencies(folder, name)
+    _, mine, own = np.intersect1d(read.stamps, stamps, return_indices=True)
+    assert len(mine) == messages
+    if recording == "real_time":
+        way_s = (receptions.times[mine] - published[own]) / SECOND
+        assert abs(np.median(way_s)) < 1e-3
+
+
+def evaluated(folder: Path, *arguments: str) -> Any:
+    file = folder / "result.json"
+    assert main(["evaluate", *arguments, "--quiet", "--json", str(file)]) == 0
+    return json.loads(file.read_text())["runs"]
+
+
+def test_evaluate_states_arrivals_gaps_and_missed_messages(
+    shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = shared_data / LIDAR / "real_time" / "bag"
+    sources = f"{bag}:/groundtruth/pose", f"{bag}:/small_gicp/odometry"
+    [run] = evaluated(tmp_path, *sources, "--modality", "lidar")
+    stream = run["stream"]
+    assert (stream["messages"], stream["missed"], stream["largest_gap_s"]) == (397, 3, 0.2)
+    assert stream["arrival_p95_s"] == pytest.approx(0.252, abs=1e-3)
+    assert stream["arrival_max_s"] == pytest.approx(0.647, abs=1e-3)
+    assert run["as_available"] is None
+    assert main(["evaluate", *sources, "--modality", "lidar"]) == 0
+    said = "arrival after timestamp 0.0309 s median, 0.252 s p95, 0.647 s max; 3 of 400 messages"
+    assert said in capsys.readouterr().out
+
+
+def test_wheel_odometry_of_a_real_robot(shared_data: Path, tmp_path: Path) -> None:
+    bag = shared_data / "gnss" / "husky_outdoor.bag"
+    sources = f"{bag}:/fix", f"{bag}:/husky_velocity_controller/odom"
+    for motion, expected_m in (("hold", 0.0639), ("twist", 0.0383), ("constant", 0.0393)):
+        [run] = evaluated(tmp_path, *sources, "--modality", "wheel", "--as-available", motion)
+        found = run["as_available"]
+        assert found["age_error_m"]["rmse"] == pytest.approx(expected_m, abs=1e-4)
+        assert found["age_s"]["mean"] == pytest.approx(0.0505, abs=1e-4)
+        assert found["available_percent"] == pytest.approx(99.0, abs=0.1)
+        assert found["clock"]["verdict"] == "ok"
+
+
+@pytest.mark.parametrize(
+    ("bag", "truth", "estimate", "verdict"),
+    [
+        ("ROS_example.bag", "groundtruth", "ORB-SLAM", "copied"),
+        ("nav2_turtlebot.mcap", "/odom", "/amcl_pose", "epochs"),
+    ],
+)
+def test_clocks_that_can_not_be_compared_withhold_the_numbers(
+    shared_data: Path, tmp_path: Path, bag: str, truth: str, estimate: str, verdict: str
+) -> None:
+    path = shared_data / "bags" / bag
+    sources = f"{path}:{truth}", f"{path}:{estimate}"
+    [run] = evaluated(tmp_path, *sources, "--gauge", "se3", "--as-available")
+    found = run["as_available"]
+    assert found["clock"]["verdict"] == verdict
+    assert found["position_m"] is None
+    assert [each["code"] for each in run["remarks"]].count("reception_clock") == 1
+    assert run["ate"]["position_m"]["rmse"] > 0.0
+    assert run["stream"]["arrival_p50_s"] is None
+    [again] = evaluated(tmp_path, *sources, "--gauge", "se3")
+    assert again["ate"] == run["ate"]
+
+
+def test_text_without_receptions_withholds_the_numbers(tmp_path: Path) -> None:
+    truth, estimate = (tmp_path / name for name in ("truth.txt", "estimate.txt"))
+    for file, side in ((truth, FLIGHT.groundtruth), (estimate, FLIGHT.estimate)):
+        assert side.quaternions is not None
+        rows = np.column_stack([side.stamps / SECOND, side.positions, side.quaternions])
+        np.savetxt(file, rows, fmt="%.9f")
+    [run] = evaluated(tmp_path, str(truth), str(estimate), "--as-available", "hold")
+    assert "no times of reception" in run["as_available"]["why_withheld"]
+    assert run["stream"] is None

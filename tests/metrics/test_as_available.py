@@ -1,0 +1,380 @@
+"""As-available accuracy: closed forms, laws, and reference numbers."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.support.paths import SHARED
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.gauge import Similarity
+from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.sources import read_trajectory
+from trajeval_ros.metrics.as_available import (
+    AsAvailable,
+    Availability,
+    AvailabilityRule,
+    as_available,
+)
+from trajeval_ros.metrics.evaluation import evaluate
+from trajeval_ros.metrics.protocol import Protocol
+
+SECOND = 10**9
+IDENTITY = Similarity(np.eye(3), np.zeros(3))
+REFERENCE = SHARED / "reference" / "as_available.json"
+V, LATENCY_S, RATE_HZ = 1.5, 0.08, 20
+
+
+def received(
+    stamps: np.ndarray,
+    positions: np.ndarray,
+    quaternions: np.ndarray | None,
+    times: np.ndarray,
+    velocities: np.ndarray | None = None,
+    rates: np.ndarray | None = None,
+) -> Trajectory:
+    reading = Reading(receptions=Receptions(times, body_rates=rates))
+    return Trajectory(stamps, positions, quaternions, velocities=velocities, reading=reading)
+
+
+def measured(groundtruth: Trajectory, estimate: Trajectory, motion: str = "hold") -> AsAvailable:
+    found = as_available(groundtruth, estimate, IDENTITY, AvailabilityRule(motion), 0.5)
+    assert not found.numbers.why_withheld
+    return found
+
+
+def errors(found: AsAvailable) -> tuple[np.ndarray, np.ndarray]:
+    """Return the as-available position errors (N, 3) and rotation vectors (N, 3)."""
+    assert found.samples is not None
+    assert found.samples.rotation is not None
+    return found.samples.position.sum(axis=0), found.samples.rotation.sum(axis=0)
+
+
+def line(stamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    zero = np.zeros(len(stamps))
+    positions = np.column_stack([V * stamps / SECOND, zero, zero])
+    return positions, np.tile([0.0, 0.0, 0.0, 1.0], (len(stamps), 1))
+
+
+def on_line(gap: tuple[float, float] | None = None) -> tuple[Trajectory, Trajectory]:
+    """Return a straight drive, and its estimate with a latency, without messages in a gap."""
+    fine = np.arange(0, 60 * SECOND, SECOND // 200)
+    stamps = np.arange(0, 60 * SECOND, SECOND // RATE_HZ)
+    if gap is not None:
+        stamps = stamps[(stamps <= gap[0] * SECOND) | (stamps >= gap[1] * SECOND)]
+    times = stamps + round(LATENCY_S * SECOND)
+    velocities = np.tile([V, 0.0, 0.0], (len(stamps), 1))
+    truth = Trajectory(fine, *line(fine))
+    return truth, received(stamps, *line(stamps), times, velocities, np.zeros((len(stamps), 3)))
+
+
+def test_held_pose_on_a_line_is_behind_by_speed_times_age() -> None:
+    found = measured(*on_line())
+    assert found.samples is not None
+    phase_s = (found.samples.stamps - 80_000_000) % (SECOND // RATE_HZ) / SECOND
+    expected = V * (LATENCY_S + phase_s)
+    np.testing.assert_allclose(np.linalg.norm(errors(found)[0], axis=1), expected, atol=1e-12)
+    late = found.samples.stamps > SECOND
+    mean = np.linalg.norm(errors(found)[0], axis=1)[late].mean()
+    assert mean == pytest.approx(V * (LATENCY_S + (1 / RATE_HZ - 0.01) / 2), abs=1e-9)
+
+
+@pytest.mark.parametrize("motion", ["constant", "twist"])
+def test_prediction_on_a_line_has_no_error(motion: str) -> None:
+    found = measured(*on_line(), motion)
+    assert found.samples is not None
+    second = found.samples.rows > 0  # the first pose has no pose before it
+    assert np.abs(errors(found)[0][second]).max() < 1e-12
+
+
+def test_dropout_is_counted_beyond_two_usual_intervals() -> None:
+    found = measured(*on_line((20.0, 22.0)))
+    assert found.samples is not None
+    assert found.numbers.position_m is not None
+    assert found.numbers.position_m.max == pytest.approx(V * (2.0 + 0.08 - 0.01), abs=1e-9)
+    dropout = np.linalg.norm(found.samples.position[2], axis=1)
+    assert dropout.max() == pytest.approx(V * (2.0 - 2 / 20 - 0.01), abs=1e-9)
+    assert found.numbers.dropouts is not None
+    assert dataclasses.astuple(found.numbers.dropouts) == (1, 2.0, 2.0)
+    assert found.numbers.missed_deadlines is not None
+    assert found.numbers.missed_deadlines.longest_s == pytest.approx(2.0 + 0.08 - 0.1, abs=0.011)
+
+
+TURN, RADIUS = 0.75, 2.0
+
+
+def circle(stamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    angle = TURN * stamps / SECOND
+    zero = np.zeros(len(stamps))
+    positions = np.column_stack([RADIUS * np.sin(angle), RADIUS * (1 - np.cos(angle)), zero])
+    turned = lie.from_rotation_vector(np.column_stack([zero, zero, angle]))
+    return positions, turned
+
+
+def on_circle(turn: float = TURN) -> tuple[Trajectory, Trajectory]:
+    # Groundtruth at 100 Hz has a state at every age, so nothing is interpolated.
+    fine = np.arange(0, 30 * SECOND, SECOND // 100)
+    stamps = np.arange(0, 30 * SECOND, SECOND // 10)
+    times = stamps + 130_000_000
+    positions, turned = circle(stamps)
+    forwards = np.tile([RADIUS * TURN, 0.0, 0.0], (len(stamps), 1))
+    rates = np.tile([0.0, 0.0, turn], (len(stamps), 1))
+    velocities = lie.rotate(turned, forwards)
+    truth = Trajectory(fine, *circle(fine))
+    return truth, received(stamps, positions, turned, times, velocities, rates)
+
+
+def test_held_pose_on_a_circle_is_a_chord_behind() -> None:
+    found = measured(*on_circle())
+    assert found.samples is not None
+    angle = TURN * found.samples.age / SECOND
+    position, rotation = (np.linalg.norm(each, axis=1) for each in errors(found))
+    np.testing.assert_allclose(position, 2 * RADIUS * np.sin(angle / 2), atol=1e-12)
+    np.testing.assert_allclose(rotation, angle, atol=1e-12)
+
+
+@pytest.mark.parametrize("motion", ["constant", "twist"])
+def test_prediction_on_a_circle_has_no_error(motion: str) -> None:
+    found = measured(*on_circle(), motion)
+    assert found.samples is not None
+    second = found.samples.rows > 0
+    for each in errors(found):
+        assert np.abs(each[second]).max() < 1e-12
+
+
+def test_velocity_without_turn_leaves_the_circle() -> None:
+    found = measured(*on_circle(turn=0.0), "twist")
+    assert found.samples is not None
+    angle = TURN * found.samples.age / SECOND
+    expected = RADIUS * np.hypot(np.cos(angle) - 1, np.sin(angle) - angle)
+    np.testing.assert_allclose(np.linalg.norm(errors(found)[0], axis=1), expected, atol=1e-12)
+
+
+def rough(seed: int, count: int = 900) -> tuple[Trajectory, Trajectory]:
+    """Return a flight in Unix time with gamma latencies, late messages and a dropout of 3 s."""
+    random = np.random.default_rng(seed)
+    begin = 1_600_000_000 * SECOND
+    fine = begin + np.arange(0, 40 * SECOND, SECOND // 100)
+    x = (fine - begin) / SECOND
+    places = np.column_stack([3 * np.sin(0.7 * x), 2 * np.sin(1.1 * x), 0.3 * x])
+    turns = lie.from_rotation_vector(
+        np.column_stack([0.3 * np.sin(x), 0.2 * np.sin(0.9 * x), 0.8 * np.sin(0.5 * x)])
+    )
+    truth = Trajectory(fine, places, turns)
+    every = np.arange(begin, begin + 39 * SECOND, SECOND // 30)
+    stamps = np.sort(random.choice(every, count, replace=False))
+    stamps = stamps[(stamps < begin + 15 * SECOND) | (stamps > begin + 18 * SECOND)]
+    times = stamps + (random.gamma(2.0, 0.06, len(stamps)) * SECOND).astype(np.int64)
+    states, _ = truth.at(stamps, 0.5)
+    assert states.quaternions is not None
+    walk = np.cumsum(random.normal(0, 0.003, (len(stamps), 3)), axis=0)
+    tilt = lie.from_rotation_vector(np.cumsum(random.normal(0, 5e-4, (len(stamps), 3)), axis=0))
+    quaternions = lie.multiply(tilt, states.quaternions)
+    return truth, received(stamps, states.positions + walk, quaternions, times)
+
+
+@given(st.integers(0, 10**6), st.sampled_from(["hold", "constant"]))
+def test_parts_shares_and_ages_add_up(seed: int, motion: str) -> None:
+    truth, estimate = rough(seed)
+    found = measured(truth, estimate, motion)
+    samples, numbers, messages = found.samples, found.numbers, found.messages
+    assert samples is not None
+    assert messages is not None
+    assert numbers.parts is not None
+    assert numbers.late_messages
+    assert (samples.ages >= 0).all()
+    np.testing.assert_array_equal(samples.age, samples.stamps - messages.stamps[samples.rows])
+    # The error of the newest pose, computed directly.
+    states, _ = truth.at(samples.stamps, 0.5)
+    if motion == "hold":
+        direct = states.positions - messages.positions[samples.rows]
+        np.testing.assert_allclose(samples.position.sum(axis=0), direct, atol=1e-12)
+    for share in ("share", "share_deg"):
+        assert sum(getattr(each, share) for each in numbers.parts.values()) == pytest.approx(1.0)
+
+
+@given(st.integers(0, 10**6))
+def test_no_later_message_is_older_and_none_is_used_before_its_reception(seed: int) -> None:
+    truth, estimate = rough(seed)
+    found = measured(truth, estimate)
+    assert found.samples is not None
+    receptions = estimate.reading.receptions
+    assert receptions is not None
+    for stamp, age in zip(found.samples.stamps[::97], found.samples.age[::97], strict=True):
+        had = receptions.times <= stamp
+        assert stamp - age == estimate.stamps[had].max()
+
+
+@given(st.integers(0, 10**6), st.integers(-50, 50))
+def test_wrong_timestamps_do_not_change_the_held_error(seed: int, shift_ms: int) -> None:
+    truth, estimate = rough(seed)
+    wrong = dataclasses.replace(estimate, stamps=estimate.stamps - shift_ms * 10**6)
+    rule = AvailabilityRule("hold")
+    one, other = (as_available(truth, each, IDENTITY, rule, 0.5) for each in (estimate, wrong))
+    if other.samples is None:  # then messages were received before their timestamps
+        assert other.numbers.clock is not None
+        assert other.numbers.clock.verdict == "impossible"
+        return
+    assert one.samples is not None
+    _, first, second = np.intersect1d(
+        one.samples.stamps, other.samples.stamps, return_indices=True
+    )
+    np.testing.assert_array_equal(
+        one.samples.age[first] + shift_ms * 10**6, other.samples.age[second]
+    )
+    np.testing.assert_allclose(errors(one)[0][first], errors(other)[0][second], atol=1e-12)
+
+
+def test_order_of_equal_timestamps_and_receptions() -> None:
+    truth, _ = on_line()
+    stamps = np.array([1, 1, 2, 3]) * SECOND
+    times = np.array([2, 2, 4, 4]) * SECOND
+    positions = np.column_stack([[10.0, 20.0, 30.0, 40.0], np.zeros((4, 2))])
+    found = measured(truth, received(stamps, positions, None, times))
+    assert found.messages is not None
+    assert found.messages.positions[:, 0].tolist() == [10.0, 30.0, 40.0]
+    assert found.numbers.late_messages == 1
+    assert found.numbers.rotation_deg is None
+
+
+def test_corrected_pose_acts_from_its_reception_and_keeps_the_age_of_its_pose() -> None:
+    truth, _ = on_line()
+    stamps = np.array([1, 1, 2]) * SECOND  # the second one is a correction of the first pose
+    times = np.array([1_100, 1_500, 2_100]) * 10**6
+    corrected = np.array([500, 1_500, 1_500]) * 10**6
+    positions = np.column_stack([[1.0, 5.0, 6.0], np.zeros((3, 2))])
+    reading = Reading(receptions=Receptions(times, corrected=corrected))
+    found = measured(truth, Trajectory(stamps, positions, reading=reading))
+    samples = found.samples
+    assert samples is not None
+    error = samples.position.sum(axis=0)[:, 0]
+    at = {round(each / 10**6): row for row, each in enumerate(samples.stamps.tolist())}
+    for ms, place in ((1_490, 1.0), (1_500, 5.0), (2_090, 5.0), (2_100, 6.0)):
+        assert error[at[ms]] == pytest.approx(V * ms / 1000 - place)
+    assert samples.age[at[1_500]] == 500 * 10**6
+    assert found.numbers.corrections is not None
+    ages = found.numbers.corrections["age_s"]
+    assert ages is not None
+    assert ages.min == 0.0
+
+
+def numbers_of(numbers: Availability) -> dict[str, Any]:
+    """Return the numbers by the names of the reference."""
+    found = dataclasses.asdict(numbers)
+    assert numbers.parts is not None
+    return {
+        "samples": numbers.samples,
+        "late": numbers.late_messages,
+        "without_groundtruth": numbers.without_groundtruth,
+        "none_yet_s": numbers.time_to_first_pose_s,
+        "position_m": found["position_m"],
+        "rotation_deg": found["rotation_deg"],
+        "moved_m": found["age_error_m"],
+        "turned_deg": found["age_error_deg"],
+        "age_s": found["age_s"],
+        "available_share": numbers.available_percent / 100.0,
+        "parts_rmse_m": {name: each.rmse_m for name, each in numbers.parts.items()},
+        "parts_share": {name: each.share for name, each in numbers.parts.items()},
+        "rotation_parts_share": {name: each.share_deg for name, each in numbers.parts.items()},
+    }
+
+
+def assert_equal(found: Any, expected: Any, name: str, tolerance: float) -> None:
+    if isinstance(expected, dict):
+        for key, value in expected.items():
+            assert_equal(found[key], value, f"{name}.{key}", tolerance)
+    else:
+        assert found == pytest.approx(expected, rel=tolerance, abs=tolerance), name
+
+
+def formula(stamps: np.ndarray, case: dict[str, Any]) -> np.ndarray:
+    """Return the receptions that the reference states."""
+    rows = np.arange(len(stamps))
+    late = np.where(rows % case["every"] == case["every"] - 1, 300_000_000, 0)
+    return stamps + case["base_ns"] + case["step_ns"] * (7919 * rows % 1000) + late
+
+
+def cases() -> list[dict[str, Any]]:
+    return json.loads(REFERENCE.read_text())["portable"]["cases"] if REFERENCE.exists() else []
+
+
+@pytest.mark.parametrize("case", cases(), ids=lambda case: f"{case['pair']}-{case['motion']}")
+def test_reference(case: dict[str, Any]) -> None:
+    name = {"plain_stamps": "stamp_order"}.get(case["pair"], case["pair"])
+    folder = SHARED / "portable" / "pairs" / name
+    truth, estimate = (read_trajectory(folder / f"{side}.txt") for side in ("gt", "est"))
+    reading = dataclasses.replace(
+        estimate.reading, receptions=Receptions(formula(estimate.stamps, case))
+    )
+    estimate = dataclasses.replace(estimate, reading=reading)
+    evaluation = evaluate(truth, estimate, Protocol(modality="stereo", lengths=()))
+    found = as_available(
+        evaluation.groundtruth,
+        evaluation.estimate,
+        evaluation.alignment.similarity,
+        AvailabilityRule(case["motion"]),
+        0.5,
+    )
+    numbers = numbers_of(found.numbers)
+    expected = {name: case[name] for name in numbers}
+    assert_equal(numbers, expected, case["pair"], 1e-9)
+    assert found.samples is not None
+    assert found.samples.stamps[[0, -1]].tolist() == [case["first_t_ns"], case["last_t_ns"]]
+
+
+def delayed(estimate: Trajectory, latency_s: float) -> Trajectory:
+    times = estimate.stamps + round(latency_s * SECOND)
+    reading = dataclasses.replace(estimate.reading, receptions=Receptions(times))
+    return dataclasses.replace(estimate, reading=reading)
+
+
+def both_errors(truth: Trajectory, estimate: Trajectory) -> tuple[float, float]:
+    """Return the ATE and the as-available rmse in the yaw gauge, metres."""
+    evaluation = evaluate(truth, estimate, Protocol(gauge="yaw", lengths=()))
+    found = as_available(
+        evaluation.groundtruth,
+        evaluation.estimate,
+        evaluation.alignment.similarity,
+        AvailabilityRule("hold"),
+        0.5,
+    )
+    ate, available = evaluation.ate["position_m"], found.numbers.position_m
+    assert ate is not None
+    assert available is not None
+    return ate.rmse, available.rmse
+
+
+def test_latency_changes_the_order_of_two_real_estimates(shared_data: Path) -> None:
+    folder = shared_data / "euroc"
+    truth = read_trajectory(folder / "groundtruth" / "MH_01.txt")
+    slow = read_trajectory(folder / "vins_mono" / "MH_01.csv")
+    fast = read_trajectory(folder / "vio_mono" / "MH_01.txt")[5:]  # after placeholders
+    slow_at, slow_available = both_errors(truth, delayed(slow, 0.14))
+    fast_at, fast_available = both_errors(truth, delayed(fast, 0.015))
+    assert slow_at < fast_at
+    assert slow_available > fast_available
+    assert (slow_at, fast_at) == pytest.approx((0.2057, 0.2101), abs=2e-4)
+    assert slow_available == pytest.approx(0.213985938143, rel=2e-3)
+    assert fast_available == pytest.approx(0.209836823632, rel=2e-3)
+
+
+def test_keyframes_change_the_order_without_any_latency(shared_data: Path) -> None:
+    folder = shared_data / "euroc"
+    truth = read_trajectory(folder / "groundtruth" / "MH_05.txt")
+    keyframes = read_trajectory(folder / "vislam_ba" / "MH_05_trial0.txt")
+    fast = read_trajectory(folder / "vio_mono" / "MH_05.txt")[5:]
+    at, available = both_errors(truth, delayed(keyframes, 1e-4))
+    fast_at, fast_available = both_errors(truth, delayed(fast, 1e-4))
+    assert at < fast_at
+    assert available > fast_available
+    assert (at, available) == pytest.approx((0.163, 1.606), rel=5e-3)
+    assert (fast_at, fast_available) == pytest.approx((0.2145, 0.2107), rel=5e-3)

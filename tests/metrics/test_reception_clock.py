@@ -1,0 +1,87 @@
+"""Verdicts about the clocks of receptions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.metrics.reception_clock import ClockRule, judged_receptions
+
+SECOND = 10**9
+BEGIN = 1_700_000_000 * SECOND
+STAMPS = BEGIN + np.arange(2000) * (SECOND // 20)
+
+
+def times_of(seed: int = 0, least_s: float = 0.03) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    delays_s = least_s + random.gamma(2.0, 0.01, len(STAMPS))
+    return STAMPS + (delays_s * SECOND).astype(np.int64)
+
+
+@pytest.mark.parametrize(
+    ("times", "verdict", "said"),
+    [
+        (times_of(), "ok", ""),
+        (STAMPS, "copied", "copies of the timestamps"),
+        (times_of() - BEGIN, "epochs", "over a day"),
+        (times_of() - SECOND // 20, "impossible", "before their timestamps; correct the clock"),
+        (times_of() + 2 * SECOND, "suspicious", "check for a queue"),
+        (times_of() + (STAMPS - BEGIN) // 20_000, "drift", " ppm; latencies include"),
+    ],
+)
+def test_verdicts(times: np.ndarray, verdict: str, said: str) -> None:
+    _, clock = judged_receptions(STAMPS, times)
+    assert clock.verdict == verdict
+    assert clock.is_usable == (verdict in ("ok", "suspicious", "drift"))
+    assert said in clock.sentence
+    assert len(clock.sentence) <= 240
+
+
+def test_the_named_offset_is_enough() -> None:
+    _, clock = judged_receptions(STAMPS, times_of() - SECOND // 5)
+    needed = clock.sentence.rsplit(" ", 1)[1]
+    _, corrected = judged_receptions(
+        STAMPS, times_of() - SECOND // 5, ClockRule.parse(str(float(needed)))
+    )
+    assert corrected.verdict == "ok"
+
+
+@given(st.integers(0, 10**6), st.floats(-5.0, 5.0), st.floats(-200e-6, 200e-6))
+def test_fastest_message_sets_offset_and_drift(seed: int, offset_s: float, drift: float) -> None:
+    exact = times_of(seed)
+    shifted = exact + round(offset_s * SECOND) + ((STAMPS - BEGIN) * drift).astype(np.int64)
+    found, clock = judged_receptions(STAMPS, shifted, ClockRule.parse("fastest:0.005"))
+    expected, same = judged_receptions(STAMPS, exact, ClockRule.parse("fastest:0.005"))
+    assert clock.verdict == "ok"
+    assert clock.offset_s is None
+    np.testing.assert_allclose(found, expected, atol=10)  # ns, of the rounded drift
+    assert clock.drift_ppm - same.drift_ppm == pytest.approx(1e6 * drift, abs=1e-3)
+    assert (found - STAMPS).min() == pytest.approx(0.005 * SECOND, abs=2)
+
+
+@given(st.lists(st.floats(0.0, 10.0), min_size=2, max_size=40), st.integers(0, 10**6))
+def test_drift_is_the_slope_of_the_hull_at_the_middle(latencies: list[float], seed: int) -> None:
+    steps = np.random.default_rng(seed).integers(1, SECOND, len(latencies))
+    stamps = BEGIN + np.cumsum(steps)
+    times = stamps + (np.array(latencies) * SECOND).astype(np.int64)
+    _, clock = judged_receptions(stamps, times)
+    seconds, above = (stamps - stamps[0]) / SECOND, (times - stamps) / SECOND
+    slope = clock.drift_ppm / 1e6
+    # The line with this slope below all points is the highest at the middle of all such lines.
+    middle = (seconds[0] + seconds[-1]) / 2.0
+    height = (above - slope * (seconds - middle)).min()
+    for left in range(len(seconds)):
+        for right in range(left + 1, len(seconds)):
+            other = (above[right] - above[left]) / (seconds[right] - seconds[left])
+            assert (above - other * (seconds - middle)).min() <= height + 1e-9 * (
+                1.0 + abs(other) * seconds[-1]
+            )
+
+
+@pytest.mark.parametrize("text", ["", "soon", "slowest:1", "nan", "fastest:inf"])
+def test_other_rules_are_refused_in_one_sentence(text: str) -> None:
+    with pytest.raises(SettingsError, match="clock of receptions"):
+        ClockRule.parse(text)

@@ -1,0 +1,173 @@
+"""Recordings of real estimators: errors, NEES, and what is said about them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from paths import SHARED
+
+from trajeval_ros import CovarianceRequest, Protocol, Request, read_trajectory, run
+from trajeval_ros.cli.app import main
+from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.pipeline.outcome import RunOutcome
+from trajeval_ros.report.verdict_lines import verdict
+
+DATA = SHARED / "data" / "real_estimators"
+TRACKS = SHARED / "data" / "euroc_v1_01_tracks"
+UPPER = np.triu_indices(6)
+
+if not DATA.is_dir():
+    pytest.skip("no recordings of real estimators", allow_module_level=True)
+
+# Mean NEES of the poses per degree of freedom, seeds 1 to 8.
+NEES = {
+    "stereo_fej_on": (0.912, 1.009, 1.381, 0.517, 1.222, 0.768, 1.781, 0.782),
+    "stereo_fej_off": (53.99, 6.550, 27.44, 13.88, 10.06, 7.927, 47.82, 164.9),
+    "mono_fej_on": (11116.0, 0.797, 0.907, 0.554, 1.262, 0.891, 1.706, 0.488),
+    "mono_fej_off": (118.6, 38.57, 14.05, 26.47, 2.150, 5.381, 8.606, 47.15),
+}
+
+
+def states(stamps: Floats, columns: Floats, covariances: Floats | None = None) -> Trajectory:
+    return Trajectory(
+        stamps.astype(np.int64),
+        columns[:, :3],
+        columns[:, 3:7],
+        columns[:, 7:10],
+        covariances=covariances,
+    )
+
+
+def simulated(name: str) -> list[tuple[Trajectory, Trajectory]]:
+    """Return groundtruth and estimate of all seeds."""
+    file = np.load(DATA / "openvins_simulation" / f"{name}.npz")
+    found = []
+    for columns, upper in zip(file["estimate"], file["covariance"].astype(float), strict=True):
+        full = np.zeros((len(upper), 6, 6))
+        full[:, UPPER[0], UPPER[1]] = upper
+        full += np.swapaxes(np.triu(full, 1), 1, 2)
+        stamps = file["stamps_ns"]
+        found.append((states(stamps, file["truth"]), states(stamps, columns, full)))
+    return found
+
+
+def outcome(
+    groundtruth: Trajectory, estimate: Trajectory, gauge: str, *, noise: bool = False
+) -> RunOutcome:
+    covariances = CovarianceRequest("message", groundtruth_noise=(0.01, 0.7) if noise else None)
+    request = Request(Protocol(gauge=gauge, lengths=()), covariances=covariances)
+    return run(groundtruth, [estimate], request).runs[0]
+
+
+def mean_nees(found: RunOutcome) -> float:
+    assert found.consistency is not None
+    assert found.consistency.per_pose is not None
+    return found.consistency.per_pose.mean
+
+
+@pytest.mark.parametrize("cameras", ["mono", "stereo"])
+def test_nees_orders_first_estimates(cameras: str) -> None:
+    values = {}
+    for kind in ("on", "off"):
+        name = f"{cameras}_fej_{kind}"
+        found = [outcome(*pair, "none") for pair in simulated(name)]
+        values[kind] = np.array([mean_nees(each) for each in found])
+        np.testing.assert_allclose(values[kind], NEES[name], rtol=5e-3)
+        diverged = [
+            any(cause.cause.startswith("diverged") for cause in each.diagnosis.findings)
+            for each in found
+        ]
+        assert diverged == [value > 1000.0 for value in NEES[name]]
+        by_yaw = outcome(*simulated(name)[1], "yaw").evaluation
+        assert ("deviation of yaw falls" in "".join(by_yaw.warnings)) == (kind == "off")
+    good = values["on"] < 1000.0
+    assert (values["off"][good] >= 1.5 * values["on"][good]).all()
+    assert np.median(values["off"]) >= 15.0 * np.median(values["on"])
+    assert ((values["on"][good] > 0.4) & (values["on"][good] < 2.0)).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "by_yaw_m", "in_frame_m"),
+    [
+        ("openvins_fej_on.csv", 0.01897, 0.02691),
+        ("openvins_fej_off.csv", 0.02527, None),
+        ("gtsam.csv", 0.01731, 0.02389),
+        ("spectacularai.txt", 0.04496, None),
+    ],
+)
+def test_real_tracks(name: str, by_yaw_m: float, in_frame_m: float | None) -> None:
+    groundtruth = read_trajectory(TRACKS / "groundtruth_V1_01_openvins.csv")
+    estimate = read_trajectory(DATA / "v1_01" / name)
+    for gauge, expected in (("yaw", by_yaw_m), ("none", in_frame_m)):
+        if expected is None:
+            continue
+        request = Request(Protocol(gauge=gauge, lengths=()))
+        found = run(groundtruth, [estimate], request).runs[0].evaluation
+        position = found.ate["position_m"]
+        assert position is not None
+        assert position.rmse == pytest.approx(expected, rel=0.01)
+        # The recording is longer than the run, and nothing was lost within it.
+        assert not any("cover" in each for each in found.warnings)
+        assert [each.code for each in found.remarks].count("low_coverage") == 1
+        # 1.4 m of path determine yaw to 1 deg.
+        assert ("standard deviation of its yaw" in verdict(found)[1]) == (gauge == "yaw")
+
+
+def test_nees_with_the_noise_of_the_groundtruth() -> None:
+    groundtruth = read_trajectory(TRACKS / "groundtruth_V1_01_openvins.csv")
+    for name, expected in (("openvins_fej_on.csv", 0.090), ("gtsam.csv", 0.096)):
+        estimate = read_trajectory(DATA / "v1_01" / name)
+        found = mean_nees(outcome(groundtruth, estimate, "none", noise=True))
+        assert found == pytest.approx(expected, rel=0.05)
+
+
+def said_of(folder: str, capsys: pytest.CaptureFixture[str], *options: str) -> str:
+    bag = DATA / "lidar" / folder / "bag"
+    names = ["small_gicp"] if folder == "real_time" else ["kiss_icp", "rko_lio", "small_gicp"]
+    estimates = [word for each in names for word in ("-e", f"{bag}:/{each}/odometry")]
+    command = ["evaluate", "-g", f"{bag}:/groundtruth/pose", *estimates, "--modality", "lidar"]
+    assert main([*command, *options]) == 0
+    captured = capsys.readouterr()
+    return captured.out + captured.err
+
+
+def test_overload_is_lost_tracking(capsys: pytest.CaptureFixture[str]) -> None:
+    said = said_of("overload", capsys)
+    for word in ("keyframe", "square degrees", "restart"):
+        assert word not in said
+    assert said.count("the estimate diverges from") == 2
+
+
+def test_a_good_run_has_no_finding(capsys: pytest.CaptureFixture[str]) -> None:
+    said = said_of("real_time", capsys)
+    assert "diagnosis:" not in said
+    assert "warning:" not in said
+
+
+def test_clocks_of_parts_within_the_stated_interval(capsys: pytest.CaptureFixture[str]) -> None:
+    said = said_of("lockstep", capsys, "--time-offset", "auto")
+    assert "different clock offsets" not in said
+
+
+def test_constant_covariances_are_a_placeholder(capsys: pytest.CaptureFixture[str]) -> None:
+    bag = DATA / "lidar" / "lockstep" / "bag"
+    command = ["evaluate", "-g", f"{bag}:/groundtruth/pose", "-e", f"{bag}:/kiss_icp/odometry"]
+    assert main([*command, "--modality", "lidar", "--covariance", "message"]) == 2
+    assert "all are equal (0.1 m^2, 0.1 rad^2): a constant" in capsys.readouterr().err
+
+
+def test_diagnose_takes_the_options_of_evaluate(capsys: pytest.CaptureFixture[str]) -> None:
+    folder = DATA / "openvins_simulation"
+    sides = [
+        str(folder / each)
+        for each in ("v1_01_simulated_groundtruth.csv", "mono_fej_on_seed1_diverges.csv")
+    ]
+    modality = ["--modality", "mono-inertial"]
+    assert main(["diagnose", "-g", sides[0], "-e", sides[1], *modality]) == 0
+    by_options = capsys.readouterr().out
+    assert "diverge" in by_options
+    assert main(["diagnose", *sides, *modality]) == 0
+    assert capsys.readouterr().out == by_options
+    assert main(["diagnose", "-g", sides[0], "-e", sides[1], "-e", sides[1]]) == 2
+    assert "diagnose tests one estimate, not 2" in capsys.readouterr().err

@@ -1,0 +1,216 @@
+"""A comparison of finished results: output folders of `trajeval evaluate` and of live runs.
+
+Nothing is evaluated again: numbers are those of result.json, and errors and paths those of
+errors.npz. The inputs need not exist any more.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from trajeval_ros.batch.comparison import Progress
+from trajeval_ros.batch.finished_comparison import FinishedComparison, FinishedRun
+from trajeval_ros.batch.plan import PlannedRun, natural
+from trajeval_ros.batch.records import RECORDS, Record, RecordStore, encode
+from trajeval_ros.batch.worker import columns_to_draw
+from trajeval_ros.exceptions import InputError, reason_of
+from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.io.json_file import mapping_in, require_schema
+from trajeval_ros.io.npz_file import read_arrays
+from trajeval_ros.io.results.error_archive import ARCHIVE
+from trajeval_ros.io.results.result_json import SCHEMA
+from trajeval_ros.io.source_names import names_of
+
+RESULT = "result.json"
+# Errors do not depend on these settings. A modality only names a gauge.
+_NOT_OF_ERRORS = frozenset(
+    {"modality", "covariance", "rotation_covariance_frame", "nees_form", "alert_limit", "risk",
+     "watch_factor"}
+)  # fmt: skip
+_ERRORS = ("stamps", "position_m", "rotation_deg", "position_world_m", "aligned_positions")
+
+
+@dataclass(frozen=True, eq=False)
+class _Result:
+    """One run of a result folder."""
+
+    folder: Path
+    content: dict[str, Any]  # of result.json, with this run alone
+
+    @property
+    def name(self) -> str:
+        """Name of the estimate."""
+        return str(self.content["runs"][0]["estimate"]["name"])
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings by name, also in Parquet tables."""
+        return {**self.content["provenance"]["settings"], "common_time_span": False}
+
+    @property
+    def groundtruth(self) -> tuple[str, str]:
+        """Source and hash of the groundtruth."""
+        source = self.content["groundtruth"]["source"]
+        return str(source), str(self.content["provenance"]["inputs"][source])
+
+
+def is_result(target: str) -> bool:
+    """Return whether a path is a folder with finished results."""
+    return (Path(target) / RESULT).is_file()
+
+
+class FinishedResults:
+    """Results that are shown together.
+
+    An estimate's name is the algorithm, and the groundtruth's name is the sequence. If different
+    groundtruths have one name, as a topic in several live runs, the folder's name is the sequence.
+    If a sequence has several results of one name, the folder's name is added to the algorithm.
+    """
+
+    def __init__(self, folders: Sequence[str]) -> None:
+        """Read result.json of all folders.
+
+        Raises:
+            InputError: A folder can't be read, or the results have different settings.
+        """
+        self._results = [each for folder in folders for each in _read(Path(folder))]
+        _require_same_settings(self._results)
+        self._names = _names(self._results)
+        self.settings = self._results[0].settings
+
+    def write_tables(self, output: Path) -> Progress:
+        """Write the records and the Parquet tables of the comparison."""
+        records = RecordStore(output / RECORDS)
+        finished = {}
+        for result, name in zip(self._results, self._names, strict=True):
+            key = _key(result, name)
+            if key not in records:
+                records.add(encode(_record(result, key)))
+            estimate = result.content["runs"][0]["estimate"]["source"]
+            run = PlannedRun(*name, "", groundtruth=result.groundtruth[0], estimate=estimate)
+            finished[name] = FinishedRun(run, key, key)
+        title = output.resolve().name
+        comparison = FinishedComparison(title, self.settings, list(_in_order(finished)))
+
+        def record_of(run: FinishedRun) -> Record:
+            record = records.read(run.key)
+            if record is None:
+                raise InputError(f"{output / RECORDS} is damaged; remove it and start again")
+            return record
+
+        comparison.write_tables(output, record_of)
+        return Progress(total=len(self._results), kept=len(self._results))
+
+
+def _read(folder: Path) -> Iterator[_Result]:
+    path = folder / RESULT
+    try:
+        content = mapping_in(path.read_bytes())
+    except OSError as error:
+        raise InputError(f"{path} can't be read: {reason_of(error)}") from error
+    advice = "evaluate the run again"
+    require_schema(path, (content or {}).get("schema"), SCHEMA, "result of an evaluation", advice)
+    assert content is not None
+    if not (folder / ARCHIVE).is_file():
+        raise InputError(f"{folder} has no {ARCHIVE}, which a comparison needs; {advice}")
+    try:
+        for run in content["runs"]:
+            result = _Result(folder, {**content, "runs": [run], "failed": []})
+            _ = result.name, result.settings, result.groundtruth
+            yield result
+    except (LookupError, TypeError) as error:
+        raise InputError(f"{path} is damaged; {advice}") from error
+
+
+def _require_same_settings(results: Sequence[_Result]) -> None:
+    first = results[0]
+    for result in results[1:]:
+        for name, value in result.settings.items():
+            before = first.settings.get(name)
+            if before != value and name not in _NOT_OF_ERRORS:
+                raise InputError(
+                    f"{first.folder} was evaluated with {name} {before}, and {result.folder} with "
+                    f"{name} {value}; evaluate both with the same settings"
+                )
+
+
+def _names(results: Sequence[_Result]) -> list[tuple[str, str]]:
+    """Return algorithm and sequence of every result, without repetitions."""
+    folders = names_of([str(each.folder.resolve()) for each in results])
+    folder_of = [name.partition("#")[0] for name in folders]
+    sources = [each.groundtruth for each in results]
+    plain = [names_of([source])[0] for source, _ in sources]
+    hashes = Counter(
+        name for name, _ in set(zip(plain, (each for _, each in sources), strict=True))
+    )
+    sequences = [
+        folder if hashes[name] > 1 else name for name, folder in zip(plain, folder_of, strict=True)
+    ]
+    # Files of one name per sequence, as in vio/MH_01.txt, are named by their folder.
+    algorithms = [
+        result.name.removesuffix(f"/{name}") for result, name in zip(results, plain, strict=True)
+    ]
+    counts = Counter(zip(algorithms, sequences, strict=True))
+    names = [
+        (f"{folder} {algorithm}" if counts[algorithm, sequence] > 1 else algorithm, sequence)
+        for algorithm, sequence, folder in zip(algorithms, sequences, folder_of, strict=True)
+    ]
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise InputError(f"{twice[0][0]} on {twice[0][1]} is given twice; give every folder once")
+    return names
+
+
+def _in_order(finished: dict[tuple[str, str], FinishedRun]) -> Iterator[FinishedRun]:
+    """Yield all runs by algorithm and sequence, including missing ones."""
+    sequences = natural({sequence for _, sequence in finished})
+    for algorithm in dict.fromkeys(algorithm for algorithm, _ in finished):
+        for sequence in sequences:
+            why = f"no folder has a result of {algorithm} on {sequence}"
+            missing = PlannedRun(algorithm, sequence, "", missing=why)
+            yield finished.get((algorithm, sequence), FinishedRun(missing, "", "", why))
+
+
+def _key(result: _Result, name: tuple[str, str]) -> str:
+    digest = hashlib.sha256("\n".join((*name, result.name)).encode())
+    for file in (RESULT, ARCHIVE):
+        digest.update(hashlib.sha256((result.folder / file).read_bytes()).digest())
+    return digest.hexdigest()[:32]
+
+
+def _record(result: _Result, key: str) -> Record:
+    run, path = result.content["runs"][0], result.folder / ARCHIVE
+    lengths = () if run["re"] is None else tuple(result.settings["lengths"])
+    of_length = [
+        f"{length}.{name}" for length in lengths for name in ("position_m", "rotation_deg")
+    ]
+    prefix = f"{result.name}."
+    arrays = {
+        name.removeprefix(prefix): array
+        for name, array in read_arrays(
+            path, [prefix + each for each in (*_ERRORS, *of_length)]
+        ).items()
+    }
+    try:
+        up = UpAxis(**result.content["groundtruth"]["up"])
+        aligned, stamps = arrays["aligned_positions"], arrays["stamps"]
+        # The error is groundtruth minus aligned estimate.
+        groundtruth = aligned + arrays["position_world_m"]
+        drawn = columns_to_draw(
+            stamps,
+            arrays["position_m"],
+            arrays.get("rotation_deg"),
+            up.turned(aligned),
+            (stamps, up.turned(groundtruth)),
+            result.settings["max_gap"],
+        )
+        pooled = {name: arrays[name] for name in of_length if name in arrays}
+        span_ns = (int(stamps[0]), int(stamps[-1]))
+    except (LookupError, TypeError, ValueError) as error:
+        raise InputError(f"{path} is damaged; evaluate the run again") from error
+    return Record(key, result.content, lengths, span_ns, {**pooled, **drawn})

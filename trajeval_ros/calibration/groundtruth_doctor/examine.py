@@ -1,0 +1,425 @@
+"""The examination of a groundtruth, alone or with an IMU, and its repair."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import (
+    PARAMETERS,
+    SMOOTH_M,
+    UNITS,
+    GroundtruthCause,
+    fused_cause,
+    parameter_cause,
+    pose_causes,
+    residual_causes,
+)  # fmt: skip
+from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds, InertialSteps
+from trajeval_ros.calibration.groundtruth_doctor.joint_fit import PARAMETERS as COUNT
+from trajeval_ros.calibration.groundtruth_doctor.joint_fit import Horizon, JointFit
+from trajeval_ros.calibration.groundtruth_doctor.repair import repaired
+from trajeval_ros.calibration.groundtruth_doctor.rig import BODY, GRAVITY, LEVER, OFFSET, SKEW, Rig
+from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
+    PoseChecks,
+    ResidualChecks,
+    check_poses,
+    check_residuals,
+)  # fmt: skip
+from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
+from trajeval_ros.calibration.groundtruth_doctor.start import first_rig, guess_of, knots_of
+from trajeval_ros.calibration.significance import SIGNIFICANT
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry import lie, so3
+from trajeval_ros.geometry.arrays import Booleans, Floats
+from trajeval_ros.geometry.inertial import InertialReadings
+from trajeval_ros.geometry.marker import HandEye
+from trajeval_ros.geometry.preintegration import ImuNoise
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+
+# Effective densities: those of data sheets are too small on real recordings (vibration, scale).
+IMU_NOISE = ImuNoise(8e-4, 2e-2)
+_ITERATIONS = 14
+_OVERLAP_S = 20.0
+_AT_REST_RADPS = 0.05
+_CERTAIN_CORRELATION = 0.95
+_IN_PLACE_M, _SECOND_AXIS_RADPS = 0.3, 0.1
+_GYROSCOPE_ONLY = 1e3  # m/s^2/sqrt(Hz), for an IMU without accelerometer
+# Errors that one recording does not reveal, from differences to two published calibrations: deg,
+# mm, ms, ppm, deg. Scale errors of accelerometers shift the lever arm along gravity.
+_FLOORS = np.array([0.05] * 3 + [1.0] * 4 + [20.0] + [0.07] * 2)
+_FLOOR_ALONG_FORCE_MM = 3.0
+# The two horizons disagree above these differences (deg, mm) and standard deviations.
+_DISAGREE = np.array([1.0] * 3 + [20.0] * 3)
+_DISAGREE_SIGMAS, _PART_OF_DIFFERENCE = 5.0, 4.0
+_NAMED_AXIS = 0.98  # direction cosine above which a direction has the axis's name
+_SLOW_HZ = 50.0
+_LIGHTEST_MPS2, _HEAVIEST_MPS2 = 5.0, 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class HorizonFit:
+    """The calibration of one horizon, in the units of `UNITS`."""
+
+    values: Floats  # (10,): rotation vector, lever arm, offset, skew, tilt about y and -x
+    sigmas: Floats  # (10,), without the errors that a recording does not reveal
+    seconds: Floats  # (Q,), times of the knots since the groundtruth's first pose
+    residuals: Floats  # (Q, 2), lengths of position (m) and rotation (rad) residuals
+
+
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """The results of an examination with an IMU.
+
+    Attributes:
+        short: The fit in which an interval of the IMU counts over 0.1 s.
+        long: The fit in which it counts over 2 s.
+        disagree: Whether they differ; then rotation and lever arm are those of `long`.
+        hand_eye: T_I_M, pose of the groundtruth's body in the IMU. Insignificant parts are zero.
+        hand_eye_covariance: (6, 6), position first (m^2), rotation about the IMU's axes (rad^2).
+        offset_s: Offset to add to the groundtruth's timestamps at its middle.
+        skew: Drift of the groundtruth's clock, s/s.
+        gravity: (3,), m/s^2, in the groundtruth's world.
+        gyroscope_bias: (3,), rad/s, mean.
+        accelerometer_bias: (3,), m/s^2, mean.
+        position_noise_m: Robust standard deviation of a pose's position per axis.
+        rotation_noise_rad: The same of its rotation.
+        checks: Faults that the residuals show.
+        repaired: Poses, velocities and biases of the IMU by its clock. The covariances are lower
+            limits: an IMU does not reveal errors of a groundtruth that last for over a second.
+    """
+
+    short: HorizonFit
+    long: HorizonFit
+    disagree: bool
+    hand_eye: HandEye
+    hand_eye_covariance: Floats
+    offset_s: float
+    skew: float
+    gravity: Floats
+    gyroscope_bias: Floats
+    accelerometer_bias: Floats
+    position_noise_m: float
+    rotation_noise_rad: float
+    checks: ResidualChecks
+    repaired: Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class ExaminedGroundtruth:
+    """The verdicts on a groundtruth.
+
+    Attributes:
+        causes: By name, in the order of the table.
+        poses: Faults of the poses alone.
+        fits: The results with an IMU; None without one.
+        notes: Limits of the examination, one sentence per limit.
+    """
+
+    causes: dict[str, GroundtruthCause]
+    poses: PoseChecks
+    fits: Fits | None
+    notes: tuple[str, ...]
+
+    @property
+    def significant(self) -> list[GroundtruthCause]:
+        """The causes that the recording shows."""
+        return [each for each in self.causes.values() if each.verdict == SIGNIFICANT]
+
+
+def examine(
+    groundtruth: Trajectory,
+    readings: InertialReadings | None = None,
+    *,
+    imu_noise: ImuNoise = IMU_NOISE,
+    time_offset_s: float | None = None,
+) -> ExaminedGroundtruth:
+    """Return the verdicts on a groundtruth and, with an IMU of the same rig, its repair.
+
+    Args:
+        groundtruth: Poses in order of arrival.
+        readings: Readings of the IMU; None for the checks of the poses alone.
+        imu_noise: Effective noise densities of the IMU over 0.1 s.
+        time_offset_s: Approximate offset to add to the groundtruth's timestamps, s; None to
+            estimate it from the turn rates.
+
+    Raises:
+        InputError: There are too few poses, the recordings overlap for less than 20 s, or their
+            rotations are not related.
+
+    Example:
+        >>> from trajeval_ros import simulate
+        >>> from trajeval_ros.calibration.groundtruth_doctor.examine import examine
+        >>> examine(simulate(seed=1, duration_s=30.0).groundtruth).significant
+        []
+    """
+    name = groundtruth.name or "the groundtruth"
+    if not groundtruth.reading.stamped:
+        raise InputError(f"{name} has no timestamps; give a groundtruth with timestamps")
+    if len(groundtruth.in_order()) < 5:
+        raise InputError(f"{name} has fewer than five poses; give a longer groundtruth")
+    first = int(groundtruth.stamps.min())
+    if readings is None:
+        checks = check_poses(groundtruth, None, first)
+        causes = pose_causes(checks, first)
+        return ExaminedGroundtruth(
+            {each.name: each for each in causes}, checks, None, tuple(_notes(checks))
+        )
+    return _with_imu(groundtruth, readings, imu_noise, time_offset_s)
+
+
+def _with_imu(
+    groundtruth: Trajectory,
+    readings: InertialReadings,
+    imu_noise: ImuNoise,
+    time_offset_s: float | None,
+) -> ExaminedGroundtruth:
+    name = groundtruth.name or "the groundtruth"
+    if groundtruth.quaternions is None:
+        raise InputError(
+            f"{name} has no orientations, which the examination with an IMU needs; give poses, or "
+            "examine it without --imu"
+        )
+    imu, origin = _imu_of(readings)
+    ordered, notes = groundtruth.in_order(), []
+    assert ordered.quaternions is not None
+    free = np.ones(COUNT, dtype=bool)
+    if readings.accelerations is None:
+        imu_noise = replace(imu_noise, accelerometer=_GYROSCOPE_ONLY)
+        free[LEVER], free[GRAVITY] = False, False
+        notes.append("no accelerometer: lever arm and tilt are unknown")
+    turning = float(np.sqrt(np.square(imu.rates - np.median(imu.rates, axis=0)).sum(1).mean()))
+    shift_s = time_offset_s
+    if shift_s is None:
+        guess = guess_of(ordered, imu, origin)
+        # So high a correlation is not a coincidence, even if periodic motion has a second peak.
+        is_usable = guess.is_usable or guess.peak > _CERTAIN_CORRELATION
+        shift_s = guess.offset_s if is_usable else 0.0
+        if not is_usable and turning > _AT_REST_RADPS:
+            raise InputError(
+                f"{name} and the IMU have no common rotation (correlation {guess.peak:.2f}, "
+                "required 0.7); use recordings of the same run, or give --time-offset"
+            )
+    if turning <= _AT_REST_RADPS:
+        free[: SKEW + 1] = False
+        notes.append("the rig does not turn: rotation, lever arm and clock are unknown")
+    elif _turns_in_place(ordered.positions, imu.rates):
+        free[:6] = False
+        notes.append("the rig turns about one axis in place: rotation and lever arm are unknown")
+    shift_ns = round(shift_s * NANOSECONDS)
+    samples = TruthSamples(
+        (ordered.stamps + (shift_ns - origin)) / NANOSECONDS,
+        ordered.positions,
+        lie.to_matrix(ordered.quaternions),
+    )
+    short_horizon, long_horizon = _horizons(imu_noise)
+    short = _fitted(samples, imu, short_horizon, free, turns=turning > _AT_REST_RADPS)
+    long = _fitted(samples, imu, long_horizon, free, turns=turning > _AT_REST_RADPS)
+    first = int(ordered.stamps[0])
+    poses, residuals = (
+        check_poses(groundtruth, imu, origin - shift_ns),
+        check_residuals(short, ordered),
+    )
+    force = np.mean(imu.accelerations, axis=0)
+    pair = _compare(short, long, shift_ns / NANOSECONDS, force)
+    axes = _axes_of(short.fixed_directions)
+    causes = [
+        parameter_cause(
+            name,
+            pair.values,
+            pair.sigmas,
+            observable=free,
+            axes=axes if name == "lever_arm" else "",
+        )
+        for name in PARAMETERS
+    ]
+    brief, lasting = (float(np.linalg.norm(each.values[BODY])) for each in (pair.short, pair.long))
+    slow_deg = float(np.degrees(np.linalg.norm(long.sigmas[3:])))
+    causes.append(fused_cause(brief, lasting, slow_deg, disagree=pair.disagree))
+    causes += [*residual_causes(residuals, first), *pose_causes(poses, first)]
+    by_name = {each.name: each for each in causes}
+    noise_m, noise_rad = short.rows.scales.tolist()
+    chosen = long if pair.disagree else short
+    _apply(chosen, short, by_name, shift_ns / NANOSECONDS)
+    rig = chosen.rig
+    notes += _notes(poses, residuals, axes)
+    fits = Fits(
+        pair.short,
+        pair.long,
+        pair.disagree,
+        HandEye(lie.from_matrix(rig.body), rig.lever),
+        _hand_eye_covariance(pair.sigmas, rig),
+        shift_ns / NANOSECONDS + rig.offset_s,
+        rig.skew,
+        rig.gravity,
+        rig.gyro_biases.mean(axis=0),
+        rig.acceleration_biases.mean(axis=0),
+        noise_m,
+        noise_rad,
+        residuals,
+        repaired(chosen, ordered, shift_ns, poses.gaps),
+    )
+    return ExaminedGroundtruth(by_name, poses, fits, tuple(notes))
+
+
+def _turns_in_place(positions: Floats, rates: Floats) -> bool:
+    """Return whether neither a turn about a second axis nor accelerations determine the body."""
+    extent_m = float(np.linalg.norm(np.std(positions, axis=0)))
+    deviations = np.linalg.eigvalsh(np.cov(rates.T))
+    return extent_m < _IN_PLACE_M and float(deviations[1]) < _SECOND_AXIS_RADPS**2
+
+
+def _imu_of(readings: InertialReadings) -> tuple[ImuSeconds, int]:
+    """Return the readings by time, and the timestamp of their second 0."""
+    stamps, rows = np.unique(readings.stamps, return_index=True)
+    if len(stamps) < 2:
+        raise InputError(f"{readings.source or 'the IMU'} has fewer than two readings")
+    accelerations = readings.accelerations
+    if accelerations is None:
+        accelerations = np.zeros_like(readings.rates)
+    else:
+        usual = float(np.median(np.linalg.norm(accelerations, axis=1)))
+        if not _LIGHTEST_MPS2 < usual < _HEAVIEST_MPS2:
+            raise InputError(
+                f"{readings.source or 'the IMU'} measures a median acceleration of {usual:.3g}, "
+                "not about 9.81; give specific forces in m/s^2"
+            )
+    origin = int(stamps[0])
+    seconds = (stamps - origin) / NANOSECONDS
+    return ImuSeconds(seconds, readings.rates[rows], accelerations[rows]), origin
+
+
+def _horizons(noise: ImuNoise) -> tuple[Horizon, Horizon]:
+    """Return the short and the long horizon."""
+    stiff = ImuNoise(noise.gyroscope / 4.0, noise.accelerometer / 2.0)
+    return (
+        Horizon(0.05, noise, (1e-3, 3e-3)),
+        Horizon(0.1, stiff, (3e-3, 5e-3), 2.0, estimates_position_noise=False),
+    )
+
+
+def _fitted(
+    samples: TruthSamples, imu: ImuSeconds, horizon: Horizon, free: Booleans, *, turns: bool
+) -> JointFit:
+    knots = knots_of(samples, imu, horizon.knot_s)
+    lasts_s = float(knots[-1] - knots[0]) if len(knots) else 0.0
+    if lasts_s < _OVERLAP_S:
+        raise InputError(
+            f"groundtruth and IMU overlap for {lasts_s:.1f} s, and the examination needs "
+            f"{_OVERLAP_S:g} s; give longer recordings, or the clocks' difference as --time-offset"
+        )
+    rig = first_rig(samples, imu, knots, turns=turns)
+    fit = JointFit(samples, InertialSteps(knots, imu), rig, horizon, free)
+    fit.solve(_ITERATIONS)
+    fit.fix_unobservable_lever()
+    return fit
+
+
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """Both fits, and the values and standard deviations (10,) for the verdicts, in `UNITS`."""
+
+    short: HorizonFit
+    long: HorizonFit
+    disagree: bool
+    values: Floats
+    sigmas: Floats
+
+
+def _compare(short: JointFit, long: JointFit, shift_s: float, force: Floats) -> _Pair:
+    """Compare the horizons. `force` is the mean specific force (3,) in the IMU, m/s^2."""
+    brief, lasting = _summary(short, shift_s), _summary(long, shift_s)
+    apart = np.abs(lasting.values - brief.values)[:6]
+    for direction in (*short.fixed_directions, *long.fixed_directions):
+        apart[LEVER] = np.abs(apart[LEVER] - direction * (direction @ apart[LEVER]))
+    turned = so3.log((short.rig.body.T @ long.rig.body)[None])[0]
+    apart[BODY] = np.abs(np.degrees(turned))
+    limit = _DISAGREE_SIGMAS * np.hypot(brief.sigmas, lasting.sigmas)[:6]
+    disagree = bool(((apart > _DISAGREE) & (apart > limit)).any())
+    floors = _FLOORS.copy()
+    along = force / max(float(np.linalg.norm(force)), 1e-9)
+    floors[LEVER] = np.hypot(floors[LEVER], _FLOOR_ALONG_FORCE_MM * along)
+    values, sigmas = brief.values.copy(), np.hypot(brief.sigmas, floors)
+    if disagree:
+        values[:6] = lasting.values[:6]
+        # The difference is a measure of the same systematic errors as the floors.
+        systematic = np.maximum(floors[:6], apart / _PART_OF_DIFFERENCE)
+        sigmas[:6] = np.hypot(lasting.sigmas[:6], systematic)
+    return _Pair(brief, lasting, disagree, values, sigmas)
+
+
+def _summary(fit: JointFit, shift_s: float) -> HorizonFit:
+    values, change = fit.rig.values, fit.rig.values_by_step
+    values[OFFSET] += shift_s
+    variances = [
+        np.diag(change @ covariance @ change.T)
+        for covariance in (fit.covariance_of_blocks, fit.covariance_of_model)
+    ]
+    residuals = fit.rows.residuals.reshape(-1, 2, 3)
+    return HorizonFit(
+        values * UNITS,
+        np.sqrt(np.maximum(*variances)) * UNITS,
+        fit.steps.knots[fit.rows.knots] - fit.samples.seconds[0],
+        np.linalg.norm(residuals, axis=2),
+    )
+
+
+def _apply(
+    chosen: JointFit, short: JointFit, causes: Mapping[str, GroundtruthCause], shift_s: float
+) -> None:
+    """Solve again with insignificant parameters at zero, and the clock of the short fit."""
+    free, rig = chosen.free.copy(), chosen.rig
+    fixed = np.zeros(COUNT, dtype=bool)
+    for name, parameter in PARAMETERS.items():
+        if name != "tilted":
+            fixed[parameter.columns] = causes[name].verdict != SIGNIFICANT
+    if chosen is not short:
+        rig = replace(rig, offset_s=short.rig.offset_s, skew=short.rig.skew)
+        free[[OFFSET, SKEW]] = False
+    chosen.solve_again(rig.without(fixed, shift_s), free & ~fixed)
+
+
+def _hand_eye_covariance(sigmas: Floats, rig: Rig) -> Floats:
+    """Return the covariance (6, 6) of T_I_M from the standard deviations of the verdicts."""
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = np.diag(np.square(sigmas[LEVER] / UNITS[LEVER]))
+    in_marker = np.diag(np.square(sigmas[BODY] / UNITS[BODY]))
+    covariance[3:, 3:] = rig.body @ in_marker @ rig.body.T
+    return covariance
+
+
+def _axes_of(directions: Sequence[Floats]) -> str:
+    """Return the names of fixed directions, as in `z`."""
+    found = []
+    for direction in directions:
+        largest = int(np.abs(direction).argmax())
+        is_axis = abs(direction[largest]) > _NAMED_AXIS
+        components = " ".join(f"{each:.2f}" for each in direction)
+        found.append("xyz"[largest] if is_axis else f"({components})")
+    return " and ".join(found)
+
+
+def _notes(
+    poses: PoseChecks, residuals: ResidualChecks | None = None, axes: str = ""
+) -> list[str]:
+    notes = []
+    if poses.position_noise_m < SMOOTH_M:
+        noise_um = 1e6 * poses.position_noise_m
+        notes.append(
+            f"the groundtruth is smooth (noise {noise_um:.2g} um): short relative errors compare "
+            "with a model and not with measurements"
+        )
+    if poses.rate_hz < _SLOW_HZ:
+        notes.append(f"at {poses.rate_hz:.0f} Hz, the noise of a pose is an upper limit")
+    if axes:
+        notes.append(
+            f"the motion does not determine the lever arm along {axes}: the repaired groundtruth "
+            "has the groundtruth's point there"
+        )
+    notes += [
+        f"{kind} noise is not white: it has more than 20 steps per minute"
+        for kind in (residuals.noisy_steps if residuals else ())
+    ]
+    return notes

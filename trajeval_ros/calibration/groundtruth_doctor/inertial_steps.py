@@ -1,0 +1,96 @@
+"""The steps of an IMU between knots of equal distance, and the motion that they measure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from trajeval_ros.geometry import so3
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
+from trajeval_ros.geometry.preintegration import ImuNoise, integrated, preintegrate
+
+_LONGEST_S = 0.05  # a longer step of the IMU is a gap
+_FEWEST_SATURATED = 4  # readings in a row at the extreme of an axis
+_DOUBTFUL = 1e4  # factor on the covariance of an interval with a gap or saturated readings
+# Variances that keep the covariance of an exact interval regular: rad^2, m^2/s^2, m^2.
+_LEAST = np.diag(np.repeat([1e-14, 1e-14, 1e-16], 3))
+
+
+@dataclass(frozen=True, eq=False)
+class ImuSeconds:
+    """Readings of an IMU by seconds, in order."""
+
+    seconds: Floats  # (N,)
+    rates: Floats  # (N, 3), rad/s
+    accelerations: Floats  # (N, 3), m/s^2
+
+    @property
+    def saturated(self) -> Booleans:
+        """Readings (N,) at the extreme of an axis for more than three in a row."""
+        marked = np.zeros(len(self.seconds), dtype=bool)
+        for column in np.column_stack([self.rates, self.accelerations]).T:
+            is_extreme = np.abs(column) == np.abs(column).max()
+            same = is_extreme & (column != 0.0)
+            edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]])))
+            for begin, end in edges.reshape(-1, 2):
+                marked[begin:end] |= end - begin >= _FEWEST_SATURATED
+        return marked
+
+    @property
+    def doubtful(self) -> Booleans:
+        """Steps (N - 1,) over a gap, or with a saturated end."""
+        saturated = self.saturated
+        doubtful: Booleans = (np.diff(self.seconds) > _LONGEST_S) | saturated[1:] | saturated[:-1]
+        return doubtful
+
+
+class Motions(NamedTuple):
+    """The motion of K intervals before each of their m steps, and after the last one."""
+
+    rotations: Floats  # (K, m + 1, 3, 3), in the axes of the interval's knot
+    velocities: Floats  # (K, m + 1, 3), without gravity
+    positions: Floats  # (K, m + 1, 3), without gravity and first velocity
+
+
+class InertialSteps:
+    """The readings between K + 1 knots, linearly interpolated at the knots, in m padded steps."""
+
+    def __init__(self, knots: Floats, imu: ImuSeconds) -> None:
+        """Cut the readings at the knots (K + 1,), which are within the readings."""
+        within = (imu.seconds > knots[0]) & (imu.seconds < knots[-1])
+        self.times = np.union1d(knots, imu.seconds[within])
+        self.first: Indices = np.searchsorted(self.times, knots)
+        self.knots, self.durations_s = knots, np.diff(knots)
+        count = int(np.diff(self.first).max())
+        rows = self.first[:-1, None] + np.arange(count)
+        real = rows < self.first[1:, None]
+        rows = np.minimum(rows, self.first[1:, None] - 1)
+        self.held = np.where(real, np.diff(self.times)[rows], 0.0)
+        starts = np.cumsum(self.held, axis=1)
+        self.starts = np.concatenate([np.zeros((len(starts), 1)), starts], axis=1)
+
+        def at(column: Floats) -> Floats:
+            found = np.stack([np.interp(self.times, imu.seconds, each) for each in column.T], 1)
+            middle: Floats = (0.5 * (found[1:] + found[:-1]))[rows]
+            return middle
+
+        self.rates, self.accelerations = at(imu.rates), at(imu.accelerations)
+        places = np.searchsorted(imu.seconds, self.times[:-1], side="right") - 1
+        self.doubtful = (imu.doubtful[np.clip(places, 0, len(imu.doubtful) - 1)][rows] & real).any(
+            1
+        )
+
+    def motions(self, gyro_biases: Floats, acceleration_biases: Floats) -> Motions:
+        """Integrate the readings minus the biases (K, 3) of the intervals."""
+        turns = (self.rates - gyro_biases[:, None]) * self.held[:, :, None]
+        forces = self.accelerations - acceleration_biases[:, None]
+        forces = np.einsum("nkij,nkj->nki", so3.exp(turns / 2.0), forces)
+        return Motions(*integrated(so3.exp(turns), forces, self.held))
+
+    def uncertainty(self, bias: Floats, noise: ImuNoise) -> tuple[Floats, Floats]:
+        """Return covariances (K, 9, 9) and derivatives by the biases (K, 9, 6) at a bias (3,)."""
+        found = preintegrate(self.rates - bias, self.accelerations, self.held, noise)
+        factor = np.where(self.doubtful, _DOUBTFUL, 1.0)[:, None, None]
+        return found.covariances * factor + _LEAST, found.by_biases

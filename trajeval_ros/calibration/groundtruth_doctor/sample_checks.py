@@ -1,0 +1,225 @@
+"""Faults of single poses: those of a groundtruth alone, and those that a fit shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds
+from trajeval_ros.calibration.groundtruth_doctor.joint_fit import JointFit
+from trajeval_ros.calibration.robust_fit import BLOCKS
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
+from trajeval_ros.geometry.se3 import times
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+
+_GAP_S, _USUAL_STEPS = 0.1, 5.0
+_SPEED_S, _MOVING_MPS = 0.25, 0.02
+_FROZEN_S, _TURNING_RADPS = 0.2, 0.05
+_NORMAL = 1.4826  # standard deviation over the median absolute deviation
+_THIRD = np.sqrt(20.0)  # standard deviation of third differences of white noise
+_HALF = 7  # samples before and after a jump
+_LEAST_JUMP = (5e-3, float(np.radians(0.3)))  # m, rad
+_JUMP_SIGMAS = 8.0
+_MEDIAN_OF_CHI3 = 1.538
+_MOST_JUMPS_PER_MINUTE = 20.0  # more steps are noise that is not white
+_OUTLIER_SIGMAS = 8.0
+_SLOWEST = 0.05  # m/s or rad/s; slower samples do not show errors of timestamps
+
+
+class PoseSpan(NamedTuple):
+    """An interval of time."""
+
+    start_ns: int  # by the groundtruth's clock
+    duration_s: float
+
+
+class GroundtruthJump(NamedTuple):
+    """A step of the groundtruth."""
+
+    stamp_ns: int  # of the first pose after it, by the groundtruth's clock
+    kind: str  # `position` or `rotation`
+    size: float  # metres or radians
+
+
+@dataclass(frozen=True)
+class PoseChecks:
+    """Faults of the poses of a groundtruth alone."""
+
+    rate_hz: float
+    gaps: tuple[PoseSpan, ...]
+    missing_share: float  # poses that the rate requires and that are missing
+    repeated_stamps: int  # equal or decreasing timestamps
+    interval_sigma_s: float  # robust standard deviation of the intervals
+    held_share: float  # repeated poses in motion, in runs below 0.2 s
+    frozen: tuple[PoseSpan, ...]  # longer runs of repeated poses
+    position_noise_m: float  # standard deviation per axis, above a quarter of the rate
+    rotation_noise_rad: float | None
+
+
+def check_poses(groundtruth: Trajectory, imu: ImuSeconds | None, origin: int) -> PoseChecks:
+    """Check the poses in order of arrival; frozen ones are confirmed by an IMU that turns.
+
+    `origin` is the timestamp of the IMU's second 0, ns.
+    """
+    repeated = int(np.count_nonzero(np.diff(groundtruth.stamps) <= 0))
+    ordered = groundtruth.in_order()
+    seconds, positions = (ordered.stamps - origin) / NANOSECONDS, ordered.positions
+    steps = np.diff(ordered.stamps) / NANOSECONDS
+    usual = float(np.median(steps))
+    missing = int(np.maximum(np.rint(steps / usual) - 1.0, 0.0).sum())
+    shorter = steps[steps < 1.5 * usual]
+    poses = positions
+    if ordered.quaternions is not None:
+        poses = np.hstack([positions, ordered.quaternions])
+    same = (np.diff(poses, axis=0) == 0.0).all(axis=1)
+    width = max(3, int(_SPEED_S / usual))
+    speeds = np.linalg.norm(np.diff(positions, axis=0), axis=1) / steps
+    moving = np.convolve(speeds, np.ones(width) / width, "same") > _MOVING_MPS
+    frozen, held = [], np.zeros(len(same), dtype=bool)
+    for begin, end in _runs(same):
+        duration_s = float(seconds[end] - seconds[begin])
+        if duration_s < max(_FROZEN_S, _USUAL_STEPS * usual):
+            held[begin:end] = True
+        elif imu is None or _turns(imu, seconds[begin], seconds[end]):
+            frozen.append(PoseSpan(int(ordered.stamps[begin]), duration_s))
+    fresh = np.concatenate([[True], ~same])
+    rotation_noise = None
+    if ordered.quaternions is not None:
+        some = ordered.quaternions[fresh]
+        turned = lie.rotation_vector(lie.multiply(lie.conjugate(some[:-1]), some[1:]))
+        rotation_noise = _noise(np.diff(turned, n=2, axis=0))
+    return PoseChecks(
+        rate_hz=1.0 / usual,
+        gaps=tuple(
+            PoseSpan(int(ordered.stamps[at]), float(steps[at]))
+            for at in np.flatnonzero(steps > max(_GAP_S, _USUAL_STEPS * usual))
+        ),
+        missing_share=missing / (len(ordered) + missing),
+        repeated_stamps=repeated,
+        interval_sigma_s=_NORMAL * float(np.median(np.abs(shorter - usual))),
+        held_share=float((held & moving).sum() / max(1, moving.sum())),
+        frozen=tuple(frozen),
+        position_noise_m=_noise(np.diff(positions[fresh], n=3, axis=0)),
+        rotation_noise_rad=rotation_noise,
+    )
+
+
+def _noise(differences: Floats) -> float:
+    """Return the standard deviation of white noise from its third differences (N, 3)."""
+    return float(_NORMAL * np.median(np.abs(differences)) / _THIRD) if len(differences) else 0.0
+
+
+def _runs(marked: Booleans) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], marked.astype(int), [0]])))
+    return [(begin, end) for begin, end in edges.reshape(-1, 2).tolist()]
+
+
+def _turns(imu: ImuSeconds, start_s: float, end_s: float) -> bool:
+    within = (imu.seconds > start_s) & (imu.seconds < end_s)
+    rates = imu.rates[within] - np.median(imu.rates, axis=0)
+    return bool(len(rates)) and float(np.linalg.norm(rates, axis=1).mean()) > _TURNING_RADPS
+
+
+@dataclass(frozen=True)
+class ResidualChecks:
+    """Faults of the poses that the residuals of a fit show."""
+
+    jitter_s: float  # standard deviation of random errors of the timestamps
+    jitter_sigmas: float  # significance of its square
+    outlier_share: float
+    jumps: tuple[GroundtruthJump, ...]
+    noisy_steps: tuple[str, ...]  # kinds with so many steps that they are noise
+
+
+def check_residuals(fit: JointFit, groundtruth: Trajectory) -> ResidualChecks:
+    """Check the residuals of a fit of the groundtruth, which is in order."""
+    found = fit.predicted
+    scales = fit.rows.scales
+    kinds = [("position", found.position_errors, found.marker_velocities)]
+    if groundtruth.quaternions is not None:
+        in_imu = times(
+            np.broadcast_to(fit.rig.body, (len(found.rows), 3, 3)), found.rotation_errors
+        )
+        kinds.append(("rotation", in_imu, found.rates))
+    estimates = [
+        _jitter(errors, speeds, float(scale))
+        for (_, errors, speeds), scale in zip(kinds, scales, strict=False)
+    ]
+    squared, sigma = min(estimates, key=lambda each: each[1])
+    stamps = groundtruth.stamps[found.rows]
+    minutes = float(stamps[-1] - stamps[0]) / NANOSECONDS / 60.0
+    jumps: list[GroundtruthJump] = []
+    noisy, outliers = [], []
+    for (kind, errors, _), least in zip(kinds, _LEAST_JUMP, strict=False):
+        outliers.append(_outliers(errors, least))
+        rows, sizes = _steps(errors, least)
+        if len(rows) > max(_MOST_JUMPS_PER_MINUTE * minutes, 1.0):
+            noisy.append(kind)
+            continue
+        pairs = zip(stamps[rows].tolist(), sizes.tolist(), strict=True)
+        jumps += [GroundtruthJump(stamp, kind, size) for stamp, size in pairs]
+    return ResidualChecks(
+        jitter_s=float(np.sqrt(max(squared, 0.0))),
+        jitter_sigmas=squared / sigma,
+        outlier_share=float(np.any(outliers, axis=0).mean()),
+        jumps=tuple(sorted(jumps)),
+        noisy_steps=tuple(noisy),
+    )
+
+
+def _jitter(errors: Floats, speeds: Floats, scale: float) -> tuple[float, float]:
+    """Return the variance of the timestamps' errors, s^2, and its standard deviation.
+
+    A wrong timestamp is an error along the velocity (N, 3). The errors (N, 3) across it are
+    those without it.
+    """
+    speed = np.linalg.norm(speeds, axis=1)
+    used = (speed > _SLOWEST) & (np.linalg.norm(errors, axis=1) < _OUTLIER_SIGMAS * scale)
+    if not used.any():
+        return 0.0, np.inf
+    errors, speed = errors[used], speed[used]
+    along = np.einsum("ni,ni->n", errors, speeds[used]) / speed
+    excess = 1.5 * along**2 - 0.5 * np.square(errors).sum(axis=1)
+    block = np.arange(len(speed)) * BLOCKS // len(speed)
+    products = np.bincount(block, excess * speed**2, BLOCKS)
+    weights = np.bincount(block, speed**4, BLOCKS)
+    total = float(weights.sum())
+    variance = float(products.sum()) / total
+    scatter = np.square(products - variance * weights).sum() * BLOCKS / (BLOCKS - 1)
+    return variance, max(float(np.sqrt(scatter)) / total, 1e-30)
+
+
+def _outliers(errors: Floats, least: float) -> Booleans:
+    """Return which residuals (N, 3) differ from the median of their neighbours."""
+    around = np.pad(errors, [(_HALF, _HALF), (0, 0)], mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(around, 2 * _HALF + 1, axis=0)
+    apart = np.linalg.norm(errors - np.median(windows, axis=2), axis=1)
+    usual = float(np.median(apart)) / _MEDIAN_OF_CHI3
+    return np.asarray(apart > max(_OUTLIER_SIGMAS * usual, least))
+
+
+def _steps(errors: Floats, least: float) -> tuple[Indices, Floats]:
+    """Return rows after steps of residuals (N, 3), and the sizes of the steps.
+
+    The fitted trajectory is continuous, so a step of the residuals is one of the groundtruth. The
+    fit follows the step: residuals decay before and after it. Medians farther away extrapolate
+    them to the step.
+    """
+    if len(errors) < 4 * _HALF:
+        return np.zeros(0, dtype=np.int64), np.zeros(0)
+    windows = np.lib.stride_tricks.sliding_window_view(errors, _HALF, axis=0)
+    medians = np.median(windows, axis=2)
+    steps = medians[_HALF:] - medians[:-_HALF]
+    lengths = np.linalg.norm(steps, axis=1)
+    scale = float(np.median(lengths)) / _MEDIAN_OF_CHI3
+    large = np.flatnonzero((lengths > _JUMP_SIGMAS * scale) & (lengths > least))
+    groups: Sequence[Indices] = np.split(large, np.flatnonzero(np.diff(large) > 3 * _HALF) + 1)
+    largest = np.array([each[lengths[each].argmax()] for each in groups if len(each)], dtype=int)
+    before = steps[np.maximum(largest - _HALF, 0)]
+    after = steps[np.minimum(largest + _HALF, len(steps) - 1)]
+    sizes = np.linalg.norm(steps[largest] - 0.5 * (before + after), axis=1)
+    return largest + _HALF, np.maximum(sizes, lengths[largest])

@@ -1,0 +1,105 @@
+"""The start of a fit: clock from turn rates, body rotation from increments, states of knots."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajeval_ros.calibration.clock_offset import SEARCH_S, OffsetGuess, guess_offset
+from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds, InertialSteps
+from trajeval_ros.calibration.groundtruth_doctor.rig import GRAVITY_MPS2, Rig
+from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
+from trajeval_ros.calibration.hand_eye import robust_rotation
+from trajeval_ros.geometry import lie, so3
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.interpolation import slerp_at
+from trajeval_ros.geometry.se3 import times, transposed
+from trajeval_ros.geometry.trajectory import Trajectory
+
+_INCREMENT_S = 0.25
+_PASSES = 6
+_SPEED_S = 0.1  # half of the span over which a velocity is a difference of positions
+_INSIDE_S = 0.1  # between the ends of the recordings and the knots
+
+
+def guess_of(groundtruth: Trajectory, imu: ImuSeconds, origin: int) -> OffsetGuess:
+    """Return the offset of the groundtruth's clock by the correlation of turn rates.
+
+    `origin` is the timestamp of the IMU's second 0, ns.
+    """
+    stamps: Stamps = origin + np.rint(imu.seconds * 1e9).astype(np.int64)
+    middles = 0.5 * (imu.rates[1:] + imu.rates[:-1]) * np.diff(imu.seconds)[:, None]
+    first = np.array([0.0, 0.0, 0.0, 1.0])
+    turned = lie.running_products(first, lie.from_rotation_vector(middles))
+    turns = np.concatenate([first[None], turned])
+    orientations = Trajectory(stamps, np.zeros((len(stamps), 3)), turns)
+    # Without repeated poses a frozen interval is a gap, and its end no fast turn.
+    assert groundtruth.quaternions is not None
+    fresh = np.asarray(np.diff(groundtruth.quaternions, axis=0, prepend=np.nan).any(axis=1))
+    groundtruth = groundtruth[fresh]
+    meets = stamps[0] < groundtruth.stamps[-1] and groundtruth.stamps[0] < stamps[-1]
+    search_s = SEARCH_S if meets else None  # all overlaps, for clocks of different epochs
+    return guess_offset(orientations, groundtruth, search_s=search_s, signal="angular rate")
+
+
+def knots_of(samples: TruthSamples, imu: ImuSeconds, step_s: float) -> Floats:
+    """Return knots (N,) inside both recordings, seconds of the IMU."""
+    low = max(samples.seconds[0], imu.seconds[0]) + _INSIDE_S
+    high = min(samples.seconds[-1], imu.seconds[-1]) - _INSIDE_S
+    return np.arange(low, high, step_s)
+
+
+def first_rig(samples: TruthSamples, imu: ImuSeconds, knots: Floats, *, turns: bool) -> Rig:
+    """Return the rig at the knots (N,) from the interpolated groundtruth.
+
+    `turns`: whether the body's rotation is estimated from the increments; otherwise it starts at
+    the identity.
+    """
+    body, bias = np.eye(3), np.zeros(3)
+    if turns:
+        body, bias = _body_and_bias(samples, imu, knots)
+    rotations = _orientations(samples, knots) @ body.T
+    gyro_biases = np.tile(bias, (len(knots), 1))
+    force = np.median(times(rotations, _columns(knots, imu.seconds, imu.accelerations)), axis=0)
+    length = float(np.linalg.norm(force))
+    up = force / length if length else np.array([0.0, 0.0, 1.0])
+    before, after = (
+        _columns(knots + side, samples.seconds, samples.positions)
+        for side in (-_SPEED_S, _SPEED_S)
+    )
+    return Rig(
+        rotations,
+        (after - before) / (2.0 * _SPEED_S),
+        _columns(knots, samples.seconds, samples.positions),
+        gyro_biases,
+        np.zeros((len(knots), 3)),
+        body,
+        np.zeros(3),
+        0.0,
+        0.0,
+        -GRAVITY_MPS2 * up,
+    )
+
+
+def _body_and_bias(samples: TruthSamples, imu: ImuSeconds, knots: Floats) -> tuple[Floats, Floats]:
+    """Return R_IM (3, 3) and the bias (3,), rad/s, from rotations over a quarter of a second."""
+    ends = np.arange(knots[0], knots[-1], _INCREMENT_S)
+    steps = InertialSteps(ends, imu)
+    turned = _orientations(samples, ends)
+    of_marker = so3.log(transposed(turned[:-1]) @ turned[1:])
+    none, bias = np.zeros((len(ends) - 1, 3)), np.zeros(3)
+    for _ in range(_PASSES):
+        of_imu = so3.log(steps.motions(none + bias, none).rotations[:, -1])
+        body = robust_rotation(of_imu, of_marker)
+        bias = bias + np.median(of_imu - of_marker @ body.T, axis=0) / _INCREMENT_S
+    return body, bias
+
+
+def _orientations(samples: TruthSamples, at: Floats) -> Floats:
+    """Return R_WM (M, 3, 3) at times (M,), interpolated."""
+    assert samples.rotations is not None
+    quaternions = lie.from_matrices(samples.rotations)
+    return lie.to_matrix(slerp_at(samples.seconds, quaternions, at))
+
+
+def _columns(at: Floats, seconds: Floats, columns: Floats) -> Floats:
+    return np.stack([np.interp(at, seconds, each) for each in columns.T], axis=1)

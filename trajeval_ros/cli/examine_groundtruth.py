@@ -1,0 +1,176 @@
+"""`trajeval groundtruth`: errors of a groundtruth, from an IMU, and its repair."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from trajeval_ros.cli.command import verb
+from trajeval_ros.cli.options import OUTPUT, argument, option, shared_options
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.io.requests.setting import INPUT
+
+if TYPE_CHECKING:
+    from trajeval_ros.calibration.groundtruth_doctor.examine import ExaminedGroundtruth
+    from trajeval_ros.geometry.preintegration import ImuNoise
+    from trajeval_ros.geometry.trajectory import Trajectory
+
+_HERE = Path()
+_PARAMETERS = (
+    argument("truth", metavar="SOURCE",
+        help="Groundtruth to examine, such as mocap.bag:/vicon/pose or groundtruth.csv."),
+    option("--imu", metavar="BAG:TOPIC", panel=INPUT,
+        help="IMU of the same rig (sensor_msgs/Imu). Without it, only the poses are checked."),
+    option("--imu-noise", metavar="G,A", panel=INPUT,
+        help="Effective noise densities of the IMU: rad/s/sqrt(Hz), m/s^2/sqrt(Hz). They include "
+        "vibration and scale errors and are larger than in data sheets. Default: 8e-4,2e-2."),
+    option("--time-offset", kind=float, metavar="S", panel=INPUT,
+        help="Approximate offset to add to the groundtruth's timestamps, in seconds. Default: "
+        "from the turn rates."),
+    option("--save-as", metavar="FORMAT", panel=OUTPUT,
+        help="Format of the repaired groundtruth: tum, euroc (with velocities and biases), or "
+        "mcap or rosbag2 (Odometry with covariances)."),
+    option("--output", kind=Path, metavar="FOLDER", default=_HERE, panel=OUTPUT,
+        help="Folder of the repaired groundtruth."),
+    option("--figure", kind=Path, metavar="FILE", panel=OUTPUT,
+        help="Output file of a figure with residuals, jumps and both horizons: png, pdf, svg or "
+        "pgf."),
+    option("--rrd", kind=Path, metavar="FILE", panel=OUTPUT,
+        help="Output file for Rerun's viewer: original and repaired groundtruth. Open it with "
+        "`trajeval view FILE`."),
+    *shared_options("groundtruth"),
+)  # fmt: skip
+
+
+@verb(*_PARAMETERS)
+def groundtruth(
+    truth: str,
+    imu: str | None,
+    imu_noise: str | None,
+    time_offset: float | None,
+    save_as: str | None,
+    output: Path,
+    figure: Path | None,
+    rrd: Path | None,
+    json: str | None,
+    quiet: bool,
+) -> None:
+    r"""Examines a groundtruth with the IMU of the same rig, and repairs it.
+
+    It measures body rotation, lever arm, clock, tilt, jumps, frozen poses and noise:
+
+        trajeval groundtruth mocap.bag:/vicon/pose --imu run.bag:/imu \
+            --save-as mcap --output repaired
+
+    Check only the poses:
+
+        trajeval groundtruth groundtruth.csv
+
+    docs/groundtruth.md describes the verdicts and their limits.
+    """
+    from trajeval_ros.calibration.groundtruth_doctor.examine import examine
+    from trajeval_ros.cli.evaluation_output import refuse_inputs
+    from trajeval_ros.cli.progress import progress
+    from trajeval_ros.cli.source_names import names_of
+    from trajeval_ros.io.save_trajectories import files_of
+    from trajeval_ros.io.sources import read_many
+    from trajeval_ros.io.watched_sources import imu_of
+
+    noise = _noise_of(imu_noise)
+    if imu is None and (save_as or figure or rrd or imu_noise or time_offset is not None):
+        raise SettingsError(
+            "--save-as, --figure, --rrd, --imu-noise and --time-offset need --imu; add it"
+        )
+    if save_as is not None:
+        files_of(output, [_NAME], save_as)  # raises an error for an unknown format before reading
+    elif output != _HERE:
+        raise SettingsError("--output needs --save-as; add it")
+    if rrd is not None:
+        from trajeval_ros.viewer.sdk import sdk
+
+        sdk()  # raises at once if it is not installed
+    sources = [each for each in (truth, imu) if each is not None]
+    refuse_inputs([figure, rrd, None if json in (None, "-") else Path(json)], sources)
+    with progress(f"reading {', '.join(names_of([truth]))}") as advance:
+        (original,) = read_many([truth], advance=advance, covariances=False)
+        readings = None if imu is None else imu_of(imu)
+    found = examine(original, readings, imu_noise=noise, time_offset_s=time_offset)
+    saved = _write(truth, imu, original, found, save_as, output, figure, rrd, json)
+    if not quiet and json != "-":
+        _print(found, saved)
+
+
+_NAME = "groundtruth"
+
+
+def _noise_of(text: str | None) -> ImuNoise:
+    """Return the densities in a text "8e-4,2e-2"."""
+    from trajeval_ros.calibration.groundtruth_doctor.examine import IMU_NOISE
+    from trajeval_ros.geometry.preintegration import ImuNoise
+
+    if text is None:
+        return IMU_NOISE
+    try:
+        gyroscope, accelerometer = (float(part) for part in text.split(","))
+    except ValueError:
+        gyroscope = accelerometer = 0.0
+    if not (1e-6 <= gyroscope <= 1.0 and 1e-5 <= accelerometer <= 1e2):
+        raise SettingsError(
+            f"--imu-noise {text!r} is not valid; give two densities greater than zero, as in "
+            "8e-4,2e-2"
+        )
+    return ImuNoise(gyroscope, accelerometer)
+
+
+def _write(
+    truth: str,
+    imu: str | None,
+    original: Trajectory,
+    found: ExaminedGroundtruth,
+    save_as: str | None,
+    output: Path,
+    figure: Path | None,
+    rrd: Path | None,
+    json: str | None,
+) -> list[Path]:
+    """Write the requested files, and return those of the repaired groundtruth."""
+    import dataclasses
+
+    from trajeval_ros.io.json_file import json_text
+    from trajeval_ros.io.results.groundtruth_json import groundtruth_json
+    from trajeval_ros.io.save_trajectories import save_trajectories
+    from trajeval_ros.io.writing import write_text
+
+    saved: list[Path] = []
+    if save_as is not None and found.fits is not None:
+        named = dataclasses.replace(found.fits.repaired, name=_NAME)
+        saved = save_trajectories(output, [named], save_as, "Odometry")
+    text = json_text(groundtruth_json(truth, imu, original, found), indent=2)
+    if json == "-":
+        sys.stdout.write(text)
+    elif json is not None:
+        write_text(Path(json), text, follow_link=True)
+    if figure is not None and found.fits is not None:
+        from trajeval_ros.report.figure_style import house_style
+        from trajeval_ros.report.figures import write_figure
+        from trajeval_ros.report.groundtruth_report import groundtruth_figure
+
+        with house_style():
+            write_figure(groundtruth_figure(original, found, found.fits), figure)
+    if rrd is not None and found.fits is not None:
+        from trajeval_ros.viewer.groundtruth_scene import write_groundtruth
+
+        write_groundtruth(rrd, original, found, found.fits)
+    return saved
+
+
+def _print(found: ExaminedGroundtruth, saved: list[Path]) -> None:
+    from trajeval_ros.report import groundtruth_report
+    from trajeval_ros.report.console import Table, console, show
+
+    terminal = console()
+    rows = groundtruth_report.cause_rows(found)
+    show(terminal, Table("", groundtruth_report.WORDS, groundtruth_report.NUMBERS, rows))
+    for line in groundtruth_report.sentences(found, saved):
+        terminal.print(line, soft_wrap=True)

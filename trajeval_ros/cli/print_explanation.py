@@ -1,0 +1,196 @@
+"""`trajeval explain`: which definitions give a published number."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from trajeval_ros.cli.command import verb
+from trajeval_ros.cli.options import argument, option, shared_options
+from trajeval_ros.cli.progress import progress
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.explanation.definition import command_of
+from trajeval_ros.explanation.explain import UNITS, Explanation, Match
+from trajeval_ros.explanation.explain import explain as search
+from trajeval_ros.formatting.numbers import counted, significant
+from trajeval_ros.io.json_file import json_text
+from trajeval_ros.io.sources import read_many
+from trajeval_ros.io.writing import write_text
+from trajeval_ros.io.yaml_file import read_mapping, require_known
+
+SCHEMA = "trajeval-explanation/1"
+_NOT_NAMED = 3  # exit status
+_SHOWN = 4
+_VERDICTS = {
+    "named": "named: this definition gives the digits; this does not prove that it was used",
+    "possible": "possible: give more digits, or the numbers of other sequences (--run)",
+    "chance": "chance: an unrelated number of this size has matches as likely; give more digits, "
+    "or the numbers of other sequences (--run)",
+    "none": "none: no definition gives this; check the run, the files, the time span and the "
+    "groundtruth. The nearest likely values:",
+}
+Run = tuple[str, str, list[str]]  # groundtruth, estimate and numbers
+
+
+@verb(
+    argument("given", metavar="GROUNDTRUTH ESTIMATE NUMBER", count=-1, is_required=False,
+        help="Sources, as for `trajeval evaluate`, and the published number with all of its "
+        "digits, as in 0.20. Or a single YAML file with `unit` and `runs`."),
+    option("--unit", metavar="NAME",
+        help=f"Unit of the numbers: {', '.join(UNITS)}. Default: the numbers are compared in m, "
+        "%, deg and deg/m."),
+    option("--with", "with_number", metavar="NUMBER",
+        help="Other number of the same row of a table, as in 1.25deg. It has the same alignment "
+        "and association, and its own statistic."),
+    option("--run", metavar="GROUNDTRUTH ESTIMATE NUMBER", count=3, is_repeatable=True,
+        help="Run with a number of the same column of a table. Repeatable."),
+    *shared_options("explain"),
+)  # fmt: skip
+def explain(
+    given: Sequence[str],
+    unit: str | None,
+    with_number: str | None,
+    run: Sequence[tuple[str, str, str]],
+    json: str | None,
+) -> int:
+    r"""Finds the definition that gives a published number.
+
+    Compares the number with the values of evo, rpg_trajectory_evaluation, KITTI's devkit and
+    their variants, and prints the command of every match (docs/explain.md). The exit status is 0
+    if one definition is named, otherwise 3.
+
+        trajeval explain groundtruth.txt estimate.txt 0.061 --unit m
+
+    Two numbers of one row of a table:
+
+        trajeval explain groundtruth.txt estimate.txt 0.061m --with 1.25deg
+
+    Numbers of one column, for several sequences:
+
+        trajeval explain --unit m --run gt1.txt vio1.txt 0.21 \
+            --run gt2.txt vio2.txt 0.63
+    """
+    runs, unit = _runs(given, run, with_number, unit)
+    sources = [source for truth, estimate, _ in runs for source in (truth, estimate)]
+    with progress("reading") as advance:
+        read = iter(read_many(sources, advance=advance))
+    found = search([(next(read), next(read), numbers) for _, _, numbers in runs], unit or "")
+    if json is not None:
+        text = json_text(_json(found), indent=2)
+        if json == "-":
+            print(text, end="")
+        else:
+            write_text(Path(json), text, follow_link=True)
+    if json != "-":
+        _print(found, runs, is_unit_known=bool(unit))
+    return 0 if found.verdict == "named" else _NOT_NAMED
+
+
+def _runs(
+    given: Sequence[str],
+    runs: Sequence[tuple[str, str, str]],
+    with_number: str | None,
+    unit: str | None,
+) -> tuple[list[Run], str | None]:
+    """Return the runs of the command line or of a YAML file, and the unit."""
+    if len(given) == 3 and not runs:
+        return [(given[0], given[1], [given[2], *([with_number] if with_number else [])])], unit
+    if with_number or bool(given) == bool(runs) or len(given) > 1:
+        raise SettingsError(
+            "the number needs its run; give GROUNDTRUTH ESTIMATE NUMBER (and --with), --run for "
+            "every run, or a single YAML file"
+        )
+    if runs:
+        return [(truth, estimate, [number]) for truth, estimate, number in runs], unit
+    path = Path(given[0])
+    content = read_mapping(path, "list of runs", as_text=True)
+    require_known(content, ("unit", "runs"), str(path))
+    found: list[Run] = []
+    for each in content.get("runs") or ():
+        keys = ("groundtruth", "estimate", "number")
+        if not isinstance(each, dict) or each.keys() != set(keys):
+            raise InputError(
+                f"{path}: every run needs exactly {', '.join(keys)}; correct {each!r}"
+            )
+        truth, estimate, numbers = (each[key] for key in keys)
+        numbers = numbers if isinstance(numbers, list) else [numbers]
+        found.append((str(path.parent / truth), str(path.parent / estimate), numbers))
+    return found, unit or content.get("unit")
+
+
+def _print(found: Explanation, runs: Sequence[Run], *, is_unit_known: bool) -> None:
+    from trajeval_ros.report.console import console
+
+    terminal = console()
+
+    def line(text: str) -> None:
+        terminal.print(text, soft_wrap=True)
+
+    line(
+        f"{counted(found.searched, 'definition')}, {found.matching} match; of an unrelated number "
+        f"{found.expected:.2g} are expected (any: {100.0 * found.any_probability:.0f} %)"
+    )
+    if not is_unit_known:
+        line("note: numbers without a unit are compared in m, %, deg and deg/m; set --unit")
+    line(_VERDICTS[found.verdict])
+    for match in (found.matches or found.nearest)[:_SHOWN]:
+        most = 0.99 if len(runs) == 1 and len(match.definitions) == 1 else 1.0
+        share = f"{100.0 * min(match.probability, most):5.1f} %  " if found.matches else ""
+        for definition, values in zip(match.definitions, match.values, strict=True):
+            shown = " ".join(significant(value, 6) for value in values)
+            line(f"{share}{shown} {definition.unit}  {definition}")
+        line(f"         association {', '.join(match.associations)}")
+        if match.others:
+            line(f"         equal: {'; '.join(match.others)}")
+        for text in _commands(match, *runs[0][:2]) if found.matches else ():
+            line(f"         {text}")
+    if found.matches:
+        line(f"{100.0 * found.none_probability:5.1f} %  none of these")
+
+
+def _commands(match: Match, truth: str, estimate: str) -> list[str]:
+    lines = []
+    for definition in match.definitions:
+        command = command_of(definition)
+        if command is None:
+            lines.append("no command: see docs/explain.md")
+            continue
+        sides = (estimate, truth) if command.exchanged else (truth, estimate)
+        words = shlex.join(["trajeval", "evaluate", *sides, *command.options])
+        lines.append(f"{words}   # {command.formula}")
+        if command.file:
+            lines.append("protocol.yaml: {" + ", ".join(command.file.splitlines()) + "}")
+    return lines
+
+
+def _json(found: Explanation) -> dict[str, Any]:
+    def match(each: Match) -> dict[str, Any]:
+        return {
+            "probability": each.probability if found.matches else None,
+            "associations": list(each.associations),
+            "equal": list(each.others),
+            "numbers": [
+                {
+                    "definition": definition._asdict(),
+                    "text": str(definition),
+                    "unit": definition.unit,
+                    "values": list(values),
+                    "command": (command := command_of(definition)) and command._asdict(),
+                }
+                for definition, values in zip(each.definitions, each.values, strict=True)
+            ],
+        }
+
+    return {
+        "schema": SCHEMA,
+        "verdict": found.verdict,
+        "searched": found.searched,
+        "matching": found.matching,
+        "expected": found.expected,
+        "any_probability": found.any_probability,
+        "none_probability": found.none_probability,
+        "matches": [match(each) for each in found.matches],
+        "nearest": [match(each) for each in found.nearest],
+    }

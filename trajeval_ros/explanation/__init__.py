@@ -1,0 +1,1 @@
+"""Which definition gives a published number."""

@@ -1,0 +1,175 @@
+"""The values of all definitions for one groundtruth and one estimate.
+
+Associations and alignments are computed once. Equal sets of pairs have one value under all names.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from trajeval_ros.diagnosis.diagnose import require_up_axis
+from trajeval_ros.exceptions import InputError, NoMatchError, TrajevalError
+from trajeval_ros.explanation.definition import (
+    ABSOLUTE,
+    ALIGNMENTS,
+    ASSOCIATIONS,
+    EXCHANGED,
+    FAMILIES,
+    LAST,
+    PARTS,
+    PER_AXIS,
+    PER_PATH,
+    POOLED,
+    Definition,
+    protocol_of,
+)
+from trajeval_ros.geometry.frame_axes import upright
+from trajeval_ros.geometry.gauge import Gauge, Similarity
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.alignment import Alignment
+from trajeval_ros.metrics.association import Association, associate
+from trajeval_ros.metrics.evaluation import Evaluation, evaluate_pairs
+from trajeval_ros.metrics.named_protocols import PROTOCOLS
+from trajeval_ros.metrics.relative_evaluation import relative_evaluation
+
+
+class Value(NamedTuple):
+    """A definition without its association, and its value."""
+
+    definition: tuple[str, ...]
+    value: float
+    withheld: bool = False  # by protocols that are not of another program
+
+
+class Paired(NamedTuple):
+    """Pairs, the names of the associations that give them, and both sides."""
+
+    names: list[str]
+    pairs: Association
+    groundtruth: Trajectory
+    estimate: Trajectory
+
+
+def values_of(
+    groundtruth: Trajectory, estimate: Trajectory
+) -> tuple[dict[Definition, int], list[float]]:
+    """Return the places of all definitions in a list of values, and these values.
+
+    Raises:
+        InputError: No association pairs any states, or the groundtruth has GNSS fixes.
+    """
+    places: dict[Definition, int] = {}
+    values: list[float] = []
+    for paired in _associations(groundtruth, estimate):
+        for rest, value, withheld in _values_of_pairs(paired):
+            family = FAMILIES.get(rest[4])
+            for name in paired.names:
+                is_of_family = family is None or name in family.associations
+                if is_of_family and not (withheld and ASSOCIATIONS[name][0] == "default"):
+                    places[Definition(name, *rest)] = len(values)
+            values.append(value)
+    return places, values
+
+
+def _associations(groundtruth: Trajectory, estimate: Trajectory) -> Iterable[Paired]:
+    """Return the distinct sets of pairs."""
+    if groundtruth.reading.fixes is not None:
+        raise InputError("the groundtruth has GNSS fixes; explain needs poses, as of text files")
+    found: dict[tuple[object, ...], Paired] = {}
+    read, refusal = (groundtruth.reading, estimate.reading), None
+    has = {"index": all(each.frame_numbers is not None or not each.stamped for each in read)}
+    for name, (protocol, rule, _) in ASSOCIATIONS.items():
+        if not has.get(rule.method, all(each.stamped for each in read)):
+            continue
+        sides = (estimate, groundtruth) if name == EXCHANGED else (groundtruth, estimate)
+        if PROTOCOLS[protocol].in_order:
+            sides = sides[0].in_order(), sides[1].in_order()
+        try:
+            pairs = associate(*sides, rule)
+        except NoMatchError as error:
+            refusal = error
+            continue
+        columns = pairs.groundtruth.positions.tobytes(), pairs.estimate.positions.tobytes()
+        key = (name == EXCHANGED, sides[0].path_length_m, *columns)
+        found.setdefault(key, Paired([], pairs, *sides)).names.append(name)
+    if not found and refusal is not None:
+        raise refusal
+    return found.values()
+
+
+def _values_of_pairs(paired: Paired) -> Iterator[Value]:
+    aligned: dict[str, Alignment] = {}
+    is_exchanged = paired.names == [EXCHANGED]
+    for name in ("sim3",) if is_exchanged else ALIGNMENTS:
+        if (ALIGNMENTS[name].states or 0) < len(paired.pairs):
+            try:
+                evaluation = _evaluated(paired, name, aligned)
+            except TrajevalError:  # the states do not determine this alignment
+                continue
+            aligned[name] = evaluation.alignment
+            yield from _absolute(evaluation, name, paired.groundtruth.path_length_m)
+    for family, searched in FAMILIES.items():
+        if not set(searched.associations).isdisjoint(paired.names):
+            for name in sorted(aligned.keys() & {"se3", "sim3"}):
+                yield from _relative(paired, aligned[name], name, family)
+
+
+def _evaluated(paired: Paired, name: str, before: dict[str, Alignment]) -> Evaluation:
+    """Evaluate the pairs with an alignment; `before` has those of the names before it."""
+    protocol, aligning, pairs = protocol_of(paired.names[0], name), ALIGNMENTS[name], paired.pairs
+    if name != "se3":  # the only one for which errors of whole poses are searched
+        protocol = dataclasses.replace(protocol, ate_form="plain")
+    groundtruth, estimate = pairs.groundtruth, pairs.estimate
+    if protocol.is_upright:
+        require_up_axis(groundtruth, protocol.gauge)
+        groundtruth, estimate = upright(groundtruth), upright(estimate)
+    if aligning.scaled_by:
+        scale = before[aligning.scaled_by].similarity.scale
+        estimate = Similarity(np.eye(3), np.zeros(3), scale).trajectory(estimate)
+    elif aligning.has_scale or aligning.gauge is Gauge.TRANSLATION:
+        # Rotation errors are those of se3 and none, and take most of the time.
+        groundtruth = dataclasses.replace(groundtruth, quaternions=None)
+        estimate = dataclasses.replace(estimate, quaternions=None)
+    pairs = dataclasses.replace(pairs, groundtruth=groundtruth, estimate=estimate)
+    return evaluate_pairs(pairs, groundtruth, estimate, protocol)
+
+
+def _absolute(evaluation: Evaluation, name: str, path_m: float) -> Iterator[Value]:
+    withheld = bool(evaluation.alignment.untrustworthy)
+    factors = {"": 1.0, PER_AXIS: math.sqrt(1.0 / 3.0), PER_PATH: 100.0 / path_m}
+    for (metric, form), (statistics, alignments, _) in ABSOLUTE.items():
+        found = evaluation.ate.get(metric)
+        for statistic in statistics if found and name in alignments else ():
+            if statistic == LAST:
+                value = float(evaluation.absolute.position_m[-1])
+            else:
+                value = getattr(found, statistic)
+            is_withheld = withheld and not metric.endswith("_m")
+            rest = (name, metric, statistic, form, "", "")
+            yield Value(rest, factors[form] * value, is_withheld)
+
+
+def _relative(paired: Paired, alignment: Alignment, name: str, family: str) -> Iterator[Value]:
+    searched = FAMILIES[family]
+    protocol = protocol_of(searched.associations[0], name, family)
+    try:
+        parts, pooled = relative_evaluation(paired.pairs, paired.groundtruth, alignment, protocol)
+    except TrajevalError:  # pairs that are not in order have no lengths in seconds
+        return
+    wanted = dict.fromkeys(("position_m", "rotation_deg"), searched.statistics)
+    wanted |= PARTS if searched.has_parts else {}
+    drift = dict.fromkeys(pooled, searched.pooled)
+    found = [(str(each.length), each.statistics, wanted) for each in parts or ()]
+    for length, statistics, names in (*found, (POOLED, pooled, drift)):
+        for metric, chosen in names.items():
+            # Rotation errors do not depend on the scale.
+            values = statistics[metric] if name == "se3" or "position" in metric else None
+            for statistic in chosen if values else ():
+                yield Value(
+                    (name, metric, statistic, "", family, length), getattr(values, statistic)
+                )

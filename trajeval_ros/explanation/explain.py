@@ -1,0 +1,278 @@
+"""Which definitions give published numbers, and how many would give an unrelated number.
+
+A value x matches y if it rounds to the digits of y: |x - y| <= h, half a unit of the last digit.
+An unrelated number is log-uniform within a factor of 2 of y. Then x matches with the probability
+c: the length of [ln(x - h), ln(x + h)] in that range, per length 2 ln 2 of the range.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from trajeval_ros.exceptions import SettingsError, require_one_of
+from trajeval_ros.explanation.definition import ALIGNMENTS, ASSOCIATIONS, Definition
+from trajeval_ros.explanation.definition_values import values_of
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
+from trajeval_ros.geometry.trajectory import Trajectory
+
+# Of published numbers: the unit of the definitions, and the factor to it.
+UNITS: dict[str, tuple[str, float]] = {
+    "m": ("m", 1.0), "cm": ("m", 0.01), "mm": ("m", 0.001), "%": ("%", 1.0), "m/km": ("%", 0.1),
+    "deg": ("deg", 1.0), "rad": ("deg", 180.0 / math.pi), "deg/m": ("deg/m", 1.0),
+    "deg/100m": ("deg/m", 0.01),
+}  # fmt: skip
+_NUMBER = re.compile(r"([0-9]*\.?([0-9]*))(e[-+]?[0-9]{1,3})?\s*(\D.*)?", re.IGNORECASE)
+_SAME_ARITHMETIC = 1e-7  # relative; programs differ by less in the same number
+_SAME_VALUE = 1e-9
+_RANGE = 2.0 * math.log(2.0)
+_NONE_PRIOR = 0.3  # probability that a number has no definition in the search
+_NAMED = 0.8  # least probability of a definition that is named
+_NEAREST = 4
+_PRIOR_WEIGHT = 0.02  # of the logarithm of the prior, against that of the value, for `nearest`
+_MOST_NUMBERS = 2
+_TINY = 1e-12
+
+
+class PublishedNumber(NamedTuple):
+    """A number in the unit of the definitions, and half a unit of its last digit."""
+
+    value: float
+    half: float
+    unit: str  # empty: all
+
+    @classmethod
+    def parse(cls, text: str, unit: str = "") -> PublishedNumber:
+        """Parse a number as it is printed, such as "0.20", or "1.25 deg" with its own unit.
+
+        Raises:
+            SettingsError: It is not the text of a positive number, or its unit is unknown.
+        """
+        if not isinstance(text, str):
+            raise SettingsError(
+                f"the number {text!r} has no digits to compare; give it as text, as in '0.20'"
+            )
+        match = _NUMBER.fullmatch(text.strip())
+        value = float(match[1] + (match[3] or "")) if match and match[1].strip(".") else math.nan
+        if not 0.0 < value < math.inf:
+            raise SettingsError(
+                f"{text!r} is not a published error; give a positive number and its unit, if any, "
+                "as in 0.061 or 1.25deg"
+            )
+        assert match is not None
+        unit = match[4] or unit
+        if unit:
+            require_one_of(unit, UNITS, "unit")
+        base, factor = UNITS.get(unit, ("", 1.0))
+        half = 0.5 * 10.0 ** (int((match[3] or "e0")[1:]) - len(match[2]))
+        return cls(value * factor, max(half, _SAME_ARITHMETIC * value) * factor, base)
+
+
+@dataclass(frozen=True)
+class Match:
+    """Definitions that differ only in the association, or have equal values.
+
+    Attributes:
+        definitions: The likeliest one, of every number of a run.
+        values: Its values by number of a run, and by run; metres, degrees, % or deg/m.
+        associations: All associations that give the numbers.
+        others: Other definitions with equal values, as text.
+        probability: Posterior probability of these definitions together.
+    """
+
+    definitions: tuple[Definition, ...]
+    values: tuple[tuple[float, ...], ...]
+    associations: tuple[str, ...]
+    others: tuple[str, ...]
+    probability: float
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """The definitions that give published numbers.
+
+    Attributes:
+        searched: Number of definitions with the unit of the numbers.
+        matching: Number of definitions that give the numbers.
+        expected: Expected number of matches of unrelated numbers of the same size.
+        any_probability: Probability that unrelated numbers have a match.
+        none_probability: Posterior probability that none of the definitions was used.
+        matches: Groups of matching definitions, the likeliest first.
+        nearest: Likely definitions with near values, if none matches.
+    """
+
+    searched: int
+    matching: int
+    expected: float
+    any_probability: float
+    none_probability: float
+    matches: tuple[Match, ...]
+    nearest: tuple[Match, ...]
+
+    @property
+    def verdict(self) -> str:
+        """`named`, `possible`, `chance` (as likely unrelated) or `none`."""
+        if not self.matches:
+            return "none"
+        if self.matches[0].probability >= _NAMED:
+            return "named"
+        return "possible" if self.none_probability < 0.5 else "chance"
+
+
+def explain(
+    runs: Sequence[tuple[Trajectory, Trajectory, Sequence[str]]], unit: str = ""
+) -> Explanation:
+    """Return the definitions that give the published numbers of one or more runs.
+
+    A named definition gives the digits. This does not prove that the authors used it.
+
+    Args:
+        runs: Groundtruth, estimate, and one or two numbers as texts, because "0.20" has more
+            digits than "0.2". All runs have the same definition. The second number of a run has
+            its own statistic, and the same association and alignment.
+        unit: A key of `UNITS` for numbers without a unit; empty to search m, %, deg and deg/m.
+
+    Raises:
+        SettingsError: A number is not a text or not positive, or runs differ in their count.
+        InputError: A run has no pairs.
+
+    Example:
+        >>> from trajeval_ros import evaluate, explain, simulate
+        >>> flight = simulate(seed=1, duration_s=30.0)
+        >>> rmse = evaluate(flight.groundtruth, flight.estimate).ate["position_m"].rmse
+        >>> found = explain([(flight.groundtruth, flight.estimate, [f"{rmse:.5f}"])], unit="m")
+        >>> str(found.matches[0].definitions[0])
+        'position rmse, se3'
+    """
+    numbers = [[PublishedNumber.parse(text, unit) for text in texts] for _, _, texts in runs]
+    counts = {len(each) for each in numbers}
+    if len(counts) != 1 or not counts <= set(range(1, _MOST_NUMBERS + 1)):
+        raise SettingsError(
+            f"the runs have {', '.join(map(str, sorted(counts))) or 'no'} numbers; give every "
+            f"run one number, or every run {_MOST_NUMBERS}"
+        )
+    candidates = _Candidates([values_of(truth, estimate) for truth, estimate, _ in runs])
+    columns = [_Column(candidates, each) for each in zip(*numbers, strict=True)]
+    return _explained(candidates, columns, len(runs))
+
+
+class _Candidates:
+    """The K definitions that all R runs have, with their values."""
+
+    def __init__(self, tables: Sequence[tuple[dict[Definition, int], list[float]]]) -> None:
+        # Definitions with equal pairs in all runs count once.
+        found: dict[tuple[int, ...], list[Definition]] = {}
+        for definition in tables[0][0]:
+            if all(definition in places for places, _ in tables):
+                key = tuple(places[definition] for places, _ in tables)
+                found.setdefault(key, []).append(definition)
+        self.names = [sorted(each, key=lambda one: -one.prior) for each in found.values()]
+        self.first = [each[0] for each in self.names]
+        self.values: Floats = np.array(
+            [[values[key[run]] for key in found] for run, (_, values) in enumerate(tables)]
+        )  # (R, K)
+        self.priors = np.array([each.prior for each in self.first])
+
+    def are_compatible(self) -> Booleans:
+        """Return which definitions can be of the same row of a table, (K, K).
+
+        They share an association and the alignment. Relative errors depend only on its scale.
+        """
+        names = np.array(list(ALIGNMENTS))
+        alignment = np.array([each.alignment for each in self.first])
+        scaled = np.isin(alignment, names[[each.has_scale for each in ALIGNMENTS.values()]])
+        relative = np.array([bool(each.family) for each in self.first])
+        either = (relative[:, None] | relative) & (scaled[:, None] == scaled)
+        has = np.array([[name in {one.association for one in each} for name in ASSOCIATIONS]
+            for each in self.names], dtype=float)  # fmt: skip
+        compatible: Booleans = (has @ has.T > 0.0) & (either | (alignment[:, None] == alignment))
+        return compatible
+
+
+class _Column:
+    """The K definitions for one number of all runs."""
+
+    def __init__(self, candidates: _Candidates, numbers: Sequence[PublishedNumber]) -> None:
+        unit = numbers[0].unit
+        used = np.array([not unit or each.unit == unit for each in candidates.first])
+        y, h = (np.array([each[field] for each in numbers])[:, None] for field in (0, 1))
+        x = np.maximum(candidates.values, _TINY)
+        self.hit = used & (np.abs(x - y) <= h * (1.0 + 1e-9)).all(axis=0)
+        bounds = [np.log(np.maximum(x + side, _TINY) / y) for side in (-h, h)]
+        low, high = np.clip(bounds, -_RANGE / 2.0, _RANGE / 2.0)
+        self.covered = used * np.prod((high - low) / _RANGE, axis=0)  # the probabilities c
+        self.used, self.weights = used, used * candidates.priors / (used @ candidates.priors)
+        self.likelihood = float(np.prod(np.log((y + h) / (y - h)) / _RANGE))  # of unrelated ones
+        self.distance = np.abs(np.log(x / y)).max(axis=0) + np.where(used, 0.0, np.inf)
+        # The union of the intervals is the probability that any matches; of a single run.
+        order = np.argsort(low[0][used])
+        low, high = low[0][used][order], np.maximum.accumulate(high[0][used][order])
+        before = np.concatenate([[-np.inf], high[:-1]])
+        self.any = float(np.maximum(high - np.maximum(low, before), 0.0).sum()) / _RANGE
+
+
+def _explained(candidates: _Candidates, columns: Sequence[_Column], runs: int) -> Explanation:
+    first, last = columns[0], columns[-1]
+    if first is last:
+        rows = np.flatnonzero(first.hit)[:, None]
+        weights = first.weights[rows[:, 0]]
+        searched, expected = int(first.used.sum()), float(first.covered.sum())
+    else:
+        together = candidates.are_compatible()
+        rows = np.argwhere(together & first.hit[:, None] & last.hit)
+        prior = float(first.weights @ together @ last.weights)
+        weights = first.weights[rows[:, 0]] * last.weights[rows[:, 1]] / prior
+        searched = int(first.used @ together.astype(int) @ last.used)
+        expected = float(first.covered @ together @ last.covered)
+    likely = first.any if runs == len(columns) == 1 else -math.expm1(-expected)
+    unrelated = _NONE_PRIOR * math.prod(each.likelihood for each in columns)
+    none = unrelated / (unrelated + (1.0 - _NONE_PRIOR) * float(weights.sum()))
+    shares = (1.0 - none) * weights / weights.sum() if len(rows) else weights
+    matches = _grouped(candidates, rows, shares)
+    nearest: tuple[Match, ...] = ()
+    if not matches:
+        far = first.distance - _PRIOR_WEIGHT * np.log(candidates.priors)
+        near = [each for each in np.argsort(far)[: 4 * _NEAREST] if np.isfinite(far[each])]
+        # Halved shares keep the order of the nearest definition of every group.
+        order: Floats = np.power(0.5, np.arange(len(near), dtype=np.float64))
+        nearest = _grouped(candidates, np.array(near)[:, None], order)[:_NEAREST]
+    return Explanation(searched, len(rows), expected, likely, none, matches, nearest)
+
+
+def _grouped(candidates: _Candidates, rows: Indices, shares: Floats) -> tuple[Match, ...]:
+    """Join matches (M, 1 or 2) that differ only in the association, or have equal values."""
+    groups: list[list[int]] = []
+    for place in np.argsort(-shares, kind="stable").tolist():
+        for group in groups:
+            head = rows[group[0]]
+            a, b = candidates.values[:, rows[place]], candidates.values[:, head]
+            same = [candidates.first[k][1:] for k in rows[place]] == [
+                candidates.first[k][1:] for k in head
+            ]
+            if same or bool((np.abs(a - b) <= _SAME_VALUE * b).all()):
+                group.append(place)
+                break
+        else:
+            groups.append([place])
+    matches = []
+    for group in groups:
+        head = rows[group[0]]
+        texts = ["; ".join(str(candidates.first[k]) for k in rows[place]) for place in group]
+        associations = {
+            one.association: one for place in group for one in candidates.names[rows[place][0]]
+        }
+        matches.append(
+            Match(
+                tuple(candidates.first[k] for k in head),
+                tuple(tuple(candidates.values[:, k].tolist()) for k in head),
+                tuple(name for name in ASSOCIATIONS if name in associations),
+                tuple(dict.fromkeys(texts))[1:],
+                float(shares[group].sum()),
+            )
+        )
+    return tuple(sorted(matches, key=lambda each: -each.probability))

@@ -1,0 +1,62 @@
+"""Times at which the messages of poses were received."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from trajeval_ros.geometry.arrays import Floats, Stamps
+
+LOG, PUBLISH = "log", "publish"  # clocks of a bag: of the recorder, and of the publisher
+
+
+@dataclass(frozen=True, eq=False)
+class Receptions:
+    """When the N messages of poses were received.
+
+    Attributes:
+        times: (N,) int64, nanoseconds.
+        by: What the times are: `log` or `publish` times of a bag, `column` of a text file, or
+            `node` for those of a live run.
+        recording_s: Median and maximum of log time minus publish time, seconds: transport and
+            recording; None if a bag does not have both.
+        body_rates: (N, 3), rad/s, angular velocities in the body; None if not read.
+        corrected: (N,) int64, nanoseconds, receptions of the newest corrections, such as map to
+            odom; None if poses are not corrected.
+    """
+
+    times: Stamps
+    by: str = "column"
+    recording_s: tuple[float, float] | None = None
+    body_rates: Floats | None = None
+    corrected: Stamps | None = None
+
+    def __len__(self) -> int:
+        """Return the number of messages."""
+        return len(self.times)
+
+    def __getitem__(self, rows: Any) -> Receptions:
+        """Return those of a slice, a mask or an array of indices."""
+        columns: dict[str, Any] = {
+            name: column[rows]
+            for name in ("times", "body_rates", "corrected")
+            if (column := getattr(self, name)) is not None
+        }
+        return dataclasses.replace(self, **columns)
+
+    @classmethod
+    def of_bag(cls, logged: Stamps, published: Stamps, wanted: str = "") -> Receptions:
+        """Return the publish times where they differ from the log times, or the wanted ones.
+
+        A recorder that is late delays its log times only. `logged`, `published`: (N,),
+        nanoseconds. `wanted`: `LOG`, `PUBLISH`, or empty for the default.
+        """
+        differs = bool((published != logged).any() and (published > 0).all())
+        if not differs or wanted == LOG:
+            return cls(logged, LOG)
+        later_s = (logged - published) / 1e9
+        recording_s = float(np.median(later_s)), float(later_s.max())
+        return cls(published, PUBLISH, recording_s)

@@ -1,0 +1,64 @@
+"""The examination of a groundtruth as JSON (docs/groundtruth.md)."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from trajeval_ros.calibration.groundtruth_doctor.examine import ExaminedGroundtruth, HorizonFit
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.hand_eye_file import hand_eye_json
+
+SCHEMA = "trajeval-groundtruth/1"
+
+
+def groundtruth_json(
+    truth: str, imu: str | None, original: Trajectory, found: ExaminedGroundtruth
+) -> dict[str, Any]:
+    """Return verdicts, fits and noise.
+
+    Args:
+        truth: SOURCE of the groundtruth.
+        imu: SOURCE of the IMU, or None.
+        original: The groundtruth as it was read.
+        found: Its examination.
+    """
+    result: dict[str, Any] = {
+        "schema": SCHEMA,
+        "groundtruth": {"source": truth, "poses": len(original)},
+        "imu": imu,
+        "causes": [
+            {**dataclasses.asdict(each), "half_width_95": each.half_width}
+            for each in found.causes.values()
+        ],
+        "poses": dataclasses.asdict(found.poses),
+        "notes": list(found.notes),
+    }
+    fits = found.fits
+    if fits is not None:
+        result |= {
+            "fits": {
+                "short": _fit(fits.short),
+                "long": _fit(fits.long),
+                "disagree": fits.disagree,
+            },
+            "T_imu_marker": hand_eye_json(fits.hand_eye),
+            "T_imu_marker_covariance": fits.hand_eye_covariance.tolist(),
+            "clock": {"offset_s": fits.offset_s, "skew": fits.skew},
+            "gravity_mps2": fits.gravity.tolist(),
+            "biases": {
+                "gyroscope_radps": fits.gyroscope_bias.tolist(),
+                "accelerometer_mps2": fits.accelerometer_bias.tolist(),
+            },
+            "noise": {
+                "position_m": fits.position_noise_m,
+                "rotation_rad": fits.rotation_noise_rad,
+            },
+            "residuals": dataclasses.asdict(fits.checks),
+            "repaired": {"poses": len(fits.repaired), "covariances": "lower limits"},
+        }
+    return result
+
+
+def _fit(fit: HorizonFit) -> dict[str, Any]:
+    return {"values": fit.values.tolist(), "standard_deviations": fit.sigmas.tolist()}

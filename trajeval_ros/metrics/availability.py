@@ -1,0 +1,231 @@
+"""As-available accuracy: the error of the newest pose that a receiver has.
+
+At every instant t of a fixed rate, the newest pose received by t is compared with groundtruth at
+t (M. Li, Y.-X. Wang, D. Ramanan, Towards Streaming Perception, ECCV 2020). The age of the pose is
+split into latency, dropout and sampling, and the error along the same instants.
+docs/as_available.md has the equations.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+
+HOLD, CONSTANT, TWIST = MOTIONS = "hold", "constant", "twist"
+PARTS = ("estimator", "latency", "dropout", "sampling")
+RATE_HZ, HORIZON_S = 100, 0.5
+STEP_NS = NANOSECONDS // RATE_HZ
+RECENT = 20  # intervals whose median is the usual one
+_FIRST_NS = NANOSECONDS // 10  # usual interval of the first message
+_USUAL = 2  # usual intervals that count as sampling; the time beyond is a dropout
+
+
+@dataclass(frozen=True, eq=False)
+class Messages:
+    """The N messages that are ever the newest one, in the order of their reception.
+
+    Attributes:
+        stamps: (N,) int64, nanoseconds, by the groundtruth's clock; ascending.
+        times: (N,) int64, nanoseconds, of reception; ascending.
+        positions: (N, 3), metres, in the estimate's frame.
+        quaternions: (N, 4), xyzw, body to frame; the identity without orientations.
+        oriented: Whether there are orientations.
+        twists: (N, 6), m/s and rad/s in the body, that predict the pose; None for `hold`.
+        corrected: (N,) receptions of the newest corrections, or None.
+        late: Number of other messages: those received after a newer one.
+    """
+
+    stamps: Stamps
+    times: Stamps
+    positions: Floats
+    quaternions: Floats
+    oriented: bool
+    twists: Floats | None = None
+    corrected: Stamps | None = None
+    late: int = 0
+
+    def __len__(self) -> int:
+        """Return the number of messages."""
+        return len(self.stamps)
+
+    def __getitem__(self, rows: Any) -> Messages:
+        """Return some of the messages."""
+        columns: dict[str, Any] = {
+            each.name: column[rows]
+            for each in dataclasses.fields(self)
+            if isinstance(column := getattr(self, each.name), np.ndarray)
+        }
+        return dataclasses.replace(self, **columns)
+
+    @classmethod
+    def of(cls, estimate: Trajectory, times: Stamps, motion: str, offset_ns: int = 0) -> Messages:
+        """Return the messages of an estimate that were received at times (N,), nanoseconds.
+
+        `offset_ns` is added to the timestamps, not to the receptions. Of equal timestamps the
+        first received is used, unless a correction arrived in between.
+        """
+        receptions, quaternions = estimate.reading.receptions, estimate.quaternions
+        corrected = None if receptions is None else receptions.corrected
+        order = np.argsort(times, kind="stable")
+        stamps = estimate.stamps[order]
+        newest = np.maximum.accumulate(stamps)
+        steps = np.diff(newest, prepend=newest[:1] - 1)
+        rows = order[steps > 0 if corrected is None else stamps == newest]
+        if quaternions is None:
+            quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (len(estimate), 1))
+        made = cls(
+            estimate.stamps[rows] + offset_ns,
+            times[rows],
+            estimate.positions[rows],
+            quaternions[rows],
+            estimate.quaternions is not None,
+            corrected=None if corrected is None else corrected[rows],
+            late=len(order) - len(rows),
+        )
+        twists = None
+        if motion == CONSTANT:
+            twists = made._constant_twists()
+        elif motion == TWIST:
+            assert receptions is not None
+            velocities, rates = estimate.velocities, receptions.body_rates
+            assert velocities is not None
+            assert rates is not None
+            body = lie.rotate(lie.conjugate(made.quaternions), velocities[rows])
+            twists = np.hstack([body, rates[rows]])
+        return dataclasses.replace(made, twists=twists)
+
+    def _constant_twists(self) -> Floats:
+        """Return the twists between successive poses, xi = Log(T_j^-1 T_k) / (s_k - s_j).
+
+        The first pose has none. A correction of a pose keeps the pose's twist.
+        """
+        twists = np.zeros((len(self), 6))
+        if len(self) < 2:
+            return twists
+        inverse = lie.conjugate(self.quaternions[:-1])
+        moved = lie.rotate(inverse, np.diff(self.positions, axis=0))
+        turned = lie.to_matrix(lie.multiply(inverse, self.quaternions[1:]))
+        steps_s = np.diff(self.stamps) / NANOSECONDS
+        fresh = steps_s > 0.0
+        twists[1:][fresh] = se3.log(se3.poses(turned, moved))[fresh] / steps_s[fresh, None]
+        rows = np.arange(len(self))
+        rows[1:][~fresh] = 0
+        carried: Floats = twists[np.maximum.accumulate(rows)]
+        return carried
+
+    @property
+    def usual_ns(self) -> Stamps:
+        """The median of the last 20 intervals up to every message, (N,), nanoseconds."""
+        distinct, place = np.unique(self.stamps, return_inverse=True)
+        usual = np.full(len(distinct), _FIRST_NS)
+        intervals = np.diff(distinct)
+        for count in range(1, min(RECENT, len(distinct))):
+            usual[count] = int(np.median(intervals[:count]))
+        if len(intervals) >= RECENT:
+            windows = np.lib.stride_tricks.sliding_window_view(intervals, RECENT)
+            usual[RECENT:] = np.median(windows, axis=1).astype(np.int64)
+        return usual[place]
+
+
+@dataclass(frozen=True, eq=False)
+class AvailableSamples:
+    """The as-available errors at N instants.
+
+    Attributes:
+        stamps: (N,) int64, nanoseconds, the instants.
+        rows: (N,) message in use.
+        ages: (3, N) int64, nanoseconds: parts of the age: latency, dropout, sampling.
+        position: (4, N, 3), metres, in the groundtruth's frame: parts of the error by `PARTS`.
+        rotation: (4, N, 3), rad, the same for the rotation vector; None without orientations.
+    """
+
+    stamps: Stamps
+    rows: Indices
+    ages: Stamps
+    position: Floats
+    rotation: Floats | None
+
+    @property
+    def age(self) -> Stamps:
+        """Age of the pose in use, (N,), nanoseconds."""
+        age: Stamps = self.ages.sum(axis=0)
+        return age
+
+    def picked(self, rows: Booleans) -> AvailableSamples:
+        """Return the samples of a mask."""
+        rotation = None if self.rotation is None else self.rotation[:, rows]
+        return AvailableSamples(
+            self.stamps[rows],
+            self.rows[rows],
+            self.ages[:, rows],
+            self.position[:, rows],
+            rotation,
+        )
+
+
+def instants(begin: int, end: int) -> Stamps:
+    """Return the instants of the fixed rate from `begin` to `end`, both included, nanoseconds."""
+    return np.arange(-(-begin // STEP_NS), end // STEP_NS + 1) * STEP_NS
+
+
+def in_use(messages: Messages, stamps: Stamps) -> Indices:
+    """Return the newest message received by every instant (N,); -1 before the first one."""
+    return messages.times.searchsorted(stamps, side="right") - 1
+
+
+def sampled(
+    groundtruth: Trajectory, messages: Messages, stamps: Stamps, max_gap_s: float
+) -> AvailableSamples:
+    """Return the as-available errors at instants (N,) after the first reception.
+
+    Instants without groundtruth at one of the four ages are left out. `messages`: aligned to the
+    groundtruth, whose states are in order of time.
+    """
+    rows = in_use(messages, stamps)
+    at_once = np.maximum(messages.stamps.searchsorted(stamps, side="right") - 1, rows)
+    age, sooner = stamps - messages.stamps[rows], stamps - messages.stamps[at_once]
+    usual = np.minimum(sooner, _USUAL * messages.usual_ns[at_once])
+    # Ages up to which the four parts are counted: 0, latency, and latency with dropout.
+    reached = np.stack([np.zeros_like(age), age - sooner, age - usual, age])
+    states, bracket = groundtruth.at((messages.stamps[rows] + reached).ravel(), max_gap_s)
+    usable = bracket.usable.reshape(4, -1)
+    kept = usable.all(axis=0)
+    places = np.cumsum(usable.ravel()).reshape(4, -1)[:, kept] - 1
+    rows, reached = rows[kept], reached[:, kept]
+    positions, quaternions = _predicted(messages, rows, reached)
+    position = states.positions[places] - positions
+    rotation = None
+    if states.quaternions is not None and messages.oriented:
+        turned = lie.multiply(states.quaternions[places], lie.conjugate(quaternions))
+        rotation = _differences(lie.rotation_vector(turned))
+    return AvailableSamples(
+        stamps[kept], rows, np.diff(reached, axis=0), _differences(position), rotation
+    )
+
+
+def _predicted(messages: Messages, rows: Indices, reached: Stamps) -> tuple[Floats, Floats]:
+    """Return positions (4, N, 3) and quaternions (4, N, 4), predicted at most by the horizon."""
+    positions, quaternions = messages.positions[rows], messages.quaternions[rows]
+    if messages.twists is None:
+        shape = (len(reached), len(rows))
+        return np.broadcast_to(positions, (*shape, 3)), np.broadcast_to(quaternions, (*shape, 4))
+    seconds = np.minimum(reached / NANOSECONDS, HORIZON_S)[..., None]
+    moved = se3.exp(messages.twists[rows] * seconds)
+    turned = lie.from_matrices(moved[..., :3, :3].reshape(-1, 3, 3)).reshape(*moved.shape[:2], 4)
+    quaternions = np.broadcast_to(quaternions, turned.shape)
+    return positions + lie.rotate(quaternions, moved[..., :3, 3]), lie.multiply(
+        quaternions, turned
+    )
+
+
+def _differences(errors: Floats) -> Floats:
+    """Return the parts (4, N, 3) of errors at the four ages: the first, and the steps."""
+    parts: Floats = np.diff(errors, axis=0, prepend=0.0)
+    return parts

@@ -1,0 +1,158 @@
+"""Whether times of reception and timestamps can be compared: three clocks are involved.
+
+A constant offset of the receiver's clock cannot be separated from latency. It is never estimated
+silently.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+
+_COPIED_S, _MOST_COPIED = 1e-6, 0.99
+_DAY_S = 86400.0
+_EARLY_S, _LATE_S = 1e-3, 1.0
+# Clocks drift by less than the largest value; a larger slope is a growing queue.
+_DRIFT_PPM, _LARGEST_PPM = 20.0, 1000.0
+_FASTEST = "fastest"
+_WITHHELD = ("copied", "epochs", "impossible")
+
+
+@dataclass(frozen=True)
+class ClockRule:
+    """How times of reception are corrected.
+
+    Attributes:
+        offset_s: Seconds that are added to all of them; None for `fastest_s`.
+        fastest_s: Latency of the fastest message, seconds, after removal of the drift.
+    """
+
+    offset_s: float | None = 0.0
+    fastest_s: float = 0.0
+
+    @classmethod
+    def parse(cls, text: str) -> ClockRule:
+        """Return the rule in a text `OFFSET` or `fastest:LATENCY`, seconds.
+
+        Raises:
+            SettingsError: The text is not valid.
+        """
+        name, _, latency = text.rpartition(":")
+        try:
+            seconds = float(latency)
+            if name not in ("", _FASTEST) or not math.isfinite(seconds):
+                raise ValueError(text)
+        except ValueError:
+            raise SettingsError(
+                f"the clock of receptions {text!r} is not valid; give an offset in seconds, or "
+                f"the latency of the fastest message, as in {_FASTEST}:0.005"
+            ) from None
+        return cls(None, seconds) if name else cls(seconds)
+
+
+@dataclass(frozen=True)
+class ReceptionClock:
+    """The comparison of times of reception with timestamps.
+
+    Attributes:
+        verdict: `ok`, `copied`, `epochs`, `impossible`, `suspicious` or `drift`.
+        smallest_s: Smallest latency, seconds, after the correction.
+        drift_ppm: Drift of the smallest latency, the slope of its lower convex hull at the middle.
+        offset_s: Seconds that were added to all receptions; None if the fastest message was set.
+    """
+
+    verdict: str
+    smallest_s: float
+    drift_ppm: float
+    offset_s: float | None
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether latencies are meaningful."""
+        return self.verdict not in _WITHHELD
+
+    @property
+    def sentence(self) -> str:
+        """The sentence about the verdict; empty for `ok`."""
+        return {
+            "ok": "",
+            "copied": "the times of reception are copies of the timestamps; record the topic "
+            "again, or use --columns with received",
+            "epochs": "timestamps and times of reception differ by over a day: the timestamps are "
+            "simulated, or a clock was never set; set --receive-clock fastest:0.005",
+            "impossible": f"messages were received {-self.smallest_s:.4g} s before their "
+            f"timestamps; correct the clock with --receive-clock of at least "
+            f"{(self.offset_s or 0.0) - self.smallest_s:.4g}",
+            "suspicious": f"every message was received at least {self.smallest_s:.4g} s after its "
+            "timestamp; check for a queue, or correct the clock with --receive-clock",
+            "drift": f"the clocks of timestamps and receptions drift by {self.drift_ppm:.0f} ppm; "
+            "latencies include this drift",
+        }[self.verdict]
+
+
+def judged_receptions(
+    stamps: Stamps, times: Stamps, rule: ClockRule | None = None
+) -> tuple[Stamps, ReceptionClock]:
+    """Return the corrected times of reception (N,), N > 0, and what is known of their clock.
+
+    `stamps`: (N,) int64, nanoseconds, of the messages. `times`: (N,) as they were received.
+    """
+    rule = rule or ClockRule()
+    latencies_s = (times - stamps) / NANOSECONDS
+    seconds = (stamps - stamps[0]) / NANOSECONDS
+    # Differences to the fastest message are small; between epochs, float64 would lose digits.
+    above_s = (times - stamps - (times - stamps).min()) / NANOSECONDS
+    at_s, slope = _fastest(seconds, above_s)
+    copied = float(np.mean(np.abs(latencies_s) < _COPIED_S)) > _MOST_COPIED
+    if rule.offset_s is None:
+        above_ns = np.round((above_s - at_s - slope * seconds) * NANOSECONDS)
+        times = stamps + above_ns.astype(np.int64) + round(rule.fastest_s * NANOSECONDS)
+        verdict = "copied" if copied else "ok"
+    else:
+        times = times + round(rule.offset_s * NANOSECONDS)
+        verdict = "copied" if copied else _verdict(latencies_s + rule.offset_s, slope)
+    smallest_s = float((times - stamps).min()) / NANOSECONDS
+    return times, ReceptionClock(verdict, smallest_s, 1e6 * slope, rule.offset_s)
+
+
+def _verdict(latencies_s: Floats, slope: float) -> str:
+    smallest_s = latencies_s.min()
+    if abs(float(np.median(latencies_s))) > _DAY_S:
+        return "epochs"
+    if smallest_s < -_EARLY_S:
+        return "impossible"
+    if smallest_s > _LATE_S:
+        return "suspicious"
+    return "drift" if _DRIFT_PPM < 1e6 * abs(slope) < _LARGEST_PPM else "ok"
+
+
+def _fastest(seconds: Floats, latencies_s: Floats) -> tuple[float, float]:
+    """Return value at zero and slope of the lower convex hull's edge at the middle of the time.
+
+    A line through one point of either half is lowered until no point is below it; few steps are
+    enough, since every step takes the point that is farthest below.
+    """
+    middle = (seconds.min() + seconds.max()) / 2.0
+    before, after = np.flatnonzero(seconds <= middle), np.flatnonzero(seconds > middle)
+    if not len(after):
+        return float(latencies_s.min()), 0.0
+    left = before[latencies_s[before].argmin()]
+    right = after[latencies_s[after].argmin()]
+    while True:
+        slope = (latencies_s[right] - latencies_s[left]) / (seconds[right] - seconds[left])
+        at_s = latencies_s[left] - slope * seconds[left]
+        above = latencies_s - at_s - slope * seconds
+        above[[left, right]] = 0.0
+        lowest = int(above.argmin())
+        if above[lowest] >= -1e-12 * (1.0 + abs(at_s)):
+            return float(at_s), float(slope)
+        if seconds[lowest] <= middle:
+            left = lowest
+        else:
+            right = lowest
