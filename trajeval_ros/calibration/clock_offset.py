@@ -100,7 +100,7 @@ def guess_offset(
     The search range is `around_s` +- `search_s`; None for all overlaps. Both sides have at least
     two states.
     """
-    by = partial(_guess_by, groundtruth, estimate, around_s, search_s)
+    by = partial(guess_offset_by, groundtruth, estimate, around_s, search_s)
     if groundtruth.quaternions is None or estimate.quaternions is None:
         return by("speed")
     turning = by("angular rate")
@@ -110,13 +110,14 @@ def guess_offset(
     return moving if moving.is_usable else turning
 
 
-def _guess_by(
+def guess_offset_by(
     groundtruth: Trajectory,
     estimate: Trajectory,
     around_s: float,
     search_s: float | None,
     signal: str,
 ) -> OffsetGuess:
+    """Estimate the offset by the correlation of one signal: "angular rate" or "speed"."""
     turns = signal == "angular rate"
     groundtruth_poses = PoseInterpolator.of(groundtruth, with_rotations=turns)
     estimate_poses = PoseInterpolator.of(estimate, with_rotations=turns, sparse=True)

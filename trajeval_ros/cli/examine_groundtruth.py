@@ -72,8 +72,8 @@ def groundtruth(
     from trajeval_ros.calibration.groundtruth_doctor.examine import examine
     from trajeval_ros.cli.evaluation_output import refuse_inputs
     from trajeval_ros.cli.progress import progress
-    from trajeval_ros.cli.source_names import names_of
     from trajeval_ros.io.save_trajectories import files_of
+    from trajeval_ros.io.source_names import names_of
     from trajeval_ros.io.sources import read_many
     from trajeval_ros.io.watched_sources import imu_of
 

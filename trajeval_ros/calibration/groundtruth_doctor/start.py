@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trajeval_ros.calibration.clock_offset import SEARCH_S, OffsetGuess, guess_offset
+from trajeval_ros.calibration.clock_offset import SEARCH_S, OffsetGuess, guess_offset_by
 from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds, InertialSteps
 from trajeval_ros.calibration.groundtruth_doctor.rig import GRAVITY_MPS2, Rig
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
@@ -38,7 +38,7 @@ def guess_of(groundtruth: Trajectory, imu: ImuSeconds, origin: int) -> OffsetGue
     groundtruth = groundtruth[fresh]
     meets = stamps[0] < groundtruth.stamps[-1] and groundtruth.stamps[0] < stamps[-1]
     search_s = SEARCH_S if meets else None  # all overlaps, for clocks of different epochs
-    return guess_offset(orientations, groundtruth, search_s=search_s, signal="angular rate")
+    return guess_offset_by(orientations, groundtruth, 0.0, search_s, "angular rate")
 
 
 def knots_of(samples: TruthSamples, imu: ImuSeconds, step_s: float) -> Floats:
