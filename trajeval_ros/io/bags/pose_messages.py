@@ -185,7 +185,7 @@ def poses_of(
         _changes(columns.texts["header.frame_id"], columns.texts.get(paths.child_frame)),
         columns.rows,
         undecodable,
-        _floats(numbers[paths.body_rate]) if paths.body_rate in numbers else None,
+        body_rates=_floats(numbers[paths.body_rate]) if paths.body_rate in numbers else None,
     )
 
 
