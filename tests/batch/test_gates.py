@@ -220,7 +220,7 @@ def test_the_table_of_the_same_folder_can_be_the_baseline(today: Path) -> None:
         (["--baseline", "OLD", "--fail-if", "re.9m.position_m.rmse worse than 5 %"], "'9m'"),
         (
             ["--baseline", "OLD", "--fail-if", "eta.position_m.rmse worse than 5 %"],
-            "use one of ate, re",
+            "use one of ate, as_available, re",
         ),
         (["--baseline", "OLD", "--fail-if", "association.pairs worse than 5 %"], "'pairs'"),
         (["--baseline", "OLD", "--fail-if", "association worse than 5 %"], "coverage"),

@@ -88,10 +88,10 @@ def test_of_a_path_the_last_pose_of_every_message_was_received(tmp_path: Path) -
         at = stamps[end - 1] + 40_000_000
         rows.append(("/slam", "nav_msgs/msg/Path", at, at, payload))
     path = write_mcap(tmp_path / "run.mcap", rows)
-    assert read_trajectory(path).as_received is None
+    assert read_trajectory(path).reading.as_received is None
     read = read_trajectory(path, received="auto")
     assert len(read) == 60
-    received = read.as_received
+    received = read.reading.as_received
     assert received is not None
     assert received.stamps.tolist() == [stamps[19], stamps[39], stamps[59]]
     expected = estimate.positions[[19, 39, 59], 0] + [1.0, 2.0, 3.0]
@@ -116,7 +116,7 @@ def test_a_correction_acts_from_its_reception_whatever_its_timestamp(tmp_path: P
     rows += [moved("map", "odom", begin + 2000, begin + 1020, 11.0)]
     rows += [moved("map", "odom", begin + 2900, begin + 1900, 11.0)]
     path = write_mcap(tmp_path / "run.mcap", sorted(rows, key=lambda each: each[2]))
-    received = read_trajectory(f"{path}:/tf:map.base", received="auto").as_received
+    received = read_trajectory(f"{path}:/tf:map.base", received="auto").reading.as_received
     assert received is not None
     receptions = received.reading.receptions
     assert receptions is not None

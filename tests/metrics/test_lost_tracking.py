@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -69,7 +70,14 @@ def test_losses_do_not_depend_on_batches(
         else diverging(pairs.estimate, begin, 1.0)
     )
     stamps, truth = pairs.estimate.stamps, rows(pairs.groundtruth)
-    assert batches(stamps, truth, poses, cuts).losses == batches(stamps, truth, poses, []).losses
+    apart, whole = (batches(stamps, truth, poses, each).losses for each in (cuts, []))
+    for one, other in zip(apart, whole, strict=True):
+        # Products of small and of large batches round differently: some units in the last place.
+        motions = {
+            name: pytest.approx(getattr(other, name), rel=1e-12)
+            for name in ("true_m", "true_deg", "moved_m")
+        }
+        assert dataclasses.asdict(one) == dataclasses.asdict(other) | motions
 
 
 def delays(pairs_of: str, poses: Floats, begin: int) -> tuple[Loss, float, float]:

@@ -177,11 +177,11 @@ def test_without_pyarrow_there_is_no_table_and_a_hint(
         rows = np.column_stack([each.stamps / 1e9, each.positions, each.quaternions])
         np.savetxt(tmp_path / f"{name}.txt", rows, fmt="%.9f")
     folder = tmp_path / "out"
-    folder.mkdir()
-    (folder / "errors.parquet").write_bytes(b"of an evaluation before this one")
+    sources = ["-g", str(tmp_path / "g.txt"), "-e", str(tmp_path / "e.txt")]
+    assert main(["evaluate", *sources, "--output", str(folder)]) == 0
+    assert (folder / "errors.parquet").exists()
     # Not sys.modules: Rerun imports pyarrow, too.
     monkeypatch.setattr(error_archive, "have_pyarrow", lambda: False)
-    sources = ["-g", str(tmp_path / "g.txt"), "-e", str(tmp_path / "e.txt")]
     assert main(["evaluate", *sources, "--output", str(folder)]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert f"errors.parquet needs pyarrow, install it: {pyarrow_command()}" in said

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from strategies import assert_same_numbers, make_element, make_estimate, make_groundtruth, moved
 
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
+from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.gauge import Gauge, Similarity
 from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -201,7 +202,9 @@ def test_a_low_coverage_is_said() -> None:
     lost = make_estimate(groundtruth, 18)[:60]
     result = evaluate(groundtruth, lost, BASE)
     assert result.association.groundtruth_coverage == pytest.approx(60 / 199, abs=0.02)
-    assert any("groundtruth's time" in warning for warning in result.warnings)
+    # From the first to the last pair nothing is lost, so this is a note.
+    [said] = [each for each in result.remarks if "groundtruth's time" in each.text]
+    assert said.level is Level.NOTE
 
 
 def test_a_reason_for_dropping_that_is_new_breaks_no_evaluation() -> None:
@@ -211,7 +214,7 @@ def test_a_reason_for_dropping_that_is_new_breaks_no_evaluation() -> None:
     )
     result = evaluate(groundtruth, lost, BASE)
     assert result.association.dropped["half_a_line"] == 3
-    assert any("half a line" in warning for warning in result.warnings)
+    assert any("half a line" in remark.text for remark in result.remarks)
 
 
 def test_lengths_beyond_the_path_are_said_not_counted_as_zero() -> None:

@@ -112,7 +112,9 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     truth, estimate = read_trajectory(folder / "gt.txt"), read_trajectory(folder / "vio.txt")
     later = dataclasses.replace(estimate, stamps=estimate.stamps + 13_000_000, name="slam")
     save_trajectories(folder, [later], "tum")
-    variances = np.tile(np.diag([0.05**2] * 3 + [0.01**2] * 3), (len(estimate), 1, 1))
+    variances = np.linspace(1.0, 1.1, len(estimate))[:, None, None] * np.diag(
+        [0.05**2] * 3 + [0.01**2] * 3
+    )
     topics = [
         dataclasses.replace(truth, name="gt", reading=Reading()),
         dataclasses.replace(estimate, name="vio", reading=Reading(), covariances=variances),

@@ -158,7 +158,8 @@ def _with_flat(trajectory: Trajectory, fixes: Fixes) -> tuple[Trajectory, Fixes]
         stamps=stamps[order],
         positions=np.zeros((len(stamps), 3)),
         covariances=None,
-        reading=dataclasses.replace(reading, fixes=joined, dropped=dropped),
+        # The times of reception of the fixes without height are unknown here.
+        reading=dataclasses.replace(reading, fixes=joined, dropped=dropped, receptions=None),
     )
     return states, joined
 

@@ -64,6 +64,9 @@ class Reading:
     matrices: Floats | None = None
     # The times of reception of the N messages; None if unknown.
     receptions: Receptions | None = None
+    # The trajectory of the poses in the order of their reception, if they were revised afterwards:
+    # the last pose of every path, or transforms under the newest correction; else None.
+    as_received: Any = None
 
     @property
     def format(self) -> str:

@@ -71,8 +71,6 @@ class Trajectory:
         up: The axis of the frame that points up, and its origin; z by default (REP-103).
         name: Its name in tables.
         reading: How it was read: source, remarks, counts, and data of special sources by row.
-        as_received: The poses in the order of their reception, if they were revised afterwards:
-            the last pose of every path, or transforms under the newest correction; else None.
 
     Example:
         >>> import numpy as np
@@ -94,7 +92,6 @@ class Trajectory:
     up: UpAxis = Z_UP
     name: str = ""
     reading: Reading = NOT_READ
-    as_received: Trajectory | None = None
 
     def __post_init__(self) -> None:
         """Check types and shapes of the columns.

@@ -177,7 +177,7 @@ def read_many(
                 continue
             if not first.is_bag:
                 with _local_file(first.path) as file:
-                    if first.is_pipe and _begins_as_bag(file):
+                    if first.is_pipe and _begins_as_bag(file, _beginning_of(file)):
                         raise InputError("a bag can't be read from a pipe; give the file")
                     text = read_text(file, own, known[numbers[0]], beside=first.path)
                 read |= dict.fromkeys(numbers, text)
@@ -257,8 +257,9 @@ def parse_source(source: str) -> Source:
             if not path.is_fifo():
                 raise InputError(f"{path} is a device; give a file or a pipe")
             return Source(path, rest, None, is_bag=False, is_pipe=True)
-        is_log = path.is_file() and _beginning_of(path).startswith(_ULOG)
-        is_bag = not is_log and (path.is_dir() or _begins_as_bag(path))
+        beginning = _beginning_of(path) if path.is_file() else b""
+        is_log = beginning.startswith(_ULOG)
+        is_bag = path.is_dir() or _begins_as_bag(path, beginning)
     except OSError as error:
         raise InputError(f"{path} can't be read: {reason_of(error)}") from error
     if not rest or is_log:
@@ -318,9 +319,8 @@ def _nearest_name(missing: Path) -> str:
     return f"; did you mean {missing.with_name(near[0])}?" if near else "; check the path"
 
 
-def _begins_as_bag(path: Path) -> bool:
+def _begins_as_bag(path: Path, beginning: bytes) -> bool:
     """Return whether a file is a bag of any format, from its first bytes."""
-    beginning = _beginning_of(path)
     if not beginning and path.suffix in _BAG_ENDINGS:
         raise InputError(f"{path} is empty; check that the recording has data")
     return beginning.startswith((*_BAG_BEGINNINGS, _ZSTD))

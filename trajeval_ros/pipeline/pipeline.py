@@ -264,7 +264,7 @@ def _evaluated(given: Inputs, request: Request, same_as: Calibrated | None = Non
 def _stream(estimate: Trajectory) -> StreamHealth | None:
     """Return the health of a recorded stream; without arrivals if they can't be compared."""
     receptions = estimate.reading.receptions
-    if receptions is None or not len(estimate) or estimate.as_received is not None:
+    if receptions is None or not len(estimate) or estimate.reading.as_received is not None:
         return None
     _, clock = judged_receptions(estimate.stamps, receptions.times)
     unknown = np.full(len(estimate), UNKNOWN)

@@ -47,7 +47,7 @@ class Inputs:
     @classmethod
     def of(cls, groundtruth: Trajectory, estimate: Trajectory) -> Inputs:
         """Return the two sides, with the poses as received if they were revised afterwards."""
-        revised = estimate.as_received
+        revised: Trajectory | None = estimate.reading.as_received
         streams = None if revised is None else (groundtruth, revised)
         return cls(groundtruth, estimate, streams=streams)
 

@@ -85,7 +85,7 @@ def _covered(evaluation: Evaluation) -> str:
         return completeness_in_words(evaluation)
     coverage, path_m = pairs.coverage, f"({pairs.groundtruth.path_length_m:.1f} m)"
     return (
-        f"{len(pairs)} pairs cover {percent(pairs.estimate_coverage)} of the "
+        f"{counted(len(pairs), 'pair')} cover {percent(pairs.estimate_coverage)} of the "
         f"estimate's poses and {percent(coverage.covered)} of the groundtruth's time {path_m}"
         + (f", {coverage.gap_in_words}" if coverage.longest_gap else "")
     )

@@ -263,8 +263,8 @@ def trajectory_of_columns(
             remarks=(*remarks, *told, *frames, *judgement),
             resets=resets,
             receptions=_with_rates(columns),
+            as_received=None if columns.as_received is None else _as_received(columns.as_received),
         ),
-        as_received=None if columns.as_received is None else _as_received(columns.as_received),
     )
     return _usable(_without_lone_stamps(everything), where, count)
 
@@ -333,8 +333,8 @@ def _transform_trajectory(
                 LONE: sum(each.lone for each in tree),
             },
             remarks=(note(FORMAT, "format: TF"), *remarks),
+            as_received=_newest_transforms(edges, tree, frames, source.received),
         ),
-        as_received=_newest_transforms(edges, tree, frames, source.received),
     )
     return _usable(trajectory, where, len(stamps))
 
