@@ -48,7 +48,7 @@ def turns() -> Array:
         for signs in itertools.product((1.0, -1.0), repeat=3)
     ]
     cube = [each for each in cube if np.linalg.det(each) > 0.0]
-    return np.concatenate([cube, Rotation.random(COUNT - 24, rng=1).as_matrix()])
+    return np.concatenate([cube, Rotation.random(COUNT - 24, random_state=1).as_matrix()])
 
 
 def odometry(**changes: Any) -> dict[str, Array]:

@@ -15,7 +15,7 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
 
 COUNT = 40
-TURNS = Rotation.random(COUNT, rng=3)
+TURNS = Rotation.random(COUNT, random_state=3)
 POSITIONS = np.random.default_rng(4).normal(size=(COUNT, 3))
 TIMES = 1_700_000_000.0 + 0.5 * np.arange(COUNT)
 XYZW = TURNS.as_quat()
