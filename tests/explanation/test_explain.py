@@ -116,7 +116,20 @@ def test_some_commands_give_their_values(pair: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("pair", ["drone_loop", "mono_scale", "car_kitti", "handheld_gaps"])
+@pytest.mark.parametrize(
+    "pair",
+    [
+        "drone_loop",
+        *(
+            pytest.param(pair, marks=pytest.mark.xfail(reason=reason, strict=True))
+            for pair, reason in {
+                "mono_scale": "some commands withhold their number",
+                "handheld_gaps": "some commands withhold their number",
+                "car_kitti": "the command uses KITTI's matrices, which are no exact rotations",
+            }.items()
+        ),
+    ],
+)
 def test_all_commands_give_their_values(pair: str, tmp_path: Path) -> None:
     assert_commands_give_values(pair, tmp_path, 1)
 

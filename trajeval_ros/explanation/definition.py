@@ -85,6 +85,8 @@ ABSOLUTE: Final[dict[tuple[str, str], tuple[tuple[str, ...], tuple[str, ...], fl
     ("rotation_part", ""): (_ALL, ("se3",), 0.02),
 }
 
+OF_EVO: Final = ("full", "rotation_part")  # errors of whole poses, which only evo's form has
+
 
 class Family(NamedTuple):
     """Relative errors of a program: the protocol, its lengths, and what is searched."""

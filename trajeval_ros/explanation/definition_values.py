@@ -21,6 +21,7 @@ from trajeval_ros.explanation.definition import (
     EXCHANGED,
     FAMILIES,
     LAST,
+    OF_EVO,
     PARTS,
     PER_AXIS,
     PER_PATH,
@@ -70,7 +71,9 @@ def values_of(
             family = FAMILIES.get(rest[4])
             for name in paired.names:
                 is_of_family = family is None or name in family.associations
-                if is_of_family and not (withheld and ASSOCIATIONS[name][0] == "default"):
+                protocol = ASSOCIATIONS[name][0]
+                is_printed = rest[1] not in OF_EVO or PROTOCOLS[protocol].ate_form == "evo"
+                if is_of_family and is_printed and not (withheld and protocol == "default"):
                     places[Definition(name, *rest)] = len(values)
             values.append(value)
     return places, values
