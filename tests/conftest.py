@@ -119,6 +119,7 @@ def tracks_flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def peer(environment: dict[str, str]) -> Iterator[Any]:
     """A ROS node in the test's own process."""
+    pytest.importorskip("rclpy", reason="rclpy is missing; `make test-ros` has it")
     from ros_processes import Peer
 
     peer = Peer(environment)

@@ -77,7 +77,6 @@ def test_without_the_setting_nothing_is_written(tmp_path: Path) -> None:
 def test_over_dds_the_stored_receptions_give_the_numbers_of_a_recording(
     peer: Peer, environment: dict[str, str], tmp_path: Path
 ) -> None:
-    pytest.importorskip("rclpy", reason="rclpy is missing; `make test-ros` has it")
     from geometry_msgs.msg import Vector3Stamped
     from std_msgs.msg import Float64
 
