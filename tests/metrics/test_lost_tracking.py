@@ -148,6 +148,19 @@ def test_a_robot_at_rest_is_not_frozen() -> None:
     assert batches(stamps, truth, still, [100]).losses == []
 
 
+@given(row=st.integers(25, 598), cut=st.integers(1, 599), metres=st.floats(0.2, 100.0))
+def test_an_outlier_of_the_groundtruth_at_rest_is_no_motion(
+    row: int, cut: int, metres: float
+) -> None:
+    stamps, still = np.arange(600) * NANOSECONDS // 20, np.tile([0, 0, 0, 1.0], (600, 1))
+    truth = states(np.zeros((600, 3)), still)
+    truth[row, 0] = metres
+    estimate = states(np.zeros((600, 3)), still)
+    assert batches(stamps, truth, estimate, [cut]).losses == []
+    truth[row + 1, 0] = metres  # two in succession are a motion
+    assert len(batches(stamps, truth, estimate, [cut]).losses) == 1
+
+
 @pytest.mark.parametrize("count", [200, 600])
 def test_frozen_time_is_not_covered(count: int) -> None:
     pair = simulated(31, "drone", "walk", 60.0)

@@ -80,7 +80,9 @@ class RepeatedPoses:
             if oriented:
                 turned = _angles(groundtruth[first, 3:], groundtruth[:, 3:])
         moved = np.maximum(moved_m / self._moved_m, turned / _TURNED_RAD)
-        shown = (stamps - stamps[first] >= _SHORTEST_S * NANOSECONDS) & (moved >= 1.0)
+        # Of two pairs in succession: one outlier of the groundtruth is no motion.
+        has_moved = np.minimum(moved, np.roll(moved, 1)) >= 1.0
+        shown = has_moved & (stamps - stamps[first] >= _SHORTEST_S * NANOSECONDS)
         still = np.maximum.accumulate(np.where(moved < _STILL, rows, 0))
         for begin in sorted(set(first[shown | ((first == 0) & self._is_open)].tolist())):
             end = int(first.searchsorted(begin, side="right"))  # after its last row

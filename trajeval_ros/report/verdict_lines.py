@@ -18,6 +18,7 @@ from trajeval_ros.formatting.numbers import (
 from trajeval_ros.geometry.up_axis import ASSUMED, UpAxis
 from trajeval_ros.geometry.valid_poses import reasons
 from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.metrics.tracking_loss import DIVERGED, FROZEN
 from trajeval_ros.report.definitions import METHOD_TEXTS, WEIGHT_TEXTS
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 _MOSTLY = 1.0 / 3.0  # of the rotation ATE: a standard deviation that explains it
 _STATED = ("few_pairs", "identical")  # causes that the line or the numbers state already
+_LOST = {FROZEN: "froze", DIVERGED: "diverged"}  # errors of the estimator
 
 
 def verdict(evaluation: Evaluation) -> list[str]:
@@ -194,9 +196,12 @@ def diagnosis_lines(run: RunOutcome) -> list[str]:
 
 def doubt(diagnosis: Diagnosis) -> str:
     """Return the end of the first result line if a mistake dominates the errors: its cause."""
-    graver = [each for each in diagnosis.findings if each.rank >= CAUSES["scale"].rank]
-    shown = [each.cause.replace("_", " ") for each in graver if each.cause not in _STATED]
-    return f"; not an error of the estimator alone: {', '.join(shown)}" if shown else ""
+    graver = [each.cause for each in diagnosis.findings if each.rank >= CAUSES["scale"].rank]
+    shown = [each.replace("_", " ") for each in graver if each not in (*_STATED, *_LOST)]
+    lost = [_LOST[each] for each in graver if each in _LOST]
+    return (f"; the estimate {' and '.join(lost)}" if lost else "") + (
+        f"; not an error of the estimator alone: {', '.join(shown)}" if shown else ""
+    )
 
 
 def explanation(diagnosis: Diagnosis) -> list[str]:
