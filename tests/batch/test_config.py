@@ -345,6 +345,7 @@ def test_a_host_that_is_none_is_told(text: str, tmp_path: Path) -> None:
 def test_each_file_of_runs_is_checked_and_the_command_line_names_hosts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     config = write_runs(tmp_path)
     config.write_text(config.read_text().replace("bad: ", "bad: nosuch://bucket/"))
     out = ["--output", str(tmp_path / "out")]
