@@ -158,6 +158,7 @@ def test_what_is_worse_fails_and_is_told_first(job: Job) -> None:
 
 
 def test_what_cannot_be_compared_is_told(job: Job) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     (job.folder / "comparison").mkdir()
     (job.folder / "comparison" / "gates.md").write_text("inconclusive\n")
     done = job.run(config="rnus.yaml")

@@ -172,6 +172,7 @@ def test_the_table_has_a_row_for_each_pair(outcome: Outcome, tmp_path: Path) -> 
 def test_without_pyarrow_there_is_no_table_and_a_hint(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     flight = simulate(seed=1, duration_s=20.0)
     for name, each in (("g", flight.groundtruth), ("e", flight.estimate)):
         rows = np.column_stack([each.stamps / 1e9, each.positions, each.quaternions])
