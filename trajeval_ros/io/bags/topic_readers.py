@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Stamps
 from trajeval_ros.geometry.receptions import Receptions
@@ -44,13 +42,14 @@ from trajeval_ros.io.bags.px4_messages import (
 from trajeval_ros.io.bags.received_transforms import ReceivedEdge
 from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey
 from trajeval_ros.io.checks import times
+from trajeval_ros.io.growing_rows import GrowingRows
 
 
 class GrowingPoses:
     """The poses of a topic, added part by part."""
 
     def __init__(self) -> None:
-        self._columns: dict[str, list[NDArray[Any]]] = {}
+        self._columns: dict[str, GrowingRows] = {}
         self._frames: list[Frames] = []
         self._dropped: dict[str, int] = {}
         self._undecodable = self._count = self._messages = 0
@@ -64,8 +63,7 @@ class GrowingPoses:
         }
         for name, rows in columns.items():
             if rows is not None:
-                # A copy of a view, which would keep all other fields in memory.
-                self._columns.setdefault(name, []).append(np.ascontiguousarray(rows))
+                self._columns.setdefault(name, GrowingRows()).extend(rows)
         self._frames += [(self._count + row, frame, child) for row, frame, child in part.frames]
         self._undecodable += part.undecodable
         self._dropped = add_counts(self._dropped, part.dropped)
@@ -74,8 +72,7 @@ class GrowingPoses:
 
     def done(self, received: str = "") -> PoseColumns:
         """Return all poses in order of their log times, with receptions as `Receptions.of_bag`."""
-        # Column by column, so that the parts of only one are in memory twice.
-        columns = {name: np.concatenate(self._columns.pop(name)) for name in [*self._columns]}
+        columns = {name: column.done() for name, column in self._columns.items()}
         frames, log_times = self._frames, columns["log"]
         if (np.diff(log_times) < 0).any():
             order = np.argsort(log_times, kind="stable")

@@ -18,6 +18,7 @@ from trajeval_ros.geometry.reading import FORMAT, NAMED_COLUMNS, Reading
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.checks import check_stamps, judge_rotations
+from trajeval_ros.io.growing_rows import GrowingRows
 from trajeval_ros.io.text.decimals import ParsedRows, RowFormat, parse_rows
 from trajeval_ros.io.text.geographic import fixes_of, read_nmea
 from trajeval_ros.io.text.head import COMMENT, TextFormat, holds_nmea, read_head, recognise_text
@@ -145,7 +146,7 @@ def _read_columns(path: Path, text: TextFormat, advance: Advance | None) -> File
         group: [values_at.index(at) for at in places]
         for group, places in text.layout.groups.items()
     }
-    parts: dict[str, list[Floats]] = {group: [] for group in picks}
+    groups = {group: GrowingRows() for group in picks}
     stamps: list[ExactNumbers] = []
     count = untimed = 0
     for end, rows in _parse_blocks(path, text):
@@ -156,13 +157,15 @@ def _read_columns(path: Path, text: TextFormat, advance: Advance | None) -> File
             values = values if every else values[rows.timed]
             untimed += len(rows.timed) - len(values)
         for group, pick in picks.items():
-            parts[group].append(np.ascontiguousarray(values[:, pick]))
+            groups[group].extend(values[:, pick])
         count += len(values)
         if advance is not None:
             advance(end, total)
-    groups = {group: np.concatenate(parts.pop(group)) for group in picks}
     return FileColumns(
-        ExactNumbers.concatenate(stamps) if stamps else None, groups, count, untimed
+        ExactNumbers.concatenate(stamps) if stamps else None,
+        {group: column.done() for group, column in groups.items()},
+        count,
+        untimed,
     )
 
 
