@@ -71,7 +71,9 @@ class Cell:
         z[0, self.trials :] += np.log1p(self.one)
         samples = [Sample(*np.split(each, [self.trials])) for each in z]
         test = PermutationTest(samples, margins, FALSE_ALARMS, RELABELLINGS, random)
-        return bool(test.worse.rejects_together.any() or test.worse.rejects_alone.any())
+        found = test.worse
+        together = (found.together <= found.level_together).any()
+        return bool(together or (found.alone <= found.level_alone).any())
 
     def _logarithms(self, random: np.random.Generator, real: Floats | None) -> Floats:
         """Return logarithms of errors, (sequences, runs, metrics); correlation one half."""

@@ -32,7 +32,7 @@ from trajeval_ros.report.matrix import to_latex
 
 def run(config: Path, **more: bool) -> tuple[Progress, ComparisonSummary]:
     out = config.parent / "out"
-    progress = run_plan(plan_of(config, {}, common_time_span=more.get("cut")), out, here)
+    progress = run_plan(plan_of(config, {"common_time_span": more.get("cut")}), out, here)
     return progress, summary_of(out)
 
 

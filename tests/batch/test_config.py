@@ -71,7 +71,7 @@ def test_settings_are_those_of_evaluate_and_the_command_line_comes_first(tmp_pat
     assert written.request.protocol.association.max_gap_s == 1.0
     assert [str(length) for length in written.request.protocol.lengths] == ["4m", "8m"]
     assert written.common_time_span
-    said = plan_of(config, {"gauge": "yaw", "lengths": "10%"}, common_time_span=False)
+    said = plan_of(config, {"gauge": "yaw", "lengths": "10%", "common_time_span": False})
     assert said.request.protocol.gauge is Gauge.YAW
     assert str(said.request.protocol.lengths[0]) == "10%"
     assert not said.common_time_span
@@ -383,7 +383,7 @@ def test_columns_of_all_algorithms_and_the_command_line_comes_first(tmp_path: Pa
         file.write("columns: t_s x y z qx qy qz qw\nframe_rate: 10\n")
     hints = {run.hints for run in plan(config).runs}
     assert hints == {TextHints.of("t_s x y z qx qy qz qw", 10.0)}
-    said = plan_of(config, {}, columns="t x y z _ _ _ _", frame_rate=5.0)
+    said = plan_of(config, {"columns": "t x y z _ _ _ _", "frame_rate": 5.0})
     assert {run.hints for run in said.runs} == {TextHints.of("t x y z _ _ _ _", 5.0)}
 
 
@@ -391,7 +391,7 @@ def test_other_columns_are_another_run(tmp_path: Path) -> None:
     pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     config = write_runs(tmp_path, trials=1)
     first = run_plan(plan(config), tmp_path / "out", here)
-    again = run_plan(plan_of(config, {}, columns="t x y z _ _ _ _"), tmp_path / "out", here)
+    again = run_plan(plan_of(config, {"columns": "t x y z _ _ _ _"}), tmp_path / "out", here)
     assert (first.done, again.done, again.kept) == (4, 4, 0)
 
 

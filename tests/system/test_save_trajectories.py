@@ -20,7 +20,7 @@ from trajeval_ros.geometry.stamp_trust import LONE, StampTrust
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.encode_messages import (
     encode_odometry,
-    encode_pose_stamped,
+    encode_stamped,
     encode_transforms,
 )
 from trajeval_ros.io.save_trajectories import save_trajectories
@@ -142,9 +142,7 @@ def test_messages_are_those_of_rosbags() -> None:
     covariances = np.asarray(trajectory.covariances).reshape(-1, 36)
     for frames in (("map", "base_link"), ("", "x"), ("odom_1", "")):
         kinds = {
-            "geometry_msgs/msg/PoseStamped": encode_pose_stamped(
-                trajectory.stamps, poses, frames[0]
-            ),
+            "geometry_msgs/msg/PoseStamped": encode_stamped(trajectory.stamps, poses, frames[0]),
             "nav_msgs/msg/Odometry": encode_odometry(
                 trajectory.stamps, poses, covariances, trajectory.positions, frames
             ),

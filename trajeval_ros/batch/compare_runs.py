@@ -90,10 +90,12 @@ def compare(
     folder = Path(output)
     plan = plan_of(
         target,
-        {name: known[name].of_yaml(value) for name, value in settings.items()},
-        columns=columns,
-        frame_rate=frame_rate,
-        common_time_span=common_time_span,
+        {
+            **{name: known[name].of_yaml(value) for name, value in settings.items()},
+            "columns": columns,
+            "frame_rate": frame_rate,
+            "common_time_span": common_time_span,
+        },
         allow_remote=allow_remote,
     )
     with only_writer(folder, RECORDS):

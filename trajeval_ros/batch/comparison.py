@@ -120,20 +120,19 @@ class _RunningComparison:
 
     def evaluate(self, tasks: Iterable[Task]) -> None:
         """Evaluate the runs without a record."""
-        todo = self._without_record(tasks)
-        first = next(todo, None)
-        if first is not None:
-            evaluate_all(self._start_pool(), chain([first], todo), self._finish, self._on_running)
-        self.progress.running = []
-        self._tell(self.progress)
 
-    def _without_record(self, tasks: Iterable[Task]) -> Iterator[Task]:
-        for task in tasks:
-            if task.key in self.records:
-                self.progress.kept += 1
-                self._tell(self.progress)
-            else:
-                yield task
+        def without_record() -> Iterator[Task]:
+            for task in tasks:
+                if task.key in self.records:
+                    self.progress.kept += 1
+                    self._tell(self.progress)
+                else:
+                    yield task
+
+        todo = without_record()
+        if (first := next(todo, None)) is not None:
+            evaluate_all(self._start_pool(), chain([first], todo), self._finish, self._show)
+        self._show([])
 
     def cut_to_common_spans(self) -> None:
         """Evaluate the runs of every sequence again, over the time that all of them cover."""
@@ -191,6 +190,6 @@ class _RunningComparison:
         self.failures[run] = reason
         self.progress.failed += 1
 
-    def _on_running(self, running: list[Task]) -> None:
+    def _show(self, running: list[Task]) -> None:
         self.progress.running = [task.run.name for task in running]
         self._tell(self.progress)

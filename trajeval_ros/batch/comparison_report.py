@@ -128,13 +128,7 @@ def _shown(trials: Sequence[Trial]) -> list[Trial]:
 def _plots(
     folder: Path, summary: ComparisonSummary, records: RecordStore
 ) -> tuple[list[Plot], int]:
-    """Write the figures of all runs together as files.
-
-    `folder`: folder for the files; figures of an earlier report are removed.
-
-    Returns:
-        The figures of the report, and the number of sequences in them.
-    """
+    """Write the figures of all runs together; return those of the report, and their sequences."""
     with refused_by_disk(f"the folder {folder}"):
         folder.mkdir(exist_ok=True)
         for stem in ("ate", "re", "trajectories", "errors"):

@@ -85,14 +85,9 @@ class ComparisonSummary:
         """Return the runs of an algorithm, on one sequence or on all."""
         return self._by_place.get((algorithm, sequence), [])
 
-    def pooled_errors(
-        self, algorithm: str, sequence: str, length: str, metric: str
-    ) -> dict[str, Any] | None:
-        """Return the statistics of a relative error over trials; None if there are none."""
-        return self._relative.get((algorithm, sequence, length, metric))
-
     @cached_property
-    def _relative(self) -> dict[tuple[str, str, str, str], dict[str, Any]]:
+    def relative(self) -> dict[tuple[str, str, str, str], dict[str, Any]]:
+        """Relative errors over trials, by algorithm, sequence, length and metric."""
         return {
             (row["algorithm"], row["sequence"], row["length"], row["metric"]): row
             for row in self.pooled

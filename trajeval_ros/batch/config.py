@@ -27,30 +27,19 @@ from trajeval_ros.pipeline.request import Request
 
 _KEYS = (
     "title", "folder", "manifest", "groundtruth", "runs", "sequences", "trials",
-    "common_time_span", "columns", "frame_rate",
 )  # fmt: skip
+_OF_COMPARISONS = ("common_time_span", "columns", "frame_rate")  # settings of no request
 
 
 def plan_of(
-    target: str | Path,
-    settings: Mapping[str, Any],
-    *,
-    columns: str | None = None,
-    frame_rate: float | None = None,
-    common_time_span: bool | None = None,
-    allow_remote: Iterable[str] = (),
+    target: str | Path, settings: Mapping[str, Any], *, allow_remote: Iterable[str] = ()
 ) -> Plan:
     """Return the plan of a comparison.
 
-    Args:
-        target: A YAML file, a manifest (its path or URL), or a folder of a known layout.
-        settings: Settings of the request, as on the command line. They override the file.
-        columns: Columns of the estimates' text files; overrides the file.
-        frame_rate: Poses per second in text files without timestamps; overrides the file.
-        common_time_span: Whether to evaluate only the time that all runs of a sequence cover;
-            overrides the file.
-        allow_remote: Hosts that URLs in the file may name, `SCHEME://HOST`. The host of a
-            manifest's own URL is allowed.
+    `target`: a YAML file, a manifest (its path or URL), or a folder of a known layout. `settings`:
+    of the request and `common_time_span`, `columns`, `frame_rate`, as on the command line; they
+    override the file. `allow_remote`: hosts that URLs in the file may name, `SCHEME://HOST`. The
+    host of a manifest's own URL is allowed.
     """
     hosts = parse_hosts(allow_remote)
     path = Path(target)
@@ -59,63 +48,51 @@ def plan_of(
             title, found = path.resolve().name, runs_in_folder(path)
         else:
             title, found = path.stem, runs_in_manifest(str(target), hosts | host_of(str(target)))
-        known = TextHints.of(columns, frame_rate)
-        runs = tuple(dataclasses.replace(run, hints=known) for run in found)
-        return Plan(title, runs, _request({}, settings), bool(common_time_span))
+        return _plan(title, found, settings)
     if is_url(str(target)):
         raise InputError(
             f"{target} is not a manifest (.csv or .parquet); copy the file to this machine"
         )
-    return _plan_of_yaml(path, settings, columns, frame_rate, common_time_span, hosts)
+    return _plan_of_yaml(path, settings, hosts)
 
 
-def plan_of_sources(
-    sources: Sequence[str],
-    settings: Mapping[str, Any],
-    *,
-    columns: str | None = None,
-    frame_rate: float | None = None,
-    common_time_span: bool | None = None,
-) -> Plan:
+def plan_of_sources(sources: Sequence[str], settings: Mapping[str, Any]) -> Plan:
     """Return the plan of a comparison of estimates of one groundtruth.
 
-    `sources`: the groundtruth, and estimates as SOURCE or NAME=SOURCE. The other arguments are
-    those of `plan_of`.
+    `sources`: the groundtruth, and estimates as SOURCE or NAME=SOURCE.
     """
     groundtruth, *estimates = sources
     named = [split_name(each) for each in estimates]
     paths = [source for _, source in named]
     _, *names = names_with(["", *(name for name, _ in named)], [groundtruth, *paths])
     sequence = names_of([groundtruth])[0]
-    hints = TextHints.of(columns, frame_rate)
-    runs = tuple(
-        PlannedRun(name, sequence, "", groundtruth=groundtruth, estimate=path, hints=hints)
+    runs = [
+        PlannedRun(name, sequence, "", groundtruth=groundtruth, estimate=path)
         for name, path in zip(names, paths, strict=True)
-    )
-    return Plan(sequence, runs, _request({}, settings), bool(common_time_span))
+    ]
+    return _plan(sequence, runs, settings)
 
 
-def _plan_of_yaml(
-    target: Path,
-    settings: Mapping[str, Any],
-    columns: str | None,
-    frame_rate: float | None,
-    common_time_span: bool | None,
-    hosts: frozenset[str],
-) -> Plan:
+def _plan(title: str, found: Iterable[PlannedRun], settings: Mapping[str, Any]) -> Plan:
+    hints = TextHints.of(settings.get("columns"), settings.get("frame_rate"))
+    runs = tuple(dataclasses.replace(run, hints=hints) for run in found)
+    return Plan(title, runs, _request({}, settings), bool(settings.get("common_time_span")))
+
+
+def _plan_of_yaml(target: Path, settings: Mapping[str, Any], hosts: frozenset[str]) -> Plan:
     if not target.exists():
         raise InputError(
             f"{target} does not exist; give a YAML configuration, a manifest (.csv or .parquet), "
             "or a folder in the layout of ov_eval or rpg_trajectory_evaluation"
         )
     config = read_mapping(target, "comparison")
-    require_known(config, [*_KEYS, *settings_of_many_runs()], str(target))
-    if common_time_span is None:
+    require_known(config, [*_KEYS, *_OF_COMPARISONS, *settings_of_many_runs()], str(target))
+    if (common_time_span := settings.get("common_time_span")) is None:
         common_time_span = _typed(config, "common_time_span", bool, target, default=False)
     listed = "manifest" in config
     runs = _listed_runs(config, target, hosts) if listed else _runs(config, target, hosts)
     algorithms = list(dict.fromkeys(run.algorithm for run in runs))
-    hints = _hints(config, target, algorithms, columns, frame_rate)
+    hints = _hints(config, target, algorithms, settings)
     return Plan(
         title=_typed(config, "title", str, target, default=target.stem),
         runs=tuple(dataclasses.replace(run, hints=hints[run.algorithm]) for run in runs),
@@ -196,10 +173,10 @@ def _hints(
     config: Mapping[str, Any],
     target: Path,
     algorithms: Sequence[str],
-    columns: str | None,
-    frame_rate: float | None,
+    settings: Mapping[str, Any],
 ) -> dict[str, TextHints]:
     """Return the hints for the text files of each algorithm."""
+    columns, frame_rate = settings.get("columns"), settings.get("frame_rate")
     if frame_rate is None and "frame_rate" in config:
         frame_rate = _typed(config, "frame_rate", float, target)
     if columns is not None:
@@ -240,7 +217,11 @@ def _settings(config: Mapping[str, Any], target: Path) -> dict[str, Any]:
 
 def _request(written: Mapping[str, Any], given: Mapping[str, Any]) -> Request:
     """Return the request of a file's settings; settings of the command line override them."""
-    given = {name: value for name, value in given.items() if value is not None}
+    given = {
+        name: value
+        for name, value in given.items()
+        if value is not None and name not in _OF_COMPARISONS
+    }
     if "gauge" in given or "modality" in given:
         written = {key: each for key, each in written.items() if key not in ("gauge", "modality")}
     settings = {**written, **given}

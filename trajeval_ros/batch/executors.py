@@ -50,7 +50,9 @@ class Pool:
 
 def local_pool(workers: int | None) -> Pool:
     """Return processes of this machine, by default one per available core."""
-    return Pool(_processes, workers or _cores())
+    if workers is None and hasattr(os, "sched_getaffinity"):
+        workers = len(os.sched_getaffinity(0))
+    return Pool(_processes, workers or os.cpu_count() or 1)
 
 
 def dask_pool(address: str) -> Pool:
@@ -140,9 +142,9 @@ def _drain(
             try:
                 outcome = future.result()
             except BrokenExecutor:
-                finished = [each for each in running if _succeeded(each)]
-                for each in finished:
-                    finish(running.pop(each), each.result())
+                for each in [*running]:
+                    if each.done() and not each.cancelled() and each.exception() is None:
+                        finish(running.pop(each), each.result())
                 suspects += running.values()
                 return False
             except Exception as error:
@@ -158,10 +160,6 @@ def _submit(executor: Executor, task: Task) -> Future[WorkerResult]:
         future: Future[WorkerResult] = Future()
         future.set_exception(error)
         return future
-
-
-def _succeeded(future: Future[WorkerResult]) -> bool:
-    return future.done() and not future.cancelled() and future.exception() is None
 
 
 def _outcome(future: Future[WorkerResult]) -> WorkerResult:
@@ -243,18 +241,12 @@ class _Processes(ProcessPoolExecutor):
 def _begin_worker() -> None:
     """Ignore Ctrl-C, and end with the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    # If the parent is killed, the queue does not close: all workers hold its other end.
     parent = parent_process()
-    if parent is not None:
+    assert parent is not None
+
+    def end_with_parent() -> None:
+        # If the parent is killed, the queue does not close: all workers hold its other end.
         connection.wait([parent.sentinel])
         os._exit(1)
 
-
-def _cores() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    threading.Thread(target=end_with_parent, daemon=True).start()

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from trajeval_ros.batch.comparison_summary import ComparisonSummary, Trial
+from trajeval_ros.batch.comparison_summary import ComparisonSummary
 from trajeval_ros.batch.records import Record, RecordStore
 from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.report.comparison_figures import Box, BoxPlot, ErrorsPlot, PathsPlot
@@ -70,7 +70,7 @@ def _relative_plots(summary: ComparisonSummary, sequence: str) -> Iterator[Figur
     for metric in ("position_percent" if in_metres else "position_m", "rotation_deg"):
         boxes = {
             length: [
-                _pooled_box(summary.pooled_errors(algorithm, sequence, str(length), metric))
+                _pooled_box(summary.relative.get((algorithm, sequence, str(length), metric)))
                 for algorithm in algorithms
             ]
             for length in asked
@@ -136,17 +136,12 @@ def _median_records(
     """Return name and record of the trial with the median error, by index of the algorithm."""
     found = {}
     for place, algorithm in enumerate(summary.algorithms[:MOST_ALGORITHMS]):
-        trial = _median_trial(summary.of(algorithm, sequence))
-        record = None if trial is None else records.read(trial.key, with_pooled=False)
-        if trial is not None and record is not None:
+        trials = [each for each in summary.of(algorithm, sequence) if "position_m" in each.rmse]
+        if not trials:
+            continue
+        trials.sort(key=lambda trial: trial.rmse["position_m"])
+        trial = trials[(len(trials) - 1) // 2]
+        if (record := records.read(trial.key, with_pooled=False)) is not None:
             which = f", trial {trial.trial}" if trial.trial else ""
             found[place] = (f"{algorithm}{which}", record)
     return found
-
-
-def _median_trial(trials: list[Trial]) -> Trial | None:
-    ranked = sorted(
-        (trial for trial in trials if "position_m" in trial.rmse),
-        key=lambda trial: trial.rmse["position_m"],
-    )
-    return ranked[(len(ranked) - 1) // 2] if ranked else None

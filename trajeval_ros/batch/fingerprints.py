@@ -13,7 +13,7 @@ from trajeval_ros.batch.remote_files import open_store
 from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.io.json_file import json_text, mapping_in
 from trajeval_ros.io.sources import parse_source
-from trajeval_ros.io.text.number_tables import names_of_times
+from trajeval_ros.io.text.number_tables import files_of_times
 from trajeval_ros.io.writing import write_text
 
 _NANOSECONDS = 1_000_000_000
@@ -30,7 +30,6 @@ class Fingerprints:
         self._memory = memory
         self._known: dict[str, list[Any]] = {}
         self._of_source: dict[str, str] = {}
-        self._names: dict[Path, frozenset[str] | None] = {}
         self._changed = False
         self._saved_at = time.monotonic()
         with contextlib.suppress(OSError):  # without stored hashes, all files are read
@@ -75,25 +74,8 @@ class Fingerprints:
             if local.is_dir():
                 files = [each for each in sorted(local.rglob("*")) if each.is_file()]
                 return files or [local]
-        return [local, *self._read_beside(local)]
-
-    def _read_beside(self, path: Path) -> list[Path]:
-        """Return the files that belong to one: KITTI's timestamps, the log of an sqlite bag."""
-        inside = self._names_in(path.parent)
-        names = [f"{path.stem}_times.txt", "times.txt", f"{path.name}-wal"]
-        if path.suffix == ".npy":
-            names = names_of_times(path)
-        beside = [path.with_name(name) for name in names if inside is None or name in inside]
-        return [each for each in beside if each.is_file() and each != path]
-
-    def _names_in(self, folder: Path) -> frozenset[str] | None:
-        """Return the names in a folder, listed once; None if it can't be listed."""
-        if folder not in self._names:
-            try:
-                self._names[folder] = frozenset(each.name for each in folder.iterdir())
-            except OSError:
-                self._names[folder] = None
-        return self._names[folder]
+        log = local.with_name(f"{local.name}-wal")  # of an sqlite bag
+        return [local, *files_of_times(local), *([log] if log.is_file() else [])]
 
     def _file(self, path: Path) -> str:
         name, state = str(path.absolute()), path.stat()

@@ -135,11 +135,7 @@ class FinishedComparison:
 
 
 def require_own(folder: Path) -> None:
-    """Check that the results in a folder were written by a comparison, which replaces them.
-
-    Raises:
-        InputError: A file or folder with the name of a result is from another source.
-    """
+    """Check that the results in a folder were written by a comparison, which replaces them."""
     about = folder / _ABOUT
     try:
         with about.open("rb") as file:

@@ -30,7 +30,8 @@ def runs_in_folder(folder: Path) -> tuple[PlannedRun, ...]:
     """
     if (folder / "truths").is_dir() and (folder / "algorithms").is_dir():
         return _ov_eval(folder)
-    experiments = sorted(path.parent for path in _groundtruths(folder))
+    levels = ["*/" * depth + _GROUNDTRUTH for depth in range(4)]  # those of the layout
+    experiments = sorted(path.parent for level in levels for path in folder.glob(level))
     if experiments:
         return _rpg(experiments)
     raise InputError(
@@ -140,11 +141,6 @@ def _place(experiment: Path) -> tuple[str, str, str]:
     if experiment.name.startswith(prefix):
         return platform, algorithm, experiment.name.removeprefix(prefix)
     return "", "", experiment.name
-
-
-def _groundtruths(folder: Path) -> list[Path]:
-    """Return the groundtruth files of experiments, at the depths of the layout."""
-    return [path for depth in range(4) for path in folder.glob("*/" * depth + _GROUNDTRUTH)]
 
 
 def _texts(folder: Path) -> list[Path]:

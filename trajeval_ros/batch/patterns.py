@@ -80,7 +80,7 @@ class Pattern:
                     f"two files are {which} of {self.text!r}: {split_topic(found[run])[0]} and "
                     f"{path}; make the pattern unique"
                 )
-            found[run] = path + self.source_topic(*run)
+            found[run] = path + _filled(self.topic, *run)
         return found
 
     def require(self, found: dict[tuple[str, str], str], folder: Path) -> None:
@@ -90,14 +90,14 @@ class Pattern:
                 f"no file matches the pattern {self.text!r}{_how_far(folder, self.path)}"
             )
 
-    def source_topic(self, sequence: str, trial: str) -> str:
-        """Return the topic of a run, with its colon."""
-        return self.topic.replace("{sequence}", sequence).replace("{trial}", trial)
-
     def path_of(self, folder: Path, sequence: str, trial: str) -> str:
         """Return the path of a run's file, which may not exist."""
-        path = self.path.replace("{sequence}", sequence).replace("{trial}", trial)
+        path = _filled(self.path, sequence, trial)
         return path if is_url(path) else str(folder / path)
+
+
+def _filled(text: str, sequence: str, trial: str) -> str:
+    return text.replace("{sequence}", sequence).replace("{trial}", trial)
 
 
 def _expression(path: str) -> str:

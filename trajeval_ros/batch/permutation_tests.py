@@ -25,17 +25,14 @@ _TIE = 1e-9  # relative: sums of the same terms in another order are equal
 
 
 class Sample:
-    """The runs of one algorithm on one sequence; their difference is `labels @ scores / weight`.
-
-    Attributes:
-        degrees: Degrees of freedom of the scores.
-    """
+    """Runs of one algorithm on one sequence; their difference is `labels @ scores / weight`."""
 
     def __init__(self, old: Floats, new: Floats, *, paired: bool = False) -> None:
         """Create a sample of logarithms (runs, metrics), NaN for failed runs."""
         values = new - old if paired else np.concatenate([old, new])
         rows, first = len(values), 0 if paired else len(old)
-        self._paired, self._first, self.degrees = paired, first, rows - (not paired)
+        self._paired, self._first = paired, first
+        self.degrees = rows - (not paired)  # degrees of freedom of the scores
         self._known: Booleans = np.isfinite(values)
         # True labels, (rows,): 0 of old and 1 of new runs; 1 of pairs, -1 of swapped ones.
         self.labels = (np.arange(rows) >= first).astype(np.float64)
@@ -130,16 +127,6 @@ class Tested:
     level_alone: float  # 0 if no sequence is tested alone
     shares: Floats  # level of a metric without adjustment that gives the same verdict, (metrics,)
 
-    @property
-    def rejects_together(self) -> Booleans:
-        """Whether the tests of all sequences together reject, (metrics,)."""
-        return self.together <= self.level_together
-
-    @property
-    def rejects_alone(self) -> Booleans:
-        """Whether the tests of single sequences reject, (sequences, metrics)."""
-        return self.alone <= self.level_alone
-
     @classmethod
     def of(cls, z: Floats, t: Floats, largest_t: Floats, level: float) -> Tested:
         """Test by z (relabellings, metrics), t and its largest values (relabellings,)."""
@@ -164,10 +151,6 @@ class PermutationTest:
     sequences have the moderated t of Tusher, Tibshirani and Chu (2001), d / (e + s0), with the
     standard error e within sides. The largest statistic of the family adjusts for its size (max-T
     of Westfall and Young). Both questions share the level by Holm's method.
-
-    Attributes:
-        low: Its lower confidence bound, at the level of the verdict; -inf for none, (metrics,).
-        high: Its upper confidence bound, likewise.
     """
 
     def __init__(
@@ -214,6 +197,7 @@ class PermutationTest:
             [_lower_bound(*each) for each in zip(side_sums.T, units.T, side.shares, strict=True)]
             for side_sums, side in ((sums, self.worse), (-sums, self.better))
         )
+        # Its confidence bounds at the level of the verdict, infinite for none, (metrics,).
         self.low, self.high = margins + np.array(low), margins - np.array(high)
 
     def detectable(self) -> tuple[Floats, Floats]:

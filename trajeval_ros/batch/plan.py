@@ -73,13 +73,10 @@ def all_runs(
     An algorithm is expected to have every sequence of the other algorithms, and on it all of its
     trials on any sequence. Omitting missing runs would favour it.
 
-    Args:
-        algorithms: In the order of the tables.
-        estimates: SOURCE by algorithm, sequence and trial.
-        groundtruths: Returns the SOURCE for algorithm and sequence; "" if there is none.
-        where: Returns the expected path of a missing run.
-        sequences: All expected sequences; by default those of the estimates.
-        trials: All expected trials of algorithms with trials; by default those of the estimates.
+    `algorithms`: in the order of the tables. `estimates`: SOURCE by algorithm, sequence and trial.
+    `groundtruths`: returns the SOURCE for algorithm and sequence; "" if there is none. `where`:
+    returns the expected path of a missing run. `sequences`, `trials`: all expected ones; by
+    default those of the estimates.
     """
     names = natural({sequence for _, sequence, _ in estimates} | set(sequences))
     if sequences:

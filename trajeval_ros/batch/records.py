@@ -207,15 +207,13 @@ def _entries(path: Path) -> Iterator[tuple[str, int, int]]:
     try:
         with path.open("rb", buffering=0) as file:
             size, begin = os.fstat(file.fileno()).st_size, 0
-            while (head := _head_at(file.fileno(), begin)) and begin + head.size <= size:
+            while (
+                head := entry_head(os.pread(file.fileno(), HEAD_BYTES, begin))
+            ) and begin + head.size <= size:
                 yield head.key, begin, begin + head.size
                 begin += head.size
     except OSError:
         return
-
-
-def _head_at(file: int, begin: int) -> EntryHead | None:
-    return entry_head(os.pread(file, HEAD_BYTES, begin))
 
 
 def _write_all(file: int, data: bytes, begin: int) -> None:

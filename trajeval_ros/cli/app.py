@@ -130,13 +130,7 @@ class VerbGroup(click.Group):
     """All verbs, or those of a group such as `trajeval study`."""
 
     def __init__(self, name: str, before: str = "", **settings: Any) -> None:
-        """Create it.
-
-        Args:
-            name: Its name.
-            before: The words before the names of its verbs in `VERBS`.
-            settings: As for click's group.
-        """
+        """Create it; `before` are the words before the names of its verbs in `VERBS`."""
         super().__init__(name, **settings)
         self._before = before
         names = [each.removeprefix(before) for each in VERBS if each.startswith(before)]

@@ -64,12 +64,7 @@ def ros_arguments() -> list[str]:
 def verb(
     *params: click.Parameter, kind: type[VerbCommand] = VerbCommand
 ) -> Callable[[Callable[..., Any]], VerbCommand]:
-    """Return a decorator that makes a function a verb, with its docstring as the help.
-
-    Args:
-        params: Arguments and options in the order of the help.
-        kind: Class of the command.
-    """
+    """Return a decorator that makes a function a verb, with its docstring as the help."""
 
     def decorated(function: Callable[..., Any]) -> VerbCommand:
         return kind(

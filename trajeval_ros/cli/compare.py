@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +31,6 @@ from trajeval_ros.io.writing import write_text
 if TYPE_CHECKING:
     from trajeval_ros.batch.comparison import Progress
     from trajeval_ros.batch.comparison_summary import ComparisonSummary
-    from trajeval_ros.batch.executors import Pool
     from trajeval_ros.batch.finished_results import FinishedResults
     from trajeval_ros.batch.gate import Gate, GateValues
     from trajeval_ros.batch.plan import Plan
@@ -93,10 +93,7 @@ _PARAMETERS = (
 @verb(*_PARAMETERS)
 def compare(
     targets: Sequence[str],
-    columns: str | None,
-    frame_rate: float | None,
     quiet: bool,
-    common_time_span: bool | None,
     allow_remote: Sequence[str],
     workers: int | None,
     cluster: str | None,
@@ -140,6 +137,7 @@ def compare(
     from trajeval_ros.batch.comparison import run_plan
     from trajeval_ros.batch.comparison_report import is_drawn, write_report
     from trajeval_ros.batch.comparison_summary import summary_of
+    from trajeval_ros.batch.executors import dask_pool, local_pool
     from trajeval_ros.batch.finished_results import FinishedResults
     from trajeval_ros.batch.records import RECORDS
     from trajeval_ros.batch.results_table import load_pyarrow
@@ -152,16 +150,20 @@ def compare(
         raise SettingsError(
             "--workers (this machine) and --cluster exclude each other; give one of them"
         )
-    reading = {"columns": columns, "frame_rate": frame_rate, "common_time_span": common_time_span}
-    chosen = _comparison_of(targets, settings, reading, allow_remote)
+    chosen = _comparison_of(targets, settings, allow_remote)
+    start_pool = partial(dask_pool, cluster) if cluster else partial(local_pool, workers)
     # The baseline may be the table in the output folder, so it is read before anything is written.
     gates = _gates_of(baseline, fail_if, undecided, false_alarms, chosen.settings, paired=paired)
-    with only_writer(output, RECORDS, _tell_of_waiting if wait else None):
+
+    def tell_of_waiting(held: str) -> None:
+        print(f"waiting: {held}", file=sys.stderr, flush=True)
+
+    with only_writer(output, RECORDS, tell_of_waiting if wait else None):
         if isinstance(chosen, FinishedResults):
             progress = chosen.write_tables(output)
         else:
             with progress_of_runs() as tell:
-                progress = run_plan(chosen, output, lambda: _pool(workers, cluster), tell)
+                progress = run_plan(chosen, output, start_pool, tell)
         summary = summary_of(output)
         write_tables(output, summary, transpose=transpose)
         if not is_drawn(output):
@@ -175,10 +177,7 @@ def compare(
 
 
 def _comparison_of(
-    targets: Sequence[str],
-    settings: dict[str, Any],
-    reading: dict[str, Any],
-    allow_remote: Sequence[str],
+    targets: Sequence[str], settings: dict[str, Any], allow_remote: Sequence[str]
 ) -> Plan | FinishedResults:
     """Return the runs to evaluate, or finished results, which have their own settings."""
     from trajeval_ros.batch.config import plan_of, plan_of_sources
@@ -187,15 +186,15 @@ def _comparison_of(
     results = [each for each in targets if is_result(each)]
     if not results:
         if len(targets) > 1:
-            return plan_of_sources(targets, settings, **reading)
-        return plan_of(targets[0], settings, **reading, allow_remote=allow_remote)
+            return plan_of_sources(targets, settings)
+        return plan_of(targets[0], settings, allow_remote=allow_remote)
     others = [each for each in targets if not is_result(each)]
     if others:
         raise InputError(
             f"{results[0]} has finished results, and {others[0]} has none; give folders with "
             f"{RESULT}, or groundtruth and estimates"
         )
-    given = [name for name, value in {**settings, **reading}.items() if value is not None]
+    given = [name for name, value in settings.items() if value is not None]
     if given:
         option = f"--{given[0].replace('_', '-')}"
         raise SettingsError(
@@ -207,21 +206,13 @@ def _comparison_of(
 
 @dataclass(frozen=True)
 class Gates:
-    """Gates and their baseline.
-
-    Attributes:
-        gates: The gates.
-        baseline: Values of the older comparison.
-        undecided_fails: Whether an inconclusive verdict causes exit status 1.
-        false_alarms: Probability of a false alarm.
-        paired: Whether trials of the same name have the same seed.
-    """
+    """Gates and their baseline."""
 
     gates: list[Gate]
-    baseline: GateValues
-    undecided_fails: bool
-    false_alarms: float
-    paired: bool
+    baseline: GateValues  # of the older comparison
+    undecided_fails: bool  # whether an inconclusive verdict causes exit status 1
+    false_alarms: float  # probability
+    paired: bool  # whether trials of the same name have the same seed
 
 
 def _gates_of(
@@ -283,16 +274,6 @@ def _judge(given: Gates, folder: Path, title: str, *, quiet: bool) -> None:
         raise click.exceptions.Exit(1)
 
 
-def _tell_of_waiting(held: str) -> None:
-    print(f"waiting: {held}", file=sys.stderr, flush=True)
-
-
-def _pool(workers: int | None, cluster: str | None) -> Pool:
-    from trajeval_ros.batch.executors import dask_pool, local_pool
-
-    return local_pool(workers) if cluster is None else dask_pool(cluster)
-
-
 def _print_verdict(summary: ComparisonSummary, progress: Progress, folder: Path) -> None:
     """Print the tables and the number of evaluated runs, and on stderr the failed runs."""
     from trajeval_ros.batch.comparison_summary import failures
@@ -310,8 +291,10 @@ def _print_verdict(summary: ComparisonSummary, progress: Progress, folder: Path)
         unchanged, failed = evaluated - progress.new, len(summary.trials) - evaluated
         kept = f", {unchanged} unchanged" if unchanged else ""
         kept += f", {failed} failed or missing" if failed else ""
+        fetched = progress.fetched_bytes
+        kept += f", {data_size(fetched)} read from remote stores" if fetched else ""
         terminal.print(
-            f"{counted(progress.new, 'run')} evaluated{kept}{_fetched(progress)}; report.html, "
+            f"{counted(progress.new, 'run')} evaluated{kept}; report.html, "
             f"tables and runs.parquet: {folder}",
             soft_wrap=True,
         )
@@ -331,8 +314,3 @@ def _require_numbers(summary: ComparisonSummary, folder: Path) -> None:
             f"all runs failed or are missing, first {lost[0]}; see {folder / 'tables.md'} for "
             "the reasons"
         )
-
-
-def _fetched(progress: Progress) -> str:
-    count = progress.fetched_bytes
-    return f", {data_size(count)} read from remote stores" if count else ""

@@ -68,9 +68,15 @@ def demo(folder: Path) -> None:
         draws = ["--rrd", str(recorded / PICTURE)] if has_rerun() else []
         _evaluate(bag, recorded, *draws, *(["--quiet"] if has_ros else []))
         if has_ros:
-            _compare(live / "result.json", recorded / "result.json")
+            results = [each / "result.json" for each in (live, recorded)]
+            texts = [each.read_text(encoding="utf-8") for each in results]
+            print("\n".join(comparison(*map(json.loads, texts))))
         _heading("Evaluate a visual-inertial estimator: consistency of errors and covariances")
-        _judge(folder / "certain_flight", folder / "certainty")
+        certain = folder / "certain_flight"
+        euroc = ("--profile", "euroc", "--duration", "30", "--overwrite")
+        _quietly("simulate", str(certain), *euroc)
+        more = ("--covariance", f"{certain}.npz", "--lengths", "none")
+        _evaluate(certain, folder / "certainty", *more)
     except TrajevalError as error:
         print(f"trajeval: {error}", file=sys.stderr)
         status = 2
@@ -131,19 +137,6 @@ def _evaluate(bag: Path, output: Path, *options: str) -> None:
     )  # fmt: skip
 
 
-def _judge(bag: Path, output: Path) -> None:
-    """Evaluate an estimator with covariances, and their consistency."""
-    _quietly("simulate", str(bag), "--profile", "euroc", "--duration", "30", "--overwrite")
-    _evaluate(bag, output, "--covariance", f"{bag}.npz", "--lengths", "none")
-
-
-def _compare(live: Path, recorded: Path) -> None:
-    """Print the numbers of both results, and the reason of a difference."""
-    results = [json.loads(each.read_text(encoding="utf-8")) for each in (live, recorded)]
-    for line in comparison(*results):
-        print(line)
-
-
 def comparison(live: dict[str, Any], recorded: dict[str, Any]) -> list[str]:
     """Return lines that compare two results of the same bag, with the reason of a difference."""
     results = (live, recorded)
@@ -180,10 +173,7 @@ def _row(label: str, values: list[float]) -> str:
 
 
 def _agree(one: float, other: float) -> bool:
-    """Return whether two numbers agree to 1e-9, the documented tolerance.
-
-    Sums in another order differ by less.
-    """
+    """Return whether two numbers agree to 1e-9, the documented tolerance."""
     return abs(one - other) <= 1e-9 * max(abs(one), abs(other))
 
 

@@ -21,7 +21,7 @@ from trajeval_ros.cli.options import (
 )
 from trajeval_ros.cli.plotting import PLOT_OPTIONS, Plotting
 from trajeval_ros.cli.programs import may_break
-from trajeval_ros.cli.progress import progress
+from trajeval_ros.cli.progress import read_shown
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.pose_conventions import ORDERS, POSES, ROTATIONS, Conventions
@@ -31,7 +31,7 @@ from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.requests.setting import INPUT, PAIR, TRAJECTORY
 from trajeval_ros.io.save_trajectories import MESSAGES, files_of, save_trajectories
 from trajeval_ros.io.source_names import names_of
-from trajeval_ros.io.sources import each_topic, read_many
+from trajeval_ros.io.sources import each_topic
 from trajeval_ros.io.text.layouts import TextHints
 from trajeval_ros.metrics.editing import Edited, Editing, edit
 from trajeval_ros.report.figure_style import FigureStyle
@@ -243,7 +243,7 @@ def trajectory(
     others = [] if reference is None else [reference]
     names = [*names_of(wanted), *("reference" for _ in others)]
     every_hint = [*[hints] * len(wanted), *[hints.of_reference] * len(others)]
-    read = _read([*wanted, *others], names, every_hint, strict=strict)
+    read = read_shown([*wanted, *others], names, strict=strict, hints=every_hint)
     require_used(hints, (said for each in read for said in each.reading.remarks))
     edited = edit(read[: len(wanted)], None if reference is None else read[-1], editing)
     everything = _with_references(edited)
@@ -262,11 +262,7 @@ def trajectory(
 
 
 def parse_motion(text: str) -> tuple[float, float]:
-    """Parse "0.1,5", metres and degrees; return metres and radians.
-
-    Raises:
-        SettingsError: The text is not two numbers.
-    """
+    """Parse "0.1,5", metres and degrees; return metres and radians."""
     try:
         distance_m, angle_deg = (float(part) for part in text.split(","))
     except ValueError:
@@ -274,14 +270,6 @@ def parse_motion(text: str) -> tuple[float, float]:
             f"--motion-filter {text!r} is not valid; give metres and degrees, as in 0.1,5"
         ) from None
     return distance_m, math.radians(angle_deg)
-
-
-def _read(
-    sources: Sequence[str], names: Sequence[str], hints: Sequence[TextHints], *, strict: bool
-) -> list[Trajectory]:
-    with progress(f"reading {', '.join(names)}") as advance:
-        found = read_many(sources, advance=advance, strict=strict, hints=hints)
-    return [dataclasses.replace(each, name=name) for each, name in zip(found, names, strict=True)]
 
 
 def _with_references(edited: Sequence[Edited]) -> list[Trajectory]:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.evaluation_output import refuse_inputs, write_and_print
@@ -19,21 +18,15 @@ from trajeval_ros.cli.options import (
     sources_of,
 )
 from trajeval_ros.cli.pictures import Pictures
-from trajeval_ros.cli.progress import progress
+from trajeval_ros.cli.progress import read_shown
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.requests.setting import EVALUATE
 from trajeval_ros.io.results.requirement import Requirement
 from trajeval_ros.io.source_names import names_with, split_name
-from trajeval_ros.io.sources import read_many
 from trajeval_ros.io.text.layouts import TextHints
 from trajeval_ros.pipeline.pipeline import run
 from trajeval_ros.report.figure_style import PLAIN, FigureStyle
-
-if TYPE_CHECKING:
-    from trajeval_ros.geometry.trajectory import Trajectory
-    from trajeval_ros.pipeline.request import Request
-
 
 _PARAMETERS = (
     argument("by_position", metavar="GROUNDTRUTH ESTIMATE", count=-1, is_required=False,
@@ -121,10 +114,18 @@ def evaluate(
     split = [("", truth), *map(split_name, named)]
     sources = [source for _, source in split]
     names = names_with([name for name, _ in split], sources)
-    refuse_inputs([mcap, rrd, None if json in (None, "-") else Path(json), output], sources)
+    refuse_inputs([mcap, rrd, json, output], sources)
     hints = TextHints.of(columns, frame_rate)
     every_hint = [hints.of_reference, *[hints] * (len(sources) - 1)]
-    reference, *estimates = _read(sources, names, every_hint, request, strict=strict)
+    flags = [request.reads_covariances] * (len(sources) - 1)
+    reference, *estimates = read_shown(
+        sources,
+        names,
+        covariances=[request.reads_groundtruth_covariances, *flags],
+        strict=strict,
+        hints=every_hint,
+        received=request.received,
+    )
     require_used(
         hints, (said for each in (reference, *estimates) for said in each.reading.remarks)
     )
@@ -139,31 +140,3 @@ def evaluate(
         mcap=mcap,
         look=look,
     )
-
-
-def _read(
-    sources: Sequence[str],
-    names: Sequence[str],
-    hints: Sequence[TextHints],
-    request: Request,
-    *,
-    strict: bool,
-) -> list[Trajectory]:
-    """Read groundtruth and estimates, with covariances where they are needed."""
-    covariances = [
-        request.reads_groundtruth_covariances,
-        *[request.reads_covariances] * (len(sources) - 1),
-    ]
-    with progress(f"reading {', '.join(names)}") as advance:
-        trajectories = read_many(
-            sources,
-            advance=advance,
-            covariances=covariances,
-            strict=strict,
-            hints=hints,
-            received=request.received,
-        )
-    return [
-        dataclasses.replace(trajectory, name=name)
-        for trajectory, name in zip(trajectories, names, strict=True)
-    ]

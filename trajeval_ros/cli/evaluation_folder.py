@@ -32,9 +32,6 @@ def write_folder(
     """Write all files under temporary names first; the folder never has partial files.
 
     result.json is removed first and written last: if it exists, all files are from one evaluation.
-
-    Raises:
-        InputError: The folder can't be written.
     """
     with refused_by_disk(f"the folder {folder}"):
         _write(folder, result, outcome, look)
@@ -92,11 +89,7 @@ def _write(folder: Path, result: dict[str, object], outcome: Outcome, look: Figu
 
 
 def _is_own(folder: Path) -> bool:
-    """Return whether a folder has results of an evaluation or live run, which are replaced.
-
-    Raises:
-        InputError: A file with the name of a result is from another source.
-    """
+    """Return whether a folder has results, which are replaced; raise InputError if others do."""
     for name, mark in ((_RESULT, b'"schema": "trajeval/'), (ARCHIVE, b"schema.npy")):
         path = folder / name
         if path.is_file() and not path.is_symlink():

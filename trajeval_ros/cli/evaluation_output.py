@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING
 import click
 
 from trajeval_ros.cli.pictures import Pictures
-from trajeval_ros.cli.programs import may_break
+from trajeval_ros.cli.programs import may_break, write_json
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.escaping import visible
 from trajeval_ros.formatting.remarks import Level
-from trajeval_ros.io.json_file import json_text
 from trajeval_ros.io.results.requirement import Requirement
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import parse_source
@@ -41,20 +40,8 @@ def write_and_print(
 ) -> None:
     """Write and print an evaluation; exit with status 1 if a requirement is not met.
 
-    Args:
-        outcome: The evaluated runs.
-        requirements: Requirements that every run must meet.
-        json: File for result.json, `-` for stdout; None for no file.
-        output: Folder for the result, errors and figures; None for no folder.
-        quiet: Whether to print only missing data and unmet requirements.
-        pictures: Output for Rerun.
-        mcap: File for the errors as ROS 2 messages; None for no file.
-        look: Style of the figures in the folder.
-
-    Raises:
-        InputError: A file can't be written.
-        SettingsError: A requirement names a number that the result does not have.
-        click.exceptions.Exit: A requirement is not met.
+    `json`: file for result.json, `-` for stdout. `mcap`: file for the errors as ROS 2 messages.
+    `quiet`: whether to print only missing data and unmet requirements.
     """
     result, runs = result_of(outcome), outcome.runs
     # A requirement with an unknown name is an error; it is raised before anything is written.
@@ -77,13 +64,7 @@ def write_and_print(
         from trajeval_ros.io.results.error_recording import write_error_recording
 
         write_error_recording(mcap, outcome)
-    if json == "-":
-        with may_break():
-            sys.stdout.write(json_text(result, indent=2))
-    elif json is not None:
-        from trajeval_ros.io.writing import write_text
-
-        write_text(Path(json), json_text(result, indent=2), follow_link=True)
+    write_json(json, result)
     if not quiet and json != "-":
         with may_break():
             _print(outcome, output)
@@ -103,17 +84,13 @@ def _tell(who: str, lines: Iterable[str]) -> None:
             print(f"{who}: {visible(line)}", file=sys.stderr)
 
 
-def refuse_inputs(outputs: Sequence[Path | None], sources: Sequence[str]) -> None:
-    """Refuse to overwrite an input, before anything is read.
-
-    Raises:
-        InputError: An output is an input.
-    """
+def refuse_inputs(outputs: Sequence[Path | str | None], sources: Sequence[str]) -> None:
+    """Refuse to overwrite an input, before anything is read."""
     inputs = [str(parse_source(source).path) for source in sources]
-    for output in filter(None, outputs):
+    for output in outputs:
         for path in inputs:
             with contextlib.suppress(OSError):  # a URL, or a file that does not exist
-                if output.samefile(path):
+                if output is not None and Path(output).samefile(path):
                     raise InputError(f"output {output} is also an input; choose another output")
 
 

@@ -61,7 +61,7 @@ def info(source: str, columns: str | None, frame_rate: float | None) -> None:
     from trajeval_ros.io.bags.bag_folder import holds_bag
     from trajeval_ros.io.describe import describe
     from trajeval_ros.io.text.layouts import NO_HINTS, TextHints
-    from trajeval_ros.report.console import console
+    from trajeval_ros.report.console import console, show_fitting
 
     hints = TextHints.of(columns, frame_rate)
     folder = Path(source)
@@ -82,7 +82,8 @@ def info(source: str, columns: str | None, frame_rate: float | None) -> None:
     if len(description.trajectories) == 1:
         _print_table(terminal, ("", ""), _details(description.trajectories[0]))
     elif description.trajectories:
-        _print_topics(terminal, [_row(each) for each in description.trajectories])
+        rows = [_row(each) for each in description.trajectories]
+        show_fitting(terminal, _COLUMNS, (), rows, _HIDDEN_FIRST)
         _print_remarks(terminal, description.trajectories)
     _print_edges(terminal, description)
     if description.others:
@@ -236,12 +237,6 @@ def _print_next_step(terminal: Console, description: Description) -> None:
         )
     if "SENSORS" in commands:
         terminal.print(f"SENSORS: {', '.join(MODALITIES)}", soft_wrap=True)
-
-
-def _print_topics(terminal: Console, rows: Sequence[Row]) -> None:
-    from trajeval_ros.report.console import show_fitting
-
-    show_fitting(terminal, _COLUMNS, (), rows, _HIDDEN_FIRST)
 
 
 def _print_table(terminal: Console, header: Row, rows: Sequence[Row]) -> None:

@@ -85,12 +85,7 @@ _SHARED = (
 
 
 class HelpedOption(click.Option):
-    """An option with a heading in the help, and completion of its values.
-
-    Attributes:
-        panel: The heading.
-        is_common: Whether the short help shows it.
-    """
+    """An option with a heading in the help (`panel`); the short help shows common ones."""
 
     def __init__(
         self, names: list[str], *, panel: str = "", is_common: bool = False, **more: Any
@@ -157,18 +152,9 @@ def option(
     is_repeatable: bool = False,
     count: int = 1,
 ) -> HelpedOption:
-    """Return an option that a single verb has; a bool is a flag.
+    """Return an option that a single verb has; a bool is a flag, `--a/--b` are two opposite ones.
 
-    Args:
-        names: As on the command line; `--a/--b` are two opposite flags.
-        help: Its meaning. The default is appended.
-        metavar: Placeholder of its value.
-        kind: Type of its value, or click's type.
-        default: None for no default.
-        panel: Heading in the help.
-        is_common: Whether the short help shows it.
-        is_repeatable: Whether it may be given several times.
-        count: Number of its values.
+    The default is appended to the help. `kind`: type, or click's type. `count`: of values.
     """
     is_flag = kind is bool
     return HelpedOption(
@@ -228,11 +214,7 @@ _FORMATS = ("tum", "kitti", "euroc", "bag", "bag2")  # first words of evo
 
 
 def refuse_format(sources: Sequence[str], usage: str) -> None:
-    """Refuse the name of a format before the sources, which evo requires.
-
-    Raises:
-        SettingsError: The first word is a format, and no file has its name.
-    """
+    """Refuse the name of a format before the sources, which evo requires."""
     if sources[:1] and sources[0] in _FORMATS and not Path(sources[0]).exists():
         raise SettingsError(
             f"{sources[0]} is a format, which is detected from the content; remove it: trajeval "
@@ -241,15 +223,7 @@ def refuse_format(sources: Sequence[str], usage: str) -> None:
 
 
 def require_used(hints: TextHints, remarks: Iterable[Remark]) -> None:
-    """Refuse column names and a frame rate that no source needed.
-
-    Args:
-        hints: Of the command line.
-        remarks: Those of the readers of all sources.
-
-    Raises:
-        SettingsError: No source is a text file with named columns, or all have timestamps.
-    """
+    """Refuse column names and a frame rate that no source needed, by the readers' remarks."""
     codes = {each.code for each in remarks}
     if hints.columns and NAMED_COLUMNS not in codes:
         raise SettingsError("--columns is for text files, and no text file was read; remove it")
@@ -263,11 +237,7 @@ def require_used(hints: TextHints, remarks: Iterable[Remark]) -> None:
 def sources_of(
     verb: str, by_position: Sequence[str], groundtruth: str | None, estimates: Sequence[str]
 ) -> list[str]:
-    """Return the groundtruth and the estimates of a verb, from arguments or options.
-
-    Raises:
-        SettingsError: One is missing or given twice.
-    """
+    """Return the groundtruth and the estimates of a verb, from arguments or options."""
     refuse_format(by_position, f"{verb} GROUNDTRUTH ESTIMATE")
     if by_position and (groundtruth is not None or estimates):
         raise SettingsError(

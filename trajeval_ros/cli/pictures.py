@@ -13,22 +13,13 @@ PICTURE = "run.rrd"
 
 @dataclass(frozen=True)
 class Pictures:
-    """The requested output for Rerun's viewer.
+    """The requested output for Rerun's viewer."""
 
-    Attributes:
-        rrd: File to write; None for no file.
-        viewer: Whether to open the viewer.
-    """
-
-    rrd: Path | None = None
-    viewer: bool = False
+    rrd: Path | None = None  # file to write
+    viewer: bool = False  # whether to open the viewer
 
     def check(self) -> None:
-        """Check that rerun-sdk is installed if it is needed, before anything is computed.
-
-        Raises:
-            InputError: rerun-sdk is needed and not installed.
-        """
+        """Check that rerun-sdk is installed if it is needed, before anything is computed."""
         if self.rrd is not None or self.viewer:
             from trajeval_ros.viewer.sdk import sdk
 

@@ -35,18 +35,11 @@ PLOT_OPTIONS = (
 
 @dataclass(frozen=True, eq=False)
 class Plotting:
-    """The requested figures.
+    """The requested figures."""
 
-    Attributes:
-        kinds: Names of figures in `PLOTS`; empty for no figures.
-        colours: Colours along paths; None for one colour per trajectory.
-        ground: Map below the paths; None for no map.
-        style: File formats and style.
-    """
-
-    kinds: tuple[str, ...]
-    colours: Colours | None
-    ground: GroundImage | None
+    kinds: tuple[str, ...]  # names of figures in `PLOTS`; empty for no figures
+    colours: Colours | None  # along paths; None for one colour per trajectory
+    ground: GroundImage | None  # map below the paths
     style: FigureStyle
 
     @classmethod
@@ -59,12 +52,7 @@ class Plotting:
         map_bounds: str | None,
         style: FigureStyle,
     ) -> Plotting:
-        """Parse the options and read the map.
-
-        Raises:
-            SettingsError: An option is not valid.
-            InputError: The map or the style sheet can't be read.
-        """
+        """Parse the options and read the map."""
         more = (colour_by, colour_max, map_file, map_bounds)
         if plot is None and (style != PLAIN or any(each is not None for each in more)):
             raise SettingsError(
@@ -96,11 +84,7 @@ class Plotting:
     def write(
         self, folder: Path, trajectories: Sequence[Trajectory], reference: Trajectory | None
     ) -> list[Path]:
-        """Draw the figures into a folder, and return their files; earlier ones are replaced.
-
-        Raises:
-            InputError: A file can't be written, or a figure can't be drawn.
-        """
+        """Draw the figures into a folder, and return their files; earlier ones are replaced."""
         if not self.kinds:
             return []
         drawings = motion_drawings(

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.options import argument, settings_options, shared_options, sources_of
-from trajeval_ros.cli.progress import progress
+from trajeval_ros.cli.programs import write_json
+from trajeval_ros.cli.progress import read_shown
 from trajeval_ros.diagnosis.diagnose import Diagnosis
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.io.json_file import json_text
 from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.requests.setting import AUTO, DIAGNOSE
 from trajeval_ros.io.results.result_json import findings_json
 from trajeval_ros.io.source_names import names_of
-from trajeval_ros.io.sources import read_many
-from trajeval_ros.io.writing import write_text
 from trajeval_ros.pipeline.pipeline import diagnose as search
 
 _TWO = 2  # groundtruth and estimate
@@ -56,19 +53,12 @@ def diagnose(
     sources = sources_of("diagnose", by_position, groundtruth, estimate)
     if len(sources) != _TWO:
         raise SettingsError(f"diagnose tests one estimate, not {len(sources) - 1}; give one")
-    with progress(f"reading {', '.join(names_of(sources))}") as advance:
-        first, second = read_many(sources, advance=advance, covariances=[False, True])
+    first, second = read_shown(sources, names_of(sources), covariances=[False, True])
     request = request.for_trajectories(first, [second])
     found, refused = search(first, second, request)
-    if json is not None:
-        text = json_text(
-            {"findings": findings_json(found.findings), "examined": _scores(found)}, indent=2
-        )
-        if json == "-":
-            print(text)
-            return
-        write_text(Path(json), text, follow_link=True)
-    _print(found, refused)
+    write_json(json, {"findings": findings_json(found.findings), "examined": _scores(found)})
+    if json != "-":
+        _print(found, refused)
 
 
 def _scores(found: Diagnosis) -> list[dict[str, Any]]:

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from trajeval_ros.exceptions import SettingsError, TrajevalError, reason_of
 from trajeval_ros.formatting.escaping import visible
@@ -21,12 +22,9 @@ _ROS_ARGUMENTS = "--ros-args"
 
 
 def exit_status(work: Callable[[], int | None]) -> int:
-    """Run a program and return its exit status.
+    """Run a program, which returns its status or None for 0, and return its exit status.
 
     The status is 2 after an error of the input or of a file, and 130 after Ctrl-C.
-
-    Args:
-        work: The program. It returns its status, or None for 0.
     """
     if sys.stdout is None:  # closed, as by `>&-`
         sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - open until exit
@@ -70,6 +68,19 @@ def may_break() -> Iterator[None]:
             if _has_no_reader(stream.fileno()):
                 os.dup2(nowhere, stream.fileno())
         os.close(nowhere)
+
+
+def write_json(target: str | None, content: dict[str, Any]) -> None:
+    """Write JSON to a file that the user named, or to stdout for `-`; nothing for None."""
+    from trajeval_ros.io.json_file import json_text
+
+    if target == "-":
+        with may_break():
+            sys.stdout.write(json_text(content, indent=2))
+    elif target is not None:
+        from trajeval_ros.io.writing import write_text
+
+        write_text(Path(target), json_text(content, indent=2), follow_link=True)
 
 
 def _has_no_reader(file: int) -> bool:

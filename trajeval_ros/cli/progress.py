@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from trajeval_ros.batch.comparison import Progress as RunProgress
+    from trajeval_ros.geometry.trajectory import Trajectory
 
 PATIENCE_S = 1.0
 
@@ -18,7 +20,7 @@ PATIENCE_S = 1.0
 def progress(description: str) -> Iterator[Callable[[int, int], None]]:
     """Yield a function `advance(done, total)`; it prints nothing in a pipe or for quick work."""
     if not sys.stderr.isatty():
-        yield _ignore
+        yield lambda done, total: None
         return
     from rich.console import Console
     from rich.markup import escape
@@ -39,6 +41,15 @@ def progress(description: str) -> Iterator[Callable[[int, int], None]]:
         yield advance
     finally:
         bar.stop()
+
+
+def read_shown(sources: Sequence[str], names: Sequence[str], **options: Any) -> list[Trajectory]:
+    """Read named SOURCEs with a progress bar; the options are those of `read_many`."""
+    from trajeval_ros.io.sources import read_many
+
+    with progress(f"reading {', '.join(names)}") as advance:
+        found = read_many(sources, advance=advance, **options)
+    return [dataclasses.replace(each, name=name) for each, name in zip(found, names, strict=True)]
 
 
 @contextmanager
@@ -73,7 +84,3 @@ def progress_of_runs() -> Iterator[Callable[[RunProgress], None]]:
             )
 
         yield tell
-
-
-def _ignore(done: int, total: int) -> None:
-    pass

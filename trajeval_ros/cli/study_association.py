@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.options import STUDY_ASSOCIATION, option, shared_options
+from trajeval_ros.cli.programs import write_json
+from trajeval_ros.cli.progress import read_shown
 from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.numbers import counted
@@ -84,13 +84,17 @@ def study_association(
     )
     noise = protocol.association.noise
     degradation = Degradation(rate, dropouts, shortest, longest, noise, seed)
-    accurate, *estimates = _read([groundtruth, *estimate])
+    sources = [groundtruth, *estimate]
+    accurate, *estimates = read_shown(sources, names_of(sources))
     poor = degradation.of(accurate)
     comparisons = [compare_associations(accurate, poor, each, protocol) for each in estimates]
     if json != "-":
         _print(comparisons, degradation, poor)
-    if json is not None:
-        _write(json, comparisons, degradation, poor)
+    content: dict[str, Any] = {
+        "degradation": dataclasses.asdict(degradation) | {"samples_left": len(poor)},
+        "estimates": [dataclasses.asdict(each) for each in comparisons],
+    }
+    write_json(json, content)
 
 
 def _durations(text: str) -> tuple[float, float]:
@@ -102,18 +106,6 @@ def _durations(text: str) -> tuple[float, float]:
             "in seconds, as in 1,2.5"
         ) from None
     return shortest, longest
-
-
-def _read(sources: list[str]) -> list[Trajectory]:
-    from trajeval_ros.cli.progress import progress
-    from trajeval_ros.io.sources import read_trajectory
-
-    found = []
-    for source, name in zip(sources, names_of(sources), strict=True):
-        with progress(f"reading {name}") as advance:
-            read = read_trajectory(source, advance=advance)
-        found.append(dataclasses.replace(read, name=name))
-    return found
 
 
 def _print(
@@ -136,22 +128,3 @@ def _print(
             if each.reason:
                 terminal.print(f"  {each.association}: {each.reason}", soft_wrap=True)
     terminal.file.flush()
-
-
-def _write(
-    target: str,
-    comparisons: list[AssociationComparison],
-    degradation: Degradation,
-    poor: Trajectory,
-) -> None:
-    from trajeval_ros.io.json_file import json_text
-    from trajeval_ros.io.writing import write_text
-
-    content: dict[str, Any] = {
-        "degradation": dataclasses.asdict(degradation) | {"samples_left": len(poor)},
-        "estimates": [dataclasses.asdict(each) for each in comparisons],
-    }
-    if target == "-":
-        sys.stdout.write(json_text(content, indent=2))
-    else:
-        write_text(Path(target), json_text(content, indent=2), follow_link=True)

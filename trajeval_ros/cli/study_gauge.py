@@ -13,11 +13,9 @@ from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.report.figure_style import FigureStyle
 
 if TYPE_CHECKING:
-    from trajeval_ros.geometry.preintegration import ImuNoise
     from trajeval_ros.studies.examination import Examination, MeasurementModel
     from trajeval_ros.studies.gauge_study import GaugeStudy
     from trajeval_ros.studies.gauge_trials import StudiedScene
-    from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
     from trajeval_ros.visual_inertial.scene import Scene, SensorProfile
 
 _SEED = 0
@@ -108,9 +106,11 @@ def study_gauge(
         trajeval study gauge --output study --motion MH_01.txt --motion V1_01.csv
     """
     from trajeval_ros.cli.progress import progress
+    from trajeval_ros.geometry.preintegration import ImuNoise
     from trajeval_ros.simulation.motion import shape
     from trajeval_ros.studies.examination import MeasurementModel
     from trajeval_ros.studies.gauge_study import run_study
+    from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
     from trajeval_ros.visual_inertial.scene import make_scene, profile_named
 
     if output is None:
@@ -126,8 +126,8 @@ def study_gauge(
         _above_zero("--every", every),
         keyframes,
         _above_zero("--pixel-noise", pixel_noise),
-        _imu_noise(imu_noise),
-        _bias_noise(bias_noise) if estimate_biases else None,
+        ImuNoise(*_numbers("--imu-noise", imu_noise, _IMU_NOISE)),
+        BiasNoise(*_numbers("--bias-noise", bias_noise, _BIAS_NOISE)) if estimate_biases else None,
         _above_zero("--gravity", gravity),
         split_half,
     )
@@ -169,18 +169,6 @@ def _above_zero(option: str, value: float) -> Any:
     if not 0.0 < value < float("inf"):
         raise SettingsError(f"{option} must be greater than zero, not {value:g}")
     return value
-
-
-def _imu_noise(text: str) -> ImuNoise:
-    from trajeval_ros.geometry.preintegration import ImuNoise
-
-    return ImuNoise(*_numbers("--imu-noise", text, _IMU_NOISE))
-
-
-def _bias_noise(text: str) -> BiasNoise:
-    from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
-
-    return BiasNoise(*_numbers("--bias-noise", text, _BIAS_NOISE))
 
 
 def _numbers(option: str, text: str, example: str) -> list[float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +10,7 @@ import click
 
 from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.options import OUTPUT, argument, option, shared_options
+from trajeval_ros.cli.programs import write_json
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.io.requests.setting import INPUT, WATCH_FACTORS
 
@@ -80,7 +80,7 @@ def watch(
         from trajeval_ros.viewer.sdk import sdk
 
         sdk()  # raises at once if it is not installed
-    refuse_inputs([figure, rrd, None if json in (None, "-") else Path(json)], [*named.values()])
+    refuse_inputs([figure, rrd, json], [*named.values()])
     run = _read(named)
     seen, book = watched(run), AlarmBook(factor)
     book.add(seen.signals)
@@ -146,15 +146,9 @@ def _deliver(
     quiet: bool,
 ) -> None:
     """Write the requested files and print the tables."""
-    from trajeval_ros.io.json_file import json_text
     from trajeval_ros.io.results.watch_json import watch_json
-    from trajeval_ros.io.writing import write_text
 
-    text = json_text(watch_json(estimate, seen, book), indent=2)
-    if json == "-":
-        sys.stdout.write(text)
-    elif json is not None:
-        write_text(Path(json), text, follow_link=True)
+    write_json(json, watch_json(estimate, seen, book))
     if figure is not None:
         from trajeval_ros.io.source_names import names_of
         from trajeval_ros.report import canvas

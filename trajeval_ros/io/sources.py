@@ -157,9 +157,10 @@ def read_many(
     files: dict[object, list[int]] = {}  # indices of the sources, by file or bag
     for number, parts in enumerate(parsed):
         # A pipe can be read only once: all its sources are one entry, whatever their hints.
-        own_hints = NO_HINTS if parts.is_pipe else known[number]
-        has_topics = parts.is_bag or parts.is_log
-        name = _same_bag(parts.path) if has_topics else (str(parts.path), own_hints)
+        name: object = (str(parts.path), NO_HINTS if parts.is_pipe else known[number])
+        if parts.is_bag or parts.is_log:  # a bag can have several spellings
+            is_local = isinstance(parts.path, Path)
+            name = os.path.realpath(parts.path) if is_local else str(parts.path)
         files.setdefault(name, []).append(number)
     read: dict[int, Trajectory] = {}
     for done, numbers in enumerate(files.values()):
@@ -190,12 +191,11 @@ def read_many(
             ]
             trajectories = read_bag(first.path, wanted, own, strict=strict)
             read |= zip(numbers, trajectories, strict=True)
-    return [_with_source(read[number], str(source)) for number, source in enumerate(sources)]
-
-
-def _with_source(trajectory: Trajectory, source: str) -> Trajectory:
-    reading = dataclasses.replace(trajectory.reading, source=source)
-    return dataclasses.replace(trajectory, reading=reading)
+    found = []
+    for number, source in enumerate(sources):
+        reading = dataclasses.replace(read[number].reading, source=str(source))
+        found.append(dataclasses.replace(read[number], reading=reading))
+    return found
 
 
 def each_topic(source: str) -> list[str]:
@@ -212,11 +212,6 @@ def each_topic(source: str) -> list[str]:
     with _naming(parts.path), Bag(parts.path, None) as bag:
         topics = [topic.name for topic in bag.topics if topic.holds_poses and topic.count]
     return [f"{source}:{topic}" for topic in topics] or [source]
-
-
-def _same_bag(path: Any) -> str:
-    """Return one name for all spellings of the path of a bag."""
-    return os.path.realpath(path) if isinstance(path, Path) else str(path)
 
 
 def _part_of(advance: Advance | None, done: int, count: int) -> Advance | None:

@@ -27,11 +27,7 @@ _NAME = re.compile(r"\..*\.trajeval-[0-9a-f]{8}", re.DOTALL)
 
 
 def lock(file: int, *, wait: bool) -> bool:
-    """Take an exclusive lock on an open file or folder.
-
-    Returns:
-        Whether the lock was taken.
-    """
+    """Take an exclusive lock on an open file or folder; return whether it was taken."""
     if fcntl is None:
         raise OSError("this system does not support file locks")
     try:
@@ -55,7 +51,8 @@ def is_at(path: Path, file: int) -> bool:
 @contextlib.contextmanager
 def temporary_file(path: Path) -> Iterator[Path]:
     """Yield an empty file next to `path`; it is removed after the block if it is still there."""
-    with _locked(path.parent, path.name, _make_file) as file:
+    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
+    with _locked(path.parent, path.name, lambda made: os.open(made, flags, 0o666)) as file:
         try:
             yield file
         finally:
@@ -109,10 +106,6 @@ def _locked(parent: Path, name: str, make: Callable[[Path], int]) -> Iterator[Pa
                 return
         finally:
             os.close(file)
-
-
-def _make_file(path: Path) -> int:
-    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
 
 
 def _make_folder(path: Path) -> int:

@@ -19,13 +19,10 @@ def read_watched(
     corrections: str | None = None,
     advance: Advance | None = None,
 ) -> WatchedRun:
-    """Read the sources of a watchdog run.
+    """Read the SOURCEs of a watchdog run.
 
-    Args:
-        estimate: SOURCE of the estimate.
-        partners: SOURCEs of second estimates, by name (`pair_sources`).
-        corrections: SOURCE of transforms from the map to the estimate's frame.
-        advance: Progress callback, called with the amount done and the total.
+    `partners`: second estimates, by name (`pair_sources`). `corrections`: transforms from the map
+    to the estimate's frame.
     """
     asked = (estimate, *partners.values(), corrections)
     poses = [each for each in asked if each is not None]

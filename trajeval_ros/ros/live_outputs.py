@@ -20,8 +20,8 @@ from trajeval_ros.io.bags.encode_messages import (
     encode_alignment,
     encode_path,
     encode_paths,
+    encode_stamped,
     encode_transforms,
-    encode_vector_stamped,
 )
 from trajeval_ros.io.bags.pose_messages import TRANSFORM_TYPES
 from trajeval_ros.metrics.evaluation import Evaluation
@@ -85,7 +85,7 @@ class _Topics:
         self, name: str, stamps: Stamps, vectors: Floats, frame: str = ""
     ) -> None:
         self.advertise_vector(name)
-        for message in encode_vector_stamped(stamps, vectors, frame):
+        for message in encode_stamped(stamps, vectors, frame):
             self._vectors[name].publish(message.tobytes())
 
 

@@ -19,7 +19,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from trajeval_ros.io.bags.bag import Bag
 from trajeval_ros.io.bags.cdr import CdrPlan
 from trajeval_ros.io.bags.cdr_columns import Columns
-from trajeval_ros.io.bags.containers import Topic, encoding_of
+from trajeval_ros.io.bags.containers import Topic
 from trajeval_ros.io.bags.encode_messages import encode_path
 from trajeval_ros.io.bags.message_definitions import (
     STANDARD,
@@ -406,7 +406,7 @@ def test_every_field_of_every_message_of_real_bags(shared_data: Path) -> None:
                 if plain is None or fields is None:
                     continue
                 payloads = [payload for _, _, payload in bag.messages([topic])]
-                plan = CdrPlan(fields, is_ros1=encoding_of(topic.connections[0]) == "ros1")
+                plan = CdrPlan(fields, is_ros1=topic.connections[0].encoding == "ros1")
                 assert_holds(plan.decode(payloads), [plain(each) for each in payloads])
                 checked += len(payloads)
     assert checked > 30_000
@@ -417,11 +417,10 @@ def deserialiser(topic: Topic) -> Callable[[bytes], Any] | None:
     connection = topic.connections[0]
     store: Any = get_typestore(Stores.EMPTY)
     try:
-        language, text = connection.msgdef.format.name, connection.msgdef.data
-        store.register(types_in(language, text, topic.type))
+        store.register(types_in(connection.language, connection.definition, topic.type))
         store.get_msgdef(topic.type)
     except Exception:
         return None
-    ros1 = encoding_of(connection) == "ros1"
+    ros1 = connection.encoding == "ros1"
     read = store.deserialize_ros1 if ros1 else store.deserialize_cdr
     return lambda payload: read(payload, topic.type)

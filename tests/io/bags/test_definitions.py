@@ -75,11 +75,10 @@ def test_definitions_of_real_bags(shared_data: Path) -> None:
     for name in ("nav2_turtlebot.mcap", "tf_example"):
         with Bag(shared_data / "bags" / name) as bag:
             for topic in bag.topics:
-                definition = topic.connections[0].msgdef
-                if topic.type in STANDARD and definition.format.name == "MSG":
-                    assert recorded_fields(topic.connections[0]) == parsed(
-                        definition.data, topic.type
-                    )
-                    found.add((topic.type, is_standard(definition.data, topic.type)))
+                recorded = topic.connections[0]
+                if topic.type in STANDARD and recorded.language == "MSG":
+                    text = recorded.definition
+                    assert recorded_fields(recorded) == parsed(text, topic.type)
+                    found.add((topic.type, is_standard(text, topic.type)))
     assert found
     assert all(standard for _, standard in found)

@@ -35,7 +35,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags.bag_folder import BagFolder, read_metadata
 from trajeval_ros.io.bags.blocks import TopicSelection
 from trajeval_ros.io.bags.compression import decompress
-from trajeval_ros.io.bags.message_definitions import STANDARD, recorded_fields
+from trajeval_ros.io.bags.message_definitions import STANDARD, Connection, recorded_fields
 from trajeval_ros.io.bags.sqlite_bag import SqliteReader
 from trajeval_ros.io.bags.write_bag import POSE_STAMPED
 from trajeval_ros.io.sources import read_trajectory
@@ -198,24 +198,17 @@ def test_hostile_definitions_are_not_expanded(name: str, tmp_path: Path) -> None
 def test_any_definition_has_fields_or_none(
     lines: list[tuple[str, str, str]], heads: list[str], language: str
 ) -> None:
-    from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat
-
     body = "\n".join(f"{kind}{size} {name}" for kind, size, name in lines)
     text = RULE.join([body, *(f"{head}\n{body}" for head in heads)])
-    kind = MessageDefinitionFormat[language]
-    connection = Connection(
-        1, "/p", POSE_STAMPED, MessageDefinition(kind, text), "", 1, None, None
-    )
+    connection = Connection(1, "/p", POSE_STAMPED, language, text, 1, "cdr", None)
     fields = recorded_fields(connection)
     assert fields is None or isinstance(fields, tuple)
 
 
 def test_a_standard_definition_is_not_refused() -> None:
-    from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat
-
     text = definition(POSE_STAMPED).decode().replace("float64 x", "float64 x # metres")
-    message = MessageDefinition(MessageDefinitionFormat.MSG, f"{text}\nint32 A=1\n")
-    connection = Connection(1, "/p", POSE_STAMPED, message, "", 1, None, None)
+    text = f"{text}\nint32 A=1\n"
+    connection = Connection(1, "/p", POSE_STAMPED, "MSG", text, 1, "cdr", None)
     assert recorded_fields(connection) == STANDARD[POSE_STAMPED]
 
 

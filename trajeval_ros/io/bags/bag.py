@@ -11,8 +11,8 @@ import contextlib
 import heapq
 import itertools
 from collections.abc import Callable, Iterator, Sequence
+from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.install_command import extra_command
@@ -22,11 +22,9 @@ from trajeval_ros.io.bags import foxglove
 from trajeval_ros.io.bags.bag_folder import BagFolder, Metadata
 from trajeval_ros.io.bags.blocks import Block, TopicSelection, in_order, merged
 from trajeval_ros.io.bags.containers import Container, Topic, TopicReading, open_file
+from trajeval_ros.io.bags.message_definitions import Connection
 from trajeval_ros.io.checks import nearest
 from trajeval_ros.io.temporary import temporary_folder
-
-if TYPE_CHECKING:
-    from rosbags.interfaces import Connection
 
 Advance = Callable[[int, int], None]
 Key = tuple[int, int]  # which file, and which of its connections
@@ -43,8 +41,8 @@ class Bag:
     ) -> None:
         """Open the bag.
 
-        `advance`: called repeatedly with the number of messages read and the number of all.
-        `strict`: whether to verify all that is read, and to refuse what is damaged.
+        `advance`: called with the number of messages read and the number of all. `strict`: whether
+        to verify all that is read, and to refuse what is damaged.
         """
         self.path = path  # the file or directory
         self.notes: list[str] = []  # problems that were worked around
@@ -152,7 +150,7 @@ class Bag:
                 if wanted:
                     selections.append(TopicSelection(frozenset(wanted)))
                     streams.append(self._stream(container, selections[-1], wanted, begin, end))
-            for message in heapq.merge(*streams, key=_log_time):
+            for message in heapq.merge(*streams, key=itemgetter(1)):
                 yield message
                 done += 1
         if begin is None and end is None:
@@ -208,9 +206,9 @@ class Bag:
         for container in self._containers:
             for connection in container.connections:
                 name = "/" + connection.topic.lstrip("/")  # ROS 1 records names without slash, too
-                by_name.setdefault((name, connection.msgtype), []).append(connection)
+                by_name.setdefault((name, connection.type), []).append(connection)
         for (name, message_type), connections in by_name.items():
-            counts = [connection.msgcount for connection in connections]
+            counts = [connection.count for connection in connections]
             declared = sum(counts) if min(counts) >= 0 else None
             if self._metadata is not None:
                 declared = self._metadata.counts.get((name, message_type), declared)
@@ -243,10 +241,6 @@ class Bag:
         self._stack.callback(container.close)
         self._containers.append(container)
         self.damage += container.damage
-
-
-def _log_time(message: tuple[Topic, int, bytes]) -> int:
-    return message[1]
 
 
 @contextlib.contextmanager

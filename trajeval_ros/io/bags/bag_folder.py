@@ -5,13 +5,9 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.yaml_file import read_mapping
-
-if TYPE_CHECKING:
-    from rosbags.interfaces import Qos
 
 _METADATA = "metadata.yaml"
 _COMPRESSED = ".zstd"
@@ -67,27 +63,9 @@ def read_metadata(path: Path) -> Metadata:
             if not 0 <= count < 1 << 63:
                 raise ValueError("no number of messages")
             counts[key] = counts.get(key, 0) + count
-    except (
-        TypeError,
-        KeyError,
-        ValueError,
-        AttributeError,
-        OverflowError,
-    ) as error:  # a wrong structure
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(f"{path} has no bag information") from error
     return Metadata(files, counts)
-
-
-def qos_of(profiles: Any) -> list[Qos]:
-    """Return the offered quality of service, an empty list if it is invalid."""
-    if not profiles:
-        return []
-    from rosbags.rosbag2.metadata import parse_qos
-
-    try:
-        return parse_qos(profiles)
-    except Exception:  # of many types, depending on the damage
-        return []
 
 
 def holds_bag(folder: Path) -> bool:

@@ -7,6 +7,7 @@ out.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Collection, Sequence
 
 import numpy as np
@@ -16,7 +17,12 @@ from trajeval_ros.io.bags.blocks import Buffer, are_same, gather
 from trajeval_ros.io.bags.cdr_batch import ROS1_ALIGNMENT, XCDR2_ALIGNMENT, MessageBatch
 from trajeval_ros.io.bags.cdr_columns import Columns, joined
 from trajeval_ros.io.bags.cdr_steps import steps_of
-from trajeval_ros.io.bags.message_definitions import Fields
+from trajeval_ros.io.bags.message_definitions import (
+    STANDARD,
+    Fields,
+    UnplannedError,
+    ros1_fields,
+)
 
 # Byte order and largest alignment by encapsulation of CDR (DDS-XTYPES 1.3, 7.6.3.1).
 _ENCAPSULATIONS = {0x0000: (">", 8), 0x0001: ("<", 8), 0x0006: (">", 4), 0x0007: ("<", 4)}
@@ -83,3 +89,17 @@ class CdrPlan:
         return MessageBatch(buffer, "<", 8, nothing, nothing, nothing).columns(
             self._steps[8], padding=0
         )
+
+
+def plan_with(
+    fields: Fields | None, standard: str, wanted: Collection[str], *, is_ros1: bool
+) -> CdrPlan:
+    """Return how a type is decoded, by its own definition if that has the wanted fields.
+
+    `fields`: of the type, as a bag defines it. `standard`: name of the type in `STANDARD`.
+    """
+    if fields is not None:
+        with contextlib.suppress(UnplannedError):
+            return CdrPlan(fields, wanted, is_ros1=is_ros1)
+    known = STANDARD[standard]
+    return CdrPlan(ros1_fields(known) if is_ros1 else known, wanted, is_ros1=is_ros1)

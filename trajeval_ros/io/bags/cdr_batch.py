@@ -30,12 +30,7 @@ _LENGTHS = {order: np.dtype(f"{order}u4") for order in "<>"}
 
 
 class MessageBatch:
-    """Messages, or elements of sequences, that are decoded together.
-
-    Attributes:
-        least_room: Lower bound of `rooms`.
-        most_room: Upper bound of `rooms`.
-    """
+    """Messages, or elements of sequences, that are decoded together."""
 
     def __init__(
         self,
@@ -56,7 +51,7 @@ class MessageBatch:
         # (N,) offsets of the first fields in the buffer. Alignment counts from there.
         self.origins = origins
         self.rooms = rooms  # (N,) bytes from the origin to the end of the payload
-        self.least_room, self.most_room = 0, 0
+        self.least_room, self.most_room = 0, 0  # bounds of `rooms`
         if len(rooms):
             self.least_room, self.most_room = int(rooms.min()), int(rooms.max())
         self.at = at  # position of the next field, counted from the origin

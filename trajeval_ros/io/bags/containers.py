@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags import foxglove
@@ -13,11 +13,9 @@ from trajeval_ros.io.bags.blocks import Block, TopicSelection
 from trajeval_ros.io.bags.byte_source import LocalFile, RemoteFile, source_of
 from trajeval_ros.io.bags.compression import decompress_file
 from trajeval_ros.io.bags.mcap_records import MAGIC
+from trajeval_ros.io.bags.message_definitions import Connection
 from trajeval_ros.io.bags.pose_messages import FIX_TYPE, POSE_2D, POSE_TYPES, TRANSFORM_TYPES
 from trajeval_ros.io.bags.px4_messages import GPS, PX4_POSE_TYPES
-
-if TYPE_CHECKING:
-    from rosbags.interfaces import Connection
 
 _HEAD = 16  # bytes that identify the format
 _SQLITE, _ROS1, _ZSTD = b"SQLite format 3\0", b"#ROSBAG V", b"(\xb5/\xfd"
@@ -102,14 +100,7 @@ class Topic:
         """The number of its messages, counted if the bag does not declare it."""
         if self.declared is not None:
             return self.declared
-        return sum(each.owner.count(each.id) for each in self.connections)  # type: ignore[attr-defined]
-
-    @property
-    def expected(self) -> int:
-        """An estimate of the number of messages for reserving memory, without counting them."""
-        if self.declared is not None:
-            return self.declared
-        return sum(each.owner.rows for each in self.connections)  # type: ignore[attr-defined]
+        return sum(each.owner.count(each.id) for each in self.connections)
 
     @property
     def holds_poses(self) -> bool:
@@ -134,7 +125,7 @@ class Topic:
         return (
             self.type in foxglove.TYPES
             and not self._is_readable
-            and all(encoding_of(each) in foxglove.ENCODINGS for each in self.connections)
+            and all(each.encoding in foxglove.ENCODINGS for each in self.connections)
         )
 
     def connections_in(self, container: Container) -> frozenset[int]:
@@ -143,7 +134,7 @@ class Topic:
 
     @property
     def _is_readable(self) -> bool:
-        encodings = [encoding_of(each) for each in self.connections]
+        encodings = [each.encoding for each in self.connections]
         if self.type in foxglove.TYPES:
             return all(foxglove.is_decodable(each) for each in encodings)
         return all(each in _ENCODINGS for each in encodings)
@@ -158,8 +149,3 @@ class TopicReading:
     # Unreadable parts, one sentence per part; complete after the last message.
     damage: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)  # other information on the reading
-
-
-def encoding_of(connection: Connection) -> str:
-    """Return the serialisation of a connection's messages, such as `cdr` or `ros1`."""
-    return getattr(connection.ext, "serialization_format", "ros1")

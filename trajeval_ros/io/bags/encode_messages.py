@@ -65,9 +65,17 @@ class _MessageLayout:
         return rows, view
 
 
-def encode_pose_stamped(stamps: Stamps, poses: Floats, frame: str) -> Messages:
-    """Return geometry_msgs/PoseStamped (N, size) of poses (N, 7): position, quaternion xyzw."""
-    return _stamped(stamps, poses, frame)
+def encode_stamped(stamps: Stamps, numbers: Floats, frame: str) -> Messages:
+    """Return messages (N, size) of a header and numbers (N, k).
+
+    Poses (N, 7), position and quaternion xyzw, give geometry_msgs/PoseStamped; vectors (N, 3) give
+    geometry_msgs/Vector3Stamped.
+    """
+    layout = _with_header(frame)
+    layout.add("numbers", "<f8", numbers.shape[1:], alignment=8)
+    rows, fields = layout.messages(len(stamps))
+    fields["stamp"], fields["numbers"] = _times(stamps), numbers
+    return rows
 
 
 def encode_odometry(
@@ -120,31 +128,12 @@ def encode_transforms(stamps: Stamps, poses: Floats, frames: tuple[str, str]) ->
     return rows
 
 
-def encode_transform_stamped(stamps: Stamps, poses: Floats, frames: tuple[str, str]) -> Messages:
-    """Return geometry_msgs/TransformStamped (N, size), as `encode_transforms`."""
-    return _transforms(stamps, poses, frames, _MessageLayout())[0]
-
-
-def encode_vector_stamped(stamps: Stamps, vectors: Floats, frame: str) -> Messages:
-    """Return geometry_msgs/Vector3Stamped (N, size) of vectors (N, 3)."""
-    return _stamped(stamps, vectors, frame)
-
-
 def encode_numbers(numbers: Floats) -> Messages:
     """Return std_msgs/Float64 (N, size) of numbers (N,)."""
     layout = _MessageLayout()
     layout.add("data", "<f8", alignment=8)
     rows, fields = layout.messages(len(numbers))
     fields["data"] = numbers
-    return rows
-
-
-def _stamped(stamps: Stamps, numbers: Floats, frame: str) -> Messages:
-    """Return messages of a header and numbers (N, k)."""
-    layout = _with_header(frame)
-    layout.add("numbers", "<f8", numbers.shape[1:], alignment=8)
-    rows, fields = layout.messages(len(stamps))
-    fields["stamp"], fields["numbers"] = _times(stamps), numbers
     return rows
 
 
@@ -232,7 +221,7 @@ def _aligned(offset: int, alignment: int) -> int:
 def encode_alignment(alignment: Similarity, stamps: Stamps, frames: tuple[str, str]) -> bytes:
     """Return geometry_msgs/TransformStamped at a timestamp (1,), without the scale."""
     pose = np.concatenate([alignment.translation, alignment.rotation_xyzw])
-    return bytes(encode_transform_stamped(stamps, pose[None], frames)[0])
+    return bytes(_transforms(stamps, pose[None], frames, _MessageLayout())[0])
 
 
 def encode_paths(thinned: ThinnedRun, alignment: Similarity, frame: str) -> dict[str, bytes]:

@@ -88,12 +88,7 @@ class FoxglovePlan:
         return Columns(rows, {}, {}, {"transforms": elements})
 
     def _rows(self, message: Any) -> list[_Row]:
-        """Return the rows of a message.
-
-        Raises:
-            AttributeError: A field is missing.
-            TypeError, ValueError, OverflowError: A field is of the wrong kind.
-        """
+        """Return the rows of a message; a field can be missing or of the wrong kind."""
         if self._type == POSE_TYPE:
             return [self._row(message, _POSE, 1)]
         if self._type == FIX_TYPE:

@@ -12,7 +12,7 @@ import zlib
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -28,9 +28,7 @@ from trajeval_ros.io.bags.mcap_records import (
     MessageIndex,
     NoIndexError,
 )
-
-if TYPE_CHECKING:
-    from rosbags.interfaces import Connection
+from trajeval_ros.io.bags.message_definitions import Connection
 
 # Bytes. glibc returns freed memory to the kernel above a threshold: the largest size freed so far.
 # Mapping the pages of every chunk again takes as long as its decompression.

@@ -12,12 +12,10 @@ import numpy as np
 
 from trajeval_ros.geometry.arrays import Booleans, Indices
 from trajeval_ros.io.bags.byte_source import DamagedError
-from trajeval_ros.io.bags.message_definitions import full_name
+from trajeval_ros.io.bags.message_definitions import Connection, full_name
 
 if TYPE_CHECKING:
     from mcap.records import Channel, Schema
-    from rosbags.interfaces import Connection
-
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX, STATISTICS, DATA_END = (
@@ -28,6 +26,7 @@ FOOTER_SIZE = HEAD + 20
 MESSAGE_HEAD = 22  # bytes of a message before its payload
 PUBLISH_TIME = 8  # bytes of the publish time, the last of these
 _HEAD = struct.Struct("<BQ")
+_LANGUAGES = {"ros2msg": "MSG", "ros1msg": "MSG", "ros2idl": "IDL"}
 _MESSAGE = struct.Struct("<HIQ")
 
 
@@ -134,31 +133,18 @@ def head_of(data: bytes, place: int = 0) -> tuple[int, int]:
 def _connection(
     channel: Channel, schema: Schema | None, counts: dict[int, int], owner: object
 ) -> Connection:
-    from rosbags.interfaces import (
-        Connection,
-        ConnectionExtRosbag2,
-        MessageDefinition,
-        MessageDefinitionFormat,
-    )
-
-    from trajeval_ros.io.bags.bag_folder import qos_of
-
-    formats = {"ros2msg": "MSG", "ros1msg": "MSG", "ros2idl": "IDL"}
-    name, encoding, text = "", "", ""
+    name, language, text = "", "", ""
     if schema is not None:
-        name, encoding = schema.name, schema.encoding
-        if encoding in formats:
-            text = schema.data.decode("utf-8", errors="replace")
-    kind = MessageDefinitionFormat[formats.get(encoding, "NONE") if text.strip() else "NONE"]
+        name, language = schema.name, _LANGUAGES.get(schema.encoding, "")
+        text = schema.data.decode("utf-8", errors="replace") if language else ""
     return Connection(
         channel.id,
         channel.topic,
         full_name(name),
-        MessageDefinition(kind, text),
-        "",
+        language if text.strip() else "",
+        text,
         counts.get(channel.id, 0),
-        ConnectionExtRosbag2(
-            channel.message_encoding, qos_of(channel.metadata.get("offered_qos_profiles", ""))
-        ),
+        channel.message_encoding,
         owner,
+        channel.metadata.get("offered_qos_profiles", ""),
     )

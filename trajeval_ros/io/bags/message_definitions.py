@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Union
 import numpy as np
 
 if TYPE_CHECKING:
-    from rosbags.interfaces import Connection
     from rosbags.interfaces.typing import Typesdict
 
 TEXT = "text"
@@ -22,6 +21,22 @@ TEXT = "text"
 _MOST_TEXT = 1 << 18  # characters
 _MOST_FIELDS, _MOST_LEVELS = 1000, 50
 LARGEST_MESSAGE = 1 << 28  # bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Connection:
+    """A topic as one file of a bag records it."""
+
+    id: int
+    topic: str
+    type: str  # with `/msg/`
+    language: str  # of the type's definition: `MSG`, `IDL`, or "" without a definition
+    definition: str
+    count: int  # of messages, as declared; -1 if it is unknown
+    encoding: str  # of messages, such as `cdr` or `ros1`
+    owner: Any  # the open file
+    qos: str = ""  # the offered quality of service, in YAML
+    is_latching: bool = False
 
 
 @dataclass(frozen=True)
@@ -140,8 +155,7 @@ def fields_of(types: Typesdict, message_type: str) -> Fields:
 
 def recorded_fields(connection: Connection) -> Fields | None:
     """Return the fields of a connection's type by its own definition; None if that is invalid."""
-    definition = connection.msgdef
-    return _recorded_fields(definition.format.name, definition.data, connection.msgtype)
+    return _recorded_fields(connection.language, connection.definition, connection.type)
 
 
 @functools.lru_cache(maxsize=64)

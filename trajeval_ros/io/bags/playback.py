@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import re
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.bag import Bag
-from trajeval_ros.io.bags.containers import Topic, encoding_of
+from trajeval_ros.io.bags.containers import Topic
 from trajeval_ros.io.bags.message_definitions import types_in
 
 if TYPE_CHECKING:
@@ -38,25 +39,15 @@ def ros2_type(message_type: str) -> str:
     return _RENAMED.get(message_type, message_type)
 
 
-def is_ros1(topic: Topic) -> bool:
-    """Return whether a topic was recorded by ROS 1."""
-    return encoding_of(topic.connections[0]) == "ros1"
-
-
 def converter(topic: Topic) -> Convert | None:
-    """Return a function that converts serialised messages of ROS 1 to CDR.
-
-    Returns:
-        None if the type has other fields in ROS 2.
-    """
+    """Return a function that converts messages of ROS 1 to CDR; None if the fields differ."""
     from rosbags.typesys import Stores, get_typestore
 
     ros2 = get_typestore(Stores.ROS2_JAZZY)
     store = get_typestore(Stores.EMPTY)
     name = topic.type
     try:
-        text = topic.connections[0].msgdef.data
-        recorded = types_in("MSG", text, topic.type)
+        recorded = types_in("MSG", topic.connections[0].definition, topic.type)
         kept = (_HEADER, *_TIMES)
         store.register({key: value for key, value in recorded.items() if key not in kept})
         store.register({key: ros2.fielddefs[key] for key in kept if key not in store.fielddefs})
@@ -102,12 +93,7 @@ class Channel:
 
 
 class Playback:
-    """The messages of an open bag that are to be played, in order of their log times.
-
-    Attributes:
-        begin_ns: The log time at which it begins.
-        end_ns: The last log time.
-    """
+    """The messages of an open bag that are to be played, in order of their log times."""
 
     def __init__(
         self,
@@ -121,14 +107,14 @@ class Playback:
     ) -> None:
         """Choose the channels and the time window.
 
-        `topics`: names of the requested topics; empty means all. `start_s`: where to begin,
-        seconds from the bag's beginning. `end_s`: where to end, seconds from the bag's beginning;
-        None means its end.
+        `topics`: names of the requested topics; empty means all. `start_s`, `end_s`: seconds from
+        the bag's beginning; None means its end.
         """
         self.notes: list[str] = []  # differences from the recording, with reasons
         self.damaged = 0  # number of messages skipped so far
         self._bag = bag
         first, last = bag.span
+        # The first and the last log time that are played.
         self.begin_ns, self.end_ns = _window(first, last, start_s, end_s)
         self._is_whole = self.begin_ns == first and self.end_ns == last
         self.channels = self._choose(topics, is_known, with_clock=with_clock)
@@ -207,7 +193,7 @@ class Playback:
         if not is_known(kind):
             return None, f"{kind} is not installed; install the ROS package {kind.split('/')[0]}"
         convert = None
-        if is_ros1(topic):
+        if topic.connections[0].encoding == "ros1":
             convert = converter(topic)
             if convert is None:
                 return None, f"{kind} has different fields in ROS 1 and ROS 2"
@@ -228,18 +214,15 @@ def allowed_name(name: str, taken: Collection[str] = ()) -> str:
 
 def _is_latched(topic: Topic) -> bool:
     """Return whether the recorded publishers were latched."""
-    from rosbags.interfaces import ConnectionExtRosbag1, QosDurability
+    from rosbags.interfaces import QosDurability
+    from rosbags.rosbag2.metadata import parse_qos
 
-    if topic.name.endswith("/tf_static"):
+    if topic.name.endswith("/tf_static") or any(each.is_latching for each in topic.connections):
         return True
-    extensions = [connection.ext for connection in topic.connections]
     profiles = []
-    for each in extensions:
-        if isinstance(each, ConnectionExtRosbag1):
-            if each.latching:
-                return True
-        else:
-            profiles += each.offered_qos_profiles
+    for each in topic.connections:
+        with contextlib.suppress(Exception):  # of many types, if it is invalid
+            profiles += parse_qos(each.qos) if each.qos else []
     return bool(profiles) and all(
         profile.durability == QosDurability.TRANSIENT_LOCAL for profile in profiles
     )

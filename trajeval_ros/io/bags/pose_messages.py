@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from trajeval_ros.formatting.remarks import note
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.io.bags.cdr import CdrPlan
+from trajeval_ros.io.bags.cdr import CdrPlan, plan_with
 from trajeval_ros.io.bags.cdr_columns import Columns, StringColumn
-from trajeval_ros.io.bags.message_definitions import STANDARD, Fields, UnplannedError, ros1_fields
+from trajeval_ros.io.bags.message_definitions import STANDARD, Fields
 from trajeval_ros.io.bags.pose_columns import PoseColumns
 from trajeval_ros.io.bags.px4_messages import ATTITUDE, PX4_POSE_TYPES, Px4Plan, poses_of_px4
 
@@ -142,14 +142,8 @@ def plan_of(
     lacks a field of a pose. `message_type`: one of `POSE_TYPES` or `TRANSFORM_TYPES`.
     """
     wanted = _wanted(message_type, covariance=covariance, rates=rates)
-    if fields is not None:
-        try:
-            return CdrPlan(fields, wanted, is_ros1=is_ros1)
-        except UnplannedError:
-            pass
     name = TRANSFORM_TYPES[0] if message_type in TRANSFORM_TYPES else message_type
-    standard = ros1_fields(STANDARD[name]) if is_ros1 else STANDARD[name]
-    return CdrPlan(standard, wanted, is_ros1=is_ros1)
+    return plan_with(fields, name, wanted, is_ros1=is_ros1)
 
 
 def _wanted(message_type: str, *, covariance: bool, rates: bool) -> list[str]:
@@ -176,7 +170,7 @@ def poses_of(
     numbers = columns.numbers
     covariances = numbers.get(paths.covariance)
     return PoseColumns(
-        _stamps_of(columns),
+        stamps_of(columns),
         _joined(numbers, paths.position),
         _floats(numbers[paths.quaternion]) if paths.quaternion else None,
         _floats(numbers[paths.body_velocity]) if paths.body_velocity else None,
@@ -189,7 +183,7 @@ def poses_of(
     )
 
 
-def _stamps_of(columns: Columns) -> NDArray[np.int64]:
+def stamps_of(columns: Columns) -> NDArray[np.int64]:
     """Return the stamps of the headers, (N,), nanoseconds."""
     seconds = columns.numbers["header.stamp.sec"].astype(np.int64)
     stamps: NDArray[np.int64] = seconds * NANOSECONDS + columns.numbers["header.stamp.nanosec"]
@@ -229,7 +223,7 @@ def _changes(frames: StringColumn, children: StringColumn | None) -> list[tuple[
 def edges_of(columns: Columns) -> dict[tuple[str, str], TransformColumns]:
     """Return decoded transforms of TF messages by edge (parent, child)."""
     elements = columns.sequences["transforms"]
-    stamps = _stamps_of(elements)
+    stamps = stamps_of(elements)
     translations = _joined(elements.numbers, _OF_TRANSFORMS.position)
     rotations = elements.numbers[_OF_TRANSFORMS.quaternion]
     numbers = _floats(np.concatenate([translations, rotations], axis=1))

@@ -10,21 +10,15 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Level
-from trajeval_ros.geometry.arrays import Booleans, Stamps
+from trajeval_ros.geometry.arrays import Booleans
 from trajeval_ros.geometry.inertial import InertialReadings
-from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.valid_poses import LARGEST
 from trajeval_ros.io.bags.bag import Bag
-from trajeval_ros.io.bags.cdr import CdrPlan
+from trajeval_ros.io.bags.cdr import CdrPlan, plan_with
 from trajeval_ros.io.bags.cdr_columns import Columns
-from trajeval_ros.io.bags.containers import Topic, TopicReading, encoding_of
-from trajeval_ros.io.bags.message_definitions import (
-    STANDARD,
-    Fields,
-    UnplannedError,
-    recorded_fields,
-    ros1_fields,
-)
+from trajeval_ros.io.bags.containers import Topic, TopicReading
+from trajeval_ros.io.bags.message_definitions import Fields, recorded_fields
+from trajeval_ros.io.bags.pose_messages import stamps_of
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
@@ -54,7 +48,7 @@ def read_rates(path: Path, name: str) -> InertialReadings:
         reading = TopicReading(topic)
         plans = {
             (id(each.owner), each.id): _plan_of(
-                recorded_fields(each), topic.type, is_ros1=encoding_of(each) == "ros1"
+                recorded_fields(each), topic.type, is_ros1=each.encoding == "ros1"
             )
             for each in topic.connections
         }
@@ -86,11 +80,9 @@ def _topic(bag: Bag, name: str) -> Topic:
         if topic.type in _FIELDS:
             return topic
     others = [each.name for each in bag.topics if each.type == IMU_TYPE]
-    listed = (
-        f"; IMU messages are on {', '.join(others)}"
-        if others
-        else (", and no other topic has them")
-    )
+    listed = ", and no other topic has them"
+    if others:
+        listed = f"; IMU messages are on {', '.join(others)}"
     raise InputError(f"{bag.path}: {name} has type {found[0].type}, not {IMU_TYPE}{listed}")
 
 
@@ -100,15 +92,8 @@ def _plan(message_type: str) -> CdrPlan:
 
 
 def _plan_of(fields: Fields | None, message_type: str, *, is_ros1: bool) -> CdrPlan:
-    """Return how a type is decoded, by its own definition if that is usable."""
     wanted = [*_STAMP, _FRAME, *_FIELDS[message_type]]
-    if fields is not None:
-        try:
-            return CdrPlan(fields, wanted, is_ros1=is_ros1)
-        except UnplannedError:
-            pass
-    standard = STANDARD[message_type]
-    return CdrPlan(ros1_fields(standard) if is_ros1 else standard, wanted, is_ros1=is_ros1)
+    return plan_with(fields, message_type, wanted, is_ros1=is_ros1)
 
 
 def _readings(columns: Columns, message_type: str, count: int) -> InertialReadings:
@@ -117,7 +102,7 @@ def _readings(columns: Columns, message_type: str, count: int) -> InertialReadin
     vectors = [np.asarray(columns.numbers[each], float) for each in _FIELDS[message_type]]
     names = columns.texts[_FRAME].names
     return InertialReadings(
-        _stamps(columns)[good],
+        stamps_of(columns)[good],
         vectors[0][good],
         vectors[1][good] if len(vectors) > 1 else None,
         names[0].lstrip("/") if names else "",
@@ -131,9 +116,3 @@ def _usable(columns: Columns, message_type: str) -> Booleans:
         [(np.abs(each) <= LARGEST).all(axis=1) for each in vectors]
     )
     return good
-
-
-def _stamps(columns: Columns) -> Stamps:
-    seconds = columns.numbers["header.stamp.sec"].astype(np.int64)
-    stamps: Stamps = seconds * NANOSECONDS + columns.numbers["header.stamp.nanosec"]
-    return stamps

@@ -11,7 +11,6 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from trajeval_ros.geometry.arrays import Booleans, Indices
 from trajeval_ros.io.bags.blocks import LARGEST, Block, TopicSelection, all_connections, are_of
 from trajeval_ros.io.bags.byte_source import GAP, ByteSource, ByteWindow, DamagedError
 from trajeval_ros.io.bags.compression import LARGEST_CHUNK, LARGEST_RATIO, decompress, most_of
-from trajeval_ros.io.bags.message_definitions import full_name
+from trajeval_ros.io.bags.message_definitions import Connection, full_name
 from trajeval_ros.io.bags.ros1_records import (
     BAG_HEADER,
     CHUNK,
@@ -35,9 +34,6 @@ from trajeval_ros.io.bags.ros1_records import (
     find_messages,
     record_at,
 )
-
-if TYPE_CHECKING:
-    from rosbags.interfaces import Connection
 
 _MAGIC = b"#ROSBAG V2.0\n"
 _COMPRESSIONS = ("none", "bz2", "lz4")
@@ -217,22 +213,16 @@ class Ros1Reader:
         return _Chunk(record, compression, size, index, int(index.log_times.min()))
 
     def _connection(self, record: BagRecord, counts: Counter[int]) -> Connection:
-        from rosbags.interfaces import (
-            Connection,
-            ConnectionExtRosbag1,
-            MessageDefinition,
-            MessageDefinitionFormat,
-        )
-
         fields = fields_at(self._read, record)
-        number, latching = record.number("conn", 4), fields.text("latching")
+        number = record.number("conn", 4)
         return Connection(
             number,
             re.sub("/+", "/", record.text("topic")),
             full_name(fields.text("type")),
-            MessageDefinition(MessageDefinitionFormat.MSG, fields.text("message_definition")),
-            fields.text("md5sum"),
+            "MSG",
+            fields.text("message_definition"),
             counts[number],
-            ConnectionExtRosbag1(fields.text("callerid"), int(latching == "1")),
+            "ros1",
             self,
+            is_latching=fields.text("latching") == "1",
         )

@@ -11,12 +11,10 @@ import sqlite3
 import sys
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.bags.bag_folder import qos_of
 from trajeval_ros.io.bags.blocks import (
     ROWS,
     Block,
@@ -25,13 +23,12 @@ from trajeval_ros.io.bags.blocks import (
     block_of,
     blocks_of,
 )
-
-if TYPE_CHECKING:
-    from rosbags.interfaces import Connection
+from trajeval_ros.io.bags.message_definitions import Connection
 
 Place = tuple[int, int]  # of a message in the order of reading: log time or 0, id
 
 _UNKNOWN = -1  # counting reads the whole file
+_LANGUAGES = {"ros2msg": "MSG", "ros2idl": "IDL"}
 _FETCHED = 1 << 18  # bytes at once, which fit in a core's cache
 _SMALLEST_ROW = 8  # bytes, of its id, lengths, topic and time
 _MOST_OPERATIONS = 64  # of sqlite's virtual machine per row; a query needs about 20, with a sort
@@ -144,7 +141,7 @@ class SqliteReader:
             except sqlite3.DatabaseError:
                 return []
 
-        last = self.rows
+        last: int = self._last_id()
         # A row has several bytes. Therefore larger ids are gaps or damage.
         most = self._path.stat().st_size // _SMALLEST_ROW
         if last > most:
@@ -161,24 +158,16 @@ class SqliteReader:
 
     def _list_connections(self) -> list[Connection]:
         """Return the topics, with the definitions of their types if the file has them."""
-        from rosbags.interfaces import (
-            Connection,
-            ConnectionExtRosbag2,
-            MessageDefinition,
-            MessageDefinitionFormat,
-        )
-
-        formats = {"ros2msg": MessageDefinitionFormat.MSG, "ros2idl": MessageDefinitionFormat.IDL}
-        texts = {}
+        definitions = {}
         if self._columns("message_definitions"):
             rows = self._bounded(
                 f"SELECT {_text('topic_type')}, {_text('encoding')}, "
                 f"{_text('encoded_message_definition')} FROM message_definitions"
             )
-            texts = {
-                name: MessageDefinition(formats[encoding], text)
+            definitions = {
+                name: (_LANGUAGES[encoding], text)
                 for name, encoding, text in rows
-                if encoding in formats and text.strip()
+                if encoding in _LANGUAGES and text.strip()
             }
         if not self._columns("topics") or not self._columns("messages"):
             raise InputError(f"{self._name} is not a bag: it has no tables of topics and messages")
@@ -188,24 +177,15 @@ class SqliteReader:
             + (_text("offered_qos_profiles") if has_qos else "''")
             + " FROM topics ORDER BY id"
         )
-        none = MessageDefinition(MessageDefinitionFormat.NONE, "")
         return [
             Connection(
-                key,
-                name,
-                kind,
-                texts.get(kind, none),
-                "",
-                _UNKNOWN,
-                ConnectionExtRosbag2(serialization, qos_of(qos)),
-                self,
+                key, name, kind, *definitions.get(kind, ("", "")), _UNKNOWN, encoding, self, qos
             )
-            for key, name, kind, serialization, qos in rows
+            for key, name, kind, encoding, qos in rows
         ]
 
-    @cached_property
-    def rows(self) -> int:
-        """The largest id of a message, which is at least their number; 0 if it can't be read."""
+    def _last_id(self) -> int:
+        """Return the largest id of a message; 0 if it can't be read."""
         try:
             ((last,),) = self._query(
                 "SELECT max(id) FROM messages WHERE typeof(id) = 'integer'"
@@ -225,11 +205,7 @@ class SqliteReader:
         return self._counts.get(topic, 0)
 
     def _columns(self, table: str) -> set[str]:
-        """Return the names of a stored table's columns; none if there is no table.
-
-        Raises:
-            InputError: Reading the table executes SQL of the file.
-        """
+        """Return the names of a stored table's columns; refuse one that executes SQL."""
         ((count, stored),) = self._query(
             "SELECT count(*), sum(type = 'table' AND rootpage > 0 AND sql LIKE 'CREATE TABLE %') "
             "FROM sqlite_master WHERE name = ? COLLATE NOCASE",

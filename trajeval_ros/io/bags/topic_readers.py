@@ -1,31 +1,25 @@
-"""Readers of one topic. One pass over a bag gives blocks of messages to many readers.
-
-Poses are gathered in columns that grow in place.
-"""
+"""Readers of one topic. One pass over a bag gives blocks of messages to many readers."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Iterable
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Stamps
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.stamp_trust import trusted_states
 from trajeval_ros.geometry.valid_poses import add_counts, judge_poses
 from trajeval_ros.io.bags.bag import Bag, Key
-from trajeval_ros.io.bags.blocks import ROWS, Block
+from trajeval_ros.io.bags.blocks import Block
 from trajeval_ros.io.bags.cdr import CdrPlan
 from trajeval_ros.io.bags.cdr_columns import Columns
-from trajeval_ros.io.bags.containers import Topic, TopicReading, encoding_of
+from trajeval_ros.io.bags.containers import Topic, TopicReading
 from trajeval_ros.io.bags.foxglove import TYPES as FOXGLOVE_TYPES
 from trajeval_ros.io.bags.foxglove import FoxglovePlan
-from trajeval_ros.io.bags.message_definitions import recorded_fields
+from trajeval_ros.io.bags.message_definitions import Connection, recorded_fields
 from trajeval_ros.io.bags.pose_columns import COLUMNS, Frames, PoseColumns, frames_changes
 from trajeval_ros.io.bags.pose_messages import (
     PATH_TYPE,
@@ -48,24 +42,14 @@ from trajeval_ros.io.bags.px4_messages import (
 from trajeval_ros.io.bags.received_transforms import ReceivedEdge
 from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey
 from trajeval_ros.io.checks import times
-
-if TYPE_CHECKING:
-    from rosbags.interfaces import Connection
-
-_RESERVED = 1 << 24  # bytes of a column, at most: counts of messages are not trusted
+from trajeval_ros.io.growing_rows import GrowingRows
 
 
 class GrowingPoses:
     """The poses of a topic, added part by part."""
 
-    def __init__(self, expected: int) -> None:
-        """Prepare to add.
-
-        `expected`: number of poses to reserve memory for. The kernel provides memory only when it
-        is written to, so an excessive number costs nothing.
-        """
-        self._expected = expected
-        self._columns: dict[str, _Column] = {}
+    def __init__(self) -> None:
+        self._columns: dict[str, GrowingRows] = {}
         self._frames: list[Frames] = []
         self._dropped: dict[str, int] = {}
         self._undecodable = self._count = self._messages = 0
@@ -79,9 +63,7 @@ class GrowingPoses:
         }
         for name, rows in columns.items():
             if rows is not None:
-                if name not in self._columns:
-                    self._columns[name] = _Column(rows, self._expected)
-                self._columns[name].extend(rows)
+                self._columns.setdefault(name, GrowingRows()).extend(rows)
         self._frames += [(self._count + row, frame, child) for row, frame, child in part.frames]
         self._undecodable += part.undecodable
         self._dropped = add_counts(self._dropped, part.dropped)
@@ -105,31 +87,6 @@ class GrowingPoses:
             dropped=self._dropped,
             receptions=Receptions.of_bag(columns["log"], columns["published"], received),
         )
-
-
-class _Column:
-    """Rows that grow in place. Concatenating small arrays at the end takes twice the memory."""
-
-    def __init__(self, like: NDArray[Any], expected: int) -> None:
-        shape = like.shape[1:]
-        most = _RESERVED // (like.dtype.itemsize * math.prod(shape))
-        self._rows = np.empty((max(ROWS, min(expected, most)), *shape), like.dtype)
-        self._count = 0
-
-    def extend(self, rows: NDArray[Any]) -> None:
-        end = self._count + len(rows)
-        if end > len(self._rows):
-            self._resize(max(end, len(self._rows) * 9 // 8))
-        self._rows[self._count : end] = rows
-        self._count = end
-
-    def done(self) -> NDArray[Any]:
-        self._resize(self._count)
-        return self._rows
-
-    def _resize(self, count: int) -> None:
-        # Large arrays are not copied, only the page table changes. No other view exists.
-        self._rows.resize((count, *self._rows.shape[1:]), refcheck=False)
 
 
 class PoseReader:
@@ -262,7 +219,7 @@ class _Decoders:
     def _plan(
         self, connection: Connection, covariances: bool, rates: bool
     ) -> CdrPlan | FoxglovePlan | Px4Plan:
-        encoding = encoding_of(connection)
+        encoding = connection.encoding
         if self.topic.type in (*PX4_POSE_TYPES, ATTITUDE):
             return Px4Plan(recorded_fields(connection), self.topic.type)
         if self.topic.type in FOXGLOVE_TYPES:
@@ -291,7 +248,7 @@ class _Poses:
 
     def __init__(self, decoders: _Decoders, received: str) -> None:
         self._decoders, self._received = decoders, received
-        self._poses = GrowingPoses(decoders.topic.expected)
+        self._poses = GrowingPoses()
 
     def add(self, key: Key, block: Block) -> None:
         """Add the messages of a connection."""

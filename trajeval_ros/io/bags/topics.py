@@ -83,11 +83,7 @@ def read_bag(
 
 
 class _Plan:
-    """The readers for several sources. A topic of several sources is read once.
-
-    Attributes:
-        readers: Readers of all topics.
-    """
+    """The readers for several sources. A topic of several sources is read once."""
 
     def __init__(self, bag: Bag) -> None:
         self._bag = bag

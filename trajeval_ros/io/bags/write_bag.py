@@ -17,7 +17,7 @@ from trajeval_ros.io.bags.encode_messages import (
     encode_imu,
     encode_odometry,
     encode_path,
-    encode_pose_stamped,
+    encode_stamped,
     encode_transforms,
 )
 from trajeval_ros.io.bags.pose_messages import FIX_TYPE, PATH_TYPE
@@ -131,7 +131,7 @@ def _serialised(
             assert trajectory.reading.fixes is not None
             rows = encode_fixes(stamps, trajectory.reading.fixes, trajectory.child_frame)
         elif message_type == POSE_STAMPED:
-            rows = encode_pose_stamped(stamps, _poses(trajectory), frame)
+            rows = encode_stamped(stamps, _poses(trajectory), frame)
         else:
             covariances = trajectory.covariances
             rows = encode_odometry(

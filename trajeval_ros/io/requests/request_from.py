@@ -32,10 +32,7 @@ _OPTION = re.compile(r"--([a-z]+(?:-[a-z]+)*)(?:[ =](?=([\w.+-]+)))?")
 
 
 def request_from(settings: Mapping[str, Any]) -> Request:
-    """Return the request for settings; a missing one or None keeps the default.
-
-    Args:
-        settings: Values by name, as on the command line.
+    """Return the request for settings by name, as on the command line; None keeps the default.
 
     Raises:
         SettingsError: A setting is not valid, or contradicts another one.
@@ -89,11 +86,7 @@ def request_from(settings: Mapping[str, Any]) -> Request:
 
 
 def protocol_from(base: str | Protocol, **settings: Any) -> Protocol:
-    """Return a protocol with some settings replaced; None keeps a setting.
-
-    Args:
-        base: The protocol, or its name.
-        **settings: Values by name, as on the command line.
+    """Return a protocol, given or named, with some settings replaced; None keeps a setting.
 
     Raises:
         SettingsError: An unknown value, or settings that exclude one another.
@@ -161,10 +154,8 @@ def in_names_of_settings(
 ) -> str:
     """Return a message with options replaced by names of settings, for files and parameters.
 
-    Args:
-        text: The message.
-        assignment: What is written between a name and its value.
-        known: Names of settings. Options that are not among them are unchanged.
+    `assignment`: what is written between a name and its value. `known`: names of settings; other
+    options are unchanged.
     """
 
     def named(option: re.Match[str]) -> str:
@@ -238,12 +229,7 @@ def _require_together(given: Mapping[str, Any]) -> None:
 
 
 def _require_effect(given: Mapping[str, Any], protocol: Protocol) -> None:
-    """Refuse settings of a step that the protocol does not have.
-
-    Raises:
-        SettingsError: Settings of the alignment with gauge none, of relative errors without a
-            length, or noise without a test.
-    """
+    """Refuse settings of a step that the protocol does not have."""
     alignment = (given.get("align_states", ALL), given.get("align_weights", NONE))
     if protocol.gauge is Gauge.NONE and alignment != (ALL, NONE):
         raise SettingsError(

@@ -38,53 +38,30 @@ _KINDS = {str: "a text", float: "a number", int: "a whole number", bool: "true o
 
 @dataclass(frozen=True, kw_only=True)
 class Setting:
-    """A row of the table.
+    """A row of the table."""
 
-    Attributes:
-        name: The key in YAML and the name of the parameter; with `-` for `_` the option.
-        help: Meaning, values and unit. `{default}` is the default of the request.
-        kind: Type of the value as users write it; dict for a mapping, in YAML only.
-        target: Fields of `Request` that it sets, as in `protocol.association.max_gap_s`; () if
-            it is not a part of the request.
-        parse: Converts the value to that of the field; None if they are equal.
-        read: Returns the value as users write it from a request; None to read the first target.
-        metavar: Placeholder of the value in the help; empty for that of the kind.
-        panel: Heading in the help.
-        verbs: Verbs with this option; `NODE` for a parameter of the node.
-        is_common: Whether the short help of a verb shows it.
-        is_repeatable: Whether the option may be given several times.
-        is_of_one_run: Whether it is for a single evaluation, and not for a comparison.
-        letter: Short form of the option, as in `-g`.
-        value_if_alone: Value of an option that is given without one; empty if one is required.
-        choices: All values, for completion and the descriptor of the parameter; () if others are
-            possible.
-        range: Smallest and largest value of a parameter.
-        is_live: Whether the node accepts a new value during the run.
-        node_help: Meaning for the node, if it differs.
-        node_choices: All values for the node, if they differ.
-        node_default: Default of the node, which also defines the parameter's type; None to use
-            that of the request.
-    """
-
-    name: str
-    help: str
-    kind: type = str
+    name: str  # key in YAML and parameter of the node; with `-` for `_` the option
+    help: str  # meaning, values and unit; `{default}` is the default of the request
+    kind: type = str  # type of the value as users write it; dict for a mapping, in YAML only
+    # Fields of `Request`, as in `protocol.association.max_gap_s`; () if it is not a part of it.
     target: tuple[str, ...] | str = ()
-    parse: Callable[[Any], Any] | None = None
+    parse: Callable[[Any], Any] | None = None  # converts the value to that of the field
+    # Returns the value as users write it from a request; None to read the first target.
     read: Callable[[Request], Any] | None = None
-    metavar: str = ""
-    panel: str = ""
-    verbs: tuple[str, ...] = ()
-    is_common: bool = False
+    metavar: str = ""  # placeholder of the value in the help; empty for that of the kind
+    panel: str = ""  # heading in the help
+    verbs: tuple[str, ...] = ()  # verbs with this option; `NODE` for a parameter of the node
+    is_common: bool = False  # whether the short help of a verb shows it
     is_repeatable: bool = False
-    is_of_one_run: bool = False
-    letter: str = ""
-    value_if_alone: str = ""
-    choices: tuple[str, ...] = ()
-    range: tuple[float, float] | None = None
-    is_live: bool = False
-    node_help: str = ""
-    node_choices: tuple[str, ...] = ()
+    is_of_one_run: bool = False  # whether it is for a single evaluation, not for a comparison
+    letter: str = ""  # short form of the option, as in `-g`
+    value_if_alone: str = ""  # value of an option that is given without one
+    choices: tuple[str, ...] = ()  # all values, for completion and the parameter's descriptor
+    range: tuple[float, float] | None = None  # smallest and largest value of a parameter
+    is_live: bool = False  # whether the node accepts a new value during the run
+    node_help: str = ""  # meaning for the node, if it differs
+    node_choices: tuple[str, ...] = ()  # all values for the node, if they differ
+    # Default of the node, which also defines the parameter's type; None for the request's.
     node_default: str | float | bool | None = None
 
     @property

@@ -356,10 +356,7 @@ def settings_of(request: Request) -> dict[str, Any]:
 def settings_with(request: Request, stated: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings of an evaluated live run by name.
 
-    Args:
-        request: The evaluation of the run, with its protocol.
-        stated: Settings of the node; the request overrides them where it has other values than the
-            default.
+    `stated`: settings of the node; the request overrides them where its values are no defaults.
     """
     settings = settings_of(request)
     for name, setting in SETTINGS.items():

@@ -24,7 +24,7 @@ from trajeval_ros.io.bags.encode_messages import (
     encode_alignment,
     encode_numbers,
     encode_paths,
-    encode_vector_stamped,
+    encode_stamped,
 )
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE
 from trajeval_ros.io.writing import write_whole
@@ -77,10 +77,6 @@ def write_error_recording(path: Path, outcome: Outcome) -> None:
     its first pair. The statistics of the window are logged at the first and the last pair. Here
     the window is the whole run.
 
-    Args:
-        path: The file; an existing file is replaced.
-        outcome: Result of `run`.
-
     Raises:
         InputError: The file can't be written, or timestamps are before 1970 or after 2038.
     """
@@ -132,7 +128,7 @@ class _RecordedRun:
         begin, whole = self._times[:1], self._times[[0, -1]]
         for topic in VECTORS:
             stamps, vectors = vectors_of(errors, topic, self._offset_ns, knows_up=knows_up)
-            messages = _each(encode_vector_stamped(stamps, vectors, self._frame))
+            messages = _each(encode_stamped(stamps, vectors, self._frame))
             yield self._channel(topic, VECTOR_TYPE, stamps, messages)
         for topic in NUMBERS:
             values = numbers_of(errors, topic, knows_up=knows_up)
@@ -171,7 +167,7 @@ class _RecordedRun:
         return self._channel(topic, NUMBER_TYPE, times, _each(encode_numbers(values)))
 
     def _vectors(self, topic: str, stamps: Stamps, vectors: Floats) -> _Channel:
-        messages = _each(encode_vector_stamped(stamps, vectors, ""))
+        messages = _each(encode_stamped(stamps, vectors, ""))
         return self._channel(topic, VECTOR_TYPE, stamps, messages)
 
     def _channel(

@@ -17,18 +17,13 @@ _PATTERN = r"\s*([\w.%]+?)\s*(<=|>=|<|>)\s*([-+0-9.eE]+)\s*"
 
 @dataclass(frozen=True)
 class Requirement:
-    """A bound on one number of every run in a result.
+    """A bound on one number of every run in a result."""
 
-    Attributes:
-        path: Keys below the run, joined by dots. A requested sub-trajectory length is a key of
-            `re`: `re.8m.position_percent.mean`, `re.10%.rotation_deg.p95`.
-        comparison: `<`, `<=`, `>` or `>=`.
-        bound: Bound, in the unit of the number.
-    """
-
+    # Keys below the run, joined by dots. A requested sub-trajectory length is a key of `re`:
+    # `re.8m.position_percent.mean`, `re.10%.rotation_deg.p95`.
     path: str
-    comparison: str
-    bound: float
+    comparison: str  # `<`, `<=`, `>` or `>=`
+    bound: float  # in the unit of the number
 
     @classmethod
     def parse(cls, text: str) -> Requirement:

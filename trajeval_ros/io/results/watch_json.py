@@ -13,13 +13,7 @@ SCHEMA = "trajeval-watch/2"
 
 
 def watch_json(estimate: str, seen: Watched, book: AlarmBook) -> dict[str, Any]:
-    """Return signals with limits, and alarms (docs/watchdog.md).
-
-    Args:
-        estimate: SOURCE of the estimate.
-        seen: Signals of the run.
-        book: Alarms of the run, and the factor.
-    """
+    """Return signals with limits, and alarms (docs/watchdog.md), of the SOURCE `estimate`."""
 
     def stamp(seconds: float) -> int:
         return seen.origin + round(seconds * NANOSECONDS)

@@ -13,6 +13,7 @@ numpy, which is slower.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -166,19 +167,8 @@ def _parse_dates(tokens: Tokens) -> tuple[ExactNumbers, Booleans]:
     try:
         return exact_dates(np.where(empty, b"1970-01-01", words)), ~empty
     except ValueError:
-        for start, word in zip(tokens.starts.tolist(), words.tolist(), strict=True):
-            if word and not _is_date(word):
-                shown = word[:40].decode(errors="replace")
-                raise WordError(start, f"{shown!r} is not a date (UTC)") from None
+        _refuse_first(tokens, words, lambda word: exact_dates(np.array([word])), "a date (UTC)")
         raise
-
-
-def _is_date(word: bytes) -> bool:
-    try:
-        exact_dates(np.array([word]))
-    except ValueError:
-        return False
-    return True
 
 
 def _parse_digits(text: Bytes, ends: Indices, counts: Indices) -> NDArray[np.uint64]:
@@ -222,10 +212,7 @@ def _convert(tokens: Tokens) -> Floats:
         with np.errstate(over="ignore"):  # 1e400 becomes infinity
             numbers = words.astype(np.float64)
     except ValueError:
-        for start, word in zip(tokens.starts.tolist(), words.tolist(), strict=True):
-            if not _is_number(word):
-                shown = word[:40].decode(errors="replace")
-                raise WordError(start, f"{shown!r} is not a number") from None
+        _refuse_first(tokens, words, lambda word: float(word.replace(b"_", b"?")), "a number")
         raise
     numbers[missing] = np.nan
     return numbers
@@ -237,9 +224,15 @@ def _words(tokens: Tokens) -> NDArray[np.bytes_]:
     return words
 
 
-def _is_number(word: bytes) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return b"_" not in word
+def _refuse_first(
+    tokens: Tokens, words: NDArray[np.bytes_], parse: Callable[[bytes], object], what: str
+) -> None:
+    """Raise WordError for the first word that can't be parsed."""
+    for start, word in zip(tokens.starts.tolist(), words.tolist(), strict=True):
+        if not word:  # a missing value
+            continue
+        try:
+            parse(word)
+        except ValueError:
+            shown = word[:40].decode(errors="replace")
+            raise WordError(start, f"{shown!r} is not {what}") from None

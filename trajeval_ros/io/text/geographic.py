@@ -119,11 +119,7 @@ def _intact(data: bytes, matches: Sequence[re.Match[bytes]]) -> Booleans:
 def _days(
     data: bytes, places: Sequence[int], seconds: Indices
 ) -> tuple[Indices, tuple[Remark, ...]]:
-    """Return the days since 1970 of the lines (N,), and remarks on them.
-
-    `places`: (N,), offsets of the lines, bytes. `seconds`: (N,), time of day of the lines,
-    seconds.
-    """
+    """Return the days since 1970 (N,) of lines at byte offsets, by their times of day, seconds."""
     days = np.concatenate([[0], np.cumsum(np.diff(seconds) < -_HALF_A_DAY_S)])
     for said in re.finditer(_DATE, data):
         _, time, *words, _ = filter(None, said.groups())

@@ -72,7 +72,9 @@ def recognise_text(path: Path, named: Sequence[str] = ()) -> TextFormat:
         return graph
     head = read_head(path)
     try:
-        layout = head.table or _from_header(head) or _by_count(head)
+        titled = (from_header(line, len(head.sample[0])) for line in reversed(head.header))
+        layout = head.table or next(filter(None, titled), None)
+        layout = layout or by_count(head.sample, head.commas, head.comma_at_end)
     except InputError as error:
         raise InputError(f"{path} is not a readable trajectory: {error}") from None
     if layout.name == "smfeval":
@@ -119,15 +121,6 @@ def _of_row(layout: Layout, line: bytes) -> Layout | None:
             return None
         columns = tuple(DATE if at == layout.time else each for at, each in enumerate(columns))
     return dataclasses.replace(layout, columns=columns)
-
-
-def _by_count(head: Head) -> Layout:
-    return by_count(head.sample, head.commas, head.comma_at_end)
-
-
-def _from_header(head: Head) -> Layout | None:
-    layouts = (from_header(line, len(head.sample[0])) for line in reversed(head.header))
-    return next((layout for layout in layouts if layout is not None), None)
 
 
 def _smfeval(layout: Layout, header: Sequence[str]) -> Layout:
@@ -197,10 +190,7 @@ def read_head(path: Path) -> Head:
 
 
 def _table(header: Sequence[str], line: bytes) -> Layout | None:
-    """Return the layout of a table if its header is the last header line and `line` is a row.
-
-    Otherwise return None.
-    """
+    """Return the layout of a table if `line` is a row below its header; else None."""
     separator = separator_of(header[-1]) if header else ""
     if not separator:
         return None
@@ -252,10 +242,7 @@ def _to_float(word: bytes) -> float | None:
 
 
 def _sample(lines: list[bytes]) -> list[list[float]]:
-    """Return the numbers of the first rows, up to a row with text or another number of columns.
-
-    The reader reports the error in that row.
-    """
+    """Return the numbers of the first rows, up to a row with text or other columns."""
     sample: list[list[float]] = []
     for line in lines[:_SAMPLE]:
         numbers = [_to_float(word) for word in _words(line)]

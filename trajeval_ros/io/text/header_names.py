@@ -74,10 +74,9 @@ def separator_of(line: str) -> str:
 
 
 def from_header(line: str, columns: int) -> Layout | None:
-    """Return the layout that a header line describes.
+    """Return the layout that a header line describes; None if it names no position.
 
-    Returns:
-        The layout. None if the number of names is not `columns`, or if no position is named.
+    Also None if the number of names is not `columns`.
     """
     plain = re.sub(_TRAJECTOPY, "", line)
     if re.search(_OPENVINS, re.sub(_UNIT, "", plain).lower()) and columns >= len(

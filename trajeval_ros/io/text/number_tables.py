@@ -134,19 +134,20 @@ def _check(path: Path, layout: Layout, rows: Floats) -> None:
         )
 
 
-def names_of_times(path: Path) -> list[str]:
-    """Return the names of the files that may have the times of an array, in this order."""
-    stems = [path.stem.replace("poses", word) for word in _TIMES if "poses" in path.stem]
-    stems += [f"{path.stem}_{word}" for word in _TIMES] + list(_TIMES)
-    return [f"{stem}{suffix}" for stem in stems for suffix in (".npy", ".txt")]
+def files_of_times(path: Path, *, is_text: bool = False) -> list[Path]:
+    """Return the files next to an array or a text that may have the times of its rows."""
+    names = [f"{path.stem}_times.txt", "times.txt"]
+    if path.suffix == ".npy" and not is_text:
+        stems = [path.stem.replace("poses", word) for word in _TIMES if "poses" in path.stem]
+        stems += [f"{path.stem}_{word}" for word in _TIMES] + list(_TIMES)
+        names = [f"{stem}{suffix}" for stem in stems for suffix in (".npy", ".txt")]
+    paths = [path.with_name(name) for name in names]
+    return [each for each in paths if each.is_file() and each != path]
 
 
 def _with_times(layout: Layout, rows: Floats, path: Path) -> tuple[Layout, Floats]:
     """Add the column of times, or of frame numbers, that a file next to the array has."""
-    for name in names_of_times(path):
-        beside = path.with_name(name)
-        if not beside.is_file() or beside == path:
-            continue
+    for beside in files_of_times(path):
         try:
             times = _loaded(beside) if beside.suffix == ".npy" else np.loadtxt(beside, ndmin=1)
         except ValueError as error:

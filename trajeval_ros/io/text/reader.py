@@ -18,6 +18,7 @@ from trajeval_ros.geometry.reading import FORMAT, NAMED_COLUMNS, Reading
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.checks import check_stamps, judge_rotations
+from trajeval_ros.io.growing_rows import GrowingRows
 from trajeval_ros.io.text.decimals import ParsedRows, RowFormat, parse_rows
 from trajeval_ros.io.text.geographic import fixes_of, read_nmea
 from trajeval_ros.io.text.head import COMMENT, TextFormat, holds_nmea, read_head, recognise_text
@@ -31,7 +32,7 @@ from trajeval_ros.io.text.layouts import (
     Layout,
     TextHints,
 )
-from trajeval_ros.io.text.number_tables import array_table, read_table
+from trajeval_ros.io.text.number_tables import array_table, files_of_times, read_table
 from trajeval_ros.io.text.stamps import ExactNumbers, to_nanoseconds
 from trajeval_ros.io.text.states import FileColumns, states_of
 from trajeval_ros.io.text.tokens import RowError
@@ -43,7 +44,6 @@ Advance = Callable[[int, int], None]
 # next block. Otherwise it returns the arrays of every block to the kernel, which takes as long as
 # parsing.
 _WORKING_MEMORY = 16 << 20
-_SPARE_ROWS = 1000
 _FRAMES = 10**8  # limit of frame numbers
 # Layouts whose first column can count the frames of an image sequence.
 _NUMBERED = ("TUM", "numpy (N, 7)", AS_NAMED)
@@ -139,12 +139,14 @@ def array_trajectory(array: NDArray[np.generic], name: str) -> Trajectory:
 
 
 def _read_columns(path: Path, text: TextFormat, advance: Advance | None) -> FileColumns:
-    """Read all rows of a file by blocks, into arrays with room for the estimated number."""
-    total = path.stat().st_size - text.start
-    wanted = text.layout.groups
-    groups = {group: np.empty((0, len(columns))) for group, columns in wanted.items()}
+    """Read all rows of a file by blocks."""
+    total = path.stat().st_size
     values_at = _values_of(text.layout)
-    picks = {group: _pick([values_at.index(at) for at in of]) for group, of in wanted.items()}
+    picks = {
+        group: [values_at.index(at) for at in places]
+        for group, places in text.layout.groups.items()
+    }
+    groups = {group: GrowingRows() for group in picks}
     stamps: list[ExactNumbers] = []
     count = untimed = 0
     for end, rows in _parse_blocks(path, text):
@@ -154,17 +156,14 @@ def _read_columns(path: Path, text: TextFormat, advance: Advance | None) -> File
             stamps.append(rows.stamps if every else rows.stamps[rows.timed])
             values = values if every else values[rows.timed]
             untimed += len(rows.timed) - len(values)
-        room = (count + len(values)) * total // (end - text.start) * 21 // 20 + _SPARE_ROWS
         for group, pick in picks.items():
-            if len(groups[group]) < count + len(values):
-                groups[group] = _enlarged(groups[group], count, room)
-            groups[group][count : count + len(values)] = values[:, pick]
+            groups[group].extend(values[:, pick])
         count += len(values)
         if advance is not None:
-            advance(end, text.start + total)
+            advance(end, total)
     return FileColumns(
         ExactNumbers.concatenate(stamps) if stamps else None,
-        {group: array[:count] for group, array in groups.items()},
+        {group: column.done() for group, column in groups.items()},
         count,
         untimed,
     )
@@ -175,23 +174,17 @@ def _values_of(layout: Layout) -> tuple[int, ...]:
     return tuple(sorted({place for places in layout.groups.values() for place in places}))
 
 
-def _pick(places: list[int]) -> slice | list[int]:
-    """Return an index of the columns; a slice if they are consecutive, since it is faster."""
-    if places == list(range(places[0], places[-1] + 1)):
-        return slice(places[0], places[-1] + 1)
-    return places
-
-
-def _enlarged(array: Floats, count: int, room: int) -> Floats:
-    """Return an array of `room` rows that starts with the first `count` rows of `array`."""
-    enlarged = np.empty((room, array.shape[1]))
-    enlarged[:count] = array[:count]
-    return enlarged
-
-
 def _parse_blocks(path: Path, text: TextFormat) -> Iterator[tuple[int, ParsedRows]]:
     """Yield (offset of the end in bytes, rows) for every block of complete lines of a file."""
-    done, row_format = text.start, _row_format(text.layout)
+    layout, done = text.layout, text.start
+    row_format = RowFormat(
+        columns=len(layout.columns),
+        time=layout.time,
+        values=_values_of(layout),
+        separator=layout.separator,
+        dates=layout.time_name == DATE,
+        names=layout.columns,
+    )
     np.empty(_WORKING_MEMORY, dtype=np.uint8)
     with path.open("rb", buffering=0) as file:
         file.seek(text.start)
@@ -232,18 +225,6 @@ def _lines_before(path: Path, offset: int) -> int:
         return sum(
             file.read(min(_BLOCK, offset - at)).count(b"\n") for at in range(0, offset, _BLOCK)
         )
-
-
-def _row_format(layout: Layout) -> RowFormat:
-    """Return the format of the rows of a layout."""
-    return RowFormat(
-        columns=len(layout.columns),
-        time=layout.time,
-        values=_values_of(layout),
-        separator=layout.separator,
-        dates=layout.time_name == DATE,
-        names=layout.columns,
-    )
 
 
 def _frames_of(path: Path, layout: Layout, rows: FileColumns) -> NDArray[np.int64] | None:
@@ -290,7 +271,7 @@ def _stamps_of(
         unit = [note("nanoseconds", "timestamps are in nanoseconds")] if in_nanoseconds else []
         return stamps, True, unit
     remarks = []
-    for times_path in () if origin is None else _files_of_times(origin):
+    for times_path in () if origin is None else files_of_times(origin, is_text=True):
         if "matrix" not in layout.groups and layout.name not in _NUMBERED:
             continue
         times = _read_times(times_path)
@@ -314,12 +295,6 @@ def _stamps_of(
     return frames * NANOSECONDS, False, [*remarks, note("no_timestamps", said)]
 
 
-def _files_of_times(origin: Path) -> list[Path]:
-    """Return the files next to a file that may have the times of its frames."""
-    paths = [origin.with_name(name) for name in (f"{origin.stem}_times.txt", "times.txt")]
-    return [path for path in paths if path.is_file() and path != origin]
-
-
 def _counts_frames(layout: Layout, rows: FileColumns, origin: Path) -> bool:
     """Return whether a first column of whole numbers in equal steps counts frames.
 
@@ -332,7 +307,7 @@ def _counts_frames(layout: Layout, rows: FileColumns, origin: Path) -> bool:
     is_counted = (
         not rows.stamps.billionths.any() and len(steps) > 0 and 0 < steps.min() == steps.max()
     )
-    return is_counted and int(whole.max()) < _FRAMES and bool(_files_of_times(origin))
+    return is_counted and int(whole.max()) < _FRAMES and bool(files_of_times(origin, is_text=True))
 
 
 def _receptions(stamps: NDArray[np.int64], groups: Mapping[str, Floats]) -> Receptions | None:
