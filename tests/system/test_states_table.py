@@ -83,6 +83,7 @@ def test_the_command_prints_the_table_and_writes_it(
 def test_a_comparison_refuses_the_table(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     config = tmp_path / "compare.yaml"
     config.write_text(
         f"folder: {PAIRS}\ngroundtruth: '{{sequence}}/gt.txt'\n"
