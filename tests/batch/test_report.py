@@ -177,7 +177,9 @@ def test_figures_show_values_hide_lines_and_zoom(euroc: Path, browser: Any) -> N
 
 
 def test_names_are_text_wherever_they_come_from(tmp_path: Path, browser: Any) -> None:
-    table = Matrix("t", NASTY, NASTY, (NASTY,), ((NASTY, (Cell(1.0, NASTY),)),), ("1/1",), (1.0,))
+    table = Matrix(
+        "t", NASTY, (NASTY,), (NASTY,), ((NASTY, (Cell(1.0, NASTY),)),), ("1/1",), (1.0,)
+    )
     run = RunPage(NASTY, NASTY, NASTY, "failed", NASTY, None, None, 0.0, warnings=(NASTY,))
     page = tmp_path / "report.html"
     pages = ReportPages(NASTY, "0", "")
@@ -192,7 +194,7 @@ def test_names_are_text_wherever_they_come_from(tmp_path: Path, browser: Any) ->
 
 def test_control_characters_are_shown_and_figures_are_not_touched() -> None:
     name, figure = "a\x1b\u202eb", "<svg>\n</svg>"
-    table = Matrix("t", name, name, (name,), ((name, (Cell(1.0, name),)),), ("1/1",), (1.0,))
+    table = Matrix("t", name, (name,), (name,), ((name, (Cell(1.0, name),)),), ("1/1",), (1.0,))
     plots = [Plot(name, name, figure)]
     pages = ReportPages(name, "0", "")
     text = pages.overview(name, [name], [table], plots, [], [], [], "All runs")
@@ -251,7 +253,7 @@ def test_a_table_that_is_too_large_for_a_page_is_cut_and_keeps_its_ranks(
     monkeypatch.setattr("trajeval_ros.report.comparison_page._MOST_CELLS", 4)
     values = ((3.0, 3.0, 3.0), (1.0, 2.0, 1.0))
     rows = tuple((f"a{row}", tuple(map(Cell, each))) for row, each in enumerate(values))
-    table = Matrix("ate", "ATE", "", ("x", "y", "z"), rows, ("1/1",) * 2, (1.0, 1.0))
+    table = Matrix("ate", "ATE", (), ("x", "y", "z"), rows, ("1/1",) * 2, (1.0, 1.0))
     text = ReportPages("t", "0", "").overview("", [], [table], [], [], [], [], "All runs")
     assert re.findall(r'class="rank(\d)">([\d.]+)', text) == [
         ("2", "3.000"), ("2", "3.000"), ("1", "1.000"), ("1", "2.000"),

@@ -36,7 +36,7 @@ def matrix(values: list[list[float | None]], name: str = "vio_{}") -> Matrix:
     )
     columns = tuple(f"MH_0{place}" for place in range(len(values[0])))
     count = len(values)
-    return Matrix("t", "ATE [%]", "By 100 %.", columns, rows, ("1/2",) * count, (0.5,) * count)
+    return Matrix("t", "ATE [%]", ("By 100 %.",), columns, rows, ("1/2",) * count, (0.5,) * count)
 
 
 @given(

@@ -159,8 +159,7 @@ def _values(summary: ComparisonSummary, metric: str) -> Matrix | None:
     if metric == _AVAILABLE:
         rows = _with_ranks_by_ate(summary, rows)
     title, meaning = _VALUES[metric]
-    caption = f"{meaning} {definition(summary.settings)}"
-    return _matrix(summary, metric, title, caption, rows)
+    return _matrix(summary, metric, title, (meaning, definition(summary.settings)), rows)
 
 
 def _with_ranks_by_ate(
@@ -205,26 +204,28 @@ def _absolute(summary: ComparisonSummary, metric: str) -> Matrix | None:
         return None
     several = any(len(summary.of(row, each)) > 1 for row, _ in rows for each in summary.sequences)
     over = " of trials: median (minimum to maximum); failed trials are ranked last"
-    caption = (
+    notes = [
         f"Absolute trajectory error, {summary.settings['ate_form']} form, "
-        f"RMSE{over if several else ''}. {definition(summary.settings)} {_COMPARABLE}"
-    )
-    notes = "".join(cell.note for _, cells in rows for cell in cells)
-    if _PARTIAL in notes:
+        f"RMSE{over if several else ''}.",
+        definition(summary.settings),
+        _COMPARABLE,
+    ]
+    marks = "".join(cell.note for _, cells in rows for cell in cells)
+    if _PARTIAL in marks:
         least = whole_percent(LOW_COVERAGE)
-        caption += f" {_PARTIAL} coverage below {least} of the groundtruth."
-    if _FEW in notes:
-        caption += f" {_FEW} fewer than {enough} pairs, too few for an ATE."
-    if _DIAGNOSED in notes:
-        caption += (
-            f" {_DIAGNOSED} mistakes found ({_named_mistakes(summary)}); follow the warnings of "
+        notes.append(f"{_PARTIAL} coverage below {least} of the groundtruth.")
+    if _FEW in marks:
+        notes.append(f"{_FEW} fewer than {enough} pairs, too few for an ATE.")
+    if _DIAGNOSED in marks:
+        notes.append(
+            f"{_DIAGNOSED} mistakes found ({_named_mistakes(summary)}); follow the warnings of "
             "the runs."
         )
     title = f"ATE, {ABSOLUTE_LABELS[metric]}"
     brief = _brief(
-        summary, f"{title}, RMSE{', median of trials' if several else ''}", notes, enough
+        summary, f"{title}, RMSE{', median of trials' if several else ''}", marks, enough
     )
-    return _matrix(summary, f"ate_{metric}", title, caption, rows, brief=brief, has_average=True)
+    return _matrix(summary, f"ate_{metric}", title, notes, rows, brief=brief, has_average=True)
 
 
 def _brief(summary: ComparisonSummary, what: str, notes: str = "", enough: int = 0) -> str:
@@ -331,15 +332,16 @@ def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
         rows.append((algorithm, tuple(cells)))
     if all(cell.value is None for _, cells in rows for cell in cells):
         return None
-    caption = (
+    notes = (
         "Relative error, mean over the sub-trajectories of all sequences and trials; "
-        f"{RE_FORM_TEXTS[summary.settings['re_form']]}. {definition(summary.settings)} "
-        f"{_COMPARABLE}"
+        f"{RE_FORM_TEXTS[summary.settings['re_form']]}.",
+        definition(summary.settings),
+        _COMPARABLE,
     )
     title = f"Relative error, {RELATIVE_LABELS[metric]}, by length"
     brief = _brief(summary, f"{title}, mean over all sub-trajectories")
     names = [Length.parse(length).text for length in lengths]
-    return _matrix(summary, f"re_{metric}", title, caption, rows, names, brief)
+    return _matrix(summary, f"re_{metric}", title, notes, rows, names, brief)
 
 
 def _unranked(rows: Sequence[tuple[str, Sequence[Cell]]], headings: Sequence[str]) -> str:
@@ -355,7 +357,7 @@ def _unranked(rows: Sequence[tuple[str, Sequence[Cell]]], headings: Sequence[str
         name + (f" on {and_more(where)}" if len(where) < len(headings) else "") + f" ({why})"
         for (name, why), where in found.items()
     ]
-    return f" {UNRANKED} not ranked: {and_more(named, _MOST_NAMED)}."
+    return f"{UNRANKED} not ranked: {and_more(named, _MOST_NAMED)}."
 
 
 def and_more(names: Sequence[str], most: int = 1) -> str:
@@ -368,7 +370,7 @@ def _matrix(
     summary: ComparisonSummary,
     name: str,
     title: str,
-    caption: str,
+    notes: Sequence[str],
     rows: list[tuple[str, tuple[Cell, ...]]],
     columns: Sequence[str] | None = None,
     brief: str = "",
@@ -382,16 +384,14 @@ def _matrix(
         coverage.append(sum(trial.coverage for trial in trials) / len(trials))
     headings = tuple(summary.sequences if columns is None else columns)
     unranked = _unranked(rows, headings)
-    caption += unranked
-    brief += unranked
     return Matrix(
         name,
         title,
-        caption,
+        (*notes, unranked) if unranked else tuple(notes),
         headings,
         tuple(rows),
         tuple(runs),
         tuple(coverage),
-        brief,
+        f"{brief} {unranked}".strip(),
         has_average and len(headings) > 1,
     )

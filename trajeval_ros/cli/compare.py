@@ -284,9 +284,13 @@ def _print_verdict(summary: ComparisonSummary, progress: Progress, folder: Path)
 
     with may_break():
         terminal = console()
-        for each in matrices(summary):
+        tables = matrices(summary)
+        for each in tables:
             show(terminal, to_terminal(each))
-            terminal.print(f"{each.caption}\n", style="dim")
+            terminal.print()
+        for note in dict.fromkeys(note for each in tables for note in each.notes):
+            terminal.print(note, style="dim")
+        terminal.print()
         evaluated = sum(trial.status == OK for trial in summary.trials)
         unchanged, failed = evaluated - progress.new, len(summary.trials) - evaluated
         kept = f", {unchanged} unchanged" if unchanged else ""

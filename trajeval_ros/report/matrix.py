@@ -54,13 +54,18 @@ class Matrix:
 
     name: str  # name of its file
     title: str  # the quantity with its unit
-    caption: str
+    notes: tuple[str, ...]  # how to read it, in sentences that other tables may share
     columns: tuple[str, ...]  # headings of the columns
     rows: tuple[tuple[str, tuple[Cell, ...]], ...]  # name and cells of every algorithm
     runs: tuple[str, ...]  # evaluated and planned runs of every algorithm, such as "29/30"
     coverage: tuple[float, ...]  # mean coverage of every algorithm; failed runs count as zero
     brief: str = ""  # caption in LaTeX, one sentence; by default the title
     has_average: bool = False  # whether the mean over the columns is meaningful
+
+    @property
+    def caption(self) -> str:
+        """All notes as one text."""
+        return " ".join(self.notes)
 
     def ranks(self) -> list[list[int]]:
         """Return the ranks of cells in their columns: 1 for the best, 2 for the second, else 0."""
