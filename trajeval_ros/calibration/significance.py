@@ -104,7 +104,7 @@ def judge(
 
     quantile = float(stdtrit(blocks - 1, 0.975))
     axes = found.directions[found.seen]
-    hidden = ", ".join(map(_axis, found.directions[~found.seen]))
+    hidden = ", ".join(map(axis_name, found.directions[~found.seen]))
     if whole and hidden:
         return unobservable(f"not observable about {hidden} in this motion", found.reliability)
     if not len(axes):
@@ -138,7 +138,7 @@ def chance_of(value: Floats, covariance: Floats, blocks: int) -> float:
     return float(fdtrc(len(value), blocks - 1, statistic))
 
 
-def _axis(direction: Floats) -> str:
+def axis_name(direction: Floats) -> str:
     """Return the name of an axis, or its components."""
     largest = int(np.abs(direction).argmax())
     if abs(direction[largest]) > _NAMED_AXIS:
