@@ -15,14 +15,7 @@ SCHEMA = "trajeval-groundtruth/1"
 def groundtruth_json(
     truth: str, imu: str | None, original: Trajectory, found: ExaminedGroundtruth
 ) -> dict[str, Any]:
-    """Return verdicts, fits and noise.
-
-    Args:
-        truth: SOURCE of the groundtruth.
-        imu: SOURCE of the IMU, or None.
-        original: The groundtruth as it was read.
-        found: Its examination.
-    """
+    """Return verdicts, fits and noise; `truth` and `imu` are the sources."""
     result: dict[str, Any] = {
         "schema": SCHEMA,
         "groundtruth": {"source": truth, "poses": len(original)},
