@@ -19,7 +19,7 @@ from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSecond
 from trajeval_ros.calibration.groundtruth_doctor.joint_fit import PARAMETERS as COUNT
 from trajeval_ros.calibration.groundtruth_doctor.joint_fit import Horizon, JointFit
 from trajeval_ros.calibration.groundtruth_doctor.repair import repaired
-from trajeval_ros.calibration.groundtruth_doctor.rig import BODY, GRAVITY, LEVER, OFFSET, SKEW
+from trajeval_ros.calibration.groundtruth_doctor.rig import BODY, GRAVITY, LEVER, OFFSET, SKEW, Rig
 from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
     PoseChecks,
     ResidualChecks,
@@ -69,57 +69,30 @@ class HorizonFit:
 
 @dataclass(frozen=True, eq=False)
 class Fits:
-    """The results of an examination with an IMU.
+    """The results of an examination with an IMU."""
 
-    Attributes:
-        short: The fit in which an interval of the IMU counts over 0.1 s.
-        long: The fit in which it counts over 2 s.
-        disagree: Whether they differ; then rotation and lever arm are those of `long`.
-        hand_eye: T_I_M, pose of the groundtruth's body in the IMU. Insignificant parts are zero.
-        hand_eye_covariance: (6, 6), position first (m^2), rotation about the IMU's axes (rad^2).
-        offset_s: Offset to add to the groundtruth's timestamps at its middle.
-        skew: Drift of the groundtruth's clock, s/s.
-        gravity: (3,), m/s^2, in the groundtruth's world.
-        gyroscope_bias: (3,), rad/s, mean.
-        accelerometer_bias: (3,), m/s^2, mean.
-        position_noise_m: Robust standard deviation of a pose's position per axis.
-        rotation_noise_rad: The same of its rotation.
-        checks: Faults that the residuals show.
-        repaired: Poses, velocities and biases of the IMU by its clock. The covariances are lower
-            limits: an IMU does not reveal errors of a groundtruth that last for over a second.
-    """
-
-    short: HorizonFit
-    long: HorizonFit
-    disagree: bool
-    hand_eye: HandEye
-    hand_eye_covariance: Floats
-    offset_s: float
-    skew: float
-    gravity: Floats
-    gyroscope_bias: Floats
-    accelerometer_bias: Floats
-    position_noise_m: float
-    rotation_noise_rad: float
-    checks: ResidualChecks
+    short: HorizonFit  # the fit in which an interval of the IMU counts over 0.1 s
+    long: HorizonFit  # the fit in which it counts over 2 s
+    disagree: bool  # whether they differ; then rotation and lever arm are those of `long`
+    rig: Rig  # states and calibration, with insignificant parameters at zero
+    hand_eye: HandEye  # T_I_M, pose of the groundtruth's body in the IMU
+    hand_eye_covariance: Floats  # (6, 6), position first (m^2), rotation about I's axes (rad^2)
+    position_noise_m: float  # robust standard deviation of a pose's position per axis
+    rotation_noise_rad: float  # the same of its rotation
+    checks: ResidualChecks  # faults that the residuals show
+    # Poses, velocities and biases of the IMU by its clock. The covariances are lower limits: an
+    # IMU does not reveal errors of a groundtruth that last for over a second.
     repaired: Trajectory
 
 
 @dataclass(frozen=True, eq=False)
 class ExaminedGroundtruth:
-    """The verdicts on a groundtruth.
+    """The verdicts on a groundtruth."""
 
-    Attributes:
-        causes: By name, in the order of the table.
-        poses: Faults of the poses alone.
-        fits: The results with an IMU; None without one.
-        notes: Limits of the examination, one sentence per limit.
-    """
-
-    causes: dict[str, GroundtruthCause]
-    poses: PoseChecks
-    fits: Fits | None
-    notes: tuple[str, ...]
+    causes: dict[str, GroundtruthCause]  # by name, in the order of the table
+    poses: PoseChecks  # faults of the poses alone
+    fits: Fits | None  # the results with an IMU; None without one
+    notes: tuple[str, ...]  # limits of the examination, one sentence per limit
 
     @property
     def significant(self) -> list[GroundtruthCause]:
@@ -246,13 +219,9 @@ def _with_imu(
         brief,
         lasting,
         disagree,
+        replace(rig, offset_s=shift_s + rig.offset_s),
         HandEye(lie.from_matrix(rig.body), rig.lever),
         covariance,
-        shift_s + rig.offset_s,
-        rig.skew,
-        rig.gravity,
-        rig.gyro_biases.mean(axis=0),
-        rig.acceleration_biases.mean(axis=0),
         noise_m,
         noise_rad,
         residuals,
