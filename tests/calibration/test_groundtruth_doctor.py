@@ -156,7 +156,7 @@ def test_clocks_of_different_epochs(healthy: tuple[ExaminedRig, ExaminedGroundtr
     apart = 1_034_771 * 10**9
     moved = dataclasses.replace(made.groundtruth, stamps=made.groundtruth.stamps - apart)
     fits = fits_of(examine(moved, made.readings))
-    assert fits.offset_s == pytest.approx(apart / 1e9, abs=1e-3)
+    assert fits.rig.offset_s == pytest.approx(apart / 1e9, abs=1e-3)
     first = fits.repaired.stamps[0]
     assert abs(int(first) - START_NS) < 10**9
 
@@ -322,7 +322,7 @@ def test_real_recordings_give_the_reference(name: str) -> None:
         turned = body.inv() * Rotation.from_quat(fits.hand_eye.rotation_xyzw)
         assert np.degrees(turned.magnitude()) < 0.1
         assert np.linalg.norm(1e3 * fits.hand_eye.lever_m - truth_of["lever_mm"]) < 1.0
-        assert abs(1e3 * fits.offset_s - truth_of["offset_ms"]) < 1.0
+        assert abs(1e3 * fits.rig.offset_s - truth_of["offset_ms"]) < 1.0
         assert found.causes["tilted"].verdict == "significant"
     else:
         assert set(verdicts(found).values()) == {"insignificant"}

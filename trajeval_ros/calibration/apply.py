@@ -7,6 +7,7 @@ after.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from dataclasses import dataclass
 
@@ -120,7 +121,9 @@ def evaluate_calibrated(
         _require_body_known(calibration, protocol, wanted)
     found = _Found.in_calibration(calibration, wanted)
     used = found.significant()
-    before = _before(groundtruth, estimate, protocol, pairs)
+    before = None  # if the states cannot be paired or aligned
+    with contextlib.suppress(NoMatchError, DegenerateGeometryError):
+        before = Ate.of(_measure(groundtruth, estimate, protocol, pairs))
     evaluation, of_marker = _with(groundtruth, estimate, protocol, used, pairs)
     after = Ate.of(evaluation)
     calibrated = Calibrated(
@@ -231,16 +234,6 @@ def _measure(
         return evaluate(groundtruth, estimate, protocol)
     moved = dataclasses.replace(pairs, groundtruth=groundtruth, estimate=estimate)
     return evaluate_pairs(moved, groundtruth, estimate, protocol)
-
-
-def _before(
-    groundtruth: Trajectory, estimate: Trajectory, protocol: Protocol, pairs: Association | None
-) -> Ate | None:
-    """Return the errors without calibration; None if the states cannot be paired or aligned."""
-    try:
-        return Ate.of(_measure(groundtruth, estimate, protocol, pairs))
-    except (NoMatchError, DegenerateGeometryError):
-        return None
 
 
 def _with(

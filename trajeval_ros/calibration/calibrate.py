@@ -152,7 +152,7 @@ def calibrate(
     search_s = SEARCH_S if can_meet else None
     guess = guess_offset(groundtruth, estimate, around_s=around_s, search_s=search_s)
     # Whole nanoseconds are added first, so that offsets of decades do not cost precision.
-    base = int(whole_nanoseconds(guess.offset_s if guess.is_usable else around_s))
+    base = whole_nanoseconds(guess.offset_s if guess.is_usable else around_s)
     shifted = dataclasses.replace(estimate, stamps=estimate.stamps + base)
     increments = Increments(groundtruth, shifted, most_increments)
     solution = solve(increments, gauge, with_skew)
@@ -163,7 +163,7 @@ def calibrate(
 
 def _apart(groundtruth: Trajectory, estimate: Trajectory, around_s: float) -> float:
     """Return the time between the trajectories, s; negative if they overlap."""
-    shift = int(whole_nanoseconds(around_s))
+    shift = whole_nanoseconds(around_s)
     first, last = int(estimate.stamps.min()) + shift, int(estimate.stamps.max()) + shift
     before = first - int(groundtruth.stamps.max())
     after = int(groundtruth.stamps.min()) - last
@@ -190,8 +190,7 @@ def _judged(
                 "the calibration did not converge; its values are approximate",
             )
         )
-    rows = _by_rows(increments, fitted, base)
-    apart_s = _disagreement(rows, fitted.blocks)
+    rows, apart_s = _by_rows(increments, fitted, base)
     hidden_s = systematic.offset_s * (2.0 if duration_s < _SHORT_RUN_S else 1.0)
     if with_skew and duration_s < _SHORT_FOR_SKEW_S:
         warnings.append(
@@ -247,7 +246,7 @@ def _judged(
         offset=offset,
         skew=verdict("skew", "s/s") if with_skew else None,
         turn=turn,
-        lever=unobservable(_NO_LEVER) if increments.turned is None else verdict("lever", "m"),
+        lever=verdict("lever", "m") if increments.has_lever else unobservable(_NO_LEVER),
         scale=fitted.unknowns.scale,
         guess=guess,
         rows=rows,
@@ -271,7 +270,7 @@ def _without(guess: OffsetGuess, increments: Increments, with_skew: bool) -> Cal
         offset=nothing,
         skew=nothing if with_skew else None,
         turn=unobservable(_TOO_SHORT) if increments.has_turns else unobservable(_NO_TURN),
-        lever=unobservable(_NO_LEVER if increments.turned is None else _TOO_SHORT),
+        lever=unobservable(_TOO_SHORT if increments.has_lever else _NO_LEVER),
         scale=1.0,
         guess=guess,
         rows={},
@@ -282,12 +281,19 @@ def _without(guess: OffsetGuess, increments: Increments, with_skew: bool) -> Cal
     )
 
 
-def _by_rows(increments: Increments, fitted: Fit, base: int) -> dict[str, tuple[float, float]]:
-    """Return offset and standard deviation from rotations and from positions, if observable."""
+def _by_rows(
+    increments: Increments, fitted: Fit, base: int
+) -> tuple[dict[str, tuple[float, float]], float]:
+    """Return offset and standard deviation from rotations and from positions, if observable.
+
+    The second value is the difference of both offsets, s; zero if it is not significant.
+    """
+    from scipy.special import stdtrit
+
+    rows: dict[str, tuple[float, float]] = {}
     if not increments.has_turns or not fitted.covariance[0, 0] > 0.0:
-        return {}
+        return rows, 0.0
     free = {"offset": np.eye(1), "turn": np.eye(3)}
-    rows = {}
     for name, kind, basis in (
         ("rotation", ROTATION, basis_of(free)),
         ("position", POSITION, basis_of({**free, "lever": np.eye(3)})),
@@ -298,18 +304,11 @@ def _by_rows(increments: Increments, fitted: Fit, base: int) -> dict[str, tuple[
         if observability(increments, alone)["offset"].seen.all():
             sigma = float(np.sqrt(alone.covariance[0, 0]))
             rows[name] = (base / NANOSECONDS + alone.unknowns.offset_s, sigma)
-    return rows
-
-
-def _disagreement(rows: dict[str, tuple[float, float]], blocks: int) -> float:
-    """Return the difference of the two offsets, s; zero if it is not significant."""
-    from scipy.special import stdtrit
-
     if len(rows) < 2:
-        return 0.0
+        return rows, 0.0
     (rotation, of_rotation), (position, of_position) = rows["rotation"], rows["position"]
-    apart = position - rotation
     # Without noise, the standard deviations are zero.
     sigma = np.hypot(np.hypot(of_rotation, of_position), _FLOORS["offset"])
-    limit = float(stdtrit(blocks - 1, 1.0 - CHANCE / 2.0)) * sigma
-    return abs(apart) if abs(apart) > limit else 0.0
+    limit = float(stdtrit(fitted.blocks - 1, 1.0 - CHANCE / 2.0)) * sigma
+    apart = abs(position - rotation)
+    return rows, apart if apart > limit else 0.0

@@ -154,6 +154,7 @@ class Increments:
         self.has_turns = groundtruth.quaternions is not None and estimate.quaternions is not None
         self._groundtruth = PoseInterpolator.of(groundtruth, with_rotations=self.has_turns)
         # The lever arm rotates with the estimate, also if the marker has no orientation.
+        self.has_lever = estimate.quaternions is not None
         self._estimate = poses = PoseInterpolator.of(estimate, with_rotations=True, sparse=True)
         self.horizon_s = max(HORIZON_S, 3.0 * poses.step_s)  # of sparse keyframes
         stamps = poses.stamps
@@ -171,7 +172,7 @@ class Increments:
         self._till = (stamps[self._last] - stamps[0]) / NANOSECONDS
         self._mid_s = (int(stamps[-1]) - int(stamps[0])) / NANOSECONDS / 2.0
         self._body = self._motion(poses, stamps[self._first], stamps[self._last])
-        self.turned = self._turned(self._body)
+        self.turned = self._turned()
 
     def __len__(self) -> int:
         return len(self._first)
@@ -190,7 +191,6 @@ class Increments:
             scale = float(np.linalg.norm(marker_steps)) / moved if with_scale and moved else 1.0
             return replace(start, turn=turn, scale=scale)
         assert self._body.turns is not None
-        assert self.turned is not None
         turn = robust_rotation(
             lie.rotation_vector(self._body.turns[known]), lie.rotation_vector(marker.turns[known])
         )
@@ -210,16 +210,16 @@ class Increments:
         slope = self._residual(at, after, rows) - self._residual(at, before, rows)
         jacobian[..., 0] = slope / (2.0 * _REACH_S)
         jacobian[..., 1] = jacobian[..., 0] * self._from_mid(rows)[:, None]
-        self._turn_columns(at, marker, rows, jacobian)
-        steps = self._body.steps[rows]
+        steps, turned = self._body.steps[rows], self.turned[rows]
         if marker.turns is None:
-            jacobian[:, POSITION, LEVER] = (
-                0.0 if self.turned is None else -at.turn @ self.turned[rows]
-            )
+            jacobian[:, POSITION, TURN] = so3.skew(self._carried(at, rows) @ at.turn.T)
+            jacobian[:, POSITION, LEVER] = -at.turn @ turned
             jacobian[:, POSITION, 8] = -steps @ at.turn.T
         else:
-            assert self.turned is not None
-            jacobian[:, POSITION, LEVER] = -self.turned[rows]
+            jacobian[:, POSITION, TURN] = -so3.skew(marker.steps[rows] @ at.turn.T)
+            in_body = at.turn @ _matrices(marker.turns[rows]) @ at.turn.T
+            jacobian[:, ROTATION, TURN] = np.eye(3) - in_body
+            jacobian[:, POSITION, LEVER] = -turned
             jacobian[:, POSITION, 8] = -steps
         return Linearised(residual, jacobian, self._since[rows], rows)
 
@@ -237,20 +237,18 @@ class Increments:
         before = self._motion(poses, first - reach, last - reach)
         after = self._motion(poses, first + reach, last + reach)
         jacobian = np.zeros((len(rows), 6 if self.has_turns else 3, COLUMNS))
-        slope = self._carried(at, after) - self._carried(at, before)
+        slope = self._marker_step(at, after) - self._marker_step(at, before)
         jacobian[:, POSITION, 0] = slope / (2.0 * reach_s)
         marker = self._marker(at.offset_s, at.skew)
         if marker.turns is not None:
             assert before.turns is not None
             assert after.turns is not None
             assert self._body.turns is not None
-            assert self.turned is not None
             inverse = lie.conjugate(self._body.turns[rows])
             turned = lie.rotation_vector(lie.multiply(after.turns, inverse))
             turned -= lie.rotation_vector(lie.multiply(before.turns, inverse))
             jacobian[:, ROTATION, 0] = turned / (2.0 * reach_s)
-            carried = at.scale * self._body.steps[rows] + self.turned[rows] @ at.lever_m
-            jacobian[:, POSITION, TURN] = -so3.skew(carried)
+            jacobian[:, POSITION, TURN] = -so3.skew(self._carried(at, rows))
             jacobian[:, ROTATION, TURN] = -self.turned[rows]
             marker_turned = at.turn @ _matrices(marker.turns[rows]) @ at.turn.T - np.eye(3)
             jacobian[:, POSITION, LEVER] = -marker_turned
@@ -286,21 +284,18 @@ class Increments:
             lie.multiply(back, end.quaternions), lie.rotate(back, steps), usable
         )
 
-    def _turned(self, body: MotionIncrements) -> Floats | None:
+    def _turned(self) -> Floats:
         """Return dR - I, or R_j - R_i for increments without orientations, (N, 3, 3)."""
-        if body.turns is not None:
-            return _matrices(body.turns) - np.eye(3)
+        if self._body.turns is not None:
+            return _matrices(self._body.turns) - np.eye(3)
         quaternions = self._estimate.quaternions
         if quaternions is None:
-            return None
+            return np.zeros((len(self), 3, 3))
         return _matrices(quaternions[self._last]) - _matrices(quaternions[self._first])
 
     def _residual(self, at: Unknowns, marker: MotionIncrements, rows: NDArray[np.int64]) -> Floats:
         """Return the residuals (N, 3 or 6) of the equations above."""
-        turned = None if self.turned is None else self.turned[rows]
-        carried = at.scale * self._body.steps[rows]
-        if turned is not None:
-            carried = carried + turned @ at.lever_m
+        carried = self._carried(at, rows)
         if marker.turns is None:
             return marker.steps[rows] - carried @ at.turn.T
         assert self._body.turns is not None
@@ -313,20 +308,12 @@ class Increments:
         )
         return residual
 
-    def _turn_columns(
-        self, at: Unknowns, marker: MotionIncrements, rows: NDArray[np.int64], jacobian: Floats
-    ) -> None:
-        """Write the columns of the rotation into the Jacobian."""
-        if marker.turns is None:
-            turned = None if self.turned is None else self.turned[rows] @ at.lever_m
-            carried = at.scale * self._body.steps[rows] + (0.0 if turned is None else turned)
-            jacobian[:, POSITION, TURN] = so3.skew(carried @ at.turn.T)
-            return
-        jacobian[:, POSITION, TURN] = -so3.skew(marker.steps[rows] @ at.turn.T)
-        in_body = at.turn @ _matrices(marker.turns[rows]) @ at.turn.T
-        jacobian[:, ROTATION, TURN] = np.eye(3) - in_body
+    def _carried(self, at: Unknowns, rows: NDArray[np.int64]) -> Floats:
+        """Return c dp + (dR - I) l of the body, (N, 3)."""
+        carried: Floats = at.scale * self._body.steps[rows] + self.turned[rows] @ at.lever_m
+        return carried
 
-    def _carried(self, at: Unknowns, body: MotionIncrements) -> Floats:
+    def _marker_step(self, at: Unknowns, body: MotionIncrements) -> Floats:
         """Return the marker's step for a motion of the body, for the offset's column."""
         if body.turns is None:
             # The lever arm contributes little to the derivative and is omitted.

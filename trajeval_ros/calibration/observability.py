@@ -63,7 +63,7 @@ def observability(increments: Increments, fitted: Fit) -> dict[str, Directions]:
         name: _directions(own[..., columns], twin[..., columns], weights)
         for name, columns in blocks.items()
     }
-    if not increments.has_turns and increments.turned is not None:
+    if increments.has_lever and not increments.has_turns:
         found["lever"] = _turning(increments.turned[rows])
     return found
 
@@ -123,7 +123,7 @@ def solve(increments: Increments, gauge: Gauge, with_skew: bool) -> CalibrationF
     free = {"offset": np.eye(1), "turn": np.eye(3)}
     if about_z and not increments.has_turns:
         free["turn"] = np.eye(3)[2:]
-    if increments.turned is not None:
+    if increments.has_lever:
         free["lever"] = np.eye(3)
     if gauge.has_scale:
         free["scale"] = np.eye(1)

@@ -104,7 +104,7 @@ def judge(
 
     quantile = float(stdtrit(blocks - 1, 0.975))
     axes = found.directions[found.seen]
-    hidden = ", ".join(map(_axis, found.directions[~found.seen]))
+    hidden = ", ".join(map(axis_name, found.directions[~found.seen]))
     if whole and hidden:
         return unobservable(f"not observable about {hidden} in this motion", found.reliability)
     if not len(axes):
@@ -138,7 +138,7 @@ def chance_of(value: Floats, covariance: Floats, blocks: int) -> float:
     return float(fdtrc(len(value), blocks - 1, statistic))
 
 
-def _axis(direction: Floats) -> str:
+def axis_name(direction: Floats) -> str:
     """Return the name of an axis, or its components."""
     largest = int(np.abs(direction).argmax())
     if abs(direction[largest]) > _NAMED_AXIS:
@@ -157,47 +157,28 @@ POSITIONS_WORSE = (
 )
 
 
-@dataclass(frozen=True)
-class RowGains:
-    """Relative reduction (negative: increase) of the cost by a body rotation, by group of rows."""
-
-    rotation: float
-    position: float
-
-
-def row_gains(increments: Increments, solution: CalibrationFit) -> RowGains | None:
-    """Return the gains of a solution's rotation, for orientations on both sides.
-
-    None if the fit without the rotation fails.
-    """
-    rest = {name: axes for name, axes in solution.free.items() if name != "turn"}
-    none = dataclasses.replace(solution.fit.unknowns, turn=np.eye(3))
-    without = fit(increments, none, basis_of(rest))
-    if without is None:
-        return None
-
-    def gain(kind: slice) -> float:
-        before, after = without.linearised.residual, solution.fit.linearised.residual
-        return 1.0 - huber_cost(after, after, kind) / huber_cost(before, after, kind)
-
-    return RowGains(gain(ROTATION), gain(POSITION))
-
-
 def supported_by_both(
     turn: Parameter, increments: Increments, solution: CalibrationFit, systematic_rad: float
 ) -> Parameter:
     """Return the verdict on a body rotation: `insignificant` if one group of rows contradicts it.
 
-    `turn` is the verdict from all rows together.
+    `turn` is the verdict from all rows together; there are orientations on both sides.
     """
     if not turn.is_significant:
         return turn
-    gains = row_gains(increments, solution)
-    if gains is None:
+    rest = {name: axes for name, axes in solution.free.items() if name != "turn"}
+    none = dataclasses.replace(solution.fit.unknowns, turn=np.eye(3))
+    without = fit(increments, none, basis_of(rest))
+    if without is None:
         return turn
-    if gains.position <= LEAST_OF_POSITIONS:
+    before, after = without.linearised.residual, solution.fit.linearised.residual
+    by_rotation, by_position = (
+        1.0 - huber_cost(after, after, kind) / huber_cost(before, after, kind)
+        for kind in (ROTATION, POSITION)
+    )
+    if by_position <= LEAST_OF_POSITIONS:
         return dataclasses.replace(turn, status=INSIGNIFICANT, reason=POSITIONS_WORSE)
-    if gains.rotation > LEAST_OF_ROTATIONS:
+    if by_rotation > LEAST_OF_ROTATIONS:
         return turn
     if _by_rotations_alone(increments, solution, systematic_rad) < CHANCE:
         return turn

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,11 +13,9 @@ from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.io.requests.setting import INPUT
 
 if TYPE_CHECKING:
-    from trajeval_ros.calibration.groundtruth_doctor.examine import ExaminedGroundtruth
     from trajeval_ros.geometry.preintegration import ImuNoise
-    from trajeval_ros.geometry.trajectory import Trajectory
 
-_HERE = Path()
+_HERE, _NAME = Path(), "groundtruth"
 _PARAMETERS = (
     argument("truth", metavar="SOURCE",
         help="Groundtruth to examine, such as mocap.bag:/vicon/pose or groundtruth.csv."),
@@ -72,10 +71,13 @@ def groundtruth(
     from trajeval_ros.calibration.groundtruth_doctor.examine import examine
     from trajeval_ros.cli.evaluation_output import refuse_inputs
     from trajeval_ros.cli.progress import progress
-    from trajeval_ros.io.save_trajectories import files_of
+    from trajeval_ros.io.json_file import json_text
+    from trajeval_ros.io.results.groundtruth_json import groundtruth_json
+    from trajeval_ros.io.save_trajectories import files_of, save_trajectories
     from trajeval_ros.io.source_names import names_of
     from trajeval_ros.io.sources import read_many
     from trajeval_ros.io.watched_sources import imu_of
+    from trajeval_ros.io.writing import write_text
 
     noise = _noise_of(imu_noise)
     if imu is None and (save_as or figure or rrd or imu_noise or time_offset is not None):
@@ -96,12 +98,32 @@ def groundtruth(
         (original,) = read_many([truth], advance=advance, covariances=False)
         readings = None if imu is None else imu_of(imu)
     found = examine(original, readings, imu_noise=noise, time_offset_s=time_offset)
-    saved = _write(truth, imu, original, found, save_as, output, figure, rrd, json)
-    if not quiet and json != "-":
-        _print(found, saved)
+    saved: list[Path] = []
+    if save_as is not None and found.fits is not None:
+        named = dataclasses.replace(found.fits.repaired, name=_NAME)
+        saved = save_trajectories(output, [named], save_as, "Odometry")
+    if figure is not None and found.fits is not None:
+        from trajeval_ros.report.figure_style import house_style
+        from trajeval_ros.report.figures import write_figure
+        from trajeval_ros.report.groundtruth_report import groundtruth_figure
 
+        with house_style():
+            write_figure(groundtruth_figure(original, found, found.fits), figure)
+    if rrd is not None and found.fits is not None:
+        from trajeval_ros.viewer.groundtruth_scene import write_groundtruth
 
-_NAME = "groundtruth"
+        write_groundtruth(rrd, original, found, found.fits)
+    text = json_text(groundtruth_json(truth, imu, original, found), indent=2)
+    if json == "-":
+        sys.stdout.write(text)
+        return
+    if json is not None:
+        write_text(Path(json), text, follow_link=True)
+    if not quiet:
+        from trajeval_ros.report.console import console
+        from trajeval_ros.report.groundtruth_report import print_groundtruth
+
+        print_groundtruth(console(), found, saved)
 
 
 def _noise_of(text: str | None) -> ImuNoise:
@@ -121,56 +143,3 @@ def _noise_of(text: str | None) -> ImuNoise:
             "8e-4,2e-2"
         )
     return ImuNoise(gyroscope, accelerometer)
-
-
-def _write(
-    truth: str,
-    imu: str | None,
-    original: Trajectory,
-    found: ExaminedGroundtruth,
-    save_as: str | None,
-    output: Path,
-    figure: Path | None,
-    rrd: Path | None,
-    json: str | None,
-) -> list[Path]:
-    """Write the requested files, and return those of the repaired groundtruth."""
-    import dataclasses
-
-    from trajeval_ros.io.json_file import json_text
-    from trajeval_ros.io.results.groundtruth_json import groundtruth_json
-    from trajeval_ros.io.save_trajectories import save_trajectories
-    from trajeval_ros.io.writing import write_text
-
-    saved: list[Path] = []
-    if save_as is not None and found.fits is not None:
-        named = dataclasses.replace(found.fits.repaired, name=_NAME)
-        saved = save_trajectories(output, [named], save_as, "Odometry")
-    text = json_text(groundtruth_json(truth, imu, original, found), indent=2)
-    if json == "-":
-        sys.stdout.write(text)
-    elif json is not None:
-        write_text(Path(json), text, follow_link=True)
-    if figure is not None and found.fits is not None:
-        from trajeval_ros.report.figure_style import house_style
-        from trajeval_ros.report.figures import write_figure
-        from trajeval_ros.report.groundtruth_report import groundtruth_figure
-
-        with house_style():
-            write_figure(groundtruth_figure(original, found, found.fits), figure)
-    if rrd is not None and found.fits is not None:
-        from trajeval_ros.viewer.groundtruth_scene import write_groundtruth
-
-        write_groundtruth(rrd, original, found, found.fits)
-    return saved
-
-
-def _print(found: ExaminedGroundtruth, saved: list[Path]) -> None:
-    from trajeval_ros.report import groundtruth_report
-    from trajeval_ros.report.console import Table, console, show
-
-    terminal = console()
-    rows = groundtruth_report.cause_rows(found)
-    show(terminal, Table("", groundtruth_report.WORDS, groundtruth_report.NUMBERS, rows))
-    for line in groundtruth_report.sentences(found, saved):
-        terminal.print(line, soft_wrap=True)

@@ -14,7 +14,7 @@ from trajeval_ros.diagnosis.findings import Examined, Seen, Value
 from trajeval_ros.diagnosis.hypotheses import best_rotations
 from trajeval_ros.diagnosis.input_pair import Between, TimedPoses, lengths
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, runs_of
 from trajeval_ros.geometry.trajectory_edits import evenly
 from trajeval_ros.geometry.travelled import step_angles
 from trajeval_ros.metrics.statistics import median
@@ -90,8 +90,7 @@ def _metres_per_unit(
 
 def _stretches(groundtruth: TimedPoses, flags: Booleans) -> tuple[Floats, Floats]:
     """Return start and end of intervals of flagged steps, seconds."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    begin, end = groundtruth.seconds[edges[::2]], groundtruth.seconds[edges[1::2]]
+    begin, end = groundtruth.seconds[runs_of(flags)].T
     long = end - begin > _STRETCH_S
     return begin[long], end[long]
 

@@ -1,4 +1,4 @@
-"""Type aliases of arrays. Docstrings give shapes and units."""
+"""Type aliases of arrays, and runs of flags. Docstrings give shapes and units."""
 
 from __future__ import annotations
 
@@ -9,3 +9,8 @@ Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]  # nanoseconds
 Indices = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
+
+
+def runs_of(flags: Booleans) -> Indices:
+    """Return the begin and the end (excluded) of every run of true flags (N,), (K, 2)."""
+    return np.flatnonzero(np.diff(np.pad(flags.astype(np.int8), 1))).reshape(-1, 2)

@@ -94,6 +94,14 @@ def mix(column: Floats, start: Indices, end: Indices, fraction: Floats) -> Float
     return lie.by_blocks(at, start, end, fraction)[0]
 
 
+def columns_at(times: Floats, columns: Floats, at: Floats) -> Floats:
+    """Interpolate columns (N, k) linearly at increasing times (N,) to other times (M,): (M, k).
+
+    Before the first time and after the last one, columns are constant.
+    """
+    return np.stack([np.interp(at, times, each) for each in columns.T], axis=1)
+
+
 def slerp(quaternions: Floats, start: Indices, end: Indices, fraction: Floats) -> Floats:
     """Return quaternions (M, 4) interpolated between rows `start` and `end`, (N, 4)."""
 

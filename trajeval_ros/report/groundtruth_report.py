@@ -1,4 +1,4 @@
-"""The examination of a groundtruth as table rows, sentences and a figure."""
+"""The examination of a groundtruth as a table, sentences and a figure."""
 
 from __future__ import annotations
 
@@ -9,48 +9,53 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import HALF_WIDTH
 from trajeval_ros.formatting.numbers import four_digits
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.report import canvas
+from trajeval_ros.report.console import Console, Table, show
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from trajeval_ros.calibration.groundtruth_doctor.examine import ExaminedGroundtruth, Fits
 
-WORDS = ("cause", "verdict")
-NUMBERS = ("value", "+- 95 %", "unit", "p")
-_T95 = 2.201  # Student's t with 11 degrees of freedom
+_WORDS = ("cause", "verdict")
+_NUMBERS = ("value", "+- 95 %", "unit", "p")
 _HORIZONS = (("rotation", slice(0, 3), "deg"), ("lever arm", slice(3, 6), "mm"))
 
 
-def cause_rows(found: ExaminedGroundtruth) -> list[tuple[str, ...]]:
-    """Return a row per cause."""
-    return [
+def print_groundtruth(
+    terminal: Console, found: ExaminedGroundtruth, saved: Sequence[Path]
+) -> None:
+    """Print the table of causes, the findings, the notes, and the repaired groundtruth."""
+    rows = [
         (
             each.name.replace("_", " "),
             each.verdict,
-            "" if each.value is None else four_digits(each.value),
-            "" if each.half_width is None else four_digits(each.half_width),
+            _shown(each.value),
+            _shown(each.half_width),
             each.unit,
-            ""
-            if each.p_value is None
-            else "< 1e-6"
-            if each.p_value < 1e-6
-            else f"{each.p_value:.2g}",
+            _shown(each.p_value, is_probability=True),
         )
         for each in found.causes.values()
     ]
+    show(terminal, Table("", _WORDS, _NUMBERS, rows))
+    for line in _sentences(found):
+        terminal.print(line, soft_wrap=True)
+    for path in saved:
+        terminal.print(f"saved {path}", soft_wrap=True)
 
 
-def _p_value(value: float | None) -> str:
+def _shown(value: float | None, *, is_probability: bool = False) -> str:
     if value is None:
         return ""
-    return "< 1e-6" if value < 1e-6 else f"{value:.2g}"
+    if is_probability:
+        return "< 1e-6" if value < 1e-6 else f"{value:.2g}"
+    return four_digits(value)
 
 
-def sentences(found: ExaminedGroundtruth, saved: Sequence[Path]) -> Iterator[str]:
-    """Yield the findings, the notes, and a line on the repaired groundtruth."""
+def _sentences(found: ExaminedGroundtruth) -> Iterator[str]:
     yield from (each.sentence for each in found.significant)
     if not found.significant:
         yield "No cause of errors is significant."
@@ -58,24 +63,22 @@ def sentences(found: ExaminedGroundtruth, saved: Sequence[Path]) -> Iterator[str
     fits = found.fits
     if fits is None:
         return
-    noise_m, noise_deg = fits.position_noise_m, math.degrees(fits.rotation_noise_rad)
-    yield (
-        f"Noise of a pose per axis: {1e3 * noise_m:.2g} mm, {noise_deg:.2g} deg "
-        f"(--groundtruth-noise {noise_m:.2g},{noise_deg:.2g})."
-    )
     assert fits.repaired.covariances is not None
     variances = np.median(np.einsum("nii->ni", fits.repaired.covariances), axis=0)
     position_m, rotation_rad = np.sqrt([variances[:3].mean(), variances[3:].mean()])
-    rotation_deg = math.degrees(rotation_rad)
-    yield (
-        f"Repaired groundtruth of the IMU, standard deviation per axis: {1e3 * position_m:.2g} "
-        f"mm, {rotation_deg:.2g} deg (--groundtruth-noise {position_m:.2g},{rotation_deg:.2g})."
-    )
+    for what, metres, radians in (
+        ("Noise of a pose per axis", fits.position_noise_m, fits.rotation_noise_rad),
+        ("Repaired groundtruth of the IMU, standard deviation per axis", position_m, rotation_rad),
+    ):
+        degrees = math.degrees(radians)
+        yield (
+            f"{what}: {1e3 * metres:.2g} mm, {degrees:.2g} deg "
+            f"(--groundtruth-noise {metres:.2g},{degrees:.2g})."
+        )
     yield (
         "Its covariances are lower limits: the IMU does not reveal errors that last for more "
         "than a second."
     )
-    yield from (f"saved {path}" for path in saved)
 
 
 def groundtruth_figure(original: Trajectory, found: ExaminedGroundtruth, fits: Fits) -> Figure:
@@ -90,13 +93,9 @@ def groundtruth_figure(original: Trajectory, found: ExaminedGroundtruth, fits: F
         colour, _ = canvas.line_style(0)
         shown = np.maximum(lengths[:, row], 1e-6)
         axes.plot(fits.short.seconds, shown, color=colour, linewidth=0.6)
-        jumps = [
-            (each.stamp_ns - first) / NANOSECONDS
-            for each in fits.checks.jumps
-            if each.kind == kind
-        ]
-        for number, second in enumerate(jumps):
-            label = "jump" if not number else None
+        jumps = [each.stamp_ns for each in fits.checks.jumps if each.kind == kind]
+        for number, stamp in enumerate(jumps):
+            label, second = "" if number else "jump", (stamp - first) / NANOSECONDS
             axes.axvline(second, color=canvas.ink(), linewidth=0.7, linestyle=":", label=label)
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter("{x:g}")
@@ -112,7 +111,7 @@ def groundtruth_figure(original: Trajectory, found: ExaminedGroundtruth, fits: F
             axes.errorbar(
                 np.arange(3) + 0.2 * place - 0.1,
                 fit.values[columns],
-                _T95 * fit.sigmas[columns],
+                HALF_WIDTH * fit.sigmas[columns],
                 color=colour, fmt="o", markersize=3, capsize=2, label=f"over {label}",
             )  # fmt: skip
         axes.axhline(0.0, color=canvas.soft_ink(), linewidth=0.6)

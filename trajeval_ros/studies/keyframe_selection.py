@@ -11,6 +11,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
+from trajeval_ros.geometry.interpolation import columns_at
 from trajeval_ros.geometry.preintegration import ImuNoise, Preintegrated, preintegrate
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.studies.sensor_recording import SAME_INSTANT_NS, SensorRecording, at_instants
@@ -233,12 +234,8 @@ def _between(
             samples = samples - (
                 biases[during_keyframes].mean(axis=0)
                 if is_mean
-                else _interpolated(sampled, known, biases)
+                else columns_at(known, biases, sampled)
             )
-        nodes = _interpolated(seconds.ravel(), sampled, samples).reshape(*seconds.shape, 3)
+        nodes = columns_at(sampled, samples, seconds.ravel()).reshape(*seconds.shape, 3)
         held.append((nodes[:, :-1] + nodes[:, 1:]) / 2.0)
     return preintegrate(held[0], held[1], np.diff(seconds, axis=1), noise)
-
-
-def _interpolated(times: Floats, known: Floats, columns: Floats) -> Floats:
-    return np.stack([np.interp(times, known, column) for column in columns.T], axis=1)

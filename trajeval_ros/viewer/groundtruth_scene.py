@@ -5,19 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.viewer import colours, entity_data, scene_entities
-from trajeval_ros.viewer.blueprint import event_list, whole_run, with_panels
-from trajeval_ros.viewer.paths import gaps, origin_for, peaks, pieces, spread
+from trajeval_ros.viewer.blueprint import event_list, until_now, whole_run, with_panels
+from trajeval_ros.viewer.paths import origin_for, peaks
+from trajeval_ros.viewer.recorded_scene import send_path
 from trajeval_ros.viewer.recording_file import recording_writer
 from trajeval_ros.viewer.sdk import sdk
 
 if TYPE_CHECKING:
     from trajeval_ros.calibration.groundtruth_doctor.examine import ExaminedGroundtruth, Fits
 
-_MOST_POINTS, _MOST_ROWS, _MOST_NUMBERS = 50_000, 2000, 20_000
+_MOST_ROWS, _MOST_NUMBERS = 400, 20_000
+_PATHS = tuple(f"{scene_entities.WORLD}/{name}" for name in ("original", "repaired"))
 _RESIDUALS = "groundtruth"
 
 
@@ -29,10 +30,13 @@ def write_groundtruth(
 
     def draw(recording: Any) -> None:
         origin = origin_for(original.positions)
-        looks = zip(("original", "repaired"), (original, fits.repaired), strict=True)
-        for place, (name, each) in enumerate(looks):
+        for place, (entity, each) in enumerate(
+            zip(_PATHS, (original, fits.repaired), strict=True)
+        ):
             look = entity_data.LineLook(colours.of_estimate(place), 1.0)
-            _draw_path(recording, f"{scene_entities.WORLD}/{name}", each, origin, look)
+            declared = rerun.LineStrips3D.from_fields(**look.fields)
+            recording.log(entity, declared, static=True)
+            send_path(recording, entity, each, origin, _MOST_ROWS)
         first = int(original.stamps.min())
         stamps = first + (fits.short.seconds * NANOSECONDS).astype("int64")
         for column, name in enumerate(("position_m", "rotation_rad")):
@@ -51,6 +55,7 @@ def write_groundtruth(
     space = layout.Spatial3DView(
         origin=f"/{scene_entities.WORLD}",
         name="Groundtruth, original and repaired",
+        overrides={path: [until_now()] for path in _PATHS},
         background=layout.Background(color=colours.BACKGROUND),
     )
     blueprint = with_panels(
@@ -58,14 +63,3 @@ def write_groundtruth(
     )
     write = recording_writer(original.name or "groundtruth", blueprint, draw)
     write_whole(path, write, follow_link=True)
-
-
-def _draw_path(
-    recording: Any, entity: str, each: Trajectory, origin: Floats, look: entity_data.LineLook
-) -> None:
-    some = spread(len(each), _MOST_POINTS)
-    stamps, points = each.stamps[some], each.positions[some] - origin
-    rows = pieces(len(some), gaps(stamps), _MOST_ROWS)
-    for row in rows:
-        lines = entity_data.lines([points[row]], look)
-        entity_data.log(recording, entity, int(stamps[row[-1]]), lines.row())

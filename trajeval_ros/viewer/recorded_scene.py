@@ -97,7 +97,7 @@ def _draw(
     appearance.declare_axes(recording, estimates, size_m)
     groundtruth = first.groundtruth
     rows = max(50, _MOST_ROWS // (1 + 2 * len(evaluations)))
-    _send_path(recording, scene_entities.GroundtruthEntities.path.past, groundtruth, origin, rows)
+    send_path(recording, scene_entities.GroundtruthEntities.path.past, groundtruth, origin, rows)
     _send_poses(recording, scene_entities.GroundtruthEntities.pose, groundtruth, origin)
     start = entity_data.marker(groundtruth.positions[0] - origin, colours.GROUNDTRUTH)
     recording.log(scene_entities.GroundtruthEntities.start, start, static=True)
@@ -141,7 +141,7 @@ def _draw_estimate(
     its_origin = origin_for(estimate.positions)
     similarity = between_origins(evaluation.alignment.similarity, origin, its_origin)
     recording.log(entities.frame, entity_data.alignment(similarity), static=True)
-    _send_path(recording, entities.path.past, estimate, its_origin, rows)
+    send_path(recording, entities.path.past, estimate, its_origin, rows)
     _send_poses(recording, entities.pose, estimate, its_origin)
     _send_by_error(recording, entities.by_error, evaluation, its_origin, scale.full_m, rows)
     some = spread(len(pairs), _MOST_CORRESPONDENCES)
@@ -153,9 +153,10 @@ def _draw_estimate(
     _send_numbers(recording, evaluation, entities)
 
 
-def _send_path(
+def send_path(
     recording: Any, entity: str, trajectory: Trajectory, origin: Floats, most: int
 ) -> None:
+    """Send a path as at most `most` pieces of lines, from an origin (3,)."""
     some = spread(len(trajectory), _MOST_POINTS)
     stamps, points = trajectory.stamps[some], trajectory.positions[some] - origin
     rows = pieces(len(some), gaps(stamps), most)

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import (
     PARAMETERS,
-    SMOOTH_M,
     UNITS,
     GroundtruthCause,
     fused_cause,
     parameter_cause,
-    pose_causes,
-    residual_causes,
+    sample_causes,
 )  # fmt: skip
 from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds, InertialSteps
 from trajeval_ros.calibration.groundtruth_doctor.joint_fit import PARAMETERS as COUNT
@@ -30,7 +28,7 @@ from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
 )  # fmt: skip
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
 from trajeval_ros.calibration.groundtruth_doctor.start import first_rig, guess_of, knots_of
-from trajeval_ros.calibration.significance import SIGNIFICANT
+from trajeval_ros.calibration.significance import SIGNIFICANT, axis_name
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Booleans, Floats
@@ -48,14 +46,14 @@ _CERTAIN_CORRELATION = 0.95
 _IN_PLACE_M, _SECOND_AXIS_RADPS = 0.3, 0.1
 _GYROSCOPE_ONLY = 1e3  # m/s^2/sqrt(Hz), for an IMU without accelerometer
 # Errors that one recording does not reveal, from differences to two published calibrations: deg,
-# mm, ms, ppm, deg. Scale errors of accelerometers shift the lever arm along gravity.
+# mm, ms, ppm, deg.
 _FLOORS = np.array([0.05] * 3 + [1.0] * 4 + [20.0] + [0.07] * 2)
 _FLOOR_ALONG_FORCE_MM = 3.0
 # The two horizons disagree above these differences (deg, mm) and standard deviations.
 _DISAGREE = np.array([1.0] * 3 + [20.0] * 3)
 _DISAGREE_SIGMAS, _PART_OF_DIFFERENCE = 5.0, 4.0
-_NAMED_AXIS = 0.98  # direction cosine above which a direction has the axis's name
 _SLOW_HZ = 50.0
+_SMOOTH_M = 2e-5  # a smaller high-frequency noise is that of a model
 _LIGHTEST_MPS2, _HEAVIEST_MPS2 = 5.0, 20.0
 
 
@@ -71,57 +69,30 @@ class HorizonFit:
 
 @dataclass(frozen=True, eq=False)
 class Fits:
-    """The results of an examination with an IMU.
+    """The results of an examination with an IMU."""
 
-    Attributes:
-        short: The fit in which an interval of the IMU counts over 0.1 s.
-        long: The fit in which it counts over 2 s.
-        disagree: Whether they differ; then rotation and lever arm are those of `long`.
-        hand_eye: T_I_M, pose of the groundtruth's body in the IMU. Insignificant parts are zero.
-        hand_eye_covariance: (6, 6), position first (m^2), rotation about the IMU's axes (rad^2).
-        offset_s: Offset to add to the groundtruth's timestamps at its middle.
-        skew: Drift of the groundtruth's clock, s/s.
-        gravity: (3,), m/s^2, in the groundtruth's world.
-        gyroscope_bias: (3,), rad/s, mean.
-        accelerometer_bias: (3,), m/s^2, mean.
-        position_noise_m: Robust standard deviation of a pose's position per axis.
-        rotation_noise_rad: The same of its rotation.
-        checks: Faults that the residuals show.
-        repaired: Poses, velocities and biases of the IMU by its clock. The covariances are lower
-            limits: an IMU does not reveal errors of a groundtruth that last for over a second.
-    """
-
-    short: HorizonFit
-    long: HorizonFit
-    disagree: bool
-    hand_eye: HandEye
-    hand_eye_covariance: Floats
-    offset_s: float
-    skew: float
-    gravity: Floats
-    gyroscope_bias: Floats
-    accelerometer_bias: Floats
-    position_noise_m: float
-    rotation_noise_rad: float
-    checks: ResidualChecks
+    short: HorizonFit  # the fit in which an interval of the IMU counts over 0.1 s
+    long: HorizonFit  # the fit in which it counts over 2 s
+    disagree: bool  # whether they differ; then rotation and lever arm are those of `long`
+    rig: Rig  # states and calibration, with insignificant parameters at zero
+    hand_eye: HandEye  # T_I_M, pose of the groundtruth's body in the IMU
+    hand_eye_covariance: Floats  # (6, 6), position first (m^2), rotation about I's axes (rad^2)
+    position_noise_m: float  # robust standard deviation of a pose's position per axis
+    rotation_noise_rad: float  # the same of its rotation
+    checks: ResidualChecks  # faults that the residuals show
+    # Poses, velocities and biases of the IMU by its clock. The covariances are lower limits: an
+    # IMU does not reveal errors of a groundtruth that last for over a second.
     repaired: Trajectory
 
 
 @dataclass(frozen=True, eq=False)
 class ExaminedGroundtruth:
-    """The verdicts on a groundtruth.
+    """The verdicts on a groundtruth."""
 
-    Attributes:
-        causes: By name, in the order of the table.
-        poses: Faults of the poses alone.
-        fits: The results with an IMU; None without one.
-        notes: Limits of the examination, one sentence per limit.
-    """
-
-    causes: dict[str, GroundtruthCause]
-    poses: PoseChecks
-    fits: Fits | None
-    notes: tuple[str, ...]
+    causes: dict[str, GroundtruthCause]  # by name, in the order of the table
+    poses: PoseChecks  # faults of the poses alone
+    fits: Fits | None  # the results with an IMU; None without one
+    notes: tuple[str, ...]  # limits of the examination, one sentence per limit
 
     @property
     def significant(self) -> list[GroundtruthCause]:
@@ -163,10 +134,8 @@ def examine(
     first = int(groundtruth.stamps.min())
     if readings is None:
         checks = check_poses(groundtruth, None, first)
-        causes = pose_causes(checks, first)
-        return ExaminedGroundtruth(
-            {each.name: each for each in causes}, checks, None, tuple(_notes(checks))
-        )
+        causes = {each.name: each for each in sample_causes(checks, None, first)}
+        return ExaminedGroundtruth(causes, checks, None, tuple(_notes(checks)))
     return _with_imu(groundtruth, readings, imu_noise, time_offset_s)
 
 
@@ -191,76 +160,81 @@ def _with_imu(
         free[LEVER], free[GRAVITY] = False, False
         notes.append("no accelerometer: lever arm and tilt are unknown")
     turning = float(np.sqrt(np.square(imu.rates - np.median(imu.rates, axis=0)).sum(1).mean()))
+    turns = turning > _AT_REST_RADPS
     shift_s = time_offset_s
     if shift_s is None:
         guess = guess_of(ordered, imu, origin)
         # So high a correlation is not a coincidence, even if periodic motion has a second peak.
         is_usable = guess.is_usable or guess.peak > _CERTAIN_CORRELATION
         shift_s = guess.offset_s if is_usable else 0.0
-        if not is_usable and turning > _AT_REST_RADPS:
+        if not is_usable and turns:
             raise InputError(
                 f"{name} and the IMU have no common rotation (correlation {guess.peak:.2f}, "
                 "required 0.7); use recordings of the same run, or give --time-offset"
             )
-    if turning <= _AT_REST_RADPS:
+    if not turns:
         free[: SKEW + 1] = False
         notes.append("the rig does not turn: rotation, lever arm and clock are unknown")
     elif _turns_in_place(ordered.positions, imu.rates):
         free[:6] = False
         notes.append("the rig turns about one axis in place: rotation and lever arm are unknown")
     shift_ns = round(shift_s * NANOSECONDS)
+    shift_s = shift_ns / NANOSECONDS
     samples = TruthSamples(
         (ordered.stamps + (shift_ns - origin)) / NANOSECONDS,
         ordered.positions,
         lie.to_matrix(ordered.quaternions),
     )
-    short_horizon, long_horizon = _horizons(imu_noise)
-    short = _fitted(samples, imu, short_horizon, free, turns=turning > _AT_REST_RADPS)
-    long = _fitted(samples, imu, long_horizon, free, turns=turning > _AT_REST_RADPS)
-    first = int(ordered.stamps[0])
-    poses, residuals = (
-        check_poses(groundtruth, imu, origin - shift_ns),
-        check_residuals(short, ordered),
-    )
+    stiff = ImuNoise(imu_noise.gyroscope / 4.0, imu_noise.accelerometer / 2.0)
+    short = _fitted(samples, imu, Horizon(0.05, imu_noise, (1e-3, 3e-3)), free, turns=turns)
+    long = _fitted(samples, imu, Horizon(0.1, stiff, (3e-3, 5e-3), 2.0), free, turns=turns)
+    poses = check_poses(groundtruth, imu, origin - shift_ns)
+    residuals = check_residuals(short, ordered.stamps)
+    brief, lasting = _summary(short, shift_s), _summary(long, shift_s)
+    apart, disagree = _difference(short, long, brief, lasting)
+    values, sigmas = brief.values.copy(), brief.sigmas.copy()
+    # Scale errors of accelerometers shift the lever arm along gravity.
     force = np.mean(imu.accelerations, axis=0)
-    pair = _compare(short, long, shift_ns / NANOSECONDS, force)
-    axes = _axes_of(short.fixed_directions)
-    causes = [
-        parameter_cause(
-            name,
-            pair.values,
-            pair.sigmas,
-            observable=free,
-            axes=axes if name == "lever_arm" else "",
-        )
-        for name in PARAMETERS
-    ]
-    brief, lasting = (float(np.linalg.norm(each.values[BODY])) for each in (pair.short, pair.long))
+    floors, along = _FLOORS.copy(), force / max(float(np.linalg.norm(force)), 1e-9)
+    floors[LEVER] = np.hypot(floors[LEVER], _FLOOR_ALONG_FORCE_MM * along)
+    if disagree:
+        values[:6], sigmas[:6] = lasting.values[:6], lasting.sigmas[:6]
+        # The difference is a measure of the same systematic errors as the floors.
+        floors[:6] = np.maximum(floors[:6], apart / _PART_OF_DIFFERENCE)
+    sigmas = np.hypot(sigmas, floors)
+    axes = " and ".join(map(axis_name, short.fixed_directions))
+    short_deg, long_deg = (float(np.linalg.norm(each.values[BODY])) for each in (brief, lasting))
     slow_deg = float(np.degrees(np.linalg.norm(long.sigmas[3:])))
-    causes.append(fused_cause(brief, lasting, slow_deg, disagree=pair.disagree))
-    causes += [*residual_causes(residuals, first), *pose_causes(poses, first)]
+    causes = [parameter_cause(each, values, sigmas, free, axes) for each in PARAMETERS]
+    causes.append(fused_cause(short_deg, long_deg, slow_deg, disagree=disagree))
+    causes += sample_causes(poses, residuals, int(ordered.stamps[0]))
     by_name = {each.name: each for each in causes}
-    noise_m, noise_rad = short.rows.scales.tolist()
-    chosen = long if pair.disagree else short
-    _apply(chosen, short, by_name, shift_ns / NANOSECONDS)
+    noise_m, noise_rad = short.rows.scales
+    chosen = long if disagree else short
+    _apply(chosen, short, by_name, shift_s)
     rig = chosen.rig
-    notes += _notes(poses, residuals, axes)
+    covariance = np.diag(np.square(np.roll(sigmas[:6] / UNITS[:6], 3)))
+    covariance[3:, 3:] = rig.body @ covariance[3:, 3:] @ rig.body.T
     fits = Fits(
-        pair.short,
-        pair.long,
-        pair.disagree,
+        brief,
+        lasting,
+        disagree,
+        replace(rig, offset_s=shift_s + rig.offset_s),
         HandEye(lie.from_matrix(rig.body), rig.lever),
-        _hand_eye_covariance(pair.sigmas, rig),
-        shift_ns / NANOSECONDS + rig.offset_s,
-        rig.skew,
-        rig.gravity,
-        rig.gyro_biases.mean(axis=0),
-        rig.acceleration_biases.mean(axis=0),
+        covariance,
         noise_m,
         noise_rad,
         residuals,
         repaired(chosen, ordered, shift_ns, poses.gaps),
     )
+    notes += _notes(poses)
+    if axes:
+        notes.append(
+            f"the motion does not determine the lever arm along {axes}: the repaired groundtruth "
+            "has the groundtruth's point there"
+        )
+    for kind in residuals.noisy_steps:
+        notes.append(f"{kind} noise is not white: it has more than 20 steps per minute")
     return ExaminedGroundtruth(by_name, poses, fits, tuple(notes))
 
 
@@ -291,15 +265,6 @@ def _imu_of(readings: InertialReadings) -> tuple[ImuSeconds, int]:
     return ImuSeconds(seconds, readings.rates[rows], accelerations[rows]), origin
 
 
-def _horizons(noise: ImuNoise) -> tuple[Horizon, Horizon]:
-    """Return the short and the long horizon."""
-    stiff = ImuNoise(noise.gyroscope / 4.0, noise.accelerometer / 2.0)
-    return (
-        Horizon(0.05, noise, (1e-3, 3e-3)),
-        Horizon(0.1, stiff, (3e-3, 5e-3), 2.0, estimates_position_noise=False),
-    )
-
-
 def _fitted(
     samples: TruthSamples, imu: ImuSeconds, horizon: Horizon, free: Booleans, *, turns: bool
 ) -> JointFit:
@@ -317,41 +282,8 @@ def _fitted(
     return fit
 
 
-@dataclass(frozen=True, eq=False)
-class _Pair:
-    """Both fits, and the values and standard deviations (10,) for the verdicts, in `UNITS`."""
-
-    short: HorizonFit
-    long: HorizonFit
-    disagree: bool
-    values: Floats
-    sigmas: Floats
-
-
-def _compare(short: JointFit, long: JointFit, shift_s: float, force: Floats) -> _Pair:
-    """Compare the horizons. `force` is the mean specific force (3,) in the IMU, m/s^2."""
-    brief, lasting = _summary(short, shift_s), _summary(long, shift_s)
-    apart = np.abs(lasting.values - brief.values)[:6]
-    for direction in (*short.fixed_directions, *long.fixed_directions):
-        apart[LEVER] = np.abs(apart[LEVER] - direction * (direction @ apart[LEVER]))
-    turned = so3.log((short.rig.body.T @ long.rig.body)[None])[0]
-    apart[BODY] = np.abs(np.degrees(turned))
-    limit = _DISAGREE_SIGMAS * np.hypot(brief.sigmas, lasting.sigmas)[:6]
-    disagree = bool(((apart > _DISAGREE) & (apart > limit)).any())
-    floors = _FLOORS.copy()
-    along = force / max(float(np.linalg.norm(force)), 1e-9)
-    floors[LEVER] = np.hypot(floors[LEVER], _FLOOR_ALONG_FORCE_MM * along)
-    values, sigmas = brief.values.copy(), np.hypot(brief.sigmas, floors)
-    if disagree:
-        values[:6] = lasting.values[:6]
-        # The difference is a measure of the same systematic errors as the floors.
-        systematic = np.maximum(floors[:6], apart / _PART_OF_DIFFERENCE)
-        sigmas[:6] = np.hypot(lasting.sigmas[:6], systematic)
-    return _Pair(brief, lasting, disagree, values, sigmas)
-
-
 def _summary(fit: JointFit, shift_s: float) -> HorizonFit:
-    values, change = fit.rig.values, fit.rig.values_by_step
+    values, change = fit.rig.values()
     values[OFFSET] += shift_s
     variances = [
         np.diag(change @ covariance @ change.T)
@@ -364,6 +296,19 @@ def _summary(fit: JointFit, shift_s: float) -> HorizonFit:
         fit.steps.knots[fit.rows.knots] - fit.samples.seconds[0],
         np.linalg.norm(residuals, axis=2),
     )
+
+
+def _difference(
+    short: JointFit, long: JointFit, brief: HorizonFit, lasting: HorizonFit
+) -> tuple[Floats, bool]:
+    """Return the differences of both horizons (6,), deg and mm, and whether they disagree."""
+    apart = np.abs(lasting.values - brief.values)[:6]
+    for direction in (*short.fixed_directions, *long.fixed_directions):
+        apart[LEVER] = np.abs(apart[LEVER] - direction * (direction @ apart[LEVER]))
+    turned = so3.log((short.rig.body.T @ long.rig.body)[None])[0]
+    apart[BODY] = np.abs(np.degrees(turned))
+    limit = _DISAGREE_SIGMAS * np.hypot(brief.sigmas, lasting.sigmas)[:6]
+    return apart, bool(((apart > _DISAGREE) & (apart > limit)).any())
 
 
 def _apply(
@@ -381,45 +326,13 @@ def _apply(
     chosen.solve_again(rig.without(fixed, shift_s), free & ~fixed)
 
 
-def _hand_eye_covariance(sigmas: Floats, rig: Rig) -> Floats:
-    """Return the covariance (6, 6) of T_I_M from the standard deviations of the verdicts."""
-    covariance = np.zeros((6, 6))
-    covariance[:3, :3] = np.diag(np.square(sigmas[LEVER] / UNITS[LEVER]))
-    in_marker = np.diag(np.square(sigmas[BODY] / UNITS[BODY]))
-    covariance[3:, 3:] = rig.body @ in_marker @ rig.body.T
-    return covariance
-
-
-def _axes_of(directions: Sequence[Floats]) -> str:
-    """Return the names of fixed directions, as in `z`."""
-    found = []
-    for direction in directions:
-        largest = int(np.abs(direction).argmax())
-        is_axis = abs(direction[largest]) > _NAMED_AXIS
-        components = " ".join(f"{each:.2f}" for each in direction)
-        found.append("xyz"[largest] if is_axis else f"({components})")
-    return " and ".join(found)
-
-
-def _notes(
-    poses: PoseChecks, residuals: ResidualChecks | None = None, axes: str = ""
-) -> list[str]:
+def _notes(poses: PoseChecks) -> list[str]:
     notes = []
-    if poses.position_noise_m < SMOOTH_M:
-        noise_um = 1e6 * poses.position_noise_m
+    if poses.position_noise_m < _SMOOTH_M:
         notes.append(
-            f"the groundtruth is smooth (noise {noise_um:.2g} um): short relative errors compare "
-            "with a model and not with measurements"
+            f"the groundtruth is smooth (noise {1e6 * poses.position_noise_m:.2g} um): short "
+            "relative errors compare with a model and not with measurements"
         )
     if poses.rate_hz < _SLOW_HZ:
         notes.append(f"at {poses.rate_hz:.0f} Hz, the noise of a pose is an upper limit")
-    if axes:
-        notes.append(
-            f"the motion does not determine the lever arm along {axes}: the repaired groundtruth "
-            "has the groundtruth's point there"
-        )
-    notes += [
-        f"{kind} noise is not white: it has more than 20 steps per minute"
-        for kind in (residuals.noisy_steps if residuals else ())
-    ]
     return notes

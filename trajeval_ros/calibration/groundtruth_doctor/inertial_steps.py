@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from trajeval_ros.geometry import so3
-from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, runs_of
+from trajeval_ros.geometry.interpolation import columns_at
 from trajeval_ros.geometry.preintegration import ImuNoise, integrated, preintegrate
 
 _LONGEST_S = 0.05  # a longer step of the IMU is a gap
@@ -27,21 +28,13 @@ class ImuSeconds:
     accelerations: Floats  # (N, 3), m/s^2
 
     @property
-    def saturated(self) -> Booleans:
-        """Readings (N,) at the extreme of an axis for more than three in a row."""
-        marked = np.zeros(len(self.seconds), dtype=bool)
-        for column in np.column_stack([self.rates, self.accelerations]).T:
-            is_extreme = np.abs(column) == np.abs(column).max()
-            same = is_extreme & (column != 0.0)
-            edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]])))
-            for begin, end in edges.reshape(-1, 2):
-                marked[begin:end] |= end - begin >= _FEWEST_SATURATED
-        return marked
-
-    @property
     def doubtful(self) -> Booleans:
-        """Steps (N - 1,) over a gap, or with a saturated end."""
-        saturated = self.saturated
+        """Steps (N - 1,) over a gap, or with an end in a row of readings at an axis's extreme."""
+        saturated = np.zeros(len(self.seconds), dtype=bool)
+        for column in np.column_stack([self.rates, self.accelerations]).T:
+            is_extreme = (np.abs(column) == np.abs(column).max()) & (column != 0.0)
+            for begin, end in runs_of(is_extreme):
+                saturated[begin:end] |= end - begin >= _FEWEST_SATURATED
         doubtful: Booleans = (np.diff(self.seconds) > _LONGEST_S) | saturated[1:] | saturated[:-1]
         return doubtful
 
@@ -63,24 +56,18 @@ class InertialSteps:
         self.times = np.union1d(knots, imu.seconds[within])
         self.first: Indices = np.searchsorted(self.times, knots)
         self.knots, self.durations_s = knots, np.diff(knots)
-        count = int(np.diff(self.first).max())
-        rows = self.first[:-1, None] + np.arange(count)
+        rows = self.first[:-1, None] + np.arange(int(np.diff(self.first).max()))
         real = rows < self.first[1:, None]
         rows = np.minimum(rows, self.first[1:, None] - 1)
         self.held = np.where(real, np.diff(self.times)[rows], 0.0)
-        starts = np.cumsum(self.held, axis=1)
-        self.starts = np.concatenate([np.zeros((len(starts), 1)), starts], axis=1)
-
-        def at(column: Floats) -> Floats:
-            found = np.stack([np.interp(self.times, imu.seconds, each) for each in column.T], 1)
-            middle: Floats = (0.5 * (found[1:] + found[:-1]))[rows]
-            return middle
-
-        self.rates, self.accelerations = at(imu.rates), at(imu.accelerations)
+        self.starts = np.pad(np.cumsum(self.held, axis=1), [(0, 0), (1, 0)])
+        both = np.hstack([imu.rates, imu.accelerations])
+        found = columns_at(imu.seconds, both, self.times)
+        middles = (0.5 * (found[1:] + found[:-1]))[rows]
+        self.rates, self.accelerations = middles[..., :3], middles[..., 3:]
         places = np.searchsorted(imu.seconds, self.times[:-1], side="right") - 1
-        self.doubtful = (imu.doubtful[np.clip(places, 0, len(imu.doubtful) - 1)][rows] & real).any(
-            1
-        )
+        doubtful = imu.doubtful[np.clip(places, 0, len(imu.seconds) - 2)]
+        self.doubtful = (doubtful[rows] & real).any(axis=1)
 
     def motions(self, gyro_biases: Floats, acceleration_biases: Floats) -> Motions:
         """Integrate the readings minus the biases (K, 3) of the intervals."""

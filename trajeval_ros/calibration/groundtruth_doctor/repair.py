@@ -8,7 +8,7 @@ from trajeval_ros.calibration.groundtruth_doctor.joint_fit import JointFit
 from trajeval_ros.calibration.groundtruth_doctor.sample_checks import PoseSpan
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import rig_at
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.arrays import Stamps
 from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
@@ -27,23 +27,25 @@ def repaired(
     for more than about a second.
     """
     stamps, rig, steps = _with_bridges(groundtruth.stamps, gaps), fit.rig, fit.steps
-    first_s, first = float(fit.samples.seconds[0]), int(groundtruth.stamps[0])
-    since_s = (stamps - first) / NANOSECONDS
-    later_s = rig.offset_s + rig.skew * (first_s + since_s - fit.samples.middle_s)
-    seconds = first_s + since_s + later_s
+    own_s = fit.samples.seconds[0] + (stamps - groundtruth.stamps[0]) / NANOSECONDS
+    later_s = rig.offset_s + rig.skew * (own_s - fit.samples.middle_s)
+    seconds = own_s + later_s
     within = (seconds >= steps.knots[0]) & (seconds < steps.knots[-1])
     stamps = stamps + shift_ns + np.rint(later_s * NANOSECONDS).astype(np.int64)
     states = rig_at(seconds[within], steps, fit.motions, rig)
-    knots, _, _, _, rotations, positions, velocities, _ = states
-    covariances = fit.state_covariances()[:, _POSE][:, :, _POSE] * _inflation(fit)
+    by_blocks, by_model = (
+        np.diag(each)[fit.free] for each in (fit.covariance_of_blocks, fit.covariance_of_model)
+    )
+    inflation = max(1.0, float(np.median(by_blocks / by_model)))
+    covariances = fit.state_covariances()[:, _POSE][:, :, _POSE] * inflation
     return Trajectory(
         stamps[within],
-        positions,
-        lie.from_matrices(rotations),
-        velocities=velocities,
-        gyroscope_biases=rig.gyro_biases[knots],
-        accelerometer_biases=rig.acceleration_biases[knots],
-        covariances=world_from_body_rotations(covariances[knots], rotations),
+        states.positions,
+        lie.from_matrices(states.rotations),
+        velocities=states.velocities,
+        gyroscope_biases=rig.gyro_biases[states.knots],
+        accelerometer_biases=rig.acceleration_biases[states.knots],
+        covariances=world_from_body_rotations(covariances[states.knots], states.rotations),
         frame=groundtruth.frame,
         name=groundtruth.name,
     )
@@ -58,10 +60,3 @@ def _with_bridges(stamps: Stamps, gaps: tuple[PoseSpan, ...]) -> Stamps:
     ]
     found: Stamps = np.unique(np.concatenate([stamps, *bridges]))
     return found
-
-
-def _inflation(fit: JointFit) -> float:
-    """Return the factor on the variances for errors that are correlated over time."""
-    by_blocks: Floats = np.diag(fit.covariance_of_blocks)[fit.free]
-    by_model = np.diag(fit.covariance_of_model)[fit.free]
-    return max(1.0, float(np.median(by_blocks / by_model)))

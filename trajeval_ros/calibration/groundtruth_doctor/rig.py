@@ -12,7 +12,6 @@ from trajeval_ros.geometry.se3 import times
 
 # Columns of the calibration: R_IM (right perturbation), lever arm, clock, tilt of gravity.
 BODY, LEVER, OFFSET, SKEW, GRAVITY = slice(0, 3), slice(3, 6), 6, 7, slice(8, 10)
-GRAVITY_MPS2 = 9.81
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +29,11 @@ class Rig:
     skew: float
     gravity: Floats  # (3,), m/s^2, in W, of fixed magnitude
 
+    @property
+    def biases(self) -> Floats:
+        """Biases of gyroscope and accelerometer (N, 6)."""
+        return np.hstack([self.gyro_biases, self.acceleration_biases])
+
     def moved(self, states: Floats, calibration: Floats) -> Rig:
         """Return the rig after a step of the states (N, 15) and of the calibration (10,)."""
         gravity = self.gravity + tangents(self.gravity) @ calibration[GRAVITY]
@@ -46,29 +50,19 @@ class Rig:
             gravity * (np.linalg.norm(self.gravity) / np.linalg.norm(gravity)),
         )
 
-    @property
-    def up_axis(self) -> int:
-        """The axis of W that is nearest to the vertical."""
-        return int(np.abs(self.gravity).argmax())
+    def values(self) -> tuple[Floats, Floats]:
+        """Return the calibration (10,), and its derivative (10, 10) by a step.
 
-    @property
-    def values(self) -> Floats:
-        """The calibration (10,): rotation vector, lever arm, offset, skew, horizontal gravity.
-
-        The last two are the components of gravity, over its magnitude, along the horizontal axes.
+        Rotation vector, lever arm, offset, skew, and the components of gravity, over its
+        magnitude, along the two axes of W that are not the nearest to the vertical.
         """
-        tilt = np.delete(self.gravity, self.up_axis) / np.linalg.norm(self.gravity)
-        return np.concatenate(
-            [so3.log(self.body[None])[0], self.lever, [self.offset_s, self.skew], tilt]
-        )
-
-    @property
-    def values_by_step(self) -> Floats:
-        """Derivative (10, 10) of `values` by a step of the calibration."""
-        change = np.eye(10)
-        along = tangents(self.gravity) / np.linalg.norm(self.gravity)
-        change[GRAVITY, GRAVITY] = np.delete(along, self.up_axis, axis=0)
-        return change
+        up, change = int(np.abs(self.gravity).argmax()), np.eye(10)
+        relative = np.column_stack([self.gravity, tangents(self.gravity)])
+        tilt = np.delete(relative, up, axis=0) / np.linalg.norm(self.gravity)
+        change[GRAVITY, GRAVITY] = tilt[:, 1:]
+        turn = so3.log(self.body[None])[0]
+        clock = [self.offset_s, self.skew]
+        return np.concatenate([turn, self.lever, clock, tilt[:, 0]]), change
 
     def without(self, fixed: Booleans, shift_s: float) -> Rig:
         """Return the rig with the marked parameters (10,) at zero; the states keep its marker.

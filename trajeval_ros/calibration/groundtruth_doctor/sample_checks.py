@@ -10,9 +10,10 @@ import numpy as np
 
 from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds
 from trajeval_ros.calibration.groundtruth_doctor.joint_fit import JointFit
+from trajeval_ros.calibration.groundtruth_doctor.sample_rows import MEDIAN_OF_CHI3
 from trajeval_ros.calibration.robust_fit import BLOCKS
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps, runs_of
 from trajeval_ros.geometry.se3 import times
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
@@ -24,7 +25,6 @@ _THIRD = np.sqrt(20.0)  # standard deviation of third differences of white noise
 _HALF = 7  # samples before and after a jump
 _LEAST_JUMP = (5e-3, float(np.radians(0.3)))  # m, rad
 _JUMP_SIGMAS = 8.0
-_MEDIAN_OF_CHI3 = 1.538
 _MOST_JUMPS_PER_MINUTE = 20.0  # more steps are noise that is not white
 _OUTLIER_SIGMAS = 8.0
 _SLOWEST = 0.05  # m/s or rad/s; slower samples do not show errors of timestamps
@@ -65,57 +65,52 @@ def check_poses(groundtruth: Trajectory, imu: ImuSeconds | None, origin: int) ->
 
     `origin` is the timestamp of the IMU's second 0, ns.
     """
-    repeated = int(np.count_nonzero(np.diff(groundtruth.stamps) <= 0))
     ordered = groundtruth.in_order()
     seconds, positions = (ordered.stamps - origin) / NANOSECONDS, ordered.positions
     steps = np.diff(ordered.stamps) / NANOSECONDS
     usual = float(np.median(steps))
     missing = int(np.maximum(np.rint(steps / usual) - 1.0, 0.0).sum())
     shorter = steps[steps < 1.5 * usual]
-    poses = positions
+    same = (np.diff(positions, axis=0) == 0.0).all(axis=1)
     if ordered.quaternions is not None:
-        poses = np.hstack([positions, ordered.quaternions])
-    same = (np.diff(poses, axis=0) == 0.0).all(axis=1)
+        same &= (np.diff(ordered.quaternions, axis=0) == 0.0).all(axis=1)
     width = max(3, int(_SPEED_S / usual))
     speeds = np.linalg.norm(np.diff(positions, axis=0), axis=1) / steps
     moving = np.convolve(speeds, np.ones(width) / width, "same") > _MOVING_MPS
-    frozen, held = [], np.zeros(len(same), dtype=bool)
-    for begin, end in _runs(same):
-        duration_s = float(seconds[end] - seconds[begin])
-        if duration_s < max(_FROZEN_S, _USUAL_STEPS * usual):
-            held[begin:end] = True
-        elif imu is None or _turns(imu, seconds[begin], seconds[end]):
-            frozen.append(PoseSpan(int(ordered.stamps[begin]), duration_s))
+    held, runs = np.zeros(len(same), dtype=bool), runs_of(same)
+    is_long = np.diff(seconds[runs])[:, 0] >= max(_FROZEN_S, _USUAL_STEPS * usual)
+    for begin, end in runs[~is_long]:
+        held[begin:end] = True
+    frozen = [imu is None or _turns(imu, *seconds[each]) for each in runs[is_long]]
     fresh = np.concatenate([[True], ~same])
     rotation_noise = None
     if ordered.quaternions is not None:
         some = ordered.quaternions[fresh]
         turned = lie.rotation_vector(lie.multiply(lie.conjugate(some[:-1]), some[1:]))
         rotation_noise = _noise(np.diff(turned, n=2, axis=0))
+    gaps = np.flatnonzero(steps > max(_GAP_S, _USUAL_STEPS * usual))
     return PoseChecks(
         rate_hz=1.0 / usual,
-        gaps=tuple(
-            PoseSpan(int(ordered.stamps[at]), float(steps[at]))
-            for at in np.flatnonzero(steps > max(_GAP_S, _USUAL_STEPS * usual))
-        ),
+        gaps=_spans(ordered.stamps, np.column_stack([gaps, gaps + 1])),
         missing_share=missing / (len(ordered) + missing),
-        repeated_stamps=repeated,
+        repeated_stamps=int(np.count_nonzero(np.diff(groundtruth.stamps) <= 0)),
         interval_sigma_s=_NORMAL * float(np.median(np.abs(shorter - usual))),
         held_share=float((held & moving).sum() / max(1, moving.sum())),
-        frozen=tuple(frozen),
+        frozen=_spans(ordered.stamps, runs[is_long][np.asarray(frozen, dtype=bool)]),
         position_noise_m=_noise(np.diff(positions[fresh], n=3, axis=0)),
         rotation_noise_rad=rotation_noise,
     )
 
 
+def _spans(stamps: Stamps, rows: Indices) -> tuple[PoseSpan, ...]:
+    """Return the intervals between two rows each, (K, 2)."""
+    pairs = stamps[rows].tolist()
+    return tuple(PoseSpan(start, (end - start) / NANOSECONDS) for start, end in pairs)
+
+
 def _noise(differences: Floats) -> float:
     """Return the standard deviation of white noise from its third differences (N, 3)."""
     return float(_NORMAL * np.median(np.abs(differences)) / _THIRD) if len(differences) else 0.0
-
-
-def _runs(marked: Booleans) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], marked.astype(int), [0]])))
-    return [(begin, end) for begin, end in edges.reshape(-1, 2).tolist()]
 
 
 def _turns(imu: ImuSeconds, start_s: float, end_s: float) -> bool:
@@ -135,26 +130,22 @@ class ResidualChecks:
     noisy_steps: tuple[str, ...]  # kinds with so many steps that they are noise
 
 
-def check_residuals(fit: JointFit, groundtruth: Trajectory) -> ResidualChecks:
-    """Check the residuals of a fit of the groundtruth, which is in order."""
+def check_residuals(fit: JointFit, stamps: Stamps) -> ResidualChecks:
+    """Check the residuals of a fit of the groundtruth with timestamps (N,), which increase."""
     found = fit.predicted
-    scales = fit.rows.scales
-    kinds = [("position", found.position_errors, found.marker_velocities)]
-    if groundtruth.quaternions is not None:
-        in_imu = times(
-            np.broadcast_to(fit.rig.body, (len(found.rows), 3, 3)), found.rotation_errors
-        )
-        kinds.append(("rotation", in_imu, found.rates))
-    estimates = [
-        _jitter(errors, speeds, float(scale))
-        for (_, errors, speeds), scale in zip(kinds, scales, strict=False)
-    ]
-    squared, sigma = min(estimates, key=lambda each: each[1])
-    stamps = groundtruth.stamps[found.rows]
+    in_imu = times(np.broadcast_to(fit.rig.body, (len(found.rows), 3, 3)), found.rotation_errors)
+    kinds = (
+        ("position", found.position_errors, found.marker_velocities),
+        ("rotation", in_imu, found.states.rates),
+    )
+    stamps = stamps[found.rows]
     minutes = float(stamps[-1] - stamps[0]) / NANOSECONDS / 60.0
     jumps: list[GroundtruthJump] = []
-    noisy, outliers = [], []
-    for (kind, errors, _), least in zip(kinds, _LEAST_JUMP, strict=False):
+    noisy, outliers, jitters = [], [], []
+    for (kind, errors, speeds), least, scale in zip(
+        kinds, _LEAST_JUMP, fit.rows.scales, strict=True
+    ):
+        jitters.append(_jitter(errors, speeds, scale))
         outliers.append(_outliers(errors, least))
         rows, sizes = _steps(errors, least)
         if len(rows) > max(_MOST_JUMPS_PER_MINUTE * minutes, 1.0):
@@ -162,6 +153,7 @@ def check_residuals(fit: JointFit, groundtruth: Trajectory) -> ResidualChecks:
             continue
         pairs = zip(stamps[rows].tolist(), sizes.tolist(), strict=True)
         jumps += [GroundtruthJump(stamp, kind, size) for stamp, size in pairs]
+    squared, sigma = min(jitters, key=lambda each: each[1])
     return ResidualChecks(
         jitter_s=float(np.sqrt(max(squared, 0.0))),
         jitter_sigmas=squared / sigma,
@@ -196,10 +188,15 @@ def _jitter(errors: Floats, speeds: Floats, scale: float) -> tuple[float, float]
 def _outliers(errors: Floats, least: float) -> Booleans:
     """Return which residuals (N, 3) differ from the median of their neighbours."""
     around = np.pad(errors, [(_HALF, _HALF), (0, 0)], mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(around, 2 * _HALF + 1, axis=0)
-    apart = np.linalg.norm(errors - np.median(windows, axis=2), axis=1)
-    usual = float(np.median(apart)) / _MEDIAN_OF_CHI3
+    apart = np.linalg.norm(errors - _medians(around, 2 * _HALF + 1), axis=1)
+    usual = float(np.median(apart)) / MEDIAN_OF_CHI3
     return np.asarray(apart > max(_OUTLIER_SIGMAS * usual, least))
+
+
+def _medians(rows: Floats, width: int) -> Floats:
+    """Return the medians of `width` successive rows (N, 3), (N - width + 1, 3)."""
+    windows = np.lib.stride_tricks.sliding_window_view(rows, width, axis=0)
+    return np.asarray(np.median(windows, axis=2))
 
 
 def _steps(errors: Floats, least: float) -> tuple[Indices, Floats]:
@@ -211,11 +208,10 @@ def _steps(errors: Floats, least: float) -> tuple[Indices, Floats]:
     """
     if len(errors) < 4 * _HALF:
         return np.zeros(0, dtype=np.int64), np.zeros(0)
-    windows = np.lib.stride_tricks.sliding_window_view(errors, _HALF, axis=0)
-    medians = np.median(windows, axis=2)
+    medians = _medians(errors, _HALF)
     steps = medians[_HALF:] - medians[:-_HALF]
     lengths = np.linalg.norm(steps, axis=1)
-    scale = float(np.median(lengths)) / _MEDIAN_OF_CHI3
+    scale = float(np.median(lengths)) / MEDIAN_OF_CHI3
     large = np.flatnonzero((lengths > _JUMP_SIGMAS * scale) & (lengths > least))
     groups: Sequence[Indices] = np.split(large, np.flatnonzero(np.diff(large) > 3 * _HALF) + 1)
     largest = np.array([each[lengths[each].argmax()] for each in groups if len(each)], dtype=int)

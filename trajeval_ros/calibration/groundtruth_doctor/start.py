@@ -6,12 +6,12 @@ import numpy as np
 
 from trajeval_ros.calibration.clock_offset import SEARCH_S, OffsetGuess, guess_offset_by
 from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds, InertialSteps
-from trajeval_ros.calibration.groundtruth_doctor.rig import GRAVITY_MPS2, Rig
+from trajeval_ros.calibration.groundtruth_doctor.rig import Rig
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
 from trajeval_ros.calibration.hand_eye import robust_rotation
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.interpolation import slerp_at
+from trajeval_ros.geometry.interpolation import columns_at, slerp_at
 from trajeval_ros.geometry.se3 import times, transposed
 from trajeval_ros.geometry.trajectory import Trajectory
 
@@ -19,6 +19,7 @@ _INCREMENT_S = 0.25
 _PASSES = 6
 _SPEED_S = 0.1  # half of the span over which a velocity is a difference of positions
 _INSIDE_S = 0.1  # between the ends of the recordings and the knots
+_GRAVITY_MPS2 = 9.81
 
 
 def guess_of(groundtruth: Trajectory, imu: ImuSeconds, origin: int) -> OffsetGuess:
@@ -54,30 +55,23 @@ def first_rig(samples: TruthSamples, imu: ImuSeconds, knots: Floats, *, turns: b
     `turns`: whether the body's rotation is estimated from the increments; otherwise it starts at
     the identity.
     """
-    body, bias = np.eye(3), np.zeros(3)
+    body, bias, none = np.eye(3), np.zeros(3), np.zeros((len(knots), 3))
     if turns:
         body, bias = _body_and_bias(samples, imu, knots)
     rotations = _orientations(samples, knots) @ body.T
-    gyro_biases = np.tile(bias, (len(knots), 1))
-    force = np.median(times(rotations, _columns(knots, imu.seconds, imu.accelerations)), axis=0)
+    measured = columns_at(imu.seconds, imu.accelerations, knots)
+    force = np.median(times(rotations, measured), axis=0)
     length = float(np.linalg.norm(force))
     up = force / length if length else np.array([0.0, 0.0, 1.0])
-    before, after = (
-        _columns(knots + side, samples.seconds, samples.positions)
-        for side in (-_SPEED_S, _SPEED_S)
+    before, positions, after = (
+        columns_at(samples.seconds, samples.positions, knots + each)
+        for each in (-_SPEED_S, 0.0, _SPEED_S)
     )
+    velocities = (after - before) / (2.0 * _SPEED_S)
     return Rig(
-        rotations,
-        (after - before) / (2.0 * _SPEED_S),
-        _columns(knots, samples.seconds, samples.positions),
-        gyro_biases,
-        np.zeros((len(knots), 3)),
-        body,
-        np.zeros(3),
-        0.0,
-        0.0,
-        -GRAVITY_MPS2 * up,
-    )
+        rotations, velocities, positions, none + bias, none, body, np.zeros(3), 0.0, 0.0,
+        -_GRAVITY_MPS2 * up,
+    )  # fmt: skip
 
 
 def _body_and_bias(samples: TruthSamples, imu: ImuSeconds, knots: Floats) -> tuple[Floats, Floats]:
@@ -96,10 +90,5 @@ def _body_and_bias(samples: TruthSamples, imu: ImuSeconds, knots: Floats) -> tup
 
 def _orientations(samples: TruthSamples, at: Floats) -> Floats:
     """Return R_WM (M, 3, 3) at times (M,), interpolated."""
-    assert samples.rotations is not None
     quaternions = lie.from_matrices(samples.rotations)
     return lie.to_matrix(slerp_at(samples.seconds, quaternions, at))
-
-
-def _columns(at: Floats, seconds: Floats, columns: Floats) -> Floats:
-    return np.stack([np.interp(at, seconds, each) for each in columns.T], axis=1)

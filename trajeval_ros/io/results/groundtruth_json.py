@@ -15,14 +15,7 @@ SCHEMA = "trajeval-groundtruth/1"
 def groundtruth_json(
     truth: str, imu: str | None, original: Trajectory, found: ExaminedGroundtruth
 ) -> dict[str, Any]:
-    """Return verdicts, fits and noise.
-
-    Args:
-        truth: SOURCE of the groundtruth.
-        imu: SOURCE of the IMU, or None.
-        original: The groundtruth as it was read.
-        found: Its examination.
-    """
+    """Return verdicts, fits and noise; `truth` and `imu` are the sources."""
     result: dict[str, Any] = {
         "schema": SCHEMA,
         "groundtruth": {"source": truth, "poses": len(original)},
@@ -36,6 +29,7 @@ def groundtruth_json(
     }
     fits = found.fits
     if fits is not None:
+        rig, biases = fits.rig, fits.rig.biases.mean(axis=0).tolist()
         result |= {
             "fits": {
                 "short": _fit(fits.short),
@@ -44,12 +38,9 @@ def groundtruth_json(
             },
             "T_imu_marker": hand_eye_json(fits.hand_eye),
             "T_imu_marker_covariance": fits.hand_eye_covariance.tolist(),
-            "clock": {"offset_s": fits.offset_s, "skew": fits.skew},
-            "gravity_mps2": fits.gravity.tolist(),
-            "biases": {
-                "gyroscope_radps": fits.gyroscope_bias.tolist(),
-                "accelerometer_mps2": fits.accelerometer_bias.tolist(),
-            },
+            "clock": {"offset_s": rig.offset_s, "skew": rig.skew},
+            "gravity_mps2": rig.gravity.tolist(),
+            "biases": {"gyroscope_radps": biases[:3], "accelerometer_mps2": biases[3:]},
             "noise": {
                 "position_m": fits.position_noise_m,
                 "rotation_rad": fits.rotation_noise_rad,
