@@ -323,7 +323,7 @@ def _values(
         "time offset applied [s]": None if run.holds else estimate.evaluator.settings.offset_s,
         "hand eye": run.body.source if run.body.hand_eye is not None else None,
         "sync risk [m]": sync_risk_m(run, estimate),
-        **({} if estimate.availability is None else estimate.availability.errors.values),
+        **({} if estimate.availability is None else estimate.availability.values),
         "arrival to publication, p95 [s]": estimate.latency.p95_s,
         "results": run.folder,
     }

@@ -325,7 +325,7 @@ class LiveOutputs:
     def publish_available(self, run: LiveRun, estimate: LiveEstimate) -> None:
         """Publish the as-available errors that are final now."""
         assert estimate.availability is not None
-        errors, alignment = estimate.availability.errors, estimate.evaluator.alignment
+        errors, alignment = estimate.availability, estimate.evaluator.alignment
         errors.update(None if alignment is None else alignment.similarity)
         frame = run.groundtruth_status.frame
         self._outputs[estimate.name].publish_available(errors, frame)

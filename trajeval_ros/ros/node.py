@@ -243,7 +243,7 @@ class EvaluatorNode:
             snapshot = self._outputs.publish_snapshot(estimate)
             if estimate.availability is not None:
                 self._outputs.publish_available(run, estimate)
-                estimate.peaks.see("age_s", estimate.availability.errors.age_p95_s)
+                estimate.peaks.see("age_s", estimate.availability.age_p95_s)
             revised_m = self._outputs.publish_revised(run, estimate)
             self._picture.snapshot(estimate, snapshot, revised_m)
             self._outputs.publish_geometry(run, estimate, snapshot)
