@@ -43,9 +43,7 @@ def test_verdicts(times: np.ndarray, verdict: str, said: str) -> None:
 def test_the_named_offset_is_enough() -> None:
     _, clock = judged_receptions(STAMPS, times_of() - SECOND // 5)
     needed = clock.sentence.rsplit(" ", 1)[1]
-    _, corrected = judged_receptions(
-        STAMPS, times_of() - SECOND // 5, str(float(needed))
-    )
+    _, corrected = judged_receptions(STAMPS, times_of() - SECOND // 5, str(float(needed)))
     assert corrected.verdict == "ok"
 
 

@@ -168,7 +168,7 @@ class Pairing(ABC):
         if not at_end:
             ready = int(waiting.searchsorted(self._track.newest, side="right"))
         if not ready:
-            return Pairs(np.empty(0, np.int64), np.empty((0, WIDTH)), np.empty((0, WIDTH)))
+            return Pairs.none()
         stamps, rows = waiting[:ready].copy(), rows[:ready].copy()
         bracket = (
             bracket_stamps(track_stamps, stamps, self.max_gap_s)

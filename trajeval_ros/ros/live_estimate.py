@@ -327,8 +327,7 @@ class LiveEstimate:
             self.pairs_file.write()
             return
         self._state = state
-        none = np.empty((0, 10))
-        self.pairs_file.append(np.empty(0, dtype=np.int64), none, none, state)
+        self.pairs_file.append(*Pairs.none(), state)
 
     def write_revised(self) -> None:
         """Write the newest path, if there is one."""

@@ -66,8 +66,8 @@ class Watchdog:
         self._begin()
 
     def _begin(self) -> None:
-        self.moved_s = 0.0
-        self.armed_s: float | None = None
+        self.moved_s = 0.0  # duration of motion so far, until arming, seconds
+        self.armed_s: float | None = None  # time of arming, seconds since the first message
         widths = {"imu": IMU_WIDTH, **dict.fromkeys(("map", *self._pair_names), POSE_WIDTH)}
         self._feeds = {name: OrderedFeed() for name in ("states", *widths)}
         self._states = RowBuffer(STATE_WIDTH)
@@ -222,21 +222,13 @@ class Watchdog:
                 found[name] = Readings(seconds[first:], values[first:])
         return found
 
-    def add_inertial(self, stamps: Stamps, rates: Floats, accelerations: Floats) -> Signals:
-        """Add readings of the IMU in its axes, rad/s and m/s^2; return the signals."""
-        return self._add_source("imu", stamps, rates, accelerations)
+    def add_source(self, name: str, stamps: Stamps, *columns: Floats) -> Signals:
+        """Add rows of another source, with timestamps (N,), ns; return the signals.
 
-    def add_partner(
-        self, stamps: Stamps, positions: Floats, quaternions: Floats, source: str = PAIR
-    ) -> Signals:
-        """Add states of a second estimate, in any frame and scale; return the signals."""
-        return self._add_source(source, stamps, positions, quaternions)
-
-    def add_corrections(self, stamps: Stamps, positions: Floats, quaternions: Floats) -> Signals:
-        """Add transforms: poses of the estimate's frame in the map; return the signals."""
-        return self._add_source("map", stamps, positions, quaternions)
-
-    def _add_source(self, name: str, stamps: Stamps, *columns: Floats) -> Signals:
+        Columns are those of `imu`: rates and accelerations (N, 3) in its axes, rad/s and m/s^2;
+        of a second estimate, in any frame and scale, or of `map`, poses of the estimate's frame
+        in the map: positions (N, 3) and quaternions (N, 4).
+        """
         if not len(stamps):
             return {}
         rows = self._feeds[name].rows(self._seconds(stamps), *columns)
@@ -250,6 +242,4 @@ class Watchdog:
 
     def _by_source(self, name: str, rows: Floats) -> Signals:
         """Return the signals that rows of a source determine, after arming."""
-        if not len(rows):
-            return {}
-        return self._others[name].add_other(rows)
+        return self._others[name].add_other(rows) if len(rows) else {}
