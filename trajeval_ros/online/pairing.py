@@ -153,12 +153,6 @@ class Pairing(ABC):
             )
         return "; ".join(told)
 
-    def take(self, *, at_end: bool = False) -> Pairs:
-        """Return the pairs that are possible now, and drop states that are no longer needed."""
-        pairs = self.made(at_end=at_end)
-        self.settle()
-        return pairs
-
     def made(self, *, at_end: bool = False) -> Pairs:
         """Return the pairs that are possible now; `settle` takes them as used."""
         self._decided = None

@@ -18,9 +18,9 @@ NEVER = int(np.iinfo(np.int64).min)
 class StateBuffer:
     """States with distinct timestamps in order, in rows as wide as the widest so far."""
 
-    def __init__(self) -> None:
+    def __init__(self, width: int = WIDTH) -> None:
         self.stamps: Stamps = np.empty(256, dtype=np.int64)
-        self.rows: Floats = np.empty((256, WIDTH))
+        self.rows: Floats = np.empty((256, width))
         self.begin = self.end = 0
 
     def __len__(self) -> int:

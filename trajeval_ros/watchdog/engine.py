@@ -14,6 +14,7 @@ from trajeval_ros.consistency.yaw_information import YawInformation
 from trajeval_ros.formatting.remarks import Remark
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.watchdog.inertial_mounting import IMU_WIDTH
 from trajeval_ros.watchdog.inertial_signals import InertialSignals
 from trajeval_ros.watchdog.pair_signals import PairSignals
@@ -29,7 +30,6 @@ from trajeval_ros.watchdog.row_buffer import (
     Comparison,
     OrderedFeed,
     RowBuffer,
-    lengths,
 )
 from trajeval_ros.watchdog.signals import PAIR, Readings, Signals, joined
 from trajeval_ros.watchdog.twist_signals import TwistSignals
@@ -47,10 +47,6 @@ class Watchdog:
     The watchdog arms when the robot has moved for 30 s in total. The data before arming determine
     the mounting and clock of the IMU, the lag of the twist, and the body and scale of second
     estimates. Signals start at arming.
-
-    Attributes:
-        moved_s: Duration of motion so far, until arming, seconds.
-        armed_s: Time of arming, seconds since the first message; None before.
     """
 
     def __init__(self, origin: int | None = None, pairs: Sequence[str] = (PAIR,)) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
+from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.watchdog.rotations_over_time import between
 from trajeval_ros.watchdog.row_buffer import (
     HALF_NS,
@@ -17,7 +18,6 @@ from trajeval_ros.watchdog.row_buffer import (
     TIME,
     RowBuffer,
     interpolated,
-    lengths,
     only,
     window_begins,
 )

@@ -97,7 +97,8 @@ def _evaluate_pairs(
         whole = _with_fixes(whole, stamps, fixes)
         groundtruth_of_pairs = _with_fixes(pairs.groundtruth, stamps, fixes)
         pairs = dataclasses.replace(pairs, groundtruth=groundtruth_of_pairs)
-    request = _as_available(request, state.get("stated") or {})
+    stated = state.get("stated") or {}
+    request = _as_available(request, stated)
     received = path.with_name(name + RECEIVED_SUFFIX)
     streams = None
     if request.available.is_asked_for and received.exists():
@@ -152,7 +153,6 @@ def _evaluate_pairs(
         )
     ]
     run = dataclasses.replace(run, estimate=summaries[1], evaluation=evaluation, live=live)
-    stated = state.get("stated") or {}
     return EvaluatedPairFile(description["place"], summaries[0], run, rule, stated)
 
 
