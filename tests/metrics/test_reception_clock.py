@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.metrics.reception_clock import ClockRule, judged_receptions
+from trajeval_ros.metrics.reception_clock import clock_correction, judged_receptions
 
 SECOND = 10**9
 BEGIN = 1_700_000_000 * SECOND
@@ -43,9 +43,7 @@ def test_verdicts(times: np.ndarray, verdict: str, said: str) -> None:
 def test_the_named_offset_is_enough() -> None:
     _, clock = judged_receptions(STAMPS, times_of() - SECOND // 5)
     needed = clock.sentence.rsplit(" ", 1)[1]
-    _, corrected = judged_receptions(
-        STAMPS, times_of() - SECOND // 5, ClockRule.parse(str(float(needed)))
-    )
+    _, corrected = judged_receptions(STAMPS, times_of() - SECOND // 5, str(float(needed)))
     assert corrected.verdict == "ok"
 
 
@@ -53,8 +51,8 @@ def test_the_named_offset_is_enough() -> None:
 def test_fastest_message_sets_offset_and_drift(seed: int, offset_s: float, drift: float) -> None:
     exact = times_of(seed)
     shifted = exact + round(offset_s * SECOND) + ((STAMPS - BEGIN) * drift).astype(np.int64)
-    found, clock = judged_receptions(STAMPS, shifted, ClockRule.parse("fastest:0.005"))
-    expected, same = judged_receptions(STAMPS, exact, ClockRule.parse("fastest:0.005"))
+    found, clock = judged_receptions(STAMPS, shifted, "fastest:0.005")
+    expected, same = judged_receptions(STAMPS, exact, "fastest:0.005")
     assert clock.verdict == "ok"
     assert clock.offset_s is None
     np.testing.assert_allclose(found, expected, atol=10)  # ns, of the rounded drift
@@ -84,4 +82,4 @@ def test_drift_is_the_slope_of_the_hull_at_the_middle(latencies: list[float], se
 @pytest.mark.parametrize("text", ["", "soon", "slowest:1", "nan", "fastest:inf"])
 def test_other_rules_are_refused_in_one_sentence(text: str) -> None:
     with pytest.raises(SettingsError, match="clock of receptions"):
-        ClockRule.parse(text)
+        clock_correction(text)

@@ -152,9 +152,11 @@ def test_a_memory_that_is_full_is_told() -> None:
     buffer = DensePairing(limits=BufferLimits(np.inf, past_states=100, waiting_states=5))
     stamps = np.arange(1000, dtype=np.int64) * SECOND // 10
     buffer.add_groundtruth(stamps, np.zeros((1000, 10)))
-    buffer.take()
+    buffer.made()
+    buffer.settle()
     buffer.add_estimate(stamps[:3] + 1, np.zeros((3, 10)))
-    buffer.take()
+    buffer.made()
+    buffer.settle()
     assert buffer.why_forgotten == (
         "3 poses dropped: later than the groundtruth buffer of the newest 100 states"
     )

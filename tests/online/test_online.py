@@ -208,7 +208,8 @@ def test_a_bag_that_is_played_twice_has_the_groundtruth_of_one() -> None:
         for part in np.array_split(np.arange(3000), 600):
             buffer.add_groundtruth(stamps[part], rows[part])
             buffer.add_estimate(stamps[part], rows[part])
-            buffer.take()
+            buffer.made()
+            buffer.settle()
         told.append((buffer.groundtruth_path_m, buffer.groundtruth_time, buffer.groundtruth_count))
     assert told[0] == (pytest.approx(59.98), int(stamps[-1]), 3000)
     assert told[1] == told[0]
@@ -222,9 +223,11 @@ def test_a_late_groundtruth_state_adds_no_path() -> None:
     stamps = (np.arange(500) * SECOND // 50).astype(np.int64)
     rows = states(np.column_stack([0.02 * np.arange(500), np.zeros((500, 2))]))
     buffer.add_groundtruth(stamps, rows)
-    buffer.take()
+    buffer.made()
+    buffer.settle()
     buffer.add_groundtruth(stamps[:400] + 1, rows[:400])
-    buffer.take()
+    buffer.made()
+    buffer.settle()
     assert buffer.groundtruth_path_m == pytest.approx(0.02 * 499)
     assert buffer.groundtruth_time == stamps[-1]
     assert buffer.groundtruth_counts.dropped == {"too_late": 400}

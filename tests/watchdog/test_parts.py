@@ -22,7 +22,6 @@ from trajeval_ros.watchdog.judging import judged
 from trajeval_ros.watchdog.pair_signals import PairSignals, body_difference
 from trajeval_ros.watchdog.pose_signals import CorrectionSignals, PoseSignals
 from trajeval_ros.watchdog.recording import error_spans, undetected_faults
-from trajeval_ros.watchdog.rotations_over_time import angles_deg
 from trajeval_ros.watchdog.row_buffer import OrderedFeed, RowBuffer, window_begins
 from trajeval_ros.watchdog.signals import (
     SIGNALS,
@@ -109,7 +108,7 @@ def test_rotations_over_time() -> None:
     signs = generator.choice([-1.0, 1.0], len(angles))[:, None]
     for quaternions in (about, signs * about):
         np.testing.assert_allclose(
-            angles_deg(quaternions), [0.0, 10.0, 179.0, 179.0, 10.0, 10.0], atol=1e-5
+            np.degrees(lie.angle(quaternions)), [0.0, 10.0, 179.0, 179.0, 10.0, 10.0], atol=1e-5
         )
 
 

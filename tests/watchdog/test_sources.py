@@ -55,7 +55,7 @@ def test_a_transform_holds_until_the_next_one(portions: int, stands_s: int) -> N
     watchdog = Watchdog(int(flown.stamps[0]))
     sent = flown.stamps[0] + np.array([5 - stands_s, 52]) * SECOND + 30_000_000
     upright = np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))
-    parts = [watchdog.add_corrections(sent, np.array([[0.0, 0, 0], [0, 0.7, 0]]), upright)]
+    parts = [watchdog.add_source("map", sent, np.array([[0.0, 0, 0], [0, 0.7, 0]]), upright)]
     for rows in np.array_split(np.arange(len(stamps)), portions):
         own = at[rows]
         parts.append(
@@ -78,7 +78,7 @@ def test_transforms_that_come_late_are_judged_where_the_robot_was() -> None:
     parts = [watchdog.add_states(estimate.stamps, estimate.positions, estimate.quaternions)]
     for row in range(4):
         one = slice(row, row + 1)
-        parts.append(watchdog.add_corrections(stamps[one], np.zeros((1, 3)), turns[one]))
+        parts.append(watchdog.add_source("map", stamps[one], np.zeros((1, 3)), turns[one]))
     name = "map_correction_m_1s"
     values = joined(parts)[name].values
     assert len(values) == 3

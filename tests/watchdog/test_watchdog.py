@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -52,10 +52,13 @@ def fed_in_portions(run: WatchedRun, ends: dict[str, list[int]]) -> Signals:
     assert estimate.velocities is not None
     body = lie.rotate(lie.conjugate(estimate.quaternions), estimate.velocities)
     columns = {
-        "imu": (watchdog.add_inertial, (imu.stamps, imu.rates, imu.accelerations)),
-        "pair": (watchdog.add_partner, (partner.stamps, partner.positions, partner.quaternions)),
+        "imu": (partial(watchdog.add_source, "imu"), (imu.stamps, imu.rates, imu.accelerations)),
+        "pair": (
+            partial(watchdog.add_source, "pair"),
+            (partner.stamps, partner.positions, partner.quaternions),
+        ),
         "map": (
-            watchdog.add_corrections,
+            partial(watchdog.add_source, "map"),
             (corrections.stamps, corrections.positions, corrections.quaternions),
         ),
         "states": (

@@ -15,23 +15,18 @@ LOG, PUBLISH = "log", "publish"  # clocks of a bag: of the recorder, and of the 
 
 @dataclass(frozen=True, eq=False)
 class Receptions:
-    """When the N messages of poses were received.
+    """When the N messages of poses were received."""
 
-    Attributes:
-        times: (N,) int64, nanoseconds.
-        by: What the times are: `log` or `publish` times of a bag, `column` of a text file, or
-            `node` for those of a live run.
-        recording_s: Median and maximum of log time minus publish time, seconds: transport and
-            recording; None if a bag does not have both.
-        body_rates: (N, 3), rad/s, angular velocities in the body; None if not read.
-        corrected: (N,) int64, nanoseconds, receptions of the newest corrections, such as map to
-            odom; None if poses are not corrected.
-    """
-
-    times: Stamps
+    times: Stamps  # (N,) int64, nanoseconds
+    # What the times are: `log` or `publish` times of a bag, `column` of a text file, or `node`
+    # for those of a live run.
     by: str = "column"
+    # Median and maximum of log time minus publish time, seconds: transport and recording; None if
+    # a bag does not have both.
     recording_s: tuple[float, float] | None = None
-    body_rates: Floats | None = None
+    body_rates: Floats | None = None  # (N, 3), rad/s, in the body; None if not read
+    # (N,) int64, nanoseconds, receptions of the newest corrections, such as map to odom; None if
+    # poses are not corrected.
     corrected: Stamps | None = None
 
     def __len__(self) -> int:

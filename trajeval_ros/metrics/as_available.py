@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,7 +24,11 @@ from trajeval_ros.metrics.availability import (
     instants,
     sampled,
 )
-from trajeval_ros.metrics.reception_clock import ClockRule, ReceptionClock, judged_receptions
+from trajeval_ros.metrics.reception_clock import (
+    ReceptionClock,
+    clock_correction,
+    judged_receptions,
+)
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
 
 NONE = "none"
@@ -33,26 +37,20 @@ RECEIVED = ("auto", "publish", "log")
 
 @dataclass(frozen=True)
 class AvailabilityRule:
-    """What to compute.
+    """What to compute."""
 
-    Attributes:
-        motion: Prediction of a pose: `hold`, `constant` (the twist between the newest two poses)
-            or `twist` (that of the message); `none` to compute nothing.
-        deadline_s: Largest age of a pose that is in time, seconds.
-        received: Which times of a bag are receptions; `auto`: publish times if they differ.
-        receive_clock: Correction of the receptions, as `ClockRule.parse` reads it.
-    """
-
+    # Prediction of a pose: `hold`, `constant` (the twist between the newest two poses) or `twist`
+    # (that of the message); `none` to compute nothing.
     motion: str = NONE
-    deadline_s: float = 0.1
-    received: str = "auto"
-    receive_clock: str = "0"
+    deadline_s: float = 0.1  # largest age of a pose that is in time, seconds
+    received: str = "auto"  # which times of a bag are receptions
+    receive_clock: str = "0"  # correction of the receptions, as `clock_correction` reads it
 
     def __post_init__(self) -> None:
         """Refuse unknown values."""
         require_one_of(self.motion, (NONE, *MOTIONS), "prediction of --as-available")
         require_one_of(self.received, RECEIVED, "time of reception")
-        ClockRule.parse(self.receive_clock)
+        clock_correction(self.receive_clock)
         if not self.deadline_s > 0.0:
             raise SettingsError(f"the deadline must be positive, not {self.deadline_s:g} s")
 
@@ -64,13 +62,7 @@ class AvailabilityRule:
 
 @dataclass(frozen=True)
 class Spans:
-    """Spans of time.
-
-    Attributes:
-        count: Their number.
-        total_s: Their duration together, seconds.
-        longest_s: Duration of the longest, seconds.
-    """
+    """Spans of time."""
 
     count: int
     total_s: float
@@ -78,81 +70,48 @@ class Spans:
 
     @classmethod
     def of(cls, seconds: Floats) -> Spans:
-        """Return the spans of durations (N,)."""
+        """Return the spans of durations (N,), seconds."""
         return cls(len(seconds), float(seconds.sum()), float(seconds.max(initial=0.0)))
 
 
 @dataclass(frozen=True)
 class Part:
-    """A part of the error.
-
-    Attributes:
-        rmse_m: Its rmse, metres.
-        share: The share of the squared error: sum of e . part by sum of e . e; shares add up to 1.
-        rmse_deg: The same of the rotation; None without orientations.
-        share_deg: The same of the rotation; None without orientations.
-    """
+    """A part of the error; the rotation's values are None without orientations."""
 
     rmse_m: float
-    share: float
-    rmse_deg: float | None
-    share_deg: float | None
+    share: float  # sum of e . part by sum of e . e; the shares of all parts add up to 1
+    rmse_deg: float | None = None
+    share_deg: float | None = None
 
 
 @dataclass(frozen=True)
 class Availability:
-    """The numbers of an estimate; all but the first ones are None if they are withheld.
+    """The numbers of an estimate; those after `horizon_s` are None if they are withheld."""
 
-    Attributes:
-        motion: Prediction of a pose.
-        rate_hz: Rate of the instants.
-        horizon_s: Longest prediction.
-        deadline_s: Largest age in time.
-        received: What the times of reception are: see `Receptions.by`; empty if unknown.
-        clock: The comparison of clocks; None without receptions.
-        recording_s: Median and maximum of log minus publish time; None if a bag lacks one.
-        why_withheld: Why there are no numbers; empty if there are.
-        samples: Number of instants.
-        without_groundtruth: Number of instants that lack groundtruth.
-        time_to_first_pose_s: Time from the groundtruth's start to the first reception.
-        late_messages: Number of messages that arrived after newer ones.
-        position_m: As-available position error.
-        rotation_deg: As-available rotation error; None without orientations.
-        age_error_m: Position error without its estimator part.
-        age_error_deg: Rotation error without its estimator part.
-        age_s: Ages of the poses in use.
-        latency_s: Reception minus timestamp of the messages.
-        interval_s: Intervals of the messages.
-        available_percent: Percentage of the instants with an age within the deadline.
-        missed_deadlines: Spans with ages above it.
-        dropouts: Intervals of more than two usual ones.
-        parts: The parts of the error, by `PARTS`.
-        corrections: `age_s` of the newest correction, as of map to odom; None without.
-    """
-
-    motion: str
-    deadline_s: float
-    received: str
-    clock: ReceptionClock | None
-    recording_s: tuple[float, float] | None
-    why_withheld: str = ""
-    rate_hz: int = RATE_HZ
-    horizon_s: float = HORIZON_S
-    samples: int | None = None
-    without_groundtruth: int | None = None
-    time_to_first_pose_s: float | None = None
-    late_messages: int | None = None
-    position_m: Statistics | None = None
-    rotation_deg: Statistics | None = None
-    age_error_m: Statistics | None = None
-    age_error_deg: Statistics | None = None
-    age_s: Statistics | None = None
-    latency_s: Statistics | None = None
-    interval_s: Statistics | None = None
-    available_percent: float | None = None
-    missed_deadlines: Spans | None = None
-    dropouts: Spans | None = None
-    parts: dict[str, Part] | None = None
+    motion: str  # prediction of a pose
+    deadline_s: float  # largest age in time
+    received: str = ""  # what the times of reception are: see `Receptions.by`; empty if unknown
+    clock: ReceptionClock | None = None  # the comparison of clocks; None without receptions
+    recording_s: tuple[float, float] | None = None  # see `Receptions.recording_s`
+    why_withheld: str = ""  # why there are no numbers; empty if there are
+    rate_hz: int = RATE_HZ  # rate of the instants
+    horizon_s: float = HORIZON_S  # longest prediction
+    samples: int | None = None  # number of instants
+    without_groundtruth: int | None = None  # number of instants that lack groundtruth
+    time_to_first_pose_s: float | None = None  # from the groundtruth's start to a reception
+    late_messages: int | None = None  # number of messages that arrived after newer ones
+    position_m: Statistics | None = None  # as-available position error
+    rotation_deg: Statistics | None = None  # and rotation error; None without orientations
+    age_error_m: Statistics | None = None  # position error without its estimator part
+    age_error_deg: Statistics | None = None  # rotation error without its estimator part
+    age_s: Statistics | None = None  # ages of the poses in use
+    latency_s: Statistics | None = None  # reception minus timestamp of the messages
+    interval_s: Statistics | None = None  # intervals of the messages
+    available_percent: float | None = None  # percentage of instants with an age in time
+    missed_deadlines: Spans | None = None  # spans with ages above the deadline
+    dropouts: Spans | None = None  # intervals of more than two usual ones
+    parts: dict[str, Part] | None = None  # the parts of the error, by `PARTS`
+    # `age_s` of the newest correction, as of map to odom; None without corrections.
     corrections: dict[str, Statistics | None] | None = None
 
     @property
@@ -164,17 +123,11 @@ class Availability:
 
 @dataclass(frozen=True, eq=False)
 class AsAvailable:
-    """The as-available accuracy of one estimate.
-
-    Attributes:
-        numbers: Its numbers.
-        samples: The errors at all instants; None if the numbers are withheld.
-        messages: The messages that were in use, aligned; None if the numbers are withheld.
-    """
+    """The as-available accuracy of one estimate; only its numbers if these are withheld."""
 
     numbers: Availability
-    samples: AvailableSamples | None = None
-    messages: Messages | None = None
+    samples: AvailableSamples | None = None  # the errors at all instants
+    messages: Messages | None = None  # the messages that were in use, aligned
 
 
 def as_available(
@@ -195,65 +148,68 @@ def as_available(
         max_gap_s: Longest gap of the groundtruth to interpolate across, seconds.
         offset_ns: Offset of the estimate's timestamps, nanoseconds; not of the receptions.
     """
-    receptions = estimate.reading.receptions
+    known, receptions = Availability(rule.motion, rule.deadline_s), estimate.reading.receptions
     if receptions is None or not len(receptions):
         said = "no times of reception; evaluate a bag, or name a column received"
-        return AsAvailable(Availability(rule.motion, rule.deadline_s, "", None, None, said))
-    own_clock = ClockRule.parse(rule.receive_clock)
-    times, clock = judged_receptions(estimate.stamps + offset_ns, receptions.times, own_clock)
-    about = (rule.motion, rule.deadline_s, receptions.by, clock, receptions.recording_s)
+        return AsAvailable(replace(known, why_withheld=said))
+    stamps = estimate.stamps + offset_ns
+    times, clock = judged_receptions(stamps, receptions.times, rule.receive_clock)
+    by, recording_s = receptions.by, receptions.recording_s
+    known = replace(known, received=by, clock=clock, recording_s=recording_s)
     said = "" if clock.is_usable else clock.sentence
     if rule.motion == TWIST and (receptions.body_rates is None or estimate.velocities is None):
         said = "the messages have no twist; use --as-available constant"
     if said:
-        return AsAvailable(Availability(*about, said))
+        return AsAvailable(replace(known, why_withheld=said))
     messages = Messages.of(similarity.trajectory(estimate), times, rule.motion, offset_ns)
     stamps = instants(int(groundtruth.stamps[0]), int(groundtruth.stamps[-1]))
     have = in_use(messages, stamps) >= 0
     samples = sampled(groundtruth, messages, stamps[have], max_gap_s)
     if not len(samples.stamps):
         said = "no instant has both a received pose and groundtruth; check the clocks"
-        return AsAvailable(Availability(*about, said))
-    before, lacking = int((~have).sum()), int(have.sum()) - len(samples.stamps)
-    return AsAvailable(_numbers(about, samples, messages, before, lacking), samples, messages)
-
-
-def _numbers(
-    about: tuple[str, float, str, ReceptionClock, tuple[float, float] | None],
-    samples: AvailableSamples,
-    messages: Messages,
-    before: int,
-    lacking: int,
-) -> Availability:
-    age_s = samples.age / NANOSECONDS
-    missed = age_s > about[1]
-    distinct = np.diff(messages.stamps, prepend=messages.stamps[:1] - 1) > 0
-    stamps, received = messages.stamps[distinct], messages.times[distinct]
-    intervals, usual = np.diff(stamps), messages.usual_ns[distinct]
-    rotation = samples.rotation
-    corrected = messages.corrected
-    correction_s = (
-        None if corrected is None else (samples.stamps - corrected[samples.rows]) / NANOSECONDS
-    )
-    return Availability(
-        *about,
-        samples=len(age_s),
-        without_groundtruth=lacking,
+        return AsAvailable(replace(known, why_withheld=said))
+    before = int((~have).sum())
+    known = replace(
+        known,
+        without_groundtruth=len(stamps) - before - len(samples.stamps),
         time_to_first_pose_s=before / RATE_HZ,
+    )
+    return AsAvailable(_with_numbers(known, samples, messages), samples, messages)
+
+
+def _with_numbers(
+    known: Availability, samples: AvailableSamples, messages: Messages
+) -> Availability:
+    age_s, corrected = samples.age / NANOSECONDS, messages.corrected
+    missed = age_s > known.deadline_s
+    distinct = np.diff(messages.stamps, prepend=messages.stamps[:1] - 1) > 0
+    stamps, usual = messages.stamps[distinct], messages.usual_ns[distinct]
+    intervals = np.diff(stamps)
+    found = replace(
+        known,
+        samples=len(age_s),
         late_messages=messages.late,
         position_m=_lengths(samples.position),
-        rotation_deg=None if rotation is None else _lengths(np.degrees(rotation)),
         age_error_m=_lengths(samples.position[1:]),
-        age_error_deg=None if rotation is None else _lengths(np.degrees(rotation[1:])),
         age_s=statistics_of(age_s),
-        latency_s=statistics_of((received - stamps) / NANOSECONDS),
+        latency_s=statistics_of((messages.times[distinct] - stamps) / NANOSECONDS),
         interval_s=statistics_of(intervals / NANOSECONDS),
         available_percent=100.0 * float(np.mean(~missed)),
         missed_deadlines=Spans.of(_spans_s(samples.stamps, missed)),
         dropouts=Spans.of(intervals[intervals > 2 * usual[:-1]] / NANOSECONDS),
-        parts=_parts(samples.position, rotation),
-        corrections=None if correction_s is None else {"age_s": statistics_of(correction_s)},
     )
+    moved = _rmse_and_share(samples.position)
+    turned: list[tuple[float, ...]] = [()] * len(PARTS)
+    if samples.rotation is not None:
+        rotation = np.degrees(samples.rotation)
+        turned = _rmse_and_share(rotation)
+        angles, by_age = _lengths(rotation), _lengths(rotation[1:])
+        found = replace(found, rotation_deg=angles, age_error_deg=by_age)
+    if corrected is not None:
+        old_s = (samples.stamps - corrected[samples.rows]) / NANOSECONDS
+        found = replace(found, corrections={"age_s": statistics_of(old_s)})
+    parts = zip(PARTS, moved, turned, strict=True)
+    return replace(found, parts={name: Part(*one, *other) for name, one, other in parts})
 
 
 def _lengths(parts: Floats) -> Statistics | None:
@@ -261,26 +217,12 @@ def _lengths(parts: Floats) -> Statistics | None:
     return statistics_of(np.linalg.norm(parts.sum(axis=0), axis=1))
 
 
-def _parts(position: Floats, rotation: Floats | None) -> dict[str, Part]:
-    """Return rmse and share of the parts (4, N, 3) of the errors."""
-    found = [_rmse_and_share(position)]
-    found += [] if rotation is None else [_rmse_and_share(np.degrees(rotation))]
-    return {
-        name: Part(*position, *(turned[0] if turned else (None, None)))
-        for name, position, *turned in zip(PARTS, *found, strict=True)
-    }
-
-
-def _rmse_and_share(parts: Floats) -> list[tuple[float, float]]:
+def _rmse_and_share(parts: Floats) -> list[tuple[float, ...]]:
+    """Return rmse and share of parts (4, N, 3) of the errors."""
     error = parts.sum(axis=0)
-    squared = float((error**2).sum())
-    return [
-        (
-            float(np.sqrt((part**2).sum(axis=1).mean())),
-            float((part * error).sum()) / squared if squared else 0.0,
-        )
-        for part in parts
-    ]
+    rmses = np.sqrt((parts**2).sum(axis=2).mean(axis=1))
+    shares = (parts * error).sum(axis=(1, 2)) / ((error**2).sum() or 1.0)
+    return list(zip(rmses.tolist(), shares.tolist(), strict=True))
 
 
 def _spans_s(stamps: Stamps, chosen: Booleans) -> Floats:

@@ -8,14 +8,12 @@ docs/as_available.md has the equations.
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from trajeval_ros.geometry import lie, se3
-from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
+from trajeval_ros.geometry.arrays import Floats, Indices, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 HOLD, CONSTANT, TWIST = MOTIONS = "hold", "constant", "twist"
@@ -29,40 +27,16 @@ _USUAL = 2  # usual intervals that count as sampling; the time beyond is a dropo
 
 @dataclass(frozen=True, eq=False)
 class Messages:
-    """The N messages that are ever the newest one, in the order of their reception.
+    """The N messages that are ever the newest one, in the order of their reception."""
 
-    Attributes:
-        stamps: (N,) int64, nanoseconds, by the groundtruth's clock; ascending.
-        times: (N,) int64, nanoseconds, of reception; ascending.
-        positions: (N, 3), metres, in the estimate's frame.
-        quaternions: (N, 4), xyzw, body to frame; the identity without orientations.
-        oriented: Whether there are orientations.
-        twists: (N, 6), m/s and rad/s in the body, that predict the pose; None for `hold`.
-        corrected: (N,) receptions of the newest corrections, or None.
-        late: Number of other messages: those received after a newer one.
-    """
-
-    stamps: Stamps
-    times: Stamps
-    positions: Floats
-    quaternions: Floats
-    oriented: bool
-    twists: Floats | None = None
-    corrected: Stamps | None = None
-    late: int = 0
-
-    def __len__(self) -> int:
-        """Return the number of messages."""
-        return len(self.stamps)
-
-    def __getitem__(self, rows: Any) -> Messages:
-        """Return some of the messages."""
-        columns: dict[str, Any] = {
-            each.name: column[rows]
-            for each in dataclasses.fields(self)
-            if isinstance(column := getattr(self, each.name), np.ndarray)
-        }
-        return dataclasses.replace(self, **columns)
+    stamps: Stamps  # (N,) int64, nanoseconds, by the groundtruth's clock; ascending
+    times: Stamps  # (N,) int64, nanoseconds, of reception; ascending
+    positions: Floats  # (N, 3), metres, in the estimate's frame
+    quaternions: Floats  # (N, 4), xyzw, body to frame; the identity without orientations
+    oriented: bool  # whether there are orientations
+    twists: Floats | None = None  # (N, 6), m/s and rad/s in the body; None for `hold`
+    corrected: Stamps | None = None  # (N,) receptions of the newest corrections, or None
+    late: int = 0  # number of other messages: those received after a newer one
 
     @classmethod
     def of(cls, estimate: Trajectory, times: Stamps, motion: str, offset_ns: int = 0) -> Messages:
@@ -89,35 +63,32 @@ class Messages:
             corrected=None if corrected is None else corrected[rows],
             late=len(order) - len(rows),
         )
-        twists = None
+        if motion == HOLD:
+            return made
         if motion == CONSTANT:
-            twists = made._constant_twists()
-        elif motion == TWIST:
-            assert receptions is not None
-            velocities, rates = estimate.velocities, receptions.body_rates
-            assert velocities is not None
-            assert rates is not None
-            body = lie.rotate(lie.conjugate(made.quaternions), velocities[rows])
-            twists = np.hstack([body, rates[rows]])
-        return dataclasses.replace(made, twists=twists)
+            return replace(made, twists=made._constant_twists())
+        velocities = estimate.velocities
+        rates = None if receptions is None else receptions.body_rates
+        assert velocities is not None
+        assert rates is not None
+        body = lie.rotate(lie.conjugate(made.quaternions), velocities[rows])
+        return replace(made, twists=np.hstack([body, rates[rows]]))
 
     def _constant_twists(self) -> Floats:
         """Return the twists between successive poses, xi = Log(T_j^-1 T_k) / (s_k - s_j).
 
         The first pose has none. A correction of a pose keeps the pose's twist.
         """
-        twists = np.zeros((len(self), 6))
-        if len(self) < 2:
-            return twists
+        twists = np.zeros((len(self.stamps), 6))
         inverse = lie.conjugate(self.quaternions[:-1])
         moved = lie.rotate(inverse, np.diff(self.positions, axis=0))
         turned = lie.to_matrix(lie.multiply(inverse, self.quaternions[1:]))
         steps_s = np.diff(self.stamps) / NANOSECONDS
-        fresh = steps_s > 0.0
-        twists[1:][fresh] = se3.log(se3.poses(turned, moved))[fresh] / steps_s[fresh, None]
-        rows = np.arange(len(self))
-        rows[1:][~fresh] = 0
-        carried: Floats = twists[np.maximum.accumulate(rows)]
+        fresh = np.flatnonzero(steps_s > 0.0)
+        twists[1 + fresh] = se3.log(se3.poses(turned, moved))[fresh] / steps_s[fresh, None]
+        newest = np.zeros(len(twists), np.int64)
+        newest[1 + fresh] = 1 + fresh
+        carried: Floats = twists[np.maximum.accumulate(newest)]
         return carried
 
     @property
@@ -136,20 +107,14 @@ class Messages:
 
 @dataclass(frozen=True, eq=False)
 class AvailableSamples:
-    """The as-available errors at N instants.
+    """The as-available errors at N instants."""
 
-    Attributes:
-        stamps: (N,) int64, nanoseconds, the instants.
-        rows: (N,) message in use.
-        ages: (3, N) int64, nanoseconds: parts of the age: latency, dropout, sampling.
-        position: (4, N, 3), metres, in the groundtruth's frame: parts of the error by `PARTS`.
-        rotation: (4, N, 3), rad, the same for the rotation vector; None without orientations.
-    """
-
-    stamps: Stamps
-    rows: Indices
-    ages: Stamps
+    stamps: Stamps  # (N,) int64, nanoseconds, the instants
+    rows: Indices  # (N,) message in use
+    ages: Stamps  # (3, N) int64, nanoseconds: parts of the age: latency, dropout, sampling
+    # (4, N, 3), metres, in the groundtruth's frame: parts of the error by `PARTS`.
     position: Floats
+    # (4, N, 3), rad, the same for the rotation vector; None without orientations.
     rotation: Floats | None
 
     @property
@@ -157,17 +122,6 @@ class AvailableSamples:
         """Age of the pose in use, (N,), nanoseconds."""
         age: Stamps = self.ages.sum(axis=0)
         return age
-
-    def picked(self, rows: Booleans) -> AvailableSamples:
-        """Return the samples of a mask."""
-        rotation = None if self.rotation is None else self.rotation[:, rows]
-        return AvailableSamples(
-            self.stamps[rows],
-            self.rows[rows],
-            self.ages[:, rows],
-            self.position[:, rows],
-            rotation,
-        )
 
 
 def instants(begin: int, end: int) -> Stamps:

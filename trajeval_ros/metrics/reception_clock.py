@@ -24,52 +24,36 @@ _FASTEST = "fastest"
 _WITHHELD = ("copied", "epochs", "impossible")
 
 
-@dataclass(frozen=True)
-class ClockRule:
-    """How times of reception are corrected.
+def clock_correction(text: str) -> tuple[float | None, float]:
+    """Return the seconds in a text: `OFFSET` of all receptions, or `fastest:LATENCY`.
 
-    Attributes:
-        offset_s: Seconds that are added to all of them; None for `fastest_s`.
-        fastest_s: Latency of the fastest message, seconds, after removal of the drift.
+    The offset is None if the latency of the fastest message is given, which comes second.
+
+    Raises:
+        SettingsError: The text is not valid.
     """
-
-    offset_s: float | None = 0.0
-    fastest_s: float = 0.0
-
-    @classmethod
-    def parse(cls, text: str) -> ClockRule:
-        """Return the rule in a text `OFFSET` or `fastest:LATENCY`, seconds.
-
-        Raises:
-            SettingsError: The text is not valid.
-        """
-        name, _, latency = text.rpartition(":")
-        try:
-            seconds = float(latency)
-            if name not in ("", _FASTEST) or not math.isfinite(seconds):
-                raise ValueError(text)
-        except ValueError:
-            raise SettingsError(
-                f"the clock of receptions {text!r} is not valid; give an offset in seconds, or "
-                f"the latency of the fastest message, as in {_FASTEST}:0.005"
-            ) from None
-        return cls(None, seconds) if name else cls(seconds)
+    name, _, number = text.rpartition(":")
+    try:
+        seconds = float(number)
+        if name not in ("", _FASTEST) or not math.isfinite(seconds):
+            raise ValueError(text)
+    except ValueError:
+        raise SettingsError(
+            f"the clock of receptions {text!r} is not valid; give an offset in seconds, or "
+            f"the latency of the fastest message, as in {_FASTEST}:0.005"
+        ) from None
+    return (None, seconds) if name else (seconds, 0.0)
 
 
 @dataclass(frozen=True)
 class ReceptionClock:
-    """The comparison of times of reception with timestamps.
+    """The comparison of times of reception with timestamps."""
 
-    Attributes:
-        verdict: `ok`, `copied`, `epochs`, `impossible`, `suspicious` or `drift`.
-        smallest_s: Smallest latency, seconds, after the correction.
-        drift_ppm: Drift of the smallest latency, the slope of its lower convex hull at the middle.
-        offset_s: Seconds that were added to all receptions; None if the fastest message was set.
-    """
-
-    verdict: str
-    smallest_s: float
+    verdict: str  # `ok`, `copied`, `epochs`, `impossible`, `suspicious` or `drift`
+    smallest_s: float  # smallest latency, seconds, after the correction
+    # Drift of the smallest latency, the slope of its lower convex hull at the middle.
     drift_ppm: float
+    # Seconds that were added to all receptions; None if the fastest message was set.
     offset_s: float | None
 
     @property
@@ -97,28 +81,29 @@ class ReceptionClock:
 
 
 def judged_receptions(
-    stamps: Stamps, times: Stamps, rule: ClockRule | None = None
+    stamps: Stamps, times: Stamps, correction: str = "0"
 ) -> tuple[Stamps, ReceptionClock]:
     """Return the corrected times of reception (N,), N > 0, and what is known of their clock.
 
     `stamps`: (N,) int64, nanoseconds, of the messages. `times`: (N,) as they were received.
+    `correction` is a text that `clock_correction` reads.
     """
-    rule = rule or ClockRule()
+    offset_s, fastest_s = clock_correction(correction)
     latencies_s = (times - stamps) / NANOSECONDS
     seconds = (stamps - stamps[0]) / NANOSECONDS
     # Differences to the fastest message are small; between epochs, float64 would lose digits.
     above_s = (times - stamps - (times - stamps).min()) / NANOSECONDS
     at_s, slope = _fastest(seconds, above_s)
     copied = float(np.mean(np.abs(latencies_s) < _COPIED_S)) > _MOST_COPIED
-    if rule.offset_s is None:
+    if offset_s is None:
         above_ns = np.round((above_s - at_s - slope * seconds) * NANOSECONDS)
-        times = stamps + above_ns.astype(np.int64) + round(rule.fastest_s * NANOSECONDS)
+        times = stamps + above_ns.astype(np.int64) + round(fastest_s * NANOSECONDS)
         verdict = "copied" if copied else "ok"
     else:
-        times = times + round(rule.offset_s * NANOSECONDS)
-        verdict = "copied" if copied else _verdict(latencies_s + rule.offset_s, slope)
+        times = times + round(offset_s * NANOSECONDS)
+        verdict = "copied" if copied else _verdict(latencies_s + offset_s, slope)
     smallest_s = float((times - stamps).min()) / NANOSECONDS
-    return times, ReceptionClock(verdict, smallest_s, 1e6 * slope, rule.offset_s)
+    return times, ReceptionClock(verdict, smallest_s, 1e6 * slope, offset_s)
 
 
 def _verdict(latencies_s: Floats, slope: float) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,30 +26,19 @@ _KEPT = 4096  # delays for the percentiles of a run: error of a percentile about
 
 @dataclass(frozen=True)
 class StreamHealth:
-    """The health of a stream; a value is None if there are too few messages.
+    """The health of a stream; a value is None if there are too few messages."""
 
-    Attributes:
-        messages: Number of messages.
-        rate_hz: Messages per second, from the mean interval of the timestamps.
-        jitter_s: Standard deviation of the intervals, seconds.
-        largest_gap_s: Largest interval, seconds.
-        arrival_p50_s: Median of arrival minus timestamp, seconds: the delay, and the difference
-            of the clocks.
-        arrival_p95_s: Its 95th percentile, seconds.
-        arrival_max_s: Its maximum, seconds.
-        from_future: Number of messages with a timestamp later than their arrival, by `FUTURE_NS`.
-        missed: Number of messages that are missing by the stream's own period; None if the
-            intervals are not multiples of a period, as those of keyframes.
-    """
-
-    messages: int = 0
-    rate_hz: float | None = None
-    jitter_s: float | None = None
-    largest_gap_s: float | None = None
+    messages: int = 0  # number of messages
+    rate_hz: float | None = None  # from the mean interval of the timestamps
+    jitter_s: float | None = None  # standard deviation of the intervals, seconds
+    largest_gap_s: float | None = None  # largest interval, seconds
+    # Median of arrival minus timestamp, seconds: the delay, and the difference of the clocks.
     arrival_p50_s: float | None = None
-    arrival_p95_s: float | None = None
-    arrival_max_s: float | None = None
-    from_future: int = 0
+    arrival_p95_s: float | None = None  # its 95th percentile, seconds
+    arrival_max_s: float | None = None  # its maximum, seconds
+    from_future: int = 0  # messages with a timestamp later than their arrival, by `FUTURE_NS`
+    # Messages that are missing by the stream's own period; None if the intervals are not
+    # multiples of a period, as those of keyframes.
     missed: int | None = None
 
 
@@ -63,8 +52,10 @@ class StreamMonitor:
     def __init__(self) -> None:
         self._messages = self._from_future = 0
         self._first = self._newest = 0  # timestamps, nanoseconds
+        # Intervals are summed relative to the first one, since squares lose digits.
+        self._usual_s: float | None = None
         self._intervals, self._squares_s2, self._largest_ns = 0, 0.0, 0
-        self._periods = _Periods()
+        self._counts, self._sums_ns = np.zeros((2, _BINS), dtype=np.int64)  # of intervals
         self._most_s = -math.inf
         self._delays_s, self._step, self._delays = np.empty(0), 1, 0
         self._recent = np.empty((2, 0), dtype=np.int64)  # timestamps and arrivals
@@ -76,15 +67,12 @@ class StreamMonitor:
         if not self._messages:
             self._first = self._newest = int(stamps[0])
         self._messages += len(stamps)
-        steps = _steps(stamps, self._newest)
+        steps = np.diff(np.maximum.accumulate(np.concatenate([[self._newest], stamps])))
+        self._add_intervals(steps[steps > 0])
         self._newest = max(self._newest, int(stamps.max()))
-        self._intervals += len(steps)
-        seconds = steps / NANOSECONDS
-        self._squares_s2 += float(seconds @ seconds)
-        self._largest_ns = max(self._largest_ns, int(steps.max(initial=0)))
-        self._periods.add(steps)
-        delays_s = _delays_s(stamps, arrived)
-        self._from_future += _from_future(delays_s)
+        known = arrived != UNKNOWN
+        delays_s = (arrived[known] - stamps[known]) / NANOSECONDS
+        self._from_future += int(np.count_nonzero(delays_s < -FUTURE_NS / NANOSECONDS))
         self._most_s = max(self._most_s, float(delays_s.max(initial=-math.inf)))
         self._keep(delays_s)
         together = np.concatenate([self._recent, [stamps, arrived]], axis=1)
@@ -92,43 +80,41 @@ class StreamMonitor:
 
     def whole(self) -> StreamHealth:
         """Return the health since the start; percentiles are of at most 4096 messages."""
-        if not self._messages:
-            return StreamHealth()
-        mean_s = (self._newest - self._first) / NANOSECONDS / max(self._intervals, 1)
-        variance = self._squares_s2 / max(self._intervals, 1) - mean_s**2
-        return _health(
-            self._messages,
-            self._intervals,
-            mean_s,
-            math.sqrt(max(variance, 0.0)),
-            self._largest_ns,
-            self._delays_s,
-            self._most_s,
-            self._from_future,
-            self._periods,
-        )
+        found = StreamHealth(self._messages, from_future=self._from_future, missed=self._missed)
+        if self._intervals and self._usual_s is not None:
+            mean_s = (self._newest - self._first) / NANOSECONDS / self._intervals
+            variance = self._squares_s2 / self._intervals - (mean_s - self._usual_s) ** 2
+            found = replace(
+                found,
+                rate_hz=1.0 / mean_s,
+                jitter_s=math.sqrt(max(variance, 0.0)),
+                largest_gap_s=self._largest_ns / NANOSECONDS,
+            )
+        if not len(self._delays_s):
+            return found
+        p50_s, p95_s = np.percentile(self._delays_s, (50, 95)).tolist()
+        return replace(found, arrival_p50_s=p50_s, arrival_p95_s=p95_s, arrival_max_s=self._most_s)
 
     def recent(self) -> StreamHealth:
         """Return the health of the newest 10 s: of at most 2000 and at least 10 messages."""
         stamps, arrived = self._recent
         young = stamps >= self._newest - _RECENT_NS
         young[-FEWEST_RECENT:] = True
-        stamps, arrived = stamps[young], arrived[young]
-        if not len(stamps):
-            return StreamHealth()
-        steps, delays_s = _steps(stamps, int(stamps[0])), _delays_s(stamps, arrived)
+        return health_of(stamps[young], arrived[young])
+
+    def _add_intervals(self, steps: Stamps) -> None:
+        """Add intervals (N,), positive, nanoseconds."""
+        if not len(steps):
+            return
         seconds = steps / NANOSECONDS
-        return _health(
-            len(stamps),
-            len(steps),
-            float(seconds.mean()) if len(steps) else 0.0,
-            float(seconds.std()) if len(steps) else 0.0,
-            int(steps.max(initial=0)),
-            delays_s,
-            float(delays_s.max(initial=-math.inf)),
-            _from_future(delays_s),
-            _Periods(steps),
-        )
+        if self._usual_s is None:
+            self._usual_s = float(seconds[0])
+        self._intervals += len(steps)
+        self._squares_s2 += float(((seconds - self._usual_s) ** 2).sum())
+        self._largest_ns = max(self._largest_ns, int(steps.max()))
+        bins = np.minimum(np.log2(steps) * _PER_OCTAVE, _BINS - 1).astype(np.int64)
+        np.add.at(self._counts, bins, 1)
+        np.add.at(self._sums_ns, bins, steps)
 
     def _keep(self, delays_s: Floats) -> None:
         """Keep every delay until the limit is reached, then every second, fourth, and so on."""
@@ -138,51 +124,8 @@ class StreamMonitor:
         while len(self._delays_s) > _KEPT:
             self._delays_s, self._step = self._delays_s[::2], 2 * self._step
 
-
-def _health(
-    messages: int,
-    intervals: int,
-    mean_s: float,
-    jitter_s: float,
-    largest_ns: int,
-    delays_s: Floats,
-    most_s: float,
-    from_future: int,
-    periods: _Periods,
-) -> StreamHealth:
-    p50_s, p95_s = np.percentile(delays_s, (50, 95)).tolist() if len(delays_s) else (None, None)
-    return StreamHealth(
-        messages,
-        1.0 / mean_s if intervals else None,
-        jitter_s if intervals else None,
-        largest_ns / NANOSECONDS if intervals else None,
-        p50_s,
-        p95_s,
-        most_s if len(delays_s) else None,
-        from_future,
-        periods.missed,
-    )
-
-
-class _Periods:
-    """The sums of intervals in logarithmic bins, from which missing messages are counted."""
-
-    def __init__(self, steps: Stamps | None = None) -> None:
-        self._counts = np.zeros(_BINS, dtype=np.int64)
-        self._sums_ns = np.zeros(_BINS, dtype=np.int64)
-        if steps is not None:
-            self.add(steps)
-
-    def add(self, steps: Stamps) -> None:
-        """Add intervals (N,), positive, nanoseconds."""
-        if not len(steps):
-            return
-        bins = np.minimum(np.log2(steps) * _PER_OCTAVE, _BINS - 1).astype(np.int64)
-        np.add.at(self._counts, bins, 1)
-        np.add.at(self._sums_ns, bins, steps)
-
     @property
-    def missed(self) -> int | None:
+    def _missed(self) -> int | None:
         """The number of messages that are missing between others; None without a period.
 
         The period is the mean of the shortest intervals: of those below 1.5 times the 5th
@@ -208,19 +151,3 @@ def health_of(stamps: Stamps, arrived: Stamps) -> StreamHealth:
     monitor = StreamMonitor()
     monitor.add(stamps, arrived)
     return monitor.whole()
-
-
-def _steps(stamps: Stamps, newest: int) -> Stamps:
-    """Return the positive steps of the largest timestamp so far, nanoseconds."""
-    steps = np.diff(np.maximum.accumulate(np.concatenate([[newest], stamps])))
-    return steps[steps > 0]
-
-
-def _delays_s(stamps: Stamps, arrived: Stamps) -> Floats:
-    known = arrived != UNKNOWN
-    delays: Floats = (arrived[known] - stamps[known]) / NANOSECONDS
-    return delays
-
-
-def _from_future(delays_s: Floats) -> int:
-    return int(np.count_nonzero(delays_s < -FUTURE_NS / NANOSECONDS))

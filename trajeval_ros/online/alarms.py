@@ -59,6 +59,11 @@ class AlarmLimits(NamedTuple):
             )
         return cls(*numbers) if len(numbers) == 2 else cls(error=numbers[0])
 
+    @property
+    def by_level(self) -> tuple[tuple[Level, float], ...]:
+        """The limits with their levels, the most severe first."""
+        return (Level.ERROR, self.error), (Level.WARNING, self.warn)
+
 
 class Peak(NamedTuple):
     """The largest value of a quantity."""
@@ -108,31 +113,22 @@ def alarms(peaks: Mapping[str, Peak], limits: Mapping[str, AlarmLimits]) -> list
     """Return an alarm for every quantity above its limit, by the names of the quantities."""
     remarks = []
     for name, words, unit in LIMITED_QUANTITIES:
-        if name not in peaks:
-            continue
-        value, stamp = peaks[name]
-        for level, limit in (
-            (Level.ERROR, limits[name].error),
-            (Level.WARNING, limits[name].warn),
-        ):
-            if 0.0 < limit < value:
-                number, bound = (with_unit(quantity, unit) for quantity in (value, limit))
-                text = f"{words} {number} is over {bound}"
-                values: dict[str, float | int | str] = {
-                    "value": value,
-                    "limit": limit,
-                    "unit": unit,
-                }
-                if stamp is not None:
-                    values["stamp_ns"] = stamp
-                remarks.append(Remark(level, "alarm", text, name, values))
-                break
+        if name in peaks:
+            value, stamp = peaks[name]
+            at = {} if stamp is None else {"stamp_ns": stamp}
+            for level, limit in limits[name].by_level:
+                if 0.0 < limit < value:
+                    text = f"{words} {with_unit(value, unit)} is over {with_unit(limit, unit)}"
+                    values: dict[str, float | int | str] = {"value": value, "limit": limit}
+                    values |= {"unit": unit, **at}
+                    remarks.append(Remark(level, "alarm", text, name, values))
+                    break
     return remarks
 
 
 def alarm_below(name: str, value: float, limits: AlarmLimits, text: str) -> list[Remark]:
     """Return an alarm if a quantity is below a limit; the text may contain {limit}."""
-    for level, limit in ((Level.ERROR, limits.error), (Level.WARNING, limits.warn)):
+    for level, limit in limits.by_level:
         if value < limit:
             values = {"value": value, "limit": limit}
             return [Remark(level, "alarm", text.format(limit=limit), name, values)]

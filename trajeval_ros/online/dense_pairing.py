@@ -21,7 +21,7 @@ from trajeval_ros.metrics.coverage import (
 )
 from trajeval_ros.metrics.repeated_poses import RepeatedPoses
 from trajeval_ros.online.pairing import Pairing
-from trajeval_ros.online.state_buffer import BufferLimits, StateCounts
+from trajeval_ros.online.state_buffer import BufferLimits
 from trajeval_ros.online.state_rows import POSITION, Pairs
 
 
@@ -72,14 +72,6 @@ class DensePairing(Pairing):
         self._forgotten_time, self._forgotten_path_m = 0, 0.0
         self._waypoints = WaypointStream(self._max_gap_ns)
 
-    def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
-        """Take groundtruth states, (N,) and (N, 10), in any order."""
-        self._interpolate(stamps, rows)
-
-    def add_estimate(self, stamps: Stamps, rows: Floats) -> None:
-        """Take estimated states, (N,) and (N, 10) or (N, 46), in any order."""
-        self._let_wait(stamps, rows)
-
     def take_waypoints(self) -> StampedPoses:
         """Return the groundtruth's waypoints since the last call, at least up to the newest pair.
 
@@ -87,12 +79,6 @@ class DensePairing(Pairing):
         """
         self._pass_by(0)
         return self._waypoints.take()
-
-    @property
-    def newest_groundtruth(self) -> tuple[Stamps, Floats]:
-        """Copies of the newest groundtruth states that are still stored."""
-        stamps, rows = self._track.held
-        return stamps.copy(), rows.copy()
 
     @property
     def groundtruth_count(self) -> int:
@@ -114,13 +100,6 @@ class DensePairing(Pairing):
         """Number of estimated states so far, without waiting ones."""
         counts = self.estimate_counts
         return counts.poses - self.waiting - counts.dropped.get("duplicate_stamp", 0)
-
-    @property
-    def _sides(self) -> tuple[StateCounts, StateCounts]:
-        return self.groundtruth_counts, self.estimate_counts
-
-    def _as_pairs(self, stamps: Stamps, between: Floats, waited: Floats) -> Pairs:
-        return Pairs(stamps, between, waited)
 
     def _leave(self, count: int) -> None:
         """Record waypoints, time and path of groundtruth states that will be dropped."""

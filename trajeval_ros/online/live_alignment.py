@@ -135,15 +135,12 @@ class LiveAlignment:
         )
 
     def _unshifted(self, similarity: Similarity) -> Similarity:
-        assert self._origin is not None
-        p, q = self._origin
-        translation = similarity.translation + p - similarity.linear @ q
-        return Similarity(similarity.rotation, translation, similarity.scale)
+        return self._shifted(similarity, -1.0)
 
-    def _shifted(self, similarity: Similarity) -> Similarity:
+    def _shifted(self, similarity: Similarity, sign: float = 1.0) -> Similarity:
         """Return an alignment of the frames as one of coordinates relative to the first pair."""
         assert self._origin is not None
-        p, q = self._origin
+        p, q = (sign * each for each in self._origin)
         translation = similarity.translation - p + similarity.linear @ q
         return Similarity(similarity.rotation, translation, similarity.scale)
 

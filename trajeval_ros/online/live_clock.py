@@ -28,13 +28,10 @@ _INCREMENTS = 1500
 
 @dataclass(frozen=True)
 class ClockReport:
-    """The present estimate of the clock offset.
-
-    Attributes:
-        offset_s: Offset to add to the estimate's timestamps; None before the first estimate.
-    """
+    """The present estimate of the clock offset."""
 
     span_s: float = 0.0  # time from the first estimated state to the newest one, seconds
+    # Offset to add to the estimate's timestamps; None before the first estimate.
     offset_s: float | None = None
     sigma_s: float | None = None  # its standard deviation
     half_width_95_s: float | None = None  # half width of its 95 % interval
@@ -52,16 +49,13 @@ class OnlineClock:
 
     It keeps 10 estimated and 50 groundtruth states per second, at most 36 000 states of 88 bytes.
     Therefore the cost of an estimation is bounded.
-
-    Attributes:
-        calibration: The complete calibration with it; None before the first.
     """
 
     def __init__(self, gauge: Gauge, worker: Executor | None = None) -> None:
         self._worker = worker
         self._asked: Future[tuple[ClockReport, Calibration | None]] | None = None
         self.report = ClockReport()  # the present estimate
-        self.calibration: Calibration | None = None
+        self.calibration: Calibration | None = None  # with the newest offset
         self._gauge = gauge
         self._groundtruth, self._estimate = StateBuffer(), StateBuffer()
         self._first: int | None = None

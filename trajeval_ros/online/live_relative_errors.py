@@ -27,17 +27,14 @@ MOST_OPEN_STARTS = 200_000
 
 
 class RelativeEnd(NamedTuple):
-    """The end of a sub-trajectory.
-
-    Attributes:
-        drift_percent: Position error in percent of the length, the largest among those of this
-            length that ended in the same update; None if the length is a duration.
-    """
+    """The end of a sub-trajectory."""
 
     length: str  # the length as configured, such as 8m
     stamp: int  # timestamp of its last state, nanoseconds
     position_m: float  # position error at its end
     rotation_deg: float  # rotation error at its end
+    # Position error in percent of the length, the largest among those of this length that ended in
+    # the same update; None if the length is a duration.
     drift_percent: float | None
 
 

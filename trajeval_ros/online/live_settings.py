@@ -25,19 +25,6 @@ if TYPE_CHECKING:
 class OnlineSettings:
     """Settings of a live evaluator.
 
-    Attributes:
-        protocol: Gauge, states to align by, gap, offset, lengths and forms, as offline. Lengths
-            in percent of the path are available at the end only.
-        window: Window of the sliding statistics: a `Window`, or "0" (the whole run), "30s",
-            "50m" or "500" (pairs).
-        freeze: Keep the first alignment that the states determine well.
-        limits: Limits of the memory for states.
-        covariances: Settings of the consistency test with the covariances of messages.
-        integrity: Alert limits and risk for protection levels; None for none.
-        up: Up axes of the groundtruth's and the estimate's frame; None for the axes implied by
-            the frames' names, or z.
-        available: As-available accuracy to compute, if it is asked for.
-
     Raises:
         SettingsError: An invalid window or axis, or a protocol that is not supported live.
 
@@ -48,14 +35,17 @@ class OnlineSettings:
         (30.0, 's')
     """
 
+    # As offline; lengths in percent of the path are available at the end only.
     protocol: Protocol
+    # Of the sliding statistics; as a text "0" (the whole run), "30s", "50m" or "500" (pairs).
     window: Window
-    freeze: bool
-    limits: BufferLimits
-    covariances: CovarianceRequest
-    integrity: IntegrityRequest | None
+    freeze: bool  # keep the first alignment that the states determine well
+    limits: BufferLimits  # of the memory for states
+    covariances: CovarianceRequest  # the consistency test with the covariances of messages
+    integrity: IntegrityRequest | None  # alert limits and risk for protection levels
+    # Up axes of groundtruth and estimate; None for those that the frames' names imply, or z.
     up: tuple[str, str] | None
-    available: AvailabilityRule
+    available: AvailabilityRule  # as-available accuracy to compute, if it is asked for
 
     def __init__(
         self,

@@ -37,22 +37,17 @@ class Decided(NamedTuple):
 
 
 class Pairing(ABC):
-    """Pairs the states of two sides in bounded memory.
-
-    Attributes:
-        max_gap_s: Longest step of the interpolated side that is interpolated, seconds.
-        groundtruth_counts: Counts of the groundtruth's states. Besides invalid states these are:
-            `too_late`, a state of the interpolated side whose neighbours have been forgotten; and
-            `after_use`, a state that arrived after its neighbours were used without it.
-        estimate_counts: Counts of the estimated states.
-    """
+    """Pairs the states of two sides in bounded memory."""
 
     interpolated: ClassVar[str]  # the interpolated side, `groundtruth` or `estimate`
     waits: ClassVar[tuple[str, str]]  # name of the waiting states, singular and plural
 
     def __init__(self, max_gap_s: float = 0.5, limits: BufferLimits | None = None) -> None:
-        self.max_gap_s = max_gap_s
+        self.max_gap_s = max_gap_s  # longest step of the interpolated side, seconds
         self.limits = limits or BufferLimits()  # limits of the memory
+        # Besides invalid states, they count `too_late`, a state of the interpolated side whose
+        # neighbours have been forgotten; and `after_use`, a state that arrived after its
+        # neighbours were used without it.
         self.groundtruth_counts, self.estimate_counts = StateCounts(), StateCounts()
         self._track, self._waiting = StateBuffer(), StateBuffer()
         self._track_count = 0  # states of the interpolated side so far
@@ -63,22 +58,33 @@ class Pairing(ABC):
         self._forgotten_until = self._paired_until = self._decided_until = NEVER
         self._is_full = False  # whether states were dropped by number, not by age
 
-    @abstractmethod
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
         """Take groundtruth states, (N,) and (N, 10), in any order."""
+        add = self._interpolate if self._is_groundtruth_interpolated else self._let_wait
+        add(stamps, rows)
 
-    @abstractmethod
     def add_estimate(self, stamps: Stamps, rows: Floats) -> None:
-        """Take estimated states, (N,) and (N, 10) or (N, 46), in any order."""
+        """Take estimated states, (N,) and (N, 10) or (N, 46), in any order.
+
+        Covariances of interpolated states are dropped, as offline.
+        """
+        add = self._let_wait if self._is_groundtruth_interpolated else self._interpolate
+        add(stamps, rows)
+
+    @property
+    def _is_groundtruth_interpolated(self) -> bool:
+        return self.interpolated == "groundtruth"
 
     @abstractmethod
     def take_waypoints(self) -> StampedPoses:
         """Return the groundtruth's waypoints since the last call, for the coverage."""
 
     @property
-    @abstractmethod
     def newest_groundtruth(self) -> tuple[Stamps, Floats]:
         """Copies of the newest groundtruth states that are stored, (N,) and (N, 10)."""
+        stored = self._track if self._is_groundtruth_interpolated else self._waiting
+        stamps, rows = stored.held
+        return stamps.copy(), rows.copy()
 
     @property
     @abstractmethod
@@ -106,13 +112,10 @@ class Pairing(ABC):
         """Number of estimated states so far, without waiting ones."""
 
     @property
-    @abstractmethod
     def _sides(self) -> tuple[StateCounts, StateCounts]:
-        """The intakes of the interpolated and of the waiting side."""
-
-    @abstractmethod
-    def _as_pairs(self, stamps: Stamps, between: Floats, waited: Floats) -> Pairs:
-        """Return the pairs of interpolated states and the states that waited for them."""
+        """The counts of the interpolated and of the waiting side."""
+        sides = self.groundtruth_counts, self.estimate_counts
+        return sides if self._is_groundtruth_interpolated else sides[::-1]
 
     @property
     def dropped(self) -> dict[str, int]:
@@ -150,12 +153,6 @@ class Pairing(ABC):
             )
         return "; ".join(told)
 
-    def take(self, *, at_end: bool = False) -> Pairs:
-        """Return the pairs that are possible now, and drop states that are no longer needed."""
-        pairs = self.made(at_end=at_end)
-        self.settle()
-        return pairs
-
     def made(self, *, at_end: bool = False) -> Pairs:
         """Return the pairs that are possible now; `settle` takes them as used."""
         self._decided = None
@@ -165,7 +162,7 @@ class Pairing(ABC):
         if not at_end:
             ready = int(waiting.searchsorted(self._track.newest, side="right"))
         if not ready:
-            return Pairs(np.empty(0, np.int64), np.empty((0, WIDTH)), np.empty((0, WIDTH)))
+            return Pairs.none()
         stamps, rows = waiting[:ready].copy(), rows[:ready].copy()
         bracket = (
             bracket_stamps(track_stamps, stamps, self.max_gap_s)
@@ -182,7 +179,8 @@ class Pairing(ABC):
         if len(stamps) and not np.isnan(between[0, QUATERNION.start]):
             quaternions = track[:, QUATERNION]
             between[:, QUATERNION] = lie.slerp(quaternions[start], quaternions[end], fraction)
-        return self._as_pairs(stamps, between, rows)
+        sides = (between, rows) if self._is_groundtruth_interpolated else (rows, between)
+        return Pairs(stamps, *sides)
 
     def hand_over(self, following: Pairing) -> None:
         """Give another pairing the states that wait, and the interpolated ones around and after.
@@ -252,7 +250,7 @@ class Pairing(ABC):
 
     def _interpolate(self, stamps: Stamps, rows: Floats) -> None:
         counts = self._sides[0]
-        stamps, rows = counts.take(stamps, rows)
+        stamps, rows = counts.take(stamps, rows[:, :WIDTH])
         if not len(stamps):
             return
         if _continue(self._track.newest, stamps):

@@ -8,14 +8,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.geometry.valid_poses import add_counts
 from trajeval_ros.metrics.completeness import CompletenessSums, Interpolation, InterpolationMeter
 from trajeval_ros.metrics.coverage import POSE, Coverage, StampedPoses
 from trajeval_ros.online.pairing import Decided, Pairing
-from trajeval_ros.online.state_buffer import BufferLimits, StateCounts
-from trajeval_ros.online.state_rows import POSITION, WIDTH, Pairs
+from trajeval_ros.online.state_buffer import BufferLimits
+from trajeval_ros.online.state_rows import POSITION, Pairs
 
 
 class SparsePairing(Pairing):
@@ -47,27 +46,10 @@ class SparsePairing(Pairing):
         sparse.estimate_counts.dropped = add_counts(before.dropped)
         return sparse
 
-    def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
-        """Take groundtruth states, (N,) and (N, 10), in any order."""
-        self._let_wait(stamps, rows)
-
-    def add_estimate(self, stamps: Stamps, rows: Floats) -> None:
-        """Take estimated states, (N,) and (N, 10) or (N, 46), in any order.
-
-        Covariances are dropped, as offline: an interpolated state has none.
-        """
-        self._interpolate(stamps, rows[:, :WIDTH])
-
     def take_waypoints(self) -> StampedPoses:
         """Return the groundtruth states without a pair that were decided since the last call."""
         missing, self._missing = StampedPoses.joined(self._missing), []
         return missing
-
-    @property
-    def newest_groundtruth(self) -> tuple[Stamps, Floats]:
-        """Copies of the waiting groundtruth states."""
-        stamps, rows = self._waiting.held
-        return stamps.copy(), rows.copy()
 
     @property
     def groundtruth_count(self) -> int:
@@ -98,13 +80,6 @@ class SparsePairing(Pairing):
     def estimate_count(self) -> int:
         """Number of estimated states so far."""
         return self._track_count
-
-    @property
-    def _sides(self) -> tuple[StateCounts, StateCounts]:
-        return self.estimate_counts, self.groundtruth_counts
-
-    def _as_pairs(self, stamps: Stamps, between: Floats, waited: Floats) -> Pairs:
-        return Pairs(stamps, waited, between)
 
     def _leave(self, count: int) -> None:
         """Measure the oldest estimated states, which will be forgotten."""

@@ -18,9 +18,9 @@ NEVER = int(np.iinfo(np.int64).min)
 class StateBuffer:
     """States with distinct timestamps in order, in rows as wide as the widest so far."""
 
-    def __init__(self) -> None:
+    def __init__(self, width: int = WIDTH) -> None:
         self.stamps: Stamps = np.empty(256, dtype=np.int64)
-        self.rows: Floats = np.empty((256, WIDTH))
+        self.rows: Floats = np.empty((256, width))
         self.begin = self.end = 0
 
     def __len__(self) -> int:
@@ -107,12 +107,16 @@ class StateCounts:
         if dropped:
             self.dropped = add_counts(self.dropped, dropped)
             stamps, rows = stamps[keep], rows[keep]
+        self.count(stamps)
+        return stamps, rows
+
+    def count(self, stamps: Stamps) -> None:
+        """Count usable poses with timestamps (N,), nanoseconds."""
         if len(stamps):
             self.poses += len(stamps)
             earliest, latest = int(stamps.min()), int(stamps.max())
             self.first = earliest if self.first is None else min(self.first, earliest)
             self.last = latest if self.last is None else max(self.last, latest)
-        return stamps, rows
 
     def take_back(self, poses: int, last: int) -> None:
         """Subtract poses from the count, after which `last` is the latest timestamp."""
@@ -138,12 +142,10 @@ class BufferLimits:
 
     A state takes 88 bytes, 376 with a covariance. 500 000 states per side take 88 MB, or 232 MB,
     and up to twice that while the arrays grow.
-
-    Attributes:
-        past_s: Time before the newest state of the interpolated side that is kept for late states
-            of the other side, seconds; infinite for a limit by `past_states` only.
     """
 
+    # Time before the newest state of the interpolated side that is kept for late states of the
+    # other side, seconds; infinite for a limit by `past_states` only.
     past_s: float = 10.0
     past_states: int = 500_000  # number of kept states of the interpolated side
     waiting_states: int = 500_000  # number of waiting states of the other side

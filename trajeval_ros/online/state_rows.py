@@ -45,6 +45,11 @@ class Pairs(NamedTuple):
         return self._replace(estimate=self.estimate[:, :WIDTH])
 
     @classmethod
+    def none(cls) -> Pairs:
+        """Return no pairs."""
+        return cls(np.empty(0, np.int64), np.empty((0, WIDTH)), np.empty((0, WIDTH)))
+
+    @classmethod
     def in_order(cls, several: Sequence[Pairs]) -> Pairs:
         """Return several groups of pairs, at least one, as one in order of their timestamps."""
         if len(several) == 1:

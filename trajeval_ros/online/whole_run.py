@@ -73,13 +73,11 @@ class RevisedPath:
 
     The first version of a pose is what the robot used: the causal error. A loop closure changes
     poses afterwards: the revised error. All poses are stored, as in the path itself.
-
-    Attributes:
-        stamps: (M,) of the newest path's poses, nanoseconds, by the estimator's clock.
-        states: (M, 10) of the newest path, projected if the gauge is planar.
     """
 
     def __init__(self, gauge: Gauge, up: UpAxis = Z_UP) -> None:
+        # Of the newest path: (M,), nanoseconds, by the estimator's clock; and (M, 10), projected
+        # if the gauge is planar.
         self.stamps: Stamps = np.empty(0, dtype=np.int64)
         self.states: Floats = np.empty((0, WIDTH))
         self.version = 0  # number of changes so far, of the path or of its groundtruth
@@ -110,7 +108,7 @@ class RevisedPath:
     def pairs(self) -> Pairs:
         """Return the poses of the newest path that have groundtruth, in order of time."""
         if not self._groundtruth:
-            return Pairs(np.empty(0, np.int64), np.empty((0, WIDTH)), np.empty((0, WIDTH)))
+            return Pairs.none()
         stamps = np.concatenate([part[0] for part in self._groundtruth])
         groundtruth = np.concatenate([part[1] for part in self._groundtruth])
         self._groundtruth = [(stamps, groundtruth)]
@@ -121,11 +119,7 @@ class RevisedPath:
 def evaluate_rows(
     pairs: Pairs, protocol: Protocol, ups: tuple[UpAxis, UpAxis]
 ) -> Evaluation | None:
-    """Return the evaluation of pairs; its coverage is a placeholder.
-
-    Returns:
-        None if the pairs cannot be evaluated, for example too few.
-    """
+    """Return the evaluation of pairs, with a placeholder as coverage; None if not possible."""
     if not len(pairs.stamps):
         return None
     association = association_of(pairs, protocol, ups)

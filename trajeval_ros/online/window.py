@@ -19,6 +19,7 @@ from trajeval_ros.metrics.association import Association
 from trajeval_ros.metrics.evaluation import evaluate_pairs, meaningful
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
+from trajeval_ros.online.state_buffer import StateBuffer
 from trajeval_ros.online.state_rows import POSITION, WIDTH, WIDTH_WITH_COVARIANCE, Pairs, as_wide
 
 if TYPE_CHECKING:
@@ -77,11 +78,10 @@ class PairStore:
 
     def __init__(self, *, covariances: bool = False) -> None:
         self.begin = self.end = 0
-        self._offset = 0  # number of the pair in row 0
-        # Columns: groundtruth, estimate, path.
+        # Columns: groundtruth, estimate, path. The pair before the oldest is kept, because the
+        # path continues from it.
         self._own_width = WIDTH_WITH_COVARIANCE if covariances else WIDTH
-        self._stamps: Stamps = np.empty(1024, dtype=np.int64)
-        self._rows: Floats = np.empty((1024, WIDTH + self._own_width + 1))
+        self._pairs = StateBuffer(WIDTH + self._own_width + 1)
 
     def __len__(self) -> int:
         """Return the number of stored pairs."""
@@ -89,43 +89,40 @@ class PairStore:
 
     def append(self, pairs: Pairs) -> None:
         """Add pairs; the path continues from the last groundtruth position."""
-        count = len(pairs.stamps)
-        self._make_room(count)
-        first = self.end - self._offset
-        rows = self._rows[first : first + count]
-        self._stamps[first : first + count] = pairs.stamps
-        rows[:, :WIDTH] = pairs.groundtruth
-        rows[:, WIDTH:-1] = as_wide(pairs.estimate, self._own_width)
-        if not first:
-            self._rows[0, -1] = 0.0
-        path = self._rows[max(first - 1, 0) : first + count]
-        steps = lengths(path[1:, POSITION] - path[:-1, POSITION])
-        path[1:, -1] = path[:1, -1] + np.cumsum(steps)
-        self.end += count
+        before = self._pairs.held[1][-1:]
+        path = np.concatenate([before[:, POSITION], pairs.groundtruth[:, POSITION]])
+        along = np.zeros((len(pairs.stamps), 1))
+        along[1 - len(before) :, 0] = before[:, -1].sum() + np.cumsum(
+            lengths(np.diff(path, axis=0))
+        )
+        estimate = as_wide(pairs.estimate, self._own_width)
+        self._pairs.append(pairs.stamps, np.hstack([pairs.groundtruth, estimate, along]))
+        self.end += len(pairs.stamps)
 
     def drop_before(self, number: int) -> None:
         """Drop the pairs before a number."""
         self.begin = min(max(self.begin, number), self.end)
+        self._pairs.drop(max(len(self._pairs) - len(self) - 1, 0))
 
     def _view(self, begin: int | None) -> slice:
         first = self.begin if begin is None else max(begin, self.begin)
-        return slice(first - self._offset, self.end - self._offset)
+        return slice(len(self._pairs) - self.end + first, None)
 
     def stamps(self, begin: int | None = None) -> Stamps:
         """Return timestamps of the pairs from number `begin` on, (N,), nanoseconds."""
-        return self._stamps[self._view(begin)]
+        return self._pairs.held[0][self._view(begin)]
 
     def groundtruth(self, begin: int | None = None) -> Floats:
         """Return groundtruth states of the pairs from number `begin` on, (N, 10)."""
-        return self._rows[self._view(begin), :WIDTH]
+        return self._pairs.held[1][self._view(begin), :WIDTH]
 
     def estimate(self, begin: int | None = None) -> Floats:
         """Return estimated states of the pairs from `begin` on, (N, 10) or (N, 46)."""
-        return self._rows[self._view(begin), WIDTH:-1]
+        return self._pairs.held[1][self._view(begin), WIDTH:-1]
 
     def along(self, begin: int | None = None) -> Floats:
         """Return the groundtruth path up to the pairs from `begin` on, (N,), metres."""
-        return self._rows[self._view(begin), -1]
+        return self._pairs.held[1][self._view(begin), -1]
 
     def window_begin(self, window: Window) -> int:
         """Return the number of the first pair in a window."""
@@ -139,18 +136,6 @@ class PairStore:
         stamps = self.stamps()
         oldest = stamps[-1] - round(window.size * NANOSECONDS)
         return self.begin + int(stamps.searchsorted(oldest))
-
-    def _make_room(self, count: int) -> None:
-        if self.end - self._offset + count <= len(self._stamps):
-            return
-        # The pair before the oldest is kept, because the path continues from it.
-        keep = max(self.begin - 1, self._offset) - self._offset
-        stamps, rows = self._stamps[keep : self.end - self._offset], self._rows[keep:]
-        rows = rows[: len(stamps)]
-        size = max(1024, 2 * (len(stamps) + count))
-        self._offset += keep
-        self._stamps, self._rows = np.empty(size, np.int64), np.empty((size, self._rows.shape[1]))
-        self._stamps[: len(stamps)], self._rows[: len(stamps)] = stamps, rows
 
 
 def window_statistics(
@@ -169,11 +154,7 @@ def window_statistics(
 def judge_window(
     pairs: Association | None, protocol: Protocol, request: CovarianceRequest
 ) -> tuple[Consistency | None, str]:
-    """Test the covariances of pairs, which are aligned on their own.
-
-    Returns:
-        The result, or None and the reason.
-    """
+    """Test the covariances of pairs, aligned on their own; return the reason if not possible."""
     if request.source == "none":
         return None, ""
     if pairs is None:

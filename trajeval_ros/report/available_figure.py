@@ -79,9 +79,8 @@ def as_available_figure(evaluation: Evaluation, found: AsAvailable) -> Figure:
     right.hist(latencies_s, _BINS, color=canvas.tint(colour), edgecolor=colour, linewidth=0.5)
     for value, dashes in ((numbers.latency_s.median, "-"), (numbers.latency_s.p95, "--")):
         right.axvline(value, color=canvas.ink(), linestyle=dashes, linewidth=0.9)
-    median, p95 = (
-        significant(each, 3) for each in (numbers.latency_s.median, numbers.latency_s.p95)
-    )
+    latency = numbers.latency_s
+    median, p95 = significant(latency.median, 3), significant(latency.p95, 3)
     right.set_title(f"median {median} s, 95 % {p95} s", loc="left")
     right.set_xlabel("latency [s]")
     right.set_ylabel("messages")

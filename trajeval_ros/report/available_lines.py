@@ -38,7 +38,8 @@ def available_lines(numbers: Availability, ate_m: float) -> list[str]:
         f"{name} {four_digits(part.rmse_m)} m ({100.0 * part.share:.0f} %)"
         for name, part in parts.items()
     )
-    above = " above the fastest message" if _is_relative(numbers) else ""
+    is_relative = numbers.clock is not None and numbers.clock.offset_s is None
+    above = " above the fastest message" if is_relative else ""
     lines = [
         f"  as available {four_digits(position.rmse)} m rmse, {four_digits(position.p95)} m p95"
         f"{_degrees(numbers.rotation_deg)} ({numbers.motion}, {numbers.rate_hz} Hz, {by}, "
@@ -58,10 +59,6 @@ def available_lines(numbers: Availability, ate_m: float) -> list[str]:
         median, most = (significant(each, 2) for each in numbers.recording_s)
         lines[-1] += f"; transport and recording took {median} s median, {most} s max"
     return lines
-
-
-def _is_relative(numbers: Availability) -> bool:
-    return numbers.clock is not None and numbers.clock.offset_s is None
 
 
 def _degrees(statistics: Statistics | None) -> str:

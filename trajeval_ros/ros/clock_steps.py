@@ -33,16 +33,13 @@ class ClockSteps:
 
     The comparison holds at any rate of a replay. A tracking loss, a pause and a delay change no
     clock: their timestamps are continuous, or as late as their messages.
-
-    Attributes:
-        lead_s: Timestamps of the estimate minus those of the groundtruth, seconds; None before
-            the streams have been received together for a second.
-        found: The newest step; None if the clocks agree as at the start.
     """
 
     def __init__(self) -> None:
+        # Timestamps of the estimate minus those of the groundtruth, seconds; None before the
+        # streams have been received together for a second.
         self.lead_s: float | None = None
-        self.found: ClockStep | None = None
+        self.found: ClockStep | None = None  # newest step; None if clocks agree as at the start
         self._at_start_s: float | None = None
         self._newest = 0  # newest time of arrival that was compared
         self._leads: deque[tuple[int, float]] = deque()

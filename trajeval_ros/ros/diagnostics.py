@@ -136,26 +136,16 @@ def _about_data(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> Ite
             yield replace(side.stream.trouble, subject=what)
         if side.mixed:
             yield warning("publishers", side.mixed, what)
-    buffer = estimate.evaluator.buffer
-    for what, side, dropped, used in (
-        (
-            "groundtruth",
-            run.groundtruth,
-            groundtruth_dropped(run, estimate),
-            buffer.groundtruth_count,
-        ),
-        (
-            "estimate",
-            estimate.source,
-            add_counts(estimate.status.dropped, buffer.dropped),
-            buffer.estimate_count + buffer.waiting,
-        ),
-    ):
-        yield from _about_unusable(side.source, what, dropped, used)
+    buffer, source = estimate.evaluator.buffer, estimate.source.source
+    dropped, used = groundtruth_dropped(run, estimate), buffer.groundtruth_count
+    yield from _about_unusable(run.groundtruth.source, "groundtruth", dropped, used)
+    dropped = add_counts(estimate.status.dropped, buffer.dropped)
+    used = buffer.estimate_count + buffer.waiting
+    yield from _about_unusable(source, "estimate", dropped, used)
     late = snapshot.dropped.get("out_of_order", 0)
     if _are_many(late, snapshot.pairs):
         said = (
-            f"{estimate.source.source}: {_MANY} of the poses arrive out of "
+            f"{source}: {_MANY} of the poses arrive out of "
             "order: live values exclude them, results on disk include them"
         )
         yield warning("data", said, "out_of_order", {"value": late})
@@ -234,12 +224,8 @@ def about_integrity(snapshot: Snapshot) -> list[Remark]:
             f"integrity, {each.part}: {state}: error {error:.3g}, protection level {level:.3g}, "
             f"alert limit {limit:g} {each.unit}"
         )
-        values: dict[str, float | str] = {
-            "value": error,
-            "level": level,
-            "limit": limit,
-            "unit": each.unit,
-        }
+        values: dict[str, float | str] = {"value": error, "level": level}
+        values |= {"limit": limit, "unit": each.unit}
         severity = Level.ERROR if is_hazardous else Level.WARNING
         found.append(Remark(severity, "alarm", said, f"integrity_{each.part}", values))
     return found
@@ -323,7 +309,7 @@ def _values(
         "time offset applied [s]": None if run.holds else estimate.evaluator.settings.offset_s,
         "hand eye": run.body.source if run.body.hand_eye is not None else None,
         "sync risk [m]": sync_risk_m(run, estimate),
-        **({} if estimate.availability is None else estimate.availability.errors.values),
+        **({} if estimate.availability is None else estimate.availability.values),
         "arrival to publication, p95 [s]": estimate.latency.p95_s,
         "results": run.folder,
     }

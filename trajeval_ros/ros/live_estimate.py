@@ -19,11 +19,14 @@ from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.valid_poses import judge_poses
 from trajeval_ros.io.bags.pose_messages import COVARIANCE_TYPES, decode_poses
 from trajeval_ros.io.live.pair_file import REVISED_SUFFIX, SUFFIX, PairWriter, write_revised
+from trajeval_ros.io.live.reception_file import SUFFIX as RECEIVED_SUFFIX
+from trajeval_ros.io.live.reception_file import ReceptionWriter
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH
 from trajeval_ros.online.alarms import Peaks, Standing
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.jump_detector import Jump, JumpDetector
+from trajeval_ros.online.live_availability import LiveAvailability
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.reports import Snapshot, Update, united
@@ -39,7 +42,6 @@ from trajeval_ros.online.whole_run import RevisedPath, ThinnedRun
 from trajeval_ros.ros.marker_body import MarkerBody
 from trajeval_ros.ros.pose_source import PoseSource
 from trajeval_ros.ros.poses import StateColumns, StreamStatus
-from trajeval_ros.ros.received_streams import ReceivedStreams
 from trajeval_ros.ros.slow_evaluation import SlowEvaluation
 from trajeval_ros.ros.timing import Latency
 from trajeval_ros.ros.transform_stream import TransformStream
@@ -104,9 +106,17 @@ class LiveEstimate:
         self.newest: tuple[str, bytes] | None = None  # type and bytes of the newest pose
         self._undigested: list[Pairs] = []
         # As-available accuracy, if requested; transforms are composed later than received.
-        self.availability: ReceivedStreams | None = None
+        self.availability: LiveAvailability | None = None
+        self._received: ReceptionWriter | None = None
         if settings.available.is_asked_for and not isinstance(source.stream, TransformStream):
-            self.availability = ReceivedStreams(settings, self._path_of)
+            self._received = ReceptionWriter(folder / f"{self.name}{RECEIVED_SUFFIX}")
+            self.availability = LiveAvailability(
+                settings.available,
+                settings.protocol.association.max_gap_s,
+                settings.limits.past_s,
+                self._received.add_groundtruth,
+                self._received.add_estimate,
+            )
 
     def continue_after(self, before: LiveEstimate) -> None:
         """Take what the previous run received and did not use, and what it knows."""
@@ -311,14 +321,13 @@ class LiveEstimate:
 
     def write_state(self, state: Mapping[str, Any]) -> None:
         """Write what `trajeval finish` needs besides pairs (`recorded_state`), if it changed."""
-        if self.availability is not None:
-            self.availability.file.write()
+        if self._received is not None:
+            self._received.write()
         if state == self._state:
             self.pairs_file.write()
             return
         self._state = state
-        none = np.empty((0, 10))
-        self.pairs_file.append(np.empty(0, dtype=np.int64), none, none, state)
+        self.pairs_file.append(*Pairs.none(), state)
 
     def write_revised(self) -> None:
         """Write the newest path, if there is one."""
@@ -338,6 +347,6 @@ class LiveEstimate:
         try:
             self.write_revised()
         finally:
-            if self.availability is not None:
-                self.availability.file.close()
+            if self._received is not None:
+                self._received.close()
             self.pairs_file.close()

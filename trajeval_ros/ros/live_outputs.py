@@ -47,46 +47,34 @@ class _Topics:
 
     def __init__(self, node: Node, prefix: str, *, latched: bool) -> None:
         self._node, self._prefix, self._is_latched = node, prefix, latched
-        self._numbers: dict[str, Any] = {}
-        self._vectors: dict[str, Any] = {}
+        self._publishers: dict[str, Any] = {}
 
     def _latched(self, kind: Any, name: str) -> Any:
         """Return a publisher whose newest message late subscribers receive at once."""
         return advertise(self._node, kind, f"{self._prefix}/{name}", 1, latched=True)
 
-    def _advertise(self, name: str) -> None:
-        from std_msgs.msg import Float64
-
-        if name not in self._numbers:
-            depth = 1 if self._is_latched else 10
-            topic = f"{self._prefix}/{name}"
-            self._numbers[name] = advertise(
-                self._node, Float64, topic, depth, latched=self._is_latched
+    def advertise(self, name: str, kind: str = topics.NUMBER_TYPE) -> Any:
+        """Return the publisher of numbers, or of vectors with timestamps."""
+        if name not in self._publishers:
+            depth = 1 if self._is_latched else 10 if kind == topics.NUMBER_TYPE else _QUEUE
+            topic, made = f"{self._prefix}/{name}", message_class(kind)
+            self._publishers[name] = advertise(
+                self._node, made, topic, depth, latched=self._is_latched
             )
+        return self._publishers[name]
 
     def _publish(self, name: str, value: float | None) -> None:
         from std_msgs.msg import Float64
 
         if value is not None:
-            self._advertise(name)
-            self._numbers[name].publish(Float64(data=value))
-
-    def advertise_vector(self, name: str) -> None:
-        """Create the publisher of vectors with timestamps, unless it exists."""
-        if name not in self._vectors:
-            kind = message_class(topics.VECTOR_TYPE)
-            depth = 1 if self._is_latched else _QUEUE
-            topic = f"{self._prefix}/{name}"
-            self._vectors[name] = advertise(
-                self._node, kind, topic, depth, latched=self._is_latched
-            )
+            self.advertise(name).publish(Float64(data=value))
 
     def _publish_vectors(
         self, name: str, stamps: Stamps, vectors: Floats, frame: str = ""
     ) -> None:
-        self.advertise_vector(name)
+        publisher = self.advertise(name, topics.VECTOR_TYPE)
         for message in encode_stamped(stamps, vectors, frame):
-            self._vectors[name].publish(message.tobytes())
+            publisher.publish(message.tobytes())
 
 
 class RevisedOutputs(_Topics):
@@ -134,7 +122,7 @@ class StreamOutputs(_Topics):
     def __init__(self, node: Node, name: str) -> None:
         super().__init__(node, f"~/stream/{name}", latched=False)
         for each in topics.STREAM_NUMBERS:
-            self._advertise(each)
+            self.advertise(each)
 
     def publish(self, health: StreamHealth) -> None:
         """Publish what is known of the newest messages."""
@@ -157,9 +145,9 @@ class Outputs(_Topics):
             (*topics.NEES_NUMBERS, *topics.PROTECTION_LEVELS.values()) if judges else ()
         )
         for each in (*topics.NUMBERS, *by_covariances):
-            self._advertise(each)
+            self.advertise(each)
         for each in (*topics.VECTORS, topics.ATE):
-            self.advertise_vector(each)
+            self.advertise(each, topics.VECTOR_TYPE)
         self._alignment = self._latched(TransformStamped, topics.ALIGNMENT)
         self._paths = {
             each: self._latched(Path, each)
@@ -171,7 +159,7 @@ class Outputs(_Topics):
     ) -> None:
         """Publish the errors of new pairs, and of sub-trajectories that have ended."""
         for topic in topics.VECTORS:
-            if not self._vectors[topic].get_subscription_count():
+            if not self._publishers[topic].get_subscription_count():
                 continue  # vectors without a subscriber are not computed
             for errors in update.errors:
                 found = topics.vectors_of(errors, topic, offset_ns, knows_up=knows_up)
@@ -283,7 +271,7 @@ class LiveOutputs:
         """Create the publishers of relative errors for lengths of sub-trajectories."""
         for each in self._outputs.values():
             for length in lengths:
-                each.advertise_vector(topics.relative_error_topic(length))
+                each.advertise(topics.relative_error_topic(length), topics.VECTOR_TYPE)
 
     def begin_run(self) -> None:
         """Forget the errors of the previous run."""
@@ -325,7 +313,7 @@ class LiveOutputs:
     def publish_available(self, run: LiveRun, estimate: LiveEstimate) -> None:
         """Publish the as-available errors that are final now."""
         assert estimate.availability is not None
-        errors, alignment = estimate.availability.errors, estimate.evaluator.alignment
+        errors, alignment = estimate.availability, estimate.evaluator.alignment
         errors.update(None if alignment is None else alignment.similarity)
         frame = run.groundtruth_status.frame
         self._outputs[estimate.name].publish_available(errors, frame)

@@ -101,7 +101,7 @@ class LiveWatch:
         restarts = self.watchdog.restarts
         parts = [self._take_imu(messages.imu)]
         parts += [
-            self._take_other(source, *each)
+            self.watchdog.add_source(source, *_poses(self._others[source], *each)[:3])
             for source, batches in messages.others.items()
             for each in batches
         ]
@@ -124,17 +124,9 @@ class LiveWatch:
         readings = decode_rates(payloads, IMU_TYPE)
         assert readings.accelerations is not None
         timed = readings.stamps != 0  # 0: the timestamp is not set
-        return self.watchdog.add_inertial(
-            readings.stamps[timed], readings.rates[timed], readings.accelerations[timed]
+        return self.watchdog.add_source(
+            "imu", readings.stamps[timed], readings.rates[timed], readings.accelerations[timed]
         )
-
-    def _take_other(
-        self, source: str, kind: str, taken: ReceivedMessages, arrived: Stamps
-    ) -> Signals:
-        columns = _poses(self._others[source], kind, taken, arrived)[:3]
-        if source == "map":
-            return self.watchdog.add_corrections(*columns)
-        return self.watchdog.add_partner(*columns, source=source)
 
     def _take_estimate(self, kind: str, taken: ReceivedMessages, arrived: Stamps) -> Signals:
         found = _poses(self._estimate, kind, taken, arrived)

@@ -22,7 +22,7 @@ from trajeval_ros.ros.diagnostics import StatusReports, about_jump
 from trajeval_ros.ros.live_fixes import LiveFixes
 from trajeval_ros.ros.live_outputs import FrameBroadcaster, LiveOutputs
 from trajeval_ros.ros.live_run import LiveRun
-from trajeval_ros.ros.live_runs import LiveRuns
+from trajeval_ros.ros.live_runs import LiveRuns, NewRunRule
 from trajeval_ros.ros.marker_body import MarkerBody, StaticTransform
 from trajeval_ros.ros.output_folder import make_folder
 from trajeval_ros.ros.parameter_table import PARAMETERS, PAUSE, RESET, SAVE, START, STOP
@@ -114,7 +114,10 @@ class EvaluatorNode:
         name_apart(estimates, self._node.get_namespace())
         sources = [groundtruth, *estimates]
         runs = LiveRuns(
-            sources, lambda: self._new_run(sources), self._new_folder, parameters.rule_of(values)
+            sources,
+            lambda: self._new_run(sources),
+            self._new_folder,
+            NewRunRule(values["on_time_jump"], values["on_restart"]),
         )
         runs.on_begun, runs.on_closed = self._begin_run, self._close_run
         return runs
@@ -243,7 +246,7 @@ class EvaluatorNode:
             snapshot = self._outputs.publish_snapshot(estimate)
             if estimate.availability is not None:
                 self._outputs.publish_available(run, estimate)
-                estimate.peaks.see("age_s", estimate.availability.errors.age_p95_s)
+                estimate.peaks.see("age_s", estimate.availability.age_p95_s)
             revised_m = self._outputs.publish_revised(run, estimate)
             self._picture.snapshot(estimate, snapshot, revised_m)
             self._outputs.publish_geometry(run, estimate, snapshot)

@@ -22,23 +22,14 @@ ON_JUMP = ("reset", "ignore")
 
 @dataclass(frozen=True)
 class NodeParameter:
-    """A parameter as it is declared.
-
-    Attributes:
-        name: Its name.
-        default: Its default value, which also defines its type.
-        description: Its meaning, for the user.
-        range: Smallest and largest value of a number.
-        is_live: Whether it may be set while the node runs.
-        choices: All values; () if others are possible.
-    """
+    """A parameter as it is declared."""
 
     name: str
-    default: str | float | bool | list[str]
-    description: str
-    range: tuple[float, float] | None = None
-    is_live: bool = False
-    choices: tuple[str, ...] = ()
+    default: str | float | bool | list[str]  # also defines the type
+    description: str  # for the user
+    range: tuple[float, float] | None = None  # smallest and largest value of a number
+    is_live: bool = False  # whether it may be set while the node runs
+    choices: tuple[str, ...] = ()  # all values; () if others are possible
 
     @classmethod
     def of(cls, setting: Setting) -> NodeParameter:

@@ -23,7 +23,6 @@ from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.state_buffer import BufferLimits
 from trajeval_ros.online.window import Window
 from trajeval_ros.pipeline.request import Request
-from trajeval_ros.ros.live_runs import NewRunRule
 from trajeval_ros.ros.parameter_table import PARAMETERS, NodeParameter
 
 if TYPE_CHECKING:
@@ -97,11 +96,7 @@ def about_unknown(node: Node) -> list[str]:
 
 
 def converted(parameter: NodeParameter, value: Any) -> Any:
-    """Return a value converted to the type of the parameter.
-
-    Raises:
-        SettingsError: The type does not fit, or the value is outside of the parameter's range.
-    """
+    """Return a value of the parameter's type; a SettingsError if type or range do not fit."""
     wanted, name = parameter.default, parameter.name
     if isinstance(wanted, bool):
         if isinstance(value, bool):
@@ -176,21 +171,13 @@ def _settings_of(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def alarm_limits_of(values: dict[str, Any]) -> dict[str, AlarmLimits]:
-    """Return the limits for alarms by name of the quantity.
-
-    Raises:
-        SettingsError: A value is not valid.
-    """
+    """Return the limits for alarms by name of the quantity, or raise a SettingsError."""
     names = [*(each.name for each in LIMITED_QUANTITIES), "rate_hz", "coverage"]
     return {each: AlarmLimits.parse(values[f"limits_{each}"], f"limits_{each}") for each in names}
 
 
 def metadata_of(values: dict[str, Any]) -> dict[str, str]:
-    """Return the facts about the run by name.
-
-    Raises:
-        SettingsError: One has no name.
-    """
+    """Return the facts about the run by name; a fact without one raises a SettingsError."""
     found = {}
     for each in values["metadata"]:
         name, equals, value = each.partition("=")
@@ -202,32 +189,19 @@ def metadata_of(values: dict[str, Any]) -> dict[str, str]:
     return found
 
 
-def rule_of(values: dict[str, Any]) -> NewRunRule:
-    """Return the causes of new runs."""
-    return NewRunRule(values["on_time_jump"], values["on_restart"])
-
-
 def names_frames(hand_eye: str) -> bool:
     """Return whether the parameter hand_eye names two frames of static transforms."""
     return re.fullmatch(r"[\w/~]*tf_static:.*", hand_eye) is not None
 
 
 def known_hand_eye_of(values: dict[str, Any]) -> HandEye | None:
-    """Return the transform in the file that hand_eye names; None if it names no file.
-
-    Raises:
-        InputError: The file can't be read, or is no transform.
-    """
+    """Return the transform in the file that hand_eye names; None if it names no file."""
     text = values["hand_eye"]
     return None if text in (NONE, AUTO) or names_frames(text) else known_hand_eye(text)
 
 
 def settings_of(values: dict[str, Any]) -> OnlineSettings:
-    """Return the settings of the evaluation.
-
-    Raises:
-        SettingsError: Values are invalid or contradict each other.
-    """
+    """Return the settings of the evaluation; refuses contradictions with a SettingsError."""
     request = request_of(values)
     return OnlineSettings(
         protocol=request.protocol,

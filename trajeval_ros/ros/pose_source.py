@@ -92,11 +92,6 @@ class PoseSource:
         if any(taken.payloads for _, taken, _ in self.take(None)):
             self.stream.heard_at = time.monotonic()
 
-    def leave(self) -> None:
-        """Unsubscribe."""
-        for each in self.inputs:
-            each.leave()
-
     @property
     def silent_s(self) -> float | None:
         """Time since the last message with poses, seconds; None before the first."""

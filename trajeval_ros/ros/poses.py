@@ -18,12 +18,12 @@ from trajeval_ros.geometry.reading import FORMAT
 from trajeval_ros.geometry.stamp_trust import LONE, NEAR_NS, StampTrust, trusted_states
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import UpAxis
-from trajeval_ros.geometry.valid_poses import add_counts, count_up, in_words
+from trajeval_ros.geometry.valid_poses import add_counts, in_words
 from trajeval_ros.io.bags.pose_columns import Frames, PoseColumns
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE, decode_path, decode_poses
 from trajeval_ros.io.bags.usable_poses import UsablePoses, usable_poses
 from trajeval_ros.metrics.stream_health import UNKNOWN, StreamMonitor
-from trajeval_ros.online.state_buffer import usable_rows
+from trajeval_ros.online.state_buffer import StateCounts, usable_rows
 from trajeval_ros.online.state_rows import POSITION, WIDTH, as_wide, states
 from trajeval_ros.ros.clock_steps import ClockSteps
 from trajeval_ros.ros.live_fixes import LiveFixes
@@ -66,25 +66,14 @@ def _arrived(states_: StateColumns) -> Stamps:
 
 
 @dataclass
-class StreamStatus:
-    """Counts, frames and remarks of a stream in one run."""
+class StreamStatus(StateCounts):
+    """Counts, frames and remarks of a stream in one run; it drops messages without a pose."""
 
-    poses: int = 0  # number of poses, including repeated timestamps
-    first: int | None = None  # the earliest timestamp, nanoseconds; None before the first pose
-    last: int | None = None  # the latest timestamp, nanoseconds; None before the first pose
     frame: str = ""  # frame of the poses, from the first message
     child_frame: str = ""  # name of their body
-    dropped: dict[str, int] = field(default_factory=dict)  # messages without a pose, by reason
     remarks: list[Remark] = field(default_factory=list)  # also changes during the run
     datum: Datum | None = None  # origin of GNSS fixes; None before the first one
     stream: StreamMonitor = field(default_factory=StreamMonitor)  # rate, gaps and delays
-
-    @property
-    def duration_s(self) -> float:
-        """Time from the earliest to the latest stamp, seconds."""
-        if self.first is None or self.last is None:
-            return 0.0
-        return (self.last - self.first) / NANOSECONDS
 
     def note(self, remark: Remark) -> bool:
         """Store a new remark, up to a limit; return whether it was stored."""
@@ -96,10 +85,6 @@ class StreamStatus:
     def has(self, code: str) -> bool:
         """Return whether there is a remark with a code."""
         return any(each.code == code for each in self.remarks)
-
-    def drop(self, reason: str, number: int) -> None:
-        """Count messages without a valid pose."""
-        count_up(self.dropped, reason, number)
 
 
 class PoseStream:
@@ -324,22 +309,16 @@ class PoseStream:
 
     def _count(self, found: StateColumns) -> None:
         poses = _are_poses(found.states)
-        if not poses.any():
+        stamps = found.stamps[poses]
+        if not len(stamps):
             return
-        status, seen = self.status, found.stamps[poses]
-        self._see_step_back(seen)
-        status.poses += len(seen)
-        earliest, latest = int(seen.min()), int(seen.max())
-        status.first = earliest if status.first is None else min(status.first, earliest)
-        status.last = latest if status.last is None else max(status.last, latest)
-
-    def _see_step_back(self, stamps: Stamps) -> None:
-        """Report once that time steps back, because live errors use the newest pairs only."""
+        self.status.count(stamps)
         before, self._previous = self._previous, int(stamps[-1])
         steps = np.diff(stamps if before is None else np.concatenate([[before], stamps]))
         self._tell_step_back(-float(steps.min(initial=0)) / NANOSECONDS)
 
     def _tell_step_back(self, back_s: float) -> None:
+        """Report once that time steps back, because live errors use the newest pairs only."""
         if self.begins_anew:
             return  # the new run reports it
         if self.status.has(_STEPS_BACK) or back_s < NEAR_NS / NANOSECONDS:

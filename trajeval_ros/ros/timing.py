@@ -69,13 +69,9 @@ class Arrivals:
     def ahead(self, arrived: Stamps, stamps: Stamps) -> tuple[Stamps, NDArray[np.bool_]]:
         """Return how far timestamps are ahead of the messages that arrive at the same time.
 
-        Args:
-            arrived: (N,) times of arrival in order, nanoseconds.
-            stamps: (N,) timestamps of another stream.
-
-        Returns:
-            Differences (K,), nanoseconds, and which messages are compared (N,): those that arrive
-            between two messages without a step of the clock between these.
+        Of another stream are the times of arrival (N,), in order, and the timestamps (N,), ns.
+        Returned are differences (K,), ns, and which messages are compared (N,): those that arrive
+        between two messages without a step of the clock between these.
         """
         times, own = self.columns
         after = times.searchsorted(arrived, side="left")
@@ -126,8 +122,7 @@ class Latency:
     def publish(self, stamp: int, now_ns: int) -> float | None:
         """Store that errors up to a timestamp are published; the latency is of the newest one.
 
-        Returns:
-            Latency of the first of them, seconds; None if none arrived since the last call.
+        Returned is that of the first of them, seconds; None if none arrived since the last call.
         """
         received = []
         while self._waiting and self._waiting[0][0] <= stamp:

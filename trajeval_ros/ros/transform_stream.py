@@ -25,6 +25,7 @@ from trajeval_ros.io.bags.transform_tree import (
     leading_edge,
 )
 from trajeval_ros.metrics.stream_health import UNKNOWN
+from trajeval_ros.online.state_buffer import NEVER
 from trajeval_ros.online.state_rows import states
 from trajeval_ros.ros.poses import PoseStream, StateColumns
 
@@ -32,8 +33,6 @@ _MEMORY_S = 10.0  # time span that is kept while the two frames are not connecte
 _MOST_TRANSFORMS = 50_000  # transforms per edge
 _MOST_EDGES = 1000  # edges, which may belong to other trees
 _WARN_AFTER_S = 5.0
-
-_NEVER = int(np.iinfo(np.int64).min)
 
 
 class TransformStream(PoseStream):
@@ -53,7 +52,7 @@ class TransformStream(PoseStream):
         self._trusts: dict[EdgeKey, StampTrust] = {}
         self._way: Way = []
         self._leading: EdgeKey | None = None
-        self._until = _NEVER
+        self._until = NEVER
         self._warn_at: float | None = None
 
     def poses(
@@ -132,7 +131,7 @@ class TransformStream(PoseStream):
     def _drop_moving(self) -> None:
         """Drop moving transforms, because time started again."""
         self._edges = {key: edge for key, edge in self._edges.items() if edge.is_static}
-        self._way, self._leading, self._until = [], None, _NEVER
+        self._way, self._leading, self._until = [], None, NEVER
 
     def _wants(self, key: EdgeKey) -> bool:
         return key in self._edges or (not self._way and len(self._edges) < _MOST_EDGES)

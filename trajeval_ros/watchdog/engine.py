@@ -14,6 +14,7 @@ from trajeval_ros.consistency.yaw_information import YawInformation
 from trajeval_ros.formatting.remarks import Remark
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.watchdog.inertial_mounting import IMU_WIDTH
 from trajeval_ros.watchdog.inertial_signals import InertialSignals
 from trajeval_ros.watchdog.pair_signals import PairSignals
@@ -29,7 +30,6 @@ from trajeval_ros.watchdog.row_buffer import (
     Comparison,
     OrderedFeed,
     RowBuffer,
-    lengths,
 )
 from trajeval_ros.watchdog.signals import PAIR, Readings, Signals, joined
 from trajeval_ros.watchdog.twist_signals import TwistSignals
@@ -47,10 +47,6 @@ class Watchdog:
     The watchdog arms when the robot has moved for 30 s in total. The data before arming determine
     the mounting and clock of the IMU, the lag of the twist, and the body and scale of second
     estimates. Signals start at arming.
-
-    Attributes:
-        moved_s: Duration of motion so far, until arming, seconds.
-        armed_s: Time of arming, seconds since the first message; None before.
     """
 
     def __init__(self, origin: int | None = None, pairs: Sequence[str] = (PAIR,)) -> None:
@@ -66,8 +62,8 @@ class Watchdog:
         self._begin()
 
     def _begin(self) -> None:
-        self.moved_s = 0.0
-        self.armed_s: float | None = None
+        self.moved_s = 0.0  # duration of motion so far, until arming, seconds
+        self.armed_s: float | None = None  # time of arming, seconds since the first message
         widths = {"imu": IMU_WIDTH, **dict.fromkeys(("map", *self._pair_names), POSE_WIDTH)}
         self._feeds = {name: OrderedFeed() for name in ("states", *widths)}
         self._states = RowBuffer(STATE_WIDTH)
@@ -222,21 +218,13 @@ class Watchdog:
                 found[name] = Readings(seconds[first:], values[first:])
         return found
 
-    def add_inertial(self, stamps: Stamps, rates: Floats, accelerations: Floats) -> Signals:
-        """Add readings of the IMU in its axes, rad/s and m/s^2; return the signals."""
-        return self._add_source("imu", stamps, rates, accelerations)
+    def add_source(self, name: str, stamps: Stamps, *columns: Floats) -> Signals:
+        """Add rows of another source, with timestamps (N,), ns; return the signals.
 
-    def add_partner(
-        self, stamps: Stamps, positions: Floats, quaternions: Floats, source: str = PAIR
-    ) -> Signals:
-        """Add states of a second estimate, in any frame and scale; return the signals."""
-        return self._add_source(source, stamps, positions, quaternions)
-
-    def add_corrections(self, stamps: Stamps, positions: Floats, quaternions: Floats) -> Signals:
-        """Add transforms: poses of the estimate's frame in the map; return the signals."""
-        return self._add_source("map", stamps, positions, quaternions)
-
-    def _add_source(self, name: str, stamps: Stamps, *columns: Floats) -> Signals:
+        Columns are those of `imu`: rates and accelerations (N, 3) in its axes, rad/s and m/s^2;
+        of a second estimate, in any frame and scale, or of `map`, poses of the estimate's frame
+        in the map: positions (N, 3) and quaternions (N, 4).
+        """
         if not len(stamps):
             return {}
         rows = self._feeds[name].rows(self._seconds(stamps), *columns)
@@ -250,6 +238,4 @@ class Watchdog:
 
     def _by_source(self, name: str, rows: Floats) -> Signals:
         """Return the signals that rows of a source determine, after arming."""
-        if not len(rows):
-            return {}
-        return self._others[name].add_other(rows)
+        return self._others[name].add_other(rows) if len(rows) else {}

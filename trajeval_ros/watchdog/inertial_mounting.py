@@ -11,8 +11,14 @@ from trajeval_ros.calibration.hand_eye import closest_rotation
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.interpolation import slerp_at
+from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.watchdog.rotations_over_time import between, only_axis
-from trajeval_ros.watchdog.row_buffer import QUATERNION, TIME, lengths, window_begins
+from trajeval_ros.watchdog.row_buffer import (
+    QUATERNION,
+    TIME,
+    interpolated,
+    window_begins,
+)
 
 # Columns of an IMU row after `TIME` and `SINCE`: rad/s, m/s^2.
 GYRO, ACCELERATION = slice(2, 5), slice(5, 8)
@@ -168,10 +174,7 @@ def _refined(
             slerp_at(imu[:, TIME], track, times[each] + offset_s) for each in (begins, ends)
         )
         summed = [
-            np.stack(
-                [np.interp(times[each] + offset_s, imu[:, TIME], column) for column in integral.T],
-                axis=-1,
-            ).reshape(-1, 3, 3)
+            interpolated(imu[:, TIME], integral, times[each] + offset_s).reshape(-1, 3, 3)
             for each in (begins, ends)
         ]
         swept = np.swapaxes(lie.to_matrix(start), 1, 2) @ (summed[1] - summed[0])

@@ -7,6 +7,7 @@ import numpy as np
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.interpolation import slerp_at
+from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.watchdog.inertial_mounting import (
     ACCELERATION,
     FARTHEST_S,
@@ -26,7 +27,6 @@ from trajeval_ros.watchdog.row_buffer import (
     Comparison,
     RowBuffer,
     interpolated,
-    lengths,
     only,
     window_begins,
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.watchdog.row_buffer import lengths
+from trajeval_ros.metrics.absolute_errors import lengths
 
 
 def judged(residuals: Floats, jacobians: Floats, covariance: Floats, floor: float) -> Floats:

@@ -11,6 +11,7 @@ from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.geometry.interpolation import slerp_at
 from trajeval_ros.geometry.so3 import skew
+from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.watchdog.judging import judged
 from trajeval_ros.watchdog.rotations_over_time import between
 from trajeval_ros.watchdog.row_buffer import (
@@ -22,7 +23,6 @@ from trajeval_ros.watchdog.row_buffer import (
     Comparison,
     RowBuffer,
     interpolated,
-    lengths,
     only,
     window_begins,
 )

@@ -6,7 +6,8 @@ import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
-from trajeval_ros.watchdog.rotations_over_time import angles_deg, between
+from trajeval_ros.metrics.absolute_errors import lengths
+from trajeval_ros.watchdog.rotations_over_time import between
 from trajeval_ros.watchdog.row_buffer import (
     HALF_NS,
     POSE_WIDTH,
@@ -17,7 +18,6 @@ from trajeval_ros.watchdog.row_buffer import (
     TIME,
     RowBuffer,
     interpolated,
-    lengths,
     only,
     window_begins,
 )
@@ -194,7 +194,7 @@ class CorrectionSignals:
         before = np.searchsorted(rows[:, TIME], since, side="right") - 1
         old = rows[np.maximum(before, 0)]
         moved = lengths(_in_map(new, robot) - _in_map(old, robot))
-        turned = angles_deg(between(old[:, QUATERNION], new[:, QUATERNION]))
+        turned = np.degrees(lie.angle(between(old[:, QUATERNION], new[:, QUATERNION])))
         signals = {
             "map_correction_m_1s": finite(times, only(moved, before >= 0)),
             "map_correction_deg_1s": finite(times, only(turned, before >= 0)),

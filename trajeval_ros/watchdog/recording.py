@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
 
@@ -34,10 +33,10 @@ class WatchedRun:
     corrections: Trajectory | None = None  # transforms from the map to the estimate's frame
 
     @property
-    def others(self) -> list[Trajectory]:
-        """Second estimates and corrections."""
-        corrections = [] if self.corrections is None else [self.corrections]
-        return [*self.partners.values(), *corrections]
+    def others(self) -> dict[str, Trajectory]:
+        """Second estimates and corrections, by source."""
+        corrections = {} if self.corrections is None else {"map": self.corrections}
+        return {**self.partners, **corrections}
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +60,7 @@ def watched(run: WatchedRun) -> Watched:
     name = run.estimate.name or "the estimate"
     if not len(run.estimate):
         raise InputError(f"{name} has no usable pose")
-    for each in (run.estimate, *run.others):
+    for each in (run.estimate, *run.others.values()):
         if not each.reading.stamped:
             raise InputError(
                 f"{each.name or 'an estimate'} has no timestamps, which watch needs; give a "
@@ -84,8 +83,7 @@ def watched(run: WatchedRun) -> Watched:
         for need, source in (
             ("twist", run.estimate.velocities),
             ("imu", run.imu),
-            ("map", run.corrections),
-            *run.partners.items(),
+            *run.others.items(),
         )
         if source is not None
     }
@@ -110,25 +108,20 @@ def _fed(watchdog: Watchdog, run: WatchedRun) -> Iterator[Signals]:
     """Feed all sources in slices of time, as in a live run, and yield the signals."""
     estimate, imu = run.estimate, run.imu
     velocities = _body_velocities(estimate)
-    takers: list[Callable[[Stamps, Floats, Floats], Signals]] = [
-        partial(watchdog.add_partner, source=each) for each in run.partners
-    ]
-    if run.corrections is not None:
-        takers.append(watchdog.add_corrections)
-    sources = [estimate.stamps, *(each.stamps for each in run.others)]
+    others: dict[str, tuple[Stamps, Floats | None, Floats | None]] = {}
     if imu is not None:
-        sources.append(imu.stamps)
+        others["imu"] = imu.stamps, imu.rates, imu.accelerations
+    for name, each in run.others.items():
+        others[name] = each.stamps, each.positions, each.quaternions
+    sources = [estimate.stamps, *(stamps for stamps, _, _ in others.values())]
     first = min(int(each.min()) for each in sources)
     slices = [_slices(each, first) for each in sources]
     empty = np.empty(0, dtype=np.int64)
     for own in itertools.zip_longest(*slices, fillvalue=empty):
-        if imu is not None:
-            rows = own[-1]
-            assert imu.accelerations is not None
-            yield watchdog.add_inertial(imu.stamps[rows], imu.rates[rows], imu.accelerations[rows])
-        for take, other, rows in zip(takers, run.others, own[1:], strict=False):
-            assert other.quaternions is not None
-            yield take(other.stamps[rows], other.positions[rows], other.quaternions[rows])
+        for (name, (stamps, values, more)), rows in zip(others.items(), own[1:], strict=True):
+            assert values is not None
+            assert more is not None
+            yield watchdog.add_source(name, stamps[rows], values[rows], more[rows])
         rows = own[0]
         assert estimate.quaternions is not None
         if estimate.covariances is not None:

@@ -15,11 +15,6 @@ def between(start: Floats, end: Floats) -> Floats:
     return lie.multiply(lie.conjugate(start), end)
 
 
-def angles_deg(quaternions: Floats) -> Floats:
-    """Return rotation angles (N,), degrees."""
-    return np.degrees(lie.angle(quaternions))
-
-
 def only_axis(turns: Floats, others: Floats) -> Floats | None:
     """Return the only axis (3,) about which a body rotated; None if there are several.
 

@@ -153,12 +153,6 @@ def only(values: Floats, known: Booleans) -> Floats:
     return np.where(known, values, np.nan)
 
 
-def lengths(vectors: Floats) -> Floats:
-    """Return the lengths (N,) of vectors (N, 3)."""
-    found: Floats = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
-    return found
-
-
 def interpolated(times: Floats, values: Floats, at: Floats) -> Floats:
     """Interpolate columns (N, k) linearly at other times (M,); return (M, k)."""
     return np.stack([np.interp(at, times, column) for column in values.T], axis=-1)

@@ -6,6 +6,7 @@ import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.watchdog.row_buffer import (
     POSITION,
     QUATERNION,
@@ -16,7 +17,6 @@ from trajeval_ros.watchdog.row_buffer import (
     RowBuffer,
     change_within,
     interpolated,
-    lengths,
     only,
     window_begins,
 )

@@ -29,15 +29,11 @@ class WatchAlarm:
 
 
 class AlarmBook:
-    """Compares signals with limits, reading by reading.
-
-    Attributes:
-        factor: The factor on all limits of `SIGNALS`, for one robot.
-    """
+    """Compares signals with limits, reading by reading."""
 
     def __init__(self, factor: float = 1.0) -> None:
         self.alarms: list[WatchAlarm] = []  # all alarms so far, in the order in which they began
-        self.factor = factor
+        self.factor = factor  # on all limits of `SIGNALS`, for one robot
         self._open: dict[str, WatchAlarm] = {}
 
     def limit(self, name: str) -> float:

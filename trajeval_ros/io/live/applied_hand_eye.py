@@ -17,15 +17,11 @@ from trajeval_ros.pipeline.request import Request
 
 @dataclass(frozen=True, eq=False)
 class AppliedHandEye:
-    """The hand-eye transform recorded in a pair file.
-
-    Attributes:
-        of_marker: Whether the estimate was converted to the marker; otherwise the groundtruth was
-            converted to the body.
-    """
+    """The hand-eye transform recorded in a pair file."""
 
     hand_eye: HandEye  # the transform
     source: str  # its source
+    # Whether the estimate was converted to the marker, not the groundtruth to the body.
     of_marker: bool
 
     @classmethod

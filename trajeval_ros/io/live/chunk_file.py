@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError, reason_of
-from trajeval_ros.io.json_file import mapping_in
+from trajeval_ros.io.json_file import json_text, mapping_in, require_schema
 
 Chunk = tuple[dict[str, Any], NDArray[Any]]
+Kinds = Mapping[bytes, np.dtype[Any]]  # types of rows by magic number
 
 _HEAD = struct.Struct("<4sIII")
 # Memory for chunks while the disk accepts none; beyond it, chunks are lost.
@@ -28,33 +29,37 @@ _MOST_WAITING = 64 * 1024 * 1024
 
 
 class ChunkWriter:
-    """Appends chunks to a file; after an error of the disk, the next chunk tries again.
+    """Appends chunks to a file; after an error of the disk, the next chunk tries again."""
 
-    Attributes:
-        path: The file.
-        trouble: Why the last chunks are not on disk yet; empty if they are.
-    """
-
-    def __init__(self, path: Path, magic: bytes, rows: NDArray[Any], text: bytes) -> None:
-        self.path, self.trouble = path, ""
+    def __init__(self, path: Path, kinds: Kinds, description: Mapping[str, Any]) -> None:
+        """Create the file with a first chunk of no rows, which has the description."""
+        self.path, self._kinds = path, kinds
+        self.trouble = ""  # why the last chunks are not on disk yet; empty if they are
         self._waiting = bytearray()
         self._length = 0  # of the whole chunks on disk
         try:
             self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
         except OSError as error:
             raise InputError(f"{path} can't be written: {reason_of(error)}") from error
-        self.add(magic, rows, text)
+        magic, kind = next(iter(kinds.items()))
+        self.add(magic, *(np.empty(0, kind)[name] for name in kind.names or ()), text=description)
         self.write()
         if self.trouble:
             os.close(self._file)
             raise InputError(f"{path} can't be written: {self.trouble}")
 
-    def add(self, magic: bytes, rows: NDArray[Any], text: bytes = b"") -> bool:
-        """Queue a chunk for writing; returns whether there was memory for it."""
-        body = text + rows.tobytes()
+    def add(
+        self, magic: bytes, *columns: NDArray[Any], text: Mapping[str, Any] | None = None
+    ) -> bool:
+        """Queue a chunk of N rows for writing; returns whether there was memory for it."""
+        rows = np.empty(len(columns[0]), self._kinds[magic])
+        for name, column in zip(rows.dtype.names or (), columns, strict=True):
+            rows[name] = column
+        said = b"" if text is None else json_text(text).encode()
+        body = said + rows.tobytes()
         if len(self._waiting) + len(body) > _MOST_WAITING:
             return False
-        self._waiting += _HEAD.pack(magic, len(rows), len(text), zlib.crc32(body)) + body
+        self._waiting += _HEAD.pack(magic, len(rows), len(said), zlib.crc32(body)) + body
         return True
 
     def close(self) -> None:
@@ -85,7 +90,24 @@ class ChunkWriter:
         self.trouble = ""
 
 
-def read_chunks(path: Path, kinds: Mapping[bytes, np.dtype[Any]]) -> tuple[list[Chunk], int]:
+def read_tables(
+    path: Path, kinds: Kinds, schema: str, what: str
+) -> dict[bytes, list[NDArray[Any]]]:
+    """Return the columns of the rows of every kind; refuses a file with another schema."""
+    chunks, _ = read_chunks(path, kinds)
+    found = chunks[0][0].get("format") if chunks else None
+    require_schema(path, found, schema, what, "evaluate a recording of the run")
+    tables = {}
+    for magic, kind in kinds.items():
+        rows = np.concatenate(
+            [np.empty(0, kind), *(each for _, each in chunks if each.dtype == kind)]
+        )
+        columns = [rows[name] for name in kind.names or ()]
+        tables[magic] = [each.astype(each.dtype.newbyteorder("=")) for each in columns]
+    return tables
+
+
+def read_chunks(path: Path, kinds: Kinds) -> tuple[list[Chunk], int]:
     """Read a file up to its end or to its first damage.
 
     Returns:
@@ -104,7 +126,7 @@ def read_chunks(path: Path, kinds: Mapping[bytes, np.dtype[Any]]) -> tuple[list[
 
 
 def _chunk(
-    content: bytes, place: int, kinds: Mapping[bytes, np.dtype[Any]]
+    content: bytes, place: int, kinds: Kinds
 ) -> tuple[dict[str, Any], NDArray[Any], int] | None:
     """Return text, rows and end of the chunk at `place`; None if there is no valid one."""
     if place + _HEAD.size > len(content):

@@ -17,39 +17,31 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.fix_selection import fixes_of_rows
 from trajeval_ros.geometry.fixes import Fixes
 from trajeval_ros.geometry.geodesy import Datum
-from trajeval_ros.io.json_file import json_text, require_schema
-from trajeval_ros.io.live.chunk_file import ChunkWriter, read_chunks
+from trajeval_ros.io.live.chunk_file import ChunkWriter, read_tables
 
 FORMAT = "trajeval-fixes/1"
 NAME = "groundtruth.fixes"
 
-_MAGIC = b"TEFX"
-_ROW = np.dtype([("stamp", "<i8"), ("fix", "<f8", 14)])
+_FIXES = b"TEFX"
+_KINDS = {_FIXES: np.dtype([("stamp", "<i8"), ("fix", "<f8", 14)])}
 
 
 class FixWriter(ChunkWriter):
     """Appends to the file of fixes in a run's folder."""
 
     def __init__(self, folder: Path) -> None:
-        text = json_text({"format": FORMAT}).encode()
-        super().__init__(folder / NAME, _MAGIC, np.empty(0, _ROW), text)
+        super().__init__(folder / NAME, _KINDS, {"format": FORMAT})
 
     def append(self, stamps: Stamps, fixes: Floats) -> None:
         """Add fixes: stamps (N,), nanoseconds, and rows (N, 14) as described above."""
-        rows = np.empty(len(stamps), _ROW)
-        rows["stamp"], rows["fix"] = stamps, fixes
-        self.add(_MAGIC, rows)
+        self.add(_FIXES, stamps, fixes)
         self.write()
 
 
 def read_fix_rows(folder: Path) -> tuple[Stamps, Floats]:
     """Return stamps (N,), nanoseconds, and rows (N, 14) of the file of fixes, as written."""
-    path = folder / NAME
-    chunks, _ = read_chunks(path, {_MAGIC: _ROW})
-    schema = chunks[0][0].get("format") if chunks else None
-    require_schema(path, schema, FORMAT, "file of fixes", "evaluate a recording of the run")
-    rows = np.concatenate([rows for _, rows in chunks])
-    return rows["stamp"].astype(np.int64), rows["fix"].astype(np.float64)
+    stamps, fixes = read_tables(folder / NAME, _KINDS, FORMAT, "file of fixes")[_FIXES]
+    return stamps, fixes
 
 
 def read_fixes(folder: Path, datum: Datum) -> tuple[Stamps, Fixes]:

@@ -9,8 +9,10 @@ stored as `causal_ate`.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -95,7 +97,8 @@ def _evaluate_pairs(
         whole = _with_fixes(whole, stamps, fixes)
         groundtruth_of_pairs = _with_fixes(pairs.groundtruth, stamps, fixes)
         pairs = dataclasses.replace(pairs, groundtruth=groundtruth_of_pairs)
-    request = _as_available(request, state.get("stated") or {})
+    stated = state.get("stated") or {}
+    request = _as_available(request, stated)
     received = path.with_name(name + RECEIVED_SUFFIX)
     streams = None
     if request.available.is_asked_for and received.exists():
@@ -114,10 +117,11 @@ def _evaluate_pairs(
         asked_live = applied.judging(asked_live)
     revised = path.with_name(name + REVISED_SUFFIX)
     if revised.exists():
-        causal = _run(pairs, request, *named, name, None).evaluation
+        causal = _run(pairs, named, name, None, request).evaluation
         live["causal_ate"] = {name: statistics_json(ate) for name, ate in causal.ate.items()}
         pairs, estimate = revised_association(pairs, recorded, revised)
-    run, why_not = _judged(pairs, request, *named, name, asked_live, streams)
+    evaluated = partial(_run, pairs, named, name, streams)
+    run, why_not = _judged(evaluated, request, asked_live)
     if applied is not None:
         run = applied.told(run)
     evaluation = dataclasses.replace(
@@ -149,7 +153,6 @@ def _evaluate_pairs(
         )
     ]
     run = dataclasses.replace(run, estimate=summaries[1], evaluation=evaluation, live=live)
-    stated = state.get("stated") or {}
     return EvaluatedPairFile(description["place"], summaries[0], run, rule, stated)
 
 
@@ -201,9 +204,16 @@ def _fix_rule(words: dict[str, Any] | None) -> FixRule:
     """Return the rule for GNSS fixes; without a datum if the groundtruth is something else."""
     if words is None:
         return FixRule()
-    try:
+    with _in_file():
         return FixRule(datum=Datum(*words["datum"]), correlation_s=words["correlation_s"])
-    except SettingsError as error:  # a damaged file, no mistake of the user
+
+
+@contextmanager
+def _in_file() -> Iterator[None]:
+    """Raise a ValueError for wrong values in a damaged file, which are no mistake of the user."""
+    try:
+        yield
+    except SettingsError as error:
         raise ValueError(str(error)) from error
 
 
@@ -219,49 +229,38 @@ def _with_fixes(groundtruth: Trajectory, stamps: Stamps, fixes: Fixes) -> Trajec
 
 
 def _judged(
-    pairs: Association,
-    request: Request,
-    groundtruth: dict[str, Any],
-    estimate: dict[str, Any],
-    name: str,
-    asked_live: CovarianceRequest,
-    streams: Streams | None,
+    evaluated: Callable[[Request], RunOutcome], request: Request, asked_live: CovarianceRequest
 ) -> tuple[RunOutcome, list[Remark]]:
     """Evaluate the pairs and test covariances as requested now or, otherwise, in the live run.
 
     If a test requested in the live run is not possible, the result has a warning instead.
     """
     if request.covariances.source != "none" or asked_live.source == "none":
-        return _run(pairs, request, groundtruth, estimate, name, streams), []
+        return evaluated(request), []
     try:
-        asked = dataclasses.replace(request, covariances=asked_live)
-        return _run(pairs, asked, groundtruth, estimate, name, streams), []
+        return evaluated(dataclasses.replace(request, covariances=asked_live)), []
     except TrajevalError as error:
-        run = _run(pairs, request, groundtruth, estimate, name, streams)
         said = f"the consistency test is not possible: {error}"
-        return run, [warning("no_consistency_test", said)]
+        return evaluated(request), [warning("no_consistency_test", said)]
 
 
 def _covariances_of(words: dict[str, Any]) -> CovarianceRequest:
     """Return the live run's request for a consistency test; older files have none."""
     noise = words.get("groundtruth_noise")
-    try:
+    with _in_file():
         return CovarianceRequest(
             words.get("source", "none"),
             rotation_frame=words.get("rotation_frame", "world"),
             groundtruth_noise=None if noise is None else (float(noise[0]), float(noise[1])),
         )
-    except SettingsError as error:  # a damaged file, no mistake of the user
-        raise ValueError(str(error)) from error
 
 
 def _run(
     pairs: Association,
-    request: Request,
-    groundtruth: dict[str, Any],
-    estimate: dict[str, Any],
+    named: tuple[dict[str, Any], dict[str, Any]],
     name: str,
     streams: Streams | None,
+    request: Request,
 ) -> RunOutcome:
     """Evaluate the pairs; states without a pair are known as counts only."""
     sides = [
@@ -280,8 +279,8 @@ def _run(
             ),
         )
         for trajectory, label, counts in (
-            (pairs.groundtruth, "groundtruth", groundtruth),
-            (pairs.estimate, name, {**estimate, "dropped": {}}),
+            (pairs.groundtruth, "groundtruth", named[0]),
+            (pairs.estimate, name, {**named[1], "dropped": {}}),
         )
     ]
     pairs = dataclasses.replace(pairs, groundtruth=sides[0], estimate=sides[1])
@@ -293,10 +292,8 @@ def _as_available(request: Request, stated: Mapping[str, Any]) -> Request:
     motion = stated.get("as_available", NONE)
     if request.available.is_asked_for or motion == NONE:
         return request
-    try:
+    with _in_file():
         rule = AvailabilityRule(motion, float(stated["deadline"]))
-    except SettingsError as error:  # a damaged file, no mistake of the user
-        raise ValueError(str(error)) from error
     return dataclasses.replace(request, available=rule)
 
 

@@ -16,13 +16,8 @@ NAME = "metrics.prom"
 def write_metrics(folder: Path, statuses: Mapping[str, Mapping[str, Any]]) -> None:
     """Replace the file in a run's folder by the newest values of all estimates, atomically.
 
-    Args:
-        folder: The folder.
-        statuses: Values by name and unit, by the name of the estimate; only finite numbers are
-            written.
-
-    Raises:
-        InputError: The file can't be written.
+    `statuses` has values by name and unit, by the name of the estimate; only finite numbers are
+    written. An InputError is raised if that is not possible.
     """
     write_text(folder / NAME, open_metrics(statuses))
 

@@ -24,7 +24,7 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.valid_poses import judge_poses
-from trajeval_ros.io.json_file import json_text, require_schema
+from trajeval_ros.io.json_file import require_schema
 from trajeval_ros.io.live.chunk_file import ChunkWriter, read_chunks
 from trajeval_ros.io.npz_file import read_arrays, write_arrays
 from trajeval_ros.metrics.coverage import StampedPoses
@@ -42,17 +42,12 @@ _PAIRS, _WIDE_PAIRS, _WAYPOINTS = _KINDS
 
 
 class PairWriter(ChunkWriter):
-    """Appends to a pair file.
-
-    Attributes:
-        lost: Number of pairs that could not be written.
-        why_lost: Why the last of them could not.
-    """
+    """Appends to a pair file."""
 
     def __init__(self, path: Path, description: Mapping[str, Any]) -> None:
-        self.lost, self.why_lost = 0, ""
-        text = json_text({"format": FORMAT, **description}).encode()
-        super().__init__(path, _PAIRS, np.empty(0, _ROW), text)
+        self.lost = 0  # number of pairs that could not be written
+        self.why_lost = ""  # why the last of them could not
+        super().__init__(path, _KINDS, {"format": FORMAT, **description})
 
     def append(
         self,
@@ -62,32 +57,22 @@ class PairWriter(ChunkWriter):
         state: Mapping[str, Any] | None = None,
     ) -> None:
         """Add pairs (N,), (N, 10), (N, 10) or (N, 46), and the newest counts if given."""
-        estimate, covariances = estimate[:, :10], estimate[:, 10:]
-        magic = _WIDE_PAIRS if covariances.any() else _PAIRS  # zeros mean unknown
-        rows = np.empty(len(stamps), dtype=_KINDS[magic])
-        rows["stamp"], rows["groundtruth"], rows["estimate"] = stamps, groundtruth, estimate
-        if magic == _WIDE_PAIRS:
-            rows["covariance"] = covariances
-        text = b"" if state is None else json_text(state).encode()
-        if not self.add(magic, rows, text):
+        columns, covariances = [stamps, groundtruth, estimate[:, :10]], estimate[:, 10:]
+        is_wide = bool(covariances.any())  # zeros mean unknown
+        columns += [covariances] if is_wide else []
+        if not self.add(_WIDE_PAIRS if is_wide else _PAIRS, *columns, text=state):
             self.lost += len(stamps)
             self.why_lost = self.trouble
         self.write()
 
     def append_waypoints(self, waypoints: StampedPoses) -> None:
         """Add waypoints of the groundtruth; they are written together with the next pairs."""
-        rows = np.empty(len(waypoints.stamps), dtype=_WAYPOINT)
-        rows["stamp"], rows["pose"] = waypoints
-        self.add(_WAYPOINTS, rows)
+        self.add(_WAYPOINTS, *waypoints)
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedPairs:
-    """The content of a pair file.
-
-    Attributes:
-        covariances: (N, 6, 6) of the estimate, zeros if unknown; None if all are unknown.
-    """
+    """The content of a pair file."""
 
     description: dict[str, Any]  # description of the run
     state: dict[str, Any]  # the newest counts; empty if none were written
@@ -95,6 +80,7 @@ class RecordedPairs:
     stamps: Stamps  # (N,) nanoseconds, in order of arrival
     groundtruth: Floats  # (N, 10) states
     estimate: Floats  # (N, 10) states, in the estimate's own frame
+    # (N, 6, 6) of the estimate, zeros if unknown; None if all are unknown.
     covariances: Floats | None
     waypoints: StampedPoses  # (M,) of the groundtruth between pairs, in order of time
     torn: int  # number of bytes after the last valid chunk

@@ -11,62 +11,42 @@ from pathlib import Path
 
 import numpy as np
 
-from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.reading import NOT_READ, Reading
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
-from trajeval_ros.io.json_file import json_text, require_schema
-from trajeval_ros.io.live.chunk_file import ChunkWriter, read_chunks
+from trajeval_ros.io.live.chunk_file import ChunkWriter, read_tables
+from trajeval_ros.online.live_availability import received_states
 
 FORMAT = "trajeval-received/1"
 SUFFIX = ".received"
-_TRUTH = np.dtype([("stamp", "<i8"), ("pose", "<f8", 7)])
-_MESSAGE = np.dtype([("stamp", "<i8"), ("time", "<i8"), ("pose", "<f8", 7)])
-_KINDS = {b"TERG": _TRUTH, b"TERM": _MESSAGE}
+_KINDS = {
+    b"TERG": np.dtype([("stamp", "<i8"), ("pose", "<f8", 7)]),
+    b"TERM": np.dtype([("stamp", "<i8"), ("time", "<i8"), ("pose", "<f8", 7)]),
+}
+_TRUTH, _MESSAGE = _KINDS
 
 
 class ReceptionWriter(ChunkWriter):
     """Appends to the file of an estimate."""
 
     def __init__(self, path: Path) -> None:
-        text = json_text({"format": FORMAT}).encode()
-        super().__init__(path, b"TERG", np.empty(0, _TRUTH), text)
+        super().__init__(path, _KINDS, {"format": FORMAT})
 
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
-        """Queue groundtruth states: timestamps (N,), nanoseconds, and rows (N, 7 or more)."""
-        found = np.empty(len(stamps), _TRUTH)
-        found["stamp"], found["pose"] = stamps, rows[:, :7]
-        self.add(b"TERG", found)
+        """Queue groundtruth states: timestamps (N,), nanoseconds, and rows (N, 7)."""
+        self.add(_TRUTH, stamps, rows)
 
     def add_estimate(self, stamps: Stamps, times: Stamps, rows: Floats) -> None:
-        """Queue messages: timestamps and receptions (N,), nanoseconds, and rows (N, 7 or more)."""
-        found = np.empty(len(stamps), _MESSAGE)
-        found["stamp"], found["time"], found["pose"] = stamps, times, rows[:, :7]
-        self.add(b"TERM", found)
+        """Queue messages: timestamps and receptions (N,), nanoseconds, and rows (N, 7)."""
+        self.add(_MESSAGE, stamps, times, rows)
 
 
 def read_received(path: Path, ups: list[UpAxis]) -> tuple[Trajectory, Trajectory]:
     """Return groundtruth and estimate of a file, with their up axes."""
-    chunks, _ = read_chunks(path, _KINDS)
-    schema = chunks[0][0].get("format") if chunks else None
-    require_schema(path, schema, FORMAT, "file of receptions", "evaluate a recording of the run")
-    truth, messages = (
-        np.concatenate([np.empty(0, kind), *(rows for _, rows in chunks if rows.dtype == kind)])
-        for kind in (_TRUTH, _MESSAGE)
-    )
-    receptions = Receptions(messages["time"].astype(np.int64), "node")
-    sides = ((truth, Reading()), (messages, Reading(receptions=receptions)))
-    groundtruth, estimate = (
-        received_states(rows["stamp"].astype(np.int64), rows["pose"].astype(float), reading, up)
-        for (rows, reading), up in zip(sides, ups, strict=True)
-    )
-    return groundtruth, estimate
-
-
-def received_states(stamps: Stamps, rows: Floats, reading: Reading, up: UpAxis) -> Trajectory:
-    """Return the states in rows (N, 7 or more); without orientations if these are NaN."""
-    turns = rows[:, 3:7]
-    quaternions = None if np.isnan(turns).any() else lie.normalized(turns)
-    return Trajectory.from_columns(stamps, rows[:, :3], quaternions, reading, up=up)
+    tables = read_tables(path, _KINDS, FORMAT, "file of receptions")
+    (truth_stamps, truth_rows), (stamps, times, rows) = tables.values()
+    reading = Reading(receptions=Receptions(times, "node"))
+    groundtruth = received_states(truth_stamps, truth_rows, NOT_READ, ups[0])
+    return groundtruth, received_states(stamps, rows, reading, ups[1])

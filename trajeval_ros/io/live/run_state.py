@@ -13,26 +13,21 @@ Check = Callable[[Any], bool]
 
 def require_run_state(description: Mapping[str, Any], state: Mapping[str, Any]) -> None:
     """Check the description and the newest counts of a live run."""
-    for keys, fits in _DESCRIPTION.items():
-        _require(description, keys, fits)
-    for keys, fits in _STATE.items():
-        _require(state, keys, fits)
-
-
-def _require(values: Mapping[str, Any], keys: str, fits: Check) -> None:
-    value: Any = values
-    for key in keys.split("."):
-        value = value[key] if isinstance(value, dict) else None
-    if not fits(value):
-        raise ValueError(f"{keys} can't be {repr(value)[:60]}")
-
-
-def _is_count(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+    for values, checks in ((description, _DESCRIPTION), (state, _STATE)):
+        for keys, fits in checks.items():
+            value: Any = values
+            for key in keys.split("."):
+                value = value[key] if isinstance(value, dict) else None
+            if not fits(value):
+                raise ValueError(f"{keys} can't be {repr(value)[:60]}")
 
 
 def _is_amount(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and value >= 0
+    return isinstance(value, int | float) and not isinstance(value, bool) and value >= 0
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int) and _is_amount(value)
 
 
 def _is_text(value: Any) -> bool:
