@@ -77,9 +77,9 @@ def explain(
     sources = [source for truth, estimate, _ in runs for source in (truth, estimate)]
     with progress("reading") as advance:
         trajectories = read_many(sources, advance=advance)
+    sides = zip(trajectories[::2], trajectories[1::2], runs, strict=True)
+    found = search([(truth, estimate, run[2]) for truth, estimate, run in sides], unit or "")
     up = trajectories[0].up.name, trajectories[1].up.name
-    read = iter(trajectories)
-    found = search([(next(read), next(read), numbers) for _, _, numbers in runs], unit or "")
     if json is not None:
         text = json_text(_json(found, up), indent=2)
         if json == "-":
