@@ -29,7 +29,9 @@ from trajeval_ros.io.bags.pose_messages import decode_poses
 from trajeval_ros.io.bags.px4_messages import ODOMETRY, PX4_POSE_TYPES
 from trajeval_ros.io.bags.topics import trajectory_of_columns
 from trajeval_ros.io.describe import describe
+from trajeval_ros.io.find_sources import find_sources
 from trajeval_ros.io.sources import each_topic, read_many, read_trajectory
+from trajeval_ros.io.ulog import simulated_sides
 
 Array = NDArray[Any]
 DATA = SHARED / "data" / "px4"
@@ -281,6 +283,40 @@ def test_topics_of_a_log_are_named_and_listed(tmp_path: Path) -> None:
     assert "PX4 log" in listed.output
 
 
+def test_a_log_of_the_simulator_needs_no_topics(tmp_path: Path) -> None:
+    path, saved = tmp_path / "log.ulg", tmp_path / "result.json"
+    topics = [("vehicle_odometry", 0, odometry()), ("estimator_odometry", 1, odometry())]
+    truth = "vehicle_local_position_groundtruth"
+    write_ulog(path, [*topics, (truth, 0, local_position())])
+    call = ["evaluate", str(path), "--gauge", "none", "--json", str(saved)]
+    assert CliRunner().invoke(app, call).exit_code == 0
+    result = json.loads(saved.read_text())
+    assert result["groundtruth"]["source"] == f"{path}:{truth}"
+    named = {each["estimate"]["source"].rpartition(":")[2] for each in result["runs"]}
+    assert named == {"vehicle_odometry", "estimator_odometry.1"}
+    for written, match in (
+        (topics, f"has no {truth}; give two topics as in .*:TOPIC, of estimator_odometry.1, "),
+        ([(truth, 0, local_position())], f"has no odometry; .* of {truth}"),
+    ):
+        write_ulog(path, written)
+        with pytest.raises(InputError, match=match):
+            simulated_sides(path)
+
+
+def test_a_search_reads_only_the_start_of_a_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "log.ulg"
+    write_ulog(path, [("vehicle_odometry", 0, odometry())])
+    (whole,) = find_sources(tmp_path).sources
+    assert (whole.kind, whole.topics) == ("PX4 log", ("vehicle_odometry",))
+    monkeypatch.setattr("trajeval_ros.io.find_sources._PX4_BYTES", 1500)
+    with path.open("ab") as file:
+        file.truncate(1 << 33)
+    (start,) = find_sources(tmp_path).sources
+    assert (start.kind, start.topics) == ("PX4 log, first 0 MB", ("vehicle_odometry",))
+
+
 def test_damage_is_reported_and_refused_if_strict(tmp_path: Path) -> None:
     path = tmp_path / "log.ulg"
     write_ulog(path, [("vehicle_odometry", 0, odometry())])
@@ -324,7 +360,7 @@ def test_a_definition_of_something_else_is_refused(tmp_path: Path) -> None:
     with Writer(tmp_path / "bag", version=9) as bag:
         connection = bag.add_connection("/o", ODOMETRY, msgdef="uint8 a", rihs01="unknown")
         bag.write(connection, 10**18, b"\0\1\0\0\1")
-    with pytest.raises(InputError, match=r"has no field position; use px4_msgs of PX4 1\.12"):
+    with pytest.raises(InputError, match=r"has no field timestamp; use px4_msgs of PX4 1\.12"):
         read_trajectory(tmp_path / "bag")
 
 

@@ -237,8 +237,21 @@ def require_used(hints: TextHints, remarks: Iterable[Remark]) -> None:
 def sources_of(
     verb: str, by_position: Sequence[str], groundtruth: str | None, estimates: Sequence[str]
 ) -> list[str]:
-    """Return the groundtruth and the estimates of a verb, from arguments or options."""
+    """Return the groundtruth and the estimates of a verb, from arguments or options.
+
+    Raises:
+        SettingsError: One is missing or given twice.
+        InputError: The only argument is a log of PX4 without a simulator's groundtruth.
+    """
     refuse_format(by_position, f"{verb} GROUNDTRUTH ESTIMATE")
+    if (
+        len(by_position) == 1
+        and by_position[0].endswith(".ulg")
+        and Path(by_position[0]).is_file()
+    ):
+        from trajeval_ros.io.ulog import simulated_sides
+
+        by_position = simulated_sides(Path(by_position[0]))
     if by_position and (groundtruth is not None or estimates):
         raise SettingsError(
             "sources are given twice; use either GROUNDTRUTH ESTIMATE... or --groundtruth and "

@@ -11,7 +11,7 @@ from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.options import argument, option, shared_options
 from trajeval_ros.cli.progress import progress
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.explanation.definition import command_of
+from trajeval_ros.explanation.definition import Command, Definition, command_of
 from trajeval_ros.explanation.explain import UNITS, Explanation, Match
 from trajeval_ros.explanation.explain import explain as search
 from trajeval_ros.formatting.numbers import counted, significant
@@ -31,6 +31,7 @@ _VERDICTS = {
     "none": "none: no definition gives this; check the run, the files, the time span and the "
     "groundtruth. The nearest likely values:",
 }
+Axes = tuple[str, str]  # vertical ones of groundtruth and estimate
 Run = tuple[str, str, list[str]]  # groundtruth, estimate and numbers
 
 
@@ -75,16 +76,18 @@ def explain(
     runs, unit = _runs(given, run, with_number, unit)
     sources = [source for truth, estimate, _ in runs for source in (truth, estimate)]
     with progress("reading") as advance:
-        read = iter(read_many(sources, advance=advance))
-    found = search([(next(read), next(read), numbers) for _, _, numbers in runs], unit or "")
+        trajectories = read_many(sources, advance=advance)
+    sides = zip(trajectories[::2], trajectories[1::2], runs, strict=True)
+    found = search([(truth, estimate, run[2]) for truth, estimate, run in sides], unit or "")
+    up = trajectories[0].up.name, trajectories[1].up.name
     if json is not None:
-        text = json_text(_json(found), indent=2)
+        text = json_text(_json(found, up), indent=2)
         if json == "-":
             print(text, end="")
         else:
             write_text(Path(json), text, follow_link=True)
     if json != "-":
-        _print(found, runs, is_unit_known=bool(unit))
+        _print(found, runs, up, is_unit_known=bool(unit))
     return 0 if found.verdict == "named" else _NOT_NAMED
 
 
@@ -120,7 +123,7 @@ def _runs(
     return found, unit or content.get("unit")
 
 
-def _print(found: Explanation, runs: Sequence[Run], *, is_unit_known: bool) -> None:
+def _print(found: Explanation, runs: Sequence[Run], up: Axes, *, is_unit_known: bool) -> None:
     from trajeval_ros.report.console import console
 
     terminal = console()
@@ -144,18 +147,18 @@ def _print(found: Explanation, runs: Sequence[Run], *, is_unit_known: bool) -> N
         line(f"         association {', '.join(match.associations)}")
         if match.others:
             line(f"         equal: {'; '.join(match.others)}")
-        for text in _commands(match, *runs[0][:2]) if found.matches else ():
+        for text in _commands(match, *runs[0][:2], up) if found.matches else ():
             line(f"         {text}")
     if found.matches:
         line(f"{100.0 * found.none_probability:5.1f} %  none of these")
 
 
-def _commands(match: Match, truth: str, estimate: str) -> list[str]:
+def _commands(match: Match, truth: str, estimate: str, up: Axes) -> list[str]:
     lines = []
     for definition in match.definitions:
-        command = command_of(definition)
-        if command is None:
-            lines.append("no command: see docs/explain.md")
+        command = command_of(definition, up)
+        if isinstance(command, str):
+            lines.append(command)
             continue
         sides = (estimate, truth) if command.exchanged else (truth, estimate)
         words = shlex.join(["trajeval", "evaluate", *sides, *command.options])
@@ -165,32 +168,25 @@ def _commands(match: Match, truth: str, estimate: str) -> list[str]:
     return lines
 
 
-def _json(found: Explanation) -> dict[str, Any]:
+def _json(found: Explanation, up: Axes) -> dict[str, Any]:
+    def number(definition: Definition, values: tuple[float, ...]) -> dict[str, Any]:
+        command = command_of(definition, up)
+        return {
+            "definition": definition._asdict(),
+            "text": str(definition),
+            "unit": definition.unit,
+            "values": list(values),
+            "command": command._asdict() if isinstance(command, Command) else None,
+            "no_command": command if isinstance(command, str) else "",
+        }
+
     def match(each: Match) -> dict[str, Any]:
         return {
             "probability": each.probability if found.matches else None,
             "associations": list(each.associations),
             "equal": list(each.others),
-            "numbers": [
-                {
-                    "definition": definition._asdict(),
-                    "text": str(definition),
-                    "unit": definition.unit,
-                    "values": list(values),
-                    "command": (command := command_of(definition)) and command._asdict(),
-                }
-                for definition, values in zip(each.definitions, each.values, strict=True)
-            ],
+            "numbers": [*map(number, each.definitions, each.values)],
         }
 
-    return {
-        "schema": SCHEMA,
-        "verdict": found.verdict,
-        "searched": found.searched,
-        "matching": found.matching,
-        "expected": found.expected,
-        "any_probability": found.any_probability,
-        "none_probability": found.none_probability,
-        "matches": [match(each) for each in found.matches],
-        "nearest": [match(each) for each in found.nearest],
-    }
+    lists = {key: [*map(match, getattr(found, key))] for key in ("matches", "nearest")}
+    return {"schema": SCHEMA, "verdict": found.verdict, **vars(found), **lists}

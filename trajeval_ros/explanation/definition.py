@@ -67,6 +67,7 @@ _TURNED = tuple(
     for name, each in ALIGNMENTS.items()
     if not each.has_scale and each.gauge is not Gauge.TRANSLATION
 )
+_OF_UP = ("horizontal", "vertical", "yaw", "tilt")
 LAST: Final = "last"  # the error at the end
 _FEW, _ALL = ("rmse", "mean", "median"), ("rmse", "mean", "median", "std", "max", "p95")
 PER_AXIS: Final = "per axis"
@@ -79,8 +80,8 @@ ABSOLUTE: Final[dict[tuple[str, str], tuple[tuple[str, ...], tuple[str, ...], fl
     ("rotation_deg", ""): (_ALL, _TURNED, 0.5),
     ("horizontal_m", ""): (("rmse", "mean"), _MAIN, 0.1),
     ("vertical_m", ""): (("rmse", "mean"), _MAIN, 0.02),
-    ("yaw_deg", ""): (_FEW, _MAIN, 0.08),
-    ("tilt_deg", ""): (_FEW, _MAIN, 0.03),
+    ("yaw_deg", ""): (_FEW, _TURNED[:5], 0.08),
+    ("tilt_deg", ""): (_FEW, _TURNED[:5], 0.03),
     ("full", ""): (_ALL, ("se3",), 0.02),
     ("rotation_part", ""): (_ALL, ("se3",), 0.02),
 }
@@ -101,8 +102,9 @@ class Family(NamedTuple):
 
 
 _KITTI = "kitti"
+_PAIRED = ("rpg", "linear", AT_GROUNDTRUTH, "index")
 FAMILIES: Final[dict[str, Family]] = {
-    "rpg": Family("rpg", "10%,20%,30%,40%,50%", ("rpg", "index"), _ALL, _FEW, has_parts=True),
+    "rpg": Family("rpg", "10%,20%,30%,40%,50%", _PAIRED, _ALL, _FEW, has_parts=True),
     "rpg, metres": Family("rpg", "8,16,24,32,40", ("rpg", "index"), _ALL),
     "evo": Family("evo", "1f,10f,1,10", ("evo", "index"), _ALL),
     "evo, all pairs": Family("evo", "1,10", ("evo", "index"), _ALL, pairs="all"),
@@ -205,14 +207,23 @@ class Command(NamedTuple):
     file: str  # content of the file protocol.yaml; empty if the options name none
 
 
-def command_of(definition: Definition) -> Command | None:
-    """Return the command that prints the number of a definition; None if there is none.
+def command_of(definition: Definition, up: tuple[str, str] = ("z", "z")) -> Command | str:
+    """Return the command that prints the number of a definition, or why there is none.
 
-    Errors at the end are in errors.npz. Alignments after a scale need a converted file.
+    `up`: the vertical axes of groundtruth and estimate. They are given, because numbers that
+    depend on an assumed axis are withheld if it is probably another one.
     """
     aligning = ALIGNMENTS[definition.alignment]
-    if aligning.scaled_by or definition.statistic == LAST:
-        return None
+    if aligning.scaled_by:
+        return (
+            "no command gives this number: no option aligns by the first state after a scale; "
+            "first convert the estimate by trajeval trajectory --scale"
+        )
+    if definition.statistic == LAST:
+        return (
+            "no command gives this number: result.json has no error at the end; it is the last "
+            "position_m of errors.npz"
+        )
     protocol = protocol_of(*definition[:2], definition.family)
     base, rule, options, file = PROTOCOLS[protocol.name], protocol.association, [], ""
     if aligning.apply != base.apply:
@@ -229,6 +240,9 @@ def command_of(definition: Definition) -> Command | None:
     options += ["--gauge", aligning.gauge.value]
     if aligning.states:
         options += ["--align-states", str(aligning.states)]
+    is_exchanged = definition.association == EXCHANGED
+    if definition.metric.startswith(_OF_UP):
+        options.append("--up=" + ",".join(dict.fromkeys(up[::-1] if is_exchanged else up)))
     path = f"ate.{definition.metric}.{definition.statistic}"
     if definition.family:
         path = f"re.{definition.length}.{definition.metric}.{definition.statistic}"
@@ -237,4 +251,4 @@ def command_of(definition: Definition) -> Command | None:
     formula = {
         PER_AXIS: f"{path} / sqrt(3)", PER_PATH: f"100 * {path} / groundtruth.path_length_m"
     }.get(definition.form, path)  # fmt: skip
-    return Command(tuple(options), formula, definition.association == EXCHANGED, file)
+    return Command(tuple(options), formula, is_exchanged, file)

@@ -48,9 +48,9 @@ class Value(NamedTuple):
 
 
 class Paired(NamedTuple):
-    """Pairs, the names of the associations that give them, and both sides."""
+    """Pairs, the associations that give them and whether they keep matrices, and both sides."""
 
-    names: list[str]
+    names: dict[str, bool]
     pairs: Association
     groundtruth: Trajectory
     estimate: Trajectory
@@ -69,8 +69,13 @@ def values_of(
     for paired in _associations(groundtruth, estimate):
         for rest, value, withheld in _values_of_pairs(paired):
             family = FAMILIES.get(rest[4])
-            for name in paired.names:
-                is_of_family = family is None or name in family.associations
+            first, *_ = paired.names.values()
+            for name, has_matrices in paired.names.items():
+                is_of_family = family is None or (
+                    name in family.associations
+                    # Interpolated rotations are not the inexact matrices of KITTI's files.
+                    and (has_matrices is first or family.protocol != "kitti")
+                )
                 protocol = ASSOCIATIONS[name][0]
                 is_printed = rest[1] not in OF_EVO or PROTOCOLS[protocol].ate_form == "evo"
                 if is_of_family and is_printed and not (withheld and protocol == "default"):
@@ -84,10 +89,10 @@ def _associations(groundtruth: Trajectory, estimate: Trajectory) -> Iterable[Pai
     if groundtruth.reading.fixes is not None:
         raise InputError("the groundtruth has GNSS fixes; explain needs poses, as of text files")
     found: dict[tuple[object, ...], Paired] = {}
-    read, refusal = (groundtruth.reading, estimate.reading), None
-    has = {"index": all(each.frame_numbers is not None or not each.stamped for each in read)}
+    both, refusal = (groundtruth.reading, estimate.reading), None
+    has = {"index": all(each.frame_numbers is not None or not each.stamped for each in both)}
     for name, (protocol, rule, _) in ASSOCIATIONS.items():
-        if not has.get(rule.method, all(each.stamped for each in read)):
+        if not has.get(rule.method, all(each.stamped for each in both)):
             continue
         sides = (estimate, groundtruth) if name == EXCHANGED else (groundtruth, estimate)
         if PROTOCOLS[protocol].in_order:
@@ -99,7 +104,9 @@ def _associations(groundtruth: Trajectory, estimate: Trajectory) -> Iterable[Pai
             continue
         columns = pairs.groundtruth.positions.tobytes(), pairs.estimate.positions.tobytes()
         key = (name == EXCHANGED, sides[0].path_length_m, *columns)
-        found.setdefault(key, Paired([], pairs, *sides)).names.append(name)
+        read = pairs.groundtruth.reading, pairs.estimate.reading
+        has_matrices = all(each.matrices is not None for each in read)
+        found.setdefault(key, Paired({}, pairs, *sides)).names[name] = has_matrices
     if not found and refusal is not None:
         raise refusal
     return found.values()
@@ -107,8 +114,7 @@ def _associations(groundtruth: Trajectory, estimate: Trajectory) -> Iterable[Pai
 
 def _values_of_pairs(paired: Paired) -> Iterator[Value]:
     aligned: dict[str, Alignment] = {}
-    is_exchanged = paired.names == [EXCHANGED]
-    for name in ("sim3",) if is_exchanged else ALIGNMENTS:
+    for name in ("sim3",) if EXCHANGED in paired.names else ALIGNMENTS:
         if (ALIGNMENTS[name].states or 0) < len(paired.pairs):
             try:
                 evaluation = _evaluated(paired, name, aligned)
@@ -124,7 +130,8 @@ def _values_of_pairs(paired: Paired) -> Iterator[Value]:
 
 def _evaluated(paired: Paired, name: str, before: dict[str, Alignment]) -> Evaluation:
     """Evaluate the pairs with an alignment; `before` has those of the names before it."""
-    protocol, aligning, pairs = protocol_of(paired.names[0], name), ALIGNMENTS[name], paired.pairs
+    protocol = protocol_of(next(iter(paired.names)), name)
+    aligning, pairs = ALIGNMENTS[name], paired.pairs
     if name != "se3":  # the only one for which errors of whole poses are searched
         protocol = dataclasses.replace(protocol, ate_form="plain")
     groundtruth, estimate = pairs.groundtruth, pairs.estimate
@@ -134,8 +141,9 @@ def _evaluated(paired: Paired, name: str, before: dict[str, Alignment]) -> Evalu
     if aligning.scaled_by:
         scale = before[aligning.scaled_by].similarity.scale
         estimate = Similarity(np.eye(3), np.zeros(3), scale).trajectory(estimate)
-    elif aligning.has_scale or aligning.gauge is Gauge.TRANSLATION:
-        # Rotation errors are those of se3 and none, and take most of the time.
+    elif name != "sim3" and (aligning.has_scale or aligning.gauge is Gauge.TRANSLATION):
+        # Rotation errors are those of se3 and none, and take most of the time. Whether horizontal
+        # errors of sim3 are determined depends on the orientations.
         groundtruth = dataclasses.replace(groundtruth, quaternions=None)
         estimate = dataclasses.replace(estimate, quaternions=None)
     pairs = dataclasses.replace(pairs, groundtruth=groundtruth, estimate=estimate)

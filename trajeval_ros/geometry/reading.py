@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.arrays import Booleans, Floats
-from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.receptions import ReceivedPoses, Receptions
 from trajeval_ros.geometry.valid_poses import add_counts
 
 if TYPE_CHECKING:
@@ -64,9 +64,9 @@ class Reading:
     matrices: Floats | None = None
     # The times of reception of the N messages; None if unknown.
     receptions: Receptions | None = None
-    # The trajectory of the poses in the order of their reception, if they were revised afterwards:
-    # the last pose of every path, or transforms under the newest correction; else None.
-    as_received: Any = None
+    # The poses as they were received, if they were revised afterwards: the last pose of every
+    # path, or transforms under the newest correction; else None.
+    as_received: ReceivedPoses | None = None
 
     @property
     def format(self) -> str:

@@ -13,6 +13,7 @@ from trajeval_ros.io.text.head import recognise_text
 
 DEEPEST, MOST = 4, 200  # limits: levels of subfolders, listed sources
 _MOST_FILES = 20_000  # limit of examined files
+_PX4_BYTES = 4 << 20  # examined bytes of a log; PX4 announces most topics at its start
 _BAGS = {".mcap": "MCAP", ".db3": "rosbag2 sqlite3", ".bag": "ROS 1 bag"}
 _TEXTS = {".txt", ".csv", ".tum", ".kitti", ".dat", ".log", ".tsv", ""}
 
@@ -101,10 +102,13 @@ def _recognised(path: Path) -> FoundSource | None:
     if path.suffix.lower() == ".ulg":
         from trajeval_ros.io.ulog import PoseLog
 
+        kind = "PX4 log"
         try:
-            return FoundSource(path, "PX4 log", tuple(PoseLog(path).topics))
+            if path.stat().st_size > _PX4_BYTES:
+                kind += f", first {_PX4_BYTES >> 20} MB"
+            return FoundSource(path, kind, tuple(PoseLog(path, limit=_PX4_BYTES).topics))
         except (InputError, OSError) as error:
-            return FoundSource(path, "PX4 log", problem=str(error))
+            return FoundSource(path, kind, problem=str(error))
     if path.suffix.lower() not in _TEXTS or not path.is_file():
         return None
     try:

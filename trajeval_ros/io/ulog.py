@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,29 +29,27 @@ from trajeval_ros.io.bags.px4_messages import (
 from trajeval_ros.io.bags.topics import trajectory_of_columns
 from trajeval_ros.io.checks import nearest
 
-_EXTRA = "px4"
 _HEADER = 16  # bytes before the first message
+_TRUTH = "vehicle_local_position_groundtruth"  # of the simulator
 # Message types of px4_msgs by the topics of uORB.
 _TYPES = {
-    "vehicle_odometry": ODOMETRY,
-    "vehicle_visual_odometry": ODOMETRY,
-    "vehicle_mocap_odometry": ODOMETRY,
+    **dict.fromkeys(
+        ("vehicle_odometry", "vehicle_visual_odometry", "vehicle_mocap_odometry"), ODOMETRY
+    ),
     "estimator_odometry": ODOMETRY,
-    "vehicle_local_position": LOCAL_POSITION,
-    "vehicle_local_position_groundtruth": LOCAL_POSITION,
-    "estimator_local_position": LOCAL_POSITION,
-    "vehicle_gps_position": GPS,
-    "sensor_gps": GPS,
+    **dict.fromkeys(
+        ("vehicle_local_position", _TRUTH, "estimator_local_position"), LOCAL_POSITION
+    ),
+    **dict.fromkeys(("vehicle_gps_position", "sensor_gps"), GPS),
 }
 _ATTITUDES = tuple(attitude_name(name) for name, kind in _TYPES.items() if kind == LOCAL_POSITION)
-_ELEMENT = re.compile(r"(.+)\[(\d+)\]")
 
 
 class PoseLog:
     """The poses in a log."""
 
-    def __init__(self, path: Path, *, strict: bool = False) -> None:
-        """Read the topics with poses of a log.
+    def __init__(self, path: Path, *, strict: bool = False, limit: int = -1) -> None:
+        """Read the topics with poses of a log, in its first `limit` bytes.
 
         Raises:
             InputError: The log can't be read, or is damaged and `strict` is set.
@@ -61,19 +58,19 @@ class PoseLog:
             from pyulog import ULog
         except ImportError as error:
             raise InputError(
-                f"{path} is a log of PX4, which needs an extra; install it: "
-                f"{extra_command(_EXTRA)}"
+                f"{path} is a log of PX4, which needs an extra; install it: {extra_command('px4')}"
             ) from error
         self.path = path
-        said = io.StringIO()
+        with path.open("rb") as file:
+            raw = file.read(limit)
         try:
-            with contextlib.redirect_stdout(said):  # where pyulog prints its warnings
-                log = ULog(str(path), [*_TYPES, *_ATTITUDES], disable_str_exceptions=True)
+            with contextlib.redirect_stdout(io.StringIO()):  # where pyulog prints its warnings
+                log = ULog(io.BytesIO(raw), [*_TYPES, *_ATTITUDES], disable_str_exceptions=True)
         except Exception as error:  # of many types, for damaged files
             reason = " ".join(str(error).split())[:200] or type(error).__name__
             raise InputError(f"{path} can't be read as a log of PX4: {reason}") from error
         self.remarks: list[Remark] = []
-        cut = 0 if log.file_corruption else _cut_off(path)
+        cut = 0 if log.file_corruption else _cut_off(raw)
         if log.file_corruption or cut:
             what = f"its last {cut} bytes are truncated" if cut else "unreadable parts are dropped"
             text = f"{path} is damaged: {what}"
@@ -84,12 +81,12 @@ class PoseLog:
             lost_s = sum(each.duration for each in log.dropouts) / 1000.0
             text = f"{counted(len(log.dropouts), 'dropout')} of the logger, {lost_s:.1f} s"
             self.remarks.append(note("dropouts", text))
-        self._data = {_name(each): each for each in log.data_list}
+        self._data = {_name(each): _columns_of(each.data) for each in log.data_list}
         self.topics = [name for name in self._data if name.partition(".")[0] in _TYPES]
 
     def count(self, name: str) -> int:
         """Return the number of messages of a topic."""
-        return len(self._data[name].data["timestamp"])
+        return len(self._data[name].rows)
 
     def trajectory(self, name: str) -> Trajectory:
         """Return the trajectory of a topic, such as `vehicle_odometry`, or `NAME.1`.
@@ -101,16 +98,13 @@ class PoseLog:
             raise InputError(
                 f"{self.path} has no topic {name}; topics with poses: {nearest(name, self.topics)}"
             )
-        base, _, instance = name.partition(".")
-        columns = _columns_of(self._data[name].data)
-        poses = poses_of_px4(columns, _TYPES[base], 0)
-        attitude = ".".join(filter(None, (attitude_name(base), instance)))
-        if _TYPES[base] == LOCAL_POSITION and attitude in self._data:
-            turned = poses_of_px4(_columns_of(self._data[attitude].data), ATTITUDE, 0)
-            poses = with_attitudes(poses, turned)
-        remarks = (note(FORMAT, f"format: ULog, {_TYPES[base]}"), *self.remarks)
-        where = f"{self.path}:{name}"
-        return trajectory_of_columns(where, name, _TYPES[base], poses, remarks)
+        base, dot, instance = name.partition(".")
+        kind, attitude = _TYPES[base], attitude_name(base) + dot + instance
+        poses = poses_of_px4(self._data[name], kind, 0)
+        if kind == LOCAL_POSITION and attitude in self._data:
+            poses = with_attitudes(poses, poses_of_px4(self._data[attitude], ATTITUDE, 0))
+        remarks = (note(FORMAT, f"format: ULog, {kind}"), *self.remarks)
+        return trajectory_of_columns(f"{self.path}:{name}", name, kind, poses, remarks)
 
 
 def read_log(path: Path, topics: Sequence[str], *, strict: bool = False) -> list[Trajectory]:
@@ -126,9 +120,24 @@ def read_log(path: Path, topics: Sequence[str], *, strict: bool = False) -> list
     return [log.trajectory(topic.lstrip("/") or log.topics[0]) for topic in topics]
 
 
-def _cut_off(path: Path) -> int:
+def simulated_sides(path: Path) -> list[str]:
+    """Return the SOURCEs of the simulator's groundtruth and of all odometry in a log.
+
+    Raises:
+        InputError: The log has none of the two.
+    """
+    topics = PoseLog(path).topics
+    odometry = [name for name in topics if _TYPES[name.partition(".")[0]] == ODOMETRY]
+    if _TRUTH not in topics or not odometry:
+        raise InputError(
+            f"{path} has no {'odometry' if _TRUTH in topics else _TRUTH}; give two topics as in "
+            f"{path}:TOPIC, of {', '.join(topics) or 'none'}"
+        )
+    return [f"{path}:{name}" for name in (_TRUTH, *odometry)]
+
+
+def _cut_off(raw: bytes) -> int:
     """Return the number of bytes of an incomplete message at the end, which pyulog ignores."""
-    raw = path.read_bytes()
     at = _HEADER
     while at + 3 <= len(raw) and (after := at + 3 + raw[at] + (raw[at + 1] << 8)) <= len(raw):
         at = after
@@ -140,15 +149,10 @@ def _name(data: Any) -> str:
     return f"{data.name}.{data.multi_id}" if data.multi_id else str(data.name)
 
 
-def _columns_of(fields: dict[str, Any]) -> Columns:
+def _columns_of(fields: Mapping[str, Any]) -> Columns:
     """Return the fields of a log as columns; `q[0]` to `q[3]` become one, (N, 4)."""
-    arrays: dict[str, list[Any]] = {}
-    numbers = {}
+    parts: dict[str, list[Any]] = {}
     for name, column in fields.items():
-        element = _ELEMENT.fullmatch(name)
-        if element is None:
-            numbers[name] = column
-        else:
-            arrays.setdefault(element[1], []).append(column)
-    numbers |= {name: np.column_stack(columns) for name, columns in arrays.items()}
+        parts.setdefault(name.partition("[")[0], []).append(column)
+    numbers = {name: np.column_stack(columns) for name, columns in parts.items()}
     return Columns(np.arange(len(fields["timestamp"])), numbers, {}, {})

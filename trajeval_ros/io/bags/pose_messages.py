@@ -95,10 +95,12 @@ def decode_poses(
     `payloads`: the messages in untrusted CDR. Messages that can't be decoded are left out and
     counted. `message_type`: one of `POSE_TYPES` but `nav_msgs/msg/Path`.
     """
-    if message_type in PX4_POSE_TYPES:
-        columns = Px4Plan(None, message_type).decode(payloads)
-    else:
-        columns = _plan(message_type, covariance=covariance).decode(payloads)
+    plan = (
+        Px4Plan(message_type)
+        if message_type in PX4_POSE_TYPES
+        else _plan(message_type, covariance=covariance)
+    )
+    columns = plan.decode(payloads)
     return poses_of(
         columns, message_type, len(payloads) - len(columns.rows), covariance=covariance
     )

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.receptions import ReceivedPoses, Receptions
 from trajeval_ros.io.bags.transform_tree import (
     Edge,
     EdgeKey,
@@ -37,12 +37,11 @@ def compose_received(
     received: Mapping[EdgeKey, ReceivedEdge],
     parent: str,
     child: str,
-) -> tuple[Stamps, Floats, Floats, Receptions]:
+) -> ReceivedPoses:
     """Return the pose of `child` in `parent` at every reception of one of its transforms.
 
-    Returns:
-        Timestamps (N,) of the newest transform of the leading edge, positions (N, 3), quaternions
-        (N, 4), and the N receptions. A timestamp repeats if only a correction is new.
+    Timestamps are of the newest transform of the leading edge; one repeats if only a correction is
+    new.
     """
     way = find_way([key for key, edge in edges.items() if len(edge.stamps)], parent, child, "")
     span = common_span(edges, way)
@@ -72,4 +71,5 @@ def compose_received(
         held[key] = Edge.from_columns(events + 1, arrived.numbers[row], is_static=False)
     positions, quaternions = compose(held, way, np.arange(len(times)) + 1)
     by = received[leading].receptions
-    return stamps, positions, quaternions, replace(by, times=times, corrected=corrected)
+    receptions = replace(by, times=times, corrected=corrected)
+    return ReceivedPoses(stamps, positions, quaternions, receptions)

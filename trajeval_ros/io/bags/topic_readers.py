@@ -218,10 +218,11 @@ class _Decoders:
 
     def _plan(
         self, connection: Connection, covariances: bool, rates: bool
-    ) -> CdrPlan | FoxglovePlan | Px4Plan:
+    ) -> CdrPlan | FoxglovePlan:
         encoding = connection.encoding
         if self.topic.type in (*PX4_POSE_TYPES, ATTITUDE):
-            return Px4Plan(recorded_fields(connection), self.topic.type)
+            fields = recorded_fields(connection)
+            return Px4Plan(self.topic.type) if fields is None else CdrPlan(fields)
         if self.topic.type in FOXGLOVE_TYPES:
             return FoxglovePlan(self.topic.type, encoding)
         if self.topic.type == POSE_2D:

@@ -14,7 +14,7 @@ from trajeval_ros.formatting.remarks import Level, Remark, note
 from trajeval_ros.geometry.fix_selection import trajectory_of_rows
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.reading import FORMAT, Reading
-from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.receptions import ReceivedPoses, Receptions
 from trajeval_ros.geometry.stamp_trust import LONE, trusted_states
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
@@ -273,13 +273,9 @@ def _with_rates(columns: PoseColumns) -> Receptions | None:
     return replace(receptions, body_rates=rates)
 
 
-def _as_received(columns: PoseColumns) -> Trajectory:
-    """Return poses in the order of their reception, whose timestamps may repeat."""
-    columns = columns.rows_of(trusted_states(columns.stamps)[0])
-    reading = Reading(receptions=columns.receptions)
-    return Trajectory.from_columns(
-        columns.stamps, columns.positions, columns.quaternions, reading=reading
-    )
+def _as_received(columns: PoseColumns) -> ReceivedPoses:
+    rows = columns.rows_of(trusted_states(columns.stamps)[0])
+    return ReceivedPoses(rows.stamps, rows.positions, rows.quaternions, rows.receptions)
 
 
 def _without_lone_stamps(trajectory: Trajectory) -> Trajectory:
@@ -340,14 +336,12 @@ def _newest_transforms(
     tree: Sequence[TransformReader],
     frames: tuple[str, str],
     received: str,
-) -> Trajectory | None:
+) -> ReceivedPoses | None:
     """Return the poses of transforms as they were received; None if not wanted."""
     if not received:
         return None
     arrived = {key: each for reader in tree for key, each in reader.received(received).items()}
-    stamps, positions, quaternions, receptions = compose_received(edges, arrived, *frames)
-    reading = Reading(receptions=receptions)
-    return Trajectory.from_columns(stamps, positions, quaternions, reading=reading)
+    return compose_received(edges, arrived, *frames)
 
 
 def _usable(trajectory: Trajectory, where: str, count: int) -> Trajectory:
