@@ -43,12 +43,6 @@ def cause_rows(found: ExaminedGroundtruth) -> list[tuple[str, ...]]:
     ]
 
 
-def _p_value(value: float | None) -> str:
-    if value is None:
-        return ""
-    return "< 1e-6" if value < 1e-6 else f"{value:.2g}"
-
-
 def sentences(found: ExaminedGroundtruth, saved: Sequence[Path]) -> Iterator[str]:
     """Yield the findings, the notes, and a line on the repaired groundtruth."""
     yield from (each.sentence for each in found.significant)
