@@ -78,10 +78,6 @@ ONE = ["{}/vio_odometry.txt"]
         ),
         (["study", "gauge", "--output", "{}/study", "--keyframes", "9"], "--motion or --tracks"),
         (["study", "gauge", "--output", "{}/study", "--gravity", "9.8"], "without --tracks"),
-        (
-            ["study", "gauge", "--output", "{}/study", "--bias-noise", "1,1,1,1"],
-            "--bias-noise: no effect without --estimate-biases",
-        ),
     ],
     ids=lambda each: " ".join(each).replace("{}/", "") if isinstance(each, list) else "",
 )  # fmt: skip

@@ -57,7 +57,6 @@ def test_the_finding_stands_under_the_headline_and_nowhere_else(
     (found,) = json.loads(result.read_text())["runs"][0]["diagnosis"]
     assert found["cause"] == "unit"
     assert found["option"] == "--correct unit"
-    assert found["confidence"] == "fitted"
     assert found["evidence"]["scale"] == pytest.approx(1e-3, rel=0.05)
     assert found["before"]["position_m"] > 1000.0 * found["after"]["position_m"]
 
@@ -291,7 +290,7 @@ def test_diagnose_explains_at_length(tmp_path: Path, capsys: pytest.CaptureFixtu
     _, truth, _, estimate = files(MISTAKES["mirrored"].make(DRONE), tmp_path)
     assert main(["diagnose", truth, estimate, "--gauge", "yaw"]) == 0
     shown = capsys.readouterr().out
-    assert shown.startswith("mirrored (fitted, explains ")
+    assert shown.startswith("mirrored (explains ")
     for test in (
         "rounded stamps: no mistake",
         "clocks: no mistake (offset_s",

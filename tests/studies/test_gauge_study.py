@@ -193,7 +193,6 @@ def test_a_body_that_does_not_travel_is_refused(flown: Trajectory, up: float) ->
         (["--gravity", "-9.81"], "--gravity must be greater than zero"),
         (["--imu-noise", "6e-4"], "--imu-noise needs 2 numbers"),
         (["--imu-noise", "0,2e-2"], "--imu-noise must be greater than zero"),
-        (["--split-half"], "--split-half tests measured data"),
     ],
 )
 def test_says_what_is_wrong(

@@ -13,11 +13,6 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise
 from trajeval_ros.studies.keyframe_selection import KeyframeSelection, select
-from trajeval_ros.studies.measurement_tests import (
-    residual_groups,
-    split_half_nees,
-    track_correlation,
-)
 from trajeval_ros.studies.outliers import (
     CHI2_LIMIT,
     TRACKER_NOISE_PX,
@@ -28,10 +23,8 @@ from trajeval_ros.studies.outliers import (
 )
 from trajeval_ros.studies.sensor_recording import SAME_INSTANT_NS, SensorRecording
 from trajeval_ros.studies.tracks_folder import read_tracks_folder
-from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
 
 IMU_NOISE = ImuNoise(1.7e-4, 2e-3)
-BIAS_NOISE = BiasNoise(1e-5, 1e-4, 1e-3, 1e-2)
 
 
 @pytest.fixture(scope="module")
@@ -39,13 +32,8 @@ def recording(tracks_flight: Path) -> SensorRecording:
     return read_tracks_folder(tracks_flight)
 
 
-def selected(
-    recording: SensorRecording,
-    every: int = 3,
-    most: int = 30,
-    bias_noise: BiasNoise | None = None,
-) -> KeyframeSelection:
-    return select(recording, every, most, PIXEL_NOISE, IMU_NOISE, GRAVITY, bias_noise)
+def selected(recording: SensorRecording, every: int = 3, most: int = 30) -> KeyframeSelection:
+    return select(recording, every, most, PIXEL_NOISE, IMU_NOISE, GRAVITY)
 
 
 def with_samples(
@@ -164,8 +152,8 @@ def test_the_imu_between_keyframes_agrees_with_groundtruth(recording: SensorReco
     assert np.linalg.norm(felt) == pytest.approx(9.81 * 1.01, rel=5e-3)
 
 
-def test_biases_are_those_of_their_time_or_their_mean(recording: SensorRecording) -> None:
-    """A bias that rises with time is removed by interpolation, and its mean by the mean."""
+def test_biases_are_those_of_their_time(recording: SensorRecording) -> None:
+    """A bias that rises with time is removed by interpolation."""
     truth = recording.groundtruth
     assert truth.gyroscope_biases is not None
     rise = 0.2  # rad/s per second
@@ -183,16 +171,6 @@ def test_biases_are_those_of_their_time_or_their_mean(recording: SensorRecording
     np.testing.assert_allclose(
         found.preintegrated.rotations, plain.preintegrated.rotations, atol=1e-6
     )
-    assert found.bias_noise is None
-    assert found.groundtruth.biases.shape == (len(found.groundtruth.positions), 0)
-    mean = selected(drifting, bias_noise=BIAS_NOISE)
-    assert mean.bias_noise == BIAS_NOISE
-    assert mean.groundtruth.biases.shape == (len(found.groundtruth.positions), 6)
-    # The mean is over the keyframes' time, of which the last image may not be a part.
-    middle = seconds[: 3 * (len(mean.groundtruth.positions) - 1)].mean()
-    centres = 0.15 * (np.arange(len(mean.groundtruth.positions) - 1) + 0.5)
-    off = so3.log(np.swapaxes(plain.preintegrated.rotations, 1, 2) @ mean.preintegrated.rotations)
-    np.testing.assert_allclose(off[:, 2], 0.15 * rise * (centres - middle), atol=3e-4)
 
 
 @pytest.mark.parametrize(("removed", "is_read"), [(19, True), (20, False)])
@@ -271,77 +249,3 @@ def test_planted_outliers_are_dropped_and_nothing_else(recording: SensorRecordin
     )
     with pytest.raises(InputError, match=r"only \d+ of 150 tracks have three keyframes"):
         reject_outliers(selected(few))
-
-
-@pytest.mark.parametrize("bias_noise", [None, BIAS_NOISE])
-def test_redundancies_by_the_hat_matrix(
-    bias_noise: BiasNoise | None, recording: SensorRecording
-) -> None:
-    """Of all residuals, with their Jacobian by differences."""
-    whole = selected(recording, most=4, bias_noise=bias_noise)
-    few, _ = whole.kept(whole.landmark_of < 15)
-    problem, state = few.problem(), triangulated(few)
-
-    def residuals(step: np.ndarray) -> list[np.ndarray]:
-        moved = state.moved(step)
-        inertial = problem.inertial(moved)[0]
-        biases = np.concatenate([inertial[:, 9:].ravel(), problem.first_biases(moved)[0].ravel()])
-        kinds = [inertial[:, begin : begin + 3].ravel() for begin in (0, 3, 6)]
-        return [problem.residuals(moved)[0].ravel(), *kinds, biases]
-
-    size = problem.width * problem.keyframes + 3 * problem.landmarks
-    columns = [
-        (np.concatenate(residuals(step)) - np.concatenate(residuals(-step))) / 2e-6
-        for step in 1e-6 * np.eye(size)
-    ]
-    basis, singular, _ = np.linalg.svd(np.stack(columns, axis=1), full_matrices=False)
-    used = np.square(basis[:, : size - 4]).sum(axis=1)  # four directions are undetermined
-    assert singular[size - 4] < 1e-4 * singular[size - 5]
-    parts = residuals(np.zeros(size))
-    ends = np.cumsum([len(part) for part in parts])
-    groups = residual_groups(problem, state)
-    assert [group.name for group in groups] == [
-        "pixels", "IMU rotation", "IMU velocity", "IMU position", "IMU biases",
-    ][: len(groups)]  # fmt: skip
-    assert len(groups) == (4 if bias_noise is None else 5)
-    for group, part, share in zip(groups, parts, np.split(used, ends), strict=False):
-        assert group.count == len(part)
-        assert group.chi2 == pytest.approx(part @ part, rel=1e-9)
-        assert group.redundancy == pytest.approx(len(part) - share.sum(), abs=1e-3)
-        assert group.ratio == group.chi2 / group.redundancy
-
-
-def test_correlation_along_tracks_by_its_definition(recording: SensorRecording) -> None:
-    found = selected(recording)
-    problem, state = found.problem(), triangulated(found)
-    errors = problem.residuals(state)[0]
-    at = {
-        (int(keyframe), int(landmark)): error
-        for keyframe, landmark, error in zip(
-            problem.visibility.keyframe_of, problem.visibility.landmark_of, errors, strict=True
-        )
-    }
-    expected = []
-    for lag in (1, 4):
-        pairs = [(error, at[key[0] + lag, key[1]]) for key, error in at.items()
-                 if (key[0] + lag, key[1]) in at]  # fmt: skip
-        one, other = (np.array(each) for each in zip(*pairs, strict=True))
-        expected.append(np.vdot(one, other) / np.linalg.norm(one) / np.linalg.norm(other))
-    np.testing.assert_allclose(track_correlation(problem, state, (1, 4)), expected, rtol=1e-9)
-    assert np.isnan(track_correlation(problem, state, (problem.keyframes,))).all()
-
-
-@pytest.mark.parametrize("landmarks", [39, 40])
-def test_halves_of_landmarks_have_at_least_twenty(
-    landmarks: int, recording: SensorRecording
-) -> None:
-    whole = selected(recording)
-    few, _ = whole.kept(whole.landmark_of < landmarks)
-    assert few.landmarks == landmarks
-    generator = np.random.default_rng(1)
-    if landmarks < 40:
-        with pytest.raises(InputError, match=r"39 landmarks are too few .* at least 40 are"):
-            split_half_nees(few, triangulated(few), 1, generator)
-        return
-    (nees,) = split_half_nees(few, triangulated(few), 1, generator)
-    assert 0.5 < nees < 2.0

@@ -17,12 +17,11 @@ from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise
 from trajeval_ros.studies.examination import Examination, MeasuredScene, MeasurementModel, examine
 from trajeval_ros.studies.gauge_trials import compare_handlings, covariances, sweep
 from trajeval_ros.studies.keyframe_selection import select
-from trajeval_ros.studies.measurement_tests import groundtruth_nees, split_half_nees
 from trajeval_ros.studies.outliers import reject_outliers
 from trajeval_ros.studies.sensor_recording import SensorRecording
 from trajeval_ros.studies.tracks_folder import read_tracks_folder
 from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance, free_covariance
-from trajeval_ros.visual_inertial.solver import GaugeHandling, solve
+from trajeval_ros.visual_inertial.solver import GaugeHandling
 
 NOISE = ImuNoise(6e-4, 2e-2)
 
@@ -38,7 +37,7 @@ def recording(shared_data: Path) -> SensorRecording:
 
 @pytest.fixture(scope="module")
 def examined(recording: SensorRecording) -> Examination:
-    return examine(recording, MeasurementModel(3, 30, 1.0, NOISE, None, 9.81, is_split=True))
+    return examine(recording, MeasurementModel(3, 30, 1.0, NOISE, 9.81))
 
 
 def _position_rmse(recording: SensorRecording) -> float:
@@ -106,39 +105,6 @@ def test_positions_are_as_certain_as_their_gauge_makes_them(examined: Examinatio
     )
 
 
-def test_what_errors_do_not_show_is_said(examined: Examination) -> None:
-    # The tracker's errors are not white.
-    np.testing.assert_allclose(examined.correlation, [0.84, 0.62, 0.12, -0.49], atol=0.06)
-    # The verdict is a choice of groundtruth's noise.
-    np.testing.assert_allclose(examined.nees, [13.0, 1.28, 0.76, 0.40], rtol=0.03)
-    assert examined.split_half is not None
-    assert examined.split_half.mean() == pytest.approx(0.14, abs=0.04)
-    groups = {group.name: group.ratio for group in examined.groups}
-    assert groups["pixels"] == pytest.approx(0.08, abs=0.01)
-    assert 0.4 < groups["IMU rotation"] < 1.5
-    assert 0.4 < groups["IMU velocity"] < 1.5
-
-
-@pytest.mark.slow
-def test_halves_ask_for_another_pixel_noise_than_chi_square(examined: Examination) -> None:
-    for pixel_noise, expected in ((0.27, 1.72), (0.5, 0.53)):
-        selection = examined.rejection.selection.with_noise(pixel_noise)
-        state = solve(
-            selection.problem(),
-            examined.rejection.state,
-            GaugeHandling.FIXATION,
-            function_tolerance=1e-9,
-        ).state
-        found = split_half_nees(selection, state, 10, np.random.default_rng(1))
-        assert found.mean() == pytest.approx(expected, rel=0.25)
-        if pixel_noise == 0.27:
-            covariance = fixed_covariance(selection.problem(), state)
-            exact = groundtruth_nees(
-                examined.scene.groundtruth, state, covariance, (0.0, 0.0, 0.0)
-            )
-            assert exact == pytest.approx(171.0, rel=0.03)
-
-
 @pytest.mark.slow
 def test_without_the_lever_arm_positions_are_wrong(recording: SensorRecording) -> None:
     camera = dataclasses.replace(recording.camera, lever_arm=np.zeros(3))
@@ -156,7 +122,7 @@ def test_without_biases_nothing_is_estimated(recording: SensorRecording) -> None
     )
     assert _position_rmse(biased) > 0.1
     with pytest.raises(InputError, match="check the gyroscope's biases"):
-        examine(biased, MeasurementModel(3, 30, 1.0, NOISE, None, 9.81, is_split=False))
+        examine(biased, MeasurementModel(3, 30, 1.0, NOISE, 9.81))
 
 
 @pytest.mark.slow
@@ -165,11 +131,10 @@ def test_command_on_a_simulated_folder(tmp_path: Path, capsys: pytest.CaptureFix
     folder = write_tracks_folder(tmp_path / "V1_01_simulated")
     study = tmp_path / "study"
     options = ["--trials", "1", "--pixel-noise", "0.2", "--imu-noise", "1.7e-4,2e-3"]
-    arguments = ["--output", str(study), "--tracks", str(folder), "--split-half", *options]
+    arguments = ["--output", str(study), "--tracks", str(folder), *options]
     assert main(["study", "gauge", *arguments]) == 0
     printed = capsys.readouterr().out
     assert "Sensors are simulated, except for tracks of V1_01_simulated" in printed
-    assert "halves of the landmarks" in printed
     # Beside the paper's values of that sequence.
     table = (study / "tables.md").read_text()
     assert "0.07851 / 0.4382 / 0.04644" in table
@@ -178,7 +143,6 @@ def test_command_on_a_simulated_folder(tmp_path: Path, capsys: pytest.CaptureFix
     assert numbers["sensors"]["tracks of V1_01_simulated"] == "measured"
     assert numbers["sensors"]["sine plane"] == "simulated"
     assert numbers["examination"]["keyframes"] == 16
-    assert len(numbers["examination"]["split_half_nees_per_dof"]) == 10
     assert len(numbers["prior_weight_sweep"]["trials"]["tracks of V1_01_simulated"]) == 16
     for name in ("covariances", "gauges", "prior_weight"):
         assert (study / f"{name}_V1_01_simulated.png").is_file()

@@ -47,7 +47,6 @@ def solve_with_ceres(
             np.concatenate([(so3.exp(first_turn) @ start.rotations[0])[None], others]),
             np.array(values[2 * count : 3 * count]),
             np.array(values[3 * count :]),
-            start.biases,
             first_turn,
             start.rotations[0],
             start.positions[0],

@@ -56,13 +56,13 @@ def gradient(normal: NormalEquations) -> np.ndarray:
 
 def stacked_residuals(problem: Problem, state: State) -> np.ndarray:
     """Return all residuals in one column."""
-    parts = (*problem.residuals(state), problem.first_biases(state)[0])
+    parts = problem.residuals(state)
     return np.concatenate([part.ravel() for part in parts])
 
 
 def numeric_jacobian(problem: Problem, state: State, step: float = 1e-6) -> np.ndarray:
     """Return the Jacobian of all residuals by central differences."""
-    size = problem.width * problem.keyframes + 3 * problem.landmarks
+    size = 9 * problem.keyframes + 3 * problem.landmarks
     columns = []
     for unit in np.eye(size) * step:
         ahead = stacked_residuals(problem, state.moved(unit))

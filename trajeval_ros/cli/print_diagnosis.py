@@ -85,8 +85,7 @@ def _print(found: Diagnosis, refused: str) -> None:
         terminal.print(f"evaluation not possible: {refused}", soft_wrap=True)
     for each in found.findings:
         terminal.print(
-            f"{each.cause} ({each.confidence}, explains {100.0 * each.explained:.0f} % of the "
-            f"error): {each.text}",
+            f"{each.cause} (explains {100.0 * each.explained:.0f} % of the error): {each.text}",
             soft_wrap=True,
         )
     if not found.findings:

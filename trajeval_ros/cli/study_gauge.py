@@ -13,6 +13,7 @@ from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.report.figure_style import FigureStyle
 
 if TYPE_CHECKING:
+    from trajeval_ros.geometry.preintegration import ImuNoise
     from trajeval_ros.studies.examination import Examination, MeasurementModel
     from trajeval_ros.studies.gauge_study import GaugeStudy
     from trajeval_ros.studies.gauge_trials import StudiedScene
@@ -22,7 +23,7 @@ _SEED = 0
 _MOTION_LANDMARKS = 150
 # Defaults of options that need another option.
 _START_S, _DURATION_S, _KEYFRAMES, _EVERY, _PIXEL_NOISE, _GRAVITY = 50.0, 15.0, 30, 3, 1.0, 9.81
-_IMU_NOISE, _BIAS_NOISE = "6e-4,2e-2", "1e-3,5e-2,1.9e-5,3e-3"
+_IMU_NOISE = "6e-4,2e-2"
 _LAYOUTS_AND_SHAPES = [
     (layout, name) for layout in ("plane", "random") for name in ("sine", "arc", "rec")
 ]
@@ -50,17 +51,8 @@ _PARAMETERS = (
         help="Standard deviation of an image coordinate of --tracks, for the weights."),
     option("--imu-noise", metavar="GYRO,ACCEL", default=_IMU_NOISE,
         help="Noise densities of the IMU of --tracks, rad/s/sqrt(Hz) and m/s^2/sqrt(Hz)."),
-    option("--estimate-biases", kind=bool,
-        help="Estimation of the IMU biases at every keyframe of --tracks. By default, biases "
-        "are taken from the groundtruth, as in the paper."),
-    option("--bias-noise", metavar="GYRO,ACCEL,GYRO_WALK,ACCEL_WALK", default=_BIAS_NOISE,
-        help="Noise of estimated biases: standard deviations at the first keyframe, rad/s and "
-        "m/s^2, and densities of the random walk, rad/s^2/sqrt(Hz) and m/s^3/sqrt(Hz)."),
     option("--gravity", kind=float, metavar="G", default=_GRAVITY,
         help="Gravity at the place of the recording in --tracks, m/s^2."),
-    option("--split-half", kind=bool,
-        help="Test of the covariance of --tracks without groundtruth, with estimates from "
-        "halves of the landmarks."),
     option("--trials", kind=int, metavar="N", default=50,
         help="Number of trials per configuration and gauge."),
     *shared_options(STUDY_GAUGE),
@@ -79,10 +71,7 @@ def study_gauge(
     every: int,
     pixel_noise: float,
     imu_noise: str,
-    estimate_biases: bool,
-    bias_noise: str,
     gravity: float,
-    split_half: bool,
     trials: int,
     figure_format: str | None,
     figure_width: str | None,
@@ -99,18 +88,16 @@ def study_gauge(
     Reproduce section VII (Table III, Fig. 10 and 11) with measured feature tracks and IMU data
     (the tracks of the paper are not public):
 
-        trajeval study gauge --output study --tracks V1_01_tracks --split-half
+        trajeval study gauge --output study --tracks V1_01_tracks
 
     Use the motion of recorded flights, with simulated sensors:
 
         trajeval study gauge --output study --motion MH_01.txt --motion V1_01.csv
     """
     from trajeval_ros.cli.progress import progress
-    from trajeval_ros.geometry.preintegration import ImuNoise
     from trajeval_ros.simulation.motion import shape
     from trajeval_ros.studies.examination import MeasurementModel
     from trajeval_ros.studies.gauge_study import run_study
-    from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
     from trajeval_ros.visual_inertial.scene import make_scene, profile_named
 
     if output is None:
@@ -126,10 +113,8 @@ def study_gauge(
         _above_zero("--every", every),
         keyframes,
         _above_zero("--pixel-noise", pixel_noise),
-        ImuNoise(*_numbers("--imu-noise", imu_noise, _IMU_NOISE)),
-        BiasNoise(*_numbers("--bias-noise", bias_noise, _BIAS_NOISE)) if estimate_biases else None,
+        _imu_noise(imu_noise),
         _above_zero("--gravity", gravity),
-        split_half,
     )
     if not motion:
         _require_defaults("--motion", {
@@ -142,8 +127,6 @@ def study_gauge(
             "--every": (every, _EVERY), "--pixel-noise": (pixel_noise, _PIXEL_NOISE),
             "--imu-noise": (imu_noise, _IMU_NOISE), "--gravity": (gravity, _GRAVITY),
         })  # fmt: skip
-    if not estimate_biases:
-        _require_defaults("--estimate-biases", {"--bias-noise": (bias_noise, _BIAS_NOISE)})
     measured, examined = _examined(tracks, model)
     scenes: dict[str, StudiedScene] = {
         f"{name} {layout}": make_scene(shape(name), layout, sensors, _SEED)
@@ -171,16 +154,16 @@ def _above_zero(option: str, value: float) -> Any:
     return value
 
 
-def _numbers(option: str, text: str, example: str) -> list[float]:
-    """Parse positive numbers; the example states their number."""
-    count = len(example.split(","))
+def _imu_noise(text: str) -> ImuNoise:
+    from trajeval_ros.geometry.preintegration import ImuNoise
+
     try:
-        values = [float(word) for word in text.split(",")]
+        gyroscope, accelerometer = map(float, text.split(","))
     except ValueError:
-        values = []
-    if len(values) != count:
-        raise SettingsError(f"{option} needs {count} numbers, as in {example}, not {text!r}")
-    return [_above_zero(option, value) for value in values]
+        raise SettingsError(
+            f"--imu-noise needs 2 numbers, as in {_IMU_NOISE}, not {text!r}"
+        ) from None
+    return ImuNoise(*(_above_zero("--imu-noise", each) for each in (gyroscope, accelerometer)))
 
 
 def _examined(folder: Path | None, model: MeasurementModel) -> tuple[str, Examination | None]:
@@ -189,13 +172,6 @@ def _examined(folder: Path | None, model: MeasurementModel) -> tuple[str, Examin
     from trajeval_ros.studies.tracks_folder import read_tracks_folder
 
     if folder is None:
-        if model.is_split:
-            raise SettingsError("--split-half tests measured data; add --tracks")
-        if model.bias_noise is not None:
-            raise SettingsError(
-                "--estimate-biases needs measured data, since simulated IMUs "
-                "have no biases; add --tracks"
-            )
         return "", None
     recording = read_tracks_folder(folder)
     return f"tracks of {recording.name}", examine(recording, model)

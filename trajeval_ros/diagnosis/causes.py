@@ -10,8 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from operator import attrgetter
 
-EXACT, CORRELATED, FITTED = "exact", "correlated", "fitted"
-
 
 @dataclass(frozen=True)
 class Cause:
@@ -19,7 +17,6 @@ class Cause:
 
     name: str  # a stable identifier, for `--correct` and for programs
     rank: float  # severity; causes that invalidate other tests have the largest values
-    confidence: str  # basis of the finding: equality of numbers, a correlation, or a fit
     sentence: str  # the mistake and its evidence, a format string for the numbers
     advice: str  # instruction for the user, a format string
     # What corrects it, format strings by option of `evaluate` or by attribute of `Corrections`;
@@ -40,7 +37,6 @@ _TABLE = (
     Cause(
         "identical",
         10.0,
-        EXACT,
         "estimate and groundtruth are identical: {percent:.0f} % of the positions {where} are "
         "equal",
         "give the file or topic of the estimator: --estimate SOURCE",
@@ -48,21 +44,18 @@ _TABLE = (
     Cause(
         "same_estimate",
         9.8,
-        EXACT,
         "the estimate is identical to {other}: all poses are equal",
         "give another file or topic: --estimate SOURCE",
     ),
     Cause(
         "stands_still",
         9.5,
-        EXACT,
         "the {side} does not move, while the {other} moves {path_m:.3g} m",
         "check the positions and the topic of the {side}: trajeval info SOURCE",
     ),
     Cause(
         "diverged",
         9.4,
-        FITTED,
         "the estimate diverges from {at_s:.1f} s on{until}: it moves {moved_m:.3g} m while the "
         "groundtruth moves {true_m:.3g} m{before}",
         "evaluate the part before it",
@@ -71,7 +64,6 @@ _TABLE = (
     Cause(
         "diverged_at_start",
         9.4,
-        FITTED,
         "the estimate diverges from the start{until}: it moves {moved_m:.3g} m while the "
         "groundtruth moves {true_m:.3g} m",
         "check the initialisation of the estimator",
@@ -79,7 +71,6 @@ _TABLE = (
     Cause(
         "frozen",
         9.3,
-        EXACT,
         "the estimate repeats its pose for {lost_s:.1f} s from {at_s:.1f} s on{number}, while the "
         "groundtruth moves {true_m:.2f} m and {true_deg:.0f} deg{before}",
         "evaluate the part before it",
@@ -88,7 +79,6 @@ _TABLE = (
     Cause(
         "frozen_at_start",
         9.3,
-        EXACT,
         "the estimate repeats its first pose for {lost_s:.1f} s{number}, while the groundtruth "
         "moves {true_m:.2f} m and {true_deg:.0f} deg",
         "evaluate the part after it",
@@ -97,7 +87,6 @@ _TABLE = (
     Cause(
         "stamps_rounded",
         9.0,
-        EXACT,
         "{owner} timestamps are rounded to {step_s:g} s: {poses_per_stamp:.0f} different "
         "poses per timestamp",
         "write timestamps with all digits",
@@ -105,7 +94,6 @@ _TABLE = (
     Cause(
         "swapped",
         8.8,
-        EXACT,
         "groundtruth and estimate are probably swapped: {groundtruth} is given as groundtruth, "
         "{estimate} as the estimate",
         "exchange -g and -e",
@@ -113,7 +101,6 @@ _TABLE = (
     Cause(
         "duplicated",
         8.6,
-        EXACT,
         "{percent:.0f} % of {owner} poses occur twice, {rows_apart:.0f} rows apart: a part "
         "was recorded twice",
         "remove the second copy, or record again",
@@ -121,14 +108,12 @@ _TABLE = (
     Cause(
         "row_numbers",
         8.55,
-        EXACT,
         "the estimate's timestamps are row numbers (0, 1, 2, ...), those of the groundtruth times",
         "write the times of the poses, or omit the column and give --frame-rate",
     ),
     Cause(
         "degrees",
         8.54,
-        EXACT,
         "{owner} positions are probably longitude and latitude: two axes extend over "
         "{extent:.2g}, where the {other} moves {path_m:.3g} m",
         "convert them to metres, or read them as GNSS fixes",
@@ -136,7 +121,6 @@ _TABLE = (
     Cause(
         "increments",
         8.53,
-        CORRELATED,
         "the estimate contains the motion since the previous pose instead of poses: the lengths "
         "of its positions correlate by {peak:.2f} with the steps of the groundtruth",
         "sum the motions up, and write poses",
@@ -144,7 +128,6 @@ _TABLE = (
     Cause(
         "flat",
         6.6,
-        EXACT,
         "all {axis} of the {side} are equal, and the {other} moves {height_m:.2g} m along its "
         "vertical axis (rms): the {side} is two-dimensional",
         "measure errors in the plane",
@@ -153,14 +136,12 @@ _TABLE = (
     Cause(
         "few_pairs",
         8.5,
-        EXACT,
         "{said}",
         "{more}",
     ),
     Cause(
         "clock_offset",
         8.0,
-        CORRELATED,
         "the clocks differ by {offset_s:+.2f} s{known_as}: the correlation of angular rate and "
         "speed is {peak:.2f} with this offset, and {as_stamped:.2f} without",
         "shift the estimate's timestamps",
@@ -170,14 +151,12 @@ _TABLE = (
     Cause(
         "other_run",
         7.0,
-        CORRELATED,
         _OTHER_RUN,
         "check that both are from the same run: trajeval info SOURCE",
     ),
     Cause(
         "clock_drift",
         6.9,
-        CORRELATED,
         "the clock rates differ by {ppm:+.0f} ppm, {growth_ms:+.0f} ms over the run",
         "use one clock for both, or rescale the estimate's timestamps",
         {"estimate.clock_rate": "{ppm:.1f}", "time_offset": "{total_s:.3f}"},
@@ -186,7 +165,6 @@ _TABLE = (
     Cause(
         "groundtruth_held",
         6.5,
-        FITTED,
         "the groundtruth repeats every pose for {held_s:.2f} s at {rate_hz:.0f} Hz while the "
         "estimate moves",
         "use the measured groundtruth without repeated poses: trajeval trajectory SOURCE "
@@ -195,7 +173,6 @@ _TABLE = (
     Cause(
         "groundtruth_frozen",
         6.4,
-        FITTED,
         "the groundtruth is frozen for {frozen_s:.1f} s from {at_s:.1f} s, while the estimate "
         "moves {moved_m:.2f} m: the motion capture system lost the body",
         "evaluate the parts before and after this interval: --end {at_s:.1f}, and --start "
@@ -204,7 +181,6 @@ _TABLE = (
     Cause(
         "groundtruth_bridged",
         6.3,
-        FITTED,
         "the groundtruth is linear for {bridged_s:.1f} s from {at_s:.1f} s, where the estimate "
         "deviates by {bent_m:.2f} m from a line: a dropout was filled by interpolation "
         "(number of such intervals: {stretches:.0f})",
@@ -214,7 +190,6 @@ _TABLE = (
     Cause(
         "gap_bridged",
         6.2,
-        FITTED,
         "--max-gap {max_gap_s:g} interpolates across groundtruth gaps of up to {longest_s:.1f} "
         "s (number: {holes:.0f}), where the estimate deviates by up to {bent_m:.2f} m from a "
         "line; {percent:.0f} % of the poses are affected",
@@ -224,7 +199,6 @@ _TABLE = (
     Cause(
         "restart",
         6.1,
-        FITTED,
         "the estimate jumps by {jump_m:.2f} m and {jump_deg:.0f} deg at {at_s:.1f} s{where}, "
         "while the groundtruth moves {true_m:.2f} m: a restart; separate alignments of the "
         "parts reduce the squared error to {left_percent:.0f} %",
@@ -234,7 +208,6 @@ _TABLE = (
     Cause(
         "wxyz",
         6.0,
-        FITTED,
         "{owner} quaternions are in the order w, x, y, z, but were read as x, y, z, w: "
         f"{_AGREE}",
         "read them as w, x, y, z",
@@ -245,7 +218,6 @@ _TABLE = (
     Cause(
         "wxyz_transposed",
         6.0,
-        FITTED,
         f"{{owner}} quaternions are in the order w, x, y, z and inverse (world in body): {_AGREE}",
         "correct both",
         {"{side}.quaternion_order": "wxyz", "{side}.inverse": "rotations"},
@@ -255,7 +227,6 @@ _TABLE = (
     Cause(
         "transposed",
         6.0,
-        FITTED,
         f"{{owner}} rotations are inverse (world in body), and its positions are not: {_AGREE}",
         "invert the rotations",
         {"{side}.inverse": "rotations"},
@@ -265,7 +236,6 @@ _TABLE = (
     Cause(
         "inverse",
         6.0,
-        FITTED,
         f"{{owner}} poses are inverse (world in body): {_AGREE}",
         "invert the poses",
         {"{side}.inverse": "poses"},
@@ -274,7 +244,6 @@ _TABLE = (
     Cause(
         "mirrored",
         6.0,
-        FITTED,
         "the axes of one side are left-handed (an axis was flipped, or two were exchanged): "
         "mirrored, short motions agree to {agreement:.0f} % instead of {as_read:.0f} %",
         "flip or exchange axes of the estimate",
@@ -285,7 +254,6 @@ _TABLE = (
     Cause(
         "axes_mixed",
         6.0,
-        FITTED,
         f"positions and rotations of one side have different axes: {_AGREE}",
         "apply the same conversion to positions and rotations",
         {"estimate.axes": "{axes}"},
@@ -295,7 +263,6 @@ _TABLE = (
     Cause(
         "conventions",
         6.0,
-        FITTED,
         f"{{owner}} rotations are {{causes}}, and the axes of its positions differ from those of "
         f"its rotations: {_AGREE}",
         "correct both",
@@ -310,7 +277,6 @@ _TABLE = (
     Cause(
         "convention_tie",
         6.0,
-        FITTED,
         f"one side's poses are {{causes}}, which this motion can't distinguish: {_AGREE}",
         "check the conventions of the file, and convert it: trajeval trajectory SOURCE "
         "--quaternion-order, --inverse or --axes",
@@ -320,7 +286,6 @@ _TABLE = (
     Cause(
         "rotations",
         6.0,
-        FITTED,
         "the positions agree, and the rotations agree in no convention{how}: the motions of the "
         "positions agree to {positions:.0f} %, those of the rotations to {rotations:.0f} %",
         "check how the rotations were computed: {check}",
@@ -329,7 +294,6 @@ _TABLE = (
     Cause(
         "unit",
         5.85,
-        FITTED,
         "the {side} is in {unit}: the groundtruth's motions are {scale:.4g} times the estimate's",
         "convert its positions to metres",
         {"{side}.scale": "{factor}"},
@@ -337,7 +301,6 @@ _TABLE = (
     Cause(
         "groundtruth_up_axis",
         5.8,
-        FITTED,
         "{said}",
         "or align by all rotations",
         {"up": "{ups}", "gauge": "{gauge}"},
@@ -345,7 +308,6 @@ _TABLE = (
     Cause(
         "up_axis",
         5.8,
-        FITTED,
         "the vertical axis of {owner} frame is probably {axis}{called}, within {off_deg:.0f} "
         "deg; this alignment leaves a tilt of {tilt_deg:.0f} deg",
         "set the vertical axis",
@@ -355,7 +317,6 @@ _TABLE = (
     Cause(
         "up_axis_or_mirrored",
         5.8,
-        FITTED,
         "z points down in the frame of one side, as in NED, or its axes are left-handed; planar "
         "motion can't distinguish them",
         "if z points down, set the vertical axis",
@@ -365,7 +326,6 @@ _TABLE = (
     Cause(
         "tilted",
         5.7,
-        FITTED,
         "the vertical axes of the two frames differ by {tilt_deg:.0f} deg, which this alignment "
         "can't correct: at least one frame is not aligned with gravity",
         "align by all rotations",
@@ -374,7 +334,6 @@ _TABLE = (
     Cause(
         "scale",
         5.5,
-        FITTED,
         "the estimate has a scale error: the groundtruth's motions are {scale:.3g} times the "
         "estimate's, as with a monocular estimator{or_feet}",
         "align with scale{or_convert}",
@@ -383,7 +342,6 @@ _TABLE = (
     Cause(
         "frames_apart",
         5.4,
-        FITTED,
         "positions differ by a constant offset of ({offset}) m, which is {percent:.0f} % of the "
         "squared error{kind}",
         "align by translation, unless the offset is an error of the estimate",
@@ -392,7 +350,6 @@ _TABLE = (
     Cause(
         "twist_body",
         5.0,
-        FITTED,
         "{owner} velocities are in the body frame: rotated to the world frame they differ "
         "by {turned_percent:.0f} % from the derivative of its positions, instead of "
         "{off_percent:.0f} %",
@@ -401,7 +358,6 @@ _TABLE = (
     Cause(
         "body",
         5.0,
-        FITTED,
         "the body frames differ by a constant rotation of {angle_deg:.0f} deg (residual "
         "{rest_deg:.1f} deg): the groundtruth is probably of another body frame, such as a "
         "marker or a camera",
@@ -412,7 +368,6 @@ _TABLE = (
     Cause(
         "lever_arm",
         4.9,
-        FITTED,
         "a lever arm of {lever_m:.2f} m explains {percent:.0f} % of the error over 2 s: the "
         "trajectories are of different points of the body",
         "estimate it with --hand-eye auto, or give a known transformation with --hand-eye FILE",
@@ -421,7 +376,6 @@ _TABLE = (
     Cause(
         "small_clock_offset",
         4.8,
-        CORRELATED,
         "the clocks of groundtruth and estimate probably differ: {how} with {offset_ms:+.0f} ms "
         "{more}added to the estimate's timestamps",
         "estimate the offset with --time-offset auto",
@@ -431,7 +385,6 @@ _TABLE = (
     Cause(
         "covariance_order",
         4.0,
-        FITTED,
         "the estimate's covariances probably have rotation before position: the ratios of "
         "error and standard deviation are {exchanged:.2g} (position) and "
         "{exchanged_rotation:.2g} (rotation) with exchanged blocks, and {as_read:.2g} and "
@@ -441,7 +394,6 @@ _TABLE = (
     Cause(
         "covariance_degrees",
         4.0,
-        FITTED,
         "the rotation covariances of the estimate are probably in square degrees: their standard "
         "deviations are {times:.0f} times the errors, and those of positions are not",
         "write them in square radians",
@@ -449,7 +401,6 @@ _TABLE = (
     Cause(
         "frames_lost",
         1.0,
-        FITTED,
         "the estimate has {rate_hz:.1f} of {of_hz:.0f} poses per second: frames were lost or not "
         "processed",
         "reduce the load of the computer, or the rate of the sensor",
@@ -457,7 +408,6 @@ _TABLE = (
     Cause(
         "keyframes",
         1.0,
-        FITTED,
         "the estimate has {rate_hz:.1f} poses per second at irregular times; if these are "
         "keyframes, which are optimised later, the error differs from the error of the live "
         "output",

@@ -141,7 +141,6 @@ class Finding:
     # does.
     correction: Mapping[str, str]
     explained: float  # fraction of the mismatch that the correction removes, 0 to 1
-    confidence: str  # `exact`, `correlated` or `fitted`
     evidence: Mapping[str, float]  # statistics by name
     rivals: tuple[Finding, ...] = ()  # other findings that fit about as well
     tried: Tried | None = None  # None if there is no correction, or no trial of it
@@ -163,7 +162,6 @@ class Finding:
                 if (value := text.format(**values))
             },
             seen.explained,
-            cause.confidence,
             {name: value for name, value in seen.values.items() if isinstance(value, float)},
             tuple(cls.of(each) for each in seen.rivals),
         )

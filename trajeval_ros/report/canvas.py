@@ -131,7 +131,7 @@ def _setting(name: Any) -> Any:
     return matplotlib.rcParams[name]
 
 
-def mark_ends(axes: Axes, path: Floats, *, with_labels: bool = True) -> None:
+def mark_ends(axes: Axes, path: Floats) -> None:
     """Mark the start of a path (N, 2) or (N, 3) by a circle and its end by a square."""
     for row, marker, label in ((0, "o", "start"), (-1, "s", "end")):
         axes.plot(
@@ -142,7 +142,7 @@ def mark_ends(axes: Axes, path: Floats, *, with_labels: bool = True) -> None:
             markerfacecolor=paper(),
             markeredgecolor=ink(),
             zorder=5,
-            label=label if with_labels else "_",
+            label=label,
         )
 
 

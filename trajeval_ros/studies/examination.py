@@ -1,4 +1,4 @@
-"""Tests of measured keyframes, to decide whether their errors can be trusted."""
+"""Measured keyframes for the gauge study, with checks of their data."""
 
 from __future__ import annotations
 
@@ -11,19 +11,10 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.preintegration import ImuNoise
 from trajeval_ros.studies.keyframe_selection import select
-from trajeval_ros.studies.measurement_tests import (
-    ResidualGroup,
-    groundtruth_nees,
-    residual_groups,
-    split_half_nees,
-    track_correlation,
-)
 from trajeval_ros.studies.outliers import Rejection, reject_outliers
 from trajeval_ros.studies.sensor_recording import SensorRecording
-from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance
-from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
 from trajeval_ros.visual_inertial.problem import Problem
-from trajeval_ros.visual_inertial.state import MOTION_WIDTH, State, initial_state
+from trajeval_ros.visual_inertial.state import State, initial_state
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +43,6 @@ class MeasuredScene:
         return initial_state(self.groundtruth, generator)
 
 
-LAGS = (1, 2, 5, 10)
-# Assumed noise of groundtruth per axis, which is unknown: m, deg, m/s.
-GROUNDTRUTH_NOISES = ((0.0, 0.0, 0.0), (1e-3, 0.1, 5e-3), (1e-3, 0.2, 5e-3), (2e-3, 0.3, 1e-2))
-_SPLITS = 10
 _GRAVITY_TOLERANCE, _TILT_TOLERANCE_DEG = 0.1, 2.0
 _DRIFT_TOLERANCE_DEG_PER_S = 1.0
 
@@ -68,15 +55,12 @@ class MeasurementModel:
     keyframes: int  # largest number of keyframes
     pixel_noise: float  # standard deviation of a measured coordinate, pixels
     imu_noise: ImuNoise  # noise densities of the IMU
-    # Prior of the biases, to estimate them; None to use groundtruth's biases.
-    bias_noise: BiasNoise | None
     gravity: float  # m/s^2
-    is_split: bool  # whether to test the covariance by halves of the landmarks
 
 
 @dataclass(frozen=True, eq=False)
 class Examination:
-    """Measured keyframes, with tests of their data and residuals."""
+    """Measured keyframes, with checks of their data."""
 
     scene: MeasuredScene  # the problem for the gauge study
     rejection: Rejection  # the measurements without outliers, and their solution
@@ -85,18 +69,10 @@ class Examination:
     gravity: Floats  # (3,) from groundtruth and IMU, m/s^2
     # Angle between groundtruth's and the gyroscope's rotation from the first to the last keyframe.
     drift_deg: float
-    groups: list[ResidualGroup]  # chi-square by group of residuals
-    correlation: Floats  # (lags,) of reprojection errors along tracks
-    # NEES of the poses over its degrees of freedom, for each of `GROUNDTRUTH_NOISES`
-    nees: list[float]
-    # (6,) standard deviations of the last keyframe's biases; (0,) where biases are known
-    biases_sigma: Floats
-    # (splits,), NEES of the differences of two halves, without groundtruth; None if not requested
-    split_half: Floats | None
 
 
 def examine(recording: SensorRecording, model: MeasurementModel) -> Examination:
-    """Select keyframes, reject outliers, and test data and residuals."""
+    """Select keyframes, check the data, and reject outliers."""
     gravity = np.array([0.0, 0.0, -model.gravity])
     whole = select(
         recording,
@@ -105,7 +81,6 @@ def examine(recording: SensorRecording, model: MeasurementModel) -> Examination:
         model.pixel_noise,
         model.imu_noise,
         gravity,
-        model.bias_noise,
     )
     felt = whole.gravity_felt
     off = abs(float(np.linalg.norm(felt)) - model.gravity)
@@ -124,27 +99,13 @@ def examine(recording: SensorRecording, model: MeasurementModel) -> Examination:
             f"{duration_s:.2f} s; check the gyroscope's biases, extrinsics and frames"
         )
     rejection = reject_outliers(whole)
-    selection, state = rejection.selection, rejection.state
-    scene = MeasuredScene.of(rejection)
-    covariance = fixed_covariance(scene.problem, state)
-    split_half = None
-    if model.is_split:
-        split_half = split_half_nees(selection, state, _SPLITS, np.random.default_rng(0))
     return Examination(
-        scene=scene,
+        scene=MeasuredScene.of(rejection),
         rejection=rejection,
         duration_s=duration_s,
         notes=recording.notes + whole.notes,
         gravity=felt,
         drift_deg=drift_deg,
-        groups=residual_groups(scene.problem, state),
-        correlation=track_correlation(scene.problem, state, LAGS),
-        nees=[
-            groundtruth_nees(scene.groundtruth, state, covariance, (p, float(np.radians(phi)), v))
-            for p, phi, v in GROUNDTRUTH_NOISES
-        ],
-        biases_sigma=np.sqrt(np.diagonal(covariance)[-state.width :][MOTION_WIDTH:]),
-        split_half=split_half,
     )
 
 

@@ -66,7 +66,7 @@ class Trials:
 
 @dataclass(frozen=True, eq=False)
 class Covariances:
-    """The motion's covariances (9N, 9N) of one trial, without biases: Fig. 9."""
+    """The motion's covariances (9N, 9N) of one trial: Fig. 9."""
 
     free: Floats  # covariance of the free gauge
     transformed: Floats  # `free`, transformed to the gauge of fixation by eq. (12)
@@ -128,8 +128,7 @@ def covariances(scene: StudiedScene, trial: int, *, is_converged: bool) -> Covar
     )
     of_free, of_fixed = free_covariance(problem, free), fixed_covariance(problem, fixed)
     transformed, _ = transform(of_free, free, fixed.reference_rotation, fixed.reference_position)
-    motion = np.ix_(free.motion_places, free.motion_places)
-    return Covariances(of_free[motion], transformed[motion], of_fixed[motion])
+    return Covariances(of_free, transformed, of_fixed)
 
 
 def _trial(

@@ -16,7 +16,6 @@ from trajeval_ros.geometry.preintegration import ImuNoise, Preintegrated, preint
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.studies.sensor_recording import SAME_INSTANT_NS, SensorRecording, at_instants
 from trajeval_ros.visual_inertial.camera import Camera
-from trajeval_ros.visual_inertial.inertial_errors import BiasNoise
 from trajeval_ros.visual_inertial.problem import Problem
 from trajeval_ros.visual_inertial.state import State
 from trajeval_ros.visual_inertial.visibility import FEWEST_VIEWS
@@ -45,7 +44,6 @@ class KeyframeSelection:
     landmarks: int  # K
     preintegrated: Preintegrated  # IMU measurements of the N - 1 intervals
     gravity: Floats  # (3,) in the world, m/s^2
-    bias_noise: BiasNoise | None  # prior of the biases; None if they are not estimated
     notes: tuple[str, ...]  # sentences that state what was left out
 
     def problem(self) -> Problem:
@@ -61,7 +59,6 @@ class KeyframeSelection:
             lever_arm=self.lever_arm,
             weights=self.weights,
             gravity=self.gravity,
-            bias_noise=self.bias_noise,
         )
 
     def with_noise(self, pixel_noise: float) -> KeyframeSelection:
@@ -118,13 +115,11 @@ def select(
     pixel_noise: float,
     imu_noise: ImuNoise,
     gravity: Floats,
-    bias_noise: BiasNoise | None = None,
 ) -> KeyframeSelection:
     """Return keyframes of a recording with all tracks that at least three of them see.
 
-    Every `every`th image is a keyframe, and after `most` of them the others are dropped. With a
-    bias noise, biases are estimated relative to groundtruth's mean; otherwise groundtruth's are
-    used. Gravity (3,) is in the world, m/s^2.
+    Every `every`th image is a keyframe, and after `most` of them the others are dropped. Biases
+    are those of the groundtruth. Gravity (3,) is in the world, m/s^2.
     """
     images, outside = _usable_images(recording)
     chosen = images[::every][:most]
@@ -141,8 +136,7 @@ def select(
     assert poses.quaternions is not None
     assert poses.velocities is not None
     rotations = lie.to_matrix(poses.quaternions)
-    biases = np.zeros((len(poses.positions), 0 if bias_noise is None else 6))
-    states = State.at(poses.positions, rotations, poses.velocities, np.zeros((0, 3)), biases)
+    states = State.at(poses.positions, rotations, poses.velocities, np.zeros((0, 3)))
 
     order = np.full(len(recording.image_stamps), -1)
     order[chosen] = np.arange(len(chosen))
@@ -177,9 +171,8 @@ def select(
         keyframe_of=keyframe_of[at_keyframe],
         landmark_of=landmark_of,
         landmarks=len(names),
-        preintegrated=_between(recording, stamps, imu_noise, is_mean=bias_noise is not None),
+        preintegrated=_between(recording, stamps, imu_noise),
         gravity=gravity,
-        bias_noise=bias_noise,
         notes=tuple(notes),
     )
     return whole.kept(invertible)[0]
@@ -195,14 +188,11 @@ def _usable_images(recording: SensorRecording) -> tuple[Indices, int]:
     return inside, len(stamps) - len(inside)
 
 
-def _between(
-    recording: SensorRecording, keyframes: Stamps, noise: ImuNoise, *, is_mean: bool
-) -> Preintegrated:
-    """Return the preintegrated IMU samples between keyframes, with biases subtracted.
+def _between(recording: SensorRecording, keyframes: Stamps, noise: ImuNoise) -> Preintegrated:
+    """Return the preintegrated samples between keyframes, without the groundtruth's biases.
 
     The measurement of a step is the mean of the samples at both ends, since a delay of half a step
-    is visible in the residuals. Keyframes between samples add steps. Groundtruth's biases are
-    interpolated or, if `is_mean`, averaged over the keyframes' time.
+    is visible in the residuals. Keyframes between samples add steps.
     """
     stamps = recording.imu_stamps
     begin, end = keyframes[:-1], keyframes[1:]
@@ -224,18 +214,13 @@ def _between(
     sampled = (stamps - keyframes[0]) / NANOSECONDS
     groundtruth = recording.groundtruth
     known = (groundtruth.stamps - keyframes[0]) / NANOSECONDS
-    during_keyframes = slice(*at_instants(groundtruth.stamps, keyframes[[0, -1]], "groundtruth"))
     held = []
     for samples, biases in (
         (recording.angular_velocities, groundtruth.gyroscope_biases),
         (recording.accelerations, groundtruth.accelerometer_biases),
     ):
         if biases is not None:
-            samples = samples - (
-                biases[during_keyframes].mean(axis=0)
-                if is_mean
-                else columns_at(known, biases, sampled)
-            )
+            samples = samples - columns_at(known, biases, sampled)
         nodes = columns_at(sampled, samples, seconds.ravel()).reshape(*seconds.shape, 3)
         held.append((nodes[:, :-1] + nodes[:, 1:]) / 2.0)
     return preintegrate(held[0], held[1], np.diff(seconds, axis=1), noise)

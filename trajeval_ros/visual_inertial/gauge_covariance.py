@@ -1,7 +1,7 @@
 """Covariances of the motion, and their transformation between gauges: gauge paper, section VI.
 
-They are (wN, wN): position, rotation, velocity and, if estimated, biases of all keyframes. The
-first rotation is in the coordinates of eq. (9).
+They are (9N, 9N): position, rotation and velocity of all keyframes. The first rotation is in the
+coordinates of eq. (9).
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def prior_covariance(problem: Problem, state: State, weight: float) -> Floats:
 def transform(
     covariance: Floats, state: State, rotation: Floats, position: Floats
 ) -> tuple[Floats, State]:
-    """Transform a covariance (wN, wN) and its state to the gauge of fixation: eq. (12) to (15).
+    """Transform a covariance (9N, 9N) and its state to the gauge of fixation: eq. (12) to (15).
 
     The covariance is in any gauge: free, prior, or fixed elsewhere. `rotation` (3, 3) is the
     reference of the first rotation in the gauge of fixation, `position` (3,) the first position.
@@ -87,9 +87,7 @@ def transform(
     moved = state.transformed(turn, position - turn @ state.positions[0])
     moved = moved.referred_to(rotation, position)
     # Appendix A. For the first rotation its J_r^-1 J_r holds only if the reference stays.
-    # Biases are in the body's frame: the transformation does not change them.
-    blocks = np.tile(np.eye(3), (len(covariance) // 3, 1, 1))
-    blocks[state.motion_places[::3] // 3] = turn
+    blocks = np.tile(turn, (len(covariance) // 3, 1, 1))
     blocks[1] = (
         so3.inverse_left_jacobian(moved.first_turn) @ turn @ so3.left_jacobian(state.first_turn)
     )
@@ -114,9 +112,8 @@ def _congruent(covariance: Floats, blocks: Floats) -> Floats:
 def _undamped(problem: Problem, state: State) -> ReducedSystem:
     normal = problem.normal_equations(state)
     require_seen_landmarks(normal)
-    return reduce_landmarks(
-        normal, np.zeros(problem.width * problem.keyframes), np.zeros((problem.landmarks, 3))
-    )
+    motion, landmarks = normal.motion_gradient.size, normal.landmark_gradient.shape
+    return reduce_landmarks(normal, np.zeros(motion), np.zeros(landmarks))
 
 
 def _fixed(reduced: ReducedSystem) -> Floats:

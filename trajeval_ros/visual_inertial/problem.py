@@ -15,11 +15,7 @@ from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.preintegration import GRAVITY, Preintegrated
 from trajeval_ros.visual_inertial.camera import Camera
-from trajeval_ros.visual_inertial.inertial_errors import (
-    BiasNoise,
-    InertialErrors,
-    InertialMeasurements,
-)
+from trajeval_ros.visual_inertial.inertial_errors import InertialErrors, InertialMeasurements
 from trajeval_ros.visual_inertial.reprojection_errors import CameraMeasurements, ReprojectionErrors
 from trajeval_ros.visual_inertial.state import MOTION_WIDTH, State
 from trajeval_ros.visual_inertial.visibility import Visibility
@@ -27,20 +23,17 @@ from trajeval_ros.visual_inertial.visibility import Visibility
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """J^T J and J^T r by blocks, for N keyframes, K landmarks and M observations.
-
-    A keyframe has w parameters: 9, or 15 with biases (`State.moved`).
-    """
+    """J^T J and J^T r by blocks, for N keyframes, K landmarks and M observations."""
 
     cost: float  # half the squared length of all residuals
     reprojection_px: float  # mean length of the reprojection errors, pixels
-    diagonal: Floats  # (N, w, w), each keyframe with itself
-    coupling: Floats  # (N - 1, w, w), each keyframe (rows) with the next one (columns)
+    diagonal: Floats  # (N, 9, 9), each keyframe with itself
+    coupling: Floats  # (N - 1, 9, 9), each keyframe (rows) with the next one (columns)
     # (6, 3, M), position and rotation of the observation's keyframe (rows) with its landmark
     # (columns)
     cross: Floats
     landmark: Floats  # (K, 3, 3), each landmark with itself
-    motion_gradient: Floats  # (N, w)
+    motion_gradient: Floats  # (N, 9)
     landmark_gradient: Floats  # (K, 3)
     visibility: Visibility  # keyframes and landmarks of the observations
 
@@ -61,15 +54,13 @@ class Problem:
         lever_arm: Floats | None = None,
         weights: Floats | None = None,
         gravity: Floats = GRAVITY,
-        bias_noise: BiasNoise | None = None,
     ) -> None:
         """Store the measurements: pixels (M, r) of K landmarks, and N - 1 intervals of the IMU.
 
         The observations have keyframes (M,) and landmarks (M,). The camera is at the body's origin
         without a lever arm (3,), metres. The weights (M, r, r) are factors of the reprojection
         errors before their division by the camera's noise, identities by default. Gravity (3,) is
-        along the world's z axis, m/s^2. Without a bias noise, biases are known; otherwise they are
-        estimated at all keyframes.
+        along the world's z axis, m/s^2. Known biases are already subtracted from the samples.
         """
         if not len(pixels) or not len(preintegrated.durations_s):
             raise InputError(
@@ -78,8 +69,7 @@ class Problem:
             )
         self.camera, self.camera_in_body, self.pixels = camera, camera_in_body, pixels
         self.keyframes, self.landmarks = len(preintegrated.durations_s) + 1, landmarks
-        self._between = InertialMeasurements(preintegrated, gravity, bias_noise)
-        self.width = self._between.width  # parameters of a keyframe
+        self._between = InertialMeasurements(preintegrated, gravity)
         self.preintegrated = preintegrated
         self.gravity = gravity
         self.visibility = Visibility(keyframe_of, landmark_of, self.keyframes, landmarks)
@@ -88,20 +78,12 @@ class Problem:
         )
 
     def residuals(self, state: State) -> tuple[Floats, Floats]:
-        """Return the whitened errors of camera (M, r) and between keyframes (N - 1, w)."""
+        """Return the whitened errors of camera (M, r) and between keyframes (N - 1, 9)."""
         return self._images.residuals(state).T, self._between.residuals(state)
-
-    def first_biases(self, state: State) -> tuple[Floats, Floats]:
-        """Return the whitened errors of the first biases and their derivative, (w - 9,)."""
-        return self._between.first_bias_errors(state), self._between.first_bias_weights
 
     def cost(self, state: State) -> float:
         """Return half the squared length of all residuals, eq. (1)."""
-        parts = (
-            self._images.residuals(state),
-            self._between.residuals(state),
-            self._between.first_bias_errors(state),
-        )
+        parts = self._images.residuals(state), self._between.residuals(state)
         return 0.5 * sum(float(np.vdot(errors, errors)) for errors in parts)
 
     def visual(self, state: State) -> ReprojectionErrors:
@@ -126,22 +108,17 @@ class Problem:
 
         errors, before, after = self.inertial(state)
         before_t, after_t = np.swapaxes(before, 1, 2), np.swapaxes(after, 1, 2)
-        first_errors, first_weights = self.first_biases(state)
-        diagonal = np.zeros((count, self.width, self.width))
-        gradient = np.zeros((count, self.width))
+        diagonal = np.zeros((count, MOTION_WIDTH, MOTION_WIDTH))
+        gradient = np.zeros((count, MOTION_WIDTH))
         diagonal[:, :6, :6] = visual.diagonal
         diagonal[:-1] += before_t @ before
         diagonal[1:] += after_t @ after
         gradient[:, :6] = visual.motion_gradient
         gradient[:-1] += np.einsum("nij,ni->nj", before, errors)
         gradient[1:] += np.einsum("nij,ni->nj", after, errors)
-        biases = np.arange(MOTION_WIDTH, self.width)
-        diagonal[0, biases, biases] += np.square(first_weights)
-        gradient[0, biases] += first_weights * first_errors
         lengths = visual.lengths
         return NormalEquations(
-            cost=0.5
-            * float(lengths @ lengths + np.vdot(errors, errors) + first_errors @ first_errors),
+            cost=0.5 * float(lengths @ lengths + np.vdot(errors, errors)),
             reprojection_px=float(lengths.mean()) * self.camera.noise_px,
             diagonal=diagonal,
             coupling=before_t @ after,

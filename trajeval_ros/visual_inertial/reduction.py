@@ -17,7 +17,7 @@ from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.visual_inertial.problem import NormalEquations, Problem
-from trajeval_ros.visual_inertial.state import State
+from trajeval_ros.visual_inertial.state import MOTION_WIDTH, State
 from trajeval_ros.visual_inertial.visibility import Visibility
 
 # Longest track, relative to the number of keyframes, with which a banded factor is faster.
@@ -25,7 +25,7 @@ _BANDED_SHARE = 0.25
 
 
 class MotionMatrix:
-    """A symmetric matrix (wN, wN) of N keyframes with w parameters each, zero at first.
+    """A symmetric matrix (9N, 9N) of N keyframes with w parameters each, zero at first.
 
     Its blocks are written through views. This works for both kinds of storage, since element
     (i, j) is at place `begin + i + step * j` in memory: a dense matrix is stored by columns, and
@@ -51,7 +51,7 @@ class MotionMatrix:
 
     @property
     def diagonal(self) -> Floats:
-        """The diagonal (wN,), a view."""
+        """The diagonal (9N,), a view."""
         return self._view(0, (self._size,), (1 + self._step,))
 
     def blocks(self, offset: int) -> Floats:
@@ -77,7 +77,7 @@ class MotionMatrix:
         self.diagonal[indices] = 1.0
 
     def solved(self, right: Floats) -> Floats:
-        """Return A^-1 b for b (wN,), and overwrite the matrix.
+        """Return A^-1 b for b (9N,), and overwrite the matrix.
 
         Raises:
             numpy.linalg.LinAlgError: The matrix is not positive definite.
@@ -94,7 +94,7 @@ class MotionMatrix:
         return np.asarray(solution)
 
     def dense(self) -> Floats:
-        """Return the matrix (wN, wN)."""
+        """Return the matrix (9N, 9N)."""
         if self._is_banded:
             matrix = np.zeros((self._size, self._size))
             for below, elements in enumerate(self._band.T):
@@ -118,8 +118,8 @@ _ROUNDING = 1e-13
 class ReducedSystem:
     """The normal equations of the motion, and the factors for the landmarks' step."""
 
-    matrix: MotionMatrix  # (wN, wN), H_mm - W V^-1 W^T
-    gradient: Floats  # (N, w), g_m - W V^-1 g_l
+    matrix: MotionMatrix  # (9N, 9N), H_mm - W V^-1 W^T
+    gradient: Floats  # (N, 9), g_m - W V^-1 g_l
     # (6, 3, M), the blocks of W L^-T with V = L L^T, by observation; rows are position and
     # rotation of its keyframe.
     half: Floats
@@ -128,7 +128,7 @@ class ReducedSystem:
     visibility: Visibility  # keyframes and landmarks of the observations
 
     def landmarks_after(self, motion_step: Floats) -> Floats:
-        """Return the landmarks' step V^-1 (-g_l - W^T dm) (3K,) for the motion's step dm (wN,)."""
+        """Return the landmarks' step V^-1 (-g_l - W^T dm) (3K,) for the motion's step dm (9N,)."""
         pose_steps = motion_step.reshape(self.visibility.keyframes, -1)[:, :6]
         return self.by_inverse(-self.pull - self.to_landmarks(pose_steps.T)).T.ravel()
 
@@ -149,7 +149,7 @@ class ReducedSystem:
 
 
 def motion_matrix(normal: NormalEquations) -> MotionMatrix:
-    """Return H_mm (wN, wN), the motion's block of the normal equations."""
+    """Return H_mm (9N, 9N), the motion's block of the normal equations."""
     matrix = MotionMatrix(normal.visibility, normal.diagonal.shape[1])
     matrix.blocks(0)[:] = normal.diagonal
     matrix.blocks(1)[:] = np.swapaxes(normal.coupling, 1, 2)
@@ -159,7 +159,7 @@ def motion_matrix(normal: NormalEquations) -> MotionMatrix:
 def reduce_landmarks(
     normal: NormalEquations, motion_damping: Floats, landmark_damping: Floats
 ) -> ReducedSystem:
-    """Eliminate the landmarks, with damping (wN,) and (K, 3) added to the diagonals.
+    """Eliminate the landmarks, with damping (9N,) and (K, 3) added to the diagonals.
 
     Raises:
         numpy.linalg.LinAlgError: The position of a landmark is not determined.
@@ -211,25 +211,23 @@ def require_seen_landmarks(normal: NormalEquations) -> None:
 
 
 def information_of(problem: Problem, state: State) -> scipy.sparse.csr_matrix:
-    """Return H_mm - W V^-1 W^T (wN, wN), undamped.
+    """Return H_mm - W V^-1 W^T (9N, 9N), undamped.
 
-    Only keyframes that observe a common landmark are coupled. The rank is wN - 4 in any gauge.
+    Only keyframes that observe a common landmark are coupled. The rank is 9N - 4 in any gauge.
     """
     normal = problem.normal_equations(state)
     require_seen_landmarks(normal)
     half = _sparse_half(normal)
     shared = (half @ half.T).tocoo()
     direct = _motion_blocks(normal)
-    rows, columns = (
-        problem.width * (index // 6) + index % 6 for index in (shared.row, shared.col)
-    )
+    rows, columns = (MOTION_WIDTH * (index // 6) + index % 6 for index in (shared.row, shared.col))
     eliminated = scipy.sparse.coo_matrix((shared.data, (rows, columns)), shape=direct.shape)
     information = (direct - eliminated).tocsr()
     return (information + information.T).tocsr() / 2.0
 
 
 def _motion_blocks(normal: NormalEquations) -> scipy.sparse.csr_matrix:
-    """Return H_mm (wN, wN), the motion's block of the normal equations."""
+    """Return H_mm (9N, 9N), the motion's block of the normal equations."""
     count, width, _ = normal.diagonal.shape
     diagonal = scipy.sparse.bsr_matrix(
         (normal.diagonal, np.arange(count), np.arange(count + 1)),

@@ -15,7 +15,7 @@ import numpy as np
 from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.visual_inertial.problem import NormalEquations, Problem
 from trajeval_ros.visual_inertial.reduction import ReducedSystem, reduce_landmarks
-from trajeval_ros.visual_inertial.state import State
+from trajeval_ros.visual_inertial.state import MOTION_WIDTH, State
 
 # The first position, and the z component of the first rotation's Dphi: eq. (10).
 GAUGE_INDICES = np.array([0, 1, 2, 5])
@@ -132,7 +132,7 @@ class _Linearised:
 
     @property
     def curvature(self) -> Floats:
-        """Diagonal of J^T J, (wN + 3K,)."""
+        """Diagonal of J^T J, (9N + 3K,)."""
         motion = np.diagonal(self.normal.diagonal, axis1=1, axis2=2).ravel()
         motion[GAUGE_INDICES] += self.weight
         landmarks = np.diagonal(self.normal.landmark, axis1=1, axis2=2)
@@ -140,7 +140,7 @@ class _Linearised:
 
     @property
     def gradient(self) -> Floats:
-        """J^T r, (wN + 3K,)."""
+        """J^T r, (9N + 3K,)."""
         motion = self.normal.motion_gradient.ravel().copy()
         motion[GAUGE_INDICES] += self.prior
         return np.concatenate([motion, self.normal.landmark_gradient.ravel()])
@@ -156,7 +156,7 @@ class _Descent:
 
     def __init__(self, problem: Problem, handling: GaugeHandling, weight: float) -> None:
         self.problem, self.weight = problem, weight
-        self.free = np.ones(problem.width * problem.keyframes, dtype=bool)
+        self.free = np.ones(MOTION_WIDTH * problem.keyframes, dtype=bool)
         if handling is GaugeHandling.FIXATION:
             self.free[GAUGE_INDICES] = False
 
@@ -210,5 +210,5 @@ def _from_reference(state: State) -> Floats:
 
 def _size(state: State) -> float:
     """Return the norm of all parameters; a quaternion has norm 1."""
-    parts = (state.positions, state.velocities, state.landmarks, state.biases)
+    parts = state.positions, state.velocities, state.landmarks
     return float(np.sqrt(sum(np.vdot(part, part) for part in parts) + len(state.positions)))

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 
 from trajeval_ros.geometry import so3
-from trajeval_ros.geometry.arrays import Floats, Indices
+from trajeval_ros.geometry.arrays import Floats
 
-# Parameters of a keyframe besides biases: position, rotation, velocity.
+# Parameters of a keyframe: position, rotation, velocity.
 MOTION_WIDTH = 9
 
 
@@ -17,61 +18,31 @@ MOTION_WIDTH = 9
 class State:
     """Keyframes and landmarks; eq. (2) of the gauge paper.
 
-    A step is (wN + 3K,): position, rotation, velocity and biases of all keyframes, then the
-    landmarks. w is 9 if the biases are known, and 15 if they are estimated. Rotations are
-    perturbed on the left, R <- Exp(dphi) R (eq. 8), except for the first one. This is Exp(Dphi)
-    R_ref with steps added to the vector Dphi (eq. 9), so that its yaw can be fixed.
+    A step is (9N + 3K,): position, rotation and velocity of all keyframes, then the landmarks.
+    Rotations are perturbed on the left, R <- Exp(dphi) R (eq. 8), except for the first one. This
+    is Exp(Dphi) R_ref with steps added to the vector Dphi (eq. 9), so that its yaw can be fixed.
     """
 
     positions: Floats  # (N, 3), metres
     rotations: Floats  # (N, 3, 3), body to world
     velocities: Floats  # (N, 3), m/s, in the world
     landmarks: Floats  # (K, 3), metres
-    # (N, 6) of gyroscope (rad/s) and accelerometer (m/s^2), relative to those already subtracted
-    # from the samples; (N, 0) if they are not estimated.
-    biases: Floats
     first_turn: Floats  # (3,), Dphi of eq. (9), rad
     reference_rotation: Floats  # (3, 3), R_ref, the first rotation's initial value
     reference_position: Floats  # (3,), the first position's initial value
 
     @classmethod
     def at(
-        cls,
-        positions: Floats,
-        rotations: Floats,
-        velocities: Floats,
-        landmarks: Floats,
-        biases: Floats | None = None,
+        cls, positions: Floats, rotations: Floats, velocities: Floats, landmarks: Floats
     ) -> State:
-        """Return a state that is its own reference, with known biases if none are given."""
-        if biases is None:
-            biases = np.zeros((len(positions), 0))
-        return cls(
-            positions,
-            rotations,
-            velocities,
-            landmarks,
-            biases,
-            np.zeros(3),
-            rotations[0],
-            positions[0],
-        )
-
-    @property
-    def width(self) -> int:
-        """Parameters of a keyframe: 9, or 15 with biases."""
-        return MOTION_WIDTH + int(self.biases.shape[1])
-
-    @property
-    def motion_places(self) -> Indices:
-        """Indices (9N,) of positions, rotations and velocities in a step (wN + 3K,)."""
-        first = self.width * np.arange(len(self.positions))
-        return (first[:, None] + np.arange(MOTION_WIDTH)).ravel()
+        """Return a state that is its own reference."""
+        references = np.zeros(3), rotations[0], positions[0]
+        return cls(positions, rotations, velocities, landmarks, *references)
 
     def moved(self, step: Floats) -> State:
-        """Return the state after a step (wN + 3K,)."""
-        count, width = len(self.positions), self.width
-        motion = step[: width * count].reshape(count, width)
+        """Return the state after a step (9N + 3K,)."""
+        count = len(self.positions)
+        motion = step[: MOTION_WIDTH * count].reshape(count, MOTION_WIDTH)
         rotations = so3.exp(motion[:, 3:6]) @ self.rotations
         first_turn = self.first_turn + motion[0, 3:6]
         rotations[0] = so3.exp(first_turn) @ self.reference_rotation
@@ -79,8 +50,7 @@ class State:
             self.positions + motion[:, :3],
             rotations,
             self.velocities + motion[:, 6:9],
-            self.landmarks + step[width * count :].reshape(-1, 3),
-            self.biases + motion[:, 9:],
+            self.landmarks + step[motion.size :].reshape(-1, 3),
             first_turn,
             self.reference_rotation,
             self.reference_position,
@@ -93,7 +63,6 @@ class State:
             rotation @ self.rotations,
             self.velocities @ rotation.T,
             self.landmarks @ rotation.T + translation,
-            self.biases,
             self.first_turn,
             self.reference_rotation,
             self.reference_position,
@@ -101,24 +70,20 @@ class State:
 
     def referred_to(self, rotation: Floats, position: Floats) -> State:
         """Return the same state with other references."""
-        return State(
-            self.positions,
-            self.rotations,
-            self.velocities,
-            self.landmarks,
-            self.biases,
-            so3.log(self.rotations[0] @ rotation.T),
-            rotation,
-            position,
+        return dataclasses.replace(
+            self,
+            first_turn=so3.log(self.rotations[0] @ rotation.T),
+            reference_rotation=rotation,
+            reference_position=position,
         )
 
     @property
     def gauge_basis(self) -> Floats:
-        """U of eq. (15), (wN + 3K, 4): derivatives by yaw about the origin and translation."""
-        count, width = len(self.positions), self.width
-        rows = width * count // 3
+        """U of eq. (15), (9N + 3K, 4): derivatives by yaw about the origin and translation."""
+        count = len(self.positions)
+        rows = 3 * count
         basis = np.zeros((rows + len(self.landmarks), 3, 4))
-        motion, landmarks = basis[:rows].reshape(count, width, 4), basis[rows:]
+        motion, landmarks = basis[:rows].reshape(count, MOTION_WIDTH, 4), basis[rows:]
         motion[:, 0:3, 0] = _gravity_cross(self.positions)
         motion[:, 3:6, 0] = [0.0, 0.0, 1.0]
         motion[0, 3:6, 0] = so3.inverse_left_jacobian(self.first_turn)[:, 2]
@@ -139,7 +104,7 @@ _VELOCITY_MPS, _LANDMARK_M = 0.05, 0.075
 
 
 def initial_state(groundtruth: State, generator: np.random.Generator) -> State:
-    """Return keyframes and landmarks with the paper's initial errors, and with true biases."""
+    """Return keyframes and landmarks with the paper's initial errors."""
     count = len(groundtruth.positions)
     turns = np.radians(_ROTATION_DEG) * _directions(generator, count)
     rotations = so3.exp(turns) @ groundtruth.rotations
@@ -150,7 +115,7 @@ def initial_state(groundtruth: State, generator: np.random.Generator) -> State:
     landmarks = groundtruth.landmarks + generator.uniform(
         -_LANDMARK_M, _LANDMARK_M, groundtruth.landmarks.shape
     )
-    return State.at(positions, rotations, velocities, landmarks, groundtruth.biases)
+    return State.at(positions, rotations, velocities, landmarks)
 
 
 def _directions(generator: np.random.Generator, count: int) -> Floats:

@@ -188,7 +188,6 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "sentence": finding.sentence,
         "advice": finding.advice,
         "option": finding.option or None,
-        "confidence": finding.confidence,
         "explained": finding.explained,
         "evidence": {
             name: value for name, value in finding.evidence.items() if math.isfinite(value)
