@@ -140,6 +140,21 @@ def test_run_without_gaps_has_no_empty_chunk(tmp_path: Path) -> None:
 
 
 @needs_rerun
+def test_properties_are_the_evaluations(drawn) -> None:
+    evaluation, picture = drawn
+
+    def of(name: str) -> object:
+        ((value,),) = picture.rows("__properties/evaluation", name)[1]
+        return value
+
+    assert of("estimate") == NAME
+    assert of("gauge") == "sim3"
+    assert of("ate_position_m") == evaluation.ate["position_m"].rmse
+    assert of("coverage") == evaluation.association.groundtruth_coverage
+    assert of("re_percent") == evaluation.drift.percent.mean
+
+
+@needs_rerun
 def test_frames_of_ros_are_attached_once(tmp_path: Path) -> None:
     from rrd import Rrd
 

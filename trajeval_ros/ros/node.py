@@ -163,8 +163,9 @@ class EvaluatorNode:
         self._results.finish(run)
 
     def _new_picture(self, run: LiveRun, before: RerunOutput | None = None) -> RerunOutput:
-        gauge = self._settings.protocol.gauge
-        picture = RerunOutput(self._values["rerun"], run, gauge, before)
+        protocol = self._settings.protocol
+        value, modality = self._values["rerun"], protocol.modality
+        picture = RerunOutput(value, run, protocol.gauge, before, modality)
         if picture.address:
             self._log(f"Rerun: rerun --connect {picture.address}")
         return picture

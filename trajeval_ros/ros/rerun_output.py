@@ -34,6 +34,7 @@ class RerunOutput:
         run: LiveRun,
         gauge: Gauge,
         before: RerunOutput | None = None,
+        modality: str | None = None,
     ) -> None:
         self._run = run
         self._streams: list[tuple[DrawingThread, LiveScene]] = []
@@ -45,7 +46,7 @@ class RerunOutput:
             for place, sink in enumerate(sinks_for(value, folder / FILE, str(uuid.uuid4()))):
                 if isinstance(sink, ServerTarget):
                     self.address = sink.url
-                scene = LiveScene(folder.name, names, gauge)
+                scene = LiveScene(folder.name, names, gauge, modality)
                 after = None if before is None else before._stream(place)
                 self._streams.append((DrawingThread(sink, scene, after), scene))
         except TrajevalError as error:

@@ -24,6 +24,7 @@ from trajeval_ros.viewer.live_path import LiveRecording
 from trajeval_ros.viewer.live_pictures import EstimatePicture, GroundtruthPicture
 from trajeval_ros.viewer.named_frames import NamedFrames
 from trajeval_ros.viewer.paths import between_origins, bounds_of
+from trajeval_ros.viewer.recording_properties import send_of_snapshots
 from trajeval_ros.viewer.state_lanes import LiveLanes
 
 if TYPE_CHECKING:
@@ -37,10 +38,12 @@ _GROWN = 1.5  # of the scene, until the axes of poses are drawn larger
 class LiveScene:
     """Draws on the present recording; without one it only stores the data."""
 
-    def __init__(self, title: str, names: Sequence[str], gauge: Gauge) -> None:
+    def __init__(
+        self, title: str, names: Sequence[str], gauge: Gauge, modality: str | None = None
+    ) -> None:
         self._title = one_line(title)
         self._recording = LiveRecording()
-        self._gauge, self._up = gauge, Z_UP
+        self._gauge, self._modality, self._up = gauge, modality, Z_UP
         self._groundtruth = GroundtruthPicture(self._recording)
         self._lanes, self._frames = LiveLanes(self._recording), NamedFrames()
         self._estimates: dict[str, EstimatePicture] = {}
@@ -83,6 +86,7 @@ class LiveScene:
             self._draw_errors(each, int(times[-1]), is_growing=False)
             self._tell(int(times[-1]), is_growing=False)
         self._map.draw(is_growing=False)
+        self._send_properties()
         self._frame()
 
     def groundtruth(
@@ -248,6 +252,16 @@ class LiveScene:
             has_map=has_map,
             bounds=bounds,
             rotations_deg=np.concatenate(rotations),
+        )
+
+    def _send_properties(self) -> None:
+        told = [each for each in self._estimates.values() if each.snapshot is not None]
+        self._recording.send(
+            send_of_snapshots,
+            self._title,
+            (self._gauge, self._modality),
+            [each.snapshot for each in told],
+            [each.entities.name for each in told],
         )
 
     def _frame(self) -> None:

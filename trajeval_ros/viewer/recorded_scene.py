@@ -31,6 +31,7 @@ from trajeval_ros.viewer.paths import (
     spread,
 )
 from trajeval_ros.viewer.recording_file import recording_writer
+from trajeval_ros.viewer.recording_properties import send_of_evaluations
 from trajeval_ros.viewer.state_lanes import send_fixes, send_gaps
 
 _MOST_POINTS = 50_000  # of a path
@@ -66,6 +67,8 @@ def write_recording(
 
     def draw(recording: Any) -> None:
         _draw(recording, evaluations, consistencies, estimates, origin, size_of(bounds))
+        told = [each.name for each in estimates]
+        send_of_evaluations(recording, title, evaluations, consistencies, told)
 
     write_whole(path, recording_writer(title, layout, draw))
 

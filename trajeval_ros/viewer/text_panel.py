@@ -151,13 +151,18 @@ def _nees(consistency: Consistency | None) -> str:
     return f"{worst.max:.3g} at most{limit}"
 
 
-def _drift_so_far(snapshot: Snapshot) -> str:
-    """Return the mean position error of the longest length with a relative error so far."""
+def longest_drift(snapshot: Snapshot) -> tuple[Length, float] | None:
+    """Return the longest length with a relative error so far, and its mean position error, m."""
     known = [Length.parse(text) for text, errors in snapshot.relative.items() if errors.count]
     if not known:
-        return NOTHING
+        return None
     longest = max(known, key=lambda length: (length.unit == "m", length.value))
-    return f"{snapshot.relative[str(longest)].position_m:.3f} m in {longest}"
+    return longest, snapshot.relative[str(longest)].position_m
+
+
+def _drift_so_far(snapshot: Snapshot) -> str:
+    drift = longest_drift(snapshot)
+    return NOTHING if drift is None else f"{drift[1]:.3f} m in {drift[0]}"
 
 
 def _text(
