@@ -320,3 +320,32 @@ def test_runs_need_a_name(
     assert f"{folder} has no folder name" in said
     assert len(said.splitlines()) == 1
     assert [path.name for path in tmp_path.rglob("*")] == ["inside"]
+
+
+def test_an_estimate_without_covariances_does_not_prevent_the_test_of_others(
+    honest: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plain = [
+        "trajectory",
+        f"{honest}:/vio/odometry",
+        "--save-as",
+        "tum",
+        "--output",
+        str(tmp_path),
+    ]
+    assert main(plain) == 0
+    [file] = tmp_path.glob("*.txt")
+    sides = ["-g", f"{honest}:/groundtruth/pose", "-e", f"plain={file}"]
+    both = [*sides, "-e", f"vio={honest}:/vio/odometry", "--lengths", "none", "--gauge", "yaw"]
+    result = tmp_path / "result.json"
+    asked = ["--covariance", "message", "--alert-limit", "1", "--json", str(result)]
+    assert main(["evaluate", *both, *asked]) == 0
+    without, tested = json.loads(result.read_text())["runs"]
+    assert without["consistency"] is without["integrity"] is None
+    assert tested["consistency"] is not None
+    assert tested["integrity"] is not None
+    [said] = [each for each in without["remarks"] if each["code"] == "no_consistency_test"]
+    assert said["level"] == "warning"
+    capsys.readouterr()
+    assert main(["evaluate", *sides, "--covariance", "message"]) == 2  # nothing to test
+    assert "has no covariances" in capsys.readouterr().err

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.diagnosis.diagnose import (
     Diagnosis,
     Finding,
@@ -26,6 +27,7 @@ from trajeval_ros.diagnosis.diagnose import (
 from trajeval_ros.diagnosis.diagnose import diagnose as diagnose_evaluation
 from trajeval_ros.diagnosis.trials import Again, with_tried_advice
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
+from trajeval_ros.formatting.remarks import Remark, warning
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.as_available import AsAvailable, as_available
@@ -54,7 +56,6 @@ if TYPE_CHECKING:
     from trajeval_ros.calibration.apply import Calibrated
     from trajeval_ros.consistency.consistency_result import Consistency
     from trajeval_ros.consistency.integrity import Integrity
-    from trajeval_ros.formatting.remarks import Remark
     from trajeval_ros.geometry.fix_selection import FixRule
     from trajeval_ros.likelihood.likelihood_assessment import LikelihoodAssessment
     from trajeval_ros.metrics.association import Association
@@ -91,16 +92,31 @@ def run(
     groundtruth, estimates, request = with_fixes_placed(groundtruth, estimates, request)
     runs: list[RunOutcome] = []
     for estimate in estimates:
+        own, said = _testable(request, estimate, estimates)
         with named(estimate):
             given, same_as = Inputs.of(groundtruth, estimate), runs[0].calibrated if runs else None
-            found = _evaluated(given, request, same_as)
+            found = _evaluated(given, own, same_as)
             if request.correct:
-                found = _corrected(found, given, request, same_as)
-        runs.append(found)
+                found = _corrected(found, given, own, same_as)
+        runs.append(_with_remarks(said, found, len(found.evaluation.remarks)))
     used, inputs = runs[0].evaluation.groundtruth, corrected_and_cut(given, request)
     runs = list(with_bayes_factors(with_same_estimates_named(runs)))
     runs = with_own_errors(runs, request.fixes)
     return Outcome(request, InputSummary.of(inputs.groundtruth, used), tuple(runs))
+
+
+def _testable(
+    request: Request, estimate: Trajectory, estimates: Sequence[Trajectory]
+) -> tuple[Request, list[Remark]]:
+    """Return the request for one of several estimates, without tests that only others allow."""
+    is_possible = estimate.covariances is not None or all(
+        each.covariances is None for each in estimates
+    )
+    if request.covariances.source != "message" or is_possible:
+        return request, []
+    said = "the consistency test is not possible: the estimate has no covariances"
+    own = dataclasses.replace(request, covariances=CovarianceRequest(), integrity=None)
+    return own, [warning("no_consistency_test", said)]
 
 
 def run_live_pairs(
