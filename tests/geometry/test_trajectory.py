@@ -87,7 +87,8 @@ def test_the_same_rows_are_poses_live_and_recorded(seed: int) -> None:
     buffer = DensePairing()
     buffer.add_groundtruth(truth.stamps, states(truth.positions, truth.quaternions))
     buffer.add_estimate(truth.stamps, states(positions, quaternions))
-    live = buffer.take(at_end=True)
+    live = buffer.made(at_end=True)
+    buffer.settle()
     np.testing.assert_array_equal(live.stamps, pairs.estimate.stamps)
     np.testing.assert_array_equal(live.estimate[:, POSITION], pairs.estimate.positions)
     assert {reason: n for reason, n in buffer.dropped.items() if n} == pairs.dropped
