@@ -157,10 +157,12 @@ def test_comparison_tabulates_what_was_asked_for(
 ) -> None:
     pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     words = words_of(name, bags)
+    in_file = {key: words.pop(key) for key in ("alert_limit", "risk") if key in words}
     options = options_of({key: value for key, value in words.items() if key != "lengths"})
     config = tmp_path / "runs.yaml"
     config.write_text(
-        f"folder: {bags}\nsequences: [{REQUESTS[name][0]}]\nlengths: none\n"
+        "".join(f"{key}: {value}\n" for key, value in in_file.items())
+        + f"folder: {bags}\nsequences: [{REQUESTS[name][0]}]\nlengths: none\n"
         'groundtruth: "{sequence}:/groundtruth/pose"\nruns: {vio: "{sequence}:/vio/odometry"}\n'
     )
     out = tmp_path / "out"

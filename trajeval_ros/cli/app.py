@@ -43,6 +43,7 @@ VERBS: dict[str, str] = {
 }
 _GROUPS = {"study": "Repeats the experiments of the papers."}
 
+_IN_THE_FILE = "write it as a key to the YAML file, with _ for -: trajeval compare FILE.yaml"
 _IN_A_PROTOCOL = "write it to a YAML file, and give the file as --protocol FILE.yaml"
 # By option, by verb and option, or by verb of version 0.2: the end of the error message.
 REMOVED: Final[dict[str, str]] = {
@@ -80,6 +81,10 @@ REMOVED: Final[dict[str, str]] = {
     "DuckDB",
     "compare --label": "name the --output of every comparison, and query their runs.parquet "
     "together",
+    "compare --alert-limit": _IN_THE_FILE,
+    "compare --risk": _IN_THE_FILE,
+    "compare --rotation-covariance-frame": _IN_THE_FILE,
+    "compare --continuous-model": _IN_THE_FILE,
     "watch --learn": "limits are fixed; watch a healthy run, and set --factor as it prints",
     "watch --limits": "limits are fixed; set --factor for this robot",
     "watch --groundtruth": "use trajeval evaluate to measure errors",

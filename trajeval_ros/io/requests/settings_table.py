@@ -189,7 +189,7 @@ _ROWS = (
         "in metres, as in 0.4,0.2,1.0. For a lever arm from TF use hand_eye, as in "
         "/tf_static:base_link.gps."),
     Setting(name="continuous_model", target="protocol.association.model", metavar="NAME",
-        panel=PAIR, verbs=(EVALUATE, COMPARE), choices=MODELS,
+        panel=PAIR, verbs=(EVALUATE,), choices=MODELS,
         help=f"Motion model for association continuous: {', '.join(MODELS)}. Default: "
         f"{{default}}."),
     Setting(name="groundtruth_noise",
@@ -280,11 +280,11 @@ _ROWS = (
         "message, or none. The NEES of the window is published, the NEES of the whole run is in "
         "the results."),
     Setting(name="rotation_covariance_frame", target="covariances.rotation_frame",
-        panel=CONSISTENCY, verbs=(EVALUATE, COMPARE, FINISH, NODE), choices=FRAMES,
+        panel=CONSISTENCY, verbs=(EVALUATE, FINISH, NODE), choices=FRAMES,
         help="Axes of rotation covariances in messages: {default} (default), as in ROS, or "
         "body, as in OpenVINS."),
     Setting(name="alert_limit", target=("integrity.alert_limit_m", "integrity.alert_limit_deg"),
-        read=_alert_limit, metavar="M|M,DEG", panel=CONSISTENCY, verbs=(EVALUATE, COMPARE, NODE),
+        read=_alert_limit, metavar="M|M,DEG", panel=CONSISTENCY, verbs=(EVALUATE, NODE),
         help="Integrity test: largest acceptable position error (horizontal and vertical, m) "
         "and heading error (deg). Errors are compared with the protection levels that the "
         "covariances give at --risk.",
@@ -293,7 +293,7 @@ _ROWS = (
         "message."),
     Setting(name="risk", kind=float, target="integrity.risk",
         read=lambda request: (request.integrity or IntegrityRequest).risk, metavar="P",
-        panel=CONSISTENCY, verbs=(EVALUATE, COMPARE, NODE), range=(1e-12, 0.5),
+        panel=CONSISTENCY, verbs=(EVALUATE, NODE), range=(1e-12, 0.5),
         help="Probability that an error exceeds its protection level. Default: {default}."),
     Setting(name="watch_factor", kind=float, target="watch_factor", metavar="K",
         panel=CONSISTENCY, verbs=(EVALUATE,), is_of_one_run=True, range=WATCH_FACTORS,
@@ -309,14 +309,14 @@ _ROWS = (
         node_help="Error of the newest pose that was received: none, hold, or constant (the pose "
         "is predicted by the twist between the newest two)."),
     Setting(name="deadline", kind=float, target="available.deadline_s", metavar="S",
-        panel=AVAILABLE, verbs=(EVALUATE, COMPARE, FINISH), range=(0.001, 3600.0),
+        panel=AVAILABLE, verbs=(EVALUATE, FINISH), range=(0.001, 3600.0),
         help="Largest age of a pose in time, in seconds. Default: {default}."),
     Setting(name="received", target="available.received",
-        panel=AVAILABLE, verbs=(EVALUATE, COMPARE), choices=RECEIVED,
+        panel=AVAILABLE, verbs=(EVALUATE,), choices=RECEIVED,
         help="Times of a bag that are receptions: log times of the recorder, or publish times "
         "without transport. auto (default): publish times where they differ."),
     Setting(name="receive_clock", target="available.receive_clock",
-        metavar="S|fastest:S", panel=AVAILABLE, verbs=(EVALUATE, COMPARE),
+        metavar="S|fastest:S", panel=AVAILABLE, verbs=(EVALUATE,),
         help="Correction of the receiver's clock: seconds that are added to receptions, or the "
         "latency of the fastest message, as in fastest:0.005. Default: {default}."),
     Setting(name="up", target="up", parse=parse_up, metavar="AXIS|AXIS,AXIS", panel=INPUT,
