@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from trajeval_ros.exceptions import InputError, reason_of
+from trajeval_ros.formatting.numbers import data_size
 
 _BARE_PATTERN = re.compile(r"""[{,:]\s*[^'"\s{}]*\{\w+\}""")  # {ours: vio/{sequence}.txt}
 _LARGEST, _LARGEST_GENERATED = 1_000_000, 1 << 22  # bytes
@@ -31,8 +32,12 @@ def read_mapping(
     from ruamel.yaml import YAML
 
     try:
-        if path.stat().st_size > (_LARGEST_GENERATED if is_generated else _LARGEST):
-            raise InputError(f"{path} is too large for {what}; check the path")
+        largest = _LARGEST_GENERATED if is_generated else _LARGEST
+        if path.stat().st_size > largest:
+            raise InputError(
+                f"{path} is larger than {data_size(largest)}, the limit for YAML ({what}); check "
+                "the path"
+            )
         text = path.read_text(encoding="utf-8")
         most = _MOST_GENERATED_ELEMENTS if is_generated else _MOST_ELEMENTS
         if sum(map(text.count, "\n,[{")) > most:
