@@ -65,7 +65,9 @@ def test_all_filters_without_first_estimates_are_named(cameras: str) -> None:
 @pytest.mark.parametrize("cameras", ["mono", "stereo"])
 def test_no_filter_with_first_estimates_is_named(cameras: str) -> None:
     # One of them diverges, and its covariances fall suddenly.
-    for stamps, quaternions, full in runs(f"{cameras}_fej_on"):
+    found = list(runs(f"{cameras}_fej_on"))
+    assert len(found) == 8
+    for stamps, quaternions, full in found:
         assert remark_of(stamps, full[:, 3:, 3:]) is None
         # About the body's axes, whose z axis is not vertical, as some estimators publish them.
         to_body = np.swapaxes(lie.to_matrix(quaternions), 1, 2)

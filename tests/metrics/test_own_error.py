@@ -141,7 +141,9 @@ def test_a_jump_of_one_estimate_is_its_own() -> None:
 def test_a_jump_of_all_is_the_fixes() -> None:
     multipath = PATH.copy()
     multipath[60:66] += [8.0, 0.0, 0.0]
-    for each in runs_of(drifting(1), drifting(2), fixes=multipath):
+    found = runs_of(drifting(1), drifting(2), fixes=multipath)
+    assert len(found) == 2
+    for each in found:
         assert each.own_error is not None
         assert (each.own_error.jumps, each.own_error.own_jumps) == (6, 0)
         assert each.own_error.ate_m < 0.5 < each.own_error.with_jumps_m

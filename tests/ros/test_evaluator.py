@@ -183,6 +183,7 @@ def test_live_is_offline_on_a_recording_of_ros1_with_two_estimates(
             run[name] = [
                 each for each in run[name] if clock not in (each.get("cause"), each.get("code"))
             ]
+    assert len(done) == 2
     for each in done.values():
         assert_same(each.result, recorded)
 

@@ -84,6 +84,8 @@ def test_arrow_has_the_same_numbers() -> None:
     pytest.importorskip("pyarrow", reason="pyarrow is missing")
     evaluation = evaluation_of()
     table = evaluation.to_arrow()
+    assert table.num_rows > 0
+    assert "position_m" in table.column_names
     for name, column in evaluation.to_columns().items():
         np.testing.assert_array_equal(table[name].to_numpy(), column)
 
@@ -92,6 +94,8 @@ def test_pandas_has_the_same_numbers() -> None:
     pytest.importorskip("pandas", reason="pandas is missing")
     evaluation = evaluation_of()
     frame = evaluation.to_pandas("2m")
+    assert len(frame) > 0
+    assert "position_m" in frame.columns
     for name, column in evaluation.to_columns("2m").items():
         np.testing.assert_array_equal(frame[name].to_numpy(), column)
 
