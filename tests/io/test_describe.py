@@ -9,6 +9,7 @@ from strategies import make_groundtruth
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.cli.info import info
+from trajeval_ros.io.bags.bag import Bag
 from trajeval_ros.io.bags.write_bag import ODOMETRY, POSE_STAMPED, write_bag
 from trajeval_ros.io.describe import describe
 
@@ -41,6 +42,41 @@ def test_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert sorted(sources[5:8:2]) == [f"{bag}:/slam", f"{bag}:/vio"]
     assert sources[8:] == ["--modality", "SENSORS"]
     assert "SENSORS: mono" in printed
+
+
+def test_what_a_command_lacks_has_a_placeholder(
+    shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def commands(source: Path) -> list[str]:
+        info.main([str(source)], standalone_mode=False)
+        lines = capsys.readouterr().out.splitlines()
+        return [line for line in lines if line.startswith(("trajeval evaluate", "GROUNDTRUTH"))]
+
+    text, file = tmp_path / "vio.txt", shared_data / "bags/tf_example.bag"
+    text.write_text("".join(f"{t} {t}.5 0 0 0 0 0 1\n" for t in range(100, 120)))
+    other = "GROUNDTRUTH: another file or BAG:TOPIC of the same run"
+    evaluated = "trajeval evaluate -g GROUNDTRUTH -e {} --modality SENSORS"
+    assert commands(text) == [evaluated.format(text), other]
+    assert commands(file) == [evaluated.format(f"{file}:/tf:odom.base_footprint"), other]
+    bag, truth = tmp_path / "bag", make_groundtruth(0)
+    topics = ("/vicon/pose", "/mocap/pose", "/vio")
+    write_bag(
+        bag, {each: (truth, ODOMETRY if each == "/vio" else POSE_STAMPED) for each in topics}
+    )
+    likely = f"GROUNDTRUTH: {bag}:/mocap/pose, {bag}:/vicon/pose"
+    assert commands(bag) == [evaluated.format(f"{bag}:/vio"), likely]
+
+
+def test_messages_of_files_with_and_without_counts_are_added(tmp_path: Path) -> None:
+    truth, folder = make_groundtruth(0), tmp_path / "both"
+    folder.mkdir()
+    for storage in ("mcap", "sqlite3"):
+        write_bag(tmp_path / storage, {"/vio": (truth, ODOMETRY)}, storage=storage)
+        for file in (tmp_path / storage).glob("*.[md][cb]*"):
+            file.rename(folder / file.name)
+    with Bag(folder) as bag:
+        [topic] = bag.topics
+        assert topic.count == 2 * len(truth)
 
 
 def test_static_transforms_are_counted(

@@ -212,7 +212,7 @@ def _print_edges(terminal: Console, description: Description) -> None:
 
 
 def _print_next_step(terminal: Console, description: Description) -> None:
-    """Print the command that evaluates a likely pair, if there is one."""
+    """Print the command that evaluates the likely estimates, with a placeholder for what lacks."""
     usable = [each for each in description.trajectories if not each.problem]
     references = [each for each in usable if each.could_be == "groundtruth"]
     others = [each for each in usable if each.could_be != "groundtruth"]
@@ -222,18 +222,26 @@ def _print_next_step(terminal: Console, description: Description) -> None:
             terminal.print(
                 f"{topic}: looks like {each.system.name}: {each.system.trap}", soft_wrap=True
             )
-    if len(references) != 1 or not others:
-        return
     commands: dict[str, list[str]] = {}  # estimates, by the end of their command
     for each in others:
         system = each.system
         end = "SENSORS" if system is None else f"{system.modality} {system.options}".strip()
         commands.setdefault(end, []).append(f"-e {shlex.quote(each.source)}")
+    moving = [edge for edge in description.edges if not edge.is_static]
+    if moving and not usable:
+        edge = moving[0]
+        source = f"{description.path}:{edge.topic}:{edge.parent}.{edge.child}"
+        commands = {"SENSORS": [f"-e {shlex.quote(source)}"]}
+    reference = shlex.quote(references[0].source) if len(references) == 1 else "GROUNDTRUTH"
     for end, estimates in commands.items():
         terminal.print(
-            f"\ntrajeval evaluate -g {shlex.quote(references[0].source)} {' '.join(estimates)} "
-            f"--modality {end}",
+            f"\ntrajeval evaluate -g {reference} {' '.join(estimates)} --modality {end}",
             soft_wrap=True,
+        )
+    if commands and reference == "GROUNDTRUTH":
+        likely = ", ".join(each.source for each in references)
+        terminal.print(
+            f"GROUNDTRUTH: {likely or 'another file or BAG:TOPIC of the same run'}", soft_wrap=True
         )
     if "SENSORS" in commands:
         terminal.print(f"SENSORS: {', '.join(MODALITIES)}", soft_wrap=True)

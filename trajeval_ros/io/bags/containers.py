@@ -100,7 +100,10 @@ class Topic:
         """The number of its messages, counted if the bag does not declare it."""
         if self.declared is not None:
             return self.declared
-        return sum(each.owner.count(each.id) for each in self.connections)
+        return sum(
+            each.owner.count(each.id) if each.count < 0 else each.count
+            for each in self.connections
+        )
 
     @property
     def holds_poses(self) -> bool:
