@@ -393,3 +393,18 @@ def test_words_of_evo_are_answered(
 ) -> None:
     assert main(typed.split()) == 2
     assert answer in capsys.readouterr().err
+
+
+def test_a_group_without_its_verb_prints_its_verbs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["study"]) == 2
+    printed = capsys.readouterr()
+    assert "association" in printed.out
+    assert printed.err == ""
+
+
+def test_explain_of_one_trajectory_says_what_is_missing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "vio.txt").write_text("1 0 0 0 0 0 0 1\n")
+    assert main(["explain", str(tmp_path / "vio.txt")]) == 2
+    assert "the number needs its run" in capsys.readouterr().err

@@ -226,6 +226,8 @@ def _run(arguments: Sequence[str]) -> int | None:
         return _NO_ARGUMENTS
     try:
         status = app.main(args=list(arguments), standalone_mode=False, prog_name="trajeval")
+    except click.exceptions.NoArgsIsHelpError as error:  # a group without its verb
+        return _run([str(error.ctx.info_name), "--help"]) or _NO_ARGUMENTS
     except click.UsageError as error:
         raise SettingsError(_sentence(error)) from error
     except click.Abort:

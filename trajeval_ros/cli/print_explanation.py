@@ -100,7 +100,8 @@ def _runs(
     """Return the runs of the command line or of a YAML file, and the unit."""
     if len(given) == 3 and not runs:
         return [(given[0], given[1], [given[2], *([with_number] if with_number else [])])], unit
-    if with_number or bool(given) == bool(runs) or len(given) > 1:
+    is_file = len(given) == 1 and Path(given[0]).suffix in (".yaml", ".yml")
+    if with_number or is_file == bool(runs) or len(given) != is_file:
         raise SettingsError(
             "the number needs its run; give GROUNDTRUTH ESTIMATE NUMBER (and --with), --run for "
             "every run, or a single YAML file"

@@ -23,6 +23,7 @@ try:
 except ImportError:  # not a POSIX system
     fcntl = None  # type: ignore[assignment]
 
+_MOST_REMOVED = 100  # folders in succession that other processes remove
 _NAME = re.compile(r"\..*\.trajeval-[0-9a-f]{8}", re.DOTALL)
 
 
@@ -87,13 +88,16 @@ _collect_once = functools.cache(collect_leftovers)
 @contextlib.contextmanager
 def _locked(parent: Path, name: str, make: Callable[[Path], int]) -> Iterator[Path]:
     _collect_once(parent.resolve())
+    removed = 0
     while True:
         path = parent / f".{name}.trajeval-{secrets.token_hex(4)}"
         try:
             file = make(path)
         except FileNotFoundError:
-            # Another process can remove a folder before it is opened and locked.
-            if parent.is_dir():
+            # Another process can remove a folder before it is opened and locked. In /proc, no
+            # folder can be made.
+            removed += 1
+            if removed < _MOST_REMOVED and parent.is_dir():
                 continue
             raise
         try:
