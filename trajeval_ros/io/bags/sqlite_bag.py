@@ -58,6 +58,8 @@ class SqliteReader:
         self._database.text_factory = lambda text: text.decode(errors="replace")
         self._database.set_progress_handler(self._is_over_limit, _CHECKED)
         self._database.execute("PRAGMA trusted_schema = OFF")
+        # Otherwise sqlite reads beyond a page with a damaged index of its rows.
+        self._database.execute("PRAGMA cell_size_check = ON")
         if sys.version_info >= (3, 11):
             self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(self._size, _FETCHED))
         try:
