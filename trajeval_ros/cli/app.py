@@ -221,13 +221,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> int | None:
-    if not arguments and _COMPLETION not in os.environ:
-        _run(["--help"])
+    has_verb = arguments and list(arguments) not in [[name] for name in _GROUPS]
+    if not has_verb and _COMPLETION not in os.environ:
+        _run([*arguments, "--help"])
         return _NO_ARGUMENTS
     try:
         status = app.main(args=list(arguments), standalone_mode=False, prog_name="trajeval")
-    except click.exceptions.NoArgsIsHelpError as error:  # a group without its verb
-        return _run([str(error.ctx.info_name), "--help"]) or _NO_ARGUMENTS
     except click.UsageError as error:
         raise SettingsError(_sentence(error)) from error
     except click.Abort:
