@@ -151,13 +151,13 @@ def test_a_folder_that_can_not_be_written_is_one_sentence(tmp_path: Path) -> Non
         pass
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="there is no /proc")
 def test_a_folder_that_nobody_can_write_is_one_error() -> None:
     with pytest.raises(FileNotFoundError), temporary_folder("x", Path("/proc")):
         pass
 
 
+@pytest.mark.slow
 def test_a_killed_evaluation_leaves_nothing_after_the_next(
     pair: list[str], tmp_path: Path
 ) -> None:
