@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.options import OUTPUT, argument, option, shared_options
+from trajeval_ros.cli.programs import write_json
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.io.requests.setting import INPUT
 
@@ -71,13 +71,11 @@ def groundtruth(
     from trajeval_ros.calibration.groundtruth_doctor.examine import examine
     from trajeval_ros.cli.evaluation_output import refuse_inputs
     from trajeval_ros.cli.progress import progress
-    from trajeval_ros.io.json_file import json_text
     from trajeval_ros.io.results.groundtruth_json import groundtruth_json
     from trajeval_ros.io.save_trajectories import files_of, save_trajectories
     from trajeval_ros.io.source_names import names_of
     from trajeval_ros.io.sources import read_many
     from trajeval_ros.io.watched_sources import imu_of
-    from trajeval_ros.io.writing import write_text
 
     noise = _noise_of(imu_noise)
     if imu is None and (save_as or figure or rrd or imu_noise or time_offset is not None):
@@ -93,7 +91,7 @@ def groundtruth(
 
         sdk()  # raises at once if it is not installed
     sources = [each for each in (truth, imu) if each is not None]
-    refuse_inputs([figure, rrd, None if json in (None, "-") else Path(json)], sources)
+    refuse_inputs([figure, rrd, json], sources)
     with progress(f"reading {', '.join(names_of([truth]))}") as advance:
         (original,) = read_many([truth], advance=advance, covariances=False)
         readings = None if imu is None else imu_of(imu)
@@ -113,13 +111,8 @@ def groundtruth(
         from trajeval_ros.viewer.groundtruth_scene import write_groundtruth
 
         write_groundtruth(rrd, original, found, found.fits)
-    text = json_text(groundtruth_json(truth, imu, original, found), indent=2)
-    if json == "-":
-        sys.stdout.write(text)
-        return
-    if json is not None:
-        write_text(Path(json), text, follow_link=True)
-    if not quiet:
+    write_json(json, groundtruth_json(truth, imu, original, found))
+    if not quiet and json != "-":
         from trajeval_ros.report.console import console
         from trajeval_ros.report.groundtruth_report import print_groundtruth
 

@@ -9,15 +9,14 @@ from typing import Any
 
 from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.options import argument, option, shared_options
+from trajeval_ros.cli.programs import write_json
 from trajeval_ros.cli.progress import progress
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.explanation.definition import Command, Definition, command_of
 from trajeval_ros.explanation.explain import UNITS, Explanation, Match
 from trajeval_ros.explanation.explain import explain as search
 from trajeval_ros.formatting.numbers import counted, significant
-from trajeval_ros.io.json_file import json_text
 from trajeval_ros.io.sources import read_many
-from trajeval_ros.io.writing import write_text
 from trajeval_ros.io.yaml_file import read_mapping, require_known
 
 SCHEMA = "trajeval-explanation/1"
@@ -80,12 +79,7 @@ def explain(
     sides = zip(trajectories[::2], trajectories[1::2], runs, strict=True)
     found = search([(truth, estimate, run[2]) for truth, estimate, run in sides], unit or "")
     up = trajectories[0].up.name, trajectories[1].up.name
-    if json is not None:
-        text = json_text(_json(found, up), indent=2)
-        if json == "-":
-            print(text, end="")
-        else:
-            write_text(Path(json), text, follow_link=True)
+    write_json(json, _json(found, up))
     if json != "-":
         _print(found, runs, up, is_unit_known=bool(unit))
     return 0 if found.verdict == "named" else _NOT_NAMED
