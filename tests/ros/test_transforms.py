@@ -187,15 +187,13 @@ def test_the_alignment_is_broadcast_where_it_is_asked_for(
     options = {"broadcast_tf": True, "transform_tolerance": 0.3, "gauge": "yaw"}
     with evaluating(tmp_path / "out", environment, **options) as evaluator:
         replay(flights / "mcap", environment, "--rate", 8)
-        assert peer.ask("/evaluator/save", Trigger).success
 
-        def last_ns() -> int:  # the newest messages may still be on their way
-            return int(read_pairs(evaluator.folder / "vio_odometry.pairs").stamps[-1])
+        def is_of_last_pair() -> bool:  # which may still be on its way at the first save
+            assert peer.ask("/evaluator/save", Trigger).success
+            last_ns = int(read_pairs(evaluator.folder / "vio_odometry.pairs").stamps[-1])
+            return bool(heard) and stamp_ns(heard[-1].transforms[0]) == last_ns + 300_000_000
 
-        peer.until(
-            lambda: heard and stamp_ns(heard[-1].transforms[0]) == last_ns() + 300_000_000,
-            "the transform of the last pair is broadcast",
-        )
+        peer.until(is_of_last_pair, "the transform of the last pair is broadcast")
         assert len(heard) > 2  # at 2.5 Hz
         assert evaluator.end() == 0
     [transform] = heard[-1].transforms
