@@ -15,6 +15,8 @@ from paths import ROOT
 from trajeval_ros import Gauge, Protocol, evaluate
 from trajeval_ros.cli.app import main
 from trajeval_ros.formatting.remarks import Level, Remark
+from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.metrics.as_available import AsAvailable, AvailabilityRule, as_available
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
@@ -54,6 +56,19 @@ def evaluated(
     )
 
 
+def available_errors(evaluation: Evaluation) -> AsAvailable:
+    """Return the as-available errors of poses that are received 0.1 s after their timestamps."""
+    estimate, times = evaluation.estimate, Receptions(evaluation.estimate.stamps + 100_000_000)
+    reading = dataclasses.replace(estimate.reading, receptions=times)
+    return as_available(
+        evaluation.groundtruth,
+        dataclasses.replace(estimate, reading=reading),
+        evaluation.alignment.similarity,
+        AvailabilityRule("hold"),
+        0.5,
+    )
+
+
 # The file.
 
 
@@ -67,7 +82,7 @@ def drawn(tmp_path_factory: pytest.TempPathFactory):
 
     evaluation = evaluated(Gauge.SIM3, offset=(432_100.0, 5_012_345.0, 410.0), scale=0.4)
     path = tmp_path_factory.mktemp("picture") / "run.rrd"
-    write_recording(path, [evaluation])
+    write_recording(path, [evaluation], available=[available_errors(evaluation)])
     return evaluation, Rrd(path)
 
 
@@ -98,6 +113,11 @@ def test_drawn_numbers_are_the_evaluations(drawn) -> None:
     for segment in evaluation.relative:
         _, values = picture.numbers(f"metrics/relative_error/{NAME}/{segment.length}")
         assert (values == segment.errors.position_m).all()
+    errors = available_errors(evaluation).samples
+    for quantity, column in (("position", errors.position_m), ("age", errors.age / 1e9)):
+        stamps, values = picture.numbers(f"metrics/available/{quantity}/{NAME}")
+        assert (stamps == errors.stamps).all()
+        assert (values == column).all()
     ((text,),) = picture.rows("summary", "TextDocument:text")[1]
     assert f"{evaluation.ate['position_m'].rmse:.3f} m" in text
 
@@ -303,6 +323,8 @@ def test_another_recording_of_a_run_has_all_that_came_before_it(tmp_path: Path) 
     evaluator.update()
     snapshot, stamp = evaluator.snapshot(), int(evaluator.store.stamps()[-1])
     scene = LiveScene("flight", [NAME], Gauge.YAW)
+    errors = available_errors(evaluate(flight.groundtruth, flight.estimate)).samples
+    assert errors is not None
     for number in range(2):
         recording = rerun.RecordingStream("trajeval", recording_id=f"run_{number}")
         recording.save(tmp_path / f"{number}.rrd")
@@ -311,7 +333,8 @@ def test_another_recording_of_a_run_has_all_that_came_before_it(tmp_path: Path) 
             scene.groundtruth(flight.groundtruth.stamps, columns[0])
             for each in pairs:
                 scene.pairs(NAME, *each)
-        scene.snapshot(NAME, stamp + number, snapshot, None if number else 0.25)
+        newest = dataclasses.replace(errors, stamps=errors.stamps + number)
+        scene.snapshot(NAME, stamp + number, snapshot, None if number else 0.25, newest)
         scene.finish()
         scene.leave()
         recording.flush()
@@ -323,6 +346,13 @@ def test_another_recording_of_a_run_has_all_that_came_before_it(tmp_path: Path) 
         assert {labels[-1][-2:] for labels in scales} == {" m"}
         assert len(picture.rows(f"{FRAME}/by_error", "LineStrips3D:strips")[1]) >= 1
         assert picture.rows(looks, "SeriesLines:names")[1] == [["vio, ATE of the revised path"]]
+        for quantity, column, look in (
+            ("position", errors.position_m, "vio, as available"),
+            ("age", errors.age / 1e9, "vio"),
+        ):
+            entity = f"metrics/available/{quantity}/{NAME}"
+            assert picture.numbers(entity)[1].tolist() == [column[-1]]
+            assert picture.rows(entity, "SeriesLines:names")[1] == [[look]]
 
 
 @needs_rerun

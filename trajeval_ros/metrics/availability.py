@@ -118,6 +118,11 @@ class AvailableSamples:
     rotation: Floats | None
 
     @property
+    def position_m(self) -> Floats:
+        """Lengths of the position errors, (N,), metres."""
+        return np.asarray(np.linalg.norm(self.position.sum(axis=0), axis=1))
+
+    @property
     def age(self) -> Stamps:
         """Age of the pose in use, (N,), nanoseconds."""
         age: Stamps = self.ages.sum(axis=0)

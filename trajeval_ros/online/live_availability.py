@@ -123,7 +123,7 @@ class LiveAvailability:
         self.newest, row = samples, samples.rows[-1]
         ages_s = samples.age / NANOSECONDS
         self.numbers = {
-            "available/position_error": float(np.linalg.norm(samples.position[:, -1].sum(axis=0))),
+            "available/position_error": float(samples.position_m[-1]),
             "available/age": float(ages_s[-1]),
             "available/latency": float(messages.times[row] - messages.stamps[row]) / NANOSECONDS,
         }

@@ -56,10 +56,9 @@ def as_available_figure(evaluation: Evaluation, found: AsAvailable) -> Figure:
     begin = int(samples.stamps[0])
     gap_s = evaluation.protocol.association.max_gap_s
     pairs = evaluation.association.groundtruth.stamps
-    error = np.linalg.norm(samples.position.sum(axis=0), axis=1)
     lines = (
         (pairs, evaluation.absolute.position_m, _EVALUATED, "at timestamps", position.rmse),
-        (samples.stamps, error, _AVAILABLE, "as available", numbers.position_m.rmse),
+        (samples.stamps, samples.position_m, _AVAILABLE, "as available", numbers.position_m.rmse),
     )
     seconds = (samples.stamps - begin) / NANOSECONDS
     moved = np.linalg.norm(samples.position[1:].sum(axis=0), axis=1)

@@ -81,7 +81,8 @@ class RerunOutput:
         if not len(stamps):
             return
         stamp = int(stamps[-1])
-        self._put(lambda scene: scene.snapshot(name, stamp, snapshot, revised_m))
+        errors = None if estimate.availability is None else estimate.availability.newest
+        self._put(lambda scene: scene.snapshot(name, stamp, snapshot, revised_m, errors))
         uncertain = estimate.uncertainty() if self._streams else None
         if uncertain is not None:
             self._put(lambda scene: scene.uncertainty(name, *uncertain))

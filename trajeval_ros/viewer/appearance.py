@@ -18,11 +18,13 @@ from trajeval_ros.viewer.scene_entities import (
     ALIGNMENT_YAW,
     ATE_POSITION,
     ATE_ROTATION,
+    AVAILABLE_POSITION,
     ERRORS_WITHIN,
     LEGEND,
     MAP_FIXES,
     NEES,
     NEES_LIMIT,
+    POSE_AGE,
     POSITION_ERROR,
     RELATIVE_ERROR,
     REVISED_ATE_POSITION,
@@ -179,6 +181,14 @@ def declare_revised(recording: Any, estimate: EstimateEntities) -> None:
     """Log the style of the error of a path's newest version."""
     label = f"{estimate.name}, ATE of the revised path"
     _series(recording, estimate.metric(REVISED_ATE_POSITION), label, _pale(estimate.colour))
+
+
+def declare_available(recording: Any, estimate: EstimateEntities) -> None:
+    """Log the styles of the as-available error and of the age of the pose in use."""
+    pale = _pale(estimate.colour)
+    label = f"{estimate.name}, as available"
+    _series(recording, estimate.metric(AVAILABLE_POSITION), label, pale)
+    _series(recording, estimate.metric(POSE_AGE), estimate.name, estimate.colour)
 
 
 def declare_length(recording: Any, estimate: EstimateEntities, length: str, place: int) -> None:

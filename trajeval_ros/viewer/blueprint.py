@@ -66,6 +66,7 @@ def blueprint(
     *,
     is_live: bool,
     has_consistency: bool = False,
+    has_available: bool = False,
     has_map: bool = False,
     bounds: tuple[Floats, Floats] | None = None,
     rotations_deg: Floats | None = None,
@@ -83,7 +84,12 @@ def blueprint(
     ]
     # A legend of several estimates would cover the plot.
     top_deg = _top(rotations_deg)
-    errors = _errors(gauge, is_live=is_live, estimates=len(estimates), top_deg=top_deg)
+    more = [_plot("Scale", scene_entities.SCALE)] if gauge.has_scale else []
+    if is_live:
+        more.append(_plot("Yaw of the alignment [deg]", scene_entities.ALIGNMENT_YAW))
+    if has_available:
+        more.append(_plot("Age of the received pose [s]", scene_entities.POSE_AGE))
+    errors = _errors(more, estimates=len(estimates), top_deg=top_deg)
     return with_panels(
         layout.Horizontal(
             layout.Vertical(
@@ -123,7 +129,7 @@ def state_lanes(name: str) -> Any:
     )
 
 
-def _errors(gauge: Gauge, *, is_live: bool, estimates: int, top_deg: float | None) -> Any:
+def _errors(more: list[Any], *, estimates: int, top_deg: float | None) -> Any:
     _, layout = sdk()
     return layout.Vertical(
         layout.TextDocumentView(origin=f"/{scene_entities.SUMMARY}", name="Summary"),
@@ -132,6 +138,7 @@ def _errors(gauge: Gauge, *, is_live: bool, estimates: int, top_deg: float | Non
             scene_entities.POSITION_ERROR,
             scene_entities.ATE_POSITION,
             scene_entities.REVISED_ATE_POSITION,
+            scene_entities.AVAILABLE_POSITION,
         ),
         _plot(
             "Rotation error and RMSE [deg]",
@@ -144,12 +151,7 @@ def _errors(gauge: Gauge, *, is_live: bool, estimates: int, top_deg: float | Non
             event_list("Events"),
             _plot("Relative error [m]", scene_entities.RELATIVE_ERROR, legend=estimates == 1),
             _plot("Yaw error [deg]", scene_entities.YAW_ERROR),
-            *([_plot("Scale", scene_entities.SCALE)] if gauge.has_scale else []),
-            *(
-                [_plot("Yaw of the alignment [deg]", scene_entities.ALIGNMENT_YAW)]
-                if is_live
-                else []
-            ),
+            *more,
         ),
         name="Errors",
         row_shares=[7, 4, 3, 3] if estimates == 1 else [6, 4, 3, 4],

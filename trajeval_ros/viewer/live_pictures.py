@@ -22,6 +22,7 @@ from trajeval_ros.viewer.scene_entities import GroundtruthEntities
 from trajeval_ros.viewer.state_lanes import TRACKED, LiveLanes
 
 if TYPE_CHECKING:
+    from trajeval_ros.metrics.availability import AvailableSamples
     from trajeval_ros.online.live_relative_errors import RelativeEnd
     from trajeval_ros.online.reports import Snapshot, Update
 
@@ -106,6 +107,7 @@ class EstimatePicture:
         rotations: Drawn rotation errors, degrees.
         origin: Origin of its drawn positions, (3,), in its frame; None before the first pair.
         told_at: Time of its newest text.
+        is_available: Whether as-available errors are drawn.
         scans: Scans that were measured in its body.
     """
 
@@ -129,7 +131,7 @@ class EstimatePicture:
         self.similarity: Similarity | None = None  # the newest alignment, of drawn positions
         self.snapshot: Snapshot | None = None  # the newest state of its evaluation
         self.told_at = self._drawn_at = NEVER
-        self._coloured = 0
+        self._coloured, self.is_available = 0, False
         self._is_revised = False  # whether errors of the newest path exist
         self._lengths: dict[str, int] = {}  # time of the newest drawn error by length
 
@@ -138,6 +140,8 @@ class EstimatePicture:
         self._coloured = 0
         if self._is_revised:
             self._recording.send(appearance.declare_revised, self.entities)
+        if self.is_available:
+            self._recording.send(appearance.declare_available, self.entities)
         for place, length in enumerate(self._lengths):
             self._recording.send(appearance.declare_length, self.entities, length, place)
         self._path.draw_again()
@@ -225,6 +229,15 @@ class EstimatePicture:
             (scene_entities.REVISED_ATE_POSITION, revised_m),
         ):
             self._number(time, quantity, value)
+
+    def available(self, samples: AvailableSamples) -> None:
+        """Draw the newest of as-available errors, N > 0."""
+        if not self.is_available:
+            self.is_available = True
+            self._recording.send(appearance.declare_available, self.entities)
+        time = int(samples.stamps[-1])
+        self._number(time, scene_entities.AVAILABLE_POSITION, float(samples.position_m[-1]))
+        self._number(time, scene_entities.POSE_AGE, float(samples.age[-1]) / NANOSECONDS)
 
     def uncertainty(self, stamp: int, position: Floats, covariance: Floats) -> None:
         """Draw a position (3,) and its covariance (3, 3), in its own frame."""

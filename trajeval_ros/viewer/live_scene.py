@@ -28,6 +28,7 @@ from trajeval_ros.viewer.recording_properties import send_of_snapshots
 from trajeval_ros.viewer.state_lanes import LiveLanes
 
 if TYPE_CHECKING:
+    from trajeval_ros.metrics.availability import AvailableSamples
     from trajeval_ros.online.reports import Snapshot, Update
 
 
@@ -122,8 +123,11 @@ class LiveScene:
         self._map.add(stamps, fixes)
         self._lanes.fixes(stamps, fixes.status)
         if is_first:
-            self.blueprint = self._layout()
-            self._recording.send(lambda recording: recording.send_blueprint(self.blueprint))
+            self._lay_out_again()
+
+    def _lay_out_again(self) -> None:
+        self.blueprint = self._layout()
+        self._recording.send(lambda recording: recording.send_blueprint(self.blueprint))
 
     def pairs(
         self,
@@ -152,13 +156,26 @@ class LiveScene:
         """Draw the published errors of the newest pair."""
         self._estimates[name].update(update)
 
-    def snapshot(self, name: str, stamp: int, snapshot: Snapshot, revised_m: float | None) -> None:
+    def snapshot(
+        self,
+        name: str,
+        stamp: int,
+        snapshot: Snapshot,
+        revised_m: float | None,
+        available: AvailableSamples | None = None,
+    ) -> None:
         """Draw the published state of an evaluation at a timestamp.
 
-        `revised_m` is the position ATE of the newest path, metres; None without one.
+        `revised_m` is the position ATE of the newest path, metres; None without one. `available`
+        has the as-available errors that became final.
         """
         each, origin = self._estimates[name], self._groundtruth.origin
         each.errors(stamp, snapshot, revised_m)
+        if available is not None:
+            is_first = not each.is_available
+            each.available(available)
+            if is_first:
+                self._lay_out_again()
         if snapshot.alignment is not None and each.origin is not None:
             assert origin is not None
             similarity = between_origins(snapshot.alignment.similarity, origin, each.origin)
@@ -249,6 +266,7 @@ class LiveScene:
             self._entities,
             self._gauge,
             is_live=True,
+            has_available=any(each.is_available for each in self._estimates.values()),
             has_map=has_map,
             bounds=bounds,
             rotations_deg=np.concatenate(rotations),

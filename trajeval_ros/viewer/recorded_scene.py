@@ -11,8 +11,10 @@ import numpy as np
 from trajeval_ros.consistency.consistency_result import Consistency
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.writing import write_whole
+from trajeval_ros.metrics.as_available import AsAvailable
+from trajeval_ros.metrics.availability import AvailableSamples
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.viewer import appearance, colours, entity_data, scene_entities, text_panel
 from trajeval_ros.viewer.appearance import ErrorScale
@@ -43,12 +45,16 @@ _COLOURED_PER_ROW = 8
 
 
 def write_recording(
-    path: Path, evaluations: Sequence[Evaluation], consistencies: Sequence[Consistency | None] = ()
+    path: Path,
+    evaluations: Sequence[Evaluation],
+    consistencies: Sequence[Consistency | None] = (),
+    available: Sequence[AsAvailable | None] = (),
 ) -> None:
     """Write a Rerun file (.rrd) with estimates evaluated against one groundtruth."""
     consistencies = [
         None if each is None or each.covariances is None else each for each in consistencies
     ] or [None] * len(evaluations)
+    samples = [None if each is None else each.samples for each in available]
     names = [each.estimate.name or "estimate" for each in evaluations]
     estimates = [scene_entities.EstimateEntities(name, place) for place, name in enumerate(names)]
     groundtruth = evaluations[0].groundtruth
@@ -59,6 +65,7 @@ def write_recording(
         evaluations[0].protocol.gauge,
         is_live=False,
         has_consistency=any(consistencies),
+        has_available=any(samples),
         has_map=is_on_map(groundtruth.reading.fixes, groundtruth.up),
         bounds=bounds,
         rotations_deg=_rotations(evaluations),
@@ -67,6 +74,8 @@ def write_recording(
 
     def draw(recording: Any) -> None:
         _draw(recording, evaluations, consistencies, estimates, origin, size_of(bounds))
+        for each, entities in zip(samples, estimates, strict=False):
+            _send_available(recording, each, entities)
         told = [each.name for each in estimates]
         send_of_evaluations(recording, title, evaluations, consistencies, told)
 
@@ -235,6 +244,18 @@ def _send_numbers(
                 stamps[segment.errors.ends],
                 segment.errors.position_m,
             )
+
+
+def _send_available(
+    recording: Any, samples: AvailableSamples | None, entities: scene_entities.EstimateEntities
+) -> None:
+    if samples is not None:
+        appearance.declare_available(recording, entities)
+        for quantity, column in (
+            (scene_entities.AVAILABLE_POSITION, samples.position_m),
+            (scene_entities.POSE_AGE, samples.age / NANOSECONDS),
+        ):
+            _send_series(recording, entities.metric(quantity), samples.stamps, column)
 
 
 def _send_series(recording: Any, entity: str, stamps: Stamps, values: Floats) -> None:

@@ -54,6 +54,7 @@ POSITION_ERROR, ROTATION_ERROR = "position_error", "rotation_error"
 ATE_POSITION, ATE_ROTATION = "ate_position", "ate_rotation"
 YAW_ERROR, SCALE, RELATIVE_ERROR = "yaw_error", "scale", "relative_error"
 REVISED_ATE_POSITION, ALIGNMENT_YAW = "revised_ate_position", "alignment_yaw"
+AVAILABLE_POSITION, POSE_AGE = "available/position", "available/age"
 # Per axis: the error, and three standard deviations above and below zero; metres, degrees.
 ERRORS_WITHIN = tuple(f"error_{axis}" for axis in ("x", "y", "z", "phi_x", "phi_y", "phi_z"))
 NEES, NEES_LIMIT = "nees", "nees_limit"
