@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from live_runs import ESTIMATE, GROUNDTRUTH, Live
-from ros_bags import ODOM, PATH, POSE, Message, messages_of, path_message, write_messages
+from ros_bags import (
+    ODOM,
+    PATH,
+    POSE,
+    STORE,
+    Message,
+    messages_of,
+    path_message,
+    write_messages,
+)  # fmt: skip
 from ros_processes import GROUNDTRUTH as TRUTH
-from ros_processes import ODOMETRY, Peer, assert_same, evaluating, offline, replay
+from ros_processes import ODOMETRY, Peer, assert_same, evaluating, offline
 
 from trajeval_ros import simulate
 from trajeval_ros.geometry.up_axis import Z_UP
@@ -18,6 +28,7 @@ from trajeval_ros.io.live.reception_file import read_received
 from trajeval_ros.metrics.as_available import AvailabilityRule
 
 FLIGHT = simulate(seed=5, duration_s=20.0)
+CLOCK, CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 OPTIONS = ("--gauge", "yaw", "--lengths", "2,4", "--as-available")
 
 
@@ -73,37 +84,78 @@ def test_without_the_setting_nothing_is_written(tmp_path: Path) -> None:
     assert live.result["runs"][0]["as_available"] is None
 
 
+TICK_NS, PAUSE_NS = 10_000_000, 750_000_000
+
+
+def with_clock(feed: list[Message], pause_ns: int) -> list[Message]:
+    """Return messages behind /clock at 100 Hz, in the order of wall time.
+
+    At a simulated time the simulation pauses: /clock repeats it, and then is silent as long.
+    """
+    begin, end = min(each[2] for each in feed), max(each[2] for each in feed)
+    ticks = np.arange(begin, end + 2 * TICK_NS, TICK_NS).tolist()
+    repeated = range(pause_ns + TICK_NS, pause_ns + PAUSE_NS, TICK_NS)
+    all_of_them: list[Message] = [(CLOCK, CLOCK_TYPE, at, clock_message(at)) for at in ticks]
+    all_of_them += feed  # of equal times the clock is the first
+    shifted = [
+        (*each[:2], each[2] + 2 * PAUSE_NS * (each[2] > pause_ns), each[3]) for each in all_of_them
+    ]
+    shifted += [(CLOCK, CLOCK_TYPE, at, clock_message(pause_ns)) for at in repeated]
+    return sorted(shifted, key=lambda each: each[2])
+
+
+def clock_message(at: int) -> bytes:
+    time = STORE.types["builtin_interfaces/msg/Time"](*divmod(at, 10**9))
+    return STORE.serialize_cdr(STORE.types[CLOCK_TYPE](time), CLOCK_TYPE).tobytes()
+
+
 @pytest.mark.ros
 def test_over_dds_the_stored_receptions_give_the_numbers_of_a_recording(
     peer: Peer, environment: dict[str, str], tmp_path: Path
 ) -> None:
+    """With a pause and a restart of the simulated time.
+
+    One thread publishes /clock and the messages. Their order is therefore that of the bag, and
+    every reception is between two ticks of the clock, however late the processes run.
+    """
     from geometry_msgs.msg import Vector3Stamped
     from std_msgs.msg import Float64
 
     truth = messages_of(FLIGHT.groundtruth[::2], TRUTH, POSE)
     estimate = received(messages_of(FLIGHT.estimate, ODOMETRY, ODOM))
-    write_messages(tmp_path / "played", [*truth, *estimate])
+    begin = min(each[2] for each in truth)
+    feed = with_clock([*truth, *estimate], begin + 800 * TICK_NS)
+    write_messages(tmp_path / "played", feed)
     below = "/evaluator/vio_odometry/available"
     ages = peer.hear(f"{below}/age", Float64)
     errors = peer.hear(f"{below}/stamped/position_error", Vector3Stamped)
+    folders = [tmp_path / "live", tmp_path / "live_2"]
     with evaluating(
-        tmp_path / "live", environment, gauge="none", use_sim_time=True, as_available="hold"
+        folders[0], environment, gauge="none", use_sim_time=True, as_available="hold"
     ) as evaluator:
-        replay(tmp_path / "played", environment, "--rate", "4")
+        for _ in folders:
+            subscribers = {TRUTH: 1, ODOMETRY: 1, CLOCK: 2}
+            peer.play(tmp_path / "played", subscribers, ["evaluator"], rate=8.0)
         peer.until(lambda: ages and errors, "as-available errors")
+        evaluator.wait_for(f"results of {folders[0]} are complete")
         assert evaluator.end() == 0
-    groundtruth, poses = read_received(tmp_path / "live/vio_odometry.received", [Z_UP, Z_UP])
-    assert len(groundtruth) == len(truth)
-    times = poses.reading.receptions
-    assert times is not None
-    stored = messages_of(poses, ODOMETRY, ODOM)
-    stored = [(*each[:2], int(at), each[3]) for each, at in zip(stored, times.times, strict=True)]
-    write_messages(tmp_path / "bag", [*truth, *stored])
-    options = ("--gauge", "none", "--as-available", "hold")
-    recorded: Any = offline(tmp_path / "bag", tmp_path, TRUTH, [ODOMETRY], *options)
-    found = evaluator.result["runs"][0]["as_available"]
-    wanted = recorded["runs"][0]["as_available"]
-    assert found["why_withheld"] == ""
-    assert (found.pop("received"), wanted.pop("received")) == ("node", "log")
-    assert_same(found, wanted)
-    assert found["late_messages"] > 0.05 * len(poses)
+    logged = {stamp: each[2] for stamp, each in zip(FLIGHT.estimate.stamps, estimate, strict=True)}
+    for number, folder in enumerate(folders):
+        groundtruth, poses = read_received(folder / "vio_odometry.received", [Z_UP, Z_UP])
+        assert len(groundtruth) == len(truth)
+        assert poses.reading.receptions is not None
+        times = poses.reading.receptions.times
+        after_tick = (np.array([logged[each] for each in poses.stamps]) - begin) % TICK_NS
+        since_tick = times - [logged[each] for each in poses.stamps] + after_tick
+        assert -1 <= since_tick.min() <= since_tick.max() <= TICK_NS + 1
+        stored = messages_of(poses, ODOMETRY, ODOM)
+        stored = [(*each[:2], int(at), each[3]) for each, at in zip(stored, times, strict=True)]
+        write_messages(tmp_path / f"bag_{number}", [*truth, *stored])
+        options = ("--gauge", "none", "--as-available", "hold")
+        recorded: Any = offline(tmp_path / f"bag_{number}", tmp_path, TRUTH, [ODOMETRY], *options)
+        found = json.loads((folder / "result.json").read_text())["runs"][0]["as_available"]
+        wanted = recorded["runs"][0]["as_available"]
+        assert found["why_withheld"] == ""
+        assert (found.pop("received"), wanted.pop("received")) == ("node", "log")
+        assert_same(found, wanted)
+        assert found["late_messages"] > 0.05 * len(poses)

@@ -273,7 +273,7 @@ class Peer:
             topics = [
                 each.name for each in opened.topics if allowed_name(each.name) in subscribers
             ]
-            playback = Playback(opened, lambda _: True, topics)
+            playback = Playback(opened, lambda _: True, topics, with_clock=False)
             publishers = {
                 each: self.publisher(each.name, message_class(each.type))
                 for each in playback.channels
