@@ -12,9 +12,12 @@ import pytest
 from mcap.writer import Writer
 from ros_bags import ODOM, messages_of, path_message, transforms_message
 
-from trajeval_ros import simulate
+from trajeval_ros import Trajectory, simulate
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.io.bags.write_bag import write_bag
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.io.text.layouts import TextHints
 from trajeval_ros.metrics.stream_health import health_of
@@ -165,6 +168,21 @@ def test_header_names_the_column_received(tmp_path: Path) -> None:
     file.write_text("t,x,y,z,received\n1.0,0,0,0,nan\n2.0,1,0,0,2.5\n")
     with pytest.raises(InputError, match="row 1 has no number in column received"):
         read_trajectory(file)
+
+
+def test_written_receptions_are_read_back(tmp_path: Path) -> None:
+    bag, folder = tmp_path / "run", tmp_path / "text"
+    stamps = 1_700_000_000 * SECOND + np.arange(50) * 50_000_000
+    delays = np.random.default_rng(0).integers(1_000, 300_000, 50) * 1000
+    reading = Reading(source="run:/vio", receptions=Receptions(stamps + delays))
+    turns = np.tile([0.0, 0.0, 0.0, 1.0], (50, 1))
+    written = Trajectory(stamps, np.ones((50, 3)), turns, reading=reading)
+    write_bag(bag, {"/vio": (written, "geometry_msgs/msg/PoseStamped")})
+    assert main(["trajectory", f"{bag}:/vio", "--save-as", "euroc", "--output", str(folder)]) == 0
+    [file] = folder.iterdir()
+    receptions = read_trajectory(file).in_order().reading.receptions
+    assert receptions is not None
+    assert receptions.times.tolist() == (stamps + delays).tolist()
 
 
 def csv_latencies(folder: Path, name: str) -> tuple[np.ndarray, np.ndarray]:

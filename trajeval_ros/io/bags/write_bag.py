@@ -120,13 +120,16 @@ def _serialised(
     found: list[_Serialised] = []
     for topic, (unordered, message_type) in topics.items():
         trajectory = unordered.in_order()
-        stamps, frame = trajectory.stamps, trajectory.frame
+        logged, frame = trajectory.stamps, trajectory.frame
         if message_type == PATH_TYPE:
-            payload = encode_path(
-                stamps, trajectory.positions, _poses(trajectory)[:, 3:], trajectory.frame
-            )
-            found.append((topic, message_type, stamps[-1:], [memoryview(payload)]))
+            payload = encode_path(logged, trajectory.positions, _poses(trajectory)[:, 3:], frame)
+            found.append((topic, message_type, logged[-1:], [memoryview(payload)]))
             continue
+        receptions = trajectory.reading.receptions
+        if receptions is not None:
+            order = np.argsort(receptions.times, kind="stable")
+            trajectory, logged = trajectory[order], receptions.times[order]
+        stamps = trajectory.stamps
         if message_type == FIX_TYPE:
             assert trajectory.reading.fixes is not None
             rows = encode_fixes(stamps, trajectory.reading.fixes, trajectory.child_frame)
@@ -141,8 +144,6 @@ def _serialised(
                 _body_velocities(trajectory),
                 (frame, trajectory.child_frame),
             )
-        receptions = trajectory.reading.receptions
-        logged = stamps if receptions is None else receptions.times
         found.append((topic, message_type, logged, map(memoryview, rows)))
     for each in transforms:
         trajectory = each.in_order()

@@ -13,7 +13,9 @@ import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.io.text.layouts import RECEIVED
 from trajeval_ros.io.writing import write_whole
 
 _BLOCK = 1 << 11  # rows that are converted at once; their objects fit into the cache
@@ -40,7 +42,7 @@ def write_euroc(path: Path, trajectory: Trajectory) -> None:
     """Write CSV with the columns of EuRoC that the trajectory has.
 
     The columns are the timestamp in nanoseconds, position, quaternion (w first), velocity and
-    biases.
+    biases; then the time of reception in nanoseconds, a column of this package.
     """
     groups = {
         name: column for name in _EUROC_GROUPS if (column := getattr(trajectory, name)) is not None
@@ -50,8 +52,9 @@ def write_euroc(path: Path, trajectory: Trajectory) -> None:
     )
     if "quaternions" in groups:
         groups["quaternions"] = groups["quaternions"][:, [3, 0, 1, 2]]
-    values = np.hstack(list(groups.values()))
-    _write(path, f"#{header}\n", trajectory, values, _integers, ",")
+    values, receptions = np.hstack(list(groups.values())), trajectory.reading.receptions
+    header += "" if receptions is None else f",{RECEIVED} [ns]"
+    _write(path, f"#{header}\n", trajectory, values, _integers, ",", receptions)
 
 
 def write_kitti(path: Path, trajectory: Trajectory) -> None:
@@ -83,6 +86,7 @@ def _write(
     values: Floats,
     stamp_texts: Callable[[Sequence[int]], list[str]] | None,
     separator: str,
+    receptions: Receptions | None = None,
 ) -> None:
     def lines() -> Iterator[str]:
         yield header
@@ -93,6 +97,8 @@ def _write(
                 parts.append(stamp_texts(trajectory.stamps[rows].tolist()))
             if values.shape[1]:
                 parts.append(_rows_of_floats(values[rows], separator))
+            if receptions is not None:
+                parts.append(_integers(receptions.times[rows].tolist()))
             yield "\n".join(map(separator.join, zip(*parts, strict=True))) + "\n"
 
     def write(temporary: Path) -> None:
