@@ -208,6 +208,21 @@ def test_jitter_of_timestamps() -> None:
     assert jitter.value == pytest.approx(3.0, rel=0.15)
 
 
+def test_figure_of_a_groundtruth_without_noise_has_axes_of_a_readable_range(
+    healthy: tuple[ExaminedRig, ExaminedGroundtruth],
+) -> None:
+    pytest.importorskip("matplotlib", reason="figures need the extra `plot`")
+    from trajeval_ros.report.groundtruth_report import groundtruth_figure
+
+    made, found = healthy
+    fits = fits_of(found)
+    small = dataclasses.replace(fits.short, residuals=1e-6 * fits.short.residuals)
+    figure = groundtruth_figure(made.groundtruth, found, dataclasses.replace(fits, short=small))
+    for axes in figure.axes[:2]:
+        low, high = axes.get_ylim()
+        assert 5e-4 < low < 1e-3 < 1e-2 < high < 2e-2
+
+
 def test_rest_is_inconclusive() -> None:
     found = examined(rig(1, "rest"))
     assert found.significant == []

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 _WORDS = ("cause", "verdict")
 _NUMBERS = ("value", "+- 95 %", "unit", "p")
+_LEAST = 1e-3  # mm or deg; smaller residuals are drawn at it
 _HORIZONS = (("rotation", slice(0, 3), "deg"), ("lever arm", slice(3, 6), "mm"))
 
 
@@ -91,13 +92,14 @@ def groundtruth_figure(original: Trajectory, found: ExaminedGroundtruth, fits: F
     for row, (kind, unit) in enumerate((("position", "mm"), ("rotation", "deg"))):
         axes = figure.add_subplot(grid[row, :])
         colour, _ = canvas.line_style(0)
-        shown = np.maximum(lengths[:, row], 1e-6)
+        shown = np.maximum(lengths[:, row], _LEAST)
         axes.plot(fits.short.seconds, shown, color=colour, linewidth=0.6)
         jumps = [each.stamp_ns for each in fits.checks.jumps if each.kind == kind]
         for number, stamp in enumerate(jumps):
             label, second = "" if number else "jump", (stamp - first) / NANOSECONDS
             axes.axvline(second, color=canvas.ink(), linewidth=0.7, linestyle=":", label=label)
         axes.set_yscale("log")
+        axes.set_ylim(_LEAST / 1.5, 1.5 * max(10.0 * _LEAST, float(shown.max())))
         axes.yaxis.set_major_formatter("{x:g}")
         axes.set_ylabel(f"{kind}\nresidual [{unit}]")
         axes.set_xlim(0.0, float(fits.short.seconds[-1]))
