@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from consistency_runs import with_growing_covariances
+from examined_rigs import rig
 from hypothesis import given, settings
 from live_runs import COUNT, ESTIMATE, GROUNDTRUTH, Live
 from ros_bags import (
@@ -26,6 +28,7 @@ from strategies import make_pair, seeds
 from uncertain_runs import MESSAGE, OPTIONS, sides
 
 from trajeval_ros import CovarianceRequest
+from trajeval_ros.calibration.groundtruth_doctor.examine import examine
 from trajeval_ros.consistency.covariance_request import IntegrityRequest
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.remarks import Level
@@ -74,6 +77,25 @@ def test_live_nees_is_that_of_the_bag(
     assert snapshot.nees.mean == pytest.approx(per_pose["mean"], rel=1e-9)
     assert snapshot.nees.position.mean == pytest.approx(per_pose["position"]["mean"], rel=1e-9)
     assert snapshot.nees.rotation.mean == pytest.approx(per_pose["rotation"]["mean"], rel=1e-9)
+
+
+def test_live_nees_against_a_repaired_groundtruth_is_that_of_the_bag(tmp_path: Path) -> None:
+    made = rig(2, turn_deg=(3.0, -2.0, 1.5))
+    fits = examine(made.groundtruth, made.readings).fits
+    assert fits is not None
+    repaired = fits.repaired
+    assert repaired.covariances is not None
+    noise = np.random.default_rng(0).normal(0.0, 0.03, (len(repaired[::5]), 3))
+    estimate = with_growing_covariances(repaired[::5])
+    estimate = dataclasses.replace(estimate, positions=estimate.positions + noise)
+    both = [*messages_of(repaired, GROUNDTRUTH, ODOM), *messages_of(estimate, ESTIMATE, ODOM)]
+    feed = sorted(both, key=lambda each: each[2])
+    write_messages(tmp_path / "bag", feed)
+    live = played(tmp_path, feed, 17, groundtruth_kind=ODOM)
+    words = ("--gauge", "yaw", "--lengths", "2,4", *OPTIONS)
+    expected = offline(tmp_path / "bag", tmp_path, GROUNDTRUTH, [ESTIMATE], *words)
+    assert_same(live.result, expected)
+    assert expected["runs"][0]["consistency"]["per_pose"]["mean"] > 0.0
 
 
 def test_live_integrity_is_that_of_the_bag_and_tells_of_hazards(tmp_path: Path) -> None:
