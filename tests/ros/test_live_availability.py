@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live_runs import ESTIMATE, GROUNDTRUTH, Live
+from live_runs import ESTIMATE, GROUNDTRUTH, Live, QueueSource
 from ros_bags import (
     ODOM,
     PATH,
     POSE,
     STORE,
+    TRANSFORMS,
     Message,
     messages_of,
     path_message,
@@ -26,6 +27,9 @@ from trajeval_ros import simulate
 from trajeval_ros.geometry.up_axis import Z_UP
 from trajeval_ros.io.live.reception_file import read_received
 from trajeval_ros.metrics.as_available import AvailabilityRule
+from trajeval_ros.ros.live_estimate import LiveEstimate
+from trajeval_ros.ros.marker_body import MarkerBody
+from trajeval_ros.ros.transform_stream import TransformStream
 
 FLIGHT = simulate(seed=5, duration_s=20.0)
 CLOCK, CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
@@ -42,8 +46,8 @@ def received(estimate: list[Message], seed: int = 0) -> list[Message]:
 
 def feed_of(kind: str) -> list[Message]:
     truth = messages_of(FLIGHT.groundtruth, GROUNDTRUTH, POSE)
-    if kind == ODOM:
-        estimate = messages_of(FLIGHT.estimate, ESTIMATE, ODOM)
+    if kind != PATH:
+        estimate = messages_of(FLIGHT.estimate, ESTIMATE, kind)
     else:
         stamps = FLIGHT.estimate.stamps.tolist()
         columns = FLIGHT.estimate.positions, FLIGHT.estimate.quaternions
@@ -59,7 +63,7 @@ def feed_of(kind: str) -> list[Message]:
     return sorted([*truth, *received(estimate)], key=lambda each: each[2])
 
 
-@pytest.mark.parametrize(("kind", "motion"), [(ODOM, "hold"), (ODOM, "constant"), (PATH, "hold")])
+@pytest.mark.parametrize(("kind", "motion"), [(ODOM, "hold"), (POSE, "constant"), (PATH, "hold")])
 def test_finish_has_the_numbers_of_a_recording(kind: str, motion: str, tmp_path: Path) -> None:
     feed = feed_of(kind)
     write_messages(tmp_path / "bag", feed)
@@ -72,7 +76,7 @@ def test_finish_has_the_numbers_of_a_recording(kind: str, motion: str, tmp_path:
     found, wanted = run["as_available"], recorded["as_available"]
     assert (found.pop("received"), wanted.pop("received")) == ("node", "log")
     assert_same(found, wanted)
-    if kind == ODOM:
+    if kind != PATH:
         assert wanted["late_messages"] > 0.05 * len(FLIGHT.estimate)
 
 
@@ -82,6 +86,17 @@ def test_without_the_setting_nothing_is_written(tmp_path: Path) -> None:
     live.end()
     assert not list(live.folder.glob("*.received"))
     assert live.result["runs"][0]["as_available"] is None
+
+
+def test_transforms_have_no_receptions_live_and_say_so(tmp_path: Path) -> None:
+    live = Live(tmp_path / "live", ODOM, available=AvailabilityRule("hold"))
+    source: Any = QueueSource("/tf:map.base", TRANSFORMS)
+    source.stream = TransformStream("/tf:map.base", "map", "base")
+    clock = live.run.estimates[0].clock
+    estimate = LiveEstimate(source, live._settings, tmp_path, MarkerBody(), clock, {})
+    assert estimate.availability is None
+    [told] = [each for each in estimate.status.remarks if each.code == "reception_clock"]
+    assert "evaluate a bag" in told.text
 
 
 TICK_NS, PAUSE_NS = 10_000_000, 750_000_000

@@ -22,6 +22,7 @@ RATE_HZ, HORIZON_S = 100, 0.5
 STEP_NS = NANOSECONDS // RATE_HZ
 RECENT = 20  # intervals whose median is the usual one
 _FIRST_NS = NANOSECONDS // 10  # usual interval of the first message
+_NO_INTERVAL = 1 << 62
 _USUAL = 2  # usual intervals that count as sampling; the time beyond is a dropout
 
 
@@ -95,13 +96,13 @@ class Messages:
     def usual_ns(self) -> Stamps:
         """The median of the last 20 intervals up to every message, (N,), nanoseconds."""
         distinct, place = np.unique(self.stamps, return_inverse=True)
-        usual = np.full(len(distinct), _FIRST_NS)
-        intervals = np.diff(distinct)
-        for count in range(1, min(RECENT, len(distinct))):
-            usual[count] = int(np.median(intervals[:count]))
-        if len(intervals) >= RECENT:
-            windows = np.lib.stride_tricks.sliding_window_view(intervals, RECENT)
-            usual[RECENT:] = np.median(windows, axis=1).astype(np.int64)
+        none = np.full(RECENT, _NO_INTERVAL)  # sorted behind all intervals
+        intervals = np.concatenate([none, np.diff(distinct)])
+        windows = np.sort(np.lib.stride_tricks.sliding_window_view(intervals, RECENT), axis=1)
+        row = np.arange(len(distinct))
+        count = np.minimum(row, RECENT)
+        usual = (windows[row, (count - 1) // 2] + windows[row, count // 2]) // 2
+        usual[:1] = _FIRST_NS
         return usual[place]
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from trajeval_ros.consistency.s_transformation import unknown_covariances
 from trajeval_ros.diagnosis.geometry_tests import up_axis_doubt
+from trajeval_ros.formatting.remarks import warning
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.marker import BODYS_VELOCITIES
 from trajeval_ros.geometry.up_axis import UpAxis
@@ -22,6 +23,7 @@ from trajeval_ros.io.live.pair_file import REVISED_SUFFIX, SUFFIX, PairWriter, w
 from trajeval_ros.io.live.reception_file import SUFFIX as RECEIVED_SUFFIX
 from trajeval_ros.io.live.reception_file import ReceptionWriter
 from trajeval_ros.io.writing import write_whole
+from trajeval_ros.metrics.as_available import NO_RECEPTIONS
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH
 from trajeval_ros.online.alarms import Peaks, Standing
 from trajeval_ros.online.evaluator import OnlineEvaluator
@@ -108,7 +110,9 @@ class LiveEstimate:
         # As-available accuracy, if requested; transforms are composed later than received.
         self.availability: LiveAvailability | None = None
         self._received: ReceptionWriter | None = None
-        if settings.available.is_asked_for and not isinstance(source.stream, TransformStream):
+        if settings.available.is_asked_for and isinstance(source.stream, TransformStream):
+            self.status.note(warning("reception_clock", f"as available: {NO_RECEPTIONS}"))
+        elif settings.available.is_asked_for:
             self._received = ReceptionWriter(folder / f"{self.name}{RECEIVED_SUFFIX}")
             self.availability = LiveAvailability(
                 settings.available,

@@ -73,8 +73,9 @@ class _Topics:
         self, name: str, stamps: Stamps, vectors: Floats, frame: str = ""
     ) -> None:
         publisher = self.advertise(name, topics.VECTOR_TYPE)
-        for message in encode_stamped(stamps, vectors, frame):
-            publisher.publish(message.tobytes())
+        if self._is_latched or publisher.get_subscription_count():
+            for message in encode_stamped(stamps, vectors, frame):
+                publisher.publish(message.tobytes())
 
 
 class RevisedOutputs(_Topics):
