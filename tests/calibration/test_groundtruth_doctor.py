@@ -201,6 +201,18 @@ def test_jumps_outliers_frozen_and_held_poses() -> None:
     assert steps.max() < 50_000_000
 
 
+def test_a_clock_that_is_likely_but_not_significant_is_repaired() -> None:
+    made = rig(4, offset_s=0.003, skew=-6e-5)
+    found = examined(made)
+    assert verdicts(found)["clock_offset"] == verdicts(found)["clock_skew"] == "insignificant"
+    clock = fits_of(found).rig
+    assert clock.offset_s == pytest.approx(0.003, abs=1e-4)
+    assert clock.skew == pytest.approx(-6e-5, abs=1e-5)
+    before_m, _ = made.errors(made.groundtruth)
+    position_m, _ = made.errors(fits_of(found).repaired)
+    assert position_m < 5e-4 < before_m
+
+
 def test_jitter_of_timestamps() -> None:
     found = examined(rig(4, jitter_s=3e-3))
     jitter = found.causes["jitter"]

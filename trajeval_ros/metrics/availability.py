@@ -101,7 +101,7 @@ class Messages:
         windows = np.sort(np.lib.stride_tricks.sliding_window_view(intervals, RECENT), axis=1)
         row = np.arange(len(distinct))
         count = np.minimum(row, RECENT)
-        usual = (windows[row, (count - 1) // 2] + windows[row, count // 2]) // 2
+        usual: Stamps = (windows[row, (count - 1) // 2] + windows[row, count // 2]) // 2
         usual[:1] = _FIRST_NS
         return usual[place]
 
@@ -164,10 +164,9 @@ def sampled(
     rotation = None
     if states.quaternions is not None and messages.oriented:
         turned = lie.multiply(states.quaternions[places], lie.conjugate(quaternions))
-        rotation = _differences(lie.rotation_vector(turned))
-    return AvailableSamples(
-        stamps[kept], rows, np.diff(reached, axis=0), _differences(position), rotation
-    )
+        rotation = np.diff(lie.rotation_vector(turned), axis=0, prepend=0.0)
+    position = np.diff(position, axis=0, prepend=0.0)
+    return AvailableSamples(stamps[kept], rows, np.diff(reached, axis=0), position, rotation)
 
 
 def _predicted(messages: Messages, rows: Indices, reached: Stamps) -> tuple[Floats, Floats]:
@@ -183,9 +182,3 @@ def _predicted(messages: Messages, rows: Indices, reached: Stamps) -> tuple[Floa
     return positions + lie.rotate(quaternions, moved[..., :3, 3]), lie.multiply(
         quaternions, turned
     )
-
-
-def _differences(errors: Floats) -> Floats:
-    """Return the parts (4, N, 3) of errors at the four ages: the first, and the steps."""
-    parts: Floats = np.diff(errors, axis=0, prepend=0.0)
-    return parts

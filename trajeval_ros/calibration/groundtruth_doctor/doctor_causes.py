@@ -68,33 +68,22 @@ PARAMETERS = {
         "({width} deg at 95 %) against gravity.",
     ),
 }  # fmt: skip
-_MISSING, _HELD, _OUTLIERS, _UNEVEN = 0.01, 0.02, 0.005, 0.1
-_JITTER_S, _JITTER_SIGMAS = 2e-4, 4.0
+_MISSING, _HELD, _OUTLIERS, _UNEVEN = 1.0, 2.0, 0.5, 10.0  # %
+_JITTER_MS, _JITTER_SIGMAS = 0.2, 4.0
 
 
 @dataclass(frozen=True)
 class GroundtruthCause:
-    """A cause of errors, and whether the recording shows it.
+    """A cause of errors, and whether the recording shows it; causes that are counted have no p."""
 
-    Attributes:
-        name: Its name in tables and JSON.
-        verdict: `significant`, `insignificant` or `inconclusive`.
-        value: Its size in `unit`; None if unknown.
-        unit: Unit of the value.
-        standard_deviation: Of the value, in `unit`; None for causes that are counted.
-        p_value: Of the hypothesis that the cause is absent; None for causes that are counted.
-        components: Components of the value about or along x, y, z.
-        sentence: The finding, for a significant cause.
-    """
-
-    name: str
-    verdict: str
-    value: float | None = None
+    name: str  # in tables and JSON
+    verdict: str  # `significant`, `insignificant` or `inconclusive`
+    value: float | None = None  # its size in `unit`; None if unknown
     unit: str = ""
-    standard_deviation: float | None = None
-    p_value: float | None = None
-    components: tuple[float, ...] = ()
-    sentence: str = ""
+    standard_deviation: float | None = None  # of the value
+    p_value: float | None = None  # of the hypothesis that the cause is absent
+    components: tuple[float, ...] = ()  # of the value, about or along x, y, z
+    sentence: str = ""  # the finding, for a significant cause
 
     @property
     def half_width(self) -> float | None:
@@ -159,36 +148,21 @@ def sample_causes(
 ) -> list[GroundtruthCause]:
     """Return the verdicts on single poses; times count from `origin`, a timestamp in ns."""
     rows = [] if residuals is None else list(_of_residuals(residuals, origin))
-    uneven = poses.interval_sigma_s * poses.rate_hz
-    missing, held, repeated = poses.missing_share, poses.held_share, poses.repeated_stamps
+    uneven = 100.0 * poses.interval_sigma_s * poses.rate_hz
+    missing, held = 100.0 * poses.missing_share, 100.0 * poses.held_share
+    repeated = poses.repeated_stamps
     rows += [
-        (
-            "gaps", len(poses.gaps), "", 0.0,
-            f"{counted(len(poses.gaps), 'gap')}; {_longest(poses.gaps, origin)}",
-        ),
-        (
-            "missing", 100.0 * missing, "%", 100.0 * _MISSING,
-            f"{100.0 * missing:.1f} % of the poses are missing at a rate of "
-            f"{poses.rate_hz:.0f} Hz.",
-        ),
-        (
-            "held", 100.0 * held, "%", 100.0 * _HELD,
-            f"{100.0 * held:.1f} % of the poses in motion repeat the pose before.",
-        ),
-        (
-            "frozen", len(poses.frozen), "", 0.0,
-            f"The pose is frozen {counted(len(poses.frozen), 'time')}; "
-            f"{_longest(poses.frozen, origin)}",
-        ),
-        (
-            "repeated_timestamps", repeated, "", 0.0,
-            f"{counted(repeated, 'timestamp')} repeated or stepping back.",
-        ),
-        (
-            "uneven_timestamps", 100.0 * uneven, "%", 100.0 * _UNEVEN,
+        ("gaps", len(poses.gaps), "", 0.0, _spans(poses.gaps, "gap", origin)),
+        ("missing", missing, "%", _MISSING,
+            f"{missing:.1f} % of the poses are missing at a rate of {poses.rate_hz:.0f} Hz."),
+        ("held", held, "%", _HELD, f"{held:.1f} % of the poses in motion repeat the pose before."),
+        ("frozen", len(poses.frozen), "", 0.0,
+            f"The pose is frozen {_spans(poses.frozen, 'time', origin)}"),
+        ("repeated_timestamps", repeated, "", 0.0,
+            f"{counted(repeated, 'timestamp')} repeated or stepping back."),
+        ("uneven_timestamps", uneven, "%", _UNEVEN,
             f"The intervals between timestamps vary by {1e3 * poses.interval_sigma_s:.2f} ms, "
-            f"{100.0 * uneven:.0f} % of their length.",
-        ),
+            f"{uneven:.0f} % of their length."),
     ]  # fmt: skip
     return [
         _found(name, value, unit, sentence, found=value > limit)
@@ -205,20 +179,21 @@ def _of_residuals(checks: ResidualChecks, origin: int) -> Iterator[_Row]:
             size = ("{:" + unit).format(factor * largest.size)
             second = (largest.stamp_ns - origin) / 1e9
             sentence = f"{counted(len(jumps), f'{kind} jump')} of up to {size}; "
-            sentence += f"the largest is at {second:.2f} s."
+            sentence += f"the largest is at {second:.2f} s. One that lasts also moves the repair."
         yield f"{kind}_jumps", len(jumps), "", 0.0, sentence
     jitter_ms = 1e3 * checks.jitter_s if checks.jitter_sigmas > _JITTER_SIGMAS else 0.0
     sentence = f"Timestamps have random errors of {jitter_ms:.1f} ms."
-    yield "jitter", jitter_ms, "ms", 1e3 * _JITTER_S, sentence
+    yield "jitter", jitter_ms, "ms", _JITTER_MS, sentence
     outliers = 100.0 * checks.outlier_share
     sentence = f"{outliers:.1f} % of the poses are outliers; they were not used."
-    yield "outliers", outliers, "%", 100.0 * _OUTLIERS, sentence
+    yield "outliers", outliers, "%", _OUTLIERS, sentence
 
 
-def _longest(spans: Sequence[PoseSpan], origin: int) -> str:
+def _spans(spans: Sequence[PoseSpan], what: str, origin: int) -> str:
     longest = max(spans, key=lambda each: each.duration_s, default=PoseSpan(origin, 0.0))
     second = (longest.start_ns - origin) / 1e9
-    return f"the longest is {longest.duration_s:.2f} s at {second:.2f} s."
+    number = counted(len(spans), what)
+    return f"{number}; the longest is {longest.duration_s:.2f} s at {second:.2f} s."
 
 
 def _found(name: str, value: float, unit: str, sentence: str, *, found: bool) -> GroundtruthCause:

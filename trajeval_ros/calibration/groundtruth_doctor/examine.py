@@ -52,6 +52,8 @@ _FLOOR_ALONG_FORCE_MM = 3.0
 # The two horizons disagree above these differences (deg, mm) and standard deviations.
 _DISAGREE = np.array([1.0] * 3 + [20.0] * 3)
 _DISAGREE_SIGMAS, _PART_OF_DIFFERENCE = 5.0, 4.0
+_LIKELY_SIGMAS = np.sqrt(2.0)  # Akaike: a smaller value is better left at zero
+_CLOCK = [OFFSET, SKEW]
 _SLOW_HZ = 50.0
 _SMOOTH_M = 2e-5  # a smaller high-frequency noise is that of a model
 _LIGHTEST_MPS2, _HEAVIEST_MPS2 = 5.0, 20.0
@@ -119,12 +121,6 @@ def examine(
     Raises:
         InputError: There are too few poses, the recordings overlap for less than 20 s, or their
             rotations are not related.
-
-    Example:
-        >>> from trajeval_ros import simulate
-        >>> from trajeval_ros.calibration.groundtruth_doctor.examine import examine
-        >>> examine(simulate(seed=1, duration_s=30.0).groundtruth).significant
-        []
     """
     name = groundtruth.name or "the groundtruth"
     if not groundtruth.reading.stamped:
@@ -211,7 +207,8 @@ def _with_imu(
     by_name = {each.name: each for each in causes}
     noise_m, noise_rad = short.rows.scales
     chosen = long if disagree else short
-    _apply(chosen, short, by_name, shift_s)
+    noisy = np.abs(values) < _LIKELY_SIGMAS * sigmas
+    _apply(chosen, short, by_name, noisy, shift_s)
     rig = chosen.rig
     covariance = np.diag(np.square(np.roll(sigmas[:6] / UNITS[:6], 3)))
     covariance[3:, 3:] = rig.body @ covariance[3:, 3:] @ rig.body.T
@@ -312,17 +309,26 @@ def _difference(
 
 
 def _apply(
-    chosen: JointFit, short: JointFit, causes: Mapping[str, GroundtruthCause], shift_s: float
+    chosen: JointFit,
+    short: JointFit,
+    causes: Mapping[str, GroundtruthCause],
+    noisy: Booleans,
+    shift_s: float,
 ) -> None:
-    """Solve again with insignificant parameters at zero, and the clock of the short fit."""
+    """Solve again with insignificant parameters at zero, and the clock of the short fit.
+
+    Scale errors of an IMU look like a rotation or a lever arm, and not like a clock. The clock is
+    therefore at zero only if that has the smaller expected error: if it is `noisy`.
+    """
     free, rig = chosen.free.copy(), chosen.rig
     fixed = np.zeros(COUNT, dtype=bool)
     for name, parameter in PARAMETERS.items():
         if name != "tilted":
             fixed[parameter.columns] = causes[name].verdict != SIGNIFICANT
+    fixed[_CLOCK] = (noisy | ~free)[_CLOCK]
     if chosen is not short:
         rig = replace(rig, offset_s=short.rig.offset_s, skew=short.rig.skew)
-        free[[OFFSET, SKEW]] = False
+        free[_CLOCK] = False
     chosen.solve_again(rig.without(fixed, shift_s), free & ~fixed)
 
 

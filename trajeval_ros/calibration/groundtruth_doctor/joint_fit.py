@@ -17,9 +17,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import InertialSteps
+from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import InertialSteps, Motions
 from trajeval_ros.calibration.groundtruth_doctor.rig import GRAVITY, LEVER, Rig, tangents
-from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples, averaged, predict
+from trajeval_ros.calibration.groundtruth_doctor.sample_rows import (
+    Predicted,
+    SampleRows,
+    TruthSamples,
+    averaged,
+    predict,
+)  # fmt: skip
 from trajeval_ros.calibration.robust_fit import BLOCKS
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Booleans, Floats
@@ -52,18 +58,13 @@ class Horizon:
 
 
 class JointFit:
-    """The fit of one horizon; `solve` changes it.
+    """The fit of one horizon; `solve` changes it."""
 
-    Attributes:
-        rig: The unknowns.
-        motions: The motion of the intervals.
-        predicted: The rig at the samples, and their residuals.
-        rows: The measurements of the knots.
-        sigmas: Standard deviations (6,) of a knot's measurement, m and rad.
-        fixed_directions: Directions (3,) of the lever arm that the motion does not determine.
-        covariance_of_model: Inverse of the information of the calibration (10, 10); zero for fixed
-            parameters.
-    """
+    motions: Motions  # of the intervals
+    predicted: Predicted  # the rig at the samples, and their residuals
+    rows: SampleRows  # the measurements of the knots
+    # Inverse of the information of the calibration (10, 10); zero for fixed parameters.
+    covariance_of_model: Floats
 
     def __init__(
         self,
@@ -76,8 +77,8 @@ class JointFit:
         """Start at a rig. `free` (10,) has the parameters that are estimated."""
         self.samples, self.steps, self.rig, self.free = samples, steps, rig, free
         self.horizon = horizon
-        self.fixed_directions: list[Floats] = []
-        self.sigmas = np.repeat(horizon.sigmas, 3)
+        self.fixed_directions: list[Floats] = []  # of the lever arm, unobservable ones (3,)
+        self.sigmas = np.repeat(horizon.sigmas, 3)  # of a knot's measurement, m and rad
         bias = np.median(rig.gyro_biases, axis=0)
         covariances, self._by_biases = steps.uncertainty(bias, horizon.noise)
         self._whiten = np.linalg.inv(np.linalg.cholesky(covariances))
