@@ -28,7 +28,7 @@ from trajeval_ros.geometry.pose_conventions import ORDERS, POSES, ROTATIONS, Con
 from trajeval_ros.io.describe import summarize
 from trajeval_ros.io.hand_eye_file import read_similarity
 from trajeval_ros.io.requests.request_from import request_from
-from trajeval_ros.io.requests.setting import INPUT, PAIR, TRAJECTORY
+from trajeval_ros.io.requests.setting import INPUT, PAIR, TRAJECTORY, two_numbers
 from trajeval_ros.io.save_trajectories import MESSAGES, files_of, save_trajectories
 from trajeval_ros.io.source_names import names_of
 from trajeval_ros.io.sources import each_topic
@@ -263,12 +263,8 @@ def trajectory(
 
 def parse_motion(text: str) -> tuple[float, float]:
     """Parse "0.1,5", metres and degrees; return metres and radians."""
-    try:
-        distance_m, angle_deg = (float(part) for part in text.split(","))
-    except ValueError:
-        raise SettingsError(
-            f"--motion-filter {text!r} is not valid; give metres and degrees, as in 0.1,5"
-        ) from None
+    said = f"--motion-filter {text!r} is not valid; give metres and degrees, as in 0.1,5"
+    distance_m, angle_deg = two_numbers(text, said)
     return distance_m, math.radians(angle_deg)
 
 

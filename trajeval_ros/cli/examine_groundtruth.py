@@ -10,7 +10,7 @@ from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.options import OUTPUT, argument, option, shared_options
 from trajeval_ros.cli.programs import write_json
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.io.requests.setting import INPUT
+from trajeval_ros.io.requests.setting import INPUT, two_numbers
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.preintegration import ImuNoise
@@ -126,13 +126,8 @@ def _noise_of(text: str | None) -> ImuNoise:
 
     if text is None:
         return IMU_NOISE
-    try:
-        gyroscope, accelerometer = (float(part) for part in text.split(","))
-    except ValueError:
-        gyroscope = accelerometer = 0.0
+    said = f"--imu-noise {text!r} is not valid; give two densities above zero, as in 8e-4,2e-2"
+    gyroscope, accelerometer = two_numbers(text, said)
     if not (1e-6 <= gyroscope <= 1.0 and 1e-5 <= accelerometer <= 1e2):
-        raise SettingsError(
-            f"--imu-noise {text!r} is not valid; give two densities greater than zero, as in "
-            "8e-4,2e-2"
-        )
+        raise SettingsError(said)
     return ImuNoise(gyroscope, accelerometer)

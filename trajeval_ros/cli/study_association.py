@@ -15,6 +15,7 @@ from trajeval_ros.cli.progress import read_shown
 from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.io.requests.setting import two_numbers
 from trajeval_ros.io.source_names import names_of
 
 if TYPE_CHECKING:
@@ -98,14 +99,8 @@ def study_association(
 
 
 def _durations(text: str) -> tuple[float, float]:
-    try:
-        shortest, longest = (float(part) for part in text.split(","))
-    except ValueError:
-        raise SettingsError(
-            f"--dropout-length {text!r} is not valid; give the shortest and the longest duration "
-            "in seconds, as in 1,2.5"
-        ) from None
-    return shortest, longest
+    said = "give the shortest and the longest duration in seconds, as in 1,2.5"
+    return two_numbers(text, f"--dropout-length {text!r} is not valid; {said}")
 
 
 def _print(

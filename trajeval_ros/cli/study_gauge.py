@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.options import STUDY_GAUGE, option, shared_options
 from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.io.requests.setting import two_numbers
 from trajeval_ros.report.figure_style import FigureStyle
 
 if TYPE_CHECKING:
@@ -157,13 +158,8 @@ def _above_zero(option: str, value: float) -> Any:
 def _imu_noise(text: str) -> ImuNoise:
     from trajeval_ros.geometry.preintegration import ImuNoise
 
-    try:
-        gyroscope, accelerometer = map(float, text.split(","))
-    except ValueError:
-        raise SettingsError(
-            f"--imu-noise needs 2 numbers, as in {_IMU_NOISE}, not {text!r}"
-        ) from None
-    return ImuNoise(*(_above_zero("--imu-noise", each) for each in (gyroscope, accelerometer)))
+    said = f"--imu-noise needs 2 numbers, as in {_IMU_NOISE}, not {text!r}"
+    return ImuNoise(*(_above_zero("--imu-noise", each) for each in two_numbers(text, said)))
 
 
 def _examined(folder: Path | None, model: MeasurementModel) -> tuple[str, Examination | None]:

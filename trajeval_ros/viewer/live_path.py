@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.online.state_buffer import StateBuffer
 from trajeval_ros.viewer import entity_data, scene_entities
 from trajeval_ros.viewer.entity_data import LineLook
 from trajeval_ros.viewer.paths import is_gap
@@ -140,35 +141,27 @@ class RowHistory:
     """Rows of a whole run by timestamp; beyond a limit every second row is dropped."""
 
     def __init__(self, width: int) -> None:
-        self._stamps: Stamps = np.empty(1024, dtype=np.int64)
-        self._rows: Floats = np.empty((1024, width))
-        self._count = self._seen = 0
-        self._every = 1
+        self._held, self._width, self._every, self._seen = StateBuffer(width), width, 1, 0
 
     def __len__(self) -> int:
         """Return the number of rows."""
-        return self._count
+        return len(self._held)
 
     def add(self, stamp: int, row: Floats) -> None:
         """Add a row."""
         self._seen += 1
         if self._seen % self._every:
             return
-        if self._count == _MOST_ROWS:
-            kept = slice(0, self._count, 2)
-            self._count = len(self._stamps[kept])
-            self._stamps[: self._count] = self._stamps[kept]
-            self._rows[: self._count] = self._rows[kept]
+        if len(self) == _MOST_ROWS:
+            stamps, rows = self.columns()
+            self._held = StateBuffer(self._width)
+            self._held.append(stamps[::2], rows[::2])
             self._every *= 2
-        if self._count == len(self._stamps):
-            self._stamps = np.concatenate([self._stamps, np.empty_like(self._stamps)])
-            self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
-        self._stamps[self._count], self._rows[self._count] = stamp, row
-        self._count += 1
+        self._held.append(np.array([stamp]), row[None])
 
     def columns(self) -> tuple[Stamps, Floats]:
         """Return views of stamps (N,) and rows."""
-        return self._stamps[: self._count], self._rows[: self._count]
+        return self._held.held
 
 
 NEVER = int(np.iinfo(np.int64).min)  # before all timestamps

@@ -123,11 +123,8 @@ class LiveScene:
         self._map.add(stamps, fixes)
         self._lanes.fixes(stamps, fixes.status)
         if is_first:
-            self._lay_out_again()
-
-    def _lay_out_again(self) -> None:
-        self.blueprint = self._layout()
-        self._recording.send(lambda recording: recording.send_blueprint(self.blueprint))
+            self.blueprint = self._layout()
+            self._recording.send(lambda recording: recording.send_blueprint(self.blueprint))
 
     def pairs(
         self,
@@ -172,10 +169,7 @@ class LiveScene:
         each, origin = self._estimates[name], self._groundtruth.origin
         each.errors(stamp, snapshot, revised_m)
         if available is not None:
-            is_first = not each.is_available
             each.available(available)
-            if is_first:
-                self._lay_out_again()
         if snapshot.alignment is not None and each.origin is not None:
             assert origin is not None
             similarity = between_origins(snapshot.alignment.similarity, origin, each.origin)

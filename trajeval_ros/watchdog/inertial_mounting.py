@@ -10,13 +10,12 @@ import numpy as np
 from trajeval_ros.calibration.hand_eye import closest_rotation
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
-from trajeval_ros.geometry.interpolation import slerp_at
+from trajeval_ros.geometry.interpolation import columns_at, slerp_at
 from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.watchdog.rotations_over_time import between, only_axis
 from trajeval_ros.watchdog.row_buffer import (
     QUATERNION,
     TIME,
-    interpolated,
     window_begins,
 )
 
@@ -174,7 +173,7 @@ def _refined(
             slerp_at(imu[:, TIME], track, times[each] + offset_s) for each in (begins, ends)
         )
         summed = [
-            interpolated(imu[:, TIME], integral, times[each] + offset_s).reshape(-1, 3, 3)
+            columns_at(imu[:, TIME], integral, times[each] + offset_s).reshape(-1, 3, 3)
             for each in (begins, ends)
         ]
         swept = np.swapaxes(lie.to_matrix(start), 1, 2) @ (summed[1] - summed[0])

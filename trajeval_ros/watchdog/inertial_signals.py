@@ -6,7 +6,7 @@ import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.interpolation import slerp_at
+from trajeval_ros.geometry.interpolation import columns_at, slerp_at
 from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.watchdog.inertial_mounting import (
     ACCELERATION,
@@ -26,7 +26,6 @@ from trajeval_ros.watchdog.row_buffer import (
     TIME,
     Comparison,
     RowBuffer,
-    interpolated,
     only,
     window_begins,
 )
@@ -164,7 +163,7 @@ class InertialSignals(Comparison):
         )
         # A velocity is the mean over 0.1 s, so it is valid in the middle of that time.
         late = at - 0.5 * self._velocity_rows * self._period_s
-        rows[:, _SUMMED] = interpolated(times, imu[:, _FORCE], late)
+        rows[:, _SUMMED] = columns_at(times, imu[:, _FORCE], late)
         return rows
 
     @property

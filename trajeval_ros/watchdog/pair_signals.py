@@ -9,7 +9,7 @@ import numpy as np
 from trajeval_ros.calibration.hand_eye import closest_rotation
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
-from trajeval_ros.geometry.interpolation import slerp_at
+from trajeval_ros.geometry.interpolation import columns_at, slerp_at
 from trajeval_ros.geometry.so3 import skew
 from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.watchdog.judging import judged
@@ -22,7 +22,6 @@ from trajeval_ros.watchdog.row_buffer import (
     TIME,
     Comparison,
     RowBuffer,
-    interpolated,
     only,
     window_begins,
 )
@@ -175,7 +174,7 @@ def _matched(states: Floats, partner: Floats) -> Floats:
     states, since, times = states[kept], since[kept], times[kept]
     rows = np.zeros((len(states), _WIDTH))
     rows[:, :POSE_WIDTH], rows[:, SINCE] = states, since
-    rows[:, _OTHER_POSITION] = interpolated(partner[:, TIME], partner[:, POSITION], times)
+    rows[:, _OTHER_POSITION] = columns_at(partner[:, TIME], partner[:, POSITION], times)
     rows[:, _OTHER_QUATERNION] = slerp_at(partner[:, TIME], partner[:, QUATERNION], times)
     return rows
 

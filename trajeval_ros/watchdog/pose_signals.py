@@ -6,6 +6,7 @@ import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
+from trajeval_ros.geometry.interpolation import columns_at
 from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.watchdog.rotations_over_time import between
 from trajeval_ros.watchdog.row_buffer import (
@@ -17,7 +18,6 @@ from trajeval_ros.watchdog.row_buffer import (
     SINCE,
     TIME,
     RowBuffer,
-    interpolated,
     only,
     window_begins,
 )
@@ -189,7 +189,7 @@ class CorrectionSignals:
             return {}
         new = rows[first:ready]
         times = new[:, TIME]
-        robot = interpolated(states[:, TIME], states[:, POSITION], times)
+        robot = columns_at(states[:, TIME], states[:, POSITION], times)
         since = times - _CORRECTION_S + HALF_NS
         before = np.searchsorted(rows[:, TIME], since, side="right") - 1
         old = rows[np.maximum(before, 0)]

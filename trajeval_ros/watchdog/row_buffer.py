@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
+from trajeval_ros.geometry.interpolation import columns_at
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.watchdog.signals import Signals
 
@@ -143,7 +144,7 @@ def change_within(rows: Floats, first: int, window_s: float, columns: slice) -> 
     change, too; mask them.
     """
     asked = rows[first:]
-    begin = interpolated(rows[:, TIME], rows[:, columns], asked[:, TIME] - window_s)
+    begin = columns_at(rows[:, TIME], rows[:, columns], asked[:, TIME] - window_s)
     change: Floats = asked[:, columns] - begin
     return change
 
@@ -151,8 +152,3 @@ def change_within(rows: Floats, first: int, window_s: float, columns: slice) -> 
 def only(values: Floats, known: Booleans) -> Floats:
     """Return the values with NaN where they are not known."""
     return np.where(known, values, np.nan)
-
-
-def interpolated(times: Floats, values: Floats, at: Floats) -> Floats:
-    """Interpolate columns (N, k) linearly at other times (M,); return (M, k)."""
-    return np.stack([np.interp(at, times, column) for column in values.T], axis=-1)

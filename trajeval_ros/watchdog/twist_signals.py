@@ -6,6 +6,7 @@ import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.interpolation import columns_at
 from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.watchdog.row_buffer import (
     POSITION,
@@ -16,7 +17,6 @@ from trajeval_ros.watchdog.row_buffer import (
     VELOCITY,
     RowBuffer,
     change_within,
-    interpolated,
     only,
     window_begins,
 )
@@ -76,9 +76,7 @@ class TwistSignals:
         if first >= ready:
             return {}
         new = waiting[first:ready]
-        velocities = interpolated(
-            waiting[:, TIME], waiting[:, VELOCITY], new[:, TIME] + self.lag_s
-        )
+        velocities = columns_at(waiting[:, TIME], waiting[:, VELOCITY], new[:, TIME] + self.lag_s)
         old = len(self._rows.rows)
         self._rows.append(np.column_stack([new, np.zeros((len(new), 3))]))
         self._integrate(old, velocities)
@@ -124,7 +122,7 @@ def _lag_of(states: Floats) -> tuple[float, float]:
     times, moved = states[:, TIME], states[ends, POSITION] - states[begins, POSITION]
     costs = []
     for lag_s in _LAGS_S:
-        told = interpolated(times, states[:, VELOCITY], times + lag_s)
+        told = columns_at(times, states[:, VELOCITY], times + lag_s)
         path = _path(times, lie.rotate(states[:, QUATERNION], told))
         off = lengths(moved - (path[ends] - path[begins]))
         costs.append([part.mean() for part in np.array_split(off, _BLOCKS)])
@@ -152,6 +150,6 @@ def _misfit(states: Floats, velocities: Floats, lag_s: float) -> float:
     whole = states[1:, SINCE] <= states[:-1, TIME]
     velocity = np.diff(states[:, POSITION], axis=0)[whole] / dt[whole, None]
     middle = 0.5 * (states[1:, TIME] + states[:-1, TIME])[whole]
-    told = interpolated(states[:, TIME], velocities, middle + lag_s)
+    told = columns_at(states[:, TIME], velocities, middle + lag_s)
     in_world = lie.rotate(states[:-1, QUATERNION][whole], told)
     return float(np.median(lengths(velocity - in_world)))

@@ -95,14 +95,10 @@ class GroundtruthCause:
 def parameter_cause(
     name: str, values: Floats, sigmas: Floats, observable: Booleans, axes: str
 ) -> GroundtruthCause:
-    """Return the verdict on parameters of the calibration.
+    """Return the verdict on the parameters of a name in `PARAMETERS`.
 
-    Args:
-        name: Key of `PARAMETERS`.
-        values: The calibration (10,), in `UNITS`.
-        sigmas: Standard deviations (10,), in `UNITS`.
-        observable: The parameters (10,) that are estimated.
-        axes: Directions of the lever arm that are fixed at zero, as text.
+    Of the calibration, there are values and standard deviations (10,), in `UNITS`, which ones are
+    estimated (10,), and the directions of the lever arm that are fixed at zero, as text.
     """
     parameter = PARAMETERS[name]
     value, sigma = values[parameter.columns], sigmas[parameter.columns]

@@ -189,26 +189,33 @@ def parse_up(text: str) -> tuple[str, str]:
     return UpAxis(axes[0]).name, UpAxis(axes[-1]).name
 
 
+def two_numbers(text: str, sentence: str) -> tuple[float, float]:
+    """Return the numbers in a text "0.1,5"; raise SettingsError with a sentence for others."""
+    try:
+        one, other = map(float, text.split(","))
+    except ValueError:
+        raise SettingsError(sentence) from None
+    return one, other
+
+
 def parse_noise(text: str) -> tuple[float, float]:
     """Return the standard deviations in a text "0.002,0.1": metres and degrees.
 
     Raises:
         SettingsError: The text is not two finite numbers greater than zero.
     """
-    try:
-        position_m, rotation_deg = (float(part) for part in text.split(","))
-    except ValueError:
-        position_m = rotation_deg = math.nan
+    sentence = (
+        f"the groundtruth noise {text!r} is not valid; give standard deviations in metres "
+        "and degrees, as in --groundtruth-noise 0.002,0.1"
+    )
+    position_m, rotation_deg = two_numbers(text, sentence)
     if min(position_m, rotation_deg) <= 0.0:
         raise SettingsError(
             f"the groundtruth noise must be greater than zero, not {text}; give standard "
             "deviations in metres and degrees"
         )
     if not (position_m < math.inf and rotation_deg < math.inf):
-        raise SettingsError(
-            f"the groundtruth noise {text!r} is not valid; give standard deviations in metres "
-            "and degrees, as in --groundtruth-noise 0.002,0.1"
-        )
+        raise SettingsError(sentence)
     return position_m, rotation_deg
 
 
