@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -59,9 +60,11 @@ def _write(folder: Path, result: dict[str, object], outcome: Outcome, look: Figu
 
                     write_consistency(run.evaluation, run.consistency, temporary, *named, look)
                 if run.available is not None and run.available.samples is not None:
-                    from trajeval_ros.report.available_figure import write_available
+                    from trajeval_ros.report.available_figure import as_available_figure
+                    from trajeval_ros.report.figure_output import save_all
 
-                    write_available(run.evaluation, run.available, temporary, named[1], look)
+                    draw = partial(as_available_figure, run.evaluation, run.available)
+                    save_all({f"as_available{named[1]}": draw}, temporary, look)
                 if run.integrity is not None:
                     from trajeval_ros.report.consistency_figure import write_stanford
 

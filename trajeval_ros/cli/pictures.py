@@ -50,7 +50,5 @@ class Pictures:
 def _write(path: Path, runs: Sequence[RunOutcome]) -> None:
     from trajeval_ros.viewer.recorded_scene import write_recording
 
-    write_recording(
-        path,
-        *zip(*((run.evaluation, run.consistency, run.available) for run in runs), strict=True),
-    )
+    columns = ((run.evaluation, run.consistency, run.available) for run in runs)
+    write_recording(path, *zip(*columns, strict=True))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,8 +13,6 @@ from trajeval_ros.metrics.as_available import AsAvailable
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.report import canvas
 from trajeval_ros.report.definitions import alignment_of
-from trajeval_ros.report.figure_output import save_all
-from trajeval_ros.report.figure_style import FigureStyle
 from trajeval_ros.report.line_thinning import thinned
 
 if TYPE_CHECKING:
@@ -26,14 +22,6 @@ if TYPE_CHECKING:
 _HEIGHT_IN, _DETAIL_S = 3.7, 10.0
 _EVALUATED, _AVAILABLE = 2, 0  # places of their colours
 _BINS = 30
-
-
-def write_available(
-    evaluation: Evaluation, found: AsAvailable, folder: Path, end: str, style: FigureStyle
-) -> list[Path]:
-    """Write the figure `as_available` of one run; `end` of its name tells runs apart."""
-    draw = partial(as_available_figure, evaluation, found)
-    return save_all({f"as_available{end}": draw}, folder, style)
 
 
 def as_available_figure(evaluation: Evaluation, found: AsAvailable) -> Figure:

@@ -185,9 +185,8 @@ def declare_revised(recording: Any, estimate: EstimateEntities) -> None:
 
 def declare_available(recording: Any, estimate: EstimateEntities) -> None:
     """Log the styles of the as-available error and of the age of the pose in use."""
-    pale = _pale(estimate.colour)
     label = f"{estimate.name}, as available"
-    _series(recording, estimate.metric(AVAILABLE_POSITION), label, pale)
+    _series(recording, estimate.metric(AVAILABLE_POSITION), label, _pale(estimate.colour))
     _series(recording, estimate.metric(POSE_AGE), estimate.name, estimate.colour)
 
 

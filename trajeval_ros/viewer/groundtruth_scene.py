@@ -9,15 +9,15 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.viewer import colours, entity_data, scene_entities
 from trajeval_ros.viewer.blueprint import event_list, until_now, whole_run, with_panels
-from trajeval_ros.viewer.paths import origin_for, peaks
-from trajeval_ros.viewer.recorded_scene import send_path
+from trajeval_ros.viewer.paths import origin_for
+from trajeval_ros.viewer.recorded_scene import send_path, send_series
 from trajeval_ros.viewer.recording_file import recording_writer
 from trajeval_ros.viewer.sdk import sdk
 
 if TYPE_CHECKING:
     from trajeval_ros.calibration.groundtruth_doctor.examine import ExaminedGroundtruth, Fits
 
-_MOST_ROWS, _MOST_NUMBERS = 400, 20_000
+_MOST_ROWS = 400
 _PATHS = tuple(f"{scene_entities.WORLD}/{name}" for name in ("original", "repaired"))
 _RESIDUALS = "groundtruth"
 
@@ -40,11 +40,9 @@ def write_groundtruth(
         first = int(original.stamps.min())
         stamps = first + (fits.short.seconds * NANOSECONDS).astype("int64")
         for column, name in enumerate(("position_m", "rotation_rad")):
-            values = fits.short.residuals[:, column]
-            some = peaks(values, _MOST_NUMBERS)
             entity = f"{_RESIDUALS}/{name}"
             recording.log(entity, rerun.SeriesLines(names=[name]), static=True)
-            entity_data.numbers(values[some]).send(recording, entity, stamps[some])
+            send_series(recording, entity, stamps, fits.short.residuals[:, column])
         for cause in found.significant:
             event = entity_data.event(cause.sentence, warn=True)
             entity_data.log(recording, scene_entities.EVENTS, first, event)

@@ -163,8 +163,7 @@ class LiveScene:
     ) -> None:
         """Draw the published state of an evaluation at a timestamp.
 
-        `revised_m` is the position ATE of the newest path, metres; None without one. `available`
-        has the as-available errors that became final.
+        `revised_m`: position ATE of the newest path, metres. `available`: errors, final now.
         """
         each, origin = self._estimates[name], self._groundtruth.origin
         each.errors(stamp, snapshot, revised_m)

@@ -218,7 +218,7 @@ def _send_numbers(
         (scene_entities.YAW_ERROR, errors.yaw_deg),
     ):
         if column is not None:
-            _send_series(recording, entities.metric(quantity), stamps, column)
+            send_series(recording, entities.metric(quantity), stamps, column)
             after = stamps[:-1][gaps(stamps)] + 1
             if len(after):  # the viewer panics at a chunk without rows
                 nothing = entity_data.numbers(np.full(len(after), np.nan))  # ends the line
@@ -230,15 +230,15 @@ def _send_numbers(
         rmse = text_panel.rmse_of(evaluation.ate, metric)
         if rmse is not None:
             level = np.full(2, rmse)
-            _send_series(recording, entities.metric(quantity), ends, level)
+            send_series(recording, entities.metric(quantity), ends, level)
     if evaluation.protocol.gauge.has_scale:
         level = np.full(2, evaluation.alignment.similarity.scale)
-        _send_series(recording, entities.metric(scene_entities.SCALE), ends, level)
+        send_series(recording, entities.metric(scene_entities.SCALE), ends, level)
     for place, segment in enumerate(evaluation.relative or ()):
         if segment.count:
             length = str(segment.length)
             appearance.declare_length(recording, entities, length, place)
-            _send_series(
+            send_series(
                 recording,
                 entities.metric(scene_entities.RELATIVE_ERROR, length),
                 stamps[segment.errors.ends],
@@ -255,10 +255,11 @@ def _send_available(
             (scene_entities.AVAILABLE_POSITION, samples.position_m),
             (scene_entities.POSE_AGE, samples.age / NANOSECONDS),
         ):
-            _send_series(recording, entities.metric(quantity), samples.stamps, column)
+            send_series(recording, entities.metric(quantity), samples.stamps, column)
 
 
-def _send_series(recording: Any, entity: str, stamps: Stamps, values: Floats) -> None:
+def send_series(recording: Any, entity: str, stamps: Stamps, values: Floats) -> None:
+    """Send a series of numbers; of many, peaks are kept."""
     some = peaks(values, _MOST_NUMBERS)
     entity_data.numbers(values[some]).send(recording, entity, stamps[some])
 

@@ -317,8 +317,7 @@ def _apply(
 ) -> None:
     """Solve again with insignificant parameters at zero, and the clock of the short fit.
 
-    Scale errors of an IMU look like a rotation or a lever arm, and not like a clock. The clock is
-    therefore at zero only if that has the smaller expected error: if it is `noisy`.
+    Scale errors of an IMU do not look like a clock, which is at zero only if it is `noisy`.
     """
     free, rig = chosen.free.copy(), chosen.rig
     fixed = np.zeros(COUNT, dtype=bool)

@@ -17,15 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import InertialSteps, Motions
+from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import InertialSteps
 from trajeval_ros.calibration.groundtruth_doctor.rig import GRAVITY, LEVER, Rig, tangents
-from trajeval_ros.calibration.groundtruth_doctor.sample_rows import (
-    Predicted,
-    SampleRows,
-    TruthSamples,
-    averaged,
-    predict,
-)  # fmt: skip
+from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples, averaged, predict
 from trajeval_ros.calibration.robust_fit import BLOCKS
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Booleans, Floats
@@ -59,12 +53,6 @@ class Horizon:
 
 class JointFit:
     """The fit of one horizon; `solve` changes it."""
-
-    motions: Motions  # of the intervals
-    predicted: Predicted  # the rig at the samples, and their residuals
-    rows: SampleRows  # the measurements of the knots
-    # Inverse of the information of the calibration (10, 10); zero for fixed parameters.
-    covariance_of_model: Floats
 
     def __init__(
         self,
@@ -139,7 +127,10 @@ class JointFit:
         return np.asarray(blocks + after @ self.covariance_of_model @ transposed(after))
 
     def _linearise(self) -> None:
-        """Evaluate residuals and Jacobians at the rig, and factorise the normal matrix."""
+        """Evaluate residuals and Jacobians at the rig, and factorise the normal matrix.
+
+        `motions` are of the intervals, `rows` the measurements of the knots.
+        """
         rig, horizon = self.rig, self.horizon
         self.motions = self.steps.motions(rig.gyro_biases[:-1], rig.acceleration_biases[:-1])
         self.predicted = predict(self.samples, self.steps, self.motions, rig)
@@ -221,7 +212,7 @@ class JointFit:
         scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-30))
         values, vectors = np.linalg.eigh(information * scale[:, None] * scale)
         vectors = vectors * scale[:, None]
-        # An unobservable direction has a large variance and no step.
+        # An unobservable direction has a large variance and no step, a fixed parameter neither.
         stepped = np.where(values > _SINGULAR, values, np.inf)
         self.covariance_of_model, self._step_inverse = np.zeros((2, PARAMETERS, PARAMETERS))
         self.covariance_of_model[free] = (vectors / np.maximum(values, _SINGULAR)) @ vectors.T

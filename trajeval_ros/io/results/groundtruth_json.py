@@ -29,22 +29,16 @@ def groundtruth_json(
     }
     fits = found.fits
     if fits is not None:
-        rig, biases = fits.rig, fits.rig.biases.mean(axis=0).tolist()
+        rig, noise_m, noise_rad = fits.rig, fits.position_noise_m, fits.rotation_noise_rad
+        biases, short, long = rig.biases.mean(axis=0).tolist(), _fit(fits.short), _fit(fits.long)
         result |= {
-            "fits": {
-                "short": _fit(fits.short),
-                "long": _fit(fits.long),
-                "disagree": fits.disagree,
-            },
+            "fits": {"short": short, "long": long, "disagree": fits.disagree},
             "T_imu_marker": hand_eye_json(fits.hand_eye),
             "T_imu_marker_covariance": fits.hand_eye_covariance.tolist(),
             "clock": {"offset_s": rig.offset_s, "skew": rig.skew},
             "gravity_mps2": rig.gravity.tolist(),
             "biases": {"gyroscope_radps": biases[:3], "accelerometer_mps2": biases[3:]},
-            "noise": {
-                "position_m": fits.position_noise_m,
-                "rotation_rad": fits.rotation_noise_rad,
-            },
+            "noise": {"position_m": noise_m, "rotation_rad": noise_rad},
             "residuals": dataclasses.asdict(fits.checks),
             "repaired": {"poses": len(fits.repaired), "covariances": "lower limits"},
         }
