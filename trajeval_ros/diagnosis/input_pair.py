@@ -101,7 +101,7 @@ class TimedPoses:
         """Lengths (N - 1,) of the steps between consecutive poses."""
         return step_lengths(self.positions)
 
-    @property
+    @cached_property
     def extent(self) -> float:
         """Standard deviation of the positions about their mean, units of the source."""
         return float(np.linalg.norm(np.std(self.positions, axis=0))) if len(self) else 0.0
