@@ -116,6 +116,7 @@ def assert_commands_give_values(pair: str, folder: Path, every: int) -> None:
             assert value == pytest.approx(number, rel=1e-9, abs=1e-9), definition
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pair", ["mono_scale", "car_kitti"])
 def test_some_commands_give_their_values(pair: str, tmp_path: Path) -> None:
     assert_commands_give_values(pair, tmp_path, 12)
@@ -407,6 +408,7 @@ def explain_unit(pair: str, number: str) -> Explanation:
 SEQUENCES = ("MH_01", "MH_05", "V2_03")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["vio_mono/{}", "vislam_ba/{}/3"])
 @pytest.mark.parametrize(("key", "alignment"), [("se3_-1", "se3"), ("posyaw_-1", "yaw")])
 def test_two_digits_of_three_sequences_name_the_definition(
