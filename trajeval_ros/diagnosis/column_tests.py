@@ -44,9 +44,9 @@ def _degrees(inputs: InputPair) -> Examined:
         moved = float(np.linalg.norm(sizes[other]))
         extent = float(np.linalg.norm(small))
         ratio = moved / max(extent * _METRES_PER_DEG, 1e-12)
-        in_range = np.abs(sides[side].positions).max(axis=0)[np.argsort(sizes[side])[:2]] <= 180.0
         likely = 1.0 / _FACTOR < ratio < _FACTOR and extent < _DEGREES and moved > _LEAST_M
-        if likely and in_range.all():
+        columns = np.argsort(sizes[side])[:2]
+        if likely and (np.abs(sides[side].positions[:, columns]) <= 180.0).all():
             values: dict[str, Value] = {
                 "side": side,
                 "other": other,
