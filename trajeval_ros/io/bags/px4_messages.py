@@ -252,7 +252,7 @@ def _covariances(fields: _Numbers, worlds: Floats, rotations: Floats) -> Floats:
         variances = fields.of("position_variance orientation_variance", 6)
         found[:, range(6), range(6)] = np.where(variances > 0.0, variances, np.nan)
     blocks = found.reshape(-1, 2, 3, 2, 3)
-    turned = np.einsum("naij,najbk,nblk->naibl", turns, blocks, turns, optimize=True)
+    turned: Floats = np.einsum("naij,najbk,nblk->naibl", turns, blocks, turns, optimize=True)
     return turned.reshape(-1, 6, 6)
 
 

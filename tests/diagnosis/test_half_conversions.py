@@ -17,6 +17,7 @@ from trajeval_ros import read_trajectory
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.up_axis import UpAxis
 
 Array = NDArray[np.float64]
 DATA = SHARED / "data"
@@ -99,3 +100,26 @@ def test_stamps_of_publication_get_no_wrong_name(name: str) -> None:
     pair = recording(name)
     named = causes(pair, stamps=pair.estimate.stamps + 35_000_000)
     assert named == ([] if name == "PX4" else ["small_clock_offset"])
+
+
+KITTI = UpAxis("-y", "KITTI's camera axes")
+
+
+@pytest.mark.parametrize(
+    ("sides", "up", "named"),
+    [
+        (("estimate",), KITTI, "vertical axis of the estimate's frame is probably z, within"),
+        # That of the groundtruth is doubted before, unless the user gives it.
+        (("truth", "estimate"), UpAxis("-y"), "the body turns about z; set --up=-z or --up=z"),
+    ],
+)
+def test_axes_are_named_as_in_the_file(sides: tuple[str, ...], up: UpAxis, named: str) -> None:
+    """KITTI's files, which are read with -y up, have z up if KISS-ICP writes them."""
+    pair = simulated(5004, "car", "walk", 100.0)
+    given = {each: dataclasses.replace(getattr(pair, each), up=up) for each in sides}
+    first = found(dataclasses.replace(pair, **given)).suggested
+    assert first is not None
+    assert named in first.text
+    assert first.tried is not None
+    assert first.tried.ratios[0] < 0.2
+    assert first.correction.get("up", "z,z") in {"z,z", "-z,-z"}
