@@ -343,7 +343,7 @@ def explain_no_match(
         if len(steps) == 1 and steps[0] > 0 and not (stamps % NANOSECONDS).any():
             return (
                 f"{text}; the {'estimate' if is_estimate else 'groundtruth'} probably has numbers "
-                "of frames instead of times; write the times of all frames to times.txt beside it"
+                "of frames instead of times; write the times of all frames to times.txt next to it"
             )
         return f"{text}; one counts from zero (simulated time), the other is a system clock"
     apart = max(groundtruth_s[0] - estimate_s[1], estimate_s[0] - groundtruth_s[1])
