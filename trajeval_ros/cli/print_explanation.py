@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -148,19 +148,17 @@ def _print(found: Explanation, runs: Sequence[Run], up: Axes, unit: str) -> None
         line(f"{100.0 * found.none_probability:5.1f} %  none of these")
 
 
-def _commands(match: Match, truth: str, estimate: str, up: Axes) -> list[str]:
-    lines = []
+def _commands(match: Match, truth: str, estimate: str, up: Axes) -> Iterator[str]:
     for definition in match.definitions:
         command = command_of(definition, up)
         if isinstance(command, str):
-            lines.append(command)
+            yield command
             continue
         sides = (estimate, truth) if command.exchanged else (truth, estimate)
         words = shlex.join(["trajeval", "evaluate", *sides, *command.options])
-        lines.append(f"{words}   # {command.formula}")
+        yield f"{words}   # {command.formula}"
         if command.file:
-            lines.append("protocol.yaml: {" + ", ".join(command.file.splitlines()) + "}")
-    return lines
+            yield "protocol.yaml: {" + ", ".join(command.file.splitlines()) + "}"
 
 
 def _json(found: Explanation, up: Axes) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from trajeval_ros.diagnosis.convention_tests import mirror
+from trajeval_ros.diagnosis.convention_tests import mirror, nearest_axis
 from trajeval_ros.diagnosis.findings import Examined, Seen, Value
 from trajeval_ros.diagnosis.hypotheses import (
     Hypothesis,
@@ -165,18 +165,18 @@ def vertical(
     if both is not None:
         return Examined(name, scores, (both,))
     # The vertical of a side in the frame of the other side: one of its axes, if that is wrong.
-    nearest = {"estimate": _nearest_axis(turned[2]), "groundtruth": _nearest_axis(turned[:, 2])}
-    wrong = {
-        side: axis for side, (axis, off_deg) in nearest.items()
-        if axis != "z" and off_deg <= limit_deg
-    }  # fmt: skip
-    found = [_up_axis(each, axis, nearest[each][1], tilt_deg, ups) for each, axis in wrong.items()]
+    upward = {"estimate": turned[2], "groundtruth": turned[:, 2]}
+    found = [
+        _up_axis(side, nearest_axis(up), _degrees(np.abs(up).max()), tilt_deg, ups)
+        for side, up in upward.items()
+        if nearest_axis(up) != "z" and _degrees(np.abs(up).max()) <= limit_deg
+    ]
     if not found:
         scores["thirds_apart"] = apart_deg / tilt_deg
         values: dict[str, Value] = {"tilt_deg": tilt_deg}
         seen = (Seen("tilted", 1.0, values),) if scores["thirds_apart"] < _ALIKE else ()
         return Examined(name, scores, seen)
-    if "-z" in wrong.values():  # in a plane, a left-handed path has the same motions
+    if nearest_axis(turned[2]) == "-z":  # in a plane, a left-handed path has the same motions
         flipped = dataclasses.replace(as_read, axes=np.diag([1.0, 1.0, -1.0]))
         agreement: Value = 100.0 * (1.0 - as_read.cost / kinds)
         values = {"axes": mirror(flipped, moving), "agreement": agreement, "as_read": agreement}
@@ -208,7 +208,7 @@ def _up_axis(side: str, axis: str, off_deg: float, tilt_deg: float, ups: Ups) ->
 def _in_file(axis: str, up: UpAxis) -> str:
     """Return an axis, such as -y, of a frame with an up axis as it is in the file."""
     row = up.applied["xyz".index(axis[-1])]
-    return _nearest_axis(-row if axis.startswith("-") else row)[0]
+    return nearest_axis(-row if axis.startswith("-") else row)
 
 
 def _shared_vertical(
@@ -227,21 +227,7 @@ def _shared_vertical(
 
 
 def _sideways(axis: int, turned: Floats, ups: Ups) -> Seen:
-    """Return the finding that an axis is vertical, with the gauge that corrects it, too."""
-    up = _both_up(axis, turned, ups)
-    by_gauge = dataclasses.replace(up, values={**up.values, "ups": "", "gauge": "se3"})
-    return dataclasses.replace(up, rivals=(up, by_gauge))
-
-
-def _nearest_axis(up: Floats) -> tuple[str, float]:
-    """Return the signed axis that is nearest to a direction (3,), and the angle between, deg."""
-    nearest = int(np.argmax(np.abs(up)))
-    name = ("-" if up[nearest] < 0.0 else "") + "xyz"[nearest]
-    return name, _degrees(abs(up[nearest]))
-
-
-def _both_up(axis: int, turned: Floats, ups: Ups) -> Seen:
-    """Return the finding that an axis of the groundtruth's frame is vertical.
+    """Return the finding that an axis is vertical, with the gauge that corrects it, too.
 
     `turned` (3, 3) is the rotation from the estimate's world to the groundtruth's.
     """
@@ -250,9 +236,12 @@ def _both_up(axis: int, turned: Floats, ups: Ups) -> Seen:
         f"{_in_file('z', ups[0])} is not the vertical axis of the groundtruth's frame: the body "
         f"turns about {up.lstrip('-')}; set --up={down} or --up={up}"
     )
-    other = _in_file(_nearest_axis(-turned[axis])[0], ups[1])
-    values: dict[str, Value] = {"said": said, "ups": f"{down},{other}", "gauge": ""}
-    return Seen("groundtruth_up_axis", 1.0, values)
+    other = _in_file(nearest_axis(-turned[axis]), ups[1])
+    by_up, by_gauge = (
+        Seen("groundtruth_up_axis", 1.0, {"said": said, "ups": axes, "gauge": gauge})
+        for axes, gauge in ((f"{down},{other}", ""), ("", "se3"))
+    )
+    return dataclasses.replace(by_up, rivals=(by_up, by_gauge))
 
 
 def groundtruth_plane(
@@ -407,13 +396,10 @@ def up_axis_doubt(trajectory: Trajectory) -> str:
     axis = vertical_axis_of(trajectory.positions, trajectory.quaternions)
     if axis is None:
         return ""
-    apart = float(np.degrees(np.arccos(min(abs(float(axis @ trajectory.up.matrix[2])), 1.0))))
-    if apart < _APART_DEG:
+    if _degrees(abs(axis @ trajectory.up.matrix[2])) < _APART_DEG:
         return ""
-    nearest = int(np.argmax(np.abs(axis)))
-    name = "xyz"[nearest]
-    from_it = float(np.degrees(np.arccos(min(abs(float(axis[nearest])), 1.0))))
-    if from_it > _NEAR_DEG:
+    name = nearest_axis(axis).lstrip("-")
+    if _degrees(np.abs(axis).max()) > _NEAR_DEG:
         direction = ", ".join(f"{each:.2f}" for each in axis)
         what = (
             f"the direction ({direction}), which is not an axis; rotate the frame to a "

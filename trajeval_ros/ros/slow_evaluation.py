@@ -109,7 +109,8 @@ class SlowEvaluation:
         some = newest = None
         if thinned.span_s >= self._hints_at_s:
             self._hints_at_s = _GROWTH * thinned.span_s
-            some = Pairs(*(each.copy() for each in thinned.columns()))  # since they change
+            stamps, groundtruth, estimate = thinned.columns()
+            some = Pairs(stamps.copy(), groundtruth.copy(), estimate.copy())  # since they change
         if path is not None and path.version != self._version:
             newest, self._version = path.pairs(), path.version
 

@@ -231,10 +231,8 @@ def _odometry(fields: _Numbers, poses: PoseColumns, *, covariance: bool) -> Pose
         velocities=moved,
         covariances=_covariances(fields, worlds, rotations) if covariance else None,
     )
-    faults = {
-        "no_position": no_position, "no_orientation": no_orientation, "unknown_frame": unknown
-    }  # fmt: skip
-    return _usable(poses, frames, **faults)
+    faults = {"no_position": no_position, "no_orientation": no_orientation}
+    return _usable(poses, frames, **faults, unknown_frame=unknown)
 
 
 def _covariances(fields: _Numbers, worlds: Floats, rotations: Floats) -> Floats:
@@ -314,13 +312,13 @@ def about_px4(columns: PoseColumns) -> Iterator[Remark]:
         yield note("converted_axes", f"converted from {world} and a body in FRD to ROS axes")
     failed = 0 if columns.flags is None else int(np.count_nonzero(columns.flags[:, 1] < 0))
     if columns.covariances is not None:
-        lacking = np.isnan(columns.covariances.diagonal(axis1=1, axis2=2)[:, [0, 3]]).sum(axis=0)
+        unknown = np.isnan(columns.covariances.diagonal(axis1=1, axis2=2)[:, [0, 3]])
         said = [
-            f"{counted(int(count), 'message')} without variances of the {what}"
-            for count, what in zip(lacking, ("position", "orientation"), strict=True)
-            if count
+            f"{counted(int(lacks.sum()), 'message')} without variances of the {what}"
+            for lacks, what in zip(unknown.T, ("position", "orientation"), strict=True)
+            if lacks.any()
         ]
-        if said and lacking.min() < len(columns.stamps):
+        if said and not unknown.all():
             text = f"covariances are incomplete: {', '.join(said)}"
             yield note("incomplete_covariances", text)
     if failed:
