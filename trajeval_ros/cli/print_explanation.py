@@ -130,7 +130,7 @@ def _print(found: Explanation, runs: Sequence[Run], up: Axes, unit: str) -> None
         f"{counted(found.searched, 'definition')}, {found.matching} match; of an unrelated number "
         f"{found.expected:.2g} are expected (any: {100.0 * found.any_probability:.0f} %)"
     )
-    if not all(PublishedNumber.parse(each, unit).unit for *_, texts in runs for each in texts):
+    if not all(PublishedNumber.parse(text, unit).unit for *_, texts in runs for text in texts):
         line("note: numbers without a unit are compared in m, %, deg and deg/m; set --unit")
     line(_VERDICTS[found.verdict])
     for match in (found.matches or found.nearest)[:_SHOWN]:
