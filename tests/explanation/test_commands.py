@@ -87,6 +87,7 @@ def assert_commands_give_values(pair: str, folder: Path, every: int) -> None:
             assert value == pytest.approx(number, rel=1e-9, abs=1e-9), definition
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pair", ["mono_scale", "car_kitti"])
 def test_some_commands_give_their_values(pair: str, tmp_path: Path) -> None:
     assert_commands_give_values(pair, tmp_path, 12)

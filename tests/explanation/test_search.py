@@ -197,6 +197,7 @@ def explain_unit(pair: str, number: str) -> Explanation:
 SEQUENCES = ("MH_01", "MH_05", "V2_03")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["vio_mono/{}", "vislam_ba/{}/3"])
 @pytest.mark.parametrize(("key", "alignment"), [("se3_-1", "se3"), ("posyaw_-1", "yaw")])
 def test_two_digits_of_three_sequences_name_the_definition(

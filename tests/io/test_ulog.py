@@ -360,6 +360,7 @@ def test_damage_is_reported_and_refused_if_strict(tmp_path: Path) -> None:
         read_trajectory(f"{path}:vehicle_odometry")
 
 
+@pytest.mark.slow
 def test_a_log_without_pyulog_names_the_command(tmp_path: Path) -> None:
     path = tmp_path / "log.ulg"
     write_ulog(path, [("vehicle_odometry", 0, odometry())])
@@ -434,6 +435,7 @@ def _topics(reference: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any
                 yield log, name, expected
 
 
+@pytest.mark.slow
 @needs_data
 def test_errors_equal_the_reference() -> None:
     reference = json.loads((SHARED / "reference" / "px4.json").read_text())

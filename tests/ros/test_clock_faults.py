@@ -108,6 +108,7 @@ def test_clocks_with_nothing_in_common_are_reported_within_three_seconds(
     live.end()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late_s", [0.0, 5.0])
 @pytest.mark.parametrize("rate", [0.5, 1.0, 15.0])
 def test_equal_clocks_are_not_reported_at_any_rate(
@@ -174,6 +175,7 @@ def test_an_estimator_that_stalls_and_catches_up_has_no_faulty_clock(tmp_path: P
     live.end()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("on_time_jump", ["reset", "ignore"])
 @pytest.mark.parametrize("rate", [1.0, 8.0])
 @pytest.mark.parametrize("of_groundtruth", [False, True])
@@ -207,6 +209,7 @@ def test_a_step_of_one_clock_is_a_warning_until_a_reset(
     assert "clock_step" in [each["code"] for each in run["remarks"]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step_s", [-5.0, 5.0])
 def test_a_step_of_both_clocks_is_a_new_run_and_no_fault(tmp_path: Path, step_s: float) -> None:
     live = Live(tmp_path / "live", ODOM)
@@ -258,6 +261,7 @@ def test_a_stream_of_unusable_poses_is_a_warning_at_once(tmp_path: Path, kind: s
     live.end()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "is_told"), [(0.08, True), (0.02, False)])
 @pytest.mark.parametrize("kind", list(KINDS))
 def test_a_share_of_unusable_poses_is_a_warning_live_and_in_the_result(

@@ -37,6 +37,12 @@ _RUNAWAY, _RUNAWAY_SINCE = 0.1, 1.0 / 3.0
 _AGREES_AGAIN, _AGREES_M = 6, 0.5  # steps in a row that end a divergence, with this motion
 
 
+# A step is plain floats, since arrays of three are slower: time in seconds, displacements of
+# groundtruth and estimate, and their lengths.
+_Vector = tuple[float, float, float]
+_Step = tuple[float, _Vector, _Vector, float, float]
+
+
 class Divergence:
     """Accumulates the differences of displacements; a CUSUM test of each of two series.
 
@@ -49,13 +55,14 @@ class Divergence:
         self.losses: list[Loss] = []
         self._first: int | None = None  # stamp
         self._cell = 0  # of the newest used pair
-        self._newest: tuple[int, Floats, Floats] | None = None
-        self._waiting: deque[tuple[float, Floats, Floats]] = deque()
-        # Sums with fading memory: products of displacements (3, 3), of their lengths.
-        self._products = np.zeros((3, 3))
+        self._newest: tuple[int, _Vector, _Vector] | None = None
+        self._waiting: deque[_Step] = deque()
+        # Sums with fading memory: products of displacements (9), row by row, of their lengths.
+        self._products: tuple[float, ...] = (0.0,) * 9
         self._true_true = self._true_own = self._own_own = self._true_m = self._time_s = 0.0
         self._first_scale = 0.0  # metres per unit of the estimate
-        self._learned, self._rotation = 0, np.eye(3)
+        self._learned = self._solved = 0  # number of steps, now and at the solution
+        self._rotation: list[float] = np.eye(3).ravel().tolist()  # row by row
         self._sum_m = self._lengths_m = 0.0
         self._before_m = 0.0, 0.0
         self._begin_ns, self._since_m, self._moved_m = 0, 0.0, 0.0
@@ -76,43 +83,47 @@ class Divergence:
         cells = (stamps - self._first) // _STEP_NS
         rows = np.flatnonzero(np.diff(cells, prepend=self._cell) > 0)
         self._cell = int(cells[-1])
-        for stamp, true, own in zip(
-            stamps[rows].tolist(), groundtruth[rows], estimate[rows], strict=True
-        ):
-            self._step(stamp, true, own)
+        columns = (each[rows].tolist() for each in (stamps, groundtruth, estimate))
+        for stamp, true, own in zip(*columns, strict=True):
+            self._take(stamp, true, own)
 
-    def _step(self, stamp: int, true: Floats, own: Floats) -> None:
+    def _take(self, stamp: int, true: _Vector, own: _Vector) -> None:
         newest, self._newest = self._newest, (stamp, true, own)
         if newest is None:
             self._begin_ns = stamp
             return
         time_s = (stamp - newest[0]) / NANOSECONDS
-        true_step, own_step = true - newest[1], own - newest[2]
-        true_m, own_m = math.hypot(*true_step.tolist()), math.hypot(*own_step.tolist())
+        true_step, own_step = _difference(true, newest[1]), _difference(own, newest[2])
+        true_m, own_m = math.hypot(*true_step), math.hypot(*own_step)
         if min(true_m, own_m) <= _SAME:  # compare with the next pose that differs
             self._newest = newest if time_s < _LONGEST_S else self._newest
             return
         if time_s > _LONGEST_S:
             return
         is_lost = bool(self.losses) and not self.losses[-1].is_over
-        self._waiting.append((time_s, true_step, own_step))
+        self._waiting.append((time_s, true_step, own_step, true_m, own_m))
         if len(self._waiting) > _LAG:
             learned = self._waiting.popleft()
             if not is_lost:
-                self._learn(*learned)
+                self._learn(learned)
         if self._true_m < _LEAST_M or self._learned < _LEAST_STEPS:
             self._begin_ns = stamp
             return
         scale = self._true_own / self._own_own
         self._first_scale = self._first_scale or scale
-        turned = self._rotation @ own_step * scale - true_step
         explained_m = _DRIFT * true_m + _NOISE_MPS * time_s
-        unit = max(1.0, self._true_m / self._time_s / _SLOW_MPS)
-        difference_m = (math.hypot(*turned.tolist()) - explained_m) / unit
-        of_lengths_m = (abs(scale * own_m - true_m) - explained_m) / unit
+        difference_m = self._difference_m(scale, true_step, own_step)
+        if difference_m > explained_m and self._learned >= self._solved + _SOLVE_EVERY:
+            self._solve()  # as the last solution does not explain the step
+            difference_m = self._difference_m(scale, true_step, own_step)
         if self._sum_m == 0.0 and not is_lost:
+            if difference_m <= explained_m and self._agreed:
+                return  # the usual case: the sum stays zero
             self._begin_ns, self._since_m, self._moved_m = newest[0], 0.0, 0.0
             self._lengths_m, self._before_m = 0.0, (0.0, 0.0)
+        unit = max(1.0, self._true_m / self._time_s / _SLOW_MPS)
+        difference_m = (difference_m - explained_m) / unit
+        of_lengths_m = (abs(scale * own_m - true_m) - explained_m) / unit
         self._since_m += true_m
         self._moved_m += own_m * (scale if self._agreed else self._first_scale)
         self._sum_m = _accumulated(self._sum_m, difference_m)
@@ -152,8 +163,8 @@ class Divergence:
             self._sum_m = 0.0
             self._waiting.clear()
 
-    def _learn(self, time_s: float, true_step: Floats, own_step: Floats) -> None:
-        true_m, own_m = math.hypot(*true_step.tolist()), math.hypot(*own_step.tolist())
+    def _learn(self, step: _Step) -> None:
+        time_s, (x, y, z), (u, v, w), true_m, own_m = step
         scale = self._true_own / self._own_own if self._own_own else 0.0
         if self._true_m > 1.0 and scale * own_m > _OUTLIER * max(true_m, _OUTLIER_M):
             return
@@ -161,15 +172,30 @@ class Divergence:
         kept = math.exp(-time_s / _MEMORY_S) if true_m > _NOISE_MPS * time_s else 1.0
         self._true_m = kept * self._true_m + true_m
         self._time_s = kept * self._time_s + time_s
-        self._products = kept * self._products + np.outer(true_step, own_step)
+        xu, xv, xw, yu, yv, yw, zu, zv, zw = (kept * each for each in self._products)
+        self._products = (
+            *(xu + x * u, xv + x * v, xw + x * w),
+            *(yu + y * u, yv + y * v, yw + y * w),
+            *(zu + z * u, zv + z * v, zw + z * w),
+        )
         self._true_true = kept * self._true_true + true_m * true_m
         self._true_own = kept * self._true_own + true_m * own_m
         self._own_own = kept * self._own_own + own_m * own_m
         self._learned += 1
-        if self._learned % _SOLVE_EVERY == 1:
-            # A reflection is allowed: mirrored axes are no divergence.
-            left, _, right = np.linalg.svd(self._products)
-            self._rotation = left @ right
+
+    def _solve(self) -> None:
+        # A reflection is allowed: mirrored axes are no divergence.
+        left, _, right = np.linalg.svd(np.reshape(self._products, (3, 3)))
+        self._rotation, self._solved = (left @ right).ravel().tolist(), self._learned
+
+    def _difference_m(self, scale: float, true: _Vector, own: _Vector) -> float:
+        """Return the distance of a displacement from the estimate's, turned and scaled, metres."""
+        (x, y, z), turned = own, self._rotation
+        return math.hypot(
+            scale * (turned[0] * x + turned[1] * y + turned[2] * z) - true[0],
+            scale * (turned[3] * x + turned[4] * y + turned[5] * z) - true[1],
+            scale * (turned[6] * x + turned[7] * y + turned[8] * z) - true[2],
+        )
 
     @property
     def _agreed(self) -> bool:
@@ -182,6 +208,10 @@ class Divergence:
         """Whether the estimate moves ever faster than the groundtruth from the start."""
         scale = self._true_own / self._own_own
         return scale < min(_RUNAWAY, _RUNAWAY_SINCE * self._first_scale)
+
+
+def _difference(one: _Vector, other: _Vector) -> _Vector:
+    return one[0] - other[0], one[1] - other[1], one[2] - other[2]
 
 
 def _accumulated(sum_m: float, more_m: float) -> float:
