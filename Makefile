@@ -246,7 +246,7 @@ endif
 # Without a compiler there is none; then it says so, and the tests of /tf are skipped.
 $(ROS)/.tf2_msgs: $(ROS)/.installed .ci/make_tf2_msgs .ci/tf2_msgs-requirements.txt \
 		$(wildcard tests/tf2_msgs/* tests/tf2_msgs/msg/* \
-		tests/rosbag2_interfaces/* tests/rosbag2_interfaces/srv/*)
+		tests/rosbag2_interfaces/* tests/rosbag2_interfaces/srv/* tests/px4_msgs/* tests/px4_msgs/msg/*)
 	bash .ci/make_tf2_msgs $(ROS)
 
 $(COLCON)/.installed: pyproject.toml setup.py constraints.txt .ci/colcon-requirements.txt

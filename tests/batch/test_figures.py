@@ -39,6 +39,7 @@ def test_figures_are_written_as_files(tmp_path: Path) -> None:
     assert list(figures.glob("*hall*"))
 
 
+@pytest.mark.slow
 def test_who_covers_less_than_the_others_is_never_the_best(tmp_path: Path) -> None:
     config = write_runs(tmp_path, sequences=("hall",), trials=1)
     write_run(tmp_path / "good" / "hall_trial0.txt", 1.001, count=150, seconds=10.0)

@@ -46,6 +46,7 @@ def results(folder: Path) -> list[str]:
     return [str(each.parent) for each in sorted(folder.glob("*/result.json"))]
 
 
+@pytest.mark.slow
 def test_finished_results_have_their_own_numbers(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert main(["compare", *results(folder), "--output", str(out), "--quiet"]) == 0

@@ -178,6 +178,7 @@ def test_p_falls_if_new_errors_grow(paired: bool, data: st.DataObject) -> None:
     assert p[-1] == pytest.approx(1.0 / (2**4 if paired else 70))
 
 
+@pytest.mark.slow
 @given(runs())
 @settings(max_examples=25, deadline=None)
 def test_the_level_is_exact_over_all_relabellings(
@@ -291,6 +292,7 @@ def test_failures_are_pooled_over_numbers() -> None:
 
 # Bounds are missed by a true rate of 2.5 % once in a thousand. With two levels, Student's test
 # alarms in 7 to 12 %.
+@pytest.mark.slow
 @pytest.mark.parametrize("spread", ["two levels", "outliers"])
 @pytest.mark.parametrize(("sequences", "trials"), [(1, 5), (11, 1), (11, 2), (11, 3), (3, 10)])
 def test_no_change_seldom_alarms(sequences: int, trials: int, spread: str) -> None:

@@ -58,6 +58,7 @@ def sizes(wire: Any, tmp_path_factory: pytest.TempPathFactory) -> dict[str, int]
     return {file.name: file.stat().st_size for file in folder.iterdir()}
 
 
+@pytest.mark.slow
 def test_five_runs_of_which_one_is_poisoned(
     sizes: dict[str, int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -92,6 +93,7 @@ def test_bytes_of_all_runs_are_counted_and_no_more_are_transferred(
     assert total < wire.carried - before < 1.3 * total  # with the headers of all answers
 
 
+@pytest.mark.slow
 def test_the_last_line_states_what_was_fetched(
     sizes: dict[str, int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -128,6 +130,7 @@ def test_patterns_are_listed_in_a_store(tmp_path: Path) -> None:
     assert [run for run in plan.runs if not run.missing] == list(listed.runs)
 
 
+@pytest.mark.slow
 def test_a_store_that_does_not_answer_is_one_sentence(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

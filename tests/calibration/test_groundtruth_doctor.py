@@ -242,6 +242,7 @@ def test_rest_is_inconclusive() -> None:
     assert any("the rig does not turn" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_a_car_does_not_determine_the_height_of_the_marker() -> None:
     found = examined(rig(2, "car", duration_s=60.0, offset_s=0.02))
     assert found.causes["lever_arm"].verdict == "inconclusive"

@@ -162,6 +162,7 @@ def test_irregular_but_honest_stamps_are_no_arrivals() -> None:
     assert not hints(evaluate(truth[kept], estimate, YAW))
 
 
+@pytest.mark.slow
 def test_stamps_of_a_real_estimator_that_are_late(recording: Recording) -> None:
     # They are in a camera's axes, which their frames' names don't tell.
     truth, late, well = (

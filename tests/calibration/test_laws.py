@@ -141,6 +141,7 @@ def test_clocks_of_different_epochs(epoch_apart_s: float) -> None:
     assert found.offset.value[0] - epoch_apart_s == pytest.approx(0.08, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_reliabilities_are_correlations() -> None:
     for kind in ("drone", "car", "straight", "translating", "static"):
         found = calibrate(*fly(7, 40.0, kind, FAULT))

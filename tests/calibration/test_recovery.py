@@ -146,6 +146,7 @@ def test_recordings_with_one_clock_are_left_alone(recording: Recording, name: st
         assert np.linalg.norm(calibration.lever.value) < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_recordings_show_a_clock_and_a_body_that_are_put_on_them(
     recording: Recording, name: str

@@ -58,6 +58,7 @@ def test_a_groundtruth_is_repaired_and_evaluated_against(
     assert json.loads((tmp_path / "e.json").read_text())["runs"][0]["consistency"]
 
 
+@pytest.mark.slow
 def test_velocities_and_biases_are_saved(bag: Path, tmp_path: Path) -> None:
     command = ["groundtruth", f"{bag}:/mocap", "--imu", f"{bag}:/imu", "--imu-noise", "1e-3,2e-2"]
     assert main([*command, "--save-as", "euroc", "--output", str(tmp_path), "--quiet"]) == 0

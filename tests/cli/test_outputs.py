@@ -21,6 +21,7 @@ __all__ = ["pair"]  # a fixture
 needs_pipes = pytest.mark.skipif(os.name != "posix", reason="there are no named pipes")
 
 
+@pytest.mark.slow
 @needs_pipes
 @pytest.mark.parametrize(
     ("more", "status"),
@@ -123,6 +124,7 @@ def assert_not_followed(links: dict[Path, Path]) -> None:
         assert victim.read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_links_in_a_folder_of_results_are_not_followed(pair: list[str], tmp_path: Path) -> None:
     assert main([*pair, "-q", "--output", str(tmp_path / "made")]) == 0
     links = made_links(tmp_path / "out", tmp_path / "made", tmp_path / "mine")
@@ -197,6 +199,7 @@ def test_a_comparison_replaces_only_results_of_a_comparison(
     assert [each.name for each in path.parent.iterdir()] == [name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["result.json", "errors.npz", "errors.parquet", "absolute_error.png"]
 )
@@ -213,6 +216,7 @@ def test_an_evaluation_replaces_only_results_of_an_evaluation(
     assert (tmp_path / "run.rrd").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_an_evaluation_replaces_what_an_interrupted_one_has_left(
     pair: list[str], tmp_path: Path
 ) -> None:
@@ -285,6 +289,7 @@ def test_options_that_would_do_nothing_are_refused(
     assert main([*pair, *more, "-q"]) == 0
 
 
+@pytest.mark.slow
 def test_names_in_any_letters_are_drawn_without_complaint(
     pair: list[str], tmp_path: Path, recwarn: pytest.WarningsRecorder
 ) -> None:

@@ -62,6 +62,7 @@ def _noise(sigmas: Floats, count: int) -> Floats:
     return np.tile(np.diag(sigmas**2), (count, 1, 1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noisy", [False, True])
 @pytest.mark.parametrize("alignment", ALIGNMENTS)
 def test_bands_of_a_long_run_are_those_of_the_dense_covariance(

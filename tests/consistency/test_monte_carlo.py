@@ -279,6 +279,7 @@ def test_bound_from_marginals_acquits_the_honest_and_convicts_the_bad(
         assert np.mean(bad) > 1.0
 
 
+@pytest.mark.slow
 def test_honest_samples_few_runs() -> None:
     """The same as above in small, for every run of the tests."""
     scene = scene_of("rec", "random")

@@ -82,6 +82,7 @@ def test_a_real_recording_is_not_named() -> None:
     assert remark_of(estimate.stamps, estimate.covariances[:, 3:, 3:]) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", ["paper", "stereo", "euroc"])
 def test_no_simulated_estimator_is_named(profile: str, tmp_path: Path) -> None:
     from trajeval_ros.cli.app import main

@@ -441,6 +441,7 @@ def test_half_turns_in_a_gap_are_said(model: str) -> None:
     assert np.isfinite(belief.covariances).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("count", [2, 3, 4, 7])
 def test_few_samples(model: str, count: int) -> None:

@@ -320,6 +320,7 @@ def test_diagnose_helps_where_nothing_can_be_evaluated(
     assert re.search(r"--time-offset=-3600\.\d", shown) or "--time-offset=-3599.9" in shown
 
 
+@pytest.mark.slow
 def test_a_comparison_marks_a_run_that_shows_a_mistake(tmp_path: Path) -> None:
     pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     from trajeval_ros.batch.compare_runs import compare

@@ -118,6 +118,7 @@ def test_a_jump_with_the_same_heading_is_no_restart(oriented: bool) -> None:
     assert causes(found(pair)) == ([] if oriented else ["restart"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", ["mirrored", "wxyz, estimate", "clock +18 s"])
 @pytest.mark.parametrize("second", ["estimate in mm", "marker", "scale lost"])
 def test_after_the_graver_mistake_is_mended_the_other_is_named(first: str, second: str) -> None:

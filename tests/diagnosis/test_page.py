@@ -90,6 +90,7 @@ def test_every_cause_has_an_entry() -> None:
     assert set(CAUSES) == ROWS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cause", CAUSES)
 def test_a_message_states_what_is_wrong_and_what_to_do(cause: str) -> None:
     said, _, advice = printed(cause).rpartition("; ")

@@ -32,6 +32,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), CASES)
 def test_a_mistake_of_users_is_named_and_corrected(name: str, kind: str) -> None:
     pair = RUNS[kind]
@@ -45,6 +46,7 @@ def test_a_mistake_of_users_is_named_and_corrected(name: str, kind: str) -> None
         assert left_by_corrections(pair, wrong) < CORRECTED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*sorted(USERS), *sorted(MISTAKES)])
 def test_no_advice_makes_the_ate_worse(name: str) -> None:
     wrong = {**USERS, **MISTAKES}[name].make(CAR)

@@ -30,7 +30,7 @@ from trajeval_ros.formatting.text_tables import (
     latex_table,
     markdown_table,
 )
-from trajeval_ros.report.console import Console, Table, console, show
+from trajeval_ros.report.console import WARNING, Console, Table, console, show
 
 ATTACK = "\x1b]0;x\x07\x9b31m\u202egnp.exe\u2028\x7f"
 SHOWN = r"\x1b]0;x\x07\x9b31m\u202egnp.exe\u2028\x7f"
@@ -238,6 +238,31 @@ def test_columns_are_aligned_and_nothing_is_cut(
     for name, numbers in rows:
         for cell in (name, *numbers):
             assert all(word in shown for word in one_line(cell).split())
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(
+    ("variables", "shown"),
+    [
+        ({"TERM": "xterm"}, "\x1b[33mwarning: late\x1b[0m\n"),
+        ({"TERM": "xterm", "NO_COLOR": "1"}, "warning: late\n"),
+        ({"TERM": "dumb"}, "warning: late\n"),
+    ],
+)
+def test_warnings_are_yellow_in_a_terminal_that_has_and_may_have_colours(
+    variables: dict[str, str], shown: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("TERM", "NO_COLOR"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    for stream, expected in ((Terminal(), shown), (io.StringIO(), "warning: late\n")):
+        console(stream).print("warning: late", WARNING, soft_wrap=True)
+        assert stream.getvalue() == expected
 
 
 def test_a_narrow_terminal_wraps_numbers_and_marks_what_is_marked() -> None:

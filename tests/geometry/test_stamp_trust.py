@@ -93,6 +93,7 @@ wrong = st.dictionaries(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=8)
 @given(seed=seeds, groundtruth_faults=wrong, faults=wrong, batch=st.integers(1, 50))
 def test_live_is_offline_whatever_stamps_are_wrong(

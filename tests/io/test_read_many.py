@@ -204,6 +204,7 @@ def assert_no_silent_loss(sources: Sequence[str]) -> list[Trajectory | str]:
 # The law.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strict", [False, True])
 @pytest.mark.parametrize("kind", MAKE)
 def test_sources_read_together_are_as_read_alone(kind: str, strict: bool, tmp_path: Path) -> None:
@@ -215,6 +216,7 @@ def test_sources_read_together_are_as_read_alone(kind: str, strict: bool, tmp_pa
     assert "are static" in str(found[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", MAKE)
 def test_the_law_holds_for_damaged_bags(kind: str, tmp_path: Path) -> None:
     bag = MAKE[kind](tmp_path / "x")

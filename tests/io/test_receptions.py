@@ -242,6 +242,7 @@ def test_evaluate_states_arrivals_gaps_and_missed_messages(
     assert said in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_wheel_odometry_of_a_real_robot(shared_data: Path, tmp_path: Path) -> None:
     bag = shared_data / "gnss" / "husky_outdoor.bag"
     sources = f"{bag}:/fix", f"{bag}:/husky_velocity_controller/odom"

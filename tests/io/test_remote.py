@@ -45,6 +45,7 @@ def upload_text(name: str, text: str) -> None:
     (upath.UPath(STORE) / name).write_text(text)
 
 
+@pytest.mark.slow
 def test_only_ranges_are_transferred(wire: Any, tmp_path: Path) -> None:
     size = upload(among_images(tmp_path / "x.mcap"))
     before = wire.carried
@@ -52,6 +53,7 @@ def test_only_ranges_are_transferred(wire: Any, tmp_path: Path) -> None:
     assert wire.carried - before < 0.05 * size
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("wire")
 def test_what_is_compressed_or_cut_is_read_as_well(tmp_path: Path) -> None:
     upload(mcap_file(tmp_path / "zstd.mcap", compression=CompressionType.ZSTD))

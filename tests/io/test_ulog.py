@@ -179,9 +179,36 @@ def test_unusable_poses_are_dropped_and_counted(tmp_path: Path) -> None:
     assert "2 messages with quality -1" in said(found)
 
 
-def test_without_variances_there_is_no_covariance(tmp_path: Path) -> None:
-    columns = odometry(position_variance=np.zeros((COUNT, 3)))
-    assert read(tmp_path, "vehicle_odometry", columns).covariances is None
+def test_variances_of_one_kind_are_kept_and_the_missing_ones_counted(tmp_path: Path) -> None:
+    """Also of the layout of PX4 1.13, which has a triangle of a matrix."""
+    columns = odometry()
+    columns["position_variance"][4:] = np.nan
+    columns["orientation_variance"][:3] = 0.0
+    found = read(tmp_path, "vehicle_odometry", columns)
+    whole = read(tmp_path, "vehicle_odometry", odometry())
+    assert found.covariances is not None
+    assert whole.covariances is not None
+    expected = whole.covariances.copy()
+    expected[4:, :3, :3] = expected[:3, 3:, 3:] = np.nan
+    np.testing.assert_array_equal(found.covariances, expected)
+    assert "covariances are incomplete: 26 messages without variances of the position, 3" in said(
+        found
+    )
+    assert "incomplete" not in said(whole)
+    old = {name: columns[name] for name in ("timestamp", "timestamp_sample", "q")}
+    old |= dict(zip("xyz", columns["position"].T, strict=True))
+    old |= dict(zip(("vx", "vy", "vz"), columns["velocity"].T, strict=True))
+    triangle = np.full((COUNT, 21), 1e-3)
+    triangle[:, 15] = np.nan
+    old |= {"local_frame": np.zeros(COUNT, dtype=np.uint8), "pose_covariance": triangle}
+    found = read(tmp_path, "vehicle_odometry", old)
+    assert found.covariances is not None
+    assert np.isfinite(found.covariances[:, :3, :3]).all()
+    assert "30 messages without variances of the orientation" in said(found)
+    nothing = {f"{each}_variance": np.zeros((COUNT, 3)) for each in ("position", "orientation")}
+    found = read(tmp_path, "vehicle_odometry", odometry(**nothing))
+    assert found.covariances is None
+    assert "incomplete" not in said(found)
 
 
 def test_declared_resets_have_a_step_and_a_turn(tmp_path: Path) -> None:
@@ -333,6 +360,7 @@ def test_damage_is_reported_and_refused_if_strict(tmp_path: Path) -> None:
         read_trajectory(f"{path}:vehicle_odometry")
 
 
+@pytest.mark.slow
 def test_a_log_without_pyulog_names_the_command(tmp_path: Path) -> None:
     path = tmp_path / "log.ulg"
     write_ulog(path, [("vehicle_odometry", 0, odometry())])
@@ -407,6 +435,7 @@ def _topics(reference: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any
                 yield log, name, expected
 
 
+@pytest.mark.slow
 @needs_data
 def test_errors_equal_the_reference() -> None:
     reference = json.loads((SHARED / "reference" / "px4.json").read_text())

@@ -101,6 +101,7 @@ def test_rest_has_no_scale() -> None:
         joint_log_likelihood(groundtruth, resting, Gauge.SIM3, np.eye(4))
 
 
+@pytest.mark.slow
 def test_without_a_scale_the_reason_is_stated() -> None:
     """A constant rotation of the body, as of a marker: the most likely scale is zero."""
 

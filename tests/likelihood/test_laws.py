@@ -174,6 +174,7 @@ def test_first_order_residuals_of_eq_20_to_26(seed: int) -> None:
         assert moved[pose] == pytest.approx(density, rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gauge", GAUGES)
 @given(seed=seeds)
 @settings(max_examples=8)
@@ -212,6 +213,7 @@ def test_millimetres_change_a_score_by_a_constant() -> None:
     assert score(in_mm, other, Gauge.SE3) == pytest.approx(expected, abs=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("density", ["haar", "log"])
 @pytest.mark.parametrize("gauge", [*GAUGES, Gauge.TRANSLATION])
 @given(seed=seeds)
@@ -258,6 +260,7 @@ def test_relinearised_edges_add_up_to_the_exact_error() -> None:
         assert abs(literal - error.log_likelihood) > 0.3
 
 
+@pytest.mark.slow
 def test_first_order_is_off_by_the_square_of_the_noise() -> None:
     sizes = np.radians([1.0, 3.0, 10.0])
     missed = []

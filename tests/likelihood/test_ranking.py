@@ -100,6 +100,7 @@ def bayes_factors(flight: Flight) -> tuple[float, float]:
     return joint[0] - joint[1], single[0] - single[1]
 
 
+@pytest.mark.slow
 def test_evidence_does_not_grow_with_the_estimates_rate() -> None:
     slow = bayes_factors(fly(5, estimate_hz=5.0))
     fast = bayes_factors(fly(5, estimate_hz=40.0))

@@ -182,6 +182,7 @@ def rough(seed: int, count: int = 900) -> tuple[Trajectory, Trajectory]:
     return truth, received(stamps, states.positions + walk, quaternions, times)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10**6), st.sampled_from(["hold", "constant"]))
 def test_parts_shares_and_ages_add_up(seed: int, motion: str) -> None:
     truth, estimate = rough(seed)
@@ -202,6 +203,7 @@ def test_parts_shares_and_ages_add_up(seed: int, motion: str) -> None:
         assert sum(getattr(each, share) for each in numbers.parts.values()) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10**6))
 def test_no_later_message_is_older_and_none_is_used_before_its_reception(seed: int) -> None:
     truth, estimate = rough(seed)
@@ -214,6 +216,7 @@ def test_no_later_message_is_older_and_none_is_used_before_its_reception(seed: i
         assert stamp - age == estimate.stamps[had].max()
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10**6), st.integers(-50, 50))
 def test_wrong_timestamps_do_not_change_the_held_error(seed: int, shift_ms: int) -> None:
     truth, estimate = rough(seed)

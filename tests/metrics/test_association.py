@@ -355,6 +355,18 @@ def test_a_groundtruth_state_in_many_pairs_is_covered_once() -> None:
     assert pairs.groundtruth_coverage == len(used) / len(truth)
 
 
+@pytest.mark.parametrize("who", ["groundtruth", "estimate"])
+@pytest.mark.parametrize("first", [0, 3])
+def test_numbers_of_frames_are_no_times(who: str, first: int) -> None:
+    """As the first column of VGGT-SLAM; whole times of a system clock are none."""
+    clocked = Trajectory(10**9 * np.arange(1_700_000_000, 1_700_000_040), np.zeros((40, 3)))
+    counted = Trajectory(10**9 * (first + 5 * np.arange(40)), np.zeros((40, 3)))
+    sides = (counted, clocked) if who == "groundtruth" else (clocked, counted)
+    said = f"the {who} probably has numbers of frames instead of times; write the times of all"
+    with pytest.raises(NoMatchError, match=said):
+        associate(*sides, AssociationRule("linear"))
+
+
 @pytest.mark.parametrize("method", ["linear", "nearest", "rpg", "evo"])
 @pytest.mark.parametrize(
     ("truth", "estimate", "cause"),

@@ -37,6 +37,7 @@ def test_fixes_are_where_they_are(recording: Recording, husky: Any) -> None:
     assert np.unique(fixes.reading.fixes.covariance_types).tolist() == [1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weights", WEIGHTS)
 @pytest.mark.parametrize("gauge", ["planar", "yaw", "se3", "sim3"])
 def test_a_wheeled_robot(gauge: str, weights: str, recording: Recording, husky: Any) -> None:
@@ -133,6 +134,7 @@ def test_half_an_estimate(
     assert found.ate["position_m"].rmse == pytest.approx(known["error_3d"]["rmse"], **EXACT)
 
 
+@pytest.mark.slow
 def test_dense_positions(recording: Recording, reference: Callable[[str], Any]) -> None:
     known = reference("gnss")["hilti_2021"]["uzh"]
     truth, estimate = (recording(f"hilti_2021/uzh_run2_{each}.txt") for each in ("mocap", "hdl"))

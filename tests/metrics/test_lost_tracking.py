@@ -98,6 +98,7 @@ def delays(pairs_of: str, poses: Floats, begin: int) -> tuple[Loss, float, float
     return loss, found[False], found[True]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", sorted(PAIRS))
 @pytest.mark.parametrize("begin", [400, 550, 700])
 def test_a_frozen_estimate_is_a_warning_in_2_s_and_an_error_in_5_s(kind: str, begin: int) -> None:

@@ -28,6 +28,7 @@ def noise_of(correlation_s: float) -> np.ndarray:
     return correlations_of(STAMPS, correlation_s)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlation_s", [0.0, 30.0, 1e6])
 def test_the_square_has_no_bias(correlation_s: float) -> None:
     random = np.random.default_rng(1)
@@ -165,6 +166,7 @@ def test_covariances_that_nobody_knows_give_no_figure(kind: int) -> None:
         assert low <= found.own_error.ate_m <= high
 
 
+@pytest.mark.slow
 def test_heights_that_change_their_meaning_are_told() -> None:
     stepping = PATH.copy()
     stepping[80:, 2] += 47.0

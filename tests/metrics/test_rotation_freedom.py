@@ -261,6 +261,7 @@ def test_positions_alone_are_no_reason_for_a_warning(roll_deg: float) -> None:
     assert freedom.std_deg > 2.0
 
 
+@pytest.mark.slow
 @given(seed=seeds)
 def test_runs_that_determine_their_rotation_are_silent(seed: int) -> None:
     truth, estimate = flight(seed)
@@ -285,6 +286,7 @@ def live(
     return evaluator
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("window", ["0", "2s", "37"])
 @pytest.mark.parametrize("way", ["positions", "poses"])
 @pytest.mark.parametrize("states_used", [None, 120])

@@ -11,6 +11,7 @@ from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.live_availability import LiveAvailability
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", ["hold", "constant"])
 @pytest.mark.parametrize("every", [1, 7, 40])
 def test_live_errors_equal_recorded_ones(motion: str, every: int) -> None:

@@ -53,6 +53,7 @@ def numbers_held(thing: object, seen: set[int]) -> int:
     return 1 + sum(numbers_held(each, seen) for each in inside)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [0.0, 3.0], ids=["at rest", "moving"])
 def test_nothing_held_grows_with_the_run(speed: float, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("trajeval_ros.online.live_relative_errors.MOST_OPEN_STARTS", 1000)

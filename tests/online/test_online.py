@@ -33,6 +33,7 @@ RECORDINGS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("groundtruth", "estimate", "gauge", "axis"), RECORDINGS)
 @pytest.mark.parametrize("delay_s", [0.0, 0.3])
 def test_live_is_offline_on_recordings(
@@ -61,6 +62,7 @@ def test_live_is_offline_on_recordings(
             assert live.position_m == pytest.approx(mean.mean, rel=1e-9)
 
 
+@pytest.mark.slow
 @given(seed=seeds, gauge=gauges)
 def test_live_is_offline(seed: int, gauge: Gauge) -> None:
     groundtruth, estimate = make_pair(seed, 300)
@@ -135,6 +137,7 @@ def test_what_only_a_recording_shows_is_refused(settings: dict[str, Any], what: 
         OnlineSettings(Protocol(**settings))
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(seed=seeds)
 @pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.SE3])

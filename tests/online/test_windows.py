@@ -73,6 +73,7 @@ def test_a_snapshot_before_the_first_pair_has_no_errors(window: str) -> None:
     assert snapshot.position_rmse_m is snapshot.window_position_rmse_m is None
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(seed=seeds)
 def test_a_window_of_the_whole_run_is_the_whole_run(seed: int) -> None:

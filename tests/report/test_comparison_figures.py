@@ -128,6 +128,7 @@ def test_a_simplified_path_stays_within_its_tolerance(
         assert distances_to_line(piece[:, :2], rows[:, :2]).max() <= tolerance_m * (1.0 + 1e-9)
 
 
+@pytest.mark.slow
 def test_a_simplified_path_has_few_rows() -> None:
     turns = np.linspace(0.0, 2.0 * np.pi, 100_000)
     circle = np.stack([np.cos(turns), np.sin(turns), turns], axis=1)

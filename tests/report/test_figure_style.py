@@ -60,6 +60,7 @@ def width_of(png: Path) -> float:
         return image.width / round(image.info["dpi"][0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", ["ieee-column", "ieee-page", "slides", "5"])
 def test_figures_are_as_wide_as_asked_with_type_of_7_to_9_points(
     width: str, evaluations: list[Evaluation], tmp_path: Path
@@ -139,6 +140,7 @@ def test_large_coordinates_are_subtracted_and_said() -> None:
     assert near.axes[0].get_xlabel() == "x [m]"
 
 
+@pytest.mark.slow
 def test_titles_are_left_out_and_stay_in_the_metadata(
     evaluations: list[Evaluation], tmp_path: Path
 ) -> None:
@@ -240,6 +242,7 @@ def test_a_style_sheet_that_says_nothing_sensible_is_told(
     assert "Traceback" not in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_command_writes_all_formats_and_takes_old_ones_away(tmp_path: Path) -> None:
     bag, out = tmp_path / "flight", tmp_path / "out"
     assert main(["simulate", str(bag), "--duration", "20"]) == 0

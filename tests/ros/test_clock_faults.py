@@ -16,8 +16,9 @@ from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.online.alarms import LIMITED_QUANTITIES, AlarmLimits
 from trajeval_ros.online.jump_detector import Jump
+from trajeval_ros.online.reports import Update
 from trajeval_ros.ros.clock_remarks import about_clock_faults
-from trajeval_ros.ros.diagnostics import about_jump, remarks_about
+from trajeval_ros.ros.diagnostics import Status, about_jump, remarks_about
 from trajeval_ros.ros.live_runs import NewRunRule
 from trajeval_ros.ros.recorded_state import why_no_pair
 
@@ -107,6 +108,7 @@ def test_clocks_with_nothing_in_common_are_reported_within_three_seconds(
     live.end()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late_s", [0.0, 5.0])
 @pytest.mark.parametrize("rate", [0.5, 1.0, 15.0])
 def test_equal_clocks_are_not_reported_at_any_rate(
@@ -126,6 +128,38 @@ def test_equal_clocks_are_not_reported_at_any_rate(
     live.end()
 
 
+@pytest.mark.parametrize("late_s", [0.4, 2.5])
+def test_poses_that_arrive_late_are_a_warning_with_their_delay(
+    tmp_path: Path, late_s: float
+) -> None:
+    """The delay to their arrival is not that from there to the publication of the error."""
+    live = Live(tmp_path / "live", ODOM)
+    live.on_update = lambda estimate, update: (
+        update.stamp and estimate.latency.publish(update.stamp, live.now_ns + SECOND // 10)
+    )
+    fly(
+        live,
+        sent(TRUTH, GROUNDTRUTH, TRUTH.stamps)[: at(TRUTH, 8.0)],
+        sent(ESTIMATED, ESTIMATE, ESTIMATED.stamps, late_s=late_s)[: at(ESTIMATED, 5.0) : 4],
+    )
+    [estimate], found = live.run.estimates, remarks(live)
+    snapshot = estimate.snapshot()
+    values = Status.of(live.run, estimate, snapshot, Update(), found, {}, 0).values
+    for name in ("p50", "p95", "max"):
+        assert values[f"arrival after stamp, {name} [s]"] == pytest.approx(late_s, abs=1e-6)
+    assert values["arrival to publication, p95 [s]"] == pytest.approx(0.1, abs=1e-6)
+    late = [each.text for each in found if each.code == "late"]
+    assert late == (
+        []
+        if late_s < 1.0
+        else [
+            "poses arrive 2.5 s (95th percentile) after the groundtruth of the same time: the "
+            "estimator or its sensor is too slow"
+        ]
+    )
+    live.end()
+
+
 def test_an_estimator_that_stalls_and_catches_up_has_no_faulty_clock(tmp_path: Path) -> None:
     live = Live(tmp_path / "live", ODOM)
     messages = []
@@ -141,6 +175,7 @@ def test_an_estimator_that_stalls_and_catches_up_has_no_faulty_clock(tmp_path: P
     live.end()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("on_time_jump", ["reset", "ignore"])
 @pytest.mark.parametrize("rate", [1.0, 8.0])
 @pytest.mark.parametrize("of_groundtruth", [False, True])
@@ -174,6 +209,7 @@ def test_a_step_of_one_clock_is_a_warning_until_a_reset(
     assert "clock_step" in [each["code"] for each in run["remarks"]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step_s", [-5.0, 5.0])
 def test_a_step_of_both_clocks_is_a_new_run_and_no_fault(tmp_path: Path, step_s: float) -> None:
     live = Live(tmp_path / "live", ODOM)
@@ -225,6 +261,7 @@ def test_a_stream_of_unusable_poses_is_a_warning_at_once(tmp_path: Path, kind: s
     live.end()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "is_told"), [(0.08, True), (0.02, False)])
 @pytest.mark.parametrize("kind", list(KINDS))
 def test_a_share_of_unusable_poses_is_a_warning_live_and_in_the_result(

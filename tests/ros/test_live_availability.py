@@ -63,6 +63,7 @@ def feed_of(kind: str) -> list[Message]:
     return sorted([*truth, *received(estimate)], key=lambda each: each[2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "motion"), [(ODOM, "hold"), (POSE, "constant"), (PATH, "hold")])
 def test_finish_has_the_numbers_of_a_recording(kind: str, motion: str, tmp_path: Path) -> None:
     feed = feed_of(kind)

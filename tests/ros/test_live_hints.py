@@ -8,23 +8,32 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from live_runs import ESTIMATE, GROUNDTRUTH, Live
 from marker_flights import MOUNTED, of_marker
-from ros_bags import TRANSFORMS, transforms_message, write_messages
+from ros_bags import ODOM, POSE, TRANSFORMS, messages_of, transforms_message, write_messages
 from waiting import until
 
 from benchmarks.diagnosis_runs import simulated
 from trajeval_ros import simulate
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Level, Remark
+from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP
 from trajeval_ros.io.requests.request_from import in_names_of_settings, known_hand_eye
 from trajeval_ros.metrics.association import associate
 from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.online.alarms import LIMITED_QUANTITIES, AlarmLimits
 from trajeval_ros.online.state_rows import Pairs, states
 from trajeval_ros.ros.background import BackgroundTask
+from trajeval_ros.ros.diagnostics import remarks_about
 from trajeval_ros.ros.slow_evaluation import PARAMETER_NAMES, hints_about
 from trajeval_ros.simulation.drifting_odometry import Simulation
+
+LIMITS = {
+    name: AlarmLimits()
+    for name in ("coverage", "rate_hz", *(each.name for each in LIMITED_QUANTITIES))
+}
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +78,44 @@ def test_another_body_is_told_with_the_parameter(flight: Simulation) -> None:
     assert "hand_eye:=auto could not determine it" in found["body"].text
     assert found["body"].text.endswith("give it with hand_eye:=FILE")
     assert "of body 'marker' and the estimate of 'base_link'" in found["frames"].text
+
+
+@pytest.mark.parametrize("is_constant", [False, True])
+def test_a_rotation_of_the_alignment_is_no_hint_in_the_first_seconds(
+    flight: Simulation, tmp_path: Path, is_constant: bool
+) -> None:
+    """The first poses of KISS-ICP are 0.3 m off, until it knows the velocity."""
+    estimate = flight.estimate[flight.estimate.seconds < 7.0]
+    assert estimate.quaternions is not None
+    if is_constant:
+        turn = lie.from_rotation_vector(np.radians([0.0, 0.0, 20.0]))
+        estimate = dataclasses.replace(
+            estimate, quaternions=lie.multiply(turn, estimate.quaternions)
+        )
+    else:
+        off = np.exp(-estimate.seconds / 0.5)[:, None] * [0.0, 0.3, 0.2]
+        estimate = dataclasses.replace(estimate, positions=estimate.positions + off)
+    live = Live(tmp_path / "live", ODOM)
+    messages = messages_of(flight.groundtruth, GROUNDTRUTH, POSE)
+    messages += messages_of(estimate, ESTIMATE, ODOM)
+    messages.sort(key=lambda each: each[2])
+    last, first = int(estimate.stamps[-1]), messages[0][2]
+    seen: list[tuple[float, bool, bool]] = []  # when, whether it is misleading, whether told
+    for row in range(0, len(messages), 20):
+        part = messages[row : row + 20]
+        if part[0][2] > last:
+            break
+        live.feed(part)
+        [running] = live.run.estimates
+        snapshot = running.snapshot()
+        freedom = snapshot.alignment and snapshot.alignment.freedom
+        remarks = remarks_about(live.run, running, snapshot, {}, LIMITS)
+        told = any(each.subject == "alignment" and each.code == "hint" for each in remarks)
+        seen.append(((part[-1][2] - first) / 1e9, bool(freedom and freedom.misleading), told))
+    live.end()
+    assert any(misleading for at_s, misleading, _ in seen if at_s < 2.0)
+    assert not any(told for at_s, _, told in seen if at_s < 5.0)
+    assert any(told for *_, told in seen) == is_constant
 
 
 def test_clocks_that_differ_are_told_unless_they_are_known(flight: Simulation) -> None:

@@ -139,6 +139,7 @@ def read_stamps(live: Live) -> list[list[int]]:
     return [read_pairs(each / "vio.pairs").stamps.tolist() for each in live.folders]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ends_early", [False, True])
 @pytest.mark.parametrize("batch", [20, 2000])
 def test_restarts_while_the_groundtruth_is_held_begin_runs(

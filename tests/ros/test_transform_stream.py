@@ -173,6 +173,7 @@ def seconds_of(keys: Sequence[EdgeKey], first: int, last: int) -> list[list[Arri
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("keys", [(MAP, ODOM, OTHER), (OTHER,)])
 def test_memory_stops_to_grow(keys: tuple[EdgeKey, ...]) -> None:
     stream = TransformStream(SOURCE, "map", "camera")

@@ -137,8 +137,11 @@ def environment_of(machine: Machine, dispatched: list[str]) -> dict[str, str]:
     return environment
 
 
-def run_as(machine: Machine, own: Effective, options: list[str]) -> str:
-    """Run the tests as one machine would; return how that ended."""
+def run_as(machine: Machine, own: Effective, options: list[str], *, is_named: bool) -> str:
+    """Run the tests as one machine would; return how that ended.
+
+    What this CPU uses by itself is left out unless it is named: all other tests run with it.
+    """
     lacking = [name for name in machine.needs if name not in own["features"]]
     if lacking:
         return f"skipped: this CPU lacks {', '.join(lacking)}"
@@ -153,6 +156,8 @@ def run_as(machine: Machine, own: Effective, options: list[str]) -> str:
         return f"FAILED: OpenBLAS uses {cores} instead"
     if any(name.startswith(machine.without) for name in dispatched):
         return f"FAILED: numpy still uses {' '.join(dispatched)}"
+    if (cores, dispatched) == (own["cores"], own["dispatched"]) and not is_named:
+        return "skipped: this CPU uses it by itself, as in all other tests"
     print(f"\n=== {machine.core} ===")
     for library, core in cores.items():
         print(f"{library}: {core}")
@@ -197,7 +202,8 @@ def main() -> int:
         return 0
     own = probe({**os.environ, "NPY_DISABLE_CPU_FEATURES": ""})
     chosen = [each for each in MACHINES if each.core in (arguments.machines or names)]
-    ends = {each.core: run_as(each, own, given[cut + 1 :]) for each in chosen}
+    options, is_named = given[cut + 1 :], bool(arguments.machines)
+    ends = {each.core: run_as(each, own, options, is_named=is_named) for each in chosen}
     print("\n=== kernels ===")
     for core, end in ends.items():
         print(f"{core:10}{end}")

@@ -101,7 +101,7 @@ class Live:
         self.runs = LiveRuns(self._sources, self._new_run, self._new_folder, rule or NewRunRule())
         self.runs.on_begun = lambda _, begun: self.begun.append(begun.began_by)
         self.runs.on_closed = self._close
-        self._now_ns = 0
+        self.now_ns = 0
         self.on_update: Callable[[LiveEstimate, Update], object] = lambda *_: None
 
     @property
@@ -132,7 +132,7 @@ class Live:
         """Let messages arrive together; returns what was published of them."""
         for topic, _, logged, payload in messages:
             self._by_topic[topic].queue.append(payload)
-            self._now_ns = logged
+            self.now_ns = logged
         self.runs.take(self._time_at)
         updates = []
         for estimate, update in self.runs.update():
@@ -142,7 +142,7 @@ class Live:
         return updates
 
     def _time_at(self, received: NDArray[np.int64]) -> NDArray[np.int64]:
-        return np.full(len(received), self._now_ns)
+        return np.full(len(received), self.now_ns)
 
     def reset(self) -> None:
         folder = self._new_folder()

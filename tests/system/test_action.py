@@ -157,6 +157,7 @@ def test_what_is_worse_fails_and_is_told_first(job: Job) -> None:
     assert "ate.position_m.max" in job.summary
 
 
+@pytest.mark.slow
 def test_what_cannot_be_compared_is_told(job: Job) -> None:
     pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     (job.folder / "comparison").mkdir()
@@ -168,6 +169,7 @@ def test_what_cannot_be_compared_is_told(job: Job) -> None:
     assert "ended with status 2" in job.summary
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["config", "baseline", "output", "fail_if", "options"])
 def test_an_input_is_never_a_command(name: str, job: Job) -> None:
     evil = 'x\'; touch pwned; "$(touch pwned)`touch pwned`" ; #'

@@ -79,6 +79,7 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
         trajeval_ros.evalute  # noqa: B018
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["__init__", *trajeval_ros.__all__])
 def test_every_name_has_an_example_that_runs(name: str) -> None:
     text = inspect.getdoc(trajeval_ros) if name == "__init__" else docstring_of(name)
@@ -102,6 +103,7 @@ def test_there_are_ten_scripts_or_more() -> None:
     assert len(SCRIPTS) >= 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
 def test_script_runs_from_anywhere_and_uses_the_api_alone(script: Path, tmp_path: Path) -> None:
     text = script.read_text(encoding="utf-8")

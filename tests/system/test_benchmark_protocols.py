@@ -61,6 +61,7 @@ def test_spans_are_aligned_as_each_by_itself(pair: Pair, seed: int) -> None:
         assert np.allclose(alone.positions(mean_q[row]), mean_p[row], atol=1e-9)
 
 
+@pytest.mark.slow
 @given(pair=pairs(), seed=seeds)
 def test_fitted_errors_don_t_depend_on_the_estimate_s_frame(pair: Pair, seed: int) -> None:
     element = make_element(Gauge.YAW, seed)

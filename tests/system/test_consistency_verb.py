@@ -63,6 +63,7 @@ ALIGNMENTS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("alignment", ALIGNMENTS)
 def test_joint_covariance_acquits_and_convicts_in_every_gauge(
     honest: Path, overconfident: Path, alignment: list[str]
@@ -109,6 +110,7 @@ def test_groundtruth_noise_makes_errors_less_of_a_surprise(honest: Path) -> None
         assert with_noise["per_pose"]["mean"] < without["per_pose"]["mean"]
 
 
+@pytest.mark.slow
 def test_output_holds_the_bands(honest: Path, tmp_path: Path) -> None:
     folder = tmp_path / "out"
     sides = ["-g", f"{honest}:/groundtruth/pose", "-e", f"{honest}:/vio/odometry"]
@@ -131,6 +133,7 @@ def test_output_holds_the_bands(honest: Path, tmp_path: Path) -> None:
     assert nees.shape == (61,)
 
 
+@pytest.mark.slow
 def test_runs_differ_in_noise_and_share_the_flight(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

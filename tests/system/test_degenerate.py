@@ -228,6 +228,7 @@ def test_more_states_asked_for_than_there_are_is_said() -> None:
     assert any("fewer than the requested 80" in warning for warning in result.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gauge", TURNING)
 @pytest.mark.parametrize("kind", ["noise", "walk"])
 @pytest.mark.parametrize("seed", range(5))

@@ -35,6 +35,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("gauge", "states"), CASES)
 @settings(max_examples=12)
 @given(pair=pairs(), seed=seeds)
@@ -128,6 +129,7 @@ def test_the_tutorials_form_grows_with_the_distance_from_the_worlds_origin(pair:
     assert any("origin" in warning for warning in far.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gauge", list(Gauge))
 @settings(max_examples=10)
 @given(pair=pairs())

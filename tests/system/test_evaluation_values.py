@@ -244,6 +244,7 @@ def test_states_that_are_not_finite_are_refused_not_measured() -> None:
         evaluate(groundtruth, dataclasses.replace(groundtruth, positions=positions), BASE)
 
 
+@pytest.mark.slow
 def test_many_states_are_evaluated_at_all_lengths() -> None:
     count = 200_000
     random = np.random.default_rng(21)

@@ -57,6 +57,7 @@ def test_absolute_errors_are_evos(
     assert_evos(groundtruth, estimate, command, flags, reference("evo"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flags", GAUGES)
 @pytest.mark.parametrize("topic", TOPICS)
 def test_absolute_errors_of_topics_in_a_bag_are_evos(

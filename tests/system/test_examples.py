@@ -59,6 +59,7 @@ def test_a_sweep_is_distorted_by_the_motion_and_repeatable(flight: Flight) -> No
     assert rough > 3.0 * undone
 
 
+@pytest.mark.slow
 def test_own_estimator_is_short_and_accurate(flight: Flight) -> None:
     assert len(OWN.read_text().splitlines()) <= 80
     odometry = in_one_process(str(OWN), 20, flight)

@@ -76,6 +76,7 @@ def test_the_warning_says_how_to_pair_sparse_groundtruth() -> None:
     assert "apart" not in told
 
 
+@pytest.mark.slow
 def test_tables_mark_what_is_from_few_pairs_and_do_not_rank_it(tmp_path: Path) -> None:
     pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     config = write_runs(tmp_path, trials=1)
@@ -90,6 +91,7 @@ def test_tables_mark_what_is_from_few_pairs_and_do_not_rank_it(tmp_path: Path) -
     assert "‡ fewer than 6 pairs" in table.caption
 
 
+@pytest.mark.slow
 def test_surveyed_points_of_a_campus(recording: Callable[[str], Trajectory]) -> None:
     points, estimate = (recording(f"hilti_2021/Campus_2_{each}.txt") for each in ("prism", "svo2"))
     assert len(evaluate(points, estimate, Protocol(lengths=())).association) == 19

@@ -117,6 +117,7 @@ def assert_fails_alone(folder: Path, *words: str) -> None:
     assert status in (0, 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(ODD_STATES)))
 def test_a_state_that_the_node_never_writes(number: int, folder: Path) -> None:
     write_run(folder / "odd.pairs", DESCRIPTION, ODD_STATES[number])
@@ -223,6 +224,7 @@ DAMAGES: list[Callable[[bytes], bytes]] = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_a_damaged_revision_fails_alone(damage: Callable[[bytes], bytes], folder: Path) -> None:
     write_run(folder / "odd.pairs", DESCRIPTION, STATE)

@@ -185,6 +185,7 @@ def write(folder: Path, covariance: Floats) -> list[str]:
     return ["evaluate", *sources, "--gauge", "none", "--lengths", "none"]
 
 
+@pytest.mark.slow
 def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = write(tmp_path, np.diag([0.05**2] * 3 + [1e-4] * 3))
     asked = [*command, "--covariance", "message", "--alert-limit", "0.5,2"]

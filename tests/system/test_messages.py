@@ -201,6 +201,7 @@ def listed(found: list[str]) -> str:
     return "\n" + "\n".join(found)
 
 
+@pytest.mark.slow
 def test_there_is_a_catalogue() -> None:
     assert len(catalogue()) > 1000
     assert len(raised()) > 300

@@ -87,6 +87,7 @@ def without_name(found: dict[str, Any]) -> str:
     return json.dumps(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REQUESTS)
 def test_command_line_comparison_and_python_give_the_same_bytes(
     bags: Path, tmp_path: Path, name: str

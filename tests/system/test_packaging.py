@@ -90,6 +90,7 @@ def _installs_by_apt(rule: Any, codename: str) -> bool:
     return isinstance(rule, list) and bool(rule)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distribution", UBUNTU)
 def test_dependencies_of_the_ros_package_resolve_by_apt(
     distribution: str, shared_data: Path

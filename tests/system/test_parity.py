@@ -54,6 +54,7 @@ def test_every_number_is_compared_or_counted_here() -> None:
     assert Counter((row.tool, row.unanswered) for row in ROWS if row.unanswered) == UNANSWERED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pair", ["five_poses", "car_kitti"])
 def test_the_command_gives_these_numbers(pair: str, tmp_path: Path) -> None:
     settings = {row.setting for row in COMPARED if row.pair == pair and row.setting is not None}
@@ -72,6 +73,7 @@ def test_files_are_those_that_the_numbers_are_of(name: str) -> None:
     assert hashlib.sha256(content).hexdigest() == parity.REFERENCES["files_sha256"][name]
 
 
+@pytest.mark.slow
 def test_files_are_what_the_generator_writes(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "benchmarks.parity_pairs", str(tmp_path)]
     subprocess.run(command, cwd=ROOT, check=True)
@@ -85,6 +87,7 @@ def test_files_are_what_the_generator_writes(tmp_path: Path) -> None:
         np.testing.assert_allclose(again, kept, rtol=2.0**-52, atol=1.001 * last_decimal)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", BY_PAIR, ids="-".join)
 def test_numbers_are_the_programs(group: tuple[str, str]) -> None:
     different = [text for row in BY_PAIR[group] if (text := row.disagreement())]

@@ -46,6 +46,7 @@ def evaluated(files: Path, *options: str, estimates: tuple[str, ...] = NAMES[:1]
     return runs
 
 
+@pytest.mark.slow
 def test_three_estimates_are_ranked_and_measured_fairly(files: Path, flight: Flight) -> None:
     runs = evaluated(files, *CONTINUOUS, estimates=NAMES)
     linear = evaluated(files, "--association", "linear", "--max-gap", "10", "--lengths", "none")
@@ -74,6 +75,7 @@ def test_three_estimates_are_ranked_and_measured_fairly(files: Path, flight: Fli
     assert factors[1]["best"] == pytest.approx(-factors[0]["middling"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", MODELS)
 def test_every_model_gives_a_whole_result(files: Path, model: str) -> None:
     (run,) = evaluated(files, *CONTINUOUS, "--continuous-model", model)
@@ -221,6 +223,7 @@ def test_a_recording_at_two_hertz(
     assert ates[1]["probabilistic"]["ate"]["supported_m"] == pytest.approx(true, rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_recording_with_a_hole_of_twelve_seconds(shared_data: Path, tmp_path: Path) -> None:
     """TUM fr2_desk, whose motion capture also lost hundreds of single samples."""
     folder = shared_data / "tum"

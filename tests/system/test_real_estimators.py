@@ -66,6 +66,7 @@ def mean_nees(found: RunOutcome) -> float:
     return found.consistency.per_pose.mean
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cameras", ["mono", "stereo"])
 def test_nees_orders_first_estimates(cameras: str) -> None:
     values = {}

@@ -51,6 +51,7 @@ def assert_statistics(
         assert getattr(ours, name) == expected, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PAIRS)
 def test_absolute_errors_are_the_toolboxs(
     name: str, recording: Recording, reference: Reference
@@ -66,6 +67,7 @@ def test_absolute_errors_are_the_toolboxs(
         assert result.alignment.similarity.scale == pytest.approx(theirs["scale"], rel=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PAIRS)
 @pytest.mark.parametrize(
     ("scale", "gauge"), [("scale_from_sim3_-1", Gauge.SIM3), ("scale_1", Gauge.SE3)]

@@ -167,6 +167,7 @@ def test_overwrites_only_what_it_wrote(tmp_path: Path) -> None:
         simulate_command(tmp_path / "empty", seed=2, duration=5.0, overwrite=True)
 
 
+@pytest.mark.slow
 def test_overwrites_only_the_covariance_that_it_wrote(tmp_path: Path) -> None:
     bag, file = tmp_path / "fly", tmp_path / "fly.npz"
     simulate_command(bag, duration=5.0, profile="paper")

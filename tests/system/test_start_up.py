@@ -31,6 +31,7 @@ def write_kitti(path: Path, trajectory: Trajectory) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("files", "options"),
     [
@@ -76,6 +77,7 @@ def test_a_plain_evaluation_never_imports_scipy(
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("option", "name", "unwanted"),
     [("--output", "result", {"scipy.stats"}), ("--rrd", "run.rrd", {"scipy.stats", "matplotlib"})],
@@ -121,6 +123,7 @@ def test_the_users_number_of_threads_stays() -> None:
     assert "'OPENBLAS_NUM_THREADS': '5'" in said
 
 
+@pytest.mark.slow
 def test_an_evaluation_imports_nothing_that_writes_folders_tables_or_styles(
     tmp_path: Path,
 ) -> None:
@@ -193,6 +196,7 @@ MAIN = "from trajeval_ros.__main__ import main\nmain({arguments!r})"
 FILES = {f"trajeval_ros.cli.{file}" for file in VERBS.values() if file != "programs"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", VERBS)
 def test_a_verb_imports_none_of_the_others(name: str) -> None:
     said, loaded = _loaded(MAIN.format(arguments=[*name.split(), "--help"]))
@@ -200,6 +204,7 @@ def test_a_verb_imports_none_of_the_others(name: str) -> None:
     assert loaded & FILES == FILES & {f"trajeval_ros.cli.{VERBS[name]}"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["evaluate", "finish", "info", "trajectory", "view"])
 def test_verbs_that_evaluate_nothing_live_do_without_ros_and_simulation(name: str) -> None:
     _, loaded = _loaded(MAIN.format(arguments=[name, "--nope"]))
@@ -217,6 +222,7 @@ def test_a_misspelt_verb_imports_none() -> None:
     assert not loaded & {*FILES, "numpy"}
 
 
+@pytest.mark.slow
 def test_all_verbs_are_in_the_help_and_imported_before_ctrl_c_could_break_them() -> None:
     code = "from trajeval_ros.cli import app\napp.load({arguments!r})"
     for arguments in ([], ["--help"], ["-h"]):

@@ -84,6 +84,7 @@ def test_words_for_both_sides() -> None:
 # What is measured.
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(
     seed=seeds,
@@ -156,6 +157,7 @@ def test_the_result_aligns_the_files_own_axes(gauge: Gauge, association: str) ->
     assert found["ate"]["tilt_deg"]["rmse"] < 5.0
 
 
+@pytest.mark.slow
 def test_other_gauges_keep_every_digit_but_yaw_and_tilt() -> None:
     truth, estimate = standing(car(4), "-y"), standing(erring(car(4)), "-y")
     plain = [dataclasses.replace(each, up=UpAxis("z")) for each in (truth, estimate)]
@@ -186,6 +188,7 @@ def test_frames_that_a_gauge_must_not_turn_are_told_apart() -> None:
 # Live.
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(
     seed=seeds,
@@ -226,6 +229,7 @@ def test_live_is_offline_whatever_is_up(
     assert np.linalg.norm(aligned - truth.positions[nearest], axis=1).mean() < 3.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gauge", ["yaw", "se3"])
 def test_a_live_run_of_optical_frames_is_the_recorded_one(tmp_path: Path, gauge: str) -> None:
     truth = standing(car(5, count=200), "-y")
@@ -297,6 +301,7 @@ def test_the_option_says_what_is_up(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "unknown up axis 'q'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_comparison_has_the_same_word(tmp_path: Path) -> None:
     pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     write_tum(tmp_path / "truth_a.txt", standing(car(1), "-y"))
@@ -330,6 +335,7 @@ def test_pictures_look_down() -> None:
     np.testing.assert_allclose(np.asarray(line.get_xydata())[0, 1], -truth.positions[0, 1])
 
 
+@pytest.mark.slow
 def test_rerun_stands_upright(tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="pictures need the extra `rerun`")
     from rrd import Rrd

@@ -138,6 +138,7 @@ def test_a_frame_that_leans_has_no_axis_to_name() -> None:
     assert "which is not an axis" in up_axis_doubt(turned(car(1), 52.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("protocol", ["default", "rpg", "evo", "kitti"])
 def test_yaw_and_tilt_are_withheld_and_nothing_else(protocol: str) -> None:
     truth = standing(car(1, count=1500), "-y", said=False)

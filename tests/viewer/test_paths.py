@@ -44,6 +44,7 @@ def test_scale_of_colours_is_round_and_holds_nearly_all(errors: list[float]) -> 
     assert float(f"{full_m:.0e}") == pytest.approx(full_m)
 
 
+@pytest.mark.slow
 @given(st.lists(st.integers(1, 30_000_000_000), min_size=1, max_size=80), st.integers(1, 7))
 def test_thinning_takes_one_pose_of_each_slot_in_any_batches(steps: list[int], size: int) -> None:
     stamps = np.cumsum(np.array(steps, dtype=np.int64) // 100)

@@ -180,6 +180,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Rrd, dict[str, A
     return Rrd(folder / "run.rrd"), report, folder / "run.rrd"
 
 
+@pytest.mark.slow
 def test_file_has_the_numbers_that_were_handed_over(
     finished: tuple[Rrd, dict[str, Any], Path],
 ) -> None:
@@ -221,6 +222,7 @@ def test_whole_past_stands_at_the_last_alignment_at_every_time(
         assert ahead.max() < 1e-5
 
 
+@pytest.mark.slow
 def test_far_from_the_origin_nothing_steps(tmp_path: Path) -> None:
     place = np.array([432_100.0, 5_012_345.0, 410.0])
     report = Driver("file", tmp_path, 10.0, FAST, ",".join(map(str, place))).report()
@@ -391,6 +393,7 @@ def test_server_listens_only_at_its_address(port: int, tmp_path: Path) -> None:
         server.close(recording)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("value", "said"),
     [

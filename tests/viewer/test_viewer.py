@@ -457,6 +457,7 @@ def test_without_rerun_one_sentence_names_the_extra(sources: list[str], tmp_path
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 @needs_rerun
 def test_evaluate_writes_the_picture(sources: list[str], tmp_path: Path) -> None:
     from rrd import Rrd

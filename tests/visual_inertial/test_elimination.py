@@ -80,6 +80,7 @@ def _banded(track: int, keyframes: int) -> Visibility:
     return Visibility(landmark_of + offset, landmark_of, keyframes, landmarks)
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(
     st.sampled_from([2, 3, 5, 30]),

@@ -82,6 +82,7 @@ def test_gauge_moves_no_residual(small: Scene, seed: int) -> None:
     assert np.abs(moved).max() < 1e-12 * np.abs(inertial.by_before).max() * np.abs(basis).max()
 
 
+@pytest.mark.slow
 @given(st.floats(-3.0, 3.0), st.lists(st.floats(-10.0, 10.0), min_size=3, max_size=3))
 def test_cost_is_constant_on_the_orbit(small: Scene, yaw: float, translation: list[float]) -> None:
     problem, state = small.measured(np.random.default_rng(0)), _anywhere(small, 0)

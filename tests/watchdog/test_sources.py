@@ -107,6 +107,7 @@ def test_alarms_of_several_pairs_tell_which_estimate_is_wrong() -> None:
     }
 
 
+@pytest.mark.slow
 def test_a_source_that_never_comes_takes_no_memory() -> None:
     """An hour is watched in vain for a second estimate, an IMU and corrections."""
     sizes = []

@@ -23,6 +23,7 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return watched_bag(tmp_path_factory.mktemp("good"), "good", 3)
 
 
+@pytest.mark.slow
 def test_alarms_have_times_and_the_factor(
     good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -44,6 +45,7 @@ def test_alarms_have_times_and_the_factor(
     assert main(["watch", *watched_sources(good), "--fail-on", "alarm"]) == 0
 
 
+@pytest.mark.slow
 def test_the_printed_factor_makes_a_run_healthy(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -78,6 +78,7 @@ def fed_in_portions(run: WatchedRun, ends: dict[str, list[int]]) -> Signals:
 
 
 # Without shrinking, which takes minutes; the portions of a failure are printed.
+@pytest.mark.slow
 @settings(max_examples=5, deadline=None, phases=(Phase.generate,))
 @given(st.data())
 def test_portions_and_arrival_change_nothing(data: st.DataObject) -> None:
@@ -140,6 +141,7 @@ def moved(
 vectors = st.tuples(*[st.floats(-1.5, 1.5)] * 3).map(np.array)
 
 
+@pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @given(vectors, vectors, vectors, st.floats(0.2, 5.0))
 def test_gauge_body_and_scale_of_the_partner_change_nothing(
@@ -197,6 +199,7 @@ def test_outliers_of_the_partner_hardly_change_the_body_difference() -> None:
     assert np.degrees(lie.angle(lie.multiply(lie.conjugate(rotation), found.rotation))) < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "signals", "within_s"),
     [

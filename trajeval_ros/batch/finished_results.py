@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from trajeval_ros.batch.comparison import Progress
+from trajeval_ros.batch.earlier_results import EARLIER, of_version_0_2
 from trajeval_ros.batch.finished_comparison import FinishedComparison, FinishedRun
 from trajeval_ros.batch.plan import PlannedRun, natural
 from trajeval_ros.batch.records import RECORDS, Record, RecordStore, encode
@@ -113,12 +114,15 @@ def _read(folder: Path) -> Iterator[_Result]:
         content = mapping_in(path.read_bytes())
     except OSError as error:
         raise InputError(f"{path} can't be read: {reason_of(error)}") from error
-    advice = "evaluate the run again"
-    require_schema(path, (content or {}).get("schema"), SCHEMA, "result of an evaluation", advice)
+    advice, schema = "evaluate the run again", (content or {}).get("schema")
+    if schema != EARLIER:
+        require_schema(path, schema, SCHEMA, "result of an evaluation", advice)
     assert content is not None
     if not (folder / ARCHIVE).is_file():
         raise InputError(f"{folder} has no {ARCHIVE}, which a comparison needs; {advice}")
     try:
+        if schema == EARLIER:
+            content = of_version_0_2(content)
         for run in content["runs"]:
             result = _Result(folder, {**content, "runs": [run], "failed": []})
             _ = result.name, result.settings, result.groundtruth

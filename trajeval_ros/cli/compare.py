@@ -279,7 +279,7 @@ def _print_verdict(summary: ComparisonSummary, progress: Progress, folder: Path)
     from trajeval_ros.batch.comparison_summary import failures
     from trajeval_ros.batch.results_table import OK
     from trajeval_ros.batch.summary_tables import matrices
-    from trajeval_ros.report.console import console, show
+    from trajeval_ros.report.console import WARNING, console, show
     from trajeval_ros.report.matrix import to_terminal
 
     with may_break():
@@ -305,7 +305,7 @@ def _print_verdict(summary: ComparisonSummary, progress: Progress, folder: Path)
         terminal.file.flush()
         remarks = console(sys.stderr)
         for line in failures(summary):
-            remarks.print(f"warning: {line}", soft_wrap=True)
+            remarks.print(f"warning: {line}", WARNING, soft_wrap=True)
 
 
 def _require_numbers(summary: ComparisonSummary, folder: Path) -> None:

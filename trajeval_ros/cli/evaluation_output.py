@@ -15,6 +15,7 @@ from trajeval_ros.cli.programs import may_break, write_json
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.escaping import visible
 from trajeval_ros.formatting.remarks import Level
+from trajeval_ros.formatting.text_tables import BOLD
 from trajeval_ros.io.results.requirement import Requirement
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import parse_source
@@ -121,12 +122,16 @@ def _print(outcome: Outcome, output: Path | None) -> None:
 
 def _print_verdicts(terminal: Console, outcome: Outcome) -> None:
     from trajeval_ros.report.available_lines import available_lines, stream_line
+    from trajeval_ros.report.console import WARNING
     from trajeval_ros.report.verdict_lines import diagnosis_lines, doubt, own_error_line, verdict
 
     for run in outcome.runs:
         headline, *rest = verdict(run.evaluation)
         headline += doubt(run.diagnosis)
-        for line in (headline, *diagnosis_lines(run), *rest):
+        terminal.print(headline, BOLD, soft_wrap=True)
+        for line in diagnosis_lines(run):
+            terminal.print(line, WARNING, soft_wrap=True)
+        for line in rest:
             terminal.print(line, soft_wrap=True)
         if run.stream is not None and (line := stream_line(run.stream)):
             terminal.print(line, soft_wrap=True)
@@ -178,7 +183,7 @@ def _print_errors(terminal: Console, runs: Sequence[RunOutcome]) -> None:
 
 def _print_remarks(runs: Sequence[RunOutcome]) -> None:
     """Print notes about the inputs, and warnings, on stderr."""
-    from trajeval_ros.report.console import console
+    from trajeval_ros.report.console import WARNING, console
 
     remarks = console(sys.stderr)
     groundtruth = runs[0].evaluation.groundtruth
@@ -190,8 +195,9 @@ def _print_remarks(runs: Sequence[RunOutcome]) -> None:
         printed = {each.cause for each in run.diagnosis.findings}  # below the headline
         for remark in run.evaluation.remarks:
             if remark.code not in printed:
-                kind = "note" if remark.level is Level.NOTE else "warning"
-                remarks.print(f"{kind}: {run.estimate.name}: {remark.text}", soft_wrap=True)
+                kind, style = ("note", "") if remark.level is Level.NOTE else (WARNING, WARNING)
+                said = f"{kind}: {run.estimate.name}: {remark.text}"
+                remarks.print(said, style, soft_wrap=True)
 
 
 def _print_integrity(terminal: Console, runs: Sequence[RunOutcome]) -> None:

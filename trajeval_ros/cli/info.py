@@ -87,11 +87,8 @@ def info(source: str, columns: str | None, frame_rate: float | None) -> None:
         _print_remarks(terminal, description.trajectories)
     _print_edges(terminal, description)
     if description.others:
-        _print_table(
-            terminal,
-            ("no poses", "type", "messages"),
-            [(name, kind, str(count)) for name, kind, count in description.others],
-        )
+        rows = [(name, kind, str(count)) for name, kind, count in description.others]
+        _print_table(terminal, ("no poses", "type", "messages"), rows)
     _print_next_step(terminal, description)
 
 
@@ -192,20 +189,12 @@ def _print_edges(terminal: Console, description: Description) -> None:
     """Print the moving transforms of the TF tree, and the number of static ones."""
     moving = [edge for edge in description.edges if not edge.is_static]
     if moving:
-        _print_table(
-            terminal,
-            ("transforms", "parent", "child", "timestamps", "Hz"),
-            [
-                (
-                    edge.topic,
-                    edge.parent,
-                    edge.child,
-                    str(edge.count),
-                    f"{edge.rate_hz:.1f}" if edge.rate_hz else "",
-                )
-                for edge in moving
-            ],
-        )
+        rows = [
+            (edge.topic, edge.parent, edge.child, str(edge.count),
+                f"{edge.rate_hz:.1f}" if edge.rate_hz else "")
+            for edge in moving
+        ]  # fmt: skip
+        _print_table(terminal, ("transforms", "parent", "child", "timestamps", "Hz"), rows)
     static = len(description.edges) - len(moving)
     if static:
         terminal.print(f"and {counted(static, 'static transform')}", soft_wrap=True)

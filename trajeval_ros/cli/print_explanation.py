@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from trajeval_ros.cli.programs import write_json
 from trajeval_ros.cli.progress import progress
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.explanation.definition import Command, Definition, command_of
-from trajeval_ros.explanation.explain import UNITS, Explanation, Match
+from trajeval_ros.explanation.explain import UNITS, Explanation, Match, PublishedNumber
 from trajeval_ros.explanation.explain import explain as search
 from trajeval_ros.formatting.numbers import counted, significant
 from trajeval_ros.io.sources import read_many
@@ -81,7 +81,7 @@ def explain(
     up = trajectories[0].up.name, trajectories[1].up.name
     write_json(json, _json(found, up))
     if json != "-":
-        _print(found, runs, up, is_unit_known=bool(unit))
+        _print(found, runs, up, unit or "")
     return 0 if found.verdict == "named" else _NOT_NAMED
 
 
@@ -118,7 +118,7 @@ def _runs(
     return found, unit or content.get("unit")
 
 
-def _print(found: Explanation, runs: Sequence[Run], up: Axes, *, is_unit_known: bool) -> None:
+def _print(found: Explanation, runs: Sequence[Run], up: Axes, unit: str) -> None:
     from trajeval_ros.report.console import console
 
     terminal = console()
@@ -130,7 +130,7 @@ def _print(found: Explanation, runs: Sequence[Run], up: Axes, *, is_unit_known: 
         f"{counted(found.searched, 'definition')}, {found.matching} match; of an unrelated number "
         f"{found.expected:.2g} are expected (any: {100.0 * found.any_probability:.0f} %)"
     )
-    if not is_unit_known:
+    if not all(PublishedNumber.parse(text, unit).unit for *_, texts in runs for text in texts):
         line("note: numbers without a unit are compared in m, %, deg and deg/m; set --unit")
     line(_VERDICTS[found.verdict])
     for match in (found.matches or found.nearest)[:_SHOWN]:
@@ -148,19 +148,17 @@ def _print(found: Explanation, runs: Sequence[Run], up: Axes, *, is_unit_known: 
         line(f"{100.0 * found.none_probability:5.1f} %  none of these")
 
 
-def _commands(match: Match, truth: str, estimate: str, up: Axes) -> list[str]:
-    lines = []
+def _commands(match: Match, truth: str, estimate: str, up: Axes) -> Iterator[str]:
     for definition in match.definitions:
         command = command_of(definition, up)
         if isinstance(command, str):
-            lines.append(command)
+            yield command
             continue
         sides = (estimate, truth) if command.exchanged else (truth, estimate)
         words = shlex.join(["trajeval", "evaluate", *sides, *command.options])
-        lines.append(f"{words}   # {command.formula}")
+        yield f"{words}   # {command.formula}"
         if command.file:
-            lines.append("protocol.yaml: {" + ", ".join(command.file.splitlines()) + "}")
-    return lines
+            yield "protocol.yaml: {" + ", ".join(command.file.splitlines()) + "}"
 
 
 def _json(found: Explanation, up: Axes) -> dict[str, Any]:

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from trajeval_ros.exceptions import SettingsError, TrajevalError, reason_of
-from trajeval_ros.formatting.escaping import visible
 
 INTERRUPTED = 130
 _ROS_ARGUMENTS = "--ros-args"
@@ -45,8 +44,11 @@ def exit_status(work: Callable[[], int | None]) -> int:
 
 
 def _fail(sentence: str) -> int:
+    from trajeval_ros.report.console import ERROR, console
+
     with may_break():
-        print(f"trajeval: {visible(' '.join(sentence.split()))}", file=sys.stderr)
+        said = f"trajeval: {' '.join(sentence.split())}"
+        console(sys.stderr).print(said, ERROR, soft_wrap=True)
     return 2
 
 

@@ -221,7 +221,10 @@ def unknown_covariances(covariances: Floats) -> str:
     if not said.all():
         return "some are all zero, which means unknown"
     if not (variances[1:] > 0.0).all():
-        return "some variances are zero"
+        in_plane = (
+            "those of height, roll and pitch are zero, as in a plane; the test needs all six"
+        )
+        return "some variances are zero" if variances[:, 2:5].any() else in_plane
     if not is_covariance(covariances[1:]).all():
         return "some are not symmetric, or have negative eigenvalues"
     return ""

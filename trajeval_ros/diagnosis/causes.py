@@ -320,7 +320,7 @@ _TABLE = (
         "z points down in the frame of one side, as in NED, or its axes are left-handed; planar "
         "motion can't distinguish them",
         "if z points down, set the vertical axis",
-        {"up": "z,-z"},
+        {"up": "{axes_up}"},
         of_conventions=True,
     ),
     Cause(

@@ -6,6 +6,7 @@ import numpy as np
 
 from trajeval_ros.diagnosis.findings import Examined, Seen, Value
 from trajeval_ros.diagnosis.input_pair import InputPair, lengths
+from trajeval_ros.geometry.arrays import extents
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.statistics import median
@@ -37,15 +38,15 @@ def _row_numbers(inputs: InputPair) -> Examined:
 
 def _degrees(inputs: InputPair) -> Examined:
     sides = {"estimate": inputs.estimate_poses, "groundtruth": inputs.groundtruth_poses}
-    sizes = {side: np.ptp(poses.positions, axis=0) for side, poses in sides.items()}
+    sizes = {side: extents(poses.positions) for side, poses in sides.items()}
     for side, other in (("estimate", "groundtruth"), ("groundtruth", "estimate")):
         small = np.sort(sizes[side])[:2]
         moved = float(np.linalg.norm(sizes[other]))
         extent = float(np.linalg.norm(small))
         ratio = moved / max(extent * _METRES_PER_DEG, 1e-12)
-        in_range = np.abs(sides[side].positions).max(axis=0)[np.argsort(sizes[side])[:2]] <= 180.0
         likely = 1.0 / _FACTOR < ratio < _FACTOR and extent < _DEGREES and moved > _LEAST_M
-        if likely and in_range.all():
+        columns = np.argsort(sizes[side])[:2]
+        if likely and (np.abs(sides[side].positions[:, columns]) <= 180.0).all():
             values: dict[str, Value] = {
                 "side": side,
                 "other": other,
@@ -59,7 +60,7 @@ def _degrees(inputs: InputPair) -> Examined:
 def _flat(inputs: InputPair) -> Examined:
     """Test for a constant column of one side while the other side moves in space."""
     sides = {"groundtruth": inputs.groundtruth_poses, "estimate": inputs.estimate_poses}
-    constant = {side: np.ptp(poses.positions, axis=0) == 0.0 for side, poses in sides.items()}
+    constant = {side: extents(poses.positions) == 0.0 for side, poses in sides.items()}
     for side, other in (("groundtruth", "estimate"), ("estimate", "groundtruth")):
         if np.count_nonzero(constant[side]) != 1 or constant[other].any():
             continue

@@ -274,8 +274,10 @@ def mirror(hypothesis: Hypothesis, moving: ShortMotions) -> str:
 
 def _axes(permutation: Floats) -> str:
     """Return a signed permutation as the value of an option."""
-    words = []
-    for row in permutation:
-        axis = int(np.argmax(np.abs(row)))
-        words.append(("-" if row[axis] < 0.0 else "") + "xyz"[axis])
-    return ",".join(words)
+    return ",".join(map(nearest_axis, permutation))
+
+
+def nearest_axis(direction: Floats) -> str:
+    """Return the signed axis, such as -y, that is nearest to a direction (3,)."""
+    axis = int(np.argmax(np.abs(direction)))
+    return ("-" if direction[axis] < 0.0 else "") + "xyz"[axis]

@@ -376,12 +376,13 @@ def _tests_of_geometry(
         hypotheses = fit_hypotheses(moving, turning)
     as_read = hypotheses[0]
     examined.append(scale(as_read, moving, inputs.gauge))
+    ups = inputs.groundtruth.up, inputs.estimate.up
     if inputs.groundtruth.up.is_given:
         examined.append(Examined("plane of the groundtruth", why_not="its up axis was given"))
     else:
-        examined.append(groundtruth_plane(as_read, moving, turning, inputs.gauge))
+        examined.append(groundtruth_plane(as_read, moving, turning, inputs.gauge, ups))
     if not examined[-1].seen:
-        examined.append(vertical(as_read, moving, turning, inputs.gauge))
+        examined.append(vertical(as_read, moving, turning, inputs.gauge, ups))
     return [*examined, body(as_read, moving), lever_arm(as_read, moving)]
 
 

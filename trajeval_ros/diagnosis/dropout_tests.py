@@ -14,7 +14,7 @@ from trajeval_ros.diagnosis.findings import Examined, Seen, Value
 from trajeval_ros.diagnosis.hypotheses import best_rotations
 from trajeval_ros.diagnosis.input_pair import Between, TimedPoses, lengths
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, runs_of
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, extents, runs_of
 from trajeval_ros.geometry.trajectory_edits import evenly
 from trajeval_ros.geometry.travelled import step_angles
 from trajeval_ros.metrics.statistics import median
@@ -233,7 +233,7 @@ def restart(groundtruth: TimedPoses, estimate: TimedPoses) -> Examined:
         _TIMES_TRUE * true_steps,
     )
     spun = turned > max(_SPUN_DEG, 40.0 * median(turned[both]))
-    size = float(np.linalg.norm(np.ptp(some.positions, axis=0)))
+    size = float(np.linalg.norm(extents(some.positions)))
     near = lengths(some.positions - some.positions[0]) < _HOME * size
     at_first = near[1:] & ~near[:-1]
     far = excess > limit

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import TypeAlias
 
 import numpy as np
 
-from trajeval_ros.diagnosis.convention_tests import mirror
+from trajeval_ros.diagnosis.convention_tests import mirror, nearest_axis
 from trajeval_ros.diagnosis.findings import Examined, Seen, Value
 from trajeval_ros.diagnosis.hypotheses import (
     Hypothesis,
@@ -23,8 +24,11 @@ from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.trajectory_edits import every_nth
+from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.statistics import median, quantile
+
+Ups: TypeAlias = tuple[UpAxis, UpAxis]  # of groundtruth and estimate
 
 UP_AXIS_DOUBTED = "up_axis_doubted"  # code of the remark on a wrong vertical axis
 _OFF = 0.2  # of the logarithm of the scale
@@ -137,9 +141,12 @@ def scale_of(moving: ShortMotions) -> tuple[float, float]:
 
 
 def vertical(
-    as_read: Hypothesis, moving: ShortMotions, turning: ShortMotions, gauge: Gauge
+    as_read: Hypothesis, moving: ShortMotions, turning: ShortMotions, gauge: Gauge, ups: Ups
 ) -> Examined:
-    """Compare the vertical axes, if the alignment does not include roll and pitch."""
+    """Compare the vertical axes, if the alignment does not include roll and pitch.
+
+    Axes of the sides, with the axes `ups`, are named as in their files.
+    """
     name = "vertical axes"
     if not gauge.turns_about_gravity_only:
         return Examined(name, why_not="the alignment includes roll and pitch, or no rotation")
@@ -154,23 +161,22 @@ def vertical(
     parts = [each.world()[2] for each in moving.thirds]
     apart_deg = max(_degrees(each @ turned[2]) for each in parts)
     limit_deg = max(_AXIS_DEG, apart_deg)
-    both = _shared_vertical(turned, turning, limit_deg)
+    both = _shared_vertical(turned, turning, limit_deg, ups)
     if both is not None:
         return Examined(name, scores, (both,))
     # The vertical of a side in the frame of the other side: one of its axes, if that is wrong.
-    ups = {"estimate": turned[2], "groundtruth": turned[:, 2]}
-    found = [_up_axis(side, *_nearest_axis(up), tilt_deg) for side, up in ups.items()]
+    upward = {"estimate": turned[2], "groundtruth": turned[:, 2]}
     found = [
-        each
-        for each in found
-        if each.values["axis"] != "z" and float(each.values["off_deg"]) <= limit_deg
+        _up_axis(side, nearest_axis(up), _degrees(np.abs(up).max()), tilt_deg, ups)
+        for side, up in upward.items()
+        if nearest_axis(up) != "z" and _degrees(np.abs(up).max()) <= limit_deg
     ]
     if not found:
         scores["thirds_apart"] = apart_deg / tilt_deg
         values: dict[str, Value] = {"tilt_deg": tilt_deg}
         seen = (Seen("tilted", 1.0, values),) if scores["thirds_apart"] < _ALIKE else ()
         return Examined(name, scores, seen)
-    if found[0].values["axis"] == "-z":  # in a plane, a left-handed path has the same motions
+    if nearest_axis(turned[2]) == "-z":  # in a plane, a left-handed path has the same motions
         flipped = dataclasses.replace(as_read, axes=np.diag([1.0, 1.0, -1.0]))
         agreement: Value = 100.0 * (1.0 - as_read.cost / kinds)
         values = {"axes": mirror(flipped, moving), "agreement": agreement, "as_read": agreement}
@@ -180,21 +186,34 @@ def vertical(
     return Examined(name, scores, (dataclasses.replace(found[0], rivals=tuple(found)),))
 
 
-def _up_axis(side: str, axis: str, off_deg: float, tilt_deg: float) -> Seen:
+def _up_axis(side: str, axis: str, off_deg: float, tilt_deg: float, ups: Ups) -> Seen:
     """Return the finding that an axis of a side's frame is vertical."""
     called = {"-y": ", as in a camera's (x right, y down, z forward)", "-z": ", as in NED"}
+    both = [
+        _in_file(axis if each == side else "z", up)
+        for each, up in zip(("groundtruth", "estimate"), ups, strict=True)
+    ]
+    own = both[side == "estimate"]
     values: dict[str, Value] = {
         "side": side,
-        "axis": axis,
-        "axes_up": f"z,{axis}" if side == "estimate" else f"{axis},z",
+        "axis": own,
+        "axes_up": ",".join(both),
         "off_deg": off_deg,
         "tilt_deg": tilt_deg,
-        "called": called.get(axis, ""),
+        "called": called.get(own, ""),
     }
     return Seen("up_axis", 1.0, values)
 
 
-def _shared_vertical(turned: Floats, turning: ShortMotions, limit_deg: float) -> Seen | None:
+def _in_file(axis: str, up: UpAxis) -> str:
+    """Return an axis, such as -y, of a frame with an up axis as it is in the file."""
+    row = up.applied["xyz".index(axis[-1])]
+    return nearest_axis(-row if axis.startswith("-") else row)
+
+
+def _shared_vertical(
+    turned: Floats, turning: ShortMotions, limit_deg: float, ups: Ups
+) -> Seen | None:
     """Return the finding that x or y is vertical in both frames, if the body turns about it."""
     if turning.groundtruth_turned is None:
         return None
@@ -203,41 +222,30 @@ def _shared_vertical(turned: Floats, turning: ShortMotions, limit_deg: float) ->
     )[2][0]
     for axis in (1, 0):
         if abs(about[axis]) > _SAME_AXIS and _degrees(abs(turned[axis, axis])) < limit_deg:
-            return _sideways(axis, turned)
+            return _sideways(axis, turned, ups)
     return None
 
 
-def _sideways(axis: int, turned: Floats) -> Seen:
-    """Return the finding that an axis is vertical, with the gauge that corrects it, too."""
-    up = _both_up(axis, turned)
-    by_gauge = dataclasses.replace(up, values={**up.values, "ups": "", "gauge": "se3"})
-    return dataclasses.replace(up, rivals=(up, by_gauge))
-
-
-def _nearest_axis(up: Floats) -> tuple[str, float]:
-    """Return the signed axis that is nearest to a direction (3,), and the angle between, deg."""
-    nearest = int(np.argmax(np.abs(up)))
-    name = ("-" if up[nearest] < 0.0 else "") + "xyz"[nearest]
-    return name, _degrees(abs(up[nearest]))
-
-
-def _both_up(axis: int, turned: Floats) -> Seen:
-    """Return the finding that an axis of the groundtruth's frame is vertical.
+def _sideways(axis: int, turned: Floats, ups: Ups) -> Seen:
+    """Return the finding that an axis is vertical, with the gauge that corrects it, too.
 
     `turned` (3, 3) is the rotation from the estimate's world to the groundtruth's.
     """
-    name = "xyz"[axis]
+    up, down = (_in_file(each + "xyz"[axis], ups[0]) for each in ("", "-"))
     said = (
-        f"z is not the vertical axis of the groundtruth's frame: the body turns about {name}; set "
-        f"--up=-{name} or --up={name}"
+        f"{_in_file('z', ups[0])} is not the vertical axis of the groundtruth's frame: the body "
+        f"turns about {up.lstrip('-')}; set --up={down} or --up={up}"
     )
-    ups = f"-{name},{_nearest_axis(-turned[axis])[0]}"
-    values: dict[str, Value] = {"said": said, "ups": ups, "gauge": ""}
-    return Seen("groundtruth_up_axis", 1.0, values)
+    other = _in_file(nearest_axis(-turned[axis]), ups[1])
+    by_up, by_gauge = (
+        Seen("groundtruth_up_axis", 1.0, {"said": said, "ups": axes, "gauge": gauge})
+        for axes, gauge in ((f"{down},{other}", ""), ("", "se3"))
+    )
+    return dataclasses.replace(by_up, rivals=(by_up, by_gauge))
 
 
 def groundtruth_plane(
-    as_read: Hypothesis, moving: ShortMotions, turning: ShortMotions, gauge: Gauge
+    as_read: Hypothesis, moving: ShortMotions, turning: ShortMotions, gauge: Gauge, ups: Ups
 ) -> Examined:
     """Test whether the groundtruth moves perpendicular to and rotates about x or y."""
     name = "plane of the groundtruth"
@@ -267,7 +275,7 @@ def groundtruth_plane(
     )
     if not sideways:
         return Examined(name, scores)
-    return Examined(name, scores, (_sideways(nearest, as_read.turned),))
+    return Examined(name, scores, (_sideways(nearest, as_read.turned, ups),))
 
 
 def body(as_read: Hypothesis, moving: ShortMotions) -> Examined:
@@ -388,13 +396,10 @@ def up_axis_doubt(trajectory: Trajectory) -> str:
     axis = vertical_axis_of(trajectory.positions, trajectory.quaternions)
     if axis is None:
         return ""
-    apart = float(np.degrees(np.arccos(min(abs(float(axis @ trajectory.up.matrix[2])), 1.0))))
-    if apart < _APART_DEG:
+    if _degrees(abs(axis @ trajectory.up.matrix[2])) < _APART_DEG:
         return ""
-    nearest = int(np.argmax(np.abs(axis)))
-    name = "xyz"[nearest]
-    from_it = float(np.degrees(np.arccos(min(abs(float(axis[nearest])), 1.0))))
-    if from_it > _NEAR_DEG:
+    name = nearest_axis(axis).lstrip("-")
+    if _degrees(np.abs(axis).max()) > _NEAR_DEG:
         direction = ", ".join(f"{each:.2f}" for each in axis)
         what = (
             f"the direction ({direction}), which is not an axis; rotate the frame to a "

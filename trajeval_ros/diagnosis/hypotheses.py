@@ -229,7 +229,11 @@ def fit_hypotheses(
     if turning.groundtruth_turned is None or turning.estimate_turned is None:
         nothing = np.zeros((3, 3))
         return _solved(
-            [_Moments(AS_READ, "", 0, steps, nothing), _mirrored(steps, nothing)], perfect=1.0
+            [
+                _Moments(AS_READ, "", 0, steps, nothing),
+                _Moments(MIRRORED, "", 1, -steps, nothing, -np.eye(3)),
+            ],
+            perfect=1.0,
         )
     true, ours = _as_written(turning.groundtruth_turned, turning.estimate_turned)
     turns = moment(true[:, None], ours)
@@ -286,10 +290,6 @@ class _Moments(NamedTuple):
     steps: Floats
     turns: Floats
     axes: Floats = np.eye(3)
-
-
-def _mirrored(steps: Floats, turns: Floats) -> _Moments:
-    return _Moments(MIRRORED, "", 1, -steps, turns, -np.eye(3))
 
 
 def _as_written(groundtruth: Floats, estimate: Floats) -> Floats:

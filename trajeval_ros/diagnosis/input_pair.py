@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -101,10 +102,10 @@ class TimedPoses:
         """Lengths (N - 1,) of the steps between consecutive poses."""
         return step_lengths(self.positions)
 
-    @property
+    @cached_property
     def extent(self) -> float:
         """Standard deviation of the positions about their mean, units of the source."""
-        return float(np.linalg.norm(np.std(self.positions, axis=0))) if len(self) else 0.0
+        return math.hypot(*map(np.std, self.positions.T)) if len(self) else 0.0
 
     def at(self, seconds: Floats, max_gap_s: float = np.inf) -> Between:
         """Return the poses at times (N,), of a track in order with at least two poses."""

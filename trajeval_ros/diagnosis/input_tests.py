@@ -10,7 +10,7 @@ from trajeval_ros.diagnosis.findings import Examined, Seen, Value
 from trajeval_ros.diagnosis.hypotheses import best_rotations
 from trajeval_ros.diagnosis.input_pair import InputPair, TimedPoses, lengths
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.arrays import Floats, extents
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.trajectory_edits import evenly
 from trajeval_ros.metrics.statistics import median
@@ -126,7 +126,7 @@ def _repeats(poses: TimedPoses) -> tuple[int, int, float]:
     distances, numbers = np.unique(second - first, return_counts=True)
     most = int(np.argmax(numbers))
     again = first[second - first == distances[most]]
-    extent = float(np.linalg.norm(np.ptp(poses.positions[again], axis=0)))
+    extent = float(np.linalg.norm(extents(poses.positions[again])))
     return int(numbers[most]), int(distances[most]), extent
 
 
@@ -155,7 +155,7 @@ def same_positions(inputs: InputPair) -> Examined:
     percent = 100.0 * _equal(one, other)
     if percent < _NEARLY_ALL_PERCENT and len(rows) >= _FEWEST_FITTED:
         percent, where = 100.0 * _equal_when_fitted(one, other), f"{where}, after a rigid fit,"
-    moves = bool(np.ptp(one, axis=0).any())
+    moves = bool(extents(one).any())
     if not moves or percent < _NEARLY_ALL_PERCENT:
         return Examined(test, {"percent": percent})
     values: dict[str, Value] = {"percent": percent, "where": where}

@@ -11,6 +11,7 @@ import numpy as np
 from trajeval_ros.diagnosis.findings import Examined, Seen, Value
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.formatting.numbers import with_unit
+from trajeval_ros.geometry.arrays import extents
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.evaluation import evaluate_pairs
 from trajeval_ros.metrics.lost_tracking import losses_of
@@ -67,7 +68,7 @@ def begins_at_start(loss: Loss, pairs: Association) -> bool:
 
 
 def _size(positions: Floats) -> float:
-    return float(np.linalg.norm(np.ptp(positions, axis=0)))
+    return float(np.linalg.norm(extents(positions)))
 
 
 def lost_tracking(

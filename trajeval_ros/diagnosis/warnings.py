@@ -339,8 +339,8 @@ def about_unused_rule(rule: FixRule) -> Iterator[Remark]:
 
 def _about_projection(name: str, side: Trajectory) -> Iterator[Remark]:
     """Yield a warning if a side's positions are those of a UTM zone, which is no rigid frame."""
-    level = np.abs(side.up.turned(side.positions)[:, :2])
-    low, high = level.min(axis=0), level.max(axis=0)
+    columns = [np.abs(column) for column in side.up.turned(side.positions)[:, :2].T]
+    low, high = ([reduced(column) for column in columns] for reduced in (np.min, np.max))
     east, north = np.argsort(low)  # either may come first
     is_zone = all(
         least <= low[axis] and high[axis] <= most

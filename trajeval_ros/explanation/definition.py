@@ -109,7 +109,7 @@ FAMILIES: Final[dict[str, Family]] = {
     "evo": Family("evo", "1f,10f,1,10", ("evo", "index"), _ALL),
     "evo, all pairs": Family("evo", "1,10", ("evo", "index"), _ALL, pairs="all"),
     "metres": Family("default", "8,16,24,32,40", ("linear",), _ALL),
-    "seconds": Family("default", "1s", ("evo", "rpg", "linear"), _ALL),
+    "seconds": Family("evo", "1s", ("evo", "rpg", "linear"), _ALL, pairs="all"),
     _KITTI: Family(
         "kitti", "100,200,300,400,500,600,700,800", ("evo", "linear", "index"), (), ("mean",)
     ),

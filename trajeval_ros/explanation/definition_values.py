@@ -152,14 +152,12 @@ def _evaluated(paired: Paired, name: str, before: dict[str, Alignment]) -> Evalu
 
 def _absolute(evaluation: Evaluation, name: str, path_m: float) -> Iterator[Value]:
     withheld = bool(evaluation.alignment.untrustworthy)
+    last_m = float(evaluation.absolute.position_m[-1])
     factors = {"": 1.0, PER_AXIS: math.sqrt(1.0 / 3.0), PER_PATH: 100.0 / path_m}
     for (metric, form), (statistics, alignments, _) in ABSOLUTE.items():
         found = evaluation.ate.get(metric)
         for statistic in statistics if found and name in alignments else ():
-            if statistic == LAST:
-                value = float(evaluation.absolute.position_m[-1])
-            else:
-                value = getattr(found, statistic)
+            value = last_m if statistic == LAST else getattr(found, statistic)
             is_withheld = withheld and not metric.endswith("_m")
             rest = (name, metric, statistic, form, "", "")
             yield Value(rest, factors[form] * value, is_withheld)
@@ -181,6 +179,5 @@ def _relative(paired: Paired, alignment: Alignment, name: str, family: str) -> I
             # Rotation errors do not depend on the scale.
             values = statistics[metric] if name == "se3" or "position" in metric else None
             for statistic in chosen if values else ():
-                yield Value(
-                    (name, metric, statistic, "", family, length), getattr(values, statistic)
-                )
+                rest = (name, metric, statistic, "", family, length)
+                yield Value(rest, getattr(values, statistic))

@@ -183,9 +183,8 @@ class _Candidates:
 
         They share an association and the alignment. Relative errors depend only on its scale.
         """
-        names = np.array(list(ALIGNMENTS))
         alignment = np.array([each.alignment for each in self.first])
-        scaled = np.isin(alignment, names[[each.has_scale for each in ALIGNMENTS.values()]])
+        scaled = np.array([ALIGNMENTS[each.alignment].has_scale for each in self.first])
         relative = np.array([bool(each.family) for each in self.first])
         either = (relative[:, None] | relative) & (scaled[:, None] == scaled)
         has = np.array([[name in {one.association for one in each} for name in ASSOCIATIONS]
@@ -249,12 +248,10 @@ def _grouped(candidates: _Candidates, rows: Indices, shares: Floats) -> tuple[Ma
     groups: list[list[int]] = []
     for place in np.argsort(-shares, kind="stable").tolist():
         for group in groups:
-            head = rows[group[0]]
-            a, b = candidates.values[:, rows[place]], candidates.values[:, head]
-            same = [candidates.first[k][1:] for k in rows[place]] == [
-                candidates.first[k][1:] for k in head
-            ]
-            if same or bool((np.abs(a - b) <= _SAME_VALUE * b).all()):
+            both = rows[place], rows[group[0]]
+            a, b = (candidates.values[:, each] for each in both)
+            one, other = ([candidates.first[k][1:] for k in each] for each in both)
+            if one == other or bool((np.abs(a - b) <= _SAME_VALUE * b).all()):
                 group.append(place)
                 break
         else:

@@ -17,7 +17,7 @@ from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.geometry.up_axis import ROTATED_FROM, UpAxis
 
 AXES = ("ros", "optical")
 # The rows are the camera's axes in ROS axes: the rotation from ROS axes to camera axes.
@@ -78,7 +78,7 @@ def upright(trajectory: Trajectory) -> Trajectory:
         else lie.normalized(lie.multiply(lie.from_matrices(turn[None]), quaternions)),
         velocities=None if velocities is None else up.turned(velocities),
         covariances=None if covariances is None else both @ covariances @ both.T,
-        up=UpAxis("z", f"rotated from {up.name}, {up.origin}"),
+        up=UpAxis("z", f"{ROTATED_FROM}{up.name}, {up.origin}"),
         reading=reading.remarked(note("z_up", said)),
     )
 

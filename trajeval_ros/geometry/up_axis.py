@@ -14,7 +14,7 @@ from trajeval_ros.exceptions import require_one_of
 from trajeval_ros.geometry.arrays import Floats
 
 UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
-GIVEN, ASSUMED = "given", "assumed"
+GIVEN, ASSUMED, ROTATED_FROM = "given", "assumed", "rotated from "
 OPTICAL_SUFFIXES = ("_optical", "_optical_frame")
 
 
@@ -44,6 +44,13 @@ class UpAxis:
     def is_given(self) -> bool:
         """Whether the user specified it."""
         return self.origin == GIVEN
+
+    @property
+    def applied(self) -> Floats:
+        """The rotation (3, 3) from the frame that was read to this one with z up."""
+        is_rotated = self.origin.startswith(ROTATED_FROM)
+        own = self.origin.removeprefix(ROTATED_FROM).partition(",")[0]
+        return UpAxis(own if is_rotated else "z").matrix
 
     @property
     def index(self) -> int:

@@ -140,22 +140,17 @@ def _describe_bag(source: str, path: Path, advance: Advance | None) -> Descripti
             name = f"{source}:{topic.name}"
             if topic in posed:
                 try:
-                    trajectory = trajectory_of(bag, posed[topic])
-                    trajectories.append(summarize(name, trajectory))
+                    trajectories.append(summarize(name, trajectory_of(bag, posed[topic])))
                 except InputError as error:
                     trajectories.append(
                         TrajectorySummary(name, topic.type, topic.count, problem=str(error))
                     )
             elif topic.holds_transforms and not topic.name.endswith("_static"):
                 own = tree_of(turned[each] for each in tree_topics(bag, topic.name))
-                for (parent, child), edge in own.items():
-                    edges[topic.name, parent, child] = EdgeSummary(
-                        topic.name,
-                        parent,
-                        child,
-                        edge.is_static,
-                        len(edge.stamps),
-                        _rate_hz(edge.stamps),
+                for key, edge in own.items():
+                    rate_hz, count = _rate_hz(edge.stamps), len(edge.stamps)
+                    edges[(topic.name, *key)] = EdgeSummary(
+                        topic.name, *key, edge.is_static, count, rate_hz
                     )
             elif not topic.holds_transforms:
                 others.append((topic.name, topic.type, topic.count))

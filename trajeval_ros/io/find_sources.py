@@ -87,28 +87,26 @@ def _walk(folder: Path, left_out: list[str]) -> Iterator[Path]:
 
 def _recognised(path: Path) -> FoundSource | None:
     """Return the source in a file or in a bag's folder; None if it has no trajectory."""
-    if path.is_dir() or path.name.removesuffix(".zstd").endswith(tuple(_BAGS)):
-        from trajeval_ros.io.bags.bag import Bag
+    kind = ""
+    try:
+        if path.is_dir() or path.name.removesuffix(".zstd").endswith(tuple(_BAGS)):
+            from trajeval_ros.io.bags.bag import Bag
 
-        ending = Path(path.name.removesuffix(".zstd")).suffix
-        kind = "rosbag2" if path.is_dir() else _BAGS[ending]
-        try:
+            ending = Path(path.name.removesuffix(".zstd")).suffix
+            kind = "rosbag2" if path.is_dir() else _BAGS[ending]
             with Bag(path, None) as bag:
                 topics = [each.name for each in bag.topics if each.holds_poses and each.count]
                 topics += [each.name for each in bag.topics if each.holds_transforms]
-        except (InputError, OSError) as error:
-            return FoundSource(path, kind, problem=str(error))
-        return FoundSource(path, kind, tuple(topics))
-    if path.suffix.lower() == ".ulg":
-        from trajeval_ros.io.ulog import PoseLog
+            return FoundSource(path, kind, tuple(topics))
+        if path.suffix.lower() == ".ulg":
+            from trajeval_ros.io.ulog import PoseLog
 
-        kind = "PX4 log"
-        try:
+            kind = "PX4 log"
             if path.stat().st_size > _PX4_BYTES:
                 kind += f", first {_PX4_BYTES >> 20} MB"
             return FoundSource(path, kind, tuple(PoseLog(path, limit=_PX4_BYTES).topics))
-        except (InputError, OSError) as error:
-            return FoundSource(path, kind, problem=str(error))
+    except (InputError, OSError) as error:
+        return FoundSource(path, kind, problem=str(error))
     if path.suffix.lower() not in _TEXTS or not path.is_file():
         return None
     try:

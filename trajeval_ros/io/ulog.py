@@ -112,11 +112,8 @@ def read_log(path: Path, topics: Sequence[str], *, strict: bool = False) -> list
     log = PoseLog(path, strict=strict)
     if "" in topics and len(log.topics) != 1:
         listed = ", ".join(log.topics)
-        raise InputError(
-            f"{path} has several topics with poses; choose one as in {path}:TOPIC, of {listed}"
-            if listed
-            else f"{path} has no topic with poses"
-        )
+        several = f"several topics with poses; choose one as in {path}:TOPIC, of {listed}"
+        raise InputError(f"{path} has {several if listed else 'no topic with poses'}")
     return [log.trajectory(topic.lstrip("/") or log.topics[0]) for topic in topics]
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie, so3
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.arrays import Floats, extents
 from trajeval_ros.geometry.gauge import Gauge, Similarity
 from trajeval_ros.metrics.moments import Moments, OrientationSum
 from trajeval_ros.metrics.rotation_freedom import RotationFreedom, rotation_freedom
@@ -225,7 +225,7 @@ def align(
 
 
 def _require_motion(who: str, positions: Floats) -> None:
-    extent = max(float(np.ptp(positions[:, axis])) for axis in range(3))
+    extent = extents(positions).max()
     if extent <= _ROUNDING * max(1.0, float(np.abs(positions[0]).max())):
         raise DegenerateGeometryError(
             f"the {who} does not move in {counted(len(positions), 'aligned state')}, so the "

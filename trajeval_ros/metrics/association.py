@@ -337,6 +337,12 @@ def explain_no_match(
     if as_other_unit or max(groundtruth_s[1], estimate_s[1]) > LATEST_CLOCK_S:
         return f"{text}; the units of the timestamps probably differ (seconds, milliseconds)"
     if min(groundtruth_s[1], estimate_s[1]) < 1e7 and max(groundtruth_s[1], estimate_s[1]) > 1e8:
+        who = "estimate" if estimate_s[1] < groundtruth_s[1] else "groundtruth"
+        stamps = {"estimate": estimate, "groundtruth": groundtruth}[who].stamps
+        steps = np.unique(np.diff(stamps))
+        if len(steps) == 1 and steps[0] > 0 and not (stamps % NANOSECONDS).any():
+            said = f"the {who} probably has numbers of frames instead of times"
+            return f"{text}; {said}; write the times of all frames to times.txt next to it"
         return f"{text}; one counts from zero (simulated time), the other is a system clock"
     apart = max(groundtruth_s[0] - estimate_s[1], estimate_s[0] - groundtruth_s[1])
     if apart > _OTHER_RECORDING_S:

@@ -61,7 +61,7 @@ class Divergence:
         self._products: tuple[float, ...] = (0.0,) * 9
         self._true_true = self._true_own = self._own_own = self._true_m = self._time_s = 0.0
         self._first_scale = 0.0  # metres per unit of the estimate
-        self._learned = 0
+        self._learned = self._solved = 0  # number of steps, now and at the solution
         self._rotation: list[float] = np.eye(3).ravel().tolist()  # row by row
         self._sum_m = self._lengths_m = 0.0
         self._before_m = 0.0, 0.0
@@ -111,13 +111,11 @@ class Divergence:
             return
         scale = self._true_own / self._own_own
         self._first_scale = self._first_scale or scale
-        (x, y, z), turned = own_step, self._rotation
-        difference_m = math.hypot(
-            scale * (turned[0] * x + turned[1] * y + turned[2] * z) - true_step[0],
-            scale * (turned[3] * x + turned[4] * y + turned[5] * z) - true_step[1],
-            scale * (turned[6] * x + turned[7] * y + turned[8] * z) - true_step[2],
-        )
         explained_m = _DRIFT * true_m + _NOISE_MPS * time_s
+        difference_m = self._difference_m(scale, true_step, own_step)
+        if difference_m > explained_m and self._learned >= self._solved + _SOLVE_EVERY:
+            self._solve()  # as the last solution does not explain the step
+            difference_m = self._difference_m(scale, true_step, own_step)
         if self._sum_m == 0.0 and not is_lost:
             if difference_m <= explained_m and self._agreed:
                 return  # the usual case: the sum stays zero
@@ -184,10 +182,20 @@ class Divergence:
         self._true_own = kept * self._true_own + true_m * own_m
         self._own_own = kept * self._own_own + own_m * own_m
         self._learned += 1
-        if self._learned % _SOLVE_EVERY == 1:
-            # A reflection is allowed: mirrored axes are no divergence.
-            left, _, right = np.linalg.svd(np.reshape(self._products, (3, 3)))
-            self._rotation = (left @ right).ravel().tolist()
+
+    def _solve(self) -> None:
+        # A reflection is allowed: mirrored axes are no divergence.
+        left, _, right = np.linalg.svd(np.reshape(self._products, (3, 3)))
+        self._rotation, self._solved = (left @ right).ravel().tolist(), self._learned
+
+    def _difference_m(self, scale: float, true: _Vector, own: _Vector) -> float:
+        """Return the distance of a displacement from the estimate's, turned and scaled, metres."""
+        (x, y, z), turned = own, self._rotation
+        return math.hypot(
+            scale * (turned[0] * x + turned[1] * y + turned[2] * z) - true[0],
+            scale * (turned[3] * x + turned[4] * y + turned[5] * z) - true[1],
+            scale * (turned[6] * x + turned[7] * y + turned[8] * z) - true[2],
+        )
 
     @property
     def _agreed(self) -> bool:

@@ -5,13 +5,17 @@ Live and offline evaluation share this code, so that they report the same times.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
-from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.arrays import Floats, Indices, Stamps
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.divergence import Divergence
 from trajeval_ros.metrics.repeated_poses import MOVED_M, MOVED_OF_FIXES_M, RepeatedPoses
 from trajeval_ros.metrics.tracking_loss import Loss
+
+_BATCH = 8192  # pairs that are copied at a time
 
 
 class LostTracking:
@@ -51,29 +55,35 @@ class LostTracking:
 def losses_of(groundtruth: Trajectory, estimate: Trajectory, *, of_fixes: bool) -> list[Loss]:
     """Return the losses in N pairs."""
     tracking = LostTracking(of_fixes=of_fixes)
-    tracking.add(*_in_order(groundtruth, estimate))
+    for batch in _batches(groundtruth, estimate):
+        tracking.add(*batch)
     return tracking.losses
 
 
 def frozen_ns(groundtruth: Trajectory, estimate: Trajectory, max_gap_s: float) -> int:
     """Return the time of frozen estimates in N pairs, nanoseconds, without longer steps."""
     repeats = RepeatedPoses(max_gap_s=max_gap_s)
-    repeats.add(*_in_order(groundtruth, estimate))
+    for batch in _batches(groundtruth, estimate):
+        repeats.add(*batch)
     return repeats.time_ns
 
 
-def _in_order(groundtruth: Trajectory, estimate: Trajectory) -> tuple[Stamps, Floats, Floats]:
-    """Return stamps (N,) and poses (N, 7) of both sides, in order of time."""
-    stamps, poses = estimate.stamps, (_poses(groundtruth), _poses(estimate))
-    if (stamps[1:] >= stamps[:-1]).all():
-        return stamps, *poses
-    order = np.argsort(stamps, kind="stable")
-    return stamps[order], poses[0][order], poses[1][order]
+def _batches(
+    groundtruth: Trajectory, estimate: Trajectory
+) -> Iterator[tuple[Stamps, Floats, Floats]]:
+    """Yield N pairs in order of time: stamps (n,), and poses (n, 7) of both sides."""
+    stamps, order = estimate.stamps, None
+    if (stamps[1:] < stamps[:-1]).any():
+        order = np.argsort(stamps, kind="stable")
+    for begin in range(0, len(stamps), _BATCH):
+        rows: slice | Indices = slice(begin, begin + _BATCH)
+        if order is not None:
+            rows = order[rows]
+        yield stamps[rows], _poses(groundtruth, rows), _poses(estimate, rows)
 
 
-def _poses(trajectory: Trajectory) -> Floats:
-    """Return the poses (N, 7) of a trajectory; without orientations, quaternions are NaN."""
-    turns = trajectory.quaternions
-    if turns is None:
-        turns = np.full((len(trajectory), 4), np.nan)
-    return np.hstack([trajectory.positions, turns])
+def _poses(trajectory: Trajectory, rows: slice | Indices) -> Floats:
+    """Return some poses (n, 7) of a trajectory; without orientations, quaternions are NaN."""
+    positions, turns = trajectory.positions[rows], trajectory.quaternions
+    turns = np.full((len(positions), 4), np.nan) if turns is None else turns[rows]
+    return np.hstack([positions, turns])

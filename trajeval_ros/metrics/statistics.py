@@ -112,21 +112,11 @@ def _root_mean_square(values: Floats, centre: float) -> float:
 
 
 def _quantiles(values: Floats, *shares: float) -> list[float]:
-    """Return quantiles of N > 0 values for decreasing shares; partly sorts the values.
-
-    One quantile after the other: for several at once numpy is slower than a full sort.
-    """
-    quantiles, end = [], len(values)
-    for share in shares:
-        place = share * (len(values) - 1)
-        below = int(place)
-        values[:end].partition(below)
-        # All later values are at least as large; the least of them is next in order.
-        low = values[below]
-        above = values[below + 1 :].min() if below + 1 < len(values) else low
-        quantiles.append(float(low + (place - below) * (above - low)))
-        end = below + 1
-    return quantiles
+    """Return quantiles of N > 0 values; partly sorts the values."""
+    last = len(values) - 1
+    below = [int(share * last) for share in shares]
+    values.partition(sorted({*below, *(min(each + 1, last) for each in below)}))
+    return [quantile(values, share) for share in shares]
 
 
 # 32 bins per factor of two, every one 2.2 % wide.

@@ -9,6 +9,7 @@ from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.frame_axes import upright
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 from trajeval_ros.metrics.association import Association
 from trajeval_ros.metrics.coverage import Coverage
@@ -35,6 +36,12 @@ class ThinnedRun:
     def __len__(self) -> int:
         """Return the number of stored pairs, without the newest one."""
         return self._count
+
+    @property
+    def span_s(self) -> float:
+        """Time from the first to the newest pair, seconds; 0 without pairs."""
+        newest = self._newest
+        return 0.0 if newest is None else int(newest.stamps[0] - self._stamps[0]) / NANOSECONDS
 
     def add(self, pairs: Pairs) -> None:
         """Take new pairs."""

@@ -14,7 +14,14 @@ from trajeval_ros.formatting.escaping import one_line, visible
 from trajeval_ros.formatting.text_tables import BOLD, UNDERLINE, MarkedText, TextRow
 
 DIM = "dim"
-_CODES = {BOLD: "\x1b[1m", DIM: "\x1b[2m", UNDERLINE: "\x1b[4m"}
+WARNING, ERROR = "warning", "error"
+_CODES = {
+    BOLD: "\x1b[1m",
+    DIM: "\x1b[2m",
+    UNDERLINE: "\x1b[4m",
+    WARNING: "\x1b[33m",  # yellow
+    ERROR: "\x1b[31m",  # red
+}
 _END = "\x1b[0m"
 _UNWRAPPED = 10_000  # characters
 _GAP = "  "  # between columns
@@ -34,8 +41,8 @@ class Console:
     def print(self, text: str = "", style: str = "", *, soft_wrap: bool = False) -> None:
         """Print lines.
 
-        `style`: `BOLD`, `DIM`, `UNDERLINE` or empty. `soft_wrap`: whether the terminal wraps long
-        lines; otherwise they are wrapped at blanks.
+        `style`: `BOLD`, `DIM`, `UNDERLINE`, `WARNING`, `ERROR` or empty. `soft_wrap`: whether the
+        terminal wraps long lines; otherwise they are wrapped at blanks.
         """
         for line in visible(text).split("\n"):
             width = _UNWRAPPED if soft_wrap else self.width
@@ -57,6 +64,7 @@ def console(stream: IO[str] | None = None) -> Console:
     if not output.isatty():
         return Console(output, _UNWRAPPED, is_terminal=False)
     is_styled = os.environ.get("TERM", "dumb") not in ("dumb", "unknown")
+    is_styled &= not os.environ.get("NO_COLOR")  # https://no-color.org
     width = shutil.get_terminal_size().columns
     return Console(output, width, is_terminal=True, is_styled=is_styled)
 

@@ -34,6 +34,7 @@ from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_outputs import LiveOutputs
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.ros.recorded_state import groundtruth_dropped, missing_source
+from trajeval_ros.ros.slow_evaluation import FIRST_HINTS_S
 from trajeval_ros.ros.status_topics import DiagnosticsTopic, EventTopic, status_message
 from trajeval_ros.ros.terminal import summary
 from trajeval_ros.ros.watching import Watching
@@ -247,7 +248,8 @@ def _about_run(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> Iter
         yield Remark(Level.NOTE, "alignment", "warming up")
     elif snapshot.alignment is not None and snapshot.alignment.freedom is not None:
         misleading = snapshot.alignment.freedom.misleading
-        if misleading and snapshot.loss is None:
+        is_early = estimate.thinned.span_s < FIRST_HINTS_S  # the first errors rotate a short path
+        if misleading and snapshot.loss is None and not is_early:
             yield warning("hint", misleading, "alignment")
     if not run.holds:
         yield from estimate.slow.hints

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 from trajeval_ros.diagnosis.warnings import about_frames
 from trajeval_ros.formatting.remarks import Remark, warning
-from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.requests.request_from import in_names_of_settings
 from trajeval_ros.metrics.evaluation import Evaluation
@@ -68,7 +67,7 @@ def hints_about(
 
 _MOST_SHARE = 0.03  # largest share of a core
 # Span of the run before the first hints, and factor of its growth before the next ones.
-_FIRST_S = 5.0
+FIRST_HINTS_S = 5.0
 _GROWTH = 1.3
 
 
@@ -85,7 +84,7 @@ class SlowEvaluation:
         self.hints: list[Remark] = []  # newest hints
         self.revised: Evaluation | None = None  # of the newest path
         self._task: BackgroundTask[_Findings] = BackgroundTask(_MOST_SHARE)
-        self._hints_at_s = _FIRST_S
+        self._hints_at_s = FIRST_HINTS_S
         self._version = 0  # version of the evaluated path
 
     def renew(
@@ -108,10 +107,9 @@ class SlowEvaluation:
         if not self._task.is_due:
             return has_revised
         some = newest = None
-        stamps, groundtruth, estimate = thinned.columns()
-        span_s = int(stamps[-1] - stamps[0]) / NANOSECONDS if len(stamps) else 0.0
-        if span_s >= self._hints_at_s:
-            self._hints_at_s = _GROWTH * span_s
+        if thinned.span_s >= self._hints_at_s:
+            self._hints_at_s = _GROWTH * thinned.span_s
+            stamps, groundtruth, estimate = thinned.columns()
             some = Pairs(stamps.copy(), groundtruth.copy(), estimate.copy())  # since they change
         if path is not None and path.version != self._version:
             newest, self._version = path.pairs(), path.version

@@ -139,6 +139,7 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> dict[Any, Path]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("mode", list(CompressionMode)[:3])
 @pytest.mark.parametrize("storage", [MCAP, SQLITE3])

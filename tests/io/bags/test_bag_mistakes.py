@@ -51,6 +51,7 @@ def bare_ros1(tmp_path: Path) -> Path:
 BARE = [bare_mcap, bare_db3, bare_ros1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", BARE)
 @pytest.mark.parametrize("share", [0.0, 0.0001, 0.001, 0.3, 0.9, 0.9999])
 def test_truncated_bags(make: Make, share: float, tmp_path: Path) -> None:
@@ -65,6 +66,7 @@ def test_truncated_bags(make: Make, share: float, tmp_path: Path) -> None:
         read_trajectory(str(path), strict=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", BARE)
 def test_damaged_bags_never_end_in_a_traceback(make: Make, tmp_path: Path) -> None:
     path = make(tmp_path)

@@ -125,6 +125,7 @@ def serialised(store: Any, message: Any, message_type: str, random: Random) -> b
     return cdr + bytes(-len(cdr) % 4 if random.random() < 0.5 else 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("message_type", TYPES + WITH_SEQUENCES)
 def test_every_field_of_random_messages(message_type: str) -> None:
     random = np.random.default_rng(1)
@@ -396,6 +397,7 @@ def real_bags(folder: Path) -> list[Path]:
     return bags
 
 
+@pytest.mark.slow
 def test_every_field_of_every_message_of_real_bags(shared_data: Path) -> None:
     checked = 0
     for path in real_bags(shared_data / "bags"):

@@ -168,6 +168,7 @@ HOSTILE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", HOSTILE)
 def test_hostile_definitions_are_not_expanded(name: str, tmp_path: Path) -> None:
     path = mcap_file(

@@ -95,6 +95,7 @@ def test_messages_equal_those_of_rosbags(compression: Any, image: bytes, tmp_pat
         assert {each.name: each.declared for each in opened.topics} == counts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ROS_example.bag", "tf_example.bag"])
 def test_messages_of_real_bags_equal_those_of_rosbags(name: str, shared_data: Path) -> None:
     path = shared_data / "bags" / name
@@ -234,6 +235,7 @@ def test_a_damaged_chunk_loses_its_messages_only(compression: Any, tmp_path: Pat
     assert 0.5 * COUNT < len(read) < COUNT
 
 
+@pytest.mark.slow
 def test_a_damaged_message_is_the_only_one_lost(tmp_path: Path) -> None:
     path = bag(tmp_path / "x.bag")
     header = path.read_bytes().find(pose(105))

@@ -114,6 +114,7 @@ def root_of(path: Path) -> int:
     return root
 
 
+@pytest.mark.slow
 @given(
     st.integers(0, 2**32),
     st.integers(0, ROWS),

@@ -65,6 +65,7 @@ def result(evaluated: Path) -> dict[str, Any]:
     return loaded
 
 
+@pytest.mark.slow
 def test_errors_have_the_stamps_of_the_estimate_s_messages(
     recorded: dict[str, Recorded], archive: dict[str, np.ndarray], flights: Path
 ) -> None:
@@ -233,6 +234,7 @@ def test_vectors_are_about_the_groundtruth_frame_s_own_axes(gauge: str, tmp_path
     assert vectors["turned"]["/heading_error"] == pytest.approx(heading, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_two_evaluations_give_the_same_bytes(flights: Path, tmp_path: Path) -> None:
     for name in ("a", "b"):
         (tmp_path / name).mkdir()

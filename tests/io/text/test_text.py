@@ -230,6 +230,7 @@ def test_one_pose_can_be_read(tmp_path: Path) -> None:
     assert len(read_trajectory(str(path))) == 1
 
 
+@pytest.mark.slow
 @given(count=st.integers(1, 3000), seed=st.integers(0, 1000), places=st.integers(3, 18))
 def test_files_of_many_blocks_are_read_whole(
     count: int, seed: int, places: int, tmp_path_factory: pytest.TempPathFactory
@@ -281,6 +282,7 @@ def test_real_files(name: str, shared_data: Path) -> None:
     assert trajectory.rotations is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in REAL if "kitti" not in name])
 def test_real_stamps_and_numbers_are_those_of_python(name: str, shared_data: Path) -> None:
     lines = (shared_data / name).read_text().replace(",", " ").splitlines()

@@ -364,6 +364,7 @@ def refusal(path: Path, hints: TextHints) -> str:
     return ""
 
 
+@pytest.mark.slow
 @given(st.data())
 @settings(max_examples=200)
 def test_any_damage_is_read_or_refused(data: st.DataObject) -> None:

@@ -35,15 +35,9 @@ def declared_resets(columns: PoseColumns, velocities: Floats | None) -> tuple[De
     if columns.quaternions is not None:
         first, last = columns.quaternions[before], columns.quaternions[after]
         turns = np.degrees(lie.angle(lie.multiply(lie.conjugate(first), last)))
-    return tuple(
-        DeclaredReset(stamp, step, turn)
-        for stamp, step, turn in zip(
-            columns.stamps[after].tolist(),
-            np.linalg.norm(steps, axis=1).tolist(),
-            turns.tolist(),
-            strict=True,
-        )
-    )
+    lengths = np.linalg.norm(steps, axis=1)
+    rows = columns.stamps[after].tolist(), lengths.tolist(), turns.tolist()
+    return tuple(map(DeclaredReset, *rows))
 
 
 def about_resets(resets: Sequence[DeclaredReset], first: int) -> Iterator[Remark]:

@@ -231,30 +231,27 @@ def _odometry(fields: _Numbers, poses: PoseColumns, *, covariance: bool) -> Pose
         velocities=moved,
         covariances=_covariances(fields, worlds, rotations) if covariance else None,
     )
-    faults = {
-        "no_position": no_position, "no_orientation": no_orientation, "unknown_frame": unknown
-    }  # fmt: skip
-    return _usable(poses, frames, **faults)
+    faults = {"no_position": no_position, "no_orientation": no_orientation}
+    return _usable(poses, frames, **faults, unknown_frame=unknown)
 
 
 def _covariances(fields: _Numbers, worlds: Floats, rotations: Floats) -> Floats:
-    """Return the covariances (N, 6, 6) about the fixed axes.
+    """Return the covariances (N, 6, 6) about the fixed axes; unknown blocks are NaN.
 
     The upper triangle of 1.13 is about the world's axes. Later variances of orientations are about
     the body's.
     """
-    found = np.zeros((fields.count, 6, 6))
-    both = np.zeros_like(found)
-    both[:, :3, :3] = both[:, 3:, 3:] = worlds
+    found, turns = np.zeros((fields.count, 6, 6)), np.stack([worlds, worlds], axis=1)
     if "pose_covariance" in fields.has:
         rows, columns = np.triu_indices(6)
         found[:, rows, columns] = found[:, columns, rows] = fields.of("pose_covariance", 21)
     else:
-        both[:, 3:, 3:] = rotations
+        turns[:, 1] = rotations
         variances = fields.of("position_variance orientation_variance", 6)
         found[:, range(6), range(6)] = np.where(variances > 0.0, variances, np.nan)
-    turned: Floats = both @ found @ np.swapaxes(both, 1, 2)
-    return turned
+    blocks = found.reshape(-1, 2, 3, 2, 3)
+    turned: Floats = np.einsum("naij,najbk,nblk->naibl", turns, blocks, turns, optimize=True)
+    return turned.reshape(-1, 6, 6)
 
 
 def _fixes(fields: _Numbers, poses: PoseColumns) -> PoseColumns:
@@ -314,6 +311,16 @@ def about_px4(columns: PoseColumns) -> Iterator[Remark]:
         world = "NED" if columns.frames[0][1] == _FRAMES[_NED] else "FRD"
         yield note("converted_axes", f"converted from {world} and a body in FRD to ROS axes")
     failed = 0 if columns.flags is None else int(np.count_nonzero(columns.flags[:, 1] < 0))
+    if columns.covariances is not None:
+        unknown = np.isnan(columns.covariances.diagonal(axis1=1, axis2=2)[:, [0, 3]])
+        said = [
+            f"{counted(int(lacks.sum()), 'message')} without variances of the {what}"
+            for lacks, what in zip(unknown.T, ("position", "orientation"), strict=True)
+            if lacks.any()
+        ]
+        if said and not unknown.all():
+            text = f"covariances are incomplete: {', '.join(said)}"
+            yield note("incomplete_covariances", text)
     if failed:
         yield note("failed_quality", f"{counted(failed, 'message')} with quality -1 (failed)")
 

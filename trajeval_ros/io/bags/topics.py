@@ -215,9 +215,7 @@ def trajectory_of_columns(
     if velocities is not None and has_world_twist(columns):
         remarks = (*remarks, WORLD_TWIST)
     covariances = columns.covariances
-    if covariances is not None and not (
-        covariances.any() and np.isfinite(covariances).all(axis=(1, 2)).any()
-    ):
+    if covariances is not None and not np.nan_to_num(covariances).any():
         covariances = None
     changes = [
         f"{where}: frame_id changes from {before[1:]} to {after[1:]} at pose {after[0]}"
