@@ -201,6 +201,7 @@ def test_jumps_outliers_frozen_and_held_poses() -> None:
     assert steps.max() < 50_000_000
 
 
+@pytest.mark.slow
 def test_a_clock_that_is_likely_but_not_significant_is_repaired() -> None:
     made = rig(4, offset_s=0.003, skew=-6e-5)
     found = examined(made)

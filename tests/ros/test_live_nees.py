@@ -79,6 +79,7 @@ def test_live_nees_is_that_of_the_bag(
     assert snapshot.nees.rotation.mean == pytest.approx(per_pose["rotation"]["mean"], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_live_nees_against_a_repaired_groundtruth_is_that_of_the_bag(tmp_path: Path) -> None:
     made = rig(2, turn_deg=(3.0, -2.0, 1.5))
     fits = examine(made.groundtruth, made.readings).fits
