@@ -32,6 +32,7 @@ from mcap.writer import CompressionType
 from mcap_layouts import Layout, Part
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.io.bags.bag_folder import BagFolder, read_metadata
 from trajeval_ros.io.bags.blocks import TopicSelection
 from trajeval_ros.io.bags.compression import decompress
@@ -87,6 +88,23 @@ def test_ids_that_are_no_integers_are_no_number_of_rows(tmp_path: Path) -> None:
         database.executemany("INSERT INTO messages VALUES (?, ?, ?, ?)", rows)
     database.close()
     assert sorted(rows_of(read_trajectory(str(path)))) == list(range(20))
+
+
+@pytest.mark.parametrize("topic", [None, 7, "x"])
+@pytest.mark.parametrize("count", [1, COUNT])
+def test_messages_of_unknown_topics_are_damage(count: int, topic: object, tmp_path: Path) -> None:
+    path = sqlite_file(tmp_path)
+    with sqlite3.connect(path) as database:
+        database.execute("CREATE TABLE changed(id, topic_id, timestamp, data)")
+        database.execute("INSERT INTO changed SELECT * FROM messages")
+        database.execute("UPDATE changed SET topic_id = ? WHERE id <= ?", (topic, count))
+        database.executescript("DROP TABLE messages; ALTER TABLE changed RENAME TO messages")
+    database.close()
+    said = f"{counted(count, 'message')} of unknown topics"
+    if count == COUNT:
+        assert said in refusal(path)
+    else:
+        assert len(assert_damaged(path, said)) == COUNT - count
 
 
 def shared_pages(path: Path, interior: int) -> None:
