@@ -364,4 +364,4 @@ def test_names_with_digits_that_are_no_numbers_are_sorted(tmp_path: Path) -> Non
     for name in ("x1²2.mcap", "x10.mcap", "x9.mcap", "x٣.mcap"):
         mcap_file(tmp_path / name)
     names = [each.name for each in BagFolder.of(tmp_path).files]
-    assert names == ["x1²2.mcap", "x٣.mcap", "x9.mcap", "x10.mcap"]
+    assert names == ["x1²2.mcap", "x9.mcap", "x10.mcap", "x٣.mcap"]
