@@ -10,6 +10,7 @@ import pytest
 
 from trajeval_ros.diagnosis.clock_tests import other_rate
 from trajeval_ros.diagnosis.convention_tests import conventions
+from trajeval_ros.diagnosis.diagnose import _tests_of_geometry
 from trajeval_ros.diagnosis.findings import Diagnosis, Finding
 from trajeval_ros.diagnosis.hypotheses import AS_READ, TRANSPOSED, WXYZ, Hypothesis
 from trajeval_ros.diagnosis.input_pair import TimedPoses
@@ -130,6 +131,20 @@ def with_errors(position_m: float, rotation_deg: float | None) -> Any:
         name: None if each is None else SimpleNamespace(rmse=each) for name, each in rmses.items()
     }
     return SimpleNamespace(ate=found)
+
+
+@pytest.mark.parametrize(
+    ("overlap_s", "peak", "causes"),
+    [(21.0, 0.44, ["other_run"]), (19.0, 0.44, []), (20.0, 0.44, []), (21.0, 0.46, [])],
+)
+def test_without_short_motions_another_run_has_a_low_peak_and_a_long_overlap(
+    overlap_s: float, peak: float, causes: list[str]
+) -> None:
+    poses = TimedPoses(np.array([0.0, 100.0]), np.zeros((2, 3)))
+    inputs: Any = SimpleNamespace(max_gap_s=0.5, by_time=True)
+    match: Any = SimpleNamespace(overlap_s=overlap_s, peak=peak)
+    [examined] = _tests_of_geometry(inputs, poses, poses, match)
+    assert [seen.cause for seen in examined.seen] == causes
 
 
 def test_a_clock_rate_is_not_searched_in_a_gap() -> None:
