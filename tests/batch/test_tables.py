@@ -10,11 +10,13 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trajeval_ros.batch.summary_tables import definition
 from trajeval_ros.formatting.escaping import latex_text
 from trajeval_ros.report.console import console, show
 from trajeval_ros.report.matrix import (
@@ -157,3 +159,31 @@ def test_the_average_is_of_all_columns_or_none() -> None:
 def test_what_leaves_out_more_of_the_way_is_no_winner() -> None:
     cells = [Cell(0.1, "†", is_ranked=False), Cell(0.3), Cell(0.2)]
     assert ranked(cells) == [0, 2, 1]
+
+
+@pytest.mark.parametrize(
+    ("time_offset", "hand_eye", "said"),
+    [
+        ("0", "none", "gaps up to 0.5 s."),
+        ("auto", "none", "and applied if statistically significant: clock offset."),
+        ("auto", "auto", "and applied if statistically significant: clock offset and body."),
+        ("0", [1.0, 0.0], "gaps up to 0.5 s. With a given hand-eye transform."),
+    ],
+)
+def test_a_caption_names_the_applied_calibration(
+    time_offset: str, hand_eye: Any, said: str
+) -> None:
+    settings = {
+        "modality": None,
+        "align_states": "all",
+        "align_with": "positions",
+        "gauge": "se3",
+        "common_time_span": False,
+        "association": "linear",
+        "max_time_difference": 0.01,
+        "max_gap": 0.5,
+        "continuous_model": "auto",
+        "protocol": "default",
+    }
+    text = definition({**settings, "time_offset": time_offset, "hand_eye": hand_eye})
+    assert text.endswith(said)

@@ -180,7 +180,13 @@ def test_a_link_in_place_of_a_folder_of_a_comparison_is_refused(
     }
 
 
-@pytest.mark.parametrize("name", ["README.txt", "tables.md", "report.html", "figures", "report"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("README.txt", "tables.md", "report.html", "ate_position_m.csv"),
+        *("re_position_percent.csv", "figures", "report"),
+    ],
+)
 def test_a_comparison_replaces_only_results_of_a_comparison(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -10,9 +10,12 @@ import pytest
 
 from trajeval_ros.diagnosis.clock_tests import other_rate
 from trajeval_ros.diagnosis.convention_tests import conventions
+from trajeval_ros.diagnosis.diagnose import _tests_of_geometry
+from trajeval_ros.diagnosis.findings import Diagnosis, Finding
 from trajeval_ros.diagnosis.hypotheses import AS_READ, TRANSPOSED, WXYZ, Hypothesis
 from trajeval_ros.diagnosis.input_pair import TimedPoses
 from trajeval_ros.diagnosis.input_tests import rounded_stamps
+from trajeval_ros.diagnosis.trials import with_tried_advice
 
 NO_TURNS: Any = SimpleNamespace(
     groundtruth_turned=None,
@@ -47,11 +50,24 @@ def test_another_change_of_the_convention_must_explain_more(
 
 
 @pytest.mark.parametrize(
-    ("step_s", "named_s"), [(1.0, 1.0), (0.5, 0.5), (0.1, 0.1), (0.75, None), (0.25, None)]
+    ("step_s", "shared", "moving", "named_s"),
+    [
+        (1.0, 3, 1.0, 1.0),
+        (0.5, 3, 1.0, 0.5),
+        (0.1, 3, 1.0, 0.1),
+        (0.75, 3, 1.0, None),
+        (0.25, 3, 1.0, None),
+        (1.0, 2, 1.0, 1.0),
+        (1.0, 1, 1.0, None),
+        (1.0, 3, 0.6, 1.0),
+        (1.0, 3, 0.4, None),
+    ],
 )
-def test_rounded_timestamps_have_steps_of_clocks(step_s: float, named_s: float | None) -> None:
-    seconds = step_s * (1 + np.arange(120) // 3)
-    positions = np.cumsum(np.ones((120, 3)), axis=0)
+def test_rounded_timestamps_have_steps_of_clocks_and_moving_poses(
+    step_s: float, shared: int, moving: float, named_s: float | None
+) -> None:
+    seconds = step_s * (1 + np.arange(120) // shared)
+    positions = np.cumsum(np.outer(np.arange(120) % 10 < 10 * moving, np.ones(3)), axis=0)
     poses = TimedPoses(seconds, positions)
     read = SimpleNamespace(stamps=np.rint(seconds * 1e9).astype(np.int64))
     true = SimpleNamespace(stamps=np.arange(120, dtype=np.int64) * 12_345_678)
@@ -78,6 +94,57 @@ def test_another_run_has_an_offset_a_low_peak_and_a_long_overlap(
     apart = [hypothesis(AS_READ, 0, 0.99), hypothesis(WXYZ, 1, 0.9)]
     found = conventions(apart, NO_TURNS, NO_TURNS, match)
     assert [seen.cause for seen in found.seen] == (["other_run"] if is_other else [])
+
+
+@pytest.mark.parametrize(
+    ("position", "rotation", "is_stated"),
+    [
+        (1.0, 1.0, True),
+        (1.09, 1.09, True),
+        (1.1, 1.0, False),
+        (1.0, 1.1, False),
+        (1.2, 0.99, False),
+        (0.99, 1.2, False),
+        (1.0, None, True),
+        (1.1, None, False),
+    ],
+)
+@pytest.mark.parametrize("is_gone", [True, False])
+def test_a_finding_whose_correction_helps_little_is_stated_unless_an_error_grows(
+    position: float, rotation: float | None, is_gone: bool, is_stated: bool
+) -> None:
+    finding = Finding("unit", "", "", {"estimate": "mm"}, 1.0, {})
+    left = () if is_gone else (Finding("unit", "", "", {}, 1.0, {}),)
+    kept = with_tried_advice(
+        Diagnosis((finding,)),
+        with_errors(1.0, 1.0),
+        lambda _: (with_errors(position, rotation), Diagnosis(left)),
+    ).findings
+    assert [each.cause for each in kept] == ["unit"] * (is_stated and is_gone)
+    assert all(not each.correction for each in kept)
+
+
+def with_errors(position_m: float, rotation_deg: float | None) -> Any:
+    """Return an evaluation with these RMSEs."""
+    rmses = {"position_m": position_m, "rotation_deg": rotation_deg}
+    found = {
+        name: None if each is None else SimpleNamespace(rmse=each) for name, each in rmses.items()
+    }
+    return SimpleNamespace(ate=found)
+
+
+@pytest.mark.parametrize(
+    ("overlap_s", "peak", "causes"),
+    [(21.0, 0.44, ["other_run"]), (19.0, 0.44, []), (20.0, 0.44, []), (21.0, 0.46, [])],
+)
+def test_without_short_motions_another_run_has_a_low_peak_and_a_long_overlap(
+    overlap_s: float, peak: float, causes: list[str]
+) -> None:
+    poses = TimedPoses(np.array([0.0, 100.0]), np.zeros((2, 3)))
+    inputs: Any = SimpleNamespace(max_gap_s=0.5, by_time=True)
+    match: Any = SimpleNamespace(overlap_s=overlap_s, peak=peak)
+    [examined] = _tests_of_geometry(inputs, poses, poses, match)
+    assert [seen.cause for seen in examined.seen] == causes
 
 
 def test_a_clock_rate_is_not_searched_in_a_gap() -> None:

@@ -48,6 +48,8 @@ def said_by(read: Callable[[Path], object], path: Path) -> str:
 @given(NUMBERS, NUMBERS)
 @example("0x" + "f" * 6000, "1")
 @example("1", "0x" + "f" * 6000)
+@example("9" * 6000, "1")
+@example("1", "{")
 def test_any_number_is_read_or_refused_in_a_sentence(first: str, second: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "x.yaml"

@@ -137,6 +137,21 @@ def test_drift_is_the_largest_of_the_sub_trajectories_that_ended() -> None:
     assert found[0] > 0.0
 
 
+@pytest.mark.parametrize("knows_up", [True, False])
+def test_peaks_are_the_largest_errors_of_all_pairs_and_their_stamps(*, knows_up: bool) -> None:
+    flight = circling(4, 20)
+    assert flight.quaternions is not None
+    off = flight.positions + np.outer([0.1, 0.7, 0.2, 0.3], [1.0, 0.0, 0.0])
+    live, peaks = OnlineEvaluator(OnlineSettings(Protocol(gauge="none"))), Peaks()
+    live.add_groundtruth(flight.stamps, states(flight.positions, flight.quaternions))
+    live.add_estimate(flight.stamps, states(off, flight.quaternions))
+    peaks.see_update(live.update(), knows_up=knows_up)
+    found = peaks.take()
+    assert found["position_error_m"].value == pytest.approx(0.7)
+    assert found["position_error_m"].stamp == flight.stamps[1]
+    assert ("yaw_error_deg" in found) == knows_up
+
+
 def test_what_stands_is_told_when_it_begins_gets_graver_and_ends() -> None:
     standing = Standing()
     warned = Remark(Level.WARNING, "alarm", "0.2 m is over 0.1 m", "position_error_m")

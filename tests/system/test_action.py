@@ -185,3 +185,21 @@ def test_a_path_is_no_option_and_no_output(name: str, path: str, job: Job) -> No
     assert done.returncode == 2
     assert "starts with a dash or has two lines" in done.stderr
     assert not job.temporary.exists() or not list(job.temporary.iterdir())
+
+
+@pytest.mark.skipif(not shutil.which("make"), reason="make is missing")
+def test_an_audit_that_looked_nothing_up_fails(tmp_path: Path) -> None:
+    (tmp_path / "bin").mkdir()
+    program = tmp_path / "bin" / "pip-audit"
+    program.write_text('#!/bin/sh\ncase " $* " in *" --strict "*) exit 1 ;; esac\n')
+    program.chmod(0o755)
+    (tmp_path / ".installed").touch()
+    done = subprocess.run(
+        ["make", "--no-print-directory", "audit", f"AUDIT={tmp_path}"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stdout.split() == ["constraints.txt:", "constraints-ros.txt:"]

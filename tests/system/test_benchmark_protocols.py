@@ -275,6 +275,9 @@ def test_a_file_is_a_protocol(tmp_path: Path) -> None:
         ("lengths: 3x\n", "'3x' is not a length"),
         ("lengths: [8, 8]\n", "a length is given twice"),
         ("align_states: few\n", "align states must be all or a number"),
+        pytest.param(
+            f"align_states: '{'9' * 5000}'\n", "align states must be all", id="many digits"
+        ),
         ("max_gap: soon\n", "max_gap must be a number, not 'soon'"),
         ("association: {method: linear}\n", "association must be a text"),
         ("max_gap: -1\n", "max_gap must be greater than 0"),

@@ -224,6 +224,16 @@ DAMAGES: list[Callable[[bytes], bytes]] = [
 ]
 
 
+def test_a_revision_has_its_own_poses_and_duration(folder: Path) -> None:
+    write_run(folder / "odd.pairs", DESCRIPTION, STATE)
+    stamps, _, states = (each[10:60] for each in columns())
+    write_revised(folder / "odd.revised.npz", stamps, states[:, :3], states[:, 3:7])
+    runs = result_of(evaluate_folder(folder))["runs"]
+    (estimate,) = [run["estimate"] for run in runs if run["estimate"]["name"] == "odd"]
+    assert estimate["poses"] == 50
+    assert estimate["duration_s"] == pytest.approx(1e-9 * (stamps[-1] - stamps[0]), rel=1e-12)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_a_damaged_revision_fails_alone(damage: Callable[[bytes], bytes], folder: Path) -> None:

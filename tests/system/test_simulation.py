@@ -18,6 +18,7 @@ from trajeval_ros.metrics.protocol import Protocol, metres
 from trajeval_ros.pipeline.pipeline import evaluate
 from trajeval_ros.simulation import drifting_odometry
 from trajeval_ros.simulation.drifting_odometry import TILT_DEG, Simulation, simulate
+from trajeval_ros.simulation.simulated_sensors import imu_readings
 
 YAW = Protocol(gauge=Gauge.YAW, lengths=metres(40))
 
@@ -186,6 +187,14 @@ def test_overwrites_only_the_covariance_that_it_wrote(tmp_path: Path) -> None:
     assert file.read_text() == "mine"
     estimate = read_trajectory(f"{bag}:/vio/odometry")
     assert len(estimate) == 51
+
+
+def test_noise_of_an_imu_has_the_densities_of_its_data_sheet(flight: Simulation) -> None:
+    first, second = (imu_readings(flight.groundtruth, seed) for seed in (1, 2))
+    dt = np.diff(flight.groundtruth.stamps)[1:, None] / 1e9
+    for name, density in (("rates", 1.7e-4), ("accelerations", 2e-3)):  # per square root of Hz
+        apart = np.diff(getattr(first, name) - getattr(second, name), axis=0) / 2.0
+        assert np.std(apart * np.sqrt(dt)) == pytest.approx(density, rel=0.03)
 
 
 def test_nothing_is_written_for_a_flight_that_cannot_be(tmp_path: Path) -> None:

@@ -5,9 +5,15 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
-from trajeval_ros import run, simulate
+import pytest
+
+from trajeval_ros import Protocol, run, simulate
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.online.evaluator import OnlineEvaluator
+from trajeval_ros.online.live_settings import OnlineSettings
+from trajeval_ros.online.state_rows import states
 from trajeval_ros.viewer.appearance import ErrorScale
-from trajeval_ros.viewer.text_panel import of_evaluations
+from trajeval_ros.viewer.text_panel import of_evaluations, of_snapshots
 
 
 def test_runs_without_covariances_have_no_verdict() -> None:
@@ -19,3 +25,20 @@ def test_runs_without_covariances_have_no_verdict() -> None:
     cells = {line[1].strip(): [each.strip() for each in line[2:-1]] for line in lines}
     assert cells["Consistency"] == ["-", "overconfident"]
     assert cells["NEES / dof"] == ["-", "-"]
+
+
+@pytest.mark.parametrize("lengths", [(), ("4m", "2s", "400m")])
+def test_a_live_run_without_long_parts_has_no_drift(lengths: tuple[str, ...]) -> None:
+    flight = simulate(seed=1, duration_s=20.0)
+    estimate, groundtruth = flight.estimate, flight.groundtruth
+    assert estimate.quaternions is not None
+    assert groundtruth.quaternions is not None
+    live = OnlineEvaluator(OnlineSettings(Protocol(gauge="none", lengths=lengths)))
+    live.add_groundtruth(
+        groundtruth.stamps, states(groundtruth.positions, groundtruth.quaternions)
+    )
+    live.add_estimate(estimate.stamps, states(estimate.positions, estimate.quaternions))
+    live.update()
+    text = of_snapshots([live.snapshot()], ["a"], Gauge.NONE, None, is_growing=True)
+    [drift] = [line.split("|")[2].strip() for line in text.splitlines() if "| Drift" in line]
+    assert (drift == "-") if not lengths else drift.endswith(" m in 4m")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -218,3 +221,21 @@ def test_refuses_scenes_that_are_none() -> None:
         make_scene(shape("arc"), "plane", paper, 0, landmarks=3)
     with pytest.raises(DegenerateGeometryError, match="observed by 3 keyframes"):
         make_scene(shape("arc", 200.0), "random", paper, 0, keyframes=5, track=1)
+
+
+@pytest.mark.parametrize("free", [4, 6])
+def test_only_position_and_yaw_may_be_free(free: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = np.random.default_rng(free).normal(size=(15 - free, 15))
+    reduced = SimpleNamespace(matrix=SimpleNamespace(dense=lambda: rows.T @ rows))
+    monkeypatch.setattr(
+        "trajeval_ros.visual_inertial.gauge_covariance._undamped", lambda *_: reduced
+    )
+    nothing: Any = None
+    if free == 4:
+        covariance = fixed_covariance(nothing, nothing)
+        kept = np.setdiff1d(np.arange(15), GAUGE_INDICES)
+        product = covariance[np.ix_(kept, kept)] @ (rows.T @ rows)[np.ix_(kept, kept)]
+        np.testing.assert_allclose(product, np.eye(11), atol=1e-6)
+        return
+    with pytest.raises(DegenerateGeometryError, match="do not determine all directions except"):
+        fixed_covariance(nothing, nothing)

@@ -15,6 +15,7 @@ from benchmarks.watch_faults import FAULTS
 from trajeval_ros import Trajectory
 from trajeval_ros.cli.app import main
 from trajeval_ros.geometry import lie
+from trajeval_ros.io.watched_sources import read_watched
 from trajeval_ros.watchdog.engine import Watchdog
 from trajeval_ros.watchdog.recording import WatchedRun, watched
 from trajeval_ros.watchdog.signals import joined, source_of
@@ -135,3 +136,10 @@ def test_a_wrong_correction_is_an_alarm_of_the_map_alone(tmp_path: Path) -> None
         assert 0 <= alarm["begin_ns"] - 1_700_000_060 * SECOND < SECOND // 5
         names = {each["name"] for each in found["signals"]}
         assert {"pair_deg_5s.vio", "pair_deg_5s.wheel", "map_correction_deg_1s"} <= names
+
+
+def test_only_an_estimate_with_an_imu_has_covariances(tmp_path: Path) -> None:
+    bag = watched_bag(tmp_path, "run", 3, duration_s=20.0, covariance=1e-4 * np.eye(6))
+    with_imu = read_watched(f"{bag}:/odom", f"{bag}:/imu", {"pair": f"{bag}:/vio"})
+    assert with_imu.estimate.covariances is not None
+    assert read_watched(f"{bag}:/odom").estimate.covariances is None

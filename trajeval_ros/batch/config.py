@@ -21,6 +21,7 @@ from trajeval_ros.io.requests.request_from import (
 from trajeval_ros.io.requests.setting import AUTO, MESSAGE, NONE
 from trajeval_ros.io.requests.settings_table import settings_of_many_runs
 from trajeval_ros.io.source_names import names_of, names_with, split_name
+from trajeval_ros.io.sources import require_no_password
 from trajeval_ros.io.text.layouts import TextHints
 from trajeval_ros.io.yaml_file import read_mapping, require_known
 from trajeval_ros.pipeline.request import Request
@@ -41,6 +42,7 @@ def plan_of(
     override the file. `allow_remote`: hosts that URLs in the file may name, `SCHEME://HOST`. The
     host of a manifest's own URL is allowed.
     """
+    require_no_password(str(target))
     hosts = parse_hosts(allow_remote)
     path = Path(target)
     if path.is_dir() or is_manifest(str(target)):
@@ -64,6 +66,8 @@ def plan_of_sources(sources: Sequence[str], settings: Mapping[str, Any]) -> Plan
     groundtruth, *estimates = sources
     named = [split_name(each) for each in estimates]
     paths = [source for _, source in named]
+    for each in (groundtruth, *paths):  # names are made from them
+        require_no_password(each)
     _, *names = names_with(["", *(name for name, _ in named)], [groundtruth, *paths])
     sequence = names_of([groundtruth])[0]
     runs = [

@@ -144,8 +144,8 @@ def require_own(folder: Path) -> None:
     except OSError:
         pass
     names = (_ABOUT, RUNS, POOLED_FILE, REPORT, GATES, GATES_JSON, "tables.md", "tables.tex")
-    for name in (*names, PAGES, FIGURES):
-        path = folder / name
+    found = [folder / name for name in (*names, PAGES, FIGURES)]
+    for path in (*found, *folder.glob("ate_*.csv"), *folder.glob("re_*.csv")):
         if path.exists() and not path.is_symlink():  # a link is replaced, its target is not
             raise InputError(
                 f"{path} is not from a comparison, which replaces it; choose another "

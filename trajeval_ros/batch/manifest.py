@@ -16,7 +16,6 @@ from trajeval_ros.batch.remote_files import open_store, require_allowed, require
 from trajeval_ros.batch.results_table import load_pyarrow
 from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.io.sources import require_no_password
 from trajeval_ros.io.yaml_file import require_known
 
 _CSV, _PARQUET = ".csv", ".parquet"
@@ -89,7 +88,6 @@ def _source(text: str, target: str, hosts: Collection[str], where: str) -> str:
         folder = target.rpartition("/")[0]
         path = f"{folder}/{path}" if is_url(target) else str(Path(folder) / path)
     if is_url(path):
-        require_no_password(path)
         require_allowed(path, hosts, where)
         require_readable_scheme(path, where)
     return path + topic
@@ -103,7 +101,6 @@ def _rows(target: str) -> Iterator[tuple[str, Row]]:
 
 def _content(target: str) -> bytes:
     if is_url(target):
-        require_no_password(target)
         with open_store(target) as (files, path):
             data: bytes = files.cat_file(path)
             return data

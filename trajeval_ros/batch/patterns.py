@@ -41,8 +41,7 @@ class Pattern:
     @classmethod
     def parse(cls, text: str) -> Pattern:
         """Parse a pattern."""
-        if is_url(text):
-            require_no_password(text)
+        require_no_password(text)
         for name in _PLACEHOLDER.findall(text):
             if name not in (SEQUENCE, TRIAL):
                 near = get_close_matches(name, (SEQUENCE, TRIAL), n=1)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from trajeval_ros.formatting.numbers import natural_key
 from trajeval_ros.geometry.trajectory_edits import TimeSpan
 from trajeval_ros.io.requests.settings_table import settings_of
 from trajeval_ros.io.text.layouts import NO_HINTS, TextHints
@@ -100,9 +100,4 @@ def all_runs(
 
 def natural(names: Iterable[str]) -> list[str]:
     """Return names in natural order: trial 2 before trial 10."""
-
-    def key(name: str) -> list[tuple[bool, int, str]]:
-        pieces = re.findall(r"[0-9]+|[^0-9]+", name)
-        return [(False, int(each), "") if each.isdecimal() else (True, 0, each) for each in pieces]
-
-    return sorted(names, key=key)
+    return sorted(names, key=natural_key)

@@ -14,6 +14,7 @@ from typing import Any
 
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.formatting.install_command import extra_command
+from trajeval_ros.io.sources import require_no_password
 
 _HOST = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]*)://([^/]+)")
 _OF_THIS_MACHINE = ("file", "local", "memory")
@@ -82,10 +83,11 @@ def host_of(url: str) -> frozenset[str]:
 
 
 def require_allowed(url: str, allowed: Collection[str], where: str) -> None:
-    """Check that a URL refers to this machine or to an allowed host.
+    """Check that a URL has no secret and refers to this machine or to an allowed host.
 
     `url`: the URL, which may have placeholders.
     """
+    require_no_password(url)
     if "::" in url:  # fsspec contacts all of them
         raise InputError(f"{where}: {url} is a chain of URLs; give one URL without '::'")
     if url.partition("://")[0].lower() in _OF_THIS_MACHINE:

@@ -69,7 +69,7 @@ class PublishedNumber(NamedTuple):
         if unit:
             require_one_of(unit, UNITS, "unit")
         base, factor = UNITS.get(unit, ("", 1.0))
-        half = 0.5 * 10.0 ** (int((match[3] or "e0")[1:]) - len(match[2]))
+        half = 0.5 * 10.0 ** (float((match[3] or "e0")[1:]) - len(match[2]))
         return cls(value * factor, max(half, _SAME_ARITHMETIC * value) * factor, base)
 
 

@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import math
+import re
 
 NOTHING = "-"
 _ROUNDING = 1e-9  # percent; 100 * 0.29 is 28.999999999999996
+
+
+def natural_key(name: str) -> list[tuple[bool, int, str]]:
+    """Return a key that sorts names by their numbers, of any length: bag_2 before bag_10."""
+    pieces = re.findall(r"0*([0-9]+)|([^0-9]+)", name)
+    return [(not digits, len(digits), digits or text) for digits, text in pieces]
 
 
 def four_digits(value: float) -> str:

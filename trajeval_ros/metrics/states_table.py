@@ -19,7 +19,7 @@ def parse_states(text: str) -> int | None:
     """Return the number of aligned states in a text "all" or "10"; None for all."""
     if text == "all":
         return None
-    if not text.isdecimal() or int(text) < 1:
+    if not text.isdecimal() or not 1.0 <= float(text) < 1e18:
         raise SettingsError(f"align states must be all or a number of states, not {text!r}")
     return int(text)
 

@@ -32,6 +32,7 @@ from mcap.writer import CompressionType
 from mcap_layouts import Layout, Part
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.io.bags.bag_folder import BagFolder, read_metadata
 from trajeval_ros.io.bags.blocks import TopicSelection
 from trajeval_ros.io.bags.compression import decompress
@@ -89,8 +90,28 @@ def test_ids_that_are_no_integers_are_no_number_of_rows(tmp_path: Path) -> None:
     assert sorted(rows_of(read_trajectory(str(path)))) == list(range(20))
 
 
-def shared_pages(path: Path, interior: int) -> None:
-    """Write a table whose interior pages have one child, which they list hundreds of times."""
+@pytest.mark.parametrize("topic", [None, 7, "x"])
+@pytest.mark.parametrize("count", [1, COUNT])
+def test_messages_of_unknown_topics_are_damage(count: int, topic: object, tmp_path: Path) -> None:
+    path = sqlite_file(tmp_path)
+    with sqlite3.connect(path) as database:
+        database.execute("CREATE TABLE changed(id, topic_id, timestamp, data)")
+        database.execute("INSERT INTO changed SELECT * FROM messages")
+        database.execute("UPDATE changed SET topic_id = ? WHERE id <= ?", (topic, count))
+        database.executescript("DROP TABLE messages; ALTER TABLE changed RENAME TO messages")
+    database.close()
+    said = f"{counted(count, 'message')} of unknown topics"
+    if count == COUNT:
+        assert said in refusal(path)
+    else:
+        assert len(assert_damaged(path, said)) == COUNT - count
+
+
+def shared_pages(path: Path, interior: int, *, is_deep: bool = False) -> None:
+    """Write a table whose interior pages have one child, which they list hundreds of times.
+
+    `is_deep`: the child of each is the next one, so that n pages have 450^n rows.
+    """
     with sqlite3.connect(path) as database:
         database.executescript(TOPICS + MESSAGES)
         rows = ((1, row, bytes(1900)) for row in range(600 * interior))
@@ -104,9 +125,11 @@ def shared_pages(path: Path, interior: int) -> None:
     for number in np.flatnonzero(pages[:, 0] == 5):
         page = pages[number]
         begins = page[12 : 12 + 2 * (256 * int(page[3]) + int(page[4]))].view(">u2").astype(int)
-        child = leaf if number + 1 != root else int(np.flatnonzero(pages[:, 0] == 5)[-1]) + 1
+        others = [each + 1 for each in np.flatnonzero(pages[:, 0] == 5) if each + 1 != root]
+        after = [each for each in others if each > number + 1] if is_deep else []
+        child = (others[0] if is_deep else others[-1]) if number + 1 == root else [*after, leaf][0]
         for begin in (8, *begins):
-            page[begin : begin + 4] = list(child.to_bytes(4, "big"))
+            page[begin : begin + 4] = list(int(child).to_bytes(4, "big"))
     path.write_bytes(pages.tobytes())
 
 
@@ -122,6 +145,14 @@ def test_pages_that_are_linked_many_times_end_with_the_size_of_the_file(
     assert read <= path.stat().st_size
     assert any("damaged" in each for each in selection.damage)
     assert reader.count(1) >= 0
+    reader.close()
+
+
+def test_a_query_of_more_rows_than_the_file_can_have_is_given_up(tmp_path: Path) -> None:
+    path = tmp_path / "x.db3"
+    shared_pages(path, 4, is_deep=True)
+    reader = SqliteReader(path, path.name)
+    assert reader.count(1) == 0
     reader.close()
 
 
@@ -347,4 +378,4 @@ def test_names_with_digits_that_are_no_numbers_are_sorted(tmp_path: Path) -> Non
     for name in ("x1²2.mcap", "x10.mcap", "x9.mcap", "x٣.mcap"):
         mcap_file(tmp_path / name)
     names = [each.name for each in BagFolder.of(tmp_path).files]
-    assert names == ["x1²2.mcap", "x٣.mcap", "x9.mcap", "x10.mcap"]
+    assert names == ["x1²2.mcap", "x9.mcap", "x10.mcap", "x٣.mcap"]

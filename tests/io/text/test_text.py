@@ -445,3 +445,10 @@ def test_a_link_to_itself_suggests_another_file(tmp_path: Path) -> None:
     path.symlink_to(path)
     with pytest.raises(InputError, match="check the path"):
         read_trajectory(path)
+
+
+def test_a_comma_at_the_end_of_a_header_names_no_column(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    path.write_text("z,y,x,time,\n" + "".join(f"1,2,3,{row}\n" for row in range(5)))
+    read = read_trajectory(path)
+    assert read.positions[0].tolist() == [3.0, 2.0, 1.0]

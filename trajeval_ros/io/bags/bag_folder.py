@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import natural_key
 from trajeval_ros.io.yaml_file import read_mapping
 
 _METADATA = "metadata.yaml"
@@ -88,7 +89,7 @@ class BagFolder:
         found = [file for ending in _ENDINGS for file in path.glob(f"*{ending}")]
         files = sorted(
             filter(Path.is_file, found),  # a pipe blocks
-            key=lambda file: _split(file.name),
+            key=lambda file: natural_key(file.name),
         )
         described, metadata = path / _METADATA, None
         notes = tuple(f"{each} skipped: not a file" for each in found if each not in files)
@@ -144,8 +145,3 @@ def _judged(folder: Path, metadata: Metadata) -> tuple[tuple[str, ...], tuple[st
     return tuple(notes), tuple(
         f"{folder / _METADATA} lists {each}, which is missing" for each in missing
     )
-
-
-def _split(name: str) -> list[str | int]:
-    """Return a name in parts that sort by number: `bag_2` before `bag_10`."""
-    return [int(each) if each.isdecimal() else each for each in re.split(r"(\d+)", name)]

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.io.bags.blocks import (
     ROWS,
     Block,
@@ -33,6 +34,8 @@ _FETCHED = 1 << 18  # bytes at once, which fit in a core's cache
 _SMALLEST_ROW = 8  # bytes, of its id, lengths, topic and time
 _MOST_OPERATIONS = 64  # of sqlite's virtual machine per row; a query needs about 20, with a sort
 _CHECKED = 1 << 16  # operations between two checks of their number
+_UNLISTED = " OR ifnull(topic_id NOT IN (SELECT id FROM topics), 1)"
+_LAST_ID = "SELECT max(id) FROM messages WHERE typeof(id) = 'integer'"
 _LOG_MAGICS = (0x377F0682, 0x377F0683)
 _LOG_HEADER, _FRAME_HEADER = 32, 24  # bytes
 
@@ -49,11 +52,10 @@ class SqliteReader:
         has_log = log.exists() and log.stat().st_size > 0
         if not has_log:
             _refuse_truncated(path, name)
-        # Without a log nothing is written, and sqlite needs no locks, which require permissions.
-        mode = "mode=ro" if has_log else "immutable=1"
         self._size = path.stat().st_size + (log.stat().st_size if has_log else 0)
         self._checks = 0  # left for the current query
-        uri = f"{path.resolve().as_uri()}?{mode}"
+        # Without a log nothing is written, and sqlite needs no locks, which require permissions.
+        uri = f"{path.resolve().as_uri()}?{'mode=ro' if has_log else 'immutable=1'}"
         self._database = sqlite3.connect(uri, uri=True, check_same_thread=False)
         self._database.text_factory = lambda text: text.decode(errors="replace")
         self._database.set_progress_handler(self._is_over_limit, _CHECKED)
@@ -116,7 +118,7 @@ class SqliteReader:
         """Yield the messages of some topics, and add damage to the list."""
         reached: Place | None = None
         try:
-            for place, block in self._scan(window, wanted):
+            for place, block in self._scan(window, wanted, damage):
                 yield block
                 reached = place
         except sqlite3.DatabaseError as error:
@@ -124,12 +126,18 @@ class SqliteReader:
             # A scan ends at the damaged page. The other rows are read one by one.
             yield from self._row_by_row(window, wanted, reached, damage)
 
-    def _scan(self, window: _Window, wanted: Collection[int]) -> Iterator[tuple[Place, Block]]:
+    def _scan(
+        self, window: _Window, wanted: Collection[int], damage: list[str]
+    ) -> Iterator[tuple[Place, Block]]:
         """Yield the messages of some topics, with the place of the last one."""
-        rows = self._query(*window.ordered_query(wanted))
-        for some in _groups(rows):
-            keys, topics, log_times, payloads = zip(*some, strict=True)
-            yield window.place(log_times[-1], keys[-1]), block_of(topics, log_times, payloads)
+        lost = 0
+        for some in _groups(self._query(*window.ordered_query(wanted))):
+            rows = [row for row in some if row[1] in wanted]
+            lost += len(some) - len(rows)
+            columns = ([row[number] for row in rows] for number in (1, 2, 3))
+            yield window.place(some[-1][2], some[-1][0]), block_of(*columns)
+        if lost:
+            damage.append(f"{self._name} is damaged: {counted(lost, 'message')} of unknown topics")
 
     def _row_by_row(
         self, window: _Window, wanted: Collection[int], reached: Place | None, damage: list[str]
@@ -138,18 +146,14 @@ class SqliteReader:
         query, values = window.query(wanted)
 
         def row(key: int) -> list[Any]:
-            try:
-                return self._query(f"{query} AND id = ?", (*values, key)).fetchall()
-            except sqlite3.DatabaseError:
-                return []
+            return self._readable(f"{query} AND id = ?", (*values, key))
 
-        last: int = self._last_id()
+        last: int = max((key for (key,) in self._readable(_LAST_ID) if key), default=0)
         # A row has several bytes. Therefore larger ids are gaps or damage.
         most = self._path.stat().st_size // _SMALLEST_ROW
         if last > most:
             damage.append(f"{self._name}: ids beyond {most} ignored")
-            last = most
-        found = (each for key in range(1, last + 1) for each in row(key))
+        found = (each for key in range(1, min(last, most) + 1) for each in row(key))
         places = sorted(window.place(log_time, key) for key, _, log_time, _ in found)
         yield from blocks_of(
             each[1:]
@@ -186,24 +190,11 @@ class SqliteReader:
             for key, name, kind, encoding, qos in rows
         ]
 
-    def _last_id(self) -> int:
-        """Return the largest id of a message; 0 if it can't be read."""
-        try:
-            ((last,),) = self._query(
-                "SELECT max(id) FROM messages WHERE typeof(id) = 'integer'"
-            ).fetchall()
-        except sqlite3.DatabaseError:
-            return 0
-        return last or 0
-
     def count(self, topic: int) -> int:
         """Return the number of messages of a topic; 0 if a page is damaged."""
         if self._counts is None:
             query = "SELECT topic_id, count(*) FROM messages GROUP BY topic_id"
-            try:
-                self._counts = dict(self._query(query).fetchall())
-            except sqlite3.DatabaseError:
-                self._counts = {}
+            self._counts = dict(self._readable(query))
         return self._counts.get(topic, 0)
 
     def _columns(self, table: str) -> set[str]:
@@ -220,6 +211,13 @@ class SqliteReader:
                 "as a bag with stored tables"
             )
         return {name for _, name, *_ in columns}
+
+    def _readable(self, query: str, values: tuple[Any, ...] = ()) -> list[Any]:
+        """Return the rows of a query; none if a page is damaged."""
+        try:
+            return self._query(query, values).fetchall()
+        except sqlite3.DatabaseError:
+            return []
 
     def _query(self, query: str, values: tuple[Any, ...] = ()) -> sqlite3.Cursor:
         """Start a query, which fails if it needs more operations than the file has rows for."""
@@ -263,12 +261,12 @@ class _Window:
     end: int | None  # the first log time after the requested ones, ns; None means all
     in_order: bool  # whether they are read in order of their log times
 
-    def query(self, wanted: Collection[int]) -> tuple[str, tuple[Any, ...]]:
+    def query(self, wanted: Collection[int], others: str = "") -> tuple[str, tuple[Any, ...]]:
         """Return the query of the requested messages, and its values."""
         query = (
             "SELECT id, topic_id, CAST(ifnull(timestamp, 0) AS INTEGER), "
             "ifnull(CAST(data AS BLOB), x'') FROM messages "
-            f"WHERE topic_id IN ({','.join('?' * len(wanted))})"
+            f"WHERE (topic_id IN ({','.join('?' * len(wanted))}){others})"
         )
         values: tuple[Any, ...] = tuple(wanted)
         if self.begin is not None:
@@ -278,8 +276,8 @@ class _Window:
         return query, values
 
     def ordered_query(self, wanted: Collection[int]) -> tuple[str, tuple[Any, ...]]:
-        """Return the query of the requested messages in order, and its values."""
-        query, values = self.query(wanted)
+        """Return the query, in order, of these messages and those of topics that do not exist."""
+        query, values = self.query(wanted, _UNLISTED)
         # The order of time reads pages in random order. Other callers read rows as stored.
         return f"{query} ORDER BY {'timestamp, id' if self.in_order else 'id'}", values
 
