@@ -16,7 +16,7 @@ _SAME_SPAN = 1.5  # ratio of durations of the same run
 _METRES_PER_DEG, _FACTOR = 111_320.0, 4.0  # of latitude; of longitude it is less
 _DEGREES, _LEAST_M = 0.1, 1.0  # largest extent in degrees, least motion
 _FLAT = 0.05  # least rms height of the other side, as a fraction of its extent
-_STEPS_ALIKE, _STEPS_WITHIN, _SMALL = 0.8, 2.0, 0.05
+_STEPS_ALIKE, _STEPS_WITHIN, _SMALL, _TOGETHER = 0.8, 2.0, 0.05, 10
 
 
 def columns_of_others(inputs: InputPair) -> list[Examined]:
@@ -87,6 +87,11 @@ def _increments(inputs: InputPair) -> Examined:
     both = at.known[1:] & at.known[:-1]
     steps = lengths(np.diff(at.positions, axis=0))[both]
     size = lengths(estimate.positions[1:])[both]
+    together = max(min(_TOGETHER, len(steps) // _FEWEST), 1)  # noise is large beside short steps
+    steps, size = (
+        each[: len(each) // together * together].reshape(-1, together).sum(axis=1)
+        for each in (steps, size)
+    )
     if len(steps) < _FEWEST or not (steps.std() > 0.0 and size.std() > 0.0):
         return Examined("increments", why_not="too few common poses")
     peak = float(np.corrcoef(steps, size)[0, 1])

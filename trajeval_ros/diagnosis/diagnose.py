@@ -70,6 +70,7 @@ from trajeval_ros.diagnosis.trials import Again, with_tried_advice
 from trajeval_ros.diagnosis.warnings import about_unused_rule, remarks_on, require_same_body
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.metrics.association import Association, associate
+from trajeval_ros.metrics.tracking_loss import FROZEN
 
 if TYPE_CHECKING:
     from trajeval_ros.formatting.remarks import Remark
@@ -199,6 +200,12 @@ def _tested_where_tracked(
     """
     known = [each for each in losses if is_certain(each, pairs)]
     found = _tested_without(known, inputs)
+    # What follows from wrong pairs is no divergence.
+    frozen = [each for each in known if each.cause == FROZEN]
+    if len(frozen) < len(known) and _has_other_pairs(found):
+        whole = _tested_without(frozen, inputs)
+        if _has_other_pairs(whole):
+            known, found = frozen, whole
     uncertain = [each for each in losses if each not in known and is_large(each, pairs)]
     from_start = any(begins_at_start(each, pairs) for each in uncertain)
     explained = any(_explains_loss(each, from_start) for each in found.findings)
@@ -212,6 +219,11 @@ def _tested_where_tracked(
     # Lost messages look like keyframes.
     rest = [each for each in found.examined if each.test != "keyframes"]
     return Diagnosis.of([lost, *rest]), True
+
+
+def _has_other_pairs(found: Diagnosis) -> bool:
+    """Return whether pairs are of other times, or have no poses."""
+    return any(each.cause in _FINAL | {"clock_offset", "clock_drift"} for each in found.findings)
 
 
 def _tested_without(losses: Sequence[Loss], inputs: InputPair) -> Diagnosis:

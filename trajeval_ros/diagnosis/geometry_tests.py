@@ -60,7 +60,7 @@ _CLIMB = 0.5
 _APART_DEG = 45.0
 _NEAR_DEG = 20.0  # from an axis of the frame, which the message then names
 _FEWEST = 20
-_ENOUGH = 20_000  # states
+_ENOUGH = 2000  # states
 
 
 def scale(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examined:
