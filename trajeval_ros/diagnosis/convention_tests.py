@@ -119,7 +119,6 @@ def conventions(
     seen = _seen(fitting, moving, explained, shared)
     if kinds == 2:  # what remains if no correction helps
         none = _rotations(as_read, limits, moving, turning, scores, alike=True)
-        none = none or _tilts(as_read, turning, scores)
         seen = dataclasses.replace(seen, rivals=(*(seen.rivals or (seen,)), *none))
     return Examined(NAME, scores, (seen,))
 
@@ -151,16 +150,16 @@ def _rotations(
 ) -> tuple[Seen, ...]:
     """Return the finding about rotations that no convention explains, if positions agree."""
     assert turning.groundtruth_turned is not None
-    angle = _total_turn(turning.groundtruth_turned) / len(turning)
+    turns = _total_turn(turning.groundtruth_turned) >= _TURNING_RAD * len(turning)
     scores["positions_alone"] = as_read.moving_alone
-    if 1.0 - as_read.moving_alone > limits[0] or angle < _TURNING_RAD:
+    if 1.0 - as_read.moving_alone > limits[0] or not (turns or alike):
         return ()
     # Outliers are in a part of the run, and a mistake is in all of it.
     parts = zip([moving, *moving.thirds], [turning, *turning.thirds], strict=True)
     fits = [fit_hypotheses(*part)[0] for part in parts if min(map(len, part)) > 0]
     left = [each.cost - (1.0 - each.moving_alone) for each in fits]
-    if alike and min(left) < max(_DISAGREE, 2.0 * limits[1]):
-        return ()
+    if alike and not (turns and min(left) >= max(_DISAGREE, 2.0 * limits[1])):
+        return _tilts(as_read, turning, scores)
     ratio = scores["turn_ratio"]
     how, check = "", "order and signs of Euler angles; a compass heading is clockwise"
     if not alike:

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 LOW_COVERAGE = 0.9
 LARGE_TILT_DEG = 10.0
 _WHOLE = 0.95  # of the time from the first to the last pair
+_BACK = 0.1  # of the differences of steps, that of two steps together if poses alternate
 # Of a UTM zone; northings below are within 9 deg of the equator.
 _EASTING_M, _NORTHING_M = (1e5, 1e6), (1e6, 1e7)
 # Largest factor on the position ATE by orientations in the alignment, without a warning.
@@ -155,15 +156,24 @@ def _is_lost(diagnosis: Diagnosis) -> bool:
 
 def _about_jumps(evaluation: Evaluation) -> Iterator[Remark]:
     groundtruth, estimate = evaluation.association.groundtruth, evaluation.association.estimate
-    steps = StepDifferences.between(
-        groundtruth.positions,
-        estimate.positions,
-        groundtruth.quaternions,
-        estimate.quaternions,
-        evaluation.alignment.similarity.scale,
-    )
+
+    def every(rows: int) -> StepDifferences:
+        true, own = groundtruth[::rows], estimate[::rows]
+        scale = evaluation.alignment.similarity.scale
+        return StepDifferences.between(
+            true.positions, own.positions, true.quaternions, own.quaternions, scale
+        )
+
+    steps = every(1)
     if not len(steps.true_m):
         return
+    back_m = median(steps.position_m)
+    if back_m > median(steps.true_m) and median(every(2).position_m) < _BACK * back_m:
+        yield warning(
+            "mixed_publishers",
+            f"every other pose of the estimate is {back_m:.2g} m away, and the next one is back: "
+            "messages of two publishers are probably mixed; evaluate one of them",
+        )
     turns = groundtruth.quaternions is not None and estimate.quaternions is not None
     jumps = steps.jumps(median(steps.position_m), median(steps.rotation_deg))
     if not len(jumps):
