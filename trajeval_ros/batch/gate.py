@@ -238,9 +238,7 @@ def remarks_on(baseline: GateValues, now: GateValues) -> list[str]:
     before = baseline.groundtruths
     changed = [group for group, own in before.items() if now.groundtruths.get(group, own) != own]
     names = ", ".join(dict.fromkeys(sequence for _, sequence in changed))
-    said = (
-        f"the groundtruth of {names} differs from the baseline, so values are not comparable"
-    )
+    said = f"the groundtruth of {names} differs from the baseline, so values are not comparable"
     return [said] if changed else []
 
 

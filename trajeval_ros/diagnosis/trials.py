@@ -11,13 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-from trajeval_ros.diagnosis.findings import (
-    WITHHELD_DEG,
-    Diagnosis,
-    Examined,
-    Finding,
-    Tried,
-)
+from trajeval_ros.diagnosis.findings import WITHHELD_DEG, Diagnosis, Examined, Finding, Tried
 from trajeval_ros.exceptions import TrajevalError
 
 if TYPE_CHECKING:

@@ -329,10 +329,7 @@ def _about_inputs(evaluation: Evaluation) -> Iterator[Remark]:
             )
     dropped = groundtruth.reading.dropped
     if dropped:
-        yield warning(
-            "groundtruth_dropped",
-            f"groundtruth poses were dropped: {reasons(dropped)}",
-        )
+        yield warning("groundtruth_dropped", f"groundtruth poses were dropped: {reasons(dropped)}")
 
 
 def about_unused_rule(rule: FixRule) -> Iterator[Remark]:
