@@ -122,11 +122,10 @@ class Judgement:
     @property
     def verdict(self) -> str:
         """`worse`, `lost` or `more failures`; else `no worse` (all gates) or `undecided`."""
-        words = [each.verdict for each in self.gates]
-        for word in (WORSE, LOST, MORE_FAILURES):
-            if word in (*words, self.failures.verdict):
-                return word
-        return NO_WORSE if set(words) == {NO_WORSE} else UNDECIDED
+        words = {each.verdict for each in self.gates}
+        found = words | {self.failures.verdict}
+        good = NO_WORSE if words == {NO_WORSE} else UNDECIDED
+        return next((word for word in (WORSE, LOST, MORE_FAILURES) if word in found), good)
 
     @property
     def fails(self) -> bool:

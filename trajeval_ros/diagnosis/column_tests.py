@@ -46,13 +46,10 @@ def _degrees(inputs: InputPair) -> Examined:
         in_range = np.abs(sides[side].positions).max(axis=0)[np.argsort(sizes[side])[:2]] <= 180.0
         likely = 1.0 / _FACTOR < ratio < _FACTOR and extent < _DEGREES and moved > _LEAST_M
         if likely and in_range.all():
-            values: dict[str, Value] = {
-                "side": side,
-                "other": other,
-                "extent": extent,
-                "path_m": moved,
-            }
-            return Examined("degrees", {"ratio": ratio}, (Seen("degrees", 1.0, values),))
+            seen = Seen(
+                "degrees", 1.0, {"side": side, "other": other, "extent": extent, "path_m": moved}
+            )
+            return Examined("degrees", {"ratio": ratio}, (seen,))
     return Examined("degrees")
 
 
@@ -66,13 +63,9 @@ def _flat(inputs: InputPair) -> Examined:
         height, extent = float(sides[other].positions[:, 2].std()), sides[other].extent
         if inputs.gauge is not Gauge.PLANAR and height > _FLAT * extent:
             axis = "xyz"[int(np.argmax(constant[side]))]
-            values: dict[str, Value] = {
-                "side": side,
-                "other": other,
-                "axis": axis,
-                "height_m": height,
-            }
-            return Examined("flat", {"height_m": height}, (Seen("flat", 1.0, values),))
+            names: dict[str, Value] = {"side": side, "other": other, "axis": axis}
+            seen = Seen("flat", 1.0, {**names, "height_m": height})
+            return Examined("flat", {"height_m": height}, (seen,))
     return Examined("flat")
 
 

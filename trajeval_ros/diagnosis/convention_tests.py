@@ -193,10 +193,9 @@ def _tilts(
     if 1.0 - reflected > min(_RIGHT, _RATIO * (1.0 - agree)):
         return ()
     parts = [_tilts_agree(as_read.turned, each) for each in turning.thirds]
-    if any(one >= other for one, other in parts):
-        return ()
     check = "order and signs of Euler angles"
-    return _disagreeing(as_read, agree, scores["turn_ratio"], " (roll and pitch)", check)
+    found = _disagreeing(as_read, agree, scores["turn_ratio"], " (roll and pitch)", check)
+    return found if all(one < other for one, other in parts) else ()
 
 
 def _tilts_agree(turned: Floats, turning: ShortMotions) -> tuple[float, float]:
@@ -219,10 +218,8 @@ def _tilts_agree(turned: Floats, turning: ShortMotions) -> tuple[float, float]:
         across = np.linalg.svd(mean[None])[2][1:]
         across[0] *= np.sign(np.linalg.det([*across, mean]))
         tilts.append((seen - mean) @ across.T)
-    correlated = moment(*tilts)
-    _, sizes, _ = np.linalg.svd(correlated)
-    sign = np.sign(np.linalg.det(correlated))
-    return float(sizes[0] + sign * sizes[1]), float(sizes[0] - sign * sizes[1])
+    one, other = np.linalg.svd(moment(*tilts))[1] * (1.0, np.sign(np.linalg.det(moment(*tilts))))
+    return float(one + other), float(one - other)
 
 
 def _seen(

@@ -107,6 +107,7 @@ _LEAST_GAP_S, _MOST_GAP_S = 0.3, 1.1
 _FINAL = {
     "identical", "stands_still", "stamps_rounded", "degrees", "row_numbers", "increments",
 }  # fmt: skip
+_OTHER_PAIRS = {*_FINAL, "clock_offset", "clock_drift"}
 _NO_PEAK, _LONG_S = 0.45, 20.0
 # With such a finding, the errors contain no information on small offsets and covariances.
 _GRAVE = 5.2  # of ranks
@@ -125,9 +126,7 @@ def diagnosed(
 ) -> tuple[Evaluation, Diagnosis]:
     """Return an evaluation with remarks and without meaningless errors, and its diagnosis.
 
-    It is refused if it is aligned by the orientations of another body. The arguments are those of
-    `diagnose`, what evaluates again with corrections, and whether the body transform was
-    estimated.
+    `again` evaluates with corrections. An alignment by another body's orientations is refused.
     """
     diagnosis = diagnose(evaluation, groundtruth, estimate, paired=paired)
     if hand_eye_calibrated:
@@ -202,9 +201,9 @@ def _tested_where_tracked(
     found = _tested_without(known, inputs)
     # What follows from wrong pairs is no divergence.
     frozen = [each for each in known if each.cause == FROZEN]
-    if len(frozen) < len(known) and _has_other_pairs(found):
+    if len(frozen) < len(known) and any(map(found.named, _OTHER_PAIRS)):
         whole = _tested_without(frozen, inputs)
-        if _has_other_pairs(whole):
+        if any(map(whole.named, _OTHER_PAIRS)):
             known, found = frozen, whole
     uncertain = [each for each in losses if each not in known and is_large(each, pairs)]
     from_start = any(begins_at_start(each, pairs) for each in uncertain)
@@ -219,11 +218,6 @@ def _tested_where_tracked(
     # Lost messages look like keyframes.
     rest = [each for each in found.examined if each.test != "keyframes"]
     return Diagnosis.of([lost, *rest]), True
-
-
-def _has_other_pairs(found: Diagnosis) -> bool:
-    """Return whether pairs are of other times, or have no poses."""
-    return any(each.cause in _FINAL | {"clock_offset", "clock_drift"} for each in found.findings)
 
 
 def _tested_without(losses: Sequence[Loss], inputs: InputPair) -> Diagnosis:

@@ -167,8 +167,11 @@ def vertical(
     ]
     if not found:
         scores["thirds_apart"] = apart_deg / tilt_deg
-        values: dict[str, Value] = {"tilt_deg": tilt_deg}
-        seen = (Seen("tilted", 1.0, values),) if scores["thirds_apart"] < _ALIKE else ()
+        seen = (
+            (Seen("tilted", 1.0, {"tilt_deg": tilt_deg}),)
+            if scores["thirds_apart"] < _ALIKE
+            else ()
+        )
         return Examined(name, scores, seen)
     if found[0].values["axis"] == "-z":  # in a plane, a left-handed path has the same motions
         flipped = dataclasses.replace(as_read, axes=np.diag([1.0, 1.0, -1.0]))
@@ -208,9 +211,21 @@ def _shared_vertical(turned: Floats, turning: ShortMotions, limit_deg: float) ->
 
 
 def _sideways(axis: int, turned: Floats) -> Seen:
-    """Return the finding that an axis is vertical, with the gauge that corrects it, too."""
-    up = _both_up(axis, turned)
-    by_gauge = dataclasses.replace(up, values={**up.values, "ups": "", "gauge": "se3"})
+    """Return the finding that an axis of the groundtruth's frame is vertical.
+
+    `turned` (3, 3) is the rotation from the estimate's world to the groundtruth's. A gauge
+    corrects it, too.
+    """
+    name = "xyz"[axis]
+    said = (
+        f"z is not the vertical axis of the groundtruth's frame: the body turns about {name}; set "
+        f"--up=-{name} or --up={name}"
+    )
+    ups = f"-{name},{_nearest_axis(-turned[axis])[0]}"
+    up, by_gauge = (
+        Seen("groundtruth_up_axis", 1.0, {"said": said, "ups": axes, "gauge": gauge})
+        for axes, gauge in ((ups, ""), ("", "se3"))
+    )
     return dataclasses.replace(up, rivals=(up, by_gauge))
 
 
@@ -219,21 +234,6 @@ def _nearest_axis(up: Floats) -> tuple[str, float]:
     nearest = int(np.argmax(np.abs(up)))
     name = ("-" if up[nearest] < 0.0 else "") + "xyz"[nearest]
     return name, _degrees(abs(up[nearest]))
-
-
-def _both_up(axis: int, turned: Floats) -> Seen:
-    """Return the finding that an axis of the groundtruth's frame is vertical.
-
-    `turned` (3, 3) is the rotation from the estimate's world to the groundtruth's.
-    """
-    name = "xyz"[axis]
-    said = (
-        f"z is not the vertical axis of the groundtruth's frame: the body turns about {name}; set "
-        f"--up=-{name} or --up={name}"
-    )
-    ups = f"-{name},{_nearest_axis(-turned[axis])[0]}"
-    values: dict[str, Value] = {"said": said, "ups": ups, "gauge": ""}
-    return Seen("groundtruth_up_axis", 1.0, values)
 
 
 def groundtruth_plane(
@@ -354,8 +354,7 @@ def _least_squares(swing: Floats, left: Floats, damping: float) -> Floats:
     normal = rows.T @ rows
     if np.linalg.cond(normal) > 1.0 / damping:
         normal = normal + np.eye(3) * max(float(np.trace(normal)), 1e-12) * damping
-    solved: Floats = np.linalg.solve(normal, rows.T @ left.ravel()).astype(np.float64)
-    return solved
+    return np.asarray(np.linalg.solve(normal, rows.T @ left.ravel()))
 
 
 def _squares(vectors: Floats) -> float:
@@ -431,8 +430,7 @@ def vertical_axis_of(positions: Floats, quaternions: Floats) -> Floats | None:
     level = np.linalg.eigvalsh(along[:, 1:].T @ along[:, 1:])
     if along[:, 0] @ along[:, 0] > _CLIMB**2 * level[0]:
         return None
-    vertical: Floats = axes[:, 0]
-    return vertical
+    return np.asarray(axes[:, 0])
 
 
 def require_up_axis(groundtruth: Trajectory, gauge: Gauge) -> None:

@@ -156,19 +156,18 @@ def _is_lost(diagnosis: Diagnosis) -> bool:
 
 def _about_jumps(evaluation: Evaluation) -> Iterator[Remark]:
     groundtruth, estimate = evaluation.association.groundtruth, evaluation.association.estimate
-
-    def every(rows: int) -> StepDifferences:
-        true, own = groundtruth[::rows], estimate[::rows]
-        scale = evaluation.alignment.similarity.scale
-        return StepDifferences.between(
-            true.positions, own.positions, true.quaternions, own.quaternions, scale
-        )
-
-    steps = every(1)
+    true, own, scale = (
+        groundtruth.positions,
+        estimate.positions,
+        evaluation.alignment.similarity.scale,
+    )
+    turned = groundtruth.quaternions, estimate.quaternions
+    steps = StepDifferences.between(true, own, *turned, scale)
     if not len(steps.true_m):
         return
     back_m = median(steps.position_m)
-    if back_m > median(steps.true_m) and median(every(2).position_m) < _BACK * back_m:
+    second = StepDifferences.between(true[::2], own[::2], None, None, scale)
+    if back_m > median(steps.true_m) and median(second.position_m) < _BACK * back_m:
         yield warning(
             "mixed_publishers",
             f"every other pose of the estimate is {back_m:.2g} m away, and the next one is back: "
