@@ -46,9 +46,8 @@ def _degrees(inputs: InputPair) -> Examined:
         in_range = np.abs(sides[side].positions).max(axis=0)[np.argsort(sizes[side])[:2]] <= 180.0
         likely = 1.0 / _FACTOR < ratio < _FACTOR and extent < _DEGREES and moved > _LEAST_M
         if likely and in_range.all():
-            seen = Seen(
-                "degrees", 1.0, {"side": side, "other": other, "extent": extent, "path_m": moved}
-            )
+            names: dict[str, Value] = {"side": side, "other": other, "path_m": moved}
+            seen = Seen("degrees", 1.0, {**names, "extent": extent})
             return Examined("degrees", {"ratio": ratio}, (seen,))
     return Examined("degrees")
 
@@ -81,10 +80,8 @@ def _increments(inputs: InputPair) -> Examined:
     steps = lengths(np.diff(at.positions, axis=0))[both]
     size = lengths(estimate.positions[1:])[both]
     together = max(min(_TOGETHER, len(steps) // _FEWEST), 1)  # noise is large beside short steps
-    steps, size = (
-        each[: len(each) // together * together].reshape(-1, together).sum(axis=1)
-        for each in (steps, size)
-    )
+    blocks = np.arange(0, len(steps), together)
+    steps, size = (np.add.reduceat(each, blocks) for each in (steps, size))
     if len(steps) < _FEWEST or not (steps.std() > 0.0 and size.std() > 0.0):
         return Examined("increments", why_not="too few common poses")
     peak = float(np.corrcoef(steps, size)[0, 1])

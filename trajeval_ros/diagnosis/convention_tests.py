@@ -102,13 +102,12 @@ def conventions(
         scores["composed"] = _best(composed).cost / kinds
         if not explains or _best(composed).cost < _RATIO * other.cost:
             others, other = composed, _best(composed)
+    # What remains if no convention fits, or if no correction helps.
+    rest = _rotations(as_read, limits, moving, turning, scores, alike=True) if kinds == 2 else ()
     if not _fits(other, limits) or other.cost >= _RATIO * as_read.cost:
-        found = (
-            _rotations(as_read, limits, moving, turning, scores, alike=True) if kinds == 2 else ()
-        )
-        agree = found or as_read.cost < _AGREE * kinds
+        agree = rest or as_read.cost < _AGREE * kinds
         why_not = "" if agree else "the motions do not agree with any convention"
-        return Examined(NAME, scores, found, why_not)
+        return Examined(NAME, scores, rest, why_not)
     within = (1.0 + _TIE_SHARE) * other.cost + _TIE
     fitting = [each for each in others if each.cost < within and _fits(each, limits)]
     shared: dict[str, Value] = {
@@ -117,10 +116,8 @@ def conventions(
     }
     explained = 1.0 - other.cost / as_read.cost
     seen = _seen(fitting, moving, explained, shared)
-    if kinds == 2:  # what remains if no correction helps
-        none = _rotations(as_read, limits, moving, turning, scores, alike=True)
-        seen = dataclasses.replace(seen, rivals=(*(seen.rivals or (seen,)), *none))
-    return Examined(NAME, scores, (seen,))
+    rivals = (*(seen.rivals or (seen,)), *rest)
+    return Examined(NAME, scores, (dataclasses.replace(seen, rivals=rivals),))
 
 
 def _best(hypotheses: list[Hypothesis]) -> Hypothesis:
@@ -209,10 +206,8 @@ def _tilts_agree(turned: Floats, turning: ShortMotions) -> tuple[float, float]:
     turns = bounded(turned_in_world(turning.groundtruth_turned))
     axis = np.linalg.eigh(turns.T @ turns)[1][:, -1]
     tilts = []
-    for quaternions, about in (
-        (turning.groundtruth_turned[0], axis),
-        (turning.estimate_turned[0], axis @ turned),
-    ):
+    true, ours = turning.groundtruth_turned[0], turning.estimate_turned[0]
+    for quaternions, about in ((true, axis), (ours, axis @ turned)):
         seen = lie.rotate(lie.conjugate(quaternions), about)
         mean = seen.mean(axis=0)
         across = np.linalg.svd(mean[None])[2][1:]

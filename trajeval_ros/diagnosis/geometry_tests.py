@@ -74,9 +74,7 @@ def scale(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examined:
     gain = 1.0 - float(np.sum((true - found * ours) ** 2)) / max(before, 1e-300)
     off = abs(float(np.log(found)))
     scores = {"scale": found, "spread": spread, "gain": gain}
-    values: dict[str, Value] = {
-        "scale": found, "or_feet": "", "or_convert": "", "gauge": "sim3"
-    }  # fmt: skip
+    values: dict[str, Value] = {"scale": found, "or_feet": "", "or_convert": "", "gauge": "sim3"}
     if off <= _OFF:
         return Examined(name, scores)
     unit = _unit_of(found, moving)
@@ -167,12 +165,8 @@ def vertical(
     ]
     if not found:
         scores["thirds_apart"] = apart_deg / tilt_deg
-        seen = (
-            (Seen("tilted", 1.0, {"tilt_deg": tilt_deg}),)
-            if scores["thirds_apart"] < _ALIKE
-            else ()
-        )
-        return Examined(name, scores, seen)
+        tilted = Seen("tilted", 1.0, {"tilt_deg": tilt_deg})
+        return Examined(name, scores, (tilted,) if scores["thirds_apart"] < _ALIKE else ())
     if found[0].values["axis"] == "-z":  # in a plane, a left-handed path has the same motions
         flipped = dataclasses.replace(as_read, axes=np.diag([1.0, 1.0, -1.0]))
         agreement: Value = 100.0 * (1.0 - as_read.cost / kinds)
@@ -329,17 +323,11 @@ def lever_arm(as_read: Hypothesis, moving: ShortMotions) -> Examined:
     if length <= _LEAST_LEVER or share <= _LEAST_SHARE:
         return Examined(name, {"lever_m": length, "share": share})
     parts = [each for each in np.array_split(np.flatnonzero(keep), _THIRDS) if len(each) > 10]
-    worst = max(
-        (_squares((left - swing @ lever)[each]) / max(_squares(left[each]), 1e-300))
-        for each in parts or [np.flatnonzero(keep)]
-    )
-    apart = max(
-        (
-            float(np.linalg.norm(_least_squares(swing[each], left[each], 1e-3) - lever))
-            for each in parts
-        ),
-        default=np.inf,
-    ) / max(length, 1e-9)
+    rest, some = left - swing @ lever, parts or [np.flatnonzero(keep)]
+    worst = max(_squares(rest[each]) / max(_squares(left[each]), 1e-300) for each in some)
+    levers = [_least_squares(swing[each], left[each], 1e-3) for each in parts]
+    apart = max((float(lengths(each - lever)) for each in levers), default=np.inf)
+    apart /= max(length, 1e-9)
     scores = {"lever_m": length, "share": share, "worst_third": worst, "apart": apart}
     explains = share > 0.7 and worst < 0.6
     agrees = apart < _ALIKE and length > _SURE_LEVER

@@ -55,12 +55,10 @@ class ShortMotions:
         known = begun.known & ended.known
         start, end = start[known], end[known]
         groundtruth_turned = estimate_turned = None
-        if begun.quaternions is not None and ended.quaternions is not None:
-            groundtruth_turned = np.stack([begun.quaternions[known], ended.quaternions[known]])
-        if groundtruth_turned is not None and estimate.quaternions is not None:
-            estimate_turned = np.stack([estimate.quaternions[start], estimate.quaternions[end]])
-        else:
-            groundtruth_turned = None
+        first_q, last_q, own_q = begun.quaternions, ended.quaternions, estimate.quaternions
+        if first_q is not None and last_q is not None and own_q is not None:
+            groundtruth_turned = np.stack([first_q[known], last_q[known]])
+            estimate_turned = np.stack([own_q[start], own_q[end]])
         return cls(
             np.column_stack([start, end]),
             np.stack([begun.positions[known], ended.positions[known]]),
@@ -360,9 +358,9 @@ def shorter_if_inverted(motions: ShortMotions) -> str:
         (motions.estimate, motions.estimate_turned),
         (motions.groundtruth, motions.groundtruth_turned),
     ):
-        before = np.linalg.norm(positions[1] - positions[0], axis=1).sum()
-        after = np.linalg.norm(_steps_if_inverted(positions, quaternions), axis=1).sum()
-        gains.append(float(after) / max(float(before), 1e-12))
+        before = float(lengths(positions[1] - positions[0]).sum())
+        after = float(lengths(_steps_if_inverted(positions, quaternions)).sum())
+        gains.append(after / max(before, 1e-12))
     return ESTIMATE if gains[0] < gains[1] else GROUNDTRUTH
 
 

@@ -156,11 +156,8 @@ def _is_lost(diagnosis: Diagnosis) -> bool:
 
 def _about_jumps(evaluation: Evaluation) -> Iterator[Remark]:
     groundtruth, estimate = evaluation.association.groundtruth, evaluation.association.estimate
-    true, own, scale = (
-        groundtruth.positions,
-        estimate.positions,
-        evaluation.alignment.similarity.scale,
-    )
+    scale = evaluation.alignment.similarity.scale
+    true, own = groundtruth.positions, estimate.positions
     turned = groundtruth.quaternions, estimate.quaternions
     steps = StepDifferences.between(true, own, *turned, scale)
     if not len(steps.true_m):
