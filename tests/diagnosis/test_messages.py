@@ -41,6 +41,19 @@ def test_jumps_of_positions_alone_have_no_degrees() -> None:
         assert (" deg " in said) == has_turns
 
 
+def test_poses_of_two_publishers_in_one_file_are_named() -> None:
+    protocol = Protocol(lengths=())
+    noise = np.random.default_rng(0).normal(size=ESTIMATE.positions.shape)
+    other = np.zeros_like(noise)
+    other[1::2] = [3.0, -2.0, 0.5]
+    for added, is_named in ((other + 0.01 * noise, True), (2.0 * noise, False)):
+        estimate = dataclasses.replace(ESTIMATE, positions=ESTIMATE.positions + added)
+        remarks = remarks_on(evaluate(GROUNDTRUTH, estimate, protocol), Diagnosis((), ()))
+        said = [each.text for each in remarks if each.code == "mixed_publishers"]
+        assert len(said) == is_named
+        assert all("messages of two publishers are probably mixed" in each for each in said)
+
+
 def test_a_two_dimensional_heading_has_no_tilt() -> None:
     heading = lie.from_rotation_vector(
         np.outer(np.linspace(0.0, 2.0, len(ESTIMATE)), [0.0, 0.0, 1.0])

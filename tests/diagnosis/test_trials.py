@@ -4,25 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
 import pytest
 
 from benchmarks.diagnosis import CORRECTED, found, left_by_corrections
 from benchmarks.diagnosis_mistakes import MISTAKES
 from benchmarks.diagnosis_runs import Pair, simulated
 from benchmarks.diagnosis_users import USERS
-from trajeval_ros import Request, run
+from trajeval_ros import Request, Trajectory, run
 
 DRONE = simulated(5000, "drone", "walk", 100.0)
 CAR = simulated(5004, "car", "walk", 100.0)
 RUNS = {"drone": DRONE, "car": CAR}
-# What planar motion does not show, or shows as a tie.
-NOT_ON_CARS = {
-    "groundtruth flat",
-    "z alone flipped",
-    "z and qz flipped",
-    "positions alone converted",
-    "roll and pitch swapped",
-}
+# Of heights, which drift hides on a road.
+NOT_ON_CARS = {"groundtruth flat", "z alone flipped"}
 # Corrected as far as a car shows the body, or as an estimate of the body is right.
 WITHOUT_BODY = {"camera poses", "raw NED and FRD", "NWU for ENU"}
 # The nearest convention leaves other angles.
@@ -70,6 +65,56 @@ def test_a_frozen_groundtruth_is_no_clock_offset() -> None:
         pair = simulated(seed, "car" if seed < 5006 else "robot", "walk", 100.0)
         causes = {each.cause for each in found(MISTAKES["groundtruth frozen"].make(pair)).findings}
         assert causes == {"groundtruth_frozen"}
+
+
+def test_roll_and_pitch_of_a_vehicle_are_compared() -> None:
+    """They are small beside its yaw, and exchanged they can double the rotation error."""
+    for kind, seed in (("car", 9711), ("car", 5004), ("robot", 9706), ("robot", 9716)):
+        right = simulated(seed, kind, "walk", 100.0)
+        assert not found(right).findings
+        [said] = found(USERS["roll and pitch swapped"].make(right)).findings
+        assert said.cause == "rotations"
+        assert not said.correction
+
+
+def test_a_constant_turn_rate_does_not_correlate_and_is_no_other_rotation() -> None:
+    """A marker turned by 126 deg on a body that turns steadily."""
+    times = np.arange(0.0, 60.0, 0.1)
+    path = [3 * np.sin(0.5 * times), 2 * np.cos(0.7 * times), 0.5 * np.sin(0.9 * times)]
+    sides = []
+    for angle, seed in ((1.1, 0), (0.0, 1)):
+        noise = np.random.default_rng(seed).normal(scale=0.01, size=(len(times), 3))
+        half = 0.1 * times + angle
+        zero = np.zeros_like(half)
+        turned = np.column_stack([zero, zero, np.sin(half), np.cos(half)])
+        stamps = np.rint(1e9 * times).astype(np.int64)
+        sides.append(Trajectory.from_columns(stamps, np.column_stack(path) + noise, turned))
+    causes = [each.cause for each in found(Pair("marker", sides[0], sides[1])).findings]
+    assert causes == ["body"]
+
+
+def test_what_follows_from_wrong_pairs_is_no_divergence() -> None:
+    car = simulated(9704, "car", "walk", 100.0)
+    for name, cause in (("clock -37 s", "clock_offset"), ("degrees as x and y", "degrees")):
+        mistakes = {**MISTAKES, **USERS}
+        assert [each.cause for each in found(mistakes[name].make(car)).findings] == [cause]
+
+
+def test_without_a_smaller_error_no_name_is_preferred() -> None:
+    """Other axes of the positions, which look like inverse rotations in a plane."""
+    car = simulated(9705, "car", "heavy", 100.0)
+    [said] = found(USERS["positions alone converted"].make(car)).findings
+    assert said.cause in ("convention_tie", "rotations")
+    assert not said.correction
+
+
+def test_increments_are_named_where_noise_is_large_beside_steps() -> None:
+    wrong = USERS["increments"].make(DRONE)
+    noise = np.random.default_rng(0).normal(scale=0.01, size=wrong.estimate.positions.shape)
+    noisy = dataclasses.replace(wrong.estimate, positions=wrong.estimate.positions + noise)
+    first = found(dataclasses.replace(wrong, estimate=noisy)).suggested
+    assert first is not None
+    assert first.cause == "increments"
 
 
 def test_rotations_that_differ_too_much_are_no_other_body() -> None:

@@ -201,9 +201,8 @@ class GateValues:
             kind, length = (POOLED, None) if length == "pooled" else (RE, length)
         metric, column = rest if len(rest) == 2 else (rest[0] if rest else "", "")
         own = [row for row in self._numbers if row["kind"] == kind and _key(row) == length]
-        self._require(
-            metric, list(dict.fromkeys(row["metric"] for row in own if row["metric"])), path
-        )
+        metrics = dict.fromkeys(row["metric"] for row in own if row["metric"])
+        self._require(metric, list(metrics), path)
         self._require(column, list(STATISTICS), path)
         written = list(dict.fromkeys(row["length"] for row in own))
         return {"kind": [kind], "metric": [metric], "length": written}, column
@@ -227,28 +226,20 @@ def require_same_settings(
             continue
         before = baseline.settings.get(name)
         if before != value:
-            was, now_is = (
-                f"no {name}" if each is None else f"{name} {each}" for each in (before, value)
-            )
+            was, is_now = ((f"{name} {x}", f"no {name}")[x is None] for x in (before, value))
             raise InputError(
-                f"the baseline was made with {was}, and this comparison with {now_is}; repeat "
+                f"the baseline was made with {was}, and this comparison with {is_now}; repeat "
                 "one of them with the same settings"
             )
 
 
 def remarks_on(baseline: GateValues, now: GateValues) -> list[str]:
     """Return remarks on other differences: a changed groundtruth."""
-    changed = dict.fromkeys(
-        sequence
-        for (algorithm, sequence), before in baseline.groundtruths.items()
-        if now.groundtruths.get((algorithm, sequence), before) != before
-    )
-    if not changed:
-        return []
-    names = ", ".join(changed)
-    return [
-        f"the groundtruth of {names} differs from the baseline, so the values are not comparable"
-    ]
+    before = baseline.groundtruths
+    changed = [group for group, own in before.items() if now.groundtruths.get(group, own) != own]
+    names = ", ".join(dict.fromkeys(sequence for _, sequence in changed))
+    said = f"the groundtruth of {names} differs from the baseline, so values are not comparable"
+    return [said] if changed else []
 
 
 def _run(row: Row) -> tuple[str, ...]:

@@ -91,13 +91,9 @@ class GateVerdict:
     def verdict(self) -> str:
         """`worse` or `lost` if a number or all together are; else `no worse` or `undecided`."""
         words = [each.verdict for each in self.numbers]
-        together = None if self.pooled is None else self.pooled.verdict
-        if WORSE in (together, *words):
-            return WORSE
-        if LOST in words:
-            return LOST
-        is_no_worse = NO_WORSE in words if together is None else together == NO_WORSE
-        return NO_WORSE if is_no_worse else UNDECIDED
+        together = words if self.pooled is None else [self.pooled.verdict]
+        found = {*together, *words} & {WORSE, LOST} or {*together} & {NO_WORSE}
+        return WORSE if WORSE in found else found.pop() if found else UNDECIDED
 
 
 @dataclass(frozen=True)
@@ -126,11 +122,10 @@ class Judgement:
     @property
     def verdict(self) -> str:
         """`worse`, `lost` or `more failures`; else `no worse` (all gates) or `undecided`."""
-        words = [each.verdict for each in self.gates]
-        for word in (WORSE, LOST, MORE_FAILURES):
-            if word in (*words, self.failures.verdict):
-                return word
-        return NO_WORSE if set(words) == {NO_WORSE} else UNDECIDED
+        words = {each.verdict for each in self.gates}
+        found = words | {self.failures.verdict}
+        good = NO_WORSE if words == {NO_WORSE} else UNDECIDED
+        return next((word for word in (WORSE, LOST, MORE_FAILURES) if word in found), good)
 
     @property
     def fails(self) -> bool:
@@ -285,6 +280,5 @@ def _is_beyond(gate: Gate, before: GateTrials, now: GateTrials) -> bool:
     new = _median(now)
     if old is None or new is None or math.isinf(new):
         return True
-    if gate.is_share:
-        return new < old * math.exp(-gate.margin)
-    return new > old * math.exp(gate.margin)
+    sign = -1.0 if gate.is_share else 1.0
+    return sign * new > sign * old * math.exp(sign * gate.margin)

@@ -263,36 +263,30 @@ class _Worse:
     """
 
     def __init__(self, sample: Sample, rest: Floats, units: Floats, labels: Floats) -> None:
-        self._sample = sample
+        self.sample = sample
         self._rest = (labels @ rest / sample.weight)[:, None]
         self._units = labels @ units / sample.weight
         self._squares = rest @ rest, 2.0 * rest @ units, (units**2).sum(0)
 
-    def _sum_of_squares(self, x: float) -> Floats:
+    def at(self, x: float) -> tuple[Floats, Floats]:
+        """Return differences, (relabellings, actual), and sums of squares of scores, (actual,)."""
         squares, linear, quadratic = self._squares
-        return np.asarray(np.maximum(squares + x * linear + x**2 * quadratic, 0.0))
-
-    def differences(self, x: float) -> Floats:
-        """Return differences, (relabellings, actual)."""
-        return self._rest + x * self._units
-
-    def error(self, x: float) -> Floats:
-        """Return standard errors over relabellings, (actual,)."""
-        return self._sample.error(self._sum_of_squares(x))
+        squares = np.maximum(squares + x * linear + x**2 * quadratic, 0.0)
+        return self._rest + x * self._units, squares
 
     def t(self, x: float, typical: float) -> Floats:
         """Return moderated t, (relabellings, actual)."""
-        differences = self.differences(x)
-        error = self._sample.error_within(self._sum_of_squares(x), differences)
+        differences, squares = self.at(x)
+        error = self.sample.error_within(squares, differences)
         return np.asarray(differences / (error + typical))
 
 
 def _weighted(runs: Sequence[_Worse], x: float) -> Floats:
     """Return the statistic of all sequences together, (relabellings, actual)."""
-    errors = np.array([each.error(x) for each in runs])
+    differences, squares = zip(*(each.at(x) for each in runs), strict=True)
+    errors = np.array([each.sample.error(own) for each, own in zip(runs, squares, strict=True)])
     weights = 1.0 / (errors + np.maximum(np.median(errors, axis=0), _TIE))
-    parts = (each.differences(x) * own for own, each in zip(weights, runs, strict=True))
-    return reduce(np.add, parts)
+    return reduce(np.add, map(np.multiply, differences, weights))
 
 
 def _least(

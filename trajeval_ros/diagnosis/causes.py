@@ -133,12 +133,7 @@ _TABLE = (
         "measure errors in the plane",
         {"gauge": "planar"},
     ),
-    Cause(
-        "few_pairs",
-        8.5,
-        "{said}",
-        "{more}",
-    ),
+    Cause("few_pairs", 8.5, "{said}", "{more}"),
     Cause(
         "clock_offset",
         8.0,
@@ -149,10 +144,7 @@ _TABLE = (
         of_error="",
     ),
     Cause(
-        "other_run",
-        7.0,
-        _OTHER_RUN,
-        "check that both are from the same run: trajeval info SOURCE",
+        "other_run", 7.0, _OTHER_RUN, "check that both are from the same run: trajeval info SOURCE"
     ),
     Cause(
         "clock_drift",

@@ -17,7 +17,7 @@ _SAME_SPAN = 1.5  # ratio of durations of the same run
 _METRES_PER_DEG, _FACTOR = 111_320.0, 4.0  # of latitude; of longitude it is less
 _DEGREES, _LEAST_M = 0.1, 1.0  # largest extent in degrees, least motion
 _FLAT = 0.05  # least rms height of the other side, as a fraction of its extent
-_STEPS_ALIKE, _STEPS_WITHIN, _SMALL = 0.8, 2.0, 0.05
+_STEPS_ALIKE, _STEPS_WITHIN, _SMALL, _TOGETHER = 0.8, 2.0, 0.05, 10
 
 
 def columns_of_others(inputs: InputPair) -> list[Examined]:
@@ -47,13 +47,9 @@ def _degrees(inputs: InputPair) -> Examined:
         likely = 1.0 / _FACTOR < ratio < _FACTOR and extent < _DEGREES and moved > _LEAST_M
         columns = np.argsort(sizes[side])[:2]
         if likely and (np.abs(sides[side].positions[:, columns]) <= 180.0).all():
-            values: dict[str, Value] = {
-                "side": side,
-                "other": other,
-                "extent": extent,
-                "path_m": moved,
-            }
-            return Examined("degrees", {"ratio": ratio}, (Seen("degrees", 1.0, values),))
+            names: dict[str, Value] = {"side": side, "other": other, "path_m": moved}
+            seen = Seen("degrees", 1.0, {**names, "extent": extent})
+            return Examined("degrees", {"ratio": ratio}, (seen,))
     return Examined("degrees")
 
 
@@ -67,13 +63,9 @@ def _flat(inputs: InputPair) -> Examined:
         height, extent = float(sides[other].positions[:, 2].std()), sides[other].extent
         if inputs.gauge is not Gauge.PLANAR and height > _FLAT * extent:
             axis = "xyz"[int(np.argmax(constant[side]))]
-            values: dict[str, Value] = {
-                "side": side,
-                "other": other,
-                "axis": axis,
-                "height_m": height,
-            }
-            return Examined("flat", {"height_m": height}, (Seen("flat", 1.0, values),))
+            names: dict[str, Value] = {"side": side, "other": other, "axis": axis}
+            seen = Seen("flat", 1.0, {**names, "height_m": height})
+            return Examined("flat", {"height_m": height}, (seen,))
     return Examined("flat")
 
 
@@ -88,6 +80,9 @@ def _increments(inputs: InputPair) -> Examined:
     both = at.known[1:] & at.known[:-1]
     steps = lengths(np.diff(at.positions, axis=0))[both]
     size = lengths(estimate.positions[1:])[both]
+    together = max(min(_TOGETHER, len(steps) // _FEWEST), 1)  # noise is large beside short steps
+    blocks = np.arange(0, len(steps), together)
+    steps, size = (np.add.reduceat(each, blocks) for each in (steps, size))
     if len(steps) < _FEWEST or not (steps.std() > 0.0 and size.std() > 0.0):
         return Examined("increments", why_not="too few common poses")
     peak = float(np.corrcoef(steps, size)[0, 1])

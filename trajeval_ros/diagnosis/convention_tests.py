@@ -7,6 +7,8 @@ in a plane. All of them are returned, and trials on the whole path select one.
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from trajeval_ros.diagnosis.clock_tests import SMALL_S, ClockMatch
@@ -21,9 +23,11 @@ from trajeval_ros.diagnosis.hypotheses import (
     Hypothesis,
     ShortMotions,
     as_written,
+    bounded,
     fit_hypotheses,
     improper_permutations,
     mean_rotation,
+    moment,
     shorter_if_inverted,
     sizes_apart,
     turned_in_body,
@@ -82,25 +86,28 @@ def conventions(
         sides = turning.groundtruth_turned, turning.estimate_turned
         limits.append(_limit(*(turned_in_world(each) for each in sides)))
         scores["turn_ratio"] = _total_turn(sides[1]) / _total_turn(sides[0])
-        alike = match is None or not match.turning < _TURNS_ALIKE
+        # Constant rates do not correlate.
+        alike = match is None or not match.turning < _TURNS_ALIKE or _fits(as_read, limits)
         if not (_TURNS_LESS < scores["turn_ratio"] < _TURNS_MORE and alike):
             found = _rotations(as_read, limits, moving, turning, scores, alike=False)
             return Examined(NAME, scores, found, "" if found else "the rotations differ too much")
     if as_read.cost <= _WRONG * kinds or (
         other.cost >= _RATIO * as_read.cost and _fits(as_read, limits)
     ):
-        return Examined(NAME, scores)
-    if not (_fits(other, limits) and other.cost < _RATIO * as_read.cost) and kinds == 2:
-        others = fit_hypotheses(moving, turning, composed=True)
-        other = _best(others)
-        scores["composed"] = other.cost / kinds
+        found = _tilts(as_read, turning, scores) if kinds == 2 else ()
+        return Examined(NAME, scores, found)
+    explains = _fits(other, limits) and other.cost < _RATIO * as_read.cost
+    if kinds == 2 and not (explains and other.cost <= _WRONG * kinds):
+        composed = fit_hypotheses(moving, turning, composed=True)
+        scores["composed"] = _best(composed).cost / kinds
+        if not explains or _best(composed).cost < _RATIO * other.cost:
+            others, other = composed, _best(composed)
+    # What remains if no convention fits, or if no correction helps.
+    rest = _rotations(as_read, limits, moving, turning, scores, alike=True) if kinds == 2 else ()
     if not _fits(other, limits) or other.cost >= _RATIO * as_read.cost:
-        found = (
-            _rotations(as_read, limits, moving, turning, scores, alike=True) if kinds == 2 else ()
-        )
-        agree = found or as_read.cost < _AGREE * kinds
+        agree = rest or as_read.cost < _AGREE * kinds
         why_not = "" if agree else "the motions do not agree with any convention"
-        return Examined(NAME, scores, found, why_not)
+        return Examined(NAME, scores, rest, why_not)
     within = (1.0 + _TIE_SHARE) * other.cost + _TIE
     fitting = [each for each in others if each.cost < within and _fits(each, limits)]
     shared: dict[str, Value] = {
@@ -108,7 +115,9 @@ def conventions(
         "as_read": _percent(as_read, kinds),
     }
     explained = 1.0 - other.cost / as_read.cost
-    return Examined(NAME, scores, (_seen(fitting, moving, explained, shared),))
+    seen = _seen(fitting, moving, explained, shared)
+    rivals = (*(seen.rivals or (seen,)), *rest)
+    return Examined(NAME, scores, (dataclasses.replace(seen, rivals=rivals),))
 
 
 def _best(hypotheses: list[Hypothesis]) -> Hypothesis:
@@ -138,16 +147,16 @@ def _rotations(
 ) -> tuple[Seen, ...]:
     """Return the finding about rotations that no convention explains, if positions agree."""
     assert turning.groundtruth_turned is not None
-    angle = _total_turn(turning.groundtruth_turned) / len(turning)
+    turns = _total_turn(turning.groundtruth_turned) >= _TURNING_RAD * len(turning)
     scores["positions_alone"] = as_read.moving_alone
-    if 1.0 - as_read.moving_alone > limits[0] or angle < _TURNING_RAD:
+    if 1.0 - as_read.moving_alone > limits[0] or not (turns or alike):
         return ()
     # Outliers are in a part of the run, and a mistake is in all of it.
     parts = zip([moving, *moving.thirds], [turning, *turning.thirds], strict=True)
     fits = [fit_hypotheses(*part)[0] for part in parts if min(map(len, part)) > 0]
-    left = min(each.cost - (1.0 - each.moving_alone) for each in fits)
-    if alike and left < max(_DISAGREE, 2.0 * limits[1]):
-        return ()
+    left = [each.cost - (1.0 - each.moving_alone) for each in fits]
+    if alike and not (turns and min(left) >= max(_DISAGREE, 2.0 * limits[1])):
+        return _tilts(as_read, turning, scores)
     ratio = scores["turn_ratio"]
     how, check = "", "order and signs of Euler angles; a compass heading is clockwise"
     if not alike:
@@ -155,14 +164,57 @@ def _rotations(
         check = "order and unit of Euler angles"
         if ratio < _MUCH_LESS:
             check = "radians were probably read as degrees"
+    return _disagreeing(as_read, 1.0 - left[0], ratio, how, check)
+
+
+def _disagreeing(
+    as_read: Hypothesis, agree: float, ratio: float, how: str, check: str
+) -> tuple[Seen, ...]:
+    """Return the finding that the rotations agree less than the positions."""
     values: dict[str, Value] = {
         "how": how,
         "check": check,
         "positions": 100.0 * as_read.moving_alone,
-        "rotations": 100.0 * max(as_read.turning, 0.0),
+        "rotations": 100.0 * max(agree, 0.0),
         "turn_ratio": ratio,
     }
-    return (Seen("rotations", 1.0 - max(as_read.turning, 0.0), values),)
+    return (Seen("rotations", 1.0 - max(agree, 0.0), values),)
+
+
+def _tilts(
+    as_read: Hypothesis, turning: ShortMotions, scores: dict[str, float]
+) -> tuple[Seen, ...]:
+    """Return the finding about roll and pitch, which are small beside the yaw of a vehicle."""
+    agree, reflected = _tilts_agree(as_read.turned, turning)
+    scores["tilts"], scores["tilts_reflected"] = agree, reflected
+    if 1.0 - reflected > min(_RIGHT, _RATIO * (1.0 - agree)):
+        return ()
+    parts = [_tilts_agree(as_read.turned, each) for each in turning.thirds]
+    check = "order and signs of Euler angles"
+    found = _disagreeing(as_read, agree, scores["turn_ratio"], " (roll and pitch)", check)
+    return found if all(one < other for one, other in parts) else ()
+
+
+def _tilts_agree(turned: Floats, turning: ShortMotions) -> tuple[float, float]:
+    """Return the largest correlations of the sides' tilts by a rotation and by a reflection.
+
+    Tilts are directions of the axis that the body turns about, as seen from the body. No other
+    body axes reflect them.
+    """
+    assert turning.groundtruth_turned is not None
+    assert turning.estimate_turned is not None
+    turns = bounded(turned_in_world(turning.groundtruth_turned))
+    axis = np.linalg.eigh(turns.T @ turns)[1][:, -1]
+    tilts = []
+    true, ours = turning.groundtruth_turned[0], turning.estimate_turned[0]
+    for quaternions, about in ((true, axis), (ours, axis @ turned)):
+        seen = lie.rotate(lie.conjugate(quaternions), about)
+        mean = seen.mean(axis=0)
+        across = np.linalg.svd(mean[None])[2][1:]
+        across[0] *= np.sign(np.linalg.det([*across, mean]))
+        tilts.append((seen - mean) @ across.T)
+    one, other = np.linalg.svd(moment(*tilts))[1] * (1.0, np.sign(np.linalg.det(moment(*tilts))))
+    return float(one + other), float(one - other)
 
 
 def _seen(

@@ -70,6 +70,7 @@ from trajeval_ros.diagnosis.trials import Again, with_tried_advice
 from trajeval_ros.diagnosis.warnings import about_unused_rule, remarks_on, require_same_body
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.metrics.association import Association, associate
+from trajeval_ros.metrics.tracking_loss import FROZEN
 
 if TYPE_CHECKING:
     from trajeval_ros.formatting.remarks import Remark
@@ -106,6 +107,7 @@ _LEAST_GAP_S, _MOST_GAP_S = 0.3, 1.1
 _FINAL = {
     "identical", "stands_still", "stamps_rounded", "degrees", "row_numbers", "increments",
 }  # fmt: skip
+_OTHER_PAIRS = {*_FINAL, "clock_offset", "clock_drift"}
 _NO_PEAK, _LONG_S = 0.45, 20.0
 # With such a finding, the errors contain no information on small offsets and covariances.
 _GRAVE = 5.2  # of ranks
@@ -124,9 +126,7 @@ def diagnosed(
 ) -> tuple[Evaluation, Diagnosis]:
     """Return an evaluation with remarks and without meaningless errors, and its diagnosis.
 
-    It is refused if it is aligned by the orientations of another body. The arguments are those of
-    `diagnose`, what evaluates again with corrections, and whether the body transform was
-    estimated.
+    `again` evaluates with corrections. An alignment by another body's orientations is refused.
     """
     diagnosis = diagnose(evaluation, groundtruth, estimate, paired=paired)
     if hand_eye_calibrated:
@@ -199,6 +199,12 @@ def _tested_where_tracked(
     """
     known = [each for each in losses if is_certain(each, pairs)]
     found = _tested_without(known, inputs)
+    # What follows from wrong pairs is no divergence.
+    frozen = [each for each in known if each.cause == FROZEN]
+    if len(frozen) < len(known) and any(map(found.named, _OTHER_PAIRS)):
+        whole = _tested_without(frozen, inputs)
+        if any(map(whole.named, _OTHER_PAIRS)):
+            known, found = frozen, whole
     uncertain = [each for each in losses if each not in known and is_large(each, pairs)]
     from_start = any(begins_at_start(each, pairs) for each in uncertain)
     explained = any(_explains_loss(each, from_start) for each in found.findings)

@@ -92,9 +92,8 @@ def frame_offset(evaluation: Evaluation) -> Examined:
     up = evaluation.groundtruth.up.matrix[2]
     height = abs(float(mean @ up))
     level = float(np.sqrt(max(length**2 - height**2, 0.0)))
-    kind = ""
-    if level < _VERTICAL * height and _GEOID_M[0] < height < _GEOID_M[1]:
-        kind = ": probably heights above the ellipsoid and above the geoid"
+    is_geoid = level < _VERTICAL * height and _GEOID_M[0] < height < _GEOID_M[1]
+    kind = ": probably heights above the ellipsoid and above the geoid" if is_geoid else ""
     values: dict[str, Value] = {
         "offset": ", ".join(f"{each:.2f}" for each in mean),
         "offset_m": length,

@@ -64,7 +64,7 @@ _CLIMB = 0.5
 _APART_DEG = 45.0
 _NEAR_DEG = 20.0  # from an axis of the frame, which the message then names
 _FEWEST = 20
-_ENOUGH = 20_000  # states
+_ENOUGH = 2000  # states
 
 
 def scale(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examined:
@@ -78,9 +78,7 @@ def scale(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examined:
     gain = 1.0 - float(np.sum((true - found * ours) ** 2)) / max(before, 1e-300)
     off = abs(float(np.log(found)))
     scores = {"scale": found, "spread": spread, "gain": gain}
-    values: dict[str, Value] = {
-        "scale": found, "or_feet": "", "or_convert": "", "gauge": "sim3"
-    }  # fmt: skip
+    values: dict[str, Value] = {"scale": found, "or_feet": "", "or_convert": "", "gauge": "sim3"}
     if off <= _OFF:
         return Examined(name, scores)
     unit = _unit_of(found, moving)
@@ -337,17 +335,11 @@ def lever_arm(as_read: Hypothesis, moving: ShortMotions) -> Examined:
     if length <= _LEAST_LEVER or share <= _LEAST_SHARE:
         return Examined(name, {"lever_m": length, "share": share})
     parts = [each for each in np.array_split(np.flatnonzero(keep), _THIRDS) if len(each) > 10]
-    worst = max(
-        (_squares((left - swing @ lever)[each]) / max(_squares(left[each]), 1e-300))
-        for each in parts or [np.flatnonzero(keep)]
-    )
-    apart = max(
-        (
-            float(np.linalg.norm(_least_squares(swing[each], left[each], 1e-3) - lever))
-            for each in parts
-        ),
-        default=np.inf,
-    ) / max(length, 1e-9)
+    rest, some = left - swing @ lever, parts or [np.flatnonzero(keep)]
+    worst = max(_squares(rest[each]) / max(_squares(left[each]), 1e-300) for each in some)
+    levers = [_least_squares(swing[each], left[each], 1e-3) for each in parts]
+    apart = max((float(lengths(each - lever)) for each in levers), default=np.inf)
+    apart /= max(length, 1e-9)
     scores = {"lever_m": length, "share": share, "worst_third": worst, "apart": apart}
     explains = share > 0.7 and worst < 0.6
     agrees = apart < _ALIKE and length > _SURE_LEVER
@@ -362,8 +354,7 @@ def _least_squares(swing: Floats, left: Floats, damping: float) -> Floats:
     normal = rows.T @ rows
     if np.linalg.cond(normal) > 1.0 / damping:
         normal = normal + np.eye(3) * max(float(np.trace(normal)), 1e-12) * damping
-    solved: Floats = np.linalg.solve(normal, rows.T @ left.ravel()).astype(np.float64)
-    return solved
+    return np.asarray(np.linalg.solve(normal, rows.T @ left.ravel()))
 
 
 def _squares(vectors: Floats) -> float:
@@ -436,8 +427,7 @@ def vertical_axis_of(positions: Floats, quaternions: Floats) -> Floats | None:
     level = np.linalg.eigvalsh(along[:, 1:].T @ along[:, 1:])
     if along[:, 0] @ along[:, 0] > _CLIMB**2 * level[0]:
         return None
-    vertical: Floats = axes[:, 0]
-    return vertical
+    return np.asarray(axes[:, 0])
 
 
 def require_up_axis(groundtruth: Trajectory, gauge: Gauge) -> None:

@@ -55,12 +55,10 @@ class ShortMotions:
         known = begun.known & ended.known
         start, end = start[known], end[known]
         groundtruth_turned = estimate_turned = None
-        if begun.quaternions is not None and ended.quaternions is not None:
-            groundtruth_turned = np.stack([begun.quaternions[known], ended.quaternions[known]])
-        if groundtruth_turned is not None and estimate.quaternions is not None:
-            estimate_turned = np.stack([estimate.quaternions[start], estimate.quaternions[end]])
-        else:
-            groundtruth_turned = None
+        first_q, last_q, own_q = begun.quaternions, ended.quaternions, estimate.quaternions
+        if first_q is not None and last_q is not None and own_q is not None:
+            groundtruth_turned = np.stack([first_q[known], last_q[known]])
+            estimate_turned = np.stack([own_q[start], own_q[end]])
         return cls(
             np.column_stack([start, end]),
             np.stack([begun.positions[known], ended.positions[known]]),
@@ -80,14 +78,12 @@ class ShortMotions:
     @property
     def true_steps(self) -> Floats:
         """Displacements of the groundtruth, (N, 3)."""
-        steps: Floats = self.groundtruth[1] - self.groundtruth[0]
-        return steps
+        return np.asarray(self.groundtruth[1] - self.groundtruth[0])
 
     @property
     def steps(self) -> Floats:
         """Displacements of the estimate, (N, 3)."""
-        steps: Floats = self.estimate[1] - self.estimate[0]
-        return steps
+        return np.asarray(self.estimate[1] - self.estimate[0])
 
     @property
     def thirds(self) -> list[ShortMotions]:
@@ -142,8 +138,7 @@ def turned_in_body(quaternions: Floats) -> Floats:
 
 def bounded(vectors: Floats) -> Floats:
     """Return vectors (N, 3) with limited lengths, so that outliers have little weight."""
-    short: Floats = vectors / bound_of(lengths(vectors))[:, None]
-    return short
+    return np.asarray(vectors / bound_of(lengths(vectors))[:, None])
 
 
 def bound_of(size: Floats) -> Floats:
@@ -160,9 +155,8 @@ def moment(groundtruth: Floats, estimate: Floats) -> Floats:
     norm = np.sqrt(
         np.square(groundtruth).sum(axis=(-1, -2)) * np.square(estimate).sum(axis=(-1, -2))
     )
-    summed: Floats = np.swapaxes(groundtruth, -1, -2) @ estimate
-    summed /= np.maximum(norm, 1e-300)[..., None, None]
-    return summed
+    summed = np.swapaxes(groundtruth, -1, -2) @ estimate
+    return np.asarray(summed / np.maximum(norm, 1e-300)[..., None, None])
 
 
 def best_rotations(moments: Floats) -> tuple[Floats, Floats]:
@@ -265,12 +259,12 @@ def fit_hypotheses(
     todo = [as_read, *forms]
     todo += [_Moments(cause, "", 1, moved, turns[0, 0], axes) for cause, moved, axes in others]
     inverse = _WRITTEN.index(TRANSPOSED)
-    inverted = bounded(_steps_if_inverted(moving.estimate, moving.estimate_turned))
-    steps_of_inverse = moment(bounded(moving.true_steps), inverted)
-    todo.append(_Moments(INVERSE, ESTIMATE, 1, steps_of_inverse, turns[0, inverse]))
-    inverted = bounded(_steps_if_inverted(moving.groundtruth, moving.groundtruth_turned))
-    steps_of_inverse = moment(inverted, bounded(moving.steps))
-    todo.append(_Moments(INVERSE, GROUNDTRUTH, 1, steps_of_inverse, turns[inverse, 0]))
+    ours = _steps_if_inverted(moving.estimate, moving.estimate_turned)
+    inverted = moment(bounded(moving.true_steps), bounded(ours))
+    todo.append(_Moments(INVERSE, ESTIMATE, 1, inverted, turns[0, inverse]))
+    true = _steps_if_inverted(moving.groundtruth, moving.groundtruth_turned)
+    inverted = moment(bounded(true), bounded(moving.steps))
+    todo.append(_Moments(INVERSE, GROUNDTRUTH, 1, inverted, turns[inverse, 0]))
     return _solved(todo, perfect=2.0)
 
 
@@ -303,15 +297,13 @@ def _as_written(groundtruth: Floats, estimate: Floats) -> Floats:
     vectors = np.concatenate([world, -turned_in_body(orders)], axis=1)
     # Order of components and side of the product do not change the angle.
     bounds = np.array([bound_of(size) for size in lengths(world[:, 0])])
-    written: Floats = vectors / bounds[:, None, :, None]
-    return written
+    return np.asarray(vectors / bounds[:, None, :, None])
 
 
 def _steps_if_inverted(positions: Floats, quaternions: Floats | None) -> Floats:
     """Return displacements (N, 3) of poses (2, N) under the hypothesis of inverse poses."""
     assert quaternions is not None
-    steps: Floats = np.diff(lie.rotate(lie.conjugate(quaternions), -positions), axis=0)[0]
-    return steps
+    return np.asarray(np.diff(lie.rotate(lie.conjugate(quaternions), -positions), axis=0)[0])
 
 
 def _solved(todo: list[_Moments], perfect: float) -> list[Hypothesis]:
@@ -366,13 +358,12 @@ def shorter_if_inverted(motions: ShortMotions) -> str:
         (motions.estimate, motions.estimate_turned),
         (motions.groundtruth, motions.groundtruth_turned),
     ):
-        before = np.linalg.norm(positions[1] - positions[0], axis=1).sum()
-        after = np.linalg.norm(_steps_if_inverted(positions, quaternions), axis=1).sum()
-        gains.append(float(after) / max(float(before), 1e-12))
+        before = float(lengths(positions[1] - positions[0]).sum())
+        after = float(lengths(_steps_if_inverted(positions, quaternions)).sum())
+        gains.append(after / max(before, 1e-12))
     return ESTIMATE if gains[0] < gains[1] else GROUNDTRUTH
 
 
 def mean_rotation(quaternions: Floats) -> Floats:
     """Return the quaternion (4,) nearest to N of them, (N, 4), of either sign."""
-    mean: Floats = np.linalg.eigh(quaternions.T @ quaternions)[1][:, -1]
-    return mean
+    return np.asarray(np.linalg.eigh(quaternions.T @ quaternions)[1][:, -1])

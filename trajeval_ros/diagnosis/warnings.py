@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 LOW_COVERAGE = 0.9
 LARGE_TILT_DEG = 10.0
 _WHOLE = 0.95  # of the time from the first to the last pair
+_BACK = 0.1  # of the differences of steps, that of two steps together if poses alternate
 # Of a UTM zone; northings below are within 9 deg of the equator.
 _EASTING_M, _NORTHING_M = (1e5, 1e6), (1e6, 1e7)
 # Largest factor on the position ATE by orientations in the alignment, without a warning.
@@ -155,15 +156,20 @@ def _is_lost(diagnosis: Diagnosis) -> bool:
 
 def _about_jumps(evaluation: Evaluation) -> Iterator[Remark]:
     groundtruth, estimate = evaluation.association.groundtruth, evaluation.association.estimate
-    steps = StepDifferences.between(
-        groundtruth.positions,
-        estimate.positions,
-        groundtruth.quaternions,
-        estimate.quaternions,
-        evaluation.alignment.similarity.scale,
-    )
+    scale = evaluation.alignment.similarity.scale
+    true, own = groundtruth.positions, estimate.positions
+    turned = groundtruth.quaternions, estimate.quaternions
+    steps = StepDifferences.between(true, own, *turned, scale)
     if not len(steps.true_m):
         return
+    back_m = median(steps.position_m)
+    second = StepDifferences.between(true[::2], own[::2], None, None, scale)
+    if back_m > median(steps.true_m) and median(second.position_m) < _BACK * back_m:
+        yield warning(
+            "mixed_publishers",
+            f"every other pose of the estimate is {back_m:.2g} m away, and the next one is back: "
+            "messages of two publishers are probably mixed; evaluate one of them",
+        )
     turns = groundtruth.quaternions is not None and estimate.quaternions is not None
     jumps = steps.jumps(median(steps.position_m), median(steps.rotation_deg))
     if not len(jumps):
@@ -319,10 +325,7 @@ def _about_inputs(evaluation: Evaluation) -> Iterator[Remark]:
             )
     dropped = groundtruth.reading.dropped
     if dropped:
-        yield warning(
-            "groundtruth_dropped",
-            f"groundtruth poses were dropped: {reasons(dropped)}",
-        )
+        yield warning("groundtruth_dropped", f"groundtruth poses were dropped: {reasons(dropped)}")
 
 
 def about_unused_rule(rule: FixRule) -> Iterator[Remark]:
