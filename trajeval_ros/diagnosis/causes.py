@@ -237,7 +237,7 @@ _TABLE = (
         "mirrored",
         6.0,
         "the axes of one side are left-handed (an axis was flipped, or two were exchanged): "
-        "mirrored, short motions agree to {agreement:.0f} % instead of {as_read:.0f} %",
+        "mirrored, short motions agree to {agreement:.0f} % ({as_read:.0f} % as read)",
         "flip or exchange axes of the estimate",
         {"estimate.axes": "{axes}"},
         of_conventions=True,
