@@ -15,7 +15,6 @@ from trajeval_ros.cli.programs import may_break, write_json
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.escaping import visible
 from trajeval_ros.formatting.remarks import Level
-from trajeval_ros.formatting.text_tables import BOLD
 from trajeval_ros.io.results.requirement import Requirement
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import parse_source
@@ -121,6 +120,7 @@ def _print(outcome: Outcome, output: Path | None) -> None:
 
 
 def _print_verdicts(terminal: Console, outcome: Outcome) -> None:
+    from trajeval_ros.formatting.text_tables import BOLD
     from trajeval_ros.report.available_lines import available_lines, stream_line
     from trajeval_ros.report.console import WARNING
     from trajeval_ros.report.verdict_lines import diagnosis_lines, doubt, own_error_line, verdict
