@@ -36,6 +36,16 @@ def test_the_table_says_what_trajectories_are(capsys: pytest.CaptureFixture[str]
     assert int(found["gt"][0]) == 4000
 
 
+@pytest.mark.parametrize("largest", ["-1", "0", "nan", "inf"])
+def test_the_end_of_a_colour_scale_is_positive(
+    largest: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["trajectory", EST, "--plot", "xy", "--colour-by", "speed", "--output", "unused"]
+    assert main([*command, "--colour-max", largest]) == 2
+    expected = f"--colour-max must be positive and needs --colour-by; found {float(largest):g}"
+    assert expected in capsys.readouterr().err
+
+
 def test_a_topic_goes_to_text_and_back(tmp_path: Path) -> None:
     save = ["trajectory", GT, EST, "-q", "--save-as", "mcap", "--output", str(tmp_path)]
     assert main(save) == 0

@@ -124,6 +124,8 @@ def test_without_a_scale_the_reason_is_stated() -> None:
         assert found.gauge_scores.sim3 is None
         [said] = [each for each in found.statements if "sim3" in each]
         assert said.startswith("no likelihood in gauge sim3: the most likely scale is zero")
+        has_ate = found.ate.supported_m is not None
+        assert has_ate is not any("no ATE of supported" in each for each in found.statements)
     protocol = Protocol(gauge="sim3", association=rule, lengths=())
     with pytest.raises(DegenerateGeometryError, match="--hand-eye auto"):
         assess_likelihood(evaluate(groundtruth, estimate, protocol))

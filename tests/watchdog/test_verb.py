@@ -150,6 +150,9 @@ def test_the_picture_has_the_path_the_signals_and_the_alarms(tmp_path: Path) -> 
     _, limit = drawn.numbers("watch/imu/limit")
     assert limit.tolist() == [1.0, 1.0]
     times, said = drawn.rows("events", "TextLog:text")
+    _, levels = drawn.rows("events", "TextLog:level")
+    for [text], [level] in zip(said, levels, strict=True):
+        assert (level == "WARN") is text.startswith(("error: ", "warning: "))
     told = dict(zip([str(each[0]) for each in said], times.tolist(), strict=True))
     for alarm in found["alarms"]:
         [time] = [
