@@ -76,6 +76,7 @@ def test_paths_and_errors_are_those_of_the_evaluation(folder: Path, tmp_path: Pa
     assert {"4m.position_m", "8m.position_m"} <= record.columns.keys()
 
 
+@pytest.mark.slow
 def test_other_settings_are_refused(folder: Path, tmp_path: Path) -> None:
     truth = write_run(tmp_path / "truth.txt")
     evaluate(truth, write_run(tmp_path / "a.txt", 1.01), tmp_path / "a", "--gauge", "sim3")

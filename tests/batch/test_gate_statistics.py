@@ -300,6 +300,7 @@ def test_no_change_seldom_alarms(sequences: int, trials: int, spread: str) -> No
     assert cell.alarms() <= stats.binom.ppf(0.999, 300, FALSE_ALARMS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("common", "one", "sequences", "trials", "least"),
     [(0.2, 0.0, 11, 3, 0.88), (0.2, 0.0, 3, 10, 0.80), (0.0, 0.5, 11, 10, 0.93)],
@@ -311,6 +312,7 @@ def test_changes_are_found_as_often_as_the_documentation_says(
     assert cell.alarms() >= stats.binom.ppf(0.001, 200, least)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sequences", "size"), [(11, (1, 1)), (11, (3, 3)), (1, (10, 10)), (3, (5, 5))]
 )

@@ -79,6 +79,7 @@ def test_a_shift_of_the_groundtruth_is_the_offset(seed: int, shift_s: float) -> 
     assert after.offset.value - before.offset.value == pytest.approx(shift / 1e9, abs=1e-6)
 
 
+@pytest.mark.slow
 @few
 @given(seed=seeds)
 def test_another_body_of_the_estimate(seed: int) -> None:

@@ -49,6 +49,7 @@ def test_translation_alone_shows_clock_and_rotation_but_no_lever_arm() -> None:
     assert found.lever.status == "unobservable"
 
 
+@pytest.mark.slow
 def test_one_axis_hides_the_lever_arm_along_it() -> None:
     found = calibrate(*fly(1, 300.0, "car", FAULT), systematic=NONE)
     assert found.offset.value == pytest.approx([0.3], abs=5e-3)

@@ -89,6 +89,7 @@ def test_sources_named_twice_or_not_at_all_are_refused(
     assert error.count("\n") == 1
 
 
+@pytest.mark.slow
 @needs_bash
 def test_texts_come_through_pipes(pair: tuple[Path, Path]) -> None:
     truth, estimate = pair
@@ -237,6 +238,7 @@ def test_evaluate_has_few_options() -> None:
     assert len(common) == 12
 
 
+@pytest.mark.slow
 @needs_bash
 def test_completion_is_sourced_and_completes(tmp_path: Path) -> None:
     # By its own program: what asks for the completion is found by the program's name.

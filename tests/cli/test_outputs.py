@@ -48,6 +48,7 @@ def test_who_reads_the_head_alone_gets_the_right_status(
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 @needs_pipes
 @pytest.mark.parametrize("stdout_as_well", [False, True])
 @pytest.mark.parametrize(
@@ -132,6 +133,7 @@ def test_links_in_a_folder_of_results_are_not_followed(pair: list[str], tmp_path
     assert_not_followed(links)
 
 
+@pytest.mark.slow
 def test_links_in_the_folder_of_a_comparison_are_not_followed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -120,6 +120,7 @@ def test_a_thousand_keyframes_are_honest_in_every_gauge(*, noisy: bool) -> None:
         assert low < np.mean(values) < high
 
 
+@pytest.mark.slow
 def test_states_without_groundtruth_and_a_late_start_are_handled(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

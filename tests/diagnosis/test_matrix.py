@@ -35,11 +35,13 @@ def causes(diagnosis: Diagnosis) -> list[str]:
     return [each.cause for each in diagnosis.findings]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(ALL.keys() - UNSEEN_ON_DRONES))
 def test_a_mistake_is_named_on_a_drone(name: str) -> None:
     assert causes(found(ALL[name].make(DRONE)))[0] in ALL[name].causes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(ALL.keys() - UNSEEN_ON_CARS))
 def test_a_mistake_is_named_on_a_car(name: str) -> None:
     assert causes(found(ALL[name].make(CAR)))[0] in ALL[name].causes

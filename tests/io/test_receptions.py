@@ -255,6 +255,7 @@ def test_wheel_odometry_of_a_real_robot(shared_data: Path, tmp_path: Path) -> No
         assert found["clock"]["verdict"] == "ok"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("bag", "truth", "estimate", "verdict"),
     [

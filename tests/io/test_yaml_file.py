@@ -45,6 +45,7 @@ def said_by(read: Callable[[Path], object], path: Path) -> str:
     return ""
 
 
+@pytest.mark.slow
 @given(NUMBERS, NUMBERS)
 @example("0x" + "f" * 6000, "1")
 @example("1", "0x" + "f" * 6000)

@@ -39,6 +39,7 @@ def alignment(estimate: np.ndarray, gauge: Gauge) -> np.ndarray:
     return generalised_absolute_error(Residuals(belief, estimate, gauge)).mode.element
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "gauge", [Gauge.YAW, Gauge.SE3, Gauge.SIM3, Gauge.TRANSLATION, Gauge.NONE]
 )

@@ -305,6 +305,7 @@ def test_chain_finds_a_tilt() -> None:
     assert abs(scores.tilt.z[1]) < 4.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.SE3])
 @given(seed=seeds)
 @settings(max_examples=8)

@@ -356,6 +356,7 @@ def both_errors(truth: Trajectory, estimate: Trajectory) -> tuple[float, float]:
     return ate.rmse, available.rmse
 
 
+@pytest.mark.slow
 def test_latency_changes_the_order_of_two_real_estimates(shared_data: Path) -> None:
     folder = shared_data / "euroc"
     truth = read_trajectory(folder / "groundtruth" / "MH_01.txt")

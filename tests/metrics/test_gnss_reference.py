@@ -77,6 +77,7 @@ def test_relative_errors_of_positions(length: int, recording: Recording, husky: 
     assert rmse == pytest.approx(known["rmse"], **EXACT)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlation_s", [0, 30, 100])
 def test_the_error_without_the_noise(correlation_s: int, recording: Recording, husky: Any) -> None:
     known = husky["wheel_odometry"]["planar_debiased"][f"tau_{correlation_s}"]

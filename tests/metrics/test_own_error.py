@@ -127,6 +127,7 @@ def test_nothing_is_dropped_because_it_disagrees() -> None:
     assert any("add a second estimate" in each for each in found.evaluation.warnings)
 
 
+@pytest.mark.slow
 def test_a_jump_of_one_estimate_is_its_own() -> None:
     jumping = drifting(1)
     jumping[100:110] += [20.0, 0.0, 0.0]
@@ -139,6 +140,7 @@ def test_a_jump_of_one_estimate_is_its_own() -> None:
     assert any("only this estimate jumps" in w for w in bad.evaluation.warnings)
 
 
+@pytest.mark.slow
 def test_a_jump_of_all_is_the_fixes() -> None:
     multipath = PATH.copy()
     multipath[60:66] += [8.0, 0.0, 0.0]
@@ -151,6 +153,7 @@ def test_a_jump_of_all_is_the_fixes() -> None:
         assert any("caused by the receiver" in w for w in each.evaluation.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [0, 1, 2, 3])
 def test_covariances_that_nobody_knows_give_no_figure(kind: int) -> None:
     (found,) = runs_of(drifting(1), kind=kind)

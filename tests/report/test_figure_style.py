@@ -78,6 +78,7 @@ def test_figures_are_as_wide_as_asked_with_type_of_7_to_9_points(
             assert figure.get_tightbbox().x1 <= inches + 0.02
 
 
+@pytest.mark.slow
 def test_no_legend_covers_data(evaluations: list[Evaluation]) -> None:
     with house_style():
         for drawing in DRAWINGS:
@@ -156,6 +157,7 @@ def test_titles_are_left_out_and_stay_in_the_metadata(
     assert high[False] < high[True]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["pdf", "svg"])
 def test_vector_files_have_their_fonts_and_are_the_same_each_time(
     kind: str, evaluations: list[Evaluation], tmp_path: Path
@@ -187,6 +189,7 @@ def test_pgf_is_what_latex_takes_and_names_are_no_commands(
     assert done.returncode == 0, done.stdout
 
 
+@pytest.mark.slow
 def test_dark_styles_reach_everything(evaluations: list[Evaluation], tmp_path: Path) -> None:
     import matplotlib
 

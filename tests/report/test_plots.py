@@ -72,6 +72,7 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return write_figures([_evaluation()], tmp_path_factory.mktemp("figures"))
 
 
+@pytest.mark.slow
 def test_writes_every_figure_and_none_is_blank(drawn: list[Path]) -> None:
     assert [path.name for path in drawn] == ALL
     for path in drawn:
@@ -144,6 +145,7 @@ def test_titles_state_the_definitions() -> None:
     assert "by SE(3)" in _texts([first], "relative_error")
 
 
+@pytest.mark.slow
 def test_withheld_rotation_says_why(tmp_path: Path) -> None:
     without = _evaluation(quaternions=None)
     assert len(write_figures([without], tmp_path)) == 4

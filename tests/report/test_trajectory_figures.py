@@ -208,6 +208,7 @@ def test_maps_that_are_none_are_told(text: str, said: str, tmp_path: Path) -> No
         read_ground_image(path)
 
 
+@pytest.mark.slow
 @given(st.text(max_size=30))
 def test_bounds_are_read_or_refused(text: str) -> None:
     try:
@@ -218,6 +219,7 @@ def test_bounds_are_read_or_refused(text: str) -> None:
     assert y0 < y1
 
 
+@pytest.mark.slow
 def test_the_command_draws_and_replaces_its_figures_only(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -160,6 +160,7 @@ def test_poses_that_arrive_late_are_a_warning_with_their_delay(
     live.end()
 
 
+@pytest.mark.slow
 def test_an_estimator_that_stalls_and_catches_up_has_no_faulty_clock(tmp_path: Path) -> None:
     live = Live(tmp_path / "live", ODOM)
     messages = []

@@ -129,6 +129,7 @@ def test_the_antenna_of_a_hand_eye_transform_is_that_of_a_recording(tmp_path: Pa
     assert not any("no lever arm is given" in each["text"] for each in run["remarks"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("batch", [1, 19, 1000])
 def test_each_loop_is_a_run(tmp_path: Path, batch: int) -> None:
     live = Live(tmp_path / "live", ODOM, groundtruth_kind=FIX_TYPE, lever_arm=LEVER_TEXT)

@@ -51,6 +51,7 @@ def late(feed: Sequence[Message], messages_late: int) -> list[Message]:
     return [feed[row] for row in np.argsort(keys, kind="stable")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("messages_late", [0, 25, -25])
 @pytest.mark.parametrize("batch", [1, 13, 1000])
 def test_each_loop_of_a_bag_is_a_run(tmp_path: Path, messages_late: int, batch: int) -> None:

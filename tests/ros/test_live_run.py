@@ -248,6 +248,7 @@ def test_a_run_without_pairs_says_so(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "vio: no pairs of estimate and groundtruth" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_finish_holds_a_run_against_bounds(tmp_path: Path) -> None:
     live = Live(tmp_path / "live", ODOM)
     live.feed(messages(9))

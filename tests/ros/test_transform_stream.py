@@ -129,6 +129,7 @@ def test_any_batches_give_the_offline_chain(
     assert stream.status.remarks == [Remark(Level.NOTE, "format", "format: TF")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "parent", "child"),
     [("tf_example", "odom", "base_link"), ("nav2_turtlebot.mcap", "map", "base_link")],

@@ -124,6 +124,7 @@ def test_a_simulated_flight_is_estimated_as_well_as_its_noise_allows(
     assert covariances(examined.scene, 0, is_converged=True).difference < 1e-8
 
 
+@pytest.mark.slow
 def test_keyframes_between_samples_are_estimated_as_well(folder: Path) -> None:
     """Steps of their own lead from a keyframe to the IMU's next sample."""
     aligned = _examined(folder)

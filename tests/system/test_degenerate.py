@@ -52,6 +52,7 @@ def assert_rotation_withheld(result: Evaluation) -> None:
     assert any(result.withheld in warning for warning in result.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gauge", FREE)
 @pytest.mark.parametrize("direction", list(DIRECTIONS))
 @pytest.mark.parametrize("noise_m", [0.0, 1e-6])

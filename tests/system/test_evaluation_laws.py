@@ -101,6 +101,7 @@ def test_turning_both_worlds_freely_changes_neither_positions_nor_angles(
     np.testing.assert_allclose(after.rotation_deg, before.rotation_deg, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gauge", list(Gauge))
 @settings(max_examples=8)
 @given(pair=pairs())
@@ -147,6 +148,7 @@ def test_aligning_by_all_states_is_never_worse_in_position(gauge: Gauge, pair: P
         assert best <= rmse(states) * (1.0 + 1e-12)
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(pair=pairs())
 def test_a_larger_gauge_never_leaves_a_larger_position_error(pair: Pair) -> None:

@@ -124,6 +124,7 @@ def test_a_state_that_the_node_never_writes(number: int, folder: Path) -> None:
     assert_fails_alone(folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(ODD_DESCRIPTIONS)))
 def test_a_description_that_the_node_never_writes(number: int, folder: Path) -> None:
     write_run(folder / "odd.pairs", ODD_DESCRIPTIONS[number], STATE)

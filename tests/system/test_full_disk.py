@@ -55,6 +55,7 @@ def names(folder: Path) -> list[str]:
     return sorted(each.name for each in folder.iterdir())
 
 
+@pytest.mark.slow
 def test_an_archive_that_does_not_fit_says_nothing_of_zip_files(
     disk: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -234,6 +234,7 @@ def test_all_verbs_are_in_the_help_and_imported_before_ctrl_c_could_break_them()
     assert all(f" {name.split()[0]} " in said for name in VERBS)
 
 
+@pytest.mark.slow
 def test_completion_of_an_option_imports_one_verb() -> None:
     asked = {
         "_TRAJEVAL_COMPLETE": "bash_complete",

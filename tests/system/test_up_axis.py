@@ -133,6 +133,7 @@ def test_yaw_and_tilt_are_about_the_axis() -> None:
         assert found.tilt_deg == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gauge", "association"),
     [(Gauge.YAW, "linear"), (Gauge.SE3, "linear"), (Gauge.SE3, "continuous")],

@@ -94,6 +94,7 @@ def live(path: Path, fixes: Trajectory) -> list[Any]:
     return layouts
 
 
+@pytest.mark.slow
 def test_the_live_map_is_the_recorded_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("rerun.chunk")
     from rrd import Rrd

@@ -109,6 +109,7 @@ def test_growing_path_is_whole_at_every_time(piece: int, monkeypatch: pytest.Mon
     assert is_of(drawn.shown(int(stamps[-1])), points)
 
 
+@pytest.mark.slow
 def test_a_path_of_days_is_drawn_with_few_poses(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live_path, "_PIECE", 10)
     drawn = DrawnPath(monkeypatch)

@@ -438,6 +438,7 @@ def sources(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     return ["-g", f"{bag}:/groundtruth/pose", "-e", f"{bag}:/vio/odometry", "--quiet"]
 
 
+@pytest.mark.slow
 def test_without_rerun_one_sentence_names_the_extra(sources: list[str], tmp_path: Path) -> None:
     code = (
         "import sys; sys.modules['rerun'] = None; from trajeval_ros.cli.app import main; "

@@ -343,6 +343,7 @@ def lag_run(lag_s: float, speed: Floats, seed: int) -> tuple[float, float]:
     return _lag_of(states)
 
 
+@pytest.mark.slow
 def test_a_lag_of_the_twist_needs_evidence() -> None:
     times = np.arange(900) * 0.04
     swinging = 1.0 + 0.4 * np.sin(1.1 * times) + 0.2 * np.sin(2.3 * times)

@@ -185,6 +185,7 @@ def test_the_alignment_moves_the_estimate_onto_the_aligned_path(
     assert places[1] - places[0] == pytest.approx(errors, abs=1e-12)
 
 
+@pytest.mark.slow
 @settings(max_examples=5)  # a reading of schemas each
 @given(seeds)
 def test_live_errors_under_the_last_alignment_are_the_recorded_ones(
