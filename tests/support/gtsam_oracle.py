@@ -26,6 +26,7 @@ class GtsamSolution:
         initial_cost: Half the squared residuals where it began.
         cost: The same at the end.
         positions: (N, 3).
+        velocities: (N, 3).
         rotations: (N, 3, 3).
         landmarks: (K, 3).
         marginals: (N, 9, 9), covariance of position, left rotation, velocity; zero between
@@ -35,6 +36,7 @@ class GtsamSolution:
     initial_cost: float
     cost: float
     positions: np.ndarray
+    velocities: np.ndarray
     rotations: np.ndarray
     landmarks: np.ndarray
     marginals: np.ndarray
@@ -87,6 +89,7 @@ class GtsamProblem:
             self.graph.error(self.values),
             self.graph.error(found),
             np.array([pose.translation() for pose in poses]),
+            np.array([found.atVector(self.keys.V(place)) for place in range(self.count)]),
             rotations,
             np.array([found.atPoint3(self.keys.L(place)) for place in range(self.landmarks)]),
             covariances,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -76,8 +77,16 @@ def test_minimum_and_covariances_are_those_of_gtsam(gtsam: Any, name: str, layou
     np.testing.assert_allclose(ours.state.positions, theirs.positions, atol=1e-8)
     np.testing.assert_allclose(ours.state.rotations, theirs.rotations, atol=1e-8)
     np.testing.assert_allclose(ours.state.landmarks, theirs.landmarks, atol=1e-7)
-    covariance = to_left(prior_covariance(problem, ours.state, weight), ours.state)
+    # At GTSAM's minimum: where each solver stops depends on rounding, and so on the CPU.
+    state = dataclasses.replace(
+        ours.state,
+        positions=theirs.positions,
+        velocities=theirs.velocities,
+        rotations=theirs.rotations,
+        landmarks=theirs.landmarks,
+    )
+    covariance = to_left(prior_covariance(problem, state, weight), state)
     each = np.arange(problem.keyframes)
     marginals = covariance.reshape(problem.keyframes, 9, problem.keyframes, 9)[each, :, each]
-    assert relative(marginals[:, :6, :6], theirs.marginals[:, :6, :6]) < 2e-8
-    assert relative(marginals[:, 6:, 6:], theirs.marginals[:, 6:, 6:]) < 2e-8
+    assert relative(marginals[:, :6, :6], theirs.marginals[:, :6, :6]) < 1e-9
+    assert relative(marginals[:, 6:, 6:], theirs.marginals[:, 6:, 6:]) < 1e-9
