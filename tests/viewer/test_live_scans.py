@@ -68,6 +68,18 @@ def test_scans_are_at_the_nearest_pose_however_pairs_arrive(batches: list[int]) 
     assert recording.declared == 1
 
 
+def test_a_scan_that_arrives_after_later_poses_is_at_its_own() -> None:
+    recording = Kept()
+    scans = LiveScans(EstimateEntities("vio", 0), recording)
+    stamps, rows = poses(7, 8)
+    points = np.ones((1, 3))
+    scans.place(stamps[:4], rows[:4])
+    scans.add(int(stamps[1]), points)
+    scans.place(stamps[4:], rows[4:])
+    [(_, _, drawn)] = recording.rows
+    np.testing.assert_allclose(drawn, placed(rows[1], points), atol=1e-5)
+
+
 def test_scans_wait_for_poses_and_are_dropped_in_gaps() -> None:
     recording = Kept()
     scans = LiveScans(EstimateEntities("vio", 0), recording)

@@ -15,6 +15,7 @@ from trajeval_ros.viewer.scene_entities import EstimateEntities
 
 _MOST_WAITING = 60  # 30 s of scans: groundtruth may arrive late
 _LARGEST_STEP_NS = NANOSECONDS // 10  # from a scan to the nearest pose
+_KEPT_NS = 5 * NANOSECONDS  # poses that a later scan may belong to: a large message arrives late
 
 
 class LiveScans:
@@ -37,7 +38,8 @@ class LiveScans:
         """Draw the scans until the newest pose; poses (N, 7), xyzw, have timestamps (N,)."""
         stamps = np.concatenate([self._last[0], stamps])
         poses = np.concatenate([self._last[1], poses])
-        self._last = stamps[-1:], poses[-1:]
+        kept = slice(int(stamps.searchsorted(stamps[-1] - _KEPT_NS)), None)
+        self._last = stamps[kept], poses[kept]
         while self._waiting and self._waiting[0][0] <= stamps[-1]:
             stamp, points = self._waiting.popleft()
             nearest = int(np.abs(stamps - stamp).argmin())
