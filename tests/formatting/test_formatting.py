@@ -261,7 +261,7 @@ def test_warnings_are_yellow_in_a_terminal_that_has_and_may_have_colours(
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
     for stream, expected in ((Terminal(), shown), (io.StringIO(), "warning: late\n")):
-        console(stream).print("warning: late", WARNING, soft_wrap=True)
+        console(stream).remark(WARNING, "late")
         assert stream.getvalue() == expected
 
 

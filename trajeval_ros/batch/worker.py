@@ -14,7 +14,7 @@ from trajeval_ros.batch.plan import PlannedRun
 from trajeval_ros.batch.records import Record, encode
 from trajeval_ros.batch.source_hash import hash_of_numbers
 from trajeval_ros.exceptions import TrajevalError
-from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.arrays import Floats, Stamps, extents
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.bags.byte_source import counting_fetched_bytes
 from trajeval_ros.io.results.result_json import result_of
@@ -145,7 +145,7 @@ def columns_to_draw(
         rotation_deg = np.full(len(position_m), np.nan)
     seconds = (stamps - stamps[0]) / NANOSECONDS
     times, whole = groundtruth
-    tolerance_m = _RESOLUTION * float(np.ptp(whole[:, :2], axis=0).max())
+    tolerance_m = _RESOLUTION * float(extents(whole[:, :2]).max())
     errors = np.stack([seconds, position_m, rotation_deg], axis=1)
     return {
         "errors": thinned(errors, stamps, max_gap_s, _POINTS),

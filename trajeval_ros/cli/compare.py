@@ -305,7 +305,7 @@ def _print_verdict(summary: ComparisonSummary, progress: Progress, folder: Path)
         terminal.file.flush()
         remarks = console(sys.stderr)
         for line in failures(summary):
-            remarks.print(f"warning: {line}", WARNING, soft_wrap=True)
+            remarks.remark(WARNING, line)
 
 
 def _require_numbers(summary: ComparisonSummary, folder: Path) -> None:

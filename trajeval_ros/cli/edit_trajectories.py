@@ -313,17 +313,16 @@ def _row(trajectory: Trajectory) -> tuple[str, ...]:
 
 def _remark(read: Sequence[Trajectory], edited: Sequence[Edited], *, quiet: bool) -> None:
     """Print notes and warnings on stderr; with `quiet` only those of missing data."""
-    from trajeval_ros.report.console import console
+    from trajeval_ros.report.console import WARNING, console
 
     remarks = console(sys.stderr)
     for each in () if quiet else edited:
         for remark in each.trajectory.reading.remarks:
             if remark.level < Level.ERROR:
                 kind = remark.level.name.lower()
-                remarks.print(f"{kind}: {each.trajectory.name}: {remark.text}", soft_wrap=True)
+                remarks.remark(kind, f"{each.trajectory.name}: {remark.text}")
         if each.alignment is not None and each.alignment.untrustworthy:
-            why = each.alignment.untrustworthy
-            remarks.print(f"warning: {each.trajectory.name}: {why}", soft_wrap=True)
+            remarks.remark(WARNING, f"{each.trajectory.name}: {each.alignment.untrustworthy}")
     for trajectory in read:
         for line in trajectory.reading.said(Level.ERROR):
-            remarks.print(f"warning: {trajectory.name}: {line}", soft_wrap=True)
+            remarks.remark(WARNING, f"{trajectory.name}: {line}")

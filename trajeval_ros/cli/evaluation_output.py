@@ -190,14 +190,13 @@ def _print_remarks(runs: Sequence[RunOutcome]) -> None:
     for trajectory in (groundtruth, *(run.evaluation.estimate for run in runs)):
         notes = "; ".join(trajectory.reading.said(Level.NOTE))
         if notes:
-            remarks.print(f"note: {trajectory.name}: {notes}", soft_wrap=True)
+            remarks.remark("note", f"{trajectory.name}: {notes}")
     for run in runs:
         printed = {each.cause for each in run.diagnosis.findings}  # below the headline
         for remark in run.evaluation.remarks:
             if remark.code not in printed:
-                kind, style = ("note", "") if remark.level is Level.NOTE else (WARNING, WARNING)
-                said = f"{kind}: {run.estimate.name}: {remark.text}"
-                remarks.print(said, style, soft_wrap=True)
+                kind = "note" if remark.level is Level.NOTE else WARNING
+                remarks.remark(kind, f"{run.estimate.name}: {remark.text}")
 
 
 def _print_integrity(terminal: Console, runs: Sequence[RunOutcome]) -> None:

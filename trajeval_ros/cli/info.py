@@ -78,7 +78,7 @@ def info(source: str, columns: str | None, frame_rate: float | None) -> None:
     terminal = console()
     terminal.print(f"{description.path}", soft_wrap=True)
     for remark in description.remarks:
-        terminal.print(f"note: {remark.text}", soft_wrap=True)
+        terminal.remark("note", remark.text)
     if len(description.trajectories) == 1:
         _print_table(terminal, ("", ""), _details(description.trajectories[0]))
     elif description.trajectories:

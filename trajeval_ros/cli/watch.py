@@ -169,7 +169,7 @@ def _print(seen: Watched, book: AlarmBook) -> None:
 
     terminal = console()
     for notice in seen.notices:
-        terminal.print(f"note: {notice}", soft_wrap=True)
+        terminal.remark("note", notice)
     if book.alarms:
         rows = watch_report.alarm_rows(book)
         show(terminal, Table("", watch_report.ALARM_WORDS, watch_report.ALARM_NUMBERS, rows))

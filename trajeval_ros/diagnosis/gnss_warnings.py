@@ -10,6 +10,7 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Remark, warning
+from trajeval_ros.geometry.arrays import extents
 from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.metrics.statistics import median
@@ -73,7 +74,7 @@ def about_fixes(
     if fixes is not None:
         yield from _about_sigmas(fixes, evaluation)
     yield from _about_heights(evaluation)
-    extent_m = float(np.ptp(pairs.groundtruth.positions[:, :2], axis=0).max())
+    extent_m = float(extents(pairs.groundtruth.positions[:, :2]).max())
     if extent_m > _EXTENT_M and not evaluation.protocol.gauge.turns_freely:
         yield warning(
             "curvature_of_the_earth",
@@ -129,7 +130,7 @@ def _about_heights(evaluation: Evaluation) -> Iterator[Remark]:
     if gauge.turns_freely and groundtruth.reading.fixes is not None:
         rotation = evaluation.alignment.similarity.rotation
         tilt_deg = float(np.degrees(np.arccos(np.clip(rotation[2, 2], -1.0, 1.0))))
-        extent_m = float(np.ptp(groundtruth.positions[:, :2], axis=0).max())
+        extent_m = float(extents(groundtruth.positions[:, :2]).max())
         sigma_m = groundtruth.reading.fixes.sigma_up_m
         bad = not np.isfinite(sigma_m).any() or float(np.nanmax(sigma_m)) > (
             _HEIGHT_SHARE * max(extent_m, 1e-9)

@@ -11,6 +11,7 @@ import numpy as np
 from trajeval_ros.consistency.consistency_result import Consistency
 from trajeval_ros.consistency.integrity import Integrity, PartIntegrity
 from trajeval_ros.formatting.numbers import percent
+from trajeval_ros.geometry.arrays import extents
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.statistics import round_below
 from trajeval_ros.report import canvas
@@ -122,7 +123,7 @@ def ellipses_from_above(evaluation: Evaluation, consistency: Consistency, name: 
     assert consistency.covariances is not None
     groundtruth, aligned = evaluation.association.groundtruth, evaluation.aligned
     max_gap_s = evaluation.protocol.association.max_gap_s
-    extent = float(np.ptp(groundtruth.positions[:, :2], axis=0).max())
+    extent = float(extents(groundtruth.positions[:, :2]).max())
     along = groundtruth.travelled
     evenly = np.searchsorted(along, np.linspace(0.0, along[-1], _ELLIPSES))
     rows = np.unique(np.minimum(evenly, len(along) - 1))

@@ -48,6 +48,11 @@ class Console:
             width = _UNWRAPPED if soft_wrap else self.width
             self.write(self.styled(part, style) for part in _wrapped(line, width))
 
+    def remark(self, level: str, text: str) -> None:
+        """Print a remark in one line: `note`, `warning` or `error`, in the style of its level."""
+        style = level if level in (WARNING, ERROR) else ""
+        self.print(f"{level}: {text}", style, soft_wrap=True)
+
     def write(self, lines: Iterable[str]) -> None:
         """Print lines that may have control characters."""
         self.file.write("".join(f"{line}\n" for line in lines))

@@ -9,7 +9,7 @@ import numpy as np
 
 from trajeval_ros.diagnosis.geometry_tests import UP_AXIS_DOUBTED
 from trajeval_ros.formatting.palette import FIX_STATUS_PLACES
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.arrays import Floats, extents
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.evaluation import Evaluation
@@ -37,7 +37,7 @@ def top_view(evaluations: Sequence[Evaluation], names: Sequence[str]) -> Figure:
 def side_view(evaluations: Sequence[Evaluation], names: Sequence[str]) -> Figure:
     """Draw estimates and groundtruth with height over the longer horizontal axis."""
     groundtruth = evaluations[0].groundtruth
-    extent = np.ptp(groundtruth.up.turned(groundtruth.positions), axis=0)
+    extent = extents(groundtruth.up.turned(groundtruth.positions))
     return _view(evaluations, names, (1 if extent[1] > extent[0] else 0, 2), "Side view")
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.formatting.numbers import one_digit
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.arrays import Floats, extents
 from trajeval_ros.report import canvas
 from trajeval_ros.studies.gauge_trials import Covariances, Trials
 from trajeval_ros.visual_inertial.solver import GaugeHandling, Trace
@@ -197,7 +197,7 @@ def gauges(covariances: Covariances, state: State, title: str) -> Figure:
         "free gauge": _ellipses(covariances.free),
         "gauge fixation": _ellipses(covariances.fixed),
     }
-    extent_m = float(np.ptp(state.positions[:, :2], axis=0).max())
+    extent_m = float(extents(state.positions[:, :2]).max())
     largest_m = max(float(np.abs(outline).max()) for outline in ellipses.values())
     factor = _readable(_LARGEST_SHARE * extent_m / largest_m)
     shape = float(np.ptp(state.positions[:, 1])) / max(extent_m, 1e-9)

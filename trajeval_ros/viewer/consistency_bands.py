@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from trajeval_ros.consistency.consistency_result import Consistency
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.arrays import Floats, extents
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.statistics import round_below
 from trajeval_ros.viewer import appearance, entity_data, scene_entities
@@ -67,7 +67,7 @@ def _send_ellipsoids(
     evenly = np.searchsorted(along, np.linspace(0.0, along[-1], _ELLIPSOIDS))
     rows = np.unique(np.minimum(evenly, len(along) - 1))
     half_axes, _ = entity_data.ellipsoid_axes(covariances[rows])
-    extent = float(np.ptp(groundtruth.positions, axis=0).max())
+    extent = float(extents(groundtruth.positions).max())
     largest = max(2.0 * float(half_axes.max()), 1e-12)
     factor = max(1.0, round_below(_LARGEST * extent / largest))
     ellipsoids = entity_data.ellipsoids(
