@@ -17,6 +17,7 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.online.alarms import LIMITED_QUANTITIES, AlarmLimits
 from trajeval_ros.online.jump_detector import Jump
 from trajeval_ros.online.reports import Update
+from trajeval_ros.online.state_buffer import BufferLimits
 from trajeval_ros.ros.clock_remarks import about_clock_faults
 from trajeval_ros.ros.diagnostics import Status, about_jump, remarks_about
 from trajeval_ros.ros.live_runs import NewRunRule
@@ -157,6 +158,38 @@ def test_poses_that_arrive_late_are_a_warning_with_their_delay(
             "estimator or its sensor is too slow"
         ]
     )
+    live.end()
+
+
+@pytest.mark.parametrize(
+    ("lacks", "cause"),
+    [("time", ": the others arrive too late, after more than max_delay"), ("groundtruth", "")],
+)
+def test_low_coverage_names_poses_that_came_too_late_as_its_cause(
+    tmp_path: Path, lacks: str, cause: str
+) -> None:
+    """Groundtruth is complete here, and the buffer has forgotten it; else a part is missing."""
+    live = Live(tmp_path / "live", ODOM, limits=BufferLimits(past_s=1.0))
+    until, half = at(ESTIMATED, 8.0), at(ESTIMATED, 3.0)
+    messages = sent(ESTIMATED, ESTIMATE, ESTIMATED.stamps)[:until:4]
+    truth = TRUTH
+    if lacks == "time":
+        late = sent(ESTIMATED, ESTIMATE, ESTIMATED.stamps, late_s=2.5)[half:until:4]
+        messages = messages[: -(-half // 4)] + late
+    else:
+        truth = TRUTH[(TRUTH.seconds < 3.0) | (TRUTH.seconds > 8.0)]
+    fly(live, sent(truth, GROUNDTRUTH, truth.stamps)[: at(truth, 12.0)], messages)
+    [estimate] = live.run.estimates
+    [said] = [
+        each.text
+        for each in remarks_about(
+            live.run, estimate, estimate.snapshot(), {}, LIMITS | {"coverage": AlarmLimits(0.9)}
+        )
+        if each.text.startswith("only ")
+    ]
+    share = estimate.snapshot().estimate_coverage
+    assert share == pytest.approx(3.0 / 8.0, abs=0.03)
+    assert said == f"only {100 * share:.0f} % of the poses have groundtruth{cause}"
     live.end()
 
 
