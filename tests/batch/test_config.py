@@ -428,9 +428,11 @@ def test_files_without_stamps_have_a_rate(tmp_path: Path) -> None:
         ("columns: {bad: ''}", "--columns is empty"),
         ("frame_rate: 0", "the frame rate must be greater than zero"),
         ("frame_rate: fast", "frame_rate must be a number"),
+        ("sequnces: [hall]", "unknown key 'sequnces'; did you mean sequences?"),
+        ("algorithms: {}", "unknown key 'algorithms'; use one of title, folder, manifest"),
     ],
 )
-def test_columns_that_mean_nothing_are_told_with_the_file(
+def test_keys_that_mean_nothing_are_told_with_the_file(
     tmp_path: Path, line: str, told: str
 ) -> None:
     config = write_runs(tmp_path, trials=1)

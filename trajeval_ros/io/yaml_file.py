@@ -93,6 +93,6 @@ def require_known(
     known = list(known)
     for name in found:
         if name not in known:
-            near = get_close_matches(str(name), known, n=1)
+            near = get_close_matches(str(name), known, n=1, cutoff=0.65)
             hint = f"did you mean {near[0]}?" if near else f"use one of {', '.join(known)}"
             raise InputError(f"{where} has an unknown {what} {name!r}; {hint}")
