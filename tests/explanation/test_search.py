@@ -308,10 +308,10 @@ def test_cases_of_the_reference_are_named(
 ) -> None:
     """Of 21 numbers with three digits, 10 with four, and 14 of three sequences.
 
-    Two of them, one with four digits, are over 1 s of keyframes whose stamps are multiples of 0.05 s:
-    a third of the pairs lasts exactly 0.9 or 1.1 s, the largest deviation. Whether these count
-    depends on the rounding of the stamps, which differs from the reference's (4.45 cm without
-    them, 4.25 cm with all, 4.34 cm there, 4.22 cm here).
+    Two of them, one with four digits, are over 1 s of keyframes whose stamps are multiples of
+    0.05 s: a third of the pairs lasts exactly 0.9 or 1.1 s, the largest deviation. Whether these
+    count depends on the rounding of the stamps, which differs from the reference's (4.45 cm
+    without them, 4.25 cm with all, 4.34 cm there, 4.22 cm here).
     """
     files = {
         key: (each["groundtruth"], each["estimate"])

@@ -20,6 +20,7 @@ from trajeval_ros.io.sources import parse_source, require_no_password
         "s3://me:secret@bucket/{sequence}.mcap:/odometry",
         "sftp://me:se@cret@host/{sequence}",
         "https://secret@host.net/{sequence}.mcap",
+        "s3://secret@bucket/{sequence}.mcap:/odometry",
     ],
 )
 def test_a_password_in_a_url_is_refused_and_not_repeated(url: str) -> None:
@@ -30,7 +31,9 @@ def test_a_password_in_a_url_is_refused_and_not_repeated(url: str) -> None:
         assert url.partition("@")[0] not in str(told.value)
 
 
-@pytest.mark.parametrize("name", ["X-Amz-Signature", "sig", "access_token", "api_key"])
+@pytest.mark.parametrize(
+    "name", ["X-Amz-Signature", "sig", "access_token", "key", "pwd", "passphrase"]
+)
 def test_a_token_in_a_url_is_refused_and_not_repeated(name: str) -> None:
     for read in (parse_source, Pattern.parse):
         with pytest.raises(
@@ -45,6 +48,7 @@ def test_a_token_in_a_url_is_refused_and_not_repeated(name: str) -> None:
     [
         "s3://bucket/a:b@c.mcap",
         "sftp://me@host:22/x:/tf:a:b@c",
+        "abfs://container@account.dfs.core.windows.net/x.mcap",
         "s3://bucket:/topic@x",
         "github://owner:repository@main/x.txt",
     ],
