@@ -231,7 +231,8 @@ def test_figure_of_a_groundtruth_without_noise_has_axes_of_a_readable_range(
     fits = fits_of(found)
     small = dataclasses.replace(fits.short, residuals=1e-6 * fits.short.residuals)
     figure = groundtruth_figure(made.groundtruth, found, dataclasses.replace(fits, short=small))
-    for axes in figure.axes[:2]:
+    first, second, *_ = figure.axes
+    for axes in (first, second):
         low, high = axes.get_ylim()
         assert 5e-4 < low < 1e-3 < 1e-2 < high < 2e-2
 

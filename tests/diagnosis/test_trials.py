@@ -12,6 +12,8 @@ from benchmarks.diagnosis_mistakes import MISTAKES
 from benchmarks.diagnosis_runs import Pair, simulated
 from benchmarks.diagnosis_users import USERS
 from trajeval_ros import Request, Trajectory, run
+from trajeval_ros.calibration.apply import Ate
+from trajeval_ros.diagnosis.findings import Tried
 
 DRONE = simulated(5000, "drone", "walk", 100.0)
 CAR = simulated(5004, "car", "walk", 100.0)
@@ -137,3 +139,18 @@ def test_a_right_recording_is_not_evaluated_again(monkeypatch: pytest.MonkeyPatc
     right = dataclasses.replace(DRONE)
     run(right.truth, [right.estimate], Request(right.protocol))
     assert len(calls) == 1
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "told"),
+    [
+        (Ate(6.38, 15.47), Ate(6.379, 15.42), "rotation ATE 15.47 deg, with X 15.42 deg"),
+        (Ate(6.38, 15.47), Ate(6.2, 15.3), "ATE 6.38 m, with X 6.2 m"),
+        (Ate(0.5, 180.0), Ate(0.4, 1.0), "rotation ATE 180 deg, with X 1 deg"),
+        (Ate(0.5, None), Ate(0.4, 1.0), "rotation ATE withheld, with X 1 deg"),
+        (Ate(0.5, 1.0), Ate(0.1, None), "ATE 0.5 m, with X 0.1 m"),
+        (None, Ate(0.4, 1.0), "ATE with X 0.4 m"),
+    ],
+)
+def test_advice_states_the_error_that_falls(before: Ate | None, after: Ate, told: str) -> None:
+    assert Tried(before, after).text("X") == told

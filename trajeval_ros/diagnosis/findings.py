@@ -101,12 +101,13 @@ class Tried:
         return _ratio(self.after.position_m, self.before.position_m), turned
 
     def text(self, option: str) -> str:
-        """Return both numbers, of the error that decreases more."""
+        """Return both numbers: of the position, or of the rotation if that decreases more."""
         position, rotation = self.ratios
         before, after = self.before, self.after
         then = "then " if self.is_next else ""
         option = f"{option} and {self.then}" if self.then else option
-        if after.rotation_deg is not None and rotation < _CLEARLY * position:
+        is_about_rotation = rotation < _CLEARLY * position or rotation < _FALLS <= position
+        if after.rotation_deg is not None and is_about_rotation:
             assert before is not None
             size = before.rotation_deg
             without = "withheld" if size is None else f"{four_digits(size)} deg"
