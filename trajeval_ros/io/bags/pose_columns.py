@@ -69,6 +69,13 @@ class PoseColumns:
             **{name: None if each is None else each[usable] for name, each in columns.items()}
         )
 
+    def joined(self, other: PoseColumns) -> PoseColumns:
+        """Return these poses followed by others with the same columns; frames are not joined."""
+        pairs = {name: (getattr(self, name), getattr(other, name)) for name in COLUMNS}
+        return self.replaced(
+            **{name: np.concatenate(each) for name, each in pairs.items() if each[0] is not None}
+        )
+
     def replaced(self, **columns: Any) -> PoseColumns:
         """Return the poses with other columns."""
         return replace(self, **columns)

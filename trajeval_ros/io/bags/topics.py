@@ -238,7 +238,7 @@ def trajectory_of_columns(
             child_frame=columns.frames[0][1],
             name=name.strip("/"),
         )
-    resets = declared_resets(columns, velocities)
+    resets = declared_resets(columns)
     told = about_resets(resets, int(columns.stamps.min()))
     frames = (note("frame_changed", each) for each in changes)
     everything = Trajectory.from_columns(

@@ -27,7 +27,7 @@ from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.fixes import Fixes
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.geodesy import Datum
-from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.reading import DeclaredReset, Reading
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.live.applied_hand_eye import AppliedHandEye
@@ -145,6 +145,7 @@ def _evaluate_pairs(
             if trajectory.reading.fixes is None or whole.reading.fixes is None
             else FixSummary.of(whole.reading.fixes, counts["dropped"]),
             remarks=used.reading.remarks,
+            resets=tuple(DeclaredReset(*each) for each in counts.get("resets") or ()),
             fingerprint=fingerprint(trajectory),
         )
         for side, counts, trajectory, used, length_m in (
