@@ -165,7 +165,7 @@ def _within_bands() -> Any:
     return layout.Vertical(
         *(layout.Horizontal(plots[axis], plots[axis + 3]) for axis in range(3)),
         _plot(
-            "NEES per pose and degree of freedom",
+            "NEES of poses / dof",
             scene_entities.NEES,
             scene_entities.NEES_LIMIT,
             legend=True,
