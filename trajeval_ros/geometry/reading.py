@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.arrays import Booleans, Floats
-from trajeval_ros.geometry.receptions import ReceivedPoses, Receptions
+from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.valid_poses import add_counts
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.fixes import Fixes
+    from trajeval_ros.geometry.trajectory import Trajectory
 
 # Codes of the remark that names the format of a source, also if the user named its columns.
 FORMAT, NAMED_COLUMNS = FORMATS = "format", "named_columns"
@@ -64,9 +65,9 @@ class Reading:
     matrices: Floats | None = None
     # The times of reception of the N messages; None if unknown.
     receptions: Receptions | None = None
-    # The poses as they were received, if they were revised afterwards: the last pose of every
-    # path, or transforms under the newest correction; else None.
-    as_received: ReceivedPoses | None = None
+    # The poses in the order of their reception, if they were revised afterwards: the last pose of
+    # every path, or transforms under the newest correction; else None. Timestamps may repeat.
+    as_received: Trajectory | None = None
 
     @property
     def format(self) -> str:

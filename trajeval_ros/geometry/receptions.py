@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -55,12 +55,3 @@ class Receptions:
         later_s = (logged - published) / 1e9
         recording_s = float(np.median(later_s)), float(later_s.max())
         return cls(published, PUBLISH, recording_s)
-
-
-class ReceivedPoses(NamedTuple):
-    """N poses in the order of their reception; timestamps may repeat."""
-
-    stamps: Stamps  # (N,) int64, nanoseconds
-    positions: Floats  # (N, 3), metres
-    quaternions: Floats | None  # (N, 4), xyzw
-    receptions: Receptions | None

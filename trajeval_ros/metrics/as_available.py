@@ -185,31 +185,26 @@ def _with_numbers(
     distinct = np.diff(messages.stamps, prepend=messages.stamps[:1] - 1) > 0
     stamps, usual = messages.stamps[distinct], messages.usual_ns[distinct]
     intervals = np.diff(stamps)
-    found = replace(
+    rotation = None if samples.rotation is None else np.degrees(samples.rotation)
+    errors = [_rmse_and_share(each) for each in (samples.position, rotation) if each is not None]
+    since = None if corrected is None else samples.stamps - corrected[samples.rows]
+    return replace(
         known,
         samples=len(age_s),
         late_messages=messages.late,
         position_m=_lengths(samples.position),
+        rotation_deg=None if rotation is None else _lengths(rotation),
         age_error_m=_lengths(samples.position[1:]),
+        age_error_deg=None if rotation is None else _lengths(rotation[1:]),
         age_s=statistics_of(age_s),
         latency_s=statistics_of((messages.times[distinct] - stamps) / NANOSECONDS),
         interval_s=statistics_of(intervals / NANOSECONDS),
         available_percent=100.0 * float(np.mean(~missed)),
         missed_deadlines=Spans.of(_spans_s(samples.stamps, missed)),
         dropouts=Spans.of(intervals[intervals > 2 * usual[:-1]] / NANOSECONDS),
+        parts={name: Part(*sum(of, ())) for name, *of in zip(PARTS, *errors, strict=True)},
+        corrections=None if since is None else {"age_s": statistics_of(since / NANOSECONDS)},
     )
-    moved = _rmse_and_share(samples.position)
-    turned: list[tuple[float, ...]] = [()] * len(PARTS)
-    if samples.rotation is not None:
-        rotation = np.degrees(samples.rotation)
-        turned = _rmse_and_share(rotation)
-        angles, by_age = _lengths(rotation), _lengths(rotation[1:])
-        found = replace(found, rotation_deg=angles, age_error_deg=by_age)
-    if corrected is not None:
-        old_s = (samples.stamps - corrected[samples.rows]) / NANOSECONDS
-        found = replace(found, corrections={"age_s": statistics_of(old_s)})
-    parts = zip(PARTS, moved, turned, strict=True)
-    return replace(found, parts={name: Part(*one, *other) for name, one, other in parts})
 
 
 def _lengths(parts: Floats) -> Statistics | None:

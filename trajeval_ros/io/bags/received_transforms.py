@@ -13,7 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.receptions import ReceivedPoses, Receptions
+from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.transform_tree import (
     Edge,
     EdgeKey,
@@ -37,7 +39,7 @@ def compose_received(
     received: Mapping[EdgeKey, ReceivedEdge],
     parent: str,
     child: str,
-) -> ReceivedPoses:
+) -> Trajectory:
     """Return the pose of `child` in `parent` at every reception of one of its transforms.
 
     Timestamps are of the newest transform of the leading edge; one repeats if only a correction is
@@ -72,4 +74,4 @@ def compose_received(
     positions, quaternions = compose(held, way, np.arange(len(times)) + 1)
     by = received[leading].receptions
     receptions = replace(by, times=times, corrected=corrected)
-    return ReceivedPoses(stamps, positions, quaternions, receptions)
+    return Trajectory.from_columns(stamps, positions, quaternions, Reading(receptions=receptions))
