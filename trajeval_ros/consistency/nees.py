@@ -24,6 +24,7 @@ from trajeval_ros.geometry.gauge import POSE_DOF
 # Squared pivot of a correlation matrix below which a direction has no variance (rounding).
 _ROUNDING = 1e-13
 _SIGNIFICANCE = 0.05
+_ALL = np.arange(POSE_DOF)
 
 
 def joint_nees(errors: Floats, covariance: Floats, normals: Floats) -> float:
@@ -121,10 +122,9 @@ def pose_nees(errors: Floats, covariances: Floats) -> Floats:
 
 
 def nees_by_pose(
-    errors: Floats, blocks: Floats, first: int, axes: NDArray[np.int64] | None = None
+    errors: Floats, blocks: Floats, first: int, axes: NDArray[np.int64] = _ALL
 ) -> PoseNees:
     """Return the NEES of single poses from pose `first` on, NaN before, in all or some axes."""
-    axes = np.arange(POSE_DOF) if axes is None else axes
     parts = (axes, axes[axes < 3], axes[axes >= 3])
     columns = np.full((len(parts), len(errors)), np.nan)
     try:

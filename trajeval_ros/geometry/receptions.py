@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.arrays import Floats, Stamps, at_rows
 
 LOG, PUBLISH = "log", "publish"  # clocks of a bag: of the recorder, and of the publisher
 
@@ -35,12 +34,7 @@ class Receptions:
 
     def __getitem__(self, rows: Any) -> Receptions:
         """Return those of a slice, a mask or an array of indices."""
-        columns: dict[str, Any] = {
-            name: column[rows]
-            for name in ("times", "body_rates", "corrected")
-            if (column := getattr(self, name)) is not None
-        }
-        return dataclasses.replace(self, **columns)
+        return at_rows(self, ("times", "body_rates", "corrected"), rows)
 
     @classmethod
     def of_bag(cls, logged: Stamps, published: Stamps, wanted: str = "") -> Receptions:

@@ -32,11 +32,9 @@ from trajeval_ros.io.checks import nearest
 _HEADER = 16  # bytes before the first message
 _TRUTH = "vehicle_local_position_groundtruth"  # of the simulator
 # Message types of px4_msgs by the topics of uORB.
+_VISUAL, _MOCAP = "vehicle_visual_odometry", "vehicle_mocap_odometry"
 _TYPES = {
-    **dict.fromkeys(
-        ("vehicle_odometry", "vehicle_visual_odometry", "vehicle_mocap_odometry"), ODOMETRY
-    ),
-    "estimator_odometry": ODOMETRY,
+    **dict.fromkeys(("vehicle_odometry", _VISUAL, _MOCAP, "estimator_odometry"), ODOMETRY),
     **dict.fromkeys(
         ("vehicle_local_position", _TRUTH, "estimator_local_position"), LOCAL_POSITION
     ),

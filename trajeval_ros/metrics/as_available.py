@@ -8,7 +8,7 @@ import numpy as np
 
 from trajeval_ros.exceptions import SettingsError, require_one_of
 from trajeval_ros.formatting.remarks import Remark, warning
-from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
+from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps, runs_of
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.availability import (
@@ -154,26 +154,22 @@ def as_available(
         return AsAvailable(replace(known, why_withheld=NO_RECEPTIONS))
     stamps = estimate.stamps + offset_ns
     times, clock = judged_receptions(stamps, receptions.times, rule.receive_clock)
-    by, recording_s = receptions.by, receptions.recording_s
-    known = replace(known, received=by, clock=clock, recording_s=recording_s)
-    said = "" if clock.is_usable else clock.sentence
+    recording_s = receptions.recording_s
+    known = replace(known, received=receptions.by, clock=clock, recording_s=recording_s)
+    if not clock.is_usable:
+        return AsAvailable(replace(known, why_withheld=clock.sentence))
     if rule.motion == TWIST and (receptions.body_rates is None or estimate.velocities is None):
         said = "the messages have no twist; use --as-available constant"
-    if said:
         return AsAvailable(replace(known, why_withheld=said))
     messages = Messages.of(similarity.trajectory(estimate), times, rule.motion, offset_ns)
     stamps = instants(int(groundtruth.stamps[0]), int(groundtruth.stamps[-1]))
     have = in_use(messages, stamps) >= 0
-    samples = sampled(groundtruth, messages, stamps[have], max_gap_s)
+    samples, before = sampled(groundtruth, messages, stamps[have], max_gap_s), int((~have).sum())
     if not len(samples.stamps):
         said = "no instant has both a received pose and groundtruth; check the clocks"
         return AsAvailable(replace(known, why_withheld=said))
-    before = int((~have).sum())
-    known = replace(
-        known,
-        without_groundtruth=len(stamps) - before - len(samples.stamps),
-        time_to_first_pose_s=before / RATE_HZ,
-    )
+    lacking = len(stamps) - before - len(samples.stamps)
+    known = replace(known, without_groundtruth=lacking, time_to_first_pose_s=before / RATE_HZ)
     return AsAvailable(_with_numbers(known, samples, messages), samples, messages)
 
 
@@ -222,9 +218,7 @@ def _rmse_and_share(parts: Floats) -> list[tuple[float, ...]]:
 
 def _spans_s(stamps: Stamps, chosen: Booleans) -> Floats:
     """Return the durations of the spans of chosen instants, seconds."""
-    rows = np.flatnonzero(chosen)
-    if not len(rows):
-        return np.zeros(0)
-    begins = np.flatnonzero(np.diff(stamps[rows], prepend=stamps[rows[0]] - 2 * STEP_NS) > STEP_NS)
-    counts: Floats = np.diff(begins, append=len(rows)) / RATE_HZ
-    return counts
+    places = (stamps - stamps[0]) // STEP_NS
+    flags = np.zeros(places[-1] + 1, dtype=bool)
+    flags[places] = chosen
+    return np.diff(runs_of(flags))[:, 0] / RATE_HZ

@@ -88,10 +88,7 @@ class LiveAvailability:
             self._record_estimate(stamps, times, rows)
 
     def update(self, similarity: Similarity | None) -> AvailableSamples | None:
-        """Return the samples that are final now, under the present alignment; None if none.
-
-        They are evaluated every 0.2 s of the groundtruth.
-        """
+        """Return the samples that are final now, under the present alignment; None if none."""
         self.newest, self.numbers = None, {}
         if similarity is None or not self._truth or not self._messages:
             return None

@@ -51,13 +51,9 @@ def consistency_lines(name: str, consistency: Consistency) -> list[str]:
         lines += [
             f"  NEES / {moved + turned} of single poses: mean {per_pose.mean:.3f}{band}, largest "
             f"{per_pose.max:.3f}{limit}",
-            *(
-                f"  NEES / {dof} of {name}: mean {part.mean:.3f}, largest {part.max:.3f}"
-                for name, part, dof in (
-                    ("orientations", rotation, turned),
-                    ("positions", position, moved),
-                )
-            ),
+            f"  NEES / {turned} of orientations: mean {rotation.mean:.3f}, largest "
+            f"{rotation.max:.3f}",
+            f"  NEES / {moved} of positions: mean {position.mean:.3f}, largest {position.max:.3f}",
         ]
         if consistency.exactness == "as published":
             lines.append(

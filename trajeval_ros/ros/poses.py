@@ -47,23 +47,12 @@ class StateColumns(NamedTuple):
 
     def picked(self, rows: NDArray[Any] | slice) -> StateColumns:
         """Return the states of a mask, of indices, or of a slice."""
-        fixes = None if self.fixes is None else self.fixes[rows]
-        arrived = None if self.arrived is None else self.arrived[rows]
-        return StateColumns(self.stamps[rows], self.states[rows], self.rows[rows], fixes, arrived)
+        return StateColumns._make(None if each is None else each[rows] for each in self)
 
     def joined(self, other: StateColumns) -> StateColumns:
-        """Return these states followed by others."""
-        return StateColumns(
-            np.concatenate([self.stamps, other.stamps]),
-            np.concatenate([self.states, other.states]),
-            np.concatenate([self.rows, other.rows]),
-            arrived=np.concatenate([_arrived(self), _arrived(other)]),
-        )
-
-
-def _arrived(states_: StateColumns) -> Stamps:
-    unknown = np.full(len(states_.stamps), UNKNOWN)
-    return unknown if states_.arrived is None else states_.arrived
+        """Return these states followed by others with the same columns."""
+        pairs = zip(self, other, strict=True)
+        return StateColumns._make(None if a is None else np.concatenate([a, b]) for a, b in pairs)
 
 
 @dataclass
@@ -266,7 +255,8 @@ class PoseStream:
         poses, before = _are_poses(found.states), self._trust.lone
         self._batch += 1
         self._width = max(self._width, found.states.shape[1])  # types may change on the way
-        found = found._replace(states=as_wide(found.states, self._width))
+        unknown = np.full(len(found.stamps), UNKNOWN)
+        found = found._replace(states=as_wide(found.states, self._width), arrived=unknown)
         batches = np.full(len(found.stamps), self._batch)
         picked, batches = found.picked(poses), batches[poses]
         stamps, states_, rows, batches, arrived = self._trust.take(

@@ -34,9 +34,8 @@ def declared_resets(columns: PoseColumns) -> tuple[DeclaredReset, ...]:
     if columns.quaternions is not None:
         first, last = columns.quaternions[before], columns.quaternions[after]
         turns = np.degrees(lie.angle(lie.multiply(lie.conjugate(first), last)))
-    lengths = np.linalg.norm(steps, axis=1)
-    rows = columns.stamps[after].tolist(), lengths.tolist(), turns.tolist()
-    return tuple(map(DeclaredReset, *rows))
+    rows = columns.stamps[after], np.linalg.norm(steps, axis=1), turns
+    return tuple(map(DeclaredReset, *(each.tolist() for each in rows)))
 
 
 def about_resets(resets: Sequence[DeclaredReset], first: int | None) -> Iterator[Remark]:

@@ -58,12 +58,11 @@ def compose_received(
     for key in moving:
         arrived = received[key]
         order = np.argsort(arrived.receptions.times, kind="stable")
-        row = order[arrived.receptions.times[order].searchsorted(times, side="right") - 1]
         if key == leading:  # late messages are never in use
             newest = np.maximum.accumulate(arrived.stamps[order])
-            first = np.concatenate([[True], np.diff(newest) > 0])
-            kept = order[first]
-            row = kept[arrived.receptions.times[kept].searchsorted(times, side="right") - 1]
+            order = order[np.diff(newest, prepend=newest[0] - 1) > 0]
+        row = order[arrived.receptions.times[order].searchsorted(times, side="right") - 1]
+        if key == leading:
             stamps = arrived.stamps[row]
         else:
             since = arrived.receptions.times[row]

@@ -70,14 +70,6 @@ def _is_up(value: Any) -> bool:
     )
 
 
-def _are_resets(value: Any) -> bool:
-    """Return whether a value is a list of `DeclaredReset`; None is of earlier files."""
-    rows = [] if value is None else value
-    return isinstance(rows, list) and all(
-        isinstance(each, list) and len(each) == 3 and all(map(_is_amount, each)) for each in rows
-    )
-
-
 def _are_counts(value: Any) -> bool:
     return isinstance(value, dict) and all(map(_is_count, value.values()))
 
@@ -101,7 +93,6 @@ _STATE: dict[str, Check] = {
             ("up", _is_up),
         )
     },
-    "estimate.resets": _are_resets,
     "groundtruth.path_length_m": _is_amount,
     "groundtruth.time_without_gaps_ns": _is_count,
     "groundtruth.dropped": _are_counts,

@@ -65,9 +65,8 @@ def states_of(path: Path, layout: Layout, groups: Mapping[str, Floats], count: i
             longest = np.linalg.norm(vectors, axis=1).max(initial=0.0)
             if layout.name == FAST_LIO and longest > np.pi + 1e-3:
                 raise InputError(
-                    f"{path}: columns 2 to 4 are no rotation vectors of FAST-LIO, whose length is "
-                    "at most pi; those of Point-LIO are angles: --columns 't roll pitch yaw x y z "
-                    f"{'_ ' * 17}_'"
+                    f"{path}: columns 2 to 4 are longer than pi, so no rotation vectors; those of "
+                    f"Point-LIO are angles: --columns 't roll pitch yaw x y z {'_ ' * 17}_'"
                 )
             quaternions = lie.from_rotation_vector(vectors)
         if quaternions is None:
