@@ -18,7 +18,6 @@ from trajeval_ros.geometry.valid_poses import add_counts
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.fixes import Fixes
-    from trajeval_ros.geometry.trajectory import Trajectory
 
 # Codes of the remark that names the format of a source, also if the user named its columns.
 FORMAT, NAMED_COLUMNS = FORMATS = "format", "named_columns"
@@ -65,9 +64,9 @@ class Reading:
     matrices: Floats | None = None
     # The times of reception of the N messages; None if unknown.
     receptions: Receptions | None = None
-    # The poses in the order of their reception, if they were revised afterwards: the last pose of
-    # every path, or transforms under the newest correction; else None. Timestamps may repeat.
-    as_received: Trajectory | None = None
+    # A `Trajectory` (its module needs this one) in order of reception, if poses were revised
+    # afterwards: the last pose of each path, or transforms under the newest correction; or None.
+    as_received: Any = None
 
     @property
     def format(self) -> str:
