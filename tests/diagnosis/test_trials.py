@@ -63,6 +63,24 @@ def test_inverse_poses_are_named_in_spite_of_a_clock_offset(side: str) -> None:
     assert (first.cause, first.option) == ("inverse", "--correct inverse")
 
 
+def test_a_divergence_from_the_start_is_no_scale() -> None:
+    """The estimate is as large as 3e6 times the groundtruth, and has this scale after 30 s."""
+    pair = simulated(8124, "drone", "heavy", 100.0)
+    first = found(FURTHER["diverging from the start"].make(pair)).suggested
+    assert first is not None
+    assert first.cause == "diverged_at_start"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mistake", ["Euler order", "z and qz flipped"])
+def test_only_inverse_poses_may_leave_more_than_the_noise(mistake: str) -> None:
+    for seed, kind in ((8123, "drone"), (8130, "robot")):
+        pair = simulated(seed, kind, "walk" if kind == "drone" else "heavy", 100.0)
+        first = found(USERS[mistake].make(pair)).suggested
+        assert first is not None
+        assert first.cause in USERS[mistake].causes
+
+
 def test_corrections_are_repeated_until_nothing_is_left() -> None:
     wrong = MISTAKES["estimate in mm"].make(MISTAKES["wxyz, estimate"].make(DRONE))
     after = run(wrong.truth, [wrong.estimate], Request(wrong.protocol, correct="suggested"))

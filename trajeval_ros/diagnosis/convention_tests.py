@@ -40,7 +40,7 @@ from trajeval_ros.geometry.pose_conventions import mirrored_quaternions
 NAME = "conventions"
 # Of J, per kind of motion: least value as read, largest value and ratio of the other one.
 _WRONG, _RIGHT, _RATIO = 0.004, 0.2, 0.4
-_CLEAR_RATIO = 0.25  # of a convention that leaves more than the noise; a trial decides
+_INVERSE_RATIO = 0.25  # of inverse poses that leave more than the noise; a trial decides
 # J of the right convention: at most this, plus a multiple of the differences of lengths. Noise
 # changes a direction along two axes and a length along one, and drift changes directions only.
 _FITS, _TIMES_SIZES = 0.03, 6.0
@@ -126,12 +126,14 @@ def _best(hypotheses: list[Hypothesis]) -> Hypothesis:
 
 
 def _explains(hypothesis: Hypothesis, as_read: Hypothesis, limits: list[float]) -> bool:
-    """Return whether a hypothesis leaves only the noise, or far less than what was read.
+    """Return whether a hypothesis leaves only the noise, and far less than what was read.
 
-    An offset of the clocks leaves more than the noise.
+    Only inverse poses have displacements of other lengths. Therefore they may leave more than the
+    noise, such as the effect of a clock offset.
     """
-    ratio = _RATIO if _fits(hypothesis, limits) else _CLEAR_RATIO
-    return hypothesis.cost < ratio * as_read.cost
+    if _fits(hypothesis, limits):
+        return hypothesis.cost < _RATIO * as_read.cost
+    return hypothesis.cause == INVERSE and hypothesis.cost < _INVERSE_RATIO * as_read.cost
 
 
 def _limit(one: Floats, other: Floats) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import TypeAlias
 
 import numpy as np
@@ -31,7 +32,8 @@ from trajeval_ros.metrics.statistics import median, quantile
 Ups: TypeAlias = tuple[UpAxis, UpAxis]  # of groundtruth and estimate
 
 UP_AXIS_DOUBTED = "up_axis_doubted"  # code of the remark on a wrong vertical axis
-_OFF = 0.2  # of the logarithm of the scale
+# Of the logarithm of the scale: the least one, and one that no unit has, but a divergence.
+_OFF, _DIVERGED = 0.2, math.log(1e4)
 # Metres per unit, and largest difference of the logarithm of the scale.
 _UNITS = {
     "millimetres": (1e-3, 0.15),
@@ -81,6 +83,9 @@ def scale(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examined:
     values: dict[str, Value] = {"scale": found, "or_feet": "", "or_convert": "", "gauge": "sim3"}
     if off <= _OFF:
         return Examined(name, scores)
+    if off > _DIVERGED:
+        moved = {"true_m": float(lengths(true).sum()), "moved_m": float(lengths(ours).sum())}
+        return Examined(name, scores, (Seen("diverged_at_start", 1.0, {"until": "", **moved}),))
     unit = _unit_of(found, moving)
     if unit is not None and (unit["side"], unit["unit"]) == ("groundtruth", "feet"):
         # A monocular estimate may have this scale, too.
