@@ -132,6 +132,11 @@ def examine(
         checks = check_poses(groundtruth, None, first)
         causes = {each.name: each for each in sample_causes(checks, None, first)}
         return ExaminedGroundtruth(causes, checks, None, tuple(_notes(checks)))
+    if groundtruth.quaternions is None:
+        raise InputError(
+            f"{name} has no orientations, which the examination with an IMU needs; give poses, or "
+            "examine it without --imu"
+        )
     return _with_imu(groundtruth, readings, imu_noise, time_offset_s)
 
 
@@ -141,12 +146,6 @@ def _with_imu(
     imu_noise: ImuNoise,
     time_offset_s: float | None,
 ) -> ExaminedGroundtruth:
-    name = groundtruth.name or "the groundtruth"
-    if groundtruth.quaternions is None:
-        raise InputError(
-            f"{name} has no orientations, which the examination with an IMU needs; give poses, or "
-            "examine it without --imu"
-        )
     imu, origin = _imu_of(readings)
     ordered, notes = groundtruth.in_order(), []
     assert ordered.quaternions is not None
@@ -165,7 +164,7 @@ def _with_imu(
         shift_s = guess.offset_s if is_usable else 0.0
         if not is_usable and turns:
             raise InputError(
-                f"{name} and the IMU have no common rotation (correlation {guess.peak:.2f}, "
+                f"{groundtruth.name or 'the groundtruth'} and the IMU have no common rotation (correlation {guess.peak:.2f}, "
                 "required 0.7); use recordings of the same run, or give --time-offset"
             )
     if not turns:
@@ -179,7 +178,7 @@ def _with_imu(
     samples = TruthSamples(
         (ordered.stamps + (shift_ns - origin)) / NANOSECONDS,
         ordered.positions,
-        lie.to_matrix(ordered.quaternions),
+        ordered.quaternions,
     )
     stiff = ImuNoise(imu_noise.gyroscope / 4.0, imu_noise.accelerometer / 2.0)
     short = _fitted(samples, imu, Horizon(0.05, imu_noise, (1e-3, 3e-3)), free, turns=turns)
