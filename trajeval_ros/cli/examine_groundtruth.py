@@ -114,7 +114,8 @@ def groundtruth(
         late = round(found.fits.rig.offset_s * NANOSECONDS)
         by_imu = dataclasses.replace(original, stamps=original.stamps + late)
         compared = Protocol(gauge="none", lengths="none")
-        write_recording(rrd, [evaluate(by_imu, found.fits.repaired, compared)])
+        repaired = dataclasses.replace(found.fits.repaired, name="repaired")
+        write_recording(rrd, [evaluate(by_imu, repaired, compared)])
     write_json(json, groundtruth_json(truth, imu, original, found))
     if not quiet and json != "-":
         from trajeval_ros.report.console import console
