@@ -46,7 +46,9 @@ def test_a_groundtruth_is_repaired_and_evaluated_against(
     assert by_name["clock_offset"]["value"] == pytest.approx(12.0, abs=2.2)
     assert found["clock"]["offset_s"] == pytest.approx(0.012, abs=2.2e-3)
     assert (tmp_path / "g.png").read_bytes().startswith(b"\x89PNG")
-    assert {"world/original", "world/repaired", "groundtruth/position_m"} <= Rrd(picture).entities
+    assert {"world/groundtruth/path/past", "metrics/position_error/repaired"} <= Rrd(
+        picture
+    ).entities
     repaired = read_trajectory(f"{output}/groundtruth.mcap:/groundtruth")
     assert len(repaired) == found["repaired"]["poses"]
     evaluated = [

@@ -36,7 +36,7 @@ _PARAMETERS = (
         help="Output file of a figure with residuals, jumps and both horizons: png, pdf, svg or "
         "pgf."),
     option("--rrd", kind=Path, metavar="FILE", panel=OUTPUT,
-        help="Output file for Rerun's viewer: original and repaired groundtruth. Open it with "
+        help="Output file for Rerun's viewer: repaired against original groundtruth. Open it with "
         "`trajeval view FILE`."),
     *shared_options("groundtruth"),
 )  # fmt: skip
@@ -70,7 +70,9 @@ def groundtruth(
     """
     from trajeval_ros.calibration.groundtruth_doctor.examine import examine
     from trajeval_ros.cli.evaluation_output import refuse_inputs
+    from trajeval_ros.cli.pictures import Pictures
     from trajeval_ros.cli.progress import progress
+    from trajeval_ros.geometry.trajectory import NANOSECONDS
     from trajeval_ros.io.results.groundtruth_json import groundtruth_json
     from trajeval_ros.io.save_trajectories import files_of, save_trajectories
     from trajeval_ros.io.source_names import names_of
@@ -86,10 +88,7 @@ def groundtruth(
         files_of(output, [_NAME], save_as)  # raises an error for an unknown format before reading
     elif output != _HERE:
         raise SettingsError("--output needs --save-as; add it")
-    if rrd is not None:
-        from trajeval_ros.viewer.sdk import sdk
-
-        sdk()  # raises at once if it is not installed
+    Pictures(rrd).check()
     sources = [each for each in (truth, imu) if each is not None]
     refuse_inputs([figure, rrd, json], sources)
     with progress(f"reading {', '.join(names_of([truth]))}") as advance:
@@ -108,9 +107,15 @@ def groundtruth(
         with house_style():
             write_figure(groundtruth_figure(original, found, found.fits), figure)
     if rrd is not None and found.fits is not None:
-        from trajeval_ros.viewer.groundtruth_scene import write_groundtruth
+        from trajeval_ros.metrics.evaluation import evaluate
+        from trajeval_ros.metrics.protocol import Protocol
+        from trajeval_ros.viewer.recorded_scene import write_recording
 
-        write_groundtruth(rrd, original, found, found.fits)
+        late = round(found.fits.rig.offset_s * NANOSECONDS)
+        by_imu = dataclasses.replace(original, stamps=original.stamps + late)
+        compared = Protocol(gauge="none", lengths="none")
+        repaired = dataclasses.replace(found.fits.repaired, name="repaired")
+        write_recording(rrd, [evaluate(by_imu, repaired, compared)])
     write_json(json, groundtruth_json(truth, imu, original, found))
     if not quiet and json != "-":
         from trajeval_ros.report.console import console

@@ -1,10 +1,15 @@
-"""Measurements of an IMU or a gyroscope."""
+"""Measurements of an IMU or a gyroscope, and the orientations that they give."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
+
+_IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,3 +26,10 @@ class InertialReadings:
 
     def __len__(self) -> int:
         return len(self.stamps)
+
+
+def turned_by_gyro(seconds: Floats, rates: Floats, first: Floats = _IDENTITY) -> Floats:
+    """Return orientations (N, 4) by angular velocities (N, 3), rad/s, from the first one (4,)."""
+    steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(seconds)[:, None]
+    turns = lie.running_products(first, lie.from_rotation_vector(steps))
+    return np.concatenate([first[None], turns])

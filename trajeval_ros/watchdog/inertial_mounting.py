@@ -10,6 +10,7 @@ import numpy as np
 from trajeval_ros.calibration.hand_eye import closest_rotation
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
+from trajeval_ros.geometry.inertial import turned_by_gyro
 from trajeval_ros.geometry.interpolation import columns_at, slerp_at
 from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.watchdog.rotations_over_time import between, only_axis
@@ -80,18 +81,9 @@ class Mounting:
         return said
 
 
-def turned_by_gyro(imu: Floats, bias: Floats, first: Floats) -> Floats:
-    """Integrate the gyroscope (N, 8) from an orientation `first` to (N, 4), at its rows."""
-    dt = np.diff(imu[:, TIME])[:, None]
-    rate = 0.5 * (imu[1:, GYRO] + imu[:-1, GYRO]) - bias
-    steps = lie.from_rotation_vector(rate * dt)
-    return np.concatenate([first[None], lie.running_products(first, steps)])
-
-
 def mounting_of(states: Floats, imu: Floats) -> Mounting:
     """Estimate the mounting from rotations in 0.5 s of states (N, 9) and IMU rows (M, 8)."""
-    identity = np.array([0.0, 0.0, 0.0, 1.0])
-    raw = turned_by_gyro(imu, np.zeros(3), identity)
+    raw = turned_by_gyro(imu[:, TIME], imu[:, GYRO])
     begins, known = window_begins(states, 0, _INCREMENT_S)
     ends = np.flatnonzero(known)
     begins = begins[ends]
@@ -165,7 +157,7 @@ def _refined(
     weak, overlap = np.linalg.inv(covariance), float(np.median(np.diff(times[ends]))) / _BIAS_S
     own = between(states[begins, QUATERNION], states[ends, QUATERNION])
     for _ in range(_PASSES):
-        track = turned_by_gyro(imu, bias, np.array([0.0, 0.0, 0.0, 1.0]))
+        track = turned_by_gyro(imu[:, TIME], imu[:, GYRO] - bias)
         matrices = lie.to_matrix(track).reshape(-1, 9)
         steps = 0.5 * (matrices[1:] + matrices[:-1]) * np.diff(imu[:, TIME])[:, None]
         integral = np.concatenate([np.zeros((1, 9)), np.cumsum(steps, axis=0)])

@@ -28,7 +28,7 @@ from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
 )  # fmt: skip
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
 from trajeval_ros.calibration.groundtruth_doctor.start import first_rig, guess_of, knots_of
-from trajeval_ros.calibration.significance import SIGNIFICANT, axis_name
+from trajeval_ros.calibration.significance import INSIGNIFICANT, SIGNIFICANT, axis_name
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Booleans, Floats
@@ -132,6 +132,11 @@ def examine(
         checks = check_poses(groundtruth, None, first)
         causes = {each.name: each for each in sample_causes(checks, None, first)}
         return ExaminedGroundtruth(causes, checks, None, tuple(_notes(checks)))
+    if groundtruth.quaternions is None:
+        raise InputError(
+            f"{name} has no orientations, which the examination with an IMU needs; give poses, or "
+            "examine it without --imu"
+        )
     return _with_imu(groundtruth, readings, imu_noise, time_offset_s)
 
 
@@ -141,12 +146,6 @@ def _with_imu(
     imu_noise: ImuNoise,
     time_offset_s: float | None,
 ) -> ExaminedGroundtruth:
-    name = groundtruth.name or "the groundtruth"
-    if groundtruth.quaternions is None:
-        raise InputError(
-            f"{name} has no orientations, which the examination with an IMU needs; give poses, or "
-            "examine it without --imu"
-        )
     imu, origin = _imu_of(readings)
     ordered, notes = groundtruth.in_order(), []
     assert ordered.quaternions is not None
@@ -165,8 +164,9 @@ def _with_imu(
         shift_s = guess.offset_s if is_usable else 0.0
         if not is_usable and turns:
             raise InputError(
-                f"{name} and the IMU have no common rotation (correlation {guess.peak:.2f}, "
-                "required 0.7); use recordings of the same run, or give --time-offset"
+                f"{groundtruth.name or 'the groundtruth'} and the IMU have no common rotation "
+                f"(correlation {guess.peak:.2f}, required 0.7); use recordings of the same run, "
+                "or give --time-offset"
             )
     if not turns:
         free[: SKEW + 1] = False
@@ -179,7 +179,7 @@ def _with_imu(
     samples = TruthSamples(
         (ordered.stamps + (shift_ns - origin)) / NANOSECONDS,
         ordered.positions,
-        lie.to_matrix(ordered.quaternions),
+        ordered.quaternions,
     )
     stiff = ImuNoise(imu_noise.gyroscope / 4.0, imu_noise.accelerometer / 2.0)
     short = _fitted(samples, imu, Horizon(0.05, imu_noise, (1e-3, 3e-3)), free, turns=turns)
@@ -317,7 +317,8 @@ def _apply(
 ) -> None:
     """Solve again with insignificant parameters at zero, and the clock of the short fit.
 
-    Scale errors of an IMU do not look like a clock, which is at zero only if it is `noisy`.
+    Components of the clock and of an insignificant lever arm are at zero only if they are `noisy`.
+    An inconclusive one is at zero: along the vertical of a car it can be wrong by 0.1 m.
     """
     free, rig = chosen.free.copy(), chosen.rig
     fixed = np.zeros(COUNT, dtype=bool)
@@ -325,6 +326,8 @@ def _apply(
         if name != "tilted":
             fixed[parameter.columns] = causes[name].verdict != SIGNIFICANT
     fixed[_CLOCK] = (noisy | ~free)[_CLOCK]
+    if causes["lever_arm"].verdict == INSIGNIFICANT:
+        fixed[LEVER] = noisy[LEVER]
     if chosen is not short:
         rig = replace(rig, offset_s=short.rig.offset_s, skew=short.rig.skew)
         free[_CLOCK] = False

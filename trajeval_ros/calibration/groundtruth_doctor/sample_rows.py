@@ -26,7 +26,7 @@ from trajeval_ros.calibration.groundtruth_doctor.rig import (
     Rig,
     tangents,
 )  # fmt: skip
-from trajeval_ros.geometry import so3
+from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.se3 import times, transposed
 
@@ -42,7 +42,7 @@ class TruthSamples:
 
     seconds: Floats  # (N,)
     positions: Floats  # (N, 3), metres
-    rotations: Floats  # (N, 3, 3), R_WM
+    quaternions: Floats  # (N, 4), of R_WM
 
     @property
     def middle_s(self) -> float:
@@ -88,7 +88,7 @@ def predict(samples: TruthSamples, steps: InertialSteps, motions: Motions, rig: 
         states,
         states.velocities + times(turned, np.cross(states.rates, rig.lever)),
         states.positions + times(turned, rig.lever) - samples.positions[rows],
-        so3.log(transposed(samples.rotations[rows]) @ turned @ rig.body),
+        so3.log(transposed(lie.to_matrix(samples.quaternions[rows])) @ turned @ rig.body),
     )
 
 

@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from trajeval_ros.calibration.clock_offset import SEARCH_S, OffsetGuess, guess_offset_by
-from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds, InertialSteps
+from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds
 from trajeval_ros.calibration.groundtruth_doctor.rig import Rig
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
 from trajeval_ros.calibration.hand_eye import robust_rotation
-from trajeval_ros.geometry import lie, so3
+from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.inertial import turned_by_gyro
 from trajeval_ros.geometry.interpolation import columns_at, slerp_at
-from trajeval_ros.geometry.se3 import times, transposed
+from trajeval_ros.geometry.se3 import times
 from trajeval_ros.geometry.trajectory import Trajectory
 
 _INCREMENT_S = 0.25
@@ -28,11 +29,8 @@ def guess_of(groundtruth: Trajectory, imu: ImuSeconds, origin: int) -> OffsetGue
     `origin` is the timestamp of the IMU's second 0, ns.
     """
     stamps: Stamps = origin + np.rint(imu.seconds * 1e9).astype(np.int64)
-    middles = 0.5 * (imu.rates[1:] + imu.rates[:-1]) * np.diff(imu.seconds)[:, None]
-    first = np.array([0.0, 0.0, 0.0, 1.0])
-    turned = lie.running_products(first, lie.from_rotation_vector(middles))
-    turns = np.concatenate([first[None], turned])
-    orientations = Trajectory(stamps, np.zeros((len(stamps), 3)), turns)
+    turned = turned_by_gyro(imu.seconds, imu.rates)
+    orientations = Trajectory(stamps, np.zeros((len(stamps), 3)), turned)
     # Without repeated poses a frozen interval is a gap, and its end no fast turn.
     assert groundtruth.quaternions is not None
     fresh = np.asarray(np.diff(groundtruth.quaternions, axis=0, prepend=np.nan).any(axis=1))
@@ -58,7 +56,7 @@ def first_rig(samples: TruthSamples, imu: ImuSeconds, knots: Floats, *, turns: b
     body, bias, none = np.eye(3), np.zeros(3), np.zeros((len(knots), 3))
     if turns:
         body, bias = _body_and_bias(samples, imu, knots)
-    rotations = _orientations(samples, knots) @ body.T
+    rotations = lie.to_matrix(slerp_at(samples.seconds, samples.quaternions, knots)) @ body.T
     measured = columns_at(imu.seconds, imu.accelerations, knots)
     force = np.median(times(rotations, measured), axis=0)
     length = float(np.linalg.norm(force))
@@ -77,18 +75,15 @@ def first_rig(samples: TruthSamples, imu: ImuSeconds, knots: Floats, *, turns: b
 def _body_and_bias(samples: TruthSamples, imu: ImuSeconds, knots: Floats) -> tuple[Floats, Floats]:
     """Return R_IM (3, 3) and the bias (3,), rad/s, from rotations over a quarter of a second."""
     ends = np.arange(knots[0], knots[-1], _INCREMENT_S)
-    steps = InertialSteps(ends, imu)
-    turned = _orientations(samples, ends)
-    of_marker = so3.log(transposed(turned[:-1]) @ turned[1:])
-    none, bias = np.zeros((len(ends) - 1, 3)), np.zeros(3)
+    of_marker, of_imu = (
+        lie.rotation_vector(lie.multiply(lie.conjugate(turns[:-1]), turns[1:]))
+        for turns in (
+            slerp_at(samples.seconds, samples.quaternions, ends),
+            slerp_at(imu.seconds, turned_by_gyro(imu.seconds, imu.rates), ends),
+        )
+    )
+    bias = np.zeros(3)
     for _ in range(_PASSES):
-        of_imu = so3.log(steps.motions(none + bias, none).rotations[:, -1])
-        body = robust_rotation(of_imu, of_marker)
-        bias = bias + np.median(of_imu - of_marker @ body.T, axis=0) / _INCREMENT_S
+        body = robust_rotation(of_imu - bias * _INCREMENT_S, of_marker)
+        bias = np.median(of_imu - of_marker @ body.T, axis=0) / _INCREMENT_S
     return body, bias
-
-
-def _orientations(samples: TruthSamples, at: Floats) -> Floats:
-    """Return R_WM (M, 3, 3) at times (M,), interpolated."""
-    quaternions = lie.from_matrices(samples.rotations)
-    return lie.to_matrix(slerp_at(samples.seconds, quaternions, at))
