@@ -344,6 +344,7 @@ def test_another_recording_of_a_run_has_all_that_came_before_it(tmp_path: Path) 
         picture = Rrd(tmp_path / f"{number}.rrd")
         _, scales = picture.rows("legend/scale", "Points2D:labels")
         assert {labels[-1][-2:] for labels in scales} == {" m"}
+        assert picture.rows("legend/scale", "Points2D:show_labels")[1] == [[True]] * len(scales)
         assert len(picture.rows(f"{FRAME}/by_error", "LineStrips3D:strips")[1]) >= 1
         assert picture.rows(looks, "SeriesLines:names")[1] == [["vio, ATE of the revised path"]]
         for quantity, column, look in (
