@@ -300,6 +300,16 @@ def test_another_groundtruth_is_told_by_its_sequence_and_a_missing_run_is_none(
     assert "the groundtruth of s1 differs from the baseline" in told
 
 
+def test_another_common_time_span_is_told_by_its_sequences(tmp_path: Path) -> None:
+    values = {"s0": [1.0, None], "s1": [1.0, 1.0], "s2": [None]}
+    before, now = (made_table(tmp_path / f"{name}.parquet", values) for name in ("old", "new"))
+    before.spans_s["s0"], before.spans_s["s1"] = 60.5, 75.0
+    assert remarks_on(before, now) == []  # every run has its own span
+    now.settings["common_time_span"] = True
+    (told,) = remarks_on(before, now)
+    assert told.startswith("the common time span of s1 differs from the baseline")
+
+
 def test_a_table_with_damaged_texts_is_refused(tmp_path: Path) -> None:
     import pyarrow
     from pyarrow import parquet

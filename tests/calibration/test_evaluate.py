@@ -16,10 +16,10 @@ from scipy.spatial.transform import Rotation
 from trajeval_ros.calibration.apply import evaluate_calibrated
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.cli.app import main
-from trajeval_ros.exceptions import DegenerateGeometryError
+from trajeval_ros.exceptions import DegenerateGeometryError, NoMatchError
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import HandEye
-from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.results.calibration_json import calibration_json
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.pipeline.pipeline import evaluate
@@ -400,3 +400,19 @@ def test_a_simulated_marker_is_found(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert run["calibration"]["hand_eye"]["rotation"]["applied"]
     assert run["ate"]["rotation_deg"]["rmse"] < 2.0
     assert main(["simulate", str(tmp_path / "other"), "--marker", "--profile", "euroc"]) == 2
+
+
+def test_another_clock_without_a_single_match_is_told_why() -> None:
+    """A periodic flight matches at several offsets: the message says that `auto` was tried."""
+    flight = circle_for(40.0)
+    later = dataclasses.replace(flight, stamps=flight.stamps + 1_700_000_000 * NANOSECONDS)
+    with pytest.raises(NoMatchError, match=r"auto finds no offset: .* the motion is"):
+        evaluate_calibrated(later, flight, Protocol(), CalibrationRequest(offset=True))
+
+
+def circle_for(seconds: float) -> Trajectory:
+    times = np.arange(0.0, seconds, 0.05)
+    angles = np.sin(2.0 * times)
+    turns = np.column_stack([np.zeros((len(times), 2)), np.sin(angles / 2), np.cos(angles / 2)])
+    places = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(len(times))])
+    return Trajectory((times * NANOSECONDS).astype(np.int64), places, turns)

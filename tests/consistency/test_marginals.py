@@ -24,7 +24,8 @@ from trajeval_ros.consistency.consistency_assessment import (
 )
 from trajeval_ros.consistency.consistency_result import PoseNees
 from trajeval_ros.consistency.constant_covariances import constant_covariances
-from trajeval_ros.consistency.covariance_request import CovarianceRequest
+from trajeval_ros.consistency.covariance_request import CovarianceRequest, IntegrityRequest
+from trajeval_ros.consistency.integrity import integrity_of
 from trajeval_ros.consistency.joint_covariance import JointCovariance
 from trajeval_ros.consistency.nees import diagonal_blocks, summary_of
 from trajeval_ros.consistency.s_transformation import (
@@ -38,6 +39,7 @@ from trajeval_ros.consistency.s_transformation import (
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
 from trajeval_ros.geometry.gauge import Gauge, Similarity
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.pipeline.pipeline import evaluate
 from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance
@@ -77,7 +79,7 @@ def _skew() -> np.ndarray:
         (_variance(1e9), "1e\\+09"),
         (_variance(np.nan), "not finite"),
         (_variance(0.0), "some variances are zero"),
-        (np.tile(np.diag([1.0, 1.0, 0.0, 0.0, 0.0, 1.0]), (5, 1, 1)), "as in a plane; the test"),
+        (np.tile(np.diag([1.0, 1.0, 0.0, 0.0, 0.0, 1.0]), (5, 1, 1)), "variances are zero"),
         (_variance(1e-9), "not symmetric"),
         (_skew(), "not symmetric"),
     ],
@@ -123,6 +125,62 @@ def test_states_that_an_alignment_makes_exact_have_no_nees(gauge: Gauge, states:
     few = evaluate(truth[:states], estimate[:states], protocol)
     with pytest.raises(InputError, match=f"needs at least {states + 1} pairs, found {states}"):
         assess_consistency(few, CovarianceRequest("message"))
+
+
+def _in_plane(unset: float) -> AlignedStates:
+    """Return a robot whose x, y and yaw have the errors that their covariances state."""
+    count, random = 400, np.random.default_rng(5)
+    root = 0.02 * random.normal(size=(count, 3, 3)) + 0.05 * np.eye(3)
+    errors = np.einsum("nij,nj->ni", root, random.normal(size=(count, 3)))
+    covariances = np.zeros((count, 6, 6))
+    covariances[:, range(6), range(6)] = unset
+    covariances[np.ix_(range(count), [0, 1, 5], [0, 1, 5])] = root @ root.swapaxes(1, 2)
+    positions = np.column_stack([random.normal(size=(count, 2)), np.zeros(count)])
+    headings = random.uniform(-3.0, 3.0, count)
+    stamps = np.arange(count) * 10**8
+    truth, estimate = (
+        Trajectory(
+            stamps,
+            positions + moved,
+            Rotation.from_rotvec(np.outer(headings + turned, [0.0, 0.0, 1.0])).as_quat(),
+        )
+        for moved, turned in ((0.0, 0.0), (np.c_[errors[:, :2], np.ones(count)], errors[:, 2]))
+    )
+    estimate = dataclasses.replace(estimate, covariances=covariances)
+    return AlignedStates(truth, estimate, Similarity.identity(), Gauge.NONE, None)
+
+
+@pytest.mark.parametrize("unset", [0.0, 1e9])
+def test_a_robot_in_a_plane_is_tested_in_three_degrees_of_freedom(unset: float) -> None:
+    run = _in_plane(unset)
+    found = assess_marginals(run, from_the_start=True)
+    low, high = chi2.ppf([1e-4, 1 - 1e-4], 3 * 400) / (3 * 400)
+    assert low < found.per_pose.mean < high
+    assert found.per_pose.limit_95 == pytest.approx(chi2.isf(0.05 / 400, 3) / 3)
+    assert found.axes == (2, 1)
+    assert not found.errors[:, 2:5].any()  # the height is wrong by 1 m, and has no variance
+    bounds = [
+        assess_marginals(dataclasses.replace(run, gauge=gauge), from_the_start=True)
+        for gauge in (Gauge.PLANAR, Gauge.YAW)
+    ]
+    assert [each.exactness for each in bounds] == ["bound", "bound"]
+    np.testing.assert_allclose(bounds[0].nees, bounds[1].nees, rtol=1e-12)
+    assert (bounds[0].nees <= found.nees + 1e-12).mean() > 0.9
+    parts = integrity_of(found, IntegrityRequest(0.5, 5.0), run.estimate.stamps).parts
+    assert [each.part for each in parts] == ["horizontal", "heading"]
+    with pytest.raises(InputError, match="use gauge planar or yaw"):
+        assess_marginals(dataclasses.replace(run, gauge=Gauge.SE3), from_the_start=True)
+
+
+def test_gauge_planar_uses_the_block_of_x_y_and_yaw() -> None:
+    run = dataclasses.replace(_in_plane(0.0), gauge=Gauge.PLANAR)
+    full = run.estimate.covariances + np.diag([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])
+    other = dataclasses.replace(run.estimate, covariances=full)
+    nees = [
+        assess_marginals(dataclasses.replace(run, estimate=each), from_the_start=True).nees
+        for each in (run.estimate, other)
+    ]
+    np.testing.assert_array_equal(*nees)
 
 
 @pytest.mark.parametrize("shape", [(6,), (6, 6), (1, 6, 6), (4, 6, 6), (5, 6), (5, 3, 3)])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.diagnosis import CORRECTED, found, left_by_corrections
+from benchmarks.diagnosis_further import FURTHER
 from benchmarks.diagnosis_mistakes import MISTAKES
 from benchmarks.diagnosis_runs import Pair, simulated
 from benchmarks.diagnosis_users import USERS
@@ -52,6 +53,14 @@ def test_no_advice_makes_the_ate_worse(name: str) -> None:
     for finding in findings:
         if finding.tried is not None:
             assert finding.tried.helps(finding.cause)
+
+
+@pytest.mark.parametrize("side", ["estimate", "groundtruth"])
+def test_inverse_poses_are_named_in_spite_of_a_clock_offset(side: str) -> None:
+    wrong = FURTHER["clock +0.2 s"].make(MISTAKES[f"inverse, {side}"].make(DRONE))
+    first = found(wrong).suggested
+    assert first is not None
+    assert (first.cause, first.option) == ("inverse", "--correct inverse")
 
 
 def test_corrections_are_repeated_until_nothing_is_left() -> None:

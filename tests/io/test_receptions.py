@@ -99,7 +99,7 @@ def test_of_a_path_the_last_pose_of_every_message_was_received(tmp_path: Path) -
     assert received.stamps.tolist() == [stamps[19], stamps[39], stamps[59]]
     expected = estimate.positions[[19, 39, 59], 0] + [1.0, 2.0, 3.0]
     np.testing.assert_allclose(received.positions[:, 0], expected, atol=1e-12)
-    receptions = received.receptions
+    receptions = received.reading.receptions
     assert receptions is not None
     np.testing.assert_array_equal(receptions.times, received.stamps + 40_000_000)
 
@@ -121,7 +121,7 @@ def test_a_correction_acts_from_its_reception_whatever_its_timestamp(tmp_path: P
     path = write_mcap(tmp_path / "run.mcap", sorted(rows, key=lambda each: each[2]))
     received = read_trajectory(f"{path}:/tf:map.base", received="auto").reading.as_received
     assert received is not None
-    receptions = received.receptions
+    receptions = received.reading.receptions
     assert receptions is not None
     assert receptions.corrected is not None
     for at, x, stamp, corrected in (

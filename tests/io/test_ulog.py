@@ -6,12 +6,14 @@ import itertools
 import json
 import subprocess
 import sys
+import unittest.mock
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import pyulog
 from click.testing import CliRunner
 from numpy.typing import NDArray
 from paths import SHARED
@@ -316,7 +318,9 @@ def test_a_log_of_the_simulator_needs_no_topics(tmp_path: Path) -> None:
     truth = "vehicle_local_position_groundtruth"
     write_ulog(path, [*topics, (truth, 0, local_position())])
     call = ["evaluate", str(path), "--gauge", "none", "--json", str(saved)]
-    assert CliRunner().invoke(app, call).exit_code == 0
+    with unittest.mock.patch("pyulog.ULog", wraps=pyulog.ULog) as parser:
+        assert CliRunner().invoke(app, call).exit_code == 0
+    assert parser.call_count == 1
     result = json.loads(saved.read_text())
     assert result["groundtruth"]["source"] == f"{path}:{truth}"
     named = {each["estimate"]["source"].rpartition(":")[2] for each in result["runs"]}

@@ -57,7 +57,9 @@ def played(folder: Path, feed: list[Message], batch: int, **words: Any) -> Live:
     return live
 
 
-@pytest.mark.parametrize(("gauge", "states"), [("yaw", "1"), ("yaw", "all"), ("se3", "all")])
+@pytest.mark.parametrize(
+    ("gauge", "states"), [("yaw", "1"), ("yaw", "all"), ("se3", "all"), ("planar", "all")]
+)
 @settings(max_examples=3)
 @given(seed=seeds)
 def test_live_nees_is_that_of_the_bag(

@@ -41,7 +41,13 @@ def test_live_results_are_those_of_the_bag(
     (run,), (other,) = live["runs"], recorded["runs"]
     for part in ("association", "alignment", "ate", "re"):
         assert_same(run[part], other[part], part)
-    # Resets that the estimator declares are events live, and a list of the recording.
+    # Resets that the estimator declares are events live, and a list of both results.
     assert len(other["estimate"]["resets"]) == 2
+    assert_same(run["estimate"]["resets"], other["estimate"]["resets"], "resets")
+    (told,), (also_told,) = (
+        [each for each in side["estimate"]["remarks"] if each["code"] == "declared_resets"]
+        for side in (run, other)
+    )
+    assert told == also_told
     assert run["association"]["pairs"] == 2400
     assert run["ate"]["position_m"]["rmse"] == pytest.approx(1.0776, abs=1e-3)

@@ -26,6 +26,7 @@ from trajeval_ros.geometry.arrays import Floats
 _SIZE = r"(\d+\.?\d*|\.\d+)"
 _GATE = re.compile(rf"\s*([\w.%]+)\s+worse\s+than\s+{_SIZE}\s*%(\s+untested)?\s*")
 _REMOVED = re.compile(r"worse\s+than\b.*(\d\s*MAD|\s+spread\s)")
+_OTHER_SPAN = 0.01  # relative difference of common time spans that is stated
 _EQUAL = 1e-9  # relative: numbers that differ by less are equal
 
 
@@ -135,7 +136,7 @@ class GateValues:
         self._table = rows
         self._runs = rows.distinct(
             ("algorithm", "sequence", "trial", "status", "reason", "groundtruth_sha256",
-             "estimate_sha256")
+             "estimate_sha256", "span_s")
         )  # fmt: skip
         self._numbers = rows.distinct(("kind", "metric", "length"))
         self._reasons = {_run(row): row["reason"] for row in self._runs if row["status"] != OK}
@@ -144,6 +145,10 @@ class GateValues:
             for row in self._runs
             if row["groundtruth_sha256"]
         }
+        self.spans_s: dict[str, float] = {}  # longest one of every sequence
+        for row in self._runs:
+            longest_s = self.spans_s.get(row["sequence"], 0.0)
+            self.spans_s[row["sequence"]] = max(longest_s, row["span_s"] or 0.0)
 
     @property
     def groups(self) -> list[Group]:
@@ -234,12 +239,22 @@ def require_same_settings(
 
 
 def remarks_on(baseline: GateValues, now: GateValues) -> list[str]:
-    """Return remarks on other differences: a changed groundtruth."""
+    """Return remarks on other differences: of the groundtruth, and of the common time span."""
     before = baseline.groundtruths
     changed = [group for group, own in before.items() if now.groundtruths.get(group, own) != own]
-    names = ", ".join(dict.fromkeys(sequence for _, sequence in changed))
-    said = f"the groundtruth of {names} differs from the baseline, so values are not comparable"
-    return [said] if changed else []
+    sequences = {"groundtruth": [sequence for _, sequence in changed]}
+    if now.settings.get("common_time_span"):  # which other algorithms and trials shorten
+        sequences["common time span"] = [
+            sequence
+            for sequence, span_s in now.spans_s.items()
+            if abs(span_s - baseline.spans_s.get(sequence, span_s)) > _OTHER_SPAN * span_s
+        ]
+    return [
+        f"the {what} of {', '.join(dict.fromkeys(names))} differs from the baseline, so values "
+        "are not comparable"
+        for what, names in sequences.items()
+        if names
+    ]
 
 
 def _run(row: Row) -> tuple[str, ...]:

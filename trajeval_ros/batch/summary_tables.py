@@ -143,17 +143,10 @@ def _values(summary: ComparisonSummary, metric: str) -> Matrix | None:
     """Return the table of the medians over trials of a value; None if no run has it."""
     rows, ranked = [], metric in _RANKED
     for algorithm in summary.algorithms:
-        found = [
-            [
-                each.values[metric]
-                for each in summary.of(algorithm, sequence)
-                if metric in each.values
-            ]
-            for sequence in summary.sequences
-        ]
-        rows.append(
-            (algorithm, tuple(Cell(median(each) if each else None, "", ranked) for each in found))
-        )
+        runs = [summary.of(algorithm, sequence) for sequence in summary.sequences]
+        found = [[run.values[metric] for run in own if metric in run.values] for own in runs]
+        cells = tuple(Cell(median(each) if each else None, "", ranked) for each in found)
+        rows.append((algorithm, cells))
     if all(cell.value is None for _, cells in rows for cell in cells):
         return None
     if metric == _AVAILABLE:

@@ -124,7 +124,13 @@ def evaluate_calibrated(
     before = None  # if the states cannot be paired or aligned
     with contextlib.suppress(NoMatchError, DegenerateGeometryError):
         before = Ate.of(_measure(groundtruth, estimate, protocol, pairs))
-    evaluation, of_marker = _with(groundtruth, estimate, protocol, used, pairs)
+    try:
+        evaluation, of_marker = _with(groundtruth, estimate, protocol, used, pairs)
+    except NoMatchError as error:
+        if calibration is None or not wanted.offset or used.offset is not None:
+            raise
+        why = calibration.offset.reason
+        raise NoMatchError(f"{error}; --time-offset auto finds no offset: {why}") from error
     after = Ate.of(evaluation)
     calibrated = Calibrated(
         evaluation=evaluation,

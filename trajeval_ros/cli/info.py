@@ -205,16 +205,13 @@ def _print_next_step(terminal: Console, description: Description) -> None:
     usable = [each for each in description.trajectories if not each.problem]
     references = [each for each in usable if each.could_be == "groundtruth"]
     others = [each for each in usable if each.could_be != "groundtruth"]
-    for each in others:
-        if each.system is not None:
-            topic = each.source.rpartition(":")[2]
-            terminal.print(
-                f"{topic}: looks like {each.system.name}: {each.system.trap}", soft_wrap=True
-            )
     commands: dict[str, list[str]] = {}  # estimates, by the end of their command
     for each in others:
-        system = each.system
-        end = "SENSORS" if system is None else f"{system.modality} {system.options}".strip()
+        system, end = each.system, "SENSORS"
+        if system is not None:
+            topic = each.source.rpartition(":")[2]
+            terminal.print(f"{topic}: looks like {system.name}: {system.trap}", soft_wrap=True)
+            end = f"{system.modality} {system.options}".strip()
         commands.setdefault(end, []).append(f"-e {shlex.quote(each.source)}")
     moving = [edge for edge in description.edges if not edge.is_static]
     if moving and not usable:

@@ -13,6 +13,7 @@ from trajeval_ros.consistency.consistency_result import (
     AS_PUBLISHED_STATEMENT,
     BOUND_STATEMENT,
     COMMON_FRAME_STATEMENT,
+    IN_PLANE_STATEMENT,
     JOINT_STATEMENT,
     OWN_GAUGE_STATEMENT,
     STRIPPED_STATEMENT,
@@ -35,12 +36,14 @@ from trajeval_ros.consistency.nees import (
     summary_of,
 )
 from trajeval_ros.consistency.s_transformation import (
+    IN_PLANE,
     STransformation,
     carried,
     carried_information,
     errors_of,
     independent_noise,
     initial_uncertainty,
+    observed_axes,
     turning,
     unknown_covariances,
     upper_bounds,
@@ -290,12 +293,23 @@ def assess_marginals(
             f"{name} has no covariances, or only zeros (unknown); give a joint covariance with "
             "--covariance FILE.npz, or use --covariance none"
         )
+    gauge, axes = aligned.gauge, observed_axes(covariances)
+    if gauge is Gauge.PLANAR:  # for x, y and yaw the same as gauge yaw
+        axes, aligned = IN_PLANE, dataclasses.replace(aligned, gauge=Gauge.YAW)
     # Checked first: the covariances of a single pair would look like unknown ones.
     transformation, errors = aligned.transformation(), aligned.errors()
-    why = unknown_covariances(covariances) or constant_covariances(covariances)
+    own = covariances[:, axes[:, None], axes]
+    why = unknown_covariances(own) or constant_covariances(covariances)
     if why:
         raise InputError(f"covariances of {name} are not valid: {why}; use --covariance none")
-    blocks = carried(covariances, aligned.similarity)
+    if len(axes) < POSE_DOF and gauge.turns_freely:
+        raise InputError(
+            f"{name} has covariances of x, y and yaw only, which gauge {gauge.value} mixes with "
+            "other axes; use gauge planar or yaw"
+        )
+    others = np.setdiff1d(np.arange(POSE_DOF), axes)
+    errors[:, others] = 0.0
+    blocks = carried(_without(covariances, others), aligned.similarity)
     statement, exactness = BOUND_STATEMENT, "exact"
     if aligned.gauge is Gauge.NONE:
         statement = COMMON_FRAME_STATEMENT
@@ -309,15 +323,16 @@ def assess_marginals(
     if aligned.noise is not None:
         noise = aligned.noise
         blocks = blocks + (independent_noise(transformation, noise) if in_gauge else noise)
-    known = 0 if (sigmas_of(blocks[:1]) > 0.0).all() else 1
-    nees = nees_by_pose(errors, blocks, max(aligned.first_with_nees * in_gauge, known))
-    per_pose = summary_of(nees, in_gauge=in_gauge)
+    blocks = _without(blocks, others)
+    known = 0 if (sigmas_of(blocks[:1, axes][:, :, axes]) > 0.0).all() else 1
+    nees = nees_by_pose(errors, blocks, max(aligned.first_with_nees * in_gauge, known), axes)
+    per_pose = summary_of(nees, in_gauge=in_gauge, pose_dof=len(axes))
     over = per_pose.limit_95 is not None and per_pose.max > per_pose.limit_95
     return Consistency(
-        gauge=aligned.gauge,
+        gauge=gauge,
         covariance_source="message",
         exactness=exactness,
-        statement=statement,
+        statement=statement + (IN_PLANE_STATEMENT if len(others) else ""),
         verdict="overconfident" if over else "undecided",
         joint=None,
         per_pose=per_pose,
@@ -325,6 +340,13 @@ def assess_marginals(
         errors=errors,
         covariances=blocks,
     )
+
+
+def _without(blocks: Floats, axes: NDArray[np.int64]) -> Floats:
+    """Return covariances (N, 6, 6) with zeros in the rows and columns of some axes."""
+    kept = blocks.copy()
+    kept[:, axes] = kept[:, :, axes] = 0.0
+    return kept
 
 
 def _in_own_gauge(blocks: Floats, transformation: STransformation) -> tuple[str, Floats]:

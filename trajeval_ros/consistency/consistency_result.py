@@ -24,6 +24,7 @@ BOUND_STATEMENT = (
     "bound only (messages have no cross-covariances); can detect overconfidence, cannot confirm "
     "consistency"
 )
+IN_PLANE_STATEMENT = "; of x, y and yaw, 3 degrees of freedom per pose"
 
 
 @dataclass(frozen=True)
@@ -39,9 +40,9 @@ class Joint:
 class PoseNees:
     """NEES of N poses per degree of freedom; NaN if a pose has none."""
 
-    pose: Floats  # (N,), NEES / 6
-    position: Floats  # (N,), NEES / 3
-    rotation: Floats  # (N,), NEES / 3
+    pose: Floats  # (N,), NEES / 6; in a plane NEES / 3
+    position: Floats  # (N,), NEES / 3; in a plane NEES / 2
+    rotation: Floats  # (N,), NEES / 3; in a plane NEES of the yaw
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ class Consistency:
         joint: NEES of all poses together; None without a joint covariance.
         per_pose: NEES of single poses; None for a long run whose information is not banded.
         pose_nees: NEES of every pair; None as `per_pose`.
-        errors: (N, 6), p' - p (m) and Log(R' R^T) (rad).
+        errors: (N, 6), p' - p (m) and Log(R' R^T) (rad); zero along axes without variances.
         covariances: (N, 6, 6), of the errors of single poses; None as `per_pose`.
 
     Example:
@@ -119,6 +120,12 @@ class Consistency:
     def nees(self) -> Floats | None:
         """NEES / 6 of every pair (N,), NaN if it has none; None as `per_pose`."""
         return None if self.pose_nees is None else self.pose_nees.pose
+
+    @property
+    def axes(self) -> tuple[int, int]:
+        """Number of coordinates of positions and of rotations that have variances."""
+        sigmas = np.ones((1, 6)) if self.covariances is None else sigmas_of(self.covariances)
+        return int(sigmas[:, :3].any(axis=0).sum()), int(sigmas[:, 3:].any(axis=0).sum())
 
     @property
     def sigmas(self) -> Floats | None:

@@ -24,6 +24,7 @@ from trajeval_ros.geometry.gauge import POSE_DOF
 # Squared pivot of a correlation matrix below which a direction has no variance (rounding).
 _ROUNDING = 1e-13
 _SIGNIFICANCE = 0.05
+_ALL = np.arange(POSE_DOF)
 
 
 def joint_nees(errors: Floats, covariance: Floats, normals: Floats) -> float:
@@ -120,14 +121,16 @@ def pose_nees(errors: Floats, covariances: Floats) -> Floats:
     return squares
 
 
-def nees_by_pose(errors: Floats, blocks: Floats, first: int) -> PoseNees:
-    """Return the NEES of single poses from pose `first` on, NaN before."""
-    parts = (slice(0, 6), slice(0, 3), slice(3, 6))
+def nees_by_pose(
+    errors: Floats, blocks: Floats, first: int, axes: NDArray[np.int64] = _ALL
+) -> PoseNees:
+    """Return the NEES of single poses from pose `first` on, NaN before, in all or some axes."""
+    parts = (axes, axes[axes < 3], axes[axes >= 3])
     columns = np.full((len(parts), len(errors)), np.nan)
     try:
         for column, part in zip(columns, parts, strict=True):
-            dof = part.stop - part.start
-            column[first:] = pose_nees(errors[first:, part], blocks[first:, part, part]) / dof
+            block = blocks[first:, part[:, None], part]
+            column[first:] = pose_nees(errors[first:, part], block) / len(part)
     except np.linalg.LinAlgError:
         raise InputError("the covariance of a pose is singular, so it has no NEES") from None
     return PoseNees(*columns)
@@ -163,15 +166,17 @@ def chi_square_band(dof: float) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def summary_of(nees: PoseNees, dof: float | None = None, *, in_gauge: bool = True) -> PerPose:
-    """Summarise the NEES of poses.
+def summary_of(
+    nees: PoseNees, dof: float | None = None, *, in_gauge: bool = True, pose_dof: int = POSE_DOF
+) -> PerPose:
+    """Summarise the NEES of poses with `pose_dof` degrees of freedom each.
 
-    `dof` are the degrees of freedom of the mean of NEES / 6; None if unknown. `in_gauge` states
-    that covariances and errors are in the same gauge.
+    `dof` are those of the mean; None if unknown. `in_gauge` states that covariances and errors
+    are in the same gauge.
     """
     count = int(np.count_nonzero(np.isfinite(nees.pose)))
     # Bonferroni bound: valid for any correlation, and for upper bounds of covariances.
-    limit = float(chi2.ppf(1.0 - _SIGNIFICANCE / count, POSE_DOF)) / POSE_DOF
+    limit = float(chi2.ppf(1.0 - _SIGNIFICANCE / count, pose_dof)) / pose_dof
     position, rotation = (
         PartNees(float(np.nanmean(values)), float(np.nanmax(values)))
         for values in (nees.position, nees.rotation)

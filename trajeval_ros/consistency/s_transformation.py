@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
+from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
 from trajeval_ros.geometry import lie, so3
@@ -196,14 +197,26 @@ def _require_orientations(groundtruth: Trajectory, aligned: Trajectory) -> None:
             )
 
 
+IN_PLANE = np.array([0, 1, 5])  # x, y and yaw
 # Drivers set at least this variance, m^2, for unknown.
 _SENTINEL = 1e6
 # Rounding of covariances with seven digits.
 _ASYMMETRY, _NEGATIVE = 1e-6, 1e-9
 
 
+def observed_axes(covariances: Floats) -> NDArray[np.int64]:
+    """Return the coordinates that covariances (N, 6, 6) are of: all six, or x, y and yaw.
+
+    Estimators in a plane set the other variances to zero or to a sentinel in all messages.
+    """
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
+    unset = (variances == 0.0) | (variances >= _SENTINEL)
+    in_plane = unset[:, 2:5].all() and not unset[1:, IN_PLANE].any()
+    return IN_PLANE if in_plane else np.arange(POSE_DOF)
+
+
 def unknown_covariances(covariances: Floats) -> str:
-    """Return why covariances (N, 6, 6) are unknown or invalid; empty if they are valid.
+    """Return why covariances (N, d, d) are unknown or invalid; empty if they are valid.
 
     Zeros, negative variances and sentinels mean "unknown". Only the first pose can have zeros, in
     the gauge of the first pose.
@@ -221,10 +234,7 @@ def unknown_covariances(covariances: Floats) -> str:
     if not said.all():
         return "some are all zero, which means unknown"
     if not (variances[1:] > 0.0).all():
-        in_plane = (
-            "those of height, roll and pitch are zero, as in a plane; the test needs all six"
-        )
-        return "some variances are zero" if variances[:, 2:5].any() else in_plane
+        return "some variances are zero"
     if not is_covariance(covariances[1:]).all():
         return "some are not symmetric, or have negative eigenvalues"
     return ""

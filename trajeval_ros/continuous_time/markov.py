@@ -15,7 +15,7 @@ from scipy.optimize import minimize_scalar
 from trajeval_ros.continuous_time import white_noise
 from trajeval_ros.continuous_time.manifolds import Manifold
 from trajeval_ros.geometry import lie, se3
-from trajeval_ros.geometry.arrays import Floats, Indices
+from trajeval_ros.geometry.arrays import Floats, Indices, at_rows
 from trajeval_ros.geometry.banded_matrices import Factor
 
 _MOST_KNOTS = 1500
@@ -205,16 +205,8 @@ class Process:
         """Return the density with the largest likelihood of the middle 1500 samples."""
         skip = max(0, (len(self.times) - _MOST_KNOTS) // 2)
         middle = slice(skip, skip + _MOST_KNOTS)
-        warm = [
-            replace(
-                self,
-                times=self.times[middle],
-                measured=self.measured[middle],
-                information=self.information[middle],
-                states=self.states[middle],
-                rates=self.rates[middle],
-            )
-        ]
+        columns = "times", "measured", "information", "states", "rates"
+        warm = [at_rows(self, columns, middle)]
 
         def cost(log_density: float) -> float:
             try:

@@ -40,6 +40,7 @@ from trajeval_ros.geometry.pose_conventions import mirrored_quaternions
 NAME = "conventions"
 # Of J, per kind of motion: least value as read, largest value and ratio of the other one.
 _WRONG, _RIGHT, _RATIO = 0.004, 0.2, 0.4
+_CLEAR_RATIO = 0.25  # of a convention that leaves more than the noise; a trial decides
 # J of the right convention: at most this, plus a multiple of the differences of lengths. Noise
 # changes a direction along two axes and a length along one, and drift changes directions only.
 _FITS, _TIMES_SIZES = 0.03, 6.0
@@ -96,7 +97,7 @@ def conventions(
     ):
         found = _tilts(as_read, turning, scores) if kinds == 2 else ()
         return Examined(NAME, scores, found)
-    explains = _fits(other, limits) and other.cost < _RATIO * as_read.cost
+    explains = _explains(other, as_read, limits)
     if kinds == 2 and not (explains and other.cost <= _WRONG * kinds):
         composed = fit_hypotheses(moving, turning, composed=True)
         scores["composed"] = _best(composed).cost / kinds
@@ -104,12 +105,12 @@ def conventions(
             others, other = composed, _best(composed)
     # What remains if no convention fits, or if no correction helps.
     rest = _rotations(as_read, limits, moving, turning, scores, alike=True) if kinds == 2 else ()
-    if not _fits(other, limits) or other.cost >= _RATIO * as_read.cost:
+    if not _explains(other, as_read, limits):
         agree = rest or as_read.cost < _AGREE * kinds
         why_not = "" if agree else "the motions do not agree with any convention"
         return Examined(NAME, scores, rest, why_not)
     within = (1.0 + _TIE_SHARE) * other.cost + _TIE
-    fitting = [each for each in others if each.cost < within and _fits(each, limits)]
+    fitting = [each for each in others if each.cost < within and _explains(each, as_read, limits)]
     shared: dict[str, Value] = {
         "agreement": _percent(other, kinds),
         "as_read": _percent(as_read, kinds),
@@ -122,6 +123,15 @@ def conventions(
 
 def _best(hypotheses: list[Hypothesis]) -> Hypothesis:
     return min(hypotheses, key=lambda each: each.cost + _CHANGE * each.changes)
+
+
+def _explains(hypothesis: Hypothesis, as_read: Hypothesis, limits: list[float]) -> bool:
+    """Return whether a hypothesis leaves only the noise, or far less than what was read.
+
+    An offset of the clocks leaves more than the noise.
+    """
+    ratio = _RATIO if _fits(hypothesis, limits) else _CLEAR_RATIO
+    return hypothesis.cost < ratio * as_read.cost
 
 
 def _limit(one: Floats, other: Floats) -> float:

@@ -1,14 +1,27 @@
-"""Type aliases of arrays, and runs of flags. Docstrings give shapes and units."""
+"""Type aliases of arrays, rows of columns, and runs of flags. Docstrings give shapes, units."""
 
 from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+_T = TypeVar("_T")
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]  # nanoseconds
 Indices = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
+
+
+def at_rows(item: _T, names: Iterable[str], rows: Any, **changed: Any) -> _T:
+    """Return a dataclass with some rows of its columns, those that it has, and changed values."""
+    columns = {name: getattr(item, name) for name in names}
+    changed |= {name: each[rows] for name, each in columns.items() if each is not None}
+    found: _T = dataclasses.replace(item, **changed)  # type: ignore[type-var]
+    return found
 
 
 def extents(points: Floats) -> Floats:

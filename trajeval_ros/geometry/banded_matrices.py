@@ -23,7 +23,7 @@ from scipy.linalg.lapack import dtbtrs
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.geometry.arrays import Floats
 
-_NEGLIGIBLE = 1e-20
+AT_ONCE = 1 << 8  # states whose blocks stay in the processor's cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +48,7 @@ class Factor:
         if not (entries > 0.0).all():
             raise np.linalg.LinAlgError("a diagonal entry is not positive")
         scale = 1.0 / np.sqrt(entries)
-        band = _lower_band(
-            diagonal * scale[:, :, None] * scale[:, None, :],
-            lower * scale[1:, :, None] * scale[:-1, None, :],
-        )
+        band = _lower_band(diagonal, lower, scale)
         return cls(cholesky_banded(band, lower=True, overwrite_ab=True), scale)
 
     @property
@@ -80,26 +77,17 @@ class Factor:
     def inverse_blocks(self) -> tuple[Floats, Floats]:
         """Return the blocks of A^-1 on the diagonal (N, d, d), and right of it (N - 1, d, d).
 
-        The recursion P_k = C_k + G_k^T P_{k+1} G_k runs backwards over the states. It is
-        associative. Doubling the step in every round takes as many rounds as needed until states
-        that far apart are uncorrelated.
+        The recursion P_k = C_k + G_k^T P_{k+1} G_k runs backwards over the states.
         """
         count, size = self.scale.shape
         diagonal, lower = _blocks(self.band, count, size)
         inverted = np.linalg.inv(diagonal)
-        own = np.swapaxes(inverted, 1, 2) @ inverted
+        blocks = np.swapaxes(inverted, 1, 2) @ inverted
         gain = lower @ inverted[:-1]
-        blocks, reach = own.copy(), np.concatenate([gain, np.zeros((1, size, size))])
-        step = 1
-        while step < count and np.abs(reach[:-step]).max() > _NEGLIGIBLE:
-            near = reach[:-step]
-            # Both right-hand sides are read before either array changes.
-            more = np.swapaxes(near, 1, 2) @ blocks[step:] @ near
-            farther = reach[step:] @ near
-            blocks[:-step] += more
-            reach[:-step] = farther
-            reach[-step:] = 0.0
-            step *= 2
+        after = blocks[-1]
+        for block, own in zip(blocks[-2::-1], gain[::-1], strict=True):
+            block += own.T @ after @ own
+            after = block
         beside = -np.swapaxes(gain, 1, 2) @ blocks[1:]
         scale = self.scale
         return (
@@ -108,16 +96,22 @@ class Factor:
         )
 
 
-def _lower_band(diagonal: Floats, lower: Floats) -> Floats:
-    """Return the lower banded storage (2 d, N d): row i - j holds the entries (i, j).
+def _lower_band(diagonal: Floats, lower: Floats, scale: Floats) -> Floats:
+    """Return the lower banded storage (2 d, N d) of S A S: row i - j holds the entries (i, j).
 
     Columns are contiguous, as LAPACK requires.
     """
     count, size, _ = diagonal.shape
     band = np.zeros((count, size, 2 * size))
-    for column in range(size):
-        band[:, column, : size - column] = diagonal[:, column:, column]
-        band[:-1, column, size - column : 2 * size - column] = lower[:, :, column]
+    for start in range(0, count, AT_ONCE):
+        part, next_part = (slice(each, each + AT_ONCE) for each in (start, start + 1))
+        own = diagonal[part] * scale[part, :, None] * scale[part, None, :]
+        after = scale[next_part]
+        below = lower[part] * after[..., None] * scale[part][: len(after), None, :]
+        for column in range(size):
+            end = size - column
+            band[part, column, :end] = own[:, column:, column]
+            band[start : start + len(below), column, end : end + size] = below[:, :, column]
     return band.reshape(count * size, 2 * size).T
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps, at_rows
 from trajeval_ros.geometry.geodesy import Datum, east_north_up, turned_covariances
 
 # sensor_msgs/NavSatStatus and the covariance types of sensor_msgs/NavSatFix.
@@ -38,13 +37,7 @@ class Fixes:
         return len(self.places)
 
     def __getitem__(self, rows: slice | Indices | Booleans) -> Fixes:
-        return dataclasses.replace(
-            self,
-            places=self.places[rows],
-            status=self.status[rows],
-            covariance_types=self.covariance_types[rows],
-            covariances=self.covariances[rows],
-        )
+        return at_rows(self, ("places", "status", "covariance_types", "covariances"), rows)
 
     @property
     def have_heights(self) -> bool:

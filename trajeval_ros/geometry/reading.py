@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Level, Remark
-from trajeval_ros.geometry.arrays import Booleans, Floats
-from trajeval_ros.geometry.receptions import ReceivedPoses, Receptions
+from trajeval_ros.geometry.arrays import Booleans, Floats, at_rows
+from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.valid_poses import add_counts
 
 if TYPE_CHECKING:
@@ -64,9 +64,9 @@ class Reading:
     matrices: Floats | None = None
     # The times of reception of the N messages; None if unknown.
     receptions: Receptions | None = None
-    # The poses as they were received, if they were revised afterwards: the last pose of every
-    # path, or transforms under the newest correction; else None.
-    as_received: ReceivedPoses | None = None
+    # A `Trajectory` (its module needs this one) in order of reception, if poses were revised
+    # afterwards: the last pose of each path, or transforms under the newest correction; or None.
+    as_received: Any = None
 
     @property
     def format(self) -> str:
@@ -95,10 +95,7 @@ class Reading:
 
     def __getitem__(self, rows: slice | NDArray[np.int64] | Booleans) -> Reading:
         """Return the reading with the data of a slice, a mask or an array of indices."""
-        picked: dict[str, Any] = {
-            name: column[rows] for name in _ROWS if (column := getattr(self, name)) is not None
-        }
-        return dataclasses.replace(self, **picked) if picked else self
+        return at_rows(self, _ROWS, rows)
 
     def without(self, *names: str) -> Reading:
         """Return the reading without some data by row; without names, without all of them."""

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.arrays import Floats, Stamps, at_rows
 
 LOG, PUBLISH = "log", "publish"  # clocks of a bag: of the recorder, and of the publisher
 
@@ -35,12 +34,7 @@ class Receptions:
 
     def __getitem__(self, rows: Any) -> Receptions:
         """Return those of a slice, a mask or an array of indices."""
-        columns: dict[str, Any] = {
-            name: column[rows]
-            for name in ("times", "body_rates", "corrected")
-            if (column := getattr(self, name)) is not None
-        }
-        return dataclasses.replace(self, **columns)
+        return at_rows(self, ("times", "body_rates", "corrected"), rows)
 
     @classmethod
     def of_bag(cls, logged: Stamps, published: Stamps, wanted: str = "") -> Receptions:
@@ -55,12 +49,3 @@ class Receptions:
         later_s = (logged - published) / 1e9
         recording_s = float(np.median(later_s)), float(later_s.max())
         return cls(published, PUBLISH, recording_s)
-
-
-class ReceivedPoses(NamedTuple):
-    """N poses in the order of their reception; timestamps may repeat."""
-
-    stamps: Stamps  # (N,) int64, nanoseconds
-    positions: Floats  # (N, 3), metres
-    quaternions: Floats | None  # (N, 4), xyzw
-    receptions: Receptions | None

@@ -19,7 +19,7 @@ from trajeval_ros.geometry.array_input import (
     split_matrices,
     stamps_of,
 )
-from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
+from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps, at_rows
 from trajeval_ros.geometry.interpolation import Bracket, bracket_stamps, mix, slerp
 from trajeval_ros.geometry.reading import NOT_READ, Reading, require_column
 from trajeval_ros.geometry.travelled import travelled_distance
@@ -290,10 +290,7 @@ class Trajectory:
             everything = rows if rows.dtype == bool else rows == np.arange(len(self))
             if everything.all():
                 return self
-        picked = {
-            name: column[rows] for name in _COLUMNS if (column := getattr(self, name)) is not None
-        }
-        return dataclasses.replace(self, **picked, reading=self.reading[rows])
+        return at_rows(self, _COLUMNS, rows, reading=self.reading[rows])
 
     @property
     def seconds(self) -> Floats:

@@ -202,9 +202,9 @@ def each_topic(source: str) -> list[str]:
     """Return the source itself, or for a bag without a topic one source per topic with poses."""
     parts = parse_source(source)
     if parts.is_log and not parts.topic:
-        from trajeval_ros.io.ulog import PoseLog
+        from trajeval_ros.io.ulog import topics_of
 
-        return [f"{source}:{topic}" for topic in PoseLog(parts.path).topics] or [source]
+        return [f"{source}:{topic}" for topic in topics_of(parts.path)] or [source]
     if not parts.is_bag or parts.topic:
         return [source]
     from trajeval_ros.io.bags.bag import Bag

@@ -13,7 +13,7 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.install_command import extra_command
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.formatting.remarks import Remark, damaged, note
+from trajeval_ros.formatting.remarks import Level, Remark, damaged, note
 from trajeval_ros.geometry.reading import FORMAT
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.cdr_columns import Columns
@@ -32,27 +32,26 @@ from trajeval_ros.io.checks import nearest
 _HEADER = 16  # bytes before the first message
 _TRUTH = "vehicle_local_position_groundtruth"  # of the simulator
 # Message types of px4_msgs by the topics of uORB.
+_VISUAL, _MOCAP = "vehicle_visual_odometry", "vehicle_mocap_odometry"
 _TYPES = {
-    **dict.fromkeys(
-        ("vehicle_odometry", "vehicle_visual_odometry", "vehicle_mocap_odometry"), ODOMETRY
-    ),
-    "estimator_odometry": ODOMETRY,
+    **dict.fromkeys(("vehicle_odometry", _VISUAL, _MOCAP, "estimator_odometry"), ODOMETRY),
     **dict.fromkeys(
         ("vehicle_local_position", _TRUTH, "estimator_local_position"), LOCAL_POSITION
     ),
     **dict.fromkeys(("vehicle_gps_position", "sensor_gps"), GPS),
 }
+_kept: dict[tuple[Path, int], PoseLog] = {}  # the newest log of `topics_of`
 _ATTITUDES = tuple(attitude_name(name) for name, kind in _TYPES.items() if kind == LOCAL_POSITION)
 
 
 class PoseLog:
     """The poses in a log."""
 
-    def __init__(self, path: Path, *, strict: bool = False, limit: int = -1) -> None:
+    def __init__(self, path: Path, limit: int = -1) -> None:
         """Read the topics with poses of a log, in its first `limit` bytes.
 
         Raises:
-            InputError: The log can't be read, or is damaged and `strict` is set.
+            InputError: The log can't be read.
         """
         try:
             from pyulog import ULog
@@ -73,10 +72,7 @@ class PoseLog:
         cut = 0 if log.file_corruption else _cut_off(raw)
         if log.file_corruption or cut:
             what = f"its last {cut} bytes are truncated" if cut else "unreadable parts are dropped"
-            text = f"{path} is damaged: {what}"
-            if strict:
-                raise InputError(text)
-            self.remarks.append(damaged(text))
+            self.remarks.append(damaged(f"{path} is damaged: {what}"))
         if log.dropouts:
             lost_s = sum(each.duration for each in log.dropouts) / 1000.0
             text = f"{counted(len(log.dropouts), 'dropout')} of the logger, {lost_s:.1f} s"
@@ -108,13 +104,30 @@ class PoseLog:
 
 
 def read_log(path: Path, topics: Sequence[str], *, strict: bool = False) -> list[Trajectory]:
-    """Return the trajectories of topics of a log; "" is the only topic with poses."""
-    log = PoseLog(path, strict=strict)
+    """Return the trajectories of topics of a log; "" is the only topic with poses.
+
+    Raises:
+        InputError: The log can't be read, lacks a topic, or is damaged and `strict` is set.
+    """
+    log = _kept.pop(_version(path), None) or PoseLog(path)
+    if strict and (wrong := [each.text for each in log.remarks if each.level is Level.ERROR]):
+        raise InputError(wrong[0])
     if "" in topics and len(log.topics) != 1:
         listed = ", ".join(log.topics)
         several = f"several topics with poses; choose one as in {path}:TOPIC, of {listed}"
         raise InputError(f"{path} has {several if listed else 'no topic with poses'}")
     return [log.trajectory(topic.lstrip("/") or log.topics[0]) for topic in topics]
+
+
+def topics_of(path: Path) -> list[str]:
+    """Return the topics with poses of a log, which is kept for the next `read_log`."""
+    _kept.clear()
+    log = _kept[_version(path)] = PoseLog(path)
+    return log.topics
+
+
+def _version(path: Path) -> tuple[Path, int]:
+    return path, path.stat().st_mtime_ns
 
 
 def simulated_sides(path: Path) -> list[str]:
@@ -123,7 +136,7 @@ def simulated_sides(path: Path) -> list[str]:
     Raises:
         InputError: The log has none of the two.
     """
-    topics = PoseLog(path).topics
+    topics = topics_of(path)
     odometry = [name for name in topics if _TYPES[name.partition(".")[0]] == ODOMETRY]
     if _TRUTH not in topics or not odometry:
         raise InputError(

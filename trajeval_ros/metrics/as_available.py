@@ -8,7 +8,7 @@ import numpy as np
 
 from trajeval_ros.exceptions import SettingsError, require_one_of
 from trajeval_ros.formatting.remarks import Remark, warning
-from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
+from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps, runs_of
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.availability import (
@@ -154,26 +154,22 @@ def as_available(
         return AsAvailable(replace(known, why_withheld=NO_RECEPTIONS))
     stamps = estimate.stamps + offset_ns
     times, clock = judged_receptions(stamps, receptions.times, rule.receive_clock)
-    by, recording_s = receptions.by, receptions.recording_s
-    known = replace(known, received=by, clock=clock, recording_s=recording_s)
-    said = "" if clock.is_usable else clock.sentence
+    recording_s = receptions.recording_s
+    known = replace(known, received=receptions.by, clock=clock, recording_s=recording_s)
+    if not clock.is_usable:
+        return AsAvailable(replace(known, why_withheld=clock.sentence))
     if rule.motion == TWIST and (receptions.body_rates is None or estimate.velocities is None):
         said = "the messages have no twist; use --as-available constant"
-    if said:
         return AsAvailable(replace(known, why_withheld=said))
     messages = Messages.of(similarity.trajectory(estimate), times, rule.motion, offset_ns)
     stamps = instants(int(groundtruth.stamps[0]), int(groundtruth.stamps[-1]))
     have = in_use(messages, stamps) >= 0
-    samples = sampled(groundtruth, messages, stamps[have], max_gap_s)
+    samples, before = sampled(groundtruth, messages, stamps[have], max_gap_s), int((~have).sum())
     if not len(samples.stamps):
         said = "no instant has both a received pose and groundtruth; check the clocks"
         return AsAvailable(replace(known, why_withheld=said))
-    before = int((~have).sum())
-    known = replace(
-        known,
-        without_groundtruth=len(stamps) - before - len(samples.stamps),
-        time_to_first_pose_s=before / RATE_HZ,
-    )
+    lacking = len(stamps) - before - len(samples.stamps)
+    known = replace(known, without_groundtruth=lacking, time_to_first_pose_s=before / RATE_HZ)
     return AsAvailable(_with_numbers(known, samples, messages), samples, messages)
 
 
@@ -185,31 +181,26 @@ def _with_numbers(
     distinct = np.diff(messages.stamps, prepend=messages.stamps[:1] - 1) > 0
     stamps, usual = messages.stamps[distinct], messages.usual_ns[distinct]
     intervals = np.diff(stamps)
-    found = replace(
+    rotation = None if samples.rotation is None else np.degrees(samples.rotation)
+    errors = [_rmse_and_share(each) for each in (samples.position, rotation) if each is not None]
+    since = None if corrected is None else samples.stamps - corrected[samples.rows]
+    return replace(
         known,
         samples=len(age_s),
         late_messages=messages.late,
         position_m=_lengths(samples.position),
+        rotation_deg=None if rotation is None else _lengths(rotation),
         age_error_m=_lengths(samples.position[1:]),
+        age_error_deg=None if rotation is None else _lengths(rotation[1:]),
         age_s=statistics_of(age_s),
         latency_s=statistics_of((messages.times[distinct] - stamps) / NANOSECONDS),
         interval_s=statistics_of(intervals / NANOSECONDS),
         available_percent=100.0 * float(np.mean(~missed)),
         missed_deadlines=Spans.of(_spans_s(samples.stamps, missed)),
         dropouts=Spans.of(intervals[intervals > 2 * usual[:-1]] / NANOSECONDS),
+        parts={name: Part(*sum(of, ())) for name, *of in zip(PARTS, *errors, strict=True)},
+        corrections=None if since is None else {"age_s": statistics_of(since / NANOSECONDS)},
     )
-    moved = _rmse_and_share(samples.position)
-    turned: list[tuple[float, ...]] = [()] * len(PARTS)
-    if samples.rotation is not None:
-        rotation = np.degrees(samples.rotation)
-        turned = _rmse_and_share(rotation)
-        angles, by_age = _lengths(rotation), _lengths(rotation[1:])
-        found = replace(found, rotation_deg=angles, age_error_deg=by_age)
-    if corrected is not None:
-        old_s = (samples.stamps - corrected[samples.rows]) / NANOSECONDS
-        found = replace(found, corrections={"age_s": statistics_of(old_s)})
-    parts = zip(PARTS, moved, turned, strict=True)
-    return replace(found, parts={name: Part(*one, *other) for name, one, other in parts})
 
 
 def _lengths(parts: Floats) -> Statistics | None:
@@ -227,9 +218,7 @@ def _rmse_and_share(parts: Floats) -> list[tuple[float, ...]]:
 
 def _spans_s(stamps: Stamps, chosen: Booleans) -> Floats:
     """Return the durations of the spans of chosen instants, seconds."""
-    rows = np.flatnonzero(chosen)
-    if not len(rows):
-        return np.zeros(0)
-    begins = np.flatnonzero(np.diff(stamps[rows], prepend=stamps[rows[0]] - 2 * STEP_NS) > STEP_NS)
-    counts: Floats = np.diff(begins, append=len(rows)) / RATE_HZ
-    return counts
+    places = (stamps - stamps[0]) // STEP_NS
+    flags = np.zeros(places[-1] + 1, dtype=bool)
+    flags[places] = chosen
+    return np.diff(runs_of(flags))[:, 0] / RATE_HZ

@@ -68,12 +68,11 @@ class Messages:
             return made
         if motion == CONSTANT:
             return replace(made, twists=made._constant_twists())
-        velocities = estimate.velocities
-        rates = None if receptions is None else receptions.body_rates
-        assert velocities is not None
-        assert rates is not None
-        body = lie.rotate(lie.conjugate(made.quaternions), velocities[rows])
-        return replace(made, twists=np.hstack([body, rates[rows]]))
+        assert estimate.velocities is not None
+        assert receptions is not None
+        assert receptions.body_rates is not None
+        body = lie.rotate(lie.conjugate(made.quaternions), estimate.velocities[rows])
+        return replace(made, twists=np.hstack([body, receptions.body_rates[rows]]))
 
     def _constant_twists(self) -> Floats:
         """Return the twists between successive poses, xi = Log(T_j^-1 T_k) / (s_k - s_j).
@@ -85,10 +84,9 @@ class Messages:
         moved = lie.rotate(inverse, np.diff(self.positions, axis=0))
         turned = lie.to_matrix(lie.multiply(inverse, self.quaternions[1:]))
         steps_s = np.diff(self.stamps) / NANOSECONDS
-        fresh = np.flatnonzero(steps_s > 0.0)
-        twists[1 + fresh] = se3.log(se3.poses(turned, moved))[fresh] / steps_s[fresh, None]
-        newest = np.zeros(len(twists), np.int64)
-        newest[1 + fresh] = 1 + fresh
+        fresh = np.append(False, steps_s > 0.0)
+        twists[fresh] = se3.log(se3.poses(turned, moved))[fresh[1:]] / steps_s[fresh[1:], None]
+        newest = np.where(fresh, np.arange(len(twists)), 0)
         carried: Floats = twists[np.maximum.accumulate(newest)]
         return carried
 
@@ -126,8 +124,7 @@ class AvailableSamples:
     @property
     def age(self) -> Stamps:
         """Age of the pose in use, (N,), nanoseconds."""
-        age: Stamps = self.ages.sum(axis=0)
-        return age
+        return np.asarray(self.ages.sum(axis=0))
 
 
 def instants(begin: int, end: int) -> Stamps:

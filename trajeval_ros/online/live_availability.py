@@ -1,4 +1,4 @@
-"""As-available accuracy of a live estimate: all final samples of an update together.
+"""As-available accuracy of a live estimate: all final samples of 0.2 s together.
 
 A sample is final when groundtruth and the newest message have passed it. Messages that arrive
 after newer ones are never in use, so nothing changes it afterwards.
@@ -32,9 +32,10 @@ from trajeval_ros.metrics.availability import (
 )
 from trajeval_ros.metrics.reception_clock import ReceptionClock, judged_receptions
 from trajeval_ros.metrics.stream_health import UNKNOWN
-from trajeval_ros.online.state_buffer import usable_rows
+from trajeval_ros.online.state_buffer import NEVER, usable_rows
 
 _RECENT_SAMPLES = 10 * RATE_HZ
+_AT_ONCE_NS = 20 * STEP_NS  # an evaluation has a fixed cost, whatever the number of samples
 
 
 class LiveAvailability:
@@ -55,6 +56,7 @@ class LiveAvailability:
         self._truth: list[tuple[Stamps, Floats]] = []
         self._messages: list[tuple[Stamps, Stamps, Floats]] = []
         self._next: int | None = None
+        self._seen = NEVER  # groundtruth's newest timestamp at the last evaluation
         self._ages_s: deque[float] = deque(maxlen=_RECENT_SAMPLES)
         self._is_late = False
         # Of the last update, by topic and as samples; none if it has none.
@@ -86,10 +88,14 @@ class LiveAvailability:
             self._record_estimate(stamps, times, rows)
 
     def update(self, similarity: Similarity | None) -> AvailableSamples | None:
-        """Return the samples that are final now, under the present alignment; None without one."""
+        """Return the samples that are final now, under the present alignment; None if none."""
         self.newest, self.numbers = None, {}
         if similarity is None or not self._truth or not self._messages:
             return None
+        last = max(int(stamps.max()) for stamps, _ in self._truth)
+        if last < self._seen + _AT_ONCE_NS:
+            return None
+        self._seen = last
         truth_stamps, truth_rows = _joined(self._truth)
         stamps, times, rows = _joined(self._messages)
         _, self.clock = judged_receptions(stamps, times)
@@ -97,7 +103,6 @@ class LiveAvailability:
         reading = Reading(receptions=Receptions(times, "node"))
         estimate = similarity.trajectory(received_states(stamps, rows, reading))
         messages = Messages.of(estimate, times, self._rule.motion)
-        last = int(truth.stamps[-1])
         known = min(int(times.max()), int(messages.stamps[-1])) - 1
         first = int(truth.stamps[0]) if self._next is None else self._next
         final = instants(first, min(last, max(known, last - self._delay_ns)))

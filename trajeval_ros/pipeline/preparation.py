@@ -13,7 +13,6 @@ from trajeval_ros.exceptions import InputError, TrajevalError
 from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.frame_axes import upright
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics import evaluation as metrics
@@ -49,12 +48,8 @@ class Inputs:
     def of(cls, groundtruth: Trajectory, estimate: Trajectory) -> Inputs:
         """Return the two sides, with the poses as received if they were revised afterwards."""
         received = estimate.reading.as_received
-        if received is None:
-            return cls(groundtruth, estimate)
-        stamps, positions, quaternions, receptions = received
-        reading = Reading(receptions=receptions)
-        revised = Trajectory.from_columns(stamps, positions, quaternions, reading)
-        return cls(groundtruth, estimate, streams=(groundtruth, revised))
+        streams = None if received is None else (groundtruth, received)
+        return cls(groundtruth, estimate, streams=streams)
 
     def changed(self, groundtruth: Change, estimate: Change) -> Inputs:
         """Apply a change to each side, in the pairs too."""

@@ -95,10 +95,11 @@ def _draw_nees(lowest: Axes, evaluation: Evaluation, consistency: Consistency) -
     assert nees is not None
     assert per_pose is not None
     gap_s = evaluation.protocol.association.max_gap_s
+    moved, turned = consistency.axes
     for values, label, place in (
-        (nees.rotation, "orientation / 3", 2),
-        (nees.position, "position / 3", 3),
-        (nees.pose, "pose / 6", 0),
+        (nees.rotation, f"orientation / {turned}", 2),
+        (nees.position, f"position / {moved}", 3),
+        (nees.pose, f"pose / {moved + turned}", 0),
     ):
         colour, _ = canvas.line_style(place)
         columns = np.stack([groundtruth.seconds - groundtruth.seconds[0], values], axis=1)
@@ -111,7 +112,7 @@ def _draw_nees(lowest: Axes, evaluation: Evaluation, consistency: Consistency) -
     if limit is not None:
         lowest.axhline(
             limit, color=canvas.ink(), linestyle="--", linewidth=0.9,
-            label="pose / 6: 95 % of consistent runs stay below",
+            label=f"pose / {moved + turned}: 95 % of consistent runs stay below",
         )  # fmt: skip
     canvas.legend_above(lowest)
 

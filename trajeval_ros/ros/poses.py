@@ -14,11 +14,12 @@ from trajeval_ros.formatting.remarks import Remark, note, warning
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 from trajeval_ros.geometry.fix_selection import FRAME
 from trajeval_ros.geometry.geodesy import Datum
-from trajeval_ros.geometry.reading import FORMAT
+from trajeval_ros.geometry.reading import FORMAT, DeclaredReset
 from trajeval_ros.geometry.stamp_trust import LONE, NEAR_NS, StampTrust, trusted_states
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.valid_poses import add_counts, in_words
+from trajeval_ros.io.bags.declared_resets import declared_resets
 from trajeval_ros.io.bags.pose_columns import Frames, PoseColumns
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE, decode_path, decode_poses
 from trajeval_ros.io.bags.usable_poses import UsablePoses, usable_poses
@@ -29,7 +30,7 @@ from trajeval_ros.ros.clock_steps import ClockSteps
 from trajeval_ros.ros.live_fixes import LiveFixes
 from trajeval_ros.ros.timing import Arrivals
 
-_MOST_REMARKS = 20
+_MOST_REMARKS, _MOST_RESETS = 20, 100
 _STEPS_BACK = "time_steps_back"  # code of a remark
 _STALE_AFTER_S, _STALE_PERIODS = 5.0, 3.0
 _TROUBLE_AFTER = 10  # consecutive messages without a pose
@@ -46,23 +47,12 @@ class StateColumns(NamedTuple):
 
     def picked(self, rows: NDArray[Any] | slice) -> StateColumns:
         """Return the states of a mask, of indices, or of a slice."""
-        fixes = None if self.fixes is None else self.fixes[rows]
-        arrived = None if self.arrived is None else self.arrived[rows]
-        return StateColumns(self.stamps[rows], self.states[rows], self.rows[rows], fixes, arrived)
+        return StateColumns._make(None if each is None else each[rows] for each in self)
 
     def joined(self, other: StateColumns) -> StateColumns:
-        """Return these states followed by others."""
-        return StateColumns(
-            np.concatenate([self.stamps, other.stamps]),
-            np.concatenate([self.states, other.states]),
-            np.concatenate([self.rows, other.rows]),
-            arrived=np.concatenate([_arrived(self), _arrived(other)]),
-        )
-
-
-def _arrived(states_: StateColumns) -> Stamps:
-    unknown = np.full(len(states_.stamps), UNKNOWN)
-    return unknown if states_.arrived is None else states_.arrived
+        """Return these states followed by others with the same columns."""
+        pairs = zip(self, other, strict=True)
+        return StateColumns._make(None if a is None else np.concatenate([a, b]) for a, b in pairs)
 
 
 @dataclass
@@ -72,6 +62,7 @@ class StreamStatus(StateCounts):
     frame: str = ""  # frame of the poses, from the first message
     child_frame: str = ""  # name of their body
     remarks: list[Remark] = field(default_factory=list)  # also changes during the run
+    resets: list[DeclaredReset] = field(default_factory=list)  # the first declared ones
     datum: Datum | None = None  # origin of GNSS fixes; None before the first one
     stream: StreamMonitor = field(default_factory=StreamMonitor)  # rate, gaps and delays
 
@@ -110,7 +101,7 @@ class PoseStream:
         self._newest_stamp = 0  # of the newest usable pose
         self._batch, self._width = 0, WIDTH
         self.resets: list[int] = []  # timestamps of declared resets that are not taken yet
-        self._resets_seen: int | None = None  # the newest reset counter
+        self._counted: PoseColumns | None = None  # the newest pose with a reset counter
         self._in_a_row: dict[str, int] = {}  # unusable messages since the last pose
         self._is_told = False
 
@@ -225,13 +216,14 @@ class PoseStream:
         return StateColumns(columns.stamps, states_, columns.rows)
 
     def _see_resets(self, columns: PoseColumns) -> None:
-        """Store the timestamps of poses whose reset counter differs from the one before."""
+        """Store the resets that poses declare, also relative to the pose before them."""
         if columns.flags is None or not len(columns.stamps):
             return
-        counters = columns.flags[:, 0]
-        before = counters[0] if self._resets_seen is None else self._resets_seen
-        self.resets += columns.stamps[np.diff(counters, prepend=before) != 0].tolist()
-        self._resets_seen = int(counters[-1])
+        joined = columns if self._counted is None else self._counted.joined(columns)
+        found = declared_resets(joined)
+        self.resets += [each.stamp_ns for each in found]
+        self.status.resets = [*self.status.resets, *found][:_MOST_RESETS]
+        self._counted = columns.rows_of(np.array([len(columns.stamps) - 1]))
 
     def _fix_states(self, columns: PoseColumns) -> StateColumns:
         """Return the used fixes, in metres, without those that have no timestamp."""
@@ -263,7 +255,8 @@ class PoseStream:
         poses, before = _are_poses(found.states), self._trust.lone
         self._batch += 1
         self._width = max(self._width, found.states.shape[1])  # types may change on the way
-        found = found._replace(states=as_wide(found.states, self._width))
+        unknown = np.full(len(found.stamps), UNKNOWN)
+        found = found._replace(states=as_wide(found.states, self._width), arrived=unknown)
         batches = np.full(len(found.stamps), self._batch)
         picked, batches = found.picked(poses), batches[poses]
         stamps, states_, rows, batches, arrived = self._trust.take(

@@ -10,6 +10,7 @@ from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Remark, remark_json, warning
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.valid_poses import add_counts, reasons
+from trajeval_ros.io.bags.declared_resets import about_resets
 from trajeval_ros.io.requests.settings_table import settings_of
 from trajeval_ros.online.state_buffer import StateCounts
 from trajeval_ros.ros.clock_remarks import about_clock_faults, sync_risk_m
@@ -61,13 +62,14 @@ def _recorded_state(run: LiveRun, estimate: LiveEstimate) -> dict[str, Any]:
 
 
 def _side(counts: StateCounts, status: StreamStatus, up: UpAxis) -> dict[str, Any]:
+    told = about_resets(status.resets, status.first)
     return {
         "poses": counts.poses,
         "duration_s": counts.duration_s,
         "frame": status.frame,
         "child_frame": status.child_frame,
         "up": asdict(up),
-        "notes": [remark_json(each) for each in status.remarks],
+        "notes": [remark_json(each) for each in (*status.remarks, *told)],
     }
 
 
@@ -91,6 +93,7 @@ def _estimate(estimate: LiveEstimate) -> dict[str, Any]:
             **_side(buffer.estimate_counts, status, estimate.up),
             "states": buffer.estimate_count,
             "first_stamp_ns": buffer.estimate_counts.first,
+            "resets": status.resets,
             "interpolation": None if between is None else asdict(between),
         },
         "covariances": {

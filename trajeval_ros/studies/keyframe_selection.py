@@ -10,7 +10,7 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie, so3
-from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps, at_rows
 from trajeval_ros.geometry.interpolation import columns_at
 from trajeval_ros.geometry.preintegration import ImuNoise, Preintegrated, preintegrate
 from trajeval_ros.geometry.trajectory import NANOSECONDS
@@ -75,15 +75,8 @@ class KeyframeSelection:
         views = np.bincount(self.landmark_of[wanted], minlength=self.landmarks)
         wanted = wanted & (views >= FEWEST_VIEWS)[self.landmark_of]
         left, landmark_of = np.unique(self.landmark_of[wanted], return_inverse=True)
-        part = dataclasses.replace(
-            self,
-            pixels=self.pixels[wanted],
-            weights=self.weights[wanted],
-            keyframe_of=self.keyframe_of[wanted],
-            landmark_of=landmark_of,
-            landmarks=len(left),
-        )
-        return part, left
+        names, other = ("pixels", "weights", "keyframe_of"), {"landmark_of": landmark_of}
+        return at_rows(self, names, wanted, **other, landmarks=len(left)), left
 
     @property
     def gravity_felt(self) -> Floats:

@@ -13,6 +13,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
+from trajeval_ros.io.text.layouts import TextHints
 
 COUNT = 40
 TURNS = Rotation.random(COUNT, random_state=3)
@@ -68,6 +69,22 @@ def test_the_log_of_fast_lio_has_rotation_vectors(tmp_path: Path) -> None:
     assert found.velocities is not None
     np.testing.assert_array_equal(found.velocities[0], [1.0, 2.0, 3.0])
     assert "log of FAST-LIO" in "; ".join(found.reading.said(Level.NOTE))
+
+
+def test_angles_of_point_lio_are_no_rotation_vectors(tmp_path: Path) -> None:
+    """Its log has as many columns; angles together can be longer than pi."""
+    angles = np.tile([1.0, 0.2, 3.1], (COUNT, 1))
+    rows = [
+        f"{0.1 * row:.6f} {numbers(np.concatenate([v, p, np.zeros(18)]))} \r"
+        for row, (v, p) in enumerate(zip(angles, POSITIONS, strict=True))
+    ]
+    path = write(tmp_path / "pos_log.txt", rows)
+    with pytest.raises(InputError, match="those of Point-LIO are angles: --columns '") as refused:
+        read_trajectory(path)
+    columns = str(refused.value).partition("--columns '")[2].rstrip("'")
+    found = read_trajectory(path, hints=TextHints.of(columns, None))
+    assert found.rotations is not None
+    np.testing.assert_allclose(found.rotations[0].as_euler("xyz"), angles[0], atol=1e-5)
 
 
 def test_an_id_in_the_last_column(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ noise of the groundtruth is estimated by variance components.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,8 +23,8 @@ from trajeval_ros.calibration.groundtruth_doctor.rig import GRAVITY, LEVER, Rig,
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples, averaged, predict
 from trajeval_ros.calibration.robust_fit import BLOCKS
 from trajeval_ros.geometry import so3
-from trajeval_ros.geometry.arrays import Booleans, Floats
-from trajeval_ros.geometry.banded_matrices import Factor
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
+from trajeval_ros.geometry.banded_matrices import AT_ONCE, Factor
 from trajeval_ros.geometry.preintegration import ImuNoise
 from trajeval_ros.geometry.se3 import times, transposed
 
@@ -39,6 +40,7 @@ _LARGEST_STEP = 0.02  # standard deviations, of a fit that has converged
 _NOISE_RANGE = (np.repeat([2e-5, 1.7e-5], 3), np.repeat([10.0, 1.0], 3))  # m, rad
 _REDUNDANCY_AT = (2, 4, 6, 9, 13)  # iterations
 _SINGULAR = 1e-10
+_ROWS = ((0, 1), (0, 1))  # axes of rows (n, 15, ...) over which products are summed
 
 
 @dataclass(frozen=True)
@@ -109,12 +111,13 @@ class JointFit:
     @property
     def covariance_of_blocks(self) -> Floats:
         """Sandwich covariance (10, 10) of the calibration, from the scores of twelve blocks."""
-        after, rows = self._by_calibration, self._weighted
-        inertial = self._by_rig - self._before @ after[:-1] - self._after @ after[1:]
-        samples = rows.by_rig - rows.by_state @ after[rows.knots]
-        block = np.arange(len(after)) * BLOCKS // len(after)
+        moved, rows = self._by_calibration, self._weighted
+        samples = rows.by_rig - rows.by_state @ moved[rows.knots]
+        block = np.arange(len(moved)) * BLOCKS // len(moved)
         scores = np.zeros((BLOCKS, PARAMETERS))
-        np.add.at(scores, block[:-1], times(transposed(inertial), self._residuals))
+        for knots, others, before, after, by_rig in self._inertial_rows():
+            inertial = by_rig[..., :-1] - before @ moved[knots] - after @ moved[others]
+            np.add.at(scores, block[knots], times(transposed(inertial), by_rig[..., -1]))
         np.add.at(scores, block[rows.knots], times(transposed(samples), rows.residuals))
         scores -= scores.mean(axis=0)
         meat = scores.T @ scores * (BLOCKS / (BLOCKS - 1))
@@ -139,62 +142,73 @@ class JointFit:
             width = round(horizon.window_s / horizon.knot_s)
             self.rows = self.rows.with_mean_rotations(rig, width)
         self._weighted = self.rows.weighted(self.sigmas)
-        self._linearise_imu()
         self._factorise()
 
-    def _linearise_imu(self) -> None:
-        """Evaluate the whitened rows (N - 1, 15): rotation, velocity, position and biases."""
-        rig, dt = self.rig, self.steps.durations_s[:, None]
-        into = transposed(rig.rotations[:-1])
-        rotations, velocities, positions = (each[:, -1] for each in self.motions)
-        turn = so3.log(transposed(rotations) @ into @ rig.rotations[1:])
-        faster = times(into, np.diff(rig.velocities, axis=0) - rig.gravity * dt)
-        start = rig.velocities[:-1] * dt + 0.5 * rig.gravity * dt**2
-        moved = times(into, np.diff(rig.positions, axis=0) - start)
-        before, after = np.zeros((2, len(dt), 15, STATES))
-        by_rig = np.zeros((len(dt), 15, PARAMETERS))
-        back, step = so3.inverse_left_jacobian(-turn), dt[..., None]
+    def _inertial_rows(self) -> Iterator[tuple[slice, slice, Floats, Floats, Floats]]:
+        """Yield parts of the whitened rows (n, 15): rotation, velocity, position and biases.
+
+        With the knots before and after the intervals, and the Jacobians by their states. The last
+        one is by the calibration, and its last column has the residuals.
+        """
+        intervals = len(self.steps.durations_s)
+        for start in range(0, intervals, AT_ONCE):
+            end = min(start + AT_ONCE, intervals)
+            knots, others = slice(start, end), slice(start + 1, end + 1)
+            yield knots, others, *self._rows_between(knots, others)
+
+    def _rows_between(self, knots: slice, others: slice) -> tuple[Floats, Floats, Floats]:
+        rig, dt = self.rig, self.steps.durations_s[knots, None]
+        into, turned = transposed(rig.rotations[knots]), rig.rotations[others]
+        rotations, velocities, positions = (each[knots, -1] for each in self.motions)
+        turn = so3.log(transposed(rotations) @ into @ turned)
+        faster = rig.velocities[others] - rig.velocities[knots] - rig.gravity * dt
+        faster = times(into, faster)
+        start = rig.velocities[knots] * dt + 0.5 * rig.gravity * dt**2
+        moved = times(into, rig.positions[others] - rig.positions[knots] - start)
+        before, after, whiten = np.zeros((3, len(dt), 15, STATES))
+        by_rig = np.zeros((len(dt), 15, PARAMETERS + 1))
+        back, step, by_biases = so3.inverse_left_jacobian(-turn), dt[..., None], self._by_biases
         after[:, 0:3, 0:3], after[:, 3:6, 3:6], after[:, 6:9, 6:9] = back, into, into
-        before[:, 0:3, 0:3] = -back @ transposed(rig.rotations[1:]) @ rig.rotations[:-1]
+        before[:, 0:3, 0:3] = -back @ transposed(turned) @ rig.rotations[knots]
         before[:, 3:6, 0:3], before[:, 6:9, 0:3] = so3.skew(faster), so3.skew(moved)
         before[:, 3:6, 3:6], before[:, 6:9, 3:6] = -into, -into * step
         before[:, 6:9, 6:9] = -into
-        before[:, :9, 9:15] = -self._by_biases
-        before[:, 0:3, 9:15] = -back @ transposed(so3.exp(turn)) @ self._by_biases[:, 0:3]
+        before[:, :9, 9:15] = -by_biases[knots]
+        before[:, 0:3, 9:15] = -back @ transposed(so3.exp(turn)) @ by_biases[knots, 0:3]
         by_rig[:, 3:6, GRAVITY] = -into @ tangents(rig.gravity) * step
         by_rig[:, 6:9, GRAVITY] = 0.5 * by_rig[:, 3:6, GRAVITY] * step
         residuals = np.concatenate([turn, faster - velocities, moved - positions], axis=1)
-        whiten = np.zeros_like(before)
-        whiten[:, :9, :9] = self._whiten
+        whiten[:, :9, :9] = self._whiten[knots]
         if self._iteration > 4:  # a jump of the groundtruth must not bend the chain
-            squared = np.square(times(self._whiten, residuals)).sum(axis=1)
+            squared = np.square(times(whiten[:, :9, :9], residuals)).sum(axis=1)
             weight = np.minimum(1.0, (_BROKEN / np.maximum(squared, 1e-9)) ** 0.25)
             whiten *= weight[:, None, None]
-        walk, biases = np.arange(9, 15), rig.biases
+        walk = np.arange(9, 15)
         before[:, walk, walk], after[:, walk, walk] = -1.0, 1.0
         whiten[:, walk, walk] = 1.0 / (_WALK * np.sqrt(dt))
-        residuals = np.concatenate([residuals, np.diff(biases, axis=0)], axis=1)
-        self._residuals = times(whiten, residuals)
-        self._before, self._after, self._by_rig = whiten @ before, whiten @ after, whiten @ by_rig
+        by_rig[:, :9, -1], by_rig[:, 9:, -1] = residuals, rig.biases[others] - rig.biases[knots]
+        return whiten @ before, whiten @ after, whiten @ by_rig
 
     def _factorise(self) -> None:
         """Assemble the normal equations, factorise them, and eliminate the states."""
         count, rows = len(self.rig.positions), self._weighted
-        before, after = self._before, self._after
         diagonal = np.zeros((count, STATES, STATES))
+        lower = np.empty((count - 1, STATES, STATES))
         border = np.zeros((count, STATES, PARAMETERS + 1))  # the last column is the gradient
-        from_rig = np.concatenate([self._by_rig, self._residuals[..., None]], axis=2)
-        of_samples = np.concatenate([rows.by_rig, rows.residuals[..., None]], axis=2)
         corner = np.zeros((PARAMETERS, PARAMETERS + 1))
-        for knots, jacobian, columns in (
-            (slice(None, -1), before, from_rig),
-            (slice(1, None), after, from_rig),
-            (rows.knots, rows.by_state, of_samples),
-        ):
+
+        def add(knots: slice | Indices, jacobian: Floats, columns: Floats) -> None:
             diagonal[knots] += transposed(jacobian) @ jacobian
             border[knots] += transposed(jacobian) @ columns
-        for columns in (from_rig, of_samples):
-            corner += np.einsum("nij,nik->jk", columns[..., :-1], columns)
+
+        for knots, others, before, after, columns in self._inertial_rows():
+            add(knots, before, columns)
+            add(others, after, columns)
+            lower[knots] = transposed(after) @ before
+            corner += np.tensordot(columns[..., :-1], columns, axes=_ROWS)
+        columns = np.concatenate([rows.by_rig, rows.residuals[..., None]], axis=2)
+        add(rows.knots, rows.by_state, columns)
+        corner += np.tensordot(columns[..., :-1], columns, axes=_ROWS)
         prior = np.eye(3) / _LEVER_M**2
         prior += _FIXED * sum(np.outer(each, each) for each in self.fixed_directions)
         corner[LEVER, LEVER] += prior
@@ -202,10 +216,10 @@ class JointFit:
         diagonal[0, 9:, 9:] += np.diag(_FIRST_BIAS**-2.0)
         border[0, 9:, -1] += self.rig.biases[0] / _FIRST_BIAS**2
         diagonal += np.diag(_WEAK)
-        self._factor = Factor.of(diagonal, transposed(after) @ before)
+        self._factor = Factor.of(diagonal, lower)
         solved = self._factor.solve(border)
         self._by_calibration, self._by_gradient = solved[..., :-1], solved[..., -1]
-        reduced = corner - np.einsum("nij,nik->jk", border[..., :-1], solved)
+        reduced = corner - np.tensordot(border[..., :-1], solved, axes=_ROWS)
         self._gradient = reduced[:, -1]
         free = np.ix_(self.free, self.free)
         information = reduced[:, :-1][free]

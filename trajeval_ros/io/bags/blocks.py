@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.geometry.arrays import Booleans, Indices
+from trajeval_ros.geometry.arrays import Booleans, Indices, at_rows
 from trajeval_ros.io.bags.message_definitions import LARGEST_MESSAGE
 
 Buffer = NDArray[np.uint8]
@@ -60,6 +60,9 @@ def logged_within(log_times: Indices, begin: int | None, end: int | None) -> Boo
     return wanted
 
 
+_COLUMNS = "connections", "log_times", "begins", "sizes", "publish_times"
+
+
 @dataclass(frozen=True)
 class Block:
     """Messages of some connections."""
@@ -77,14 +80,7 @@ class Block:
         return len(self.begins)
 
     def __getitem__(self, rows: Booleans | Indices | slice) -> Block:
-        return replace(
-            self,
-            connections=self.connections[rows],
-            log_times=self.log_times[rows],
-            begins=self.begins[rows],
-            sizes=self.sizes[rows],
-            publish_times=self.publish_times[rows],
-        )
+        return at_rows(self, _COLUMNS, rows)
 
     def within(self, begin: int | None, end: int | None) -> Block:
         """Return the messages logged at `begin` or later and before `end`."""

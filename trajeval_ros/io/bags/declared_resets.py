@@ -9,7 +9,6 @@ import numpy as np
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.reading import DeclaredReset
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.pose_columns import PoseColumns
@@ -17,32 +16,31 @@ from trajeval_ros.io.bags.pose_columns import PoseColumns
 _MOST = 5  # resets that the note lists
 
 
-def declared_resets(columns: PoseColumns, velocities: Floats | None) -> tuple[DeclaredReset, ...]:
+def declared_resets(columns: PoseColumns) -> tuple[DeclaredReset, ...]:
     """Return the resets of poses whose counter differs from that of the pose before.
 
     A counter of one byte wraps, so every difference counts. The step is the position less the one
-    before carried on by its `velocities` (N, 3), m/s in the frame, if they are known.
+    before carried on by its velocity, if that is known.
     """
     if columns.flags is None:
         return ()
     after = 1 + np.flatnonzero(np.diff(columns.flags[:, 0]))
     before = after - 1
     steps = columns.positions[after] - columns.positions[before]
-    if velocities is not None:
+    if columns.velocities is not None:
         seconds = (columns.stamps[after] - columns.stamps[before]) / NANOSECONDS
-        steps -= np.nan_to_num(velocities[before]) * seconds[:, None]
+        steps -= np.nan_to_num(columns.velocities[before]) * seconds[:, None]
     turns = np.zeros(len(after))
     if columns.quaternions is not None:
         first, last = columns.quaternions[before], columns.quaternions[after]
         turns = np.degrees(lie.angle(lie.multiply(lie.conjugate(first), last)))
-    lengths = np.linalg.norm(steps, axis=1)
-    rows = columns.stamps[after].tolist(), lengths.tolist(), turns.tolist()
-    return tuple(map(DeclaredReset, *rows))
+    rows = columns.stamps[after], np.linalg.norm(steps, axis=1), turns
+    return tuple(map(DeclaredReset, *(each.tolist() for each in rows)))
 
 
-def about_resets(resets: Sequence[DeclaredReset], first: int) -> Iterator[Remark]:
+def about_resets(resets: Sequence[DeclaredReset], first: int | None) -> Iterator[Remark]:
     """Yield the note on declared resets; `first` is the first timestamp, nanoseconds."""
-    if not resets:
+    if not resets or first is None:
         return
     listed = [
         f"at {(each.stamp_ns - first) / NANOSECONDS:.2f} s {each.position_m:.2f} m "

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.geometry.arrays import Booleans, Floats
+from trajeval_ros.geometry.arrays import Booleans, Floats, at_rows
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.valid_poses import add_counts
 
@@ -64,9 +64,13 @@ class PoseColumns:
 
     def rows_of(self, usable: NDArray[Any]) -> PoseColumns:
         """Return the columns of the poses of a mask or of indices, with unchanged frames."""
-        columns = {name: getattr(self, name) for name in (*COLUMNS, "receptions")}
+        return at_rows(self, (*COLUMNS, "receptions"), usable)
+
+    def joined(self, other: PoseColumns) -> PoseColumns:
+        """Return these poses followed by others with the same columns; frames are not joined."""
+        pairs = {name: (getattr(self, name), getattr(other, name)) for name in COLUMNS}
         return self.replaced(
-            **{name: None if each is None else each[usable] for name, each in columns.items()}
+            **{name: np.concatenate(each) for name, each in pairs.items() if each[0] is not None}
         )
 
     def replaced(self, **columns: Any) -> PoseColumns:

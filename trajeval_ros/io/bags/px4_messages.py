@@ -170,11 +170,11 @@ class _Numbers:
     def of(self, names: str, width: int) -> Floats:
         """Return fields side by side, (N, width)."""
         fields = names.split()
-        missing = [name for name in fields if name not in self.has]
-        if missing:
-            raise InputError(
-                f"{self._where} has no field {missing[0]}; use px4_msgs of PX4 1.12 or later"
-            )
+        for name in fields:
+            if name not in self.has:
+                raise InputError(
+                    f"{self._where} has no field {name}; use px4_msgs of PX4 1.12 or later"
+                )
         each = width // len(fields)
         if any(self.has[name].size != self.count * each for name in fields):
             raise InputError(f"{self._where} has another layout than px4_msgs 1.12 to 1.18")

@@ -13,7 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.receptions import ReceivedPoses, Receptions
+from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.transform_tree import (
     Edge,
     EdgeKey,
@@ -37,7 +39,7 @@ def compose_received(
     received: Mapping[EdgeKey, ReceivedEdge],
     parent: str,
     child: str,
-) -> ReceivedPoses:
+) -> Trajectory:
     """Return the pose of `child` in `parent` at every reception of one of its transforms.
 
     Timestamps are of the newest transform of the leading edge; one repeats if only a correction is
@@ -56,12 +58,11 @@ def compose_received(
     for key in moving:
         arrived = received[key]
         order = np.argsort(arrived.receptions.times, kind="stable")
-        row = order[arrived.receptions.times[order].searchsorted(times, side="right") - 1]
         if key == leading:  # late messages are never in use
             newest = np.maximum.accumulate(arrived.stamps[order])
-            first = np.concatenate([[True], np.diff(newest) > 0])
-            kept = order[first]
-            row = kept[arrived.receptions.times[kept].searchsorted(times, side="right") - 1]
+            order = order[np.diff(newest, prepend=newest[0] - 1) > 0]
+        row = order[arrived.receptions.times[order].searchsorted(times, side="right") - 1]
+        if key == leading:
             stamps = arrived.stamps[row]
         else:
             since = arrived.receptions.times[row]
@@ -72,4 +73,4 @@ def compose_received(
     positions, quaternions = compose(held, way, np.arange(len(times)) + 1)
     by = received[leading].receptions
     receptions = replace(by, times=times, corrected=corrected)
-    return ReceivedPoses(stamps, positions, quaternions, receptions)
+    return Trajectory.from_columns(stamps, positions, quaternions, Reading(receptions=receptions))

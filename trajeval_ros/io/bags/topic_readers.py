@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from trajeval_ros.geometry.arrays import Stamps
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.stamp_trust import trusted_states
 from trajeval_ros.geometry.valid_poses import add_counts, judge_poses
@@ -43,50 +43,6 @@ from trajeval_ros.io.bags.received_transforms import ReceivedEdge
 from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey
 from trajeval_ros.io.checks import times
 from trajeval_ros.io.growing_rows import GrowingRows
-
-
-class GrowingPoses:
-    """The poses of a topic, added part by part."""
-
-    def __init__(self) -> None:
-        self._columns: dict[str, GrowingRows] = {}
-        self._frames: list[Frames] = []
-        self._dropped: dict[str, int] = {}
-        self._undecodable = self._count = self._messages = 0
-
-    def add(self, part: PoseColumns, log_times: Stamps, publish_times: Stamps) -> None:
-        """Add poses, and the times of all messages that they were decoded from."""
-        columns = {name: getattr(part, name) for name in COLUMNS} | {
-            "rows": part.rows + self._messages,
-            "log": log_times[part.rows],
-            "published": publish_times[part.rows],
-        }
-        for name, rows in columns.items():
-            if rows is not None:
-                self._columns.setdefault(name, GrowingRows()).extend(rows)
-        self._frames += [(self._count + row, frame, child) for row, frame, child in part.frames]
-        self._undecodable += part.undecodable
-        self._dropped = add_counts(self._dropped, part.dropped)
-        self._count += len(part.stamps)
-        self._messages += len(log_times)
-
-    def done(self, received: str = "") -> PoseColumns:
-        """Return all poses in order of their log times, with receptions as `Receptions.of_bag`."""
-        columns = {name: column.done() for name, column in self._columns.items()}
-        frames, log_times = self._frames, columns["log"]
-        if (np.diff(log_times) < 0).any():
-            order = np.argsort(log_times, kind="stable")
-            columns = {name: column[order] for name, column in columns.items()}
-            firsts = np.array([row for row, *_ in frames])
-            which = (np.searchsorted(firsts, order, side="right") - 1).tolist()
-            frames = [(row, *frames[change][1:]) for row, change in enumerate(which)]
-        return PoseColumns(
-            **{name: columns.get(name) for name in COLUMNS},  # type: ignore[arg-type]
-            frames=frames_changes(frames),
-            undecodable=self._undecodable,
-            dropped=self._dropped,
-            receptions=Receptions.of_bag(columns["log"], columns["published"], received),
-        )
 
 
 class PoseReader:
@@ -143,36 +99,39 @@ class TransformReader:
         `wanted`: the clock of the receptions, as in `Receptions.of_bag`.
         """
         found = {}
-        for key, parts in self._parts.items():
-            if self.reading.topic.name.endswith("_static"):
-                continue
-            logged, published = (np.concatenate([each[at] for each in parts]) for at in (1, 2))
-            order = np.argsort(logged, kind="stable")
-            stamps = np.concatenate([each[0].stamps for each in parts])[order]
-            numbers = np.concatenate([each[0].numbers for each in parts])[order]
-            receptions = Receptions.of_bag(logged[order], published[order], wanted)
+        for key in () if self._is_static else self._parts:
+            stamps, numbers, logged, published = self._in_order(key)
+            receptions = Receptions.of_bag(logged, published, wanted)
             poses = np.logical_and(*judge_poses(numbers[:, :3], numbers[:, 3:])) & times(stamps)
             rows = np.flatnonzero(poses)
             rows = rows[trusted_states(stamps[rows])[0]]
             found[key] = ReceivedEdge(stamps[rows], numbers[rows], receptions[rows])
         return found
 
+    @property
+    def _is_static(self) -> bool:
+        return self.reading.topic.name.endswith("_static")
+
+    def _in_order(self, key: EdgeKey) -> tuple[Stamps, Floats, Stamps, Stamps]:
+        """Return stamps, numbers, log and publish times of an edge, in order of its log times."""
+        parts = [(each.stamps, each.numbers, *at) for each, *at in self._parts[key]]
+        stamps, numbers, logged, published = map(np.concatenate, zip(*parts, strict=True))
+        order = np.argsort(logged, kind="stable")
+        return stamps[order], numbers[order], logged[order], published[order]
+
     @cached_property
     def edges(self) -> dict[EdgeKey, Edge]:
         """The edges by (parent, child), once all messages were added."""
-        is_static = self.reading.topic.name.endswith("_static")
         edges = {}
-        for key, parts in self._parts.items():
-            order = np.argsort(np.concatenate([logged for _, logged, _ in parts]), kind="stable")
-            stamps = np.concatenate([own.stamps for own, _, _ in parts])[order]
-            numbers = np.concatenate([own.numbers for own, _, _ in parts])[order]
-            if not is_static:
+        for key in self._parts:
+            stamps, numbers, *_ = self._in_order(key)
+            if not self._is_static:
                 timed = times(stamps)
                 stamps, numbers = stamps[timed], numbers[timed]
                 rows, trust = trusted_states(stamps)
                 stamps, numbers = stamps[rows], numbers[rows]
                 self.lone += trust.lone
-            edges[key] = Edge.from_columns(stamps, numbers, is_static=is_static)
+            edges[key] = Edge.from_columns(stamps, numbers, is_static=self._is_static)
         return edges
 
 
@@ -249,27 +208,56 @@ class _Poses:
 
     def __init__(self, decoders: _Decoders, received: str) -> None:
         self._decoders, self._received = decoders, received
-        self._poses = GrowingPoses()
+        self._columns: dict[str, GrowingRows] = {}
+        self._frames: list[Frames] = []
+        self._dropped: dict[str, int] = {}
+        self._undecodable = self._count = self._messages = 0
 
     def add(self, key: Key, block: Block) -> None:
         """Add the messages of a connection."""
         columns = self._decoders.decode(key, block)
         self._add(columns, block.log_times, block.publish_times)
 
-    def _add(self, columns: Columns, log_times: Stamps, publish_times: Stamps) -> None:
-        undecodable, kind = len(log_times) - len(columns.rows), self._decoders.topic.type
+    def _add(self, decoded: Columns, log_times: Stamps, publish_times: Stamps) -> None:
+        undecodable, kind = len(log_times) - len(decoded.rows), self._decoders.topic.type
         if kind == POSE_2D:
-            poses = poses_2d_of(columns, log_times, undecodable)
+            part = poses_2d_of(decoded, log_times, undecodable)
         else:
             wanted = self._decoders.covariances
-            poses = poses_of(columns, kind, undecodable, covariance=wanted)
-        self._poses.add(poses, log_times, publish_times)
+            part = poses_of(decoded, kind, undecodable, covariance=wanted)
+        columns = {name: getattr(part, name) for name in COLUMNS} | {
+            "rows": part.rows + self._messages,
+            "log": log_times[part.rows],
+            "published": publish_times[part.rows],
+        }
+        for name, rows in columns.items():
+            if rows is not None:
+                self._columns.setdefault(name, GrowingRows()).extend(rows)
+        self._frames += [(self._count + row, frame, child) for row, frame, child in part.frames]
+        self._undecodable += part.undecodable
+        self._dropped = add_counts(self._dropped, part.dropped)
+        self._count += len(part.stamps)
+        self._messages += len(log_times)
 
     def done(self) -> PoseColumns:
-        """Return them in order of their log times."""
+        """Return all poses in order of their log times, with receptions as `Receptions.of_bag`."""
         none = np.zeros(0, dtype=np.int64)
         self._add(self._decoders.nothing(), none, none)
-        return self._poses.done(self._received)
+        columns = {name: column.done() for name, column in self._columns.items()}
+        frames, log_times = self._frames, columns["log"]
+        if (np.diff(log_times) < 0).any():
+            order = np.argsort(log_times, kind="stable")
+            columns = {name: column[order] for name, column in columns.items()}
+            firsts = np.array([row for row, *_ in frames])
+            which = (np.searchsorted(firsts, order, side="right") - 1).tolist()
+            frames = [(row, *frames[change][1:]) for row, change in enumerate(which)]
+        return PoseColumns(
+            **{name: columns.get(name) for name in COLUMNS},  # type: ignore[arg-type]
+            frames=frames_changes(frames),
+            undecodable=self._undecodable,
+            dropped=self._dropped,
+            receptions=Receptions.of_bag(columns["log"], columns["published"], self._received),
+        )
 
 
 class _LastPath:

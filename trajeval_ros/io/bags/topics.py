@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from trajeval_ros.formatting.remarks import Level, Remark, note
 from trajeval_ros.geometry.fix_selection import trajectory_of_rows
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.reading import FORMAT, Reading
-from trajeval_ros.geometry.receptions import ReceivedPoses, Receptions
+from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.stamp_trust import LONE, trusted_states
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
@@ -39,8 +39,6 @@ from trajeval_ros.io.bags.topic_readers import (
     tree_topics,
 )
 from trajeval_ros.io.bags.transform_tree import (
-    Edge,
-    EdgeKey,
     compose_transforms,
     fixed_transform,
 )
@@ -238,7 +236,7 @@ def trajectory_of_columns(
             child_frame=columns.frames[0][1],
             name=name.strip("/"),
         )
-    resets = declared_resets(columns, velocities)
+    resets = declared_resets(columns)
     told = about_resets(resets, int(columns.stamps.min()))
     frames = (note("frame_changed", each) for each in changes)
     everything = Trajectory.from_columns(
@@ -271,9 +269,10 @@ def _with_rates(columns: PoseColumns) -> Receptions | None:
     return replace(receptions, body_rates=rates)
 
 
-def _as_received(columns: PoseColumns) -> ReceivedPoses:
+def _as_received(columns: PoseColumns) -> Trajectory:
     rows = columns.rows_of(trusted_states(columns.stamps)[0])
-    return ReceivedPoses(rows.stamps, rows.positions, rows.quaternions, rows.receptions)
+    reading = Reading(receptions=rows.receptions)
+    return Trajectory.from_columns(rows.stamps, rows.positions, rows.quaternions, reading)
 
 
 def _without_lone_stamps(trajectory: Trajectory) -> Trajectory:
@@ -306,7 +305,10 @@ def _transform_trajectory(
     parent, child = frames
     where = f"{bag.path}:{source.topic}:{parent}.{child}"
     remarks = bag.remarks([each.reading for each in tree])
-    edges = tree_of(tree)
+    edges, wanted, received = tree_of(tree), source.received, None
+    if wanted:
+        arrived = {key: each for reader in tree for key, each in reader.received(wanted).items()}
+        received = compose_received(edges, arrived, parent, child)
     stamps, positions, quaternions = compose_transforms(edges, parent, child, where)
     check_stamps(stamps, where)
     trajectory = Trajectory.from_columns(
@@ -323,23 +325,10 @@ def _transform_trajectory(
                 LONE: sum(each.lone for each in tree),
             },
             remarks=(note(FORMAT, "format: TF"), *remarks),
-            as_received=_newest_transforms(edges, tree, frames, source.received),
+            as_received=received,
         ),
     )
     return _usable(trajectory, where, len(stamps))
-
-
-def _newest_transforms(
-    edges: Mapping[EdgeKey, Edge],
-    tree: Sequence[TransformReader],
-    frames: tuple[str, str],
-    received: str,
-) -> ReceivedPoses | None:
-    """Return the poses of transforms as they were received; None if not wanted."""
-    if not received:
-        return None
-    arrived = {key: each for reader in tree for key, each in reader.received(received).items()}
-    return compose_received(edges, arrived, *frames)
 
 
 def _usable(trajectory: Trajectory, where: str, count: int) -> Trajectory:

@@ -27,7 +27,7 @@ from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.fixes import Fixes
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.geodesy import Datum
-from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.reading import DeclaredReset, Reading
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.live.applied_hand_eye import AppliedHandEye
@@ -48,7 +48,7 @@ from trajeval_ros.io.requests.settings_table import settings_with
 from trajeval_ros.io.results.result_json import statistics_json
 from trajeval_ros.metrics.as_available import AvailabilityRule
 from trajeval_ros.metrics.association import Association
-from trajeval_ros.metrics.input_summary import FixSummary, InputSummary, fingerprint
+from trajeval_ros.metrics.input_summary import FixSummary, InputSummary
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.pipeline.outcome import FailedRun, Outcome, RunOutcome
 from trajeval_ros.pipeline.pipeline import run_live_pairs, with_own_errors
@@ -131,7 +131,8 @@ def _evaluate_pairs(
         whole.path_length_m if pairs.is_at_groundtruth else groundtruth["path_length_m"]
     )
     summaries = [
-        InputSummary(
+        dataclasses.replace(
+            InputSummary.of(trajectory, used),
             source=description[side],
             name=name,
             poses=counts["poses"],
@@ -139,13 +140,13 @@ def _evaluate_pairs(
             path_length_m=length_m,
             frame=counts["frame"],
             child_frame=counts["child_frame"],
-            up=trajectory.up,
-            kind=trajectory.kind,
             fixes=None
             if trajectory.reading.fixes is None or whole.reading.fixes is None
             else FixSummary.of(whole.reading.fixes, counts["dropped"]),
-            remarks=used.reading.remarks,
-            fingerprint=fingerprint(trajectory),
+            resets=tuple(
+                DeclaredReset(int(stamp), float(step), float(turn))
+                for stamp, step, turn in counts.get("resets", ())
+            ),
         )
         for side, counts, trajectory, used, length_m in (
             ("groundtruth", groundtruth, pairs.groundtruth, evaluation.groundtruth, path_length_m),

@@ -22,7 +22,7 @@ from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 
-IGNORED = "_"
+IGNORED, FAST_LIO = "_", "FAST-LIO"
 # Nanoseconds per unit of time. The unit of `t` is recognised from the values.
 UNITS: dict[str, int | None] = {"t": None, "t_s": 10**9, "t_ms": 10**6, "t_us": 10**3, "t_ns": 1}
 DATE, FRAME, RECEIVED = "date", "frame", "received"
@@ -200,7 +200,7 @@ _BY_COUNT = {
             " ".join([_POSE, *GROUPS["rotation_covariance"], *GROUPS["position_covariance"]]),
         ),
         _layout(
-            "FAST-LIO",
+            FAST_LIO,
             f"t rx ry rz x y z _ _ _ vx vy vz {'_ ' * 12}",
             "no header: 25 columns read as the log of FAST-LIO, whose times start at 0",
         ),

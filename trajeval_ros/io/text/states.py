@@ -13,7 +13,7 @@ from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.array_input import quaternions_of
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.io.text.layouts import BODY_TWISTS, GROUPS, Layout
+from trajeval_ros.io.text.layouts import BODY_TWISTS, FAST_LIO, GROUPS, Layout
 from trajeval_ros.io.text.stamps import ExactNumbers
 
 _LARGEST_ANGLE = 2.0 * np.pi + 0.01  # rad, with a margin for rounded digits
@@ -61,7 +61,14 @@ def states_of(path: Path, layout: Layout, groups: Mapping[str, Floats], count: i
     else:
         quaternions = groups.get("quaternion")
         if quaternions is None and "rotation_vector" in groups:
-            quaternions = lie.from_rotation_vector(groups["rotation_vector"])
+            vectors = groups["rotation_vector"]
+            longest = np.linalg.norm(vectors, axis=1).max(initial=0.0)
+            if layout.name == FAST_LIO and longest > np.pi + 1e-3:
+                raise InputError(
+                    f"{path}: columns 2 to 4 are longer than pi, so no rotation vectors; those of "
+                    f"Point-LIO are angles: --columns 't roll pitch yaw x y z {'_ ' * 17}_'"
+                )
+            quaternions = lie.from_rotation_vector(vectors)
         if quaternions is None:
             quaternions = _of_angles(path, layout, groups, count)
         if "position" in groups:
