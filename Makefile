@@ -164,7 +164,7 @@ fuzz-bytes: $(ATHERIS)/.installed ## Feed the readers of bags with damaged bytes
 
 SUBPACKAGE ?= metrics
 
-mutate: $(MUTATE)/.installed ## Change lines of a subpackage at random, and list what no test notices; SUBPACKAGE=batch.
+mutate: $(MUTATE)/.installed ## Change lines of a subpackage at random, and list what no test notices; SUBPACKAGE=all.
 	OPENBLAS_NUM_THREADS=1 $(MUTATE)/bin/python tests/support/mutants.py $(SUBPACKAGE)
 
 audit: $(AUDIT)/.installed ## Look locked packages up in PyPI's database of known vulnerabilities.

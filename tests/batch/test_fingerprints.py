@@ -63,3 +63,15 @@ def test_the_times_of_an_array_are_a_part_of_it(tmp_path: Path) -> None:
     before = Fingerprints(tmp_path / "memory.json").of(str(array))
     np.save(times, np.arange(3.0) + 1.0)
     assert Fingerprints(tmp_path / "memory.json").of(str(array)) != before
+
+
+@pytest.mark.parametrize(("every_s", "is_saved"), [(-1.0, True), (1e6, False)])
+def test_hashes_are_saved_from_time_to_time(
+    every_s: float, is_saved: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fingerprints, "_SAVED_EVERY_S", every_s)
+    source, memory = tmp_path / "x.txt", tmp_path / "memory.json"
+    source.write_text("1 2 3\n")
+    monkeypatch.setattr(fingerprints, "_SETTLED_NS", -1)  # a recent file may change again
+    Fingerprints(memory).of(str(source))
+    assert memory.exists() == is_saved

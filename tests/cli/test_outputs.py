@@ -264,6 +264,13 @@ def test_a_folder_is_no_file(
     )
 
 
+@pytest.mark.parametrize("words", ["evaluate a b --output", "compare a b --output", "view"])
+def test_results_are_on_this_machine(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    said = refused([*words.split(), "s3://secret@bucket/out"], capsys)
+    assert "this is a URL; give a path of this machine" in said
+    assert "secret" not in said
+
+
 @pytest.mark.slow
 def test_figures_of_another_evaluation_do_not_stay(pair: list[str], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `plot`")

@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pytest
 import scipy.linalg
+import scipy.sparse
 from consistency_runs import aligned_run, some_covariance, trajectory_of
 from hypothesis import given
 from hypothesis import strategies as st
@@ -22,6 +23,7 @@ from trajeval_ros.consistency.consistency_assessment import (
     assess_marginals,
 )
 from trajeval_ros.consistency.consistency_result import PoseNees
+from trajeval_ros.consistency.constant_covariances import constant_covariances
 from trajeval_ros.consistency.covariance_request import CovarianceRequest, IntegrityRequest
 from trajeval_ros.consistency.integrity import integrity_of
 from trajeval_ros.consistency.joint_covariance import JointCovariance
@@ -297,3 +299,20 @@ def test_single_poses_are_exact_in_the_estimators_own_gauge_alone(
     run = dataclasses.replace(run, covariances=np.concatenate([first, _good(11)]))
     aligned = AlignedStates(run, run, Similarity.identity(), gauge, states)
     assert assess_marginals(aligned, from_the_start=from_the_start).exactness == exactness
+
+
+def test_covariances_that_grow_or_fall_are_estimates() -> None:
+    scales = np.arange(1.0, 13.0)[:, None, None]
+    for each in (scales, 1.0 / scales):
+        assert constant_covariances(np.eye(6) * each) == ""
+    assert "all are equal" in constant_covariances(np.eye(6) * np.ones_like(scales))
+
+
+@pytest.mark.parametrize("gauge", ["free", "prior"])
+def test_an_indefinite_information_is_told_with_what_may_be_open(gauge: str) -> None:
+    run = make_groundtruth(0, 2)
+    information = scipy.sparse.csr_matrix(np.diag([*np.ones(11), -1.0]))
+    parts = run.stamps, run.positions, np.asarray(run.quaternions), 6, None, information
+    with pytest.raises(InputError, match="information matrix is not positive definite") as told:
+        JointCovariance(*parts, gauge).pose_covariance(np.arange(2))
+    assert ("except for position and yaw" in str(told.value)) == (gauge == "free")

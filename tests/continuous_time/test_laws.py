@@ -355,8 +355,11 @@ def test_joint_posterior_agrees_with_single_poses() -> None:
         errors.ravel() @ np.linalg.solve(with_tolerance, errors.ravel())
         + np.linalg.slogdet(2.0 * np.pi * with_tolerance)[1]
     )
-    found = joint.observed(np.tile(1e-4 * np.eye(3), (15, 1, 1))).log_density(errors)
-    assert found == pytest.approx(expected, rel=1e-8)
+    observed = joint.observed(np.tile(1e-4 * np.eye(3), (15, 1, 1)))
+    assert observed.log_density(errors) == pytest.approx(expected, rel=1e-8)
+    columns = np.stack([errors, errors[::-1]], axis=-1)
+    solved = np.linalg.solve(with_tolerance, columns.reshape(45, 2)).reshape(15, 3, 2)
+    np.testing.assert_allclose(observed.solve(columns), solved, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("order", [2, 3])

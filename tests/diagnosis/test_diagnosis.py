@@ -18,6 +18,7 @@ from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.named_protocols import protocol_named
 from trajeval_ros.pipeline.pipeline import evaluate
 
@@ -159,6 +160,11 @@ def test_many_unusable_poses_are_told(every: int, is_told: bool) -> None:
     said = "33.3 % of the estimate's poses are not usable and were dropped: "
     said += f"{-(-len(positions) // 3)} not finite"
     assert any(each.startswith(said) for each in outcome.evaluation.warnings) == is_told
+    # An estimate that is interpolated has no coverage, and its unusable poses are counted.
+    rule = AssociationRule("groundtruth-stamps")
+    request = Request(dataclasses.replace(DRONE.protocol, association=rule))
+    (outcome,) = run(DRONE.truth, [estimate], request).runs
+    assert outcome.evaluation.association.dropped["not_finite"] == -(-len(positions) // every)
 
 
 def test_why_a_length_has_no_sub_trajectories_is_told() -> None:

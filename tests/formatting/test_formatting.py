@@ -16,6 +16,7 @@ from markdown_it import MarkdownIt
 from trajeval_ros.formatting.escaping import csv_text, latex_text, markdown_text, one_line, visible
 from trajeval_ros.formatting.numbers import (
     change_percent,
+    data_size,
     one_digit,
     significant,
     three_decimals,
@@ -310,3 +311,12 @@ def test_a_name_is_no_link_in_markdown(name: str) -> None:
     shown = markdown_text(name)
     assert shown.replace("\\", "") == name
     assert not re.search(r"\w://|www\.|\w@", shown, re.IGNORECASE)
+
+
+@given(st.integers(0, 10**16))
+def test_sizes_have_three_digits_of_the_number(count: int) -> None:
+    number, unit = data_size(count).split()
+    power = ("B", "kB", "MB", "GB", "TB").index(unit)
+    assert float(number) < 1000.0 or unit == "TB"
+    assert float(number) >= 1.0 or count == 0
+    assert abs(float(number) * 1000.0**power - count) <= 0.005 * count

@@ -382,3 +382,25 @@ def test_keyframes_change_the_order_without_any_latency(shared_data: Path) -> No
     assert available > fast_available
     assert (at, available) == pytest.approx((0.163, 1.606), rel=5e-3)
     assert (fast_at, fast_available) == pytest.approx((0.2145, 0.2107), rel=5e-3)
+
+
+def test_a_figure_shows_errors_ages_and_latencies() -> None:
+    pytest.importorskip("matplotlib", reason="figures need the extra `plot`")
+    from trajeval_ros.report.available_figure import as_available_figure
+
+    truth, estimate = on_line(gap=(40.0, 41.0))
+    found = measured(truth, estimate)
+    figure = as_available_figure(evaluate(truth, estimate, Protocol(gauge="none")), found)
+    upper, detail, lower, right = figure.axes
+    assert found.samples is not None
+    _, drawn = (each.get_ydata() for each in upper.get_lines())
+    # An age error of a straight drive is its speed times the age, largest at the gap's end.
+    assert np.max(drawn) == pytest.approx(V * found.samples.age.max() / SECOND, rel=1e-6)
+    shown = np.concatenate([each.get_xdata() for each in detail.get_lines()])
+    assert shown.min() <= 41.0 <= shown.max()
+    assert np.ptp(shown) <= 10.0
+    age, deadline = (np.asarray(each.get_ydata()) for each in lower.get_lines())
+    np.testing.assert_allclose(age, found.samples.age / SECOND)
+    assert set(deadline) == {found.numbers.deadline_s}
+    assert sum(bar.get_height() for bar in right.patches) == len(estimate)
+    assert right.get_title(loc="left") == "median 0.08 s, 95 % 0.08 s"

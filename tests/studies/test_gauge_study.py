@@ -36,14 +36,16 @@ def _nothing() -> None:
 
 @pytest.mark.slow
 def test_writes_tables_numbers_and_figures(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("matplotlib", reason="figures need the extra `plot`")
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")
     folder = tmp_path / "a study"
     assert main(["study", "gauge", "--output", str(folder), "--trials", "2"]) == 0
     printed = capsys.readouterr().out
     assert "0.04141 / 0.1084 / 0.02182" in printed  # the paper's
     assert "All sensors are simulated" in printed
+    assert "measured with one linear algebra thread" in (folder / "tables.md").read_text()
     assert sorted(path.name for path in folder.iterdir()) == [
         *FIGURES,
         "study.json",

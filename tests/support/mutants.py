@@ -5,6 +5,9 @@ comparison, a number, a loop. Then the tests of the file are run until one fails
 that survives is a place that no law holds, or one that means the same.
 
     python tests/support/mutants.py SUBPACKAGE [--count 50] [--seed 0] [--only FILE,FILE]
+
+Of `all`, files are chosen from the whole package but `ros`, and the tests are those that import
+the file, then those of its folder. What is not noticed within --patience seconds is undecided.
 """
 
 from __future__ import annotations
@@ -17,10 +20,11 @@ import difflib
 import multiprocessing
 import os
 import random
+import re
 import shutil
 import sys
 import tempfile
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -35,7 +39,7 @@ from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator, operator_names
 from paths import ROOT
 
-PATIENCE_S = 300.0
+MOST_FILES = 20
 
 # Subpackages whose files are changed. Their tests are in the folder of the same name; `metrics`,
 # which everything uses, also has tests of whole evaluations.
@@ -101,7 +105,7 @@ def mutants(files: list[Path], generator: random.Random) -> Iterator[tuple[Path,
                 yield file, after
 
 
-def is_green(tests: list[str], patience_s: float | None = PATIENCE_S) -> bool:
+def outcome(tests: list[str], patience_s: float | None) -> str:
     """Run tests in a child, which has all libraries already and imports the package anew."""
     child = multiprocessing.get_context("fork").Process(target=_run, args=(tests,))
     child.start()
@@ -109,7 +113,20 @@ def is_green(tests: list[str], patience_s: float | None = PATIENCE_S) -> bool:
     if child.is_alive():
         child.kill()
         child.join()
-    return child.exitcode == 0
+        return "UNDECIDED"
+    return "SURVIVED" if child.exitcode == 0 else "killed"
+
+
+def tests_of(file: Path) -> list[str]:
+    """Return the tests that import a file of the package, and the folder of its subpackage."""
+    folder = file.parent.relative_to("trajeval_ros")
+    while not (Path("tests") / folder).is_dir():
+        folder = folder.parent
+    module = re.compile(rf"\b{'.'.join(file.with_suffix('').parts)}\b".replace(".", r"\."))
+    found = [each for each in Path("tests").rglob("test_*.py") if module.search(each.read_text())]
+    near = sorted(found, key=lambda each: (each.parent != Path("tests") / folder, each))
+    own = Path("tests") / (folder if folder.parts else "system")
+    return list(map(str, [*near[:MOST_FILES], own]))  # to collect what uses it takes minutes
 
 
 def _run(tests: list[str]) -> None:
@@ -128,10 +145,11 @@ def _run(tests: list[str]) -> None:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("subpackage", choices=SUBPACKAGES)
+    parser.add_argument("subpackage", choices=[*SUBPACKAGES, "all"])
     parser.add_argument("--count", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="", help="files of the subpackage, with commas between")
+    parser.add_argument("--patience", type=float, default=300.0, help="seconds for each change")
     asked = parser.parse_args()
     sys.dont_write_bytecode = True
     with tempfile.TemporaryDirectory() as folder:
@@ -142,32 +160,36 @@ def main() -> int:
             (copy.parent / "shared").symlink_to(ROOT.parent / "shared")
         os.chdir(copy)
         compileall.compile_dir(copy / "trajeval_ros", quiet=1)
-        tests = [f"tests/{folder}" for folder in SUBPACKAGES[asked.subpackage]]
+        everything = asked.subpackage == "all"
+        tests = [] if everything else [f"tests/{each}" for each in SUBPACKAGES[asked.subpackage]]
         only = asked.only.split(",") if asked.only else []
+        package = Path("trajeval_ros")
+        found = package.rglob("*.py") if everything else (package / asked.subpackage).glob("*.py")
         files = [
             file
-            for file in sorted((copy / "trajeval_ros" / asked.subpackage).glob("*.py"))
-            if file.stem != "__init__" and (not only or file.stem in only)
+            for file in sorted(found)
+            if file.stem != "__init__"
+            and file.parent != package / "ros"
+            and (not only or file.stem in only)
         ]
-        if not is_green(tests, None):
+        if tests and outcome(tests, None) != "SURVIVED":
             print("the tests fail without any change", file=sys.stderr)
             return 2
-        survivors = 0
+        counts: Counter[str] = Counter()
         chosen = mutants(files, random.Random(asked.seed))
         for number, (file, after) in zip(range(1, asked.count + 1), chosen, strict=False):
             before, times = file.read_text(), file.stat()
             file.write_text(after)
-            survived = is_green(tests)
+            become = outcome(tests or tests_of(file), asked.patience)
             file.write_text(before)
             os.utime(file, (times.st_atime, times.st_mtime))  # its bytecode is valid again
-            survivors += survived
-            name = str(file.relative_to(copy))
-            print(f"{number:3} {name}: {'SURVIVED' if survived else 'killed'}", flush=True)
-            if survived:
+            counts[become] += 1
+            print(f"{number:3} {file}: {become}", flush=True)
+            if become != "killed":
                 lines = (each.splitlines() for each in (before, after))
-                changed = list(difflib.unified_diff(*lines, name, name, n=0, lineterm=""))[2:]
-                print(*changed, sep="\n", flush=True)
-    print(f"{survivors} of {asked.count} changes of {asked.subpackage} survived")
+                changed = difflib.unified_diff(*lines, str(file), str(file), n=0, lineterm="")
+                print(*list(changed)[2:], sep="\n", flush=True)
+    print(f"changes of {asked.subpackage}, seed {asked.seed}: {dict(counts)}")
     return 0
 
 

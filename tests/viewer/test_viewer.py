@@ -147,16 +147,24 @@ def test_gaps_are_a_lane_and_end_the_lines_of_plots(drawn) -> None:
 
 
 @needs_rerun
-def test_run_without_gaps_has_no_empty_chunk(tmp_path: Path) -> None:
+def test_run_without_gaps_has_no_empty_chunk_and_its_ellipsoids(tmp_path: Path) -> None:
     from rrd import Rrd
 
     from trajeval_ros.viewer.recorded_scene import write_recording
 
     groundtruth = simulate(0, 10.0).groundtruth
-    evaluation = evaluate(groundtruth, groundtruth[::10], Protocol(gauge=Gauge.YAW))
+    variances = np.array([0.01, 0.04, 0.09, 1.0, 1.0, 1.0])
+    covariances = np.tile(np.diag(variances), (len(groundtruth), 1, 1))
+    estimate = dataclasses.replace(groundtruth, name=NAME, covariances=covariances)[::10]
+    evaluation = evaluate(groundtruth, estimate, Protocol(gauge=Gauge.YAW))
     assert not gaps(evaluation.association.estimate.stamps).any()
     write_recording(tmp_path / "run.rrd", [evaluation])
-    assert Rrd(tmp_path / "run.rrd").least_rows > 0
+    picture = Rrd(tmp_path / "run.rrd")
+    assert picture.least_rows > 0
+    _, half_axes = picture.rows(f"{FRAME}/covariance", "Ellipsoids3D:half_sizes")
+    assert len(half_axes) > 10
+    for each in half_axes:
+        np.testing.assert_allclose(np.sort(each[0]), 3.0 * np.sqrt(variances[:3]), rtol=1e-6)
 
 
 @needs_rerun
@@ -344,6 +352,7 @@ def test_another_recording_of_a_run_has_all_that_came_before_it(tmp_path: Path) 
         picture = Rrd(tmp_path / f"{number}.rrd")
         _, scales = picture.rows("legend/scale", "Points2D:labels")
         assert {labels[-1][-2:] for labels in scales} == {" m"}
+        assert picture.rows("legend/scale", "Points2D:show_labels")[1] == [[True]] * len(scales)
         assert len(picture.rows(f"{FRAME}/by_error", "LineStrips3D:strips")[1]) >= 1
         assert picture.rows(looks, "SeriesLines:names")[1] == [["vio, ATE of the revised path"]]
         for quantity, column, look in (

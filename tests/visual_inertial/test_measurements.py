@@ -20,6 +20,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise, preintegrate
 from trajeval_ros.simulation.motion import shape
+from trajeval_ros.visual_inertial.camera import Camera
 from trajeval_ros.visual_inertial.problem import Problem
 from trajeval_ros.visual_inertial.scene import PROFILES, Scene, make_scene
 from trajeval_ros.visual_inertial.solver import GAUGE_INDICES, GaugeHandling, solve
@@ -113,6 +114,7 @@ def test_samples_that_hold_for_no_time_change_nothing() -> None:
     for interval, count in enumerate((7, 5, 3)):
         each = slice(interval, interval + 1)
         alone = preintegrate(rates[each, :count], forces[each, :count], steps[each, :count], noise)
+        assert vars(alone)
         for name, column in vars(alone).items():
             np.testing.assert_allclose(
                 getattr(together, name)[interval], column[0], rtol=1e-12, atol=1e-18
@@ -208,3 +210,9 @@ def test_nothing_observed_is_refused() -> None:
     no_interval = preintegrate(np.zeros((0, 5, 3)), np.zeros((0, 5, 3)), 0.005, ImuNoise(1.0, 1.0))
     with pytest.raises(InputError, match="from 1 keyframes"):
         _changed(problem, preintegrated=no_interval)
+
+
+def test_a_camera_sees_what_is_in_front_of_it_and_in_range() -> None:
+    depths = np.array([-40.0, -0.5, 0.0, 0.29, 0.31, 29.0, 31.0])
+    seen = Camera(400.0, 640, 480).sees(depths[:, None] * [0.0, 0.0, 1.0])
+    assert seen.tolist() == [False, False, False, False, True, True, False]

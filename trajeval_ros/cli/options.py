@@ -132,7 +132,13 @@ def _option_of(setting: Setting) -> HelpedOption:
 
 
 def _click_type(kind: Any) -> Any:
-    return click.Path(path_type=Path) if kind is Path else kind
+    return _local_path if kind is Path else kind
+
+
+def _local_path(path: str | Path) -> Path:
+    if "://" in str(path):  # pyarrow would write to it
+        raise click.BadParameter("this is a URL; give a path of this machine")
+    return Path(path)
 
 
 def _metavar(setting: Setting) -> str:
@@ -217,8 +223,7 @@ def refuse_format(sources: Sequence[str], usage: str) -> None:
     """Refuse the name of a format before the sources, which evo requires."""
     if sources[:1] and sources[0] in _FORMATS and not Path(sources[0]).exists():
         raise SettingsError(
-            f"{sources[0]} is a format, which is detected from the content; remove it: trajeval "
-            f"{usage}"
+            f"{sources[0]} is a format, which is detected by content; remove it: trajeval {usage}"
         )
 
 
@@ -229,8 +234,7 @@ def require_used(hints: TextHints, remarks: Iterable[Remark]) -> None:
         raise SettingsError("--columns is for text files, and no text file was read; remove it")
     if hints.frame_rate_hz is not None and ROW_TIMES not in codes:
         raise SettingsError(
-            "--frame-rate is for text files without timestamps, and no such file was read; remove "
-            "it"
+            "--frame-rate is for text files without timestamps, and none was read; remove it"
         )
 
 
@@ -244,14 +248,10 @@ def sources_of(
         InputError: The only argument is a log of PX4 without a simulator's groundtruth.
     """
     refuse_format(by_position, f"{verb} GROUNDTRUTH ESTIMATE")
-    if (
-        len(by_position) == 1
-        and by_position[0].endswith(".ulg")
-        and Path(by_position[0]).is_file()
-    ):
+    if len(by_position) == 1 and (log := Path(by_position[0])).suffix == ".ulg" and log.is_file():
         from trajeval_ros.io.ulog import simulated_sides
 
-        by_position = simulated_sides(Path(by_position[0]))
+        by_position = simulated_sides(log)
     if by_position and (groundtruth is not None or estimates):
         raise SettingsError(
             "sources are given twice; use either GROUNDTRUTH ESTIMATE... or --groundtruth and "

@@ -34,7 +34,7 @@ _BAG_BEGINNINGS = (b"\x89MCAP0\r\n", b"SQLite format 3\0", b"#ROSBAG V")
 _ULOG = b"ULog\x01\x12\x35"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _URL = re.compile(r"[a-z][a-z0-9+.-]*://")
-_SECRET = re.compile(r"[?&][^=&]*(token|secret|sig|pass|pwd|credential|key|auth)[^=&]*=", re.I)
+_SECRET = re.compile(r"[?&;#][^=&]*(token|secret|sig|pass|pwd|credential|key|auth)[^=&]*=")
 # Other schemes have an @ in valid addresses: abfs://CONTAINER@ACCOUNT, github://OWNER:NAME@BRANCH.
 _WITHOUT_USER = ("http", "https", "s3", "gs", "gcs")
 _BAG_ENDINGS = (".mcap", ".db3", ".bag")
@@ -379,16 +379,16 @@ def _parse_frames(topic: str, frames: str) -> tuple[str, str]:
 
 def require_no_password(url: str) -> None:
     """Check that a URL has no password or token, since results, tables and logs repeat the URL."""
-    scheme, _, rest = url.partition("://")
-    user, at, host = re.split(r"[/?#]", rest, maxsplit=1)[0].rpartition("@")
-    scheme = scheme.lower()
-    if _SECRET.search(rest):
-        raise InputError(
-            f"{scheme}://{host} has a secret in its query, which results and "
-            "logs repeat; download the file first"
-        )
-    if at and (scheme in _WITHOUT_USER or (":" in user and scheme != "github")):
-        raise InputError(
-            f"{scheme}://{host} has a user name or password, which results and logs repeat; set "
-            "it in the environment, such as AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"
-        )
+    for each in url.split("::"):  # a chain of URLs
+        scheme, _, rest = each.lower().partition("://")
+        user, at, host = re.split(r"[/?#]", rest, maxsplit=1)[0].rpartition("@")
+        if _SECRET.search(rest):
+            raise InputError(
+                f"{scheme}://{host} has a secret in its query, which results and logs repeat; "
+                "download the file first"
+            )
+        if at and (scheme in _WITHOUT_USER or (":" in user and scheme != "github")):
+            raise InputError(
+                f"{scheme}://{host} has a user name or password, which results and logs repeat; "
+                "set it in the environment, such as AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"
+            )

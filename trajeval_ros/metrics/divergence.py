@@ -144,7 +144,6 @@ class Divergence:
             else:
                 return
             self.losses.append(Loss.beginning(DIVERGED, self._begin_ns))
-            self._agreeing, self._agreeing_m = 0, 0.0
         agrees = difference_m <= 0.0
         self._agreeing = self._agreeing + 1 if agrees else 0
         self._agreeing_m = self._agreeing_m + true_m if agrees else 0.0

@@ -214,6 +214,18 @@ def test_what_names_no_file_is_missing(path: str, bags: dict[Any, Path], tmp_pat
     )
 
 
+def test_files_that_are_not_listed_are_read_only_if_no_listed_one_is_there(
+    bags: dict[Any, Path], tmp_path: Path
+) -> None:
+    bag = tmp_path / "bag"
+    shutil.copytree(bags[MCAP, CompressionMode.NONE], bag)
+    first, _ = names_in(bag)
+    rewrite(bag, information(9, [first]))
+    assert len(read_trajectory(str(bag))) == COUNT
+    rewrite(bag, information(9, ["other.mcap"]))
+    assert len(read_trajectory(str(bag))) == 2 * COUNT
+
+
 @pytest.mark.parametrize(
     "change",
     [

@@ -120,6 +120,17 @@ def test_hostile_sizes_take_no_memory(
                 assert read_trajectory(str(path)).reading.said(Level.ERROR)
 
 
+@pytest.mark.parametrize("size", [0, 21])
+def test_a_message_shorter_than_its_head_is_damage(size: int, tmp_path: Path) -> None:
+    path = mcap_file(tmp_path / "x.mcap", use_chunking=False)
+    content = path.read_bytes()
+    data = content.rfind(b"\x0f\x04\0\0\0\0\0\0\0")  # where the data end
+    short = b"\x05" + size.to_bytes(8, "little") + bytes(size)
+    path.write_bytes(content[:data] + short)
+    read = assert_damaged(path, f"a message is too short at byte {data}")
+    assert rows_of(read) == list(range(COUNT))
+
+
 def test_a_size_that_no_integer_holds(tmp_path: Path) -> None:
     path = mcap_file(tmp_path / "x.mcap", messages=payloads() * 3, chunk_size=1 << 17)
     content = bytearray(path.read_bytes())
