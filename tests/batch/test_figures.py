@@ -81,7 +81,8 @@ def test_a_common_time_span_decides_ranks_coverage_and_advice(tmp_path: Path) ->
     assert main([*command, "--common-time-span"]) == 0
     absolute = matrices(summary_of(out))[0]
     assert absolute.ranks() == [[1], [2]]
-    assert absolute.coverage == pytest.approx((0.5, 0.5), abs=0.02)
+    assert absolute.coverage == pytest.approx((1.0, 1.0), abs=0.02)
+    assert "†" not in absolute.caption
     assert "¶" not in absolute.caption
     text = (out / "report.html").read_text()
     assert "good has the smallest position ATE on 1 of 1 sequence." in text

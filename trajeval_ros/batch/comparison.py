@@ -82,6 +82,7 @@ class _RunningComparison:
         self.tasks: dict[PlannedRun, Task] = {}
         self.planned_keys: dict[PlannedRun, str] = {}
         self.own_coverage: dict[PlannedRun, float] = {}
+        self.common_share: dict[PlannedRun, float] = {}
         self._evaluated: set[PlannedRun] = set()
         self._fingerprints = fingerprints
         self._start_pool = start_pool
@@ -115,7 +116,8 @@ class _RunningComparison:
             key = "" if task is None or run in self.failures else task.key
             reason = self.failures.get(run, "")
             planned = self.planned_keys.get(run, "")
-            runs.append(FinishedRun(run, planned, key, reason, self.own_coverage.get(run)))
+            own, common = self.own_coverage.get(run), self.common_share.get(run, 1.0)
+            runs.append(FinishedRun(run, planned, key, reason, own, common))
         return FinishedComparison(self.plan.title, self.plan.settings, runs)
 
     def evaluate(self, tasks: Iterable[Task]) -> None:
@@ -156,6 +158,12 @@ class _RunningComparison:
         self.tasks = cut
         self.progress.total += len(cut)
         self.evaluate(cut.values())
+        shares: dict[tuple[str, str], float] = defaultdict(float)
+        of = {run: (run.sequence, run.groundtruth) for run in cut if run not in self.failures}
+        for run, key in of.items():
+            association = self._record(cut[run], with_pooled=False).run["association"]
+            shares[key] = max(shares[key], association["groundtruth_span"])
+        self.common_share = {run: shares[key] for run, key in of.items()}
 
     def record_of(self, finished: FinishedRun) -> Record:
         """Return the record of a run."""

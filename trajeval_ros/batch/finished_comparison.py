@@ -72,6 +72,7 @@ class FinishedRun(NamedTuple):
     # Share of the groundtruth's duration that the whole run covers, if a common time span cut it;
     # None for the value in its record.
     own_coverage: float | None = None
+    common_share: float = 1.0  # share of the groundtruth's duration that the common time span has
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,10 +124,7 @@ class FinishedComparison:
                         continue
                     record = record_of(each)
                     found.append(record)
-                    coverage = each.own_coverage
-                    if coverage is None:
-                        coverage = record.run["association"]["groundtruth_coverage"]
-                    yield from rows_of_run(each.run, record, coverage)
+                    yield from rows_of_run(each, record)
                 pooled.extend(pooled_rows(algorithm, sequence, count, found))
 
         state = self.state
@@ -159,12 +157,8 @@ def has_tables(folder: Path) -> bool:
     return bool(state) and state_of(folder / POOLED_FILE) == state
 
 
-def rows_of_run(run: PlannedRun, record: Record, own_coverage: float) -> Iterator[dict[str, Any]]:
-    """Yield the rows of an evaluated run.
-
-    `own_coverage`: share of the groundtruth's duration that the whole run covers, before a common
-    time span cut it.
-    """
+def rows_of_run(finished: FinishedRun, record: Record) -> Iterator[dict[str, Any]]:
+    """Yield the rows of an evaluated run; coverage is that of a common time span that cut it."""
     evaluated = record.run
     association, alignment = evaluated["association"], evaluated["alignment"]
     gap = association["longest_gap"] or {}
@@ -173,15 +167,20 @@ def rows_of_run(run: PlannedRun, record: Record, own_coverage: float) -> Iterato
         inputs[record.result["groundtruth"]["source"]],
         inputs[evaluated["estimate"]["source"]],
     )
+    coverage, span = (
+        association[f"groundtruth_{name}"] / (finished.common_share or 1.0)
+        for name in ("coverage", "span")
+    )
+    run, own = finished.run, finished.own_coverage
     same = {
         **_names(run),
         "status": OK,
         "pairs": association["pairs"],
         "estimate_coverage": association["estimate_coverage"],
-        "groundtruth_coverage": association["groundtruth_coverage"],
-        "own_groundtruth_coverage": own_coverage,
+        "groundtruth_coverage": coverage,
+        "own_groundtruth_coverage": coverage if own is None else own,
         "span_s": (record.span_ns[1] - record.span_ns[0]) / 1e9,
-        "groundtruth_span": association["groundtruth_span"],
+        "groundtruth_span": span,
         "longest_gap_s": gap.get("duration_s"),
         "longest_gap_m": gap.get("reach_m"),
         "longest_gap_deg": gap.get("turn_deg"),
