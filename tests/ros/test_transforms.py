@@ -186,7 +186,9 @@ def test_the_alignment_is_broadcast_where_it_is_asked_for(
     heard = peer.hear("/tf", TFMessage)
     options = {"broadcast_tf": True, "transform_tolerance": 0.3, "gauge": "yaw"}
     with evaluating(tmp_path / "out", environment, **options) as evaluator:
-        replay(flights / "mcap", environment, "--rate", 8)
+        replay(flights / "mcap", environment, "--rate", 8, "--end", 10)
+        peer.until(lambda: heard, "a transform is broadcast during the run")
+        replay(flights / "mcap", environment, "--rate", 8, "--start", 10)
 
         def is_of_last_pair() -> bool:  # which may still be on its way at the first save
             assert peer.ask("/evaluator/save", Trigger).success
@@ -194,7 +196,7 @@ def test_the_alignment_is_broadcast_where_it_is_asked_for(
             return bool(heard) and stamp_ns(heard[-1].transforms[0]) == last_ns + 300_000_000
 
         peer.until(is_of_last_pair, "the transform of the last pair is broadcast")
-        assert len(heard) > 2  # at 2.5 Hz
+        assert len(heard) > 1
         assert evaluator.end() == 0
     [transform] = heard[-1].transforms
     result = evaluator.result
