@@ -257,7 +257,6 @@ def test_right_perturbations_are_turned(honest: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "why"),
     [
-        (["--gauge", "planar", "--covariance", "message"], "gauge planar"),
         (["--gauge", "translation", "--covariance", "message"], "gauge translation"),
         (["--rotation-covariance-frame", "camera"], "unknown rotation covariance frame"),
         (["--rotation-covariance-frame", "body"], "add --covariance message"),
