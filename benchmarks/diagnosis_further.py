@@ -133,7 +133,7 @@ FURTHER: dict[str, Mistake] = {
     "world tilted by 25 deg": Mistake(_tilted, ("tilted",), "yaw"),
     "positions in other axes": Mistake(_positions_converted, ("axes_mixed",)),
     "wxyz and transposed": Mistake(_w_first_and_transposed, ("wxyz_transposed",)),
-    "clock +0.2 s": Mistake(shifted(0.2), ("small_clock_offset",)),
+    "clock +0.2 s": Mistake(shifted(0.2), ("small_clock_offset", "clock_offset")),
     "heights of the ellipsoid": Mistake(_heights_of_ellipsoid, ("frames_apart",)),
     "covariances, rotation first": Mistake(
         lambda pair: _covariances(pair, exchanged=True, unit=1.0), ("covariance_order",)
