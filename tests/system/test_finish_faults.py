@@ -88,6 +88,17 @@ ODD_STATES = [
     for value in ({"a": 1}, [{}], "x", -1, 0.5, 10**40, float("nan"), 1e300, True)
     if (keys[-1], value) not in (("frame", "x"), ("child_frame", "x"))
 ]
+ODD_RESETS = (
+    {"a": 1},
+    [{}],
+    "x",
+    True,
+    [["1", 2.0, 3.0]],
+    [[1.5, 2.0, 3.0]],
+    [[1, 2.0]],
+    [[1, True, 0.0]],
+    [[1, -1.0, 0.0]],
+)
 ODD_DESCRIPTIONS = [
     with_value(value, key, of=DESCRIPTION)
     for key in ("groundtruth", "estimate", "place")
@@ -122,6 +133,13 @@ def assert_fails_alone(folder: Path, *words: str) -> None:
 def test_a_state_that_the_node_never_writes(number: int, folder: Path) -> None:
     write_run(folder / "odd.pairs", DESCRIPTION, ODD_STATES[number])
     assert_fails_alone(folder)
+
+
+@pytest.mark.parametrize("resets", ODD_RESETS, ids=str)
+def test_resets_that_the_node_never_writes(resets: Any, folder: Path) -> None:
+    write_run(folder / "odd.pairs", DESCRIPTION, with_value(resets, "estimate", "resets"))
+    (failed,) = evaluate_folder(folder).failed
+    assert "estimate.resets can't be" in failed.reason
 
 
 @pytest.mark.slow

@@ -343,7 +343,9 @@ def assess_marginals(
 
 
 def _without(blocks: Floats, axes: NDArray[np.int64]) -> Floats:
-    """Return covariances (N, 6, 6) with zeros in the rows and columns of some axes."""
+    """Return covariances (N, 6, 6) with zeros in the rows and columns of some axes, or of none."""
+    if not len(axes):
+        return blocks
     kept = blocks.copy()
     kept[:, axes] = kept[:, :, axes] = 0.0
     return kept

@@ -143,10 +143,7 @@ def _evaluate_pairs(
             fixes=None
             if trajectory.reading.fixes is None or whole.reading.fixes is None
             else FixSummary.of(whole.reading.fixes, counts["dropped"]),
-            resets=tuple(
-                DeclaredReset(int(stamp), float(step), float(turn))
-                for stamp, step, turn in counts.get("resets", ())
-            ),
+            resets=tuple(DeclaredReset(*each) for each in counts.get("resets") or ()),
         )
         for side, counts, trajectory, used, length_m in (
             ("groundtruth", groundtruth, pairs.groundtruth, evaluation.groundtruth, path_length_m),

@@ -17,7 +17,7 @@ def require_run_state(description: Mapping[str, Any], state: Mapping[str, Any]) 
         for keys, fits in checks.items():
             value: Any = values
             for key in keys.split("."):
-                value = value[key] if isinstance(value, dict) else None
+                value = value.get(key) if isinstance(value, dict) else None
             if not fits(value):
                 raise ValueError(f"{keys} can't be {repr(value)[:60]}")
 
@@ -32,6 +32,15 @@ def _is_count(value: Any) -> bool:
 
 def _is_text(value: Any) -> bool:
     return isinstance(value, str)
+
+
+def _are_resets(value: Any) -> bool:
+    """Return whether a value has rows of `DeclaredReset`; None is of earlier files."""
+    return value is None or (
+        isinstance(value, list)
+        and all(isinstance(each, list) and len(each) == 3 for each in value)
+        and all(_is_count(stamp) and all(map(_is_amount, sizes)) for stamp, *sizes in value)
+    )
 
 
 def _is_mapping(value: Any) -> bool:
@@ -93,6 +102,7 @@ _STATE: dict[str, Check] = {
             ("up", _is_up),
         )
     },
+    "estimate.resets": _are_resets,
     "groundtruth.path_length_m": _is_amount,
     "groundtruth.time_without_gaps_ns": _is_count,
     "groundtruth.dropped": _are_counts,
