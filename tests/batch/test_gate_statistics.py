@@ -19,9 +19,9 @@ from benchmarks.gates import Cell
 from trajeval_ros.batch.gate import Gate
 from trajeval_ros.batch.gates import FALSE_ALARMS
 from trajeval_ros.batch.permutation_tests import (
+    OneSidedTests,
     PermutationTest,
     Sample,
-    Tested,
     equal_trials,
     more_failures,
     more_trials,
@@ -37,11 +37,11 @@ CASES: dict[str, Any] = json.loads((TESTS / "data" / "gates" / "enumerated.json"
 GATE = Gate("ate.position_m.rmse", 0.0)
 
 
-def rejects_together(side: Tested) -> Booleans:
+def rejects_together(side: OneSidedTests) -> Booleans:
     return side.together <= side.level_together
 
 
-def rejects_alone(side: Tested) -> Booleans:
+def rejects_alone(side: OneSidedTests) -> Booleans:
     return side.alone <= side.level_alone
 
 

@@ -49,6 +49,7 @@ SHOWN_BY = {
     "tilted": ("world tilted by 25 deg", DRONE),
     "unit": ("estimate in mm", DRONE),
     "clock_drift": ("clock 1000 ppm", DRONE),
+    "small_clock_offset": ("clock +0.2 s", DRONE),
     "body": ("marker", DRONE),
 }
 

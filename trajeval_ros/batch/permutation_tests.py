@@ -118,7 +118,7 @@ def can_reject(count: int, level: float) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Tested:
+class OneSidedTests:
     """The tests of one direction: new errors are larger than the margin, or smaller."""
 
     together: Floats  # p-values of all sequences, (metrics,), adjusted for all metrics
@@ -128,7 +128,7 @@ class Tested:
     shares: Floats  # level of a metric without adjustment that gives the same verdict, (metrics,)
 
     @classmethod
-    def of(cls, z: Floats, t: Floats, largest_t: Floats, level: float) -> Tested:
+    def of(cls, z: Floats, t: Floats, largest_t: Floats, level: float) -> OneSidedTests:
         """Test by z (relabellings, metrics), t and its largest values (relabellings,)."""
         largest, half = z.max(1), level / 2.0
         together, alone = p_values(largest, z[0]), np.ones(t.shape)
@@ -188,8 +188,8 @@ class PermutationTest:
                 smallest = np.fmin(smallest, np.fmin.reduce(every, axis=1))
         deviations = np.sqrt(((self._weights * errors) ** 2).sum(0))
         z = sums / np.where(deviations > 0.0, deviations, np.inf)
-        self.worse = Tested.of(z, t, largest, level)  # the tests for larger errors
-        self.better = Tested.of(-z, -t, -smallest, level)  # the tests for smaller errors
+        self.worse = OneSidedTests.of(z, t, largest, level)  # the tests for larger errors
+        self.better = OneSidedTests.of(-z, -t, -smallest, level)  # the tests for smaller errors
         # The statistic is linear in a shift of new errors: estimate and bounds need no iteration.
         # Estimated common change of logarithms, (metrics,).
         self.change = margins + sums[0] / units[0]
