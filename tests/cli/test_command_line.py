@@ -156,12 +156,15 @@ def test_topics_are_called_as_the_live_evaluator_calls_them() -> None:
 
 
 @pytest.mark.parametrize("verb", ["", *VERBS])
-def test_flags_are_shown_without_a_type(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_names_of_types_and_no_double_defaults_are_shown(
+    verb: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main([*verb.split(), "--help"]) == 0
     text = capsys.readouterr().out
     assert "--help" in text
-    assert "<bool>" not in text
-    assert "BOOLEAN" not in text
+    for each in ("<bool>", "BOOLEAN", "│ TEXT ", "_LOCAL_PATH", "Default: .."):
+        assert each not in text
+    assert not re.search(r"Default: [^│]{1,12} Default:", " ".join(text.split()))
 
 
 @pytest.mark.parametrize("name", VERBS)

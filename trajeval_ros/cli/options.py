@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -100,6 +101,9 @@ class HelpedArgument(click.Argument):
     def __init__(self, name: str, *, help: str, **more: Any) -> None:  # noqa: A002 - as click's
         super().__init__([name], **more)
         self.help = help
+        # rich-click shows the type's name instead of a metavar that equals the argument's name.
+        self.type = copy.copy(self.type)
+        self.type.name = str(self.metavar).lower()
 
 
 def settings_options(verb: str) -> list[click.Parameter]:
@@ -163,9 +167,10 @@ def option(
     The default is appended to the help. `kind`: type, or click's type. `count`: of values.
     """
     is_flag = kind is bool
+    shown = "the current folder" if default == Path() else default
     return HelpedOption(
         list(names),
-        help=help if default is None or is_flag else f"{help} Default: {default}.",
+        help=help if default is None or is_flag else f"{help} Default: {shown}.",
         type=None if is_flag else _click_type(kind),
         is_flag=is_flag or None,  # False would make the value optional
         default=(None if "/" in names[0] else False) if is_flag else default,

@@ -34,7 +34,7 @@ _PARAMETERS = (
         help="Transform from the map to the estimate's frame, such as run.mcap:/tf:map.odom. "
         "Its corrections are monitored."),
     option("--factor", kind=float, metavar="K", default=1.0, panel=INPUT,
-        help="Factor on all limits, for this robot and estimator. Default: 1."),
+        help="Factor on all limits, for this robot and estimator."),
     option("--fail-on", metavar="alarm|error", panel=OUTPUT,
         help="Alarms that cause exit status 1: any, or only errors."),
     option("--figure", kind=Path, metavar="FILE", panel=OUTPUT,
