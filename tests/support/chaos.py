@@ -37,6 +37,8 @@ _LAST_WRITING_S = 60.0
 # What no two runs write alike: a recording's id, and when inputs were looked at.
 OWN = {"run.rrd", "inputs.json"}
 COMPLAINTS = ("Traceback", "Exception ignored", "Fatal Python error")
+# Python looks for packages before any line of a program runs, which nothing can catch.
+STARTS_UP = ("<frozen site>", "/site.py")
 
 Listing = dict[str, str]
 
@@ -161,7 +163,8 @@ class Campaign:
             companion.wait()
         self.statuses[f"{how}: {status}"] += 1
         said = log.read_text(errors="replace")
-        if any(each in said for each in COMPLAINTS):
+        is_started = not any(each in said for each in STARTS_UP)
+        if is_started and any(each in said for each in COMPLAINTS):
             self._fault(f"{ending.name} after {moment:.2f} s: {said[-600:]}")
 
     def _look(self, folder: Path, wholes: list[Listing]) -> None:
