@@ -5,9 +5,12 @@ from __future__ import annotations
 import io
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
+from comparison_runs import write_run
 
+from trajeval_ros.cli.app import main
 from trajeval_ros.cli.programs import INTERRUPTED, exit_status
 from trajeval_ros.exceptions import InputError, SettingsError
 
@@ -39,6 +42,25 @@ def test_status_and_message(
 ) -> None:
     assert exit_status(work) == status
     assert capsys.readouterr() == ("", said)
+
+
+@pytest.mark.parametrize("option", ["--json", "--hand-eye", "--protocol", "--gauge", "--require"])
+@pytest.mark.parametrize(
+    ("url", "shown"),
+    [
+        ("https://me:hidden@host.net/x.yaml", "…@host.net/x.yaml"),
+        ("zip://x.yaml::https://hidden@host.net/x.zip", "…@host.net/x.zip"),
+        ("https://host.net/x?part=1&Access_Token=hidden&b=1", "host.net/x?part=1&Access_Token=…"),
+    ],
+)
+def test_no_message_repeats_the_secret_of_a_url(
+    option: str, url: str, shown: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = str(write_run(tmp_path / "run.txt"))
+    assert main(["evaluate", run, run, option, url]) == 2
+    said = capsys.readouterr().err
+    assert "hidden" not in said
+    assert shown in said or "which results and logs repeat" in said  # parsed as a SOURCE
 
 
 def test_defects_are_not_hidden() -> None:

@@ -44,10 +44,11 @@ def exit_status(work: Callable[[], int | None]) -> int:
 
 
 def _fail(sentence: str) -> int:
+    from trajeval_ros.formatting.escaping import without_secrets
     from trajeval_ros.report.console import ERROR, console
 
     with may_break():
-        said = f"trajeval: {' '.join(sentence.split())}"
+        said = without_secrets(f"trajeval: {' '.join(sentence.split())}")
         console(sys.stderr).print(said, ERROR, soft_wrap=True)
     return 2
 

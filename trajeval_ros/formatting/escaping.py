@@ -29,6 +29,10 @@ _LATEX = {
 # Two hyphens become a dash. At the start of a cell, a star or bracket is an argument of `\\\\`.
 _LATEX_PLACE = re.compile(r"^[\[*]|-(?=-)|.", re.DOTALL)
 _FORMULA = ("=", "+", "-", "@")
+SECRET = re.compile(
+    r"[?&;#][^=&]*(token|secret|sig|pass|pwd|credential|key|auth)[^=&]*=", re.IGNORECASE
+)
+_USER = re.compile(r"(?<=:/)(/?)[^/?#\s]*@")  # a Path of a URL has one slash
 
 
 def visible(text: str) -> str:
@@ -39,6 +43,15 @@ def visible(text: str) -> str:
 def one_line(text: str) -> str:
     """Return a text with visible control characters on one line, for cells and messages."""
     return visible(text.replace("\n", " "))
+
+
+def without_secrets(text: str) -> str:
+    """Return a sentence without the users, passwords and tokens of its URLs."""
+    words = (_USER.sub(r"\1…@", word) for word in text.split(" "))
+    return " ".join(
+        word[: found.end()] + "…" if ":/" in word and (found := SECRET.search(word)) else word
+        for word in words
+    )
 
 
 def markdown_text(text: str) -> str:

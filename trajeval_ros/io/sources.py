@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from trajeval_ros.exceptions import InputError, reason_of
+from trajeval_ros.formatting.escaping import SECRET
 from trajeval_ros.formatting.install_command import extra_command
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -34,7 +35,6 @@ _BAG_BEGINNINGS = (b"\x89MCAP0\r\n", b"SQLite format 3\0", b"#ROSBAG V")
 _ULOG = b"ULog\x01\x12\x35"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _URL = re.compile(r"[a-z][a-z0-9+.-]*://")
-_SECRET = re.compile(r"[?&;#][^=&]*(token|secret|sig|pass|pwd|credential|key|auth)[^=&]*=")
 # Other schemes have an @ in valid addresses: abfs://CONTAINER@ACCOUNT, github://OWNER:NAME@BRANCH.
 _WITHOUT_USER = ("http", "https", "s3", "gs", "gcs")
 _BAG_ENDINGS = (".mcap", ".db3", ".bag")
@@ -382,7 +382,7 @@ def require_no_password(url: str) -> None:
     for each in url.split("::"):  # a chain of URLs
         scheme, _, rest = each.lower().partition("://")
         user, at, host = re.split(r"[/?#]", rest, maxsplit=1)[0].rpartition("@")
-        if _SECRET.search(rest):
+        if SECRET.search(rest):
             raise InputError(
                 f"{scheme}://{host} has a secret in its query, which results and logs repeat; "
                 "download the file first"
