@@ -74,6 +74,16 @@ def recording(shared_data: Path) -> Callable[[str], Trajectory]:
 
 
 @pytest.fixture(scope="session")
+def kept_runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of runs of which outputs are kept."""
+    from kept_runs import write_kept_runs
+
+    folder = tmp_path_factory.mktemp("runs")
+    write_kept_runs(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """What keeps the traffic on this machine, and apart from that of others on it."""
     return {

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 from kept import assert_kept, described
-from kept_runs import write_runs
+from kept_runs import printed
 
-from trajeval_ros.cli.app import main
 from trajeval_ros.report import figure_output, figures
 
 pytest.importorskip("matplotlib", reason="figures need the extra `plot`")
@@ -19,13 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FLIGHT = "evaluate -g run:/groundtruth/pose -e run:/vio/odometry --output out"
-
-
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("runs")
-    write_runs(folder)
-    return folder
 
 
 @pytest.mark.parametrize(
@@ -52,9 +44,10 @@ def test_figures_show_what_they_showed(
     name: str,
     shown: str,
     typed: str,
-    runs: Path,
+    kept_runs: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     drawn = []
 
@@ -66,8 +59,5 @@ def test_figures_show_what_they_showed(
 
     monkeypatch.setattr(figure_output, "save", save)
     monkeypatch.setattr(figures, "save", save)
-    for each in runs.iterdir():
-        (tmp_path / each.name).symlink_to(each)
-    monkeypatch.chdir(tmp_path)
-    assert main(typed.split()) == 0
+    assert "status 0" in printed(typed, kept_runs, tmp_path, capsys)
     assert_kept(f"figures_{name}", "\n".join(drawn))

@@ -1,4 +1,4 @@
-"""Runs of which outputs are kept: a flight and a drive as bags, and estimates as text."""
+"""Runs of which outputs are kept: recordings of simulations, and estimates with mistakes."""
 
 from __future__ import annotations
 
@@ -6,19 +6,25 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
+import pytest
+from kept import assert_kept
 
 from trajeval_ros.cli.app import main
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.text.text_writer import write_tum
 from trajeval_ros.simulation.drifting_odometry import simulate
 
 
-def write_runs(folder: Path) -> None:
-    """Write them: `run`, `drive`, `truth.txt`, and `a.txt` to `d.txt`, which ends early."""
+def write_kept_runs(folder: Path) -> None:
+    """Write bags, `truth.txt`, `a.txt` to `d.txt`, which ends early, and mistakes by their name."""
     short = ["--duration", "40", "--seed", "3"]
-    assert main(["simulate", str(folder / "run"), *short]) == 0
-    assert main(["simulate", str(folder / "drive"), *short, "--gnss", "rtk"]) == 0
-    vi = ["--duration", "12", "--profile", "stereo"]
-    assert main(["simulate", str(folder / "vi"), *vi]) == 0
+    for name, more in {
+        "run": short,
+        "drive": [*short, "--gnss", "rtk"],
+        "vi": ["--duration", "12", "--profile", "stereo"],
+    }.items():
+        assert main(["simulate", str(folder / name), *more]) == 0
     flight = simulate(3, 40.0)
     write_tum(folder / "truth.txt", flight.groundtruth[::4])
     for place, name in enumerate("abcd"):
@@ -26,3 +32,63 @@ def write_runs(folder: Path) -> None:
         moved = flight.estimate.positions + 3e-3 * place * walk.cumsum(axis=0)
         estimate = dataclasses.replace(flight.estimate, positions=moved)
         write_tum(folder / f"{name}.txt", estimate[: len(moved) // 2] if name == "d" else estimate)
+    for name, mistaken in mistakes(flight.estimate, flight.groundtruth[::4]).items():
+        write_tum(folder / f"{name}.txt", mistaken)
+
+
+def mistakes(estimate: Trajectory, truth: Trajectory) -> dict[str, Trajectory]:
+    """Return estimates, each with a mistake."""
+    positions, turns = estimate.positions, estimate.quaternions
+    assert turns is not None
+    seconds = (estimate.stamps - estimate.stamps[0]) / 1e9
+    middle = len(estimate) // 2
+    early = np.minimum(np.arange(len(estimate)), middle)
+    lever = lie.rotate(turns, np.array([0.8, 0.0, 0.3]))
+    tilt = np.broadcast_to(lie.from_rotation_vector(np.array([0.3, 0.0, 0.0])), turns.shape)
+
+    def changed(**values: object) -> Trajectory:
+        return dataclasses.replace(estimate, **values)
+
+    return {
+        "copy": truth,
+        "late": changed(stamps=estimate.stamps + 700_000_000),
+        "fast_clock": changed(stamps=estimate.stamps + np.int64(5e6 * seconds)),
+        "scaled": changed(positions=1.2 * positions),
+        "millimetres": changed(positions=1000.0 * positions),
+        "w_first": changed(quaternions=turns[:, [3, 0, 1, 2]]),
+        "inverted": changed(quaternions=lie.conjugate(turns)),
+        "mirrored": changed(positions=positions * [1.0, -1.0, 1.0]),
+        "optical": changed(positions=positions[:, [2, 0, 1]]),
+        "level": changed(positions=positions * [1.0, 1.0, 0.0]),
+        "frozen": changed(positions=positions[early], quaternions=turns[early]),
+        "diverged": changed(positions=positions + np.maximum(seconds - 25.0, 0.0)[:, None] ** 3),
+        "restarted": changed(
+            positions=positions - np.where(early == middle, 1.0, 0.0)[:, None] * positions[middle]
+        ),
+        "lever": changed(positions=positions + lever),
+        "tilted": changed(quaternions=lie.multiply(turns, tilt)),
+        "sparse": estimate[::40],
+        "rounded": changed(stamps=estimate.stamps // 100_000_000 * 100_000_000),
+        "other": simulate(5, 40.0).estimate,
+    }
+
+
+def printed(
+    typed: str, runs: Path, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> str:
+    """Run a command in a folder that has links to the runs, and return what it printed."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for each in runs.iterdir():
+            Path(each.name).symlink_to(each)
+        status = main(typed.split())
+    said = capsys.readouterr()
+    parts = (f"$ trajeval {typed}\nstatus {status}\n", said.err, said.out)
+    return "\n".join(parts).replace(str(folder), "FOLDER")
+
+
+def assert_prints(
+    name: str, typed: str, runs: Path, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Compare what a command prints with the kept text."""
+    assert_kept(name, printed(typed, runs, folder, capsys))
