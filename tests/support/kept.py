@@ -43,7 +43,7 @@ def assert_kept(name: str, text: str) -> None:
 
 
 def _alike(before: str, now: str) -> bool:
-    old, new = _NUMBER.split(before), _NUMBER.split(now)
+    old, new = (_NUMBER.split(" ".join(line.split())) for line in (before, now))
     if old[::2] != new[::2]:
         return False
     numbers = (np.array(each[1::2], dtype=float) for each in (old, new))
@@ -105,7 +105,7 @@ def _said(value: Any) -> str:
         return re.sub(r" at 0x\w+", "", str(value))
     if numbers.size <= _FEW:
         return _short(numbers)
-    is_points = numbers.ndim == 2 and numbers.shape[1] <= 3
+    is_points = numbers.ndim == 2 and numbers.shape[1] <= 4
     rows = numbers if is_points else numbers[np.isfinite(numbers)].reshape(-1, 1)
     parts = (rows[0], rows[-1], *(of(rows, axis=0) for of in (np.nanmin, np.nanmax, np.nanmean)))
     return f"{numbers.shape} {' '.join(map(_short, parts))}"

@@ -17,11 +17,12 @@ from trajeval_ros.simulation.drifting_odometry import simulate
 
 
 def write_kept_runs(folder: Path) -> None:
-    """Write bags, `truth.txt`, `a.txt` to `d.txt`, which ends early, and mistakes by their name."""
+    """Write bags, `truth.txt`, `a.txt` to `d.txt`, which ends early, and mistakes by name."""
     short = ["--duration", "40", "--seed", "3"]
     for name, more in {
         "run": short,
         "drive": [*short, "--gnss", "rtk"],
+        "fault": ["--duration", "60", "--fault", "jump"],
         "vi": ["--duration", "12", "--profile", "stereo"],
     }.items():
         assert main(["simulate", str(folder / name), *more]) == 0
@@ -73,9 +74,7 @@ def mistakes(estimate: Trajectory, truth: Trajectory) -> dict[str, Trajectory]:
     }
 
 
-def printed(
-    typed: str, runs: Path, folder: Path, capsys: pytest.CaptureFixture[str]
-) -> str:
+def printed(typed: str, runs: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> str:
     """Run a command in a folder that has links to the runs, and return what it printed."""
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)

@@ -1,0 +1,63 @@
+"""What a comparison prints and writes: its tables, its page and its figures, as they were kept."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from comparison_runs import write_run, write_runs
+from kept import assert_kept
+
+from trajeval_ros import __version__
+from trajeval_ros.cli.app import main
+
+pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
+
+
+def without_style(page: str) -> str:
+    """Return a page with a tag per line, and long lines of figures as count and length."""
+    text = re.sub(r"<(style|script)\b.*?</\1>", "", page, flags=re.DOTALL)
+    text = re.sub(r"(?<=\bd=\")[^\"]*|(?<=points=\")[^\"]*", _short_line, text)
+    return re.sub(r">\s*<", ">\n<", text.replace(__version__, "VERSION"))
+
+
+def _short_line(match: re.Match[str]) -> str:
+    numbers = np.array(re.findall(r"-?[\d.]+", match[0]), dtype=float)
+    return (
+        match[0] if len(numbers) < 20 else f"{len(numbers)} numbers of {np.abs(numbers).sum():g}"
+    )
+
+
+def test_a_comparison_prints_and_writes_what_it_did(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_runs(Path())
+    write_run(Path("bad/yard_trial1.txt"), 1.1, count=150, seconds=10.0)
+    Path("bad/hall_trial1.txt").unlink()
+    assert main(["compare", "runs.yaml", "--output", "out", "--workers", "1"]) == 0
+    written = ["out/tables.md", "out/tables.tex", "out/report.html"]
+    written += ["out/figures/ate_position_m.svg", "out/figures/trajectories_yard.svg"]
+    texts = [without_style(Path(each).read_text(encoding="utf-8")) for each in written]
+    assert_kept("comparison", "\n".join([*capsys.readouterr(), *texts]))
+
+
+def test_gates_print_what_they_did(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    common = ["runs.yaml", "--workers", "1", "--quiet"]
+    write_runs(Path(), ["hall"], ["good"], trials=6)
+    assert main(["compare", *common, "--output", "old"]) == 0
+    for trial in range(6):
+        write_run(Path(f"good/hall_trial{trial}.txt"), 1.02 + 0.001 * trial)
+    gates = ["--fail-if", "ate.position_m.rmse worse than 5 %", "--fail-if", "re.8m.position_"
+             "percent.mean worse than 5 %", "--baseline", "old/runs.parquet"]  # fmt: skip
+    assert main(["compare", *common, *gates, "--output", "new"]) == 1
+    written = ["new/gates.md", "new/gates.json"]
+    texts = [Path(each).read_text(encoding="utf-8") for each in written]
+    said = "\n".join([*capsys.readouterr(), *texts])
+    assert_kept("gates", said.replace(__version__, "VERSION"))
