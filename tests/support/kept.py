@@ -82,7 +82,7 @@ def _artists(artists: Iterable[Any], *, has_places: bool = True) -> Iterator[str
         looks = {name: getattr(artist, f"get_{name}", lambda: None)() for name in _LOOKS}
         if has_places:
             looks["at"] = _places(artist)
-        found = [f"{name} {_said(look)}" for name, look in looks.items() if look is not None]
+        found = [f"{name} {shortened(look)}" for name, look in looks.items() if look is not None]
         kind = type(artist).__name__.removeprefix("FillBetween")  # since matplotlib 3.10
         yield f"{kind}: {', '.join(found)}"
 
@@ -95,7 +95,7 @@ def _places(artist: Any) -> Any:
     return np.concatenate([path.vertices for path in paths]) if paths else []
 
 
-def _said(value: Any) -> str:
+def shortened(value: Any) -> str:
     """Return a short text of an attribute; of many numbers only their ends and bounds."""
     if value is None or isinstance(value, str):
         return repr(value)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow
+from kept import shortened
 
 TIMELINE = "ros_time"
+_FEW_COLOURS = 12
 
 
 class Rrd:
@@ -33,6 +36,28 @@ class Rrd:
     @property
     def entities(self) -> set[str]:
         return {entity.strip("/") for entity, _, _ in self._chunks}
+
+    def _components(self, entity: str) -> set[str]:
+        own = [batch for path, _, batch in self._chunks if path.strip("/") == entity]
+        return {name for batch in own for name in batch.schema.names if ":" in name}
+
+    def described(self) -> str:
+        """Return a line for every component: its numbers of rows and values, and some of them."""
+        lines = []
+        for entity, component in sorted(
+            (e, c) for e in self.entities for c in self._components(e)
+        ):
+            stamps, rows = self.rows(entity, component)
+            if component == "RecordingInfo:start_time":  # of the recording, not of the run
+                continue
+            values: Any = [each for row in rows for each in row]
+            if component.endswith(":colors"):
+                values = [*dict.fromkeys(f"#{each:08x}" for each in values)][:_FEW_COLOURS]
+            elif not isinstance(values[0], str):
+                values = np.concatenate([np.atleast_2d(each) for each in values])
+            times = shortened((stamps - stamps[0]) / 1e9)
+            lines.append(f"{entity} {component}: {len(rows)} at {times}: {shortened(values)}")
+        return "\n".join(lines) + "\n"
 
     def rows(self, entity: str, component: str) -> tuple[np.ndarray, list[Any]]:
         """Return stamps (N,) in order and the values of each row; static rows have stamp 0."""
@@ -77,6 +102,32 @@ class Rrd:
             (turn.reshape(3, 3).T, move[0], float(np.ravel(scale)[0]))
             for turn, move, scale in zip(turns, moves, scales, strict=True)
         ]
+
+
+def described_layout(part: Any, indent: str = "") -> str:
+    """Return a line for every container and view of a blueprint, and for its properties."""
+    lines = [f"{indent}{type(part).__name__}: {_attributes(part, _LAYOUT)}"]
+    for name, each in sorted(getattr(part, "properties", {}).items()):
+        lines.append(
+            f"{indent}  {name}: {_attributes(each, [own.name for own in each.__attrs_attrs__])}"
+        )
+    for path, each in sorted(getattr(part, "overrides", {}).items()):
+        lines.append(f"{indent}  {path}: {each}")
+    contents = getattr(part, "contents", [])
+    inner = [each for each in contents if not isinstance(each, str)]
+    return "\n".join([*lines, *(described_layout(each, f"{indent}  ") for each in inner)])
+
+
+_LAYOUT = ("name", "origin", "contents", "row_shares", "column_shares", "active_tab")
+
+
+def _attributes(thing: Any, names: Iterable[str]) -> str:
+    found = {name: getattr(thing, name, None) for name in names}
+    return ", ".join(
+        f"{name} {each.as_arrow_array().to_pylist() if hasattr(each, 'as_arrow_array') else each}"
+        for name, each in found.items()
+        if each is not None and not (name == "contents" and not isinstance(each[0], str))
+    )
 
 
 def _values(values: pyarrow.Array) -> Any:
