@@ -165,4 +165,5 @@ def _columns_of(fields: Mapping[str, Any]) -> Columns:
     for name, column in fields.items():
         parts.setdefault(name.partition("[")[0], []).append(column)
     numbers = {name: np.column_stack(columns) for name, columns in parts.items()}
-    return Columns(np.arange(len(fields["timestamp"])), numbers, {}, {})
+    count = max(map(len, numbers.values()), default=0)  # a damaged log may lack the timestamp
+    return Columns(np.arange(count), numbers, {}, {})
