@@ -10,8 +10,10 @@ import pytest
 from kept import assert_kept
 
 from trajeval_ros.cli.app import main
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.io.text.text_writer import write_tum
 from trajeval_ros.simulation.drifting_odometry import simulate
 
@@ -91,3 +93,17 @@ def assert_prints(
 ) -> None:
     """Compare what a command prints with the kept text."""
     assert_kept(name, printed(typed, runs, folder, capsys))
+
+
+def told(source: str) -> str:
+    """Return how many poses are read with which remarks, or the sentence that refuses it."""
+    try:
+        read = read_trajectory(source)
+    except InputError as error:
+        return str(error)
+    said = [f"{each.level.name} {each.text}" for each in read.reading.remarks]
+    said += [f"dropped: {count}, {why}" for why, count in read.reading.dropped.items()]
+    places = read.positions.sum(axis=0)
+    return (
+        f"{len(read)} poses, sum {places.round(6)}, last {read.stamps[-1]} ns; {'; '.join(said)}"
+    )

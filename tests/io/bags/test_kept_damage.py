@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 from damaged_bags import SECOND, mcap_file, payloads
 from kept import assert_kept
+from kept_runs import told
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 from ulog import write_ulog
-
-from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.sources import read_trajectory
 
 COUNT = 12  # poses
 PLACES = 120  # that are damaged
@@ -54,16 +52,6 @@ def ulog(path: Path) -> str:
     return "vehicle_local_position"
 
 
-def told(path: Path, topic: str) -> str:
-    """Return how many poses are read with which remarks, or the sentence that refuses the file."""
-    try:
-        read = read_trajectory(f"{path}:{topic}")
-    except InputError as error:
-        return str(error)
-    said = [f"{each.level.value}: {each.text}" for each in read.reading.remarks]
-    return f"{len(read)} poses, sum of x {read.positions[:, 0].sum():g}; {'; '.join(said)}"
-
-
 @pytest.mark.parametrize(
     ("name", "write"),
     [("x.mcap", mcap), ("y.mcap", unchunked_mcap), ("x.bag", ros1), ("x.ulg", ulog)],
@@ -75,11 +63,11 @@ def test_damage_is_told_as_it_was(
     path = Path(name)
     topic = write(path)
     whole = path.read_bytes()
-    lines = [f"whole: {told(path, topic)}"]
+    lines = [f"whole: {told(f'{path}:{topic}')}"]
     for number, place in enumerate(np.linspace(0, len(whole) - 1, PLACES).astype(int).tolist()):
         path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x81]) + whole[place + 1 :])
-        lines.append(f"byte {place} changed: {told(path, topic)}")
+        lines.append(f"byte {place} changed: {told(f'{path}:{topic}')}")
         if number % 4 == 0:
             path.write_bytes(whole[:place])
-            lines.append(f"cut at {place}: {told(path, topic)}")
+            lines.append(f"cut at {place}: {told(f'{path}:{topic}')}")
     assert_kept(f"damage_{name}", "\n".join(lines))
