@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kept import assert_kept
+from kept import assert_kept, shortened
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
