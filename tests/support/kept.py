@@ -49,12 +49,9 @@ def _alike(before: str, now: str) -> bool:
 
 
 def _equal(old: str, new: str) -> bool:
-    is_count = old.isdigit() and new.isdigit()
-    return (
-        old == new
-        if is_count
-        else math.isclose(float(old), float(new), rel_tol=_LAST_DIGIT, abs_tol=1e-9)
-    )
+    if old.isdigit() and new.isdigit():  # a count
+        return old == new
+    return math.isclose(float(old), float(new), rel_tol=_LAST_DIGIT, abs_tol=1e-9)
 
 
 def described(figure: Figure) -> str:

@@ -103,7 +103,5 @@ def told(source: str) -> str:
         return str(error)
     said = [f"{each.level.name} {each.text}" for each in read.reading.remarks]
     said += [f"dropped: {count}, {why}" for why, count in read.reading.dropped.items()]
-    places = read.positions.sum(axis=0)
-    return (
-        f"{len(read)} poses, sum {places.round(6)}, last {read.stamps[-1]} ns; {'; '.join(said)}"
-    )
+    places = shortened(read.positions.sum(axis=0))
+    return f"{len(read)} poses, sum {places}, last {read.stamps[-1]} ns; {'; '.join(said)}"
