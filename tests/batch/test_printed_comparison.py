@@ -16,12 +16,14 @@ from trajeval_ros.cli.app import main
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
 
+_OF_THE_RUN = rf"(?<=trajeval-state\" content=\")\w+|{re.escape(__version__)}"
+
 
 def without_style(page: str) -> str:
     """Return a page with a tag per line, and long lines of figures as count and length."""
     text = re.sub(r"<(style|script)\b.*?</\1>", "", page, flags=re.DOTALL)
     text = re.sub(r"(?<=\bd=\")[^\"]*|(?<=points=\")[^\"]*", _short_line, text)
-    return re.sub(r">\s*<", ">\n<", text.replace(__version__, "VERSION"))
+    return re.sub(r">\s*<", ">\n<", re.sub(_OF_THE_RUN, "", text))
 
 
 def _short_line(match: re.Match[str]) -> str:
