@@ -40,6 +40,7 @@ def check(trail: ThinnedRun, most: int, batches: list[int]) -> None:
             assert not len(stamps)
             continue
         assert stamps[-1] == first - 1
+        assert (np.diff(stamps) > 0).all()
         steps = np.diff(stamps[: len(trail)])
         assert stamps[0] == 0
         assert len(set(steps.tolist())) <= 1

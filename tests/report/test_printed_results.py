@@ -27,6 +27,9 @@ VI = "evaluate vi:/groundtruth/pose vi:/vio/odometry"
         ("consistency", f"{VI} --covariance message --alert-limit 0.5,5 --risk 0.05"),
         ("joint", f"{VI} --covariance vi.npz --groundtruth-noise 0.01,0.1"),
         ("available", f"{FLIGHT} --as-available twist --deadline 0.1"),
+        ("json", "evaluate truth.txt d.txt --gauge yaw --lengths 4,8%,100f,5s --json -"),
+        ("json_fixes", "evaluate -g drive:/fix -e drive:/vio/odometry --json -"),
+        ("json_vi", f"{VI} --covariance message --alert-limit 0.5,5 --as-available hold --json -"),
         ("likelihood", f"{FLIGHT} --association continuous --groundtruth-noise 0.01,0.2"),
     ],
 )

@@ -44,6 +44,17 @@ def test_scale_of_colours_is_round_and_holds_nearly_all(errors: list[float]) -> 
     assert float(f"{full_m:.0e}") == pytest.approx(full_m)
 
 
+@pytest.mark.parametrize(
+    ("error_m", "full_m"),
+    [
+        (0.0, 1e-3), (1e-6, 1e-3), (2e-6, 2e-6), (0.01, 0.01), (0.0701, 0.1), (1.0005, 1.0),
+        (1.1, 2.0), (2.1, 3.0), (3.1, 5.0), (49.0, 50.0), (99.0, 100.0),
+    ],
+)  # fmt: skip
+def test_scale_of_colours_is_the_next_round_number(error_m: float, full_m: float) -> None:
+    assert colours.scale_for(np.array([error_m])) == pytest.approx(full_m)
+
+
 @pytest.mark.slow
 @given(st.lists(st.integers(1, 30_000_000_000), min_size=1, max_size=80), st.integers(1, 7))
 def test_thinning_takes_one_pose_of_each_slot_in_any_batches(steps: list[int], size: int) -> None:
