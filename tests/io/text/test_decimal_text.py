@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.text.decimals import ParsedRows, RowFormat, parse_rows
 from trajeval_ros.io.text.stamps import to_nanoseconds
-from trajeval_ros.io.text.tokens import RowError
+from trajeval_ros.io.text.tokens import RowError, tokenize
 
 digits = st.text("0123456789", max_size=24)
 plain = st.builds(
@@ -243,3 +243,19 @@ def test_what_is_no_date_is_named(text: str) -> None:
     with pytest.raises(RowError) as caught:
         parse_rows(block, RowFormat(2, 0, (1,), ",", dates=True))
     assert caught.value.reason == f"{text!r} is not a date (UTC), in column 1"
+
+
+@pytest.mark.parametrize("separator", [" ", ",", "\t", " , "])
+def test_words_and_their_points_are_where_they_stand(separator: str) -> None:
+    """A point is at the word's end if it has none; with other characters there are no points."""
+    rows = [["1.5", "20", "-3.25"], [".5", "+7.", "0"], ["6", "-.25", "1234567.125"]]
+    block = "".join(f"{separator.join(row)}\n" for row in rows)
+    found = tokenize(block.encode(), 3)
+    assert found.dots is not None
+    text = bytes(found.text).decode()
+    for row, starts, ends, dots in zip(rows, found.starts, found.ends, found.dots, strict=True):
+        for word, start, end, dot in zip(row, starts, ends, dots, strict=True):
+            assert text[start:end] == word
+            assert text[dot] == "." if "." in word else dot == end
+    for word in ("1e5", "1.2.3", "+-1", "nan"):
+        assert tokenize(f"{word} 1.0 2.0\n{block}".encode(), 3).dots is None
