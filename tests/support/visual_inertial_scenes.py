@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from trajeval_ros.geometry import so3
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.simulation.motion import shape
+from trajeval_ros.visual_inertial.gauge_covariance import fixed_covariance
 from trajeval_ros.visual_inertial.problem import NormalEquations, Problem
 from trajeval_ros.visual_inertial.reduction import motion_matrix
 from trajeval_ros.visual_inertial.reprojection_errors import ReprojectionErrors
 from trajeval_ros.visual_inertial.scene import PROFILES, Scene, make_scene
-from trajeval_ros.visual_inertial.solver import GaugeHandling, solve
+from trajeval_ros.visual_inertial.solver import GAUGE_INDICES, GaugeHandling, solve
 from trajeval_ros.visual_inertial.state import State
 
 CONFIGURATIONS = [
@@ -86,3 +88,17 @@ def to_left(covariance: np.ndarray, state: State) -> np.ndarray:
     turn = np.eye(len(covariance))
     turn[3:6, 3:6] = so3.left_jacobian(state.first_turn)
     return turn @ covariance @ turn.T
+
+
+def prior_covariance(problem: Problem, state: State, weight: float) -> Floats:
+    """Return the covariance with the gauge prior of eq. (11).
+
+    The prior adds its variance 1/w along the gauge's directions to the covariance C of gauge
+    fixation, independently of the measurements: C + V V^T / w. The columns of V are the state's
+    perturbations by one metre or radian of the prior's four parameters.
+    """
+    fixed = fixed_covariance(problem, state)
+    basis = state.gauge_basis[: len(fixed)]
+    along = basis @ np.linalg.inv(basis[GAUGE_INDICES])
+    covariance: Floats = fixed + along @ along.T / weight
+    return covariance

@@ -15,6 +15,7 @@ from visual_inertial_scenes import (
     frobenius,
     gradient,
     numeric_jacobian,
+    prior_covariance,
     relative,
     scene_of,
     solved,
@@ -28,7 +29,6 @@ from trajeval_ros.simulation.motion import shape
 from trajeval_ros.visual_inertial.gauge_covariance import (
     fixed_covariance,
     free_covariance,
-    prior_covariance,
     transform,
 )
 from trajeval_ros.visual_inertial.problem import Problem

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from ceres_oracle import solve_with_ceres
 from gtsam_oracle import GtsamProblem
-from visual_inertial_scenes import CONFIGURATIONS, relative, scene_of, to_left
+from visual_inertial_scenes import CONFIGURATIONS, prior_covariance, relative, scene_of, to_left
 
-from trajeval_ros.visual_inertial.gauge_covariance import prior_covariance
 from trajeval_ros.visual_inertial.problem import Problem
 from trajeval_ros.visual_inertial.solver import GaugeHandling, solve
 from trajeval_ros.visual_inertial.state import State

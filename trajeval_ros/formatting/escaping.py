@@ -29,9 +29,7 @@ _LATEX = {
 # Two hyphens become a dash. At the start of a cell, a star or bracket is an argument of `\\\\`.
 _LATEX_PLACE = re.compile(r"^[\[*]|-(?=-)|.", re.DOTALL)
 _FORMULA = ("=", "+", "-", "@")
-SECRET = re.compile(
-    r"[?&;#][^=&]*(token|secret|sig|pass|pwd|credential|key|auth)[^=&]*=", re.IGNORECASE
-)
+SECRET = re.compile(r"(?i)[?&;#][^=&]*(token|secret|sig|pass|pwd|credential|key|auth)[^=&]*=")
 _USER = re.compile(r"(?<=:/)(/?)[^/?#\s]*@")  # a Path of a URL has one slash
 
 

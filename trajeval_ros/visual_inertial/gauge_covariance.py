@@ -59,20 +59,6 @@ def free_covariance(problem: Problem, state: State) -> Floats:
     return (covariance + covariance.T) / 2.0
 
 
-def prior_covariance(problem: Problem, state: State, weight: float) -> Floats:
-    """Return the covariance with the gauge prior of eq. (11).
-
-    The prior adds its variance 1/w along the gauge's directions to the covariance C of gauge
-    fixation, independently of the measurements: C + V V^T / w. The columns of V are the state's
-    perturbations by one metre or radian of the prior's four parameters.
-    """
-    fixed = fixed_covariance(problem, state)
-    basis = state.gauge_basis[: len(fixed)]
-    along = basis @ np.linalg.inv(basis[GAUGE_INDICES])
-    covariance: Floats = fixed + along @ along.T / weight
-    return covariance
-
-
 def transform(
     covariance: Floats, state: State, rotation: Floats, position: Floats
 ) -> tuple[Floats, State]:
