@@ -31,8 +31,9 @@ SLOW = pytest.mark.slow
         ("watch_jump", "watch fault:/vio/odometry --with fault:/groundtruth/pose --json -"),
         ("watch_alarms", "watch fault:/vio/odometry --with fault:/groundtruth/pose"),
         ("groundtruth", "groundtruth run:/groundtruth/pose --save-as tum --output out"),
-        pytest.param("groundtruth_imu", "groundtruth run:/groundtruth/pose --imu run:/imu "
-            "--save-as tum --output out", marks=SLOW),
+        ("groundtruth_worn", "groundtruth worn.txt"),
+        pytest.param("groundtruth_imu", "groundtruth worn.txt --imu run:/imu --save-as tum "
+            "--output out", marks=SLOW),
         ("association", "study association -g truth.txt -e a.txt"),
     ],
 )  # fmt: skip

@@ -13,7 +13,7 @@ from kept_runs import assert_prints
     [
         "a", "copy", "late", "fast_clock", "scaled", "millimetres", "w_first", "inverted",
         "mirrored", "optical", "level", "frozen", "diverged", "restarted", "lever", "tilted",
-        "sparse", "rounded", "other",
+        "sparse", "rounded", "twisted", "other",
     ],
 )  # fmt: skip
 def test_diagnosis_prints_what_it_printed(

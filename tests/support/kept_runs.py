@@ -15,7 +15,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.io.text.text_writer import write_tum
+from trajeval_ros.io.text.text_writer import write_euroc, write_tum
 from trajeval_ros.simulation.drifting_odometry import simulate
 
 
@@ -37,13 +37,21 @@ def write_kept_runs(folder: Path) -> None:
         estimate = dataclasses.replace(flight.estimate, positions=moved)
         write_tum(folder / f"{name}.txt", estimate[: len(moved) // 2] if name == "d" else estimate)
     for name, mistaken in mistakes(flight.estimate, flight.groundtruth[::4]).items():
-        write_tum(folder / f"{name}.txt", mistaken)
+        write = write_tum if mistaken.velocities is None else write_euroc
+        write(folder / f"{name}.txt", mistaken)
+    truth = flight.groundtruth[::4]
+    rows = np.arange(len(truth))
+    frozen = np.where((rows > 500) & (rows < 530), 500, rows)  # and a gap of 0.6 s
+    worn = dataclasses.replace(truth, positions=truth.positions[frozen])
+    write_tum(folder / "worn.txt", worn[(rows < 100) | (rows > 130)])
 
 
 def mistakes(estimate: Trajectory, truth: Trajectory) -> dict[str, Trajectory]:
     """Return estimates, each with a mistake."""
-    positions, turns = estimate.positions, estimate.quaternions
+    positions, turns, speeds = estimate.positions, estimate.quaternions, estimate.velocities
     assert turns is not None
+    assert speeds is not None
+    estimate = dataclasses.replace(estimate, velocities=None)
     seconds = (estimate.stamps - estimate.stamps[0]) / 1e9
     middle = len(estimate) // 2
     early = np.minimum(np.arange(len(estimate)), middle)
@@ -54,7 +62,7 @@ def mistakes(estimate: Trajectory, truth: Trajectory) -> dict[str, Trajectory]:
         return dataclasses.replace(estimate, **values)
 
     return {
-        "copy": truth,
+        "copy": dataclasses.replace(truth, velocities=None),
         "late": changed(stamps=estimate.stamps + 700_000_000),
         "fast_clock": changed(stamps=estimate.stamps + np.int64(5e6 * seconds)),
         "scaled": changed(positions=1.2 * positions),
@@ -73,7 +81,8 @@ def mistakes(estimate: Trajectory, truth: Trajectory) -> dict[str, Trajectory]:
         "tilted": changed(quaternions=lie.multiply(turns, tilt)),
         "sparse": estimate[::40],
         "rounded": changed(stamps=estimate.stamps // 100_000_000 * 100_000_000),
-        "other": simulate(5, 40.0).estimate,
+        "twisted": changed(velocities=lie.rotate(lie.conjugate(turns), speeds)),
+        "other": dataclasses.replace(simulate(5, 40.0).estimate, velocities=None),
     }
 
 
