@@ -21,6 +21,7 @@ VI = "evaluate vi:/groundtruth/pose vi:/vio/odometry"
         ("corrected", "evaluate truth.txt w_first.txt --correct suggested"),
         ("protocol", "evaluate truth.txt a.txt --protocol rpg"),
         ("lever", "evaluate truth.txt lever.txt --hand-eye auto --gauge yaw"),
+        ("wrong_lever", "evaluate truth.txt a.txt --hand-eye lever.yaml --gauge yaw"),
         ("required", "evaluate truth.txt a.txt --require ate.position_m.rmse<0.01"),
         ("few", "evaluate truth.txt sparse.txt"),
         ("fixes", "evaluate -g drive:/fix -e drive:/vio/odometry --fix-correlation 5"),

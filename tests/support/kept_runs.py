@@ -39,6 +39,9 @@ def write_kept_runs(folder: Path) -> None:
     for name, mistaken in mistakes(flight.estimate, flight.groundtruth[::4]).items():
         write = write_tum if mistaken.velocities is None else write_euroc
         write(folder / f"{name}.txt", mistaken)
+    (folder / "lever.yaml").write_text(
+        "transform: {translation: {x: 0.3, y: 0, z: 0}, rotation: {x: 0, y: 0, z: 0, w: 1}}\n"
+    )
     truth = flight.groundtruth[::4]
     rows = np.arange(len(truth))
     frozen = np.where((rows > 500) & (rows < 530), 500, rows)  # and a gap of 0.6 s
