@@ -59,7 +59,7 @@ class JointPosterior:
             information=information,
             states=states,
             rates=rates.reshape(len(union), *process.rates.shape[1:]),
-        ).solved(15, 1e-10)
+        ).solved()
         blocks, lower, _, _ = dense._normal_equations()
         since = times - union[rows]
         return cls(
