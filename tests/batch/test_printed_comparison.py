@@ -10,20 +10,17 @@ import pytest
 from comparison_runs import write_run, write_runs
 from kept import assert_kept
 
-from trajeval_ros import __version__
 from trajeval_ros.cli.app import main
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
-
-_OF_THE_RUN = rf"(?<=trajeval-state\" content=\")\w+|{re.escape(__version__)}"
 
 
 def without_style(page: str) -> str:
     """Return a page with a tag per line, and long lines of figures as count and length."""
     text = re.sub(r"<(style|script)\b.*?</\1>", "", page, flags=re.DOTALL)
     text = re.sub(r"(?<=\bd=\")[^\"]*|(?<=points=\")[^\"]*", _short_line, text)
-    return re.sub(r">\s*<", ">\n<", re.sub(_OF_THE_RUN, "", text))
+    return re.sub(r">\s*<", ">\n<", text)
 
 
 def _short_line(match: re.Match[str]) -> str:
@@ -62,4 +59,4 @@ def test_gates_print_what_they_did(
     written = ["new/gates.md", "new/gates.json"]
     texts = [Path(each).read_text(encoding="utf-8") for each in written]
     said = "\n".join([*capsys.readouterr(), *texts])
-    assert_kept("gates", said.replace(__version__, "VERSION"))
+    assert_kept("gates", said)
