@@ -113,9 +113,11 @@ def shortened(value: Any) -> str:
         return re.sub(r" at 0x\w+", "", str(value))
     if numbers.size <= _FEW:
         return _short(numbers)
-    is_points = numbers.ndim == 2 and numbers.shape[1] <= 4
+    is_points = numbers.ndim == 2 and numbers.shape[1] <= 4 and np.isfinite(numbers).all()
     rows = numbers if is_points else numbers[np.isfinite(numbers)].reshape(-1, 1)
-    parts = (rows[0], rows[-1], *(of(rows, axis=0) for of in (np.nanmin, np.nanmax, np.nanmean)))
+    if not len(rows):
+        return f"{numbers.shape} not finite"
+    parts = (rows[0], rows[-1], rows.min(axis=0), rows.max(axis=0), rows.mean(axis=0))
     return f"{numbers.shape} {' '.join(map(_short, parts))}"
 
 
