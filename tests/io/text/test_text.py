@@ -20,6 +20,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.io.text import reader
+from trajeval_ros.io.text.layouts import TextHints
 
 STAMPS = [1403636580838555574, 1403636580843555212, 1403636580848555000]
 POSITIONS = np.array([[1.0, 2.0, 3.0], [1.5, 2.0, -3.25], [2.0, 2.5, 3.125]])
@@ -452,3 +453,13 @@ def test_a_comma_at_the_end_of_a_header_names_no_column(tmp_path: Path) -> None:
     path.write_text("z,y,x,time,\n" + "".join(f"1,2,3,{row}\n" for row in range(5)))
     read = read_trajectory(path)
     assert read.positions[0].tolist() == [3.0, 2.0, 1.0]
+
+
+@pytest.mark.parametrize("first", ["0,north,east,up", "0,1,2,", "words only", "0,1,2,up"])
+def test_named_columns_begin_at_the_first_row_of_numbers(first: str, tmp_path: Path) -> None:
+    """An empty field is a missing value, whose row is dropped."""
+    path = tmp_path / "t"
+    path.write_text("\n".join([first, *(f"{row},1,2,{row}" for row in range(1, 4))]))
+    read = read_trajectory(path, hints=TextHints(("t", "x", "y", "z")))
+    assert read.positions.tolist() == [[1.0, 2.0, float(row)] for row in range(1, 4)]
+    assert sum(read.reading.dropped.values()) == (first == "0,1,2,")
