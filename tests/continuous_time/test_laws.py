@@ -33,7 +33,7 @@ from trajeval_ros.continuous_time.kernels import (
     most_likely,
     negative_log_likelihood,
 )
-from trajeval_ros.continuous_time.manifolds import Positions, Rotations
+from trajeval_ros.continuous_time.manifolds import Positions, Rotations, _factors
 from trajeval_ros.continuous_time.models import MODELS
 from trajeval_ros.continuous_time.piecewise_gp import SIZE, GPSegments, PiecewiseGP, TwoScaleGP
 from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
@@ -481,3 +481,15 @@ def test_refuses_what_says_nothing() -> None:
     together = dataclasses.replace(motion, stamps=motion.stamps[0] + np.arange(10))
     with pytest.raises(InputError, match="within 1e-06 s, which is too short"):
         fit_trajectory(together)
+
+
+@pytest.mark.parametrize("angle", [0.05, 0.3, 0.7, 0.72, 1.0, 2.0, 3.0])
+def test_the_factor_of_the_inverse_jacobian_and_its_derivatives(angle: float) -> None:
+    def factors(square: float) -> Array:
+        return np.ravel(_factors(np.array([[0.0, np.sqrt(square), 0.0]])))
+
+    square, step = angle**2, 1e-4 * angle**2
+    k, k1, k2 = factors(square)
+    assert k == pytest.approx(1.0 / square - 0.5 / (angle * np.tan(angle / 2.0)), rel=1e-9)
+    change = (factors(square + step) - factors(square - step)) / (2.0 * step)
+    assert change[:2] == pytest.approx([k1, k2], rel=1e-6)
