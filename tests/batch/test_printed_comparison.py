@@ -15,6 +15,8 @@ from trajeval_ros.cli.app import main
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
 
+pytestmark = pytest.mark.slow
+
 
 def without_style(page: str) -> str:
     """Return a page with a tag per line, and long lines of figures as count and length."""

@@ -25,10 +25,11 @@ FLIGHT = "evaluate -g run:/groundtruth/pose -e run:/vio/odometry --output out"
     [
         ("one", "", "evaluate truth.txt a.txt --output out"),
         ("two", "rel", "evaluate truth.txt a.txt b.txt --lengths 4,8% --output out"),
-        ("four", "top|abs", "evaluate truth.txt a.txt b.txt c.txt d.txt --output out"),
+        pytest.param("four", "top|abs", "evaluate truth.txt a.txt b.txt c.txt d.txt --output out",
+            marks=pytest.mark.slow),
         ("fixes", "", "evaluate -g drive:/fix -e drive:/vio/odometry --output out"),
-        ("consistency", "cons|unc|stan", "evaluate vi:/groundtruth/pose vi:/vio/odometry "
-         "--covariance message --alert-limit 0.5,5 --risk 0.05 --output out"),
+        pytest.param("consistency", "cons|unc|stan", "evaluate vi:/groundtruth/pose vi:/vio/odometry "
+         "--covariance message --alert-limit 0.5,5 --risk 0.05 --output out", marks=pytest.mark.slow),
         ("available", "as_", f"{FLIGHT} --as-available twist"),
         ("by_error", "", "trajectory a.txt b.txt --reference truth.txt --gauge yaw "
          "--plot xy,3d,xyz,rpy,speed --colour-by error --output out"),

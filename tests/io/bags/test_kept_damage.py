@@ -54,7 +54,12 @@ def ulog(path: Path) -> str:
 
 @pytest.mark.parametrize(
     ("name", "write"),
-    [("x.mcap", mcap), ("y.mcap", unchunked_mcap), ("x.bag", ros1), ("x.ulg", ulog)],
+    [
+        ("x.mcap", mcap),
+        pytest.param("y.mcap", unchunked_mcap, marks=pytest.mark.slow),
+        ("x.bag", ros1),
+        ("x.ulg", ulog),
+    ],
 )
 def test_damage_is_told_as_it_was(
     name: str, write: Callable[[Path], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
