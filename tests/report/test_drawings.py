@@ -17,6 +17,7 @@ pytest.importorskip("matplotlib", reason="figures need the extra `plot`")
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+SLOW = pytest.mark.slow
 FLIGHT = "evaluate -g run:/groundtruth/pose -e run:/vio/odometry --output out"
 
 
@@ -25,20 +26,21 @@ FLIGHT = "evaluate -g run:/groundtruth/pose -e run:/vio/odometry --output out"
     [
         ("one", "", "evaluate truth.txt a.txt --output out"),
         ("two", "rel", "evaluate truth.txt a.txt b.txt --lengths 4,8% --output out"),
-        pytest.param("four", "top|abs", "evaluate truth.txt a.txt b.txt c.txt d.txt --output out",
-            marks=pytest.mark.slow),
+        pytest.param("four", "top|abs", "evaluate truth.txt a.txt b.txt c.txt d.txt "
+            "--output out", marks=SLOW),
         ("fixes", "", "evaluate -g drive:/fix -e drive:/vio/odometry --output out"),
-        pytest.param("consistency", "cons|unc|stan", "evaluate vi:/groundtruth/pose vi:/vio/odometry "
-         "--covariance message --alert-limit 0.5,5 --risk 0.05 --output out", marks=pytest.mark.slow),
+        pytest.param("consistency", "cons|unc|stan", "evaluate vi:/groundtruth/pose "
+            "vi:/vio/odometry --covariance message --alert-limit 0.5,5 --risk 0.05 --output out",
+            marks=SLOW),
         ("available", "as_", f"{FLIGHT} --as-available twist"),
         ("by_error", "", "trajectory a.txt b.txt --reference truth.txt --gauge yaw "
          "--plot xy,3d,xyz,rpy,speed --colour-by error --output out"),
         ("by_speed", "", "trajectory a.txt --plot xz --colour-by speed --output out"),
         ("watch", "", "watch run:/vio/odometry --imu run:/imu --figure out.png"),
         pytest.param("likelihood", "mah|lik|prob|cont|rel", f"{FLIGHT} --association continuous "
-            "--groundtruth-noise 0.01,0.2", marks=pytest.mark.slow),
+            "--groundtruth-noise 0.01,0.2", marks=SLOW),
         pytest.param("groundtruth", "", "groundtruth run:/groundtruth/pose --imu run:/imu "
-            "--figure out.png", marks=pytest.mark.slow),
+            "--figure out.png", marks=SLOW),
     ],
 )  # fmt: skip
 def test_figures_show_what_they_showed(
