@@ -106,10 +106,13 @@ def test_steps_are_those_of_all_groundtruth_states(seed: int, pieces: int) -> No
     found = naive_steps(truth, pairs, gap)
     meter, parts = StepMeter(gap), []
     poses, all_poses = (StampedPoses.of(each, np.arange(len(each))) for each in (pairs, truth))
-    edges = np.linspace(0, len(pairs), pieces + 1).astype(int)
+    edges = [0, *np.sort(random.integers(0, len(pairs) + 1, pieces)).tolist(), len(pairs)]
     passed = 0
     for first, end in itertools.pairwise(edges):
-        upto = passed if end == first else int(chosen[end - 1]) + int(random.integers(0, 2))
+        newest = int(chosen[end - 1]) if end > first else passed
+        # Some states may also come before the next pair, even in calls without a pair.
+        following = int(chosen[end]) if end < len(pairs) else newest
+        upto = int(random.integers(newest, max(newest, following) + 1))
         parts.append(
             meter.measure(
                 StampedPoses(*(each[passed:upto] for each in all_poses)),
