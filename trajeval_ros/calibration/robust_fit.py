@@ -127,8 +127,8 @@ def _weights(residual: Floats, kinds: tuple[slice, ...]) -> Floats:
         if kind.start >= residual.shape[1]:
             continue
         length, spread = _lengths(residual, kind)
-        share = np.minimum(1.0, _HUBER * spread / np.maximum(length, 1e-12))
-        weights[:, kind.start // 3] = share / spread**2
+        reach = _HUBER * spread
+        weights[:, kind.start // 3] = reach / np.maximum(length, reach) / spread**2
     return weights
 
 
