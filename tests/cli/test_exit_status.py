@@ -28,6 +28,7 @@ def raising(error: BaseException, cause: BaseException | None = None) -> Callabl
         (lambda: INTERRUPTED, 130, "trajeval: interrupted\n"),
         (raising(KeyboardInterrupt()), 130, "trajeval: interrupted\n"),
         (raising(RuntimeError("set"), KeyboardInterrupt()), 130, "trajeval: interrupted\n"),
+        (raising(ImportError("set"), KeyboardInterrupt()), 130, "trajeval: interrupted\n"),
         (raising(InputError("a: b\n  c\t; d")), 2, "trajeval: a: b c ; d\n"),
         (raising(SettingsError("\x1b[31mred")), 2, "trajeval: \\x1b[31mred\n"),
         (raising(OSError(28, "No space left", "x.txt")), 2, "trajeval: x.txt: no space left\n"),

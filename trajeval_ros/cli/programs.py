@@ -38,8 +38,8 @@ def exit_status(work: Callable[[], int | None]) -> int:
         return _fail(f"{where}{reason_of(error)}")
     except KeyboardInterrupt:
         status = INTERRUPTED
-    except RuntimeError as error:
-        # Python 3.11 wraps an interrupt while it sets up a class of an imported module.
+    except (RuntimeError, ImportError) as error:
+        # An interrupt during an import: Python 3.11 wraps it for classes, pybind11 for modules.
         if not isinstance(error.__cause__, KeyboardInterrupt):
             raise
         status = INTERRUPTED
