@@ -48,7 +48,7 @@ from trajeval_ros.diagnosis.geometry_tests import (
     vertical,
     without_vertical,
 )
-from trajeval_ros.diagnosis.hypotheses import ShortMotions, fit_hypotheses
+from trajeval_ros.diagnosis.hypotheses import ShortMotions, fit_as_read
 from trajeval_ros.diagnosis.input_pair import InputPair, TimedPoses
 from trajeval_ros.diagnosis.input_tests import (
     duplicated_rows,
@@ -372,15 +372,14 @@ def _tests_of_geometry(
     if examined[-1].seen:
         return examined
     moving, turning = moving.without_jumps(estimate), turning.without_jumps(estimate)
-    hypotheses = fit_hypotheses(moving, turning)
-    examined.append(conventions(hypotheses, moving, turning, match))
+    as_read = fit_as_read(moving, turning)
+    examined.append(conventions(as_read, moving, turning, match))
     found = _causes(examined)
     if found - {"rotations"}:
         return examined
     if found or examined[-1].why_not:  # only the positions can be compared
         moving, turning = moving.without_rotations(), turning.without_rotations()
-        hypotheses = fit_hypotheses(moving, turning)
-    as_read = hypotheses[0]
+        as_read = fit_as_read(moving, turning)
     examined.append(scale(as_read, moving, inputs.gauge))
     ups = inputs.groundtruth.up, inputs.estimate.up
     if inputs.groundtruth.up.is_given:

@@ -162,16 +162,17 @@ def _about_jumps(evaluation: Evaluation) -> Iterator[Remark]:
     steps = StepDifferences.between(true, own, *turned, scale)
     if not len(steps.true_m):
         return
-    back_m = median(steps.position_m)
-    second = StepDifferences.between(true[::2], own[::2], None, None, scale)
-    if back_m > median(steps.true_m) and median(second.position_m) < _BACK * back_m:
+    back_m, second = median(steps.position_m), (true[::2], own[::2], None, None, scale)
+    if back_m > median(steps.true_m) and (
+        median(StepDifferences.between(*second).position_m) < _BACK * back_m
+    ):
         yield warning(
             "mixed_publishers",
             f"every other pose of the estimate is {back_m:.2g} m away, and the next one is back: "
             "messages of two publishers are probably mixed; evaluate one of them",
         )
     turns = groundtruth.quaternions is not None and estimate.quaternions is not None
-    jumps = steps.jumps(median(steps.position_m), median(steps.rotation_deg))
+    jumps = steps.jumps(back_m, median(steps.rotation_deg))
     if not len(jumps):
         return
     first = jumps[0]
