@@ -185,15 +185,17 @@ def _highest(
     # Lags with enough overlap are contiguous, except for gaps.
     heights = correlation[within]
     peak = int(np.argmax(heights))
+    top = float(heights[peak])
+    # Noise ripples the top of a wide lobe: another offset is one beyond a lag that does not match.
+    falls, low = np.diff(heights) < 0.0, heights <= _LARGEST_SECOND * top
     left = right = peak
-    while left > 0 and heights[left - 1] < heights[left]:
+    while left > 0 and not (falls[left - 1] and low[left]):
         left -= 1
-    while right < len(heights) - 1 and heights[right + 1] < heights[right]:
+    while right < len(heights) - 1 and (falls[right] or not low[right]):
         right += 1
     sides = np.concatenate([heights[:left], heights[right + 1 :]])
     second = float(sides.max()) if len(sides) else -1.0
     deviation = float(sides.std()) if len(sides) else 0.0
-    top = float(heights[peak])
     problem = ""
     if top < _LEAST_PEAK[signal]:
         problem = (
