@@ -329,6 +329,20 @@ def _about_inputs(evaluation: Evaluation) -> Iterator[Remark]:
         yield warning("groundtruth_dropped", f"groundtruth poses were dropped: {reasons(dropped)}")
 
 
+def about_lever_arm(evaluation: Evaluation) -> Iterator[Remark]:
+    """Warn that the groundtruth may be of another point of the body than the estimate."""
+    kind, protocol = evaluation.groundtruth.kind, evaluation.protocol
+    can_rotate = kind == "gnss" or evaluation.estimate.quaternions is not None
+    if kind != "poses" and can_rotate and protocol.lever_m is None:
+        point = "the antenna" if kind == "gnss" else "a point, such as a prism"
+        yield warning(
+            "lever_arm_not_given",
+            f"the groundtruth is the position of {point}, so rotations of the body add an error "
+            "of up to its distance from the estimate's body frame; give the lever arm with "
+            "--lever-arm X,Y,Z (metres, in that frame)",
+        )
+
+
 def about_unused_rule(rule: FixRule) -> Iterator[Remark]:
     """Yield the warning about settings of fixes for groundtruth that has none."""
     options = {
