@@ -320,8 +320,7 @@ def lever_arm(as_read: Hypothesis, moving: ShortMotions) -> Examined:
     # On a circle, a scale error equals a lever arm to the centre.
     if found == 1.0 and by_scale > _BY_SCALE:
         return Examined(name, {"by_scale": by_scale}, why_not="a scale explains the same error")
-    start, end = (as_read.turned @ lie.to_matrix(each) for each in moving.estimate_turned)
-    swing = end - start
+    swing = as_read.turned @ np.diff(lie.to_matrix(moving.estimate_turned), axis=0)[0]
     size = lengths(left)
     keep = size < 6.0 * median(size) + 1e-9
     lever = np.zeros(3)
