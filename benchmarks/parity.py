@@ -153,11 +153,11 @@ def tolerance(pair: str, options: str, error: str, value: float) -> float:
         # A float64 step at 5e6 m is 9.3e-10 m. If the estimate has such coordinates, too, evo
         # rounds three products and three sums of each coordinate by at most half a step.
         return max(usual, 3**0.5 * 6 * 4.7e-10 if pair == "utm_both" else 3e-9)
-    if pair == "straight_flat" and error == "trans_part":
-        return max(usual, 16.0 * 2.0**-52 * (240.0**2 / 12.0) / 0.05)
-    if pair == "straight_flat" and options == "-a":
-        # Straight to 1 cm over 240 m: so far positions determine the rotation about the line.
-        return float(np.degrees(16.0 * 2.0**-52 * (240.0**2 / 12.0) / 0.01**2))
+    if pair == "straight_flat" and (error == "trans_part" or options == "-a"):
+        # Straight to 1 cm over 240 m: so far positions determine the rotation about the line,
+        # which moves poses that are 5 cm beside it.
+        rotation = 16.0 * 2.0**-52 * (240.0**2 / 12.0) / 0.01**2
+        return max(usual, 0.05 * rotation) if error == "trans_part" else np.degrees(rotation)
     if pair == "car_kitti" and options == "--align_origin":
         # evo turns all poses by the file's first matrices, which are rotations to 1e-9: 1 km from
         # the first pose that is 1e-6 m.

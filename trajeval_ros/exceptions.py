@@ -75,7 +75,7 @@ def require_one_of(value: object, known: Iterable[str], what: str) -> None:
 
     near = get_close_matches(value.lower(), known, n=1) if isinstance(value, str) else []
     hint = f" (did you mean {near[0]}?)" if near else ""
-    raise SettingsError(f"unknown {what} {value!r}{hint}; use one of {', '.join(known)}")
+    raise SettingsError(f"unknown {what} {value!r}{hint}; use one of {', '.join(known) or 'none'}")
 
 
 def reason_of(error: OSError) -> str:

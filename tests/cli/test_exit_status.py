@@ -15,9 +15,9 @@ from trajeval_ros.cli.programs import INTERRUPTED, exit_status
 from trajeval_ros.exceptions import InputError, SettingsError
 
 
-def raising(error: BaseException) -> Callable[[], int | None]:
+def raising(error: BaseException, cause: BaseException | None = None) -> Callable[[], int | None]:
     def work() -> int | None:
-        raise error
+        raise error from cause
 
     return work
 
@@ -30,6 +30,8 @@ def raising(error: BaseException) -> Callable[[], int | None]:
         (lambda: 1, 1, ""),
         (lambda: INTERRUPTED, 130, "trajeval: interrupted\n"),
         (raising(KeyboardInterrupt()), 130, "trajeval: interrupted\n"),
+        (raising(RuntimeError("set"), KeyboardInterrupt()), 130, "trajeval: interrupted\n"),
+        (raising(ImportError("set"), KeyboardInterrupt()), 130, "trajeval: interrupted\n"),
         (raising(InputError("a: b\n  c\t; d")), 2, "trajeval: a: b c ; d\n"),
         (raising(SettingsError("\x1b[31mred")), 2, "trajeval: \\x1b[31mred\n"),
         (raising(OSError(28, "No space left", "x.txt")), 2, "trajeval: x.txt: no space left\n"),
@@ -66,6 +68,8 @@ def test_no_message_repeats_the_secret_of_a_url(
 def test_defects_are_not_hidden() -> None:
     with pytest.raises(ZeroDivisionError):
         exit_status(lambda: 1 // 0)
+    with pytest.raises(RuntimeError, match="defect"):
+        exit_status(raising(RuntimeError("defect"), ValueError()))
 
 
 def test_a_closed_output_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:

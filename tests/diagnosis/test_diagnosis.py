@@ -20,7 +20,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.named_protocols import protocol_named
-from trajeval_ros.pipeline.pipeline import evaluate
+from trajeval_ros.pipeline.pipeline import diagnose, evaluate
 
 DRONE = simulated(5000, "drone", "walk", 60.0)
 
@@ -383,3 +383,25 @@ def test_covariances_in_another_order_or_unit(
     told = dataclasses.replace(DRONE.estimate, covariances=covariances)
     found = run(DRONE.truth, [told], request).runs[0].diagnosis
     assert [each.cause for each in found.findings] == causes
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("handheld", 1), ("robot", 4)])
+def test_the_offset_to_noisy_points_is_that_of_time_offset_auto(kind: str, seed: int) -> None:
+    """Fixes of 2 cm ripple the correlation of a slow robot, which still matches at one offset."""
+    pair, noise = simulated(seed, kind, "walk", 120.0), np.random.default_rng(seed)
+    points = dataclasses.replace(pair.truth[::20], quaternions=None)
+    positions = points.positions + noise.normal(0.0, 0.02, points.positions.shape)
+    points = dataclasses.replace(points, positions=positions)
+    late = dataclasses.replace(pair.estimate, stamps=pair.estimate.stamps + 1_290_000_000)
+    protocol = dataclasses.replace(pair.protocol, association=AssociationRule(max_gap_s=0.5))
+    finding = diagnose(points, late, Request(protocol))[0].suggested
+    assert finding is not None
+    assert finding.cause == "clock_offset"
+    by_auto = Request(protocol, calibration=CalibrationRequest(offset=True))
+    calibrated = run(points, [late], by_auto).runs[0].calibrated
+    assert calibrated is not None
+    assert calibrated.calibration is not None
+    offset = calibrated.calibration.offset.value
+    assert offset is not None
+    assert offset[0] == pytest.approx(-1.29, abs=0.02)
+    assert finding.evidence["offset_s"] == pytest.approx(offset[0], abs=0.02)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from trajeval_ros.diagnosis import convention_tests
 from trajeval_ros.diagnosis.clock_tests import other_rate
 from trajeval_ros.diagnosis.convention_tests import conventions
 from trajeval_ros.diagnosis.diagnose import _tests_of_geometry
@@ -18,6 +19,7 @@ from trajeval_ros.diagnosis.input_tests import rounded_stamps
 from trajeval_ros.diagnosis.trials import with_tried_advice
 
 NO_TURNS: Any = SimpleNamespace(
+    turns=None,
     groundtruth_turned=None,
     estimate_turned=None,
     true_steps=np.ones((5, 3)),
@@ -31,18 +33,11 @@ def hypothesis(cause: str, changes: int, cost: float) -> Hypothesis:
 
 @pytest.mark.parametrize(("saved", "agreement"), [(0.01, 90.0), (0.03, 93.0)])
 def test_another_change_of_the_convention_must_explain_more(
-    saved: float, agreement: float
+    saved: float, agreement: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = conventions(
-        [
-            hypothesis(AS_READ, 0, 0.99),
-            hypothesis(WXYZ, 1, 0.1),
-            hypothesis(WXYZ, 2, 0.1 - saved),
-        ],
-        NO_TURNS,
-        NO_TURNS,
-        None,
-    )
+    others = [hypothesis(WXYZ, 1, 0.1), hypothesis(WXYZ, 2, 0.1 - saved)]
+    monkeypatch.setattr(convention_tests, "fit_others", lambda *_: others)
+    found = conventions(hypothesis(AS_READ, 0, 0.99), NO_TURNS, NO_TURNS, None)
     [seen] = found.seen
     assert seen.cause == WXYZ
     assert seen.values["agreement"] == pytest.approx(agreement)
@@ -88,11 +83,15 @@ def test_rounded_timestamps_have_steps_of_clocks_and_moving_poses(
     ],
 )
 def test_another_run_has_an_offset_a_low_peak_and_a_long_overlap(
-    offset_s: float, peak: float, overlap_s: float, is_other: bool
+    offset_s: float,
+    peak: float,
+    overlap_s: float,
+    is_other: bool,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     match: Any = SimpleNamespace(offset_s=offset_s, peak=peak, overlap_s=overlap_s)
-    apart = [hypothesis(AS_READ, 0, 0.99), hypothesis(WXYZ, 1, 0.9)]
-    found = conventions(apart, NO_TURNS, NO_TURNS, match)
+    monkeypatch.setattr(convention_tests, "fit_others", lambda *_: [hypothesis(WXYZ, 1, 0.9)])
+    found = conventions(hypothesis(AS_READ, 0, 0.99), NO_TURNS, NO_TURNS, match)
     assert [seen.cause for seen in found.seen] == (["other_run"] if is_other else [])
 
 

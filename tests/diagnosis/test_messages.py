@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from trajeval_ros import AssociationRule, Protocol, Trajectory, evaluate, simulate
+from trajeval_ros import AssociationRule, Protocol, Request, Trajectory, evaluate, run, simulate
 from trajeval_ros.diagnosis.evaluation_tests import number_of_pairs
 from trajeval_ros.diagnosis.findings import Diagnosis, Finding
 from trajeval_ros.diagnosis.warnings import remarks_on
@@ -120,3 +121,29 @@ def test_advice_for_points_that_are_all_paired_is_to_survey_more() -> None:
     few = evaluate(GROUNDTRUTH[:500:100], ESTIMATE, protocol)
     examined = number_of_pairs(protocol, few.association, few.groundtruth, few.estimate)
     assert "--max-time-difference" in Finding.of(examined.seen[0]).text
+
+
+def test_points_have_the_hint_of_a_lever_arm_until_it_is_known() -> None:
+    known = {"lever_m": (0.0, 0.0, 0.1)}
+    positions = dataclasses.replace(ESTIMATE, quaternions=None)
+    for truth, estimate, settings, is_said in (
+        (points_of(20), ESTIMATE, {}, True),
+        (points_of(20), ESTIMATE, known, False),
+        (points_of(20), positions, {}, False),
+        (GROUNDTRUTH, ESTIMATE, {}, False),
+    ):
+        request = Request(Protocol(lengths=(), **settings))
+        remarks = run(truth, [estimate], request).runs[0].evaluation.remarks
+        said = [each.text for each in remarks if each.code == "lever_arm_not_given"]
+        assert len(said) == is_said
+        assert all("give the lever arm with --lever-arm" in each for each in said)
+
+
+def test_a_prism_on_a_pole_has_the_hint_of_a_lever_arm(
+    recording: Callable[[str], Trajectory],
+) -> None:
+    points, estimate = (recording(f"hilti_2021/Campus_2_{each}.txt") for each in ("prism", "hdl"))
+    for lever, is_said in ((None, True), ((-0.006, -0.007, 0.273), False)):
+        request = Request(Protocol(lengths=(), lever_m=lever))
+        warnings = run(points, [estimate], request).runs[0].evaluation.warnings
+        assert any("position of a point, such as a prism" in each for each in warnings) == is_said

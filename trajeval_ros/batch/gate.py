@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from trajeval_ros.batch.results_table import (
     STATISTICS,
     ResultsTable,
 )
-from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.exceptions import InputError, SettingsError, require_one_of
 from trajeval_ros.geometry.arrays import Floats
 
 _SIZE = r"(\d+\.?\d*|\.\d+)"
@@ -139,7 +138,6 @@ class GateValues:
              "estimate_sha256", "span_s")
         )  # fmt: skip
         self._numbers = rows.distinct(("kind", "metric", "length"))
-        self._reasons = {_run(row): row["reason"] for row in self._runs if row["status"] != OK}
         self.groundtruths = {
             (row["algorithm"], row["sequence"]): row["groundtruth_sha256"]
             for row in self._runs
@@ -150,75 +148,65 @@ class GateValues:
             longest_s = self.spans_s.get(row["sequence"], 0.0)
             self.spans_s[row["sequence"]] = max(longest_s, row["span_s"] or 0.0)
 
-    @property
-    def groups(self) -> list[Group]:
-        """All pairs of algorithm and sequence, including those without numbers."""
-        return list(dict.fromkeys((row["algorithm"], row["sequence"]) for row in self._runs))
+    def _by_trial(self, value: Callable[[Row], Any]) -> dict[Group, dict[str, Any]]:
+        """Return a value of every run, by algorithm and sequence, and by trial."""
+        made: dict[Group, dict[str, Any]] = {}
+        for row in self._runs:
+            made.setdefault((row["algorithm"], row["sequence"]), {})[row["trial"]] = value(row)
+        return made
 
     @property
     def failed(self) -> dict[Group, list[bool]]:
         """Whether runs failed or are missing, by algorithm and sequence."""
-        found: dict[Group, dict[str, bool]] = {group: {} for group in self.groups}
-        for row in self._runs:
-            found[row["algorithm"], row["sequence"]][row["trial"]] = row["status"] != OK
+        found = self._by_trial(lambda row: row["status"] != OK)
         return {group: list(runs.values()) for group, runs in found.items()}
 
     def trials(self, path: str, baseline: GateValues) -> dict[Group, GateTrials]:
         """Return the trials of a number by algorithm and sequence; identical runs count once."""
         rows, column = baseline.find(path)
-        values: dict[Group, dict[str, float]] = {group: {} for group in self.groups}
-        hashes: dict[tuple[str, ...], str] = {}
-        for row in self._runs:
-            values[row["algorithm"], row["sequence"]][row["trial"]] = math.inf
-            if row["status"] == OK:
-                hashes[_run(row)] = row["estimate_sha256"]
+        # Failed runs are never copies.
+        runs = self._by_trial(
+            lambda row: (
+                (row["status"] == OK and row["estimate_sha256"]) or row["trial"],
+                math.inf,
+            )
+        )
         names = ("algorithm", "sequence", "trial", column)
         for row in self._table.each(names, status=OK, **rows):
             if row[column] is not None:
-                values[row["algorithm"], row["sequence"]][row["trial"]] = row[column]
+                own = runs[row["algorithm"], row["sequence"]]
+                own[row["trial"]] = own[row["trial"]][0], row[column]
         made = {}
-        for group, own in values.items():
-            # Failed runs have no hash; they are never copies.
-            runs = {trial: (hashes.get((*group, trial)) or trial, x) for trial, x in own.items()}
-            distinct = dict(runs.values())
-            made[group] = GateTrials(list(distinct.values()), len(own) - len(distinct), runs)
+        for group, own in runs.items():
+            distinct = dict(own.values())
+            made[group] = GateTrials(list(distinct.values()), len(own) - len(distinct), own)
         return made
 
     def why_failed(self, group: Group) -> str:
         """Return the reason of the first failed run of a group, for a message."""
-        reasons = (why for run, why in self._reasons.items() if run[:2] == group and why)
-        return next(reasons, "the value is missing")
+        reasons = self._by_trial(lambda row: row["status"] != OK and row["reason"])[group]
+        return next(filter(None, reasons.values()), "the value is missing")
 
     def find(self, path: str) -> tuple[dict[str, Sequence[str | None]], str]:
         """Return the rows that a path selects, as allowed values by column, and its column."""
-        kind, *rest = path.split(".")
+        (kind, *rest), what = path.split("."), f"part of {path}:"
         if kind == "association":
-            (column,) = rest if len(rest) == 1 else ("",)
-            self._require(column, list(_COVERAGES), path)
-            column = _COVERAGES[column]
-            return {"kind": [ATE], "metric": ["position_m"]}, column
-        self._require(kind, [ATE, AVAILABLE, "re"], path)
+            require_one_of(column := ".".join(rest), _COVERAGES, what)
+            return {"kind": [ATE], "metric": ["position_m"]}, _COVERAGES[column]
+        require_one_of(kind, [ATE, AVAILABLE, "re"], what)
         length: str | None = None
         if kind == "re":
             lengths = [key for row in self._numbers if row["length"] and (key := _key(row))]
             length, *rest = rest or [""]
-            self._require(length, [*dict.fromkeys(lengths), "pooled"], path)
+            require_one_of(length, [*dict.fromkeys(lengths), "pooled"], what)
             kind, length = (POOLED, None) if length == "pooled" else (RE, length)
         metric, column = rest if len(rest) == 2 else (rest[0] if rest else "", "")
         own = [row for row in self._numbers if row["kind"] == kind and _key(row) == length]
         metrics = dict.fromkeys(row["metric"] for row in own if row["metric"])
-        self._require(metric, list(metrics), path)
-        self._require(column, list(STATISTICS), path)
+        require_one_of(metric, metrics, what)
+        require_one_of(column, STATISTICS, what)
         written = list(dict.fromkeys(row["length"] for row in own))
         return {"kind": [kind], "metric": [metric], "length": written}, column
-
-    @staticmethod
-    def _require(name: str, known: list[str], path: str) -> None:
-        if name not in known:
-            near = get_close_matches(name, known, n=1)
-            others = f"use one of {', '.join(known) or 'none'}"
-            hint = f"did you mean {near[0]!r}?" if near else others
-            raise SettingsError(f"the table has no {name!r} of {path!r}; {hint}")
 
 
 def require_same_settings(
@@ -255,10 +243,6 @@ def remarks_on(baseline: GateValues, now: GateValues) -> list[str]:
         for what, names in sequences.items()
         if names
     ]
-
-
-def _run(row: Row) -> tuple[str, ...]:
-    return row["algorithm"], row["sequence"], row["trial"]
 
 
 def _key(row: Row) -> str | None:

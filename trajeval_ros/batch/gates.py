@@ -104,11 +104,7 @@ class Failures:
     now: Size
     p: float
     level: float
-
-    @property
-    def verdict(self) -> str:
-        """`more failures` or `undecided`; there is no test for "not more"."""
-        return MORE_FAILURES if self.p <= self.level else UNDECIDED
+    verdict: str  # `more failures` or `undecided`; there is no test for "not more"
 
 
 @dataclass(frozen=True)
@@ -148,7 +144,7 @@ def judge(
     """
     sides = [_sides(each, baseline, now, paired=paired and each.tested) for each in gates]
     verdicts = [
-        GateVerdict(gate, *_medians(gate, each, now, paired=paired), paired and gate.tested)
+        _by_medians(gate, each, now, paired=paired)
         for gate, each in zip(gates, sides, strict=True)
     ]
     tested = [place for place, each in enumerate(verdicts) if each.undecided]
@@ -165,7 +161,8 @@ def _failures(baseline: GateValues, now: GateValues, level: float) -> Failures:
     both = [group for group in before if group in after]
     old, new = ([np.array(side[each]) for each in both] for side in (before, after))
     sums = [(int(sum(map(np.sum, side))), sum(map(len, side))) for side in (old, new)]
-    return Failures(sums[0], sums[1], more_failures(old, new) if both else 1.0, level)
+    p = more_failures(old, new) if both else 1.0
+    return Failures(sums[0], sums[1], p, level, MORE_FAILURES if p <= level else UNDECIDED)
 
 
 def _sides(gate: Gate, baseline: GateValues, now: GateValues, *, paired: bool) -> Sides:
@@ -179,10 +176,8 @@ def _sides(gate: Gate, baseline: GateValues, now: GateValues, *, paired: bool) -
     return made
 
 
-def _medians(
-    gate: Gate, sides: Sides, now: GateValues, *, paired: bool
-) -> tuple[tuple[NumberVerdict, ...], int]:
-    """Return verdicts without a test, `undecided` if one follows, and the number of copies."""
+def _by_medians(gate: Gate, sides: Sides, now: GateValues, *, paired: bool) -> GateVerdict:
+    """Return the verdicts without a test, `undecided` if one follows."""
     numbers, copies = [], 0
     for group, (old, new) in sides.items():
         has_old, has_new = (np.isfinite(each.values).any() for each in (old, new))
@@ -198,9 +193,10 @@ def _medians(
             verdict = NOT_ALONE
         copies += old.copies + new.copies if has_old and has_new else 0
         trials = len(old.values), len(new.values)
-        numbers.append(NumberVerdict(group=group, medians=(_median(old), _median(new)),
-                                     trials=trials, verdict=verdict, reason=reason))  # fmt: skip
-    return tuple(numbers), copies
+        medians = _median(old.values), _median(new.values)
+        numbers.append(NumberVerdict(group=group, medians=medians, trials=trials,
+                                     verdict=verdict, reason=reason))  # fmt: skip
+    return GateVerdict(gate, tuple(numbers), copies, paired and gate.tested)
 
 
 def _tested(
@@ -267,17 +263,16 @@ def _require_enough(gate: Gate, pairs: int, level: float) -> None:
     )
 
 
-def _median(trials: GateTrials) -> float | None:
+def _median(values: Sequence[float]) -> float | None:
     """Return the median, with failed trials as inf; None without trials."""
-    ordered = sorted(trials.values)
+    ordered = sorted(values)
     middle = len(ordered) // 2
     return 0.5 * (ordered[-middle - 1] + ordered[middle]) if ordered else None
 
 
 def _is_beyond(gate: Gate, before: GateTrials, now: GateTrials) -> bool:
     """Return whether the new median is worse than the old one of finite values by the margin."""
-    old = _median(GateTrials([each for each in before.values if math.isfinite(each)]))
-    new = _median(now)
+    old, new = _median([*filter(math.isfinite, before.values)]), _median(now.values)
     if old is None or new is None or math.isinf(new):
         return True
     sign = -1.0 if gate.is_share else 1.0

@@ -210,14 +210,15 @@ class PermutationTest:
             The common worsening, (metrics,), and that of single sequences, (sequences, metrics).
         """
         labels = list(relabellings(self._samples, _POWER_RELABELLINGS))
-        count, none = len(labels[0]), np.array(-np.inf)
+        count = len(labels[0])
         actual = np.random.default_rng(0).permutation(count)[:_POWER_ACTUAL]
 
         def worse(place: int, k: int, change: float, degrees: int) -> _Worse:
             sample = self._samples[place]
             rest = self._scores[place][:, k] - change * sample.units[:, k]
             rest *= math.sqrt(degrees / max(degrees - 1, 1))  # one is lost with the change
-            return _Worse(sample, rest, sample.units_of(labels[place][actual], k), labels[place])
+            units = sample.units_of(labels[place][actual], k)
+            return _Worse(sample, rest, units, labels[place], self._typical[k])
 
         common, alone = np.full(len(self._margins), np.inf), np.full(self._judged.shape, np.inf)
         degrees = sum(each.degrees for each in self._samples)
@@ -227,18 +228,17 @@ class PermutationTest:
             level = self.worse.shares[k]
             if level > 0.0 and count > _POWER_RELABELLINGS:
                 level = max(level, 1.0 / count)
-            least = _least(partial(_weighted, runs), none, actual, level, self._typical[k])
+            least = _least(partial(_weighted, runs), -np.inf, actual, level, self._typical[k])
             common[k] = self._margins[k] + least
-        single = []
+        single: dict[tuple[int, int], _Worse] = {}
         for place, k in zip(*np.nonzero(self._judged & self.asks[:, None]), strict=True):
             sample, scores = self._samples[place], self._scores[place][:, k]
             change = (sample.labels @ scores) / (sample.labels @ sample.units[:, k])
-            single.append((place, k, change, sample.degrees))
-        t = np.array([worse(*each).t(0.0, self._typical[each[1]])[:, 0] for each in single])
-        for row, (place, k, *_) in enumerate(single):
+            single[place, k] = worse(place, k, change, sample.degrees)
+        t = np.array([each.t(0.0)[:, 0] for each in single.values()])
+        for row, ((place, k), each) in enumerate(single.items()):
             others = np.delete(t, row, axis=0).max(0, initial=-np.inf)[:, None]
-            statistic = partial(worse(*single[row]).t, typical=self._typical[k])
-            least = _least(statistic, others, actual, self._half, self._typical[k])
+            least = _least(each.t, others, actual, self._half, self._typical[k])
             alone[place, k] = self._margins[k] + least
         return common, alone
 
@@ -262,8 +262,10 @@ class _Worse:
     Scores are `rest + x * units`, (rows,) and (rows, actual); labels are (relabellings, rows).
     """
 
-    def __init__(self, sample: Sample, rest: Floats, units: Floats, labels: Floats) -> None:
-        self.sample = sample
+    def __init__(
+        self, sample: Sample, rest: Floats, units: Floats, labels: Floats, typical: float
+    ) -> None:
+        self.sample, self._typical = sample, typical
         self._rest = (labels @ rest / sample.weight)[:, None]
         self._units = labels @ units / sample.weight
         self._squares = rest @ rest, 2.0 * rest @ units, (units**2).sum(0)
@@ -274,11 +276,11 @@ class _Worse:
         squares = np.maximum(squares + x * linear + x**2 * quadratic, 0.0)
         return self._rest + x * self._units, squares
 
-    def t(self, x: float, typical: float) -> Floats:
+    def t(self, x: float) -> Floats:
         """Return moderated t, (relabellings, actual)."""
         differences, squares = self.at(x)
         error = self.sample.error_within(squares, differences)
-        return np.asarray(differences / (error + typical))
+        return np.asarray(differences / (error + self._typical))
 
 
 def _weighted(runs: Sequence[_Worse], x: float) -> Floats:
@@ -291,7 +293,7 @@ def _weighted(runs: Sequence[_Worse], x: float) -> Floats:
 
 def _least(
     statistic: Callable[[float], Floats],
-    others: Floats,
+    others: Floats | float,
     actual: Indices,
     level: float,
     step: float,

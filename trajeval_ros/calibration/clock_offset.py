@@ -46,25 +46,25 @@ class OffsetGuess:
 
 
 def masked_correlation(
-    a: Floats, in_a: Floats, b: Floats, in_b: Floats
+    a: Floats, in_a: Floats, b: Floats, in_b: Floats, most: int | None = None
 ) -> tuple[Indices, Floats, Floats]:
-    """Return the normalised cross-correlation of two signals with gaps at all lags.
+    """Return the normalised cross-correlation of two signals with gaps at all lags, or to `most`.
 
     Signals `a` (..., N) and `b` (..., M) are zero in gaps; `in_a` and `in_b` are 1 where they are
     known and 0 in gaps, without leading axes if all have equal gaps. Returned are the lags k (K,),
-    where a[n] coincides with b[n + k]; the correlations (..., K), zero where a signal is constant;
-    and the numbers of cells (..., K) that both know.
+    from 0 if `most` is given, where a[n] coincides with b[n + k]; the correlations (..., K), zero
+    where a signal is constant; and the numbers of cells (..., K) that both know.
     """
     shorter, longer = a.shape[-1], b.shape[-1]
-    size = 1 << int(shorter + longer - 1).bit_length()
+    lags = np.arange(1 - shorter, longer) if most is None else np.arange(most + 1)
+    # No other lag of a product has the same index as one of these.
+    size = 1 << (int(max(longer - lags[0], shorter + lags[-1])) - 1).bit_length()
     left = [np.conj(np.fft.rfft(signal, size)) for signal in (a, in_a, a * a)]
     right = [np.fft.rfft(signal, size) for signal in (b, in_b, b * b)]
 
     def met(one: int, other: int) -> Floats:
-        products: Floats = np.fft.irfft(left[one] * right[other], size)
-        return np.concatenate(
-            [products[..., size - shorter + 1 :], products[..., :longer]], axis=-1
-        )
+        products = np.fft.irfft(left[one] * right[other], size)
+        return np.asarray(np.roll(products, -lags[0], axis=-1)[..., : len(lags)])
 
     common = np.rint(met(1, 1))
     count = np.maximum(common, 1.0)
@@ -75,7 +75,6 @@ def masked_correlation(
     # A constant signal has a variance of rounding errors.
     varies = spread > 1e-9 * np.maximum(1.0, spread.max(axis=-1, keepdims=True))
     correlation = np.where(varies, covariance / np.where(varies, spread, 1.0), 0.0)
-    lags = np.arange(1 - shorter, longer)
     return lags, np.clip(correlation, -1.0, 1.0), common
 
 
@@ -186,15 +185,17 @@ def _highest(
     # Lags with enough overlap are contiguous, except for gaps.
     heights = correlation[within]
     peak = int(np.argmax(heights))
+    top = float(heights[peak])
+    # Noise ripples the top of a wide lobe: another offset is one beyond a lag that does not match.
+    falls, low = np.diff(heights) < 0.0, heights <= _LARGEST_SECOND * top
     left = right = peak
-    while left > 0 and heights[left - 1] < heights[left]:
+    while left > 0 and not (falls[left - 1] and low[left]):
         left -= 1
-    while right < len(heights) - 1 and heights[right + 1] < heights[right]:
+    while right < len(heights) - 1 and (falls[right] or not low[right]):
         right += 1
     sides = np.concatenate([heights[:left], heights[right + 1 :]])
     second = float(sides.max()) if len(sides) else -1.0
     deviation = float(sides.std()) if len(sides) else 0.0
-    top = float(heights[peak])
     problem = ""
     if top < _LEAST_PEAK[signal]:
         problem = (

@@ -38,6 +38,11 @@ def exit_status(work: Callable[[], int | None]) -> int:
         return _fail(f"{where}{reason_of(error)}")
     except KeyboardInterrupt:
         status = INTERRUPTED
+    except (RuntimeError, ImportError) as error:
+        # An interrupt during an import: Python 3.11 wraps it for classes, pybind11 for modules.
+        if not isinstance(error.__cause__, KeyboardInterrupt):
+            raise
+        status = INTERRUPTED
     if status == INTERRUPTED:  # also returned by `cli.app`, because click catches Ctrl-C
         print("trajeval: interrupted", file=sys.stderr)
     return status or 0

@@ -190,15 +190,14 @@ def offsets_of_parts(match: ClockMatch, offset_s: float, parts: int) -> tuple[Fl
     inside = (others >= 0) & (others < len(true.known))
     others = np.clip(others, 0, len(true.known) - 1)
     known, others_known = ours.known[rows], inside * true.known[others]
-    lags, alike, common = masked_correlation(
+    _, alike, common = masked_correlation(
         tamed(ours.rates[:kinds, rows], known),
         known,
         tamed(true.rates[:kinds, others], others_known),
         others_known,
+        2 * reach,
     )
-    within = (lags >= 0) & (lags <= 2 * reach)
-    enough = common[:, within] > 0.6 * size
-    heights = np.where(enough, alike[..., within], -1.0).mean(axis=0)
+    heights = np.where(common > 0.6 * size, alike, -1.0).mean(axis=0)
     middles, offsets = [], []
     for part, height in enumerate(heights):
         at = int(np.argmax(height))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from trajeval_ros.diagnosis.findings import Examined, Seen, Value
-from trajeval_ros.diagnosis.input_pair import InputPair, lengths
-from trajeval_ros.geometry.arrays import extents
+from trajeval_ros.diagnosis.input_pair import InputPair, TimedPoses, lengths
+from trajeval_ros.geometry.arrays import Floats, extents
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.statistics import median
@@ -24,7 +24,10 @@ def columns_of_others(inputs: InputPair) -> list[Examined]:
     """Apply the tests of this file."""
     if min(len(inputs.groundtruth_poses), len(inputs.estimate_poses)) < _FEWEST:
         return []
-    return [_row_numbers(inputs), _degrees(inputs), _flat(inputs), _increments(inputs)]
+    sides = {"estimate": inputs.estimate_poses, "groundtruth": inputs.groundtruth_poses}
+    sizes = {side: extents(poses.positions) for side, poses in sides.items()}
+    found = _degrees(sides, sizes), _flat(sides, sizes, inputs.gauge)
+    return [_row_numbers(inputs), *found, _increments(inputs)]
 
 
 def _row_numbers(inputs: InputPair) -> Examined:
@@ -36,9 +39,7 @@ def _row_numbers(inputs: InputPair) -> Examined:
     return Examined("row numbers", {"span_ratio": ratio}, seen)
 
 
-def _degrees(inputs: InputPair) -> Examined:
-    sides = {"estimate": inputs.estimate_poses, "groundtruth": inputs.groundtruth_poses}
-    sizes = {side: extents(poses.positions) for side, poses in sides.items()}
+def _degrees(sides: dict[str, TimedPoses], sizes: dict[str, Floats]) -> Examined:
     for side, other in (("estimate", "groundtruth"), ("groundtruth", "estimate")):
         small = np.sort(sizes[side])[:2]
         moved = float(np.linalg.norm(sizes[other]))
@@ -53,15 +54,14 @@ def _degrees(inputs: InputPair) -> Examined:
     return Examined("degrees")
 
 
-def _flat(inputs: InputPair) -> Examined:
+def _flat(sides: dict[str, TimedPoses], sizes: dict[str, Floats], gauge: Gauge) -> Examined:
     """Test for a constant column of one side while the other side moves in space."""
-    sides = {"groundtruth": inputs.groundtruth_poses, "estimate": inputs.estimate_poses}
-    constant = {side: extents(poses.positions) == 0.0 for side, poses in sides.items()}
+    constant = {side: size == 0.0 for side, size in sizes.items()}
     for side, other in (("groundtruth", "estimate"), ("estimate", "groundtruth")):
         if np.count_nonzero(constant[side]) != 1 or constant[other].any():
             continue
         height, extent = float(sides[other].positions[:, 2].std()), sides[other].extent
-        if inputs.gauge is not Gauge.PLANAR and height > _FLAT * extent:
+        if gauge is not Gauge.PLANAR and height > _FLAT * extent:
             axis = "xyz"[int(np.argmax(constant[side]))]
             names: dict[str, Value] = {"side": side, "other": other, "axis": axis}
             seen = Seen("flat", 1.0, {**names, "height_m": height})

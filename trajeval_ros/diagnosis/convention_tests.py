@@ -24,15 +24,15 @@ from trajeval_ros.diagnosis.hypotheses import (
     ShortMotions,
     as_written,
     bounded,
-    fit_hypotheses,
+    fit_as_read,
+    fit_others,
     improper_permutations,
     mean_rotation,
     moment,
     shorter_if_inverted,
     sizes_apart,
-    turned_in_body,
-    turned_in_world,
 )
+from trajeval_ros.diagnosis.input_pair import lengths
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.pose_conventions import mirrored_quaternions
@@ -66,40 +66,32 @@ _NAMES = {
 
 
 def conventions(
-    hypotheses: list[Hypothesis],
-    moving: ShortMotions,
-    turning: ShortMotions,
-    match: ClockMatch | None,
+    as_read: Hypothesis, moving: ShortMotions, turning: ShortMotions, match: ClockMatch | None
 ) -> Examined:
     """Return the convention that the motions have, if it is not the one that was read."""
-    as_read, others = hypotheses[0], hypotheses[1:]
-    kinds = 1 if turning.groundtruth_turned is None else 2
-    other = _best(others)
-    scores = _scores(hypotheses, kinds)
+    kinds = 1 if turning.turns is None else 2
+    others = fit_others(moving, turning) if as_read.cost > _WRONG * kinds else []
+    other = _best(others or [as_read])
+    scores = _scores([as_read, *others], kinds)
     unlike = other.cost > _UNLIKE * kinds and as_read.cost > _UNLIKE * kinds
     if unlike and match is not None and _is_of_another_run(match):
         values: dict[str, Value] = {"peak": match.peak, "agreement": _percent(as_read, kinds)}
         return Examined(NAME, scores, (Seen("other_run", 1.0, values),))
     limits = [_limit(moving.true_steps, moving.steps)]
-    if kinds == 2:
-        assert turning.groundtruth_turned is not None
-        assert turning.estimate_turned is not None
-        sides = turning.groundtruth_turned, turning.estimate_turned
-        limits.append(_limit(*(turned_in_world(each) for each in sides)))
-        scores["turn_ratio"] = _total_turn(sides[1]) / _total_turn(sides[0])
+    if turning.turns is not None:
+        limits.append(_limit(*turning.turns))
+        scores["turn_ratio"] = _total_turn(turning.turns[1]) / _total_turn(turning.turns[0])
         # Constant rates do not correlate.
         alike = match is None or not match.turning < _TURNS_ALIKE or _fits(as_read, limits)
         if not (_TURNS_LESS < scores["turn_ratio"] < _TURNS_MORE and alike):
             found = _rotations(as_read, limits, moving, turning, scores, alike=False)
             return Examined(NAME, scores, found, "" if found else "the rotations differ too much")
-    if as_read.cost <= _WRONG * kinds or (
-        other.cost >= _RATIO * as_read.cost and _fits(as_read, limits)
-    ):
+    if not others or (other.cost >= _RATIO * as_read.cost and _fits(as_read, limits)):
         found = _tilts(as_read, turning, scores) if kinds == 2 else ()
         return Examined(NAME, scores, found)
     explains = _explains(other, as_read, limits)
     if kinds == 2 and not (explains and other.cost <= _WRONG * kinds):
-        composed = fit_hypotheses(moving, turning, composed=True)
+        composed = fit_others(moving, turning, composed=True)
         scores["composed"] = _best(composed).cost / kinds
         if not explains or _best(composed).cost < _RATIO * other.cost:
             others, other = composed, _best(composed)
@@ -158,14 +150,14 @@ def _rotations(
     alike: bool,
 ) -> tuple[Seen, ...]:
     """Return the finding about rotations that no convention explains, if positions agree."""
-    assert turning.groundtruth_turned is not None
-    turns = _total_turn(turning.groundtruth_turned) >= _TURNING_RAD * len(turning)
+    assert turning.turns is not None
+    turns = _total_turn(turning.turns[0]) >= _TURNING_RAD * len(turning)
     scores["positions_alone"] = as_read.moving_alone
     if 1.0 - as_read.moving_alone > limits[0] or not (turns or alike):
         return ()
     # Outliers are in a part of the run, and a mistake is in all of it.
     parts = zip([moving, *moving.thirds], [turning, *turning.thirds], strict=True)
-    fits = [fit_hypotheses(*part)[0] for part in parts if min(map(len, part)) > 0]
+    fits = [fit_as_read(*part) for part in parts if min(map(len, part)) > 0]
     left = [each.cost - (1.0 - each.moving_alone) for each in fits]
     if alike and not (turns and min(left) >= max(_DISAGREE, 2.0 * limits[1])):
         return _tilts(as_read, turning, scores)
@@ -213,9 +205,10 @@ def _tilts_agree(turned: Floats, turning: ShortMotions) -> tuple[float, float]:
     Tilts are directions of the axis that the body turns about, as seen from the body. No other
     body axes reflect them.
     """
+    assert turning.turns is not None
     assert turning.groundtruth_turned is not None
     assert turning.estimate_turned is not None
-    turns = bounded(turned_in_world(turning.groundtruth_turned))
+    turns = bounded(turning.turns[0])
     axis = np.linalg.eigh(turns.T @ turns)[1][:, -1]
     tilts = []
     true, ours = turning.groundtruth_turned[0], turning.estimate_turned[0]
@@ -309,9 +302,8 @@ def _scores(hypotheses: list[Hypothesis], kinds: int) -> dict[str, float]:
     return scores
 
 
-def _total_turn(quaternions: Floats) -> float:
-    angles = np.linalg.norm(turned_in_body(quaternions), axis=1)
-    return max(float(np.minimum(angles, 3.0).sum()), 1e-12)
+def _total_turn(turns: Floats) -> float:
+    return max(float(np.minimum(lengths(turns), 3.0).sum()), 1e-12)
 
 
 def mirror(hypothesis: Hypothesis, moving: ShortMotions) -> str:

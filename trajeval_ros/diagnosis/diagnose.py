@@ -48,7 +48,7 @@ from trajeval_ros.diagnosis.geometry_tests import (
     vertical,
     without_vertical,
 )
-from trajeval_ros.diagnosis.hypotheses import ShortMotions, fit_hypotheses
+from trajeval_ros.diagnosis.hypotheses import ShortMotions, fit_as_read
 from trajeval_ros.diagnosis.input_pair import InputPair, TimedPoses
 from trajeval_ros.diagnosis.input_tests import (
     duplicated_rows,
@@ -67,7 +67,12 @@ from trajeval_ros.diagnosis.lost_tracking_tests import (
     lost_tracking,
 )
 from trajeval_ros.diagnosis.trials import Again, with_tried_advice
-from trajeval_ros.diagnosis.warnings import about_unused_rule, remarks_on, require_same_body
+from trajeval_ros.diagnosis.warnings import (
+    about_lever_arm,
+    about_unused_rule,
+    remarks_on,
+    require_same_body,
+)
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.metrics.association import Association, associate
 from trajeval_ros.metrics.tracking_loss import FROZEN
@@ -271,16 +276,17 @@ def fix_remarks(
     lever_arm_known: bool = False,
     of: int = 1,
 ) -> list[Remark]:
-    """Return remarks on groundtruth of GNSS fixes, or on settings of fixes without them.
+    """Return remarks on groundtruth of GNSS fixes or points, or on settings of fixes without them.
 
     `own` is the error without the noise of the fixes, or None for the reason `why`, and `of` the
-    number of evaluated estimates. The antenna's place may be known (`lever_arm_known`).
+    number of evaluated estimates. The point's place may be known (`lever_arm_known`).
     """
+    lever_arm = [] if lever_arm_known else about_lever_arm(evaluation)
     if evaluation.groundtruth.reading.fixes is None:
-        return list(about_unused_rule(rule))
+        return [*about_unused_rule(rule), *lever_arm]
     from trajeval_ros.diagnosis.gnss_warnings import about_fixes
 
-    return list(about_fixes(evaluation, own, why, lever_arm_known=lever_arm_known, of=of))
+    return [*about_fixes(evaluation, own, why, of), *lever_arm]
 
 
 def same_estimate(estimate: InputSummary, others: Sequence[InputSummary]) -> Finding | None:
@@ -372,15 +378,14 @@ def _tests_of_geometry(
     if examined[-1].seen:
         return examined
     moving, turning = moving.without_jumps(estimate), turning.without_jumps(estimate)
-    hypotheses = fit_hypotheses(moving, turning)
-    examined.append(conventions(hypotheses, moving, turning, match))
+    as_read = fit_as_read(moving, turning)
+    examined.append(conventions(as_read, moving, turning, match))
     found = _causes(examined)
     if found - {"rotations"}:
         return examined
     if found or examined[-1].why_not:  # only the positions can be compared
         moving, turning = moving.without_rotations(), turning.without_rotations()
-        hypotheses = fit_hypotheses(moving, turning)
-    as_read = hypotheses[0]
+        as_read = fit_as_read(moving, turning)
     examined.append(scale(as_read, moving, inputs.gauge))
     ups = inputs.groundtruth.up, inputs.estimate.up
     if inputs.groundtruth.up.is_given:

@@ -56,11 +56,11 @@ def groundtruth_defects(
 
 def _constant(groundtruth: TimedPoses) -> tuple[Booleans, Booleans]:
     """Return which steps (N - 1,) are exactly zero, and which have the previous velocity."""
-    steps, times = np.diff(groundtruth.positions, axis=0), np.diff(groundtruth.seconds)
-    still = ~np.any(steps != 0.0, axis=1)
-    velocity = steps / times[:, None]
-    digits = 1e-6 * lengths(velocity[1:]) + 2e-7 / np.minimum(times[1:], times[:-1])
-    alike = lengths(np.diff(velocity, axis=0)) < digits
+    columns, times = np.ascontiguousarray(groundtruth.positions.T), np.diff(groundtruth.seconds)
+    velocity = np.diff(columns) / times
+    still = ~np.any(velocity != 0.0, axis=0)
+    speed, change = (np.sqrt((each * each).sum(axis=0)) for each in (velocity, np.diff(velocity)))
+    alike = change < 1e-6 * speed[1:] + 2e-7 / np.minimum(times[1:], times[:-1])
     return still, np.concatenate([[False], alike & ~still[1:] & ~still[:-1]])
 
 

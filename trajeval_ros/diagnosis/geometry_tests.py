@@ -15,7 +15,6 @@ from trajeval_ros.diagnosis.hypotheses import (
     ShortMotions,
     bounded,
     mean_rotation,
-    turned_in_world,
 )
 from trajeval_ros.diagnosis.input_pair import lengths
 from trajeval_ros.exceptions import InputError
@@ -218,11 +217,9 @@ def _shared_vertical(
     turned: Floats, turning: ShortMotions, limit_deg: float, ups: Ups
 ) -> Seen | None:
     """Return the finding that x or y is vertical in both frames, if the body turns about it."""
-    if turning.groundtruth_turned is None:
+    if turning.turns is None:
         return None
-    about = np.linalg.svd(
-        bounded(turned_in_world(turning.groundtruth_turned)), full_matrices=False
-    )[2][0]
+    about = np.linalg.svd(bounded(turning.turns[0]), full_matrices=False)[2][0]
     for axis in (1, 0):
         if abs(about[axis]) > _SAME_AXIS and _degrees(abs(turned[axis, axis])) < limit_deg:
             return _sideways(axis, turned, ups)
@@ -252,14 +249,12 @@ def groundtruth_plane(
 ) -> Examined:
     """Test whether the groundtruth moves perpendicular to and rotates about x or y."""
     name = "plane of the groundtruth"
-    if not gauge.turns_about_gravity_only or turning.groundtruth_turned is None:
+    if not gauge.turns_about_gravity_only or turning.turns is None:
         return Examined(
             name, why_not="the alignment includes roll and pitch, or orientations are missing"
         )
     _, sizes, across = np.linalg.svd(bounded(moving.true_steps), full_matrices=False)
-    turns, about = np.linalg.svd(
-        bounded(turned_in_world(turning.groundtruth_turned)), full_matrices=False
-    )[1:]
+    turns, about = np.linalg.svd(bounded(turning.turns[0]), full_matrices=False)[1:]
     normal = across[2]
     nearest = int(np.argmax(np.abs(normal)))
     scores = {
@@ -325,8 +320,7 @@ def lever_arm(as_read: Hypothesis, moving: ShortMotions) -> Examined:
     # On a circle, a scale error equals a lever arm to the centre.
     if found == 1.0 and by_scale > _BY_SCALE:
         return Examined(name, {"by_scale": by_scale}, why_not="a scale explains the same error")
-    start, end = (as_read.turned @ lie.to_matrix(each) for each in moving.estimate_turned)
-    swing = end - start
+    swing = as_read.turned @ np.diff(lie.to_matrix(moving.estimate_turned), axis=0)[0]
     size = lengths(left)
     keep = size < 6.0 * median(size) + 1e-9
     lever = np.zeros(3)

@@ -52,7 +52,7 @@ def require_fixes_fit(
 
 
 def about_fixes(
-    evaluation: Evaluation, own: OwnError | None, why: str, *, lever_arm_known: bool, of: int
+    evaluation: Evaluation, own: OwnError | None, why: str, of: int
 ) -> Iterator[Remark]:
     """Yield warnings about an evaluation by GNSS fixes, see `diagnose.fix_remarks`."""
     pairs = evaluation.association
@@ -64,13 +64,6 @@ def about_fixes(
         )
     else:
         yield from _about_jumps(own, of)
-    if evaluation.protocol.lever_m is None and not lever_arm_known:
-        yield warning(
-            "antenna_lever_arm",
-            "the groundtruth is the position of the antenna, so rotations of the body add an "
-            "error; give the lever arm with --lever-arm X,Y,Z (metres, in the estimate's body "
-            "frame)",
-        )
     if fixes is not None:
         yield from _about_sigmas(fixes, evaluation)
     yield from _about_heights(evaluation)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -50,22 +51,16 @@ class ShortMotions:
         fits = end < first + count
         start, end = start[fits], end[fits]
         fits = times[end] - times[start] < 2.0 * apart_s + 0.2
-        start, end = start[fits], end[fits]
-        begun, ended = (groundtruth.at(times[each], max_gap_s) for each in (start, end))
-        known = begun.known & ended.known
-        start, end = start[known], end[known]
+        rows = np.stack([start[fits], end[fits]])
+        true = groundtruth.at(times[rows].ravel(), max_gap_s)
+        known = true.known.reshape(2, -1).all(axis=0)
+        rows, positions = rows[:, known], true.positions.reshape(2, -1, 3)[:, known]
         groundtruth_turned = estimate_turned = None
-        first_q, last_q, own_q = begun.quaternions, ended.quaternions, estimate.quaternions
-        if first_q is not None and last_q is not None and own_q is not None:
-            groundtruth_turned = np.stack([first_q[known], last_q[known]])
-            estimate_turned = np.stack([own_q[start], own_q[end]])
-        return cls(
-            np.column_stack([start, end]),
-            np.stack([begun.positions[known], ended.positions[known]]),
-            np.stack([estimate.positions[start], estimate.positions[end]]),
-            groundtruth_turned,
-            estimate_turned,
-        )
+        if true.quaternions is not None and estimate.quaternions is not None:
+            groundtruth_turned = true.quaternions.reshape(2, -1, 4)[:, known]
+            estimate_turned = estimate.quaternions[rows]
+        sides = positions, estimate.positions[rows], groundtruth_turned, estimate_turned
+        return cls(rows.T, *sides)
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -85,7 +80,24 @@ class ShortMotions:
         """Displacements of the estimate, (N, 3)."""
         return np.asarray(self.estimate[1] - self.estimate[0])
 
-    @property
+    @cached_property
+    def turns(self) -> tuple[Floats, Floats] | None:
+        """Rotation vectors (N, 3) of both sides, in their worlds; None unless both have them."""
+        if self.groundtruth_turned is None or self.estimate_turned is None:
+            return None
+        return turned_in_world(self.groundtruth_turned), turned_in_world(self.estimate_turned)
+
+    @cached_property
+    def moment_of_steps(self) -> Floats:
+        """The moment (3, 3) of the displacements."""
+        return moment(bounded(self.true_steps), bounded(self.steps))
+
+    @cached_property
+    def moment_of_turns(self) -> Floats:
+        """The moment (3, 3) of the rotations, zero without orientations."""
+        return np.zeros((3, 3)) if self.turns is None else moment(*map(bounded, self.turns))
+
+    @cached_property
     def thirds(self) -> list[ShortMotions]:
         """Three parts of the run with about equal distances travelled by the groundtruth."""
         way = np.cumsum(lengths(bounded(self.true_steps)))
@@ -94,13 +106,7 @@ class ShortMotions:
 
     def world(self) -> Floats:
         """Return the rotation (3, 3) from the estimate's world that fits the motions best."""
-        fitted = moment(bounded(self.true_steps), bounded(self.steps))
-        if self.groundtruth_turned is not None and self.estimate_turned is not None:
-            turns = (
-                turned_in_world(each) for each in (self.groundtruth_turned, self.estimate_turned)
-            )
-            fitted = fitted + moment(*(bounded(each) for each in turns))
-        return best_rotations(fitted)[1]
+        return best_rotations(self.moment_of_steps + self.moment_of_turns)[1]
 
     def without_jumps(self, estimate: TimedPoses) -> ShortMotions:
         """Return the motions without a jump of the estimate: a restart rotates its world."""
@@ -211,27 +217,25 @@ class Hypothesis:
         return 3.0 - float(np.trace(self.axes))
 
 
-def fit_hypotheses(
+def fit_as_read(moving: ShortMotions, turning: ShortMotions) -> Hypothesis:
+    """Return the hypothesis that the convention is the one that was read."""
+    as_read = _Moments(AS_READ, "", 0, moving.moment_of_steps, turning.moment_of_turns)
+    return _solved([as_read], perfect=1.0 if turning.turns is None else 2.0)[0]
+
+
+def fit_others(
     moving: ShortMotions, turning: ShortMotions, *, composed: bool = False
 ) -> list[Hypothesis]:
-    """Return hypotheses of one mistake; the first one is the convention that was read.
+    """Return hypotheses of one mistake.
 
     With `composed`, they are those of a written form of the rotations and other axes of the
     positions.
     """
-    steps = moment(bounded(moving.true_steps), bounded(moving.steps))
+    steps, read = moving.moment_of_steps, turning.moment_of_turns
     if turning.groundtruth_turned is None or turning.estimate_turned is None:
-        nothing = np.zeros((3, 3))
-        return _solved(
-            [
-                _Moments(AS_READ, "", 0, steps, nothing),
-                _Moments(MIRRORED, "", 1, -steps, nothing, -np.eye(3)),
-            ],
-            perfect=1.0,
-        )
+        return _solved([_Moments(MIRRORED, "", 1, -steps, read, -np.eye(3))], perfect=1.0)
     true, ours = _as_written(turning.groundtruth_turned, turning.estimate_turned)
     turns = moment(true[:, None], ours)
-    as_read = _Moments(AS_READ, "", 0, steps, turns[0, 0])
     forms: list[_Moments] = []
     for row, cause in enumerate(_WRITTEN[1:], 1):
         sides = {ESTIMATE: turns[0, row], GROUNDTRUTH: turns[row, 0], BOTH: turns[row, row]}
@@ -256,8 +260,7 @@ def fit_hypotheses(
             ],
             perfect=2.0,
         )
-    todo = [as_read, *forms]
-    todo += [_Moments(cause, "", 1, moved, turns[0, 0], axes) for cause, moved, axes in others]
+    todo = [*forms, *(_Moments(cause, "", 1, moved, read, axes) for cause, moved, axes in others)]
     inverse = _WRITTEN.index(TRANSPOSED)
     ours = _steps_if_inverted(moving.estimate, moving.estimate_turned)
     inverted = moment(bounded(moving.true_steps), bounded(ours))

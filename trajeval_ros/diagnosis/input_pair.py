@@ -15,7 +15,7 @@ from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.interpolation import mix, slerp, steps_at
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.geometry.trajectory_edits import evenly
+from trajeval_ros.geometry.trajectory_edits import every_nth
 from trajeval_ros.geometry.travelled import step_lengths
 from trajeval_ros.metrics.association import INTERPOLATING
 from trajeval_ros.metrics.statistics import median
@@ -94,8 +94,7 @@ class TimedPoses:
         """Median time step of poses in order, seconds."""
         if len(self) < 2:
             return 1.0
-        some = evenly(len(self) - 1, _ENOUGH)
-        return median(self.seconds[some + 1] - self.seconds[some])
+        return median(np.diff(self.seconds)[every_nth(len(self) - 1, _ENOUGH)])
 
     @cached_property
     def moved(self) -> Floats:

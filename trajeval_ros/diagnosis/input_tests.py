@@ -292,20 +292,19 @@ def stamped_at_arrival(side: Trajectory) -> bool:
     on the timestamps, they are not the times of the poses.
     """
     some = slice(_SAMPLE)
-    step_s, moved = np.diff(side.stamps[some]) / 1e9, np.diff(side.positions[some], axis=0)
+    step_s = np.diff(side.stamps[some]) / 1e9
+    is_regular = np.ptp(step_s) <= _JITTER * step_s.min() if len(step_s) else True
+    # The distance between sparse keyframes is constant.
+    if is_regular or not side.reading.stamped or (usual_s := median(step_s)) > _SPARSE_S:
+        return False
+    moved = np.diff(side.positions[some], axis=0)
     distance = np.linalg.norm(moved, axis=1)
-    usual_s = median(step_s) if len(step_s) else 0.0
     # Steps with neighbours on both sides and without lost messages. A body at rest moves by noise.
     whole = (step_s > 0.1 * usual_s) & (step_s < 1.9 * usual_s)
     nearby_s, nearby = (step_s[:-2] + step_s[2:]) / 2.0, (distance[:-2] + distance[2:]) / 2.0
     smooth = np.einsum("ni,ni->n", moved[:-2], moved[2:]) > 0.9 * distance[:-2] * distance[2:]
     counts = smooth & (nearby > 0.0) & whole[:-2] & whole[1:-1] & whole[2:]
-    # The distance between sparse keyframes is constant.
-    if (
-        not side.reading.stamped
-        or usual_s > _SPARSE_S
-        or np.count_nonzero(counts) < _FEWEST_SMOOTH
-    ):
+    if np.count_nonzero(counts) < _FEWEST_SMOOTH:
         return False
     longer = step_s[1:-1][counts] / nearby_s[counts] - 1.0
     farther = distance[1:-1][counts] / nearby[counts] - 1.0

@@ -162,16 +162,17 @@ def _about_jumps(evaluation: Evaluation) -> Iterator[Remark]:
     steps = StepDifferences.between(true, own, *turned, scale)
     if not len(steps.true_m):
         return
-    back_m = median(steps.position_m)
-    second = StepDifferences.between(true[::2], own[::2], None, None, scale)
-    if back_m > median(steps.true_m) and median(second.position_m) < _BACK * back_m:
+    back_m, second = median(steps.position_m), (true[::2], own[::2], None, None, scale)
+    if back_m > median(steps.true_m) and (
+        median(StepDifferences.between(*second).position_m) < _BACK * back_m
+    ):
         yield warning(
             "mixed_publishers",
             f"every other pose of the estimate is {back_m:.2g} m away, and the next one is back: "
             "messages of two publishers are probably mixed; evaluate one of them",
         )
     turns = groundtruth.quaternions is not None and estimate.quaternions is not None
-    jumps = steps.jumps(median(steps.position_m), median(steps.rotation_deg))
+    jumps = steps.jumps(back_m, median(steps.rotation_deg))
     if not len(jumps):
         return
     first = jumps[0]
@@ -326,6 +327,20 @@ def _about_inputs(evaluation: Evaluation) -> Iterator[Remark]:
     dropped = groundtruth.reading.dropped
     if dropped:
         yield warning("groundtruth_dropped", f"groundtruth poses were dropped: {reasons(dropped)}")
+
+
+def about_lever_arm(evaluation: Evaluation) -> Iterator[Remark]:
+    """Warn that the groundtruth may be of another point of the body than the estimate."""
+    kind, protocol = evaluation.groundtruth.kind, evaluation.protocol
+    can_rotate = kind == "gnss" or evaluation.estimate.quaternions is not None
+    if kind != "poses" and can_rotate and protocol.lever_m is None:
+        point = "the antenna" if kind == "gnss" else "a point, such as a prism"
+        yield warning(
+            "lever_arm_not_given",
+            f"the groundtruth is the position of {point}, so rotations of the body add an error "
+            "of up to its distance from the estimate's body frame; give the lever arm with "
+            "--lever-arm X,Y,Z (metres, in that frame)",
+        )
 
 
 def about_unused_rule(rule: FixRule) -> Iterator[Remark]:

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import math
 import operator
-from collections import deque
 from dataclasses import replace
 
 import numpy as np
 
-from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.arrays import Floats, Indices, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.tracking_loss import DIVERGED, Loss
 
@@ -37,10 +36,13 @@ _RUNAWAY, _RUNAWAY_SINCE = 0.1, 1.0 / 3.0
 _AGREES_AGAIN, _AGREES_M = 6, 0.5  # steps in a row that end a divergence, with this motion
 
 
-# A step is plain floats, since arrays of three are slower: time in seconds, displacements of
-# groundtruth and estimate, and their lengths.
-_Vector = tuple[float, float, float]
-_Step = tuple[float, _Vector, _Vector, float, float]
+# Steps are columns (9, n): time in seconds, displacements of groundtruth and estimate, and their
+# lengths. Their sums are columns (14, n): path of the groundtruth, time, squares and the product
+# of lengths, and the products of displacements, row by row.
+_TIME_S, _TRUE, _OWN, _TRUE_M, _OWN_M = 0, slice(1, 4), slice(4, 7), 7, 8
+_PRODUCTS = slice(5, 14)
+_BLOCK = 512  # steps that are compared at a time
+_TINY = 1e-300  # in place of a divisor of zero
 
 
 class Divergence:
@@ -55,14 +57,13 @@ class Divergence:
         self.losses: list[Loss] = []
         self._first: int | None = None  # stamp
         self._cell = 0  # of the newest used pair
-        self._newest: tuple[int, _Vector, _Vector] | None = None
-        self._waiting: deque[_Step] = deque()
-        # Sums with fading memory: products of displacements (9), row by row, of their lengths.
-        self._products: tuple[float, ...] = (0.0,) * 9
-        self._true_true = self._true_own = self._own_own = self._true_m = self._time_s = 0.0
+        # The newest used pair, if any: stamp (1,), positions of groundtruth and estimate (1, 6).
+        self._newest: tuple[Stamps, Floats] = (np.empty(0, dtype=np.int64), np.empty((0, 6)))
+        self._waiting: Floats = np.zeros((9, _LAG))  # the last steps, or zeros: not yet learned
+        self._sums: Floats = np.zeros((14, 1))  # of learned steps, with fading memory
         self._first_scale = 0.0  # metres per unit of the estimate
         self._learned = self._solved = 0  # number of steps, now and at the solution
-        self._rotation: list[float] = np.eye(3).ravel().tolist()  # row by row
+        self._rotation: Floats = np.eye(3)
         self._sum_m = self._lengths_m = 0.0
         self._before_m = 0.0, 0.0
         self._begin_ns, self._since_m, self._moved_m = 0, 0.0, 0.0
@@ -72,7 +73,11 @@ class Divergence:
     @property
     def is_clear(self) -> bool:
         """Whether the sum of differences is zero."""
-        return self._sum_m == 0.0 and (not self.losses or self.losses[-1].is_over)
+        return self._sum_m == 0.0 and not self._is_lost
+
+    @property
+    def _is_lost(self) -> bool:
+        return bool(self.losses) and not self.losses[-1].is_over
 
     def add(self, stamps: Stamps, groundtruth: Floats, estimate: Floats) -> None:
         """Take N pairs in order: stamps (N,), ns, and positions (N, 3)."""
@@ -83,66 +88,89 @@ class Divergence:
         cells = (stamps - self._first) // _STEP_NS
         rows = np.flatnonzero(np.diff(cells, prepend=self._cell) > 0)
         self._cell = int(cells[-1])
-        columns = (each[rows].tolist() for each in (stamps, groundtruth, estimate))
-        for stamp, true, own in zip(*columns, strict=True):
-            self._take(stamp, true, own)
+        if not len(rows):
+            return
+        stamps = np.append(self._newest[0], stamps[rows])
+        pairs = np.vstack([self._newest[1], np.hstack([groundtruth[rows], estimate[rows]])])
+        rows = _compared(stamps, pairs)
+        begins, self._newest = rows[:-1], (stamps[rows[-1:]], pairs[rows[-1:]])
+        spans, moved = np.stack([stamps[begins], stamps[1:]]), (pairs[1:] - pairs[begins]).T
+        seconds = np.diff(spans, axis=0) / NANOSECONDS
+        steps = np.vstack([seconds, moved, _lengths(moved[:3]), _lengths(moved[3:])])
+        used = (steps[_TRUE_M:].min(axis=0) > _SAME) & (steps[_TIME_S] <= _LONGEST_S)
+        spans, steps = spans[:, used], steps[:, used]
+        while steps.size:
+            taken = self._take(spans[:, :_BLOCK], steps[:, :_BLOCK])
+            spans, steps = spans[:, taken:], steps[:, taken:]
 
-    def _take(self, stamp: int, true: _Vector, own: _Vector) -> None:
-        newest, self._newest = self._newest, (stamp, true, own)
-        if newest is None:
-            self._begin_ns = stamp
-            return
-        time_s = (stamp - newest[0]) / NANOSECONDS
-        true_step, own_step = _difference(true, newest[1]), _difference(own, newest[2])
-        true_m, own_m = math.hypot(*true_step), math.hypot(*own_step)
-        if min(true_m, own_m) <= _SAME:  # compare with the next pose that differs
-            self._newest = newest if time_s < _LONGEST_S else self._newest
-            return
-        if time_s > _LONGEST_S:
-            return
-        is_lost = bool(self.losses) and not self.losses[-1].is_over
-        self._waiting.append((time_s, true_step, own_step, true_m, own_m))
-        if len(self._waiting) > _LAG:
-            learned = self._waiting.popleft()
-            if not is_lost:
-                self._learn(learned)
-        if self._true_m < _LEAST_M or self._learned < _LEAST_STEPS:
-            self._begin_ns = stamp
-            return
-        scale = self._true_own / self._own_own
-        self._first_scale = self._first_scale or scale
-        explained_m = _DRIFT * true_m + _NOISE_MPS * time_s
-        difference_m = self._difference_m(scale, true_step, own_step)
-        if difference_m > explained_m and self._learned >= self._solved + _SOLVE_EVERY:
-            self._solve()  # as the last solution does not explain the step
-            difference_m = self._difference_m(scale, true_step, own_step)
-        if self._sum_m == 0.0 and not is_lost:
-            if difference_m <= explained_m and self._agreed:
-                return  # the usual case: the sum stays zero
-            self._begin_ns, self._since_m, self._moved_m = newest[0], 0.0, 0.0
-            self._lengths_m, self._before_m = 0.0, (0.0, 0.0)
-        unit = max(1.0, self._true_m / self._time_s / _SLOW_MPS)
-        difference_m = (difference_m - explained_m) / unit
-        of_lengths_m = (abs(scale * own_m - true_m) - explained_m) / unit
-        self._since_m += true_m
-        self._moved_m += own_m * (scale if self._agreed else self._first_scale)
-        self._sum_m = _accumulated(self._sum_m, difference_m)
-        # The smallest of three in a row, since a jump is in one, and an outlier in two.
-        self._lengths_m = _accumulated(self._lengths_m, min(of_lengths_m, *self._before_m))
-        self._before_m = self._before_m[1], of_lengths_m
-        self._judge(stamp, true_m, min(difference_m, of_lengths_m))
+    def _take(self, spans: Stamps, steps: Floats) -> int:
+        """Take n steps, with the stamps (2, n) of their ends, or until a loss begins or ends.
 
-    def _judge(self, stamp: int, true_m: float, difference_m: float) -> None:
-        """Begin, extend or end a loss."""
-        sums, lost = (self._sum_m, self._lengths_m), self.losses[-1:]
-        if not lost or lost[0].is_over:
-            if self._agreed:
+        Returns:
+            How many were taken.
+        """
+        is_lost, queue = self._is_lost, np.hstack([self._waiting, steps])
+        sums, learned = self._summed(queue[:, : steps.shape[1]] * (not is_lost))
+        path_m, path_s, true_true, true_own, own_own = sums[: _PRODUCTS.start]
+        scales = true_own / np.maximum(own_own, _TINY)  # before the first learned step: 0
+        known = (path_m >= _LEAST_M) & (learned >= _LEAST_STEPS)
+        if not self._first_scale and known.any():
+            self._first_scale = float(scales[known.argmax()])
+        # Whether lengths of displacements correlated before, and whether the estimate moves ever
+        # faster than the groundtruth from the start.
+        agreed = true_own**2 > (1.0 - _UNLIKE) * true_true * own_own
+        runs_away = scales < min(_RUNAWAY, _RUNAWAY_SINCE * self._first_scale)
+        true_m, own_m = steps[_TRUE_M:]
+        explained_m = _DRIFT * true_m + _NOISE_MPS * steps[_TIME_S]
+        units = np.maximum(1.0, path_m / np.maximum(path_s, _TINY) / _SLOW_MPS)
+
+        def compared() -> tuple[Floats, list[bool]]:
+            apart_m = _lengths(scales * (self._rotation @ steps[_OWN]) - steps[_TRUE])
+            excess_m = (apart_m - explained_m) / units
+            return excess_m, (~known | agreed & (excess_m <= 0.0)).tolist()
+
+        excess_m, agrees = compared()
+        of_lengths_m = (np.abs(scales * own_m - true_m) - explained_m) / units
+        moved_m = own_m * np.where(agreed, scales, self._first_scale)
+        taken = len(true_m)
+        for row in range(taken):
+            is_unexplained = not agrees[row] and excess_m[row] > 0.0
+            if is_unexplained and learned[row] >= self._solved + _SOLVE_EVERY:
+                self._solve(sums[_PRODUCTS, row])  # as the last solution does not explain the step
+                self._solved, (excess_m, agrees) = int(learned[row]), compared()
+            if self._sum_m == 0.0 and not is_lost:
+                if agrees[row]:
+                    continue  # the usual case: the sum stays zero
+                self._begin_ns, self._since_m, self._moved_m = int(spans[0, row]), 0.0, 0.0
+                self._lengths_m, self._before_m = 0.0, (0.0, 0.0)
+            self._since_m += float(true_m[row])
+            self._moved_m += float(moved_m[row])
+            self._sum_m = _accumulated(self._sum_m, float(excess_m[row]))
+            # The smallest of three in a row, since a jump is in one, and an outlier in two.
+            both_m = float(excess_m[row]), float(of_lengths_m[row])
+            self._lengths_m = _accumulated(self._lengths_m, min(both_m[1], *self._before_m))
+            self._before_m = self._before_m[1], both_m[1]
+            evidence = bool(agreed[row]), bool(runs_away[row])
+            if self._judge(int(spans[1, row]), float(true_m[row]), min(both_m), *evidence):
+                queue[:], taken = 0.0, row + 1
+                break
+        self._sums, self._learned = sums[:, taken - 1 : taken], int(learned[taken - 1])
+        self._waiting = queue[:, taken : taken + _LAG]
+        return taken
+
+    def _judge(
+        self, end_ns: int, true_m: float, difference_m: float, agreed: bool, runs_away: bool
+    ) -> bool:
+        """Begin, extend or end a loss; return whether one begins or ends."""
+        sums, begins = (self._sum_m, self._lengths_m), not self._is_lost
+        if begins:
+            if agreed:
                 if any(map(operator.lt, sums, _WARNING_M)):
-                    return
-            elif self._scale_runs_away:
+                    return False
+            elif runs_away:
                 self._begin_ns, self._ran_away = self._first or 0, True
             else:
-                return
+                return False
             self.losses.append(Loss.beginning(DIVERGED, self._begin_ns))
         agrees = difference_m <= 0.0
         self._agreeing = self._agreeing + 1 if agrees else 0
@@ -152,7 +180,7 @@ class Divergence:
         is_over &= not self._ran_away  # any motion agrees with a scale that was never right
         self.losses[-1] = replace(
             known,
-            end_ns=stamp,
+            end_ns=end_ns,
             true_m=self._since_m,
             moved_m=self._moved_m,
             is_error=known.is_error or not any(map(operator.lt, sums, _ERROR_M)),
@@ -160,57 +188,53 @@ class Divergence:
         )
         if is_over:
             self._sum_m = 0.0
-            self._waiting.clear()
+        return begins or is_over
 
-    def _learn(self, step: _Step) -> None:
-        time_s, (x, y, z), (u, v, w), true_m, own_m = step
-        scale = self._true_own / self._own_own if self._own_own else 0.0
-        if self._true_m > 1.0 and scale * own_m > _OUTLIER * max(true_m, _OUTLIER_M):
-            return
-        # Only motion is forgotten by time: a hover keeps the fit.
-        kept = math.exp(-time_s / _MEMORY_S) if true_m > _NOISE_MPS * time_s else 1.0
-        self._true_m = kept * self._true_m + true_m
-        self._time_s = kept * self._time_s + time_s
-        xu, xv, xw, yu, yv, yw, zu, zv, zw = (kept * each for each in self._products)
-        self._products = (
-            *(xu + x * u, xv + x * v, xw + x * w),
-            *(yu + y * u, yv + y * v, yw + y * w),
-            *(zu + z * u, zv + z * v, zw + z * w),
-        )
-        self._true_true = kept * self._true_true + true_m * true_m
-        self._true_own = kept * self._true_own + true_m * own_m
-        self._own_own = kept * self._own_own + own_m * own_m
-        self._learned += 1
+    def _summed(self, steps: Floats) -> tuple[Floats, Indices]:
+        """Return the sums (14, n) and the number (n,) of learned steps after each of n steps."""
+        while True:
+            time_s, true_m, own_m = steps[[_TIME_S, _TRUE_M, _OWN_M]]
+            # Only motion is forgotten by time: a hover keeps the fit.
+            moves = true_m > _NOISE_MPS * time_s
+            kept = np.exp(np.cumsum(np.where(moves, time_s, 0.0)) / -_MEMORY_S)
+            products = (steps[_TRUE, None] * steps[_OWN]).reshape(9, -1)
+            added = np.vstack([true_m, time_s, true_m**2, true_m * own_m, own_m**2, products])
+            sums = kept * (self._sums + np.cumsum(added / kept, axis=1))
+            path_m, _, _, true_own, own_own = np.hstack([self._sums, sums])[: _PRODUCTS.start, :-1]
+            scaled_m = own_m * true_own / np.maximum(own_own, _TINY)
+            outliers = (path_m > 1.0) & (scaled_m > _OUTLIER * np.maximum(true_m, _OUTLIER_M))
+            if not outliers.any():
+                return sums, self._learned + np.cumsum(time_s > 0.0)
+            steps[:, outliers.argmax()] = 0.0  # not learned
 
-    def _solve(self) -> None:
+    def _solve(self, products: Floats) -> None:
         # A reflection is allowed: mirrored axes are no divergence.
-        left, _, right = np.linalg.svd(np.reshape(self._products, (3, 3)))
-        self._rotation, self._solved = (left @ right).ravel().tolist(), self._learned
-
-    def _difference_m(self, scale: float, true: _Vector, own: _Vector) -> float:
-        """Return the distance of a displacement from the estimate's, turned and scaled, metres."""
-        (x, y, z), turned = own, self._rotation
-        return math.hypot(
-            scale * (turned[0] * x + turned[1] * y + turned[2] * z) - true[0],
-            scale * (turned[3] * x + turned[4] * y + turned[5] * z) - true[1],
-            scale * (turned[6] * x + turned[7] * y + turned[8] * z) - true[2],
-        )
-
-    @property
-    def _agreed(self) -> bool:
-        """Whether lengths of displacements correlated before."""
-        both = self._true_true * self._own_own
-        return self._true_own**2 > (1.0 - _UNLIKE) * both
-
-    @property
-    def _scale_runs_away(self) -> bool:
-        """Whether the estimate moves ever faster than the groundtruth from the start."""
-        scale = self._true_own / self._own_own
-        return scale < min(_RUNAWAY, _RUNAWAY_SINCE * self._first_scale)
+        left, _, right = np.linalg.svd(products.reshape(3, 3))
+        self._rotation = left @ right
 
 
-def _difference(one: _Vector, other: _Vector) -> _Vector:
-    return one[0] - other[0], one[1] - other[1], one[2] - other[2]
+def _compared(stamps: Stamps, pairs: Floats) -> Indices:
+    """Return the row with which each of the rows after the first is compared, and the next one.
+
+    It is the newest row until the positions (n, 6) of both sides differ, or for some seconds.
+    """
+    rows = np.arange(len(stamps))
+    moved = np.diff(pairs, axis=0)
+    if min(_lengths(each).min(initial=1.0) for each in (moved.T[:3], moved.T[3:])) > _SAME:
+        return rows
+    true, own = pairs[:, :3].tolist(), pairs[:, 3:].tolist()
+    begin = 0
+    for row, stamp in enumerate(stamps.tolist()):
+        repeats = min(math.dist(true[begin], true[row]), math.dist(own[begin], own[row])) <= _SAME
+        if not repeats or stamp - stamps[begin] >= _LONGEST_S * NANOSECONDS:
+            begin = row
+        rows[row] = begin
+    return rows
+
+
+def _lengths(vectors: Floats) -> Floats:
+    """Return the lengths (n,) of vectors (3, n)."""
+    return np.asarray(np.sqrt((vectors * vectors).sum(axis=0)))
 
 
 def _accumulated(sum_m: float, more_m: float) -> float:

@@ -20,7 +20,6 @@ _ERROR_S = 3.0
 # Motion of the groundtruth that is no noise; the noise of fixes is metres.
 MOVED_M, MOVED_OF_FIXES_M = 0.15, 10.0
 _TURNED_RAD = math.radians(10.0)
-_BLOCK = 1024  # pairs; blocks without a repeated pose are cheap
 _STILL = 0.15  # of this motion: the groundtruth has not started to move
 
 
@@ -48,15 +47,13 @@ class RepeatedPoses:
 
     def add(self, stamps: Stamps, groundtruth: Floats, estimate: Floats) -> None:
         """Take N pairs in order: stamps (N,), ns, and poses (N, 7 or more), NaN if unknown."""
+        groundtruth, estimate = groundtruth[:, :7], estimate[:, :7]
         if self._series is None and len(stamps):
-            self._series = stamps[[0, 0]], np.zeros(2, dtype=np.int64), groundtruth[[0, 0], :7]
-            self._newest, self._begin = estimate[:1, :7].copy(), (int(stamps[0]), 0)
-        for begin in range(0, len(stamps), _BLOCK):
-            rows = slice(begin, begin + _BLOCK)
-            self._add(stamps[rows], groundtruth[rows, :7], estimate[rows, :7])
-
-    def _add(self, stamps: Stamps, groundtruth: Floats, estimate: Floats) -> None:
-        assert self._series is not None
+            self._series = stamps[[0, 0]], np.zeros(2, dtype=np.int64), groundtruth[[0, 0]]
+            self._newest, self._begin = estimate[:1].copy(), (int(stamps[0]), 0)
+            stamps, groundtruth, estimate = stamps[1:], groundtruth[1:], estimate[1:]
+        if self._series is None or not len(stamps):
+            return
         steps = np.diff(stamps, prepend=self._series[0][1])
         is_long = steps > self._max_gap_s * NANOSECONDS
         time_ns = self._series[1][1] + np.cumsum(np.where(is_long, 0, steps))

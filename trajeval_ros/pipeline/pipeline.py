@@ -427,12 +427,13 @@ def with_bayes_factors(runs: Sequence[RunOutcome]) -> Iterator[RunOutcome]:
 def with_own_errors(runs: list[RunOutcome], rule: FixRule) -> list[RunOutcome]:
     """Return the runs with errors without the noise of GNSS fixes, and warnings about fixes."""
     evaluations = [run.evaluation for run in runs]
+    known = any(run.calibrated is not None and run.calibrated.lever_applied for run in runs)
     if evaluations[0].groundtruth.reading.fixes is None:
-        unused = fix_remarks(evaluations[0], rule)
-        return [_with_remarks(unused, run, len(run.diagnosis.findings)) for run in runs]
+        remarks = (fix_remarks(each, rule, lever_arm_known=known) for each in evaluations)
+        both = zip(remarks, runs, strict=True)
+        return [_with_remarks(more, run, len(run.diagnosis.findings)) for more, run in both]
     from trajeval_ros.metrics.own_error import own_errors
 
-    known = any(run.calibrated is not None and run.calibrated.lever_applied for run in runs)
     found = []
     for run, (own, why) in zip(runs, own_errors(evaluations, rule.correlation_s), strict=True):
         more = fix_remarks(run.evaluation, rule, own, why, lever_arm_known=known, of=len(runs))
