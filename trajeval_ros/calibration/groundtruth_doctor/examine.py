@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import (
+    HALF_WIDTH,
     PARAMETERS,
     UNITS,
+    WITHOUT_ORIENTATIONS,
     GroundtruthCause,
     fused_cause,
     parameter_cause,
@@ -49,11 +51,13 @@ _GYROSCOPE_ONLY = 1e3  # m/s^2/sqrt(Hz), for an IMU without accelerometer
 # mm, ms, ppm, deg.
 _FLOORS = np.array([0.05] * 3 + [1.0] * 4 + [20.0] + [0.07] * 2)
 _FLOOR_ALONG_FORCE_MM = 3.0
+_FLOOR_BY_POSITIONS_MS = 3.0  # real accelerometers differ from the gyroscope by 3 to 12 ms
 # The two horizons disagree above these differences (deg, mm) and standard deviations.
 _DISAGREE = np.array([1.0] * 3 + [20.0] * 3)
 _DISAGREE_SIGMAS, _PART_OF_DIFFERENCE = 5.0, 4.0
 _LIKELY_SIGMAS = np.sqrt(2.0)  # Akaike: a smaller value is better left at zero
 _CLOCK = [OFFSET, SKEW]
+_LARGEST_SIGMA_DEG = 2.0  # of an orientation from positions
 _SLOW_HZ = 50.0
 _SMOOTH_M = 2e-5  # a smaller high-frequency noise is that of a model
 _LIGHTEST_MPS2, _HEAVIEST_MPS2 = 5.0, 20.0
@@ -80,11 +84,18 @@ class Fits:
     hand_eye: HandEye  # T_I_M, pose of the groundtruth's body in the IMU
     hand_eye_covariance: Floats  # (6, 6), position first (m^2), rotation about I's axes (rad^2)
     position_noise_m: float  # robust standard deviation of a pose's position per axis
-    rotation_noise_rad: float  # the same of its rotation
+    rotation_noise_rad: float | None  # the same of its rotation
     checks: ResidualChecks  # faults that the residuals show
     # Poses, velocities and biases of the IMU by its clock. The covariances are lower limits: an
     # IMU does not reveal errors of a groundtruth that last for over a second.
     repaired: Trajectory
+
+    @property
+    def repaired_noise(self) -> tuple[float, float]:
+        """Median standard deviations of the repaired poses per axis, m and rad."""
+        assert self.repaired.covariances is not None
+        variances = np.median(np.einsum("nii->ni", self.repaired.covariances), axis=0)
+        return float(np.sqrt(variances[:3].mean())), float(np.sqrt(variances[3:].mean()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,11 +143,6 @@ def examine(
         checks = check_poses(groundtruth, None, first)
         causes = {each.name: each for each in sample_causes(checks, None, first)}
         return ExaminedGroundtruth(causes, checks, None, tuple(_notes(checks)))
-    if groundtruth.quaternions is None:
-        raise InputError(
-            f"{name} has no orientations, which the examination with an IMU needs; give poses, or "
-            "examine it without --imu"
-        )
     return _with_imu(groundtruth, readings, imu_noise, time_offset_s)
 
 
@@ -146,14 +152,22 @@ def _with_imu(
     imu_noise: ImuNoise,
     time_offset_s: float | None,
 ) -> ExaminedGroundtruth:
-    imu, origin = _imu_of(readings)
+    name, (imu, origin) = groundtruth.name or "the groundtruth", _imu_of(readings)
     ordered, notes = groundtruth.in_order(), []
-    assert ordered.quaternions is not None
     free = np.ones(COUNT, dtype=bool)
     if readings.accelerations is None:
         imu_noise = replace(imu_noise, accelerometer=_GYROSCOPE_ONLY)
         free[LEVER], free[GRAVITY] = False, False
         notes.append("no accelerometer: lever arm and tilt are unknown")
+    only_positions = ordered.quaternions is None
+    if only_positions:
+        if readings.accelerations is None:
+            raise InputError(f"{name} has no orientations and the IMU no accelerations; give one")
+        free[BODY] = False
+        notes.append(
+            "the groundtruth has no orientations: errors of rotation are unobservable, and the "
+            "repaired orientations are from the IMU and the positions"
+        )
     turning = float(np.sqrt(np.square(imu.rates - np.median(imu.rates, axis=0)).sum(1).mean()))
     turns = turning > _AT_REST_RADPS
     shift_s = time_offset_s
@@ -164,9 +178,8 @@ def _with_imu(
         shift_s = guess.offset_s if is_usable else 0.0
         if not is_usable and turns:
             raise InputError(
-                f"{groundtruth.name or 'the groundtruth'} and the IMU have no common rotation "
-                f"(correlation {guess.peak:.2f}, required 0.7); use recordings of the same run, "
-                "or give --time-offset"
+                f"the motion of {name} matches that of the IMU at no single offset (correlation "
+                f"{guess.peak:.2f}); use recordings of the same run, or give --time-offset"
             )
     if not turns:
         free[: SKEW + 1] = False
@@ -197,6 +210,11 @@ def _with_imu(
         values[:6], sigmas[:6] = lasting.values[:6], lasting.sigmas[:6]
         # The difference is a measure of the same systematic errors as the floors.
         floors[:6] = np.maximum(floors[:6], apart / _PART_OF_DIFFERENCE)
+    if only_positions:
+        # They compare with accelerometers, whose delays and scale errors are larger than those of
+        # gyroscopes, and differ by horizon.
+        floors[3:] = np.maximum(floors[3:], np.abs(lasting.values - brief.values)[3:])
+        floors[OFFSET] = max(floors[OFFSET], _FLOOR_BY_POSITIONS_MS)
     sigmas = np.hypot(sigmas, floors)
     axes = " and ".join(map(axis_name, short.fixed_directions))
     short_deg, long_deg = (float(np.linalg.norm(each.values[BODY])) for each in (brief, lasting))
@@ -205,9 +223,13 @@ def _with_imu(
     causes.append(fused_cause(short_deg, long_deg, slow_deg, disagree=disagree))
     causes += sample_causes(poses, residuals, int(ordered.stamps[0]))
     by_name = {each.name: each for each in causes}
+    noisy, widened = np.abs(values) < _LIKELY_SIGMAS * sigmas, 1.0
+    if only_positions:
+        by_name |= WITHOUT_ORIENTATIONS
+        noisy[_CLOCK] = (np.abs(values) < HALF_WIDTH * sigmas)[_CLOCK]
+        widened = float(np.median(np.square(sigmas[free] / brief.sigmas[free])))
     noise_m, noise_rad = short.rows.scales
     chosen = long if disagree else short
-    noisy = np.abs(values) < _LIKELY_SIGMAS * sigmas
     _apply(chosen, short, by_name, noisy, shift_s)
     rig = chosen.rig
     covariance = np.diag(np.square(np.roll(sigmas[:6] / UNITS[:6], 3)))
@@ -220,10 +242,17 @@ def _with_imu(
         HandEye(lie.from_matrix(rig.body), rig.lever),
         covariance,
         noise_m,
-        noise_rad,
+        None if only_positions else noise_rad,
         residuals,
-        repaired(chosen, ordered, shift_ns, poses.gaps),
+        repaired(chosen, ordered, shift_ns, poses.gaps, widened),
     )
+    sigma_deg = float(np.degrees(fits.repaired_noise[1]))
+    if only_positions and not sigma_deg < _LARGEST_SIGMA_DEG:
+        raise InputError(
+            f"the motion of {name} does not determine the orientation (standard deviation "
+            f"{sigma_deg:.2g} deg, limit {_LARGEST_SIGMA_DEG:g} deg); give a groundtruth with "
+            "orientations, or examine it without --imu"
+        )
     notes += _notes(poses)
     if axes:
         notes.append(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, runs_of
+from trajeval_ros.geometry.inertial import turned_by_gyro
 from trajeval_ros.geometry.interpolation import columns_at
 from trajeval_ros.geometry.preintegration import ImuNoise, integrated, preintegrate
 
@@ -26,6 +28,11 @@ class ImuSeconds:
     seconds: Floats  # (N,)
     rates: Floats  # (N, 3), rad/s
     accelerations: Floats  # (N, 3), m/s^2
+
+    @cached_property
+    def turned(self) -> Floats:
+        """Orientations (N, 4) by the gyroscope alone."""
+        return turned_by_gyro(self.seconds, self.rates)
 
     @property
     def doubtful(self) -> Booleans:

@@ -37,7 +37,7 @@ _WIDEST_LEVER_M = 0.05  # directions with a larger standard deviation are fixed
 _FIXED = 1e8
 _BROKEN = 50.0  # chi2 (9 degrees of freedom) of an interval over which the groundtruth jumps
 _LARGEST_STEP = 0.02  # standard deviations, of a fit that has converged
-_NOISE_RANGE = (np.repeat([2e-5, 1.7e-5], 3), np.repeat([10.0, 1.0], 3))  # m, rad
+_LEAST_NOISE, _LARGEST_NOISE = np.repeat([2e-5, 1.7e-5], 3), np.repeat([10.0, 1.0], 3)  # m, rad
 _REDUNDANCY_AT = (2, 4, 6, 9, 13)  # iterations
 _SINGULAR = 1e-10
 _ROWS = ((0, 1), (0, 1))  # axes of rows (n, 15, ...) over which products are summed
@@ -69,6 +69,9 @@ class JointFit:
         self.horizon = horizon
         self.fixed_directions: list[Floats] = []  # of the lever arm, unobservable ones (3,)
         self.sigmas = np.repeat(horizon.sigmas, 3)  # of a knot's measurement, m and rad
+        # Noise of the IMU acts at the next knot. If positions alone are trusted more than the IMU,
+        # it contains motion, and this delay is an error of the clock.
+        self._least_noise = self.sigmas if samples.quaternions is None else _LEAST_NOISE
         bias = np.median(rig.gyro_biases, axis=0)
         covariances, self._by_biases = steps.uncertainty(bias, horizon.noise)
         self._whiten = np.linalg.inv(np.linalg.cholesky(covariances))
@@ -97,7 +100,7 @@ class JointFit:
     def fix_unobservable_lever(self) -> None:
         """Fix directions of the lever arm that the motion does not determine, and solve again."""
         values, directions = np.linalg.eigh(self.covariance_of_model[LEVER, LEVER])
-        self.fixed_directions = list(directions.T[values > _WIDEST_LEVER_M**2])
+        self.fixed_directions += list(directions.T[values > _WIDEST_LEVER_M**2])
         if self.fixed_directions:
             self._linearise()
             self.solve(4, estimate_noise=False)
@@ -137,10 +140,9 @@ class JointFit:
         rig, horizon = self.rig, self.horizon
         self.motions = self.steps.motions(rig.gyro_biases[:-1], rig.acceleration_biases[:-1])
         self.predicted = predict(self.samples, self.steps, self.motions, rig)
-        self.rows = averaged(self.predicted, rig, self.samples.middle_s)
-        if horizon.window_s:
-            width = round(horizon.window_s / horizon.knot_s)
-            self.rows = self.rows.with_mean_rotations(rig, width)
+        self.rows = averaged(self.predicted, rig, self.samples)
+        if horizon.window_s and self.samples.quaternions is not None:
+            self.rows.average_rotations(rig, round(horizon.window_s / horizon.knot_s))
         self._weighted = self.rows.weighted(self.sigmas)
         self._factorise()
 
@@ -244,8 +246,8 @@ class JointFit:
         """Scale the standard deviations, and return the largest change of their logarithms."""
         squares = np.square(self._weighted.residuals).reshape(-1, 2, 3).sum(axis=(0, 2))
         ratio = np.sqrt(np.clip(squares / np.maximum(redundancy, 1.0), 0.09, 9.0))
-        if self.horizon.window_s:
+        if self.horizon.window_s and self.samples.quaternions is not None:
             ratio[0] = 1.0
         before = self.sigmas
-        self.sigmas = np.clip(before * np.repeat(ratio, 3), *_NOISE_RANGE)
+        self.sigmas = np.clip(before * np.repeat(ratio, 3), self._least_noise, _LARGEST_NOISE)
         return float(np.abs(np.log(self.sigmas / before)).max())

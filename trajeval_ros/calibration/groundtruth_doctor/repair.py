@@ -17,7 +17,11 @@ _POSE = [6, 7, 8, 0, 1, 2]  # columns of a state: position, then rotation
 
 
 def repaired(
-    fit: JointFit, groundtruth: Trajectory, shift_ns: int, gaps: tuple[PoseSpan, ...]
+    fit: JointFit,
+    groundtruth: Trajectory,
+    shift_ns: int,
+    gaps: tuple[PoseSpan, ...],
+    widened: float,
 ) -> Trajectory:
     """Return the IMU's states by its clock; gaps of up to 2 s are bridged.
 
@@ -37,7 +41,7 @@ def repaired(
         np.diag(each)[fit.free] for each in (fit.covariance_of_blocks, fit.covariance_of_model)
     )
     inflation = max(1.0, float(np.median(by_blocks / by_model)))
-    covariances = fit.state_covariances()[:, _POSE][:, :, _POSE] * inflation
+    covariances = fit.state_covariances()[:, _POSE][:, :, _POSE] * (widened * inflation)
     return Trajectory(
         stamps[within],
         states.positions,

@@ -142,8 +142,9 @@ def check_residuals(fit: JointFit, stamps: Stamps) -> ResidualChecks:
     minutes = float(stamps[-1] - stamps[0]) / NANOSECONDS / 60.0
     jumps: list[GroundtruthJump] = []
     noisy, outliers, jitters = [], [], []
+    known = kinds[: 1 if fit.samples.quaternions is None else 2]
     for (kind, errors, speeds), least, scale in zip(
-        kinds, _LEAST_JUMP, fit.rows.scales, strict=True
+        known, _LEAST_JUMP, fit.rows.scales, strict=False
     ):
         jitters.append(_jitter(errors, speeds, scale))
         outliers.append(_outliers(errors, least))
