@@ -71,8 +71,10 @@ class Factor:
         """Return A^-1 x for x (N, d) or (N, d, k)."""
         scale = self.scale if rows.ndim == 2 else self.scale[..., None]
         flat = (rows * scale).reshape(self.scale.size, -1)
-        solved = np.asarray(cho_solve_banded((self.band, True), flat, check_finite=False))
-        return solved.reshape(rows.shape) * scale
+        solved = np.asarray(cho_solve_banded((self.band, True), flat, True, check_finite=False))
+        solved = solved.reshape(rows.shape)
+        solved *= scale
+        return solved
 
     def inverse_blocks(self) -> tuple[Floats, Floats]:
         """Return the blocks of A^-1 on the diagonal (N, d, d), and right of it (N - 1, d, d).
@@ -80,20 +82,21 @@ class Factor:
         The recursion P_k = C_k + G_k^T P_{k+1} G_k runs backwards over the states.
         """
         count, size = self.scale.shape
-        diagonal, lower = _blocks(self.band, count, size)
-        inverted = np.linalg.inv(diagonal)
-        blocks = np.swapaxes(inverted, 1, 2) @ inverted
-        gain = lower @ inverted[:-1]
-        after = blocks[-1]
-        for block, own in zip(blocks[-2::-1], gain[::-1], strict=True):
-            block += own.T @ after @ own
-            after = block
-        beside = -np.swapaxes(gain, 1, 2) @ blocks[1:]
-        scale = self.scale
-        return (
-            blocks * scale[:, :, None] * scale[:, None, :],
-            beside * scale[:-1, :, None] * scale[1:, None, :],
-        )
+        blocks, beside = np.empty((2, count, size, size))
+        after = np.zeros((size, size))
+        for start in reversed(range(0, count, AT_ONCE)):
+            rows = slice(start, start + AT_ONCE)
+            diagonal, lower = _blocks(self.band.T.reshape(count, size, -1)[rows])
+            inverted = np.linalg.inv(diagonal)
+            own, gain = np.swapaxes(inverted, 1, 2) @ inverted, lower @ inverted
+            for k in reversed(range(len(own))):
+                across = gain[k].T @ after
+                own[k] += across @ gain[k]
+                after, beside[start + k] = own[k], -across
+            blocks[rows] = own * self.scale[rows, :, None] * self.scale[rows, None, :]
+        beside[:-1] *= self.scale[:-1, :, None]
+        beside[:-1] *= self.scale[1:, None, :]
+        return blocks, beside[:-1]
 
 
 def _lower_band(diagonal: Floats, lower: Floats, scale: Floats) -> Floats:
@@ -115,14 +118,13 @@ def _lower_band(diagonal: Floats, lower: Floats, scale: Floats) -> Floats:
     return band.reshape(count * size, 2 * size).T
 
 
-def _blocks(band: Floats, count: int, size: int) -> tuple[Floats, Floats]:
-    """Return the blocks of a factor in lower banded storage, on and below the diagonal."""
-    columns = band.T.reshape(count, size, 2 * size)
-    diagonal = np.zeros((count, size, size))
-    lower = np.zeros((count - 1, size, size))
+def _blocks(columns: Floats) -> tuple[Floats, Floats]:
+    """Return the blocks (N, d, d) on and below the diagonal of a banded factor's columns."""
+    _, size, _ = columns.shape
+    diagonal, lower = np.zeros((2, len(columns), size, size))
     for column in range(size):
         diagonal[:, column:, column] = columns[:, column, : size - column]
-        lower[:, :, column] = columns[:-1, column, size - column : 2 * size - column]
+        lower[:, :, column] = columns[:, column, size - column : 2 * size - column]
     return diagonal, lower
 
 

@@ -64,18 +64,18 @@ def _sentences(found: ExaminedGroundtruth) -> Iterator[str]:
     fits = found.fits
     if fits is None:
         return
+    assert fits.repaired.covariances is not None
+    variances = np.median(np.einsum("nii->ni", fits.repaired.covariances), axis=0)
+    position_m, rotation_rad = np.sqrt([variances[:3].mean(), variances[3:].mean()])
     for what, metres, radians in (
         ("Noise of a pose per axis", fits.position_noise_m, fits.rotation_noise_rad),
-        ("Repaired groundtruth of the IMU, standard deviation per axis", *fits.repaired_noise),
+        ("Repaired groundtruth of the IMU, standard deviation per axis", position_m, rotation_rad),
     ):
-        if radians is None:
-            yield f"Noise of a position per axis: {1e3 * metres:.2g} mm."
-            continue
-        degrees = math.degrees(radians)
-        yield (
-            f"{what}: {1e3 * metres:.2g} mm, {degrees:.2g} deg "
-            f"(--groundtruth-noise {metres:.2g},{degrees:.2g})."
-        )
+        text = f"{what}: {1e3 * metres:.2g} mm"
+        if radians is not None:
+            degrees = math.degrees(radians)
+            text += f", {degrees:.2g} deg (--groundtruth-noise {metres:.2g},{degrees:.2g})"
+        yield f"{text}."
     yield (
         "Its covariances are lower limits: the IMU does not reveal errors that last for more "
         "than a second."

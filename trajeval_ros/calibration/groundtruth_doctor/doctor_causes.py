@@ -93,11 +93,10 @@ class GroundtruthCause:
         return None if sigma is None else HALF_WIDTH * sigma
 
 
-# The verdicts on rotations that positions alone do not determine.
-WITHOUT_ORIENTATIONS = {
-    name: GroundtruthCause(name, UNOBSERVABLE)
-    for name in ("body_rotation", "fused", "rotation_jumps")
-}
+# Verdicts that positions alone do not allow.
+OF_ROTATION = [
+    GroundtruthCause(name, UNOBSERVABLE) for name in ("body_rotation", "fused", "rotation_jumps")
+]
 
 
 def parameter_cause(

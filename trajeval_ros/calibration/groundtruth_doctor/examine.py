@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from trajeval_ros.calibration.groundtruth_doctor import start
 from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import (
     HALF_WIDTH,
+    OF_ROTATION,
     PARAMETERS,
     UNITS,
-    WITHOUT_ORIENTATIONS,
     GroundtruthCause,
     fused_cause,
     parameter_cause,
@@ -29,7 +31,6 @@ from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
     check_residuals,
 )  # fmt: skip
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
-from trajeval_ros.calibration.groundtruth_doctor.start import first_rig, guess_of, knots_of
 from trajeval_ros.calibration.significance import INSIGNIFICANT, SIGNIFICANT, axis_name
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie, so3
@@ -57,7 +58,7 @@ _DISAGREE = np.array([1.0] * 3 + [20.0] * 3)
 _DISAGREE_SIGMAS, _PART_OF_DIFFERENCE = 5.0, 4.0
 _LIKELY_SIGMAS = np.sqrt(2.0)  # Akaike: a smaller value is better left at zero
 _CLOCK = [OFFSET, SKEW]
-_LARGEST_SIGMA_DEG = 2.0  # of an orientation from positions
+_LARGEST_SIGMA_RAD = math.radians(3.0)  # of an orientation from positions
 _SLOW_HZ = 50.0
 _SMOOTH_M = 2e-5  # a smaller high-frequency noise is that of a model
 _LIGHTEST_MPS2, _HEAVIEST_MPS2 = 5.0, 20.0
@@ -89,13 +90,6 @@ class Fits:
     # Poses, velocities and biases of the IMU by its clock. The covariances are lower limits: an
     # IMU does not reveal errors of a groundtruth that last for over a second.
     repaired: Trajectory
-
-    @property
-    def repaired_noise(self) -> tuple[float, float]:
-        """Median standard deviations of the repaired poses per axis, m and rad."""
-        assert self.repaired.covariances is not None
-        variances = np.median(np.einsum("nii->ni", self.repaired.covariances), axis=0)
-        return float(np.sqrt(variances[:3].mean())), float(np.sqrt(variances[3:].mean()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +166,7 @@ def _with_imu(
     turns = turning > _AT_REST_RADPS
     shift_s = time_offset_s
     if shift_s is None:
-        guess = guess_of(ordered, imu, origin)
+        guess = start.guess_of(ordered, imu, origin)
         # So high a correlation is not a coincidence, even if periodic motion has a second peak.
         is_usable = guess.is_usable or guess.peak > _CERTAIN_CORRELATION
         shift_s = guess.offset_s if is_usable else 0.0
@@ -189,11 +183,10 @@ def _with_imu(
         notes.append("the rig turns about one axis in place: rotation and lever arm are unknown")
     shift_ns = round(shift_s * NANOSECONDS)
     shift_s = shift_ns / NANOSECONDS
-    samples = TruthSamples(
-        (ordered.stamps + (shift_ns - origin)) / NANOSECONDS,
-        ordered.positions,
-        ordered.quaternions,
-    )
+    seconds, turned = (ordered.stamps + (shift_ns - origin)) / NANOSECONDS, ordered.quaternions
+    if turned is None:
+        turned, turns = start.rough_orientations(seconds, ordered.positions, imu), False
+    samples = TruthSamples(seconds, ordered.positions, turned, not only_positions)
     stiff = ImuNoise(imu_noise.gyroscope / 4.0, imu_noise.accelerometer / 2.0)
     short = _fitted(samples, imu, Horizon(0.05, imu_noise, (1e-3, 3e-3)), free, turns=turns)
     long = _fitted(samples, imu, Horizon(0.1, stiff, (3e-3, 5e-3), 2.0), free, turns=turns)
@@ -223,11 +216,11 @@ def _with_imu(
     causes.append(fused_cause(short_deg, long_deg, slow_deg, disagree=disagree))
     causes += sample_causes(poses, residuals, int(ordered.stamps[0]))
     by_name = {each.name: each for each in causes}
-    noisy, widened = np.abs(values) < _LIKELY_SIGMAS * sigmas, 1.0
+    noisy, scale = np.abs(values) < _LIKELY_SIGMAS * sigmas, 1.0
     if only_positions:
-        by_name |= WITHOUT_ORIENTATIONS
+        by_name |= {each.name: each for each in OF_ROTATION}
         noisy[_CLOCK] = (np.abs(values) < HALF_WIDTH * sigmas)[_CLOCK]
-        widened = float(np.median(np.square(sigmas[free] / brief.sigmas[free])))
+        scale = float(np.median(np.square(sigmas[free] / brief.sigmas[free])))
     noise_m, noise_rad = short.rows.scales
     chosen = long if disagree else short
     _apply(chosen, short, by_name, noisy, shift_s)
@@ -244,14 +237,14 @@ def _with_imu(
         noise_m,
         None if only_positions else noise_rad,
         residuals,
-        repaired(chosen, ordered, shift_ns, poses.gaps, widened),
+        repaired(chosen, ordered, shift_ns, poses.gaps, scale),
     )
-    sigma_deg = float(np.degrees(fits.repaired_noise[1]))
-    if only_positions and not sigma_deg < _LARGEST_SIGMA_DEG:
+    assert fits.repaired.covariances is not None
+    variance = float(np.median(np.einsum("nii->n", fits.repaired.covariances[:, 3:, 3:])))
+    if only_positions and variance > _LARGEST_SIGMA_RAD**2:
         raise InputError(
-            f"the motion of {name} does not determine the orientation (standard deviation "
-            f"{sigma_deg:.2g} deg, limit {_LARGEST_SIGMA_DEG:g} deg); give a groundtruth with "
-            "orientations, or examine it without --imu"
+            f"{name} and the IMU do not determine the orientation (standard deviation "
+            f"{math.degrees(math.sqrt(variance)):.2g} deg); examine it without --imu"
         )
     notes += _notes(poses)
     if axes:
@@ -294,14 +287,14 @@ def _imu_of(readings: InertialReadings) -> tuple[ImuSeconds, int]:
 def _fitted(
     samples: TruthSamples, imu: ImuSeconds, horizon: Horizon, free: Booleans, *, turns: bool
 ) -> JointFit:
-    knots = knots_of(samples, imu, horizon.knot_s)
+    knots = start.knots_of(samples, imu, horizon.knot_s)
     lasts_s = float(knots[-1] - knots[0]) if len(knots) else 0.0
     if lasts_s < _OVERLAP_S:
         raise InputError(
             f"groundtruth and IMU overlap for {lasts_s:.1f} s, and the examination needs "
             f"{_OVERLAP_S:g} s; give longer recordings, or the clocks' difference as --time-offset"
         )
-    rig = first_rig(samples, imu, knots, turns=turns)
+    rig = start.first_rig(samples, imu, knots, turns=turns)
     fit = JointFit(samples, InertialSteps(knots, imu), rig, horizon, free)
     fit.solve(_ITERATIONS)
     fit.fix_unobservable_lever()

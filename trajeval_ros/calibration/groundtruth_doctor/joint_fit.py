@@ -71,7 +71,7 @@ class JointFit:
         self.sigmas = np.repeat(horizon.sigmas, 3)  # of a knot's measurement, m and rad
         # Noise of the IMU acts at the next knot. If positions alone are trusted more than the IMU,
         # it contains motion, and this delay is an error of the clock.
-        self._least_noise = self.sigmas if samples.quaternions is None else _LEAST_NOISE
+        self._least_noise = _LEAST_NOISE if samples.has_rotations else self.sigmas
         bias = np.median(rig.gyro_biases, axis=0)
         covariances, self._by_biases = steps.uncertainty(bias, horizon.noise)
         self._whiten = np.linalg.inv(np.linalg.cholesky(covariances))
@@ -141,7 +141,7 @@ class JointFit:
         self.motions = self.steps.motions(rig.gyro_biases[:-1], rig.acceleration_biases[:-1])
         self.predicted = predict(self.samples, self.steps, self.motions, rig)
         self.rows = averaged(self.predicted, rig, self.samples)
-        if horizon.window_s and self.samples.quaternions is not None:
+        if horizon.window_s and self.samples.has_rotations:
             self.rows.average_rotations(rig, round(horizon.window_s / horizon.knot_s))
         self._weighted = self.rows.weighted(self.sigmas)
         self._factorise()
@@ -208,9 +208,11 @@ class JointFit:
             add(others, after, columns)
             lower[knots] = transposed(after) @ before
             corner += np.tensordot(columns[..., :-1], columns, axes=_ROWS)
-        columns = np.concatenate([rows.by_rig, rows.residuals[..., None]], axis=2)
-        add(rows.knots, rows.by_state, columns)
-        corner += np.tensordot(columns[..., :-1], columns, axes=_ROWS)
+        for start in range(0, len(rows.knots), AT_ONCE):
+            part = slice(start, start + AT_ONCE)
+            columns = np.concatenate([rows.by_rig[part], rows.residuals[part, :, None]], axis=2)
+            add(rows.knots[part], rows.by_state[part], columns)
+            corner += np.tensordot(columns[..., :-1], columns, axes=_ROWS)
         prior = np.eye(3) / _LEVER_M**2
         prior += _FIXED * sum(np.outer(each, each) for each in self.fixed_directions)
         corner[LEVER, LEVER] += prior
@@ -221,7 +223,8 @@ class JointFit:
         self._factor = Factor.of(diagonal, lower)
         solved = self._factor.solve(border)
         self._by_calibration, self._by_gradient = solved[..., :-1], solved[..., -1]
-        reduced = corner - np.tensordot(border[..., :-1], solved, axes=_ROWS)
+        width = PARAMETERS + 1
+        reduced = corner - (border.reshape(-1, width).T @ solved.reshape(-1, width))[:-1]
         self._gradient = reduced[:, -1]
         free = np.ix_(self.free, self.free)
         information = reduced[:, :-1][free]
@@ -246,7 +249,7 @@ class JointFit:
         """Scale the standard deviations, and return the largest change of their logarithms."""
         squares = np.square(self._weighted.residuals).reshape(-1, 2, 3).sum(axis=(0, 2))
         ratio = np.sqrt(np.clip(squares / np.maximum(redundancy, 1.0), 0.09, 9.0))
-        if self.horizon.window_s and self.samples.quaternions is not None:
+        if self.horizon.window_s and self.samples.has_rotations:
             ratio[0] = 1.0
         before = self.sigmas
         self.sigmas = np.clip(before * np.repeat(ratio, 3), self._least_noise, _LARGEST_NOISE)

@@ -42,7 +42,8 @@ class TruthSamples:
 
     seconds: Floats  # (N,)
     positions: Floats  # (N, 3), metres
-    quaternions: Floats | None  # (N, 4), of R_WM; None for positions only
+    quaternions: Floats  # (N, 4), of R_WM; rough if not measured
+    has_rotations: bool  # whether they are measured
 
     @property
     def middle_s(self) -> float:
@@ -79,18 +80,19 @@ def predict(samples: TruthSamples, steps: InertialSteps, motions: Motions, rig: 
     own, skew = samples.seconds, rig.skew
     seconds = own + rig.offset_s + skew * (own - samples.middle_s)
     rows = np.flatnonzero((seconds >= steps.knots[0]) & (seconds < steps.knots[-1]))
-    states = rig_at(seconds[rows], steps, motions, rig)
-    turned, rotation_errors = states.rotations, np.zeros((len(rows), 3))
-    if samples.quaternions is not None:
-        measured = lie.to_matrix(samples.quaternions[rows])
-        rotation_errors = so3.log(transposed(measured) @ turned @ rig.body)
-    return Predicted(
-        rows,
-        states,
-        states.velocities + times(turned, np.cross(states.rates, rig.lever)),
-        states.positions + times(turned, rig.lever) - samples.positions[rows],
-        rotation_errors,
-    )
+
+    def at(rows: Indices) -> tuple[Floats | Indices, ...]:
+        states = rig_at(seconds[rows], steps, motions, rig)
+        turned, measured = states.rotations, lie.to_matrix(samples.quaternions[rows])
+        return (
+            *states,
+            states.velocities + times(turned, np.cross(states.rates, rig.lever)),
+            states.positions + times(turned, rig.lever) - samples.positions[rows],
+            so3.log(transposed(measured) @ turned @ rig.body),
+        )
+
+    *states, speeds, positions, rotations = lie.by_blocks(at, rows)
+    return Predicted(rows, RigStates(*states), speeds, positions, rotations)
 
 
 def rig_at(seconds: Floats, steps: InertialSteps, motions: Motions, rig: Rig) -> RigStates:
@@ -196,7 +198,7 @@ def averaged(found: Predicted, rig: Rig, samples: TruthSamples) -> SampleRows:
     since_s = samples.seconds[found.rows[starts]] - samples.middle_s
     by_rig[:, :, SKEW] = by_rig[:, :, OFFSET] * since_s[:, None]
     usual = float(np.median(np.diff(np.append(starts, len(states.knots)))))
-    weights = np.stack([of_position, of_rotation * (samples.quaternions is not None)], axis=1)
+    weights = np.stack([of_position, of_rotation * samples.has_rotations], axis=1)
     totals = np.add.reduceat(weights, starts)
     return SampleRows(
         knots,

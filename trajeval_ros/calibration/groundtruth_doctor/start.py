@@ -11,6 +11,7 @@ from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
 from trajeval_ros.calibration.hand_eye import robust_rotation
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.inertial import turned_by_gyro
 from trajeval_ros.geometry.interpolation import columns_at, slerp_at
 from trajeval_ros.geometry.se3 import times
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
@@ -42,7 +43,8 @@ def guess_of(groundtruth: Trajectory, imu: ImuSeconds, origin: int) -> OffsetGue
         signal, by_imu = "speed", at(*_swings_of(imu))
         groundtruth = at(*_swings(own_s, groundtruth.positions))
     else:
-        signal, by_imu = "angular rate", at(imu.seconds, np.zeros_like(imu.rates), imu.turned)
+        turned = turned_by_gyro(imu.seconds, imu.rates)
+        signal, by_imu = "angular rate", at(imu.seconds, np.zeros_like(imu.rates), turned)
     return guess_offset_by(by_imu, groundtruth, 0.0, search_s, signal)
 
 
@@ -62,10 +64,27 @@ def _swings_of(imu: ImuSeconds) -> tuple[Floats, Floats]:
     """Return the times and swings of an IMU, in the axes of its orientations by the gyroscope."""
     from scipy.integrate import cumulative_trapezoid
 
-    moved = lie.rotate(imu.turned, imu.accelerations)
+    moved = lie.rotate(turned_by_gyro(imu.seconds, imu.rates), imu.accelerations)
     for _ in range(2):
         moved = cumulative_trapezoid(moved, imu.seconds, axis=0, initial=0.0)
     return _swings(imu.seconds, moved)
+
+
+def rough_orientations(seconds: Floats, positions: Floats, imu: ImuSeconds) -> Floats:
+    """Return orientations (N, 4) of the IMU at positions (N, 3) by its clock.
+
+    Of a few seconds, the gyroscope gives them up to the rotation between swings in both axes.
+    """
+    turned = slerp_at(imu.seconds, turned_by_gyro(imu.seconds, imu.rates), seconds)
+    theirs, ours = (
+        np.gradient(columns_at(*swings, seconds), axis=0)
+        for swings in (_swings(seconds, positions), _swings_of(imu))
+    )
+    count = max(1, int((seconds[-1] - seconds[0]) / _WINDOW_S))
+    windows = np.array_split(np.arange(len(seconds)), count)
+    rotations = np.stack([robust_rotation(theirs[each], ours[each]) for each in windows])
+    of_rows = np.repeat(lie.from_matrices(rotations), [len(each) for each in windows], axis=0)
+    return lie.multiply(of_rows, turned)
 
 
 def knots_of(samples: TruthSamples, imu: ImuSeconds, step_s: float) -> Floats:
@@ -82,13 +101,9 @@ def first_rig(samples: TruthSamples, imu: ImuSeconds, knots: Floats, *, turns: b
     the identity.
     """
     body, bias, none = np.eye(3), np.zeros(3), np.zeros((len(knots), 3))
-    if samples.quaternions is None:
-        rotations = _rotations(samples, imu, knots)
-    else:
-        if turns:
-            body, bias = _body_and_bias(samples, imu, knots)
-        turned = slerp_at(samples.seconds, samples.quaternions, knots)
-        rotations = lie.to_matrix(turned) @ body.T
+    if turns:
+        body, bias = _body_and_bias(samples, imu, knots)
+    rotations = lie.to_matrix(slerp_at(samples.seconds, samples.quaternions, knots)) @ body.T
     measured = columns_at(imu.seconds, imu.accelerations, knots)
     force = np.median(times(rotations, measured), axis=0)
     length = float(np.linalg.norm(force))
@@ -104,30 +119,14 @@ def first_rig(samples: TruthSamples, imu: ImuSeconds, knots: Floats, *, turns: b
     )  # fmt: skip
 
 
-def _rotations(samples: TruthSamples, imu: ImuSeconds, knots: Floats) -> Floats:
-    """Return rough rotations (N, 3, 3) of the IMU at knots, without measured orientations.
-
-    Of a few seconds, the gyroscope gives them up to the rotation between swings in both axes.
-    """
-    turned = lie.to_matrix(slerp_at(imu.seconds, imu.turned, knots))
-    theirs, ours = (
-        np.gradient(columns_at(*swings, knots), axis=0)
-        for swings in (_swings(samples.seconds, samples.positions), _swings_of(imu))
-    )
-    windows = np.array_split(np.arange(len(knots)), int((knots[-1] - knots[0]) / _WINDOW_S))
-    found = [robust_rotation(theirs[each], ours[each]) @ turned[each] for each in windows]
-    return np.concatenate(found)
-
-
 def _body_and_bias(samples: TruthSamples, imu: ImuSeconds, knots: Floats) -> tuple[Floats, Floats]:
     """Return R_IM (3, 3) and the bias (3,), rad/s, from rotations over a quarter of a second."""
-    assert samples.quaternions is not None
     ends = np.arange(knots[0], knots[-1], _INCREMENT_S)
     of_marker, of_imu = (
         lie.rotation_vector(lie.multiply(lie.conjugate(turns[:-1]), turns[1:]))
         for turns in (
             slerp_at(samples.seconds, samples.quaternions, ends),
-            slerp_at(imu.seconds, imu.turned, ends),
+            slerp_at(imu.seconds, turned_by_gyro(imu.seconds, imu.rates), ends),
         )
     )
     bias = np.zeros(3)
