@@ -38,8 +38,10 @@ class Factor:
     scale: Floats  # (N, d), the diagonal of S
 
     @classmethod
-    def of(cls, diagonal: Floats, lower: Floats) -> Factor:
+    def of(cls, diagonal: Floats, lower: Floats, band: Floats | None = None) -> Factor:
         """Factorise the matrix of blocks (N, d, d) and, below them, (N - 1, d, d).
+
+        The factor is in `band` (N, d, 2 d), if given: zeros, or that of another factor.
 
         Raises:
             numpy.linalg.LinAlgError: It is not positive definite.
@@ -48,7 +50,9 @@ class Factor:
         if not (entries > 0.0).all():
             raise np.linalg.LinAlgError("a diagonal entry is not positive")
         scale = 1.0 / np.sqrt(entries)
-        band = _lower_band(diagonal, lower, scale)
+        band = np.zeros((*entries.shape, 2 * entries.shape[1])) if band is None else band
+        _fill(band, diagonal, lower, scale)
+        band = band.reshape(entries.size, -1).T
         return cls(cholesky_banded(band, lower=True, overwrite_ab=True), scale)
 
     @property
@@ -99,13 +103,12 @@ class Factor:
         return blocks, beside[:-1]
 
 
-def _lower_band(diagonal: Floats, lower: Floats, scale: Floats) -> Floats:
-    """Return the lower banded storage (2 d, N d) of S A S: row i - j holds the entries (i, j).
+def _fill(band: Floats, diagonal: Floats, lower: Floats, scale: Floats) -> None:
+    """Write the columns (N, d, 2 d) of S A S in lower banded storage, as LAPACK requires them.
 
-    Columns are contiguous, as LAPACK requires.
+    Entry i - j of column j is that of row i; entries of other blocks stay zero.
     """
     count, size, _ = diagonal.shape
-    band = np.zeros((count, size, 2 * size))
     for start in range(0, count, AT_ONCE):
         part, next_part = (slice(each, each + AT_ONCE) for each in (start, start + 1))
         own = diagonal[part] * scale[part, :, None] * scale[part, None, :]
@@ -115,7 +118,6 @@ def _lower_band(diagonal: Floats, lower: Floats, scale: Floats) -> Floats:
             end = size - column
             band[part, column, :end] = own[:, column:, column]
             band[start : start + len(below), column, end : end + size] = below[:, :, column]
-    return band.reshape(count * size, 2 * size).T
 
 
 def _blocks(columns: Floats) -> tuple[Floats, Floats]:

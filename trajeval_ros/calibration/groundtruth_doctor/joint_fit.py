@@ -75,7 +75,7 @@ class JointFit:
         bias = np.median(rig.gyro_biases, axis=0)
         covariances, self._by_biases = steps.uncertainty(bias, horizon.noise)
         self._whiten = np.linalg.inv(np.linalg.cholesky(covariances))
-        self._iteration = 0
+        self._iteration, self._band = 0, np.zeros((len(rig.positions), STATES, 2 * STATES))
         self._linearise()
 
     def solve(self, iterations: int, *, estimate_noise: bool = True) -> None:
@@ -220,7 +220,7 @@ class JointFit:
         diagonal[0, 9:, 9:] += np.diag(_FIRST_BIAS**-2.0)
         border[0, 9:, -1] += self.rig.biases[0] / _FIRST_BIAS**2
         diagonal += np.diag(_WEAK)
-        self._factor = Factor.of(diagonal, lower)
+        self._factor = Factor.of(diagonal, lower, self._band)
         solved = self._factor.solve(border)
         self._by_calibration, self._by_gradient = solved[..., :-1], solved[..., -1]
         width = PARAMETERS + 1
