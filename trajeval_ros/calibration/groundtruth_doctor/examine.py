@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -20,8 +21,8 @@ from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import (
     sample_causes,
 )  # fmt: skip
 from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds, InertialSteps
+from trajeval_ros.calibration.groundtruth_doctor.joint_fit import LEVER_M, Horizon, JointFit
 from trajeval_ros.calibration.groundtruth_doctor.joint_fit import PARAMETERS as COUNT
-from trajeval_ros.calibration.groundtruth_doctor.joint_fit import Horizon, JointFit
 from trajeval_ros.calibration.groundtruth_doctor.repair import repaired
 from trajeval_ros.calibration.groundtruth_doctor.rig import BODY, GRAVITY, LEVER, OFFSET, SKEW, Rig
 from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
@@ -188,8 +189,10 @@ def _with_imu(
         turned, turns = start.rough_orientations(seconds, ordered.positions, imu), False
     samples = TruthSamples(seconds, ordered.positions, turned, not only_positions)
     stiff = ImuNoise(imu_noise.gyroscope / 4.0, imu_noise.accelerometer / 2.0)
-    short = _fitted(samples, imu, Horizon(0.05, imu_noise, (1e-3, 3e-3)), free, turns=turns)
-    long = _fitted(samples, imu, Horizon(0.1, stiff, (3e-3, 5e-3), 2.0), free, turns=turns)
+    fitted = partial(_fitted, samples, imu, free, turns=turns)
+    long = fitted(Horizon(0.1, stiff, (3e-3, 5e-3), 2.0), [])
+    # Over short times, noise of the attitude seems to determine the height of a car's lever arm.
+    short = fitted(Horizon(0.05, imu_noise, (1e-3, 3e-3)), long.fixed_directions)
     poses = check_poses(groundtruth, imu, origin - shift_ns)
     residuals = check_residuals(short, ordered.stamps)
     brief, lasting = _summary(short, shift_s), _summary(long, shift_s)
@@ -226,6 +229,8 @@ def _with_imu(
     _apply(chosen, short, by_name, noisy, shift_s)
     rig = chosen.rig
     covariance = np.diag(np.square(np.roll(sigmas[:6] / UNITS[:6], 3)))
+    for each in short.fixed_directions:
+        covariance[:3, :3] += LEVER_M**2 * np.outer(each, each)
     covariance[3:, 3:] = rig.body @ covariance[3:, 3:] @ rig.body.T
     fits = Fits(
         brief,
@@ -285,7 +290,13 @@ def _imu_of(readings: InertialReadings) -> tuple[ImuSeconds, int]:
 
 
 def _fitted(
-    samples: TruthSamples, imu: ImuSeconds, horizon: Horizon, free: Booleans, *, turns: bool
+    samples: TruthSamples,
+    imu: ImuSeconds,
+    free: Booleans,
+    horizon: Horizon,
+    fixed: Sequence[Floats],
+    *,
+    turns: bool,
 ) -> JointFit:
     knots = start.knots_of(samples, imu, horizon.knot_s)
     lasts_s = float(knots[-1] - knots[0]) if len(knots) else 0.0
@@ -295,7 +306,7 @@ def _fitted(
             f"{_OVERLAP_S:g} s; give longer recordings, or the clocks' difference as --time-offset"
         )
     rig = start.first_rig(samples, imu, knots, turns=turns)
-    fit = JointFit(samples, InertialSteps(knots, imu), rig, horizon, free)
+    fit = JointFit(samples, InertialSteps(knots, imu), rig, horizon, free, fixed)
     fit.solve(_ITERATIONS)
     fit.fix_unobservable_lever()
     return fit

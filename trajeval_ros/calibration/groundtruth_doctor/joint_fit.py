@@ -13,7 +13,7 @@ noise of the groundtruth is estimated by variance components.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +32,7 @@ STATES, PARAMETERS = 15, 10
 _WALK = np.repeat([2e-5, 1e-3], 3)  # densities: rad/s^2/sqrt(Hz), m/s^3/sqrt(Hz)
 _FIRST_BIAS = np.repeat([0.2, 1.0], 3)  # standard deviations: rad/s, m/s^2
 _WEAK = np.repeat([1e-6, 1e-9], [9, 6])  # information that keeps unobserved states regular
-_LEVER_M = 0.5  # standard deviation of the prior per axis
+LEVER_M = 0.5  # standard deviation of the prior per axis
 _WIDEST_LEVER_M = 0.05  # directions with a larger standard deviation are fixed
 _FIXED = 1e8
 _BROKEN = 50.0  # chi2 (9 degrees of freedom) of an interval over which the groundtruth jumps
@@ -63,11 +63,12 @@ class JointFit:
         rig: Rig,
         horizon: Horizon,
         free: Booleans,
+        fixed: Sequence[Floats],
     ) -> None:
-        """Start at a rig. `free` (10,) has the parameters that are estimated."""
+        """Start at a rig with `free` parameters (10,) and `fixed` directions of the lever arm."""
         self.samples, self.steps, self.rig, self.free = samples, steps, rig, free
         self.horizon = horizon
-        self.fixed_directions: list[Floats] = []  # of the lever arm, unobservable ones (3,)
+        self.fixed_directions = list(fixed)  # of the lever arm, unobservable ones (3,)
         self.sigmas = np.repeat(horizon.sigmas, 3)  # of a knot's measurement, m and rad
         # Noise of the IMU acts at the next knot. If positions alone are trusted more than the IMU,
         # it contains motion, and this delay is an error of the clock.
@@ -213,7 +214,7 @@ class JointFit:
             columns = np.concatenate([rows.by_rig[part], rows.residuals[part, :, None]], axis=2)
             add(rows.knots[part], rows.by_state[part], columns)
             corner += np.tensordot(columns[..., :-1], columns, axes=_ROWS)
-        prior = np.eye(3) / _LEVER_M**2
+        prior = np.eye(3) / LEVER_M**2
         prior += _FIXED * sum(np.outer(each, each) for each in self.fixed_directions)
         corner[LEVER, LEVER] += prior
         corner[LEVER, -1] += prior @ self.rig.lever
