@@ -295,6 +295,8 @@ def test_a_car_does_not_determine_the_height_of_the_marker() -> None:
     assert found.causes["clock_offset"].verdict == "significant"
     assert found.causes["fused"].verdict == "insignificant"
     assert any("lever arm along z" in note for note in found.notes)
+    # The value of zero is not a measurement: its standard deviation is that of the prior.
+    assert fits_of(found).hand_eye_covariance[2, 2] == pytest.approx(0.25, rel=0.01)
 
 
 def test_a_turntable_has_no_false_verdict() -> None:
