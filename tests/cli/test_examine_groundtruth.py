@@ -73,7 +73,7 @@ def test_positions_alone_are_repaired(tmp_path: Path, capsys: pytest.CaptureFixt
     assert main([*command, *files, "--output", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert "refers to a point 6" in said
-    assert "Noise of a pose per axis: 0.49 mm." in said
+    assert "Noise of a pose per axis: 0.5 mm." in said
     assert "body rotation        unobservable" in said
     found = json.loads((tmp_path / "g.json").read_text())
     assert found["noise"]["rotation_rad"] is None

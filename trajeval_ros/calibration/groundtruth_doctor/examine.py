@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -189,10 +188,10 @@ def _with_imu(
         turned, turns = start.rough_orientations(seconds, ordered.positions, imu), False
     samples = TruthSamples(seconds, ordered.positions, turned, not only_positions)
     stiff = ImuNoise(imu_noise.gyroscope / 4.0, imu_noise.accelerometer / 2.0)
-    fitted = partial(_fitted, samples, imu, free, turns=turns)
-    long = fitted(Horizon(0.1, stiff, (3e-3, 5e-3), 2.0), [])
+    long = _fitted(samples, imu, Horizon(0.1, stiff, (3e-3, 5e-3), 2.0), free, turns=turns)
     # Over short times, noise of the attitude seems to determine the height of a car's lever arm.
-    short = fitted(Horizon(0.05, imu_noise, (1e-3, 3e-3)), long.fixed_directions)
+    brief_horizon = Horizon(0.05, imu_noise, (1e-3, 3e-3), fixed=tuple(long.fixed_directions))
+    short = _fitted(samples, imu, brief_horizon, free, turns=turns)
     poses = check_poses(groundtruth, imu, origin - shift_ns)
     residuals = check_residuals(short, ordered.stamps)
     brief, lasting = _summary(short, shift_s), _summary(long, shift_s)
@@ -290,13 +289,7 @@ def _imu_of(readings: InertialReadings) -> tuple[ImuSeconds, int]:
 
 
 def _fitted(
-    samples: TruthSamples,
-    imu: ImuSeconds,
-    free: Booleans,
-    horizon: Horizon,
-    fixed: Sequence[Floats],
-    *,
-    turns: bool,
+    samples: TruthSamples, imu: ImuSeconds, horizon: Horizon, free: Booleans, *, turns: bool
 ) -> JointFit:
     knots = start.knots_of(samples, imu, horizon.knot_s)
     lasts_s = float(knots[-1] - knots[0]) if len(knots) else 0.0
@@ -306,7 +299,7 @@ def _fitted(
             f"{_OVERLAP_S:g} s; give longer recordings, or the clocks' difference as --time-offset"
         )
     rig = start.first_rig(samples, imu, knots, turns=turns)
-    fit = JointFit(samples, InertialSteps(knots, imu), rig, horizon, free, fixed)
+    fit = JointFit(samples, InertialSteps(knots, imu), rig, horizon, free)
     fit.solve(_ITERATIONS)
     fit.fix_unobservable_lever()
     return fit

@@ -13,7 +13,7 @@ noise of the groundtruth is estimated by variance components.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,6 +51,7 @@ class Horizon:
     noise: ImuNoise
     sigmas: tuple[float, float]  # first standard deviations of a knot's measurement, m and rad
     window_s: float = 0.0  # rotations are averaged over it; then the noise of positions is given
+    fixed: tuple[Floats, ...] = ()  # directions of the lever arm (3,) that are not estimated
 
 
 class JointFit:
@@ -63,12 +64,11 @@ class JointFit:
         rig: Rig,
         horizon: Horizon,
         free: Booleans,
-        fixed: Sequence[Floats],
     ) -> None:
-        """Start at a rig with `free` parameters (10,) and `fixed` directions of the lever arm."""
+        """Start at a rig. `free` (10,) has the parameters that are estimated."""
         self.samples, self.steps, self.rig, self.free = samples, steps, rig, free
         self.horizon = horizon
-        self.fixed_directions = list(fixed)  # of the lever arm, unobservable ones (3,)
+        self.fixed_directions = list(horizon.fixed)  # of the lever arm, unobservable ones (3,)
         self.sigmas = np.repeat(horizon.sigmas, 3)  # of a knot's measurement, m and rad
         # Noise of the IMU acts at the next knot. If positions alone are trusted more than the IMU,
         # it contains motion, and this delay is an error of the clock.
