@@ -62,6 +62,26 @@ def test_a_groundtruth_is_repaired_and_evaluated_against(
 
 
 @pytest.mark.slow
+def test_positions_alone_are_repaired(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib", reason="figures need the extra `plot`")
+    made = rig(2, lever_m=(0.05, -0.03, 0.02))
+    truth, prism = made.groundtruth, tmp_path / "prism.txt"
+    np.savetxt(prism, np.column_stack([truth.stamps / 1e9, truth.positions]), fmt="%.9f")
+    write_bag(tmp_path / "run", {}, inertial={"/imu": made.readings})
+    command = ["groundtruth", str(prism), "--imu", f"{tmp_path}/run:/imu", "--save-as", "tum"]
+    files = ["--json", str(tmp_path / "g.json"), "--figure", str(tmp_path / "g.svg")]
+    assert main([*command, *files, "--output", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "refers to a point 6" in said
+    assert "Noise of a pose per axis: 0.5 mm." in said
+    assert "body rotation        unobservable" in said
+    found = json.loads((tmp_path / "g.json").read_text())
+    assert found["noise"]["rotation_rad"] is None
+    assert (tmp_path / "g.svg").is_file()
+    assert read_trajectory(str(tmp_path / "groundtruth.txt")).quaternions is not None
+
+
+@pytest.mark.slow
 def test_velocities_and_biases_are_saved(bag: Path, tmp_path: Path) -> None:
     command = ["groundtruth", f"{bag}:/mocap", "--imu", f"{bag}:/imu", "--imu-noise", "1e-3,2e-2"]
     assert main([*command, "--save-as", "euroc", "--output", str(tmp_path), "--quiet"]) == 0

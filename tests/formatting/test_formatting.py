@@ -17,6 +17,8 @@ from trajeval_ros.formatting.escaping import csv_text, latex_text, markdown_text
 from trajeval_ros.formatting.numbers import (
     change_percent,
     data_size,
+    degrees,
+    metres,
     one_digit,
     significant,
     three_decimals,
@@ -180,6 +182,11 @@ def test_large_numbers_have_no_exponent() -> None:
     large = [significant(each, 3) for each in (999.4, 1234.5, -2e8, 0.0686)]
     assert large == ["999", "1234", "-200000000", "0.0686"]
     assert with_unit(12345.6, "m") == "12346 m"
+
+
+def test_a_small_length_or_angle_is_not_zero() -> None:
+    assert [metres(1e-5), metres(1.5), metres(None)] == ["0.0000100 m", "1.500 m", "-"]
+    assert [degrees(2e-4), degrees(None)] == ["0.000200°", "-"]
 
 
 def test_what_is_no_number_is_said() -> None:

@@ -84,13 +84,13 @@ def data_size(count: int) -> str:
 
 
 def metres(value: float | None) -> str:
-    """Return a length with millimetres."""
-    return NOTHING if value is None else f"{value:.3f} m"
+    """Return a length with its unit."""
+    return NOTHING if value is None else f"{three_decimals(value)} m"
 
 
 def degrees(value: float | None) -> str:
-    """Return an angle with two decimals."""
-    return NOTHING if value is None else f"{value:.2f}°"
+    """Return an angle with its unit."""
+    return NOTHING if value is None else f"{three_decimals(value)}°"
 
 
 def counted(count: int, noun: str, plural: str = "") -> str:

@@ -38,8 +38,10 @@ class Factor:
     scale: Floats  # (N, d), the diagonal of S
 
     @classmethod
-    def of(cls, diagonal: Floats, lower: Floats) -> Factor:
+    def of(cls, diagonal: Floats, lower: Floats, band: Floats | None = None) -> Factor:
         """Factorise the matrix of blocks (N, d, d) and, below them, (N - 1, d, d).
+
+        The factor is in `band` (N, d, 2 d), if given: zeros, or that of another factor.
 
         Raises:
             numpy.linalg.LinAlgError: It is not positive definite.
@@ -48,7 +50,9 @@ class Factor:
         if not (entries > 0.0).all():
             raise np.linalg.LinAlgError("a diagonal entry is not positive")
         scale = 1.0 / np.sqrt(entries)
-        band = _lower_band(diagonal, lower, scale)
+        band = np.zeros((*entries.shape, 2 * entries.shape[1])) if band is None else band
+        _fill(band, diagonal, lower, scale)
+        band = band.reshape(entries.size, -1).T
         return cls(cholesky_banded(band, lower=True, overwrite_ab=True), scale)
 
     @property
@@ -71,8 +75,10 @@ class Factor:
         """Return A^-1 x for x (N, d) or (N, d, k)."""
         scale = self.scale if rows.ndim == 2 else self.scale[..., None]
         flat = (rows * scale).reshape(self.scale.size, -1)
-        solved = np.asarray(cho_solve_banded((self.band, True), flat, check_finite=False))
-        return solved.reshape(rows.shape) * scale
+        solved = np.asarray(cho_solve_banded((self.band, True), flat, True, check_finite=False))
+        solved = solved.reshape(rows.shape)
+        solved *= scale
+        return solved
 
     def inverse_blocks(self) -> tuple[Floats, Floats]:
         """Return the blocks of A^-1 on the diagonal (N, d, d), and right of it (N - 1, d, d).
@@ -80,29 +86,29 @@ class Factor:
         The recursion P_k = C_k + G_k^T P_{k+1} G_k runs backwards over the states.
         """
         count, size = self.scale.shape
-        diagonal, lower = _blocks(self.band, count, size)
-        inverted = np.linalg.inv(diagonal)
-        blocks = np.swapaxes(inverted, 1, 2) @ inverted
-        gain = lower @ inverted[:-1]
-        after = blocks[-1]
-        for block, own in zip(blocks[-2::-1], gain[::-1], strict=True):
-            block += own.T @ after @ own
-            after = block
-        beside = -np.swapaxes(gain, 1, 2) @ blocks[1:]
-        scale = self.scale
-        return (
-            blocks * scale[:, :, None] * scale[:, None, :],
-            beside * scale[:-1, :, None] * scale[1:, None, :],
-        )
+        blocks, beside = np.empty((2, count, size, size))
+        after = np.zeros((size, size))
+        for start in reversed(range(0, count, AT_ONCE)):
+            rows = slice(start, start + AT_ONCE)
+            diagonal, lower = _blocks(self.band.T.reshape(count, size, -1)[rows])
+            inverted = np.linalg.inv(diagonal)
+            own, gain = np.swapaxes(inverted, 1, 2) @ inverted, lower @ inverted
+            for k in reversed(range(len(own))):
+                across = gain[k].T @ after
+                own[k] += across @ gain[k]
+                after, beside[start + k] = own[k], -across
+            blocks[rows] = own * self.scale[rows, :, None] * self.scale[rows, None, :]
+        beside[:-1] *= self.scale[:-1, :, None]
+        beside[:-1] *= self.scale[1:, None, :]
+        return blocks, beside[:-1]
 
 
-def _lower_band(diagonal: Floats, lower: Floats, scale: Floats) -> Floats:
-    """Return the lower banded storage (2 d, N d) of S A S: row i - j holds the entries (i, j).
+def _fill(band: Floats, diagonal: Floats, lower: Floats, scale: Floats) -> None:
+    """Write the columns (N, d, 2 d) of S A S in lower banded storage, as LAPACK requires them.
 
-    Columns are contiguous, as LAPACK requires.
+    Entry i - j of column j is that of row i; entries of other blocks stay zero.
     """
     count, size, _ = diagonal.shape
-    band = np.zeros((count, size, 2 * size))
     for start in range(0, count, AT_ONCE):
         part, next_part = (slice(each, each + AT_ONCE) for each in (start, start + 1))
         own = diagonal[part] * scale[part, :, None] * scale[part, None, :]
@@ -112,17 +118,15 @@ def _lower_band(diagonal: Floats, lower: Floats, scale: Floats) -> Floats:
             end = size - column
             band[part, column, :end] = own[:, column:, column]
             band[start : start + len(below), column, end : end + size] = below[:, :, column]
-    return band.reshape(count * size, 2 * size).T
 
 
-def _blocks(band: Floats, count: int, size: int) -> tuple[Floats, Floats]:
-    """Return the blocks of a factor in lower banded storage, on and below the diagonal."""
-    columns = band.T.reshape(count, size, 2 * size)
-    diagonal = np.zeros((count, size, size))
-    lower = np.zeros((count - 1, size, size))
+def _blocks(columns: Floats) -> tuple[Floats, Floats]:
+    """Return the blocks (N, d, d) on and below the diagonal of a banded factor's columns."""
+    _, size, _ = columns.shape
+    diagonal, lower = np.zeros((2, len(columns), size, size))
     for column in range(size):
         diagonal[:, column:, column] = columns[:, column, : size - column]
-        lower[:, :, column] = columns[:-1, column, size - column : 2 * size - column]
+        lower[:, :, column] = columns[:, column, size - column : 2 * size - column]
     return diagonal, lower
 
 

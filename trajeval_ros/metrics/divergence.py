@@ -104,11 +104,7 @@ class Divergence:
             spans, steps = spans[:, taken:], steps[:, taken:]
 
     def _take(self, spans: Stamps, steps: Floats) -> int:
-        """Take n steps, with the stamps (2, n) of their ends, or until a loss begins or ends.
-
-        Returns:
-            How many were taken.
-        """
+        """Take n steps with stamps (2, n), or until a loss begins or ends, and return how many."""
         is_lost, queue = self._is_lost, np.hstack([self._waiting, steps])
         sums, learned = self._summed(queue[:, : steps.shape[1]] * (not is_lost))
         path_m, path_s, true_true, true_own, own_own = sums[: _PRODUCTS.start]

@@ -71,11 +71,11 @@ def _sentences(found: ExaminedGroundtruth) -> Iterator[str]:
         ("Noise of a pose per axis", fits.position_noise_m, fits.rotation_noise_rad),
         ("Repaired groundtruth of the IMU, standard deviation per axis", position_m, rotation_rad),
     ):
-        degrees = math.degrees(radians)
-        yield (
-            f"{what}: {1e3 * metres:.2g} mm, {degrees:.2g} deg "
-            f"(--groundtruth-noise {metres:.2g},{degrees:.2g})."
-        )
+        text = f"{what}: {1e3 * metres:.2g} mm"
+        if radians is not None:
+            degrees = math.degrees(radians)
+            text += f", {degrees:.2g} deg (--groundtruth-noise {metres:.2g},{degrees:.2g})"
+        yield f"{text}."
     yield (
         "Its covariances are lower limits: the IMU does not reveal errors that last for more "
         "than a second."
@@ -89,7 +89,9 @@ def groundtruth_figure(original: Trajectory, found: ExaminedGroundtruth, fits: F
     grid = figure.add_gridspec(3, 2)
     lengths = fits.short.residuals * [1e3, 180.0 / math.pi]
     first = int(original.stamps.min())
-    for row, (kind, unit) in enumerate((("position", "mm"), ("rotation", "deg"))):
+    kinds = (("position", "mm"), ("rotation", "deg"))
+    known = 1 if fits.rotation_noise_rad is None else 2  # without orientations only positions
+    for row, (kind, unit) in enumerate(kinds[:known]):
         axes = figure.add_subplot(grid[row, :])
         colour, _ = canvas.line_style(0)
         shown = np.maximum(lengths[:, row], _LEAST)
@@ -106,7 +108,7 @@ def groundtruth_figure(original: Trajectory, found: ExaminedGroundtruth, fits: F
         if jumps:
             axes.legend(loc="upper right")
     axes.set_xlabel("time since the first pose [s]")
-    for column, (name, columns, unit) in enumerate(_HORIZONS):
+    for column, (name, columns, unit) in enumerate(_HORIZONS[-known:]):
         axes = figure.add_subplot(grid[2, column])
         for place, (label, fit) in enumerate((("0.1 s", fits.short), ("2 s", fits.long))):
             colour, _ = canvas.line_style(place)

@@ -162,7 +162,7 @@ def longest_drift(snapshot: Snapshot) -> tuple[Length, float] | None:
 
 def _drift_so_far(snapshot: Snapshot) -> str:
     drift = longest_drift(snapshot)
-    return NOTHING if drift is None else f"{drift[1]:.3f} m in {drift[0]}"
+    return NOTHING if drift is None else f"{metres(drift[1])} in {drift[0]}"
 
 
 def _text(

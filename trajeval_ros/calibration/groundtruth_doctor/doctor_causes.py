@@ -19,6 +19,7 @@ from trajeval_ros.calibration.significance import (
     CHANCE,
     INSIGNIFICANT,
     SIGNIFICANT,
+    UNOBSERVABLE,
     chance_of,
 )  # fmt: skip
 from trajeval_ros.formatting.numbers import counted
@@ -77,7 +78,7 @@ class GroundtruthCause:
     """A cause of errors, and whether the recording shows it; causes that are counted have no p."""
 
     name: str  # in tables and JSON
-    verdict: str  # `significant`, `insignificant` or `inconclusive`
+    verdict: str  # `significant`, `insignificant`, `inconclusive` or `unobservable`
     value: float | None = None  # its size in `unit`; None if unknown
     unit: str = ""
     standard_deviation: float | None = None  # of the value
@@ -90,6 +91,12 @@ class GroundtruthCause:
         """Half width of the 95 % interval, in `unit`."""
         sigma = self.standard_deviation
         return None if sigma is None else HALF_WIDTH * sigma
+
+
+# Verdicts that positions alone do not allow.
+OF_ROTATION = [
+    GroundtruthCause(name, UNOBSERVABLE) for name in ("body_rotation", "fused", "rotation_jumps")
+]
 
 
 def parameter_cause(

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from trajeval_ros.calibration.groundtruth_doctor import start
 from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import (
+    HALF_WIDTH,
+    OF_ROTATION,
     PARAMETERS,
     UNITS,
     GroundtruthCause,
@@ -16,8 +20,8 @@ from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import (
     sample_causes,
 )  # fmt: skip
 from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds, InertialSteps
+from trajeval_ros.calibration.groundtruth_doctor.joint_fit import LEVER_M, Horizon, JointFit
 from trajeval_ros.calibration.groundtruth_doctor.joint_fit import PARAMETERS as COUNT
-from trajeval_ros.calibration.groundtruth_doctor.joint_fit import Horizon, JointFit
 from trajeval_ros.calibration.groundtruth_doctor.repair import repaired
 from trajeval_ros.calibration.groundtruth_doctor.rig import BODY, GRAVITY, LEVER, OFFSET, SKEW, Rig
 from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
@@ -27,7 +31,6 @@ from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
     check_residuals,
 )  # fmt: skip
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
-from trajeval_ros.calibration.groundtruth_doctor.start import first_rig, guess_of, knots_of
 from trajeval_ros.calibration.significance import INSIGNIFICANT, SIGNIFICANT, axis_name
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie, so3
@@ -49,11 +52,13 @@ _GYROSCOPE_ONLY = 1e3  # m/s^2/sqrt(Hz), for an IMU without accelerometer
 # mm, ms, ppm, deg.
 _FLOORS = np.array([0.05] * 3 + [1.0] * 4 + [20.0] + [0.07] * 2)
 _FLOOR_ALONG_FORCE_MM = 3.0
+_FLOOR_BY_POSITIONS_MS = 3.0  # real accelerometers differ from the gyroscope by 3 to 12 ms
 # The two horizons disagree above these differences (deg, mm) and standard deviations.
 _DISAGREE = np.array([1.0] * 3 + [20.0] * 3)
 _DISAGREE_SIGMAS, _PART_OF_DIFFERENCE = 5.0, 4.0
 _LIKELY_SIGMAS = np.sqrt(2.0)  # Akaike: a smaller value is better left at zero
 _CLOCK = [OFFSET, SKEW]
+_LARGEST_SIGMA_RAD = math.radians(3.0)  # of an orientation from positions
 _SLOW_HZ = 50.0
 _SMOOTH_M = 2e-5  # a smaller high-frequency noise is that of a model
 _LIGHTEST_MPS2, _HEAVIEST_MPS2 = 5.0, 20.0
@@ -80,7 +85,7 @@ class Fits:
     hand_eye: HandEye  # T_I_M, pose of the groundtruth's body in the IMU
     hand_eye_covariance: Floats  # (6, 6), position first (m^2), rotation about I's axes (rad^2)
     position_noise_m: float  # robust standard deviation of a pose's position per axis
-    rotation_noise_rad: float  # the same of its rotation
+    rotation_noise_rad: float | None  # the same of its rotation
     checks: ResidualChecks  # faults that the residuals show
     # Poses, velocities and biases of the IMU by its clock. The covariances are lower limits: an
     # IMU does not reveal errors of a groundtruth that last for over a second.
@@ -132,11 +137,6 @@ def examine(
         checks = check_poses(groundtruth, None, first)
         causes = {each.name: each for each in sample_causes(checks, None, first)}
         return ExaminedGroundtruth(causes, checks, None, tuple(_notes(checks)))
-    if groundtruth.quaternions is None:
-        raise InputError(
-            f"{name} has no orientations, which the examination with an IMU needs; give poses, or "
-            "examine it without --imu"
-        )
     return _with_imu(groundtruth, readings, imu_noise, time_offset_s)
 
 
@@ -146,27 +146,34 @@ def _with_imu(
     imu_noise: ImuNoise,
     time_offset_s: float | None,
 ) -> ExaminedGroundtruth:
-    imu, origin = _imu_of(readings)
+    name, (imu, origin) = groundtruth.name or "the groundtruth", _imu_of(readings)
     ordered, notes = groundtruth.in_order(), []
-    assert ordered.quaternions is not None
     free = np.ones(COUNT, dtype=bool)
     if readings.accelerations is None:
         imu_noise = replace(imu_noise, accelerometer=_GYROSCOPE_ONLY)
         free[LEVER], free[GRAVITY] = False, False
         notes.append("no accelerometer: lever arm and tilt are unknown")
+    only_positions = ordered.quaternions is None
+    if only_positions:
+        if readings.accelerations is None:
+            raise InputError(f"{name} has no orientations and the IMU no accelerations; give one")
+        free[BODY] = False
+        notes.append(
+            "the groundtruth has no orientations: errors of rotation are unobservable, and the "
+            "repaired orientations are from the IMU and the positions"
+        )
     turning = float(np.sqrt(np.square(imu.rates - np.median(imu.rates, axis=0)).sum(1).mean()))
     turns = turning > _AT_REST_RADPS
     shift_s = time_offset_s
     if shift_s is None:
-        guess = guess_of(ordered, imu, origin)
+        guess = start.guess_of(ordered, imu, origin)
         # So high a correlation is not a coincidence, even if periodic motion has a second peak.
         is_usable = guess.is_usable or guess.peak > _CERTAIN_CORRELATION
         shift_s = guess.offset_s if is_usable else 0.0
         if not is_usable and turns:
             raise InputError(
-                f"{groundtruth.name or 'the groundtruth'} and the IMU have no common rotation "
-                f"(correlation {guess.peak:.2f}, required 0.7); use recordings of the same run, "
-                "or give --time-offset"
+                f"the motion of {name} matches that of the IMU at no single offset (correlation "
+                f"{guess.peak:.2f}); use recordings of the same run, or give --time-offset"
             )
     if not turns:
         free[: SKEW + 1] = False
@@ -176,14 +183,15 @@ def _with_imu(
         notes.append("the rig turns about one axis in place: rotation and lever arm are unknown")
     shift_ns = round(shift_s * NANOSECONDS)
     shift_s = shift_ns / NANOSECONDS
-    samples = TruthSamples(
-        (ordered.stamps + (shift_ns - origin)) / NANOSECONDS,
-        ordered.positions,
-        ordered.quaternions,
-    )
+    seconds, turned = (ordered.stamps + (shift_ns - origin)) / NANOSECONDS, ordered.quaternions
+    if turned is None:
+        turned, turns = start.rough_orientations(seconds, ordered.positions, imu), False
+    samples = TruthSamples(seconds, ordered.positions, turned, not only_positions)
     stiff = ImuNoise(imu_noise.gyroscope / 4.0, imu_noise.accelerometer / 2.0)
-    short = _fitted(samples, imu, Horizon(0.05, imu_noise, (1e-3, 3e-3)), free, turns=turns)
     long = _fitted(samples, imu, Horizon(0.1, stiff, (3e-3, 5e-3), 2.0), free, turns=turns)
+    # Over short times, noise of the attitude seems to determine the height of a car's lever arm.
+    brief_horizon = Horizon(0.05, imu_noise, (1e-3, 3e-3), fixed=tuple(long.fixed_directions))
+    short = _fitted(samples, imu, brief_horizon, free, turns=turns)
     poses = check_poses(groundtruth, imu, origin - shift_ns)
     residuals = check_residuals(short, ordered.stamps)
     brief, lasting = _summary(short, shift_s), _summary(long, shift_s)
@@ -197,6 +205,11 @@ def _with_imu(
         values[:6], sigmas[:6] = lasting.values[:6], lasting.sigmas[:6]
         # The difference is a measure of the same systematic errors as the floors.
         floors[:6] = np.maximum(floors[:6], apart / _PART_OF_DIFFERENCE)
+    if only_positions:
+        # They compare with accelerometers, whose delays and scale errors are larger than those of
+        # gyroscopes, and differ by horizon.
+        floors[3:] = np.maximum(floors[3:], np.abs(lasting.values - brief.values)[3:])
+        floors[OFFSET] = max(floors[OFFSET], _FLOOR_BY_POSITIONS_MS)
     sigmas = np.hypot(sigmas, floors)
     axes = " and ".join(map(axis_name, short.fixed_directions))
     short_deg, long_deg = (float(np.linalg.norm(each.values[BODY])) for each in (brief, lasting))
@@ -205,12 +218,18 @@ def _with_imu(
     causes.append(fused_cause(short_deg, long_deg, slow_deg, disagree=disagree))
     causes += sample_causes(poses, residuals, int(ordered.stamps[0]))
     by_name = {each.name: each for each in causes}
+    noisy, scale = np.abs(values) < _LIKELY_SIGMAS * sigmas, 1.0
+    if only_positions:
+        by_name |= {each.name: each for each in OF_ROTATION}
+        noisy[_CLOCK] = (np.abs(values) < HALF_WIDTH * sigmas)[_CLOCK]
+        scale = float(np.median(np.square(sigmas[free] / brief.sigmas[free])))
     noise_m, noise_rad = short.rows.scales
     chosen = long if disagree else short
-    noisy = np.abs(values) < _LIKELY_SIGMAS * sigmas
     _apply(chosen, short, by_name, noisy, shift_s)
     rig = chosen.rig
     covariance = np.diag(np.square(np.roll(sigmas[:6] / UNITS[:6], 3)))
+    for each in short.fixed_directions:
+        covariance[:3, :3] += LEVER_M**2 * np.outer(each, each)
     covariance[3:, 3:] = rig.body @ covariance[3:, 3:] @ rig.body.T
     fits = Fits(
         brief,
@@ -220,10 +239,17 @@ def _with_imu(
         HandEye(lie.from_matrix(rig.body), rig.lever),
         covariance,
         noise_m,
-        noise_rad,
+        None if only_positions else noise_rad,
         residuals,
-        repaired(chosen, ordered, shift_ns, poses.gaps),
+        repaired(chosen, ordered, shift_ns, poses.gaps, scale),
     )
+    assert fits.repaired.covariances is not None
+    variance = float(np.median(np.einsum("nii->n", fits.repaired.covariances[:, 3:, 3:])))
+    if only_positions and variance > _LARGEST_SIGMA_RAD**2:
+        raise InputError(
+            f"{name} and the IMU do not determine the orientation (standard deviation "
+            f"{math.degrees(math.sqrt(variance)):.2g} deg); examine it without --imu"
+        )
     notes += _notes(poses)
     if axes:
         notes.append(
@@ -265,14 +291,14 @@ def _imu_of(readings: InertialReadings) -> tuple[ImuSeconds, int]:
 def _fitted(
     samples: TruthSamples, imu: ImuSeconds, horizon: Horizon, free: Booleans, *, turns: bool
 ) -> JointFit:
-    knots = knots_of(samples, imu, horizon.knot_s)
+    knots = start.knots_of(samples, imu, horizon.knot_s)
     lasts_s = float(knots[-1] - knots[0]) if len(knots) else 0.0
     if lasts_s < _OVERLAP_S:
         raise InputError(
             f"groundtruth and IMU overlap for {lasts_s:.1f} s, and the examination needs "
             f"{_OVERLAP_S:g} s; give longer recordings, or the clocks' difference as --time-offset"
         )
-    rig = first_rig(samples, imu, knots, turns=turns)
+    rig = start.first_rig(samples, imu, knots, turns=turns)
     fit = JointFit(samples, InertialSteps(knots, imu), rig, horizon, free)
     fit.solve(_ITERATIONS)
     fit.fix_unobservable_lever()

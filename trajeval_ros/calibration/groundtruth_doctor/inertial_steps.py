@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trajeval_ros.geometry import so3
+from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, runs_of
 from trajeval_ros.geometry.interpolation import columns_at
 from trajeval_ros.geometry.preintegration import ImuNoise, integrated, preintegrate
@@ -71,10 +71,14 @@ class InertialSteps:
 
     def motions(self, gyro_biases: Floats, acceleration_biases: Floats) -> Motions:
         """Integrate the readings minus the biases (K, 3) of the intervals."""
-        turns = (self.rates - gyro_biases[:, None]) * self.held[:, :, None]
+
+        def motions(rates: Floats, forces: Floats, held: Floats) -> tuple[Floats, Floats, Floats]:
+            halves = so3.exp(rates * held[:, :, None] / 2.0)
+            return integrated(halves @ halves, np.einsum("nkij,nkj->nki", halves, forces), held)
+
+        rates = self.rates - gyro_biases[:, None]
         forces = self.accelerations - acceleration_biases[:, None]
-        forces = np.einsum("nkij,nkj->nki", so3.exp(turns / 2.0), forces)
-        return Motions(*integrated(so3.exp(turns), forces, self.held))
+        return Motions(*lie.by_blocks(motions, rates, forces, self.held))
 
     def uncertainty(self, bias: Floats, noise: ImuNoise) -> tuple[Floats, Floats]:
         """Return covariances (K, 9, 9) and derivatives by the biases (K, 9, 6) at a bias (3,)."""

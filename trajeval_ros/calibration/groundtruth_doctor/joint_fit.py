@@ -32,12 +32,12 @@ STATES, PARAMETERS = 15, 10
 _WALK = np.repeat([2e-5, 1e-3], 3)  # densities: rad/s^2/sqrt(Hz), m/s^3/sqrt(Hz)
 _FIRST_BIAS = np.repeat([0.2, 1.0], 3)  # standard deviations: rad/s, m/s^2
 _WEAK = np.repeat([1e-6, 1e-9], [9, 6])  # information that keeps unobserved states regular
-_LEVER_M = 0.5  # standard deviation of the prior per axis
+LEVER_M = 0.5  # standard deviation of the prior per axis
 _WIDEST_LEVER_M = 0.05  # directions with a larger standard deviation are fixed
 _FIXED = 1e8
 _BROKEN = 50.0  # chi2 (9 degrees of freedom) of an interval over which the groundtruth jumps
 _LARGEST_STEP = 0.02  # standard deviations, of a fit that has converged
-_NOISE_RANGE = (np.repeat([2e-5, 1.7e-5], 3), np.repeat([10.0, 1.0], 3))  # m, rad
+_LEAST_NOISE, _LARGEST_NOISE = np.repeat([2e-5, 1.7e-5], 3), np.repeat([10.0, 1.0], 3)  # m, rad
 _REDUNDANCY_AT = (2, 4, 6, 9, 13)  # iterations
 _SINGULAR = 1e-10
 _ROWS = ((0, 1), (0, 1))  # axes of rows (n, 15, ...) over which products are summed
@@ -51,6 +51,7 @@ class Horizon:
     noise: ImuNoise
     sigmas: tuple[float, float]  # first standard deviations of a knot's measurement, m and rad
     window_s: float = 0.0  # rotations are averaged over it; then the noise of positions is given
+    fixed: tuple[Floats, ...] = ()  # directions of the lever arm (3,) that are not estimated
 
 
 class JointFit:
@@ -67,12 +68,15 @@ class JointFit:
         """Start at a rig. `free` (10,) has the parameters that are estimated."""
         self.samples, self.steps, self.rig, self.free = samples, steps, rig, free
         self.horizon = horizon
-        self.fixed_directions: list[Floats] = []  # of the lever arm, unobservable ones (3,)
+        self.fixed_directions = list(horizon.fixed)  # of the lever arm, unobservable ones (3,)
         self.sigmas = np.repeat(horizon.sigmas, 3)  # of a knot's measurement, m and rad
+        # Noise of the IMU acts at the next knot. If positions alone are trusted more than the IMU,
+        # it contains motion, and this delay is an error of the clock.
+        self._least_noise = _LEAST_NOISE if samples.has_rotations else self.sigmas
         bias = np.median(rig.gyro_biases, axis=0)
         covariances, self._by_biases = steps.uncertainty(bias, horizon.noise)
         self._whiten = np.linalg.inv(np.linalg.cholesky(covariances))
-        self._iteration = 0
+        self._iteration, self._band = 0, np.zeros((len(rig.positions), STATES, 2 * STATES))
         self._linearise()
 
     def solve(self, iterations: int, *, estimate_noise: bool = True) -> None:
@@ -97,7 +101,7 @@ class JointFit:
     def fix_unobservable_lever(self) -> None:
         """Fix directions of the lever arm that the motion does not determine, and solve again."""
         values, directions = np.linalg.eigh(self.covariance_of_model[LEVER, LEVER])
-        self.fixed_directions = list(directions.T[values > _WIDEST_LEVER_M**2])
+        self.fixed_directions += list(directions.T[values > _WIDEST_LEVER_M**2])
         if self.fixed_directions:
             self._linearise()
             self.solve(4, estimate_noise=False)
@@ -137,10 +141,9 @@ class JointFit:
         rig, horizon = self.rig, self.horizon
         self.motions = self.steps.motions(rig.gyro_biases[:-1], rig.acceleration_biases[:-1])
         self.predicted = predict(self.samples, self.steps, self.motions, rig)
-        self.rows = averaged(self.predicted, rig, self.samples.middle_s)
-        if horizon.window_s:
-            width = round(horizon.window_s / horizon.knot_s)
-            self.rows = self.rows.with_mean_rotations(rig, width)
+        self.rows = averaged(self.predicted, rig, self.samples)
+        if horizon.window_s and self.samples.has_rotations:
+            self.rows.average_rotations(rig, round(horizon.window_s / horizon.knot_s))
         self._weighted = self.rows.weighted(self.sigmas)
         self._factorise()
 
@@ -206,20 +209,23 @@ class JointFit:
             add(others, after, columns)
             lower[knots] = transposed(after) @ before
             corner += np.tensordot(columns[..., :-1], columns, axes=_ROWS)
-        columns = np.concatenate([rows.by_rig, rows.residuals[..., None]], axis=2)
-        add(rows.knots, rows.by_state, columns)
-        corner += np.tensordot(columns[..., :-1], columns, axes=_ROWS)
-        prior = np.eye(3) / _LEVER_M**2
+        for start in range(0, len(rows.knots), AT_ONCE):
+            part = slice(start, start + AT_ONCE)
+            columns = np.concatenate([rows.by_rig[part], rows.residuals[part, :, None]], axis=2)
+            add(rows.knots[part], rows.by_state[part], columns)
+            corner += np.tensordot(columns[..., :-1], columns, axes=_ROWS)
+        prior = np.eye(3) / LEVER_M**2
         prior += _FIXED * sum(np.outer(each, each) for each in self.fixed_directions)
         corner[LEVER, LEVER] += prior
         corner[LEVER, -1] += prior @ self.rig.lever
         diagonal[0, 9:, 9:] += np.diag(_FIRST_BIAS**-2.0)
         border[0, 9:, -1] += self.rig.biases[0] / _FIRST_BIAS**2
         diagonal += np.diag(_WEAK)
-        self._factor = Factor.of(diagonal, lower)
+        self._factor = Factor.of(diagonal, lower, self._band)
         solved = self._factor.solve(border)
         self._by_calibration, self._by_gradient = solved[..., :-1], solved[..., -1]
-        reduced = corner - np.tensordot(border[..., :-1], solved, axes=_ROWS)
+        width = PARAMETERS + 1
+        reduced = corner - (border.reshape(-1, width).T @ solved.reshape(-1, width))[:-1]
         self._gradient = reduced[:, -1]
         free = np.ix_(self.free, self.free)
         information = reduced[:, :-1][free]
@@ -244,8 +250,8 @@ class JointFit:
         """Scale the standard deviations, and return the largest change of their logarithms."""
         squares = np.square(self._weighted.residuals).reshape(-1, 2, 3).sum(axis=(0, 2))
         ratio = np.sqrt(np.clip(squares / np.maximum(redundancy, 1.0), 0.09, 9.0))
-        if self.horizon.window_s:
+        if self.horizon.window_s and self.samples.has_rotations:
             ratio[0] = 1.0
         before = self.sigmas
-        self.sigmas = np.clip(before * np.repeat(ratio, 3), *_NOISE_RANGE)
+        self.sigmas = np.clip(before * np.repeat(ratio, 3), self._least_noise, _LARGEST_NOISE)
         return float(np.abs(np.log(self.sigmas / before)).max())

@@ -17,14 +17,14 @@ _POSE = [6, 7, 8, 0, 1, 2]  # columns of a state: position, then rotation
 
 
 def repaired(
-    fit: JointFit, groundtruth: Trajectory, shift_ns: int, gaps: tuple[PoseSpan, ...]
+    fit: JointFit, groundtruth: Trajectory, shift_ns: int, gaps: tuple[PoseSpan, ...], scale: float
 ) -> Trajectory:
     """Return the IMU's states by its clock; gaps of up to 2 s are bridged.
 
     `shift_ns` is the part of the clock's offset that the fit's samples already have. Covariances
-    are those of the fit times the median ratio of the sandwich and the model variance of the
-    calibration. They are lower limits: the IMU does not reveal errors of the groundtruth that last
-    for more than about a second.
+    are those of the fit times `scale` and the median ratio of the sandwich and the model variance
+    of the calibration. They are lower limits: the IMU does not reveal errors of the groundtruth
+    that last for more than about a second.
     """
     stamps, rig, steps = _with_bridges(groundtruth.stamps, gaps), fit.rig, fit.steps
     own_s = fit.samples.seconds[0] + (stamps - groundtruth.stamps[0]) / NANOSECONDS
@@ -37,7 +37,7 @@ def repaired(
         np.diag(each)[fit.free] for each in (fit.covariance_of_blocks, fit.covariance_of_model)
     )
     inflation = max(1.0, float(np.median(by_blocks / by_model)))
-    covariances = fit.state_covariances()[:, _POSE][:, :, _POSE] * inflation
+    covariances = fit.state_covariances()[:, _POSE][:, :, _POSE] * (scale * inflation)
     return Trajectory(
         stamps[within],
         states.positions,

@@ -14,7 +14,6 @@ from trajeval_ros.calibration.groundtruth_doctor.sample_rows import MEDIAN_OF_CH
 from trajeval_ros.calibration.robust_fit import BLOCKS
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps, runs_of
-from trajeval_ros.geometry.se3 import times
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 _GAP_S, _USUAL_STEPS = 0.1, 5.0
@@ -133,17 +132,15 @@ class ResidualChecks:
 def check_residuals(fit: JointFit, stamps: Stamps) -> ResidualChecks:
     """Check the residuals of a fit of the groundtruth with timestamps (N,), which increase."""
     found = fit.predicted
-    in_imu = times(np.broadcast_to(fit.rig.body, (len(found.rows), 3, 3)), found.rotation_errors)
-    kinds = (
-        ("position", found.position_errors, found.marker_velocities),
-        ("rotation", in_imu, found.states.rates),
-    )
+    kinds = [("position", found.position_errors, found.marker_velocities)]
+    if fit.samples.has_rotations:
+        kinds.append(("rotation", found.rotation_errors @ fit.rig.body.T, found.states.rates))
     stamps = stamps[found.rows]
     minutes = float(stamps[-1] - stamps[0]) / NANOSECONDS / 60.0
     jumps: list[GroundtruthJump] = []
     noisy, outliers, jitters = [], [], []
     for (kind, errors, speeds), least, scale in zip(
-        kinds, _LEAST_JUMP, fit.rows.scales, strict=True
+        kinds, _LEAST_JUMP, fit.rows.scales, strict=False
     ):
         jitters.append(_jitter(errors, speeds, scale))
         outliers.append(_outliers(errors, least))

@@ -42,7 +42,8 @@ class TruthSamples:
 
     seconds: Floats  # (N,)
     positions: Floats  # (N, 3), metres
-    quaternions: Floats  # (N, 4), of R_WM
+    quaternions: Floats  # (N, 4), of R_WM; rough if not measured
+    has_rotations: bool  # whether they are measured
 
     @property
     def middle_s(self) -> float:
@@ -68,7 +69,6 @@ class Predicted:
     """The rig at the S samples between the knots, and residuals of the samples."""
 
     rows: Indices  # (S,), in the groundtruth
-    seconds: Floats  # (S,), by the groundtruth's clock
     states: RigStates
     marker_velocities: Floats  # (S, 3)
     position_errors: Floats  # (S, 3), in W
@@ -80,16 +80,19 @@ def predict(samples: TruthSamples, steps: InertialSteps, motions: Motions, rig: 
     own, skew = samples.seconds, rig.skew
     seconds = own + rig.offset_s + skew * (own - samples.middle_s)
     rows = np.flatnonzero((seconds >= steps.knots[0]) & (seconds < steps.knots[-1]))
-    states = rig_at(seconds[rows], steps, motions, rig)
-    turned = states.rotations
-    return Predicted(
-        rows,
-        own[rows],
-        states,
-        states.velocities + times(turned, np.cross(states.rates, rig.lever)),
-        states.positions + times(turned, rig.lever) - samples.positions[rows],
-        so3.log(transposed(lie.to_matrix(samples.quaternions[rows])) @ turned @ rig.body),
-    )
+
+    def at(rows: Indices) -> tuple[Floats | Indices, ...]:
+        states = rig_at(seconds[rows], steps, motions, rig)
+        turned, measured = states.rotations, lie.to_matrix(samples.quaternions[rows])
+        return (
+            *states,
+            states.velocities + times(turned, np.cross(states.rates, rig.lever)),
+            states.positions + times(turned, rig.lever) - samples.positions[rows],
+            so3.log(transposed(measured) @ turned @ rig.body),
+        )
+
+    *states, speeds, positions, rotations = lie.by_blocks(at, rows)
+    return Predicted(rows, RigStates(*states), speeds, positions, rotations)
 
 
 def rig_at(seconds: Floats, steps: InertialSteps, motions: Motions, rig: Rig) -> RigStates:
@@ -132,8 +135,8 @@ class SampleRows:
             by_rig=self.by_rig * weights[..., None],
         )
 
-    def with_mean_rotations(self, rig: Rig, width: int) -> SampleRows:
-        """Return rows with one rotation per window of knots, at the knot in its middle.
+    def average_rotations(self, rig: Rig, width: int) -> None:
+        """Replace the rotations by one per window of knots, at the knot in its middle.
 
         The estimated rotation carries the errors of the other knots there.
         """
@@ -151,16 +154,12 @@ class SampleRows:
         has_middle = self.knots[places] == middles[starts]
         places, means = places[has_middle], means[has_middle]
         count = np.diff(np.append(starts, len(self.knots)))[has_middle]
-        residuals, by_state, by_rig, shares = (
-            each.copy() for each in (self.residuals, self.by_state, self.by_rig, self.shares)
-        )
-        by_state[:, 3:], shares[:, 3:] = 0.0, 0.0
-        residuals[places, 3:], by_state[places, 3:, :3] = means[..., 0], means[..., 1:4]
-        by_rig[places, 3:], shares[places, 3:] = means[..., 4:], (count / width)[:, None]
-        return replace(self, residuals=residuals, by_state=by_state, by_rig=by_rig, shares=shares)
+        self.by_state[:, 3:], self.shares[:, 3:] = 0.0, 0.0
+        self.residuals[places, 3:], self.by_state[places, 3:, :3] = means[..., 0], means[..., 1:4]
+        self.by_rig[places, 3:], self.shares[places, 3:] = means[..., 4:], (count / width)[:, None]
 
 
-def averaged(found: Predicted, rig: Rig, middle_s: float) -> SampleRows:
+def averaged(found: Predicted, rig: Rig, samples: TruthSamples) -> SampleRows:
     """Return the weighted means of the samples of every interval, with their Jacobians."""
     states, lever = found.states, rig.lever
     starts = np.flatnonzero(np.diff(states.knots, prepend=-1))
@@ -196,9 +195,11 @@ def averaged(found: Predicted, rig: Rig, middle_s: float) -> SampleRows:
     by_state[:, 3:, 9:12] = -into * tau1[..., None]
     by_rig[:, 3:, BODY] = back
     by_rig[:, 3:, OFFSET] = times(into, rate)
-    by_rig[:, :, SKEW] = by_rig[:, :, OFFSET] * (found.seconds[starts] - middle_s)[:, None]
+    since_s = samples.seconds[found.rows[starts]] - samples.middle_s
+    by_rig[:, :, SKEW] = by_rig[:, :, OFFSET] * since_s[:, None]
     usual = float(np.median(np.diff(np.append(starts, len(states.knots)))))
-    totals = np.add.reduceat(np.stack([of_position, of_rotation], axis=1), starts)
+    weights = np.stack([of_position, of_rotation * samples.has_rotations], axis=1)
+    totals = np.add.reduceat(weights, starts)
     return SampleRows(
         knots,
         np.concatenate([error, turning], axis=1),

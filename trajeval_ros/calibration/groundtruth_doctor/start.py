@@ -10,34 +10,81 @@ from trajeval_ros.calibration.groundtruth_doctor.rig import Rig
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
 from trajeval_ros.calibration.hand_eye import robust_rotation
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.inertial import turned_by_gyro
 from trajeval_ros.geometry.interpolation import columns_at, slerp_at
 from trajeval_ros.geometry.se3 import times
-from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 _INCREMENT_S = 0.25
 _PASSES = 6
+_SWING_S, _WINDOW_S = (-0.25, 0.25), 5.0
 _SPEED_S = 0.1  # half of the span over which a velocity is a difference of positions
 _INSIDE_S = 0.1  # between the ends of the recordings and the knots
 _GRAVITY_MPS2 = 9.81
 
 
 def guess_of(groundtruth: Trajectory, imu: ImuSeconds, origin: int) -> OffsetGuess:
-    """Return the offset of the groundtruth's clock by the correlation of turn rates.
+    """Return the offset of the groundtruth's clock by the correlation of turn rates or swings.
 
     `origin` is the timestamp of the IMU's second 0, ns.
     """
-    stamps: Stamps = origin + np.rint(imu.seconds * 1e9).astype(np.int64)
-    turned = turned_by_gyro(imu.seconds, imu.rates)
-    orientations = Trajectory(stamps, np.zeros((len(stamps), 3)), turned)
+
+    def at(seconds: Floats, positions: Floats, turned: Floats | None = None) -> Trajectory:
+        return Trajectory(origin + np.rint(seconds * 1e9).astype(np.int64), positions, turned)
+
     # Without repeated poses a frozen interval is a gap, and its end no fast turn.
-    assert groundtruth.quaternions is not None
-    fresh = np.asarray(np.diff(groundtruth.quaternions, axis=0, prepend=np.nan).any(axis=1))
-    groundtruth = groundtruth[fresh]
-    meets = stamps[0] < groundtruth.stamps[-1] and groundtruth.stamps[0] < stamps[-1]
+    poses = groundtruth.positions if groundtruth.quaternions is None else groundtruth.quaternions
+    groundtruth = groundtruth[np.asarray(np.diff(poses, axis=0, prepend=np.nan).any(axis=1))]
+    own_s = (groundtruth.stamps - origin) / NANOSECONDS
+    meets = imu.seconds[0] < own_s[-1] and own_s[0] < imu.seconds[-1]
     search_s = SEARCH_S if meets else None  # all overlaps, for clocks of different epochs
-    return guess_offset_by(orientations, groundtruth, 0.0, search_s, "angular rate")
+    if groundtruth.quaternions is None:
+        signal, by_imu = "speed", at(*_swings_of(imu))
+        groundtruth = at(*_swings(own_s, groundtruth.positions))
+    else:
+        turned = turned_by_gyro(imu.seconds, imu.rates)
+        signal, by_imu = "angular rate", at(imu.seconds, np.zeros_like(imu.rates), turned)
+    return guess_offset_by(by_imu, groundtruth, 0.0, search_s, signal)
+
+
+def _swings(seconds: Floats, positions: Floats) -> tuple[Floats, Floats]:
+    """Return third differences of positions (N, 3) over half a second, and their times.
+
+    Their changes hardly depend on gravity, also if it turns slowly.
+    """
+    for _ in range(3):
+        before, after = (columns_at(seconds, positions, seconds + each) for each in _SWING_S)
+        positions = after - before
+    inside = np.minimum(seconds - seconds[0], seconds[-1] - seconds) > 3.0 * _SWING_S[1]
+    return seconds[inside], positions[inside]
+
+
+def _swings_of(imu: ImuSeconds) -> tuple[Floats, Floats]:
+    """Return the times and swings of an IMU, in the axes of its orientations by the gyroscope."""
+    from scipy.integrate import cumulative_trapezoid
+
+    moved = lie.rotate(turned_by_gyro(imu.seconds, imu.rates), imu.accelerations)
+    for _ in range(2):
+        moved = cumulative_trapezoid(moved, imu.seconds, axis=0, initial=0.0)
+    return _swings(imu.seconds, moved)
+
+
+def rough_orientations(seconds: Floats, positions: Floats, imu: ImuSeconds) -> Floats:
+    """Return orientations (N, 4) of the IMU at positions (N, 3) by its clock.
+
+    Of a few seconds, the gyroscope gives them up to the rotation between swings in both axes.
+    """
+    turned = slerp_at(imu.seconds, turned_by_gyro(imu.seconds, imu.rates), seconds)
+    theirs, ours = (
+        np.gradient(columns_at(*swings, seconds), axis=0)
+        for swings in (_swings(seconds, positions), _swings_of(imu))
+    )
+    count = max(1, int((seconds[-1] - seconds[0]) / _WINDOW_S))
+    windows = np.array_split(np.arange(len(seconds)), count)
+    rotations = np.stack([robust_rotation(theirs[each], ours[each]) for each in windows])
+    of_rows = np.repeat(lie.from_matrices(rotations), [len(each) for each in windows], axis=0)
+    return lie.multiply(of_rows, turned)
 
 
 def knots_of(samples: TruthSamples, imu: ImuSeconds, step_s: float) -> Floats:

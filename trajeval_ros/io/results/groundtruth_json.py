@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from trajeval_ros.calibration.groundtruth_doctor.examine import ExaminedGroundtruth, HorizonFit
+from trajeval_ros.calibration.groundtruth_doctor.examine import ExaminedGroundtruth
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.hand_eye_file import hand_eye_json
 
@@ -30,9 +30,13 @@ def groundtruth_json(
     fits = found.fits
     if fits is not None:
         rig, noise_m, noise_rad = fits.rig, fits.position_noise_m, fits.rotation_noise_rad
-        biases, short, long = rig.biases.mean(axis=0).tolist(), _fit(fits.short), _fit(fits.long)
+        biases = rig.biases.mean(axis=0).tolist()
+        horizons = {
+            name: {"values": fit.values.tolist(), "standard_deviations": fit.sigmas.tolist()}
+            for name, fit in (("short", fits.short), ("long", fits.long))
+        }
         result |= {
-            "fits": {"short": short, "long": long, "disagree": fits.disagree},
+            "fits": {**horizons, "disagree": fits.disagree},
             "T_imu_marker": hand_eye_json(fits.hand_eye),
             "T_imu_marker_covariance": fits.hand_eye_covariance.tolist(),
             "clock": {"offset_s": rig.offset_s, "skew": rig.skew},
@@ -43,7 +47,3 @@ def groundtruth_json(
             "repaired": {"poses": len(fits.repaired), "covariances": "lower limits"},
         }
     return result
-
-
-def _fit(fit: HorizonFit) -> dict[str, Any]:
-    return {"values": fit.values.tolist(), "standard_deviations": fit.sigmas.tolist()}
