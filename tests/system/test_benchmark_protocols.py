@@ -287,7 +287,12 @@ def test_a_file_is_a_protocol(tmp_path: Path) -> None:
         ("lever_arm: [1, 2]\n", "lever arm '1,2' is not valid"),
         ("lever_arm: [1, 2, .nan]\n", "lever arm '1,2,nan' is not valid"),
         ("score: {bounds_m: [0.1], points: []}\n", "one number of points per bound"),
-        ("score: {bounds_m: [0.1]}\n", "score.points must be a list of numbers"),
+        ("score: {bounds_m: [0.1]}\n", "score.points must be a list of numbers, not None"),
+        ("score: {bounds_m: [1.0e9], points: [1]}\n", "score.bounds_m must be a number below 1e9"),
+        (
+            "score: {bounds_m: [1], points: [1], best: x}\n",
+            "score.best must be a number below 1e9, not 'x'",
+        ),
         ("ate_form: 3\n", "unknown ATE form '3'"),
         ("- uzh-fpv\n", "has no protocol"),
     ],
@@ -299,6 +304,14 @@ def test_files_that_mean_nothing_are_refused(tmp_path: Path, text: str, sentence
         read_protocol(file)
     assert sentence in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_large_bounds_of_a_score_are_accepted(tmp_path: Path) -> None:
+    file = tmp_path / "ours.yaml"
+    file.write_text("association: nearest\nscore: {bounds_m: [1, 9.9e8], points: [2, 1]}\n")
+    score = read_protocol(file).score
+    assert score is not None
+    assert score.bounds_m == (1.0, 9.9e8)
 
 
 def tum(path: Path, trajectory: Trajectory) -> str:

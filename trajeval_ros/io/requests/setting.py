@@ -229,7 +229,7 @@ def parse_score(found: Mapping[str, Any] | None) -> PointTable | KnotTable | Non
     if found is None:
         return None
     require_known(found, ("bounds_m", "knots_m", "points", "best", "dimensions"), "score")
-    (best,) = _numbers([found.get("best", PointTable.best)], "score.best", 1)
+    best = _number(found.get("best", PointTable.best), "score.best")
     table, places = (KnotTable, "knots_m") if "knots_m" in found else (PointTable, "bounds_m")
     where, points = (_numbers(found.get(name), f"score.{name}") for name in (places, "points"))
     return table(where, points, best, _dimensions(found))
@@ -249,15 +249,17 @@ def parse_recall(found: Mapping[str, Any] | None) -> RecallRule | None:
 
 
 def _dimensions(found: Mapping[str, Any]) -> int:
-    return int(_numbers([found.get("dimensions", 3)], "dimensions", 1)[0])
+    return int(_number(found.get("dimensions", 3), "dimensions"))
 
 
-def _numbers(value: Any, where: str, count: int | None = None) -> tuple[float, ...]:
-    numbers = isinstance(value, list) and all(
-        isinstance(each, (int, float)) and not isinstance(each, bool) and abs(each) < 1e9
-        for each in value
-    )
-    if not numbers or (count is not None and len(value) != count):
-        what = "a list of numbers" if count is None else f"{count} numbers"
-        raise SettingsError(f"{where} must be {what}, not {value!r}")
-    return tuple(float(each) for each in value)
+def _numbers(value: Any, where: str) -> tuple[float, ...]:
+    if not isinstance(value, list):
+        raise SettingsError(f"{where} must be a list of numbers, not {value!r}")
+    return tuple(_number(each, where) for each in value)
+
+
+def _number(value: Any, where: str) -> float:
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not (is_number and abs(value) < 1e9):
+        raise SettingsError(f"{where} must be a number below 1e9, not {value!r}")
+    return float(value)
