@@ -88,6 +88,9 @@ def _legend(legend: Any) -> str:
 def _artists(artists: Iterable[Any], *, has_places: bool = True) -> Iterator[str]:
     for artist in artists:
         looks = {name: getattr(artist, f"get_{name}", lambda: None)() for name in _LOOKS}
+        if looks["angles"] is not None:  # of a circle, any; as the processor rounds
+            is_circle = np.isclose(looks["widths"], looks["heights"], rtol=1e-6)
+            looks["angles"] = np.where(is_circle, 0.0, looks["angles"])
         if has_places:
             looks["at"] = _places(artist)
         found = [f"{name} {shortened(look)}" for name, look in looks.items() if look is not None]
