@@ -60,8 +60,9 @@ def test_drawn_numbers_are_the_published_ones(
 ) -> None:
     topics = {f"/evaluator/{NAME}/{topic}": kind for topic, kind, _ in NUMBERS.values()}
     length = f"/evaluator/{NAME}/stamped/relative_error/length_8m"
-    # The picture has ten errors per second of stamps at most; at this rate, an update takes 0.1 s.
-    options = {"gauge": "yaw", "rerun": "file", "publish_rate": 20.0}
+    # The picture has ten errors per second of stamps at most. An update takes 0.2 s of stamps, and
+    # more than 0.1 s on a machine on which the replay is slower.
+    options = {"gauge": "yaw", "rerun": "file", "publish_rate": 10.0}
     with (
         listening({**topics, length: VECTOR}, environment, tmp_path) as received,
         evaluating(tmp_path / "out", environment, **options) as evaluator,
