@@ -39,11 +39,11 @@ def guess_of(groundtruth: Trajectory, imu: ImuSeconds, origin: int) -> OffsetGue
     own_s = (groundtruth.stamps - origin) / NANOSECONDS
     meets = imu.seconds[0] < own_s[-1] and own_s[0] < imu.seconds[-1]
     search_s = SEARCH_S if meets else None  # all overlaps, for clocks of different epochs
+    turned = turned_by_gyro(imu.seconds, imu.rates)
     if groundtruth.quaternions is None:
-        signal, by_imu = "speed", at(*_swings_of(imu))
+        signal, by_imu = "speed", at(*_swings_of(imu, turned))
         groundtruth = at(*_swings(own_s, groundtruth.positions))
     else:
-        turned = turned_by_gyro(imu.seconds, imu.rates)
         signal, by_imu = "angular rate", at(imu.seconds, np.zeros_like(imu.rates), turned)
     return guess_offset_by(by_imu, groundtruth, 0.0, search_s, signal)
 
@@ -60,11 +60,11 @@ def _swings(seconds: Floats, positions: Floats) -> tuple[Floats, Floats]:
     return seconds[inside], positions[inside]
 
 
-def _swings_of(imu: ImuSeconds) -> tuple[Floats, Floats]:
-    """Return the times and swings of an IMU, in the axes of its orientations by the gyroscope."""
+def _swings_of(imu: ImuSeconds, turned: Floats) -> tuple[Floats, Floats]:
+    """Return the times and swings of an IMU, in the axes of its orientations (N, 4)."""
     from scipy.integrate import cumulative_trapezoid
 
-    moved = lie.rotate(turned_by_gyro(imu.seconds, imu.rates), imu.accelerations)
+    moved = lie.rotate(turned, imu.accelerations)
     for _ in range(2):
         moved = cumulative_trapezoid(moved, imu.seconds, axis=0, initial=0.0)
     return _swings(imu.seconds, moved)
@@ -75,16 +75,16 @@ def rough_orientations(seconds: Floats, positions: Floats, imu: ImuSeconds) -> F
 
     Of a few seconds, the gyroscope gives them up to the rotation between swings in both axes.
     """
-    turned = slerp_at(imu.seconds, turned_by_gyro(imu.seconds, imu.rates), seconds)
+    by_gyro = turned_by_gyro(imu.seconds, imu.rates)
     theirs, ours = (
         np.gradient(columns_at(*swings, seconds), axis=0)
-        for swings in (_swings(seconds, positions), _swings_of(imu))
+        for swings in (_swings(seconds, positions), _swings_of(imu, by_gyro))
     )
     count = max(1, int((seconds[-1] - seconds[0]) / _WINDOW_S))
     windows = np.array_split(np.arange(len(seconds)), count)
     rotations = np.stack([robust_rotation(theirs[each], ours[each]) for each in windows])
     of_rows = np.repeat(lie.from_matrices(rotations), [len(each) for each in windows], axis=0)
-    return lie.multiply(of_rows, turned)
+    return lie.multiply(of_rows, slerp_at(imu.seconds, by_gyro, seconds))
 
 
 def knots_of(samples: TruthSamples, imu: ImuSeconds, step_s: float) -> Floats:
