@@ -303,3 +303,43 @@ def test_short_gaps_have_a_transition_of_a_tenth() -> None:
     start = seconds[99]
     found = one._weight(np.array([99]), np.array([start + 0.005]), np.array([True]))
     assert found[0] == pytest.approx(smooth_step(np.array([0.005 / (0.1 * 0.11)]))[0])
+
+
+@pytest.mark.parametrize(
+    ("step_s", "gap_s", "coarse_s"),
+    [
+        (0.005, 1.0, 0.05),  # twenty steps span the gap
+        (0.005, 3.0, 0.1),  # the largest step
+        (0.06, 3.0, 0.1),
+        (0.07, 3.0, None),  # 0.1 s is not worth it
+        (1.0, 9.0, None),
+    ],
+)
+def test_a_coarse_process_spans_gaps_with_twenty_samples(
+    step_s: float, gap_s: float, coarse_s: float | None
+) -> None:
+    seconds = step_s * np.arange(80.0)
+    seconds[40:] += gap_s - step_s
+    fitted = TwoScaleGP.fit(samples_at(seconds), (MATERN_52,))
+    assert (fitted.coarse is None) == (coarse_s is None)
+    assert fitted.ramp_s == pytest.approx(coarse_s or max(step_s, 0.1))
+    if fitted.coarse is not None:
+        kept = np.unique(fitted.coarse.segments.times)
+        assert np.median(np.diff(kept)) == pytest.approx(fitted.ramp_s, abs=1.01 * step_s)
+
+
+def test_gaps_shorter_than_the_coarse_step_are_not_covered() -> None:
+    seconds = np.r_[0.0:40.0, 44.0:80.0, 480.0:520.0] * 0.005
+    fitted = TwoScaleGP.fit(samples_at(seconds), (MATERN_52,))
+    # The gap of 2 s has coarse steps of 0.1 s, longer than the gap of 25 ms.
+    assert fitted.gaps.tolist() == [75]
+    assert fitted.ramp_s == pytest.approx(0.1)
+    short = TwoScaleGP.fit(
+        samples_at(np.r_[0.0:40.0, 480.0:490.0, 900.0:940.0] * 0.005), (MATERN_32,)
+    )
+    assert short.short.tolist() == 40 * [False] + 10 * [True] + 40 * [False]
+    inside = short.times[44] + 0.001
+    assert short.coarse is not None
+    np.testing.assert_allclose(
+        short.at(np.array([inside])).poses, short.coarse.at(np.array([inside])).poses, atol=1e-12
+    )
