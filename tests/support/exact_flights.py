@@ -29,11 +29,12 @@ def states(seconds: Array) -> Trajectory:
 
 
 def flown(
-    *, oriented: bool = True, fault: Fault = FAULT
+    *, oriented: bool = True, fault: Fault = FAULT, duration_s: float = DURATION_S
 ) -> tuple[Trajectory, Trajectory, Unknowns]:
     """Return a smooth flight without noise, and its true unknowns."""
-    own, other = np.arange(0.0, DURATION_S + 1e-9, 0.05), np.arange(-1.0, 21.0, 0.002)
-    truth = marked(other, states(other), DURATION_S, fault)
+    own = np.arange(0.0, duration_s + 1e-9, 0.05)
+    other = np.arange(-1.0, duration_s + 1.0, 0.002)
+    truth = marked(other, states(other), duration_s, fault)
     estimate = states(own)
     world = Rotation.from_rotvec([0.2, -0.3, 1.5])
     assert estimate.rotations is not None
