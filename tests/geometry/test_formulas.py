@@ -15,7 +15,13 @@ from strategies import make_groundtruth, seeds
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
 from trajeval_ros.geometry import covariance_frames, lie, se3, so3
 from trajeval_ros.geometry.banded_matrices import BandedGaussian, Factor, bandwidth
-from trajeval_ros.geometry.gauge import Gauge, dimension, first_state_normals, orbit_basis
+from trajeval_ros.geometry.gauge import (
+    Gauge,
+    dimension,
+    first_state_normals,
+    least_squares_normals,
+    orbit_basis,
+)
 from trajeval_ros.geometry.inertial import turned_by_gyro
 from trajeval_ros.geometry.marker import HandEye, at_arms
 from trajeval_ros.geometry.preintegration import ImuNoise, integrated, preintegrate
@@ -280,6 +286,32 @@ def test_normals_of_the_first_state_are_gradients_of_its_error(gauge: Gauge, axe
         ahead, behind = (so3.log(so3.exp(sign * step) @ so3.exp(turn)) for sign in (1.0, -1.0))
         change = (ahead - behind) / 2e-6
         np.testing.assert_allclose(normals[0, 3 + axis, :axes], change[3 - axes :], atol=1e-8)
+
+
+@pytest.mark.parametrize("gauge", [Gauge.NONE, Gauge.YAW, Gauge.SE3, Gauge.SIM3])
+def test_normals_of_least_squares_are_gradients_of_its_conditions(gauge: Gauge) -> None:
+    """At the optimum, sums of w q x p, of w q and of w q (p - q) are zero, q and p centred."""
+    generator = np.random.default_rng(0)
+    p, q = generator.normal(size=(2, 5, 3))
+    weights = generator.uniform(size=5)
+    weights[3] = 0.0
+    weights /= weights.sum()
+    axes = {Gauge.NONE: 3, Gauge.YAW: 2}.get(gauge, 0)
+
+    def conditions(aligned: Array) -> Array:
+        one, other = p - weights @ p, aligned - weights @ aligned
+        turns = weights @ np.cross(other, one)
+        scale = weights @ (other * (one - other)).sum(axis=1)
+        both = [turns[axes:], weights @ aligned, [scale]]
+        return np.concatenate(both)[: dimension(gauge)]
+
+    normals = least_squares_normals(gauge, p, q, weights)
+    assert not normals[:, 3:].any()
+    for row, axis in np.ndindex(5, 3):
+        step = np.zeros((5, 3))
+        step[row, axis] = 1e-6
+        change = (conditions(q + step) - conditions(q - step)) / 2e-6
+        np.testing.assert_allclose(normals[row, axis], change, atol=1e-8)
 
 
 @pytest.mark.parametrize("count", [255, 256, 257, 513])
