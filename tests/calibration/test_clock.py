@@ -101,6 +101,25 @@ def test_the_highest_correlation_and_its_verdict() -> None:
     assert sides.peak_to_sidelobe > 3.0
 
 
+@pytest.mark.parametrize("at", [10, 190])
+def test_a_lobe_that_falls_to_both_limits_has_no_sides(at: int) -> None:
+    for width in (30.0, 500.0):
+        found = highest(lobe(at=at, width=width))
+        assert found.is_usable
+        assert (found.second, found.peak_to_sidelobe) == (-1.0, 0.0)
+
+
+def test_sides_have_a_mean_and_a_deviation() -> None:
+    sides = np.tile([0.1, 0.3], 50)
+    for heights in (
+        np.concatenate([lobe(101, 50, 5.0), sides]),
+        np.concatenate([sides[::-1], lobe(101, 50, 5.0)]),
+    ):
+        found = highest(heights)
+        assert found.second == pytest.approx(0.3)
+        assert found.peak_to_sidelobe == pytest.approx((0.9 - 0.2) / 0.1)
+
+
 @pytest.mark.parametrize(("signal", "least"), [("speed", 0.5), ("angular rate", 0.7)])
 def test_correlations_have_a_least_height(signal: str, least: float) -> None:
     assert highest(lobe(height=least + 1e-6), signal=signal).is_usable
