@@ -135,3 +135,15 @@ def test_it_ends_after_six_displacements_that_agree(step_m: float, agreeing: int
 def test_jumps_outliers_and_drift_are_no_divergence(odd: list[tuple[float, float]]) -> None:
     after = _losses(*_paths(1.0, odd))
     assert not after[-1]
+
+
+def test_a_hover_does_not_make_the_fit_forget() -> None:
+    """Only motion is forgotten by time: 200 s of 0.04 m/s leave what 40 m have shown."""
+    true, own = _paths(1.0, [_by_excess(1.0, 0.13, 0.12)] * 5)
+    steps, odd = [np.diff(each, axis=0) for each in (true, own)], 5
+    hovers = [np.vstack([each[:-odd], np.tile(0.04 * each[:1], (400, 1))]) for each in steps]
+    paths = [
+        np.vstack([np.zeros(3), np.cumsum(np.vstack([hover, each[-odd:]]), axis=0)])
+        for hover, each in zip(hovers, steps, strict=True)
+    ]
+    assert _first(_losses(*paths)) == 400 + 4
