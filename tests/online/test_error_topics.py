@@ -62,9 +62,7 @@ def errors_of(count: int = 6, *, rotation: bool = True, still: tuple[int, ...] =
     for _ in range(2):
         velocities = rng.normal(size=(count, 3))
         velocities[list(still)] = 0.0
-        sides.append(
-            states(rng.normal(size=(count, 3)), rng.normal(size=(count, 4)), velocities)
-        )
+        sides.append(states(rng.normal(size=(count, 3)), rng.normal(size=(count, 4)), velocities))
     stamps = 1000 + 7 * np.arange(count, dtype=np.int64)
     pairs = Pairs(stamps, *sides)
     return PairErrors(pairs, Similarity.identity(), Z_UP, rotation=rotation)
@@ -131,9 +129,13 @@ def test_the_window_s_ate_needs_an_alignment() -> None:
     rotation = statistics_of(np.array([3.0, 4.0]))
     assert window_ate(EMPTY) is None
     only = dataclasses.replace(EMPTY, window_position_rmse_m=0.25)
-    np.testing.assert_array_equal(window_ate(only), [[0.25, np.nan, 0.0]])
+    alone = window_ate(only)
+    assert alone is not None
+    np.testing.assert_array_equal(alone, [[0.25, np.nan, 0.0]])
     both = dataclasses.replace(only, ate={"rotation_deg": rotation})
-    np.testing.assert_allclose(window_ate(both), [[0.25, np.sqrt(12.5), 0.0]], rtol=1e-15)
+    found = window_ate(both)
+    assert found is not None
+    np.testing.assert_allclose(found, [[0.25, np.sqrt(12.5), 0.0]], rtol=1e-15)
 
 
 def test_tests_that_are_not_asked_for_have_no_numbers() -> None:
@@ -142,8 +144,8 @@ def test_tests_that_are_not_asked_for_have_no_numbers() -> None:
 
 
 def test_numbers_of_the_tests_are_of_the_newest_pair_and_the_window() -> None:
-    means = (SimpleNamespace(mean=value) for value in (1.5, 2.5))
-    per_pose = SimpleNamespace(mean=1.25, **dict(zip(("position", "rotation"), means, strict=True)))
+    position, rotation = (SimpleNamespace(mean=value) for value in (1.5, 2.5))
+    per_pose = SimpleNamespace(mean=1.25, position=position, rotation=rotation)
     parts = [
         SimpleNamespace(part=name, levels=np.array([9.0, value]))
         for name, value in (("horizontal", 1.0), ("vertical", 2.0), ("heading", 3.0))
