@@ -351,6 +351,7 @@ def test_starts_are_given_up_when_there_are_too_many(most: int) -> None:
             oldest = tracker.oldest_needed(store)
             assert oldest == max(store.end - most, 0)
             store.drop_before(oldest)
+    assert RunningErrors() == RunningErrors(0, 0.0, 0.0, 0)
     # A length of 2 s is decided by the fourth pair after its start.
     assert tracker.running == {
         "5m": RunningErrors(0, 0.0, 0.0, 40 - most),

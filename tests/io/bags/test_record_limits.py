@@ -55,7 +55,7 @@ COMPRESS: dict[str, Callable[[bytes], bytes]] = {
     "": lambda data: data,
     "zstd": lambda data: zstandard.ZstdCompressor().compress(data),
     "lz4": lambda data: bytes(lz4.frame.compress(data)),
-    "bz2": bz2.compress,
+    "bz2": lambda data: bz2.compress(data, 1),  # blocks of 100 kB
 }
 
 
@@ -95,7 +95,7 @@ def test_what_is_decompressed_ends_at_the_limit(kind: str, content: bytes, limit
 
 @pytest.mark.parametrize("kind", [each for each in COMPRESS if each])
 def test_the_readable_part_of_damaged_data_is_kept(kind: str) -> None:
-    size = 2 * MIB if kind == "bz2" else 9 * MIB  # several pieces
+    size = 400_000 if kind == "bz2" else 9 * MIB  # several pieces
     content = np.random.default_rng(0).bytes(size)
     stored = COMPRESS[kind](content)
     for limit in (size, size // 2 + 1):
