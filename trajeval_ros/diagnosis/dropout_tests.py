@@ -106,7 +106,7 @@ def _still(
     begin, long_s = begin[known], (end - begin)[known]
     moved_m = scale * lengths((stop.positions - start.positions)[known])
     share = float(long_s.sum()) / groundtruth.span_s
-    moving = moved_m > (_HELD_M if len(moved_m) > 5 else 0.1)
+    moving = moved_m > _HELD_M
     held_s = float(long_s[moving].sum())
     if np.count_nonzero(moving) >= 10 and held_s > _HELD_SHARE * groundtruth.span_s:
         held = {"held_s": median(long_s[moving]), "rate_hz": 1.0 / usual_s}
