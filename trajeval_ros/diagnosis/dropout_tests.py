@@ -256,7 +256,7 @@ def restart(groundtruth: TimedPoses, estimate: TimedPoses) -> Examined:
     home = jumps[at_first[jumps]]
     at_home = worst in home
     # Many parts fit any error: more than two only if all of them start at the first pose.
-    cuts = np.union1d(home + 1, [cut]) if at_home and len(home) > 1 else np.array([cut])
+    cuts = home + 1 if at_home else np.array([cut])
     metres = some.positions * (unit if abs(np.log(max(unit, 1e-12))) > _OTHER_UNIT else 1.0)
     gain = _gain(metres, true.positions, true.known, cuts)
     scores["gain"] = gain
