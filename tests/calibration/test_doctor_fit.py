@@ -25,6 +25,7 @@ from trajeval_ros.calibration.groundtruth_doctor.sample_rows import (
     _means,
 )
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.preintegration import ImuNoise
 from trajeval_ros.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -303,3 +304,17 @@ def test_rough_orientations_are_found_from_positions() -> None:
     assert swings.offset_s == pytest.approx(0.7, abs=0.02)
     far = dataclasses.replace(truth, stamps=truth.stamps - 700 * 10**9)
     assert start.guess_of(far, imu, START_NS).offset_s == pytest.approx(700.0, abs=5e-3)
+
+
+def test_uncertainty_of_an_exact_imu_and_of_a_doubtful_one(small: Small) -> None:
+    steps = small_rig().steps
+    exact, _ = steps.uncertainty(np.zeros(3), ImuNoise(0.0, 0.0))
+    least = np.diag(np.repeat([1e-14, 1e-14, 1e-16], 3))
+    np.testing.assert_allclose(exact, np.tile(least, (4, 1, 1)), atol=1e-30)
+    noise = ImuNoise(1e-3, 1e-2)
+    sure, by_biases = small.steps.uncertainty(np.zeros(3), noise)
+    steps.doubtful = np.array([False, True, False, False])
+    doubtful, same = steps.uncertainty(np.zeros(3), noise)
+    np.testing.assert_allclose(doubtful[0], sure[0])
+    np.testing.assert_allclose(doubtful[1] - least, 1e4 * (sure[1] - least), rtol=1e-9)
+    np.testing.assert_array_equal(by_biases, same)

@@ -19,8 +19,6 @@ from trajeval_ros.calibration.increments import Increments
 from trajeval_ros.calibration.observability import CalibrationFit, basis_of, observability, solve
 from trajeval_ros.calibration.robust_fit import fit
 from trajeval_ros.calibration.significance import (
-    LEAST_OF_POSITIONS,
-    LEAST_OF_ROTATIONS,
     Parameter,
     supported_by_both,
 )
@@ -190,10 +188,10 @@ def test_a_fit_of_few_directions_moves_along_them_alone(
 @pytest.mark.parametrize(
     ("by_rotation", "by_position", "chance", "kept"),
     [
-        (LEAST_OF_ROTATIONS + 0.001, LEAST_OF_POSITIONS + 0.001, 1.0, True),
-        (LEAST_OF_ROTATIONS - 1e-9, LEAST_OF_POSITIONS + 0.001, 0.0028, False),
-        (LEAST_OF_ROTATIONS - 1e-9, LEAST_OF_POSITIONS + 0.001, 0.0026, True),
-        (0.9, LEAST_OF_POSITIONS, 0.0, False),
+        (0.021, -0.499, 1.0, True),
+        (0.02 - 1e-9, -0.499, 0.0028, False),
+        (0.02 - 1e-9, -0.499, 0.0026, True),
+        (0.9, -0.5, 0.0, False),
     ],
 )
 def test_a_rotation_is_supported_by_both_kinds_of_rows(
@@ -215,6 +213,32 @@ def test_a_rotation_is_supported_by_both_kinds_of_rows(
     assert found.is_significant == kept
     weak = dataclasses.replace(turn, status="weak")
     assert supported_by_both(weak, increments, solution, 0.0) is weak
+
+
+@pytest.mark.parametrize(("count", "enough"), [(29, False), (30, True)])
+def test_a_solution_needs_thirty_pairs(count: int, enough: bool) -> None:
+    class Pairs:
+        has_turns = has_lever = False
+
+        def __len__(self) -> int:
+            return count
+
+        def start(self, *_: Any, **__: Any) -> Any:
+            raise StopIteration
+
+    pairs: Any = Pairs()
+    if enough:
+        with pytest.raises(StopIteration):
+            solve(pairs, Gauge.SE3, False)
+    else:
+        assert solve(pairs, Gauge.SE3, False) is None
+
+
+def test_useful_parameters_are_as_precise_as_this() -> None:
+    """10 ms, 100 ppm, 2 deg and 0.1 m at 95 %."""
+    limits = {name: float(value) for name, value in module.WIDEST.items()}
+    assert limits.pop("turn") == pytest.approx(np.radians(2.0))
+    assert limits == {"offset": 0.010, "skew": 100e-6, "lever": 0.1}
 
 
 def test_solutions_need_pairs_and_blocks() -> None:
