@@ -333,3 +333,25 @@ def test_a_density_is_that_of_the_middle(monkeypatch: pytest.MonkeyPatch) -> Non
     found = Process.fit(Positions(), 2, times, walk, 0.01).density[0]
     alone = Process.fit(Positions(), 2, times[20:41], walk[20:41], 0.01).density[0]
     assert found == pytest.approx(alone, rel=0.02)  # twice the tolerance of both searches
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_a_knot_without_a_sample_leaves_the_likelihood(order: int) -> None:
+    generator = np.random.default_rng(order)
+    times = np.cumsum(generator.uniform(0.3, 0.9, size=7))
+    positions = generator.normal(size=(7, 3))
+    alone = solved(Positions(), order, times, positions, 0.2, 0.6)
+    more = np.sort(np.append(times, 0.5 * (times[2:4] + times[3:5])))
+    rows = np.searchsorted(more, times)
+    states, information = np.zeros((9, 3)), np.zeros((9, 3))
+    states[rows], information[rows] = positions, 0.2**-2
+    between = dataclasses.replace(
+        alone,
+        times=more,
+        measured=states,
+        information=information,
+        states=states,
+        rates=np.zeros((9, order - 1, 3)),
+    ).solved()
+    assert between.log_likelihood() == pytest.approx(alone.log_likelihood(), rel=1e-9)
+    np.testing.assert_allclose(between.states[rows], alone.states, atol=1e-9)
