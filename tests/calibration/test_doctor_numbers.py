@@ -96,6 +96,7 @@ def test_what_is_repaired_is_what_is_found(found: ExaminedGroundtruth) -> None:
     assert (rms < noise_of_means).all()
 
 
+@pytest.mark.slow
 def test_positions_alone_have_wider_clocks() -> None:
     bare = dataclasses.replace(MADE.groundtruth, quaternions=None)
     found = examine(bare, MADE.readings)
