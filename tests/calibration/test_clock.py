@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from strategies import seeds
 
+from trajeval_ros.calibration import clock_offset
 from trajeval_ros.calibration.clock_offset import (
     OffsetGuess,
     _highest,
@@ -195,3 +196,19 @@ def test_rates_are_central_differences_of_known_motion() -> None:
     _, known = _rate(PoseInterpolator.of(path[kept], with_rotations=False), 0.1)
     assert not known[np.arange(75, 110)].any()
     assert known[np.r_[3:72, 114:197]].all()
+
+
+@pytest.mark.parametrize(("every", "window_s"), [(1, 0.1), (2, 0.1), (3, 0.15), (10, 0.5)])
+def test_both_sides_have_the_window_of_the_slower_estimate(
+    monkeypatch: pytest.MonkeyPatch, every: int, window_s: float
+) -> None:
+    windows = []
+
+    def seen(poses: PoseInterpolator, window_s: float) -> tuple[Array, Array]:
+        windows.append(window_s)
+        return _rate(poses, window_s)
+
+    monkeypatch.setattr(clock_offset, "_rate", seen)
+    truth, estimate, _ = flown()
+    guess_offset_by(truth, estimate[::every], 0.0, 5.0, "speed")
+    assert windows == [pytest.approx(window_s)] * 2

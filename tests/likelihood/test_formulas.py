@@ -164,6 +164,24 @@ def test_densities_have_exact_slopes(gauge: Gauge, oriented: bool) -> None:
     np.testing.assert_allclose(slope.information, information, rtol=1e-5, atol=1e-4)
 
 
+def test_work_in_parts_is_work_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    belief = belief_of(6)
+    generator = np.random.default_rng(1)
+    estimate = belief.poses @ se3.exp(0.05 * generator.normal(size=(8, 6)))
+    one = Residuals(belief, estimate, Gauge.SIM3)
+    elements = one.chart.elements(0.1 * generator.normal(size=(5, 7)))
+    values, slope = one.log_density(elements), one.slope(elements[0])
+    for most, rows in ((17, 3), (8, 8), (1, 1)):
+        monkeypatch.setattr(residuals, "_MOST_AT_ONCE", most)
+        monkeypatch.setattr(residuals, "_ROWS", rows)
+        np.testing.assert_allclose(one.log_density(elements), values, rtol=1e-12)
+        again = one.slope(elements[0])
+        scale = np.abs(slope.gradient).max()
+        np.testing.assert_allclose(again.gradient, slope.gradient, atol=1e-11 * scale)
+        np.testing.assert_allclose(again.information, slope.information, rtol=1e-9, atol=1e-6)
+        np.testing.assert_allclose(again.whitened, slope.whitened, rtol=1e-12)
+
+
 def test_densities_of_points_are_gaussian() -> None:
     belief = belief_of(6)
     generator = np.random.default_rng(1)
