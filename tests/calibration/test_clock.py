@@ -30,7 +30,7 @@ from trajeval_ros.geometry.trajectory import Trajectory
 Array = NDArray[np.float64]
 
 
-@given(seed=seeds, first=st.integers(3, 12), second=st.integers(3, 12))
+@given(seed=seeds, first=st.integers(3, 12), second=st.integers(3, 20))
 @settings(max_examples=15)
 def test_masked_correlations_are_those_of_common_samples(
     seed: int, first: int, second: int
@@ -38,11 +38,11 @@ def test_masked_correlations_are_those_of_common_samples(
     generator = np.random.default_rng(seed)
     a, b = generator.normal(size=(2, first)), generator.normal(size=(2, second))
     in_a, in_b = (generator.uniform(size=size) < 0.8 for size in (first, second))
-    for most in (None, second - 1):
+    for most in (None, 0, 1, second - 1):
         lags, correlation, common = masked_correlation(
             a * in_a, in_a.astype(float), b * in_b, in_b.astype(float), most
         )
-        expected = range(1 - first, second) if most is None else range(second)
+        expected = range(1 - first, second) if most is None else range(most + 1)
         assert lags.tolist() == list(expected)
         for place, lag in enumerate(lags.tolist()):
             rows = [n for n in range(first) if 0 <= n + lag < second]
