@@ -17,7 +17,7 @@ from scipy.stats import multivariate_normal
 from solved_process import solved
 from strategies import seeds
 
-from trajeval_ros.continuous_time import markov, white_noise
+from trajeval_ros.continuous_time import kernels, markov, white_noise
 from trajeval_ros.continuous_time.kernels import (
     MATERN_32,
     MATERN_52,
@@ -355,3 +355,46 @@ def test_a_knot_without_a_sample_leaves_the_likelihood(order: int) -> None:
     ).solved()
     assert between.log_likelihood() == pytest.approx(alone.log_likelihood(), rel=1e-9)
     np.testing.assert_allclose(between.states[rows], alone.states, atol=1e-9)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 0.0, 1.0])
+def test_the_search_for_hyperparameters_has_starts_and_limits(
+    monkeypatch: pytest.MonkeyPatch, sign: float
+) -> None:
+    """With a cost of no slope it stays at its starts, with a linear one it ends at its limits."""
+    calls: list[tuple[int, list[float]]] = []
+
+    def linear(_: Kernel, lags: Array, targets: Array, at: Array) -> tuple[float, Array]:
+        assert len(lags) == len(targets)
+        calls.append((len(lags), np.exp(at).tolist()))
+        return sign * float(at.sum()), np.full(3, sign)
+
+    monkeypatch.setattr(kernels, "negative_log_likelihood", linear)
+    times = np.arange(150.0)[:, None] + 0.1 * np.arange(5.0)
+    targets = np.random.default_rng(0).normal(size=(150, 5, 3))
+    targets[[0, -1]] *= 3.0  # the first and the last segment are among the hundred
+    some = np.unique(np.linspace(0, 149, 100).astype(int))
+    spread = float(targets[some].std())
+    _, found = most_likely((MATERN_52,), times, targets, 0.05, 0.1)
+    assert {count for count, _ in calls} == {100}
+    starts = [each for each in calls if each[1][0] == pytest.approx(spread)]
+    lengths = {round(each[1][1], 6) for each in starts}
+    assert {0.2, 0.6} <= lengths
+    if sign < 0.0:
+        assert found.sigma == pytest.approx(spread * math.exp(8.0), rel=1e-6)
+        assert found.length == pytest.approx(200.0 * 0.1 + 10.0, rel=1e-6)
+    if sign > 0.0:
+        assert found.sigma == pytest.approx(max(spread * math.exp(-4.0), 0.05), rel=1e-6)
+        assert found.length == pytest.approx(0.3 * 0.1, rel=1e-6)
+        _, found = most_likely((MATERN_52,), times, targets, 1e-6, 0.1)
+        assert found.sigma == pytest.approx(spread * math.exp(-4.0), rel=1e-6)
+
+
+def test_the_most_likely_kernel_is_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
+    costs = {MATERN_32: 2.0, MATERN_52: 1.0, SQUARED_EXPONENTIAL: 3.0}
+    monkeypatch.setattr(
+        kernels, "negative_log_likelihood", lambda kernel, *_: (costs[kernel], np.zeros(3))
+    )
+    times = np.tile(np.arange(4.0), (2, 1))
+    found, _ = most_likely(tuple(costs), times, np.ones((2, 4, 3)), 0.1, 1.0)
+    assert found is MATERN_52
