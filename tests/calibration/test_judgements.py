@@ -15,6 +15,7 @@ from scipy.stats import t as student
 
 from trajeval_ros.calibration import calibrate as module
 from trajeval_ros.calibration.calibrate import SystematicErrors, _apart, _by_rows, calibrate
+from trajeval_ros.calibration.clock_offset import OffsetGuess
 from trajeval_ros.calibration.increments import Increments
 from trajeval_ros.calibration.observability import CalibrationFit, basis_of, observability, solve
 from trajeval_ros.calibration.robust_fit import fit
@@ -265,3 +266,46 @@ def test_what_is_fitted_depends_on_sensors_and_gauge(long: tuple[Trajectory, Tra
         assert {name: len(axes) for name, axes in solution.free.items()} == expected
         assert solution.left_out == ""
         assert solution.fit.free == sum(expected.values())
+
+
+@pytest.mark.parametrize(
+    ("overlap_s", "around_s", "search_s"),
+    [(5.0, 0.0, 5.0), (4.99, 0.0, None), (3.0, 2.0, 5.0), (3.0, 1.99, None), (30.0, -26.0, None)],
+)
+def test_all_offsets_are_searched_if_the_usual_ones_leave_too_little(
+    monkeypatch: pytest.MonkeyPatch, overlap_s: float, around_s: float, search_s: float | None
+) -> None:
+    """Within 5 s around the given offset, trajectories must be able to overlap for 10 s."""
+    calls: list[dict[str, Any]] = []
+
+    def stop(*_: Any, **given: Any) -> Any:
+        calls.append(given)
+        raise StopIteration
+
+    monkeypatch.setattr(module, "guess_offset", stop)
+    seconds = np.arange(0.0, 30.01, 0.5)
+    truth = Trajectory(EPOCH + (seconds * SECOND).astype(np.int64), np.zeros((61, 3)))
+    earlier = round((30.0 - overlap_s) * SECOND)
+    estimate = dataclasses.replace(truth, stamps=truth.stamps - earlier)
+    with pytest.raises(StopIteration):
+        calibrate(truth, estimate, around_s=around_s)
+    assert calls == [{"around_s": around_s, "search_s": search_s}]
+
+
+def test_an_unusable_guess_leaves_the_given_offset(
+    monkeypatch: pytest.MonkeyPatch, long: tuple[Trajectory, Trajectory]
+) -> None:
+    seen: list[int] = []
+    truth, estimate = long
+
+    def stop(_: Trajectory, shifted: Trajectory, __: int) -> Any:
+        seen.append(int(shifted.stamps[0] - estimate.stamps[0]))
+        raise StopIteration
+
+    monkeypatch.setattr(module, "Increments", stop)
+    for problem in ("", "why"):
+        guess = OffsetGuess(0.25, 0.9, 0.1, 9.0, "speed", 30.0, problem)
+        monkeypatch.setattr(module, "guess_offset", lambda *_, guess=guess, **__: guess)
+        with pytest.raises(StopIteration):
+            calibrate(truth, estimate, around_s=0.125)
+    assert seen == [SECOND // 4, SECOND // 8]
