@@ -149,6 +149,17 @@ def test_one_more_event_than_is_reported_is_counted() -> None:
     assert "in 20 s" in repeated.counts(30.5)[0][1].text
 
 
+def test_kinds_of_events_are_counted_apart() -> None:
+    repeated = RepeatedRemarks()
+    for about, now, count in (("a", 0.0, 4), ("b", 6.0, 5), ("c", 1.0, 6), ("d", 1.0, 2)):
+        for _ in range(count):
+            repeated.may_report(about, warning("jump", "at 3 s"), now)
+    found = repeated.counts(11.0)
+    assert [(about, each.values["more"]) for about, each in found] == [("a", 1), ("c", 3)]
+    assert [about for about, _ in repeated.counts(16.0)] == ["b"]
+    assert repeated.counts(16.0) == []
+
+
 @pytest.mark.parametrize(
     ("value", "level"),
     [(0.5, None), (0.49, Level.WARNING), (0.2, Level.WARNING), (0.19, Level.ERROR), (0.0, 2)],

@@ -336,6 +336,9 @@ def test_frame_numbers_are_whole_and_below_a_hundred_million(
     if refused:
         with pytest.raises(InputError, match=r"row 2 has no frame number in column 1"):
             read_trajectory(path)
+        path.write_text(f"x,frame,y,z\n1,0,2,3\n2,{number},3,4\n")
+        with pytest.raises(InputError, match=r"row 2 has no frame number in column 2"):
+            read_trajectory(path)
     else:
         found = read_trajectory(path)
         assert found.stamps.tolist() == [0, int(number) * SECOND]
