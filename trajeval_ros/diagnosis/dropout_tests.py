@@ -106,7 +106,7 @@ def _still(
     begin, long_s = begin[known], (end - begin)[known]
     moved_m = scale * lengths((stop.positions - start.positions)[known])
     share = float(long_s.sum()) / groundtruth.span_s
-    moving = moved_m > (_HELD_M if len(moved_m) > 5 else 0.1)
+    moving = moved_m > _HELD_M
     held_s = float(long_s[moving].sum())
     if np.count_nonzero(moving) >= 10 and held_s > _HELD_SHARE * groundtruth.span_s:
         held = {"held_s": median(long_s[moving]), "rate_hz": 1.0 / usual_s}
@@ -256,7 +256,7 @@ def restart(groundtruth: TimedPoses, estimate: TimedPoses) -> Examined:
     home = jumps[at_first[jumps]]
     at_home = worst in home
     # Many parts fit any error: more than two only if all of them start at the first pose.
-    cuts = np.union1d(home + 1, [cut]) if at_home and len(home) > 1 else np.array([cut])
+    cuts = home + 1 if at_home else np.array([cut])
     metres = some.positions * (unit if abs(np.log(max(unit, 1e-12))) > _OTHER_UNIT else 1.0)
     gain = _gain(metres, true.positions, true.known, cuts)
     scores["gain"] = gain

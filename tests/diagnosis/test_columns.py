@@ -1,0 +1,264 @@
+"""Columns with other contents than poses, just within the limits and just beyond them."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trajeval_ros.diagnosis.column_tests import columns_of_others
+from trajeval_ros.diagnosis.findings import Examined
+from trajeval_ros.diagnosis.input_pair import TimedPoses
+from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.gauge import Gauge
+
+SECOND = 1_000_000_000
+
+
+def seen_by(
+    test: str,
+    groundtruth: TimedPoses,
+    estimate: TimedPoses,
+    gauge: Gauge = Gauge.YAW,
+    *,
+    max_gap_s: float = 0.5,
+    by_time: bool = True,
+) -> Examined:
+    sides: dict[str, Any] = {
+        side: SimpleNamespace(stamps=np.rint(poses.seconds * SECOND).astype(np.int64))
+        for side, poses in (("groundtruth", groundtruth), ("estimate", estimate))
+    }
+    inputs: Any = SimpleNamespace(
+        **sides,
+        groundtruth_poses=groundtruth,
+        estimate_poses=estimate,
+        in_order=(groundtruth, estimate),
+        gauge=gauge,
+        max_gap_s=max_gap_s,
+        by_time=by_time,
+    )
+    return {each.test: each for each in columns_of_others(inputs)}[test]
+
+
+def timed(seconds: Floats) -> TimedPoses:
+    return TimedPoses(seconds, np.outer(np.sin(seconds), np.ones(3)))
+
+
+@pytest.mark.parametrize(
+    ("counted_from", "other_begin", "other_span", "is_seen"),
+    [
+        (0.0, 5.0, 28.0, False),  # 40 rows are 39 s; the ratio 1.39
+        (0.0, 5.0, 25.9, True),
+        (0.0, 5.0, 58.0, False),
+        (0.0, 5.0, 58.6, True),
+        (0.0, 38.9, 39.0, False),
+        (0.0, 39.1, 39.0, True),  # no common time
+        (9_999_999.0, 5.0, 100.0, True),
+        (10_000_000.0, 5.0, 100.0, False),
+    ],
+)
+def test_row_numbers_are_small_and_of_another_time(
+    counted_from: float, other_begin: float, other_span: float, *, is_seen: bool
+) -> None:
+    own = timed(counted_from + np.arange(40.0))
+    true = timed(other_begin + np.linspace(0.0, other_span, 60))
+    found = seen_by("row numbers", true, own)
+    assert [each.cause for each in found.seen] == ["row_numbers"] * is_seen
+    assert [each.explained for each in found.seen] == [1.0] * is_seen
+    assert found.scores == pytest.approx({"span_ratio": 39.0 / other_span})
+    assert not seen_by("row numbers", true, own, by_time=False).seen
+    off = own.seconds.copy()
+    off[7:] += 1e-3
+    assert not seen_by("row numbers", true, timed(off)).seen
+
+
+def test_twelve_poses_of_both_are_needed() -> None:
+    many, few = timed(np.arange(12.0)), timed(np.arange(11.0))
+    assert seen_by("degrees", many, many)
+    for sides in ((few, many), (many, few)):
+        with pytest.raises(KeyError):
+            seen_by("degrees", *sides)
+
+
+def spread(*sizes: float, count: int = 30) -> TimedPoses:
+    """Return positions with these extents."""
+    column = np.linspace(0.0, 1.0, count)
+    return TimedPoses(np.arange(count) * 0.1, np.outer(column, sizes))
+
+
+@pytest.mark.parametrize("side", ["estimate", "groundtruth"])
+@pytest.mark.parametrize(
+    ("extent", "ratio", "is_seen"),
+    [
+        (0.01, 1.0, True),
+        (0.01, 3.95, True),
+        (0.01, 4.05, False),
+        (0.01, 0.255, True),
+        (0.01, 0.245, False),
+        (0.0995, 1.0, True),
+        (0.1005, 1.0, False),
+        (1.01 / 111_320.0, 1.0, True),
+        (0.99 / 111_320.0, 1.0, False),
+    ],
+)
+def test_degrees_have_the_extent_of_the_other_side_on_the_earth(
+    side: str, extent: float, ratio: float, *, is_seen: bool
+) -> None:
+    """A minute of arc of latitude is a nautical mile, 1852 m to 0.2 %; heights are larger."""
+    moved = ratio * extent * 111_320.0
+    assert pytest.approx(1852.0, rel=3e-3) == 111_320.0 / 60.0
+    degrees = spread(0.6 * extent, 300.0, -0.8 * extent)
+    metres = spread(moved / 3.0, -2.0 * moved / 3.0, 2.0 * moved / 3.0)
+    other = "groundtruth" if side == "estimate" else "estimate"
+    sides = {side: degrees, other: metres}
+    found = seen_by("degrees", **sides)
+    if not is_seen:
+        assert found == Examined("degrees")
+        return
+    [seen] = found.seen
+    assert (seen.cause, seen.explained) == ("degrees", 1.0)
+    assert found.scores == pytest.approx({"ratio": ratio})
+    assert seen.values.items() >= {"side": side, "other": other}.items()
+    assert seen.values["path_m"] == pytest.approx(moved)
+    assert seen.values["extent"] == pytest.approx(extent)
+
+
+@pytest.mark.parametrize(("largest", "is_seen"), [(180.0, True), (180.001, False)])
+def test_degrees_are_within_half_a_turn(largest: float, *, is_seen: bool) -> None:
+    degrees = spread(0.006, 300.0, 0.008)
+    degrees.positions[:, 0] += largest - 0.006
+    found = seen_by("degrees", spread(300.0, 600.0, 600.0), degrees)
+    assert bool(found.seen) == is_seen
+
+
+@pytest.mark.parametrize("side", ["estimate", "groundtruth"])
+@pytest.mark.parametrize(
+    ("axis", "constant", "other", "height", "is_seen"),
+    [
+        ("z", "z", "", 0.051, True),
+        ("x", "x", "", 0.051, True),
+        ("y", "y", "", 0.051, True),
+        ("", "z", "", 0.049, False),
+        ("", "", "", 1.0, False),
+        ("", "xz", "", 1.0, False),
+        ("", "z", "x", 1.0, False),
+    ],
+)
+def test_a_flat_side_has_one_constant_column_while_the_other_has_heights(
+    side: str, axis: str, constant: str, other: str, height: float, *, is_seen: bool
+) -> None:
+    """`height` is the rms height as a part of the extent of the other side."""
+    columns = np.random.default_rng(2).normal(size=(40, 3))
+    columns -= columns.mean(axis=0)
+    columns /= columns.std(axis=0)
+    flat, full = columns.copy(), columns * [3.0, 4.0, 5.0 * height / np.sqrt(1.0 - height**2)] \
+        if height < 1.0 else columns * [3.0, 4.0, 50.0]  # fmt: skip
+    for name, changed in ((constant, flat), (other, full)):
+        for each in name:
+            changed[:, "xyz".index(each)] = 7.0
+    another = "groundtruth" if side == "estimate" else "estimate"
+    poses = {
+        side: TimedPoses(np.arange(40.0), flat),
+        another: TimedPoses(np.arange(40.0), full),
+    }
+    found = seen_by("flat", **poses)
+    assert not seen_by("flat", **poses, gauge=Gauge.PLANAR).seen
+    if not is_seen:
+        assert found == Examined("flat")
+        return
+    [seen] = found.seen
+    height_m = float(full[:, 2].std())
+    assert (seen.cause, seen.explained) == ("flat", 1.0)
+    assert seen.values == {"side": side, "other": another, "axis": axis, "height_m": height_m}
+    assert found.scores == {"height_m": height_m}
+
+
+def walk(count: int, size: float = 1.0) -> tuple[TimedPoses, Floats]:
+    """Return a groundtruth, and the steps that led to every pose."""
+    steps = np.random.default_rng(8).normal(size=(count, 3)) * size
+    steps *= (1.0 + np.arange(count) // 10 % 3)[:, None]
+    steps[:, 0] = np.abs(steps[:, 0])  # far away
+    return TimedPoses(0.1 * np.arange(count), np.cumsum(steps, axis=0)), steps
+
+
+@pytest.mark.parametrize(
+    ("factor", "is_seen"), [(1.0, True), (1.95, True), (2.05, False), (0.51, True), (0.49, False)]
+)
+def test_increments_have_the_lengths_of_the_steps(factor: float, *, is_seen: bool) -> None:
+    """Of sums over ten steps."""
+    true, steps = walk(601)
+    own = TimedPoses(true.seconds, factor * steps)
+    found = seen_by("increments", true, own)
+    sums = [
+        np.linalg.norm(each[1:], axis=1).reshape(60, 10).sum(axis=1)
+        for each in (steps, own.positions)
+    ]
+    ratio = np.median(sums[1]) / np.median(sums[0])
+    assert found.scores == pytest.approx({"peak": 1.0, "ratio": ratio})
+    assert ratio == pytest.approx(factor)
+    assert [each.cause for each in found.seen] == ["increments"] * is_seen
+    for seen in found.seen:
+        assert seen.explained == found.scores["peak"]
+        assert seen.values == {"peak": found.scores["peak"]}
+
+
+@pytest.mark.parametrize("count", [13, 24, 25, 26, 121, 131, 400])
+@pytest.mark.parametrize("noise", [0.3, 3.0])
+def test_the_lengths_of_increments_correlate_in_blocks(count: int, noise: float) -> None:
+    """As many as give twelve blocks, of at most ten steps; the last block may be short."""
+    true, steps = walk(count)
+    others = np.random.default_rng(9).normal(size=steps.shape) * noise
+    own = TimedPoses(true.seconds, steps + others)
+    # The groundtruth comes back from far away, so that the estimate is small beside it.
+    true.positions[:, 0] += 1e3 * np.arange(count) // max(count - 1, 1)
+    found = seen_by("increments", true, own)
+    together = max(1, min(10, (count - 1) // 12))
+    lengths = (
+        np.linalg.norm(np.diff(true.positions, axis=0), axis=1),
+        np.linalg.norm(own.positions[1:], axis=1),
+    )
+    sums = [
+        [each[begin : begin + together].sum() for begin in range(0, count - 1, together)]
+        for each in lengths
+    ]
+    peak = float(np.corrcoef(*sums)[0, 1])
+    ratio = float(np.median(sums[1]) / np.median(sums[0]))
+    assert found.scores == pytest.approx({"peak": peak, "ratio": ratio})
+    assert bool(found.seen) == (peak > 0.8 and 0.5 < ratio < 2.0)
+
+
+@pytest.mark.parametrize(("missing", "is_interpolated"), [(4, True), (5, False)])
+def test_only_known_steps_are_compared(missing: int, *, is_interpolated: bool) -> None:
+    """Where the groundtruth is interpolated, its steps are others."""
+    true, steps = walk(200)
+    kept = np.delete(np.arange(200), np.arange(100, 100 + missing))
+    found = seen_by("increments", true[kept], TimedPoses(true.seconds, steps), max_gap_s=0.55)
+    exact = pytest.approx(1.0, abs=1e-9)
+    assert (found.scores["peak"] == exact) != is_interpolated
+    assert (found.scores["ratio"] == exact) != is_interpolated
+
+
+def test_twelve_known_steps_of_different_lengths_are_needed() -> None:
+    true, steps = walk(201)
+    own = TimedPoses(true.seconds, steps)
+    few = "too few common poses"
+    for count, why_not in ((13, ""), (12, few)):
+        late = TimedPoses(true.seconds[30:], steps[30:])
+        common = TimedPoses(true.seconds[: 30 + count], true.positions[: 30 + count].copy())
+        common.positions[0] = 1e6  # the estimate is small beside it
+        assert seen_by("increments", common, late).why_not == why_not
+    assert seen_by("increments", true, own, by_time=False).why_not == "no timestamps"
+    equal = np.tile([3.0, 4.0, 0.0], (201, 1))
+    assert seen_by("increments", true, TimedPoses(true.seconds, equal)).why_not == few
+    steady = TimedPoses(true.seconds, np.cumsum(equal, axis=0))
+    assert seen_by("increments", steady, own).why_not == few
+
+
+@pytest.mark.parametrize(("share", "is_small"), [(0.049, True), (0.051, False)])
+def test_increments_are_small_beside_the_path(share: float, *, is_small: bool) -> None:
+    true, steps = walk(300, 20.0)
+    own = TimedPoses(true.seconds, steps)
+    own = TimedPoses(true.seconds, steps * (share * true.extent / own.extent))
+    assert bool(seen_by("increments", true, own).scores) == is_small

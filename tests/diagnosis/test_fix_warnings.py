@@ -1,0 +1,264 @@
+"""Warnings about GNSS fixes: limits from both sides, and the numbers of the sentences."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trajeval_ros.diagnosis.gnss_warnings import about_fixes, require_fixes_fit
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.fix_selection import FixRule
+from trajeval_ros.geometry.fixes import Fixes
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.geodesy import Datum
+
+COUNT = 40
+CLEAN: Any = SimpleNamespace(jumps=0, own_jumps=0)
+
+
+def fixes_of(sigma_m: Any = 1.0, sigma_up_m: Any = 1.0, count: int = COUNT) -> Fixes:
+    level, up = (np.broadcast_to(each, count) for each in (sigma_m, sigma_up_m))
+    covariances = np.zeros((count, 3, 3))
+    covariances[:, 0, 0], covariances[:, 1, 1] = level**2, (0.5 * level) ** 2
+    covariances[:, 2, 2] = up**2
+    kinds = np.full(count, 2)
+    return Fixes(np.zeros((count, 3)), np.zeros(count), kinds, covariances)
+
+
+def said(
+    fixes: Fixes | None = None,
+    heights: Any = 0.0,
+    own: Any = CLEAN,
+    of: int = 1,
+    **changed: Any,
+) -> dict[str, str]:
+    """Return the warnings about an evaluation that is right but for what is changed."""
+    given = {
+        "gauge": Gauge.YAW, "tilt_deg": 0.0, "extents": (100.0, 30.0), "weights": "none",
+        "interpolation": None, "scale": 1.0, "rmse": 0.5, **changed,
+    }  # fmt: skip
+    fixes = fixes or fixes_of()
+    along = np.linspace(-0.4, 0.6, len(fixes))
+    truth = np.column_stack([along * each for each in (*given["extents"], 20.0)])
+    tilt = np.radians(given["tilt_deg"])
+    rotation = np.array(
+        [[1.0, 0.0, 0.0], [0.0, np.cos(tilt), -np.sin(tilt)], [0.0, np.sin(tilt), np.cos(tilt)]]
+    )
+    rmse = given["rmse"]
+    evaluation: Any = SimpleNamespace(
+        association=SimpleNamespace(
+            groundtruth=SimpleNamespace(positions=truth, reading=SimpleNamespace(fixes=fixes)),
+            interpolation=given["interpolation"],
+        ),
+        protocol=SimpleNamespace(gauge=given["gauge"], align_weights=given["weights"]),
+        alignment=SimpleNamespace(
+            similarity=SimpleNamespace(rotation=rotation, scale=given["scale"])
+        ),
+        aligned=SimpleNamespace(
+            positions=truth - np.outer(heights * np.ones(len(fixes)), [0, 0, 1])
+        ),
+        ate={"position_m": None if rmse is None else SimpleNamespace(rmse=rmse)},
+    )
+    return {each.code: each.text for each in about_fixes(evaluation, own, "no covariance", of)}
+
+
+def test_a_right_evaluation_has_no_warning() -> None:
+    assert said() == {}
+
+
+def test_without_covariances_the_noise_of_the_fixes_is_in_the_ate() -> None:
+    assert said(own=None) == {
+        "noise_of_fixes_unknown": "the ATE includes the noise of the fixes, which can't be "
+        "removed: no covariance"
+    }
+
+
+@pytest.mark.parametrize(
+    ("jumps", "own_jumps", "of", "starts"),
+    [
+        (1, 0, 1, {"fixes_jump": "1 fix in jumps away from the estimate and back: "}),
+        (3, 0, 2, {"fixes_jump": "3 fixes in jumps common to all 2 estimates, caused "}),
+        (0, 2, 2, {"estimate_jumps": "at 2 fixes only this estimate jumps, and others do not"}),
+        (
+            2,
+            1,
+            3,
+            {
+                "fixes_jump": "2 fixes in jumps common to all 3 estimates",
+                "estimate_jumps": "at 1 fix only this estimate jumps",
+            },
+        ),
+        (0, 0, 2, {}),
+    ],
+)
+def test_jumps_are_told_of_the_fixes_or_of_the_estimate(
+    jumps: int, own_jumps: int, of: int, starts: dict[str, str]
+) -> None:
+    found = said(own=SimpleNamespace(jumps=jumps, own_jumps=own_jumps), of=of)
+    assert found.keys() == starts.keys()
+    assert all(found[code].startswith(start) for code, start in starts.items())
+
+
+def test_fixes_of_two_kinds_are_told_with_the_limit_between_them() -> None:
+    """The limit is the geometric mean of the widest gap; every kind has its median."""
+    sigma = np.full(COUNT, 0.02)
+    sigma[3:10] = [1.6, 2.0, 3.0, 2.5, 1.8, 2.2, 9.0]
+    sigma[10:13] = [0.01, 0.03, 0.04]
+    found = said(fixes_of(sigma))
+    assert found == {
+        "mixed_fixes": "7 of 40 fixes have a standard deviation of 2.2 m, the others 0.02 m "
+        "(probably float and fixed RTK); exclude the former with --max-fix-sigma 0.3"
+    }
+    assert said(fixes_of(sigma), weights="covariance") == {}
+    unknown = fixes_of(sigma)
+    unknown.covariance_types[:] = 0
+    assert said(unknown) == {}
+
+
+@pytest.mark.parametrize(("ratio", "is_told"), [(10.01, True), (9.99, False)])
+def test_fixes_of_two_kinds_differ_by_a_factor_of_ten(ratio: float, *, is_told: bool) -> None:
+    sigma = np.full(COUNT, 0.3)
+    sigma[7] = 0.3 * ratio
+    assert bool(said(fixes_of(sigma))) == is_told
+
+
+@pytest.mark.parametrize(
+    ("extents", "gauge", "is_told"),
+    [
+        ((5001.0, 30.0), Gauge.YAW, True),
+        ((30.0, 5001.0), Gauge.NONE, True),
+        ((4999.0, 4999.0), Gauge.YAW, False),
+        ((5001.0, 30.0), Gauge.SE3, False),
+    ],
+)
+def test_the_curvature_is_told_from_five_kilometres_on(
+    extents: tuple[float, float], gauge: Gauge, *, is_told: bool
+) -> None:
+    """Of a sphere, the tangent plane is 2 m away there."""
+    assert np.hypot(5000.0, 6_371_000.0) - 6_371_000.0 == pytest.approx(2.0, rel=0.02)
+    found = said(extents=extents, gauge=gauge)
+    assert found.keys() == ({"curvature_of_the_earth"} if is_told else set())
+    assert all(" 5.0 km, where" in each for each in found.values())
+
+
+@pytest.mark.parametrize(
+    ("tilt_deg", "sigma_up_m", "gauge", "is_told"),
+    [
+        (5.1, 1.0, Gauge.SE3, True),
+        (4.9, 1.0, Gauge.SE3, False),
+        (4.9, 10.1, Gauge.SE3, True),
+        (4.9, 9.9, Gauge.SE3, False),
+        (1.1, 10.1, Gauge.SIM3, True),
+        (0.9, 10.1, Gauge.SE3, False),
+        (1.1, np.nan, Gauge.SE3, True),
+        (5.1, 10.1, Gauge.YAW, False),
+    ],
+)
+def test_an_alignment_is_tilted_by_uncertain_heights_or_by_much(
+    tilt_deg: float, sigma_up_m: float, gauge: Gauge, *, is_told: bool
+) -> None:
+    """Uncertain by a tenth of the horizontal extent, 100 m; of one fix at least."""
+    sigma_up = np.ones(COUNT)
+    sigma_up[5] = sigma_up_m
+    if np.isnan(sigma_up_m):
+        sigma_up[:] = np.nan
+    found = said(fixes_of(sigma_up_m=sigma_up), gauge=gauge, tilt_deg=tilt_deg)
+    assert found.keys() == ({"tilted_by_heights"} if is_told else set())
+    start = f"gauge {gauge.value} tilts the estimate by {tilt_deg:.1f} deg to fit"
+    assert all(each.startswith(start) for each in found.values())
+
+
+def heights_with_step(
+    place: int, step_m: float, noise_m: float = 0.0, back_m: float = 0.0
+) -> np.ndarray[Any, Any]:
+    """Return heights that change once, by alternating noise else, and come back afterwards."""
+    heights = noise_m / 2.0 * (-1.0) ** np.arange(COUNT)
+    heights[place:] += step_m - heights[place] + heights[place - 1]
+    heights[place + 1 :] -= back_m
+    return heights
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("place", "step_m", "noise_m", "back_m", "is_told"),
+    [
+        (20, 8.01, 0.0, 0.0, True),
+        (20, 7.99, 0.0, 0.0, False),
+        (10, 30.0, 0.0, 0.0, True),
+        (9, 30.0, 0.0, 0.0, False),
+        (COUNT - 10, 30.0, 0.0, 0.0, True),
+        (COUNT - 9, 30.0, 0.0, 0.0, False),
+        (20, 30.0, 2.7, 0.0, True),  # a tenth of 27.3 m
+        (20, 30.0, 2.75, 0.0, False),
+        (20, 30.0, 0.0, 4.9, True),  # 4.9 of 25.1 m
+        (20, 30.0, 0.0, 5.1, False),
+    ],
+)
+def test_heights_that_change_once_and_stay_are_of_two_references(
+    place: int, step_m: float, noise_m: float, back_m: float, sign: float, *, is_told: bool
+) -> None:
+    heights = sign * heights_with_step(place, step_m, noise_m, back_m)
+    found = said(heights=heights)
+    assert found.keys() == ({"heights_jump"} if is_told else set())
+    if is_told:
+        level = np.median(heights[place : place + 10]) - np.median(heights[place - 10 : place])
+        assert f" change by {level:+.1f} m at once" in found["heights_jump"]
+    assert said(heights=heights, gauge=Gauge.PLANAR) == {}
+
+
+def test_the_levels_beside_a_step_are_of_ten_fixes() -> None:
+    """Farther away, the heights drift."""
+    heights = heights_with_step(20, 30.0)
+    heights[:10] = -8.0
+    heights[30:] = 38.0
+    assert " change by +30.0 m at once" in said(heights=heights)["heights_jump"]
+
+
+@pytest.mark.parametrize(("count", "is_told"), [(20, True), (19, False)])
+def test_a_step_of_heights_needs_twenty_fixes(count: int, *, is_told: bool) -> None:
+    heights = np.where(np.arange(count) < 10, 0.0, 30.0)
+    assert bool(said(fixes_of(count=count), heights=heights)) == is_told
+
+
+@pytest.mark.parametrize(
+    ("off_m", "scale", "rmse", "is_told"),
+    [
+        (0.0251, 2.0, 0.5, True),
+        (0.0249, 2.0, 0.5, False),
+        (9.0, 2.0, None, False),
+    ],
+)
+def test_interpolation_of_a_tenth_of_the_ate_is_told(
+    off_m: float, scale: float, rmse: float | None, *, is_told: bool
+) -> None:
+    interpolation = SimpleNamespace(off_m=off_m, step_s=0.5)
+    found = said(interpolation=interpolation, scale=scale, rmse=rmse)
+    assert found.keys() == ({"interpolated_estimate"} if is_told else set())
+    assert all("0.5 s apart, adds an error of up to 0.05 m to" in each for each in found.values())
+
+
+def test_fixes_need_heights_or_a_plane_and_a_common_frame_or_a_gauge() -> None:
+    flat, full = fixes_of(), fixes_of()
+    flat.places[:, 2] = np.nan
+    plain: Any = SimpleNamespace(reading=SimpleNamespace(fixes=None))
+    sides: list[Any] = [
+        SimpleNamespace(reading=SimpleNamespace(fixes=each)) for each in (flat, full)
+    ]
+    datum = FixRule(datum=Datum(47.0, 8.0, 400.0))
+    require_fixes_fit(sides[0], [plain], Gauge.PLANAR, FixRule())
+    with pytest.raises(InputError, match="fixes have no height; use --gauge planar"):
+        require_fixes_fit(sides[0], [plain], Gauge.YAW, FixRule())
+    for gauge, estimates, rule, is_refused in (
+        (Gauge.YAW, [plain], FixRule(), False),
+        (Gauge.NONE, [plain], datum, False),
+        (Gauge.NONE, [sides[1]], FixRule(), False),
+        (Gauge.NONE, [sides[1], plain], FixRule(), True),
+    ):
+        if is_refused:
+            with pytest.raises(InputError, match="the origin of the fixes is arbitrary"):
+                require_fixes_fit(sides[1], estimates, gauge, rule)
+        else:
+            require_fixes_fit(sides[1], estimates, gauge, rule)
