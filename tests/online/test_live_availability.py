@@ -158,3 +158,16 @@ def test_states_that_are_no_poses_and_offsets() -> None:
     live.add_groundtruth(stamps[1:2], rows[1:2])
     live.add_estimate(stamps[1:2], times[1:2], rows[1:2])
     assert len(seen) == 2
+
+
+def test_there_is_no_error_before_the_first_message() -> None:
+    live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
+    truth, stamps = np.arange(0, 3000, 5) * 1_000_000, np.arange(1000, 3000, 50) * 1_000_000
+    live.add_groundtruth(truth, states_on(truth))
+    live.add_estimate(stamps, stamps + 30_000_000, states_on(stamps))
+    samples = live.update(IDENTITY)
+    assert samples is not None
+    assert samples.stamps[0] == 1_030_000_000
+    assert (np.diff(samples.stamps) == 10_000_000).all()
+    np.testing.assert_array_equal(samples.rows[:3], [0, 0, 0])
+    np.testing.assert_allclose(samples.position_m, 2.0 * samples.age / 1e9, rtol=1e-9)

@@ -294,3 +294,15 @@ def test_a_chunk_that_is_no_chunk_is_damaged() -> None:
         found = read_chunk(Counting(bytes(changed)), chunk, {POSE}, strict=True)  # type: ignore[arg-type]
         assert found.block is None
         assert any(word in found.damage for word in said.split("|"))
+
+
+@pytest.mark.parametrize(("most", "size"), [(3, 10**6), (1000, 100), (4, 100)])
+def test_messages_outside_of_chunks_come_in_bounded_blocks(most: int, size: int) -> None:
+    rows = [(POSE, row, bytes(5 + row % 20)) for row in range(40)]
+    reader = McapReader(Memory(bytes(Layout([], CHANNELS, [Part(rows, is_chunk=False)]))))  # type: ignore[arg-type]
+    with mock.patch.multiple(mcap_bag, ROWS=most, BYTES=size):
+        blocks = list(reader.blocks([TopicSelection(frozenset({POSE}))]))
+    assert rows_of(blocks) == rows
+    assert max(map(len, blocks)) <= most
+    assert max(int(block.sizes.sum()) for block in blocks) < size + 25
+    assert len(blocks) <= 40 / most + sum(len(payload) for *_, payload in rows) / size + 1
