@@ -418,6 +418,19 @@ def test_a_run_that_follows_continues_with_what_waits(
     ]
     assert sum(each.poses for each in waited) == count
     assert [each.waiting for each in runs] == [0] * len(runs)
+    # Of the interpolated side, both runs have the states around the border.
+    tracks = [
+        each.groundtruth_counts if kind is DensePairing else each.estimate_counts for each in runs
+    ]
+    assert 0 <= sum(each.poses for each in tracks) - count <= 2 * (len(runs) - 1)
+    for each, counts in zip(runs, tracks, strict=True):
+        assert each._track_count == counts.poses
+        held = each._track.held[0]
+        assert counts.last == (int(held[-1]) if len(held) else None)
+    if len(runs) == 2 and tracks[1].first is not None and tracks[0].last is not None:
+        stamps = sides[0 if kind is DensePairing else 1][0]
+        between = (stamps > tracks[0].last) & (stamps < tracks[1].first)
+        assert not between.any()
 
 
 @pytest.mark.parametrize("waiting", [10, 11, 12])

@@ -48,7 +48,7 @@ from trajeval_ros.io.bags.message_definitions import (
     recorded_fields,
     types_in,
 )
-from trajeval_ros.io.bags.ros1_records import BagRecord, fields_at, record_at
+from trajeval_ros.io.bags.ros1_records import BagRecord, ChunkIndex, fields_at, record_at
 
 MIB = 1 << 20
 COMPRESS: dict[str, Callable[[bytes], bytes]] = {
@@ -320,6 +320,28 @@ def test_sizes_of_records_of_ros1() -> None:
     place = BagRecord(b"", {}, 0, len(padded))
     assert len(padded) == 1 << 24
     assert fields_at(read(padded), place).text("topic") == "/a"
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 4), st.integers(0, 10**9 - 1)), max_size=12),
+    st.none() | st.integers(0, 5 * 10**9),
+    st.none() | st.integers(0, 5 * 10**9),
+)
+def test_messages_of_a_chunk_of_ros1_in_a_window(
+    times: list[tuple[int, int]], begin: int | None, end: int | None
+) -> None:
+    entries = np.array([[*each, row] for row, each in enumerate(times)], dtype=np.uint32)
+    full = ChunkIndex(np.arange(len(times)), entries.reshape(-1, 3))
+    nanoseconds = [seconds * 10**9 + rest for seconds, rest in times]
+    assert full.log_times.tolist() == nanoseconds
+    assert full.within(begin, end).offsets.tolist() == [
+        row
+        for row, time in enumerate(nanoseconds)
+        if (begin is None or time >= begin) and (end is None or time < end)
+    ]
+    assert full.within(begin, None).connections.tolist() == [
+        row for row, time in enumerate(nanoseconds) if begin is None or time >= begin
+    ]
 
 
 def definition(fields: int, levels: int = 1, kind: str = "int8") -> str:
