@@ -363,6 +363,7 @@ def test_starts_are_given_up_when_there_are_too_many(most: int) -> None:
             assert oldest == max(store.end - most, 0)
             store.drop_before(oldest)
     assert RunningErrors() == RunningErrors(0, 0.0, 0.0, 0)
+    assert live_relative_errors.MOST_OPEN_STARTS == 200_000
     # A length of 2 s is decided by the fourth pair after its start.
     assert tracker.running == {
         "5m": RunningErrors(0, 0.0, 0.0, 40 - most),

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_bags import simple, the_file
 from mcap.records import Channel, Schema
-from mcap_layouts import Layout, Part
+from mcap_layouts import Layout, Part, record
 
 from tests.io.bags.test_record_limits import Memory
 from trajeval_ros.exceptions import InputError
@@ -306,3 +306,19 @@ def test_messages_outside_of_chunks_come_in_bounded_blocks(most: int, size: int)
     assert max(map(len, blocks)) <= most
     assert max(int(block.sizes.sum()) for block in blocks) < size + 25
     assert len(blocks) <= 40 / most + sum(len(payload) for *_, payload in rows) / size + 1
+
+
+@pytest.mark.parametrize(("between", "count"), [(0, 1), (5, 1), (6, 8), (300, 8)])
+def test_messages_outside_of_chunks_are_read_with_what_is_little_between(
+    between: int, count: int
+) -> None:
+    parts = [
+        Part([(POSE, row, bytes([row]))], is_chunk=False, behind=record(0x90, bytes(between)))
+        for row in range(8)
+    ]
+    source: Any = Memory(bytes(Layout([], CHANNELS, parts)))
+    reader = McapReader(source)
+    with mock.patch.object(source, "read_all", side_effect=source.read_all) as read_all:
+        blocks = list(reader.blocks([TopicSelection(frozenset({POSE}))]))
+    assert rows_of(blocks) == [part.rows[0] for part in parts]
+    assert [len(ranges) for (ranges,), _ in read_all.call_args_list] == [count]

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -321,6 +322,28 @@ def test_rows_without_times_are_counted_by_a_rate(tmp_path: Path) -> None:
     assert "frames counted, 1 s apart" in said(bare)
     for rate in (0.0, -1.0, math.inf, math.nan):
         assert is_refused(TextHints, frame_rate_hz=rate)
+
+
+@pytest.mark.parametrize("length", [99, 100, 101, 199, 200])
+@pytest.mark.parametrize("end", ["\n", ""])
+def test_a_line_ends_within_two_blocks(tmp_path: Path, length: int, end: str) -> None:
+    path = tmp_path / "x.txt"
+    rows = ["1.5 1 2 3".ljust(length), "2.5 2 3 4", "3.5 3 4 5"]
+    path.write_text("\n".join(rows) + end)
+    assert reader._BLOCK == 1 << 19
+    with mock.patch.object(reader, "_BLOCK", 100):
+        if length == 200:
+            with pytest.raises(InputError, match="a line has more than 100 bytes"):
+                read_trajectory(path)
+            return
+        found = read_trajectory(path)
+    assert found.stamps.tolist() == [1_500_000_000, 2_500_000_000, 3_500_000_000]
+    path.write_text("\n".join([*rows, "4.5 3 4"]))
+    with (
+        mock.patch.object(reader, "_BLOCK", 100),
+        pytest.raises(InputError, match="line 4: 4 columns expected, found 3"),
+    ):
+        read_trajectory(path)
 
 
 @pytest.mark.parametrize(
