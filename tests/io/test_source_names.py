@@ -94,6 +94,15 @@ def test_kinds_of_files(tmp_path: Path, name: str, content: str, kind: str | Non
         assert found.sources[0].problem
 
 
+@pytest.mark.parametrize("more", [0, 1])
+def test_a_long_log_is_searched_at_its_start(tmp_path: Path, more: int) -> None:
+    (tmp_path / "a.ulg").write_bytes(bytes(100 + more))
+    assert finding._PX4_BYTES == 4 << 20
+    with mock.patch.object(finding, "_PX4_BYTES", 100):
+        [found] = find_sources(tmp_path).sources
+    assert found.kind == ("PX4 log, first 0 MB" if more else "PX4 log")
+
+
 @pytest.mark.parametrize(
     ("sources", "names"),
     [

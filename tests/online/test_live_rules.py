@@ -149,6 +149,17 @@ def test_one_more_event_than_is_reported_is_counted() -> None:
     assert "in 20 s" in repeated.counts(30.5)[0][1].text
 
 
+def test_kinds_of_events_are_counted_apart() -> None:
+    repeated = RepeatedRemarks()
+    for about, now, count in (("a", 0.0, 4), ("b", 6.0, 5), ("c", 1.0, 6), ("d", 1.0, 2)):
+        for _ in range(count):
+            repeated.may_report(about, warning("jump", "at 3 s"), now)
+    found = repeated.counts(11.0)
+    assert [(about, each.values["more"]) for about, each in found] == [("a", 1), ("c", 3)]
+    assert [about for about, _ in repeated.counts(16.0)] == ["b"]
+    assert repeated.counts(16.0) == []
+
+
 @pytest.mark.parametrize(
     ("value", "level"),
     [(0.5, None), (0.49, Level.WARNING), (0.2, Level.WARNING), (0.19, Level.ERROR), (0.0, 2)],
@@ -352,6 +363,7 @@ def test_starts_are_given_up_when_there_are_too_many(most: int) -> None:
             assert oldest == max(store.end - most, 0)
             store.drop_before(oldest)
     assert RunningErrors() == RunningErrors(0, 0.0, 0.0, 0)
+    assert live_relative_errors.MOST_OPEN_STARTS == 200_000
     # A length of 2 s is decided by the fourth pair after its start.
     assert tracker.running == {
         "5m": RunningErrors(0, 0.0, 0.0, 40 - most),
@@ -407,6 +419,19 @@ def test_a_run_that_follows_continues_with_what_waits(
     ]
     assert sum(each.poses for each in waited) == count
     assert [each.waiting for each in runs] == [0] * len(runs)
+    # Of the interpolated side, both runs have the states around the border.
+    tracks = [
+        each.groundtruth_counts if kind is DensePairing else each.estimate_counts for each in runs
+    ]
+    assert 0 <= sum(each.poses for each in tracks) - count <= 2 * (len(runs) - 1)
+    for each, counts in zip(runs, tracks, strict=True):
+        assert each._track_count == counts.poses
+        held = each._track.held[0]
+        assert counts.last == (int(held[-1]) if len(held) else None)
+    if len(runs) == 2 and tracks[1].first is not None and tracks[0].last is not None:
+        stamps = sides[0 if kind is DensePairing else 1][0]
+        between = (stamps > tracks[0].last) & (stamps < tracks[1].first)
+        assert not between.any()
 
 
 @pytest.mark.parametrize("waiting", [10, 11, 12])

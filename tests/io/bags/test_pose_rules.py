@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import struct
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from tests.io.test_ulog import COUNT, local_position, odometry
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
+from trajeval_ros.io.bags import px4_messages
 from trajeval_ros.io.bags.cdr_columns import Columns
 from trajeval_ros.io.bags.containers import Topic
 from trajeval_ros.io.bags.declared_resets import about_resets, declared_resets
@@ -417,3 +419,21 @@ def test_messages_of_a_topic_are_counted_if_none_are_declared() -> None:
     assert Topic("/a", "a/msg/B", None, both).count == 17
     assert Topic("/a", "a/msg/B", 0, both).count == 0
     assert dataclasses.replace(Topic("/a", "a/msg/B", None, both), declared=4).count == 4
+
+
+@pytest.mark.parametrize("kind", px4_messages._SIZES)
+def test_messages_of_px4_are_known_by_their_size(kind: str) -> None:
+    """The fields are numbers of the release with that size; up to three bytes may follow."""
+    sizes = px4_messages._SIZES[kind]
+    for size in range(min(sizes) - 5, max(sizes) + 6):
+        fits = any(known <= size <= known + 3 for known in sizes)
+        payload = b"\0\1\0\0" + struct.pack("<Q", 7_000_000) + bytes(size - 12)
+        columns = px4_messages.Px4Plan(kind).decode([payload] * 3)
+        assert len(columns.rows) == (3 if fits else 0)
+        if fits:
+            assert columns.numbers["timestamp"].tolist() == [7_000_000] * 3
+    # The most frequent size is that of the layout.
+    one, other = min(sizes), max(sizes)
+    messages = [b"\0\1\0\0" + bytes(size - 4) for size in (one, other, other)]
+    rows = px4_messages.Px4Plan(kind).decode(messages).rows.tolist()
+    assert rows == ([1, 2] if one != other else [0, 1, 2])

@@ -48,7 +48,8 @@ from trajeval_ros.io.bags.message_definitions import (
     recorded_fields,
     types_in,
 )
-from trajeval_ros.io.bags.ros1_records import BagRecord, fields_at, record_at
+from trajeval_ros.io.bags.ros1_records import BagRecord, ChunkIndex, fields_at, record_at
+from trajeval_ros.io.bags.ros1_records import _message_at as message_at
 
 MIB = 1 << 20
 COMPRESS: dict[str, Callable[[bytes], bytes]] = {
@@ -115,6 +116,7 @@ def test_frames_of_zstd_in_a_row_are_read() -> None:
 
 def test_the_accepted_sizes_of_decompressed_data() -> None:
     assert (LARGEST_CHUNK, LARGEST, LARGEST_RATIO) == (64 * MIB, 1024 * MIB, 500)
+    assert (compression._LARGEST_FILE, compression._LARGEST_WINDOW) == (1 << 30, 1 << 27)
     assert [most_of(size, 1000) for size in (0, 1, 2, 3)] == [1000, 1000, 1000, 1500]
 
 
@@ -320,6 +322,41 @@ def test_sizes_of_records_of_ros1() -> None:
     place = BagRecord(b"", {}, 0, len(padded))
     assert len(padded) == 1 << 24
     assert fields_at(read(padded), place).text("topic") == "/a"
+
+
+@pytest.mark.parametrize(("count", "is_found"), [(0, True), (15, True), (16, False)])
+def test_a_message_comes_after_at_most_15_connections(count: int, *, is_found: bool) -> None:
+    before = record(fields(op=b"\x07", conn=bytes(4)), b"data") * count
+    content = before + record(fields(op=b"\x02", conn=bytes(4)), b"message")
+    if is_found:
+        found = message_at(read(content), 0)
+        assert content[found.begin : found.end] == b"message"
+    else:
+        assert is_refused(message_at, read(content), 0)
+    other = record(fields(op=b"\x04"), b"index") + content
+    assert is_refused(message_at, read(other), 0)
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 4), st.integers(0, 10**9 - 1)), max_size=12),
+    st.none() | st.integers(0, 5 * 10**9),
+    st.none() | st.integers(0, 5 * 10**9),
+)
+def test_messages_of_a_chunk_of_ros1_in_a_window(
+    times: list[tuple[int, int]], begin: int | None, end: int | None
+) -> None:
+    entries = np.array([[*each, row] for row, each in enumerate(times)], dtype=np.uint32)
+    full = ChunkIndex(np.arange(len(times)), entries.reshape(-1, 3))
+    nanoseconds = [seconds * 10**9 + rest for seconds, rest in times]
+    assert full.log_times.tolist() == nanoseconds
+    assert full.within(begin, end).offsets.tolist() == [
+        row
+        for row, time in enumerate(nanoseconds)
+        if (begin is None or time >= begin) and (end is None or time < end)
+    ]
+    assert full.within(begin, None).connections.tolist() == [
+        row for row, time in enumerate(nanoseconds) if begin is None or time >= begin
+    ]
 
 
 def definition(fields: int, levels: int = 1, kind: str = "int8") -> str:

@@ -205,6 +205,12 @@ def test_settings_of_a_live_run_fill_in_defaults_that_are_not_of_the_protocol() 
     assert settings_with(request, {"time_offset": "0.5"})["time_offset"] == "0.5"
 
 
+def test_settings_that_do_not_exist_are_refused() -> None:
+    with pytest.raises(SettingsError, match="gague"):
+        request_from({"gague": "yaw"})
+    assert request_from({"gauge": None}).protocol == request_from({}).protocol
+
+
 def joint(seed: int, count: int, block: int = 6) -> JointCovariance:
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(block * count, block * count))

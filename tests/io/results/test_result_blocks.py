@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.calibration.clock_offset import OffsetGuess
 from trajeval_ros.calibration.significance import Parameter
 from trajeval_ros.geometry.marker import HandEye
+from trajeval_ros.io.results import result_folder
 from trajeval_ros.io.results.calibration_json import calibration_json
 from trajeval_ros.io.results.pair_columns import columns_of, component_columns
 from trajeval_ros.io.results.probabilistic_json import _gauge_scores as gauge_scores_json
@@ -272,3 +275,18 @@ def test_vectors_are_split_into_named_components() -> None:
                 found[f"{name.replace('.', '_')}_{end}"], columns[name][:, at]
             )
     assert columns_of(Ate(1.0, None)) == {"position_m": 1.0}
+
+
+def test_results_are_written_to_a_new_folder(tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "folder"
+    written = {"a.npz": lambda path: path.write_bytes(b"a"), "b": lambda path: path.touch()}
+    for number in range(2):  # files of the same names are replaced
+        with (
+            mock.patch.object(result_folder, "error_files", return_value=written),
+            mock.patch.object(result_folder, "result_of", return_value={"number": number}),
+        ):
+            path = result_folder.write_result(FAKE(), folder)
+        assert path == folder / "result.json"
+        assert path.read_text() == f'{{\n  "number": {number}\n}}\n'
+        assert {each.name for each in folder.iterdir()} == {"a.npz", "b", "result.json"}
+        (folder / result_folder.TABLE).touch()  # of another run
