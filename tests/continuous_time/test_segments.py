@@ -353,3 +353,16 @@ def test_gaps_shorter_than_the_coarse_step_are_not_covered() -> None:
     np.testing.assert_allclose(
         short.at(np.array([inside])).poses, short.coarse.at(np.array([inside])).poses, atol=1e-12
     )
+
+
+def test_shares_that_are_added_to_a_singular_diagonal(monkeypatch: pytest.MonkeyPatch) -> None:
+    added: list[float] = []
+
+    def singular(matrix: Array) -> Array:
+        added.append(float(matrix[0, 0]))
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(np.linalg, "cholesky", singular)
+    with pytest.raises(AssertionError, match="a share of 1e-6"):
+        _inverse_root(np.zeros((2, 2)), Hyperparameters(10.0, 1.0, 0.0))
+    assert added == pytest.approx([0.0, 1e-8, 1e-6, 1e-4])
