@@ -94,7 +94,7 @@ def test_a_step_of_the_position_is_a_part_of_the_path(size: float) -> None:
         rows, back = np.rint(seconds / PERIOD_S).astype(int), round(window_s / PERIOD_S)
         expected = 100.0 * size / (1.0 + path[rows] - path[rows - back])
         inside = (seconds > FAULT_S - 1e-6) & (seconds < FAULT_S + window_s - 1e-6)
-        np.testing.assert_allclose(values[inside], expected[inside], rtol=0.03)
+        np.testing.assert_allclose(values[inside], expected[inside], rtol=0.004)
         assert values[~inside].max() < 0.05
 
 
@@ -103,6 +103,8 @@ def test_errors_count_as_far_as_the_body_is_known(monkeypatch: pytest.MonkeyPatc
     sigma = np.array([0.01, 0.02, 0.005, 0.1, 0.05, 0.2, 0.03])
     covariances = [np.zeros((7, 7)), np.diag(sigma**2)]
     made = []
+    axis = np.array([1.0, 2.0, -2.0]) / 3.0
+    turn = Rotation.from_rotvec(np.radians(2.0) * np.outer(TIMES >= FAULT_S, axis))
     step = 0.5 * np.outer(TIMES >= FAULT_S, [0.6, 0.0, -0.8])
     for covariance in covariances:
         monkeypatch.setattr(
@@ -112,7 +114,9 @@ def test_errors_count_as_far_as_the_body_is_known(monkeypatch: pytest.MonkeyPatc
                 body_difference(*given, **options), covariance=covariance
             ),
         )
-        made.append(signals_of(turned(TIMES), places(TIMES) + step))
+        both = signals_of(turned(TIMES), places(TIMES) + step)
+        angles = signals_of(turn * turned(TIMES), places(TIMES))
+        made.append({**both, **{name: angles[name] for name in both if "deg" in name}})
     for window_s in WINDOWS_S:
         name, floor = f"pair_percent_{window_s:g}s", 0.01 + 0.005 * window_s
         seconds = made[0][name].seconds
@@ -133,6 +137,14 @@ def test_errors_count_as_far_as_the_body_is_known(monkeypatch: pytest.MonkeyPatc
         assert share.min() < 0.8
         expected = made[0][name].values[inside] * share
         np.testing.assert_allclose(made[1][name].values[inside], expected, rtol=0.01)
+        back = (start.inv() * end).inv()
+        away = end.inv().apply(axis)  # the axis of the error, in the body
+        reach_of_turn = back.inv().apply(away) - away
+        variance = np.square(reach_of_turn * sigma[:3]).sum(axis=1)
+        floor = np.radians(0.1 + 0.02 * window_s)
+        expected = 2.0 * floor / np.sqrt(floor**2 + variance)
+        values = made[1][f"pair_deg_{window_s:g}s"].values
+        np.testing.assert_allclose(values[inside], expected, rtol=0.01)
 
 
 @pytest.mark.parametrize(("begin_s", "is_enough"), [(26.0, True), (26.05, False)])
