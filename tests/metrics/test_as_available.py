@@ -96,6 +96,21 @@ def test_prediction_on_a_line_has_no_error(motion: str) -> None:
     assert np.abs(errors(found)[0][second]).max() < 1e-12
 
 
+def test_every_message_has_a_latency_and_all_but_the_first_an_interval() -> None:
+    truth, estimate = on_line()
+    stamps = estimate.stamps[:5] + np.array([0, 0, 0, 20_000_000, 0])
+    late_s = np.array([0.11, 0.02, 0.03, 0.04, 0.05])
+    times = stamps + np.round(late_s * SECOND).astype(np.int64)
+    numbers = measured(truth, received(stamps, *line(stamps), times)).numbers
+    assert numbers.latency_s is not None
+    assert numbers.interval_s is not None
+    # The first message arrives after the second one, which is newer; nobody ever has it.
+    assert (numbers.late_messages, numbers.latency_s.count, numbers.interval_s.count) == (1, 4, 3)
+    assert numbers.latency_s.mean == pytest.approx(late_s[1:].mean())
+    assert numbers.interval_s.max == pytest.approx(0.07)
+    assert numbers.time_to_first_pose_s == pytest.approx(0.07)
+
+
 def test_dropout_is_counted_beyond_two_usual_intervals() -> None:
     found = measured(*on_line((20.0, 22.0)))
     assert found.samples is not None

@@ -7,6 +7,7 @@ import pytest
 from fix_runs import fixes_of, quality
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from trajeval_ros import AssociationRule, Protocol, Request, run
 from trajeval_ros.geometry.fix_selection import FixRule
@@ -83,6 +84,89 @@ def test_a_jump_is_there_and_back() -> None:
     assert np.flatnonzero(jumps_of(STAMPS, errors)).tolist() == list(range(50, 58))
     errors[120:, 0] += 5.0  # for good: that is believed
     assert np.flatnonzero(jumps_of(STAMPS, errors)).tolist() == list(range(50, 58))
+
+
+def _dense(gauge: Gauge, aligned: np.ndarray, covariances: np.ndarray, noise: np.ndarray) -> tuple:
+    """Return C (3N, 3N), and P, which removes what the gauge moves: by numeric derivatives."""
+    left, values, _ = np.linalg.svd(covariances)
+    halves = np.einsum("nij,nj,nkj->nik", left, np.sqrt(values), left)
+    dense = np.einsum("iab,ij,jbc->iajc", halves, noise, halves)
+    count = len(aligned)
+    moves = [np.tile(axis, (count, 1)).ravel() for axis in np.eye(3)]
+    axes = {Gauge.TRANSLATION: [], Gauge.PLANAR: [2], Gauge.YAW: [2]}.get(gauge, [0, 1, 2])
+    centred = aligned - aligned.mean(axis=0)
+    small = 1e-6
+    for axis in axes:
+        turn = Rotation.from_rotvec(small * np.eye(3)[axis])
+        moves.append((turn.apply(centred) - turn.inv().apply(centred)).ravel() / (2.0 * small))
+    if gauge.has_scale:
+        moves.append(centred.ravel())
+    basis = np.column_stack(moves)
+    return dense.reshape(3 * count, 3 * count), np.eye(3 * count) - basis @ np.linalg.pinv(basis)
+
+
+@pytest.mark.parametrize("gauge", [each for each in Gauge if each is not Gauge.NONE], ids=str)
+def test_the_formulas_are_those_of_dense_matrices(gauge: Gauge) -> None:
+    """E|r|^2 = |Pe|^2 + tr(PC), and the variance of |r|^2 of a Gaussian: 2 tr(PCPC) + 4 e'PCPe."""
+    random, count = np.random.default_rng(2), 9
+    aligned = 3.0 * random.standard_normal((count, 3))
+    roots = random.standard_normal((count, 3, 3))
+    if gauge is Gauge.PLANAR:
+        roots[:, 2] = 0.0
+        aligned[:, 2] = 0.0
+    covariances = 0.1 * roots @ roots.swapaxes(1, 2)
+    noise = correlations_of(STAMPS[:count], 4.0)
+    dense, projection = _dense(gauge, aligned, covariances, noise)
+    errors = (projection @ random.standard_normal(3 * count)).reshape(count, 3) * 5.0
+    own = debiased(errors, aligned, covariances, noise, gauge)
+    within = projection @ dense @ projection
+    column, explained = errors.ravel(), float(np.trace(within))
+    square = float(np.square(within).sum())
+    assert own.noise_rms_m == pytest.approx(np.sqrt(explained / count), rel=1e-6)
+    value = (column @ column - explained) / count
+    assert own.ate_m == pytest.approx(np.sqrt(value), rel=1e-6)
+    spread = 2.0 * square + 4.0 * (column @ dense @ column - square)
+    half_width = 1.959963984540054 * np.sqrt(spread) / count
+    expected = np.sqrt(np.maximum(0.0, value + np.array([-half_width, half_width])))
+    assert own.interval_m == pytest.approx(tuple(expected), rel=1e-5)
+    blocks = sum(float(np.square(each).sum()) for each in covariances)
+    assert own.effective == pytest.approx(count * blocks / np.square(dense).sum())
+
+
+def test_a_fifth_of_the_noise_of_fixes_is_white() -> None:
+    correlations = correlations_of(STAMPS[:4], 3.0)
+    apart = np.abs(np.subtract.outer(np.arange(4), np.arange(4)))
+    expected = np.where(apart == 0, 1.0, 0.8 * np.exp(-apart / 3.0))
+    np.testing.assert_allclose(correlations, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("lasts", "is_jump"), [(1, True), (28, True), (29, False), (45, False)])
+def test_a_change_that_lasts_half_a_minute_is_no_jump(lasts: int, is_jump: bool) -> None:
+    errors = np.zeros((COUNT, 3))
+    errors[::2, 0] = 0.1
+    errors[40 : 40 + lasts, 1] = 7.0
+    expected = list(range(40, 40 + lasts)) if is_jump else []
+    assert np.flatnonzero(jumps_of(STAMPS, errors)).tolist() == expected
+
+
+@pytest.mark.parametrize(("size_m", "is_jump"), [(4.8, False), (5.0, True)])
+def test_a_jump_is_five_times_the_median_step(size_m: float, is_jump: bool) -> None:
+    """Steps of 1 m along x; one along y makes hypot(1, size)."""
+    errors = np.zeros((COUNT, 3))
+    errors[::2, 0] = 1.0
+    errors[40:46, 1] = size_m
+    errors[80:90, 2] = 100.0  # heights are no jumps
+    assert jumps_of(STAMPS, errors).any() == is_jump
+
+
+def test_a_large_jump_may_rotate_the_alignment() -> None:
+    """The error comes back to another place; the two large steps cancel."""
+    errors = np.zeros((COUNT, 3))
+    errors[:, 0] = 0.1 * np.arange(COUNT)
+    errors[60:75, 1] = 30.0
+    errors[60:75, 0] += np.linspace(0.0, 4.0, 15)
+    errors[75:, 0] += 4.0
+    assert np.flatnonzero(jumps_of(STAMPS, errors)).tolist() == list(range(60, 75))
 
 
 def test_one_or_no_pair_has_no_jump() -> None:

@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from strategies import Array
 
-from trajeval_ros.metrics.statistics import Statistics, median, quantile, statistics_of
+from trajeval_ros.metrics.statistics import (
+    Statistics,
+    median,
+    quantile,
+    round_below,
+    statistics_of,
+)
 
 errors = arrays(
     np.float64, st.integers(1, 60), elements=st.floats(0.0, 1e9, allow_subnormal=False)
@@ -38,6 +44,13 @@ def test_the_median_is_numpys_to_the_last_bit(values: Array) -> None:
     kept = values.copy()
     median(values)
     assert (values == kept).all()
+
+
+@given(st.integers(-9, 9), st.sampled_from([1.0, 2.0, 5.0]), st.floats(1.0, 1.999))
+def test_a_round_number_below_is_one_two_or_five(power: int, step: float, more: float) -> None:
+    """The next ones are 2, 2.5 and 2 times larger."""
+    rounded = float(f"{step:g}e{power}")
+    assert round_below(rounded * (1.0 + 1e-9) * more) == pytest.approx(rounded, rel=1e-12)
 
 
 def test_the_median_of_nothing_or_with_nan_is_none() -> None:

@@ -72,3 +72,102 @@ def test_nothing_is_reported_from_impossible_clocks_or_unknown_receptions() -> N
         assert live.update(IDENTITY) is None
         assert live.numbers == {}
         assert live.values["reception clock"] == verdict
+
+
+def states_on(stamps: np.ndarray) -> np.ndarray:
+    """Return poses that move along x at 2 m/s."""
+    rows = np.zeros((len(stamps), 7))
+    rows[:, 0], rows[:, 6] = 2.0 * stamps / 1e9, 1.0
+    return rows
+
+
+def fed(step_ms: int, until_ms: int, every_ms: int, deadline_s: float = 0.1) -> LiveAvailability:
+    """Feed groundtruth at 200 Hz and messages that are received 30 ms after their timestamps."""
+    live = LiveAvailability(AvailabilityRule("hold", deadline_s), 0.5, 10.0)
+    messages = np.arange(0, until_ms, every_ms) * 1_000_000
+    truth = np.arange(0, until_ms, 5) * 1_000_000
+    for begin in range(0, until_ms, step_ms):
+        edges = begin * 1_000_000, (begin + step_ms) * 1_000_000
+        now = truth[(truth >= edges[0]) & (truth < edges[1])]
+        live.add_groundtruth(now, states_on(now))
+        now = messages[(messages + 30_000_000 >= edges[0]) & (messages + 30_000_000 < edges[1])]
+        live.add_estimate(now, now + 30_000_000, states_on(now))
+        live.update(IDENTITY)
+    return live
+
+
+def test_errors_of_a_held_pose_are_its_age_times_the_speed() -> None:
+    live = fed(1000, 6000, 100)
+    assert live.newest is not None
+    age_s = live.numbers["available/age"]
+    assert live.numbers["available/latency"] == pytest.approx(0.03)
+    assert live.numbers["available/position_error"] == pytest.approx(2.0 * age_s)
+    assert live.numbers["available/rotation_error"] == 0.0
+    assert 0.03 <= age_s < 0.13
+    # Ages are 30 to 120 ms in steps of 10 ms.
+    assert live.age_p95_s == pytest.approx(0.12, abs=0.005)
+    assert set(live.values) == {"pose age p95 [s]", "missed deadlines", "reception clock"}
+
+
+@pytest.mark.parametrize(
+    ("deadline_s", "missed"), [(0.115, True), (0.1199, True), (0.12, False), (0.2, False)]
+)
+def test_a_deadline_is_missed_once_per_span_above_it(deadline_s: float, *, missed: bool) -> None:
+    for step_ms in (1000, 200):
+        live = fed(step_ms, 5000, 100, deadline_s)
+        # Once after every message but the first ones and those that are not final yet.
+        assert live.missed == 0 if not missed else 40 <= live.missed <= 49
+
+
+def test_samples_are_evaluated_after_a_fifth_of_a_second() -> None:
+    live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
+    stamps = np.arange(0, 2000, 5) * 1_000_000
+    live.add_estimate(stamps, stamps + 10_000_000, states_on(stamps))
+    evaluated = []
+    for stamp in stamps:
+        one = np.array([stamp])
+        live.add_groundtruth(one, states_on(one))
+        if live.update(IDENTITY) is not None:
+            evaluated.append(int(stamp))
+    steps = np.diff(evaluated)
+    assert set(steps.tolist()) == {200_000_000}
+    assert live.update(None) is None
+    assert live.numbers == {}
+
+
+def test_states_that_are_no_poses_and_offsets() -> None:
+    seen: list[np.ndarray] = []
+
+    def record(*columns: np.ndarray) -> None:
+        seen.append(columns[0])
+
+    live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0, record, record)
+    stamps = np.arange(4) * 10**9
+    rows = np.hstack([states_on(stamps), np.ones((4, 3))])
+    rows[1, 0] = np.nan
+    live.add_groundtruth(stamps, rows)
+    assert seen[0].tolist() == [0, 2 * 10**9, 3 * 10**9]
+    times = stamps + 5
+    times[2] = UNKNOWN
+    live.add_estimate(stamps, times, rows, 7)
+    assert seen[1].tolist() == [0, 3 * 10**9]  # as in the messages
+    assert live._messages[0][0].tolist() == [7, 3 * 10**9 + 7]
+    assert live._messages[0][1].tolist() == [5, 3 * 10**9 + 5]
+    assert live._truth[0][1].shape == (3, 7)
+    assert live._messages[0][2].shape == (2, 7)
+    live.add_groundtruth(stamps[1:2], rows[1:2])
+    live.add_estimate(stamps[1:2], times[1:2], rows[1:2])
+    assert len(seen) == 2
+
+
+def test_there_is_no_error_before_the_first_message() -> None:
+    live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
+    truth, stamps = np.arange(0, 3000, 5) * 1_000_000, np.arange(1000, 3000, 50) * 1_000_000
+    live.add_groundtruth(truth, states_on(truth))
+    live.add_estimate(stamps, stamps + 30_000_000, states_on(stamps))
+    samples = live.update(IDENTITY)
+    assert samples is not None
+    assert samples.stamps[0] == 1_030_000_000
+    assert (np.diff(samples.stamps) == 10_000_000).all()
+    np.testing.assert_array_equal(samples.rows[:3], [0, 0, 0])
+    np.testing.assert_allclose(samples.position_m, 2.0 * samples.age / 1e9, rtol=1e-9)

@@ -22,6 +22,7 @@ def numbered(first: int, count: int) -> Pairs:
 
 @given(most=st.integers(2, 40), batches=st.lists(st.integers(0, 120), max_size=30))
 def test_a_trail_is_every_kth_pair_and_the_newest(most: int, batches: list[int]) -> None:
+    assert whole_run.MOST_POSES == 2000
     with mock.patch.object(whole_run, "MOST_POSES", most):
         check(ThinnedRun(), most, batches)
 

@@ -6,7 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from ros_bags import TRANSFORMS
 from ros_processes import GROUNDTRUTH, Peer, evaluating
+
+from trajeval_ros.ros.message_types import is_installed
 
 pytest.importorskip(
     "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
@@ -31,6 +34,10 @@ def pose(t: float, x: float) -> Any:
     return message
 
 
+@pytest.mark.skipif(
+    not is_installed(TRANSFORMS),
+    reason="tf2_msgs is missing; `make test-ros` builds it where there are a compiler and cmake",
+)
 def test_faults_of_streams_are_warnings_with_their_causes(
     peer: Peer, environment: dict[str, str], tmp_path: Path
 ) -> None:

@@ -38,7 +38,8 @@ _LAST_WRITING_S = 60.0
 OWN = {"run.rrd", "inputs.json"}
 COMPLAINTS = ("Traceback", "Exception ignored", "Fatal Python error")
 # Python looks for packages before any line of a program runs, which nothing can catch.
-STARTS_UP = ("<frozen site>", "/site.py")
+STARTS_UP = ("<frozen site>", "/site.py", "<frozen runpy>")
+OWN_LINES = str(ROOT / "trajeval_ros") + os.sep
 
 Listing = dict[str, str]
 
@@ -163,7 +164,7 @@ class Campaign:
             companion.wait()
         self.statuses[f"{how}: {status}"] += 1
         said = log.read_text(errors="replace")
-        is_started = not any(each in said for each in STARTS_UP)
+        is_started = OWN_LINES in said or not any(each in said for each in STARTS_UP)
         if is_started and any(each in said for each in COMPLAINTS):
             self._fault(f"{ending.name} after {moment:.2f} s: {said[-600:]}")
 

@@ -47,6 +47,23 @@ LAYERS = {
     "cli": 10,
     "__main__": 11,
 }
+ARRAYS = ("Booleans", "Bytes", "Floats", "Indices", "NDArray", "Stamps")
+# Dataclasses that count, or that are filled in steps.
+CHANGING = {
+    "Chunk",
+    "McapContents",
+    "MessageIndex",
+    "PlaybackResult",
+    "Progress",
+    "Registry",
+    "StateCounts",
+    "StreamStatus",
+    "TopicReading",
+    "TopicSelection",
+    "WatchAlarm",
+    "_Kind",
+    "_Leaves",
+}
 MODULES_AT_THE_TOP = {"__init__", "__main__", "exceptions", "linear_algebra_threads"}
 
 # Packages that only some subpackages may import.
@@ -144,6 +161,24 @@ def test_no_modules_import_one_another() -> None:
         {name: modules_used_by(path, known) for name, path in known.items()}
     )
     sorter.prepare()  # raises CycleError with the modules of a circle
+
+
+def test_dataclasses_do_not_change_and_arrays_are_not_compared() -> None:
+    """`==` of two dataclasses with arrays raises; so these are compared by identity."""
+    changing = set()
+    for path in sources():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            for decorator in node.decorator_list if isinstance(node, ast.ClassDef) else ():
+                written = ast.unparse(decorator)
+                if not written.startswith("dataclass"):
+                    continue
+                assert isinstance(node, ast.ClassDef)
+                if "frozen=True" not in written:
+                    changing.add(node.name)
+                kinds = [each.annotation for each in node.body if isinstance(each, ast.AnnAssign)]
+                if re.search(rf"\b({'|'.join(ARRAYS)})\b", " ".join(map(ast.unparse, kinds))):
+                    assert "eq=False" in written, node.name
+    assert changing == CHANGING
 
 
 def test_modules_at_the_top_are_few() -> None:

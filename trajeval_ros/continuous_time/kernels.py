@@ -16,7 +16,7 @@ from scipy.optimize import OptimizeResult, minimize
 from trajeval_ros.geometry.arrays import Floats
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Kernel:
     """A stationary kernel of unit variance."""
 

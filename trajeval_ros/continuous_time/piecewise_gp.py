@@ -298,7 +298,7 @@ class GPSegments:
         following = np.append(starts[1:], np.inf)
         begin = starts[second]
         end = np.minimum(ends[first], following[second])
-        weight = smooth_step((times - begin) / np.where(end > begin, end - begin, 1.0))
+        weight = smooth_step((times - begin) / (end - begin))
         return first, second, np.where(first == second, 1.0, weight)
 
 

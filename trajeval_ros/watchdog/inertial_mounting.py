@@ -38,7 +38,7 @@ _MOST_TURNED = 0.75
 _TOLD_OFFSET_S, _TOLD_TURN_DEG = 0.05, 5.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Mounting:
     """Rotation, time offset and gyroscope bias of an IMU on the estimate's body."""
 

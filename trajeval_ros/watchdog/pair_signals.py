@@ -42,7 +42,7 @@ _OTHER_POSITION, _OTHER_QUATERNION, _PATH = slice(9, 12), slice(12, 16), 16
 _WIDTH = 17
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BodyDifference:
     """The pose of the second estimate's body in the body of the estimate, and its scale."""
 

@@ -6,12 +6,17 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from trajeval_ros.io.bags.bag import Bag
+from trajeval_ros.io.bags.cdr import CdrPlan
 from trajeval_ros.io.bags.message_definitions import (
     STANDARD,
+    Fields,
+    Repeated,
+    UnplannedError,
     fields_of,
     is_standard,
     recorded_fields,
@@ -82,3 +87,21 @@ def test_definitions_of_real_bags(shared_data: Path) -> None:
                     found.add((topic.type, is_standard(text, topic.type)))
     assert found
     assert all(standard for _, standard in found)
+
+
+def test_a_nested_message_of_one_kind_is_one_column() -> None:
+    values = np.arange(5.0)
+    fields: Fields = (
+        ("a", (("x", "f8"),)),
+        ("b", (("x", "f8"), ("y", "f8"))),
+        ("c", (("x", Repeated("f8", 2)),)),
+    )
+    payload = b"\0\1\0\0" + values.tobytes()
+    found = CdrPlan(fields, ["a", "b", "c.x"]).decode([payload, payload])
+    assert found.numbers["a"].tolist() == [[0.0]] * 2
+    assert found.numbers["b"].tolist() == [[1.0, 2.0]] * 2
+    assert found.numbers["c.x"].tolist() == [[3.0, 4.0]] * 2
+    mixed: Fields = (("d", (("x", "f8"), ("y", "f4"))),)
+    for given, wanted in ((fields, "c"), (mixed, "d"), (fields, "e"), (fields, "a.y")):
+        with pytest.raises(UnplannedError, match=f"no field {wanted} of a single type"):
+            CdrPlan(given, [wanted])

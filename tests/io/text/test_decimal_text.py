@@ -59,6 +59,39 @@ def test_every_number_has_the_bits_that_float_gives(rows: list[tuple[str, ...]])
         assert all(same_bits(value, float(text)) for value, text in zip(row, texts, strict=True))
 
 
+def is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+@given(st.lists(st.tuples(*[st.text("01.-+e", min_size=1, max_size=5)] * 2), max_size=4))
+def test_words_are_numbers_if_float_reads_them(rows: list[tuple[str, str]]) -> None:
+    """Also if as many points as words are in the wrong words."""
+    block = "\n".join(" ".join(row) for row in rows).encode()
+    if all(is_number(word) for row in rows for word in row):
+        found = parsed(block, 2, None).values
+        assert all(
+            same_bits(value, float(word))
+            for values, words in zip(found.tolist(), rows, strict=True)
+            for value, word in zip(values, words, strict=True)
+        )
+        return
+    wrong = next(line for line, row in enumerate(rows) if not all(map(is_number, row)))
+    with pytest.raises(RowError) as raised:
+        parsed(block, 2, None)
+    assert raised.value.line == wrong
+    assert "is not a number" in raised.value.reason
+
+
+@pytest.mark.parametrize("text", ["1.2.3 4\n", "4 1.2.3\n", "1 2.5\n3.5.1 4\n"])
+def test_two_points_in_a_word_are_damage(text: str) -> None:
+    with pytest.raises(RowError, match="is not a number"):
+        parsed(text.encode(), 2, None)
+
+
 @given(st.lists(st.integers(-(10**15), 10**15), min_size=1), st.integers(0, 15))
 def test_plain_decimals_have_the_bits_that_float_gives(integers: list[int], places: int) -> None:
     texts = [str(Decimal(integer).scaleb(-places)) for integer in integers]

@@ -13,6 +13,7 @@ from nmea import PLACES, POSITIONS, gga, sentence
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.geodesy import east_north_up
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
 
 
@@ -150,3 +151,63 @@ def test_a_height_that_is_no_number_is_dropped(height: str, tmp_path: Path) -> N
     assert read_trajectory(file).reading.dropped == {"undecodable": 1}
     file.write_text("\n".join([*lines, odd.replace("47.2", "1.2.3")]))
     assert read_trajectory(file).reading.dropped == {"undecodable": 1}
+
+
+def fixes_in(path: Path, *lines: str) -> Trajectory:
+    path.write_text("\n".join(lines) + "\n")
+    return read_trajectory(path)
+
+
+def test_a_status_of_fixes_that_is_missing_is_no_fix(tmp_path: Path) -> None:
+    rows = [f"{row},47.0,8.{row},400.0,{'' if row == 2 else row % 3}" for row in range(6)]
+    found = fixes_in(tmp_path / "x.csv", "time,latitude,longitude,height,status", *rows)
+    assert found.reading.dropped == {"no_fix": 1}
+    assert found.reading.fixes is not None
+    assert found.reading.fixes.status.tolist() == [0, 1, 0, 1, 2]
+
+
+@pytest.mark.parametrize("sent", ["RMC", "ZDA"])
+@pytest.mark.parametrize("place", [0, 1, 3, 4, 6])
+@pytest.mark.parametrize("second", [50, 53, 56])
+def test_days_of_nmea_follow_from_the_line_with_a_date(
+    tmp_path: Path, sent: str, place: int, second: int
+) -> None:
+    """Midnight is between any of the lines; the date is of the line before or after it."""
+    begin = int(datetime(2023, 12, 31, 23, 59, second, tzinfo=timezone.utc).timestamp())
+    lines = [gga(begin + 2 * row, PLACES[row]) for row in range(6)]
+    stamp = begin + max(2 * place - 1, 0)
+    at = datetime.fromtimestamp(stamp, tz=timezone.utc)
+    dated = f"GNZDA,{at:%H%M%S}.00,{at:%d,%m,%Y},00,00"
+    if sent == "RMC":
+        dated = f"GNRMC,{at:%H%M%S}.00,A,4724.0,N,00830.0,E,0.1,77.0,{at:%d%m%y},,,R"
+    lines.insert(place, sentence(dated))
+    found = fixes_in(tmp_path / "x.nmea", *lines)
+    assert found.stamps.tolist() == [(begin + 2 * row) * 10**9 for row in range(6)]
+    assert not found.reading.said(Level.NOTE)[1:]
+
+
+@pytest.mark.parametrize(("step", "days"), [(43_200, 0), (43_201, 1)])
+def test_half_a_day_back_is_the_next_day(tmp_path: Path, step: int, days: int) -> None:
+    lines = [gga(86_399 - step * row, PLACES[row]) for row in range(2)]
+    found = fixes_in(tmp_path / "x.nmea", *lines)
+    assert found.stamps.tolist() == [86_399 * 10**9, (86_399 - step + days * 86_400) * 10**9]
+
+
+@pytest.mark.parametrize(
+    ("digits", "nanoseconds"),
+    [("", 0), (".5", 500_000_000), (".000000001", 1), (".1234567899", 123_456_789)],
+)
+def test_fractions_of_seconds_of_nmea(tmp_path: Path, digits: str, nanoseconds: int) -> None:
+    body = f"GNGGA,010203{digits},4724.60,N,00830.30,E,4,12,0.7,400.5,M,47.25,M,1.0,0001"
+    found = fixes_in(
+        tmp_path / "x.nmea",
+        sentence(body),
+        sentence(body.replace("010203", "010204").replace("24.60", "24.61")),
+    )
+    assert found.stamps[0] == 3723 * 10**9 + nanoseconds
+    assert found.reading.fixes is not None
+    np.testing.assert_allclose(found.reading.fixes.places[0], [47.41, 8.505, 447.75], rtol=1e-14)
+    bare = body.replace("47.25,M", ",M")  # without the separation, the altitude is the height
+    found = fixes_in(tmp_path / "x.nmea", sentence(bare))
+    assert found.reading.fixes is not None
+    assert found.reading.fixes.places[0, 2] == 400.5

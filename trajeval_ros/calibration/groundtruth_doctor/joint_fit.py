@@ -43,7 +43,7 @@ _SINGULAR = 1e-10
 _ROWS = ((0, 1), (0, 1))  # axes of rows (n, 15, ...) over which products are summed
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Horizon:
     """The time over which a fit trusts the IMU."""
 

@@ -63,7 +63,7 @@ def logged_within(log_times: Indices, begin: int | None, end: int | None) -> Boo
 _COLUMNS = "connections", "log_times", "begins", "sizes", "publish_times"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Block:
     """Messages of some connections."""
 

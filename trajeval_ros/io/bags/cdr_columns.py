@@ -17,7 +17,7 @@ Numbers = NDArray[Any]
 Offsets = int | Indices  # an int if all messages have the same: most of the time is saved
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StringColumn:
     """A column of strings: `names[codes[row]]` is the string of a row."""
 
@@ -25,7 +25,7 @@ class StringColumn:
     codes: Indices
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Columns:
     """Fields by column."""
 

@@ -47,7 +47,7 @@ class NoIndexError(DamagedError):
         self.declared = declared
 
 
-@dataclass
+@dataclass(eq=False)
 class MessageIndex:
     """Positions of messages in a chunk or in a file."""
 

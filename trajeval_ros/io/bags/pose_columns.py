@@ -22,7 +22,7 @@ COLUMNS = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PoseColumns:
     """The poses of a topic."""
 

@@ -27,7 +27,7 @@ POSE_2D_TIMES = note("log_times", "no timestamps in messages: log times used, he
 _POSE_2D_FIELDS: Fields = (("x", "f8"), ("y", "f8"), ("theta", "f8"))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TransformColumns:
     """The transforms of one edge, in order of arrival."""
 

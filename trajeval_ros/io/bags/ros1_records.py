@@ -102,7 +102,7 @@ def _number(data: bytes) -> int:
     return int.from_bytes(data, "little")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ChunkIndex:
     """Indexed messages of a chunk."""
 

@@ -22,7 +22,7 @@ Way = list[tuple[EdgeKey, bool]]  # edges in order, and whether each points from
 LEADS_BY_S = 2.0  # of transforms, by which the leading edge is known
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Edge:
     """The pose of a child frame in its parent frame over time."""
 

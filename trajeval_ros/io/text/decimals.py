@@ -68,7 +68,7 @@ class RowFormat:
         return list(self.values)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ParsedRows:
     """The numbers of a block of N rows."""
 
@@ -103,7 +103,7 @@ def parse_rows(block: bytes, rows: RowFormat) -> ParsedRows:
     return ParsedRows(stamps, timed, values)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Decimals:
     """The parts of N numbers: sign, and whole + fraction / 10**places.
 

@@ -188,7 +188,7 @@ def _name_covariances(plain: Sequence[str], name: Callable[[int, str], None]) ->
             row, column = int(number[0]) - first, int(number[1]) - first
         else:
             continue
-        if 0 <= row < 6 and 0 <= column < 6:
+        if row < 6 and column < 6:
             name(place, f"c{row + 1}{column + 1}")
     for place, word in enumerate(plain):
         if match := re.fullmatch(_PAIR, word):

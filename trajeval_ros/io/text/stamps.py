@@ -29,7 +29,7 @@ _ONE_DATE = rb"\d{4}-\d\d?-\d\d?(?:[T ]\d\d?:\d\d(?::\d\d(?:\.\d+)?)?)?"
 _DATES = rb"%s(?: %s)*" % (_ONE_DATE, _ONE_DATE)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ExactNumbers:
     """N numbers as sign * (whole + billionths * 1e-9)."""
 

@@ -25,7 +25,7 @@ _COVARIANCES = {
 _NO_Z = note("no_height", "no column z: assumed 0")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FileColumns:
     """The columns of the N valid rows of a file."""
 

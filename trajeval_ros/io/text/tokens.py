@@ -33,7 +33,7 @@ class WordError(ValueError):
         self.reason = reason  # description of the error
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Tokens:
     """Positions of numbers in a block of text."""
 

@@ -1,0 +1,156 @@
+"""Usable GNSS fixes, their frame and their standard deviations, in cases worked out by hand."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.geometry.fix_selection import FixRule, fix_trajectory, fixes_of_rows
+from trajeval_ros.geometry.fixes import Fixes, quality_of
+from trajeval_ros.geometry.geodesy import Datum
+
+SECOND = 1_000_000_000
+
+
+def fixes(**changed: Any) -> Fixes:
+    given: dict[str, Any] = {
+        "places": np.array([[47.0, 8.0, 400.0], [47.001, 8.001, 401.0], [47.002, 8.0, 402.0]]),
+        "status": np.array([0, 1, 2]),
+        "covariance_types": np.array([2, 2, 3]),
+        "covariances": np.array([np.diag(np.square([1.0, s, 5.0])) for s in (2.0, 0.5, 3.0)]),
+    }
+    return Fixes(**{**given, **changed})
+
+
+def test_fixes_have_standard_deviations_if_known() -> None:
+    some = fixes(covariance_types=np.array([2, 0, 3]))
+    np.testing.assert_allclose(some.sigma_level_m, [2.0, np.nan, 3.0])
+    np.testing.assert_allclose(some.sigma_up_m, [5.0, np.nan, 5.0])
+    zero = some.covariances.copy()
+    zero[0, 2, 2], zero[2, 0, 1] = 0.0, np.nan
+    assert dataclasses.replace(some, covariances=zero).known.tolist() == [False, False, False]
+    correlated = fixes(
+        covariances=np.tile(np.array([[2.0, 1, 0], [1, 2, 0], [0, 0, 9]]), (3, 1, 1))
+    )
+    np.testing.assert_allclose(correlated.sigma_level_m, np.sqrt(3.0))
+    np.testing.assert_allclose(correlated.sigma_up_m, 3.0)
+    said = quality_of(some)
+    assert "1 of status 0, 1 of status 1, 1 of status 2; standard deviation of 2 of them" in said
+    assert "2 to 3 m horizontal, 5 to 5 m vertical, covariance diagonal and known" in said
+
+
+@pytest.mark.parametrize(
+    ("changed", "rule", "dropped"),
+    [
+        ({}, {}, {}),
+        ({"status": np.array([-1, 0, 0])}, {}, {"no_fix": [0]}),
+        ({"status": np.array([-2, 0, 0])}, {}, {}),
+        (
+            {"status": np.array([-2, 0, 0]), "covariance_types": np.array([0, 0, 0])},
+            {},
+            {"no_fix": [0]},
+        ),
+        ({}, {"min_status": 0}, {}),
+        ({}, {"min_status": 1}, {"below_fix_status": [0]}),
+        ({}, {"min_status": 2}, {"below_fix_status": [0, 1]}),
+        ({}, {"max_sigma_m": 2.0}, {"fix_sigma_above_limit": [2]}),
+        ({}, {"max_sigma_m": 1.0}, {"fix_sigma_above_limit": [0, 2]}),
+        (
+            {"covariance_types": np.array([2, 0, 3])},
+            {"max_sigma_m": 9.0},
+            {"fix_sigma_unknown": [1]},
+        ),
+        (
+            {"places": np.array([[90.0, 360.0, 1.0], [-90.1, 0.1, 1.0], [1.0, -360.1, 1.0]])},
+            {},
+            {"not_finite": [1, 2]},
+        ),
+        (
+            {"places": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 1.0], [np.nan, 0.0, 1.0]])},
+            {},
+            {"no_fix": [0], "not_finite": [2]},
+        ),
+        (
+            {"places": np.array([[1.0, 0.0, np.nan], [1.0, 1.0, np.inf], [1.0, 0.0, 1.0]])},
+            {},
+            {"no_height": [0], "not_finite": [1]},
+        ),
+    ],
+)
+def test_fixes_that_are_usable(
+    changed: dict[str, Any], rule: dict[str, Any], dropped: dict[str, list[int]]
+) -> None:
+    kept, counts = FixRule(**rule).usable(fixes(**changed), level=False)
+    rows = sorted(row for each in dropped.values() for row in each)
+    assert np.flatnonzero(~kept).tolist() == rows
+    assert {name: n for name, n in counts.items() if n} == {k: len(v) for k, v in dropped.items()}
+    level, _ = FixRule(**rule).usable(fixes(**changed), level=True)
+    rows = sorted(row for name, each in dropped.items() if name != "no_height" for row in each)
+    assert np.flatnonzero(~level).tolist() == rows
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"min_status": 3}, {"min_status": -1}, {"max_sigma_m": 0.0}, {"max_sigma_m": np.inf},
+        {"correlation_s": 0.0}, {"correlation_s": np.inf},
+    ],
+)  # fmt: skip
+def test_rules_that_select_nothing_are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(SettingsError):
+        FixRule(**wrong)
+
+
+def test_the_frame_of_fixes_starts_at_the_first() -> None:
+    stamps = np.array([3, 1, 2]) * SECOND
+    some = fixes()
+    found = fix_trajectory(stamps, some)
+    np.testing.assert_allclose(found.positions[1], 0.0, atol=1e-9)
+    assert found.reading.fixes is not None
+    assert found.reading.fixes.datum == Datum(47.001, 8.001, 401.0)
+    assert found.covariances is not None
+    np.testing.assert_allclose(np.diag(found.covariances[1][:3, :3]), [1.0, 0.25, 25.0], rtol=1e-9)
+    assert np.isnan(found.covariances[1][3:]).all()
+    near, far = (FixRule(datum=Datum(47.001 - away, 8.001, 401.0)) for away in (0.89, 0.91))
+    assert near.datum_of(stamps, some) == near.datum
+    with pytest.raises(InputError, match="km away from the first fix"):
+        far.datum_of(stamps, some)
+    rows = fixes_of_rows(some.places, np.arange(33.0).reshape(3, 11))
+    assert rows.status.tolist() == [0, 11, 22]
+    assert rows.covariance_types.tolist() == [1, 12, 23]
+    assert rows.covariances[1].tolist() == [[13, 14, 15], [16, 17, 18], [19, 20, 21]]
+
+
+def test_fixes_at_one_place_are_refused() -> None:
+    same = np.tile([47.0, 8.0, 400.0], (3, 1))
+    with pytest.raises(InputError, match=r"all fixes \(3\) are at the same place"):
+        fix_trajectory(np.arange(3), fixes(places=same))
+    same[1, 1] += 1e-7
+    assert len(fix_trajectory(np.arange(3), fixes(places=same))) == 3
+    alone = fixes()[:1]
+    assert len(fix_trajectory(np.arange(1), alone)) == 1
+    with pytest.raises(InputError, match=r"no usable fix among 3 \(3 no fix\)"):
+        fix_trajectory(np.arange(3), fixes(status=np.array([-1, -1, -1])))
+
+
+def test_a_fix_without_height_is_kept_apart() -> None:
+    places = fixes().places.copy()
+    places[1, 2] = np.nan
+    found = fix_trajectory(np.arange(3) * SECOND, fixes(places=places))
+    assert len(found) == 2
+    assert found.reading.dropped == {"no_height": 1}
+    assert found.reading.fixes is not None
+    assert found.reading.fixes.flat is not None
+    assert found.reading.fixes.flat[0].tolist() == [SECOND]
+    level = FixRule().applied(found, level=True)
+    assert level.stamps.tolist() == [0, SECOND, 2 * SECOND]
+    assert level.reading.dropped == {}
+    assert FixRule().applied(found) is found
+    places[:, 2] = np.nan
+    flat = fix_trajectory(np.arange(3) * SECOND, fixes(places=places))
+    assert len(flat) == 3
+    assert np.isfinite(flat.positions).all()

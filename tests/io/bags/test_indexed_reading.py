@@ -1,0 +1,324 @@
+"""Parts of MCAP files: only what an index lists is read, and damage costs no other message."""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import pytest
+from damaged_bags import definition, payloads
+from hypothesis import given
+from hypothesis import strategies as st
+from made_bags import simple, the_file
+from mcap.records import Channel, Schema
+from mcap_layouts import Layout, Part, record
+
+from tests.io.bags.test_record_limits import Memory
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.bags import mcap_bag
+from trajeval_ros.io.bags.bag import Bag
+from trajeval_ros.io.bags.blocks import TopicSelection
+from trajeval_ros.io.bags.byte_source import GAP
+from trajeval_ros.io.bags.foxglove import FIX_TYPE, FoxglovePlan
+from trajeval_ros.io.bags.mcap_bag import McapReader
+from trajeval_ros.io.bags.mcap_chunk_reading import read_chunk
+from trajeval_ros.io.bags.mcap_contents import read_summary
+from trajeval_ros.io.bags.message_definitions import Connection, recorded_fields
+from trajeval_ros.io.bags.write_bag import POSE_STAMPED
+from trajeval_ros.io.sources import read_trajectory
+
+Message = tuple[int, int, bytes]
+POSE, IMAGE, OTHER = 1, 2, 3
+CHANNELS = [Channel(each, f"/{each}", "x", {}, 0) for each in (POSE, IMAGE, OTHER)]
+
+
+class Counting(Memory):
+    """Bytes as a source that counts what is read."""
+
+    def __init__(self, content: bytes) -> None:
+        super().__init__(content)
+        self.taken = 0
+
+    def read(self, offset: int, size: int) -> bytes:
+        found = super().read(offset, size)
+        self.taken += len(found)
+        return found
+
+
+def rows_of(blocks: Any) -> list[Message]:
+    return [
+        (int(channel), int(time), bytes(payload))
+        for block in blocks
+        for channel, time, payload in zip(
+            block.connections, block.log_times, block.payloads(), strict=True
+        )
+    ]
+
+
+def sparse(count: int = 12, image: int = 60_000, pose: int = 30) -> list[Message]:
+    """Return poses of growing sizes, each before an image."""
+    rows = []
+    for row in range(count):
+        rows.append((POSE, 10 * row, bytes([row]) * (pose + 7 * row)))
+        rows.append((IMAGE, 10 * row + 1, bytes(image)))
+    return rows
+
+
+@pytest.mark.parametrize("image", [20_000, 60_000, 100_000])
+@pytest.mark.parametrize("pose", [30, 5000, 9000])
+def test_only_what_the_index_lists_is_read_of_a_chunk(image: int, pose: int) -> None:
+    rows = sparse(image=image, pose=pose)
+    content = bytes(Layout([], CHANNELS, [Part(rows)]))
+    [chunk] = read_summary(Counting(content))[0].chunks  # type: ignore[arg-type]
+    source: Any = Counting(content)
+    found = read_chunk(source, chunk, {POSE}, strict=False)
+    assert rows_of([found.block]) == [each for each in rows if each[0] == POSE]
+    assert found.damage == ""
+    # Messages nearer than 64 KiB are read with what is between them.
+    is_sparse = image + pose + 62 > GAP
+    assert found.is_partial == is_sparse
+    assert (source.taken < 0.5 * chunk.size) == is_sparse
+    whole = read_chunk(source, chunk, {POSE}, strict=True)
+    assert not whole.is_partial
+    assert rows_of([whole.block]) == rows_of([found.block])
+    both = read_chunk(source, chunk, {POSE, IMAGE}, strict=False)
+    assert rows_of([both.block]) == rows
+
+
+def test_the_last_message_of_a_chunk_may_be_longer_than_what_is_read_at_once() -> None:
+    for size in (4000, 4065, 4066, 4096, 20_000):
+        rows = [(IMAGE, 0, bytes(200_000)), (POSE, 1, bytes(size)), (OTHER, 2, b"")]
+        for given_ in (rows, rows[:2]):
+            content = bytes(Layout([], CHANNELS, [Part(given_)]))
+            [chunk] = read_summary(Counting(content))[0].chunks  # type: ignore[arg-type]
+            found = read_chunk(Counting(content), chunk, {POSE}, strict=False)  # type: ignore[arg-type]
+            assert rows_of([found.block]) == [rows[1]]
+            assert found.is_partial
+
+
+@pytest.mark.parametrize("field", ["opcode", "length", "channel", "size", "time", "offset"])
+@pytest.mark.parametrize("channel", [POSE, OTHER])
+def test_a_damaged_index_costs_bytes_and_no_message(field: str, channel: int) -> None:
+    rows = [*sparse(), (OTHER, 500, b"end")]
+    content = bytes(Layout([], CHANNELS, [Part(rows)]))
+    [chunk] = read_summary(Counting(content))[0].chunks  # type: ignore[arg-type]
+    place = chunk.indexes[channel]
+    offsets = {"opcode": 0, "length": 1, "channel": 9, "size": 11, "time": 15, "offset": 23}
+    for change in (1, 255):
+        changed = bytearray(content)
+        at = place + offsets[field]
+        changed[at] = (changed[at] + change) % 256
+        wanted = {POSE, OTHER}
+        found = read_chunk(Counting(bytes(changed)), chunk, wanted, strict=False)  # type: ignore[arg-type]
+        assert not found.is_partial
+        assert found.damage == ""
+        assert found.block is not None
+        assert rows_of([found.block]) == [each for each in rows if each[0] in wanted]
+    cut = content[: place + 10]
+    assert found.block is not None
+    short = read_chunk(Counting(cut), chunk, {channel}, strict=False)  # type: ignore[arg-type]
+    assert short.block is not None
+    assert rows_of([short.block]) == [each for each in rows if each[0] == channel]
+
+
+def test_a_damaged_message_of_a_part_is_found_by_its_head() -> None:
+    rows = sparse(image=100_000)
+    content = bytes(Layout([], CHANNELS, [Part(rows)]))
+    [chunk] = read_summary(Counting(content))[0].chunks  # type: ignore[arg-type]
+    place = content.index(bytes([3]) * 40) - 31
+    for at, is_found in ((0, True), (4, True), (9, True), (15, True), (11, False), (35, False)):
+        changed = bytearray(content)
+        changed[place + at] ^= 1
+        found = read_chunk(Counting(bytes(changed)), chunk, {POSE}, strict=False)  # type: ignore[arg-type]
+        # The sequence number and the payload are verified by the checksum of the whole chunk only.
+        assert found.is_partial == (not is_found)
+        assert ("checksum" in found.damage) == is_found
+    for end in (place + 20, place + 60):
+        cut = read_chunk(Counting(content[:end]), chunk, {POSE}, strict=False)  # type: ignore[arg-type]
+        assert cut.block is None
+        assert cut.damage
+
+
+@given(
+    st.lists(
+        st.lists(st.tuples(st.sampled_from([POSE, IMAGE, OTHER]), st.integers(0, 60)), max_size=6),
+        min_size=1,
+        max_size=5,
+    ),
+    st.sampled_from(["", "zstd", "lz4"]),
+    st.booleans(),
+    st.tuples(st.none() | st.integers(0, 60), st.none() | st.integers(0, 60)),
+    st.sampled_from([1, 40, 10**6]),
+)
+def test_messages_of_any_window_are_read_in_order_of_the_pieces(
+    groups: Any, compression: str, has_chunks: bool, window: Any, most: int
+) -> None:
+    """Whether they are in chunks or not, and whatever is decompressed ahead."""
+    parts = [
+        Part(
+            [(channel, time, bytes([time]) * (time % 7)) for channel, time in group],
+            is_chunk=has_chunks and place != 1,
+            compression=compression,
+        )
+        for place, group in enumerate(groups)
+    ]
+    source: Any = Memory(bytes(Layout([], CHANNELS, parts)))
+    reader = McapReader(source)
+    selections = [TopicSelection(frozenset({POSE})), TopicSelection(frozenset({OTHER}))]
+    with mock.patch.object(mcap_bag, "_IN_FLIGHT", most):
+        blocks = list(reader.blocks(selections, *window))
+    begin, end = window
+    wanted = [
+        row
+        for part in parts
+        for row in part.rows
+        if row[0] != IMAGE and (begin is None or row[1] >= begin) and (end is None or row[1] < end)
+    ]
+    assert sorted(rows_of(blocks)) == sorted(wanted)
+    earliest = [block.earliest for block in blocks]
+    assert earliest == sorted(earliest)
+    assert all(block.earliest <= block.log_times.min() for block in blocks)
+    assert [each.damage for each in selections] == [[], []]
+    times = [time for part in parts for _, time, _ in part.rows]
+    assert reader.span == ((min(times), max(times)) if times else None)
+    assert mcap_bag._IN_FLIGHT == 1 << 28
+
+
+def test_the_checksum_of_messages_outside_of_chunks_is_verified_if_strict(tmp_path: Path) -> None:
+    rows = [(POSE, row, each) for row, each in enumerate(payloads(20))]
+    content = bytearray(
+        bytes(
+            Layout(
+                [Schema(1, definition(POSE_STAMPED), "ros2msg", POSE_STAMPED)],
+                [Channel(POSE, "/pose", "cdr", {}, 1)],
+                [Part(rows, is_chunk=False)],
+            )
+        )
+    )
+    place = content.index(struct.pack("<BQ", 0x0F, 4))
+
+    path = tmp_path / "x.mcap"
+    right = zlib.crc32(bytes(content[:place]))
+    for checksum, refused in ((0, False), (right, False), (right ^ 1, True)):
+        content[place + 9 : place + 13] = struct.pack("<I", checksum)
+        path.write_bytes(bytes(content))
+        assert len(read_trajectory(path)) == 20
+        if refused:
+            with pytest.raises(InputError, match="checksum mismatch"):
+                read_trajectory(path, strict=True)
+        else:
+            assert len(read_trajectory(path, strict=True)) == 20
+
+
+def test_strict_reading_of_messages_refuses_damage_only(tmp_path: Path) -> None:
+    bag = simple(tmp_path / "bag")
+    file = the_file(bag)
+    for strict in (False, True):
+        with Bag(bag, strict=strict) as opened:
+            count = len(list(opened.messages(opened.topics)))
+            assert count > 0
+            assert opened.damage == []
+    with Bag(file) as opened:
+        [topic, *_] = opened.topics
+        assert topic.declared is not None
+        more = [type(topic)(topic.name, topic.type, topic.declared + 1, topic.connections)]
+        assert len(list(opened.messages(more))) == topic.declared
+        assert f"but {topic.declared} were read" in opened.damage[0]
+        opened.damage.clear()
+        # Of a part of the bag, the number is not known.
+        assert list(opened.messages(more, 10**18, 10**18 + 1)) == []
+        assert opened.damage == []
+    with Bag(file, strict=True) as opened, pytest.raises(InputError, match="were read"):
+        list(opened.messages(more))
+
+
+def test_a_fix_of_foxglove_without_covariance_has_zeros() -> None:
+    message: dict[str, Any] = {
+        "timestamp": {"sec": 3, "nsec": 4},
+        "frame_id": "gps",
+        "latitude": 47.5,
+        "longitude": 8.25,
+        "altitude": 400,
+        "position_covariance": [],
+        "position_covariance_type": 0,
+    }
+    plan = FoxglovePlan(FIX_TYPE, "json")
+    full = {**message, "position_covariance": [*range(9)], "position_covariance_type": 3}
+    short = {**message, "position_covariance": [1.0] * 8}
+    found = plan.decode([json.dumps(each).encode() for each in (message, short, full)])
+    assert found.rows.tolist() == [0, 2]
+    np.testing.assert_array_equal(found.numbers["position_covariance"], [[0] * 9, range(9)])
+    assert found.numbers["position_covariance_type"].tolist() == [0, 3]
+    assert found.numbers["altitude"].tolist() == [400, 400]
+    assert found.numbers["header.stamp.nanosec"].tolist() == [4, 4]
+    for sec, nsec, is_time in (
+        (-(2**31), 0, True),
+        (-(2**31) - 1, 0, False),
+        (2**32 - 1, 2**32 - 1, True),
+        (2**32, 0, False),
+        (0, 2**32, False),
+        (0, -1, False),
+        (1.0, 0, False),
+        (True, 0, False),
+    ):
+        stamped = {**message, "timestamp": {"sec": sec, "nsec": nsec}}
+        assert len(plan.decode([json.dumps(stamped).encode()]).rows) == is_time
+    for wrong in ({"frame_id": 3}, {"latitude": "47"}, {"latitude": None}, {"altitude": True}):
+        assert not len(plan.decode([json.dumps({**message, **wrong}).encode()]).rows)
+
+
+@pytest.mark.parametrize(("count", "is_accepted"), [(500, True), (501, False)])
+def test_a_time_is_two_fields(count: int, *, is_accepted: bool) -> None:
+    text = "".join(f"builtin_interfaces/Time f{row}\n" for row in range(count))
+    connection = Connection(0, "/x", "a/msg/T", "MSG", text, 0, "cdr", None)
+    assert (recorded_fields(connection) is not None) == is_accepted
+
+
+def test_a_chunk_that_is_no_chunk_is_damaged() -> None:
+    content = bytes(Layout([], CHANNELS, [Part([(POSE, 1, b"pose")], compression="zstd")]))
+    [chunk] = read_summary(Counting(content))[0].chunks  # type: ignore[arg-type]
+    for at, change, said in (
+        (0, 1, "misplaced"),
+        (1, 1, "misplaced"),
+        (25, 1, "invalid size"),
+        (33, 1, "checksum"),
+        (60, 1, "decompressed|checksum"),
+    ):
+        changed = bytearray(content)
+        changed[chunk.offset + at] ^= change
+        found = read_chunk(Counting(bytes(changed)), chunk, {POSE}, strict=True)  # type: ignore[arg-type]
+        assert found.block is None
+        assert any(word in found.damage for word in said.split("|"))
+
+
+@pytest.mark.parametrize(("most", "size"), [(3, 10**6), (1000, 100), (4, 100)])
+def test_messages_outside_of_chunks_come_in_bounded_blocks(most: int, size: int) -> None:
+    rows = [(POSE, row, bytes(5 + row % 20)) for row in range(40)]
+    reader = McapReader(Memory(bytes(Layout([], CHANNELS, [Part(rows, is_chunk=False)]))))  # type: ignore[arg-type]
+    with mock.patch.multiple(mcap_bag, ROWS=most, BYTES=size):
+        blocks = list(reader.blocks([TopicSelection(frozenset({POSE}))]))
+    assert rows_of(blocks) == rows
+    assert max(map(len, blocks)) <= most
+    assert max(int(block.sizes.sum()) for block in blocks) < size + 25
+    assert len(blocks) <= 40 / most + sum(len(payload) for *_, payload in rows) / size + 1
+
+
+@pytest.mark.parametrize(("between", "count"), [(0, 1), (5, 1), (6, 8), (300, 8)])
+def test_messages_outside_of_chunks_are_read_with_what_is_little_between(
+    between: int, count: int
+) -> None:
+    parts = [
+        Part([(POSE, row, bytes([row]))], is_chunk=False, behind=record(0x90, bytes(between)))
+        for row in range(8)
+    ]
+    source: Any = Memory(bytes(Layout([], CHANNELS, parts)))
+    reader = McapReader(source)
+    with mock.patch.object(source, "read_all", side_effect=source.read_all) as read_all:
+        blocks = list(reader.blocks([TopicSelection(frozenset({POSE}))]))
+    assert rows_of(blocks) == [part.rows[0] for part in parts]
+    assert [len(ranges) for (ranges,), _ in read_all.call_args_list] == [count]

@@ -1,0 +1,466 @@
+"""Limits of records, chunks, definitions and compressed data: at them, below and above."""
+
+from __future__ import annotations
+
+import bz2
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest import mock
+
+import lz4.frame
+import numpy as np
+import pytest
+import zstandard
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.bags import compression, mcap_chunk_reading, message_definitions
+from trajeval_ros.io.bags.bag_folder import FilePath
+from trajeval_ros.io.bags.blocks import LARGEST
+from trajeval_ros.io.bags.byte_source import GAP, DamagedError
+from trajeval_ros.io.bags.compression import (
+    LARGEST_CHUNK,
+    LARGEST_RATIO,
+    decompress,
+    decompress_file,
+    most_of,
+)
+from trajeval_ros.io.bags.mcap_chunks import Chunk, chunk_at, require_budget, require_size, walked
+from trajeval_ros.io.bags.mcap_records import (
+    CHUNK,
+    MESSAGE,
+    MessageIndex,
+    MessageIndexBuilder,
+    head_of,
+    records,
+)
+from trajeval_ros.io.bags.message_definitions import (
+    LARGEST_MESSAGE,
+    Connection,
+    Repeated,
+    UnplannedError,
+    fields_of,
+    full_name,
+    recorded_fields,
+    types_in,
+)
+from trajeval_ros.io.bags.ros1_records import BagRecord, ChunkIndex, fields_at, record_at
+from trajeval_ros.io.bags.ros1_records import _message_at as message_at
+
+MIB = 1 << 20
+COMPRESS: dict[str, Callable[[bytes], bytes]] = {
+    "": lambda data: data,
+    "zstd": lambda data: zstandard.ZstdCompressor().compress(data),
+    "lz4": lambda data: bytes(lz4.frame.compress(data)),
+    "bz2": lambda data: bz2.compress(data, 1),  # blocks of 100 kB
+}
+
+
+class Memory:
+    """Bytes as a source."""
+
+    name, is_far = "memory", False
+
+    def __init__(self, content: bytes, size: int | None = None) -> None:
+        self.content = content
+        self.size = len(content) if size is None else size
+
+    def read(self, offset: int, size: int) -> bytes:
+        return self.content[offset : offset + size]
+
+    def read_all(self, ranges: Any) -> list[bytes]:
+        return [self.read(*each) for each in ranges]
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def is_refused(check: Callable[..., object], *values: Any, error: Any = DamagedError) -> bool:
+    try:
+        check(*values)
+    except error:
+        return True
+    return False
+
+
+@pytest.mark.parametrize("kind", COMPRESS)
+@given(content=st.binary(max_size=300), limit=st.integers(0, 310))
+def test_what_is_decompressed_ends_at_the_limit(kind: str, content: bytes, limit: int) -> None:
+    found = decompress(kind, COMPRESS[kind](content), limit)
+    assert bytes(found) == content[:limit]
+
+
+@pytest.mark.parametrize("kind", [each for each in COMPRESS if each])
+def test_the_readable_part_of_damaged_data_is_kept(kind: str) -> None:
+    size = 400_000 if kind == "bz2" else 9 * MIB  # several pieces
+    content = np.random.default_rng(0).bytes(size)
+    stored = COMPRESS[kind](content)
+    for limit in (size, size // 2 + 1):
+        assert bytes(decompress(kind, stored, limit)) == content[:limit]
+    part = bytes(decompress(kind, stored[: len(stored) // 2], size))
+    assert content.startswith(part)
+    assert len(part) > size // 3
+    assert bytes(decompress(kind, b"nothing of this", 100)) == b""
+
+
+def test_frames_of_zstd_in_a_row_are_read() -> None:
+    both = COMPRESS["zstd"](b"one, ") + COMPRESS["zstd"](b"two")
+    assert bytes(decompress("zstd", both, 100)) == b"one, two"
+    with pytest.raises(ValueError, match="unknown compression 'brotli'"):
+        decompress("brotli", b"", 1)
+
+
+def test_the_accepted_sizes_of_decompressed_data() -> None:
+    assert (LARGEST_CHUNK, LARGEST, LARGEST_RATIO) == (64 * MIB, 1024 * MIB, 500)
+    assert (compression._LARGEST_FILE, compression._LARGEST_WINDOW) == (1 << 30, 1 << 27)
+    assert [most_of(size, 1000) for size in (0, 1, 2, 3)] == [1000, 1000, 1000, 1500]
+
+
+def test_a_file_is_decompressed_up_to_its_limit(tmp_path: Path) -> None:
+    path, folder = tmp_path / "run.db3.zstd", tmp_path / "copies"
+    folder.mkdir()
+    content = np.random.default_rng(0).bytes(400_000) + bytes(9000)
+    path.write_bytes(COMPRESS["zstd"](content))
+    size = path.stat().st_size
+    assert 500 * size > len(content)
+    with mock.patch.multiple(compression, _PIECE=10_000, LARGEST_RATIO=1):
+        for limit, is_kept in ((len(content), True), (len(content) - 1, False)):
+            with mock.patch.object(compression, "_LARGEST_FILE", limit):
+                assert is_refused(decompress_file, path, folder, error=InputError) != is_kept
+    copy = decompress_file(path, folder)
+    assert copy == folder / "run.db3"
+    assert copy.read_bytes() == content
+    other = tmp_path / "run.mcap.zst"
+    other.write_bytes(path.read_bytes()[: size // 2])
+    copy = decompress_file(other, folder)  # what can be read of a damaged file
+    assert copy.name == "run.mcap"
+    assert content.startswith(copy.read_bytes())
+    assert copy.stat().st_size > 100_000
+    other.write_bytes(b"no zstd")
+    with pytest.raises(InputError, match=r"run\.mcap\.zst can't be decompressed"):
+        decompress_file(other, folder)
+
+
+def chunk(length: int, size: int, kind: str = "zstd") -> Chunk:
+    return Chunk(0, length, 0, 0, kind, size)
+
+
+def test_sizes_of_chunks() -> None:
+    """Any chunk may have 64 MiB, larger ones 500 times their bytes, none more than 1 GiB."""
+    for length, size, kind, refused in (
+        (9, LARGEST_CHUNK, "zstd", False),
+        (9, LARGEST_CHUNK + 1, "zstd", True),
+        (9, LARGEST_CHUNK + 1, "", False),
+        (LARGEST_CHUNK, LARGEST, "lz4", False),
+        (LARGEST_CHUNK, LARGEST + 1, "lz4", True),
+        (LARGEST, LARGEST, "", False),
+        (LARGEST + 1, 9, "", True),
+        (MIB, 500 * MIB, "zstd", False),
+        (MIB, 500 * MIB + 1, "zstd", True),
+    ):
+        assert is_refused(require_size, chunk(length, size, kind)) == refused
+
+
+def test_the_size_of_all_chunks() -> None:
+    source: Any = Memory(b"", 9)
+    full = chunk(LARGEST_CHUNK, LARGEST // 2)
+    require_budget(source, [full, full, chunk(9, LARGEST, ""), chunk(9, LARGEST)])
+    with pytest.raises(InputError, match="a compression ratio above 500"):
+        require_budget(source, [full, full, chunk(9, 1)])
+    require_budget(Memory(b"", 3 * MIB), [full, full, chunk(9, 1)])  # type: ignore[arg-type]
+
+
+def head(kind: str, first: int = 7, last: int = 9, size: int = 1000) -> bytes:
+    """Return the header of a chunk's record."""
+    times = struct.pack("<BQQQQI", CHUNK, 500, first, last, size, 0)
+    return times + struct.pack("<I", len(kind)) + kind.encode() + struct.pack("<Q", 400)
+
+
+@pytest.mark.parametrize("kind", ["", "zstd", "x" * 32])
+def test_a_chunk_is_described_by_its_header(kind: str) -> None:
+    content = b"before" + head(kind)
+    found = chunk_at(Memory(content), 6, 509)  # type: ignore[arg-type]
+    assert (found.offset, found.length, found.first, found.last) == (6, 509, 7, 9)
+    assert (found.compression, found.size, found.is_cut) == (kind, 1000, False)
+    assert found.data_offset == len(content)
+    assert found.may_hold({1})
+    found.channels = frozenset({2, 3})
+    assert [found.may_hold(each) for each in ({1}, {1, 3}, set())] == [False, True, False]
+
+
+def test_a_chunk_without_a_whole_header_is_damaged() -> None:
+    for content in (head("x" * 33), head("zstd")[:40], head("")[:36], b"\xff" * 200):
+        assert is_refused(chunk_at, Memory(content), 0, 509)
+
+
+def message(channel: int, time: int, payload: bytes) -> bytes:
+    content = struct.pack("<HIQQ", channel, 5, time, time + 1) + payload
+    return struct.pack("<BQ", MESSAGE, len(content)) + content
+
+
+@given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 99), st.binary(max_size=20))))
+def test_records_are_walked_up_to_the_first_incomplete_one(rows: Any) -> None:
+    content = b"".join(message(*each) for each in rows)
+    found, is_whole = walked(content)
+    assert is_whole
+    assert found.channels.tolist() == [channel for channel, *_ in rows]
+    assert found.log_times.tolist() == [time for _, time, _ in rows]
+    assert found.sizes.tolist() == [len(payload) for *_, payload in rows]
+    for row, (channel, time, payload) in enumerate(rows):
+        begin = int(found.offsets[row])
+        whole = message(channel, time, payload)
+        assert content[begin : begin + len(whole)] == whole
+        assert head_of(content, begin) == (MESSAGE, len(whole) - 9)
+    for cut in (1, 8, 9, 30):
+        if cut < len(content):
+            part, is_whole = walked(content[:-cut])
+            ends = np.cumsum([31 + len(payload) for *_, payload in rows])
+            kept = int(np.count_nonzero(ends <= len(content) - cut))
+            assert len(part) == kept
+            assert is_whole == (kept > 0 and ends[kept - 1] == len(content) - cut)
+    padded = content + bytes(9)  # an opcode of zero is none
+    assert len(list(records(padded))) == len(rows)
+    short = content + struct.pack("<BQ", MESSAGE, 21) + bytes(21)  # less than a message's head
+    part, is_whole = walked(short)
+    assert (len(part), is_whole) == (len(rows), False)
+
+
+def index(*offsets: int) -> MessageIndex:
+    found = MessageIndexBuilder().done()
+    found = MessageIndex(*(np.zeros(len(offsets), dtype=np.int64) for _ in range(4)))
+    found.offsets = np.array(offsets, dtype=np.int64)
+    return found
+
+
+FAR = GAP + 1
+SIZE = 40 * GAP
+
+
+@pytest.mark.parametrize(
+    ("offsets", "runs"),
+    [
+        ((), None),
+        ((0,), [(0, 4096)]),
+        ((SIZE - 10,), [(SIZE - 10, SIZE)]),
+        ((5, 5 + GAP), [(5, 5 + GAP + 4096)]),
+        ((5, 5 + FAR), [(5, 4101), (5 + FAR, 5 + FAR + 4096)]),
+        ((5, 9, 9 + FAR, 20 + FAR, 20 + 3 * FAR), [(5, 4105), (9 + FAR, 4116 + FAR),
+            (20 + 3 * FAR, 4116 + 3 * FAR)]),
+        (tuple(range(0, 19 * GAP + 1, GAP)), [(0, 19 * GAP + 4096)]),
+        (tuple(range(0, 20 * GAP - 4095, GAP)) + (20 * GAP - 4096,), [(0, 20 * GAP)]),
+        (tuple(range(0, 20 * GAP - 4095, GAP)) + (20 * GAP - 4095,), None),
+        (tuple(range(0, 20 * GAP + 1, GAP)), None),
+    ],
+)  # fmt: skip
+def test_parts_of_a_chunk_are_read_if_they_are_at_most_half_of_it(offsets: Any, runs: Any) -> None:
+    assert (GAP, mcap_chunk_reading._TAIL) == (1 << 16, 4096)
+    plain = chunk(SIZE, SIZE, "")
+    assert mcap_chunk_reading._runs_of(plain, index(*offsets)) == runs
+    assert mcap_chunk_reading._runs_of(chunk(SIZE, SIZE), index(*offsets)) is None
+    plain.is_cut = True
+    assert mcap_chunk_reading._runs_of(plain, index(*offsets)) is None
+
+
+@pytest.mark.parametrize(("size", "is_worthwhile"), [(8192, True), (8191, False)])
+def test_one_message_of_a_small_chunk(size: int, *, is_worthwhile: bool) -> None:
+    found = mcap_chunk_reading._runs_of(chunk(size, size, ""), index(0))
+    assert found == ([(0, 4096)] if is_worthwhile else None)
+
+
+def fields(**values: bytes) -> bytes:
+    parts = [name.encode() + b"=" + value for name, value in values.items()]
+    return b"".join(struct.pack("<I", len(each)) + each for each in parts)
+
+
+def record(header: bytes, data: bytes = b"") -> bytes:
+    return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
+
+
+def read(content: bytes) -> Callable[[int, int], bytes]:
+    return Memory(content).read
+
+
+def test_a_record_of_ros1_has_its_fields_and_its_place() -> None:
+    header = fields(op=b"\x05", conn=b"\1\2\0\0", time=struct.pack("<II", 3, 4), text=b"a=b")
+    content = b"before" + record(header, b"data") + b"behind"
+    found = record_at(read(content), 6, 5)
+    assert content[found.begin : found.end] == b"data"
+    assert content[found.end :] == b"behind"
+    assert (found.number("op", 1), found.number("conn", 4)) == (5, 513)
+    assert found.time("time") == 3_000_000_004
+    assert (found.text("text"), found.text("none")) == ("a=b", "")
+    for name, size in (("op", 4), ("conn", 8), ("conn", 2), ("none", 4)):
+        assert is_refused(found.number, name, size)
+    assert is_refused(record_at, read(content), 6, 6)
+    for end in range(7, len(content) - 10):
+        assert is_refused(record_at, read(content[:end]), 6)
+    assert found.number("conn", 4) == record_at(read(content[:-10]), 6).number("conn", 4)
+
+
+@pytest.mark.parametrize("text", [b"\5\0\0\0op=1", b"\3\0\0\0op=1", b"\2\0\0\0op", b"\0\0\0\0"])
+def test_fields_of_another_size_are_damage(text: bytes) -> None:
+    assert is_refused(record_at, read(record(text)), 0)
+
+
+def test_sizes_of_records_of_ros1() -> None:
+    def header(size: int) -> bytes:
+        return fields(op=b"\2", x=bytes(size - 14))
+
+    assert len(header(1 << 16)) == 1 << 16
+    record_at(read(record(header(1 << 16))), 0)
+    assert is_refused(record_at, read(record(header((1 << 16) + 1))), 0)
+    data = fields(topic=b"/a")
+    for size, refused in ((len(data), False), (len(data) + 1, True), ((1 << 24) + 1, True)):
+        place = BagRecord(b"", {}, 3, size)
+        assert is_refused(fields_at, read(b"123" + data), place) == refused
+    assert fields_at(read(b"123" + data), BagRecord(b"", {}, 3, len(data))).text("topic") == "/a"
+    padded = data + fields(x=bytes((1 << 24) - len(data) - 6))
+    place = BagRecord(b"", {}, 0, len(padded))
+    assert len(padded) == 1 << 24
+    assert fields_at(read(padded), place).text("topic") == "/a"
+
+
+@pytest.mark.parametrize(("count", "is_found"), [(0, True), (15, True), (16, False)])
+def test_a_message_comes_after_at_most_15_connections(count: int, *, is_found: bool) -> None:
+    before = record(fields(op=b"\x07", conn=bytes(4)), b"data") * count
+    content = before + record(fields(op=b"\x02", conn=bytes(4)), b"message")
+    if is_found:
+        found = message_at(read(content), 0)
+        assert content[found.begin : found.end] == b"message"
+    else:
+        assert is_refused(message_at, read(content), 0)
+    other = record(fields(op=b"\x04"), b"index") + content
+    assert is_refused(message_at, read(other), 0)
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 4), st.integers(0, 10**9 - 1)), max_size=12),
+    st.none() | st.integers(0, 5 * 10**9),
+    st.none() | st.integers(0, 5 * 10**9),
+)
+def test_messages_of_a_chunk_of_ros1_in_a_window(
+    times: list[tuple[int, int]], begin: int | None, end: int | None
+) -> None:
+    entries = np.array([[*each, row] for row, each in enumerate(times)], dtype=np.uint32)
+    full = ChunkIndex(np.arange(len(times)), entries.reshape(-1, 3))
+    nanoseconds = [seconds * 10**9 + rest for seconds, rest in times]
+    assert full.log_times.tolist() == nanoseconds
+    assert full.within(begin, end).offsets.tolist() == [
+        row
+        for row, time in enumerate(nanoseconds)
+        if (begin is None or time >= begin) and (end is None or time < end)
+    ]
+    assert full.within(begin, None).connections.tolist() == [
+        row for row, time in enumerate(nanoseconds) if begin is None or time >= begin
+    ]
+
+
+def definition(fields: int, levels: int = 1, kind: str = "int8") -> str:
+    """Return a type of such levels, whose innermost one has such fields."""
+    text, parts = "", []
+    for level in range(levels - 1):
+        parts.append(f"{text}a/L{level + 1} inner\n")
+        text = f"{'=' * 80}\nMSG: a/L{level + 1}\n"
+    parts.append(text + "".join(f"{kind} f{row}\n" for row in range(fields)))
+    return "".join(parts)
+
+
+def has_fields(text: str) -> bool:
+    return recorded_fields(Connection(0, "/x", "a/msg/T", "MSG", text, 0, "cdr", None)) is not None
+
+
+@pytest.mark.parametrize(
+    ("text", "is_accepted"),
+    [
+        (definition(1000), True),
+        (definition(1001), False),
+        (definition(1, 49), True),
+        (definition(1, 50), True),
+        (definition(1, 51), False),
+        (definition(1, 1, f"int8[{LARGEST_MESSAGE}]"), True),
+        (definition(1, 1, f"int8[{LARGEST_MESSAGE + 1}]"), False),
+        (definition(2, 1, f"float64[{LARGEST_MESSAGE // 16}]"), True),
+        (definition(1) + "#" * ((1 << 18) - len(definition(1))), True),
+        (definition(1) + "#" * ((1 << 18) + 1 - len(definition(1))), False),
+    ],
+)
+def test_definitions_have_limits(text: str, *, is_accepted: bool) -> None:
+    assert has_fields(text) == is_accepted
+
+
+def test_the_fields_of_a_definition() -> None:
+    text = "a/In[2] two\nstring[] words\nbuiltin_interfaces/Time at\nbool[3] flags\n"
+    text += f"{'=' * 80}\nMSG: a/In\nfloat32 x\nuint16[] many\n"
+    inner = (("x", "f4"), ("many", Repeated("u2")))
+    assert fields_of(types_in("MSG", text, "a/msg/T"), "a/msg/T") == (
+        ("two", Repeated(inner, 2)),
+        ("words", Repeated("text")),
+        ("at", (("sec", "i4"), ("nanosec", "u4"))),
+        ("flags", Repeated("?", 3)),
+    )
+    with pytest.raises(UnplannedError, match="b/msg/No is not defined"):
+        fields_of(types_in("MSG", "b/No x\n", "a/msg/T"), "a/msg/T")
+    with pytest.raises(UnplannedError, match="contains itself"):
+        fields_of(types_in("MSG", "a/T[] x\n", "a/msg/T"), "a/msg/T")
+
+
+@pytest.mark.parametrize(
+    ("name", "full"),
+    [
+        ("a/B", "a/msg/B"),
+        ("a/msg/B", "a/msg/B"),
+        ("foxglove.PoseInFrame", "foxglove.PoseInFrame"),
+        ("a/action/B", "a/action/B"),
+    ],
+)
+def test_full_names_of_types(name: str, full: str) -> None:
+    assert full_name(name) == full
+    assert message_definitions.LARGEST_MESSAGE == 1 << 28
+
+
+@pytest.mark.parametrize(
+    ("written", "name", "leads_out"),
+    [
+        ("run_0.mcap", "run_0.mcap", False),
+        ("old/run_0.mcap", "run_0.mcap", False),
+        ("old\\run_0.mcap", "run_0.mcap", False),
+        ("../run_0.mcap", "run_0.mcap", True),
+        ("a/../run_0.mcap", "run_0.mcap", True),
+        ("/data/run_0.mcap", "run_0.mcap", True),
+        ("C:\\data\\run_0.mcap", "run_0.mcap", True),
+        ("a:b/run_0.mcap", "run_0.mcap", False),
+        ("a/c:/run_0.mcap", "run_0.mcap", False),
+        ("", "", True),
+        ("folder/", "", False),
+    ],
+)
+def test_paths_in_the_metadata(written: str, name: str, *, leads_out: bool) -> None:
+    path = FilePath(written)
+    assert (path.name, path.leads_out) == (name, leads_out)
+
+
+def test_a_definition_without_text_has_no_language() -> None:
+    from trajeval_ros.io.bags.mcap_records import _connection
+
+    channel: Any = SimpleNamespace(
+        id=3, topic="/a", message_encoding="cdr", metadata={"offered_qos_profiles": "qos"}
+    )
+    for encoding, data, language, text in (
+        ("ros2msg", b"int8 x", "MSG", "int8 x"),
+        ("ros1msg", b"int8 x", "MSG", "int8 x"),
+        ("ros2idl", b"module", "IDL", "module"),
+        ("ros2msg", b" \n", "", " \n"),
+        ("protobuf", b"\x0a", "", ""),
+        ("ros2msg", b"\xff", "MSG", "\ufffd"),
+    ):
+        schema: Any = SimpleNamespace(name="a/B", encoding=encoding, data=data)
+        found = _connection(channel, schema, {3: 5}, None)
+        assert (found.language, found.definition) == (language, text)
+        assert (found.id, found.topic, found.type, found.count) == (3, "/a", "a/msg/B", 5)
+        assert (found.encoding, found.qos) == ("cdr", "qos")
+    bare = _connection(channel, None, {}, None)
+    assert (bare.type, bare.language, bare.definition, bare.count) == ("", "", "", 0)

@@ -1,0 +1,374 @@
+"""Small files, names and checks of readers: what is written is read, and limits are exact."""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.geometry.marker import HandEye
+from trajeval_ros.io import growing_rows, npz_file, yaml_file
+from trajeval_ros.io.checks import check_stamps, judge_rotations, nearest, times
+from trajeval_ros.io.growing_rows import GrowingRows
+from trajeval_ros.io.hand_eye_file import (
+    hand_eye_json,
+    hand_eye_of,
+    read_hand_eye,
+    read_similarity,
+)
+from trajeval_ros.io.json_file import json_text, mapping_in, require_schema
+from trajeval_ros.io.npz_file import read_arrays, write_arrays
+from trajeval_ros.io.yaml_file import read_mapping, require_known
+
+Array = NDArray[Any]
+EPOCH = 10**17
+
+
+def is_refused(read: Callable[..., object], *values: Any, **more: Any) -> bool:
+    try:
+        read(*values, **more)
+    except (InputError, SettingsError):
+        return True
+    return False
+
+
+def test_at_most_twelve_names_are_listed_and_the_rest_counted() -> None:
+    names = [f"/topic_{row}" for row in range(14)]
+    assert nearest("x", []) == "none"
+    for count in (1, 11, 12):
+        listed = nearest("/topic_0", names[:count]).split(", ")
+        assert listed[0] == "/topic_0"
+        assert sorted(listed) == sorted(names[:count])
+    for count in (13, 14):
+        said = nearest("/topic_0", names[:count])
+        assert said.endswith(f" and {count - 12} more")
+        assert said.count(",") == 11
+
+
+@pytest.mark.parametrize(("median", "zero_is_set"), [(EPOCH, True), (EPOCH + 16, False)])
+def test_zero_is_no_time_among_times_since_1970(median: int, *, zero_is_set: bool) -> None:
+    stamps = np.array([0, median, median])  # float64 has steps of 16 there
+    assert times(stamps).tolist() == [zero_is_set, True, True]
+    assert check_stamps(np.array([0, median]), "t").tolist() == [True, True]
+    assert times(np.array([], dtype=np.int64)).tolist() == []
+
+
+@pytest.mark.parametrize(
+    ("stamps", "refused"),
+    [([0], True), ([0, 0], True), ([5], False), ([5, 5], True), ([5, 6], False), ([], False)],
+)
+def test_timestamps_that_do_not_differ_are_refused(stamps: list[int], *, refused: bool) -> None:
+    assert is_refused(check_stamps, np.array(stamps, dtype=np.int64), "t") == refused
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("off", "told"), [(0.0199, False), (0.0201, True)])
+def test_a_square_length_beyond_two_percent_is_told(
+    sign: float, off: float, *, told: bool
+) -> None:
+    quaternions = np.tile([0.6, 0.0, 0.0, 0.8], (4, 1))
+    quaternions[2] *= math.sqrt(1.0 + sign * off)
+    found, remarks = judge_rotations(quaternions)
+    assert found is quaternions
+    assert [each.code for each in remarks] == (["normalised"] if told else [])
+
+
+def test_the_largest_deviation_of_a_length_is_told() -> None:
+    quaternions = np.tile([0.6, 0.0, 0.0, 0.8], (5, 1))
+    quaternions[1:4] *= np.array([[1.5], [0.25], [1.6]])
+    quaternions[4] *= 1e-7  # no length, which is counted elsewhere
+    _, [remark] = judge_rotations(quaternions)
+    assert remark.text == "3 quaternions normalised, largest deviation: length 0.25"
+    quaternions[3] *= 1.5
+    _, [remark] = judge_rotations(quaternions)
+    assert remark.text.endswith("length 2.4")
+    barely = np.array([[0.6, 0.0, 0.0, 0.8], [0.0, 0.0, 0.0, 1.01e-6]])
+    assert len(judge_rotations(barely)[1]) == 1
+    barely[1, 3] = 0.99e-6
+    assert judge_rotations(barely)[1] == ()
+
+
+def test_rotations_that_are_all_the_identity_are_none() -> None:
+    identities = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
+    found, [remark] = judge_rotations(identities)
+    assert (found, remark.code) == (None, "identity_rotations")
+    alone = identities[:1]
+    assert judge_rotations(alone) == (alone, ())
+    for column in range(3):
+        turned = identities.copy()
+        turned[1, column] = 1e-3
+        assert judge_rotations(turned) == (turned, ())
+    assert judge_rotations(None)[1][0].code == "no_rotations"
+
+
+@given(
+    st.lists(st.floats(-100, 100), min_size=3, max_size=3),
+    st.lists(st.floats(-3, 3), min_size=3, max_size=3),
+    st.floats(1e-3, 1e3),
+)
+def test_a_written_transform_is_read(
+    tmp_path_factory: pytest.TempPathFactory, lever: list[float], turn: list[float], scale: float
+) -> None:
+    pose = HandEye.of(np.array(turn), np.array(lever))
+    pose = HandEye(pose.rotation_xyzw, pose.lever_m, "base", "marker")
+    path = tmp_path_factory.getbasetemp() / "pose.yaml"
+    path.write_text(json.dumps(hand_eye_json(pose)))
+    found = read_hand_eye(path)
+    np.testing.assert_array_equal(found.lever_m, lever)
+    np.testing.assert_allclose(found.rotation_xyzw, pose.rotation_xyzw, rtol=1e-15)
+    assert (found.body, found.marker) == ("base", "marker")
+    plain = read_similarity(path)
+    path.write_text(json.dumps({**hand_eye_json(pose), "scale": scale}))
+    scaled = read_similarity(path)
+    assert (plain.scale, scaled.scale) == (1.0, scale)
+    for each in (plain, scaled):
+        np.testing.assert_array_equal(each.translation, lever)
+        expected = Rotation.from_rotvec(turn).as_matrix()
+        np.testing.assert_allclose(each.rotation, expected, atol=1e-14)
+
+
+def transform(**changes: Any) -> dict[str, Any]:
+    """Return a transform's mapping; `x_x=5` changes `translation.x`, `r_w=5` `rotation.w`."""
+    numbers = {"x_x": 1, "x_y": 2.5, "x_z": 3, "r_x": 0, "r_y": 0, "r_z": 0.6, "r_w": 0.8}
+    numbers |= changes
+    parts = {"x": "translation", "r": "rotation"}
+    made: dict[str, Any] = {"translation": {}, "rotation": {}}
+    for name, value in numbers.items():
+        made[parts[name[0]]][name[2:]] = value
+    return {"transform": made}
+
+
+@pytest.mark.parametrize(
+    ("changes", "refused"),
+    [
+        ({}, False),
+        ({"r_z": 0.6 * 1.0099, "r_w": 0.8 * 1.0099}, False),
+        ({"r_z": 0.6 * 1.0101, "r_w": 0.8 * 1.0101}, True),
+        ({"r_z": 0.6 * 0.9901, "r_w": 0.8 * 0.9901}, False),
+        ({"r_z": 0.6 * 0.9899, "r_w": 0.8 * 0.9899}, True),
+        ({"x_x": 1e12}, False),
+        ({"x_x": 1.1e12}, True),
+        ({"x_y": -1.1e12}, True),
+        ({"x_z": math.nan}, True),
+        ({"x_z": "3"}, True),
+        ({"x_w": 1}, True),
+        ({"r_v": 1}, True),
+    ],
+)
+def test_numbers_of_a_transform(changes: dict[str, Any], *, refused: bool) -> None:
+    assert is_refused(hand_eye_of, transform(**changes), "t.yaml") == refused
+
+
+def test_a_transform_without_names_or_parts() -> None:
+    found = hand_eye_of({**transform(), "header": {"stamp": {}}}, "t")
+    assert (found.body, found.marker) == ("", "")
+    np.testing.assert_array_equal(found.lever_m, [1.0, 2.5, 3.0])
+    np.testing.assert_allclose(found.rotation_xyzw, [0.0, 0.0, 0.6, 0.8], rtol=1e-15)
+    for wrong in (
+        {"header": 3},
+        {"transform": None},
+        {"transform": {"translation": {"x": 1, "y": 2, "z": 3}}},
+        {"pose": {}},
+        {"header": {"frame": "a"}},
+    ):
+        with pytest.raises(InputError, match=r"t.*(missing|unknown)"):
+            hand_eye_of({**transform(), **wrong}, "t")
+
+
+@pytest.mark.parametrize(
+    ("scale", "refused"),
+    [
+        (0, True),
+        (-1.0, True),
+        (1e12, False),
+        (1.1e12, True),
+        ("1", True),
+        (True, True),
+        (2, False),
+    ],
+)
+def test_scales_of_a_transform(tmp_path: Path, scale: Any, *, refused: bool) -> None:
+    path = tmp_path / "t.yaml"
+    path.write_text(json.dumps({**transform(), "scale": scale}))
+    assert is_refused(read_similarity, path) == refused
+
+
+@pytest.mark.parametrize("is_generated", [False, True])
+def test_sizes_of_yaml(tmp_path: Path, is_generated: bool) -> None:
+    path = tmp_path / "x.yaml"
+    assert (yaml_file._LARGEST, yaml_file._LARGEST_GENERATED) == (1_000_000, 1 << 22)
+    most = yaml_file._MOST_ELEMENTS, yaml_file._MOST_GENERATED_ELEMENTS
+    assert most == (20_000, 200_000)
+    names = ("_LARGEST_GENERATED", "_MOST_GENERATED_ELEMENTS")
+    if not is_generated:
+        names = ("_LARGEST", "_MOST_ELEMENTS")
+    text = "a: [1, 2, {b: 3}]\n"  # two commas, two brackets, one line
+    path.write_text(text)
+    for name, enough in zip(names, (len(text), 5), strict=True):
+        for limit in (enough, enough - 1):
+            with mock.patch.object(yaml_file, name, limit):
+                refused = is_refused(read_mapping, path, "thing", is_generated=is_generated)
+                assert refused == (limit < enough)
+
+
+@pytest.mark.parametrize(
+    ("number", "refused"),
+    [(2**64 - 1, False), (2**64, True), (-(2**64) + 1, False), (-(2**64), True)],
+)
+def test_integers_of_yaml_have_64_bits(tmp_path: Path, number: int, *, refused: bool) -> None:
+    path = tmp_path / "x.yaml"
+    for text in (f"a: {number}", f"a: [1, {{b: {number}}}]", f"a: {{{number}: 1}}"):
+        path.write_text(text)
+        assert is_refused(read_mapping, path, "thing") == refused
+
+
+def test_yaml_is_the_first_mapping(tmp_path: Path) -> None:
+    path = tmp_path / "x.yaml"
+    for text, found in (
+        ("a: 0.20\n---\nb: 1", {"a": 0.2}),
+        ("%YAML:1.0\n---\na: 2", {"a": 2}),
+        ("a: no", {"a": "no"}),
+    ):
+        path.write_text(text)
+        assert read_mapping(path, "thing") == found
+    path.write_text("a: 0.20")
+    assert read_mapping(path, "thing", as_text=True) == {"a": "0.20"}
+    for text, said in (
+        ("- a", "has no thing"),
+        ("1: a", "has no thing"),
+        ("", "has no thing"),
+        ("a: [1\nb: 2\nc: ]", "not valid YAML in line 2"),
+        ("a: {ours: vio/{sequence}.txt}", "write patterns with braces in quotes"),
+    ):
+        path.write_text(text)
+        with pytest.raises(InputError, match=said):
+            read_mapping(path, "thing")
+    path.write_text('a: {ours: "vio", x: [}')
+    with pytest.raises(InputError) as raised:
+        read_mapping(path, "thing")
+    assert "braces" not in str(raised.value)
+    path.write_bytes(b"a: \xff")
+    assert is_refused(read_mapping, path, "thing")
+    assert is_refused(read_mapping, tmp_path / "none.yaml", "thing")
+
+
+def test_a_wrong_name_is_answered_by_the_nearest_or_by_all() -> None:
+    known = ["position", "rotation"]
+    require_known(["rotation"], known, "t")
+    with pytest.raises(
+        InputError, match=r"t has an unknown key 'rotatoin'; did you mean rotation"
+    ):
+        require_known(["position", "rotatoin"], known, "t")
+    with pytest.raises(InputError, match="unknown word 'x'; use one of position, rotation"):
+        require_known(["x"], known, "t", "word")
+    # A similarity of 0.65 is near: 2 * 13 of 40 characters.
+    with pytest.raises(InputError, match="did you mean"):
+        require_known(["a" * 13 + "b" * 7], ["a" * 13 + "c" * 7], "t")
+    with pytest.raises(InputError, match="use one of"):
+        require_known(["a" * 12 + "b" * 8], ["a" * 12 + "c" * 8], "t")
+
+
+@given(st.dictionaries(st.text(max_size=5), st.floats(allow_nan=False, allow_infinity=False)))
+def test_json_is_read_as_it_is_written(values: dict[str, float]) -> None:
+    assert mapping_in(json_text(values)) == values
+    text = json_text(values, 2)
+    assert text.endswith("}\n")
+    assert mapping_in(text.encode()) == values
+
+
+@pytest.mark.parametrize(
+    ("text", "is_read"),
+    [
+        (f'{{"a": {2**63 - 1}}}', True),
+        (f'{{"a": {2**63}}}', False),
+        (f'{{"a": {-(2**63)}}}', True),
+        (f'{{"a": {-(2**63) - 1}}}', False),
+        ('{"a": 1e308}', True),
+        ('{"a": 1e309}', False),
+        ('{"a": NaN}', False),
+        ('{"a": -Infinity}', False),
+        ("[1]", False),
+        ("{", False),
+        ("[" * 100_000, False),
+    ],
+)
+def test_numbers_of_json_are_int64_or_float64(text: str, *, is_read: bool) -> None:
+    assert (mapping_in(text) is not None) == is_read
+    with pytest.raises(ValueError, match="JSON"):
+        json_text({"a": math.nan})
+
+
+def test_schemas_of_other_versions_are_told_from_other_files() -> None:
+    require_schema(Path("x"), "trajeval/2", "trajeval/2", "result", "do it again")
+    with pytest.raises(InputError, match=r"x has schema trajeval/1, and this version reads"):
+        require_schema(Path("x"), "trajeval/1", "trajeval/2", "result", "do it again")
+    for other in ("trajeval-pairs/2", "trajeval", None, 3):
+        with pytest.raises(InputError, match=r"x is not a result \(trajeval/2\); do it again"):
+            require_schema(Path("x"), other, "trajeval/2", "result", "do it again")
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_written_arrays_are_read(tmp_path: Path, *, compressed: bool) -> None:
+    path = tmp_path / "x.npz"
+    rng = np.random.default_rng(0)
+    arrays = {"a": rng.normal(size=(3, 4)), "b": np.arange(5), "word": "left", "none": np.empty(0)}
+    write_arrays(path, arrays, compressed=compressed)
+    found = read_arrays(path, ("a", "word", "none", "missing"))
+    assert set(found) == {"a", "word", "none"}
+    for name, array in found.items():
+        np.testing.assert_array_equal(array, arrays[name])
+
+
+def test_arrays_are_refused_by_their_ratio_and_size(tmp_path: Path) -> None:
+    path = tmp_path / "x.npz"
+    assert npz_file._LARGEST == 1 << 29
+    write_arrays(path, {"a": np.zeros(100_000)})
+    with zipfile.ZipFile(path) as archive:
+        [member] = archive.infolist()
+    # Compressed to less than a 500th, it must not be larger than the size that always is accepted.
+    assert member.file_size > 500 * member.compress_size
+    for limit in (member.file_size, member.file_size - 1):
+        with mock.patch.object(npz_file, "_LARGEST", limit):
+            assert is_refused(read_arrays, path, ("a",)) == (limit < member.file_size)
+    write_arrays(path, {"a": np.array([None])})
+    assert is_refused(read_arrays, path, ("a",))
+    path.write_bytes(b"PK no archive")
+    assert is_refused(read_arrays, path, ("a",))
+    with zipfile.ZipFile(path, "w") as archive:
+        whole = tmp_path / "a.npy"
+        np.save(whole, np.arange(4))
+        archive.writestr("a.npy", whole.read_bytes() + b"more")
+    with pytest.raises(InputError, match="a is not a plain array, or its size is wrong"):
+        read_arrays(path, ("a",))
+
+
+@given(st.lists(st.integers(0, 40), max_size=30), st.integers(1, 20))
+def test_rows_that_grow_are_the_concatenation(counts: list[int], fewest: int) -> None:
+    rows, parts = GrowingRows(), []
+    with mock.patch.object(growing_rows, "_FEWEST", max(fewest, max(counts, default=1))):
+        for place, count in enumerate(counts):
+            parts.append(np.full((count, 2), place))
+            rows.extend(parts[-1])
+    if parts:
+        np.testing.assert_array_equal(rows.done(), np.concatenate(parts))
+
+
+def test_rows_beyond_the_first_room() -> None:
+    for first, second in ((8192, 1), (8193, 0), (9216, 1), (1, 30_000)):
+        rows = GrowingRows()
+        rows.extend(np.arange(first))
+        rows.extend(np.arange(second))
+        expected = [*range(first), *range(second)]
+        assert rows.done().tolist() == expected

@@ -1,0 +1,472 @@
+"""Rules of the live evaluation at their limits: jumps, counts, clocks, open starts, levers."""
+
+from __future__ import annotations
+
+import dataclasses
+from concurrent.futures import Executor, Future
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from live_feeding import make_pair, rows_of
+from numpy.typing import NDArray
+from strategies import make_groundtruth, seeds
+
+from tests.online.test_error_topics import EMPTY
+from trajeval_ros import Gauge, Protocol
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.remarks import Level, warning
+from trajeval_ros.geometry.marker import HandEye
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.tracking_loss import DIVERGED, FROZEN, Loss
+from trajeval_ros.online import live_clock, live_relative_errors
+from trajeval_ros.online.alarms import AlarmLimits, about_loss, alarm_below
+from trajeval_ros.online.dense_pairing import DensePairing
+from trajeval_ros.online.evaluator import OnlineEvaluator
+from trajeval_ros.online.jump_detector import JumpDetector
+from trajeval_ros.online.live_clock import ClockReport, OnlineClock
+from trajeval_ros.online.live_frames import LiveFrames, body_rows, marker_rows
+from trajeval_ros.online.live_relative_errors import RelativeTracker, RunningErrors
+from trajeval_ros.online.live_settings import OnlineSettings
+from trajeval_ros.online.pairing import Pairing
+from trajeval_ros.online.repeated_remarks import RepeatedRemarks
+from trajeval_ros.online.sparse_pairing import SparsePairing
+from trajeval_ros.online.state_buffer import BufferLimits
+from trajeval_ros.online.state_rows import Pairs, states, turned_covariances
+from trajeval_ros.online.window import PairStore
+
+Array = NDArray[Any]
+SECOND = 10**9
+ARM = HandEye.of(np.array([0.3, -0.2, 0.5]), np.array([0.4, -0.1, 0.2]))
+
+
+class Walk:
+    """Steps of half a metre whose lengths in the estimate differ by given amounts."""
+
+    def __init__(self) -> None:
+        self.detector = JumpDetector()
+        self.row, self.along = 0, 0.0
+        self.step([0.0])
+
+    def step(self, differences: list[float]) -> list[int]:
+        """Take pairs after such steps; return the rows of jumps in this batch."""
+        count = len(differences)
+        truth, along = np.zeros((2, count, 3))
+        truth[:, 0] = 0.5 * (self.row + np.arange(count))
+        along[:, 0] = self.along + np.cumsum(0.5 + np.array(differences))
+        stamps = self.row + np.arange(count, dtype=np.int64)
+        found = self.detector.update(Pairs(stamps, states(truth), states(along)), 1.0)
+        jumps = [each.stamp - self.row for each in found]
+        self.row, self.along = self.row + count, along[-1, 0]
+        return jumps
+
+
+@pytest.mark.parametrize(
+    ("batches", "typical_m"),
+    [
+        ([[0.2] * 100, [0.4] * 100], 0.3),  # the mean of all
+        ([[0.1], [0.2, 0.3, 0.4, 0.5]], 0.3),
+        ([[0.4] * 400, [0.1] * 100], 0.4 - 0.3 * 100 / 300),  # 200 steps are remembered
+        ([[0.4] * 200, [0.4] * 200, [0.1] * 100], 0.4 - 0.3 * 100 / 300),
+        ([[0.4] * 150, [0.1] * 50], 0.4 - 0.3 * 50 / 200),
+    ],
+)
+def test_usual_steps_are_the_mean_of_the_newest(
+    batches: list[list[float]], typical_m: float
+) -> None:
+    for factor, jumps in ((9.99, []), (10.01, [0])):
+        walk = Walk()
+        assert [walk.step(each) for each in batches] == [[]] * len(batches)
+        assert walk.step([factor * typical_m]) == jumps
+
+
+def test_a_jump_is_not_learned() -> None:
+    walk = Walk()
+    walk.step([0.2] * 10)
+    assert walk.step([0.2, 5.0, 0.2]) == [1]
+    assert walk.step([2.02]) == [0]
+    assert walk.step([1.98]) == []
+
+
+def test_of_jumps_in_a_row_the_first_two_are_told() -> None:
+    assert Walk().step([9.0] * 4 + [0.0] + [9.0] * 2 + [0.0] * 2 + [9.0] * 3) == [
+        0,
+        1,
+        5,
+        6,
+        9,
+        10,
+    ]
+    walk = Walk()
+    assert [walk.step([9.0]) for _ in range(4)] == [[0], [0], [], []]
+    assert [walk.step([each]) for each in (0.0, 500.0, 500.0, 500.0)] == [[], [0], [0], []]
+
+
+def test_the_step_after_a_pause_is_skipped() -> None:
+    walk = Walk()
+    walk.step([0.0])
+    walk.detector.skip()
+    assert walk.step([50.0, 0.0]) == []
+    assert walk.step([50.0]) == [0]
+
+
+def test_resets_are_declared_for_the_step_that_they_end_in() -> None:
+    walk = Walk()
+    walk.detector.declare([0])  # before the first step
+    assert walk.step([0.0, 0.0]) == []
+    walk.detector.declare([4, 4, 7])
+    assert walk.step([0.0, 0.0, 0.0]) == [1]  # row 4
+    assert walk.step([0.0]) == []
+    assert walk.step([0.0, 0.0]) == [0]  # row 7
+    assert walk.step([0.0, 0.0]) == []
+
+
+def test_counts_of_events_come_after_spans_that_double_up_to_an_hour() -> None:
+    repeated, now, spans = RepeatedRemarks(), 0.0, []
+    for _ in range(12):
+        for _ in range(5):
+            repeated.may_report("vio", warning("jump", "at 3 s"), now)
+        span_s = next(each for each in range(1, 4000) if repeated.counts(now + each))
+        spans.append(span_s)
+        now += span_s
+    assert spans == [10, 20, 40, 80, 160, 320, 640, 1280, 2560, 3600, 3600, 3600]
+
+
+def test_one_more_event_than_is_reported_is_counted() -> None:
+    repeated = RepeatedRemarks()
+    for _ in range(4):
+        repeated.may_report("vio", warning("jump", "at 3 s"), 0.0)
+    [(_, count)] = repeated.counts(10.5)
+    assert count.text == "1 more event of this kind in 10 s; the newest: at 3 s"
+    # The next span begins now, and reports three again.
+    assert [repeated.may_report("vio", warning("jump", ""), 11.0) for _ in range(4)] == [
+        *(True, True, True, False)
+    ]
+    assert repeated.counts(30.4) == []
+    assert "in 20 s" in repeated.counts(30.5)[0][1].text
+
+
+def test_kinds_of_events_are_counted_apart() -> None:
+    repeated = RepeatedRemarks()
+    for about, now, count in (("a", 0.0, 4), ("b", 6.0, 5), ("c", 1.0, 6), ("d", 1.0, 2)):
+        for _ in range(count):
+            repeated.may_report(about, warning("jump", "at 3 s"), now)
+    found = repeated.counts(11.0)
+    assert [(about, each.values["more"]) for about, each in found] == [("a", 1), ("c", 3)]
+    assert [about for about, _ in repeated.counts(16.0)] == ["b"]
+    assert repeated.counts(16.0) == []
+
+
+@pytest.mark.parametrize(
+    ("value", "level"),
+    [(0.5, None), (0.49, Level.WARNING), (0.2, Level.WARNING), (0.19, Level.ERROR), (0.0, 2)],
+)
+def test_an_alarm_below_a_limit(value: float, level: Level | None) -> None:
+    found = alarm_below("coverage", value, AlarmLimits(0.5, 0.2), "less than {limit}")
+    if level is None:
+        assert found == []
+        return
+    [remark] = found
+    limit = 0.5 if remark.level == Level.WARNING else 0.2
+    assert remark.level == (Level.ERROR if value < 0.2 else level)
+    assert (remark.text, remark.subject) == (f"less than {limit}", "coverage")
+    assert remark.values == {"value": value, "limit": limit}
+
+
+@pytest.mark.parametrize("cause", [FROZEN, DIVERGED])
+@pytest.mark.parametrize("is_error", [False, True])
+def test_a_loss_is_told_with_its_numbers(cause: str, *, is_error: bool) -> None:
+    loss = Loss(cause, 5_250_000_000, 9_000_000_000, 4.0, 0.0, 7.0, is_error, is_over=False)
+    [remark] = about_loss(dataclasses.replace(EMPTY, loss=loss))
+    assert remark.level == (Level.ERROR if is_error else Level.WARNING)
+    assert remark.code == cause
+    assert "since 5.250 s" in remark.text
+    assert ("repeats its pose" in remark.text) == (cause == FROZEN)
+    values = {"stamp_ns": 5_250_000_000, "duration_s": 3.75, "true_m": 4.0, "moved_m": 7.0}
+    assert remark.values == values
+    [known] = about_loss(dataclasses.replace(EMPTY, loss=loss, ate_before_loss_m=0.25))
+    assert known.text == f"{remark.text}; the ATE until then is 0.25 m"
+    assert known.values == {**values, "ate_before_m": 0.25}
+    assert about_loss(EMPTY) == []
+
+
+@given(seed=seeds, step_ns=st.sampled_from([20_000_000, 100_000_000]))
+def test_a_clock_keeps_the_first_state_of_every_step(seed: int, step_ns: int) -> None:
+    rng = np.random.default_rng(seed)
+    stamps = 3 * SECOND + np.cumsum(rng.integers(1_000_000, 90_000_000, size=60))
+    rows = np.repeat(stamps[:, None].astype(float), 10, axis=1)
+    rows[rng.integers(0, 60, size=5), 0] = np.nan
+    rows[rng.integers(0, 60, size=5), 3] = np.inf
+    expected: list[int] = []
+    for stamp, row in zip(stamps.tolist(), rows, strict=True):
+        is_new = not expected or stamp // step_ns > expected[-1] // step_ns
+        if is_new and np.isfinite(row[:3]).all() and not np.isinf(row[3]):
+            expected.append(stamp)
+    clock = OnlineClock(Gauge.YAW)
+    add = clock.add_groundtruth if step_ns == 20_000_000 else clock.add_estimate
+    for part in np.array_split(np.arange(60), np.sort(rng.integers(0, 60, size=6))):
+        add(stamps[part], rows[part])
+    add(stamps[:30], rows[:30])  # what comes late is passed over
+    held = (clock._groundtruth if step_ns == 20_000_000 else clock._estimate).held
+    assert held[0].tolist() == expected
+    assert held[1][:, 0].tolist() == [float(each) for each in expected]
+    if step_ns == 100_000_000:
+        assert clock.span_s == (expected[-1] - expected[0]) / SECOND
+
+
+def test_a_clock_keeps_ten_minutes() -> None:
+    clock = OnlineClock(Gauge.YAW)
+    stamps = np.arange(0, 700) * SECOND
+    for part in (slice(0, 1), slice(1, None)):
+        clock.add_estimate(stamps[part], states(np.zeros((700, 3)))[part])
+    assert clock._estimate.held[0].tolist() == stamps[99:].tolist()
+    assert clock.span_s == 699.0
+
+
+def at_rest(until_s: float, clock: OnlineClock) -> None:
+    """Feed both sides up to a time, with a state every half second."""
+    newest = clock._estimate.newest if len(clock._estimate) else -1
+    stamps = np.arange(0, round(until_s * 1000) + 1, 500) * 1_000_000
+    new = stamps[stamps > newest]
+    for add in (clock.add_groundtruth, clock.add_estimate):
+        add(new, states(np.zeros((len(new), 3))))
+
+
+def test_a_clock_is_estimated_after_35_s_and_then_by_the_run_s_length() -> None:
+    clock = OnlineClock(Gauge.YAW)
+    assert clock.report == ClockReport()
+    assert clock.report.reason == "needs 35 s of both trajectories"
+    assert not clock.report.is_significant
+    due = []
+    for half_seconds in range(1, 260):
+        at_rest(half_seconds / 2, clock)
+        if clock.update():
+            due.append(half_seconds / 2)
+            assert clock.report.span_s == half_seconds / 2
+            assert clock.report.status == "unobservable"
+    # Pauses are 5 s, and a tenth of the run if that is longer.
+    assert due == [35.0, 40.0, 45.0, 50.0, 55.0, 60.5, 67.0, 74.0, 81.5, 90.0, 99.0, 109.0, 120.0]
+    assert not clock.update()
+    assert clock.update(at_end=True)
+    assert clock.report.span_s == 129.5
+    assert not clock.update(at_end=True)
+
+
+def test_a_clock_without_groundtruth_waits() -> None:
+    clock = OnlineClock(Gauge.YAW)
+    clock.add_estimate(np.arange(50) * SECOND, states(np.zeros((50, 3))))
+    assert not clock.update(at_end=True)
+    assert clock.report.status == "waiting"
+
+
+def test_a_clock_is_estimated_by_a_worker_that_may_take_long() -> None:
+    worker, future = mock.Mock(spec=Executor), Future[Any]()
+    worker.submit.return_value = future
+    clock = OnlineClock(Gauge.YAW, worker)
+    at_rest(36.0, clock)
+    assert not clock.update()
+    assert not clock.update()
+    assert worker.submit.call_count == 1
+    report = ClockReport(36.0, 0.25, status="significant")
+    future.set_result((report, None))
+    assert clock.update()
+    assert clock.report is report
+    assert report.is_significant
+    assert not clock.update()
+    at_rest(50.0, clock)
+    with mock.patch.object(live_clock, "_estimated", return_value=(ClockReport(50.0), None)):
+        assert clock.update(waits=True)
+    assert worker.submit.call_count == 1
+    assert clock.report.span_s == 50.0
+
+
+def source_rows(seed: int) -> tuple[Trajectory, Array]:
+    source = make_groundtruth(seed, 15)
+    rows = states(source.positions, source.quaternions, source.velocities)
+    rows[4, 3:7] = np.nan
+    return source, rows
+
+
+@given(seed=seeds)
+def test_rows_of_a_marker_become_those_of_the_body(seed: int) -> None:
+    source, rows = source_rows(seed)
+    expected = ARM.of_body(source)
+    assert expected.quaternions is not None
+    found = body_rows(rows, ARM)
+    others = np.delete(np.arange(15), 4)
+    np.testing.assert_allclose(found[others, :3], expected.positions[others], atol=1e-13)
+    np.testing.assert_allclose(found[others, 3:7], expected.quaternions[others], atol=1e-14)
+    assert np.isnan(found[4]).all()
+    assert np.isnan(found[:, 7:]).all()
+    turn = HandEye.of(np.array([0.3, -0.2, 0.5]), None)
+    np.testing.assert_array_equal(body_rows(rows, turn)[:, 7:], rows[:, 7:])
+    np.testing.assert_array_equal(rows, source_rows(seed)[1])
+
+
+@given(seed=seeds, frame=st.sampled_from(["world", "body"]))
+def test_rows_of_a_body_become_those_of_the_marker(seed: int, frame: str) -> None:
+    source, rows = source_rows(seed)
+    halves = np.random.default_rng(seed).normal(size=(15, 6, 6))
+    wide = np.hstack([rows, (halves @ halves.swapaxes(1, 2)).reshape(15, 36)])
+    about_world = turned_covariances(wide) if frame == "body" else wide
+    covariances = about_world[:, 10:].reshape(-1, 6, 6)
+    expected = ARM.of_marker(dataclasses.replace(source, covariances=covariances), 1.0)
+    assert expected.covariances is not None
+    found = marker_rows(wide, ARM, frame)
+    others = np.delete(np.arange(15), 4)
+    np.testing.assert_allclose(found[others, :3], expected.positions[others], atol=1e-13)
+    np.testing.assert_array_equal(found[others, 3:7], rows[others, 3:7])
+    again = turned_covariances(found) if frame == "body" else found
+    np.testing.assert_allclose(
+        again[others, 10:].reshape(-1, 6, 6), expected.covariances[others], rtol=1e-11, atol=1e-11
+    )
+    assert np.isnan(found[4, :3]).all()
+    assert np.isnan(found[:, 7:10]).all()
+    narrow = marker_rows(rows, ARM, frame)
+    assert narrow.shape == (15, 10)
+    np.testing.assert_allclose(narrow[others, :3], expected.positions[others], atol=1e-13)
+
+
+def test_a_lever_arm_makes_the_groundtruth_points_and_leaves_out_velocities() -> None:
+    rows = source_rows(1)[1]
+    with_arm = LiveFrames(OnlineSettings(Protocol(gauge="se3", lever_m=(0.1, 0.0, 0.0))))
+    zero = LiveFrames(OnlineSettings(Protocol(gauge="se3", lever_m=(0.0, 0.0, 0.0))))
+    plain = LiveFrames(OnlineSettings(Protocol(gauge="se3")))
+    assert plain.of_point(rows) is rows
+    assert np.isnan(with_arm.of_point(rows)[:, 3:]).all()
+    told = [each.leaves_out_velocities_of(rows) for each in (with_arm, zero, plain)]
+    assert told == [True, False, False]
+    still = rows.copy()
+    still[:, 7:] = 0.0
+    still[3, 7:] = np.nan
+    assert not with_arm.leaves_out_velocities_of(still)
+    plain.require_orientations(rows)
+    with pytest.raises(InputError, match="no lever arm can be applied"):
+        with_arm.require_orientations(rows)
+    with_arm.require_orientations(np.delete(rows, 4, axis=0))
+
+
+@pytest.mark.parametrize("most", [5, 12])
+def test_starts_are_given_up_when_there_are_too_many(most: int) -> None:
+    tracker, store = RelativeTracker(Protocol(lengths=("5m", "2s"))), PairStore()
+    with mock.patch.object(live_relative_errors, "MOST_OPEN_STARTS", most):
+        for begin in range(0, 40, 4):
+            positions = np.zeros((4, 3))  # at rest: no length in metres ends
+            turned = np.tile([0.0, 0.0, 0.0, 1.0], (4, 1))
+            stamps = (begin + np.arange(4)) * SECOND // 2
+            store.append(Pairs(stamps, *[states(positions, turned)] * 2))
+            tracker.update(store, 1.0)
+            oldest = tracker.oldest_needed(store)
+            assert oldest == max(store.end - most, 0)
+            store.drop_before(oldest)
+    assert RunningErrors() == RunningErrors(0, 0.0, 0.0, 0)
+    assert live_relative_errors.MOST_OPEN_STARTS == 200_000
+    # A length of 2 s is decided by the fourth pair after its start.
+    assert tracker.running == {
+        "5m": RunningErrors(0, 0.0, 0.0, 40 - most),
+        "2s": RunningErrors(36, 0.0, 0.0, 0),
+    }
+
+
+def all_pairs(pairing: Pairing, sides: list[tuple[Array, Array]], cut: int, size: int) -> Any:
+    """Return the pairs of two streams; a second pairing takes over at a batch."""
+    first, found, batches = pairing, [], range(0, len(sides[0][0]), size)
+    for begin in batches:
+        if begin // size == cut:
+            following = type(pairing)(pairing.max_gap_s, pairing.limits)
+            pairing.hand_over(following)
+            pairing = following
+        for add, (stamps, rows) in zip(
+            (pairing.add_groundtruth, pairing.add_estimate), sides, strict=True
+        ):
+            add(stamps[begin : begin + size], rows[begin : begin + size])
+        found.append(pairing.made())
+        pairing.settle()
+    found.append(pairing.made(at_end=True))
+    pairing.settle()
+    joined = Pairs(*map(np.concatenate, zip(*found, strict=True)))
+    runs = [first, pairing] if pairing is not first else [pairing]
+    return joined, runs
+
+
+@given(
+    seed=seeds,
+    cut=st.integers(1, 12),
+    size=st.integers(3, 12),
+    delay=st.integers(0, 30),
+    kind=st.sampled_from([DensePairing, SparsePairing]),
+)
+def test_a_run_that_follows_continues_with_what_waits(
+    seed: int, cut: int, size: int, delay: int, kind: type[Pairing]
+) -> None:
+    """Both runs together make the pairs of one, and count every waiting state once."""
+    groundtruth, estimate = make_pair(seed, 100)
+    count = min(len(groundtruth), len(estimate)) - delay
+    sides = [
+        (groundtruth.stamps[delay : delay + count], rows_of(groundtruth)[delay : delay + count]),
+        (estimate.stamps[:count], rows_of(estimate)[:count]),
+    ]
+    whole, _ = all_pairs(kind(), sides, -1, size)
+    parts, runs = all_pairs(kind(), sides, cut, size)
+    np.testing.assert_array_equal(parts.stamps, whole.stamps)
+    np.testing.assert_allclose(parts.groundtruth, whole.groundtruth, atol=1e-12)
+    np.testing.assert_allclose(parts.estimate, whole.estimate, atol=1e-12)
+    waited = [
+        each.estimate_counts if kind is DensePairing else each.groundtruth_counts for each in runs
+    ]
+    assert sum(each.poses for each in waited) == count
+    assert [each.waiting for each in runs] == [0] * len(runs)
+    # Of the interpolated side, both runs have the states around the border.
+    tracks = [
+        each.groundtruth_counts if kind is DensePairing else each.estimate_counts for each in runs
+    ]
+    assert 0 <= sum(each.poses for each in tracks) - count <= 2 * (len(runs) - 1)
+    for each, counts in zip(runs, tracks, strict=True):
+        assert each._track_count == counts.poses
+        held = each._track.held[0]
+        assert counts.last == (int(held[-1]) if len(held) else None)
+    if len(runs) == 2 and tracks[1].first is not None and tracks[0].last is not None:
+        stamps = sides[0 if kind is DensePairing else 1][0]
+        between = (stamps > tracks[0].last) & (stamps < tracks[1].first)
+        assert not between.any()
+
+
+@pytest.mark.parametrize("waiting", [10, 11, 12])
+def test_the_oldest_of_too_many_waiting_states_is_dropped(waiting: int) -> None:
+    pairing = DensePairing(limits=BufferLimits(waiting_states=11))
+    stamps = np.arange(waiting, dtype=np.int64)
+    pairing.add_estimate(stamps, states(np.zeros((waiting, 3))))
+    assert pairing.waiting == min(waiting, 11)
+    lost = max(waiting - 11, 0)
+    assert pairing.dropped == ({"waited_too_long": lost} if lost else {})
+    assert bool(pairing.why_forgotten) == bool(lost)
+
+
+def test_a_repeated_timestamp_is_counted_while_it_is_remembered() -> None:
+    pairing = DensePairing(limits=BufferLimits(past_s=2.0))
+    seconds = np.arange(10, dtype=np.int64) * SECOND
+    pairing.add_estimate(seconds, states(np.zeros((10, 3))))
+    for stamp, count in ((9, 1), (7, 2), (6, 2)):  # the horizon is at 7 s
+        pairing.add_estimate(np.array([stamp * SECOND]), states(np.zeros((1, 3))))
+        assert pairing.dropped == {"duplicate_stamp": count}
+
+
+def test_a_snapshot_needs_the_alignment_of_enough_states() -> None:
+    groundtruth, estimate = make_pair(3, 60)
+    evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge=Gauge.SE3)))
+    assert evaluator.snapshot().warming_up == "no pairs yet"
+    evaluator.add_groundtruth(groundtruth.stamps, rows_of(groundtruth))
+    seen = []
+    for row in range(5):
+        part = slice(row, row + 1)
+        evaluator.add_estimate(estimate.stamps[part], rows_of(estimate)[part])
+        evaluator.update()
+        seen.append((evaluator.pairs, evaluator.snapshot().warming_up))
+    wanted = Gauge.SE3.minimum_states
+    for pairs, text in seen:
+        if 0 < pairs < wanted:
+            assert text == f"{pairs} of {wanted} states for the alignment"
+    assert max(pairs for pairs, _ in seen) >= wanted

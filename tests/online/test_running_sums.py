@@ -1,0 +1,253 @@
+"""Sums over a run, however it comes in batches and whatever has been forgotten."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from live_feeding import rows_of
+from numpy.typing import NDArray
+from strategies import make_element, make_groundtruth, seeds
+
+from trajeval_ros import Gauge, Protocol
+from trajeval_ros.geometry.gauge import Similarity
+from trajeval_ros.metrics.alignment import Alignment
+from trajeval_ros.metrics.coverage import time_without_gaps, waypoints
+from trajeval_ros.online import live_alignment
+from trajeval_ros.online.dense_pairing import DensePairing, WaypointStream
+from trajeval_ros.online.evaluator import OnlineEvaluator
+from trajeval_ros.online.live_alignment import LiveAlignment
+from trajeval_ros.online.live_settings import OnlineSettings
+from trajeval_ros.online.sparse_pairing import SparsePairing
+from trajeval_ros.online.state_buffer import BufferLimits
+from trajeval_ros.online.state_rows import Pairs, states
+
+Array = NDArray[Any]
+SECOND = 10**9
+MAX_GAP_NS = SECOND // 2
+
+
+def uneven(seed: int, count: int) -> Array:
+    """Return timestamps with steps of all sizes, among them gaps."""
+    rng = np.random.default_rng(seed)
+    steps = rng.choice([10, 45, 60, 200, 499, 500, 501, 900], size=count) * 1_000_000
+    return np.cumsum(steps).astype(np.int64)
+
+
+@given(seed=seeds, cuts=st.lists(st.integers(1, 79), max_size=8).map(sorted))
+def test_waypoints_of_a_stream_are_those_of_the_whole(seed: int, cuts: list[int]) -> None:
+    stamps = uneven(seed, 80)
+    rows = np.repeat(stamps[:, None].astype(float), 10, axis=1)
+    stream, found, poses = WaypointStream(MAX_GAP_NS), [], []
+    assert stream.newest == np.iinfo(np.int64).min
+    for end in [*cuts, 80]:
+        begin = max(end - 30, 0)  # older states may be forgotten
+        if begin and int(stamps[begin]) > stream.newest:
+            begin = int(stamps.searchsorted(stream.newest))
+        stream.pass_by(stamps[begin:end], rows[begin:end], end)
+        picked = stream.take()
+        found += picked.stamps.tolist()
+        poses += picked.poses[:, 0].tolist()
+        assert stream.newest == (stamps[end - 2] if end > 1 else np.iinfo(np.int64).min)
+    expected = stamps[waypoints(stamps, MAX_GAP_NS)]
+    assert found == expected[expected < stamps[-1]].tolist()
+    assert poses == [float(each) for each in found]
+    assert not len(stream.take().stamps)
+    # Up to a row, and no state twice.
+    part = WaypointStream(MAX_GAP_NS)
+    part.pass_by(stamps, rows, 40)
+    first = part.take().stamps
+    assert first.tolist() == expected[expected < stamps[40]].tolist()
+    part.pass_by(stamps, rows, 40)
+    part.pass_by(stamps, rows, 20)
+    assert not len(part.take().stamps)
+
+
+@settings(max_examples=12)
+@given(seed=seeds, past_s=st.sampled_from([0.1, 1.0, 5.0, np.inf]), size=st.integers(1, 40))
+def test_what_is_forgotten_stays_in_the_sums(seed: int, past_s: float, size: int) -> None:
+    rng = np.random.default_rng(seed)
+    stamps = uneven(seed, 120)
+    truth = states(rng.normal(size=(120, 3)))
+    pairing = DensePairing(limits=BufferLimits(past_s))
+    for begin in range(0, 120, size):
+        rows = slice(begin, begin + size)
+        pairing.add_groundtruth(stamps[rows], truth[rows])
+        pairing.add_estimate(stamps[rows] - 1, truth[rows])
+        pairing.made()
+        pairing.settle()
+        end = min(begin + size, 120)
+        assert pairing.groundtruth_count == end
+        assert pairing.groundtruth_time == time_without_gaps(stamps[:end], MAX_GAP_NS)
+        steps = np.linalg.norm(np.diff(truth[:end, :3], axis=0), axis=1)
+        assert pairing.groundtruth_path_m == pytest.approx(steps.sum(), rel=1e-12)
+        assert pairing.estimate_count == end
+        if np.isinf(past_s):
+            assert len(pairing._track) == end
+        else:
+            held = pairing.newest_groundtruth[0]
+            # One state before the horizon is kept, for the interpolation.
+            horizon = stamps[end - 1] - round(past_s * SECOND)
+            assert held[0] <= max(horizon, stamps[0])
+            assert (held[1:] > horizon).all() or held[0] == stamps[0]
+
+
+@settings(max_examples=12)
+@given(seed=seeds, size=st.integers(1, 30))
+def test_points_have_a_path_and_a_time_of_their_own(seed: int, size: int) -> None:
+    rng = np.random.default_rng(seed)
+    stamps = uneven(seed, 60)
+    points, estimate = states(rng.normal(size=(60, 3))), states(rng.normal(size=(60, 3)))
+    pairing, missing, count = SparsePairing(limits=BufferLimits(2.0)), 0, 0
+    for begin in range(0, 60, size):
+        rows = slice(begin, begin + size)
+        pairing.add_groundtruth(stamps[rows], points[rows])
+        pairing.add_estimate(stamps[rows] + 3, estimate[rows])
+        pairs = pairing.made(at_end=begin + size >= 60)
+        pairing.settle()
+        count += len(pairs.stamps)
+        missing += len(pairing.take_waypoints().stamps)
+        done = pairing.groundtruth_count
+        assert done == count + missing
+        assert pairing.groundtruth_time == (stamps[done - 1] - stamps[0] if done else 0)
+        steps = np.linalg.norm(np.diff(points[:done, :3], axis=0), axis=1)
+        assert pairing.groundtruth_path_m == pytest.approx(steps.sum(), rel=1e-12)
+        assert pairing.estimate_count == min(begin + size, 60)
+    assert pairing.groundtruth_count == 60
+
+
+def pairs_of(seed: int, count: int) -> Pairs:
+    """Return pairs of a motion and of a noisy estimate of it in another frame."""
+    groundtruth = make_groundtruth(seed, count)
+    estimate = make_element(Gauge.SIM3, seed).trajectory(groundtruth)
+    noise = 0.02 * np.random.default_rng(seed).normal(size=(count, 3))
+    rows = states(estimate.positions + noise, estimate.quaternions)
+    return Pairs(groundtruth.stamps, rows_of(groundtruth), rows)
+
+
+@pytest.mark.parametrize(
+    ("std_deg", "is_kept"), [(None, True), (0.999, True), (1.0, False), (25.04, False)]
+)
+def test_an_alignment_is_frozen_below_a_degree(std_deg: float | None, *, is_kept: bool) -> None:
+    freedom: Any = None
+    if std_deg is not None:
+        freedom = SimpleNamespace(std_deg=std_deg, undetermined="")
+    solved = Alignment(Similarity.identity(), 30, freedom)
+    for freezes in (True, False):
+        aligning = LiveAlignment(Protocol(gauge=Gauge.SE3), freezes=freezes)
+        with mock.patch.object(live_alignment, "solve", return_value=solved):
+            aligning.add(pairs_of(1, 30))
+        assert aligning.found is not None
+        assert aligning.is_kept == (is_kept and freezes)
+        if is_kept or not freezes:
+            assert aligning.why_not == ""
+        else:
+            text = f"standard deviation of the alignment {std_deg:.1f} deg, frozen at 1 deg"
+            assert aligning.why_not == text
+
+
+@settings(max_examples=15)
+@given(seed=seeds, size=st.integers(1, 40), first=st.integers(10, 60))
+def test_the_first_states_alone_align_however_they_come(seed: int, size: int, first: int) -> None:
+    pairs = pairs_of(seed, 80)
+    expected = LiveAlignment(Protocol(gauge=Gauge.SIM3), freezes=False)
+    expected.add(pairs.picked(slice(0, first)))
+    aligning = LiveAlignment(Protocol(gauge=Gauge.SIM3, align_states=first), freezes=False)
+    for begin in range(0, 80, size):
+        aligning.add(pairs.picked(slice(begin, begin + size)))
+        seen = min(begin + size, 80)
+        assert aligning.is_kept == (seen >= first)
+        assert int(aligning.whole.weight) == seen
+        if aligning.found is not None:
+            assert aligning.found.states_used == min(seen, first)
+        elif seen < 3:
+            assert aligning.why_not == f"{seen} of 3 states for the alignment"
+    assert expected.found is not None
+    assert aligning.found is not None
+    one, other = expected.found.similarity, aligning.found.similarity
+    np.testing.assert_allclose(one.rotation, other.rotation, atol=1e-7)
+    assert one.scale == pytest.approx(other.scale, rel=1e-7)
+    # The errors of all pairs, by the sums about the first pair.
+    aligned = other.positions(pairs.estimate[:, :3])
+    rmse = np.sqrt(((pairs.groundtruth[:, :3] - aligned) ** 2).sum(axis=1).mean())
+    assert aligning.rmse(aligning.whole) == pytest.approx(rmse, rel=1e-9)
+
+
+def test_before_the_first_alignment_there_are_no_errors() -> None:
+    aligning = LiveAlignment(Protocol(gauge=Gauge.SE3), freezes=False)
+    assert aligning.why_not == "no pairs yet"
+    assert aligning.rmse(aligning.whole) is None
+    pairs = pairs_of(2, 20)
+    points = pairs._replace(estimate=pairs.estimate.copy())
+    points.estimate[:, 3:7] = np.nan
+    by_poses = LiveAlignment(Protocol(gauge=Gauge.SE3, align_with="poses"), freezes=False)
+    by_poses.add(points)
+    assert by_poses.found is None
+    assert by_poses.why_not == "align with poses needs orientations on both sides"
+    by_poses = LiveAlignment(Protocol(gauge=Gauge.SE3, align_with="poses"), freezes=False)
+    by_poses.add(pairs)
+    assert by_poses.found is not None
+    assert by_poses.found.by_positions is not None
+    by_one = LiveAlignment(Protocol(gauge=Gauge.SE3, align_states=1), freezes=False)
+    by_one.add(points)
+    assert by_one.why_not
+    assert not by_one.is_kept
+    by_one.add(pairs)
+    assert by_one.is_kept
+    assert by_one.why_not == ""
+    assert by_one.found is not None
+    at_first = by_one.found.similarity.positions(pairs.estimate[:1, :3])
+    np.testing.assert_allclose(at_first, pairs.groundtruth[:1, :3], atol=1e-9)
+
+
+def test_pairs_out_of_order_are_recorded_and_not_evaluated() -> None:
+    record: list[Pairs] = []
+    evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge=Gauge.SE3)), record.append)
+    pairs = pairs_of(3, 40)
+    evaluator.add_groundtruth(pairs.stamps, pairs.groundtruth)
+    evaluator.evaluate(pairs.picked(slice(10, 30)))
+    late = pairs.picked(np.r_[5:10, 29:35])
+    evaluator.evaluate(late)
+    snapshot = evaluator.snapshot()
+    assert [len(each.stamps) for each in record] == [20, 11]
+    assert (evaluator.pairs, snapshot.pairs) == (31, 25)
+    assert snapshot.dropped == {"out_of_order": 6}
+    assert snapshot.stamp == pairs.stamps[34]
+    assert evaluator.evaluate(pairs.picked(slice(0, 0))).pairs == 0
+
+
+@settings(max_examples=30)
+@given(seed=seeds, past=st.integers(1, 30))
+def test_states_that_come_late_are_put_where_they_belong(seed: int, past: int) -> None:
+    """Those before the oldest stored state are counted, and so are those after their use."""
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(60)
+    stamps = np.arange(60) * SECOND
+    rows = np.repeat(stamps[:, None].astype(float), 10, axis=1)
+    pairing = DensePairing(1.0, BufferLimits(float(past)))
+    first = np.sort(order[:30])
+    pairing.add_groundtruth(stamps[first], rows[first])
+    pairing.made()
+    pairing.settle()
+    oldest = int(pairing.newest_groundtruth[0][0])
+    late, repeated = order[30:], first[-3:]
+    batch = np.concatenate([late, repeated])
+    pairing.add_groundtruth(stamps[batch], rows[batch])
+    everything = {*first.tolist(), *late.tolist()}
+    if oldest > stamps[first[0]]:
+        everything -= set(range(oldest // SECOND))
+    kept = sorted(everything)
+    held, found = pairing.newest_groundtruth
+    assert held.tolist() == [each * SECOND for each in kept]
+    np.testing.assert_array_equal(found[:, 0], held)
+    # Before something was forgotten, any state can be added.
+    are_old = (stamps[batch] < oldest) & (oldest > stamps[first[0]])
+    dropped = pairing.groundtruth_counts.dropped
+    assert dropped.get("too_late", 0) == np.count_nonzero(are_old)
+    assert dropped.get("duplicate_stamp", 0) == np.count_nonzero(~are_old[-3:])
+    assert pairing.groundtruth_count == 60 - np.count_nonzero(are_old[:-3])
