@@ -241,6 +241,29 @@ def test_offsets_need_timestamps_states_and_time(monkeypatch: pytest.MonkeyPatch
     assert clocks_of(monkeypatch, guess, method="index").why_not
 
 
+def test_the_middle_ten_minutes_are_correlated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of at least 50 different timestamps."""
+
+    class Side:
+        def __init__(self, stamps: Any) -> None:
+            self.stamps = stamps
+
+        def __getitem__(self, rows: Any) -> Any:
+            return self.stamps[rows] / SECOND
+
+    monkeypatch.setattr(evaluation_tests, "guess_offset", lambda *sides: sides)
+    seconds = np.arange(1000.0, 2501.0)
+    sides: Any = [Side(np.rint(each * SECOND).astype(np.int64)) for each in (seconds + 9, seconds)]
+    pairs: Any = SimpleNamespace(groundtruth=sides[0], estimate=sides[1])
+    true, own = evaluation_tests._guess(pairs)
+    assert own.tolist() == np.arange(1450.0, 2051.0).tolist()
+    assert true.tolist() == np.arange(1459.0, 2060.0).tolist()
+    for count in (50, 49):
+        few = Side(np.repeat(np.arange(count), 2) * SECOND)
+        found: Any = evaluation_tests._guess(SimpleNamespace(groundtruth=few, estimate=few))  # type: ignore[arg-type]
+        assert isinstance(found, tuple) == (count == 50)
+
+
 def blocks_of(
     position: float, rotation: float, errors: tuple[float, float] = (1.0, 0.1), **changed: Any
 ) -> Examined:

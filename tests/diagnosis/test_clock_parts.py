@@ -1,0 +1,324 @@
+"""Parts of the tests of clocks: rates of motion, outliers, slopes, limits of offset and rate."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros.diagnosis import clock_tests
+from trajeval_ros.diagnosis.clock_tests import (
+    ClockMatch,
+    MotionRates,
+    _middle,
+    _slope,
+    _spread,
+    clock_offset,
+    clock_rate,
+    match_clocks,
+    offsets_of_parts,
+    tamed,
+    unlikeness_ratio,
+)
+from trajeval_ros.diagnosis.findings import Examined
+from trajeval_ros.diagnosis.input_pair import TimedPoses
+from trajeval_ros.geometry.arrays import Floats
+
+
+@pytest.mark.parametrize("oriented", [True, False])
+def test_rates_are_speeds_over_the_window(*, oriented: bool) -> None:
+    """Along x with 0.5 m/s, and about an axis with 0.3 rad/s; and quaternions of either sign."""
+    seconds = 3.0 + np.arange(0.0, 10.0, 0.1)
+    turned = Rotation.from_rotvec(np.outer(0.3 * seconds, [0.6, 0.0, -0.8])).as_quat()
+    turned *= (-1.0) ** np.arange(len(seconds))[:, None]
+    poses = TimedPoses(
+        seconds, np.outer(0.5 * seconds, [1.0, 0.0, 0.0]), turned if oriented else None
+    )
+    found = MotionRates.of(poses, 0.05, 0.4, 2.0)
+    assert found.start == 20
+    assert len(found.known) == int(9.9 / 0.05)
+    assert found.rates.shape == (1 + oriented, len(found.known))
+    # Four cells before and after have poses.
+    assert found.known.tolist() == [0.0] * 4 + [1.0] * (len(found.known) - 7) + [0.0] * 3
+    inside = found.known > 0.0
+    np.testing.assert_allclose(found.rates[0, inside], 0.5, rtol=1e-9)
+    if oriented:
+        np.testing.assert_allclose(found.rates[1, inside], 0.3, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("missing", "is_known"), [(3, True), (4, False)])
+def test_rates_are_known_across_four_steps(missing: int, *, is_known: bool) -> None:
+    seconds = 0.125 * np.arange(80)
+    kept = np.delete(seconds, np.arange(50, 50 + missing))
+    found = MotionRates.of(TimedPoses(kept, np.outer(kept, np.ones(3))), 0.05, 0.4, 0.0)
+    assert bool(found.known[125:129].all()) == is_known
+
+
+def test_tamed_rates_have_no_outliers_mean_zero_and_deviation_one() -> None:
+    generator = np.random.default_rng(3)
+    rate = generator.exponential(size=(3, 200))
+    rate[:, [5, 70]] = 1e3
+    known = np.ones((3, 200))
+    known[1, 20:90] = 0.0
+    known[2] = 0.0
+    found = tamed(rate, known)
+    for row in range(2):
+        here = known[row] > 0.0
+        clipped = np.minimum(rate[row, here], np.quantile(rate[row, here], 0.98))
+        expected = (clipped - clipped.mean()) / clipped.std()
+        np.testing.assert_allclose(found[row, here], expected, rtol=1e-9)
+        assert not found[row, ~here].any()
+    assert not found[2].any()
+    assert not tamed(np.full(9, 2.0), np.ones(9)).any()
+
+
+def test_slopes_and_spreads_are_medians() -> None:
+    times = np.array([0.0, 1.0, 3.0, 4.0, 8.0])
+    assert _slope(times, 2.0 * times + 5.0) == pytest.approx(2.0)
+    offsets = np.array([0.0, 2.0, 5.0, 80.0, 17.0])
+    pairs = [
+        (offsets[j] - offsets[i]) / (times[j] - times[i])
+        for i in range(5)
+        for j in range(i + 1, 5)
+    ]
+    assert _slope(times, offsets) == pytest.approx(np.median(pairs))
+    assert _spread(np.array([-1.0, 3.0, 2.0])) == pytest.approx(1.48 * 2.0 + 0.004)
+    poses = TimedPoses(5.0 + np.arange(101.0), np.zeros((101, 3)))
+    assert _middle(poses, 20.0).seconds.tolist() == np.arange(45.0, 66.0).tolist()
+
+
+def wandering(seed: int = 0, span_s: float = 60.0, step_s: float = 0.05) -> TimedPoses:
+    """Return a body with irregular speed and angular speed."""
+    generator = np.random.default_rng(seed)
+    seconds = np.arange(0.0, span_s, step_s)
+    rates = [
+        1.5
+        + np.interp(
+            seconds, np.arange(0.0, span_s + 1.0), generator.uniform(-1.4, 1.4, int(span_s) + 1)
+        )
+        for _ in range(2)
+    ]
+    along, angle = (np.cumsum(each) * step_s for each in rates)
+    turned = Rotation.from_rotvec(np.outer(angle, [0.0, 0.0, 1.0])).as_quat()
+    return TimedPoses(seconds, np.outer(along, [0.6, 0.8, 0.0]), turned)
+
+
+@pytest.mark.parametrize("offset_s", [0.0, 2.5, -7.13])
+def test_an_offset_of_clocks_is_found_and_likely(offset_s: float) -> None:
+    true = wandering()
+    own = true[100:1000].shifted(-offset_s)
+    match = match_clocks(true, own)
+    assert match is not None
+    assert match.offset_s == pytest.approx(offset_s, abs=0.01)
+    assert match.peak > 0.97
+    assert match.is_alone
+    assert match.is_usable
+    assert match.overlap_s == pytest.approx(45.0, abs=1.0)
+    assert match.turning > 0.97
+    assert match.speed > 0.97
+    assert match.cell_s == 0.05
+    assert (match.zero > 0.97) == (offset_s == 0.0)
+    likely = unlikeness_ratio(true, own, offset_s)
+    assert likely < 0.1 or not offset_s
+    middles, offsets = offsets_of_parts(match, match.offset_s, 3)
+    np.testing.assert_allclose(offsets, offset_s, atol=0.02)
+    np.testing.assert_allclose(middles, np.array([7.5, 22.5, 37.5]), atol=0.15)
+
+
+@pytest.mark.parametrize(("span_s", "is_compared"), [(8.6, True), (7.9, False)])
+def test_eight_seconds_of_common_time_are_needed(span_s: float, *, is_compared: bool) -> None:
+    own = wandering(span_s=20.0)
+    part = own[: round(span_s / 0.05)]
+    assert (match_clocks(own, part) is not None) == is_compared
+    assert np.isfinite(unlikeness_ratio(own, part, 0.0)) == is_compared
+
+
+def match_of(**changed: Any) -> ClockMatch:
+    nothing: Any = None
+    usual: dict[str, Any] = {
+        "offset_s": 2.0, "peak": 0.9, "zero": 0.2, "second": 0.3, "overlap_s": 30.0,
+        "turning": 0.9, "speed": 0.9, "cell_s": 0.05, "sides": nothing,
+    }  # fmt: skip
+    return ClockMatch(**{**usual, **changed})
+
+
+@pytest.mark.parametrize(
+    ("changed", "is_alone", "is_usable"),
+    [
+        ({}, True, True),
+        ({"peak": 0.61, "zero": 0.0}, True, False),
+        ({"peak": 0.6}, False, False),
+        ({"second": 0.76}, True, True),
+        ({"second": 0.77}, False, False),
+        ({"peak": 0.81}, True, True),
+        ({"peak": 0.8}, True, False),
+        ({"zero": 0.874}, True, True),
+        ({"zero": 0.876}, True, False),
+        ({"zero": 0.876, "offset_s": -0.24}, True, True),
+        ({"zero": 0.876, "offset_s": -0.26}, True, False),
+    ],
+)
+def test_an_offset_is_usable_if_its_peak_is_high_alone_and_better(
+    changed: dict[str, float], *, is_alone: bool, is_usable: bool
+) -> None:
+    match = match_of(**changed)
+    assert (match.is_alone, match.is_usable) == (is_alone, is_usable)
+
+
+@pytest.mark.parametrize(
+    ("changed", "rate", "is_seen"),
+    [
+        ({}, 1.0, True),
+        ({}, 1.01, False),
+        ({"offset_s": -0.26}, 1.0, True),
+        ({"offset_s": -0.24}, 1.0, False),
+        ({"zero": 0.876}, 1.0, False),
+        ({"second": 0.77}, 1.0, False),
+    ],
+)
+def test_a_clock_offset_is_large_and_better(
+    changed: dict[str, float], rate: float, *, is_seen: bool
+) -> None:
+    match = match_of(**changed)
+    found = clock_offset(match, 1.5, rate)
+    assert found.scores == {
+        "offset_s": match.offset_s, "peak": 0.9, "as_stamped": match.zero,
+        "second": match.second, "usable_from": 0.8, "cell_s": 0.05,
+    }  # fmt: skip
+    assert [each.cause for each in found.seen] == ["clock_offset"] * is_seen
+    for seen in found.seen:
+        assert seen.explained == pytest.approx(1.0 - 0.1 / 0.8)
+        assert dict(seen.values) == {
+            "offset_s": match.offset_s, "total_s": 1.5 + match.offset_s, "known_as": "",
+            "peak": 0.9, "as_stamped": 0.2,
+        }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("offset_s", "known_as"),
+    [
+        (18.29, " (GPS time without leap seconds)"),
+        (-17.71, " (GPS time without leap seconds)"),
+        (18.31, ""),
+        (18.69, ""),
+        (18.71, " (GPS against TAI)"),
+        (-37.0, " (TAI against UTC)"),
+        (20.0, ""),
+    ],
+)
+def test_leap_seconds_are_known(offset_s: float, known_as: str) -> None:
+    [seen] = clock_offset(match_of(offset_s=offset_s), 0.0, 1.0).seen
+    assert seen.values["known_as"] == known_as
+
+
+@pytest.mark.parametrize(
+    ("overlap_s", "cell_s", "offsets", "is_seen"),
+    [
+        (36.0, 0.05, [], True),  # too short for thirds
+        (36.1, 0.05, [], False),
+        (36.1, 0.05, [2.0], False),
+        (36.1, 0.05, [2.0, 2.09], True),
+        (36.1, 0.05, [2.0, 1.89], False),
+        (36.1, 0.2, [2.0, 1.81, 2.0], True),
+        (36.1, 0.2, [2.0, 1.79, 2.0], False),
+    ],
+)
+def test_a_clock_offset_is_that_of_all_thirds(
+    overlap_s: float,
+    cell_s: float,
+    offsets: list[float],
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    is_seen: bool,
+) -> None:
+    given: list[Any] = []
+    monkeypatch.setattr(
+        clock_tests,
+        "offsets_of_parts",
+        lambda *each: given.append(each[1:]) or (None, np.array(offsets)),
+    )
+    found = clock_offset(match_of(overlap_s=overlap_s, cell_s=cell_s), 0.0, 1.0)
+    assert bool(found.seen) == is_seen
+    assert given == [(2.0, 3)] * (overlap_s > 36.0)
+    assert bool(found.why_not) != is_seen
+
+
+def rate_found(
+    monkeypatch: pytest.MonkeyPatch,
+    offsets: Floats,
+    *,
+    span_s: float = 120.0,
+    unlikeness: float = 0.79,
+    count: int = 2000,
+    **changed: Any,
+) -> Examined:
+    """Return the test of a rate, from the offsets of parts of a run."""
+    estimate = TimedPoses(np.linspace(0.0, span_s, count), np.zeros((count, 3)))
+    times = np.linspace(0.0, span_s, len(offsets))
+    monkeypatch.setattr(clock_tests, "offsets_of_parts", lambda *_: (times, offsets))
+    monkeypatch.setattr(clock_tests, "unlikeness_ratio", lambda *_, **__: unlikeness)
+    return clock_rate(estimate, estimate, match_of(**changed), 0.7, 0.2, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("growth_s", "noise_s", "changed", "is_seen"),
+    [
+        (0.061, 0.0, {}, True),
+        (-0.061, 0.0, {}, True),
+        (0.059, 0.0, {}, False),
+        (1.0, 0.08, {}, True),
+        (1.0, 0.12, {}, False),  # the offsets are not much straighter with a rate
+        (1.0, 0.08, {"turning": np.nan}, True),
+        (1.0, 0.09, {"turning": np.nan}, False),  # an eighth of the growth
+        (1.0, 0.09, {}, True),
+        (0.3, 0.0, {"unlikeness": 0.8}, False),
+        (0.3, 0.0, {"unlikeness": np.nan}, False),
+        (0.061, 0.0, {"span_s": 1300.0, "count": 9000}, False),  # 47 ppm
+        (0.061, 0.0, {"span_s": 1200.0, "count": 9000}, True),  # 51 ppm
+        (0.3, 0.0, {"turning": 0.6}, False),
+        (0.3, 0.0, {"speed": 0.6}, False),
+        (0.3, 0.0, {"speed": 0.61, "turning": 0.61}, True),
+        (0.3, 0.0, {"count": 360}, False),
+        (0.3, 0.0, {"count": 361}, True),
+    ],
+)
+def test_a_clock_rate_grows_beyond_the_noise_of_the_offsets(
+    growth_s: float,
+    noise_s: float,
+    changed: dict[str, Any],
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    is_seen: bool,
+) -> None:
+    span_s = changed.get("span_s", 120.0)
+    wave = noise_s * np.array([1.0, -1.0, 1.0, -1.0, 0.0, 0.0, -1.0, 1.0, -1.0, 1.0])
+    times = np.linspace(0.0, span_s, 10)
+    offsets = 0.5 + growth_s / span_s * times + wave
+    found = rate_found(monkeypatch, offsets, **changed)
+    assert [each.cause for each in found.seen] == ["clock_drift"] * is_seen
+    if found.scores:
+        rate = _slope(times, offsets)
+        assert found.scores["ppm"] == pytest.approx(1e6 * rate)
+        assert found.scores["growth_s"] == pytest.approx(rate * span_s)
+        level = float(np.median(offsets - rate * times))
+        assert found.scores["offset_s"] == pytest.approx(level)
+        noise = _spread(offsets - level - rate * times)
+        assert found.scores["noise_s"] == pytest.approx(noise)
+    for seen in found.seen:
+        assert dict(seen.values) == pytest.approx(
+            {
+                "ppm": 1e6 * rate,
+                "growth_ms": 1e3 * rate * span_s,
+                "offset_s": level,
+                "total_s": 0.2 + level,
+            }
+        )
+        constant = _spread(offsets - np.median(offsets))
+        assert seen.explained == pytest.approx(1.0 - (noise / constant) ** 2)
+
+
+def test_four_parts_determine_a_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    for count, why_not in ((4, ""), (3, "too few parts of the run determine an offset")):
+        assert rate_found(monkeypatch, np.linspace(0.0, 0.5, count)).why_not == why_not
