@@ -229,6 +229,10 @@ def test_strict_reading_of_messages_refuses_damage_only(tmp_path: Path) -> None:
         more = [type(topic)(topic.name, topic.type, topic.declared + 1, topic.connections)]
         assert len(list(opened.messages(more))) == topic.declared
         assert f"but {topic.declared} were read" in opened.damage[0]
+        empty = type(topic)("/empty", topic.type, 0, ())
+        assert opened._missing([topic, empty], topic.declared) == []
+        unknown = type(topic)("/unknown", topic.type, None, ())
+        assert opened._missing([topic, unknown], 0) == []
         opened.damage.clear()
         # Of a part of the bag, the number is not known.
         assert list(opened.messages(more, 10**18, 10**18 + 1)) == []
