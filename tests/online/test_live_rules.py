@@ -8,7 +8,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_feeding import make_pair, rows_of
 from numpy.typing import NDArray
@@ -300,6 +300,7 @@ def all_pairs(pairing: Pairing, sides: list[tuple[Array, Array]], cut: int, size
     return joined, runs
 
 
+@settings(max_examples=40)
 @given(
     seed=seeds,
     cut=st.integers(1, 12),

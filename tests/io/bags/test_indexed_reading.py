@@ -12,7 +12,7 @@ from unittest import mock
 import numpy as np
 import pytest
 from damaged_bags import definition, payloads
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_bags import simple, the_file
 from mcap.records import Channel, Schema
@@ -144,6 +144,7 @@ def test_a_damaged_message_of_a_part_is_found_by_its_head() -> None:
         assert cut.damage
 
 
+@settings(max_examples=40)
 @given(
     st.lists(
         st.lists(st.tuples(st.sampled_from([POSE, IMAGE, OTHER]), st.integers(0, 60)), max_size=6),
