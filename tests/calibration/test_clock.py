@@ -6,28 +6,31 @@ import dataclasses
 
 import numpy as np
 import pytest
+from calibration_flights import stamps_of
 from exact_flights import FAULT, flown
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from strategies import seeds
 
+from trajeval_ros.calibration import clock_offset
 from trajeval_ros.calibration.clock_offset import (
     OffsetGuess,
     _highest,
+    _rate,
     guess_offset,
     guess_offset_by,
     masked_correlation,
     refined_peak,
 )
-from trajeval_ros.calibration.increments import (
-    whole_nanoseconds,
-)
+from trajeval_ros.calibration.increments import PoseInterpolator, whole_nanoseconds
+from trajeval_ros.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
 
-@given(seed=seeds, first=st.integers(3, 12), second=st.integers(3, 12))
+@given(seed=seeds, first=st.integers(3, 12), second=st.integers(3, 20))
 @settings(max_examples=15)
 def test_masked_correlations_are_those_of_common_samples(
     seed: int, first: int, second: int
@@ -35,11 +38,11 @@ def test_masked_correlations_are_those_of_common_samples(
     generator = np.random.default_rng(seed)
     a, b = generator.normal(size=(2, first)), generator.normal(size=(2, second))
     in_a, in_b = (generator.uniform(size=size) < 0.8 for size in (first, second))
-    for most in (None, second - 1):
+    for most in (None, 0, 1, second - 1):
         lags, correlation, common = masked_correlation(
             a * in_a, in_a.astype(float), b * in_b, in_b.astype(float), most
         )
-        expected = range(1 - first, second) if most is None else range(second)
+        expected = range(1 - first, second) if most is None else range(most + 1)
         assert lags.tolist() == list(expected)
         for place, lag in enumerate(lags.tolist()):
             rows = [n for n in range(first) if 0 <= n + lag < second]
@@ -99,6 +102,25 @@ def test_the_highest_correlation_and_its_verdict() -> None:
     assert sides.peak_to_sidelobe > 3.0
 
 
+@pytest.mark.parametrize("at", [10, 190])
+def test_a_lobe_that_falls_to_both_limits_has_no_sides(at: int) -> None:
+    for width in (30.0, 500.0):
+        found = highest(lobe(at=at, width=width))
+        assert found.is_usable
+        assert (found.second, found.peak_to_sidelobe) == (-1.0, 0.0)
+
+
+def test_sides_have_a_mean_and_a_deviation() -> None:
+    sides = np.tile([0.1, 0.3], 50)
+    for heights in (
+        np.concatenate([lobe(101, 50, 5.0), sides]),
+        np.concatenate([sides[::-1], lobe(101, 50, 5.0)]),
+    ):
+        found = highest(heights)
+        assert found.second == pytest.approx(0.3)
+        assert found.peak_to_sidelobe == pytest.approx((0.9 - 0.2) / 0.1)
+
+
 @pytest.mark.parametrize(("signal", "least"), [("speed", 0.5), ("angular rate", 0.7)])
 def test_correlations_have_a_least_height(signal: str, least: float) -> None:
     assert highest(lobe(height=least + 1e-6), signal=signal).is_usable
@@ -152,3 +174,41 @@ def test_offsets_of_flights_are_found_by_both_rates() -> None:
     assert around.offset_s == pytest.approx(7.0 + FAULT.offset_s, abs=0.01)
     anywhere = guess_offset(later, estimate, search_s=None)
     assert anywhere.offset_s == pytest.approx(7.0 + FAULT.offset_s, abs=0.01)
+
+
+def test_rates_are_central_differences_of_known_motion() -> None:
+    seconds = np.arange(0.0, 4.0001, 0.01)
+    positions = np.column_stack([seconds**2, 0.0 * seconds, 0.0 * seconds])
+    turns = Rotation.from_rotvec(np.outer(0.5 * seconds**2, [0.0, 0.6, 0.8])).as_quat()
+    path = Trajectory(stamps_of(seconds), positions, turns)
+    for oriented, factor in ((False, 2.0), (True, 1.0)):
+        poses = PoseInterpolator.of(path, with_rotations=oriented)
+        rate, known = _rate(poses, 0.1)
+        assert len(rate) == len(known) == 200  # a grid of 20 ms, without the last stamp
+        # Half a window after the first stamp and before the last one.
+        assert np.flatnonzero(known)[[0, -1]].tolist() == [3, 197]
+        inside = known > 0.0
+        expected = factor * 0.02 * np.flatnonzero(inside)
+        np.testing.assert_allclose(rate[inside], expected - expected.mean(), atol=1e-4)
+        assert not rate[~inside].any()
+    # A gap of more than half a second is not known.
+    kept = (seconds < 1.5) | (seconds > 2.2)
+    _, known = _rate(PoseInterpolator.of(path[kept], with_rotations=False), 0.1)
+    assert not known[np.arange(75, 110)].any()
+    assert known[np.r_[3:72, 114:197]].all()
+
+
+@pytest.mark.parametrize(("every", "window_s"), [(1, 0.1), (2, 0.1), (3, 0.15), (10, 0.5)])
+def test_both_sides_have_the_window_of_the_slower_estimate(
+    monkeypatch: pytest.MonkeyPatch, every: int, window_s: float
+) -> None:
+    windows = []
+
+    def seen(poses: PoseInterpolator, window_s: float) -> tuple[Array, Array]:
+        windows.append(window_s)
+        return _rate(poses, window_s)
+
+    monkeypatch.setattr(clock_offset, "_rate", seen)
+    truth, estimate, _ = flown()
+    guess_offset_by(truth, estimate[::every], 0.0, 5.0, "speed")
+    assert windows == [pytest.approx(window_s)] * 2

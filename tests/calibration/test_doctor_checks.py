@@ -1,4 +1,4 @@
-"""Checks of single poses by the groundtruth doctor, and its verdicts, in cases by hand."""
+"""Checks of single poses and of an IMU by the groundtruth doctor, in cases by hand."""
 
 from __future__ import annotations
 
@@ -10,27 +10,16 @@ import pytest
 from examined_rigs import START_NS, rig
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import f as fisher
 
 from trajeval_ros.calibration.groundtruth_doctor import start
-from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import (
-    GroundtruthCause,
-    fused_cause,
-    parameter_cause,
-    sample_causes,
-)  # fmt: skip
 from trajeval_ros.calibration.groundtruth_doctor.examine import (
     _difference,
-    _notes,
     _turns_in_place,
 )  # fmt: skip
 from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds, InertialSteps
 from trajeval_ros.calibration.groundtruth_doctor.repair import _with_bridges
 from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
-    GroundtruthJump,
-    PoseChecks,
     PoseSpan,
-    ResidualChecks,
     _jitter,
     _noise,
     _outliers,
@@ -278,176 +267,6 @@ def test_weights_of_errors_fall_from_three_sigmas_on() -> None:
     np.testing.assert_allclose(weights[:8], [1, 1, 1, 1, 1, 1, 0.5, 3 / 8.99])
     assert weights[8] == pytest.approx(1e-8 / (9.01 / 3.0))
     assert _weights(np.zeros((3, 3)))[1] == 1e-6
-
-
-def checks(**changed: Any) -> PoseChecks:
-    given = {
-        "rate_hz": 100.0, "gaps": (), "missing_share": 0.0, "repeated_stamps": 0,
-        "interval_sigma_s": 0.0, "held_share": 0.0, "frozen": (), "position_noise_m": 1e-3,
-        "rotation_noise_rad": 1e-3,
-    }  # fmt: skip
-    return PoseChecks(**{**given, **changed})
-
-
-def verdict(name: str, causes: list[GroundtruthCause]) -> tuple[bool, float | None, str]:
-    [cause] = [each for each in causes if each.name == name]
-    return cause.verdict == "significant", cause.value, cause.sentence
-
-
-@pytest.mark.parametrize(
-    ("name", "below", "above", "said"),
-    [
-        ("missing", {"missing_share": 0.00999}, {"missing_share": 0.0101}, "1.0 % of the poses"),
-        ("held", {"held_share": 0.0199}, {"held_share": 0.0201}, "2.0 % of the poses in motion"),
-        (
-            "uneven_timestamps",
-            {"interval_sigma_s": 0.99e-3},
-            {"interval_sigma_s": 1.01e-3},
-            "vary by 1.01 ms, 10 % of their length",
-        ),
-        ("repeated_timestamps", {}, {"repeated_stamps": 1}, "1 timestamp repeated"),
-        (
-            "gaps",
-            {},
-            {"gaps": (PoseSpan(5 * 10**9, 1.5), PoseSpan(7 * 10**9, 0.5))},
-            "2 gaps; the longest is 1.50 s at 3.00 s.",
-        ),
-        (
-            "frozen",
-            {},
-            {"frozen": (PoseSpan(5 * 10**9, 1.5),)},
-            "1 time; the longest is 1.50 s at 3.00 s.",
-        ),
-    ],
-)
-def test_limits_of_faults_of_poses(
-    name: str, below: dict[str, Any], above: dict[str, Any], said: str
-) -> None:
-    for changed, found in ((below, False), (above, True)):
-        is_found, _, sentence = verdict(name, sample_causes(checks(**changed), None, 2 * 10**9))
-        assert is_found == found
-        assert (said in sentence) == found
-
-
-@pytest.mark.parametrize(
-    ("name", "below", "above", "said"),
-    [
-        (
-            "jitter",
-            {"jitter_s": 1e-3, "jitter_sigmas": 4.0},
-            {"jitter_s": 1e-3, "jitter_sigmas": 4.1},
-            "errors of 1.0 ms",
-        ),
-        ("jitter", {"jitter_s": 1.9e-4}, {"jitter_s": 2.1e-4}, "errors of 0.2 ms"),
-        ("outliers", {"outlier_share": 0.0049}, {"outlier_share": 0.0051}, "0.5 % of the poses"),
-        (
-            "rotation_jumps",
-            {"jumps": (GroundtruthJump(10**9, "position", 1.0),)},
-            {"jumps": (GroundtruthJump(5 * 10**9, "rotation", np.radians(3.0)),)},
-            "1 rotation jump of up to 3.00 deg; the largest is at 3.00 s",
-        ),
-        (
-            "position_jumps",
-            {},
-            {
-                "jumps": (
-                    GroundtruthJump(4 * 10**9, "position", 0.02),
-                    GroundtruthJump(5 * 10**9, "position", 0.03),
-                )
-            },
-            "2 position jumps of up to 30 mm; the largest is at 3.00 s",
-        ),
-    ],
-)
-def test_limits_of_faults_of_residuals(
-    name: str, below: dict[str, Any], above: dict[str, Any], said: str
-) -> None:
-    given: dict[str, Any] = {
-        "jitter_s": 0.0, "jitter_sigmas": 10.0, "outlier_share": 0.0, "jumps": (),
-        "noisy_steps": (),
-    }  # fmt: skip
-    for changed, found in ((below, False), (above, True)):
-        residuals = ResidualChecks(**{**given, **changed})
-        causes = sample_causes(checks(), residuals, 2 * 10**9)
-        is_found, _, sentence = verdict(name, causes)
-        assert is_found == found
-        assert (said in sentence) == found
-
-
-def calibration(columns: slice, value: float, sigma: float) -> tuple[Array, Array]:
-    values, sigmas = np.zeros(10), np.full(10, 1e-9)
-    values[columns.start], sigmas[columns] = value, sigma
-    return values, sigmas
-
-
-@pytest.mark.parametrize(
-    ("name", "columns", "least", "limit"),
-    [
-        ("body_rotation", slice(0, 3), 0.2, 2.0),
-        ("lever_arm", slice(3, 6), 3.0, 50.0),
-        ("clock_offset", slice(6, 7), 2.0, 10.0),
-        ("clock_skew", slice(7, 8), 50.0, 500.0),
-        ("tilted", slice(8, 10), 0.3, 2.0),
-    ],
-)
-def test_verdicts_on_parameters(name: str, columns: slice, least: float, limit: float) -> None:
-    free = np.ones(10, dtype=bool)
-    size = columns.stop - columns.start
-
-    def cause(value: float, sigma: float, axes: str = "") -> GroundtruthCause:
-        return parameter_cause(name, *calibration(columns, value, sigma), free, axes)
-
-    assert cause(0.99 * least, 1e-6).verdict == "insignificant"
-    assert cause(1.01 * least, 1e-6).verdict == "significant"
-    # Wald's test with twelve blocks, at the chance of three standard deviations.
-    critical = np.sqrt(size * fisher.isf(0.0027, size, 11))
-    sigma = 0.1 * limit
-    assert cause(0.999 * critical * sigma, sigma).verdict == "insignificant"
-    found = cause(1.001 * critical * sigma, sigma)
-    assert found.verdict == "significant"
-    assert found.p_value == pytest.approx(0.0027, rel=0.02)
-    assert found.value == pytest.approx(1.001 * critical * sigma)
-    assert found.standard_deviation == pytest.approx(sigma)
-    assert found.half_width == pytest.approx(2.201 * sigma)
-    assert cause(0.0, 0.99 * limit / 2.201).verdict == "insignificant"
-    assert cause(0.0, 1.01 * limit / 2.201).verdict == "inconclusive"
-    assert cause(0.0, 1.0).standard_deviation == 1.0
-    fixed = cause(0.0, 1e-6, "z").verdict
-    assert fixed == ("inconclusive" if name == "lever_arm" else "insignificant")
-    free[columns] = False
-    assert cause(1e3, 1.0).verdict == "inconclusive"
-    assert cause(1e3, 1.0).value is None
-
-
-def test_sentences_on_the_clock_have_a_direction() -> None:
-    free = np.ones(10, dtype=bool)
-    for value, said in (
-        (12.0, "12.0 ms (± 2.2 ms at 95 %) early: add"),
-        (-12.0, "late: subtract"),
-    ):
-        cause = parameter_cause("clock_offset", *calibration(slice(6, 7), value, 1.0), free, "")
-        assert said in cause.sentence
-    skew = parameter_cause("clock_skew", *calibration(slice(7, 8), 1000.0, 1.0), free, "")
-    assert "1000 ppm" in skew.sentence
-    assert "3.60 s per hour" in skew.sentence
-    fused = fused_cause(1.0, 3.5, 0.25, disagree=True)
-    assert (fused.verdict, fused.value) == ("significant", 2.5)
-    assert fused_cause(3.5, 1.0, 0.25, disagree=False).verdict == "insignificant"
-    assert fused_cause(3.5, 1.0, 0.25, disagree=False).value == 2.5
-
-
-def test_a_standard_deviation_is_along_the_value() -> None:
-    values, sigmas = np.zeros(10), np.full(10, 0.01)
-    values[:3], sigmas[:3] = [3.0, 4.0, 0.0], [0.1, 0.2, 9.0]
-    cause = parameter_cause("body_rotation", values, sigmas, np.ones(10, dtype=bool), "")
-    assert cause.standard_deviation == pytest.approx(np.hypot(0.3, 0.8) / 5.0)
-
-
-def test_notes_have_their_limits() -> None:
-    assert _notes(checks(rate_hz=50.1, position_noise_m=2.01e-5)) == []
-    assert len(_notes(checks(rate_hz=49.9, position_noise_m=2.01e-5))) == 1
-    [note] = _notes(checks(position_noise_m=1.9e-5))
-    assert "noise 19 um" in note
 
 
 def test_turning_in_place_needs_both() -> None:

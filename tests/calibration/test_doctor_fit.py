@@ -13,12 +13,19 @@ from scipy.spatial.transform import Rotation
 from small_rigs import Small, small_rig
 
 from trajeval_ros.calibration.groundtruth_doctor import start
+from trajeval_ros.calibration.groundtruth_doctor.examine import IMU_NOISE, _fitted
 from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds
-from trajeval_ros.calibration.groundtruth_doctor.joint_fit import JointFit
+from trajeval_ros.calibration.groundtruth_doctor.joint_fit import Horizon, JointFit
 from trajeval_ros.calibration.groundtruth_doctor.repair import repaired
 from trajeval_ros.calibration.groundtruth_doctor.rig import LEVER
 from trajeval_ros.calibration.groundtruth_doctor.sample_checks import PoseSpan
-from trajeval_ros.calibration.groundtruth_doctor.sample_rows import SampleRows, _means
+from trajeval_ros.calibration.groundtruth_doctor.sample_rows import (
+    SampleRows,
+    TruthSamples,
+    _means,
+)
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.preintegration import ImuNoise
 from trajeval_ros.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -127,6 +134,53 @@ def test_fixed_parameters_do_not_move(small: Small) -> None:
     expected = np.linalg.inv(whole[np.ix_(fit.free, fit.free)])
     found = fit.covariance_of_model[np.ix_(fit.free, fit.free)]
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
+
+
+def test_broken_intervals_have_less_weight_from_the_fifth_iteration_on(small: Small) -> None:
+    fit = small.fit()
+    [(_, _, *before)] = fit._inertial_rows()
+    squared = np.square(before[2][:, :9, -1]).sum(axis=1)
+    sizes = np.sqrt(np.array([10.0, 49.0, 51.0, 5000.0]) / squared)
+    fit._whiten = fit._whiten * sizes[:, None, None]
+    fit._iteration = 4
+    [(_, _, *before)] = fit._inertial_rows()
+    fit._iteration = 5
+    [(_, _, *after)] = fit._inertial_rows()
+    # The square root of the weight of a quadratic cost that grows linearly beyond chi2 = 50.
+    expected = [1.0, 1.0, (50.0 / 51.0) ** 0.25, (50.0 / 5000.0) ** 0.25]
+    for one, other in zip(before, after, strict=True):
+        scaled = one[:, :9] * np.array(expected)[:, None, None]
+        np.testing.assert_allclose(other[:, :9], scaled, rtol=1e-9)
+        np.testing.assert_array_equal(other[:, 9:], one[:, 9:])  # random walks
+
+
+def test_a_solved_fit_is_a_minimum_with_the_noise_of_its_residuals() -> None:
+    made = rig(6, duration_s=22.0, lever_m=(0.05, -0.03, 0.02), offset_s=0.004)
+    truth, readings = made.groundtruth, made.readings
+    assert truth.quaternions is not None
+    assert readings.accelerations is not None
+    imu = ImuSeconds((readings.stamps - START_NS) / 1e9, readings.rates, readings.accelerations)
+    seconds = (truth.stamps - START_NS) / 1e9
+    samples = TruthSamples(seconds, truth.positions, truth.quaternions, True)
+    horizon = Horizon(0.05, IMU_NOISE, (1e-3, 3e-3))
+    fit = _fitted(samples, imu, horizon, np.ones(10, dtype=bool), turns=True)
+    assert 7 <= fit._iteration <= 14
+    step = fit._step_inverse @ fit._gradient
+    assert (np.abs(step) < 0.05 * np.sqrt(np.diag(fit.covariance_of_model))).all()
+    squares = np.square(fit._weighted.residuals).reshape(-1, 2, 3).sum(axis=(0, 2))
+    np.testing.assert_allclose(squares / fit._redundancy(), 1.0, atol=0.05)
+    # Five samples of a knot are averaged.
+    noise = np.repeat([5e-4, 2e-3], 3) / np.sqrt(5.0)
+    np.testing.assert_allclose(fit.sigmas, noise, rtol=0.2)
+    # The samples' clock is early, and their marker is off the IMU.
+    values, sigmas = fit.rig.values()[0], np.sqrt(np.diag(fit.covariance_of_model))
+    assert abs(values[6] - 0.004) < 5.0 * sigmas[6]
+    assert (np.abs(values[LEVER] - [0.05, -0.03, 0.02]) < 5.0 * sigmas[LEVER]).all()
+    with pytest.raises(InputError, match=r"overlap for 19.\d s, and the examination needs 20 s"):
+        _fitted(
+            dataclasses.replace(samples, seconds=seconds + 2.0),
+            imu, horizon, np.ones(10, dtype=bool), turns=True,
+        )  # fmt: skip
 
 
 def test_unobservable_directions_of_the_lever_arm_are_fixed(small: Small) -> None:
@@ -250,3 +304,17 @@ def test_rough_orientations_are_found_from_positions() -> None:
     assert swings.offset_s == pytest.approx(0.7, abs=0.02)
     far = dataclasses.replace(truth, stamps=truth.stamps - 700 * 10**9)
     assert start.guess_of(far, imu, START_NS).offset_s == pytest.approx(700.0, abs=5e-3)
+
+
+def test_uncertainty_of_an_exact_imu_and_of_a_doubtful_one(small: Small) -> None:
+    steps = small_rig().steps
+    exact, _ = steps.uncertainty(np.zeros(3), ImuNoise(0.0, 0.0))
+    least = np.diag(np.repeat([1e-14, 1e-14, 1e-16], 3))
+    np.testing.assert_allclose(exact, np.tile(least, (4, 1, 1)), atol=1e-30)
+    noise = ImuNoise(1e-3, 1e-2)
+    sure, by_biases = small.steps.uncertainty(np.zeros(3), noise)
+    steps.doubtful = np.array([False, True, False, False])
+    doubtful, same = steps.uncertainty(np.zeros(3), noise)
+    np.testing.assert_allclose(doubtful[0], sure[0])
+    np.testing.assert_allclose(doubtful[1] - least, 1e4 * (sure[1] - least), rtol=1e-9)
+    np.testing.assert_array_equal(by_biases, same)

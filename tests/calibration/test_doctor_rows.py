@@ -150,22 +150,17 @@ def test_rows_of_intervals_are_derivatives(small: Small) -> None:
     whiten = np.zeros((4, 15, 15))
     whiten[:, :9, :9], whiten[:, 9:, 9:] = fit._whiten, np.diag(1.0 / walk)
     np.testing.assert_allclose(by_rig[..., -1], (whiten @ rows(small.rig)[..., None])[..., 0])
-    for knot in (0, 2, 4):
-        for column, step in enumerate(STEP * np.eye(15)):
-            ahead, behind = (
-                rows(moved(small.rig, knot, sign * step, np.zeros(10))) for sign in (1.0, -1.0)
-            )
-            change = (whiten @ ((ahead - behind) / (2 * STEP))[..., None])[..., 0]
-            expected = np.zeros((4, 15))
-            if knot < 4:
-                expected[knot] = before[knot, :, column]
-            if knot > 0:
-                expected[knot - 1] = after[knot - 1, :, column]
-            # Derivatives by biases are those of samples that are held, not of their means.
-            close = 0.05 if column >= 9 else 1e-5
-            np.testing.assert_allclose(
-                change, expected, atol=1e-4 + close * np.abs(expected).max()
-            )
+    knot = 2
+    for column, step in enumerate(STEP * np.eye(15)):
+        ahead, behind = (
+            rows(moved(small.rig, knot, sign * step, np.zeros(10))) for sign in (1.0, -1.0)
+        )
+        change = (whiten @ ((ahead - behind) / (2 * STEP))[..., None])[..., 0]
+        expected = np.zeros((4, 15))
+        expected[knot], expected[knot - 1] = before[knot, :, column], after[knot - 1, :, column]
+        # Derivatives by biases are those of samples that are held, not of their means.
+        close = 0.05 if column >= 9 else 1e-5
+        np.testing.assert_allclose(change, expected, atol=1e-4 + close * np.abs(expected).max())
     for column, step in enumerate(STEP * np.eye(10)):
         ahead, behind = (
             rows(moved(small.rig, 0, np.zeros(15), sign * step)) for sign in (1.0, -1.0)

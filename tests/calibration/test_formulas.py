@@ -57,6 +57,23 @@ def test_true_parameters_leave_no_residual(oriented: bool) -> None:
         assert begin.scale == pytest.approx(SCALE_OF_ESTIMATE, rel=0.01)
 
 
+def test_positions_alone_start_at_the_turn_between_the_worlds() -> None:
+    fault = dataclasses.replace(FAULT, lever_m=(0.0, 0.0, 0.0), skew=0.0)
+    truth, estimate, unknowns = flown(oriented=False, fault=fault)
+    increments = Increments(truth, estimate)
+    scaled = increments.start(FAULT.offset_s, with_scale=True, about_z=False)
+    np.testing.assert_allclose(scaled.turn, unknowns.turn, atol=1e-4)
+    assert scaled.scale == pytest.approx(SCALE_OF_ESTIMATE, rel=1e-4)
+    assert not scaled.lever_m.any()
+    assert (scaled.offset_s, scaled.skew) == (FAULT.offset_s, 0.0)
+    rigid = increments.start(FAULT.offset_s, with_scale=False, about_z=True)
+    assert rigid.scale == 1.0
+    np.testing.assert_array_equal(rigid.turn[2], [0.0, 0.0, 1.0])
+    nothing = increments.start(1e4, with_scale=True, about_z=False)
+    np.testing.assert_array_equal(nothing.turn, np.eye(3))
+    assert nothing.scale == 1.0
+
+
 @pytest.mark.parametrize("oriented", [True, False])
 def test_jacobians_of_increments_are_derivatives(oriented: bool) -> None:
     truth, estimate, unknowns = flown(oriented=oriented)

@@ -31,6 +31,8 @@ def test_queries_alone_are_knots() -> None:
 def test_close_queries_share_a_knot_of_a_grid(order: int) -> None:
     own = np.array([0.0, 1.0, 2.0, 3.0, 5.0])
     cells = math.floor(_SAME_SHARE ** (-1.0 / (2 * order - 1)))
+    # A billionth of the variance of a step, which grows by t^3 and t^5.
+    assert cells == pytest.approx({2: 1e3, 3: 63.1}[order], abs=1.0)
     cell = 1.0 / cells
     asked = np.array([1.3, 1.3 + 0.2 * cell, 2.0 + 0.3 * cell, 3.0 - 0.3 * cell, 2.6])
     found = _knots(own, asked, order)

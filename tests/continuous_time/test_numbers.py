@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from scipy.stats import multivariate_normal
 from solved_process import solved
 from strategies import seeds
 
-from trajeval_ros.continuous_time import white_noise
+from trajeval_ros.continuous_time import markov, white_noise
 from trajeval_ros.continuous_time.kernels import (
     MATERN_32,
     MATERN_52,
@@ -292,3 +293,65 @@ def test_differences_of_a_parabola_are_its_velocity() -> None:
     for row, step in ((0, 0), (-1, -1)):
         difference = np.diff(positions, axis=0)[step] / np.diff(times)[step]
         np.testing.assert_allclose(velocity[row], difference, rtol=1e-12)
+
+
+def test_a_singular_process_has_ten_times_the_density(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = Process.solved
+
+    def only_above(process: Process, *given: Any) -> Process:
+        if process.density[0] < 50.0:
+            raise np.linalg.LinAlgError
+        return real(process, *given)
+
+    monkeypatch.setattr(Process, "solved", only_above)
+    times = np.arange(5.0)
+    process = Process.unsolved(Positions(), 2, times, np.zeros((5, 3)), 0.1)
+    assert process._solved_with_digits().density.tolist() == [100.0] * 3
+
+
+@pytest.mark.parametrize("order", [2, 3])
+@pytest.mark.parametrize(
+    ("step_s", "count", "span_s"), [(0.1, 60, 2.0), (0.5, 60, 5.0), (0.1, 11, 1.0)]
+)
+def test_the_least_density_is_that_of_the_noise(
+    order: int, step_s: float, count: int, span_s: float
+) -> None:
+    """At rest, the noise of the samples is reached within two seconds or ten steps."""
+    times = step_s * np.arange(float(count))
+    process = Process.fit(Positions(), order, times, np.zeros((count, 3)), 0.03)
+    # A bounded search stops within a few of its tolerances of 0.003 of the limit.
+    least = 0.03**2 / span_s ** (2 * order - 1)
+    np.testing.assert_allclose(process.density, least, rtol=0.03)
+
+
+def test_a_density_is_that_of_the_middle(monkeypatch: pytest.MonkeyPatch) -> None:
+    generator = np.random.default_rng(3)
+    times = 0.1 * np.arange(61.0)
+    sizes = np.repeat([1.0, 0.02, 1.0], [20, 21, 20])
+    walk = np.cumsum(np.cumsum(sizes[:, None] * generator.normal(size=(61, 3)), axis=0), axis=0)
+    monkeypatch.setattr(markov, "_MOST_KNOTS", 21)
+    found = Process.fit(Positions(), 2, times, walk, 0.01).density[0]
+    alone = Process.fit(Positions(), 2, times[20:41], walk[20:41], 0.01).density[0]
+    assert found == pytest.approx(alone, rel=0.02)  # twice the tolerance of both searches
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_a_knot_without_a_sample_leaves_the_likelihood(order: int) -> None:
+    generator = np.random.default_rng(order)
+    times = np.cumsum(generator.uniform(0.3, 0.9, size=7))
+    positions = generator.normal(size=(7, 3))
+    alone = solved(Positions(), order, times, positions, 0.2, 0.6)
+    more = np.sort(np.append(times, 0.5 * (times[2:4] + times[3:5])))
+    rows = np.searchsorted(more, times)
+    states, information = np.zeros((9, 3)), np.zeros((9, 3))
+    states[rows], information[rows] = positions, 0.2**-2
+    between = dataclasses.replace(
+        alone,
+        times=more,
+        measured=states,
+        information=information,
+        states=states,
+        rates=np.zeros((9, order - 1, 3)),
+    ).solved()
+    assert between.log_likelihood() == pytest.approx(alone.log_likelihood(), rel=1e-9)
+    np.testing.assert_allclose(between.states[rows], alone.states, atol=1e-9)

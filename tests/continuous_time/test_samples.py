@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -179,3 +181,35 @@ def test_auto_is_the_candidate_of_the_largest_held_out_likelihood(
     assert continuous_trajectory._most_predictive(samples) == "wnoa"
     few = samples[np.arange(7)]
     assert continuous_trajectory._most_predictive(few) == "matern"
+
+
+@pytest.mark.parametrize(
+    ("most", "middle", "held"),
+    [
+        (3000, range(30), [2, 6, 10, 14, 18, 22, 26]),
+        (14, range(8, 22), [10, 14, 18]),
+        (13, range(8, 21), [10, 14, 18]),
+    ],
+)
+def test_held_out_samples_are_between_others(
+    monkeypatch: pytest.MonkeyPatch, most: int, middle: range, held: list[int]
+) -> None:
+    calls: list[tuple[list[float], list[float]]] = []
+
+    def candidate(samples: Samples) -> Any:
+        def at(times: Array) -> Belief:
+            calls.append((samples.times.tolist(), times.tolist()))
+            spread = np.tile(np.eye(6), (len(times), 1, 1))
+            return Belief(np.tile(np.eye(4), (len(times), 1, 1)), spread)
+
+        return SimpleNamespace(at=at)
+
+    names = ("matern", "wnoa", "wnoj")
+    fits = {**continuous_trajectory._FITS, **dict.fromkeys(names, candidate)}
+    monkeypatch.setattr(continuous_trajectory, "_FITS", fits)
+    monkeypatch.setattr(continuous_trajectory, "_MOST_HELD_OUT", most)
+    continuous_trajectory._most_predictive(samples_at(np.arange(30.0)))
+    assert len(calls) == 3
+    for kept, asked in calls:
+        assert asked == held
+        assert kept == [each for each in middle if each not in held]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -85,6 +87,14 @@ def test_segments_are_shortened_until_no_turn_is_large() -> None:
     assert size(1.01 * MOST_TURN_RAD) == 14  # 20 * 3 / 4 = 15, made even
     assert size(1.01 * MOST_TURN_RAD / 0.7) == 10
     assert size(10.0) == 6  # the smallest, though more than 2 rad
+
+
+def test_segments_of_a_fit_have_twenty_samples() -> None:
+    samples = samples_at(0.1 * np.arange(50.0))
+    fitted = PiecewiseGP.fit(samples, (MATERN_32,))
+    assert fitted.segments.rows.shape == (4, 20)
+    assert [each.noise for each in fitted.hyperparameters] == [0.01, 0.02]
+    assert len(PiecewiseGP.fit(dataclasses.replace(samples, oriented=False)).roots) == 1
 
 
 def test_coordinates_of_segments_are_relative_to_the_middle() -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from trajeval_ros.diagnosis.gnss_warnings import about_fixes, require_fixes_fit
 from trajeval_ros.exceptions import InputError
@@ -43,10 +44,7 @@ def said(
     fixes = fixes or fixes_of()
     along = np.linspace(-0.4, 0.6, len(fixes))
     truth = np.column_stack([along * each for each in (*given["extents"], 20.0)])
-    tilt = np.radians(given["tilt_deg"])
-    rotation = np.array(
-        [[1.0, 0.0, 0.0], [0.0, np.cos(tilt), -np.sin(tilt)], [0.0, np.sin(tilt), np.cos(tilt)]]
-    )
+    rotation = Rotation.from_euler("zx", [50.0, given["tilt_deg"]], degrees=True).as_matrix()
     rmse = given["rmse"]
     evaluation: Any = SimpleNamespace(
         association=SimpleNamespace(
@@ -104,13 +102,12 @@ def test_jumps_are_told_of_the_fixes_or_of_the_estimate(
 
 def test_fixes_of_two_kinds_are_told_with_the_limit_between_them() -> None:
     """The limit is the geometric mean of the widest gap; every kind has its median."""
-    sigma = np.full(COUNT, 0.02)
-    sigma[3:10] = [1.6, 2.0, 3.0, 2.5, 1.8, 2.2, 9.0]
-    sigma[10:13] = [0.01, 0.03, 0.04]
+    sigma = np.where(np.arange(COUNT) < 25, 0.02, 0.04)
+    sigma[3:10] = [4.0, 5.0, 7.5, 6.0, 4.5, 5.5, 22.0]
     found = said(fixes_of(sigma))
     assert found == {
-        "mixed_fixes": "7 of 40 fixes have a standard deviation of 2.2 m, the others 0.02 m "
-        "(probably float and fixed RTK); exclude the former with --max-fix-sigma 0.3"
+        "mixed_fixes": "7 of 40 fixes have a standard deviation of 5.5 m, the others 0.02 m "
+        "(probably float and fixed RTK); exclude the former with --max-fix-sigma 0.4"
     }
     assert said(fixes_of(sigma), weights="covariance") == {}
     unknown = fixes_of(sigma)
@@ -164,6 +161,7 @@ def test_an_alignment_is_tilted_by_uncertain_heights_or_by_much(
     sigma_up = np.ones(COUNT)
     sigma_up[5] = sigma_up_m
     if np.isnan(sigma_up_m):
+        assert said(fixes_of(sigma_up_m=sigma_up), gauge=gauge, tilt_deg=tilt_deg) == {}
         sigma_up[:] = np.nan
     found = said(fixes_of(sigma_up_m=sigma_up), gauge=gauge, tilt_deg=tilt_deg)
     assert found.keys() == ({"tilted_by_heights"} if is_told else set())

@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 from strategies import as_matrix, make_element
 
-from trajeval_ros.continuous_time.continuous_trajectory import MarkovPoses
-from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
+from trajeval_ros.continuous_time.samples import Belief
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
 from trajeval_ros.geometry import se3, so3
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.likelihood import correlated_groundtruth, marginal, residuals
+from trajeval_ros.likelihood import marginal, residuals
 from trajeval_ros.likelihood.alignment_chart import Chart, act, scales
-from trajeval_ros.likelihood.correlated_groundtruth import (
-    CorrelatedGroundtruth,
-    joint_log_likelihood,
-)
 from trajeval_ros.likelihood.marginal import generalised_absolute_error
 from trajeval_ros.likelihood.observable_directions import (
     _condition,
@@ -172,6 +164,24 @@ def test_densities_have_exact_slopes(gauge: Gauge, oriented: bool) -> None:
     np.testing.assert_allclose(slope.information, information, rtol=1e-5, atol=1e-4)
 
 
+def test_work_in_parts_is_work_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    belief = belief_of(6)
+    generator = np.random.default_rng(1)
+    estimate = belief.poses @ se3.exp(0.05 * generator.normal(size=(8, 6)))
+    one = Residuals(belief, estimate, Gauge.SIM3)
+    elements = one.chart.elements(0.1 * generator.normal(size=(5, 7)))
+    values, slope = one.log_density(elements), one.slope(elements[0])
+    for most, rows in ((17, 3), (8, 8), (1, 1)):
+        monkeypatch.setattr(residuals, "_MOST_AT_ONCE", most)
+        monkeypatch.setattr(residuals, "_ROWS", rows)
+        np.testing.assert_allclose(one.log_density(elements), values, rtol=1e-12)
+        again = one.slope(elements[0])
+        scale = np.abs(slope.gradient).max()
+        np.testing.assert_allclose(again.gradient, slope.gradient, atol=1e-11 * scale)
+        np.testing.assert_allclose(again.information, slope.information, rtol=1e-9, atol=1e-6)
+        np.testing.assert_allclose(again.whitened, slope.whitened, rtol=1e-12)
+
+
 def test_densities_of_points_are_gaussian() -> None:
     belief = belief_of(6)
     generator = np.random.default_rng(1)
@@ -273,6 +283,43 @@ def test_statements_on_an_absolute_error() -> None:
     assert marginal._turn_uncertainty(fixed) == 0.0
 
 
+def test_uncertain_turns_are_sampled_and_many_poses_have_no_second_derivatives(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    belief = belief_of(8)
+    one = Residuals(belief, belief.poses, Gauge.YAW)
+    for turn, method in ((0.3, "laplace"), (0.3001, "importance")):
+        monkeypatch.setattr(marginal, "_turn_uncertainty", lambda _, turn=turn: turn)
+        found = generalised_absolute_error(one)
+        assert found.method == method
+        assert (found.effective_share is None) == (method == "laplace")
+        assert len(found.statements) == (method == "importance")
+    gauss_newton = find_mode(one).slope.information
+    for most, exact in ((8, True), (7, False)):
+        monkeypatch.setattr(marginal, "_MOST_FOR_FULL", most)
+        found = generalised_absolute_error(one)
+        assert np.array_equal(found.information, gauss_newton) != exact
+
+
+def test_the_uncertainty_of_a_turn_is_that_of_its_worst_axis() -> None:
+    belief = belief_of(8)
+    found = generalised_absolute_error(Residuals(belief, belief.poses, Gauge.SIM3))
+    block = np.linalg.inv(found.information)[3:6, 3:6]
+    expected = np.sqrt(np.linalg.eigvalsh(block).max())
+    assert marginal._turn_uncertainty(found) == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_scale_of_nothing_is_an_error() -> None:
+    belief = belief_of(8)
+    tiny = belief.poses.copy()
+    tiny[:, :3, 3] *= 1e7
+    one = Residuals(belief, tiny, Gauge.SIM3)
+    assert scales(find_mode(one).element) == pytest.approx(1e-7, rel=1e-6)
+    tiny[:, :3, 3] *= 1e3
+    with pytest.raises(DegenerateGeometryError):
+        find_mode(Residuals(belief, tiny, Gauge.SIM3))
+
+
 def test_logarithms_of_sums_do_not_overflow() -> None:
     values = np.array([1000.0, 1001.0, 999.0, -np.inf])
     expected = 1000.0 + np.log(np.exp([0.0, 1.0, -1.0]).sum())
@@ -346,81 +393,3 @@ def test_a_unit_diagonal_or_an_error() -> None:
     ):
         with pytest.raises(DegenerateGeometryError, match="do not determine all directions"):
             unit_diagonal(singular)
-
-
-@dataclass(frozen=True, eq=False)
-class Dense:
-    """A covariance of errors (Q, 3) as one matrix."""
-
-    covariance: Array
-
-    def solve(self, errors: Array) -> Array:
-        count, axes, width = errors.shape
-        found = np.linalg.solve(self.covariance, errors.reshape(count * axes, width))
-        return np.asarray(found.reshape(errors.shape))
-
-    def log_density(self, errors: Array) -> float:
-        return float(multivariate_normal.logpdf(errors.ravel(), cov=self.covariance))
-
-
-@pytest.mark.parametrize("gauge", CHARTED[1:])
-def test_correlated_groundtruth_has_exact_normal_equations(gauge: Gauge) -> None:
-    generator = np.random.default_rng(4)
-    poses = poses_of(1, 6)
-    roots = 0.1 * generator.normal(size=(2, 18, 20))
-    positions, rotations = (Dense(root @ root.T) for root in roots)
-    groundtruth = CorrelatedGroundtruth(poses, positions, rotations)  # type: ignore[arg-type]
-    estimate = poses @ se3.exp(0.1 * generator.normal(size=(6, 6)))
-    chart = Chart(gauge, poses[:, :3, 3].mean(axis=0))
-
-    def errors(delta: Array) -> tuple[Array, Array]:
-        moved = act(chart.elements(delta[None])[0], estimate)
-        turns = so3.log(se3.transposed(poses[:, :3, :3]) @ moved[:, :3, :3])
-        return moved[:, :3, 3] - poses[:, :3, 3], turns
-
-    size = chart.dimension
-    information, gradient = correlated_groundtruth._normal_equations(groundtruth, estimate, chart)
-    expected, slope = np.zeros((size, size)), np.zeros(size)
-    for part, dense in enumerate((positions, rotations)):
-        jacobian = np.stack(
-            [
-                (errors(step)[part] - errors(-step)[part]).ravel() / 2e-6
-                for step in 1e-6 * np.eye(size)
-            ],
-            axis=1,
-        )
-        inverse = np.linalg.inv(dense.covariance)
-        expected += jacobian.T @ inverse @ jacobian
-        slope -= jacobian.T @ inverse @ errors(np.zeros(size))[part].ravel()
-    np.testing.assert_allclose(information, expected, rtol=1e-6, atol=1e-6 * expected.max())
-    np.testing.assert_allclose(gradient, slope, rtol=1e-5, atol=1e-6 * np.abs(slope).max())
-    np.testing.assert_array_equal(information, information.T)
-
-
-def test_joint_likelihoods_without_a_gauge_are_gaussian() -> None:
-    times = np.arange(12.0)
-    line = np.outer(times, [1.0, 0.3, 0.1])
-    turns = np.outer(times, [0.0, 0.0, 0.1])
-    samples = Samples(0, times, se3.poses(so3.exp(turns), line), True, Noise(0.01, 0.01))
-    model, asked = MarkovPoses.fit(samples, 2), np.array([2.2, 4.5, 4.9, 8.3])
-    groundtruth = CorrelatedGroundtruth.of(model, asked, Noise(0.05, 0.02))
-    generator = np.random.default_rng(0)
-    estimate = groundtruth.poses @ se3.exp(0.02 * generator.normal(size=(4, 6)))
-    found = joint_log_likelihood(groundtruth, estimate, Gauge.NONE, np.eye(4))
-    apart = estimate[:, :3, 3] - groundtruth.poses[:, :3, 3]
-    turned = so3.log(se3.transposed(groundtruth.poses[:, :3, :3]) @ estimate[:, :3, :3])
-    assert groundtruth.rotations is not None
-    expected = groundtruth.positions.log_density(apart) + groundtruth.rotations.log_density(turned)
-    # Densities are by the volume of the group of rotations.
-    expected -= sum(np.linalg.slogdet(so3.left_jacobian(each))[1] for each in turned)
-    assert found == pytest.approx(expected, rel=1e-10)
-    # Positions: over all translations, the sum of which has a Gaussian integral.
-    bare = dataclasses.replace(groundtruth, rotations=None)
-    moved = joint_log_likelihood(bare, estimate, Gauge.TRANSLATION, np.eye(4))
-    columns = np.tile(np.eye(3), (4, 1, 1))
-    weighted = bare.positions.solve(columns)
-    information = np.einsum("qij,qik->jk", columns, weighted)
-    shift = np.linalg.solve(information, -np.einsum("qij,qi->j", weighted, apart))
-    value = bare.positions.log_density(apart + shift)
-    value += 1.5 * np.log(2.0 * np.pi) - 0.5 * np.linalg.slogdet(information)[1]
-    assert moved == pytest.approx(value, rel=1e-9)

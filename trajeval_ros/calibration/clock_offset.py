@@ -57,8 +57,8 @@ def masked_correlation(
     """
     shorter, longer = a.shape[-1], b.shape[-1]
     lags = np.arange(1 - shorter, longer) if most is None else np.arange(most + 1)
-    # No other lag of a product has the same index as one of these.
-    size = 1 << (int(max(longer - lags[0], shorter + lags[-1])) - 1).bit_length()
+    # No other lag has the same index as one of these; `b` is cut behind the last one.
+    size = 1 << (shorter + int(lags[-1]) - 1).bit_length()
     left = [np.conj(np.fft.rfft(signal, size)) for signal in (a, in_a, a * a)]
     right = [np.fft.rfft(signal, size) for signal in (b, in_b, b * b)]
 

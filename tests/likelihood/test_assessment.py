@@ -1,0 +1,123 @@
+"""Remarks of an assessment at their limits, and Bayes factors of common timestamps."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trajeval_ros.continuous_time.continuous_trajectory import fit_trajectory
+from trajeval_ros.continuous_time.samples import Belief, Noise
+from trajeval_ros.geometry import se3
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.likelihood import likelihood_assessment as module
+from trajeval_ros.likelihood.correlated_groundtruth import (
+    CorrelatedGroundtruth,
+    joint_log_likelihood,
+)
+from trajeval_ros.likelihood.likelihood_assessment import (
+    TOLERANCE,
+    LikelihoodAssessment,
+    with_bayes_factors,
+)
+from trajeval_ros.likelihood.marginal import generalised_absolute_error
+from trajeval_ros.likelihood.residuals import Residuals
+from trajeval_ros.likelihood.uncertain_ate import UncertainAte
+
+SECOND = 1_000_000_000
+COUNT = 20
+CONTINUOUS = fit_trajectory(
+    Trajectory(
+        SECOND * np.arange(COUNT),
+        np.column_stack([np.arange(COUNT), np.sin(np.arange(COUNT)), np.zeros(COUNT)]),
+        np.tile([0.0, 0.0, 0.0, 1.0], (COUNT, 1)),
+    ),
+    "wnoa",
+)
+
+
+def assessed(stamps: Any, seed: int, **changed: Any) -> LikelihoodAssessment:
+    known = CONTINUOUS.at(np.asarray(stamps))
+    belief = Belief(known.poses, known.covariances + 1e-3 * np.eye(6))
+    errors = 0.02 * np.random.default_rng(seed).normal(size=(len(stamps), 6))
+    residuals = Residuals(belief, known.poses @ se3.exp(errors), Gauge.YAW)
+    supported = np.ones(len(stamps), dtype=bool)
+    given: dict[str, Any] = {
+        "continuous": CONTINUOUS, "stamps": np.asarray(stamps), "belief": belief,
+        "error": generalised_absolute_error(residuals), "edges": None, "gauge_scores": None,
+        "ate": UncertainAte(0.1, 0.1, supported, (0.0, 0.2)), "log_bayes": {}, "statements": (),
+    }  # fmt: skip
+    return LikelihoodAssessment(**{**given, **changed})
+
+
+def said(**changed: Any) -> list[str]:
+    stamps = changed.pop("stamps", SECOND // 2 * np.arange(2, 30))
+    return list(module._statements(assessed(stamps, 0, **changed)))
+
+
+def test_remarks_have_their_limits() -> None:
+    # 28 poses within 14 samples, from 1 to 14.5 s.
+    assert ["2.0 poses per groundtruth sample" in each for each in said()] == [True]
+    # 21 poses within 14 samples are not above 1.5.
+    stamps = SECOND * np.arange(1, 15)
+    assert said(stamps=np.sort(np.append(stamps, stamps[:7] + 500_000_000))) == []
+    found = said(stamps=np.sort(np.append(stamps, stamps[:8] + 500_000_000)))
+    assert ["1.6 poses per" in each for each in found] == [True]
+    part = np.ones(14, dtype=bool)
+    part[:7] = False
+    some = UncertainAte(0.1, 0.1, part, (0.0, 0.2))
+    assert ["at 50.0 % of the poses" in each for each in said(stamps=stamps, ate=some)] == [True]
+    none = UncertainAte(0.1, None, part, None)
+    assert ["no ATE of" in each for each in said(stamps=stamps, ate=none)] == [True]
+    lone = UncertainAte(0.1, 0.1, ~(part & ~part), None)
+    assert ["no interval for" in each for each in said(stamps=stamps, ate=lone)] == [True]
+    scores = SimpleNamespace(sim3=None, why_no_sim3="why")
+    found = said(stamps=stamps, gauge_scores=scores)
+    assert found == ["no likelihood in gauge sim3: why"]
+    scores.sim3 = 1.0
+    assert said(stamps=stamps, gauge_scores=scores) == []
+
+
+def test_the_tolerance_is_added_to_variances() -> None:
+    assert Noise(0.005, math.radians(0.2)) == TOLERANCE
+    known = Belief(np.tile(np.eye(4), (2, 1, 1)), np.tile(np.eye(6), (2, 1, 1)))
+    whole, points = (module._with_tolerance(known, each).covariances for each in (True, False))
+    added = np.diag([25e-6] * 3 + [math.radians(0.2) ** 2] * 3)
+    np.testing.assert_allclose(whole, np.eye(6) + np.tile(added, (2, 1, 1)))
+    added[3:] = 0.0
+    np.testing.assert_allclose(points, np.eye(6) + np.tile(added, (2, 1, 1)))
+
+
+def test_bayes_factors_are_differences_of_joint_likelihoods() -> None:
+    first = assessed(SECOND * np.arange(1, 15), 1)
+    second = assessed(SECOND * np.arange(3, 18), 2)
+    one, other = with_bayes_factors(["a", "b"], [first, second])
+    assert set(one.log_bayes) == {"b"}
+    assert set(other.log_bayes) == {"a"}
+    common = SECOND * np.arange(3, 15)
+    times = CONTINUOUS.samples.seconds(common)
+    groundtruth = CorrelatedGroundtruth.of(CONTINUOUS.markov, times, TOLERANCE)
+    scores = [
+        joint_log_likelihood(
+            groundtruth,
+            each.error.residuals.estimate[rows],
+            Gauge.YAW,
+            each.error.mode.element,
+        )
+        for each, rows in ((first, slice(2, 14)), (second, slice(0, 12)))
+    ]
+    assert one.log_bayes["b"] == pytest.approx(scores[0] - scores[1], abs=1e-6)
+    assert other.log_bayes["a"] == pytest.approx(scores[1] - scores[0], abs=1e-6)
+    assert abs(scores[0] - scores[1]) > 0.1
+    alone = with_bayes_factors(["a"], [first])
+    assert alone[0].log_bayes == {}
+    # Ten common timestamps are enough.
+    for number in (9, 10):
+        part = assessed(SECOND * np.arange(3, 3 + number), 3)
+        both = with_bayes_factors(["a", "b"], [first, part])
+        assert bool(both[0].log_bayes) == (number == 10)
+        assert any("only 9 common" in each for each in both[1].statements) == (number == 9)
