@@ -300,7 +300,7 @@ def all_pairs(pairing: Pairing, sides: list[tuple[Array, Array]], cut: int, size
     return joined, runs
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(
     seed=seeds,
     cut=st.integers(1, 12),

@@ -60,7 +60,7 @@ steps = st.one_of(
 )
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(st.lists(steps, max_size=12), st.randoms(use_true_random=False))
 def test_a_buffer_holds_what_a_sorted_list_does(operations: list[Any], random: Any) -> None:
     buffer, model, width, top = StateBuffer(), dict[int, float](), 10, 0

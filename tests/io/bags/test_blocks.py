@@ -64,7 +64,7 @@ def block(content: list[Message], padding: int = 0) -> Block:
     )
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(messages, st.integers(0, 30))
 def test_a_block_is_a_list_of_messages(content: list[Message], padding: int) -> None:
     found = block(content, padding)

@@ -144,7 +144,7 @@ def test_a_damaged_message_of_a_part_is_found_by_its_head() -> None:
         assert cut.damage
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(
     st.lists(
         st.lists(st.tuples(st.sampled_from([POSE, IMAGE, OTHER]), st.integers(0, 60)), max_size=6),
