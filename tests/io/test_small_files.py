@@ -12,7 +12,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -113,6 +113,7 @@ def test_rotations_that_are_all_the_identity_are_none() -> None:
     assert judge_rotations(None)[1][0].code == "no_rotations"
 
 
+@settings(max_examples=8)
 @given(
     st.lists(st.floats(-100, 100), min_size=3, max_size=3),
     st.lists(st.floats(-3, 3), min_size=3, max_size=3),

@@ -221,7 +221,7 @@ def test_pairs_out_of_order_are_recorded_and_not_evaluated() -> None:
     assert evaluator.evaluate(pairs.picked(slice(0, 0))).pairs == 0
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(seed=seeds, past=st.integers(1, 30))
 def test_states_that_come_late_are_put_where_they_belong(seed: int, past: int) -> None:
     """Those before the oldest stored state are counted, and so are those after their use."""

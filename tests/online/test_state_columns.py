@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -60,6 +60,7 @@ steps = st.one_of(
 )
 
 
+@settings(max_examples=20)
 @given(st.lists(steps, max_size=12), st.randoms(use_true_random=False))
 def test_a_buffer_holds_what_a_sorted_list_does(operations: list[Any], random: Any) -> None:
     buffer, model, width, top = StateBuffer(), dict[int, float](), 10, 0
@@ -246,6 +247,7 @@ def test_upright_rows_are_the_upright_trajectory(seed: int, axis: str) -> None:
     np.testing.assert_array_equal(upright_rows(rows[:, :10], UpAxis(axis)).shape, (12, 10))
 
 
+@settings(max_examples=20)
 @given(seed=seeds, axis=st.sampled_from(sorted(UP_AXES)))
 def test_a_state_in_the_plane_has_no_height_and_only_a_heading(seed: int, axis: str) -> None:
     source, rows = random_rows(seed, axis)
@@ -307,6 +309,7 @@ def test_pairs_are_picked_and_put_in_order() -> None:
     assert [each.shape for each in nothing] == [(0,), (0, 10), (0, 10)]
 
 
+@settings(max_examples=20)
 @given(
     seed=seeds,
     batches=st.lists(st.tuples(st.integers(0, 30), st.integers(0, 25)), min_size=1, max_size=8),

@@ -11,7 +11,7 @@ from unittest import mock
 import numpy as np
 import pytest
 import zstandard
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -64,6 +64,7 @@ def block(content: list[Message], padding: int = 0) -> Block:
     )
 
 
+@settings(max_examples=20)
 @given(messages, st.integers(0, 30))
 def test_a_block_is_a_list_of_messages(content: list[Message], padding: int) -> None:
     found = block(content, padding)

@@ -12,7 +12,7 @@ from unittest import mock
 import numpy as np
 import pytest
 from damaged_bags import definition, payloads
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_bags import simple, the_file
 from mcap.records import Channel, Schema
@@ -144,6 +144,7 @@ def test_a_damaged_message_of_a_part_is_found_by_its_head() -> None:
         assert cut.damage
 
 
+@settings(max_examples=20)
 @given(
     st.lists(
         st.lists(st.tuples(st.sampled_from([POSE, IMAGE, OTHER]), st.integers(0, 60)), max_size=6),
@@ -229,6 +230,10 @@ def test_strict_reading_of_messages_refuses_damage_only(tmp_path: Path) -> None:
         more = [type(topic)(topic.name, topic.type, topic.declared + 1, topic.connections)]
         assert len(list(opened.messages(more))) == topic.declared
         assert f"but {topic.declared} were read" in opened.damage[0]
+        empty = type(topic)("/empty", topic.type, 0, ())
+        assert opened._missing([topic, empty], topic.declared) == []
+        unknown = type(topic)("/unknown", topic.type, None, ())
+        assert opened._missing([topic, unknown], 0) == []
         opened.damage.clear()
         # Of a part of the bag, the number is not known.
         assert list(opened.messages(more, 10**18, 10**18 + 1)) == []

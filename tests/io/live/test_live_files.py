@@ -12,7 +12,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from pair_file_contents import COUNT, DESCRIPTION, STATE, STEP_NS, columns
@@ -50,6 +50,7 @@ KINDS = {
 WAITING = chunk_file._MOST_WAITING
 
 
+@settings(max_examples=20)
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 5)), max_size=8))
 def test_tables_of_all_kinds_are_read_as_written(
     tmp_path_factory: pytest.TempPathFactory, chunks: list[tuple[bool, int]]

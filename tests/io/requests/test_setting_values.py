@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -230,6 +230,7 @@ def dense(matrix: Any) -> Array:
     return np.asarray(matrix.toarray() if scipy.sparse.issparse(matrix) else matrix)
 
 
+@settings(max_examples=15)
 @given(seed=st.integers(0, 1000), count=st.integers(1, 4), block=st.sampled_from([6, 9]))
 def test_a_written_joint_covariance_is_read(
     tmp_path_factory: pytest.TempPathFactory, seed: int, count: int, block: int
