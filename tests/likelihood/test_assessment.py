@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from types import SimpleNamespace
 from typing import Any
@@ -27,6 +28,7 @@ from trajeval_ros.likelihood.likelihood_assessment import (
 from trajeval_ros.likelihood.marginal import generalised_absolute_error
 from trajeval_ros.likelihood.residuals import Residuals
 from trajeval_ros.likelihood.uncertain_ate import UncertainAte
+from trajeval_ros.report.tables import _cells
 
 SECOND = 1_000_000_000
 COUNT = 20
@@ -121,3 +123,22 @@ def test_bayes_factors_are_differences_of_joint_likelihoods() -> None:
         both = with_bayes_factors(["a", "b"], [first, part])
         assert bool(both[0].log_bayes) == (number == 10)
         assert any("only 9 common" in each for each in both[1].statements) == (number == 9)
+
+
+@pytest.mark.parametrize("gauge", [Gauge.SIM3, Gauge.SE3, Gauge.YAW])
+def test_scale_and_tilt_are_errors_where_they_are_observed(gauge: Gauge) -> None:
+    """A camera has no scale, and the frames of most gauges may be tilted."""
+    stamps = SECOND * np.arange(1, 15)
+    plain = assessed(stamps, 0)
+    known = dataclasses.replace(
+        plain.error, residuals=dataclasses.replace(plain.error.residuals, gauge=gauge)
+    )
+    scores = SimpleNamespace(
+        scale=SimpleNamespace(z=[1.25]), tilt=SimpleNamespace(z=[-0.5, 2.0]), sim3=0.0
+    )
+    cases = (scores, SimpleNamespace(**{**vars(scores), "scale": None}), None)
+    shown = [
+        _cells(dataclasses.replace(plain, error=known, gauge_scores=each))[-2:] for each in cases
+    ]
+    tilt = "-0.5, +2.0" if gauge is Gauge.YAW else "-"
+    assert shown == [["-" if gauge is Gauge.SIM3 else "+1.2", tilt], ["-", tilt], ["-", "-"]]

@@ -99,8 +99,9 @@ def mutants(files: list[Path], generator: random.Random) -> Iterator[tuple[Path,
     generator.shuffle(order)
     for file, start in order:
         before = file.read_text()
-        after = mutate_code(before, *generator.choice(places[file, start]))
-        with contextlib.suppress(SyntaxError):
+        # An operator of exceptions knows no attributes, as in `except np.linalg.LinAlgError`.
+        with contextlib.suppress(SyntaxError, AttributeError):
+            after = mutate_code(before, *generator.choice(places[file, start]))
             if after is not None and what_runs(after) != what_runs(before):
                 yield file, after
 
