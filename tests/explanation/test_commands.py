@@ -123,6 +123,20 @@ def test_a_definition_without_a_command_is_named_with_the_reason(
     assert reason in number["no_command"]
 
 
+def test_a_protocol_file_is_printed_as_yaml_on_one_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    places, numbers = values("handheld_gaps")
+    definition = Definition("evo", "scale of sim3 alone", "position_m", "rmse")
+    command = command_of(definition, axes("handheld_gaps"))
+    assert isinstance(command, Command)
+    value = f"{numbers[places[definition]]:.8f}"
+    call = [*map(str, files("handheld_gaps")), value, "--unit", "m"]
+    _, text = run_verb(call, capsys)
+    assert f"protocol.yaml: {{{', '.join(command.file.splitlines())}}}" in text
+    assert command.file.splitlines()[0] == "base: evo"
+
+
 def run_verb(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
     status = main(["explain", *arguments])
     captured = capsys.readouterr()

@@ -127,7 +127,9 @@ def tests_of(file: Path) -> list[str]:
     found = [each for each in Path("tests").rglob("test_*.py") if module.search(each.read_text())]
     near = sorted(found, key=lambda each: (each.parent != Path("tests") / folder, each))
     own = Path("tests") / (folder if folder.parts else "system")
-    return list(map(str, [*near[:MOST_FILES], own]))  # to collect what uses it takes minutes
+    of_all = Path("tests/system/test_package.py")  # it reads every file
+    # To collect everything that uses the file takes minutes.
+    return list(map(str, [*near[:MOST_FILES], own, of_all]))
 
 
 def _run(tests: list[str]) -> None:

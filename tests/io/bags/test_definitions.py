@@ -59,8 +59,9 @@ def test_no_line_can_be_changed_unnoticed(kind: str) -> None:
     fields = [row for row, line in enumerate(lines) if len(line.split()) == 2 and ":" not in line]
     assert len(fields) > 3
     for row in fields:
-        name = lines[row].split()[1]
-        for changed in ([], ["int8 more", lines[row]], [f"int8 {name}"], [f"float32[2] {name}"]):
+        type_name, name = lines[row].split()
+        others = [f"int8 {name}", f"float32[2] {name}", f"{type_name} {name}_"]
+        for changed in ([], ["int8 more", lines[row]], *([each] for each in others)):
             other = "\n".join([*lines[:row], *changed, *lines[row + 1 :]])
             assert not is_standard(other, kind)
             assert parsed(other, kind) != STANDARD[kind]
