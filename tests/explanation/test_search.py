@@ -19,10 +19,11 @@ from paths import TESTS
 
 from trajeval_ros import explain
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.explanation.definition import Definition
+from trajeval_ros.explanation.definition import ASSOCIATIONS, Definition
 from trajeval_ros.explanation.definition_values import values_of
 from trajeval_ros.explanation.explain import UNITS, Explanation, PublishedNumber
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics.named_protocols import PROTOCOLS
 
 ALIGNED = {
     "": "none", " -a": "se3", " -as": "sim3", " --align_origin": "se3 by the first state",
@@ -175,6 +176,20 @@ def test_runs_need_as_many_numbers_each() -> None:
         explain([(*run, ["0.2", "0.3", "0.4"])])
     with pytest.raises(SettingsError, match="no numbers"):
         explain([])
+
+
+def test_states_are_sorted_where_the_protocol_sorts_them() -> None:
+    """The numbers of `evaluate` do not depend on the order of lines, and neither do these."""
+    truth, estimate = sides("handheld_gaps")
+    random = np.random.default_rng(0)
+    mixed = [side[random.permutation(len(side))] for side in (truth, estimate)]
+    places, numbers = values("handheld_gaps")
+    mixed_places, mixed_numbers = values_of(mixed[0], mixed[1])
+    sorting = [each for each in places if PROTOCOLS[ASSOCIATIONS[each.association][0]].in_order]
+    assert len(sorting) > 20
+    for each in sorting:
+        expected = pytest.approx(numbers[places[each]], rel=1e-9, abs=1e-9)
+        assert mixed_numbers[mixed_places[each]] == expected, each
 
 
 def test_sides_without_pairs_are_refused() -> None:
