@@ -166,6 +166,14 @@ def test_a_study_is_written_with_its_conditions() -> None:
     assert "| sine random | 0.2 % (0.1 to 0.3 %) |" in table
     assert "Prior weight on" not in table
     assert table.endswith("|\n")
+    both = {**study.sweeps, "arc of V1": study.sweeps["sine plane"]}
+    figures = dataclasses.replace(study, sweeps=both).figures()
+    titles = [each.args[-1] for name, each in figures.items() if name.startswith("prior_")]
+    assert titles == [
+        "sine plane, one trial, profile paper",
+        "sine plane, profile paper, 2 trials",
+        "arc of V1, 2 trials",
+    ]
     measured = dataclasses.replace(study, measured="sine random")
     assert measured.sensors == "Sensors are simulated, except for sine random (measured)."
     assert measured.numbers()["sensors"]["sine random"] == "measured"
