@@ -13,7 +13,13 @@ from trajeval_ros.diagnosis.clock_tests import other_rate
 from trajeval_ros.diagnosis.convention_tests import conventions
 from trajeval_ros.diagnosis.diagnose import _tests_of_geometry
 from trajeval_ros.diagnosis.findings import Diagnosis, Finding
-from trajeval_ros.diagnosis.hypotheses import AS_READ, TRANSPOSED, WXYZ, Hypothesis
+from trajeval_ros.diagnosis.hypotheses import (
+    AS_READ,
+    TRANSPOSED,
+    WXYZ,
+    Hypothesis,
+    improper_permutations,
+)
 from trajeval_ros.diagnosis.input_pair import TimedPoses
 from trajeval_ros.diagnosis.input_tests import rounded_stamps
 from trajeval_ros.diagnosis.trials import with_tried_advice
@@ -151,3 +157,16 @@ def test_a_clock_rate_is_not_searched_in_a_gap() -> None:
     poses = TimedPoses(seconds, np.cumsum(np.ones((5, 3)), axis=0))
     assert other_rate(poses, poses, None) == (1.0, None)
     assert other_rate(poses[:1], poses[:1], None) == (1.0, None)
+
+
+def test_axes_that_change_the_handedness_begin_with_a_flipped_y() -> None:
+    """The first of equal ones is taken: flips come before exchanges, and y before x and z."""
+    found = improper_permutations()
+    assert len(np.unique(found, axis=0)) == 24
+    np.testing.assert_allclose(np.linalg.det(found), -1.0)
+    assert set(np.abs(found).sum(axis=1).ravel()) == {1.0}
+    traces = np.einsum("nii->n", found)
+    assert (np.diff(traces) <= 0.0).all()
+    np.testing.assert_array_equal(found[0], np.diag([1.0, -1.0, 1.0]))
+    for trace in set(traces):
+        assert (np.diff(found[traces == trace][:, 1, 1]) >= 0.0).all()
