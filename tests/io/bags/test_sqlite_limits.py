@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from tests.io.bags.test_sqlite_rows import bag, create, fill, rows_of
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags import sqlite_bag
-from trajeval_ros.io.bags.blocks import ROWS, TopicSelection
+from trajeval_ros.io.bags.blocks import ROWS, TopicSelection, block_of
 from trajeval_ros.io.bags.sqlite_bag import SqliteReader
 
 Message = tuple[int, int, bytes]
@@ -194,3 +194,23 @@ def test_topics_and_definitions_of_a_file(tmp_path: Path) -> None:
         (3, "/3", "c/msg/D", "", "", "cdr", ""),
     ]
     reader.close()
+
+
+def test_messages_larger_than_the_file_end_the_reading(tmp_path: Path) -> None:
+    """Pages that refer to one another could be read without end."""
+    path = bag(tmp_path / "x.db3", [(1, row, bytes(100)) for row in range(3)])
+    reader, selection = SqliteReader(path, "x"), TopicSelection(frozenset({1}))
+    size = path.stat().st_size
+    taken = []
+
+    def found(*_: Any) -> Any:
+        for number, part in enumerate((size // 2, size - size // 2, 1, 1)):
+            taken.append(number)
+            yield block_of([1], [number], [bytes(part)])
+
+    with mock.patch.object(SqliteReader, "_found", found):
+        blocks = list(reader.blocks([selection]))
+    reader.close()
+    assert [len(each.buffer) for each in blocks] == [size // 2, size - size // 2]
+    assert taken == [0, 1, 2]
+    assert selection.damage == ["x is damaged: messages overlap, the rest was not read"]
