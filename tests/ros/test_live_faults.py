@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from ros_bags import TRANSFORMS
 from ros_processes import GROUNDTRUTH, Peer, evaluating
 
+from trajeval_ros.ros import subscriptions
 from trajeval_ros.ros.message_types import is_installed
+from trajeval_ros.ros.pose_source import PoseSource
 
 pytest.importorskip(
     "rclpy", reason="rclpy is missing; `make test-ros` has it", exc_type=ImportError
@@ -85,3 +88,39 @@ def told(arrays: list[Any]) -> set[str]:
         for name, fault in FAULTS.items()
         if status.name.endswith(f": {name}") and fault in status.message and status.level != b"\0"
     }
+
+
+def test_publishers_are_mixed_when_their_names_are_known_or_stay_unknown(
+    peer: Peer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Publishers are discovered before the names of their nodes."""
+    from geometry_msgs.msg import PoseStamped
+
+    publishers = [peer.publisher("/named_later", PoseStamped) for _ in range(2)]
+    peer.until(lambda: peer.node.count_publishers("/named_later") == 2, "two publishers")
+    known = subscriptions._publishers_of
+
+    def unnamed(*arguments: Any) -> list[Any]:
+        return [
+            SimpleNamespace(
+                node_name="_NODE_NAME_UNKNOWN_",
+                topic_type=each.topic_type,
+                qos_profile=each.qos_profile,
+            )
+            for each in known(*arguments)
+        ]
+
+    later, never = (PoseSource(peer.node, "/named_later") for _ in range(2))
+    monkeypatch.setattr(subscriptions, "_publishers_of", unnamed)
+    for each in (later, never):
+        each.match()
+        assert not each.mixed
+    never.match()
+    assert "2 publishers are mixed (unknown, unknown)" in never.mixed
+    monkeypatch.setattr(subscriptions, "_publishers_of", known)
+    later.match()
+    assert "2 publishers are mixed (peer, peer)" in later.mixed
+    for each in (later, never):
+        each.inputs[0].leave()
+    for publisher in publishers:
+        peer.node.destroy_publisher(publisher)

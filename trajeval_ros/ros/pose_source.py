@@ -119,8 +119,8 @@ class PoseSource:
 
         Transforms of one topic usually have several publishers.
         """
-        names = [] if isinstance(self.stream, TransformStream) else self.inputs[0].publishers
-        if len(names) < 2:
+        first, names = self.inputs[0], self.inputs[0].publishers
+        if isinstance(self.stream, TransformStream) or len(names) < 2 or not first.are_named:
             return ""
         return (
             f"{self.source}: messages of {len(names)} publishers are mixed "

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 # delivery. It holds 20 s of groundtruth at 1 kHz. On a machine with five busy processes per core,
 # the node reads its subscriptions up to 4 s late. Only waiting messages take memory.
 DEPTH = 20_000
+_UNNAMED, _UNKNOWN = "_NODE_NAME_UNKNOWN_", "unknown"  # a node without a name, in ROS and here
 
 
 def matching(publishers: Sequence[Any], *, is_static: bool = False, depth: int = DEPTH) -> Any:
@@ -103,6 +104,7 @@ class TopicInput:
         self._is_optional = is_optional or is_static  # a missing publisher is not reported
         self.type = ""  # type of its messages; empty without a publisher
         self.publishers: list[str] = []  # names of the nodes that publish it
+        self.are_named = True  # whether these are all names that will be known
         self.losses = Losses()  # counts messages that were published and did not arrive
         # The node remaps names itself, so this is the name before remapping. A second remapping
         # can change a name again.
@@ -122,7 +124,10 @@ class TopicInput:
         profile = matching(publishers, is_static=self.is_static, depth=self._depth)
         kind = publishers[0].topic_type
         self._remind_at = time.monotonic() + UNMATCHED_AFTER_S
-        self.publishers = sorted(each.node_name for each in publishers)
+        # A node's name can arrive after its publishers. That of a program without ROS never does.
+        names = sorted(each.node_name.replace(_UNNAMED, _UNKNOWN) for each in publishers)
+        self.are_named = _UNKNOWN not in names or names == self.publishers
+        self.publishers = names
         again = self._subscription is not None
         if again:
             if kind == self.type and _offer(profile) == _offer(self._profile):
