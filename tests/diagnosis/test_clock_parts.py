@@ -127,6 +127,18 @@ def test_an_offset_of_clocks_is_found_and_likely(offset_s: float) -> None:
     np.testing.assert_allclose(middles, np.array([7.5, 22.5, 37.5]), atol=0.15)
 
 
+@pytest.mark.parametrize(
+    ("away_s", "is_found"), [(2.95, True), (-2.95, True), (3.0, False), (-3.0, False)]
+)
+def test_a_peak_of_a_part_is_within_three_seconds(away_s: float, *, is_found: bool) -> None:
+    """The last cell has no neighbour, so that it can be the slope of a peak beyond."""
+    true = wandering()
+    match = match_clocks(true, true[100:1000].shifted(-2.5))
+    assert match is not None
+    _, offsets = offsets_of_parts(match, match.offset_s - away_s, 3)
+    np.testing.assert_allclose(offsets, [2.5] * 3 * is_found, atol=0.02)
+
+
 @pytest.mark.parametrize(("span_s", "is_compared"), [(8.6, True), (7.9, False)])
 def test_eight_seconds_of_common_time_are_needed(span_s: float, *, is_compared: bool) -> None:
     own = wandering(span_s=20.0)

@@ -29,6 +29,7 @@ from trajeval_ros.report.comparison_figures import (
     run_path_svg,
 )
 from trajeval_ros.report.line_thinning import MOST_POINTS, simplified
+from trajeval_ros.report.svg_figure import SvgFigure
 from trajeval_ros.report.svg_panel import SvgPanel, text_width
 
 
@@ -313,3 +314,25 @@ def test_a_file_needs_no_styles_of_a_page() -> None:
                 x, y = map(float, re.findall(r"[\d.]+", str(group.get("transform"))))
                 assert x < wide
                 assert y < high
+
+
+def test_lines_of_a_legend_are_before_their_names() -> None:
+    """Rows are filled from the left; lines have tenths of pixels."""
+    keys = [(f"s{number}", f"an estimate with a long name {number}") for number in range(5)]
+    names = {name for _, name in keys}
+    tree = ElementTree.fromstring(SvgFigure(keys, []).to_file("legend"))
+    space = "{http://www.w3.org/2000/svg}"
+    texts = [each for each in tree.iter(f"{space}text") if each.text in names]
+    lines = [each for each in tree.iter(f"{space}path") if each.get("transform") == "scale(.1)"]
+    assert [each.text for each in texts] == [name for _, name in keys]
+    places = []
+    for line, text in zip(lines, texts, strict=True):
+        x, y, wide = map(float, re.findall(r"[\d.]+", str(line.get("d"))))
+        left, base = float(text.attrib["x"]), float(text.attrib["y"])
+        assert x / 10.0 == pytest.approx(left - 28.0, abs=0.1)
+        assert wide / 10.0 == pytest.approx(22.0)
+        assert y / 10.0 == pytest.approx(base - 4.0)
+        places.append((base, x))
+    assert places == sorted(places)
+    assert len({base for base, _ in places}) > 1
+    assert {x for base, x in places if base == places[0][0]} > {120.0}

@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import re
 import sys
+from types import SimpleNamespace
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -12,6 +14,7 @@ import pytest
 from strategies import make_pair
 
 from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.online.evaluator import OnlineEvaluator
@@ -48,6 +51,16 @@ def test_reprs_are_short_and_without_arrays() -> None:
     assert f"{position.rmse:.4g} m" in repr(outcome)
     assert "slam: failed it is empty" in repr(outcome)
     assert len(repr(position).splitlines()) == 1
+
+
+def test_damage_is_what_remarks_of_missing_data_say_once() -> None:
+    levels = [("a", Level.ERROR), ("b", Level.WARNING), ("a", Level.ERROR), ("c", Level.ERROR)]
+    remarks = [Remark(level, "damage", text) for text, level in levels]
+    runs: Any = [
+        SimpleNamespace(evaluation=SimpleNamespace(remarks=part))
+        for part in (remarks[:2], remarks[2:])
+    ]
+    assert dataclasses.replace(outcome_of(), runs=tuple(runs)).damage == ("a", "c")
 
 
 @pytest.mark.parametrize("name", ["vio", HOSTILE])

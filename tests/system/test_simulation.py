@@ -197,6 +197,13 @@ def test_noise_of_an_imu_has_the_densities_of_its_data_sheet(flight: Simulation)
         assert np.std(apart * np.sqrt(dt)) == pytest.approx(density, rel=0.03)
 
 
+def test_readings_of_an_imu_are_between_the_states(flight: Simulation) -> None:
+    stamps = flight.groundtruth.stamps
+    readings = imu_readings(flight.groundtruth, 1)
+    assert np.abs(2 * readings.stamps - stamps[:-1] - stamps[1:]).max() <= 1
+    assert readings.frame == "base_link"
+
+
 def test_nothing_is_written_for_a_flight_that_cannot_be(tmp_path: Path) -> None:
     with pytest.raises(SettingsError):
         simulate_command(tmp_path / "new" / "flight", duration=-1.0)
