@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import graphlib
 import re
 import runpy
@@ -110,6 +111,11 @@ def sources() -> list[Path]:
     return sorted(PACKAGE.rglob("*.py"))
 
 
+@functools.cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def subpackage_of(path: Path) -> str:
     """Return the module or folder, right under the package, that a file belongs to."""
     return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
@@ -128,7 +134,7 @@ def imported_names(tree: ast.AST) -> Iterator[str]:
 
 def subpackages_used_by(path: Path) -> set[str]:
     """Return the modules and folders of this package that a file imports."""
-    names = imported_names(ast.parse(path.read_text(encoding="utf-8")))
+    names = imported_names(parsed(path))
     split = [name.split(".") for name in names if name.startswith(f"{PACKAGE.name}.")]
     return {parts[1] for parts in split} - {"__version__"}
 
@@ -146,7 +152,7 @@ def test_imports_come_from_layers_below(path: Path) -> None:
 
 def modules_used_by(path: Path, known: dict[str, Path]) -> set[str]:
     """Return the modules that a file imports, also in functions and `if TYPE_CHECKING`."""
-    names = set(imported_names(ast.parse(path.read_text(encoding="utf-8"))))
+    names = set(imported_names(parsed(path)))
     names |= {name.rpartition(".")[0] for name in names}
     return {name for name in names & known.keys() if known[name] != path}
 
@@ -167,7 +173,7 @@ def test_dataclasses_do_not_change_and_arrays_are_not_compared() -> None:
     """`==` of two dataclasses with arrays raises; so these are compared by identity."""
     changing = set()
     for path in sources():
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in parsed(path).body:
             for decorator in node.decorator_list if isinstance(node, ast.ClassDef) else ():
                 written = ast.unparse(decorator)
                 if not written.startswith("dataclass"):
@@ -196,7 +202,7 @@ def test_no_two_modules_have_one_name() -> None:
 def test_no_two_public_classes_have_one_name() -> None:
     places: dict[str, list[Path]] = {}
     for path in sources():
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        for node in parsed(path).body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 places.setdefault(node.name, []).append(path.relative_to(PACKAGE))
     assert not {name: paths for name, paths in places.items() if len(paths) > 1}
@@ -205,7 +211,7 @@ def test_no_two_public_classes_have_one_name() -> None:
 @pytest.mark.parametrize("path", sources(), ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_outside_packages_are_imported_in_their_subpackages_only(path: Path) -> None:
     subpackage = subpackage_of(path)
-    names = imported_names(ast.parse(path.read_text(encoding="utf-8")))
+    names = imported_names(parsed(path))
     outside = {name.split(".")[0] for name in names} & IMPORTED_ONLY_IN.keys()
     assert not {package for package in outside if subpackage not in IMPORTED_ONLY_IN[package]}
 
