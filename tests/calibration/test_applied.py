@@ -27,9 +27,6 @@ def parameter(*value: float, status: str = "significant", seen: int | None = Non
     return Parameter(np.array(value), width, width, reliability, status, "")
 
 
-EARLY = parameter(-0.0041)
-
-
 def calibration(**changed: Parameter) -> Any:
     given = {
         "offset": parameter(0.02),

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from examined_rigs import START_NS, rig
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from small_rigs import Small, small_rig
 
@@ -27,8 +26,6 @@ from trajeval_ros.calibration.groundtruth_doctor.sample_rows import (
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.preintegration import ImuNoise
 from trajeval_ros.geometry.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ from calibration_flights import EPOCH
 from exact_flights import DURATION_S, FAULT, SCALE_OF_ESTIMATE, flown
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import f as fisher
 from scipy.stats import t as student
@@ -34,8 +33,6 @@ from trajeval_ros.calibration.observability import Directions, _directions, _tur
 from trajeval_ros.calibration.robust_fit import block_of, huber_cost
 from trajeval_ros.calibration.significance import axis_name, judge, unobservable
 from trajeval_ros.geometry import so3
-
-Array = NDArray[np.float64]
 
 
 @pytest.mark.parametrize("oriented", [True, False])

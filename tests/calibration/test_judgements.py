@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from calibration_flights import EPOCH, Fault, fly
 from exact_flights import FAULT, SCALE_OF_ESTIMATE, flown
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import t as student
 
@@ -26,7 +25,6 @@ from trajeval_ros.calibration.significance import (
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 
-Array = NDArray[np.float64]
 SECOND = 1_000_000_000
 NONE = SystematicErrors(0.0, 0.0)
 MOVED = Fault(0.08, 0.0, (0.4, -0.7, 1.1), (0.1, -0.05, 0.2))

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from dense_joint import dense_covariance
 from hypothesis import given, settings
-from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 from solved_process import solved
 from strategies import seeds
@@ -16,8 +15,6 @@ from strategies import seeds
 from trajeval_ros.continuous_time.joint_groundtruth import _SAME_SHARE, JointPosterior, _knots
 from trajeval_ros.continuous_time.manifolds import Positions
 from trajeval_ros.geometry import se3
-
-Array = NDArray[np.float64]
 
 
 def test_queries_alone_are_knots() -> None:

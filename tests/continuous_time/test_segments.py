@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from groundtruth_samples import samples_at
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -26,20 +27,10 @@ from trajeval_ros.continuous_time.piecewise_gp import (
     smooth_step,
     thinned,
 )
-from trajeval_ros.continuous_time.samples import Belief, Noise, Samples
-from trajeval_ros.geometry import se3, so3
+from trajeval_ros.continuous_time.samples import Belief
+from trajeval_ros.geometry import se3
 
 Array = NDArray[np.float64]
-
-
-def samples_at(
-    seconds: Array, positions: Array | None = None, turns: Array | None = None
-) -> Samples:
-    """Return samples at seconds (N,), of a straight and slow motion unless given."""
-    line = np.outer(seconds, [1.0, 0.5, 0.0]) if positions is None else positions
-    vectors = np.outer(seconds, [0.0, 0.0, 0.05]) if turns is None else turns
-    poses = se3.poses(so3.exp(vectors), line)
-    return Samples(0, np.asarray(seconds, dtype=float), poses, True, Noise(0.01, 0.02))
 
 
 @pytest.mark.parametrize(

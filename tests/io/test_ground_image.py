@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
 import numpy as np
 import pytest
+from refusals import is_refused
 
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.io import ground_image
@@ -17,14 +17,6 @@ from trajeval_ros.io.ground_image import parse_bounds, read_ground_image
 Image = pytest.importorskip("PIL.Image", reason="Pillow is missing")
 # Occupancies of 0, 0.1960..., 0.65 and 1 are these values, of 255.
 GREY = np.array([[255, 206, 205, 204], [90, 89, 88, 0]], dtype=np.uint8)
-
-
-def is_refused(read: Callable[..., object], *values: Any) -> bool:
-    try:
-        read(*values)
-    except (InputError, SettingsError):
-        return True
-    return False
 
 
 def ros_map(folder: Path, text: str = "", pixels: Any = GREY, origin: str = "[0, 0, 0]") -> Path:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tests.io.bags.test_pose_rules import poses
 from trajeval_ros import evaluate
@@ -21,7 +20,6 @@ from trajeval_ros.io.bags.pose_columns import PoseColumns
 from trajeval_ros.io.bags.topics import trajectory_of_columns
 from trajeval_ros.io.describe import LONG_GAP_S, summarize
 
-Array = NDArray[Any]
 SECOND = 10**9
 POSE = "geometry_msgs/msg/PoseStamped"
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -14,10 +13,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
+from refusals import is_refused
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.io import growing_rows, npz_file, yaml_file
 from trajeval_ros.io.checks import check_stamps, judge_rotations, nearest, times
@@ -32,16 +31,7 @@ from trajeval_ros.io.json_file import json_text, mapping_in, require_schema
 from trajeval_ros.io.npz_file import read_arrays, write_arrays
 from trajeval_ros.io.yaml_file import read_mapping, require_known
 
-Array = NDArray[Any]
 EPOCH = 10**17
-
-
-def is_refused(read: Callable[..., object], *values: Any, **more: Any) -> bool:
-    try:
-        read(*values, **more)
-    except (InputError, SettingsError):
-        return True
-    return False
 
 
 def test_at_most_twelve_names_are_listed_and_the_rest_counted() -> None:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 from unittest import mock
 
 import pytest
+from refusals import is_refused
 
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.io import find_sources as finding
@@ -15,14 +14,6 @@ from trajeval_ros.io.find_sources import find_sources
 from trajeval_ros.io.source_names import names_of, names_with, split_name
 from trajeval_ros.io.sources import _part_of as part_of
 from trajeval_ros.io.sources import parse_source, require_no_password
-
-
-def is_refused(read: Callable[..., object], *values: Any, **more: Any) -> bool:
-    try:
-        read(*values, **more)
-    except (InputError, SettingsError):
-        return True
-    return False
 
 
 def folders(base: Path, depth: int) -> Path:

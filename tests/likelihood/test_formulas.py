@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
-from strategies import as_matrix, make_element
+from strategies import as_matrix, make_element, random_poses
 
 from trajeval_ros.continuous_time.samples import Belief
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
@@ -32,16 +32,10 @@ Array = NDArray[np.float64]
 CHARTED = [Gauge.NONE, Gauge.TRANSLATION, Gauge.YAW, Gauge.SE3, Gauge.SIM3]
 
 
-def poses_of(seed: int, count: int = 8) -> Array:
-    generator = np.random.default_rng(seed)
-    twists = generator.normal(size=(count, 6)) * [3.0, 3.0, 3.0, 0.8, 0.8, 0.8]
-    return se3.exp(twists)
-
-
 def belief_of(seed: int, count: int = 8, size: float = 0.05) -> Belief:
     generator = np.random.default_rng(seed + 1)
     roots = size * generator.normal(size=(count, 6, 8))
-    return Belief(poses_of(seed, count), roots @ se3.transposed(roots))
+    return Belief(random_poses(seed, count), roots @ se3.transposed(roots))
 
 
 @pytest.mark.parametrize(
@@ -80,7 +74,7 @@ def test_elements_move_points_about_the_centre(gauge: Gauge) -> None:
 
 @pytest.mark.parametrize("gauge", CHARTED)
 def test_twists_are_derivatives_of_moved_poses(gauge: Gauge) -> None:
-    chart, poses = Chart(gauge, np.array([1.0, 2.0, 3.0])), poses_of(3)
+    chart, poses = Chart(gauge, np.array([1.0, 2.0, 3.0])), random_poses(3)
     twists = chart.twists(poses[:, :3, 3])
     for axis in range(chart.dimension):
         step = np.zeros((1, chart.dimension))
@@ -122,7 +116,7 @@ def test_first_alignments_are_weighted_by_variances() -> None:
     covariances = np.tile(1e-4 * np.eye(6), (8, 1, 1))
     covariances[:3] *= 1e8
     poses = belief.poses.copy()
-    poses[:3] = poses_of(9, 3)
+    poses[:3] = random_poses(9, 3)
     one = Residuals(Belief(poses, covariances), belief.poses, Gauge.SE3)
     np.testing.assert_allclose(residuals._first_alignment(one), np.eye(4), atol=1e-4)
     shifted = belief.poses.copy()
@@ -354,7 +348,7 @@ def test_conditions_have_the_scale_and_the_tilt_of_the_alignment() -> None:
 
 
 def test_relative_poses_are_linear_in_perturbations() -> None:
-    poses = poses_of(2)
+    poses = random_poses(2)
     generator = np.random.default_rng(0)
     xi = 1e-6 * generator.normal(size=(8, 6))
     carriers = transports(poses)

@@ -9,18 +9,14 @@ from unittest import mock
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from strategies import seeds
 
 from trajeval_ros import Gauge
-from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.online import live_clock
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
 from trajeval_ros.online.state_rows import states
 
-Array = NDArray[Any]
 SECOND = 10**9
-ARM = HandEye.of(np.array([0.3, -0.2, 0.5]), np.array([0.4, -0.1, 0.2]))
 
 
 @given(seed=seeds, step_ns=st.sampled_from([20_000_000, 100_000_000]))

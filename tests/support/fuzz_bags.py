@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import io
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import atheris
@@ -33,6 +32,7 @@ with atheris.instrument_imports(include=["trajeval_ros.io"]):
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
+from memory_file import Memory
 from rosbags.rosbag1 import Writer as Ros1Writer
 
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -45,26 +45,6 @@ FOXGLOVE = [FoxglovePlan(kind, "json") for kind in TYPES]
 ROS1 = 253  # the first byte of an input that is a bag of ROS 1
 JSON = 254  # the first byte of messages in JSON
 MCAP = 255  # the first byte of an input that is a file
-
-
-class Memory:
-    """A file in memory."""
-
-    name = "memory"
-    is_far = False
-
-    def __init__(self, data: bytes) -> None:
-        self._data = data
-        self.size = len(data)
-
-    def read(self, offset: int, size: int) -> bytes:
-        return self._data[max(0, offset) : max(0, offset) + max(0, size)]
-
-    def read_all(self, ranges: Sequence[tuple[int, int]]) -> list[bytes]:
-        return [self.read(*each) for each in ranges]
-
-    def close(self) -> None:
-        pass
 
 
 def one_input(data: bytes) -> None:

@@ -100,6 +100,12 @@ def pairs(min_count: int = 80, max_count: int = 160) -> st.SearchStrategy[Pair]:
     return st.builds(make_pair, seeds, st.integers(min_count, max_count), st.booleans())
 
 
+def random_poses(seed: int, count: int = 8) -> Array:
+    """Return poses (count, 4, 4) of all directions, some metres from the origin."""
+    twists = np.random.default_rng(seed).normal(size=(count, 6))
+    return se3.exp(twists * [3.0, 3.0, 3.0, 0.8, 0.8, 0.8])
+
+
 def make_element(gauge: Gauge, seed: int, *, reach_m: float = 100.0) -> Similarity:
     """Return a random element of the gauge's group."""
     random = np.random.default_rng(seed)

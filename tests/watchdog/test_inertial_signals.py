@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from turning_body import places, turned
 
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.watchdog import inertial_signals
@@ -20,17 +21,6 @@ PERIOD_S, ARMED_S, FAULT_S, END_S = 0.05, 30.0, 48.0, 72.0
 MOUNTED, BIAS = Rotation.from_rotvec([0.4, -0.9, 0.6]), np.array([0.004, -0.006, 0.003])
 OFFSET_S, GRAVITY = 0.12, 9.81
 TIMES = np.arange(0.0, END_S, PERIOD_S)
-
-
-def turned(times: Floats) -> Rotation:
-    """Return orientations of a body that turns about all axes."""
-    angles = 0.8 * np.sin(np.outer(times, [0.9, 0.7, 1.1]) + [0.0, 1.0, 2.0])
-    return Rotation.from_euler("zyx", angles)
-
-
-def places(times: Floats) -> Floats:
-    columns: Floats = np.sin(np.outer(times, [0.8, 0.6, 0.5]) + [0.0, 1.0, 2.0])
-    return columns * [2.0, 3.0, 1.0]
 
 
 @cache

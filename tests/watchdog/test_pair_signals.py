@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from turning_body import places, turned
 
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.watchdog import pair_signals
@@ -20,16 +21,6 @@ TIMES = np.arange(0.0, END_S, PERIOD_S)
 BODY, LEVER, SCALE = Rotation.from_rotvec([0.4, -0.9, 0.6]), np.array([0.2, -0.1, 0.3]), 1.7
 FRAME, MOVED = Rotation.from_rotvec([0.1, 0.2, -1.4]), np.array([5.0, -3.0, 2.0])
 WINDOWS_S = (5.0, 20.0)
-
-
-def turned(times: Floats) -> Rotation:
-    angles = 0.8 * np.sin(np.outer(times, [0.9, 0.7, 1.1]) + [0.0, 1.0, 2.0])
-    return Rotation.from_euler("zyx", angles)
-
-
-def places(times: Floats) -> Floats:
-    columns: Floats = np.sin(np.outer(times, [0.8, 0.6, 0.5]) + [0.0, 1.0, 2.0])
-    return columns * [2.0, 3.0, 1.0]
 
 
 def partner(times: Floats) -> Floats:

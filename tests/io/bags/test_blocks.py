@@ -13,7 +13,6 @@ import pytest
 import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from trajeval_ros.io.bags import blocks
 from trajeval_ros.io.bags.blocks import (
@@ -37,7 +36,6 @@ from trajeval_ros.io.bags.byte_source import (
     current_counter,
 )
 
-Array = NDArray[Any]
 Message = tuple[int, int, bytes]  # connection, log time, payload
 messages = st.lists(
     st.tuples(st.integers(0, 3), st.integers(-50, 50), st.binary(max_size=12)), max_size=25

@@ -14,6 +14,8 @@ import pytest
 import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
+from memory_file import Memory, chunk
+from refusals import is_refused
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags import compression
@@ -26,7 +28,7 @@ from trajeval_ros.io.bags.compression import (
     decompress_file,
     most_of,
 )
-from trajeval_ros.io.bags.mcap_chunks import Chunk, require_budget, require_size
+from trajeval_ros.io.bags.mcap_chunks import require_budget, require_size
 
 MIB = 1 << 20
 COMPRESS: dict[str, Callable[[bytes], bytes]] = {
@@ -35,37 +37,6 @@ COMPRESS: dict[str, Callable[[bytes], bytes]] = {
     "lz4": lambda data: bytes(lz4.frame.compress(data)),
     "bz2": lambda data: bz2.compress(data, 1),  # blocks of 100 kB
 }
-
-
-class Memory:
-    """Bytes as a source."""
-
-    name, is_far = "memory", False
-
-    def __init__(self, content: bytes, size: int | None = None) -> None:
-        self.content = content
-        self.size = len(content) if size is None else size
-
-    def read(self, offset: int, size: int) -> bytes:
-        return self.content[offset : offset + size]
-
-    def read_all(self, ranges: Any) -> list[bytes]:
-        return [self.read(*each) for each in ranges]
-
-    def close(self) -> None:
-        """Nothing is open."""
-
-
-def is_refused(check: Callable[..., object], *values: Any, error: Any = DamagedError) -> bool:
-    try:
-        check(*values)
-    except error:
-        return True
-    return False
-
-
-def chunk(length: int, size: int, kind: str = "zstd") -> Chunk:
-    return Chunk(0, length, 0, 0, kind, size)
 
 
 @pytest.mark.parametrize("kind", COMPRESS)
@@ -139,7 +110,7 @@ def test_sizes_of_chunks() -> None:
         (MIB, 500 * MIB, "zstd", False),
         (MIB, 500 * MIB + 1, "zstd", True),
     ):
-        assert is_refused(require_size, chunk(length, size, kind)) == refused
+        assert is_refused(require_size, chunk(length, size, kind), error=DamagedError) == refused
 
 
 def test_the_size_of_all_chunks() -> None:

@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 from made_bags import simple, the_file
 from mcap.records import Channel, Schema
 from mcap_layouts import Layout, Part, record
+from memory_file import Memory
 
-from tests.io.bags.test_record_limits import Memory
+from tests.io.bags.test_sqlite_rows import rows_of
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.bags import mcap_bag
 from trajeval_ros.io.bags.bag import Bag
@@ -48,16 +49,6 @@ class Counting(Memory):
         found = super().read(offset, size)
         self.taken += len(found)
         return found
-
-
-def rows_of(blocks: Any) -> list[Message]:
-    return [
-        (int(channel), int(time), bytes(payload))
-        for block in blocks
-        for channel, time, payload in zip(
-            block.connections, block.log_times, block.payloads(), strict=True
-        )
-    ]
 
 
 def sparse(count: int = 12, image: int = 60_000, pose: int = 30) -> list[Message]:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from trajeval_ros.exceptions import InputError
@@ -28,7 +27,6 @@ from trajeval_ros.io.bags.transform_tree import (
 )
 from trajeval_ros.io.bags.usable_poses import has_world_twist, usable_poses
 
-Array = NDArray[Any]
 SECOND = 10**9
 
 

@@ -27,7 +27,6 @@ from trajeval_ros.io.bags.px4_messages import (
 )
 
 Array = NDArray[Any]
-SECOND = 10**9
 
 
 def columns_of(fields: dict[str, Array]) -> Columns:

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from strategies import make_groundtruth
 
 from trajeval_ros.exceptions import InputError
@@ -23,7 +22,6 @@ from trajeval_ros.io.bags.rate_messages import (
 from trajeval_ros.io.bags.write_bag import ODOMETRY, write_bag
 from trajeval_ros.io.watched_sources import imu_of, read_watched
 
-Array = NDArray[Any]
 SECOND = 10**9
 
 

@@ -1,24 +1,24 @@
-"""Limits of records, chunks, definitions and compressed data: at them, below and above."""
+"""Limits of records, chunks and definitions: at them, below and above."""
 
 from __future__ import annotations
 
-import bz2
 import struct
 from collections.abc import Callable
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
-import lz4.frame
 import numpy as np
 import pytest
-import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
+from memory_file import Memory, chunk
+from refusals import is_refused
 
 from trajeval_ros.io.bags import mcap_chunk_reading, message_definitions
 from trajeval_ros.io.bags.bag_folder import FilePath
 from trajeval_ros.io.bags.byte_source import GAP, DamagedError
-from trajeval_ros.io.bags.mcap_chunks import Chunk, chunk_at, walked
+from trajeval_ros.io.bags.mcap_chunks import chunk_at, walked
 from trajeval_ros.io.bags.mcap_records import (
     CHUNK,
     MESSAGE,
@@ -40,44 +40,7 @@ from trajeval_ros.io.bags.message_definitions import (
 from trajeval_ros.io.bags.ros1_records import BagRecord, ChunkIndex, fields_at, record_at
 from trajeval_ros.io.bags.ros1_records import _message_at as message_at
 
-MIB = 1 << 20
-COMPRESS: dict[str, Callable[[bytes], bytes]] = {
-    "": lambda data: data,
-    "zstd": lambda data: zstandard.ZstdCompressor().compress(data),
-    "lz4": lambda data: bytes(lz4.frame.compress(data)),
-    "bz2": lambda data: bz2.compress(data, 1),  # blocks of 100 kB
-}
-
-
-class Memory:
-    """Bytes as a source."""
-
-    name, is_far = "memory", False
-
-    def __init__(self, content: bytes, size: int | None = None) -> None:
-        self.content = content
-        self.size = len(content) if size is None else size
-
-    def read(self, offset: int, size: int) -> bytes:
-        return self.content[offset : offset + size]
-
-    def read_all(self, ranges: Any) -> list[bytes]:
-        return [self.read(*each) for each in ranges]
-
-    def close(self) -> None:
-        """Nothing is open."""
-
-
-def is_refused(check: Callable[..., object], *values: Any, error: Any = DamagedError) -> bool:
-    try:
-        check(*values)
-    except error:
-        return True
-    return False
-
-
-def chunk(length: int, size: int, kind: str = "zstd") -> Chunk:
-    return Chunk(0, length, 0, 0, kind, size)
+is_damaged = partial(is_refused, error=DamagedError)
 
 
 def head(kind: str, first: int = 7, last: int = 9, size: int = 1000) -> bytes:
@@ -100,7 +63,7 @@ def test_a_chunk_is_described_by_its_header(kind: str) -> None:
 
 def test_a_chunk_without_a_whole_header_is_damaged() -> None:
     for content in (head("x" * 33), head("zstd")[:40], head("")[:36], b"\xff" * 200):
-        assert is_refused(chunk_at, Memory(content), 0, 509)
+        assert is_damaged(chunk_at, Memory(content), 0, 509)
 
 
 def message(channel: int, time: int, payload: bytes) -> bytes:
@@ -200,16 +163,16 @@ def test_a_record_of_ros1_has_its_fields_and_its_place() -> None:
     assert found.time("time") == 3_000_000_004
     assert (found.text("text"), found.text("none")) == ("a=b", "")
     for name, size in (("op", 4), ("conn", 8), ("conn", 2), ("none", 4)):
-        assert is_refused(found.number, name, size)
-    assert is_refused(record_at, read(content), 6, 6)
+        assert is_damaged(found.number, name, size)
+    assert is_damaged(record_at, read(content), 6, 6)
     for end in range(7, len(content) - 10):
-        assert is_refused(record_at, read(content[:end]), 6)
+        assert is_damaged(record_at, read(content[:end]), 6)
     assert found.number("conn", 4) == record_at(read(content[:-10]), 6).number("conn", 4)
 
 
 @pytest.mark.parametrize("text", [b"\5\0\0\0op=1", b"\3\0\0\0op=1", b"\2\0\0\0op", b"\0\0\0\0"])
 def test_fields_of_another_size_are_damage(text: bytes) -> None:
-    assert is_refused(record_at, read(record(text)), 0)
+    assert is_damaged(record_at, read(record(text)), 0)
 
 
 def test_sizes_of_records_of_ros1() -> None:
@@ -218,11 +181,11 @@ def test_sizes_of_records_of_ros1() -> None:
 
     assert len(header(1 << 16)) == 1 << 16
     record_at(read(record(header(1 << 16))), 0)
-    assert is_refused(record_at, read(record(header((1 << 16) + 1))), 0)
+    assert is_damaged(record_at, read(record(header((1 << 16) + 1))), 0)
     data = fields(topic=b"/a")
     for size, refused in ((len(data), False), (len(data) + 1, True), ((1 << 24) + 1, True)):
         place = BagRecord(b"", {}, 3, size)
-        assert is_refused(fields_at, read(b"123" + data), place) == refused
+        assert is_damaged(fields_at, read(b"123" + data), place) == refused
     assert fields_at(read(b"123" + data), BagRecord(b"", {}, 3, len(data))).text("topic") == "/a"
     padded = data + fields(x=bytes((1 << 24) - len(data) - 6))
     place = BagRecord(b"", {}, 0, len(padded))
@@ -238,9 +201,9 @@ def test_a_message_comes_after_at_most_15_connections(count: int, *, is_found: b
         found = message_at(read(content), 0)
         assert content[found.begin : found.end] == b"message"
     else:
-        assert is_refused(message_at, read(content), 0)
+        assert is_damaged(message_at, read(content), 0)
     other = record(fields(op=b"\x04"), b"index") + content
-    assert is_refused(message_at, read(other), 0)
+    assert is_damaged(message_at, read(other), 0)
 
 
 @given(

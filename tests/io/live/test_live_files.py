@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from pair_file_contents import COUNT, DESCRIPTION, STATE, STEP_NS, columns
 from strategies import make_groundtruth
 
@@ -41,7 +40,6 @@ from trajeval_ros.io.live.recorded_association import (
 from trajeval_ros.io.live.run_state import recorded_remarks, require_run_state
 from trajeval_ros.metrics.coverage import StampedPoses
 
-Array = NDArray[Any]
 UPS = [UpAxis("z"), UpAxis("z")]
 KINDS = {
     b"ONE_": np.dtype([("stamp", "<i8"), ("value", "<f8", 2)]),

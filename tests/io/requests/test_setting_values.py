@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import scipy.sparse
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from refusals import is_refused
 from scipy.spatial.transform import Rotation
 
 from trajeval_ros.consistency.joint_covariance import JointCovariance
@@ -33,14 +33,6 @@ from trajeval_ros.io.requests.settings_table import SETTINGS, settings_with
 from trajeval_ros.metrics.score import KnotTable, PointTable, RecallRule
 
 Array = NDArray[Any]
-
-
-def is_refused(read: Callable[..., object], *values: Any) -> bool:
-    try:
-        read(*values)
-    except (InputError, SettingsError):
-        return True
-    return False
 
 
 @pytest.mark.parametrize(

@@ -2,22 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import pytest
+from refusals import is_refused
 
-from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.io.results.requirement import Requirement
-
-
-def is_refused(read: Callable[..., object], *values: Any, **more: Any) -> bool:
-    try:
-        read(*values, **more)
-    except (InputError, SettingsError):
-        return True
-    return False
-
 
 RUN = {
     "ate": {"position_m": {"rmse": 0.25, "count": 7}, "form": "aligned"},

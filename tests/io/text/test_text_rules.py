@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -13,9 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from refusals import is_refused
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
@@ -37,14 +37,6 @@ from trajeval_ros.io.text.tokens import WordError, characters_of, tokenize
 
 Array = NDArray[Any]
 SECOND = 10**9
-
-
-def is_refused(read: Callable[..., object], *values: Any, **more: Any) -> bool:
-    try:
-        read(*values, **more)
-    except (InputError, SettingsError):
-        return True
-    return False
 
 
 def read(path: Path, *lines: str, **hints: Any) -> Trajectory:
