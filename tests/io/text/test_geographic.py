@@ -193,6 +193,16 @@ def test_half_a_day_back_is_the_next_day(tmp_path: Path, step: int, days: int) -
     assert found.stamps.tolist() == [86_399 * 10**9, (86_399 - step + days * 86_400) * 10**9]
 
 
+@pytest.mark.parametrize(("sent", "day"), [("113001", 2), ("113000", 1)])
+def test_a_date_half_a_day_back_is_of_the_next_day(tmp_path: Path, sent: str, day: int) -> None:
+    """The fixes are of 23:30:01; the line with the date is half a day earlier or later."""
+    lines = [gga(84_600 + row, PLACES[row]) for row in range(2)]
+    dated = sentence(f"GNZDA,{sent}.00,02,01,1980,00,00")
+    found = fixes_in(tmp_path / "x.nmea", *lines, dated)
+    begin = int(datetime(1980, 1, day, 23, 30, tzinfo=timezone.utc).timestamp())
+    assert found.stamps.tolist() == [begin * 10**9, (begin + 1) * 10**9]
+
+
 @pytest.mark.parametrize(
     ("digits", "nanoseconds"),
     [("", 0), (".5", 500_000_000), (".000000001", 1), (".1234567899", 123_456_789)],

@@ -131,7 +131,8 @@ def _days(
         return days, (note("no_date", undated),)
     # The line with the date has the same day as the GGA line before it, except over midnight.
     row = max(int(np.searchsorted(places, said.start())) - 1, 0)
-    between = round((int(time[:2]) * 3600 - int(seconds[row])) / _DAY_S)
+    own_s = int(time[:2]) * 3600 + int(time[2:4]) * 60 + int(time[4:6])
+    between = round((own_s - int(seconds[row])) / _DAY_S)
     return days + told - int(days[row]) + between, ()
 
 
