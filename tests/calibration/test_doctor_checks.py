@@ -7,16 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from examined_rigs import START_NS, rig
+from examined_rigs import START_NS
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.calibration.groundtruth_doctor import start
 from trajeval_ros.calibration.groundtruth_doctor.examine import (
     _difference,
     _turns_in_place,
 )  # fmt: skip
-from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds, InertialSteps
+from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds
 from trajeval_ros.calibration.groundtruth_doctor.repair import _with_bridges
 from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
     PoseSpan,
@@ -27,7 +26,7 @@ from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
     check_poses,
     check_residuals,
 )  # fmt: skip
-from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples, _weights
+from trajeval_ros.calibration.groundtruth_doctor.sample_rows import _weights
 from trajeval_ros.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -311,98 +310,3 @@ def test_bridges_fill_gaps_of_two_seconds() -> None:
     gaps = (PoseSpan(int(stamps[2]), 2.0), PoseSpan(int(stamps[4]), 11.5))
     found = _with_bridges(stamps, gaps)
     assert found.tolist() == [each * 500_000_000 for each in (0, 1, 2, 3, 4, 5, 6, 7, 30)]
-
-
-def test_steps_of_an_imu_that_are_doubtful() -> None:
-    seconds = np.array([0.0, 0.01, 0.0599, 0.11, 0.12, 0.13, 0.14, 0.15, 0.16])
-    generator = np.random.default_rng(0)
-    rates, forces = generator.uniform(0.1, 0.9, size=(2, 9, 3))
-    imu = ImuSeconds(seconds, rates, forces)
-    assert np.flatnonzero(imu.doubtful).tolist() == [2]  # 50.1 ms
-    rates[3:6, 1] = -1.0  # three readings at the extreme may be chance
-    assert np.flatnonzero(imu.doubtful).tolist() == [2]
-    rates[6, 1] = 1.0
-    assert np.flatnonzero(imu.doubtful).tolist() == [2, 3, 4, 5, 6]
-    # Zeros are no saturation.
-    still = ImuSeconds(seconds, np.zeros((9, 3)), forces)
-    assert np.flatnonzero(still.doubtful).tolist() == [2]
-    steps = InertialSteps(np.array([0.005, 0.05, 0.155]), ImuSeconds(seconds, rates * 0, forces))
-    assert steps.doubtful.tolist() == [False, True]
-    covariances, _ = steps.uncertainty(np.zeros(3), rig_noise())
-    quiet = InertialSteps(np.array([0.005, 0.05]), ImuSeconds(seconds, rates * 0, forces))
-    sure, _ = quiet.uncertainty(np.zeros(3), rig_noise())
-    np.testing.assert_allclose(covariances[0], sure[0], rtol=1e-12)
-    assert covariances[1, 0, 0] > 1e3 * sure[0, 0, 0]
-
-
-def rig_noise() -> Any:
-    from trajeval_ros.geometry.preintegration import ImuNoise
-
-    return ImuNoise(1e-3, 1e-2)
-
-
-def test_steps_between_knots_are_means_of_interpolated_readings() -> None:
-    seconds = np.array([0.0, 1.0, 2.0, 3.0])
-    rates = np.outer([0.0, 1.0, 4.0, 5.0], [1.0, 0.0, -1.0])
-    forces = np.outer([2.0, 0.0, 1.0, 1.0], [0.0, 1.0, 0.0])
-    steps = InertialSteps(np.array([0.5, 2.5, 3.0]), ImuSeconds(seconds, rates, forces))
-    np.testing.assert_allclose(steps.times, [0.5, 1.0, 2.0, 2.5, 3.0])
-    assert steps.first.tolist() == [0, 3, 4]
-    np.testing.assert_allclose(steps.durations_s, [2.0, 0.5])
-    np.testing.assert_allclose(steps.held, [[0.5, 1.0, 0.5], [0.5, 0.0, 0.0]])
-    np.testing.assert_allclose(steps.starts, [[0.0, 0.5, 1.5, 2.0], [0.0, 0.5, 0.5, 0.5]])
-    np.testing.assert_allclose(steps.rates[0, :, 0], [0.75, 2.5, 4.25])
-    assert steps.rates[1, 0, 2] == pytest.approx(-4.75)
-    np.testing.assert_allclose(steps.accelerations[0, :, 1], [0.5, 0.5, 1.0])
-
-
-def test_knots_are_a_tenth_of_a_second_inside_both() -> None:
-    own = np.arange(0.0, 2.0, 0.01)
-    samples = TruthSamples(own, np.zeros((200, 3)), np.zeros((200, 4)), True)
-    imu = ImuSeconds(0.5 + own, np.zeros((200, 3)), np.zeros((200, 3)))
-    knots = start.knots_of(samples, imu, 0.25)
-    np.testing.assert_allclose(knots, [0.6, 0.85, 1.1, 1.35, 1.6, 1.85])
-    assert samples.middle_s == pytest.approx(0.995)
-
-
-def test_the_first_rig_is_near_the_true_one() -> None:
-    made = rig(3, turn_deg=(20.0, -10.0, 5.0), noise=(1e-6, 1e-6))
-    truth, readings = made.groundtruth, made.readings
-    assert truth.quaternions is not None
-    assert readings.accelerations is not None
-    own = (truth.stamps - START_NS) / 1e9
-    samples = TruthSamples(own, truth.positions, truth.quaternions, True)
-    imu = ImuSeconds((readings.stamps - START_NS) / 1e9, readings.rates, readings.accelerations)
-    knots = start.knots_of(samples, imu, 0.1)
-    found = start.first_rig(samples, imu, knots, turns=True)
-    body = Rotation.from_euler("xyz", [0, 0, 0]) * Rotation.from_rotvec([20, -10, 5], degrees=True)
-    apart = (body.inv() * Rotation.from_matrix(found.body)).magnitude()
-    assert np.degrees(apart) < 0.2
-    turned = made.motion.rotations(knots).inv() * Rotation.from_matrix(found.rotations)
-    assert np.degrees(turned.magnitude().max()) < 0.5
-    np.testing.assert_allclose(found.positions, made.motion.positions(knots), atol=1e-3)
-    # Of differences over 0.2 s, the error is a sixth of the third derivative times 0.01 s^2.
-    jerk = np.abs(made.motion.positions(knots, 3)).max()
-    error = np.abs(found.velocities - made.motion.positions(knots, 1)).max()
-    assert error < 0.01 * jerk / 6.0 + 2e-5
-    assert np.linalg.norm(found.gravity) == pytest.approx(9.81)
-    assert found.gravity[2] < -9.7
-    # The gyroscope's bias is drawn with 0.01 rad/s, and its noise averages out.
-    generator = np.random.default_rng([3, 38])
-    generator.uniform(size=(5, 6)), generator.uniform(size=(5, 6)), generator.uniform(size=(5, 6))
-    bias = generator.normal(0.0, 0.01, 3)
-    np.testing.assert_allclose(found.gyro_biases[0], bias, atol=1.5e-3)
-    assert not found.acceleration_biases.any()
-    same = start.first_rig(samples, imu, knots, turns=False)
-    np.testing.assert_array_equal(same.body, np.eye(3))
-    assert not same.gyro_biases.any()
-
-
-def test_swings_are_third_differences_over_half_a_second() -> None:
-    seconds = np.arange(0.0, 6.0, 0.05)
-    bend = np.array([1.0, -2.0, 0.5])
-    times, swings = start._swings(seconds, seconds[:, None] ** 3 * bend + 7.0)
-    # Third differences of t^3 are 6 h^3, with h = 0.5 s; the ends are left out.
-    np.testing.assert_allclose(swings, np.tile(6.0 * 0.125 * bend, (len(times), 1)), atol=1e-9)
-    assert times[0] == pytest.approx(0.8, abs=0.051)
-    assert times[-1] == pytest.approx(seconds[-1] - 0.8, abs=0.051)

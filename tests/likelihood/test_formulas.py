@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 from strategies import as_matrix, make_element, random_poses
 
@@ -28,7 +27,6 @@ from trajeval_ros.likelihood.relative_density import (
 )
 from trajeval_ros.likelihood.residuals import Residuals, find_mode, unit_diagonal
 
-Array = NDArray[np.float64]
 CHARTED = [Gauge.NONE, Gauge.TRANSLATION, Gauge.YAW, Gauge.SE3, Gauge.SIM3]
 
 

@@ -119,12 +119,13 @@ class PoseSource:
 
         Transforms of one topic usually have several publishers.
         """
-        first, names = self.inputs[0], self.inputs[0].publishers
-        if isinstance(self.stream, TransformStream) or len(names) < 2 or not first.are_named:
+        topic = self.inputs[0]
+        count = len(topic.publishers)
+        if isinstance(self.stream, TransformStream) or count < 2 or not topic.are_named:
             return ""
         return (
-            f"{self.source}: messages of {len(names)} publishers are mixed "
-            f"({', '.join(names)}); publish every trajectory on its own topic"
+            f"{self.source}: messages of {count} publishers are mixed "
+            f"({', '.join(topic.publishers)}); publish every trajectory on its own topic"
         )
 
     def _transforms(self, frames: str) -> TransformStream:
