@@ -147,6 +147,17 @@ def test_eight_seconds_of_common_time_are_needed(span_s: float, *, is_compared: 
     assert np.isfinite(unlikeness_ratio(own, part, 0.0)) == is_compared
 
 
+def test_one_side_may_be_shorter_than_a_cell_of_the_other() -> None:
+    """A run of three hours by one wrong timestamp has cells of three seconds."""
+    own = wandering(span_s=2.0)
+    seconds = own.seconds.copy()
+    seconds[-1] += 1e4
+    long = TimedPoses(seconds, own.positions, own.quaternions)
+    assert match_clocks(own, long) is None
+    assert match_clocks(long, own) is None
+    assert np.isnan(unlikeness_ratio(own, long, 0.0))
+
+
 def match_of(**changed: Any) -> ClockMatch:
     nothing: Any = None
     usual: dict[str, Any] = {

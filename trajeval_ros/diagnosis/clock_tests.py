@@ -39,7 +39,7 @@ class MotionRates:
 
     @classmethod
     def of(cls, poses: TimedPoses, cell_s: float, window_s: float, epoch_s: float) -> MotionRates:
-        """Sample a poses in order, from poses half a window before and after every cell."""
+        """Sample poses in order, from poses half a window before and after every cell."""
         half = max(1, round(window_s / cell_s / 2.0))
         count = int(poses.span_s / cell_s)
         start = round((float(poses.seconds[0]) - epoch_s) / cell_s)
@@ -92,6 +92,8 @@ def match_clocks(groundtruth: TimedPoses, estimate: TimedPoses) -> ClockMatch | 
     ours, true = (
         MotionRates.of(each, cell_s, window_s, epoch_s) for each in (estimate, groundtruth)
     )
+    if not (len(ours.known) and len(true.known)):  # one side is shorter than a cell of the other
+        return None
     kinds = min(len(ours.rates), len(true.rates))
     lags, alike, common = masked_correlation(
         tamed(ours.rates[:kinds], ours.known),
