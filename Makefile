@@ -27,6 +27,10 @@ DEMO = $(if $(shell $(PYTHON) -c '$(HAS_ROS_WHEELS)' && echo yes),$(ROS),$(VENV)
 ALONE := ROS_HOME=$$(mktemp -d) && export ROS_HOME && trap 'rm -rf "$$ROS_HOME"' EXIT && \
 	ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST ROS_DOMAIN_ID=$(ROS_TEST_DOMAIN)
 
+# Containers often forbid bytecode. Then every process compiles the package again, and every worker
+# of the tests rewrites all of them, which takes a third of the time of `make test`.
+export PYTHONDONTWRITEBYTECODE :=
+
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help install demo demo-real test test-jazzy test-ros test-real lint format bench bench-gnss bench-live \

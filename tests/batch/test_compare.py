@@ -97,6 +97,7 @@ def test_other_content_with_the_stamp_and_size_of_the_old_is_seen(tmp_path: Path
     assert progress.done == 1
 
 
+@pytest.mark.slow
 def test_other_settings_are_other_runs_and_the_old_ones_are_kept(tmp_path: Path) -> None:
     config = write_runs(tmp_path)
     run(config)

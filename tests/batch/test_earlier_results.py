@@ -29,6 +29,7 @@ def evaluated(name: str, folder: Path) -> Any:
     return json.loads((folder / "result.json").read_text())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OPTIONS)
 def test_settings_and_numbers_are_those_of_this_version(name: str, tmp_path: Path) -> None:
     pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
@@ -41,6 +42,7 @@ def test_settings_and_numbers_are_those_of_this_version(name: str, tmp_path: Pat
         assert before["ate"][error] == pytest.approx(after["ate"][error], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_result_of_version_0_2_stands_beside_one_of_this_version(tmp_path: Path) -> None:
     pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")

@@ -62,6 +62,7 @@ def test_finished_results_have_their_own_numbers(folder: Path, tmp_path: Path) -
     assert "slam" in page
 
 
+@pytest.mark.slow
 def test_paths_and_errors_are_those_of_the_evaluation(folder: Path, tmp_path: Path) -> None:
     (tmp_path / RECORDS).mkdir()
     FinishedResults([str(folder / "vio_hall")]).write_tables(tmp_path)
@@ -84,6 +85,7 @@ def test_other_settings_are_refused(folder: Path, tmp_path: Path) -> None:
         FinishedResults([str(folder / "vio_hall"), str(tmp_path / "a")])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("more", "message"),
     [
@@ -104,6 +106,7 @@ def test_what_finished_results_cannot_have_is_refused(
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_equal_names_are_told_apart_by_folders(folder: Path, tmp_path: Path) -> None:
     again, other = tmp_path / "again", tmp_path / "other"
     shutil.copytree(folder / "vio_hall", again)
@@ -121,6 +124,7 @@ def test_equal_names_are_told_apart_by_folders(folder: Path, tmp_path: Path) -> 
         FinishedResults([str(other), str(other)])
 
 
+@pytest.mark.slow
 def test_damaged_results_are_one_sentence(folder: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy"
     shutil.copytree(folder / "vio_hall", copy)

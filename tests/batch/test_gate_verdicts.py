@@ -166,6 +166,7 @@ def test_gates_are_one_family_with_one_level(tmp_path: Path) -> None:
     assert one.level == two.gates[0].pooled.level == 0.0125
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gates", [1, 2])
 def test_bounds_and_verdict_agree(gates: int, tmp_path: Path) -> None:
     others = ["association.groundtruth_coverage worse than 5 %"] * (gates - 1)
@@ -298,6 +299,7 @@ def of_seeds(factor: float, seed: int, count: int = 6) -> dict[str, list[float |
     return {f"s{each}": list(own) for each, own in enumerate(factor * shared * noise)}
 
 
+@pytest.mark.slow
 def test_pairs_show_a_change_that_seeds_hide(tmp_path: Path) -> None:
     before, now = of_seeds(1.0, 1, 9), of_seeds(1.1, 2, 9)
     assert pooled_word(judged(tmp_path, before, now)) == "undecided"

@@ -205,6 +205,7 @@ def test_other_bytes_are_no_manifest(tmp_path: Path) -> None:
     assert "is not a complete Parquet file" in refused(tmp_path / "no.parquet")
 
 
+@pytest.mark.slow
 def test_a_file_that_is_listed_and_not_there_is_a_failed_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

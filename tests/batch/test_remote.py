@@ -82,6 +82,7 @@ def test_five_runs_of_which_one_is_poisoned(
     assert told in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_bytes_of_all_runs_are_counted_and_no_more_are_transferred(
     wire: Any, sizes: dict[str, int], tmp_path: Path
 ) -> None:
@@ -103,6 +104,7 @@ def test_the_last_line_states_what_was_fetched(
     assert f", {size} read from remote stores; report.html" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("sizes")
 def test_a_manifest_names_no_other_host_than_its_own(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"line 2 has the remote URL s3://other/e\.txt; if you"):
@@ -118,6 +120,7 @@ def test_a_manifest_names_no_other_host_than_its_own(tmp_path: Path) -> None:
         plan_of(f"{STORE}/runs.yaml", {})
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("sizes")
 def test_patterns_are_listed_in_a_store(tmp_path: Path) -> None:
     config = tmp_path / "c.yaml"

@@ -114,6 +114,7 @@ def test_clocks_that_overlap_by_a_pair_or_two_are_brought_together(pairs: int) -
     assert said == (found.before is None)
 
 
+@pytest.mark.slow
 def test_nothing_is_calibrated_unless_asked_for(
     files: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:

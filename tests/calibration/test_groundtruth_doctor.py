@@ -191,6 +191,7 @@ def test_clocks_of_different_epochs(healthy: tuple[ExaminedRig, ExaminedGroundtr
     assert abs(int(first) - START_NS) < 10**9
 
 
+@pytest.mark.slow
 def test_jumps_outliers_frozen_and_held_poses() -> None:
     made = rig(3, duration_s=40.0)
     truth = made.groundtruth
@@ -299,6 +300,7 @@ def test_a_car_does_not_determine_the_height_of_the_marker() -> None:
     assert fits_of(found).hand_eye_covariance[2, 2] == pytest.approx(0.25, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_turntable_has_no_false_verdict() -> None:
     found = examined(rig(4, "turntable", duration_s=40.0))
     assert "significant" not in verdicts(found).values()
@@ -336,6 +338,7 @@ def refused(groundtruth: Trajectory, readings: InertialReadings | None, **more: 
     return str(error.value)
 
 
+@pytest.mark.slow
 def test_refusals(healthy: tuple[ExaminedRig, ExaminedGroundtruth]) -> None:
     made, _ = healthy
     truth, readings = made.groundtruth, made.readings

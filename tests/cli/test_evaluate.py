@@ -102,6 +102,7 @@ def test_quiet_says_nothing_and_writes_what_was_asked_for(
     assert json.loads(file.read_text())["runs"][0]["association"]["pairs"] == 400
 
 
+@pytest.mark.slow
 def test_output_folder_holds_results_errors_and_figures(pair: list[str], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="the plot extra is not installed")
     folder = tmp_path / "some" / "result"

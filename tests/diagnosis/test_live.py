@@ -15,6 +15,7 @@ from benchmarks.diagnosis_runs import simulated
 DRONE = simulated(5000, "drone", "walk", 60.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["estimate in mm", "wxyz, estimate", "clock +18 s", ""])
 def test_finish_says_what_an_evaluation_of_the_bag_says(tmp_path: Path, name: str) -> None:
     pair = MISTAKES[name].make(DRONE) if name else DRONE

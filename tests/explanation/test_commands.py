@@ -143,6 +143,7 @@ def run_verb(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[
     return status, captured.out + captured.err
 
 
+@pytest.mark.slow
 def test_the_verb_prints_definition_and_command(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -172,6 +173,7 @@ def test_the_verb_prints_definition_and_command(
     assert json.loads(saved.read_text(encoding="utf-8"))["verdict"] in ("possible", "chance")
 
 
+@pytest.mark.slow
 def test_yaml_keeps_zeros_and_equals_the_options(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

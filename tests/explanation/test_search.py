@@ -99,6 +99,7 @@ def test_two_numbers_of_a_row_have_one_alignment() -> None:
             assert len({one.alignment for one in each.definitions}) == 1
 
 
+@pytest.mark.slow
 def test_several_runs_need_fewer_digits() -> None:
     pairs = ("drone_loop", "handheld_gaps", "slow_gt")
     definition = Definition("rpg", "yaw", "position_m", "rmse")
@@ -312,6 +313,7 @@ def assert_accepted(
     assert outside <= 2
 
 
+@pytest.mark.slow
 def test_cases_of_portable_pairs_are_named() -> None:
     cases = json.loads((TESTS / "data/explain_cases.json").read_text(encoding="utf-8"))
     assert_accepted(cases, values, {("one", 3): 3, ("one", 4): 3})

@@ -250,6 +250,7 @@ def test_states_that_are_no_poses_are_counted_by_reason() -> None:
     assert evaluator.snapshot().dropped == {"not_finite": 1, "zero_quaternion": 1}
 
 
+@pytest.mark.slow
 def test_a_frozen_alignment_waits_until_it_is_determined_and_then_stays() -> None:
     groundtruth = make_groundtruth(9, 800)
     drift = np.cumsum(np.random.default_rng(0).normal(scale=1e-3, size=(800, 3)), axis=0)

@@ -56,6 +56,7 @@ def test_a_window_has_the_errors_of_its_pairs(window: str, gauge: Gauge) -> None
     assert rotation.mean == pytest.approx(errors.rotation_deg.mean(), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_groundtruth_coverage_is_of_the_whole_run_whatever_the_window() -> None:
     groundtruth, estimate = make_pair(5, 600)
     recorded = evaluate(groundtruth, estimate, PROTOCOLS["default"]).association

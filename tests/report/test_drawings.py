@@ -21,6 +21,7 @@ SLOW = pytest.mark.slow
 FLIGHT = "evaluate -g run:/groundtruth/pose -e run:/vio/odometry --output out"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "shown", "typed"),
     [

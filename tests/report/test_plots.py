@@ -82,6 +82,7 @@ def test_writes_every_figure_and_none_is_blank(drawn: list[Path]) -> None:
         assert _colour_share(pixels, palette.ESTIMATES[0]) > 5e-4
 
 
+@pytest.mark.slow
 def test_same_evaluation_gives_the_same_bytes(drawn: list[Path], tmp_path: Path) -> None:
     again = write_figures([_evaluation()], tmp_path)
     assert [path.read_bytes() for path in again] == [path.read_bytes() for path in drawn]
@@ -165,6 +166,7 @@ def test_undetermined_rotation_says_why() -> None:
     assert "do not determine" in _texts([evaluation], "absolute_error")
 
 
+@pytest.mark.slow
 def test_no_sub_trajectory_of_the_lengths(tmp_path: Path) -> None:
     evaluation = _evaluation(protocol=Protocol(gauge=Gauge.YAW, lengths=metres(1000)))
     assert len(write_figures([evaluation], tmp_path)) == 4
@@ -261,6 +263,7 @@ def test_long_and_missing_names() -> None:
     assert missing == "estimate 2"
 
 
+@pytest.mark.slow
 def test_names_are_neither_hidden_nor_read_as_formulas() -> None:
     evaluation = _evaluation()
     for name in ("_hidden", "$run_{1$", "50%"):
@@ -270,6 +273,7 @@ def test_names_are_neither_hidden_nor_read_as_formulas() -> None:
             assert name in _texts([odd], draw)
 
 
+@pytest.mark.slow
 def test_large_coordinates_keep_the_figure_small(tmp_path: Path) -> None:
     flight = simulate(0, 20.0)
     far = flight.groundtruth.positions * [100.0, 1.0, 1.0] + [5e5, 4e6, 0.0]

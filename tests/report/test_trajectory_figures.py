@@ -58,6 +58,7 @@ def grey_map(folder: Path, yaw: float = 0.0) -> Path:
     return folder / "map.yaml"
 
 
+@pytest.mark.slow
 def test_a_home_that_cannot_be_written_gives_no_warnings(tmp_path: Path) -> None:
     """Nor does a list of fonts that takes long to make, of which the same logger warns."""
     assert main(["simulate", str(tmp_path / "flight"), "--duration", "10"]) == 0

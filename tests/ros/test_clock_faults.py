@@ -311,6 +311,7 @@ def test_a_share_of_unusable_poses_is_a_warning_live_and_in_the_result(
     assert all(KINDS[kind] in each.text for each in told)
 
 
+@pytest.mark.slow
 def test_states_out_of_order_are_counted_once_and_reported(tmp_path: Path) -> None:
     live = Live(tmp_path / "live", ODOM)
     feed = sent(ESTIMATED, ESTIMATE, ESTIMATED.stamps)

@@ -294,6 +294,7 @@ def test_no_side_is_waited_for_longer_than_a_minute(tmp_path: Path, alone: str) 
     assert any("no time offset applied (vio: " in each["text"] for each in found["remarks"])
 
 
+@pytest.mark.slow
 def test_nothing_of_what_is_held_is_dropped(tmp_path: Path) -> None:
     feed = messages(0.0, 62.0)
     live = Live(tmp_path / "live", ODOM, find_offset=True, limits=BufferLimits(waiting_states=300))

@@ -112,6 +112,7 @@ def test_live_is_offline(
     )
 
 
+@pytest.mark.slow
 def test_the_antenna_of_a_hand_eye_transform_is_that_of_a_recording(tmp_path: Path) -> None:
     file = str(write_mounting(tmp_path))
     body = MarkerBody(file, known_hand_eye(file))
@@ -144,6 +145,7 @@ def test_each_loop_is_a_run(tmp_path: Path, batch: int) -> None:
         assert_same(each["runs"], [expected])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("batch", [1, 19, 1000])
 def test_a_restart_parts_the_fixes(tmp_path: Path, batch: int) -> None:
     positions = FLIGHT.estimate.positions.copy()

@@ -290,6 +290,7 @@ def two_estimates(seed: int) -> tuple[list[Message], list[Message]]:
     return common, messages_of(restarts, ESTIMATE, ODOM)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("batch", [1, 23])
 def test_a_restart_loses_no_pair_of_another_estimate(tmp_path: Path, batch: int) -> None:
     common, restarts = two_estimates(33)

@@ -27,6 +27,7 @@ from trajeval_ros.ros.output_folder import Autosave, Finisher
 from trajeval_ros.ros.recorded_state import why_no_pair, write_states
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(seed=seeds, cuts=st.lists(st.integers(0, COUNT), max_size=20), late=st.integers(0, 20))
 def test_any_batches_of_bytes_give_the_offline_result(

@@ -155,6 +155,7 @@ def main() -> int:
     parser.add_argument("--patience", type=float, default=300.0, help="seconds for each change")
     asked = parser.parse_args()
     sys.dont_write_bytecode = True
+    os.environ["PYTHONDONTWRITEBYTECODE"] = "1"  # for the processes that tests start
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "checkout"
         left_out = shutil.ignore_patterns(".*", "*.egg-info", "demo_output", "build")

@@ -320,6 +320,7 @@ def test_live_is_offline(
     assert_same(live_coverage(truth, run, window, cuts), expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "run", ["vislam_ba/MH_01_trial7", "vislam_ba/V2_03_trial2", "vio_mono/V2_03"]
 )

@@ -197,6 +197,7 @@ def test_file_stays_small(tmp_path: Path) -> None:
     assert (tmp_path / "run.rrd").stat().st_size / 45.0 <= 12_000.0
 
 
+@pytest.mark.slow
 def test_whole_past_stands_at_the_last_alignment_at_every_time(
     finished: tuple[Rrd, dict[str, Any], Path],
 ) -> None:

@@ -148,6 +148,7 @@ def test_pages_that_are_linked_many_times_end_with_the_size_of_the_file(
     reader.close()
 
 
+@pytest.mark.slow
 def test_a_query_of_more_rows_than_the_file_can_have_is_given_up(tmp_path: Path) -> None:
     path = tmp_path / "x.db3"
     shared_pages(path, 4, is_deep=True)
