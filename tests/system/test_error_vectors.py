@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from strategies import make_pair
@@ -34,8 +34,8 @@ GAUGES = ["none", "translation", "yaw", "se3", "sim3"]
 def test_vectors_are_as_long_as_the_errors(seed: int, gauge: str, form: str) -> None:
     pair = make_pair(seed, 40, smooth=True)
     found = evaluate(pair.groundtruth, pair.estimate, Protocol(gauge=gauge, ate_form=form))
-    vectors = found.error_vectors
-    absolute = found.absolute
+    assume(not found.withheld)  # the rotation errors of one seed, which positions determine poorly
+    vectors, absolute = found.error_vectors, found.absolute
     for each in (vectors.position_world_m, vectors.position_body_m):
         np.testing.assert_allclose(np.linalg.norm(each, axis=1), absolute.position_m, atol=1e-12)
     for each in (vectors.rotation_world_deg, vectors.rotation_body_deg):
@@ -53,6 +53,7 @@ def test_the_tutorials_form_has_vectors_of_its_own() -> None:
 def test_aligned_poses_and_errors_give_the_groundtruth(seed: int) -> None:
     pair = make_pair(seed, 40, smooth=True)
     found = evaluate(pair.groundtruth, pair.estimate, Protocol(gauge="yaw"))
+    assume(not found.withheld)
     vectors, truth, aligned = found.error_vectors, found.association.groundtruth, found.aligned
     np.testing.assert_allclose(
         aligned.positions + vectors.position_world_m, truth.positions, atol=1e-12

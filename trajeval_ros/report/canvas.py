@@ -273,17 +273,24 @@ def say_instead(axes: Axes, sentence: str) -> None:
 
 
 def tick_places(low: float, high: float, most: int) -> list[float]:
-    """Return at most `most` round numbers within limits, 1, 2 or 5 times a power of ten apart."""
+    """Return round numbers within limits, 1, 2 or 5 times a power of ten apart.
+
+    They are at most `most`, or five where a larger step would leave one, which shows no scale.
+    """
     span = high - low
     if not (span > 0.0 and math.isfinite(span)):
         return []
     power = 10.0 ** math.floor(math.log10(span / most))
+    places: list[float] = []
     for factor in (1.0, 2.0, 5.0, 10.0, 20.0):
         step = factor * power
         first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-        if last - first < most:
+        if places and first == last:
             break
-    return [multiple * step for multiple in range(first, last + 1)]
+        places = [multiple * step for multiple in range(first, last + 1)]
+        if len(places) <= most:
+            break
+    return places
 
 
 def tick_labels(places: list[float]) -> list[str]:
