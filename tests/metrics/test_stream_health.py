@@ -105,3 +105,40 @@ def test_timestamps_after_their_arrival_are_counted() -> None:
 
 def test_a_stream_without_messages_has_no_health() -> None:
     assert StreamMonitor().whole() == StreamMonitor().recent() == StreamHealth()
+
+
+@pytest.mark.parametrize("rate", [0.2, 1.0, 8.0])
+@pytest.mark.parametrize("late_s", [0.0, 0.3, 4.0])
+@pytest.mark.parametrize("others_hz", [5.0, 200.0, 1000.0])
+def test_arrivals_are_compared_at_equal_timestamps(
+    rate: float, late_s: float, others_hz: float
+) -> None:
+    """Whatever the window of the other stream: 2000 messages at 1 kHz are 2 s."""
+    late_ns = round(late_s * SECOND)
+    monitors = []
+    for step_s, after_ns in ((0.05, late_ns), (1.0 / others_hz, 0)):
+        stamps = np.round(np.arange(0.0, 30.0, step_s) * SECOND).astype(np.int64)
+        arrived = BEGIN + np.round(stamps / rate).astype(np.int64) + after_ns
+        arrived[1::7] = UNKNOWN
+        rows = np.arange(len(stamps))
+        order = np.lexsort([-rows, rows // 5])  # each five of them arrive in reverse order
+        monitors.append(monitored(BEGIN // 3 + stamps[order], arrived[order], []))
+    assert monitors[0].arrival_after(monitors[1]) == pytest.approx(late_s, abs=1e-6)
+
+
+@pytest.mark.parametrize(("count", "is_known"), [(9, False), (10, True)])
+def test_ten_arrivals_are_compared(count: int, *, is_known: bool) -> None:
+    stamps = BEGIN + np.arange(40) * SECOND // 10
+    few = monitored(stamps[:count], stamps[:count] + SECOND, [])
+    many = monitored(stamps, stamps, [])
+    assert few.arrival_after(many) == (pytest.approx(1.0) if is_known else None)
+    assert many.arrival_after(few) == (pytest.approx(-1.0) if is_known else None)
+
+
+def test_a_silent_stream_is_continued_and_a_few_late_messages_are_no_delay() -> None:
+    """The last 3 s lack the other stream; one message of 25 is 9 s late."""
+    stamps = BEGIN + np.arange(250) * SECOND // 25
+    late = stamps + SECOND // 2
+    late[::25] += 9 * SECOND
+    own, other = monitored(stamps, late, []), monitored(stamps[:175], stamps[:175], [])
+    assert own.arrival_after(other) == pytest.approx(0.5)

@@ -161,6 +161,23 @@ def test_poses_that_arrive_late_are_a_warning_with_their_delay(
     live.end()
 
 
+@pytest.mark.parametrize("late_s", [0.0, 2.5])
+@pytest.mark.parametrize("rate", [0.3, 5.0])
+def test_lateness_does_not_depend_on_the_rate_of_a_replay(
+    tmp_path: Path, rate: float, late_s: float
+) -> None:
+    """All delays grow or fall in a replay; the window of fast groundtruth is shorter than 10 s."""
+    live = Live(tmp_path / "live", ODOM)
+    fly(
+        live,
+        sent(TRUTH, GROUNDTRUTH, TRUTH.stamps, rate),
+        sent(ESTIMATED, ESTIMATE, ESTIMATED.stamps, rate, late_s),
+    )
+    late = [float(each.values["value"]) for each in remarks(live) if each.code == "late"]
+    assert late == pytest.approx([late_s] if late_s else [], abs=0.01)
+    live.end()
+
+
 @pytest.mark.parametrize(
     ("lacks", "cause"),
     [("time", ": the others arrive too late, after more than max_delay"), ("groundtruth", "")],

@@ -97,10 +97,32 @@ class StreamMonitor:
 
     def recent(self) -> StreamHealth:
         """Return the health of the newest 10 s: of at most 2000 and at least 10 messages."""
-        stamps, arrived = self._recent
-        young = stamps >= self._newest - _RECENT_NS
+        return health_of(*self._newest_messages())
+
+    def arrival_after(self, other: StreamMonitor) -> float | None:
+        """Return how long after the other stream's messages of the same time these arrive.
+
+        The 95th percentile of the newest 10 s, seconds; None with less than 10 messages. Arrivals
+        are compared at equal timestamps, since a replay at another rate changes all delays.
+        """
+        own, theirs = (each._newest_messages() for each in (self, other))
+        own, theirs = (each[:, each[1] != UNKNOWN] for each in (own, theirs))
+        if min(own.shape[1], theirs.shape[1]) < FEWEST_RECENT:
+            return None
+        theirs = theirs[:, np.argsort(theirs[0], kind="stable")]
+        (stamps, arrived), (others, expected) = (
+            (each - theirs[:, :1]) / NANOSECONDS for each in (own, theirs)
+        )
+        slope = expected[-1] / max(others[-1], 1e-9)  # 1 in real time
+        outside_s = stamps - np.clip(stamps, 0.0, others[-1])
+        after_s = arrived - np.interp(stamps, others, expected) - slope * outside_s
+        return float(np.percentile(after_s, 95))
+
+    def _newest_messages(self) -> Stamps:
+        """Return timestamps and arrivals (2, N) of the newest 10 s."""
+        young = self._recent[0] >= self._newest - _RECENT_NS
         young[-FEWEST_RECENT:] = True
-        return health_of(stamps[young], arrived[young])
+        return self._recent[:, young]
 
     def _add_intervals(self, steps: Stamps) -> None:
         """Add intervals (N,), positive, nanoseconds."""

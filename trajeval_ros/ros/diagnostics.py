@@ -197,11 +197,8 @@ def _about_lateness(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
 
     In a replay, both arrive long after their timestamps.
     """
-    own, other = (each.stream.recent() for each in (estimate.status, run.groundtruth_status))
-    if own.arrival_p95_s is None or other.arrival_p50_s is None:
-        return
-    late_s = own.arrival_p95_s - other.arrival_p50_s
-    if own.messages < FEWEST_RECENT or late_s <= _LATE_S:
+    late_s = estimate.status.stream.arrival_after(run.groundtruth_status.stream)
+    if late_s is None or late_s <= _LATE_S:
         return
     said = (
         f"poses arrive {late_s:.1f} s (95th percentile) after the groundtruth of the same time: "
