@@ -154,7 +154,7 @@ def main() -> int:
     parser.add_argument("--only", default="", help="files of the subpackage, with commas between")
     parser.add_argument("--patience", type=float, default=300.0, help="seconds for each change")
     asked = parser.parse_args()
-    sys.dont_write_bytecode = True
+    sys.dont_write_bytecode = False
     os.environ["PYTHONDONTWRITEBYTECODE"] = "1"  # for the processes that tests start
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "checkout"
@@ -164,6 +164,8 @@ def main() -> int:
             (copy.parent / "shared").symlink_to(ROOT.parent / "shared")
         os.chdir(copy)
         compileall.compile_dir(copy / "trajeval_ros", quiet=1)
+        outcome(["--collect-only", "tests"], None)  # keeps the bytecode of rewritten tests
+        sys.dont_write_bytecode = True
         everything = asked.subpackage == "all"
         tests = [] if everything else [f"tests/{each}" for each in SUBPACKAGES[asked.subpackage]]
         only = asked.only.split(",") if asked.only else []
