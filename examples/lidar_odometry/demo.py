@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -30,7 +31,8 @@ from trajeval_ros.exceptions import InputError, TrajevalError
 LIMITS_M = {"small_gicp": 0.02, "kiss_icp": 0.08}  # of the position ATE of 60 s
 AGREEMENT = 1e-9
 _PATIENCE_S = 300.0
-_KEPT = ("bag", "live", "recorded", "rerun.png")
+# What a demo writes; `live_2` is that of a clock that stepped back.
+_EARLIER = re.compile(r"bag|live(_\d+)?|recorded|rerun\.png")
 _SHOWN = {
     "pairs": ("association", "pairs"),
     "position ATE [m]": ("ate", "position_m", "rmse"),
@@ -101,8 +103,9 @@ def topic_of(estimator: str) -> str:
 
 def make_way(folder: Path) -> None:
     """Remove the results of an earlier demo, and nothing else."""
-    if folder.is_dir() and (more := {each.name for each in folder.iterdir()} - {*_KEPT}):
-        raise InputError(f"{folder} contains {sorted(more)[0]}; choose another folder")
+    for each in sorted(folder.iterdir()) if folder.is_dir() else ():
+        if not _EARLIER.fullmatch(each.name):
+            raise InputError(f"{folder} contains {each.name}; choose another folder")
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
 

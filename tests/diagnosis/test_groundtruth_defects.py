@@ -266,6 +266,14 @@ def test_long_constant_and_linear_intervals_are_left_out_but_for_their_ends() ->
     assert without_defects(poses).seconds.tolist() == poses.seconds[kept].tolist()
 
 
+def test_a_linear_interval_may_end_at_the_last_row_but_one() -> None:
+    steps = steps_of(200)
+    steps[160:199] = 0.05
+    poses = track(steps)
+    kept = np.delete(np.arange(201), np.arange(161, 199))
+    assert without_defects(poses).seconds.tolist() == poses.seconds[kept].tolist()
+
+
 def test_intervals_of_a_fast_groundtruth_end_at_every_fifth_row() -> None:
     """Of 128 Hz. Rows 402 to 606 are equal."""
     steps = steps_of(1000)

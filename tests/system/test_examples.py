@@ -99,6 +99,17 @@ def test_demo_never_removes_other_files(tmp_path: Path) -> None:
     assert (tmp_path / "thesis.tex").exists()
 
 
+def test_demo_removes_the_results_of_an_earlier_one(tmp_path: Path) -> None:
+    for name in ("bag", "live", "live_2", "live_10", "recorded"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "file").touch()
+    (tmp_path / "rerun.png").touch()
+    demo.make_way(tmp_path)
+    assert not any(tmp_path.iterdir())
+    demo.make_way(tmp_path / "new" / "folder")
+    assert (tmp_path / "new" / "folder").is_dir()
+
+
 def pose_at(flight: Flight, stamp: int) -> np.ndarray:
     place = int(np.abs(flight.groundtruth.stamps - stamp).argmin())
     pose = np.eye(4)
