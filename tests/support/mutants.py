@@ -137,6 +137,7 @@ def _run(tests: list[str]) -> None:
         os.dup2(nowhere.fileno(), 1)
         os.dup2(nowhere.fileno(), 2)
     sys.path.insert(0, str(Path.cwd()))
+    del sys.modules["paths"]  # the copy has its own
     np.random.seed(0)  # noqa: NPY002  other people's
     for speed in ("not slow", "slow"):  # most changes are noticed by the fast ones
         marks = ["-m", f"{speed} and not ros and not oracles", "-p", "no:cacheprovider"]
