@@ -19,6 +19,7 @@ from trajeval_ros.diagnosis.clock_tests import (
     clock_rate,
     match_clocks,
     offsets_of_parts,
+    other_rate,
     tamed,
     unlikeness_ratio,
 )
@@ -156,6 +157,17 @@ def test_one_side_may_be_shorter_than_a_cell_of_the_other() -> None:
     assert match_clocks(own, long) is None
     assert match_clocks(long, own) is None
     assert np.isnan(unlikeness_ratio(own, long, 0.0))
+
+
+@pytest.mark.parametrize("rate", [0.5, 1.37, 1.907, 2.116])
+def test_a_rate_of_clocks_is_found_between_all_steps_of_the_search(rate: float) -> None:
+    """Two refinements of four times the length; the last steps allow a shift of 0.7 s."""
+    true = wandering(span_s=500.0)
+    own = true[200:9800].shifted(0.0, 1.0 / rate - 1.0)
+    found, match = other_rate(true, own, None)
+    assert abs(np.log(found / rate)) < 0.7 / (480.0 / rate)
+    assert match is not None
+    assert match.peak > 0.95
 
 
 def match_of(**changed: Any) -> ClockMatch:

@@ -301,8 +301,11 @@ def test_files_without_stamps_pair_row_by_row() -> None:
     pairs = associate(groundtruth, estimate, AssociationRule("linear"))
     assert pairs.rule.method == "index"
     np.testing.assert_array_equal(pairs.estimate.stamps, groundtruth.stamps)
-    with pytest.raises(InputError, match=r"120 poses, the estimate has 119"):
-        associate(groundtruth, estimate[1:], AssociationRule("linear"))
+    shorter = dataclasses.replace(estimate[1:], name="")
+    for name, said in (("truth.txt", "truth.txt"), ("", "the groundtruth")):
+        named = dataclasses.replace(groundtruth, name=name)
+        with pytest.raises(InputError, match=f"^{said} has 120 poses, the estimate has 119"):
+            associate(named, shorter, AssociationRule("linear"))
 
 
 def test_coverage_is_a_share_of_time_without_gaps() -> None:
