@@ -29,8 +29,8 @@ from trajeval_ros.report.comparison_figures import (
     run_path_svg,
 )
 from trajeval_ros.report.line_thinning import MOST_POINTS, simplified
-from trajeval_ros.report.svg_figure import SvgFigure
-from trajeval_ros.report.svg_panel import SvgPanel, text_width
+from trajeval_ros.report.svg_figure import Picture, SvgFigure
+from trajeval_ros.report.svg_panel import LINE_PX, SvgPanel, text_width
 
 
 def parsed(svg: str) -> ElementTree.Element:
@@ -337,3 +337,28 @@ def test_lines_of_a_legend_are_before_their_names() -> None:
     assert places == sorted(places)
     assert len({base for base, _ in places}) > 1
     assert {x for base, x in places if base == places[0][0]} > {120.0}
+
+
+def test_pictures_of_a_file_fill_rows_below_their_names() -> None:
+    """Of 480 px: two of 200 px, one below, and the highest decides where the next row is."""
+    sizes = [(200.0, 100.0), (200.0, 140.0), (300.0, 50.0)]
+    for names, above in ((("a", "b", "c"), LINE_PX + 4.0), (("", "", ""), 0.0)):
+        pictures = [
+            Picture([], size, "", name, "s0") for size, name in zip(sizes, names, strict=True)
+        ]
+        tree = ElementTree.fromstring(SvgFigure([("s0", "vio")], pictures).to_file("t"))
+        space, top = "{http://www.w3.org/2000/svg}", LINE_PX + 4.0
+        second = top + 140.0 + above
+        moves = [str(each.get("transform")) for each in tree.findall(f"{space}g")]
+        assert [tuple(map(float, re.findall(r"[\d.]+", each))) for each in moves] == [
+            (0.0, top + above),
+            (200.0, top + above),
+            (0.0, second + above),
+        ]
+        assert float(str(tree.get("height"))) == second + above + 50.0
+        texts = [each for each in tree.findall(f"{space}text") if each.text in names]
+        assert [(float(each.attrib["x"]), float(each.attrib["y"])) for each in texts] == (
+            [(12.0, top + LINE_PX), (212.0, top + LINE_PX), (12.0, second + LINE_PX)]
+            if above
+            else []
+        )
