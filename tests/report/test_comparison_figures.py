@@ -76,6 +76,8 @@ def test_labels_have_as_many_decimals_as_their_step_needs() -> None:
 def test_large_coordinates_lose_what_they_have_in_common() -> None:
     assert common_offset(-20.0, 30.0) == 0.0
     assert common_offset(4_500_010.0, 4_500_090.0) == 4_500_000.0
+    assert common_offset(4_500_003.25, 4_500_003.75) == 4_500_003.0
+    assert common_offset(4_500_003.25, 4_500_003.25) == pytest.approx(4_500_003.25, abs=1e-6)
     path = np.array([[4_500_010.0, 10.0, 0.0], [4_500_090.0, 40.0, 0.0]])
     texts = [each.text for each in parsed(run_path_svg(0, Z_UP, path, path)).iter("text")]
     assert "x \u2212 4500000 [m]" in texts
