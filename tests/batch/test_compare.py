@@ -45,6 +45,7 @@ def stored(config: Path) -> int:
     return len(RecordStore(config.parent / "out" / RECORDS))
 
 
+@pytest.mark.slow
 def test_nothing_is_done_twice(tmp_path: Path) -> None:
     config = write_runs(tmp_path)
     first, _ = run(config)
@@ -107,6 +108,7 @@ def test_other_settings_are_other_runs_and_the_old_ones_are_kept(tmp_path: Path)
     assert progress.done == 0
 
 
+@pytest.mark.slow
 def test_what_can_not_be_read_any_more_is_made_anew(tmp_path: Path) -> None:
     config = write_runs(tmp_path)
     _, before = run(config)

@@ -73,6 +73,7 @@ def test_who_covers_less_than_the_others_is_never_the_best(tmp_path: Path) -> No
     assert "good has the smallest position ATE on 1 of 1 sequence." in text
 
 
+@pytest.mark.slow
 def test_a_common_time_span_decides_ranks_coverage_and_advice(tmp_path: Path) -> None:
     config = write_runs(tmp_path, sequences=("hall",), trials=1)
     write_run(tmp_path / "good" / "hall_trial0.txt", 1.001, count=150, seconds=10.0)

@@ -133,6 +133,7 @@ def faulty_messages(
     return sorted(found, key=lambda each: each[2])
 
 
+@pytest.mark.slow
 def test_one_stamp_of_the_future_costs_one_pair_and_is_told(tmp_path: Path) -> None:
     clean, faulty = faulty_messages(3, {}, {}), faulty_messages(3, {40: 3600.0}, {30: 7200.0})
     counts = []

@@ -103,6 +103,7 @@ def numbers_of(thing: object) -> Iterator[float | str | None]:
         yield thing
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(seed=seeds, frames=st.integers(1, 40))
 def test_frames_are_counted_live_as_offline(seed: int, frames: int) -> None:

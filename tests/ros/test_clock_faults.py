@@ -170,8 +170,8 @@ def test_lateness_does_not_depend_on_the_rate_of_a_replay(
     live = Live(tmp_path / "live", ODOM)
     fly(
         live,
-        sent(TRUTH, GROUNDTRUTH, TRUTH.stamps, rate),
-        sent(ESTIMATED, ESTIMATE, ESTIMATED.stamps, rate, late_s),
+        sent(TRUTH, GROUNDTRUTH, TRUTH.stamps, rate)[: at(TRUTH, 12.0)],
+        sent(ESTIMATED, ESTIMATE, ESTIMATED.stamps, rate, late_s)[: at(ESTIMATED, 12.0)],
     )
     late = [float(each.values["value"]) for each in remarks(live) if each.code == "late"]
     assert late == pytest.approx([late_s] if late_s else [], abs=0.01)

@@ -14,8 +14,8 @@ DURATION_S = 200.0
 
 
 def circle() -> Trajectory:
-    """Return a body on a circle that turns with it, at 50 Hz."""
-    seconds = np.arange(0.0, DURATION_S, 0.02)
+    """Return a body on a circle that turns with it, at 25 Hz."""
+    seconds = np.arange(0.0, DURATION_S, 0.04)
     angle = 0.1 * seconds
     positions = np.stack([30.0 * np.cos(angle), 30.0 * np.sin(angle), 2.0 + 0.0 * angle], axis=1)
     quaternions = Rotation.from_rotvec(np.outer(angle, [0.0, 0.0, 1.0])).as_quat()
@@ -30,11 +30,11 @@ def test_fixes_come_once_a_second_from_the_first_second_to_the_last(receiver: st
     for seed in range(8):
         fixes = gnss_fixes(truth, receiver, seed)
         since_s = (fixes.stamps - truth.stamps[0]) / NANOSECONDS
-        assert ((since_s - 0.3) % 1.0).max() < 0.72  # rows are 0.02 s apart
-        assert since_s[0] < 1.02 + DURATION_S / 15.0  # an outage may be at the start
-        assert since_s[-1] > DURATION_S - 1.02 - DURATION_S / 15.0
+        assert ((since_s - 0.3) % 1.0).max() < 0.74  # rows are 0.04 s apart
+        assert since_s[0] < 1.04 + DURATION_S / 15.0  # an outage may be at the start
+        assert since_s[-1] > DURATION_S - 1.04 - DURATION_S / 15.0
         steps = np.diff(since_s)
-        np.testing.assert_allclose(steps, np.round(steps), atol=0.02)
+        np.testing.assert_allclose(steps, np.round(steps), atol=0.04)
         assert (np.round(steps) == 1.0).mean() > 0.95
         assert steps.max() > DURATION_S / 40.0 - 1.0  # an outage
         begins.add(round(float(since_s[0]), 2))
@@ -45,7 +45,7 @@ def test_fixes_come_once_a_second_from_the_first_second_to_the_last(receiver: st
 
 def test_errors_of_an_rtk_receiver_are_as_large_as_stated() -> None:
     truth, ratios = circle(), []
-    for seed in range(40):
+    for seed in range(30):
         found = gnss_fixes(truth, "rtk", seed)
         fixes = found.reading.fixes
         assert fixes is not None

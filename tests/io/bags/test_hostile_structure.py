@@ -157,6 +157,7 @@ def test_a_query_of_more_rows_than_the_file_can_have_is_given_up(tmp_path: Path)
     reader.close()
 
 
+@pytest.mark.slow
 def test_rows_of_different_length_are_read_in_bounded_groups(tmp_path: Path) -> None:
     path = sqlite_file(tmp_path)
     with sqlite3.connect(path) as database:
