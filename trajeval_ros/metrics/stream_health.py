@@ -16,6 +16,7 @@ UNKNOWN = int(np.iinfo(np.int64).min)  # an unknown time of arrival
 FUTURE_NS = 10_000_000
 _RECENT_NS, _RECENT_MESSAGES = 10 * NANOSECONDS, 2000  # the newest 10 s, at 200 Hz or less
 FEWEST_RECENT = 10  # messages of slow streams, such as keyframes
+_LEAST_S = 1.0  # of a stream, to continue its arrivals beyond the newest messages
 # Bins of intervals are 2.2 % wide, up to 2^60 ns.
 _PER_OCTAVE, _BINS = 32, 32 * 60
 _FEWEST_INTERVALS, _SHORT = 10, 0.05
@@ -102,8 +103,9 @@ class StreamMonitor:
     def arrival_after(self, other: StreamMonitor) -> float | None:
         """Return how long after the other stream's messages of the same time these arrive.
 
-        The 95th percentile of the newest 10 s, seconds; None with less than 10 messages. Arrivals
-        are compared at equal timestamps, since a replay at another rate changes all delays.
+        The 95th percentile of the newest 10 s, seconds; None with less than 10 messages, or less
+        than 1 s of the other stream. Arrivals are compared at equal timestamps, since a replay at
+        another rate changes all delays.
         """
         own, theirs = (each._newest_messages() for each in (self, other))
         own, theirs = (each[:, each[1] != UNKNOWN] for each in (own, theirs))
@@ -113,7 +115,9 @@ class StreamMonitor:
         (stamps, arrived), (others, expected) = (
             (each - theirs[:, :1]) / NANOSECONDS for each in (own, theirs)
         )
-        slope = expected[-1] / max(others[-1], 1e-9)  # 1 in real time
+        if others[-1] < _LEAST_S:
+            return None
+        slope = expected[-1] / others[-1]  # 1 in real time
         outside_s = stamps - np.clip(stamps, 0.0, others[-1])
         after_s = arrived - np.interp(stamps, others, expected) - slope * outside_s
         return float(np.percentile(after_s, 95))
