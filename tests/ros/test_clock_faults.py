@@ -166,7 +166,7 @@ def test_poses_that_arrive_late_are_a_warning_with_their_delay(
 def test_lateness_does_not_depend_on_the_rate_of_a_replay(
     tmp_path: Path, rate: float, late_s: float
 ) -> None:
-    """All delays grow or fall in a replay; the window of fast groundtruth is shorter than 10 s."""
+    """All delays from timestamp to arrival grow or fall in a replay, those of both sides alike."""
     live = Live(tmp_path / "live", ODOM)
     fly(
         live,

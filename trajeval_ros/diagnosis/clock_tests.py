@@ -103,7 +103,7 @@ def match_clocks(groundtruth: TimedPoses, estimate: TimedPoses) -> ClockMatch | 
     )
     mean = alike.mean(axis=0)
     overlap_s = common * cell_s
-    longest_s = float(overlap_s.max()) if len(overlap_s) else 0.0
+    longest_s = float(overlap_s.max())
     enough = overlap_s >= max(_LEAST_OVERLAP_S, _SHARE_OF_OVERLAP * longest_s)
     if not enough.any():
         return None
