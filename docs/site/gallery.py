@@ -91,12 +91,11 @@ PICTURES = (
 )  # fmt: skip
 
 _WIDTH = 76  # of a line on the page
-# A screenshot needs ROS 2 and a Vulkan driver, so it is the one of the last release.
+# A screenshot needs ROS 2 and a Vulkan driver, so it is the picture of README.
 _RERUN = """
-### Rerun
+### A live run
 
-A live run in Rerun's viewer. The command writes the screenshot to `demo_output/rerun.png`; version
-0.2.0 drew this one.
+A live run in Rerun's viewer. The command writes the screenshot to `demo_output/rerun.png`.
 
 ```console
 $ trajeval demo demo_output

@@ -17,7 +17,11 @@ from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parents[2]
 REPOSITORY = "https://github.com/trajeval/trajeval_ros/blob/main/"
-_APPENDED = {"figures.md": gallery.section, "settings.md": reference.parameters}
+_APPENDED = {
+    "figures.md": gallery.section,
+    "python.md": reference.names,
+    "settings.md": reference.parameters,
+}
 _FORMULA = re.compile(
     r'<(?:span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</(?:span|div)>', re.DOTALL
 )
@@ -29,7 +33,6 @@ def on_files(files: Any, config: Any) -> Any:
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").replace("](docs/", "](../")
     pages: dict[str, str | bytes] = {
         "generated/command_line.md": reference.command_line(),
-        "generated/api.md": reference.names(),
         "generated/changelog.md": changelog,
     }
     with tempfile.TemporaryDirectory() as folder:

@@ -157,9 +157,9 @@ def _row(each: NodeParameter) -> str:
 
 
 def names() -> str:
-    """Return the page of the public names, which mkdocstrings fills from their docstrings."""
+    """Return the section of the public names, which mkdocstrings fills from their docstrings."""
     entries = "\n\n".join(
         f"::: trajeval_ros.{trajeval_ros._HOMES[name]}.{name}"
         for name in sorted(trajeval_ros.__all__, key=str.lower)
     )
-    return f"# Python: all names\n\nAll public names, from their docstrings.\n\n{entries}\n"
+    return f"## All names\n\nAll public names, from their docstrings.\n\n{entries}\n"

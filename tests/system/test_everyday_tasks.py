@@ -1,4 +1,4 @@
-"""The commands in the table of docs/coming_from_evo.md do what the table says."""
+"""The commands in the table of docs/coming_from.md do what the table says."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from trajeval_ros.io.bags.write_bag import write_bag
 from trajeval_ros.io.save_trajectories import save_trajectories
 from trajeval_ros.io.sources import read_trajectory
 
-DOCUMENT = ROOT / "docs" / "coming_from_evo.md"
+DOCUMENT = ROOT / "docs" / "coming_from.md"
 PAIR = TESTS / "data/parity/pairs/drone_loop"
 _ROW = re.compile(r"\| (\d+) \| ([^|]+) \|[^|]*\| `([^`]+)` \|")
 TASKS = {

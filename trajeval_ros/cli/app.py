@@ -90,7 +90,7 @@ REMOVED: Final[dict[str, str]] = {
     "watch --groundtruth": "use trajeval evaluate to measure errors",
     "watch -g": "use trajeval evaluate to measure errors",
     "evaluate --watch-limits": "limits are fixed: use --watch-factor 1",
-    # Options of evo, for which docs/coming_from_evo.md has a table.
+    # Options of evo, for which docs/coming_from.md has a table.
     "-a": "use --gauge se3, or --gauge sim3 for evo's -as",
     "--align": "use --gauge se3, or --gauge sim3 with scale",
     "-s": "use --gauge sim3",
