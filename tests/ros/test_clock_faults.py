@@ -210,6 +210,22 @@ def test_low_coverage_names_poses_that_came_too_late_as_its_cause(
     live.end()
 
 
+def test_a_delay_that_grows_is_no_difference_of_clocks(tmp_path: Path) -> None:
+    """An estimator that needs 2.5 s per second of data is 11.4 s late after 19 s."""
+    live = Live(tmp_path / "live", ODOM)
+    fly(
+        live,
+        sent(TRUTH, GROUNDTRUTH, TRUTH.stamps)[: at(TRUTH, 19.0)],
+        sent(ESTIMATED, ESTIMATE, ESTIMATED.stamps, rate=0.4)[: at(ESTIMATED, 7.6)],
+    )
+    lead_s = live.estimate.stream.clock_steps.apart_s
+    assert lead_s is not None
+    assert abs(lead_s) < 2.0
+    assert clock_faults(live) == []
+    assert [each.code for each in remarks(live)].count("late") == 1
+    live.end()
+
+
 @pytest.mark.slow
 def test_an_estimator_that_stalls_and_catches_up_has_no_faulty_clock(tmp_path: Path) -> None:
     live = Live(tmp_path / "live", ODOM)

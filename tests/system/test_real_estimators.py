@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+from itertools import groupby
+from pathlib import Path
+
 import numpy as np
 import pytest
+from live_runs import ESTIMATE, GROUNDTRUTH, Live
 from paths import SHARED
+from ros_bags import ODOM
 
 from trajeval_ros import CovarianceRequest, Protocol, Request, read_trajectory, run
 from trajeval_ros.cli.app import main
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.bags.bag import Bag
+from trajeval_ros.io.bags.playback import Playback
+from trajeval_ros.online.alarms import LIMITED_QUANTITIES, AlarmLimits
 from trajeval_ros.pipeline.outcome import RunOutcome
 from trajeval_ros.report.verdict_lines import verdict
+from trajeval_ros.ros.diagnostics import remarks_about
 
 DATA = SHARED / "data" / "real_estimators"
 TRACKS = SHARED / "data" / "euroc_v1_01_tracks"
@@ -138,6 +147,47 @@ def test_overload_is_lost_tracking(capsys: pytest.CaptureFixture[str]) -> None:
     for word in ("keyframe", "square degrees", "restart"):
         assert word not in said
     assert said.count("the estimate diverges from") == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("folder", "estimator"),
+    [
+        ("overload", "kiss_icp"),
+        ("overload", "rko_lio"),
+        ("overload", "small_gicp"),
+        ("real_time", "small_gicp"),
+    ],
+)
+def test_overload_is_lateness_live(folder: str, estimator: str, tmp_path: Path) -> None:
+    """The messages arrive at their log times, and the status is read every second."""
+    names = {"/groundtruth/pose": GROUNDTRUTH, f"/{estimator}/odometry": ESTIMATE}
+    live = Live(tmp_path / "live", ODOM, gauge="se3")
+    said: dict[str, str] = {}
+    limits = dict.fromkeys(
+        ("coverage", "rate_hz", *(each.name for each in LIMITED_QUANTITIES)), AlarmLimits()
+    )
+    with Bag(DATA / "lidar" / folder / "bag") as opened:
+        playback = Playback(opened, lambda _: True, list(names), with_clock=False)
+        # Messages of a tenth of a second arrive together.
+        tenths = groupby(playback.messages(), lambda each: each[0] // 10**8)
+        for count, (_, together) in enumerate(tenths):
+            live.feed(
+                [
+                    (names[channel.name], channel.type, logged, payload)
+                    for logged, channel, payload in together
+                ]
+            )
+            if count % 10 == 0:
+                [estimate] = live.run.estimates
+                found = remarks_about(live.run, estimate, estimate.snapshot(), {}, limits)
+                said.update({each.code: each.text for each in found})
+    live.end()
+    said.update({each["code"]: each["text"] for each in live.result["runs"][0]["remarks"]})
+    for word in ("keyframe", "square degrees", "restart", "clock"):
+        assert word not in " ".join(said.values())
+    assert ("late" in said) == (folder == "overload")
+    assert ("too late" in said.get("low_coverage", "")) == (folder == "overload")
 
 
 def test_a_good_run_has_no_finding(capsys: pytest.CaptureFixture[str]) -> None:

@@ -62,11 +62,11 @@ def about_clock_faults(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]
 
 
 def _about_different_clocks(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
-    lead_s = estimate.source.stream.clock_steps.lead_s
+    apart_s = estimate.source.stream.clock_steps.apart_s
     has_clock = estimate.evaluator.pairs and estimate.clock.report.offset_s is not None
-    if lead_s is None or has_clock:
+    if apart_s is None or has_clock:
         return
-    apart_s = lead_s + estimate.evaluator.settings.offset_s
+    apart_s += estimate.evaluator.settings.offset_s
     past_s = estimate.evaluator.settings.limits.past_s
     if abs(apart_s) <= max(_MOST_LATE_S, past_s if math.isfinite(past_s) else 0.0):
         return

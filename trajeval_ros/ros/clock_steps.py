@@ -38,11 +38,21 @@ class ClockSteps:
     def __init__(self) -> None:
         # Timestamps of the estimate minus those of the groundtruth, seconds; None before the
         # streams have been received together for a second.
-        self.lead_s: float | None = None
+        self._lead_s: float | None = None
         self.found: ClockStep | None = None  # newest step; None if clocks agree as at the start
         self._at_start_s: float | None = None
         self._newest = 0  # newest time of arrival that was compared
         self._leads: deque[tuple[int, float]] = deque()
+
+    @property
+    def apart_s(self) -> float | None:
+        """The estimate's clock minus the groundtruth's, seconds; None as long as it is unknown.
+
+        Clocks that agreed at the start and did not step still agree: a delay has grown.
+        """
+        if self._lead_s is None or self._at_start_s is None:
+            return None
+        return min(self._lead_s, self._at_start_s, key=abs)
 
     def update(self, groundtruth: Arrivals, estimate: Arrivals) -> None:
         """Compare the messages since the last call."""
@@ -65,17 +75,17 @@ class ClockSteps:
             self._judge(groundtruth, estimate)
 
     def _judge(self, groundtruth: Arrivals, estimate: Arrivals) -> None:
-        before = self.lead_s
+        before = self._lead_s
         leads = np.array([lead for _, lead in self._leads])
         now = float(np.median(leads))
         if before is None or self._at_start_s is None:
-            self.lead_s = self._at_start_s = now
+            self._lead_s = self._at_start_s = now
             return
         if np.abs(leads - before).min() <= _STEP_S:
             if abs(now - before) <= _STEP_S:
-                self.lead_s = now  # clocks drift
+                self._lead_s = now  # clocks drift
             return
-        self.lead_s = now
+        self._lead_s = now
         if abs(now) < abs(before) <= _MOST_LATE_S and now * before > 0.0:
             return
         since = self._leads[0][0] - round(_SEARCHED_S * NANOSECONDS)
