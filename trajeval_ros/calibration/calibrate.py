@@ -144,7 +144,8 @@ def calibrate(
     for name, side in (("groundtruth", groundtruth), ("estimate", estimate)):
         if not side.reading.stamped:
             raise InputError(
-                f"{side.name or name} has no timestamps, which the clock offset needs"
+                f"{side.name or name} has no timestamps, which a calibration needs; set the rate "
+                "of its frames with --frame-rate"
             )
         if len(side.in_order()) < 2:
             raise InputError(f"{side.name or name} has fewer than two poses")

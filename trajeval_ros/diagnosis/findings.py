@@ -48,6 +48,10 @@ _MEASURE = (
     "--hand-eye auto could not determine it; measure the transformation and give it with "
     "--hand-eye FILE"
 )
+_UNMEASURED = (
+    "--hand-eye auto is not possible on this data, and needs timestamps (--frame-rate); or give a "
+    "known transformation with --hand-eye FILE"
+)
 _UNHELPFUL = "a correction does not reduce the ATE, of which other errors are the larger part"
 _UNTRIED = "a correction cannot be tried on this data"
 # By side of a finding, if it is not only the groundtruth or only the estimate.
@@ -171,7 +175,7 @@ class Finding:
         """Return the finding for a correction that did not help, or that could not be tried."""
         advice = _UNHELPFUL if was_tried else _UNTRIED
         if self.cause == "body":
-            advice = _MEASURE
+            advice = _MEASURE if was_tried else _UNMEASURED
         return dataclasses.replace(self, advice=advice, correction={}, rivals=(), tried=None)
 
     @property
