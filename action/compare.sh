@@ -54,7 +54,8 @@ status=0
     fi
 } | head -c 1000000 >>"$GITHUB_STEP_SUMMARY" || true # GitHub shows 1 MiB; cat gets SIGPIPE
 
-if [ -f "$output/runs.parquet" ]; then
+# A comparison that failed leaves the tables of an earlier one.
+if [ "$status" -le 1 ] && [ -f "$output/runs.parquet" ]; then
     printf 'report=%s\nruns=%s\n' "$output/report.html" "$output/runs.parquet" >>"$GITHUB_OUTPUT"
 fi
 exit "$status"

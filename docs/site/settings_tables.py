@@ -37,7 +37,8 @@ _GROUPS = {
 }
 _HEAD = """\
 # Parameters of `ros2 run trajeval_ros evaluator --ros-args --params-file evaluator.yaml`, with
-# their defaults. `ros2 param describe /evaluator NAME` describes one. Written by make settings.
+# their defaults, but for examples of topics and modality. `ros2 param describe /evaluator NAME`
+# describes one. Written by make settings.
 /**:
   ros__parameters:
 """

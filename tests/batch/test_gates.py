@@ -174,7 +174,9 @@ def test_a_sequence_without_numbers_is_lost_and_the_rest_can_not_hide_it(
     assert main([*arguments, "-q", *gate]) == 0
     assert ": inconclusive" in (today / "old" / "gates.md").read_text()
     assert json.loads((today / "old" / "gates.json").read_text())["verdict"] == "undecided"
+    capsys.readouterr()
     assert main([*arguments, "-q", *gate, "--undecided", "fail"]) == 1
+    assert "inconclusive, which fails by --undecided fail" in capsys.readouterr().err
     loose = [*gate[:-1], "ate.position_m.rmse worse than 90 %", "--undecided", "fail"]
     assert main([*arguments, "-q", *loose]) == 0
     assert ": no worse than 90 %" in (today / "old" / "gates.md").read_text()

@@ -386,7 +386,7 @@ def test_numbers_are_never_cut_by_a_terminal(
         ("evaluate tum a b", "trajeval evaluate GROUNDTRUTH ESTIMATE"),
         ("trajectory kitti a", "trajeval trajectory SOURCE..."),
         ("compare bag a b", "trajeval compare GROUNDTRUTH ESTIMATE..."),
-        ("evaluate a b -as", "--gauge se3, or --gauge sim3 for evo's -as"),
+        ("evaluate a b -as", "--gauge se3, or --gauge sim3 for -as"),
         ("trajectory a -p", "--plot xy"),
         ("trajectory a --save_as_tum", "--save-as tum"),
         ("compare a --save_table x", "trajeval compare RESULT... --output DIR"),

@@ -162,10 +162,12 @@ def test_what_cannot_be_compared_is_told(job: Job) -> None:
     pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     (job.folder / "comparison").mkdir()
     (job.folder / "comparison" / "gates.md").write_text("inconclusive\n")
+    (job.folder / "comparison" / "runs.parquet").write_bytes(b"of an earlier comparison")
     done = job.run(config="rnus.yaml")
     assert done.returncode == 2
     assert "rnus.yaml does not exist" in done.stderr
     assert "inconclusive" not in job.summary
+    assert not job.folder.parent.joinpath("output").exists()
     assert "ended with status 2" in job.summary
 
 

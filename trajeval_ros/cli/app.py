@@ -44,9 +44,27 @@ VERBS: dict[str, str] = {
 _GROUPS = {"study": "Repeats the experiments of the papers."}
 
 _IN_THE_FILE = "write it as a key to the YAML file, with _ for -: trajeval compare FILE.yaml"
+_DETECTED = (
+    "formats are detected by content: trajeval evaluate GROUNDTRUTH ESTIMATE, or trajeval "
+    "trajectory FILE"
+)
+_EVO_SCALE = (
+    "use --gauge sim3 for evo's -as; for -s alone, give a file with base: evo, gauge: sim3 and "
+    "apply: scale as --protocol FILE.yaml"
+)
+_LENGTHS = "use --lengths, as in 8, 10f or 5deg, and --protocol evo for evo's numbers"
 _IN_A_PROTOCOL = "write it to a YAML file, and give the file as --protocol FILE.yaml"
-# By option, by verb and option, or by verb of version 0.2: the end of the error message.
+# By option, by verb and option, or by verb, of version 0.2 and of evo: the end of the error
+# message.
 REMOVED: Final[dict[str, str]] = {
+    **dict.fromkeys(("tum", "kitti", "euroc", "bag", "bag2"), _DETECTED),
+    **dict.fromkeys(
+        ("ape", "rpe"), "use trajeval evaluate, with --protocol evo for evo's numbers"
+    ),
+    "traj": "use trajeval trajectory",
+    "res": "use trajeval compare RESULT...",
+    "config": "give a style sheet of matplotlib: --style FILE.mplstyle",
+    "fig": "figures are not saved for later changes; draw them again",
     "compare-association": "use trajeval study association",
     "gauge-study": "use trajeval study gauge",
     "evaluate --fix": "use --correct CAUSE",
@@ -91,10 +109,22 @@ REMOVED: Final[dict[str, str]] = {
     "watch -g": "use trajeval evaluate to measure errors",
     "evaluate --watch-limits": "limits are fixed: use --watch-factor 1",
     # Options of evo, for which docs/coming_from.md has a table.
-    "-a": "use --gauge se3, or --gauge sim3 for evo's -as",
-    "--align": "use --gauge se3, or --gauge sim3 with scale",
-    "-s": "use --gauge sim3",
-    "--correct_scale": "use --gauge sim3",
+    **dict.fromkeys(
+        ("-a", "--align"),
+        "use --gauge se3, or --gauge sim3 for -as, and --protocol evo for evo's numbers",
+    ),
+    **dict.fromkeys(("-s", "--correct_scale"), _EVO_SCALE),
+    "--align_origin": "use --align-states 1",
+    **dict.fromkeys(("-d", "--delta", "-u", "--delta_unit"), _LENGTHS),
+    "--all_pairs": "write base: evo and sub_trajectories: all to a YAML file, and give the file "
+    "as --protocol FILE.yaml",
+    "trajectory --full_check": "use trajeval info FILE",
+    "compare --require": "use trajeval evaluate --require for a run, or --baseline and --fail-if",
+    "evaluate --common-time-span": "use trajeval compare --common-time-span",
+    **dict.fromkeys(
+        ("finish --modality", "finish --gauge"),
+        "the alignment is that of the live run; for another one, use trajeval evaluate with a bag",
+    ),
     "trajectory -p": "--plot xy draws the path",
     "-p": "--output DIR draws figures into a folder",
     "evaluate --plot": "--output DIR draws figures into a folder",
@@ -102,7 +132,7 @@ REMOVED: Final[dict[str, str]] = {
     "--save_results": "use --output DIR",
     "--save_table": "trajeval compare RESULT... --output DIR writes the tables",
     "evaluate --plot_mode": "--output DIR draws the views from above and from the side",
-    "trajectory --plot_mode": "use --plot xy",
+    "trajectory --plot_mode": "use --plot xy, xz, yz or 3d",
     "-r": "evaluate prints errors of positions and rotations",
     "--pose_relation": "evaluate prints errors of positions and rotations",
     "--t_max_diff": "use --max-time-difference",

@@ -258,6 +258,7 @@ def _judge(given: Gates, folder: Path, title: str, *, quiet: bool) -> None:
     from trajeval_ros.batch.gate import GateValues, remarks_on
     from trajeval_ros.batch.gates_output import to_json, to_markdown
     from trajeval_ros.batch.results_table import ResultsTable
+    from trajeval_ros.report.console import WARNING, console
 
     now = GateValues(ResultsTable(folder / RUNS))
     judgement = gates.judge(
@@ -270,8 +271,13 @@ def _judge(given: Gates, folder: Path, title: str, *, quiet: bool) -> None:
     if not quiet:
         with may_break():
             print(f"\n{text}", end="")
-    if judgement.fails or (given.undecided_fails and judgement.verdict != gates.NO_WORSE):
-        raise click.exceptions.Exit(1)
+    if not judgement.fails and given.undecided_fails and judgement.verdict != gates.NO_WORSE:
+        console(sys.stderr).remark(
+            WARNING, "a gate is inconclusive, which fails by --undecided fail: exit status 1"
+        )
+    elif not judgement.fails:
+        return
+    raise click.exceptions.Exit(1)
 
 
 def _print_verdict(summary: ComparisonSummary, progress: Progress, folder: Path) -> None:
