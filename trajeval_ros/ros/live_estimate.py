@@ -188,7 +188,7 @@ class LiveEstimate:
 
     def _receive(self, stamps: Stamps, times: Stamps, rows: Floats) -> None:
         if self.availability is not None:
-            self.availability.add_estimate(stamps, times, rows, self.offset_ns)
+            self.availability.add_estimate(stamps, times, rows)
 
     def _note_velocities(self, are_left_out: bool) -> None:
         if are_left_out:
@@ -325,7 +325,8 @@ class LiveEstimate:
 
     def write_state(self, state: Mapping[str, Any]) -> None:
         """Write what `trajeval finish` needs besides pairs (`recorded_state`), if it changed."""
-        if self._received is not None:
+        if self.availability is not None and self._received is not None:
+            self.availability.store()
             self._received.write()
         if state == self._state:
             self.pairs_file.write()
@@ -351,6 +352,7 @@ class LiveEstimate:
         try:
             self.write_revised()
         finally:
-            if self._received is not None:
+            if self.availability is not None and self._received is not None:
+                self.availability.store()
                 self._received.close()
             self.pairs_file.close()
