@@ -255,6 +255,20 @@ def test_wheel_odometry_of_a_real_robot(shared_data: Path, tmp_path: Path) -> No
         assert found["clock"]["verdict"] == "ok"
 
 
+def test_processing_times_change_the_order_of_two_real_estimators(
+    shared_data: Path, tmp_path: Path
+) -> None:
+    """GTSAM's smoother is the more accurate one, and falls behind the camera (docs)."""
+    bag = shared_data / "real_estimators" / "v1_01" / "bag"
+    names = ("/gtsam/odometry", "/openvins/odometry")
+    sources = f"{bag}:/groundtruth/pose", *(f"{bag}:{each}" for each in names)
+    runs = evaluated(tmp_path, *sources, "--gauge", "none", "--as-available")
+    ates = [run["ate"]["position_m"]["rmse"] for run in runs]
+    available = [run["as_available"]["position_m"]["rmse"] for run in runs]
+    assert ates == pytest.approx([0.0239, 0.0269], abs=5e-5)
+    assert available == pytest.approx([0.470, 0.0822], rel=1e-3)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("bag", "truth", "estimate", "verdict"),

@@ -32,7 +32,6 @@ from trajeval_ros.metrics.reception_clock import (
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
 
 NONE = "none"
-NO_RECEPTIONS = "no times of reception; evaluate a bag, or name a column received"
 RECEIVED = ("auto", "publish", "log")
 
 
@@ -151,7 +150,8 @@ def as_available(
     """
     known, receptions = Availability(rule.motion, rule.deadline_s), estimate.reading.receptions
     if receptions is None or not len(receptions):
-        return AsAvailable(replace(known, why_withheld=NO_RECEPTIONS))
+        said = "no times of reception; evaluate a bag, or name a column received"
+        return AsAvailable(replace(known, why_withheld=said))
     stamps = estimate.stamps + offset_ns
     times, clock = judged_receptions(stamps, receptions.times, rule.receive_clock)
     recording_s = receptions.recording_s
