@@ -138,6 +138,20 @@ def test_a_correction_acts_from_its_reception_whatever_its_timestamp(tmp_path: P
 
 
 @pytest.mark.parametrize(
+    ("frames", "said"), [("a.b", "a and b are static"), ("a.x", "/tf:a.x: unknown frame x")]
+)
+def test_transforms_without_poses_are_one_sentence_as_without_receptions(
+    frames: str, said: str, tmp_path: Path
+) -> None:
+    payload = transforms_message(("a", "b", SECOND, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)))
+    row = ("/tf_static", "tf2_msgs/msg/TFMessage", SECOND, SECOND, payload)
+    path = write_mcap(tmp_path / "run.mcap", [row, ("/tf", *row[1:4], transforms_message())])
+    for received in ("", "auto"):
+        with pytest.raises(InputError, match=said):
+            read_trajectory(f"{path}:/tf:{frames}", received=received)
+
+
+@pytest.mark.parametrize(
     ("scale", "unit"), [(1e-9, "t_s"), (1.0, "t_ns"), (1e-6, "t_ms"), (1e-9, "t")]
 )
 def test_column_received_is_in_the_unit_of_the_timestamps(
