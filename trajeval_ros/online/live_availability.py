@@ -128,7 +128,7 @@ class LiveAvailability:
         kept = times >= messages.times[max(used - RECENT - 1, 0)]
         self._forget(kept, min(int(messages.stamps[max(used, 0)]), self._next))
         if len(samples.stamps) and self.clock.is_usable:
-            self._see(samples, messages)
+            self._see(samples)
         return self.newest
 
     def _forget(self, kept: Booleans, begin: int) -> None:
@@ -137,9 +137,9 @@ class LiveAvailability:
         before = int(self._truth.held[0].searchsorted(begin, side="right")) - 1
         self._truth.drop(max(before, 0))
 
-    def _see(self, samples: AvailableSamples, messages: Messages) -> None:
+    def _see(self, samples: AvailableSamples) -> None:
         """Take final samples, N > 0, of messages with usable receptions."""
-        self.newest, row = samples, samples.rows[-1]
+        self.newest, row, messages = samples, samples.rows[-1], samples.messages
         ages_s = samples.age / NANOSECONDS
         self.numbers = {
             "available/position_error": float(samples.position_m[-1]),
