@@ -307,6 +307,25 @@ def test_clocks_that_can_not_be_compared_withhold_the_numbers(
     assert again["ate"] == run["ate"]
 
 
+def test_all_other_numbers_are_the_same_with_and_without_the_option(tmp_path: Path) -> None:
+    rows = [
+        (topic, kind, at + 30_000_000, at + 30_000_000, payload)
+        for topic, side in (
+            ("/groundtruth", FLIGHT.groundtruth[::8]),
+            ("/vio", FLIGHT.estimate[::2]),
+        )
+        for topic, kind, at, payload in messages_of(side, topic, ODOM)
+    ]
+    path = write_mcap(tmp_path / "run.mcap", sorted(rows, key=lambda each: each[2]))
+    sources = f"{path}:/groundtruth", f"{path}:/vio", "--gauge", "yaw"
+    [without], [with_it] = (
+        evaluated(tmp_path, *sources, *each) for each in ((), ("--as-available",))
+    )
+    assert with_it.pop("as_available")["position_m"]["rmse"] > 0.0
+    assert without.pop("as_available") is None
+    assert without == with_it
+
+
 def test_text_without_receptions_withholds_the_numbers(tmp_path: Path) -> None:
     truth, estimate = (tmp_path / name for name in ("truth.txt", "estimate.txt"))
     for file, side in ((truth, FLIGHT.groundtruth), (estimate, FLIGHT.estimate)):
