@@ -19,8 +19,7 @@ def test_live_errors_equal_recorded_ones(motion: str, every: int) -> None:
     rule = AvailabilityRule(motion)
     expected = as_available(truth, estimate, IDENTITY, rule, 0.5)
     assert expected.samples is not None
-    assert expected.messages is not None
-    assert expected.messages.late > 0.05 * len(estimate)
+    assert expected.samples.messages.late > 0.05 * len(estimate)
     receptions = estimate.reading.receptions
     assert receptions is not None
     assert truth.quaternions is not None
