@@ -138,6 +138,20 @@ def test_a_correction_acts_from_its_reception_whatever_its_timestamp(tmp_path: P
 
 
 @pytest.mark.parametrize(
+    ("frames", "said"), [("a.b", "a and b are static"), ("a.x", "/tf:a.x: unknown frame x")]
+)
+def test_transforms_without_poses_are_one_sentence_as_without_receptions(
+    frames: str, said: str, tmp_path: Path
+) -> None:
+    payload = transforms_message(("a", "b", SECOND, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)))
+    row = ("/tf_static", "tf2_msgs/msg/TFMessage", SECOND, SECOND, payload)
+    path = write_mcap(tmp_path / "run.mcap", [row, ("/tf", *row[1:4], transforms_message())])
+    for received in ("", "auto"):
+        with pytest.raises(InputError, match=said):
+            read_trajectory(f"{path}:/tf:{frames}", received=received)
+
+
+@pytest.mark.parametrize(
     ("scale", "unit"), [(1e-9, "t_s"), (1.0, "t_ns"), (1e-6, "t_ms"), (1e-9, "t")]
 )
 def test_column_received_is_in_the_unit_of_the_timestamps(
@@ -255,6 +269,20 @@ def test_wheel_odometry_of_a_real_robot(shared_data: Path, tmp_path: Path) -> No
         assert found["clock"]["verdict"] == "ok"
 
 
+def test_processing_times_change_the_order_of_two_real_estimators(
+    shared_data: Path, tmp_path: Path
+) -> None:
+    """GTSAM's smoother is the more accurate one, and falls behind the camera (docs)."""
+    bag = shared_data / "real_estimators" / "v1_01" / "bag"
+    names = ("/gtsam/odometry", "/openvins/odometry")
+    sources = f"{bag}:/groundtruth/pose", *(f"{bag}:{each}" for each in names)
+    runs = evaluated(tmp_path, *sources, "--gauge", "none", "--as-available")
+    ates = [run["ate"]["position_m"]["rmse"] for run in runs]
+    available = [run["as_available"]["position_m"]["rmse"] for run in runs]
+    assert ates == pytest.approx([0.0239, 0.0269], abs=5e-5)
+    assert available == pytest.approx([0.470, 0.0822], rel=1e-3)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("bag", "truth", "estimate", "verdict"),
@@ -277,6 +305,25 @@ def test_clocks_that_can_not_be_compared_withhold_the_numbers(
     assert run["stream"]["arrival_p50_s"] is None
     [again] = evaluated(tmp_path, *sources, "--gauge", "se3")
     assert again["ate"] == run["ate"]
+
+
+def test_all_other_numbers_are_the_same_with_and_without_the_option(tmp_path: Path) -> None:
+    rows = [
+        (topic, kind, at + 30_000_000, at + 30_000_000, payload)
+        for topic, side in (
+            ("/groundtruth", FLIGHT.groundtruth[::8]),
+            ("/vio", FLIGHT.estimate[::2]),
+        )
+        for topic, kind, at, payload in messages_of(side, topic, ODOM)
+    ]
+    path = write_mcap(tmp_path / "run.mcap", sorted(rows, key=lambda each: each[2]))
+    sources = f"{path}:/groundtruth", f"{path}:/vio", "--gauge", "yaw"
+    [without], [with_it] = (
+        evaluated(tmp_path, *sources, *each) for each in ((), ("--as-available",))
+    )
+    assert with_it.pop("as_available")["position_m"]["rmse"] > 0.0
+    assert without.pop("as_available") is None
+    assert without == with_it
 
 
 def test_text_without_receptions_withholds_the_numbers(tmp_path: Path) -> None:

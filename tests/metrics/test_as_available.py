@@ -202,9 +202,9 @@ def rough(seed: int, count: int = 900) -> tuple[Trajectory, Trajectory]:
 def test_parts_shares_and_ages_add_up(seed: int, motion: str) -> None:
     truth, estimate = rough(seed)
     found = measured(truth, estimate, motion)
-    samples, numbers, messages = found.samples, found.numbers, found.messages
+    samples, numbers = found.samples, found.numbers
     assert samples is not None
-    assert messages is not None
+    messages = samples.messages
     assert numbers.parts is not None
     assert numbers.late_messages
     assert (samples.ages >= 0).all()
@@ -258,8 +258,8 @@ def test_order_of_equal_timestamps_and_receptions() -> None:
     times = np.array([2, 2, 4, 4]) * SECOND
     positions = np.column_stack([[10.0, 20.0, 30.0, 40.0], np.zeros((4, 2))])
     found = measured(truth, received(stamps, positions, None, times))
-    assert found.messages is not None
-    assert found.messages.positions[:, 0].tolist() == [10.0, 30.0, 40.0]
+    assert found.samples is not None
+    assert found.samples.messages.positions[:, 0].tolist() == [10.0, 30.0, 40.0]
     assert found.numbers.late_messages == 1
     assert found.numbers.rotation_deg is None
 

@@ -19,8 +19,7 @@ def test_live_errors_equal_recorded_ones(motion: str, every: int) -> None:
     rule = AvailabilityRule(motion)
     expected = as_available(truth, estimate, IDENTITY, rule, 0.5)
     assert expected.samples is not None
-    assert expected.messages is not None
-    assert expected.messages.late > 0.05 * len(estimate)
+    assert expected.samples.messages.late > 0.05 * len(estimate)
     receptions = estimate.reading.receptions
     assert receptions is not None
     assert truth.quaternions is not None
@@ -41,7 +40,7 @@ def test_live_errors_equal_recorded_ones(motion: str, every: int) -> None:
         if number % every == 0 and (samples := live.update(IDENTITY)) is not None:
             found.append(samples)
             assert set(live.numbers) >= {"available/age", "available/latency"}
-        most = max(most, sum(len(each[0]) for each in live._messages))
+        most = max(most, len(live._messages[0]))
     stamps = np.concatenate([each.stamps for each in found])
     rows_of = expected.samples.stamps.searchsorted(stamps)
     assert len(stamps) > 0.95 * len(expected.samples.stamps)
@@ -135,7 +134,7 @@ def test_samples_are_evaluated_after_a_fifth_of_a_second() -> None:
     assert live.numbers == {}
 
 
-def test_states_that_are_no_poses_and_offsets() -> None:
+def test_states_that_are_no_poses_are_neither_used_nor_recorded() -> None:
     seen: list[np.ndarray] = []
 
     def record(*columns: np.ndarray) -> None:
@@ -145,19 +144,52 @@ def test_states_that_are_no_poses_and_offsets() -> None:
     stamps = np.arange(4) * 10**9
     rows = np.hstack([states_on(stamps), np.ones((4, 3))])
     rows[1, 0] = np.nan
-    live.add_groundtruth(stamps, rows)
-    assert seen[0].tolist() == [0, 2 * 10**9, 3 * 10**9]
     times = stamps + 5
     times[2] = UNKNOWN
-    live.add_estimate(stamps, times, rows, 7)
-    assert seen[1].tolist() == [0, 3 * 10**9]  # as in the messages
-    assert live._messages[0][0].tolist() == [7, 3 * 10**9 + 7]
-    assert live._messages[0][1].tolist() == [5, 3 * 10**9 + 5]
-    assert live._truth[0][1].shape == (3, 7)
-    assert live._messages[0][2].shape == (2, 7)
-    live.add_groundtruth(stamps[1:2], rows[1:2])
-    live.add_estimate(stamps[1:2], times[1:2], rows[1:2])
+    live.add_groundtruth(stamps, rows)
+    live.add_estimate(stamps, times, rows)
+    live.store()
+    assert [each.tolist() for each in seen] == [[0, 2 * 10**9, 3 * 10**9], [0, 3 * 10**9]]
+    assert live._messages[1].tolist() == [5, 3 * 10**9 + 5]
+    assert len(live._truth) == 3
+    live.store()
     assert len(seen) == 2
+
+
+def test_an_offset_moves_the_timestamps_and_not_the_receptions() -> None:
+    found = []
+    for offset_ns in (0, 20_000_000):
+        live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
+        stamps = np.arange(0, 2000, 5) * 1_000_000
+        live.add_groundtruth(stamps, states_on(stamps))
+        live.add_estimate(stamps, stamps + 50_000_000, states_on(stamps))
+        assert live.update(IDENTITY, offset_ns) is not None
+        found.append(live.numbers)
+    assert found[0]["available/age"] - found[1]["available/age"] == pytest.approx(0.02)
+    assert found[0]["available/position_error"] == pytest.approx(
+        found[1]["available/position_error"]
+    )
+
+
+@pytest.mark.parametrize("has_messages", [False, True])
+def test_memory_is_bounded_before_the_first_alignment(*, has_messages: bool) -> None:
+    live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
+    for second in range(60):
+        stamps = (second * 100 + np.arange(100)) * 10_000_000
+        live.add_groundtruth(stamps, states_on(stamps))
+        if has_messages:
+            live.add_estimate(stamps, stamps + 30_000_000, states_on(stamps))
+        live.update(None)
+    assert len(live._truth) <= 1001
+    assert len(live._messages[0]) == (1001 if has_messages else 0)
+    # The errors begin with what is left.
+    if has_messages:
+        stamps = (6000 + np.arange(100)) * 10_000_000
+        live.add_groundtruth(stamps, states_on(stamps))
+        live.add_estimate(stamps, stamps + 30_000_000, states_on(stamps))
+        samples = live.update(IDENTITY)
+        assert samples is not None
+        assert len(samples.stamps) > 900
 
 
 def test_there_is_no_error_before_the_first_message() -> None:

@@ -84,6 +84,7 @@ def test_finish_has_the_numbers_of_a_recording(kind: str, motion: str, tmp_path:
 def test_without_the_setting_nothing_is_written(tmp_path: Path) -> None:
     live = Live(tmp_path / "live", ODOM)
     live.feed(feed_of(ODOM)[:400])
+    assert live.run.estimates[0].availability is None
     live.end()
     assert not list(live.folder.glob("*.received"))
     assert live.result["runs"][0]["as_available"] is None

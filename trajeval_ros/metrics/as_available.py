@@ -32,7 +32,6 @@ from trajeval_ros.metrics.reception_clock import (
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
 
 NONE = "none"
-NO_RECEPTIONS = "no times of reception; evaluate a bag, or name a column received"
 RECEIVED = ("auto", "publish", "log")
 
 
@@ -128,7 +127,6 @@ class AsAvailable:
 
     numbers: Availability
     samples: AvailableSamples | None = None  # the errors at all instants
-    messages: Messages | None = None  # the messages that were in use, aligned
 
 
 def as_available(
@@ -151,7 +149,8 @@ def as_available(
     """
     known, receptions = Availability(rule.motion, rule.deadline_s), estimate.reading.receptions
     if receptions is None or not len(receptions):
-        return AsAvailable(replace(known, why_withheld=NO_RECEPTIONS))
+        said = "no times of reception; evaluate a bag, or name a column received"
+        return AsAvailable(replace(known, why_withheld=said))
     stamps = estimate.stamps + offset_ns
     times, clock = judged_receptions(stamps, receptions.times, rule.receive_clock)
     recording_s = receptions.recording_s
@@ -170,27 +169,27 @@ def as_available(
         return AsAvailable(replace(known, why_withheld=said))
     lacking = len(stamps) - before - len(samples.stamps)
     known = replace(known, without_groundtruth=lacking, time_to_first_pose_s=before / RATE_HZ)
-    return AsAvailable(_with_numbers(known, samples, messages), samples, messages)
+    return AsAvailable(_with_numbers(known, samples), samples)
 
 
-def _with_numbers(
-    known: Availability, samples: AvailableSamples, messages: Messages
-) -> Availability:
-    age_s, corrected = samples.age / NANOSECONDS, messages.corrected
+def _with_numbers(known: Availability, samples: AvailableSamples) -> Availability:
+    messages, age_s = samples.messages, samples.age / NANOSECONDS
     missed = age_s > known.deadline_s
     distinct = np.diff(messages.stamps, prepend=messages.stamps[:1] - 1) > 0
     stamps, usual = messages.stamps[distinct], messages.usual_ns[distinct]
     intervals = np.diff(stamps)
     rotation = None if samples.rotation is None else np.degrees(samples.rotation)
     errors = [_rmse_and_share(each) for each in (samples.position, rotation) if each is not None]
-    since = None if corrected is None else samples.stamps - corrected[samples.rows]
+    since = None
+    if messages.corrected is not None:
+        since = samples.stamps - messages.corrected[samples.rows]
     return replace(
         known,
         samples=len(age_s),
         late_messages=messages.late,
-        position_m=_lengths(samples.position),
+        position_m=statistics_of(samples.position_m),
         rotation_deg=None if rotation is None else _lengths(rotation),
-        age_error_m=_lengths(samples.position[1:]),
+        age_error_m=statistics_of(samples.moved_m),
         age_error_deg=None if rotation is None else _lengths(rotation[1:]),
         age_s=statistics_of(age_s),
         latency_s=statistics_of((messages.times[distinct] - stamps) / NANOSECONDS),

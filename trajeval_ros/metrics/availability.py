@@ -108,6 +108,7 @@ class Messages:
 class AvailableSamples:
     """The as-available errors at N instants."""
 
+    messages: Messages  # all that were ever in use, aligned
     stamps: Stamps  # (N,) int64, nanoseconds, the instants
     rows: Indices  # (N,) message in use
     ages: Stamps  # (3, N) int64, nanoseconds: parts of the age: latency, dropout, sampling
@@ -120,6 +121,11 @@ class AvailableSamples:
     def position_m(self) -> Floats:
         """Lengths of the position errors, (N,), metres."""
         return np.asarray(np.linalg.norm(self.position.sum(axis=0), axis=1))
+
+    @property
+    def moved_m(self) -> Floats:
+        """Lengths of the age errors, those without their estimator part, (N,), metres."""
+        return np.asarray(np.linalg.norm(self.position[1:].sum(axis=0), axis=1))
 
     @property
     def age(self) -> Stamps:
@@ -163,7 +169,8 @@ def sampled(
         turned = lie.multiply(states.quaternions[places], lie.conjugate(quaternions))
         rotation = np.diff(lie.rotation_vector(turned), axis=0, prepend=0.0)
     position = np.diff(position, axis=0, prepend=0.0)
-    return AvailableSamples(stamps[kept], rows, np.diff(reached, axis=0), position, rotation)
+    ages = np.diff(reached, axis=0)
+    return AvailableSamples(messages, stamps[kept], rows, ages, position, rotation)
 
 
 def _predicted(messages: Messages, rows: Indices, reached: Stamps) -> tuple[Floats, Floats]:

@@ -14,6 +14,7 @@ import numpy as np
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.statistics import median
 
 _COPIED_S, _MOST_COPIED = 1e-6, 0.99
 _DAY_S = 86400.0
@@ -89,32 +90,27 @@ def judged_receptions(
     `correction` is a text that `clock_correction` reads.
     """
     offset_s, fastest_s = clock_correction(correction)
-    latencies_s = (times - stamps) / NANOSECONDS
     seconds = (stamps - stamps[0]) / NANOSECONDS
     # Differences to the fastest message are small; between epochs, float64 would lose digits.
     above_s = (times - stamps - (times - stamps).min()) / NANOSECONDS
     at_s, slope = _fastest(seconds, above_s)
-    copied = float(np.mean(np.abs(latencies_s) < _COPIED_S)) > _MOST_COPIED
+    copied = np.mean(np.abs(times - stamps) < _COPIED_S * NANOSECONDS) > _MOST_COPIED
     if offset_s is None:
         above_ns = np.round((above_s - at_s - slope * seconds) * NANOSECONDS)
         times = stamps + above_ns.astype(np.int64) + round(fastest_s * NANOSECONDS)
-        verdict = "copied" if copied else "ok"
     else:
         times = times + round(offset_s * NANOSECONDS)
-        verdict = "copied" if copied else _verdict(latencies_s + offset_s, slope)
     smallest_s = float((times - stamps).min()) / NANOSECONDS
+    drifts = offset_s is not None and _DRIFT_PPM < 1e6 * abs(slope) < _LARGEST_PPM
+    rules = {
+        "copied": copied,
+        "epochs": abs(median(times - stamps)) > _DAY_S * NANOSECONDS,
+        "impossible": smallest_s < -_EARLY_S,
+        "suspicious": smallest_s > _LATE_S,
+        "drift": drifts,
+    }
+    verdict = next((name for name, holds in rules.items() if holds), "ok")
     return times, ReceptionClock(verdict, smallest_s, 1e6 * slope, offset_s)
-
-
-def _verdict(latencies_s: Floats, slope: float) -> str:
-    smallest_s = latencies_s.min()
-    if abs(float(np.median(latencies_s))) > _DAY_S:
-        return "epochs"
-    if smallest_s < -_EARLY_S:
-        return "impossible"
-    if smallest_s > _LATE_S:
-        return "suspicious"
-    return "drift" if _DRIFT_PPM < 1e6 * abs(slope) < _LARGEST_PPM else "ok"
 
 
 def _fastest(seconds: Floats, latencies_s: Floats) -> tuple[float, float]:
@@ -123,21 +119,17 @@ def _fastest(seconds: Floats, latencies_s: Floats) -> tuple[float, float]:
     A line through one point of either half is lowered until no point is below it; few steps are
     enough, since every step takes the point that is farthest below.
     """
-    middle = (seconds.min() + seconds.max()) / 2.0
-    before, after = np.flatnonzero(seconds <= middle), np.flatnonzero(seconds > middle)
-    if not len(after):
+    is_late = seconds > (seconds.min() + seconds.max()) / 2.0
+    if not is_late.any():
         return float(latencies_s.min()), 0.0
-    left = before[latencies_s[before].argmin()]
-    right = after[latencies_s[after].argmin()]
+    halves = (np.flatnonzero(each) for each in (~is_late, is_late))
+    ends = [half[latencies_s[half].argmin()] for half in halves]
     while True:
-        slope = (latencies_s[right] - latencies_s[left]) / (seconds[right] - seconds[left])
-        at_s = latencies_s[left] - slope * seconds[left]
+        slope = float(np.diff(latencies_s[ends])[0] / np.diff(seconds[ends])[0])
+        at_s = float(latencies_s[ends[0]] - slope * seconds[ends[0]])
         above = latencies_s - at_s - slope * seconds
-        above[[left, right]] = 0.0
-        lowest = int(above.argmin())
+        above[ends] = 0.0
+        lowest = above.argmin()
         if above[lowest] >= -1e-12 * (1.0 + abs(at_s)):
-            return float(at_s), float(slope)
-        if seconds[lowest] <= middle:
-            left = lowest
-        else:
-            right = lowest
+            return at_s, slope
+        ends[int(is_late[lowest])] = lowest

@@ -6,14 +6,13 @@ after newer ones are never in use, so nothing changes it afterwards.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.reading import NOT_READ, Reading
 from trajeval_ros.geometry.receptions import Receptions
@@ -31,9 +30,11 @@ from trajeval_ros.metrics.availability import (
     sampled,
 )
 from trajeval_ros.metrics.reception_clock import ReceptionClock, judged_receptions
+from trajeval_ros.metrics.statistics import quantile
 from trajeval_ros.metrics.stream_health import UNKNOWN
-from trajeval_ros.online.state_buffer import NEVER, usable_rows
+from trajeval_ros.online.state_buffer import NEVER, StateBuffer, usable_rows
 
+_POSE = 7  # columns of a row
 _RECENT_SAMPLES = 10 * RATE_HZ
 _AT_ONCE_NS = 20 * STEP_NS  # an evaluation has a fixed cost, whatever the number of samples
 
@@ -53,79 +54,92 @@ class LiveAvailability:
         self._rule, self._max_gap_s = rule, max_gap_s
         self._delay_ns = round(min(max_delay_s, 3600.0) * NANOSECONDS)
         self._record_groundtruth, self._record_estimate = record_groundtruth, record_estimate
-        self._truth: list[tuple[Stamps, Floats]] = []
-        self._messages: list[tuple[Stamps, Stamps, Floats]] = []
-        self._next: int | None = None
-        self._seen = NEVER  # groundtruth's newest timestamp at the last evaluation
-        self._ages_s: deque[float] = deque(maxlen=_RECENT_SAMPLES)
-        self._is_late = False
+        # Columns since the last call of `store`.
+        self._new_truth: list[tuple[Stamps, Floats]] = []
+        self._new_messages: list[tuple[Stamps, Stamps, Floats]] = []
+        self._truth, no_stamps = StateBuffer(_POSE), np.empty(0, dtype=np.int64)
+        # Timestamps, receptions and poses of the messages that later samples can use.
+        self._messages: tuple[Any, ...] = no_stamps, no_stamps, np.empty((0, _POSE))
+        self._next = self._seen = NEVER  # next sample; newest groundtruth at the last evaluation
+        self._ages_s, self._is_late = np.empty(0), False
         # Of the last update, by topic and as samples; none if it has none.
         self.numbers: dict[str, float] = {}
         self.newest: AvailableSamples | None = None
         # Comparison of the recent receptions with timestamps; None before the first.
         self.clock: ReceptionClock | None = None
         self.missed = 0  # number of spans with ages above the deadline so far
+        self.age_p95_s: float | None = None  # 95th percentile of the ages of the newest 10 s
 
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
         """Take groundtruth states: timestamps (N,), nanoseconds, and rows (N, 7 or more)."""
-        usable, _ = usable_rows(rows)
-        if usable.any():
-            self._truth.append((stamps[usable], rows[usable, :7]))
-            self._record_groundtruth(*self._truth[-1])
+        self._new_truth.append((stamps, rows[:, :_POSE]))
 
-    def add_estimate(
-        self, stamps: Stamps, times: Stamps, rows: Floats, offset_ns: int = 0
-    ) -> None:
+    def add_estimate(self, stamps: Stamps, times: Stamps, rows: Floats) -> None:
         """Take messages: timestamps and receptions (N,), nanoseconds, and rows (N, 7 or more).
 
-        `offset_ns` is added to the timestamps, not to the receptions. Messages with an unknown
-        time of reception are left out.
+        Messages with an unknown time of reception are left out.
         """
-        usable = usable_rows(rows)[0] & (times != UNKNOWN)
-        if usable.any():
-            stamps, times, rows = stamps[usable], times[usable], rows[usable, :7]
-            self._messages.append((stamps + offset_ns, times, rows))
-            self._record_estimate(stamps, times, rows)
+        self._new_messages.append((stamps, times, rows[:, :_POSE]))
 
-    def update(self, similarity: Similarity | None) -> AvailableSamples | None:
-        """Return the samples that are final now, under the present alignment; None if none."""
+    def store(self) -> None:
+        """Record the usable states since the last call, all together because of the cost."""
+        if self._new_truth:
+            truth = list(map(np.concatenate, zip(*self._new_truth, strict=True)))
+            truth = [each[usable_rows(truth[1])[0]] for each in truth]
+            self._truth.merge(*truth)
+            self._record_groundtruth(*truth)
+        if self._new_messages:
+            new = list(map(np.concatenate, zip(*self._new_messages, strict=True)))
+            usable = usable_rows(new[2])[0] & (new[1] != UNKNOWN)
+            new = [each[usable] for each in new]
+            self._messages = tuple(map(np.concatenate, zip(self._messages, new, strict=True)))
+            self._record_estimate(*new)
+        self._new_truth, self._new_messages = [], []
+
+    def update(self, similarity: Similarity | None, offset_ns: int = 0) -> AvailableSamples | None:
+        """Return the samples that are final now, under the present alignment; None if none.
+
+        `offset_ns` is added to the estimate's timestamps, not to the receptions.
+        """
+        self.store()
         self.newest, self.numbers = None, {}
-        if similarity is None or not self._truth or not self._messages:
-            return None
-        last = max(int(stamps.max()) for stamps, _ in self._truth)
+        (stamps, times, rows), last = self._messages, self._truth.newest
         if last < self._seen + _AT_ONCE_NS:
             return None
         self._seen = last
-        truth_stamps, truth_rows = _joined(self._truth)
-        stamps, times, rows = _joined(self._messages)
-        _, self.clock = judged_receptions(stamps, times)
-        truth = received_states(truth_stamps, truth_rows).in_order()
+        if similarity is None or not len(stamps):
+            self._forget(times >= times.max(initial=0) - self._delay_ns, last - self._delay_ns)
+            return None
+        _, self.clock = judged_receptions(stamps + offset_ns, times)
+        truth = received_states(*self._truth.held)
         reading = Reading(receptions=Receptions(times, "node"))
         estimate = similarity.trajectory(received_states(stamps, rows, reading))
-        messages = Messages.of(estimate, times, self._rule.motion)
+        messages = Messages.of(estimate, times, self._rule.motion, offset_ns)
         known = min(int(times.max()), int(messages.stamps[-1])) - 1
-        first = int(truth.stamps[0]) if self._next is None else self._next
+        first = max(self._next, int(truth.stamps[0]))
         final = instants(first, min(last, max(known, last - self._delay_ns)))
         if not len(final):
             return None
         self._next = int(final[-1]) + STEP_NS
         have = final[in_use(messages, final) >= 0]
         samples = sampled(truth, messages, have, self._max_gap_s)
-        # Keep what the next sample can use, and the messages and the state before that.
+        # Keep what the next sample can use, and the messages before that.
         used = int(in_use(messages, np.array([self._next]))[0])
-        kept = times >= int(messages.times[max(used - RECENT - 1, 0)])
-        self._messages = [(stamps[kept], times[kept], rows[kept])]
-        oldest = min(int(messages.stamps[max(used, 0)]), self._next)
-        row = max(int(truth.stamps.searchsorted(oldest, side="right")) - 1, 0)
-        kept = truth_stamps >= truth.stamps[row]
-        self._truth = [(truth_stamps[kept], truth_rows[kept])]
+        kept = times >= messages.times[max(used - RECENT - 1, 0)]
+        self._forget(kept, min(int(messages.stamps[max(used, 0)]), self._next))
         if len(samples.stamps) and self.clock.is_usable:
-            self._see(samples, messages)
+            self._see(samples)
         return self.newest
 
-    def _see(self, samples: AvailableSamples, messages: Messages) -> None:
+    def _forget(self, kept: Booleans, begin: int) -> None:
+        """Keep some messages (N,), and groundtruth from the state before `begin` on."""
+        self._messages = tuple(each[kept] for each in self._messages)
+        before = int(self._truth.held[0].searchsorted(begin, side="right")) - 1
+        self._truth.drop(max(before, 0))
+
+    def _see(self, samples: AvailableSamples) -> None:
         """Take final samples, N > 0, of messages with usable receptions."""
-        self.newest, row = samples, samples.rows[-1]
+        self.newest, row, messages = samples, samples.rows[-1], samples.messages
         ages_s = samples.age / NANOSECONDS
         self.numbers = {
             "available/position_error": float(samples.position_m[-1]),
@@ -135,15 +149,11 @@ class LiveAvailability:
         if samples.rotation is not None:
             turned = np.degrees(np.linalg.norm(samples.rotation[:, -1].sum(axis=0)))
             self.numbers["available/rotation_error"] = float(turned)
-        late = np.concatenate([[self._is_late], ages_s > self._rule.deadline_s])
+        late = np.append(self._is_late, ages_s > self._rule.deadline_s)
         self.missed += int(np.count_nonzero(late[1:] & ~late[:-1]))
         self._is_late = bool(late[-1])
-        self._ages_s.extend(ages_s.tolist())
-
-    @property
-    def age_p95_s(self) -> float | None:
-        """The 95th percentile of the ages of the newest 10 s, seconds."""
-        return float(np.percentile(list(self._ages_s), 95)) if self._ages_s else None
+        self._ages_s = np.append(self._ages_s, ages_s)[-_RECENT_SAMPLES:]
+        self.age_p95_s = quantile(np.sort(self._ages_s), 0.95)
 
     @property
     def values(self) -> dict[str, Any]:
@@ -162,7 +172,3 @@ def received_states(
     turns = rows[:, 3:]
     quaternions = None if np.isnan(turns).any() else lie.normalized(turns)
     return Trajectory.from_columns(stamps, rows[:, :3], quaternions, reading, up=up)
-
-
-def _joined(parts: list[Any]) -> Any:
-    return tuple(map(np.concatenate, zip(*parts, strict=True)))

@@ -10,6 +10,7 @@ from trajeval_ros.formatting.numbers import significant
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.as_available import AsAvailable
+from trajeval_ros.metrics.availability import AvailableSamples
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.report import canvas
 from trajeval_ros.report.definitions import alignment_of
@@ -26,13 +27,9 @@ _BINS = 30
 
 def as_available_figure(evaluation: Evaluation, found: AsAvailable) -> Figure:
     """Draw the whole run, 10 s around the largest difference, ages, and latencies."""
-    numbers, samples, messages = found.numbers, found.samples, found.messages
+    numbers, samples, latency = found.numbers, found.samples, found.numbers.latency_s
     assert samples is not None
-    assert messages is not None
-    assert numbers.position_m is not None
-    assert numbers.latency_s is not None
-    position = evaluation.ate["position_m"]
-    assert position is not None
+    assert latency is not None
     name = evaluation.estimate.name or "estimate"
     figure = canvas.new_figure(
         _HEIGHT_IN, f"{name}: error of the newest received pose\n{alignment_of([evaluation])}"
@@ -45,28 +42,26 @@ def as_available_figure(evaluation: Evaluation, found: AsAvailable) -> Figure:
     gap_s = evaluation.protocol.association.max_gap_s
     pairs = evaluation.association.groundtruth.stamps
     lines = (
-        (pairs, evaluation.absolute.position_m, _EVALUATED, "at timestamps", position.rmse),
-        (samples.stamps, samples.position_m, _AVAILABLE, "as available", numbers.position_m.rmse),
+        (pairs, evaluation.absolute.position_m, _EVALUATED, "at timestamps"),
+        (samples.stamps, samples.position_m, _AVAILABLE, "as available"),
     )
     seconds = (samples.stamps - begin) / NANOSECONDS
-    moved = np.linalg.norm(samples.position[1:].sum(axis=0), axis=1)
-    middle = float(seconds[moved.argmax()])
-    for stamps, values, place, label, rmse in lines:
+    middle = seconds[samples.moved_m.argmax()]
+    for stamps, values, place, label in lines:
         columns = np.stack([(stamps - begin) / NANOSECONDS, values], axis=1)
         colour, _ = canvas.line_style(place)
-        words = f"{label}, RMSE {significant(rmse, 3)} m"
+        words = f"{label}, RMSE {significant(np.sqrt(np.mean(values**2)), 3)} m"
         upper.plot(*thinned(columns, stamps, gap_s).T, color=colour, linewidth=0.9, label=words)
         near = np.abs(columns[:, 0] - middle) <= _DETAIL_S / 2
         detail.plot(*columns[near].T, color=colour, linewidth=0.9)
     upper.set_ylabel("position error [m]")
     detail.set_title("10 s around the largest age error", loc="left")
-    _draw_ages(lower, seconds, found)
+    _draw_ages(lower, seconds, samples, numbers.deadline_s)
     colour, _ = canvas.line_style(_AVAILABLE)
-    latencies_s = (messages.times - messages.stamps) / NANOSECONDS
+    latencies_s = (samples.messages.times - samples.messages.stamps) / NANOSECONDS
     right.hist(latencies_s, _BINS, color=canvas.tint(colour), edgecolor=colour, linewidth=0.5)
-    for value, dashes in ((numbers.latency_s.median, "-"), (numbers.latency_s.p95, "--")):
+    for value, dashes in ((latency.median, "-"), (latency.p95, "--")):
         right.axvline(value, color=canvas.ink(), linestyle=dashes, linewidth=0.9)
-    latency = numbers.latency_s
     median, p95 = significant(latency.median, 3), significant(latency.p95, 3)
     right.set_title(f"median {median} s, 95 % {p95} s", loc="left")
     right.set_xlabel("latency [s]")
@@ -80,16 +75,14 @@ def as_available_figure(evaluation: Evaluation, found: AsAvailable) -> Figure:
     return figure
 
 
-def _draw_ages(axes: Axes, seconds: Floats, found: AsAvailable) -> None:
+def _draw_ages(axes: Axes, seconds: Floats, samples: AvailableSamples, deadline_s: float) -> None:
     """Draw the age of the pose in use and the deadline; shade dropouts."""
-    samples = found.samples
-    assert samples is not None
     colour, _ = canvas.line_style(_AVAILABLE)
     age_s = samples.age / NANOSECONDS
     axes.plot(seconds, age_s, color=colour, linewidth=0.7)
     axes.fill_between(
         seconds, 0.0, age_s, where=samples.ages[1] > 0, color=canvas.soft_ink(), alpha=0.5, lw=0
     )
-    axes.axhline(found.numbers.deadline_s, color=canvas.ink(), linewidth=0.8, linestyle=":")
+    axes.axhline(deadline_s, color=canvas.ink(), linewidth=0.8, linestyle=":")
     axes.set_ylabel("age [s]")
-    axes.set_title(f"dotted: deadline {found.numbers.deadline_s:g} s; grey: dropouts", loc="left")
+    axes.set_title(f"dotted: deadline {deadline_s:g} s; grey: dropouts", loc="left")

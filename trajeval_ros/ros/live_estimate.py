@@ -23,7 +23,6 @@ from trajeval_ros.io.live.pair_file import REVISED_SUFFIX, SUFFIX, PairWriter, w
 from trajeval_ros.io.live.reception_file import SUFFIX as RECEIVED_SUFFIX
 from trajeval_ros.io.live.reception_file import ReceptionWriter
 from trajeval_ros.io.writing import write_whole
-from trajeval_ros.metrics.as_available import NO_RECEPTIONS
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH
 from trajeval_ros.online.alarms import Peaks, Standing
 from trajeval_ros.online.evaluator import OnlineEvaluator
@@ -47,6 +46,11 @@ from trajeval_ros.ros.poses import StateColumns, StreamStatus
 from trajeval_ros.ros.slow_evaluation import SlowEvaluation
 from trajeval_ros.ros.timing import Latency
 from trajeval_ros.ros.transform_stream import TransformStream
+
+_OF_TRANSFORMS = (
+    "as available: the node composes transforms after their reception, so their poses have no "
+    "times of reception; evaluate a bag"
+)
 
 
 class DecodedMessages(NamedTuple):
@@ -111,7 +115,7 @@ class LiveEstimate:
         self.availability: LiveAvailability | None = None
         self._received: ReceptionWriter | None = None
         if settings.available.is_asked_for and isinstance(source.stream, TransformStream):
-            self.status.note(warning("reception_clock", f"as available: {NO_RECEPTIONS}"))
+            self.status.note(warning("reception_clock", _OF_TRANSFORMS))
         elif settings.available.is_asked_for:
             self._received = ReceptionWriter(folder / f"{self.name}{RECEIVED_SUFFIX}")
             self.availability = LiveAvailability(
@@ -188,7 +192,7 @@ class LiveEstimate:
 
     def _receive(self, stamps: Stamps, times: Stamps, rows: Floats) -> None:
         if self.availability is not None:
-            self.availability.add_estimate(stamps, times, rows, self.offset_ns)
+            self.availability.add_estimate(stamps, times, rows)
 
     def _note_velocities(self, are_left_out: bool) -> None:
         if are_left_out:
@@ -325,7 +329,8 @@ class LiveEstimate:
 
     def write_state(self, state: Mapping[str, Any]) -> None:
         """Write what `trajeval finish` needs besides pairs (`recorded_state`), if it changed."""
-        if self._received is not None:
+        if self.availability is not None and self._received is not None:
+            self.availability.store()
             self._received.write()
         if state == self._state:
             self.pairs_file.write()
@@ -351,6 +356,7 @@ class LiveEstimate:
         try:
             self.write_revised()
         finally:
-            if self._received is not None:
+            if self.availability is not None and self._received is not None:
+                self.availability.store()
                 self._received.close()
             self.pairs_file.close()

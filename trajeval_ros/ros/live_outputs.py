@@ -315,7 +315,7 @@ class LiveOutputs:
         """Publish the as-available errors that are final now."""
         assert estimate.availability is not None
         errors, alignment = estimate.availability, estimate.evaluator.alignment
-        errors.update(None if alignment is None else alignment.similarity)
+        errors.update(None if alignment is None else alignment.similarity, estimate.offset_ns)
         frame = run.groundtruth_status.frame
         self._outputs[estimate.name].publish_available(errors, frame)
 

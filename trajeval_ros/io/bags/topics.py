@@ -306,11 +306,11 @@ def _transform_trajectory(
     where = f"{bag.path}:{source.topic}:{parent}.{child}"
     remarks = bag.remarks([each.reading for each in tree])
     edges, wanted, received = tree_of(tree), source.received, None
+    stamps, positions, quaternions = compose_transforms(edges, parent, child, where)
+    check_stamps(stamps, where)
     if wanted:
         arrived = {key: each for reader in tree for key, each in reader.received(wanted).items()}
         received = compose_received(edges, arrived, parent, child)
-    stamps, positions, quaternions = compose_transforms(edges, parent, child, where)
-    check_stamps(stamps, where)
     trajectory = Trajectory.from_columns(
         stamps,
         positions,
