@@ -94,30 +94,30 @@ class Family(NamedTuple):
     protocol: str
     lengths: str
     associations: tuple[str, ...]
-    statistics: tuple[str, ...]  # of the position and the rotation, for every length
+    metrics: dict[str, tuple[str, ...]]  # of every length, with their statistics
     prior: float = 0.05  # of its lengths
-    pooled: tuple[str, ...] = ()  # of the drift over all lengths
-    has_parts: bool = False  # whether drift, yaw and tilt are searched for every length
+    pooled: tuple[str, ...] = ()  # statistics of the drift over all lengths
     pairs: str = ""  # `all` for all pairs of states instead of consecutive ones
 
 
 KITTI: Final = "kitti"
 _PAIRED = ("rpg", "linear", AT_GROUNDTRUTH, "index")
+_POSE: dict[str, tuple[str, ...]] = {"position_m": _ALL, "rotation_deg": _ALL}
+_PARTS: dict[str, tuple[str, ...]] = {
+    "position_percent": _ALL, "rotation_deg_per_m": _ALL, "yaw_deg": _FEW, "tilt_deg": _FEW,
+}  # fmt: skip
 FAMILIES: Final[dict[str, Family]] = {
-    "rpg": Family("rpg", "10%,20%,30%,40%,50%", _PAIRED, _ALL, 0.05, _FEW, has_parts=True),
-    "rpg, metres": Family("rpg", "8,16,24,32,40", ("rpg", "index"), _ALL, 0.05),
-    "evo": Family("evo", "1f,10f,1,10", ("evo", "index"), _ALL, 0.1),
-    "evo, all pairs": Family("evo", "1,10", ("evo", "index"), _ALL, pairs="all"),
-    "metres": Family("default", "8,16,24,32,40", ("linear",), _ALL),
-    "seconds": Family("evo", "1s", ("evo", "rpg", "linear"), _ALL, pairs="all"),
+    "rpg": Family("rpg", "10%,20%,30%,40%,50%", _PAIRED, _POSE | _PARTS, pooled=_FEW),
+    "rpg, metres": Family("rpg", "8,16,24,32,40", ("rpg", "index"), _POSE),
+    "evo": Family("evo", "1f,10f,1,10", ("evo", "index"), _POSE, prior=0.1),
+    "evo, all pairs": Family("evo", "1,10", ("evo", "index"), _POSE, pairs="all"),
+    "metres": Family("default", "8,16,24,32,40", ("linear",), _POSE),
+    "seconds": Family("evo", "1s", ("evo", "rpg", "linear"), _POSE, pairs="all"),
     KITTI: Family(
-        "kitti", "100,200,300,400,500,600,700,800", ("evo", "linear", "index"), (), 1.0, ("mean",)
+        "kitti", "100,200,300,400,500,600,700,800", ("evo", "linear", "index"), {}, 1.0, ("mean",)
     ),
 }
 POOLED: Final = "pooled"
-PARTS: Final = {  # metrics of relative errors: statistics of a family with parts
-    "position_percent": _ALL, "rotation_deg_per_m": _ALL, "yaw_deg": _FEW, "tilt_deg": _FEW,
-}  # fmt: skip
 _UNITS = {"_per_m": "deg/m", "_percent": "%", "_deg": "deg", "_m": "m"}  # by the end of a metric
 _STATISTICS = {"rmse": 1.0, "mean": 0.3, "median": 0.15, "max": 0.08, "p95": 0.01, LAST: 0.02}
 _OF_RELATIVE = {"rmse": 0.8, "mean": 1.0, "median": 0.8}

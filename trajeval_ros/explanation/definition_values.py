@@ -22,7 +22,6 @@ from trajeval_ros.explanation.definition import (
     FAMILIES,
     KITTI,
     LAST,
-    PARTS,
     PER_AXIS,
     PER_PATH,
     POOLED,
@@ -160,10 +159,8 @@ def _relative(paired: Paired, alignment: Alignment, name: str, family: str) -> I
         parts, pooled = relative_evaluation(paired.pairs, paired.groundtruth, alignment, protocol)
     except TrajevalError:  # pairs that are not in order have no lengths in seconds
         return
-    wanted = dict.fromkeys(("position_m", "rotation_deg"), searched.statistics)
-    wanted |= PARTS if searched.has_parts else {}
     drift = dict.fromkeys(pooled, searched.pooled)
-    found = [(str(each.length), each.statistics, wanted) for each in parts or ()]
+    found = [(str(each.length), each.statistics, searched.metrics) for each in parts or ()]
     for length, statistics, names in (*found, (POOLED, pooled, drift)):
         for metric, chosen in names.items():
             # Rotation errors do not depend on the scale.
