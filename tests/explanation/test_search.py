@@ -157,11 +157,16 @@ def test_numbers_with_units(text: str, unit: str, expected: tuple[float, float, 
 
 
 @pytest.mark.parametrize(
-    "text", ["0", "0.00", "-0.2", "nan", "inf", "", ".", "1e999", "abc", "1,2"]
+    "text", ["0", "0.00", "-0.2", "nan", "inf", "", ".", "1e999", "abc", "1,2", "0.2,3m"]
 )
 def test_what_is_no_error_is_refused(text: str) -> None:
-    with pytest.raises(SettingsError, match=r"is not a published error|unknown unit"):
+    with pytest.raises(SettingsError, match="is not a published error"):
         PublishedNumber.parse(text)
+
+
+def test_another_unit_is_refused() -> None:
+    with pytest.raises(SettingsError, match="unknown unit 'ft'"):
+        PublishedNumber.parse("0.2ft")
 
 
 def test_a_float_is_refused_because_it_has_no_digits() -> None:

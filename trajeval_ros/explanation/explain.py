@@ -27,7 +27,7 @@ UNITS: dict[str, tuple[str, float]] = {
     "deg": ("deg", 1.0), "rad": ("deg", 180.0 / math.pi), "deg/m": ("deg/m", 1.0),
     "deg/100m": ("deg/m", 0.01),
 }  # fmt: skip
-_NUMBER = re.compile(r"([0-9]*\.?([0-9]*))(e[-+]?[0-9]{1,3})?\s*(\D.*)?", re.IGNORECASE)
+_NUMBER = re.compile(r"([0-9]*\.?([0-9]*))(e[-+]?[0-9]{1,3})?\s*(%|[a-z].*)?", re.IGNORECASE)
 _SAME_ARITHMETIC = 1e-7  # relative; programs differ by less in the same number
 _SAME_VALUE = 1e-9
 _RANGE = 2.0 * math.log(2.0)
