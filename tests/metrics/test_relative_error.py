@@ -14,6 +14,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics import relative_evaluation
 from trajeval_ros.metrics.absolute_errors import absolute_errors
+from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.protocol import Protocol, metres
 from trajeval_ros.metrics.relative_errors import relative_errors
 from trajeval_ros.pipeline.pipeline import evaluate
@@ -270,3 +271,25 @@ def test_absolute_errors_by_blocks_are_those_of_all_states_at_once() -> None:
             assert ours is None
         else:
             np.testing.assert_allclose(ours, column, rtol=0.0, atol=1e-11, err_msg=name)
+
+
+@pytest.mark.parametrize("start_s", [0, 1_403_636_580])
+def test_durations_at_the_limit_of_the_tolerance_count(start_s: int) -> None:
+    """Keyframes at multiples of 50 ms: a third of the pairs lasts exactly 0.9 or 1.1 s."""
+    random = np.random.default_rng(3)
+    ticks = np.cumsum(random.choice([4, 7, 9, 11, 22], size=150))
+    stamps = 10**9 * start_s + 13_560_000 + 50_000_000 * ticks.astype(np.int64)
+    expected = []
+    for row, tick in enumerate(ticks.tolist()):
+        deviations = np.abs(ticks - tick - 20)
+        if deviations.min() <= 2:
+            expected.append((row, int(np.argmin(deviations))))
+    assert sum(abs(ticks[end] - ticks[row] - 20) == 2 for row, end in expected) > 30
+    truth = dataclasses.replace(make_groundtruth(3, 150), stamps=stamps)
+    protocol = dataclasses.replace(PROTOCOLS["evo"], lengths="1s", gauge=Gauge.SE3)
+    protocol = dataclasses.replace(
+        protocol, selection=dataclasses.replace(protocol.selection, pairs="all")
+    )
+    (segment,) = evaluate(truth, truth, protocol).relative or ()
+    found = zip(segment.errors.starts.tolist(), segment.errors.ends.tolist(), strict=True)
+    assert list(found) == expected

@@ -318,3 +318,20 @@ def test_a_velocity_that_is_none_leaves_the_pose(value: float) -> None:
     assert expected.ate["position_m"] is not None
     assert ate["position_m"].count == expected.ate["position_m"].count
     assert ate["position_m"].rmse == pytest.approx(expected.ate["position_m"].rmse)
+
+
+def test_live_lengths_in_seconds_end_where_offline_ones_do() -> None:
+    """Two states can be equally far from the end; rounding of the seconds decided before."""
+    random = np.random.default_rng(5)
+    stamps = 50_000_000 * np.cumsum(random.choice([6, 8, 10, 14], size=300)).astype(np.int64)
+    truth = dataclasses.replace(make_pair(5, 300)[0], stamps=stamps)
+    protocol = Protocol(gauge=Gauge.NONE, lengths=("2.5s",))
+    evaluator = OnlineEvaluator(OnlineSettings(protocol))
+    moved = dataclasses.replace(truth, positions=truth.positions + random.normal(size=(300, 3)))
+    feed(evaluator, truth, moved, drain_s=1.7)
+    (segment,) = evaluate(truth, moved, protocol).relative or ()
+    live = evaluator.snapshot().relative["2.5s"]
+    mean = segment.statistics["position_m"]
+    assert mean is not None
+    assert live.count == mean.count > 50
+    assert live.position_m == pytest.approx(mean.mean, rel=1e-9)

@@ -127,8 +127,9 @@ def _print(found: Explanation, runs: Sequence[Run], up: Axes, unit: str) -> None
         terminal.print(text, soft_wrap=True)
 
     line(
-        f"{counted(found.searched, 'definition')}, {found.matching} match; of an unrelated number "
-        f"{found.expected:.2g} are expected (any: {100.0 * found.any_probability:.0f} %)"
+        f"{counted(found.searched, 'definition')}, {found.matching} match; an unrelated number "
+        f"has {found.expected:.2g} matches on average, and at least one in "
+        f"{100.0 * found.any_probability:.0f} % of cases"
     )
     if not all(PublishedNumber.parse(text, unit).unit for *_, texts in runs for text in texts):
         line("note: numbers without a unit are compared in m, %, deg and deg/m; set --unit")

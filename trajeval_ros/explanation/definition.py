@@ -1,7 +1,7 @@
 """The definitions that are searched: their settings, prior probabilities and commands.
 
-The priors are set by hand. The defaults of evo, rpg_trajectory_evaluation and KITTI's devkit are
-the likeliest; a deviation multiplies the prior by a factor below 1.
+The priors are set by hand, as a product: of association, alignment, metric and statistic. The
+defaults of evo, rpg_trajectory_evaluation and KITTI's devkit are the likeliest.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.protocol import Protocol
 
 EXCHANGED: Final = "evo, sides exchanged"
-# By name: the protocol that has the association, its rule, and the factor of the prior.
+# By name: the protocol that has the association, its rule, and its prior.
 ASSOCIATIONS: Final[dict[str, tuple[str, AssociationRule, float]]] = {
     "evo": ("evo", AssociationRule("evo", 0.01), 1.0),
     "rpg": ("rpg", AssociationRule("rpg", 0.02), 0.7),
@@ -31,7 +31,7 @@ ASSOCIATIONS: Final[dict[str, tuple[str, AssociationRule, float]]] = {
 
 
 class Aligning(NamedTuple):
-    """An alignment: its settings in a protocol, and the factor of the prior."""
+    """An alignment: its settings in a protocol, and its prior."""
 
     gauge: Gauge
     states: int | None
@@ -48,10 +48,10 @@ class Aligning(NamedTuple):
 ALIGNMENTS: Final[dict[str, Aligning]] = {
     "se3": Aligning(Gauge.SE3, None, 1.0),
     "sim3": Aligning(Gauge.SIM3, None, 0.9),
-    "yaw": Aligning(Gauge.YAW, None, 0.5),
+    "yaw": Aligning(Gauge.YAW, None, 0.7),
     "none": Aligning(Gauge.NONE, None, 0.3),
     "se3 by the first state": Aligning(Gauge.SE3, 1, 0.3),
-    "yaw by the first state": Aligning(Gauge.YAW, 1, 0.1),
+    "yaw by the first state": Aligning(Gauge.YAW, 1, 0.2),
     "translation": Aligning(Gauge.TRANSLATION, None, 0.02),
     "translation by the first state": Aligning(Gauge.TRANSLATION, 1, 0.03),
     "scale of sim3 alone": Aligning(Gauge.SIM3, None, 0.05, apply="scale"),
@@ -75,18 +75,17 @@ PER_PATH: Final = "in % of the path"
 # By metric of result.json and form: statistics and alignments that are searched, and the prior.
 ABSOLUTE: Final[dict[tuple[str, str], tuple[tuple[str, ...], tuple[str, ...], float]]] = {
     ("position_m", ""): ((*_ALL, LAST), tuple(ALIGNMENTS), 1.0),
-    ("position_m", PER_AXIS): (("rmse",), _MAIN, 0.02),
-    ("position_m", PER_PATH): (("rmse", "mean", LAST), _MAIN, 0.1),
-    ("rotation_deg", ""): (_ALL, _TURNED, 0.5),
-    ("horizontal_m", ""): (("rmse", "mean"), _MAIN, 0.1),
-    ("vertical_m", ""): (("rmse", "mean"), _MAIN, 0.02),
-    ("yaw_deg", ""): (_FEW, _TURNED[:5], 0.08),
-    ("tilt_deg", ""): (_FEW, _TURNED[:5], 0.03),
-    ("full", ""): (_ALL, ("se3",), 0.02),
-    ("rotation_part", ""): (_ALL, ("se3",), 0.02),
+    ("position_m", PER_AXIS): (("rmse",), _MAIN, 0.015),
+    ("position_m", PER_PATH): (("rmse", "mean", LAST), _MAIN, 0.07),
+    ("rotation_deg", ""): (_ALL, _TURNED, 0.35),
+    ("horizontal_m", ""): (("rmse", "mean"), _MAIN, 0.07),
+    ("vertical_m", ""): (("rmse", "mean"), _MAIN, 0.015),
+    ("yaw_deg", ""): (_FEW, _TURNED[:5], 0.06),
+    ("tilt_deg", ""): (_FEW, _TURNED[:5], 0.02),
+    ("full", ""): (_ALL, ("se3",), 0.015),
+    ("rotation_part", ""): (_ALL, ("se3",), 0.015),
 }
-
-OF_EVO: Final = ("full", "rotation_part")  # errors of whole poses, which only evo's form has
+_OF_EVO = ("full", "rotation_part")  # errors of whole poses, which only evo's form has
 
 
 class Family(NamedTuple):
@@ -95,45 +94,35 @@ class Family(NamedTuple):
     protocol: str
     lengths: str
     associations: tuple[str, ...]
-    statistics: tuple[str, ...]  # of the position and the rotation, for every length
-    pooled: tuple[str, ...] = ()  # of the drift over all lengths
-    has_parts: bool = False  # whether drift, yaw and tilt are searched for every length
+    metrics: dict[str, tuple[str, ...]]  # of every length, with their statistics
+    prior: float = 0.05  # of its lengths
+    pooled: tuple[str, ...] = ()  # statistics of the drift over all lengths
     pairs: str = ""  # `all` for all pairs of states instead of consecutive ones
 
 
-_KITTI = "kitti"
+KITTI: Final = "kitti"
 _PAIRED = ("rpg", "linear", AT_GROUNDTRUTH, "index")
+_POSE: dict[str, tuple[str, ...]] = {"position_m": _ALL, "rotation_deg": _ALL}
+_PARTS: dict[str, tuple[str, ...]] = {
+    "position_percent": _ALL, "rotation_deg_per_m": _ALL, "yaw_deg": _FEW, "tilt_deg": _FEW,
+}  # fmt: skip
 FAMILIES: Final[dict[str, Family]] = {
-    "rpg": Family("rpg", "10%,20%,30%,40%,50%", _PAIRED, _ALL, _FEW, has_parts=True),
-    "rpg, metres": Family("rpg", "8,16,24,32,40", ("rpg", "index"), _ALL),
-    "evo": Family("evo", "1f,10f,1,10", ("evo", "index"), _ALL),
-    "evo, all pairs": Family("evo", "1,10", ("evo", "index"), _ALL, pairs="all"),
-    "metres": Family("default", "8,16,24,32,40", ("linear",), _ALL),
-    "seconds": Family("evo", "1s", ("evo", "rpg", "linear"), _ALL, pairs="all"),
-    _KITTI: Family(
-        "kitti", "100,200,300,400,500,600,700,800", ("evo", "linear", "index"), (), ("mean",)
+    "rpg": Family("rpg", "10%,20%,30%,40%,50%", _PAIRED, _POSE | _PARTS, pooled=_FEW),
+    "rpg, metres": Family("rpg", "8,16,24,32,40", ("rpg", "index"), _POSE),
+    "evo": Family("evo", "1f,10f,1,10", ("evo", "index"), _POSE, prior=0.1),
+    "evo, all pairs": Family("evo", "1,10", ("evo", "index"), _POSE, pairs="all"),
+    "metres": Family("default", "8,16,24,32,40", ("linear",), _POSE),
+    "seconds": Family("evo", "1s", ("evo", "rpg", "linear"), _POSE, pairs="all"),
+    KITTI: Family(
+        "kitti", "100,200,300,400,500,600,700,800", ("evo", "linear", "index"), {}, 1.0, ("mean",)
     ),
 }
 POOLED: Final = "pooled"
-PARTS: Final = {  # metrics of relative errors: statistics of a family with parts
-    "position_percent": _ALL, "rotation_deg_per_m": _ALL, "yaw_deg": _FEW, "tilt_deg": _FEW,
-}  # fmt: skip
 _UNITS = {"_per_m": "deg/m", "_percent": "%", "_deg": "deg", "_m": "m"}  # by the end of a metric
 _STATISTICS = {"rmse": 1.0, "mean": 0.3, "median": 0.15, "max": 0.08, "p95": 0.01, LAST: 0.02}
 _OF_RELATIVE = {"rmse": 0.8, "mean": 1.0, "median": 0.8}
-_LENGTHS = {"1f": 0.3, POOLED: 0.2, "1m": 0.1, "8m": 0.1, "10m": 0.1}
+_DEFAULT_LENGTHS = {"1f": 0.3}  # of evo_rpe
 _OTHER = 0.05
-# The defaults of programs: priors of the position RMSE by alignment and association.
-_DEFAULTS: dict[str, dict[str, float]] = {
-    "se3": {"evo": 1.0, "rpg": 0.7, "linear": 0.3, "index": 0.7},
-    "sim3": {"evo": 0.9, "rpg": 0.7, "linear": 0.25, "index": 0.7},
-    "yaw": {"rpg": 0.6, "linear": 0.3},
-    "none": {"evo": 0.3, "rpg": 0.15, "index": 0.5},
-    "se3 by the first state": {"evo": 0.35, "rpg": 0.2, "index": 0.5},
-    "yaw by the first state": {"rpg": 0.2},
-    "scale of sim3 alone": {"evo": 0.05},
-}
-_DEVIATION = 0.7  # factor of everything that is not a default
 
 
 class Definition(NamedTuple):
@@ -157,21 +146,21 @@ class Definition(NamedTuple):
     @property
     def prior(self) -> float:
         """The prior probability, relative to other definitions."""
-        if self[2:] == ("position_m", "rmse", "", "", ""):
-            default = _DEFAULTS.get(self.alignment, {}).get(self.association)
-            if default is not None:
-                return default
-        if self[:2] == ("index", "se3") and self.family == _KITTI:
-            return 1.0
-        factor = _DEVIATION * ASSOCIATIONS[self.association][2] * ALIGNMENTS[self.alignment].prior
-        statistic = _STATISTICS.get(self.statistic, _OTHER)
-        if not self.family:
-            return factor * statistic * ABSOLUTE[self.metric, self.form][2]
-        if self.family == _KITTI:
-            return factor * statistic * 0.8
-        is_rare = self.metric in ("yaw_deg", "tilt_deg") or FAMILIES[self.family].pairs
-        length = _OTHER if is_rare else _LENGTHS.get(self.length, _OTHER)
-        return factor * length * _OF_RELATIVE.get(self.statistic, _OTHER)
+        factor = ASSOCIATIONS[self.association][2] * ALIGNMENTS[self.alignment].prior
+        if self.family:
+            of_family = _DEFAULT_LENGTHS.get(self.length, FAMILIES[self.family].prior)
+            return factor * of_family * _OF_RELATIVE.get(self.statistic, _OTHER)
+        of_metric = ABSOLUTE[self.metric, self.form][2]
+        return factor * of_metric * _STATISTICS.get(self.statistic, _OTHER)
+
+    def is_searched(self, withheld: bool) -> bool:
+        """Return whether a program prints the number; protocols of this package withhold some."""
+        protocol = ASSOCIATIONS[self.association][0]
+        if withheld and protocol == "default":
+            return False
+        if self.family:
+            return self.association in FAMILIES[self.family].associations
+        return self.metric not in _OF_EVO or PROTOCOLS[protocol].ate_form == "evo"
 
     def __str__(self) -> str:
         """Return everything but the association, as text."""

@@ -20,9 +20,8 @@ from trajeval_ros.explanation.definition import (
     ASSOCIATIONS,
     EXCHANGED,
     FAMILIES,
+    KITTI,
     LAST,
-    OF_EVO,
-    PARTS,
     PER_AXIS,
     PER_PATH,
     POOLED,
@@ -39,14 +38,6 @@ from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.relative_evaluation import relative_evaluation
 
 
-class Value(NamedTuple):
-    """A definition without its association, and its value."""
-
-    definition: tuple[str, ...]
-    value: float
-    withheld: bool = False  # by protocols that are not of another program
-
-
 class Paired(NamedTuple):
     """Pairs, the associations that give them and whether they keep matrices, and both sides."""
 
@@ -54,6 +45,11 @@ class Paired(NamedTuple):
     pairs: Association
     groundtruth: Trajectory
     estimate: Trajectory
+
+
+# A definition without its association, its value, and whether protocols of this package withhold
+# the value.
+Value = tuple[tuple[str, ...], float, bool]
 
 
 def values_of(
@@ -67,19 +63,14 @@ def values_of(
     places: dict[Definition, int] = {}
     values: list[float] = []
     for paired in _associations(groundtruth, estimate):
+        first, *_ = paired.names.values()
         for rest, value, withheld in _values_of_pairs(paired):
-            family = FAMILIES.get(rest[4])
-            first, *_ = paired.names.values()
             for name, has_matrices in paired.names.items():
-                is_of_family = family is None or (
-                    name in family.associations
-                    # Interpolated rotations are not the inexact matrices of KITTI's files.
-                    and (has_matrices is first or family.protocol != "kitti")
-                )
-                protocol = ASSOCIATIONS[name][0]
-                is_printed = rest[1] not in OF_EVO or PROTOCOLS[protocol].ate_form == "evo"
-                if is_of_family and is_printed and not (withheld and protocol == "default"):
-                    places[Definition(name, *rest)] = len(values)
+                definition = Definition(name, *rest)
+                # Interpolated rotations are not the inexact matrices of KITTI's files.
+                is_same = has_matrices is first or definition.family != KITTI
+                if is_same and definition.is_searched(withheld):
+                    places[definition] = len(values)
             values.append(value)
     return places, values
 
@@ -90,9 +81,10 @@ def _associations(groundtruth: Trajectory, estimate: Trajectory) -> Iterable[Pai
         raise InputError("the groundtruth has GNSS fixes; explain needs poses, as of text files")
     found: dict[tuple[object, ...], Paired] = {}
     both, refusal = (groundtruth.reading, estimate.reading), None
-    has = {"index": all(each.frame_numbers is not None or not each.stamped for each in both)}
+    stamped = all(each.stamped for each in both)
+    framed = all(each.frame_numbers is not None or not each.stamped for each in both)
     for name, (protocol, rule, _) in ASSOCIATIONS.items():
-        if not has.get(rule.method, all(each.stamped for each in both)):
+        if not (framed if rule.method == "index" else stamped):
             continue
         sides = (estimate, groundtruth) if name == EXCHANGED else (groundtruth, estimate)
         if PROTOCOLS[protocol].in_order:
@@ -132,8 +124,6 @@ def _evaluated(paired: Paired, name: str, before: dict[str, Alignment]) -> Evalu
     """Evaluate the pairs with an alignment; `before` has those of the names before it."""
     protocol = protocol_of(next(iter(paired.names)), name)
     aligning, pairs = ALIGNMENTS[name], paired.pairs
-    if name != "se3":  # the only one for which errors of whole poses are searched
-        protocol = dataclasses.replace(protocol, ate_form="plain")
     groundtruth, estimate = pairs.groundtruth, pairs.estimate
     if protocol.is_upright:
         require_up_axis(groundtruth, protocol.gauge)
@@ -153,14 +143,13 @@ def _evaluated(paired: Paired, name: str, before: dict[str, Alignment]) -> Evalu
 def _absolute(evaluation: Evaluation, name: str, path_m: float) -> Iterator[Value]:
     withheld = bool(evaluation.alignment.untrustworthy)
     last_m = float(evaluation.absolute.position_m[-1])
-    factors = {"": 1.0, PER_AXIS: math.sqrt(1.0 / 3.0), PER_PATH: 100.0 / path_m}
+    factors = {PER_AXIS: math.sqrt(1.0 / 3.0), PER_PATH: 100.0 / path_m}
     for (metric, form), (statistics, alignments, _) in ABSOLUTE.items():
         found = evaluation.ate.get(metric)
         for statistic in statistics if found and name in alignments else ():
             value = last_m if statistic == LAST else getattr(found, statistic)
-            is_withheld = withheld and not metric.endswith("_m")
             rest = (name, metric, statistic, form, "", "")
-            yield Value(rest, factors[form] * value, is_withheld)
+            yield rest, factors.get(form, 1.0) * value, withheld and not metric.endswith("_m")
 
 
 def _relative(paired: Paired, alignment: Alignment, name: str, family: str) -> Iterator[Value]:
@@ -170,14 +159,12 @@ def _relative(paired: Paired, alignment: Alignment, name: str, family: str) -> I
         parts, pooled = relative_evaluation(paired.pairs, paired.groundtruth, alignment, protocol)
     except TrajevalError:  # pairs that are not in order have no lengths in seconds
         return
-    wanted = dict.fromkeys(("position_m", "rotation_deg"), searched.statistics)
-    wanted |= PARTS if searched.has_parts else {}
     drift = dict.fromkeys(pooled, searched.pooled)
-    found = [(str(each.length), each.statistics, wanted) for each in parts or ()]
+    found = [(str(each.length), each.statistics, searched.metrics) for each in parts or ()]
     for length, statistics, names in (*found, (POOLED, pooled, drift)):
         for metric, chosen in names.items():
             # Rotation errors do not depend on the scale.
             values = statistics[metric] if name == "se3" or "position" in metric else None
             for statistic in chosen if values else ():
                 rest = (name, metric, statistic, "", family, length)
-                yield Value(rest, getattr(values, statistic))
+                yield rest, getattr(values, statistic), False

@@ -27,7 +27,7 @@ UNITS: dict[str, tuple[str, float]] = {
     "deg": ("deg", 1.0), "rad": ("deg", 180.0 / math.pi), "deg/m": ("deg/m", 1.0),
     "deg/100m": ("deg/m", 0.01),
 }  # fmt: skip
-_NUMBER = re.compile(r"([0-9]*\.?([0-9]*))(e[-+]?[0-9]{1,3})?\s*(\D.*)?", re.IGNORECASE)
+_NUMBER = re.compile(r"([0-9]*\.?([0-9]*))(e[-+]?[0-9]{1,3})?\s*(%|[a-z].*)?", re.IGNORECASE)
 _SAME_ARITHMETIC = 1e-7  # relative; programs differ by less in the same number
 _SAME_VALUE = 1e-9
 _RANGE = 2.0 * math.log(2.0)
@@ -158,7 +158,7 @@ def explain(
         )
     candidates = _Candidates([values_of(truth, estimate) for truth, estimate, _ in runs])
     columns = [_Column(candidates, each) for each in zip(*numbers, strict=True)]
-    return _explained(candidates, columns, len(runs))
+    return _explained(candidates, columns)
 
 
 class _Candidates:
@@ -178,98 +178,101 @@ class _Candidates:
         )  # (R, K)
         self.priors = np.array([each.prior for each in self.first])
 
-    def are_compatible(self) -> Booleans:
-        """Return which definitions can be of the same row of a table, (K, K).
+    def of_row(self, used: Sequence[Booleans]) -> Indices:
+        """Return all definitions (M, C) of the C numbers in a row of a table, of those used (K,).
 
         They share an association and the alignment. Relative errors depend only on its scale.
         """
+        if len(used) == 1:
+            return np.flatnonzero(used[0])[:, None]
         alignment = np.array([each.alignment for each in self.first])
         scaled = np.array([ALIGNMENTS[each.alignment].has_scale for each in self.first])
         relative = np.array([bool(each.family) for each in self.first])
         either = (relative[:, None] | relative) & (scaled[:, None] == scaled)
         has = np.array([[name in {one.association for one in each} for name in ASSOCIATIONS]
             for each in self.names], dtype=float)  # fmt: skip
-        compatible: Booleans = (has @ has.T > 0.0) & (either | (alignment[:, None] == alignment))
-        return compatible
+        together = (has @ has.T > 0.0) & (either | (alignment[:, None] == alignment))
+        return np.argwhere(together & np.logical_and.outer(*used))
+
+    def match(self, rows: Indices, probability: float) -> Match:
+        """Return a group of definitions (M, C), the likeliest first."""
+        named = [tuple(self.first[each] for each in row) for row in rows]
+        texts = ["; ".join(map(str, each)) for each in named]
+        associations = {one.association for row in rows for one in self.names[row[0]]}
+        return Match(
+            named[0],
+            tuple(map(tuple, self.values.T[rows[0]].tolist())),
+            tuple(name for name in ASSOCIATIONS if name in associations),
+            tuple(dict.fromkeys(texts))[1:],
+            probability,
+        )
+
+    def are_one(self, row: Indices, other: Indices) -> bool:
+        """Return whether definitions (C,) differ only in the association, or have equal values."""
+        if all(self.first[a][1:] == self.first[b][1:] for a, b in zip(row, other, strict=True)):
+            return True
+        a, b = self.values[:, row], self.values[:, other]
+        return bool((np.abs(a - b) <= _SAME_VALUE * b).all())
 
 
 class _Column:
-    """The K definitions for one number of all runs."""
+    """The K definitions for one number of all R runs."""
 
     def __init__(self, candidates: _Candidates, numbers: Sequence[PublishedNumber]) -> None:
         unit = numbers[0].unit
-        used = np.array([not unit or each.unit == unit for each in candidates.first])
+        self.used = np.array([not unit or each.unit == unit for each in candidates.first])
         y, h = (np.array([each[field] for each in numbers])[:, None] for field in (0, 1))
         x = np.maximum(candidates.values, _TINY)
-        self.hit = used & (np.abs(x - y) <= h * (1.0 + 1e-9)).all(axis=0)
-        bounds = [np.log(np.maximum(x + side, _TINY) / y) for side in (-h, h)]
-        low, high = np.clip(bounds, -_RANGE / 2.0, _RANGE / 2.0)
-        self.covered = used * np.prod((high - low) / _RANGE, axis=0)  # the probabilities c
-        self.used, self.weights = used, used * candidates.priors / (used @ candidates.priors)
-        self.likelihood = float(np.prod(np.log((y + h) / (y - h)) / _RANGE))  # of unrelated ones
-        self.distance = np.abs(np.log(x / y)).max(axis=0) + np.where(used, 0.0, np.inf)
-        # The union of the intervals is the probability that any matches; of a single run.
-        order = np.argsort(low[0][used])
-        low, high = low[0][used][order], np.maximum.accumulate(high[0][used][order])
+        self.hit = (np.abs(x - y) <= h * (1.0 + 1e-9)).all(axis=0)
+        bounds = np.log(np.maximum([x - h, x + h], _TINY) / y)
+        self.low, self.high = np.clip(bounds, -_RANGE / 2.0, _RANGE / 2.0)  # (R, K)
+        self.covered = np.prod((self.high - self.low) / _RANGE, axis=0)  # the probabilities c
+        self.unrelated = float(np.prod(np.log((y + h) / (y - h)) / _RANGE))  # their likelihood
+        self.distance = np.abs(np.log(x / y)).max(axis=0)
+
+    def union(self) -> float:
+        """Return the probability that any definition matches: of a single run."""
+        low, high = self.low[0][self.used], self.high[0][self.used]
+        order = np.argsort(low)
+        low, high = low[order], np.maximum.accumulate(high[order])
         before = np.concatenate([[-np.inf], high[:-1]])
-        self.any = float(np.maximum(high - np.maximum(low, before), 0.0).sum()) / _RANGE
+        return float(np.maximum(high - np.maximum(low, before), 0.0).sum()) / _RANGE
 
 
-def _explained(candidates: _Candidates, columns: Sequence[_Column], runs: int) -> Explanation:
-    first, last = columns[0], columns[-1]
-    if first is last:
-        rows = np.flatnonzero(first.hit)[:, None]
-        weights = first.weights[rows[:, 0]]
-        searched, expected = int(first.used.sum()), float(first.covered.sum())
-    else:
-        together = candidates.are_compatible()
-        rows = np.argwhere(together & first.hit[:, None] & last.hit)
-        prior = float(first.weights @ together @ last.weights)
-        weights = first.weights[rows[:, 0]] * last.weights[rows[:, 1]] / prior
-        searched = int(first.used @ together.astype(int) @ last.used)
-        expected = float(first.covered @ together @ last.covered)
-    likely = first.any if runs == len(columns) == 1 else -math.expm1(-expected)
-    unrelated = _NONE_PRIOR * math.prod(each.likelihood for each in columns)
-    none = unrelated / (unrelated + (1.0 - _NONE_PRIOR) * float(weights.sum()))
-    shares = (1.0 - none) * weights / weights.sum() if len(rows) else weights
-    matches = _grouped(candidates, rows, shares)
-    nearest: tuple[Match, ...] = ()
-    if not matches:
-        far = first.distance - _PRIOR_WEIGHT * np.log(candidates.priors)
-        near = [each for each in np.argsort(far)[: 4 * _NEAREST] if np.isfinite(far[each])]
-        # Halved shares keep the order of the nearest definition of every group.
-        order: Floats = np.power(0.5, np.arange(len(near), dtype=np.float64))
-        nearest = _grouped(candidates, np.array(near)[:, None], order)[:_NEAREST]
-    return Explanation(searched, len(rows), expected, likely, none, matches, nearest)
+def _explained(candidates: _Candidates, columns: Sequence[_Column]) -> Explanation:
+    rows = candidates.of_row([each.used for each in columns])
+
+    def of_rows(values: Sequence[Floats]) -> Floats:
+        return np.array([each[row] for each, row in zip(values, rows.T, strict=True)])
+
+    weights = candidates.priors[rows].prod(axis=1)
+    weights /= weights.sum()
+    hit = of_rows([each.hit for each in columns]).all(axis=0)
+    expected = float(of_rows([each.covered for each in columns]).prod(axis=0).sum())
+    is_single = len(candidates.values) == len(columns) == 1
+    likely = columns[0].union() if is_single else -math.expm1(-expected)
+    unrelated = _NONE_PRIOR * math.prod(each.unrelated for each in columns)
+    matching = float(weights[hit].sum())
+    none = unrelated / (unrelated + (1.0 - _NONE_PRIOR) * matching)
+    if hit.any():
+        matches = _grouped(candidates, rows[hit], (1.0 - none) * weights[hit] / matching)
+        return Explanation(len(rows), int(hit.sum()), expected, likely, none, matches, ())
+    far = of_rows([each.distance for each in columns]).max(axis=0)
+    near = np.argsort(far - _PRIOR_WEIGHT * np.log(weights))[: 4 * _NEAREST]
+    # Halved shares keep the order of the nearest definition of every group.
+    nearest = _grouped(candidates, rows[near], np.power(0.5, np.arange(float(len(near)))))
+    return Explanation(len(rows), 0, expected, likely, none, (), nearest[:_NEAREST])
 
 
 def _grouped(candidates: _Candidates, rows: Indices, shares: Floats) -> tuple[Match, ...]:
-    """Join matches (M, 1 or 2) that differ only in the association, or have equal values."""
+    """Join matches (M, C) that differ only in the association, or have equal values."""
     groups: list[list[int]] = []
     for place in np.argsort(-shares, kind="stable").tolist():
-        for group in groups:
-            both = rows[place], rows[group[0]]
-            a, b = (candidates.values[:, each] for each in both)
-            one, other = ([candidates.first[k][1:] for k in each] for each in both)
-            if one == other or bool((np.abs(a - b) <= _SAME_VALUE * b).all()):
-                group.append(place)
-                break
-        else:
+        same = (each for each in groups if candidates.are_one(rows[place], rows[each[0]]))
+        group = next(same, None)
+        if group is None:
             groups.append([place])
-    matches = []
-    for group in groups:
-        head = rows[group[0]]
-        texts = ["; ".join(str(candidates.first[k]) for k in rows[place]) for place in group]
-        associations = {
-            one.association: one for place in group for one in candidates.names[rows[place][0]]
-        }
-        matches.append(
-            Match(
-                tuple(candidates.first[k] for k in head),
-                tuple(tuple(candidates.values[:, k].tolist()) for k in head),
-                tuple(name for name in ASSOCIATIONS if name in associations),
-                tuple(dict.fromkeys(texts))[1:],
-                float(shares[group].sum()),
-            )
-        )
-    return tuple(sorted(matches, key=lambda each: -each.probability))
+        else:
+            group.append(place)
+    found = [candidates.match(rows[each], float(shares[each].sum())) for each in groups]
+    return tuple(sorted(found, key=lambda each: -each.probability))

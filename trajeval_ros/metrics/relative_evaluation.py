@@ -17,7 +17,7 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.travelled import turned_angle
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import Association
@@ -288,22 +288,26 @@ class _Measure:
         return select_frames(along, numbers, paired, value, self._selection)
 
     def _value(self, length: Length) -> float:
-        """Return a length in metres, seconds or radians."""
+        """Return a length in metres, nanoseconds or radians."""
         if length.turns:
             return length.radians
-        return float(length.value) if length.unit == "s" else self.metres(length)
+        return length.value * NANOSECONDS if length.unit == "s" else self.metres(length)
 
     def _along(self, length: Length) -> Floats:
-        """Return path (m), time (s) or rotation (rad) up to every state, by the length's unit."""
+        """Return path (m), time (ns) or rotation (rad) up to every state, by the length's unit.
+
+        Nanoseconds are exact in float64: rounding decides no end at the limit of a tolerance.
+        """
         states = self._states
         if length.unit == "s":
-            time = states.seconds if self._by_frame else self._pairs.groundtruth.seconds
-            if (np.diff(time) < 0.0).any():
+            stamps = (states if self._by_frame else self._pairs.groundtruth).stamps
+            if (np.diff(stamps) < 0).any():
                 raise InputError(
                     "the pairs are not in order of time, which lengths in seconds need; use "
                     "protocol default, which sorts them, or lengths in metres"
                 )
-            return time
+            since: Floats = (stamps - stamps[0]).astype(np.float64)
+            return since
         if length.turns:
             assert states.quaternions is not None
             return turned_angle(states.quaternions)

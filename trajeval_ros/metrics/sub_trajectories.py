@@ -193,7 +193,7 @@ _TURN_BLOCK = 256  # states whose orientations are compared with all others at a
 def select(along: Floats, length: float, selection: Selection) -> tuple[Indices, Indices]:
     """Return the starts and ends (K,) of all sub-trajectories of a length, eq. (25).
 
-    `along` (N,) is the path (m), time (s) or rotation (rad) up to every state, not decreasing.
+    `along` (N,) is the path (m), time (ns) or rotation (rad) up to every state, not decreasing.
     """
     starts = np.arange(0, len(along), selection.every)
     if selection.rule == "first-past" or (selection.rule == "evo" and selection.is_consecutive):

@@ -62,7 +62,8 @@ class RelativeTracker:
             self._by_unit[unit] = slice(begin, len(chosen))
         total = len(chosen)
         self._names = [str(length) for length in chosen]
-        self._values = np.array([length.value for length in chosen])
+        units = np.array([NANOSECONDS if length.unit == "s" else 1 for length in chosen])
+        self._values = np.array([length.value for length in chosen]) * units
         self._next, self._given_up, self._count = np.zeros((3, total), dtype=np.int64)
         self._position_sum, self._rotation_sum = np.zeros((2, total))
 
@@ -176,11 +177,11 @@ def _poses(rows: Floats) -> PoseArrays:
 
 
 def _along(store: PairStore, first: int, unit: str) -> Floats:
-    """Return path (m), time (s) or number of states up to the pairs from `first` on, (N,)."""
+    """Return path (m), time (ns) or number of states up to the pairs from `first` on, (N,)."""
     if unit == "m":
         return store.along(first)
     stamps = store.stamps(first)
     if unit == "f":
         return np.arange(len(stamps), dtype=np.float64)
-    since: Floats = (stamps - stamps[0]) / NANOSECONDS
+    since: Floats = (stamps - stamps[0]).astype(np.float64)
     return since

@@ -142,6 +142,9 @@ def test_json_lines(tmp_path: Path) -> None:
     assert_same(read)
     assert np.abs(read.stamps - FLIGHT.stamps).max() < 500
     assert any("2 lines without a position" in each.text for each in read.reading.remarks)
+    numbered = [each.replace('"TRACKING"', "1") for each in lines]  # a code of another program
+    path.write_text("\n".join(numbered) + "\n")
+    assert_same(read_trajectory(path))
     path.write_text('{"time": 1.0, "x": 1.0}\n{"time"\n')
     with pytest.raises(InputError, match="line 2: no JSON object"):
         read_trajectory(path)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -28,12 +29,13 @@ def write(path: Path, rows: Sequence[str]) -> Path:
     return path
 
 
-def check(found: Trajectory, times: Sequence[float] | None = None) -> None:
+def check(found: Trajectory, times: Sequence[float] | None = None, atol: float = 1e-6) -> None:
     expected = TIMES if times is None else np.array(times)
     np.testing.assert_allclose(found.stamps / 1e9, expected, atol=1e-6, rtol=0)
-    np.testing.assert_allclose(found.positions, POSITIONS, atol=1e-6)
+    np.testing.assert_allclose(found.positions, POSITIONS, rtol=0, atol=atol)
     assert found.rotations is not None
-    assert (found.rotations * TURNS.inv()).magnitude().max() < 1e-5
+    # Half of a last digit in four components, and twice that as an angle.
+    assert (found.rotations * TURNS.inv()).magnitude().max() < 4.0 * atol
 
 
 def numbers(values: np.ndarray, sign: str = " ") -> str:
@@ -130,3 +132,84 @@ def test_frame_numbers_of_an_array_use_the_times_in_the_folder(tmp_path: Path) -
     found = read_trajectory(tmp_path / "poses.npy")
     check(found)
     assert "float32" in "; ".join(found.reading.said(Level.NOTE))
+
+
+def columns(*parts: object, digits: int) -> list[str]:
+    """Return one text per row from arrays (N, ...), or from constants of all rows."""
+    arrays = [np.broadcast_to(part, (COUNT, np.shape(part)[-1])) for part in parts]
+    return [" ".join(f"{each:.{digits}f}" for each in row) for row in np.hstack(arrays)]
+
+
+MATRICES = np.concatenate([TURNS.as_matrix(), POSITIONS[:, :, None]], axis=2)
+POSE, PLACE = columns(POSITIONS, XYZW, digits=6), columns(POSITIONS, digits=6)
+STATE = columns(XYZW, POSITIONS, np.ones(3), np.zeros(6), digits=6)
+CAMERA = columns(
+    [458.654, 457.296, 367.215, 248.375], np.zeros(4), [0, 0, 0, 1], [0.01, 0.02, 0.03], digits=6
+)
+VARIANCES = columns([1e-4, 0, 0, 1e-4, 0, 1e-4, 0.01, 0, 0, 0.01, 0, 0.01], digits=10)
+# By file: the rows that the program writes, and the largest rounding of a number.
+FILES = {
+    "state_estimate.txt": (
+        ["# timestamp(s) q p v bg ba cam_imu_dt num_cam cam0_k cam0_d cam0_rot cam0_trans"]
+        + [f"{t:.5f} {s} 0.0000000 1 {c} " for t, s, c in zip(TIMES, STATE, CAMERA, strict=True)],
+        1e-6,
+    ),
+    "recorder.txt": (
+        [
+            "# timestamp(s) tx ty tz qx qy qz qw Pr11 Pr12 Pr13 Pr22 Pr23 Pr33 "
+            "Pt11 Pt12 Pt13 Pt22 Pt23 Pt33"
+        ]
+        + [f"{t:.5f} {p} {v}" for t, p, v in zip(TIMES, POSE, VARIANCES, strict=True)],
+        1e-6,
+    ),
+    "CameraTrajectory.txt": ([f"{t:.6f} {p}" for t, p in zip(TIMES, POSE, strict=True)], 1e-6),
+    "CameraTrajectoryEuRoC.txt": (
+        [f"{1e9 * t:.6f} {p}" for t, p in zip(TIMES, POSE, strict=True)],
+        1e-6,
+    ),
+    "scans_poses_tum.txt": (columns(TIMES[:, None], POSITIONS, XYZW, digits=4), 1e-4),
+    "rtabmap_10.txt": (
+        ["#timestamp x y z qx qy qz qw"]
+        + [f"{t:f} {p}" for t, p in zip(TIMES, POSE, strict=True)],
+        1e-6,
+    ),
+    "rtabmap_11.txt": (
+        ["#timestamp x y z qx qy qz qw id"]
+        + [f"{t:f} {p} {row}" for row, (t, p) in enumerate(zip(TIMES, POSE, strict=True), 1)],
+        1e-6,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_files_of_systems_hold_the_poses_that_were_written(tmp_path: Path, name: str) -> None:
+    rows, atol = FILES[name]
+    found = read_trajectory(write(tmp_path / name, rows))
+    check(found, atol=atol)
+    assert (found.covariances is not None) == (name == "recorder.txt")
+    assert (found.velocities is not None) == (name == "state_estimate.txt")
+
+
+@pytest.mark.parametrize("name", ["scans_poses.npy", "scans_poses_kitti.txt"])
+def test_poses_without_times_have_those_of_their_rate(tmp_path: Path, name: str) -> None:
+    """Files of KISS-ICP, and export format 0 of rtabmap."""
+    path = tmp_path / name
+    if path.suffix == ".npy":
+        whole = np.tile(np.eye(4), (COUNT, 1, 1))
+        whole[:, :3] = MATRICES
+        np.save(path, whole)
+    else:
+        np.savetxt(path, MATRICES.reshape(COUNT, 12))
+    found = read_trajectory(path, hints=TextHints.of(None, 10.0))
+    check(found, (0.1 * np.arange(COUNT)).tolist())
+    assert found.up.name == ("z" if path.suffix == ".npy" else "-y")
+
+
+def test_poses_of_droid_slam_are_inverse(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    inverse = TURNS.inv()
+    poses = np.column_stack([-inverse.apply(POSITIONS), inverse.as_quat()])
+    np.save(tmp_path / "poses.npy", poses.astype(np.float32))
+    np.save(tmp_path / "tstamps.npy", TIMES)
+    monkeypatch.chdir(tmp_path)
+    assert main(["trajectory", "poses.npy", "--inverse", "poses", "--save-as", "tum"]) == 0
+    check(read_trajectory("poses.txt"))

@@ -183,7 +183,8 @@ def _columns(layout: Layout, rows: Floats) -> FileColumns:
 def _of_json_lines(path: Path, hints: TextHints) -> Table:
     """Return the columns of one JSON object per line, named by its keys.
 
-    Lines without a position, and lines with a status other than tracking, are left out.
+    Lines without a position, and lines whose status is the text of another state than tracking,
+    such as LOST_TRACKING, are left out.
     """
     if hints.columns:
         raise InputError(f"{path} has JSON lines, whose keys name the columns; remove --columns")
@@ -199,7 +200,7 @@ def _of_json_lines(path: Path, hints: TextHints) -> Table:
                 f"{path}, line {number}: no JSON object; write one object per line"
             ) from None
         status = [record.get(each) for each in _STATUS] if isinstance(record, dict) else []
-        is_tracked = all(str(each).upper() == _TRACKING for each in status if each is not None)
+        is_tracked = all(each.upper() == _TRACKING for each in status if isinstance(each, str))
         values = dict(_flat(record)) if is_tracked else {}
         if {"x", "y", "z"} <= {key.rpartition(".")[2] for key in values}:
             found.append(values)
