@@ -16,17 +16,15 @@ from small_rigs import small_rig
 from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import (
     HALF_WIDTH,
     PARAMETERS,
-    UNITS,
     GroundtruthCause,
 )  # fmt: skip
 from trajeval_ros.calibration.groundtruth_doctor.examine import (
     ExaminedGroundtruth,
     _apply,
     _imu_of,
-    _summary,
     examine,
 )  # fmt: skip
-from trajeval_ros.calibration.groundtruth_doctor.rig import LEVER, OFFSET, SKEW
+from trajeval_ros.calibration.groundtruth_doctor.rig import LEVER, OFFSET, SKEW, UNITS
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.inertial import InertialReadings
 
@@ -140,14 +138,11 @@ def test_accelerations_are_in_metres(size: float, refused: bool) -> None:
 
 def test_a_summary_has_the_larger_variance_in_its_units() -> None:
     fit = small_rig().fit()
-    found = _summary(fit, 0.5)
-    values, change = fit.rig.values()
-    values[OFFSET] += 0.5
-    np.testing.assert_allclose(found.values, values * UNITS)
-    variances = [
-        np.diag(change @ each @ change.T)
-        for each in (fit.covariance_of_blocks, fit.covariance_of_model)
-    ]
+    fit.rig = dataclasses.replace(fit.rig, shift_s=0.5)
+    found = fit.summary()
+    assert found.values[OFFSET] == pytest.approx(520.0)
+    np.testing.assert_allclose(found.values, fit.rig.values() * UNITS)
+    variances = [np.diag(each) for each in (fit.covariance_of_blocks, fit.covariance_of_model)]
     np.testing.assert_allclose(found.sigmas, np.sqrt(np.maximum(*variances)) * UNITS)
     np.testing.assert_allclose(found.seconds, fit.steps.knots[:4] - 0.1, atol=1e-12)
     lengths = np.linalg.norm(fit.rows.residuals.reshape(4, 2, 3), axis=2)
@@ -173,7 +168,7 @@ def test_insignificant_parameters_are_not_applied(
     own = dataclasses.replace(small_rig().rig, offset_s=0.25, skew=0.125)
 
     def fake(offset_s: float, skew: float) -> Any:
-        given = dataclasses.replace(own, offset_s=offset_s, skew=skew)
+        given = dataclasses.replace(own, offset_s=offset_s, skew=skew, shift_s=0.75)
         return SimpleNamespace(
             free=np.ones(10, dtype=bool), rig=given, solve_again=lambda *each: calls.append(each)
         )
@@ -184,7 +179,7 @@ def test_insignificant_parameters_are_not_applied(
     causes["tilted"] = GroundtruthCause("tilted", "insignificant")
     causes["lever_arm"] = GroundtruthCause("lever_arm", verdict)
     noisy = np.array([False] * 3 + [True, False, True] + [False, True, False, False])
-    _apply(chosen, chosen if is_short else other, causes, noisy, 0.75)
+    _apply(chosen, chosen if is_short else other, causes, noisy)
     [(applied, free)] = calls
     np.testing.assert_array_equal(applied.body, np.eye(3))
     np.testing.assert_array_equal(applied.lever == 0.0, lever)

@@ -216,7 +216,8 @@ def test_jumps_outliers_frozen_and_held_poses() -> None:
         for each in fits.checks.jumps
         if abs(each.stamp_ns - int(truth.stamps[2000])) <= 20_000_000
     ]
-    assert jump.size == pytest.approx(0.02, rel=0.25)
+    # The error of lines through seven samples each is 1.1 times the noise of one, on every axis.
+    assert jump.size == pytest.approx(0.02, abs=3.0 * 1.1 * 5e-4)
     # A held pose is behind the motion, and an outlier, too.
     assert fits.checks.outlier_share == pytest.approx(130 / len(changed), rel=0.15)
     [frozen] = found.poses.frozen
@@ -230,6 +231,33 @@ def test_jumps_outliers_frozen_and_held_poses() -> None:
     # The gap is bridged.
     steps = np.diff(fits.repaired.stamps)
     assert steps.max() < 50_000_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size_mm", [6.0, 10.0])
+def test_small_jumps_have_their_size(size_mm: float) -> None:
+    truth = rig(12)
+    positions = truth.groundtruth.positions.copy()
+    positions[1203:] += np.array([0.6, -0.64, 0.48]) * 1e-3 * size_mm
+    found = examine(dataclasses.replace(truth.groundtruth, positions=positions), truth.readings)
+    [jump] = fits_of(found).checks.jumps
+    assert abs(jump.stamp_ns - int(truth.groundtruth.stamps[1203])) <= 30_000_000
+    assert 1e3 * jump.size == pytest.approx(size_mm, abs=3.0 * 1.1 * 0.5)
+
+
+@pytest.mark.slow
+def test_scale_errors_of_an_accelerometer_are_no_lever_arm() -> None:
+    made = rig(1)
+    assert made.readings.accelerations is not None
+    scaled = dataclasses.replace(made.readings, accelerations=0.995 * made.readings.accelerations)
+    found = examine(made.groundtruth, scaled)
+    assert found.significant == []
+    size_mm = found.causes["lever_arm"].value
+    assert size_mm is not None
+    assert size_mm > 4.7  # larger than 1.4 standard deviations
+    assert not fits_of(found).hand_eye.lever_m.any()
+    position_m, _ = made.errors(fits_of(found).repaired)
+    assert position_m < 5e-4 * np.sqrt(3.0)
 
 
 @pytest.mark.slow
@@ -327,6 +355,10 @@ def test_gaps_and_saturation_of_the_imu(faulty: tuple[ExaminedRig, ExaminedGroun
     broken = InertialReadings(readings.stamps[kept], rates[kept], force[kept])
     again = examine(made.groundtruth, broken)
     assert verdicts(again) == verdicts(found)
+    said = " ".join(again.notes)
+    assert "the IMU has 1 gap; the longest is 0.20 s at 9.69 s" in said  # since the first pose
+    assert "saturated interval" in said
+    assert not any("the IMU has" in note for note in found.notes)
     cause = again.causes["body_rotation"]
     assert cause.half_width is not None
     assert np.linalg.norm(np.subtract(cause.components, FAULTS["turn_deg"])) < 2 * cause.half_width

@@ -193,8 +193,8 @@ def test_a_body_that_does_not_travel_is_refused(flown: Trajectory, up: float) ->
         (["--every", "0"], "--every must be greater than zero"),
         (["--pixel-noise", "nan"], "--pixel-noise must be greater than zero"),
         (["--gravity", "-9.81"], "--gravity must be greater than zero"),
-        (["--imu-noise", "6e-4"], "--imu-noise needs 2 numbers"),
-        (["--imu-noise", "0,2e-2"], "--imu-noise must be greater than zero"),
+        (["--imu-noise", "6e-4"], "give two densities above zero"),
+        (["--imu-noise", "0,2e-2"], "give two densities above zero"),
     ],
 )
 def test_says_what_is_wrong(

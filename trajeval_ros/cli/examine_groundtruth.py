@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.options import OUTPUT, argument, option, shared_options
 from trajeval_ros.cli.programs import write_json
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.io.requests.setting import INPUT, two_numbers
-
-if TYPE_CHECKING:
-    from trajeval_ros.geometry.preintegration import ImuNoise
+from trajeval_ros.io.requests.setting import INPUT, parse_imu_noise
 
 _HERE, _NAME = Path(), "groundtruth"
 _PARAMETERS = (
@@ -68,7 +64,7 @@ def groundtruth(
 
     docs/groundtruth.md describes the verdicts and their limits.
     """
-    from trajeval_ros.calibration.groundtruth_doctor.examine import examine
+    from trajeval_ros.calibration.groundtruth_doctor.examine import IMU_NOISE, examine
     from trajeval_ros.cli.evaluation_output import refuse_inputs
     from trajeval_ros.cli.pictures import Pictures
     from trajeval_ros.cli.progress import progress
@@ -79,7 +75,7 @@ def groundtruth(
     from trajeval_ros.io.sources import read_many
     from trajeval_ros.io.watched_sources import imu_of
 
-    noise = _noise_of(imu_noise)
+    noise = IMU_NOISE if imu_noise is None else parse_imu_noise(imu_noise)
     if imu is None and (save_as or figure or rrd or imu_noise or time_offset is not None):
         raise SettingsError(
             "--save-as, --figure, --rrd, --imu-noise and --time-offset need --imu; add it"
@@ -122,17 +118,3 @@ def groundtruth(
         from trajeval_ros.report.groundtruth_report import print_groundtruth
 
         print_groundtruth(console(), found, saved)
-
-
-def _noise_of(text: str | None) -> ImuNoise:
-    """Return the densities in a text "8e-4,2e-2"."""
-    from trajeval_ros.calibration.groundtruth_doctor.examine import IMU_NOISE
-    from trajeval_ros.geometry.preintegration import ImuNoise
-
-    if text is None:
-        return IMU_NOISE
-    said = f"--imu-noise {text!r} is not valid; give two densities above zero, as in 8e-4,2e-2"
-    gyroscope, accelerometer = two_numbers(text, said)
-    if not (1e-6 <= gyroscope <= 1.0 and 1e-5 <= accelerometer <= 1e2):
-        raise SettingsError(said)
-    return ImuNoise(gyroscope, accelerometer)

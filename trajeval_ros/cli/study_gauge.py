@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.options import STUDY_GAUGE, option, shared_options
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.io.requests.setting import two_numbers
+from trajeval_ros.io.requests.setting import parse_imu_noise
 from trajeval_ros.report.figure_style import FigureStyle
 
 if TYPE_CHECKING:
-    from trajeval_ros.geometry.preintegration import ImuNoise
     from trajeval_ros.studies.examination import Examination, MeasurementModel
     from trajeval_ros.studies.gauge_study import GaugeStudy
     from trajeval_ros.studies.gauge_trials import StudiedScene
@@ -114,7 +113,7 @@ def study_gauge(
         _above_zero("--every", every),
         keyframes,
         _above_zero("--pixel-noise", pixel_noise),
-        _imu_noise(imu_noise),
+        parse_imu_noise(imu_noise),
         _above_zero("--gravity", gravity),
     )
     if not motion:
@@ -153,13 +152,6 @@ def _above_zero(option: str, value: float) -> Any:
     if not 0.0 < value < float("inf"):
         raise SettingsError(f"{option} must be greater than zero, not {value:g}")
     return value
-
-
-def _imu_noise(text: str) -> ImuNoise:
-    from trajeval_ros.geometry.preintegration import ImuNoise
-
-    said = f"--imu-noise needs 2 numbers, as in {_IMU_NOISE}, not {text!r}"
-    return ImuNoise(*(_above_zero("--imu-noise", each) for each in two_numbers(text, said)))
 
 
 def _examined(folder: Path | None, model: MeasurementModel) -> tuple[str, Examination | None]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.calibration.groundtruth_doctor.rig import BODY, GRAVITY, LEVER
+from trajeval_ros.calibration.groundtruth_doctor.rig import BODY, GRAVITY, LEVER, UNITS
 from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
     PoseChecks,
     PoseSpan,
@@ -28,8 +27,6 @@ from trajeval_ros.geometry.arrays import Booleans, Floats
 INCONCLUSIVE = "inconclusive"
 # Half width of a 95 % interval in standard deviations: Student's t with 11 degrees of freedom.
 HALF_WIDTH = 2.201
-# Units of the calibration's ten parameters: deg, mm, ms, ppm, deg.
-UNITS = np.array([180.0 / math.pi] * 3 + [1e3] * 4 + [1e6] + [180.0 / math.pi] * 2)
 _Row = tuple[str, float, str, float, str]  # name, value, unit, largest usual value, sentence
 _IF_IMU = "; if it is meant to be the IMU's, it is wrong."
 
@@ -155,12 +152,12 @@ def sample_causes(
     missing, held = 100.0 * poses.missing_share, 100.0 * poses.held_share
     repeated = poses.repeated_stamps
     rows += [
-        ("gaps", len(poses.gaps), "", 0.0, _spans(poses.gaps, "gap", origin)),
+        ("gaps", len(poses.gaps), "", 0.0, longest_of(poses.gaps, "gap", origin)),
         ("missing", missing, "%", _MISSING,
             f"{missing:.1f} % of the poses are missing at a rate of {poses.rate_hz:.0f} Hz."),
         ("held", held, "%", _HELD, f"{held:.1f} % of the poses in motion repeat the pose before."),
         ("frozen", len(poses.frozen), "", 0.0,
-            f"The pose is frozen {_spans(poses.frozen, 'time', origin)}"),
+            f"The pose is frozen {longest_of(poses.frozen, 'time', origin)}"),
         ("repeated_timestamps", repeated, "", 0.0,
             f"{counted(repeated, 'timestamp')} repeated or stepping back."),
         ("uneven_timestamps", uneven, "%", _UNEVEN,
@@ -192,7 +189,8 @@ def _of_residuals(checks: ResidualChecks, origin: int) -> Iterator[_Row]:
     yield "outliers", outliers, "%", _OUTLIERS, sentence
 
 
-def _spans(spans: Sequence[PoseSpan], what: str, origin: int) -> str:
+def longest_of(spans: Sequence[PoseSpan], what: str, origin: int) -> str:
+    """Return the number of spans and the longest one; `what` is one span, `origin` in ns."""
     longest = max(spans, key=lambda each: each.duration_s, default=PoseSpan(origin, 0.0))
     second = (longest.start_ns - origin) / 1e9
     number = counted(len(spans), what)

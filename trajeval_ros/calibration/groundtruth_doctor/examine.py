@@ -13,28 +13,41 @@ from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import (
     HALF_WIDTH,
     OF_ROTATION,
     PARAMETERS,
-    UNITS,
     GroundtruthCause,
     fused_cause,
+    longest_of,
     parameter_cause,
     sample_causes,
 )  # fmt: skip
 from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds, InertialSteps
-from trajeval_ros.calibration.groundtruth_doctor.joint_fit import LEVER_M, Horizon, JointFit
-from trajeval_ros.calibration.groundtruth_doctor.joint_fit import PARAMETERS as COUNT
+from trajeval_ros.calibration.groundtruth_doctor.joint_fit import (
+    LEVER_M,
+    Horizon,
+    HorizonFit,
+    JointFit,
+)  # fmt: skip
 from trajeval_ros.calibration.groundtruth_doctor.repair import repaired
-from trajeval_ros.calibration.groundtruth_doctor.rig import BODY, GRAVITY, LEVER, OFFSET, SKEW, Rig
+from trajeval_ros.calibration.groundtruth_doctor.rig import (
+    BODY,
+    GRAVITY,
+    LEVER,
+    OFFSET,
+    SKEW,
+    UNITS,
+    Rig,
+)  # fmt: skip
 from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
     PoseChecks,
     ResidualChecks,
     check_poses,
     check_residuals,
+    spans_of,
 )  # fmt: skip
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
 from trajeval_ros.calibration.significance import INSIGNIFICANT, SIGNIFICANT, axis_name
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie, so3
-from trajeval_ros.geometry.arrays import Booleans, Floats
+from trajeval_ros.geometry.arrays import Booleans, Floats, runs_of
 from trajeval_ros.geometry.inertial import InertialReadings
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.preintegration import ImuNoise
@@ -44,7 +57,6 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 IMU_NOISE = ImuNoise(8e-4, 2e-2)
 _ITERATIONS = 14
 _OVERLAP_S = 20.0
-_AT_REST_RADPS = 0.05
 _CERTAIN_CORRELATION = 0.95
 _IN_PLACE_M, _SECOND_AXIS_RADPS = 0.3, 0.1
 _GYROSCOPE_ONLY = 1e3  # m/s^2/sqrt(Hz), for an IMU without accelerometer
@@ -65,16 +77,6 @@ _LIGHTEST_MPS2, _HEAVIEST_MPS2 = 5.0, 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class HorizonFit:
-    """The calibration of one horizon, in the units of `UNITS`."""
-
-    values: Floats  # (10,): rotation vector, lever arm, offset, skew, tilt about y and -x
-    sigmas: Floats  # (10,), without the errors that a recording does not reveal
-    seconds: Floats  # (Q,), times of the knots since the groundtruth's first pose
-    residuals: Floats  # (Q, 2), lengths of position (m) and rotation (rad) residuals
-
-
-@dataclass(frozen=True, eq=False)
 class Fits:
     """The results of an examination with an IMU."""
 
@@ -82,7 +84,6 @@ class Fits:
     long: HorizonFit  # the fit in which it counts over 2 s
     disagree: bool  # whether they differ; then rotation and lever arm are those of `long`
     rig: Rig  # states and calibration, with insignificant parameters at zero
-    hand_eye: HandEye  # T_I_M, pose of the groundtruth's body in the IMU
     hand_eye_covariance: Floats  # (6, 6), position first (m^2), rotation about I's axes (rad^2)
     position_noise_m: float  # robust standard deviation of a pose's position per axis
     rotation_noise_rad: float | None  # the same of its rotation
@@ -90,6 +91,11 @@ class Fits:
     # Poses, velocities and biases of the IMU by its clock. The covariances are lower limits: an
     # IMU does not reveal errors of a groundtruth that last for over a second.
     repaired: Trajectory
+
+    @property
+    def hand_eye(self) -> HandEye:
+        """T_I_M, the pose of the groundtruth's body in the IMU."""
+        return HandEye(lie.from_matrix(self.rig.body), self.rig.lever)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,70 +153,30 @@ def _with_imu(
     time_offset_s: float | None,
 ) -> ExaminedGroundtruth:
     name, (imu, origin) = groundtruth.name or "the groundtruth", _imu_of(readings)
-    ordered, notes = groundtruth.in_order(), []
-    free = np.ones(COUNT, dtype=bool)
-    if readings.accelerations is None:
+    ordered = groundtruth.in_order()
+    only_positions, has_forces = ordered.quaternions is None, readings.accelerations is not None
+    if not has_forces:
         imu_noise = replace(imu_noise, accelerometer=_GYROSCOPE_ONLY)
-        free[LEVER], free[GRAVITY] = False, False
-        notes.append("no accelerometer: lever arm and tilt are unknown")
-    only_positions = ordered.quaternions is None
-    if only_positions:
-        if readings.accelerations is None:
+        if only_positions:
             raise InputError(f"{name} has no orientations and the IMU no accelerations; give one")
-        free[BODY] = False
-        notes.append(
-            "the groundtruth has no orientations: errors of rotation are unobservable, and the "
-            "repaired orientations are from the IMU and the positions"
-        )
-    turning = float(np.sqrt(np.square(imu.rates - np.median(imu.rates, axis=0)).sum(1).mean()))
-    turns = turning > _AT_REST_RADPS
-    shift_s = time_offset_s
-    if shift_s is None:
-        guess = start.guess_of(ordered, imu, origin)
-        # So high a correlation is not a coincidence, even if periodic motion has a second peak.
-        is_usable = guess.is_usable or guess.peak > _CERTAIN_CORRELATION
-        shift_s = guess.offset_s if is_usable else 0.0
-        if not is_usable and turns:
-            raise InputError(
-                f"the motion of {name} matches that of the IMU at no single offset (correlation "
-                f"{guess.peak:.2f}); use recordings of the same run, or give --time-offset"
-            )
-    if not turns:
-        free[: SKEW + 1] = False
-        notes.append("the rig does not turn: rotation, lever arm and clock are unknown")
-    elif _turns_in_place(ordered.positions, imu.rates):
-        free[:6] = False
-        notes.append("the rig turns about one axis in place: rotation and lever arm are unknown")
-    shift_ns = round(shift_s * NANOSECONDS)
-    shift_s = shift_ns / NANOSECONDS
+    free, notes = _determined(ordered, imu, has_forces=has_forces)
+    if time_offset_s is None:
+        time_offset_s = _first_offset(ordered, imu, origin, name)
+    shift_ns = round(time_offset_s * NANOSECONDS)
     seconds, turned = (ordered.stamps + (shift_ns - origin)) / NANOSECONDS, ordered.quaternions
     if turned is None:
-        turned, turns = start.rough_orientations(seconds, ordered.positions, imu), False
+        turned = start.rough_orientations(seconds, ordered.positions, imu)
     samples = TruthSamples(seconds, ordered.positions, turned, not only_positions)
+    shift_s = shift_ns / NANOSECONDS
     stiff = ImuNoise(imu_noise.gyroscope / 4.0, imu_noise.accelerometer / 2.0)
-    long = _fitted(samples, imu, Horizon(0.1, stiff, (3e-3, 5e-3), 2.0), free, turns=turns)
+    long = _fitted(samples, imu, Horizon(0.1, stiff, (3e-3, 5e-3), 2.0), free, shift_s)
     # Over short times, noise of the attitude seems to determine the height of a car's lever arm.
     brief_horizon = Horizon(0.05, imu_noise, (1e-3, 3e-3), fixed=tuple(long.fixed_directions))
-    short = _fitted(samples, imu, brief_horizon, free, turns=turns)
+    short = _fitted(samples, imu, brief_horizon, free, shift_s)
     poses = check_poses(groundtruth, imu, origin - shift_ns)
     residuals = check_residuals(short, ordered.stamps)
-    brief, lasting = _summary(short, shift_s), _summary(long, shift_s)
-    apart, disagree = _difference(short, long, brief, lasting)
-    values, sigmas = brief.values.copy(), brief.sigmas.copy()
-    # Scale errors of accelerometers shift the lever arm along gravity.
-    force = np.mean(imu.accelerations, axis=0)
-    floors, along = _FLOORS.copy(), force / max(float(np.linalg.norm(force)), 1e-9)
-    floors[LEVER] = np.hypot(floors[LEVER], _FLOOR_ALONG_FORCE_MM * along)
-    if disagree:
-        values[:6], sigmas[:6] = lasting.values[:6], lasting.sigmas[:6]
-        # The difference is a measure of the same systematic errors as the floors.
-        floors[:6] = np.maximum(floors[:6], apart / _PART_OF_DIFFERENCE)
-    if only_positions:
-        # They compare with accelerometers, whose delays and scale errors are larger than those of
-        # gyroscopes, and differ by horizon.
-        floors[3:] = np.maximum(floors[3:], np.abs(lasting.values - brief.values)[3:])
-        floors[OFFSET] = max(floors[OFFSET], _FLOOR_BY_POSITIONS_MS)
-    sigmas = np.hypot(sigmas, floors)
+    brief, lasting = short.summary(), long.summary()
+    values, sigmas, disagree = _combined(short, long, brief, lasting, imu)
     axes = " and ".join(map(axis_name, short.fixed_directions))
     short_deg, long_deg = (float(np.linalg.norm(each.values[BODY])) for each in (brief, lasting))
     slow_deg = float(np.degrees(np.linalg.norm(long.sigmas[3:])))
@@ -218,14 +184,16 @@ def _with_imu(
     causes.append(fused_cause(short_deg, long_deg, slow_deg, disagree=disagree))
     causes += sample_causes(poses, residuals, int(ordered.stamps[0]))
     by_name = {each.name: each for each in causes}
-    noisy, scale = np.abs(values) < _LIKELY_SIGMAS * sigmas, 1.0
+    limits, scale = np.full(len(values), _LIKELY_SIGMAS), 1.0
+    # Along gravity, the lever arm's error is mainly that of the accelerometer's scale.
+    limits[LEVER][np.abs(imu.accelerations.mean(axis=0)).argmax()] = HALF_WIDTH
     if only_positions:
         by_name |= {each.name: each for each in OF_ROTATION}
-        noisy[_CLOCK] = (np.abs(values) < HALF_WIDTH * sigmas)[_CLOCK]
         scale = float(np.median(np.square(sigmas[free] / brief.sigmas[free])))
+        limits[_CLOCK] = HALF_WIDTH
     noise_m, noise_rad = short.rows.scales
     chosen = long if disagree else short
-    _apply(chosen, short, by_name, noisy, shift_s)
+    _apply(chosen, short, by_name, np.abs(values) < limits * sigmas)
     rig = chosen.rig
     covariance = np.diag(np.square(np.roll(sigmas[:6] / UNITS[:6], 3)))
     for each in short.fixed_directions:
@@ -235,13 +203,12 @@ def _with_imu(
         brief,
         lasting,
         disagree,
-        replace(rig, offset_s=shift_s + rig.offset_s),
-        HandEye(lie.from_matrix(rig.body), rig.lever),
+        replace(rig, offset_s=shift_s + rig.offset_s, shift_s=0.0),
         covariance,
         noise_m,
         None if only_positions else noise_rad,
         residuals,
-        repaired(chosen, ordered, shift_ns, poses.gaps, scale),
+        repaired(chosen, ordered, poses.gaps, scale),
     )
     assert fits.repaired.covariances is not None
     variance = float(np.median(np.einsum("nii->n", fits.repaired.covariances[:, 3:, 3:])))
@@ -250,6 +217,11 @@ def _with_imu(
             f"{name} and the IMU do not determine the orientation (standard deviation "
             f"{math.degrees(math.sqrt(variance)):.2g} deg); examine it without --imu"
         )
+    stamps, first_ns = np.rint(imu.seconds * NANOSECONDS).astype(np.int64), round(seconds[0] * 1e9)
+    for what, steps in (("gap", imu.gaps), ("saturated interval", imu.saturated)):
+        if steps.any():
+            spans = spans_of(stamps, runs_of(steps))
+            notes.append(f"the IMU has {longest_of(spans, what, first_ns)[:-1]}")
     notes += _notes(poses)
     if axes:
         notes.append(
@@ -259,6 +231,42 @@ def _with_imu(
     for kind in residuals.noisy_steps:
         notes.append(f"{kind} noise is not white: it has more than 20 steps per minute")
     return ExaminedGroundtruth(by_name, poses, fits, tuple(notes))
+
+
+def _determined(
+    groundtruth: Trajectory, imu: ImuSeconds, *, has_forces: bool
+) -> tuple[Booleans, list[str]]:
+    """Return the parameters (10,) that sensors and motion may determine, and notes on others."""
+    free, notes = np.ones(len(UNITS), dtype=bool), []
+    for applies, columns, note in (
+        (not has_forces, np.r_[LEVER, GRAVITY],
+            "no accelerometer: lever arm and tilt are unknown"),
+        (groundtruth.quaternions is None, BODY,
+            "the groundtruth has no orientations: errors of rotation are unobservable, and the "
+            "repaired orientations are from the IMU and the positions"),
+        (not imu.turns, slice(SKEW + 1),
+            "the rig does not turn: rotation, lever arm and clock are unknown"),
+        (imu.turns and _turns_in_place(groundtruth.positions, imu.rates), slice(6),
+            "the rig turns about one axis in place: rotation and lever arm are unknown"),
+    ):  # fmt: skip
+        if applies:
+            free[columns] = False
+            notes.append(note)
+    return free, notes
+
+
+def _first_offset(groundtruth: Trajectory, imu: ImuSeconds, origin: int, name: str) -> float:
+    """Return the offset of the groundtruth's clock at which the motions match, s."""
+    guess = start.guess_of(groundtruth, imu, origin)
+    # So high a correlation is not a coincidence, even if periodic motion has a second peak.
+    if guess.is_usable or guess.peak > _CERTAIN_CORRELATION:
+        return guess.offset_s
+    if not imu.turns:
+        return 0.0
+    raise InputError(
+        f"the motion of {name} matches that of the IMU at no single offset (correlation "
+        f"{guess.peak:.2f}); use recordings of the same run, or give --time-offset"
+    )
 
 
 def _turns_in_place(positions: Floats, rates: Floats) -> bool:
@@ -289,7 +297,7 @@ def _imu_of(readings: InertialReadings) -> tuple[ImuSeconds, int]:
 
 
 def _fitted(
-    samples: TruthSamples, imu: ImuSeconds, horizon: Horizon, free: Booleans, *, turns: bool
+    samples: TruthSamples, imu: ImuSeconds, horizon: Horizon, free: Booleans, shift_s: float
 ) -> JointFit:
     knots = start.knots_of(samples, imu, horizon.knot_s)
     lasts_s = float(knots[-1] - knots[0]) if len(knots) else 0.0
@@ -298,27 +306,37 @@ def _fitted(
             f"groundtruth and IMU overlap for {lasts_s:.1f} s, and the examination needs "
             f"{_OVERLAP_S:g} s; give longer recordings, or the clocks' difference as --time-offset"
         )
-    rig = start.first_rig(samples, imu, knots, turns=turns)
+    rig = replace(start.first_rig(samples, imu, knots), shift_s=shift_s)
     fit = JointFit(samples, InertialSteps(knots, imu), rig, horizon, free)
     fit.solve(_ITERATIONS)
     fit.fix_unobservable_lever()
     return fit
 
 
-def _summary(fit: JointFit, shift_s: float) -> HorizonFit:
-    values, change = fit.rig.values()
-    values[OFFSET] += shift_s
-    variances = [
-        np.diag(change @ covariance @ change.T)
-        for covariance in (fit.covariance_of_blocks, fit.covariance_of_model)
-    ]
-    residuals = fit.rows.residuals.reshape(-1, 2, 3)
-    return HorizonFit(
-        values * UNITS,
-        np.sqrt(np.maximum(*variances)) * UNITS,
-        fit.steps.knots[fit.rows.knots] - fit.samples.seconds[0],
-        np.linalg.norm(residuals, axis=2),
-    )
+def _combined(
+    short: JointFit, long: JointFit, brief: HorizonFit, lasting: HorizonFit, imu: ImuSeconds
+) -> tuple[Floats, Floats, bool]:
+    """Return values and standard deviations (10,) of two fits, and whether they disagree.
+
+    They are in `UNITS`, and contain the errors that one recording does not reveal. `brief` and
+    `lasting` are the summaries of the fits.
+    """
+    apart, disagree = _difference(short, long, brief, lasting)
+    values, sigmas, floors = brief.values.copy(), brief.sigmas.copy(), _FLOORS.copy()
+    # Scale errors of accelerometers shift the lever arm along gravity.
+    force = np.mean(imu.accelerations, axis=0)
+    along = force / max(float(np.linalg.norm(force)), 1e-9)
+    floors[LEVER] = np.hypot(floors[LEVER], _FLOOR_ALONG_FORCE_MM * along)
+    if disagree:
+        values[:6], sigmas[:6] = lasting.values[:6], lasting.sigmas[:6]
+        # The difference is a measure of the same systematic errors as the floors.
+        floors[:6] = np.maximum(floors[:6], apart / _PART_OF_DIFFERENCE)
+    if not short.samples.has_rotations:
+        # They compare with accelerometers, whose delays and scale errors are larger than those of
+        # gyroscopes, and differ by horizon.
+        floors[3:] = np.maximum(floors[3:], np.abs(lasting.values - brief.values)[3:])
+        floors[OFFSET] = max(floors[OFFSET], _FLOOR_BY_POSITIONS_MS)
+    return values, np.hypot(sigmas, floors), disagree
 
 
 def _difference(
@@ -339,7 +357,6 @@ def _apply(
     short: JointFit,
     causes: Mapping[str, GroundtruthCause],
     noisy: Booleans,
-    shift_s: float,
 ) -> None:
     """Solve again with insignificant parameters at zero, and the clock of the short fit.
 
@@ -347,7 +364,7 @@ def _apply(
     An inconclusive one is at zero: along the vertical of a car it can be wrong by 0.1 m.
     """
     free, rig = chosen.free.copy(), chosen.rig
-    fixed = np.zeros(COUNT, dtype=bool)
+    fixed = np.zeros(len(UNITS), dtype=bool)
     for name, parameter in PARAMETERS.items():
         if name != "tilted":
             fixed[parameter.columns] = causes[name].verdict != SIGNIFICANT
@@ -357,7 +374,7 @@ def _apply(
     if chosen is not short:
         rig = replace(rig, offset_s=short.rig.offset_s, skew=short.rig.skew)
         free[_CLOCK] = False
-    chosen.solve_again(rig.without(fixed, shift_s), free & ~fixed)
+    chosen.solve_again(rig.without(fixed), free & ~fixed)
 
 
 def _notes(poses: PoseChecks) -> list[str]:

@@ -12,6 +12,7 @@ from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, runs_of
 from trajeval_ros.geometry.interpolation import columns_at
 from trajeval_ros.geometry.preintegration import ImuNoise, integrated, preintegrate
 
+_AT_REST_RADPS = 0.05
 _LONGEST_S = 0.05  # a longer step of the IMU is a gap
 _FEWEST_SATURATED = 4  # readings in a row at the extreme of an axis
 _DOUBTFUL = 1e4  # factor on the covariance of an interval with a gap or saturated readings
@@ -28,15 +29,25 @@ class ImuSeconds:
     accelerations: Floats  # (N, 3), m/s^2
 
     @property
-    def doubtful(self) -> Booleans:
-        """Steps (N - 1,) over a gap, or with an end in a row of readings at an axis's extreme."""
+    def turns(self) -> bool:
+        """Whether the rig turns at all."""
+        rates = self.rates - np.median(self.rates, axis=0)
+        return bool(np.square(rates).sum(axis=1).mean() > _AT_REST_RADPS**2)
+
+    @property
+    def gaps(self) -> Booleans:
+        """Whether there are no readings in a step (N - 1,)."""
+        return np.asarray(np.diff(self.seconds) > _LONGEST_S)
+
+    @property
+    def saturated(self) -> Booleans:
+        """Whether an end of a step (N - 1,) is in a row of readings at an axis's extreme."""
         saturated = np.zeros(len(self.seconds), dtype=bool)
         for column in np.column_stack([self.rates, self.accelerations]).T:
             is_extreme = (np.abs(column) == np.abs(column).max()) & (column != 0.0)
             for begin, end in runs_of(is_extreme):
                 saturated[begin:end] |= end - begin >= _FEWEST_SATURATED
-        doubtful: Booleans = (np.diff(self.seconds) > _LONGEST_S) | saturated[1:] | saturated[:-1]
-        return doubtful
+        return np.asarray(saturated[1:] | saturated[:-1])
 
 
 class Motions(NamedTuple):
@@ -66,7 +77,7 @@ class InertialSteps:
         middles = (0.5 * (found[1:] + found[:-1]))[rows]
         self.rates, self.accelerations = middles[..., :3], middles[..., 3:]
         places = np.searchsorted(imu.seconds, self.times[:-1], side="right") - 1
-        doubtful = imu.doubtful[np.clip(places, 0, len(imu.seconds) - 2)]
+        doubtful = (imu.gaps | imu.saturated)[np.clip(places, 0, len(imu.seconds) - 2)]
         self.doubtful = (doubtful[rows] & real).any(axis=1)
 
     def motions(self, gyro_biases: Floats, acceleration_biases: Floats) -> Motions:

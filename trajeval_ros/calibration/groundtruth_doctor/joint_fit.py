@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import InertialSteps
-from trajeval_ros.calibration.groundtruth_doctor.rig import GRAVITY, LEVER, Rig, tangents
+from trajeval_ros.calibration.groundtruth_doctor.rig import GRAVITY, LEVER, UNITS, Rig, tangents
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples, averaged, predict
 from trajeval_ros.calibration.robust_fit import BLOCKS
 from trajeval_ros.geometry import so3
@@ -52,6 +52,16 @@ class Horizon:
     sigmas: tuple[float, float]  # first standard deviations of a knot's measurement, m and rad
     window_s: float = 0.0  # rotations are averaged over it; then the noise of positions is given
     fixed: tuple[Floats, ...] = ()  # directions of the lever arm (3,) that are not estimated
+
+
+@dataclass(frozen=True, eq=False)
+class HorizonFit:
+    """The calibration of one horizon, in the units of `UNITS`."""
+
+    values: Floats  # (10,): rotation vector, lever arm, offset, skew, tilt about y and -x
+    sigmas: Floats  # (10,), without the errors that a recording does not reveal
+    seconds: Floats  # (Q,), times of the knots since the groundtruth's first pose
+    residuals: Floats  # (Q, 2), lengths of position (m) and rotation (rad) residuals
 
 
 class JointFit:
@@ -111,6 +121,17 @@ class JointFit:
         self.rig, self.free = rig, free
         self._linearise()
         self.solve(6, estimate_noise=False)
+
+    def summary(self) -> HorizonFit:
+        """Return the calibration with the larger of two variances, and the residuals."""
+        variances = np.diag(self.covariance_of_blocks), np.diag(self.covariance_of_model)
+        residuals = self.rows.residuals.reshape(-1, 2, 3)
+        return HorizonFit(
+            self.rig.values() * UNITS,
+            np.sqrt(np.maximum(*variances)) * UNITS,
+            self.steps.knots[self.rows.knots] - self.samples.seconds[0],
+            np.linalg.norm(residuals, axis=2),
+        )
 
     @property
     def covariance_of_blocks(self) -> Floats:

@@ -17,21 +17,21 @@ _POSE = [6, 7, 8, 0, 1, 2]  # columns of a state: position, then rotation
 
 
 def repaired(
-    fit: JointFit, groundtruth: Trajectory, shift_ns: int, gaps: tuple[PoseSpan, ...], scale: float
+    fit: JointFit, groundtruth: Trajectory, gaps: tuple[PoseSpan, ...], scale: float
 ) -> Trajectory:
     """Return the IMU's states by its clock; gaps of up to 2 s are bridged.
 
-    `shift_ns` is the part of the clock's offset that the fit's samples already have. Covariances
-    are those of the fit times `scale` and the median ratio of the sandwich and the model variance
-    of the calibration. They are lower limits: the IMU does not reveal errors of the groundtruth
-    that last for more than about a second.
+    Covariances are those of the fit times `scale` and the median ratio of the sandwich and the
+    model variance of the calibration. They are lower limits: the IMU does not reveal errors of the
+    groundtruth that last for more than about a second.
     """
     stamps, rig, steps = _with_bridges(groundtruth.stamps, gaps), fit.rig, fit.steps
     own_s = fit.samples.seconds[0] + (stamps - groundtruth.stamps[0]) / NANOSECONDS
     later_s = rig.offset_s + rig.skew * (own_s - fit.samples.middle_s)
     seconds = own_s + later_s
     within = (seconds >= steps.knots[0]) & (seconds < steps.knots[-1])
-    stamps = stamps + shift_ns + np.rint(later_s * NANOSECONDS).astype(np.int64)
+    later_ns = np.rint(later_s * NANOSECONDS).astype(np.int64)
+    stamps = stamps + later_ns + round(rig.shift_s * NANOSECONDS)
     states = rig_at(seconds[within], steps, fit.motions, rig)
     by_blocks, by_model = (
         np.diag(each)[fit.free] for each in (fit.covariance_of_blocks, fit.covariance_of_model)

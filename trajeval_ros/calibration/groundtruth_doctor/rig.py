@@ -12,6 +12,8 @@ from trajeval_ros.geometry.se3 import times
 
 # Columns of the calibration: R_IM (right perturbation), lever arm, clock, tilt of gravity.
 BODY, LEVER, OFFSET, SKEW, GRAVITY = slice(0, 3), slice(3, 6), 6, 7, slice(8, 10)
+# Their units in results: deg, mm, ms, ppm, deg.
+UNITS = np.array([np.degrees(1.0)] * 3 + [1e3] * 4 + [1e6] + [np.degrees(1.0)] * 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,9 +27,10 @@ class Rig:
     acceleration_biases: Floats  # (N, 3), m/s^2
     body: Floats  # (3, 3), R_IM
     lever: Floats  # (3,), metres, origin of M in I
-    offset_s: float
+    offset_s: float  # of the clock, without `shift_s`
     skew: float
     gravity: Floats  # (3,), m/s^2, in W, of fixed magnitude
+    shift_s: float = 0.0  # the part of the clock's offset that the samples already have
 
     @property
     def biases(self) -> Floats:
@@ -48,27 +51,21 @@ class Rig:
             self.offset_s + float(calibration[OFFSET]),
             self.skew + float(calibration[SKEW]),
             gravity * (np.linalg.norm(self.gravity) / np.linalg.norm(gravity)),
+            self.shift_s,
         )
 
-    def values(self) -> tuple[Floats, Floats]:
-        """Return the calibration (10,), and its derivative (10, 10) by a step.
+    def values(self) -> Floats:
+        """Return the calibration (10,); its covariance is that of a step.
 
         Rotation vector, lever arm, offset, skew, and the components of gravity, over its
         magnitude, along the two axes of W that are not the nearest to the vertical.
         """
-        up, change = int(np.abs(self.gravity).argmax()), np.eye(10)
-        relative = np.column_stack([self.gravity, tangents(self.gravity)])
-        tilt = np.delete(relative, up, axis=0) / np.linalg.norm(self.gravity)
-        change[GRAVITY, GRAVITY] = tilt[:, 1:]
-        turn = so3.log(self.body[None])[0]
-        clock = [self.offset_s, self.skew]
-        return np.concatenate([turn, self.lever, clock, tilt[:, 0]]), change
+        up, length = int(np.abs(self.gravity).argmax()), np.linalg.norm(self.gravity)
+        turn, tilt = so3.log(self.body[None])[0], np.delete(self.gravity, up) / length
+        return np.concatenate([turn, self.lever, [self.shift_s + self.offset_s, self.skew], tilt])
 
-    def without(self, fixed: Booleans, shift_s: float) -> Rig:
-        """Return the rig with the marked parameters (10,) at zero; the states keep its marker.
-
-        `shift_s` is the part of the clock's offset that the samples already have.
-        """
+    def without(self, fixed: Booleans) -> Rig:
+        """Return the rig with the marked parameters (10,) at zero; the states keep its marker."""
         body = np.eye(3) if fixed[BODY].all() else self.body
         lever = np.where(fixed[LEVER], 0.0, self.lever)
         rotations = self.rotations @ self.body @ body.T
@@ -79,14 +76,13 @@ class Rig:
             lever=lever,
             rotations=rotations,
             positions=marker - times(rotations, lever),
-            offset_s=-shift_s if fixed[OFFSET] else self.offset_s,
+            offset_s=-self.shift_s if fixed[OFFSET] else self.offset_s,
             skew=0.0 if fixed[SKEW] else self.skew,
         )
 
 
 def tangents(gravity: Floats) -> Floats:
-    """Return the derivative (3, 2) of gravity (3,) by rotations about two horizontal axes."""
-    down = gravity / np.linalg.norm(gravity)
-    first = np.cross(down, np.eye(3)[int(np.abs(down).argmin())])
-    first = first / np.linalg.norm(first)
-    return float(np.linalg.norm(gravity)) * np.stack([first, np.cross(down, first)], axis=1)
+    """Return the derivative (3, 2) of gravity (3,) by its two components in `Rig.values`."""
+    up = int(np.abs(gravity).argmax())
+    change = np.insert(np.eye(2), up, -np.delete(gravity, up) / gravity[up], axis=0)
+    return np.linalg.norm(gravity) * change

@@ -22,6 +22,8 @@ _FROZEN_S, _TURNING_RADPS = 0.2, 0.05
 _NORMAL = 1.4826  # standard deviation over the median absolute deviation
 _THIRD = np.sqrt(20.0)  # standard deviation of third differences of white noise
 _HALF = 7  # samples before and after a jump
+# Weights of them that extrapolate a line by half a step.
+_LINE = 1.0 / _HALF - 3.5 / 28.0 * np.arange(-3.0, 4.0)
 _LEAST_JUMP = (5e-3, float(np.radians(0.3)))  # m, rad
 _JUMP_SIGMAS = 8.0
 _MOST_JUMPS_PER_MINUTE = 20.0  # more steps are noise that is not white
@@ -70,9 +72,8 @@ def check_poses(groundtruth: Trajectory, imu: ImuSeconds | None, origin: int) ->
     usual = float(np.median(steps))
     missing = int(np.maximum(np.rint(steps / usual) - 1.0, 0.0).sum())
     shorter = steps[steps < 1.5 * usual]
-    same = (np.diff(positions, axis=0) == 0.0).all(axis=1)
-    if ordered.quaternions is not None:
-        same &= (np.diff(ordered.quaternions, axis=0) == 0.0).all(axis=1)
+    columns = [each for each in (positions, ordered.quaternions) if each is not None]
+    same: Booleans = np.logical_not(np.diff(np.hstack(columns), axis=0).any(axis=1))
     width = max(3, int(_SPEED_S / usual))
     speeds = np.linalg.norm(np.diff(positions, axis=0), axis=1) / steps
     moving = np.convolve(speeds, np.ones(width) / width, "same") > _MOVING_MPS
@@ -90,18 +91,18 @@ def check_poses(groundtruth: Trajectory, imu: ImuSeconds | None, origin: int) ->
     gaps = np.flatnonzero(steps > max(_GAP_S, _USUAL_STEPS * usual))
     return PoseChecks(
         rate_hz=1.0 / usual,
-        gaps=_spans(ordered.stamps, np.column_stack([gaps, gaps + 1])),
+        gaps=spans_of(ordered.stamps, np.column_stack([gaps, gaps + 1])),
         missing_share=missing / (len(ordered) + missing),
         repeated_stamps=int(np.count_nonzero(np.diff(groundtruth.stamps) <= 0)),
         interval_sigma_s=_NORMAL * float(np.median(np.abs(shorter - usual))),
         held_share=float((held & moving).sum() / max(1, moving.sum())),
-        frozen=_spans(ordered.stamps, runs[is_long][np.asarray(frozen, dtype=bool)]),
+        frozen=spans_of(ordered.stamps, runs[is_long][np.asarray(frozen, dtype=bool)]),
         position_noise_m=_noise(np.diff(positions[fresh], n=3, axis=0)),
         rotation_noise_rad=rotation_noise,
     )
 
 
-def _spans(stamps: Stamps, rows: Indices) -> tuple[PoseSpan, ...]:
+def spans_of(stamps: Stamps, rows: Indices) -> tuple[PoseSpan, ...]:
     """Return the intervals between two rows each, (K, 2)."""
     pairs = stamps[rows].tolist()
     return tuple(PoseSpan(start, (end - start) / NANOSECONDS) for start, end in pairs)
@@ -184,7 +185,7 @@ def _jitter(errors: Floats, speeds: Floats, scale: float) -> tuple[float, float]
 
 def _outliers(errors: Floats, least: float) -> Booleans:
     """Return which residuals (N, 3) differ from the median of their neighbours."""
-    around = np.pad(errors, [(_HALF, _HALF), (0, 0)], mode="edge")
+    around = np.pad(errors, [(_HALF, _HALF), (0, 0)], mode="reflect")
     apart = np.linalg.norm(errors - _medians(around, 2 * _HALF + 1), axis=1)
     usual = float(np.median(apart)) / MEDIAN_OF_CHI3
     return np.asarray(apart > max(_OUTLIER_SIGMAS * usual, least))
@@ -199,9 +200,9 @@ def _medians(rows: Floats, width: int) -> Floats:
 def _steps(errors: Floats, least: float) -> tuple[Indices, Floats]:
     """Return rows after steps of residuals (N, 3), and the sizes of the steps.
 
-    The fitted trajectory is continuous, so a step of the residuals is one of the groundtruth. The
-    fit follows the step: residuals decay before and after it. Medians farther away extrapolate
-    them to the step.
+    The fitted trajectory is continuous, so a step of the residuals is one of the groundtruth.
+    Medians before and after detect it. The fit follows it, so that residuals decay on both sides:
+    its size is that between lines, extrapolated to the step.
     """
     if len(errors) < 4 * _HALF:
         return np.zeros(0, dtype=np.int64), np.zeros(0)
@@ -209,10 +210,10 @@ def _steps(errors: Floats, least: float) -> tuple[Indices, Floats]:
     steps = medians[_HALF:] - medians[:-_HALF]
     lengths = np.linalg.norm(steps, axis=1)
     scale = float(np.median(lengths)) / MEDIAN_OF_CHI3
-    large = np.flatnonzero((lengths > _JUMP_SIGMAS * scale) & (lengths > least))
+    windows = np.lib.stride_tricks.sliding_window_view(errors, _HALF, axis=0)
+    sizes = np.linalg.norm(windows[_HALF:] @ _LINE - windows[:-_HALF] @ _LINE[::-1], axis=1)
+    sizes = np.maximum(sizes, lengths)
+    large = np.flatnonzero((lengths > _JUMP_SIGMAS * scale) & (sizes > least))
     groups: Sequence[Indices] = np.split(large, np.flatnonzero(np.diff(large) > 3 * _HALF) + 1)
     largest = np.array([each[lengths[each].argmax()] for each in groups if len(each)], dtype=int)
-    before = steps[np.maximum(largest - _HALF, 0)]
-    after = steps[np.minimum(largest + _HALF, len(steps) - 1)]
-    sizes = np.linalg.norm(steps[largest] - 0.5 * (before + after), axis=1)
-    return largest + _HALF, np.maximum(sizes, lengths[largest])
+    return largest + _HALF, sizes[largest]

@@ -94,14 +94,13 @@ def knots_of(samples: TruthSamples, imu: ImuSeconds, step_s: float) -> Floats:
     return np.arange(low, high, step_s)
 
 
-def first_rig(samples: TruthSamples, imu: ImuSeconds, knots: Floats, *, turns: bool) -> Rig:
+def first_rig(samples: TruthSamples, imu: ImuSeconds, knots: Floats) -> Rig:
     """Return the rig at the knots (N,) from the interpolated groundtruth.
 
-    `turns`: whether the body's rotation is estimated from the increments; otherwise it starts at
-    the identity.
+    The body's rotation is that of the increments, and without turns the identity.
     """
     body, bias, none = np.eye(3), np.zeros(3), np.zeros((len(knots), 3))
-    if turns:
+    if imu.turns and samples.has_rotations:
         body, bias = _body_and_bias(samples, imu, knots)
     rotations = lie.to_matrix(slerp_at(samples.seconds, samples.quaternions, knots)) @ body.T
     measured = columns_at(imu.seconds, imu.accelerations, knots)

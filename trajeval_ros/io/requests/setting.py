@@ -15,6 +15,7 @@ import numpy as np
 from trajeval_ros.continuous_time.samples import Noise
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.geodesy import Datum
+from trajeval_ros.geometry.preintegration import ImuNoise
 from trajeval_ros.geometry.up_axis import UP_AXES, UpAxis
 from trajeval_ros.io.yaml_file import require_known
 from trajeval_ros.metrics.score import KnotTable, PointTable, RecallRule
@@ -217,6 +218,19 @@ def parse_noise(text: str) -> tuple[float, float]:
     if not (position_m < math.inf and rotation_deg < math.inf):
         raise SettingsError(sentence)
     return position_m, rotation_deg
+
+
+def parse_imu_noise(text: str) -> ImuNoise:
+    """Return the densities in a text "8e-4,2e-2": rad/s/sqrt(Hz), m/s^2/sqrt(Hz).
+
+    Raises:
+        SettingsError: The text is not two numbers in the range of sensors.
+    """
+    said = f"--imu-noise {text!r} is not valid; give two densities above zero, as in 8e-4,2e-2"
+    gyroscope, accelerometer = two_numbers(text, said)
+    if not (1e-6 <= gyroscope <= 1.0 and 1e-5 <= accelerometer <= 1e2):
+        raise SettingsError(said)
+    return ImuNoise(gyroscope, accelerometer)
 
 
 def parse_score(found: Mapping[str, Any] | None) -> PointTable | KnotTable | None:
