@@ -188,10 +188,12 @@ def _about_jumps(evaluation: Evaluation) -> Iterator[Remark]:
         return
     first = jumps[0]
     where = "once" if len(jumps) == 1 else f"at {len(jumps)} places"
+    at = f"at pair {first + 2}"
+    if groundtruth.reading.stamped:
+        at = f"{groundtruth.seconds[first + 1]:.1f} s after the first pair"
     yield warning(
         "jumps",
-        f"the estimate jumps {where}, first {groundtruth.seconds[first + 1]:.1f} s after the "
-        f"first pair, by {steps.position_m[first]:.2f} m"
+        f"the estimate jumps {where}, first {at}, by {steps.position_m[first]:.2f} m"
         + (f" and {steps.rotation_deg[first]:.0f} deg" if turns else "")
         + f" more than the groundtruth: {cause_of_jumps(len(jumps))}, which one alignment can't "
         "fit",
