@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from trajeval_ros.geometry.gauge import MODALITIES, Gauge, Similarity
     from trajeval_ros.geometry.marker import HandEye
     from trajeval_ros.geometry.trajectory import Trajectory
-    from trajeval_ros.io.python_inputs import evaluate
+    from trajeval_ros.io.python_inputs import evaluate, run
     from trajeval_ros.io.results.result_folder import write_result
     from trajeval_ros.io.sources import read_many, read_trajectory
     from trajeval_ros.likelihood.likelihood_assessment import assess_likelihood
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     from trajeval_ros.online.evaluator import OnlineEvaluator
     from trajeval_ros.online.live_settings import OnlineSettings
     from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
-    from trajeval_ros.pipeline.pipeline import run
     from trajeval_ros.pipeline.request import Request
     from trajeval_ros.report.figures import draw
     from trajeval_ros.simulation.drifting_odometry import simulate
@@ -139,7 +138,7 @@ _HOMES = {
     "assess_consistency": "consistency.consistency_assessment",
     "read_many": "io.sources",
     "read_trajectory": "io.sources",
-    "run": "pipeline.pipeline",
+    "run": "io.python_inputs",
     "simulate": "simulation.drifting_odometry",
     "write_result": "io.results.result_folder",
 }
@@ -154,4 +153,4 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*__all__, "__doc__", "__version__"})

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from paths import SHARED
+from scipy.spatial.transform import Rotation
 
 from benchmarks.diagnosis import found
 from benchmarks.diagnosis_runs import Pair, simulated
-from trajeval_ros import read_trajectory
+from trajeval_ros import evaluate, read_trajectory
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -123,3 +124,34 @@ def test_axes_are_named_as_in_the_file(sides: tuple[str, ...], up: UpAxis, named
     assert first.tried is not None
     assert first.tried.ratios[0] < 0.2
     assert first.correction.get("up", "z,z") in {"z,z", "-z,-z"}
+
+
+def small_angles() -> tuple[Trajectory, Array]:
+    """Return a groundtruth that tilts by up to 5 deg about all axes, and these angles (N, 3)."""
+    time = np.arange(0.0, 60.0, 0.05)
+    places = np.column_stack([2.0 * time, 4.0 * np.sin(0.3 * time), np.cos(0.5 * time)])
+    angles = np.radians(5.0) * np.sin(np.outer(time, [0.7, 1.1, 0.4]))
+    turns = Rotation.from_euler("xyz", angles).as_quat()
+    return Trajectory.from_positions(places, turns, seconds=time), angles
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [
+        (180.0 / np.pi, "degrees were probably read as radians"),
+        (np.pi / 180.0, "radians were probably read as degrees"),
+        (0.0, "(those of the estimate are constant)"),
+        (1.0, None),
+    ],
+)
+def test_small_angles_in_another_unit_are_named(factor: float, said: str | None) -> None:
+    truth, angles = small_angles()
+    noise = np.random.default_rng(7).normal(0.0, 0.01, truth.positions.shape)
+    turns = Rotation.from_euler("xyz", factor * angles).as_quat()
+    estimate = Trajectory.from_positions(truth.positions + noise, turns, stamps=truth.stamps)
+    named = [
+        each for each in evaluate(truth, estimate).warnings if "the rotations agree in" in each
+    ]
+    assert len(named) == (said is not None)
+    assert said is None or said in named[0]
+    assert factor or not any(unit in named[0] for unit in ("degrees", "radians", "times as large"))

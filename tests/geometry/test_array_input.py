@@ -23,7 +23,7 @@ def test_seconds_become_nanoseconds_exactly() -> None:
     assert found is not None
     assert found.tolist() == [1_700_000_000_250_000_000, -500_000_000, 100_000_000, 2 * SECOND]
     assert array_input.stamps_of([9.2e9], None, 1) is not None
-    with pytest.raises(InputError, match="probably nanoseconds"):
+    with pytest.raises(InputError, match="probably milliseconds"):
         array_input.stamps_of([9.3e9], None, 1)
     with pytest.raises(InputError, match="not finite in row 1"):
         array_input.stamps_of([0.0, np.inf], None, 2)

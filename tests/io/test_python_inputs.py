@@ -7,7 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trajeval_ros import InputError, Trajectory, evaluate, read_trajectory, simulate
+import trajeval_ros
+from trajeval_ros import (
+    PROTOCOLS,
+    InputError,
+    Trajectory,
+    evaluate,
+    read_trajectory,
+    run,
+    simulate,
+)
 from trajeval_ros.geometry import lie
 
 FLIGHT = simulate(seed=5, duration_s=40.0)
@@ -93,6 +102,41 @@ def test_paths_and_arrays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert rmse(*both) == pytest.approx(ATE.rmse, rel=1e-9)
 
 
+def test_run_takes_what_evaluate_takes() -> None:
+    assert ATE is not None
+    tables = [np.column_stack([each.stamps / 1e9, each.positions]) for each in SIDES]
+    runs = run(tables[0], [SIDES[1], tables[1]]).runs
+    assert [each.evaluation.estimate.name for each in runs] == [SIDES[1].name, "estimate 2"]
+    for each in runs:
+        found = each.evaluation.ate["position_m"]
+        assert found is not None
+        assert found.rmse == pytest.approx(ATE.rmse, rel=1e-3)  # rounded to 0.2 us
+
+
+def test_pairs_by_row_are_said_and_have_no_duration() -> None:
+    pairs = evaluate(*SIDES).association
+    timed = Trajectory.from_positions(pairs.groundtruth.positions, stamps=pairs.groundtruth.stamps)
+    bare = Trajectory.from_positions(pairs.estimate.positions)
+    for sides, side in (((timed, bare), "estimate"), ((bare, timed), "groundtruth")):
+        said = evaluate(*sides).warnings
+        assert said[0].startswith(f"poses are paired by row, because the {side} has no timestamps")
+        assert "in Python, with seconds=" in said[0]
+    assert not any("by row" in each for each in evaluate(*SIDES).warnings)
+    jumping = bare.positions.copy()
+    jumping[len(bare) // 2] += 3.0
+    both = bare, Trajectory.from_positions(jumping)
+    said = evaluate(*both).warnings
+    first = f"the estimate jumps at 2 places, first at pair {len(bare) // 2 + 1}, by"
+    assert any(each.startswith(first) for each in said)
+    short = Trajectory.from_positions(1e-3 * bare.positions, pairs.estimate.quaternions)
+    (said_of_lengths,) = (each for each in evaluate(short, short).warnings if "no sub-" in each)
+    assert said_of_lengths.endswith(" m")
+
+
+def test_the_package_lists_its_own_names() -> None:
+    assert {"import_module", "TYPE_CHECKING"}.isdisjoint(dir(trajeval_ros))
+
+
 @pytest.mark.parametrize(
     ("made", "said"),
     [
@@ -105,7 +149,13 @@ def test_paths_and_arrays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         (lambda: Trajectory.from_positions(np.zeros((5, 3)), seconds=np.arange(4.0)),
          r"seconds have shape \(4,\), expected \(5,\)"),
         (lambda: Trajectory.from_positions(np.zeros((5, 3)), seconds=np.arange(5) + 10**18),
-         "give them as integers with stamps="),
+         "nanoseconds; convert them to seconds, or give integer nanoseconds with stamps="),
+        (lambda: Trajectory.from_positions(np.zeros((5, 3)), seconds=np.arange(5) + 1.3e12),
+         "up to 1.3e\\+12, which are probably milliseconds; convert"),
+        (lambda: Trajectory.from_positions(np.zeros((5, 3)), seconds=np.arange(5) + 1.3e15),
+         "probably microseconds"),
+        (lambda: Trajectory.from_positions(np.zeros((5, 3)), stamps=1311868164 + np.arange(5)),
+         "stamps= has 5 values within 4 ns, which are probably not nanoseconds; give times in"),
         (lambda: Trajectory.from_positions(np.zeros((5, 3)), stamps=np.arange(5.0)),
          "must be integer nanoseconds, not float64"),
         (lambda: Trajectory.from_positions(np.zeros((2, 3)), seconds=[0, 1], stamps=[0, 1]),
@@ -115,6 +165,13 @@ def test_paths_and_arrays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
          r"quaternions have shape \(4, 4\), expected \(5, 4\)"),
         (lambda: evaluate({}, np.zeros((5, 7))), "the groundtruth is of type dict; give a Traj"),
         (lambda: evaluate(np.zeros((5, 9)), np.zeros((5, 9))), r"groundtruth has shape \(5, 9\)"),
+        (lambda: evaluate(*SIDES, "evo"), r"protocol is of type str; give .* PROTOCOLS\['evo'\]"),
+        (lambda: run(SIDES[0], SIDES[1].positions), "estimates are of type ndarray; give a list"),
+        (lambda: run(SIDES[0], [{}]), "the estimate is of type dict; give a Trajectory"),
+        (lambda: evaluate(SIDES[0], SIDES[1].positions[:50]),
+         "cannot be paired by row; give times .* seconds="),
+        (lambda: evaluate(SIDES[0][:50], SIDES[1][:40], PROTOCOLS["kitti"]),
+         "cannot be paired by row; pair them by time with --association linear"),
     ],
 )  # fmt: skip
 def test_wrong_arrays_are_named(made: object, said: str) -> None:

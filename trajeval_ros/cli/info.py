@@ -145,16 +145,23 @@ def _details(summary: TrajectorySummary) -> list[Row]:
     rows: list[Row] = [
         ("format", summary.kind),
         ("poses", str(summary.poses)),
-        ("rate", f"{summary.rate_hz:.1f} Hz" if summary.rate_hz else "unknown: no timestamps"),
-        ("timestamps", f"{_seconds(summary.first_ns)} to {_seconds(summary.last_ns)} s"),
-        ("duration", f"{(summary.last_ns - summary.first_ns) / NANOSECONDS:.3f} s"),
-        ("gaps over 0.5 s", _gaps(summary)),
+        *(_times(summary) if summary.timed else [("timestamps", "none")]),
         ("path length", f"{summary.path_length_m:.3f} m"),
         ("frames", _frames(summary) or "unnamed"),
         ("data", ", ".join(("position", *summary.holds))),
         ("likely role", summary.could_be),
     ]
     return [*rows, *(("note", said) for said in summary.said)]
+
+
+def _times(summary: TrajectorySummary) -> list[Row]:
+    """Return the rows of a trajectory with timestamps."""
+    return [
+        ("rate", f"{summary.rate_hz:.1f} Hz" if summary.rate_hz else "unknown"),
+        ("timestamps", f"{_seconds(summary.first_ns)} to {_seconds(summary.last_ns)} s"),
+        ("duration", f"{(summary.last_ns - summary.first_ns) / NANOSECONDS:.3f} s"),
+        ("gaps over 0.5 s", _gaps(summary)),
+    ]
 
 
 def _gaps(summary: TrajectorySummary) -> str:

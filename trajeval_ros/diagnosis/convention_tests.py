@@ -50,7 +50,8 @@ _UNLIKE, _UNLIKE_RATES, _LONG_S = 0.5, 0.7, 15.0
 # No convention changes the angle of a rotation.
 _TURNS_LESS, _TURNS_MORE, _TURNS_ALIKE = 0.6, 1.6, 0.4
 _DISAGREE, _TURNING_RAD = 0.15, 0.03  # of J of rotations alone, and mean rotation in a motion
-_MUCH_LESS = 0.1  # radians that were read as degrees are 0.017
+# Radians that were read as degrees are 0.017, and smaller ratios are of a side that never turns.
+_MUCH_LESS, _CONSTANT = 0.1, 1e-3
 _CHANGE = 0.02  # least decrease of J per change
 _MOST_OPTIONS = 3  # to try, per cause and side
 
@@ -151,7 +152,8 @@ def _rotations(
 ) -> tuple[Seen, ...]:
     """Return the finding about rotations that no convention explains, if positions agree."""
     assert turning.turns is not None
-    turns = _total_turn(turning.turns[0]) >= _TURNING_RAD * len(turning)
+    turned = turning.turns[0] if alike else max(turning.turns, key=_total_turn)
+    turns = _total_turn(turned) >= _TURNING_RAD * len(turning)
     scores["positions_alone"] = as_read.moving_alone
     if 1.0 - as_read.moving_alone > limits[0] or not (turns or alike):
         return ()
@@ -166,8 +168,13 @@ def _rotations(
     if not alike:
         how = f" (angles {ratio:.3g} times as large)"
         check = "order and unit of Euler angles"
-        if ratio < _MUCH_LESS:
+        if not _CONSTANT < ratio < 1.0 / _CONSTANT:
+            side = "estimate" if ratio < 1.0 else "groundtruth"
+            how, check = f" (those of the {side} are constant)", "columns of the orientations"
+        elif ratio < _MUCH_LESS:
             check = "radians were probably read as degrees"
+        elif ratio > 1.0 / _MUCH_LESS:
+            check = "degrees were probably read as radians"
     return _disagreeing(as_read, 1.0 - left[0], ratio, how, check)
 
 

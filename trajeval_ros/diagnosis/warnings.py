@@ -112,10 +112,21 @@ def _about_alignment(evaluation: Evaluation) -> Iterator[Remark]:
 
 
 def _about_rows(evaluation: Evaluation) -> Iterator[Remark]:
-    """Name the settings of an association by time that poses without timestamps do not have."""
-    rule = evaluation.protocol.association
+    """Name a side that has no timestamps, and settings of an association by time."""
+    rule, groundtruth, estimate = (
+        evaluation.protocol.association,
+        evaluation.groundtruth.reading,
+        evaluation.estimate.reading,
+    )
     if evaluation.association.rule.method != "index" or rule.method == "index":
         return
+    if groundtruth.stamped != estimate.stamped and not (groundtruth.numbered or estimate.numbered):
+        side = "estimate" if groundtruth.stamped else "groundtruth"
+        yield warning(
+            "paired_by_row",
+            f"poses are paired by row, because the {side} has no timestamps; give them, such as "
+            "with --frame-rate or, in Python, with seconds=",
+        )
     of_protocol = PROTOCOLS.get(evaluation.protocol.name, PROTOCOLS["default"]).association
     why = (
         "without timestamps on both sides, poses are paired by row; give timestamps, such as with "
@@ -177,10 +188,12 @@ def _about_jumps(evaluation: Evaluation) -> Iterator[Remark]:
         return
     first = jumps[0]
     where = "once" if len(jumps) == 1 else f"at {len(jumps)} places"
+    at = f"at pair {first + 2}"
+    if groundtruth.reading.stamped:
+        at = f"{groundtruth.seconds[first + 1]:.1f} s after the first pair"
     yield warning(
         "jumps",
-        f"the estimate jumps {where}, first {groundtruth.seconds[first + 1]:.1f} s after the "
-        f"first pair, by {steps.position_m[first]:.2f} m"
+        f"the estimate jumps {where}, first {at}, by {steps.position_m[first]:.2f} m"
         + (f" and {steps.rotation_deg[first]:.0f} deg" if turns else "")
         + f" more than the groundtruth: {cause_of_jumps(len(jumps))}, which one alignment can't "
         "fit",
@@ -264,18 +277,20 @@ def _about_relative_errors(evaluation: Evaluation) -> Iterator[Remark]:
     # A long path without a sub-trajectory has its states too far apart.
     sparse = [each.text for each in empty if each.value < 0.5 * whole.get(each.unit, 0.0)]
     short = [each.text for each in empty if each.text not in sparse]
+    timed = path.reading.stamped
     if short:
         yield warning(
             "no_sub_trajectories",
             f"no sub-trajectories of {', '.join(short)}: the paired path has "
-            f"{path.path_length_m:.1f} m in {path.duration_s:.1f} s",
+            f"{path.path_length_m:.1f} m" + (f" in {path.duration_s:.1f} s" if timed else ""),
         )
     if sparse:
         step_s, step_m = median(np.diff(path.seconds)), median(step_lengths(path.positions))
         yield warning(
             "no_sub_trajectories",
-            f"no sub-trajectories of {', '.join(sparse)}: pairs are {step_s:.2g} s and "
-            f"{step_m:.2g} m apart (median); use longer sub-trajectories",
+            f"no sub-trajectories of {', '.join(sparse)}: pairs are "
+            + (f"{step_s:.2g} s and " if timed else "")
+            + f"{step_m:.2g} m apart (median); use longer sub-trajectories",
         )
 
 

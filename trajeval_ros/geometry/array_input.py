@@ -15,6 +15,7 @@ _NANOSECONDS = 1_000_000_000
 _ORTHONORMAL = 1e-3  # largest entry of R R^T - 1: rounded digits deviate less
 _LAST_ROW = 1e-6
 _LARGEST_S = 9.2e9  # int64 nanoseconds end in the year 2262
+_LEAST_STEP_NS = 1e5  # mean step of timestamps; smaller ones are of another unit
 
 
 def numbers(values: ArrayLike, what: str) -> Floats:
@@ -71,7 +72,14 @@ def stamps_of(seconds: ArrayLike | None, stamps: ArrayLike | None, count: int) -
                 f"timestamps of stamps= must be integer nanoseconds, not {given.dtype}; give "
                 "times in seconds as seconds="
             )
-        return given.astype(np.int64)
+        found: Stamps = given.astype(np.int64)
+        whole_ns = int(np.ptp(found)) if count else 0
+        if whole_ns < (count - 1) * _LEAST_STEP_NS:
+            raise InputError(
+                f"stamps= has {count} values within {whole_ns} ns, which are probably not "
+                "nanoseconds; give times in seconds as seconds="
+            )
+        return found
     times = numbers(seconds, "seconds") if seconds is not None else np.zeros(0)
     require_shape(times, "seconds", (count,))
     if not np.isfinite(times).all():
@@ -79,15 +87,16 @@ def stamps_of(seconds: ArrayLike | None, stamps: ArrayLike | None, count: int) -
             f"seconds are not finite in row {int(np.argmin(np.isfinite(times)))}; remove the row"
         )
     if np.abs(times).max(initial=0.0) > _LARGEST_S:
+        largest = np.abs(times).max()
+        unit = "milli" if largest < 1e14 else "micro" if largest < 1e17 else "nano"
         raise InputError(
-            f"seconds= has values up to {np.abs(times).max():.3g}, which are probably "
-            "nanoseconds; give them as integers with stamps="
+            f"seconds= has values up to {largest:.3g}, which are probably {unit}seconds; convert "
+            "them to seconds, or give integer nanoseconds with stamps="
         )
     # In two parts: the product of a time since 1970 and 1e9 has no digits for nanoseconds.
     whole = np.floor(times)
     parts = np.round((times - whole) * _NANOSECONDS).astype(np.int64)
-    found: Stamps = whole.astype(np.int64) * _NANOSECONDS + parts
-    return found
+    return whole.astype(np.int64) * _NANOSECONDS + parts
 
 
 def split_matrices(matrices: ArrayLike) -> tuple[Floats, Floats]:

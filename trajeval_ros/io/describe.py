@@ -28,6 +28,7 @@ class TrajectorySummary:
     kind: str  # message type, or format of the file
     poses: int  # number of states
     rate_hz: float = 0.0  # inverse of the median time step; 0 without time steps
+    timed: bool = True  # whether the states have timestamps
     first_ns: int = 0  # earliest timestamp
     last_ns: int = 0  # latest timestamp
     path_length_m: float = 0.0
@@ -189,6 +190,7 @@ def summarize(source: str, trajectory: Trajectory) -> TrajectorySummary:
         system=recognised(kind, topic, ordered.frame, ordered.child_frame),
         poses=len(ordered),
         rate_hz=0.0 if unstamped else _rate_hz(ordered.stamps),
+        timed=reading.stamped,
         first_ns=int(ordered.stamps[0]),
         last_ns=int(ordered.stamps[-1]),
         path_length_m=float(travelled[-1]),

@@ -1,8 +1,9 @@
-"""`evaluate` of the Python API: of trajectories, SOURCEs, arrays and tables."""
+"""`evaluate` and `run` of the Python API: of trajectories, SOURCEs, arrays and tables."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -15,7 +16,9 @@ from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.io.text.reader import array_trajectory
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.pipeline.pipeline import evaluate as evaluate_trajectories
+from trajeval_ros.pipeline import pipeline
+from trajeval_ros.pipeline.outcome import Outcome
+from trajeval_ros.pipeline.request import Request
 
 if TYPE_CHECKING:
     import pandas
@@ -53,8 +56,46 @@ def evaluate(groundtruth: Given, estimate: Given, protocol: Protocol | None = No
         >>> 0.0 < found.ate["position_m"].rmse < 1.0
         True
     """
+    if not isinstance(protocol, Protocol | None):
+        raise InputError(
+            f"the protocol is of type {type(protocol).__name__}; give a Protocol, such as "
+            "Protocol(modality='mono') or PROTOCOLS['evo']"
+        )
     sides = _trajectory(groundtruth, "groundtruth"), _trajectory(estimate, "estimate")
-    return evaluate_trajectories(*sides, protocol)
+    return pipeline.evaluate(*sides, protocol)
+
+
+def run(groundtruth: Given, estimates: Sequence[Given], request: Request | None = None) -> Outcome:
+    """Evaluate the estimates of one groundtruth according to a request.
+
+    All estimates use the calibration of the first one, because errors with individual calibrations
+    cannot be ranked.
+
+    Args:
+        groundtruth: M states, as for `evaluate`.
+        estimates: Trajectories in frames of their own, with distinct names, as for `evaluate`.
+        request: What to compute; by default ATE and relative errors with the default protocol.
+
+    Raises:
+        InputError: There is no estimate, or one cannot be evaluated as requested; the message
+            starts with its source or name.
+
+    Example:
+        >>> from trajeval_ros import Request, run, simulate
+        >>> flight = simulate(seed=1, duration_s=30.0)
+        >>> outcome = run(flight.groundtruth, [flight.estimate, flight.estimate[::2]], Request())
+        >>> len(outcome.runs)
+        2
+    """
+    if not isinstance(estimates, list | tuple):
+        raise InputError(f"the estimates are of type {type(estimates).__name__}; give a list")
+    names = (
+        ["estimate"]
+        if len(estimates) == 1
+        else [f"estimate {number}" for number in range(1, len(estimates) + 1)]
+    )
+    found = [_trajectory(each, name) for each, name in zip(estimates, names, strict=True)]
+    return pipeline.run(_trajectory(groundtruth, "groundtruth"), found, request)
 
 
 def _trajectory(given: object, what: str) -> Trajectory:

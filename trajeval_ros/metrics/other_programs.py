@@ -79,11 +79,16 @@ def match_frames(
         if len(groundtruth) == len(estimate):
             rows = np.arange(len(estimate))
             return rows, rows, {}
+        advice = (
+            "give times (--frame-rate, NAME_times.txt or, in Python, seconds=), or the frame "
+            "number as the first of 13 columns"
+        )
+        if groundtruth.reading.stamped and estimate.reading.stamped:
+            advice = "pair them by time with --association linear"
         raise InputError(
             f"{groundtruth.name or 'the groundtruth'} has {counted(len(groundtruth), 'pose')}, "
-            f"{estimate.name or 'the estimate'} has {len(estimate)}, without timestamps; give "
-            "files of equal length, with timestamps, or KITTI files with the frame number as "
-            "the first of 13 columns"
+            f"{estimate.name or 'the estimate'} has {len(estimate)}, which cannot be paired by "
+            f"row; {advice}"
         )
     for side in (groundtruth, estimate):
         _require_order(side)

@@ -65,27 +65,7 @@ if TYPE_CHECKING:
 def run(
     groundtruth: Trajectory, estimates: Sequence[Trajectory], request: Request | None = None
 ) -> Outcome:
-    """Evaluate the estimates of one groundtruth according to a request.
-
-    All estimates use the calibration of the first one, because errors with individual calibrations
-    cannot be ranked.
-
-    Args:
-        groundtruth: M states.
-        estimates: Trajectories in frames of their own, with distinct names.
-        request: What to compute; by default ATE and relative errors with the default protocol.
-
-    Raises:
-        InputError: There is no estimate, or one cannot be evaluated as requested; the message
-            starts with its source or name.
-
-    Example:
-        >>> from trajeval_ros import Request, run, simulate
-        >>> flight = simulate(seed=1, duration_s=30.0)
-        >>> outcome = run(flight.groundtruth, [flight.estimate, flight.estimate[::2]], Request())
-        >>> len(outcome.runs)
-        2
-    """
+    """Evaluate the estimates of one groundtruth, as `trajeval_ros.run` does."""
     request = request or Request()
     if not estimates:
         raise InputError("no estimate given; give at least one")

@@ -262,6 +262,9 @@ def test_what_is_no_row_of_a_table_names_its_column(block: bytes, line: int, rea
         ("2024/03/01T12:00:00Z", 1709294400000000000),
         ("2024-03-01T12:00:00.5+00:00", 1709294400500000000),
         ("1969-12-31 23:59:59.75", -250000000),
+        ("2024-03-01T14:00:00.5+02:00", 1709294400500000000),
+        ("2024-03-01 08:30-0330", 1709294400000000000),
+        ("2024-03-01T00:30:00+05:45", 1709232300000000000),
     ],
 )
 def test_dates_are_exact(text: str, nanoseconds: int) -> None:
@@ -270,7 +273,19 @@ def test_dates_are_exact(text: str, nanoseconds: int) -> None:
     assert to_nanoseconds(stamps, 10**9)[0].tolist() == [nanoseconds]
 
 
-@pytest.mark.parametrize("text", ["2024-13-01 12:00:00", "12:00", "2024-03-01 12:00:00+02:00"])
+def test_offsets_from_utc_may_change() -> None:
+    dates = [
+        "2024-03-31T01:59:59.9+01:00",
+        "2024-03-31T03:00:00.1+02:00",
+        "2024-03-31T01:00:00.3Z",
+    ]
+    block = "".join(f"{date},1\n" for date in dates).encode()
+    stamps = parse_rows(block, RowFormat(2, 0, (1,), ",", dates=True)).stamps
+    assert stamps is not None
+    assert np.diff(to_nanoseconds(stamps, 10**9)[0]).tolist() == [200_000_000, 200_000_000]
+
+
+@pytest.mark.parametrize("text", ["2024-13-01 12:00:00", "12:00", "2024-03-01 12:00:00+92:00"])
 def test_what_is_no_date_is_named(text: str) -> None:
     block = f"2024-03-01 12:00:00,1\n{text},1\n".encode()
     with pytest.raises(RowError) as caught:

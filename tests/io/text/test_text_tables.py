@@ -335,6 +335,21 @@ def test_what_is_in_the_way_is_named(tmp_path: Path) -> None:
         read(tmp_path / "u.csv", "1 here 2 3\n")
     with pytest.raises(InputError, match=r"unknown layout with 5 columns;.* --columns 't x y z"):
         read(tmp_path / "v.csv", "1 2 3 4 5\n")
+    message = (
+        "---\nheader:\n  stamp:\n    sec: 1\n    nanosec: 2\npose:\n  position:\n    x: 0.0\n"
+    )
+    for text in (message, message.removeprefix("---\n")):
+        with pytest.raises(InputError, match="w is YAML of ros2 topic echo; record a bag, or use"):
+            read(tmp_path / "w", text)
+    with pytest.raises(InputError, match="is a JSON array; write one object per line"):
+        read(tmp_path / "x.json", '[\n  {"t": 1, "x": 0, "y": 0, "z": 0}\n]\n')
+
+
+def test_tables_of_ros2_topic_echo_have_two_columns_of_time(tmp_path: Path) -> None:
+    parts = [[str(divmod(stamp, 10**9)[part]) for stamp in STAMPS] for part in (0, 1)]
+    names = ("t_s", "nanosec", "_", "x", "y", "z", "qx", "qy", "qz", "qw")
+    text = rows(*parts, NAMES, POSITIONS, XYZW)
+    assert is_the_pose(read(tmp_path / "a.csv", text, columns=names))
 
 
 def test_missing_values_are_rows_that_are_no_poses(tmp_path: Path) -> None:

@@ -29,9 +29,19 @@ _DATE = rb"\d{4}[-/]\d\d?[-/]\d\d?([T ].*)?"
 _HEAD = 1 << 16  # bytes
 _SAMPLE = 50  # rows from which a layout is recognised
 _UTF8_MARK = b"\xef\xbb\xbf"
-_UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
-_GZIP_MARK = b"\x1f\x8b"
-_PICTURES = {b"\x89PNG": "PNG", b"\xff\xd8\xff": "JPEG", b"GIF8": "GIF"}
+# Beginnings of files without rows, and what to do with these.
+_REFUSED = {
+    rb"\s*\Z": "empty; check that the recording has poses",
+    rb"\xff\xfe|\xfe\xff": "UTF-16 text; convert it to UTF-8",
+    rb"\x1f\x8b": "compressed with gzip; decompress it with gunzip",
+    rb"\x89PNG": "a picture (PNG); give a file with poses",
+    rb"\xff\xd8\xff": "a picture (JPEG); give a file with poses",
+    rb"GIF8": "a picture (GIF); give a file with poses",
+    rb"[^\n]*\0": "a binary file of unknown format, neither text nor a bag",
+    rb"\s*\[\s*\{": "a JSON array; write one object per line, as jq -c '.[]' does",
+    rb"(---\s+)?header:\s+stamp:": "YAML of ros2 topic echo; record a bag, or use ros2 topic echo "
+    "--csv and name its columns, as in --columns 't_s nanosec _ x y z qx qy qz qw'",
+}
 _WITH_COMMA = rb"[-+]?\d+,\d+([eE][-+]?\d+)?"
 _DECIMAL_COMMAS = re.compile(rb"%s((\s*;\s*|\s+)%s){2,}" % (_WITH_COMMA, _WITH_COMMA))
 ANY_GGA = rb"(?m)^\$..GGA,"
@@ -214,17 +224,9 @@ def _beginning(path: Path) -> bytes:
     """Return the first `_HEAD` bytes of a text file."""
     with path.open("rb") as file:
         data = file.read(_HEAD)
-    if not data.strip():
-        raise InputError(f"{path} is empty; check that the recording has poses")
-    if data.startswith(_UTF16_MARKS):
-        raise InputError(f"{path} is UTF-16 text; convert it to UTF-8")
-    if data.startswith(_GZIP_MARK):
-        raise InputError(f"{path} is compressed with gzip; decompress it with gunzip")
-    picture = next((name for mark, name in _PICTURES.items() if data.startswith(mark)), "")
-    if picture:
-        raise InputError(f"{path} is a picture ({picture}); give a file with poses")
-    if b"\0" in data.partition(b"\n")[0]:
-        raise InputError(f"{path} is a binary file of unknown format, neither text nor a bag")
+    for beginning, said in _REFUSED.items():
+        if re.match(beginning, data):
+            raise InputError(f"{path} is {said}")
     return data
 
 

@@ -9,6 +9,7 @@ from trajeval_ros.io.text.layouts import (
     FRAME,
     GROUPS,
     IGNORED,
+    NANOSEC,
     OPENVINS_STATE,
     RECEIVED,
     Layout,
@@ -26,13 +27,19 @@ _UNITS = {
     **dict.fromkeys(("deg", "degree", "degrees", "°"), "deg"),
     **dict.fromkeys(("rad", "radian", "radians"), "rad"),
 }
-_TIME = r"(?:t|(?:.*_)?(?:time|timestamp|stamp|date|datetime|utc)(?:_.*)?|time.*|stamp.*)"
+_POSITION_UNIT = rf"{_UNIT}|[^a-z0-9](mm|cm|k?m)$"
+_TIME = (
+    r"(?:t(?:_(?:s|ms|us|ns))?|secs?|time.*|stamp.*"
+    r"|(?:.*_)?(?:time|timestamp|stamp|date|datetime|utc)(?:_.*)?)"
+)
+# The two parts of a timestamp of ROS, with the name of the message before them.
+_SECONDS, _NANOSECONDS = r"(?:(.*)_)?secs?", r"(?:(.*)_)?(?:nanosecs?|nsecs?)"
 _RECEIVED = r"received(?:_(?:s|ms|us|ns))?"
 _FRAME = r"frame|frame_(?:index|number)|index|image|image_id|id|no"
 # Patterns of column names by group. `{}` is the element: x, y, z or w.
 _VECTORS = {
     "position": r"(?:(?:t|p|pos|position|p_[a-z_]+)?_?"
-    r"|(?:.*_)?(?:position|translation|point|pos)_){}",
+    r"|(?:.*_)?(?:position|translation|point|pos)_){}(?:_(mm|cm|m|km))?",
     "quaternion": r"(?:(?:q|quat|quaternion|orientation|q_[a-z_]+)_?"
     r"|(?:.*_)?(?:orientation|rotation|quaternion|quat)_){}",
     "body_velocity": r"(?:.*_)?twist_linear_{}",
@@ -85,9 +92,9 @@ def from_header(line: str, columns: int) -> Layout | None:
         rest = (IGNORED,) * (columns - len(OPENVINS_STATE.columns))
         return Layout(OPENVINS_STATE.name, (*OPENVINS_STATE.columns, *rest))
     separator = separator_of(plain)
-    names = [each.strip() for each in plain.split(separator or None)]
     if not separator:  # a unit after a space belongs to the name before it
-        names = [each for each in names if not re.fullmatch(_UNIT, each)]
+        plain = re.sub(rf"\s+(?={_UNIT})", "", plain)
+    names = [each.strip() for each in plain.split(separator or None)]
     if names and not names[-1]:
         names.pop()
     if len(names) != columns:
@@ -98,9 +105,19 @@ def from_header(line: str, columns: int) -> Layout | None:
     if not layout.has_places:
         return None
     used = {place for places in groups.values() for place in places} | {layout.time}
-    ignored = [name for place, name in enumerate(names) if place not in used]
+    ignored = [
+        name or f"column {place + 1}" for place, name in enumerate(names) if place not in used
+    ]
     note = f"ignored columns: {', '.join(ignored)}" if ignored else ""
-    return Layout(_title(layout, line), found, note)
+    return Layout(_title(layout, line), found, note, unit=_position_unit(names, layout))
+
+
+def _position_unit(names: Sequence[str], layout: Layout) -> str:
+    """Return the unit in brackets, or at the end, of the names of positions."""
+    places = layout.groups.get("position") or layout.groups.get("planar", ())
+    matches = [re.search(_POSITION_UNIT, names[place].lower()) for place in places]
+    units = [match[match.lastindex or 0].strip() or "m" if match else "m" for match in matches]
+    return " and ".join(dict.fromkeys(units)) or "m"
 
 
 def _columns(names: Sequence[str]) -> tuple[str, ...]:
@@ -148,11 +165,30 @@ def _name_time(
     plain: Sequence[str], units: Sequence[str], name: Callable[[int, str], None]
 ) -> None:
     """Name the column of timestamps, preferably of the header; without one, frame numbers."""
-    times = [place for place, word in enumerate(plain) if re.fullmatch(_TIME, word)]
-    times.sort(key=lambda place: (not plain[place].endswith("header_stamp"), place))
+    parts = {
+        match[1]: place
+        for place, word in enumerate(plain)
+        if (match := re.fullmatch(_NANOSECONDS, word))
+    }
+    joined = {
+        place: parts[match[1]]
+        for place, word in enumerate(plain)
+        if (match := re.fullmatch(_SECONDS, word)) and match[1] in parts
+    }
+    times = [
+        place
+        for place, word in enumerate(plain)
+        if re.fullmatch(_TIME, word) and place not in joined.values()
+    ]
+    times.sort(key=lambda at: ("header_stamp" not in plain[at], at not in joined, at))
     for place in times[:1]:
         unit = units[place] or _UNITS.get(plain[place].rpartition("_")[2], "")
         name(place, f"t_{unit}" if unit in ("ns", "us", "ms", "s") else "t")
+        if place in joined:
+            name(joined[place], NANOSEC)
+    for place in times[1:]:
+        if plain[place] == "receive_time":  # of Foxglove's tables
+            name(place, RECEIVED)
     if not times:
         frames = [place for place, word in enumerate(plain) if re.fullmatch(_FRAME, word)]
         for place in frames[:1]:

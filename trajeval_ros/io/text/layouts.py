@@ -25,7 +25,7 @@ from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 IGNORED, FAST_LIO = "_", "FAST-LIO"
 # Nanoseconds per unit of time. The unit of `t` is recognised from the values.
 UNITS: dict[str, int | None] = {"t": None, "t_s": 10**9, "t_ms": 10**6, "t_us": 10**3, "t_ns": 1}
-DATE, FRAME, RECEIVED = "date", "frame", "received"
+DATE, FRAME, RECEIVED, NANOSEC = "date", "frame", "received", "nanosec"
 TIMES = (*UNITS, DATE, FRAME)
 _ANGLES = ("roll", "pitch", "yaw")
 _SIX = range(1, 7)
@@ -57,6 +57,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "place_sigma": ("sigma_east", "sigma_north", "sigma_up"),
     "fix_status": ("fix_status",),
     RECEIVED: (RECEIVED,),  # time of reception, in the unit of the timestamps
+    NANOSEC: (NANOSEC,),  # to be added to timestamps of whole seconds, as in a header of ROS
 }
 _METRES = ("position", "planar", "matrix")
 # Groups that contain a position.
@@ -99,6 +100,7 @@ class Layout:
     # Single separator of columns, which can then be empty or text. "" if any number of spaces and
     # commas separates columns.
     separator: str = ""
+    unit: str = "m"  # of the positions
 
     @cached_property
     def time(self) -> int | None:

@@ -26,6 +26,7 @@ from trajeval_ros.io.text.layouts import (
     AS_NAMED,
     DATE,
     FRAME,
+    NANOSEC,
     NO_HINTS,
     RECEIVED,
     UNITS,
@@ -268,6 +269,8 @@ def _stamps_of(
             )
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
+        if NANOSEC in rows.groups:
+            stamps = stamps + _nanosecond_parts(path, rows.groups[NANOSEC][:, 0])
         unit = [note("nanoseconds", "timestamps are in nanoseconds")] if in_nanoseconds else []
         return stamps, True, unit
     remarks = []
@@ -293,6 +296,18 @@ def _stamps_of(
         return stamps, True, [*remarks, note(ROW_TIMES, f"timestamps counted at {rate:g} Hz")]
     said = "no timestamps: frames counted, 1 s apart; set their rate with --frame-rate"
     return frames * NANOSECONDS, False, [*remarks, note("no_timestamps", said)]
+
+
+def _nanosecond_parts(path: Path, column: Floats) -> NDArray[np.int64]:
+    """Return the nanoseconds (N,) of timestamps in two columns; float64 has them exactly."""
+    right = (column >= 0.0) & (column < NANOSECONDS) & (column == np.round(column))
+    if not right.all():
+        row = int(np.argmin(right))
+        raise InputError(
+            f"{path}: row {row + 1} has {column[row]:g} nanoseconds after its seconds, expected "
+            "0 to 999999999; correct or remove the row"
+        )
+    return column.astype(np.int64)
 
 
 def _counts_frames(layout: Layout, rows: FileColumns, origin: Path) -> bool:

@@ -27,6 +27,7 @@ _EPOCH_NANOSECONDS = 1e17  # in 1973; larger numbers are nanoseconds since 1970
 _NANOSECOND_STEP = 5e5  # least median step of timestamps in nanoseconds: 2 kHz
 _ONE_DATE = rb"\d{4}-\d\d?-\d\d?(?:[T ]\d\d?:\d\d(?::\d\d(?:\.\d+)?)?)?"
 _DATES = rb"%s(?: %s)*" % (_ONE_DATE, _ONE_DATE)
+_OFFSET = rb":\d\d(?:\.\d+)?([+-][01]\d:?[0-5]\d)(?: |$)"  # from UTC, after the time of the day
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,23 +112,28 @@ def exact_numbers(characters: NDArray[np.uint8]) -> ExactNumbers:
 def exact_dates(words: NDArray[np.bytes_]) -> ExactNumbers:
     """Return N dates such as `2024-03-01 12:00:00.5` as exact seconds since 1970.
 
-    A T between day and time, slashes in the day, and a Z or an offset of zero at the end are
+    A T between day and time, slashes in the day, and a Z or an offset from UTC at the end are
     accepted. A date without an offset is read as UTC.
 
     Raises:
-        ValueError: A word is not a date, or has another time zone.
+        ValueError: A word is not a date.
         InputError: A date is outside of the range of int64 nanoseconds.
     """
     plain = np.char.replace(words, b"/", b"-")
-    for zone in (b"Z", b" UTC", b"+00:00", b"+0000"):
+    for zone in (b"Z", b" UTC"):
         plain = np.char.replace(plain, zone, b"")
+    ahead = np.zeros(len(plain), dtype="timedelta64[m]")
+    for offset in set(re.findall(_OFFSET, b" ".join(plain.tolist()))):
+        there = np.char.endswith(plain, offset)
+        ahead[there] = int(offset[:1] + b"1") * (60 * int(offset[1:3]) + int(offset[-2:]))
+        plain = np.where(there, np.char.rpartition(plain, offset)[:, 0], plain)
     if not re.fullmatch(_DATES, b" ".join(plain.tolist())):  # numpy also accepts only a year
         raise ValueError("no date")
     # Converted from str, since numpy 1.26 crashes on bytes with an invalid date such as month 13.
     dates = plain.astype(np.str_)
     if (np.abs(dates.astype("datetime64[s]").astype(np.int64)) > _LAST_SECOND).any():
         raise InputError("its dates leave the years 1678 to 2261; correct or remove them")
-    stamps = dates.astype("datetime64[ns]").astype(np.int64)
+    stamps = (dates.astype("datetime64[ns]") - ahead).astype(np.int64)
     whole, rest = np.divmod(np.abs(stamps).view(np.uint64), np.uint64(NANOSECONDS))
     return ExactNumbers(stamps < 0, whole, rest)
 

@@ -13,7 +13,7 @@ from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.array_input import quaternions_of
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.io.text.layouts import BODY_TWISTS, FAST_LIO, GROUPS, Layout
+from trajeval_ros.io.text.layouts import BODY_TWISTS, EXAMPLE, FAST_LIO, GROUPS, Layout
 from trajeval_ros.io.text.stamps import ExactNumbers
 
 _LARGEST_ANGLE = 2.0 * np.pi + 0.01  # rad, with a margin for rounded digits
@@ -22,6 +22,7 @@ _COVARIANCES = {
     *("covariance", "covariance_upper", "covariance_lower", "variances"),
     *("rotation_covariance", "position_covariance"),
 }
+_METRES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3}
 _NO_Z = note("no_height", "no column z: assumed 0")
 
 
@@ -53,6 +54,11 @@ def states_of(path: Path, layout: Layout, groups: Mapping[str, Floats], count: i
     `groups`: columns (N, width), by the name of their group in the layout.
     """
     remarks = []
+    if layout.unit not in _METRES:
+        raise InputError(
+            f"{path}: its positions are in {layout.unit}, not all in m, mm, cm or km; convert "
+            f"them, and name the columns with {EXAMPLE}"
+        )
     matrices = None
     if "matrix" in groups:
         whole = groups["matrix"].reshape(-1, 3, 4)
@@ -76,6 +82,9 @@ def states_of(path: Path, layout: Layout, groups: Mapping[str, Floats], count: i
         else:
             positions = np.column_stack([groups["planar"], np.zeros(count)])
             remarks.append(_NO_Z)
+    if layout.unit != "m":
+        positions = positions * _METRES[layout.unit]
+        remarks.append(note("unit", f"positions converted from {layout.unit} to m"))
     velocities = groups.get("velocity")
     if velocities is None and "body_velocity" in groups and quaternions is not None:
         velocities = lie.rotate(_usable(quaternions), groups["body_velocity"])

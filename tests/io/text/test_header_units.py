@@ -1,0 +1,119 @@
+"""Timestamps in two columns, as ROS has them, and units of positions in names of columns."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.sources import read_trajectory
+
+# With no, few and all digits of nanoseconds; float64 seconds cannot have the first two.
+STAMPS = [1403636580_838555574, 1403636580_900000001, 1403636581_000000000, 1403636581_000000042]
+POSITIONS = np.array([[1.0, 2.0, 3.0], [1.5, 2.0, -3.25], [2.0, 2.5, 3.125], [0.0, 0.5, 0.25]])
+
+
+def written(path: Path, header: str, *columns: object) -> Path:
+    rows = zip(*columns, POSITIONS.tolist(), strict=True)  # type: ignore[call-overload]
+    lines = [",".join(map(str, [*parts, *position])) for *parts, position in rows]
+    path.write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")
+    return path
+
+
+SECONDS, NANOSECONDS = zip(*(divmod(stamp, 10**9) for stamp in STAMPS), strict=True)
+LATER = [f"{second + 7}.25" for second in SECONDS]
+
+
+@pytest.mark.parametrize(
+    "names",
+    ["header.stamp.sec,header.stamp.nanosec", "stamp_secs,stamp_nsecs", "secs,nsecs", "sec,nsec"],
+)
+def test_seconds_and_nanoseconds_are_one_timestamp(names: str, tmp_path: Path) -> None:
+    both = written(tmp_path / "a.csv", f"{names},x,y,z", SECONDS, NANOSECONDS)
+    assert read_trajectory(both).stamps.tolist() == STAMPS
+    first, second = names.split(",")
+    other = written(tmp_path / "b.csv", f"{second},{first},x,y,z", NANOSECONDS, SECONDS)
+    assert read_trajectory(other).stamps.tolist() == STAMPS
+
+
+@pytest.mark.parametrize("before", ["Time", "receive_time", "elapsed,receive_time"])
+def test_the_time_of_the_header_precedes_that_of_the_arrival(before: str, tmp_path: Path) -> None:
+    names = f"{before},header.stamp.secs,header.stamp.nsecs,position.x,position.y,position.z"
+    times = [LATER] * len(before.split(","))
+    read = read_trajectory(written(tmp_path / "a.csv", names, *times, SECONDS, NANOSECONDS))
+    assert read.stamps.tolist() == STAMPS
+    received = read.reading.receptions
+    assert (received is not None) == ("receive_time" in before)
+    if received is not None:
+        assert received.times.tolist() == [int(each[:-3]) * 10**9 + 250_000_000 for each in LATER]
+
+
+def test_messages_as_json_lines(tmp_path: Path) -> None:
+    path = tmp_path / "messages.jsonl"
+    parts = {"sec": SECONDS, "nanosec": NANOSECONDS}
+    lines = [
+        json.dumps(
+            {
+                "header": {"stamp": {name: each[row] for name, each in parts.items()}},
+                "pose": {"position": dict(zip("xyz", POSITIONS[row].tolist(), strict=True))},
+            }
+        )
+        for row in range(len(STAMPS))
+    ]
+    path.write_text("\n".join(lines))
+    assert read_trajectory(path).stamps.tolist() == STAMPS
+
+
+@pytest.mark.parametrize("wrong", [10**9, -1, 0.5, "nan"])
+def test_parts_that_are_no_nanoseconds_are_refused(wrong: object, tmp_path: Path) -> None:
+    parts = [*NANOSECONDS[:2], wrong, 0]
+    path = written(tmp_path / "a.csv", "sec,nanosec,x,y,z", SECONDS, parts)
+    with pytest.raises(InputError, match=r"row 3 has .* nanoseconds .* expected 0 to 999999999"):
+        read_trajectory(path)
+
+
+@pytest.mark.parametrize(
+    ("unit", "metres"), [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0), ("km", 1e3), ("", 1.0)]
+)
+@pytest.mark.parametrize("form", ["{}_{}", "{} [{}]", "{}[{}]", "pos_{} ({})"])
+def test_positions_are_in_the_unit_that_their_names_have(
+    form: str, unit: str, metres: float, tmp_path: Path
+) -> None:
+    names = ",".join(form.format(axis, unit).removesuffix("_") for axis in "xyz")
+    read = read_trajectory(written(tmp_path / "a.csv", f"t_ns,{names}", STAMPS))
+    np.testing.assert_array_equal(read.positions, POSITIONS * metres)
+    said = [each.text for each in read.reading.remarks if each.code == "unit"]
+    assert said == ([f"positions converted from {unit} to m"] if metres != 1.0 else [])
+
+
+def test_units_between_spaces(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.txt", "t [ns] x [mm] y [mm] z [mm]", STAMPS)
+    path.write_text(path.read_text().replace(",", " "))
+    np.testing.assert_array_equal(read_trajectory(path).positions, POSITIONS * 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("names", "unit"),
+    [("x [ft],y [ft],z [ft]", "ft"), ("x_mm,y_mm,z_m", "mm and m"), ("x [mm],y,z", "mm and m")],
+)
+def test_other_units_are_refused(names: str, unit: str, tmp_path: Path) -> None:
+    path = written(tmp_path / "a.csv", f"t_ns,{names}", STAMPS)
+    with pytest.raises(InputError, match=rf"a\.csv: its positions are in {unit}, not all in m,"):
+        read_trajectory(path)
+
+
+@pytest.mark.parametrize(("unit", "count"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_a_header_has_the_names_of_columns(unit: str, count: float, tmp_path: Path) -> None:
+    times = [int(second * count) for second in range(4)]
+    read = read_trajectory(written(tmp_path / "a.csv", f"t_{unit},x,y,z", times))
+    assert read.stamps.tolist() == [second * 10**9 for second in range(4)]
+
+
+def test_a_column_without_a_name_is_named_by_its_place(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.csv", ",t_ns,x,y,z", range(4), STAMPS)
+    assert "ignored columns: column 1" in [
+        each.text for each in read_trajectory(path).reading.remarks
+    ]
