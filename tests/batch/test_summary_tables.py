@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import csv
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
 
 from trajeval_ros.batch.comparison_summary import ComparisonSummary, Trial
 from trajeval_ros.batch.results_table import OK, RE
 from trajeval_ros.batch.summary_tables import matrices
+from trajeval_ros.cli.app import main
 from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.requests.settings_table import settings_of
 from trajeval_ros.report.matrix import to_csv, to_latex, to_markdown, with_common_notes
@@ -63,3 +67,18 @@ def test_a_note_of_several_tables_stands_once_below_them() -> None:
     noted = [*common, *(note for each in tables for note in each.notes)]
     assert len(noted) == len(set(noted))
     assert {note for each in matrices(summary()) for note in each.notes} == set(noted)
+
+
+@pytest.mark.slow
+def test_kitti_has_the_tables_of_its_benchmark(shared_data: Path, tmp_path: Path) -> None:
+    folder, out = shared_data / "kitti_odom_eval", tmp_path / "out"
+    sources = [str(folder / f"09_{each}.txt") for each in ("groundtruth", "frame_index")]
+    given = ["--protocol", "kitti", "--gauge", "sim3", "--workers", "1", "--quiet"]
+    assert main(["compare", *sources, *given, "--output", str(out)]) == 0
+    # By the tool of that folder, 7dof.
+    for name, expected in (("kitti_percent", 2.884113), ("kitti_deg_per_100m", 0.249056)):
+        (row,) = csv.DictReader((out / f"{name}.csv").read_text().splitlines())
+        assert float(row["09_groundtruth"]) == pytest.approx(expected, abs=5e-7)
+    text = (out / "tables.md").read_text()
+    assert "KITTI: mean over the sub-trajectories of 100 m to 800 m" in text
+    assert not any("kitti" in each.name for each in matrices(summary()))

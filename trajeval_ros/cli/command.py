@@ -32,14 +32,10 @@ class VerbCommand(click.Command):
         for each in self.params:
             is_single = isinstance(each, HelpedOption) and not (each.multiple or each.is_flag)
             if is_single and order.count(each) > 1:
-                one = "one value"
-                if each.metavar == "SOURCE":
-                    one = (
-                        "one source per call, and for several robots list their runs for trajeval "
-                        "compare (docs/compare.md)"
-                    )
+                more = ", and for several robots list their runs for trajeval compare"
                 raise SettingsError(
-                    f"{each.opts[0]} is given {order.count(each)} times; give {one}"
+                    f"{each.opts[0]} is given {order.count(each)} times; give one per call"
+                    + (f"{more} (docs/compare.md)" if each.metavar == "SOURCE" else "")
                 )
         return super().parse_args(ctx, args)
 
