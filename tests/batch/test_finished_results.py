@@ -125,6 +125,33 @@ def test_equal_names_are_told_apart_by_folders(folder: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.slow
+def test_results_are_named_as_estimates_are(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robots = [str(folder / "vio_hall"), str(folder / "slam_yard")]
+    assert "NAME=RESULT" in FinishedResults(robots).advice
+    given = [f"Team={each}" for each in robots]
+    assert main(["compare", *given, "--output", str(tmp_path / "out")]) == 0
+    summary = summary_of(tmp_path / "out")
+    assert (summary.algorithms, summary.sequences) == (["Team"], ["hall", "yard"])
+    assert [each.status for each in summary.trials] == ["ok", "ok"]
+    assert "warning" not in capsys.readouterr().err
+    assert not FinishedResults(results(folder)).advice
+    assert main(["compare", *robots, "--output", str(tmp_path / "apart")]) == 0
+    assert capsys.readouterr().err.count("give results of one algorithm one name") == 1
+
+
+@pytest.mark.slow
+def test_a_comparison_is_not_written_into_a_result(folder: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(folder / "vio_hall", copy)
+    before = sorted(copy.iterdir())
+    given = [str(folder / "slam_hall"), str(copy), "--output", str(copy)]
+    assert main(["compare", *given]) == 2
+    assert sorted(copy.iterdir()) == before
+
+
+@pytest.mark.slow
 def test_damaged_results_are_one_sentence(folder: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy"
     shutil.copytree(folder / "vio_hall", copy)

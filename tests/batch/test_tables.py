@@ -75,9 +75,9 @@ def test_marks_are_bold_and_underlined_in_every_form() -> None:
     assert "failed" in stream.getvalue()
     rows = list(csv.reader(io.StringIO(to_csv(table))))
     assert rows[1:] == [
-        ["vio_0", "0.2", "3.0", "1/2", "0.5"],
-        ["vio_1", "0.1", "", "1/2", "0.5"],
-        ["vio_2", "inf", "2.0", "1/2", "0.5"],
+        ["vio_0", "0.2", "3.0", "1/2", "0.5", ""],
+        ["vio_1", "0.1", "", "1/2", "0.5", ""],
+        ["vio_2", "inf", "2.0", "1/2", "0.5", ""],
     ]
 
 

@@ -33,6 +33,9 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("evaluate gt.txt picture.txt", "is a picture (PNG)"),
         ("evaluate gt.txt later.txt", "113 days apart; the estimate is probably of another"),
         ("compare flow.yaml", "write patterns with braces in quotes"),
+        ("compare gt.txt", "gt.txt is not a comparison; give a YAML file (.yaml), a manifest"),
+        ("compare gone.txt vio.txt", "gone.txt does not exist"),
+        ("compare gt.txt Ours=gone.txt more.txt", "gone.txt does not exist"),
     ],
 )
 def test_a_mistake_is_answered_with_its_cause(
@@ -42,6 +45,16 @@ def test_a_mistake_is_answered_with_its_cause(
         pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     assert main(typed.split()) == 2
     assert answer in capsys.readouterr().err
+    assert not Path("comparison").exists()
+
+
+def test_names_of_trajectories_are_those_of_estimates(
+    files: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["Team=gt.txt", "later.txt", "--merge", "--save-as", "tum", "--output", "out"]
+    assert main(["trajectory", *given]) == 0
+    assert "Team: merged from Team, later" in capsys.readouterr().err
+    assert [each.name for each in (files / "out").iterdir()] == ["Team.txt"]
 
 
 def test_merged_trajectories_state_what_was_dropped(

@@ -185,7 +185,7 @@ def test_a_link_in_place_of_a_folder_of_a_comparison_is_refused(
 @pytest.mark.parametrize(
     "name",
     [
-        *("README.txt", "tables.md", "report.html", "ate_position_m.csv"),
+        *("README.txt", "tables.md", "report.html", "ate_position_m.csv", "result.json"),
         *("re_position_percent.csv", "figures", "report"),
     ],
 )

@@ -70,6 +70,7 @@ ONE = ["{}/vio_odometry.txt"]
         (["evaluate", *TUM, "--save_results", "x.zip"], "no option --save_results; use --output"),
         (["evaluate", "tum", *TUM], "tum is a format, which is detected"),
         (["evaluate", "-g", TUM[0], "-g", TUM[1], "-e", TUM[1]], "is given 2 times"),
+        (["evaluate", *TUM, *["--correct", "unit"] * 2], "--correct is given 2 times; give one"),
         (["trajectory", *ONE, *["--reference", TUM[0]] * 3, "--gauge", "yaw"], "given 3 times"),
         (["trajectory", *ONE, "--merge"], "--merge needs several sources"),
         (["trajectory", *ONE, "--output", "{}/new"], "--output needs --save-as or --plot"),

@@ -7,6 +7,7 @@ import math
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -319,3 +320,17 @@ def test_five_paths_fill_rows_evenly_and_the_lowest_of_each_column_is_labelled(
             assert any(each.label1.get_visible() for each in axes.xaxis.get_major_ticks()) != below
         title = figure.texts[0].get_window_extent()
         assert all(axes.title.get_window_extent().y1 <= title.y0 for axes in shown)
+
+
+def test_angles_are_within_half_a_turn_of_the_reference(
+    recording: Callable[[str], Trajectory],
+) -> None:
+    # Pitches of a forward camera come close to 90 degrees, where unwrapped angles separate.
+    truth, estimate = (recording(f"kitti/KITTI_00_{each}.txt") for each in ("gt", "ORB"))
+    assert truth.quaternions is not None
+    with house_style():
+        figure = motion_drawings(["rpy"], [estimate], truth)["rpy_over_time"]()
+    angles = np.degrees(np.unwrap(lie.euler_angles(truth.quaternions)[:, ::-1], axis=0))
+    for axes, expected in zip(figure.axes, angles.T, strict=True):
+        pose = axes.lines[1].get_xdata().round().astype(int)
+        assert np.abs(axes.lines[1].get_ydata() - expected[pose]).max() < 180.0 + 1e-6

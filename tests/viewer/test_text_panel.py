@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from trajeval_ros import Protocol, run, simulate
+from trajeval_ros import Protocol, evaluate, run, simulate
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.metrics.named_protocols import PROTOCOLS
+from trajeval_ros.metrics.protocol import metres
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.state_rows import states
+from trajeval_ros.report.verdict_lines import verdict
 from trajeval_ros.viewer.appearance import ErrorScale
 from trajeval_ros.viewer.text_panel import of_evaluations, of_snapshots
 
@@ -25,6 +29,19 @@ def test_runs_without_covariances_have_no_verdict() -> None:
     cells = {line[1].strip(): [each.strip() for each in line[2:-1]] for line in lines}
     assert cells["Consistency"] == ["-", "overconfident"]
     assert cells["NEES / dof"] == ["-", "-"]
+
+
+def test_kitti_has_its_ranking_as_in_the_first_line() -> None:
+    flight = simulate(seed=1, duration_s=120.0)
+    protocol = dataclasses.replace(
+        PROTOCOLS["kitti"], lengths=metres(20, 40), association="linear"
+    )
+    evaluation = evaluate(flight.groundtruth, flight.estimate, protocol)
+    assert evaluation.kitti_ranking.endswith("deg/100 m (KITTI, 20 to 40 m)")
+    assert evaluation.kitti_ranking in verdict(evaluation)[0]
+    assert evaluation.kitti_ranking in of_evaluations(
+        [evaluation], [None], ["a"], ErrorScale.of(1.0, 9.0), []
+    )
 
 
 @pytest.mark.parametrize("lengths", [(), ("4m", "2s", "400m")])

@@ -110,10 +110,12 @@ def compare(
 def write_tables(folder: Path, summary: ComparisonSummary, *, transpose: bool = False) -> None:
     """Write tables.md, tables.tex and one CSV file per table, unless they are up to date."""
     made = matrices(summary)
+    shown, notes = tables.with_common_notes(made)
     lost = [f"* {markdown_text(line)}" for line in failures(summary)]
     without = ["### Runs without numbers", "", *lost, ""] if lost else []
+    common = [markdown_text(" ".join(notes)), ""] if notes else []
     title = f"# {markdown_text(summary.title)}"
-    text = "\n".join([title, "", *map(tables.to_markdown, made), *without])
+    text = "\n".join([title, "", *map(tables.to_markdown, shown), *common, *without])
     texts = {
         "tables.md": text,
         "tables.tex": "\n".join(tables.to_latex(each, transpose=transpose) for each in made),

@@ -30,7 +30,7 @@ from trajeval_ros.batch.results_table import (
     ResultsTable,
     state_of,
 )
-from trajeval_ros.batch.summary_tables import definition, matrices
+from trajeval_ros.batch.summary_tables import definition, diagnosed, matrices
 from trajeval_ros.diagnosis.warnings import LOW_COVERAGE
 from trajeval_ros.formatting.numbers import counted, percent, three_decimals, whole_percent
 from trajeval_ros.io.writing import refused_by_disk, write_text
@@ -254,6 +254,7 @@ def _run_pages(
             position_m=trial.rmse.get("position_m"),
             rotation_deg=trial.rmse.get("rotation_deg"),
             coverage=trial.coverage,
+            marks=diagnosed([trial]),
             facts=facts.get(trial.key, ()),
             headings=("error", *STATISTICS, "count"),
             statistics=tuple(statistics.get(trial.key, ())),

@@ -18,6 +18,7 @@ from trajeval_ros.batch.results_table import (
     INTEGRITY,
     LIKELIHOOD,
     OK,
+    POOLED,
     RE,
     ResultsTable,
     read_pooled,
@@ -29,6 +30,8 @@ _OF_A_RUN = (
 )  # fmt: skip
 # Statistics of as-available numbers.
 _AVAILABLE = {"position_m": "rmse", "age_error_m": "rmse", "age_s": "p95"}
+# Errors of KITTI's ranking, means over all lengths: name, and title of the table.
+KITTI = {"kitti_percent": "KITTI t_rel [%]", "kitti_deg_per_100m": "KITTI r_rel [deg/100 m]"}
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,8 @@ class Trial:
     coverage: float
     pairs: int  # number of pairs; 0 for a failed run
     key: str  # key of its record
-    rmse: dict[str, float]  # RMSE of the absolute errors, by metric
+    # RMSE of the absolute errors by metric, and with protocol kitti the errors of its ranking.
+    rmse: dict[str, float]
     # Results of calibration, consistency, integrity and likelihood, by metric.
     values: dict[str, float]
     warnings: tuple[str, ...]
@@ -108,13 +112,19 @@ def summary_of(folder: Path) -> ComparisonSummary:
     rows = ResultsTable(folder / RUNS)
     rmse: dict[tuple[str, ...], dict[str, float]] = defaultdict(dict)
     values: dict[tuple[str, ...], dict[str, float]] = defaultdict(dict)
-    kinds = (ATE, AVAILABLE, CALIBRATION, CONSISTENCY, INTEGRITY, LIKELIHOOD)
+    kinds = [ATE, AVAILABLE, CALIBRATION, CONSISTENCY, INTEGRITY, LIKELIHOOD]
+    if rows.settings["protocol"] == "kitti":
+        kinds.append(POOLED)
     # Texts that occur in many rows are stored once.
     for row in rows.each((*_NAMES, "kind", "metric", "rmse", "mean", "p95"), kind=kinds):
         run = tuple(intern(row[name]) for name in _NAMES)
         metric = intern(row["metric"])
         if row["kind"] == ATE:
             rmse[run][metric] = row["rmse"]
+        elif metric == "position_percent":
+            rmse[run]["kitti_percent"] = row["mean"]
+        elif metric == "rotation_deg_per_m":
+            rmse[run]["kitti_deg_per_100m"] = 100.0 * row["mean"]
         elif row["kind"] == AVAILABLE:
             column = _AVAILABLE.get(metric, "mean")
             values[run][intern(f"as_available_{metric}")] = row[column]

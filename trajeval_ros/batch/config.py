@@ -20,8 +20,8 @@ from trajeval_ros.io.requests.request_from import (
 )
 from trajeval_ros.io.requests.setting import AUTO, MESSAGE, NONE
 from trajeval_ros.io.requests.settings_table import settings_of_many_runs
-from trajeval_ros.io.source_names import names_of, names_with, split_name
-from trajeval_ros.io.sources import require_no_password
+from trajeval_ros.io.source_names import is_source, names_of, names_with, split_name
+from trajeval_ros.io.sources import parse_source, require_no_password
 from trajeval_ros.io.text.layouts import TextHints
 from trajeval_ros.io.yaml_file import read_mapping, require_known
 from trajeval_ros.pipeline.request import Request
@@ -61,13 +61,16 @@ def plan_of(
 def plan_of_sources(sources: Sequence[str], settings: Mapping[str, Any]) -> Plan:
     """Return the plan of a comparison of estimates of one groundtruth.
 
-    `sources`: the groundtruth, and estimates as SOURCE or NAME=SOURCE.
+    `sources`: the groundtruth, and estimates as SOURCE or NAME=SOURCE, of which one must exist.
     """
     groundtruth, *estimates = sources
     named = [split_name(each) for each in estimates]
     paths = [source for _, source in named]
     for each in (groundtruth, *paths):  # names are made from them
         require_no_password(each)
+    parse_source(groundtruth)
+    if not any(map(is_source, paths)):
+        parse_source(paths[0])
     _, *names = names_with(["", *(name for name, _ in named)], [groundtruth, *paths])
     sequence = names_of([groundtruth])[0]
     runs = [
@@ -88,6 +91,11 @@ def _plan_of_yaml(target: Path, settings: Mapping[str, Any], hosts: frozenset[st
         raise InputError(
             f"{target} does not exist; give a YAML configuration, a manifest (.csv or .parquet), "
             "or a folder in the layout of ov_eval or rpg_trajectory_evaluation"
+        )
+    if target.suffix not in (".yaml", ".yml"):
+        raise InputError(
+            f"{target} is not a comparison; give a YAML file (.yaml), a manifest, a folder, or "
+            "GROUNDTRUTH ESTIMATE..."
         )
     config = read_mapping(target, "comparison")
     require_known(config, [*_KEYS, *_OF_COMPARISONS, *settings_of_many_runs()], str(target))

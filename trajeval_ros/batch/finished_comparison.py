@@ -42,6 +42,7 @@ from trajeval_ros.metrics.statistics import quantile, statistics_of
 
 RUNS, POOLED_FILE = "runs.parquet", "pooled.parquet"
 GATES, GATES_JSON = "gates.md", "gates.json"
+RESULT = "result.json"  # of an evaluation, which a comparison may show
 REPORT, PAGES, FIGURES = "report.html", "report", "figures"
 _AVAILABLE = (
     *("position_m", "rotation_deg", "age_error_m", "age_error_deg"),
@@ -141,8 +142,11 @@ def require_own(folder: Path) -> None:
                 return
     except OSError:
         pass
-    names = (_ABOUT, RUNS, POOLED_FILE, REPORT, GATES, GATES_JSON, "tables.md", "tables.tex")
-    found = [folder / name for name in (*names, PAGES, FIGURES)]
+    names = (
+        *(RESULT, _ABOUT, RUNS, POOLED_FILE, REPORT, GATES, GATES_JSON),
+        *("tables.md", "tables.tex", PAGES, FIGURES),
+    )
+    found = (folder / name for name in names)
     for path in (*found, *folder.glob("ate_*.csv"), *folder.glob("re_*.csv")):
         if path.exists() and not path.is_symlink():  # a link is replaced, its target is not
             raise InputError(

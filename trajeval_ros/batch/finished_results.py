@@ -15,7 +15,7 @@ from typing import Any
 
 from trajeval_ros.batch.comparison import Progress
 from trajeval_ros.batch.earlier_results import EARLIER, of_version_0_2
-from trajeval_ros.batch.finished_comparison import FinishedComparison, FinishedRun
+from trajeval_ros.batch.finished_comparison import RESULT, FinishedComparison, FinishedRun
 from trajeval_ros.batch.plan import PlannedRun, natural
 from trajeval_ros.batch.records import RECORDS, Record, RecordStore, encode
 from trajeval_ros.batch.worker import columns_to_draw
@@ -25,9 +25,8 @@ from trajeval_ros.io.json_file import mapping_in, require_schema
 from trajeval_ros.io.npz_file import read_arrays
 from trajeval_ros.io.results.error_archive import ARCHIVE
 from trajeval_ros.io.results.result_json import SCHEMA
-from trajeval_ros.io.source_names import names_of
+from trajeval_ros.io.source_names import names_of, split_name
 
-RESULT = "result.json"
 # Errors do not depend on these settings. A modality only names a gauge.
 _NOT_OF_ERRORS = frozenset(
     {"modality", "covariance", "rotation_covariance_frame", "nees_form", "alert_limit", "risk",
@@ -42,6 +41,7 @@ class _Result:
 
     folder: Path
     content: dict[str, Any]  # of result.json, with this run alone
+    algorithm: str  # name that the user gave; "" for that of the estimate
 
     @property
     def name(self) -> str:
@@ -61,28 +61,41 @@ class _Result:
 
 
 def is_result(target: str) -> bool:
-    """Return whether a path is a folder with finished results."""
-    return (Path(target) / RESULT).is_file()
+    """Return whether FOLDER or NAME=FOLDER has finished results."""
+    return (Path(split_name(target)[1]) / RESULT).is_file()
 
 
 class FinishedResults:
     """Results that are shown together.
 
-    An estimate's name is the algorithm, and the groundtruth's name is the sequence. If different
+    The algorithm is the given name or that of the estimate, and the sequence is the groundtruth's
+    name. A given name precedes those of several estimates in a folder. If different
     groundtruths have one name, as a topic in several live runs, the folder's name is the sequence.
     If a sequence has several results of one name, the folder's name is added to the algorithm.
     """
 
     def __init__(self, folders: Sequence[str]) -> None:
-        """Read result.json of all folders.
+        """Read result.json of all folders, FOLDER or NAME=FOLDER.
 
         Raises:
             InputError: A folder can't be read, or the results have different settings.
         """
-        self._results = [each for folder in folders for each in _read(Path(folder))]
+        named = [split_name(each) for each in folders]
+        self._results = [each for name, folder in named for each in _read(name, Path(folder))]
         _require_same_settings(self._results)
         self._names = _names(self._results)
         self.settings = self._results[0].settings
+
+    @property
+    def advice(self) -> str:
+        """How to name the results if no algorithm has two sequences; "" if one has."""
+        algorithms, sequences = (set(each) for each in zip(*self._names, strict=True))
+        if len(sequences) == 1 or not len(algorithms) == len(sequences) == len(self._names):
+            return ""
+        return (
+            "every estimate has another name and another sequence; give results of one algorithm "
+            "one name: trajeval compare NAME=RESULT NAME=RESULT, or -e NAME=ESTIMATE in evaluate"
+        )
 
     def write_tables(self, output: Path) -> Progress:
         """Write the records and the Parquet tables of the comparison."""
@@ -108,7 +121,7 @@ class FinishedResults:
         return Progress(total=len(self._results), kept=len(self._results))
 
 
-def _read(folder: Path) -> Iterator[_Result]:
+def _read(given: str, folder: Path) -> Iterator[_Result]:
     path = folder / RESULT
     try:
         content = mapping_in(path.read_bytes())
@@ -124,7 +137,8 @@ def _read(folder: Path) -> Iterator[_Result]:
         if schema == EARLIER:
             content = of_version_0_2(content)
         for run in content["runs"]:
-            result = _Result(folder, {**content, "runs": [run], "failed": []})
+            own = f"{given} {run['estimate']['name']}" if len(content["runs"]) > 1 else given
+            result = _Result(folder, {**content, "runs": [run], "failed": []}, given and own)
             _ = result.name, result.settings, result.groundtruth
             yield result
     except (LookupError, TypeError) as error:
@@ -157,7 +171,8 @@ def _names(results: Sequence[_Result]) -> list[tuple[str, str]]:
     ]
     # Files of one name per sequence, as in vio/MH_01.txt, are named by their folder.
     algorithms = [
-        result.name.removesuffix(f"/{name}") for result, name in zip(results, plain, strict=True)
+        result.algorithm or result.name.removesuffix(f"/{name}")
+        for result, name in zip(results, plain, strict=True)
     ]
     counts = Counter(zip(algorithms, sequences, strict=True))
     names = [

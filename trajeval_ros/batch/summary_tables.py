@@ -9,7 +9,7 @@ from dataclasses import replace
 from statistics import median
 from typing import Any
 
-from trajeval_ros.batch.comparison_summary import ComparisonSummary, Trial
+from trajeval_ros.batch.comparison_summary import KITTI, ComparisonSummary, Trial
 from trajeval_ros.batch.results_table import OK, RE
 from trajeval_ros.diagnosis.warnings import LOW_COVERAGE
 from trajeval_ros.formatting.numbers import counted, three_decimals, whole_percent
@@ -75,6 +75,8 @@ def _calibration(settings: dict[str, Any]) -> str:
 def matrices(summary: ComparisonSummary) -> list[Matrix]:
     """Return the tables: absolute errors by sequence, relative errors by length."""
     tables = [_absolute(summary, "position_m"), _absolute(summary, "rotation_deg")]
+    if summary.settings["protocol"] == "kitti":
+        tables += [_kitti(summary, *each) for each in KITTI.items()]
     metrics = ("position_percent", "rotation_deg_per_m")
     if not all(Length.parse(length).in_metres for length in summary.settings["lengths"]):
         metrics = ("position_m", "rotation_deg")
@@ -143,10 +145,12 @@ def _values(summary: ComparisonSummary, metric: str) -> Matrix | None:
     """Return the table of the medians over trials of a value; None if no run has it."""
     rows, ranked = [], metric in _RANKED
     for algorithm in summary.algorithms:
-        runs = [summary.of(algorithm, sequence) for sequence in summary.sequences]
-        found = [[run.values[metric] for run in own if metric in run.values] for own in runs]
-        cells = tuple(Cell(median(each) if each else None, "", ranked) for each in found)
-        rows.append((algorithm, cells))
+        cells = []
+        for sequence in summary.sequences:
+            having = [run for run in summary.of(algorithm, sequence) if metric in run.values]
+            value = median(run.values[metric] for run in having) if having else None
+            cells.append(Cell(value, diagnosed(having), ranked))
+        rows.append((algorithm, tuple(cells)))
     if all(cell.value is None for _, cells in rows for cell in cells):
         return None
     if metric == _AVAILABLE:
@@ -168,7 +172,7 @@ def _with_ranks_by_ate(
         ranks = zip(_ranks([each.value for each in cells]), _ranks(ates), strict=True)
         for place, (cell, (own, by_ate)) in enumerate(zip(cells, ranks, strict=True)):
             note = f"ATE: {by_ate}" if own and by_ate and own != by_ate else ""
-            marked[place].append(replace(cell, note=note))
+            marked[place].append(replace(cell, note=f"{note} {cell.note}".strip()))
     return [(row[0], tuple(cells)) for row, cells in zip(rows, marked, strict=True)]
 
 
@@ -179,9 +183,23 @@ def _ranks(values: Sequence[float | None]) -> list[int | None]:
 
 
 def _absolute(summary: ComparisonSummary, metric: str) -> Matrix | None:
-    states = summary.settings["align_states"]
-    gauge = Gauge(summary.settings["gauge"])
-    enough = gauge.enough_pairs(None if states == "all" else states)
+    title, form = f"ATE, {ABSOLUTE_LABELS[metric]}", summary.settings["ate_form"]
+    what = f"Absolute trajectory error, {form} form, RMSE"
+    return _by_sequence(summary, metric, f"ate_{metric}", title, what, ", RMSE")
+
+
+def _kitti(summary: ComparisonSummary, metric: str, title: str) -> Matrix | None:
+    """Return an error of the table of the KITTI benchmark, by sequence."""
+    lengths = [Length.parse(each).text for each in summary.settings["lengths"]]
+    what = f"KITTI: mean over the sub-trajectories of {lengths[0]} to {lengths[-1]}"
+    return _by_sequence(summary, metric, metric, title, what)
+
+
+def _by_sequence(
+    summary: ComparisonSummary, metric: str, name: str, title: str, what: str, statistic: str = ""
+) -> Matrix | None:
+    """Return the table of medians over trials by sequence; None without a number."""
+    enough = _enough_pairs(summary)
     comparable = {each: _comparable_coverage(summary, each) for each in summary.sequences}
     rows = [
         (
@@ -197,42 +215,42 @@ def _absolute(summary: ComparisonSummary, metric: str) -> Matrix | None:
         return None
     several = any(len(summary.of(row, each)) > 1 for row, _ in rows for each in summary.sequences)
     over = " of trials: median (minimum to maximum); failed trials are ranked last"
-    notes = [
-        f"Absolute trajectory error, {summary.settings['ate_form']} form, "
-        f"RMSE{over if several else ''}.",
-        definition(summary.settings),
-        _COMPARABLE,
-    ]
-    marks = "".join(cell.note for _, cells in rows for cell in cells)
-    if _PARTIAL in marks:
-        least = whole_percent(LOW_COVERAGE)
-        notes.append(f"{_PARTIAL} coverage below {least} of the groundtruth.")
-    if _FEW in marks:
-        notes.append(f"{_FEW} fewer than {enough} pairs, too few for an ATE.")
-    if _DIAGNOSED in marks:
-        notes.append(
-            f"{_DIAGNOSED} mistakes found ({_named_mistakes(summary)}); follow the warnings of "
-            "the runs."
-        )
-    title = f"ATE, {ABSOLUTE_LABELS[metric]}"
-    brief = _brief(
-        summary, f"{title}, RMSE{', median of trials' if several else ''}", marks, enough
-    )
-    return _matrix(summary, f"ate_{metric}", title, notes, rows, brief=brief, has_average=True)
+    notes = (f"{what}{over if several else ''}.", definition(summary.settings), _COMPARABLE)
+    brief = _brief(summary, f"{title}{statistic}{', median of trials' if several else ''}")
+    # The mean of KITTI's table is over the sub-trajectories of all sequences.
+    has_average = metric not in KITTI
+    return _matrix(summary, name, title, notes, rows, brief=brief, has_average=has_average)
 
 
-def _brief(summary: ComparisonSummary, what: str, notes: str = "", enough: int = 0) -> str:
-    """Return a caption of one sentence."""
+def _enough_pairs(summary: ComparisonSummary) -> int:
+    """Return the number of pairs that an ATE needs."""
+    states = summary.settings["align_states"]
+    gauge = Gauge(summary.settings["gauge"])
+    return gauge.enough_pairs(None if states == "all" else states)
+
+
+def _brief(summary: ComparisonSummary, what: str) -> str:
+    """Return a caption of one sentence, without the marks and the full stop."""
     gauge = Gauge(summary.settings["gauge"])
     aligned = "unaligned" if gauge is Gauge.NONE else f"aligned by {gauge.description}"
-    marks = ""
-    if _PARTIAL in notes:
-        marks += f", {_PARTIAL} coverage below {whole_percent(LOW_COVERAGE)}"
-    if _FEW in notes:
-        marks += f", {_FEW} fewer than {enough} pairs"
-    if _DIAGNOSED in notes:
-        marks += f", {_DIAGNOSED} mistakes found"
-    return f"{what}, {aligned}; best bold, second best underlined{marks}."
+    return f"{what}, {aligned}; best bold, second best underlined"
+
+
+def _legend(
+    summary: ComparisonSummary, rows: Sequence[tuple[str, Sequence[Cell]]]
+) -> list[tuple[str, str]]:
+    """Return the meanings of the marks in a table: as a clause, and the end of a sentence."""
+    used = "".join(cell.note for _, cells in rows for cell in cells)
+    meanings = (
+        (_PARTIAL, f"coverage below {whole_percent(LOW_COVERAGE)}", " of the groundtruth."),
+        (_FEW, f"fewer than {_enough_pairs(summary)} pairs", ", too few for an ATE."),
+        (
+            _DIAGNOSED,
+            "mistakes found",
+            f" ({_named_mistakes(summary)}); follow the warnings of the runs.",
+        ),
+    )
+    return [(f"{mark} {clause}", end) for mark, clause, end in meanings if mark in used]
 
 
 def _comparable_coverage(summary: ComparisonSummary, sequence: str | None) -> float:
@@ -249,6 +267,11 @@ def _coverage(trials: Sequence[Trial]) -> float:
 def _mistakes(trial: Trial) -> list[str]:
     """Return the mistakes that a run shows; keyframes are not a mistake."""
     return [cause for cause in trial.diagnosis if cause not in _NO_MISTAKES]
+
+
+def diagnosed(trials: Sequence[Trial]) -> str:
+    """Return the mark of numbers of a run that shows a mistake; "" for others."""
+    return _DIAGNOSED if any(map(_mistakes, trials)) else ""
 
 
 def _named_mistakes(summary: ComparisonSummary) -> str:
@@ -282,15 +305,14 @@ def _cell(trials: Sequence[Trial], metric: str, enough: int, comparable: float) 
     fewest = min((trial.pairs for trial in evaluated), default=enough)
     if fewest < enough:
         notes.append(_FEW)
-    if any(map(_mistakes, evaluated)):
-        notes.append(_DIAGNOSED)
+    notes.append(diagnosed(evaluated))
     why = f"{counted(fewest, 'pair')}" if fewest < enough else ""
     if any(trial.is_copy for trial in evaluated):
         why = _COPY
     competes = not why
     if competes and _coverage(trials) < comparable:
         why = _covers(trials)
-    return Cell(value, " ".join(notes), not why, why, competes, spread)
+    return Cell(value, " ".join(filter(None, notes)), not why, why, competes, spread)
 
 
 def _covers(trials: Sequence[Trial]) -> str:
@@ -312,6 +334,7 @@ def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
         # Omitting failed runs favours an algorithm.
         is_whole = evaluated == len(trials)
         note = "" if is_whole else f"{evaluated}/{len(trials)}"
+        note = f"{note} {diagnosed(trials)}".strip()
         cells = []
         for length in lengths:
             means = pooled[algorithm, length]
@@ -376,15 +399,16 @@ def _matrix(
         runs.append(f"{sum(trial.status == OK for trial in trials)}/{len(trials)}")
         coverage.append(sum(trial.coverage for trial in trials) / len(trials))
     headings = tuple(summary.sequences if columns is None else columns)
-    unranked = _unranked(rows, headings)
+    unranked, legend = _unranked(rows, headings), _legend(summary, rows)
+    marks = [clause + end for clause, end in legend]
     return Matrix(
         name,
         title,
-        (*notes, unranked) if unranked else tuple(notes),
+        tuple(filter(None, (*notes, *marks, unranked))),
         headings,
         tuple(rows),
         tuple(runs),
         tuple(coverage),
-        f"{brief} {unranked}".strip(),
+        f"{', '.join([brief or title, *(clause for clause, _ in legend)])}. {unranked}".strip(),
         has_average and len(headings) > 1,
     )

@@ -27,15 +27,15 @@ class VerbCommand(click.Command):
         super().__init__(name, params=params, **more)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Refuse a second source for an option of one source, of which click takes the last."""
+        """Refuse a second value for an option of one value, of which click takes the last."""
         _, _, order = self.make_parser(ctx).parse_args(args=list(args))
         for each in self.params:
-            is_single = isinstance(each, HelpedOption) and not each.multiple
-            if is_single and each.metavar == "SOURCE" and order.count(each) > 1:
+            is_single = isinstance(each, HelpedOption) and not (each.multiple or each.is_flag)
+            if is_single and order.count(each) > 1:
+                more = ", and for several robots list their runs for trajeval compare"
                 raise SettingsError(
-                    f"{each.opts[0]} is given {order.count(each)} times; give one source per "
-                    "call, and for several robots list their runs for trajeval compare "
-                    "(docs/compare.md)"
+                    f"{each.opts[0]} is given {order.count(each)} times; give one per call"
+                    + (f"{more} (docs/compare.md)" if each.metavar == "SOURCE" else "")
                 )
         return super().parse_args(ctx, args)
 

@@ -63,8 +63,8 @@ _PARAMETERS = (
         count=-1,
         help="YAML configuration, manifest (RUNS.csv or RUNS.parquet, also a URL; "
         "docs/compare.md), folder in the layout of ov_eval or rpg_trajectory_evaluation, "
-        "groundtruth and estimates (NAME=ESTIMATE names one), or output folders of evaluate and "
-        "of live runs."),
+        "groundtruth and estimates, or output folders of evaluate and of live runs. "
+        "NAME=ESTIMATE and NAME=RESULT name one."),
     *shared_options(COMPARE),
     *settings_options(COMPARE),
     option("--common-time-span/--whole-runs", kind=bool, panel=ERRORS,
@@ -142,6 +142,7 @@ def compare(
     from trajeval_ros.batch.records import RECORDS
     from trajeval_ros.batch.results_table import load_pyarrow
     from trajeval_ros.report.comparison_page import require_jinja2
+    from trajeval_ros.report.console import WARNING, console
 
     refuse_format(targets, "compare GROUNDTRUTH ESTIMATE...")
     load_pyarrow()
@@ -171,6 +172,8 @@ def compare(
                 write_report(output, summary, advance)
         if not quiet:
             _print_verdict(summary, progress, output)
+            if isinstance(chosen, FinishedResults) and chosen.advice:
+                console(sys.stderr).remark(WARNING, chosen.advice)
         if gates is not None:
             _judge(gates, output, summary.title, quiet=quiet)
         _require_numbers(summary, output)
@@ -181,7 +184,8 @@ def _comparison_of(
 ) -> Plan | FinishedResults:
     """Return the runs to evaluate, or finished results, which have their own settings."""
     from trajeval_ros.batch.config import plan_of, plan_of_sources
-    from trajeval_ros.batch.finished_results import RESULT, FinishedResults, is_result
+    from trajeval_ros.batch.finished_comparison import RESULT
+    from trajeval_ros.batch.finished_results import FinishedResults, is_result
 
     results = [each for each in targets if is_result(each)]
     if not results:

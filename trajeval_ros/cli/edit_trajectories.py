@@ -30,7 +30,7 @@ from trajeval_ros.io.hand_eye_file import read_similarity
 from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.requests.setting import INPUT, PAIR, TRAJECTORY, two_numbers
 from trajeval_ros.io.save_trajectories import MESSAGES, files_of, save_trajectories
-from trajeval_ros.io.source_names import names_of
+from trajeval_ros.io.source_names import names_with, split_name
 from trajeval_ros.io.sources import each_topic
 from trajeval_ros.io.text.layouts import TextHints
 from trajeval_ros.metrics.editing import Edited, Editing, edit
@@ -46,7 +46,8 @@ CONVENTIONS, FRAMES, FEWER = "Conventions of the sources", "Frames", "Fewer pose
 
 _PARAMETERS = (
     argument("sources", metavar="SOURCE...", count=-1,
-        help="PATH, BAG:TOPIC, BAG:/tf:PARENT.CHILD, or BAG for all its topics with poses."),
+        help="PATH, BAG:TOPIC, BAG:/tf:PARENT.CHILD, or BAG for all its topics with poses. "
+        "NAME=SOURCE names one."),
     option("--reference", metavar="SOURCE", panel=INPUT, is_common=True,
         help="Reference for alignment and synchronisation; --start counts from its first "
         "timestamp."),
@@ -236,12 +237,14 @@ def trajectory(
             "--end or --plot"
         )
     hints = TextHints.of(columns, frame_rate)
-    wanted = [each for source in sources for each in each_topic(source)]
+    split = [(name, each) for name, source in map(split_name, sources)
+             for each in each_topic(source)]  # fmt: skip
+    wanted = [source for _, source in split]
     if merge and len(wanted) == 1:
         raise SettingsError("--merge needs several sources; give more, or remove it")
     # One call reads all sources of a bag in one pass.
     others = [] if reference is None else [reference]
-    names = [*names_of(wanted), *("reference" for _ in others)]
+    names = [*names_with([name for name, _ in split], wanted), *("reference" for _ in others)]
     every_hint = [*[hints] * len(wanted), *[hints.of_reference] * len(others)]
     read = read_shown([*wanted, *others], names, strict=strict, hints=every_hint)
     require_used(hints, (said for each in read for said in each.reading.remarks))

@@ -17,11 +17,16 @@ def split_name(text: str) -> tuple[str, str]:
     name, equals, source = text.partition("=")
     if not equals or not name.strip() or "/" in name:
         return "", text
+    return ("", text) if is_source(text) else (name.strip(), source)
+
+
+def is_source(text: str) -> bool:
+    """Return whether a text is a SOURCE whose file exists."""
     try:
         parse_source(text)
     except InputError:
-        return name.strip(), source
-    return "", text
+        return False
+    return True
 
 
 def names_with(given: Sequence[str], sources: Sequence[str]) -> list[str]:

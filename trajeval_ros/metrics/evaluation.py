@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.formatting.numbers import counted, percent
+from trajeval_ros.formatting.numbers import counted, percent, significant
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
@@ -129,6 +129,19 @@ class Evaluation:
             if part.length_m is not None and (percent := part.statistics["position_percent"])
         ]
         return max(drifts, key=lambda drift: drift.length_m, default=None)
+
+    @property
+    def kitti_ranking(self) -> str:
+        """The errors of KITTI's ranking, means over all lengths; "" for other protocols."""
+        drift, turning = (self.pooled[each] for each in ("position_percent", "rotation_deg_per_m"))
+        if self.protocol.name != "kitti" or self.drift is None or drift is None:
+            return ""
+        parts = [f"{significant(drift.mean, 4)} %"]
+        if turning is not None:
+            parts.append(f"{significant(100.0 * turning.mean, 3)} deg/100 m")
+        lengths = [part.length_m for part in self.relative or () if part.count and part.length_m]
+        span = " to ".join(f"{each:g}" for each in dict.fromkeys((min(lengths), max(lengths))))
+        return f"{', '.join(parts)} (KITTI, {span} m)"
 
     def to_columns(self, length: Length | float | str | None = None) -> dict[str, NDArray[Any]]:
         """Return errors as columns of equal lengths.

@@ -11,7 +11,7 @@ from trajeval_ros.formatting import palette
 from trajeval_ros.formatting.escaping import one_line
 from trajeval_ros.formatting.install_command import extra_command
 from trajeval_ros.formatting.numbers import three_decimals, whole_percent
-from trajeval_ros.report.matrix import Matrix
+from trajeval_ros.report.matrix import Matrix, with_common_notes
 
 # Largest table on a page; larger ones are slow to display and hard to read.
 _MOST_ROWS, _MOST_COLUMNS, _MOST_CELLS = 500, 100, 5000
@@ -38,6 +38,7 @@ class RunPage:
     position_m: float | None  # RMSE of the position; None without numbers
     rotation_deg: float | None  # RMSE of the rotation; None without numbers, or if withheld
     coverage: float  # share of the groundtruth's time
+    marks: str = ""  # marks of the numbers, as in the tables
     facts: tuple[tuple[str, str], ...] = ()  # names and texts of further results
     headings: tuple[str, ...] = ()  # headings of the statistics
     # Names of errors and their statistics, row by row.
@@ -104,6 +105,7 @@ class ReportPages:
         runs_title: str,
     ) -> str:
         """Return the first page."""
+        matrices, notes = with_common_notes(matrices)
         beginnings = [_beginning(matrix) for matrix in matrices]
         cut = {
             matrix.name: (
@@ -117,6 +119,7 @@ class ReportPages:
         return self._templates.get_template("comparison.html.j2").render(
             definition=definition,
             findings=findings,
+            notes=[note for note in notes if note != definition],
             matrices=beginnings,
             cut=cut,
             all_ranks={matrix.name: matrix.ranks() for matrix in matrices},

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from trajeval_ros.formatting.escaping import markdown_text
 from trajeval_ros.formatting.numbers import three_decimals, whole_percent
@@ -67,6 +68,18 @@ class Matrix:
         """All notes as one text."""
         return " ".join(self.notes)
 
+    @property
+    def marked(self) -> list[str]:
+        """The marks of every algorithm, with their columns: "MH_01 §, MH_05 † ¶"."""
+        return [
+            ", ".join(
+                f"{column} {cell.marks}"
+                for column, cell in zip(self.columns, cells, strict=True)
+                if cell.marks
+            )
+            for _, cells in self.rows
+        ]
+
     def ranks(self) -> list[list[int]]:
         """Return the ranks of cells in their columns: 1 for the best, 2 for the second, else 0."""
         by_column = [
@@ -114,6 +127,14 @@ def _average(cells: Sequence[Cell]) -> Cell:
     )
 
 
+def with_common_notes(matrices: Sequence[Matrix]) -> tuple[list[Matrix], list[str]]:
+    """Return the tables without the notes that several of them have, and these notes once."""
+    counts = Counter(note for each in matrices for note in each.notes)
+    common = [note for note, count in counts.items() if count > 1]
+    own = [tuple(note for note in each.notes if note not in common) for each in matrices]
+    return [replace(each, notes=notes) for each, notes in zip(matrices, own, strict=True)], common
+
+
 def to_terminal(matrix: Matrix) -> Table:
     """Return the table, the best in bold and the second underlined, without the caption."""
     name, *numbers = _headings(matrix)
@@ -123,8 +144,8 @@ def to_terminal(matrix: Matrix) -> Table:
 def to_markdown(matrix: Matrix) -> str:
     """Return the table as Markdown, with the caption."""
     table = markdown_table(_headings(matrix), _body(matrix))
-    title, caption = markdown_text(matrix.title), markdown_text(matrix.caption)
-    return "\n".join([f"### {title}", "", *table, "", caption, ""])
+    caption = [markdown_text(matrix.caption), ""] if matrix.notes else []
+    return "\n".join([f"### {markdown_text(matrix.title)}", "", *table, "", *caption])
 
 
 def to_latex(matrix: Matrix, *, transpose: bool = False) -> str:
@@ -170,12 +191,12 @@ def to_latex(matrix: Matrix, *, transpose: bool = False) -> str:
 def to_csv(matrix: Matrix) -> str:
     """Return the numbers with all digits as CSV; empty cells if there is none."""
     rows = (
-        [name, *(cell.value for cell in cells), runs, coverage]
-        for (name, cells), runs, coverage in zip(
-            matrix.rows, matrix.runs, matrix.coverage, strict=True
+        [name, *(cell.value for cell in cells), runs, coverage, marks]
+        for (name, cells), runs, coverage, marks in zip(
+            matrix.rows, matrix.runs, matrix.coverage, matrix.marked, strict=True
         )
     )
-    return csv_table(_headings(matrix), rows)
+    return csv_table([*_headings(matrix), "marks"], rows)
 
 
 def _headings(matrix: Matrix) -> list[str]:

@@ -227,8 +227,11 @@ def _over_time(
         labels = labels[:1]
     figure = canvas.new_figure(_PANEL_IN * len(labels) + _REST_IN)
     panels = figure.subplots(len(labels), 1, sharex=True, squeeze=False).ravel()
+    begun = _columns(lines[0][2], kind)
     for place, name, trajectory in lines:
         stamps, columns = _columns(trajectory, kind)
+        if kind == "rpy":
+            columns -= _whole_turns(stamps, columns, *begun)
         seconds = (stamps - origin) / NANOSECONDS
         rows = thinned(np.column_stack([seconds, columns]), stamps, _GAP_S)
         for axes, column in zip(panels, rows.T[1:], strict=False):
@@ -265,6 +268,18 @@ def _columns(trajectory: Trajectory, kind: str) -> tuple[Stamps, Floats]:
     angles = euler_angles(trajectory.quaternions)[:, ::-1]
     # Unwrapped: no jump from 180 to -180 degrees.
     return trajectory.stamps, np.degrees(np.unwrap(angles, axis=0))
+
+
+def _whole_turns(stamps: Stamps, angles: Floats, at: Stamps, others: Floats) -> Floats:
+    """Return the whole turns, degrees (M, 3), between unwrapped angles and others (K, 3).
+
+    Unwrapped angles of two trajectories separate by whole turns, mostly near pitches of 90
+    degrees. Before and after the others, they are those of the nearest common time.
+    """
+    near = np.column_stack([np.interp(stamps, at, column) for column in others.T])
+    turns = 360.0 * np.round((angles - near) / 360.0)
+    common = np.searchsorted(stamps, stamps.clip(at[0], at[-1])).clip(max=len(stamps) - 1)
+    return np.asarray(turns[common], dtype=float)
 
 
 def _lines(

@@ -58,8 +58,9 @@ def verdict(evaluation: Evaluation) -> list[str]:
     scale = (
         f", scale {evaluation.alignment.similarity.scale:.4f}" if protocol.gauge.has_scale else ""
     )
+    kitti = f"{evaluation.kitti_ranking}; " if evaluation.kitti_ranking else ""
     return [
-        f"{name}: {_kitti(evaluation)}ATE {with_unit(position.rmse, 'm')} position, {turned} "
+        f"{name}: {kitti}ATE {with_unit(position.rmse, 'm')} position, {turned} "
         f"(rmse{_drift(evaluation)})"
         + (f"; {few}" if (few := few_pairs(protocol, pairs)) else ""),
         f"  aligned by {protocol.gauge.value} ({protocol.gauge.description}){modality}, "
@@ -124,25 +125,10 @@ def _score(evaluation: Evaluation) -> list[str]:
     ]
 
 
-def _kitti(evaluation: Evaluation) -> str:
-    """Return the drift of KITTI's ranking as text, the mean over all lengths; else nothing."""
-    drift, turning = (
-        evaluation.pooled[each] for each in ("position_percent", "rotation_deg_per_m")
-    )
-    if evaluation.protocol.name != "kitti" or evaluation.drift is None or drift is None:
-        return ""
-    parts = [f"{significant(drift.mean, 4)} %"]
-    if turning is not None:
-        parts.append(f"{significant(100.0 * turning.mean, 3)} deg/100 m")
-    lengths = [part.length_m for part in evaluation.relative or () if part.count and part.length_m]
-    span = " to ".join(f"{each:g}" for each in dict.fromkeys((min(lengths), max(lengths))))
-    return f"{', '.join(parts)} (KITTI, {span} m); "
-
-
 def _drift(evaluation: Evaluation) -> str:
     """Return the drift over the longest sub-trajectories as text."""
     drift = evaluation.drift
-    if drift is None or _kitti(evaluation):
+    if drift is None or evaluation.kitti_ranking:
         return ""
     mean, length = significant(drift.percent.mean, 3), with_unit(drift.length_m, "m")
     return f"); drift {mean} % of {length} (mean"

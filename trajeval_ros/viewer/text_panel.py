@@ -131,7 +131,7 @@ def _drift(evaluation: Evaluation) -> str:
     drift = evaluation.drift
     if drift is None:
         return NOTHING
-    return f"{drift.percent.mean:.2f} % of {drift.length_m:.4g} m"
+    return evaluation.kitti_ranking or f"{drift.percent.mean:.2f} % of {drift.length_m:.4g} m"
 
 
 def _verdict(consistency: Consistency | None) -> str:

@@ -1,0 +1,84 @@
+"""The tables of a comparison from the summary of its runs: marks, footnotes, KITTI's ranking."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
+
+from trajeval_ros.batch.comparison_summary import ComparisonSummary, Trial
+from trajeval_ros.batch.results_table import OK, RE
+from trajeval_ros.batch.summary_tables import matrices
+from trajeval_ros.cli.app import main
+from trajeval_ros.io.requests.request_from import request_from
+from trajeval_ros.io.requests.settings_table import settings_of
+from trajeval_ros.report.matrix import to_csv, to_latex, to_markdown, with_common_notes
+
+METRICS = ("position_percent", "rotation_deg_per_m")
+
+
+def summary(protocol: str = "default", cause: str = "other_run") -> ComparisonSummary:
+    """Return two algorithms on one sequence; the first one shows a mistake."""
+    request = request_from({"protocol": protocol, "lengths": "8,16"})
+    settings: dict[str, Any] = {**settings_of(request), "common_time_span": False}
+    trials = tuple(
+        Trial(
+            name, "hall", "", OK, "", 1.0, 200, name,
+            {"position_m": 1.0, "rotation_deg": 1.0}, {"time_offset_s": 0.1},
+            (), (cause,) if name == "wrong" else (),
+        )
+        for name in ("wrong", "right")
+    )  # fmt: skip
+    pooled = tuple(
+        {"algorithm": each.algorithm, "sequence": "hall", "kind": RE, "metric": metric,
+         "length": length, "mean": 2.0, "count": 9}
+        for each in trials
+        for metric in METRICS
+        for length in settings["lengths"]
+    )  # fmt: skip
+    return ComparisonSummary("t", settings, trials, pooled)
+
+
+def test_every_number_of_a_run_with_a_mistake_has_its_mark_and_footnote() -> None:
+    tables = matrices(summary())
+    assert [each.name for each in tables] == [
+        "ate_position_m", "ate_rotation_deg", *(f"re_{each}" for each in METRICS), "time_offset_s",
+    ]  # fmt: skip
+    for table in tables:
+        marks = {name: {cell.note for cell in cells} for name, cells in table.rows}
+        assert marks == {"wrong": {"§"}, "right": {""}}
+        assert "§ mistakes found (other_run: wrong hall); follow" in table.caption
+        assert "§ mistakes found." in table.brief
+        assert "§" in to_markdown(table).partition("right")[0]
+        assert r"\S" in to_latex(table).partition("right")[0]
+        wrong, right = to_csv(table).splitlines()[1:]
+        assert wrong.count("§") == len(table.columns)
+        assert right.endswith(",")
+    assert not any("§" in each.caption for each in matrices(summary(cause="keyframes")))
+
+
+def test_a_note_of_several_tables_stands_once_below_them() -> None:
+    tables, common = with_common_notes(matrices(summary()))
+    noted = [*common, *(note for each in tables for note in each.notes)]
+    assert len(noted) == len(set(noted))
+    assert {note for each in matrices(summary()) for note in each.notes} == set(noted)
+
+
+@pytest.mark.slow
+def test_kitti_has_the_tables_of_its_benchmark(shared_data: Path, tmp_path: Path) -> None:
+    folder, out = shared_data / "kitti_odom_eval", tmp_path / "out"
+    sources = [str(folder / f"09_{each}.txt") for each in ("groundtruth", "frame_index")]
+    given = ["--protocol", "kitti", "--gauge", "sim3", "--workers", "1", "--quiet"]
+    assert main(["compare", *sources, *given, "--output", str(out)]) == 0
+    # By the tool of that folder, 7dof.
+    for name, expected in (("kitti_percent", 2.884113), ("kitti_deg_per_100m", 0.249056)):
+        (row,) = csv.DictReader((out / f"{name}.csv").read_text().splitlines())
+        assert float(row["09_groundtruth"]) == pytest.approx(expected, abs=5e-7)
+    text = (out / "tables.md").read_text()
+    assert "KITTI: mean over the sub-trajectories of 100 m to 800 m" in text
+    assert not any("kitti" in each.name for each in matrices(summary()))
