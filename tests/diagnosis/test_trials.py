@@ -146,6 +146,36 @@ def test_increments_are_named_where_noise_is_large_beside_steps() -> None:
     assert first.cause == "increments"
 
 
+def test_increments_of_keyframes_are_not_of_another_run() -> None:
+    """They are as long as four tenths of the path."""
+    sparse = dataclasses.replace(DRONE, estimate=DRONE.estimate[::30])
+    first = found(USERS["increments"].make(sparse)).suggested
+    assert first is not None
+    assert first.cause == "increments"
+
+
+@pytest.mark.parametrize("mistake", ["radians as degrees", "degrees as radians"])
+def test_rotations_of_a_body_that_turns_slowly_are_compared(mistake: str) -> None:
+    """Ten times slower than the car: its angular rates correlate, so they are not noise."""
+    wrong = USERS[mistake].make(CAR)
+    sides = {
+        side: dataclasses.replace(
+            each, stamps=each.stamps[0] + 10 * (each.stamps - each.stamps[0])
+        )
+        for side, each in (("truth", wrong.truth), ("estimate", wrong.estimate))
+    }
+    [said] = found(dataclasses.replace(wrong, **sides, max_gap_s=1.0)).findings
+    assert said.cause == "rotations"
+
+
+def test_a_convention_that_leaves_other_tilts_is_not_advised() -> None:
+    """Inverse rotations have a compass's heading in a plane, and other roll and pitch."""
+    pair = simulated(31004, "car", "walk", 100.0)
+    [said] = found(USERS["compass heading"].make(pair)).findings
+    assert said.cause == "rotations"
+    assert not said.correction
+
+
 def test_rotations_that_differ_too_much_are_no_other_body() -> None:
     causes = {each.cause for each in found(USERS["radians as degrees"].make(DRONE)).findings}
     assert causes == {"rotations"}
