@@ -96,6 +96,26 @@ def test_a_frozen_groundtruth_is_no_clock_offset() -> None:
         assert causes == {"groundtruth_frozen"}
 
 
+def test_a_clock_offset_is_found_beside_a_frozen_groundtruth() -> None:
+    """The frozen interval is left out of the correlation."""
+    rows, count = np.arange(len(DRONE.truth)), len(DRONE.truth)
+    rows[3 * count // 10 : 7 * count // 10] = 3 * count // 10
+    frozen = dataclasses.replace(DRONE.truth[rows], stamps=DRONE.truth.stamps)
+    wrong = USERS["clock +0.35 s"].make(dataclasses.replace(DRONE, truth=frozen))
+    causes = {each.cause for each in found(wrong).findings}
+    assert causes == {"clock_offset", "groundtruth_frozen"}
+
+
+def test_a_clock_offset_is_no_lever_arm() -> None:
+    """The geometry is tested at the offset of the clocks, also at one that is not stated."""
+    robot = simulated(5006, "robot", "walk", 100.0)
+    for pair, mistake, cause in (
+        (CAR, USERS["clock +0.8 s"], "clock_offset"),
+        (robot, FURTHER["clock +0.2 s"], "small_clock_offset"),
+    ):
+        assert [each.cause for each in found(mistake.make(pair)).findings] == [cause]
+
+
 def test_roll_and_pitch_of_a_vehicle_are_compared() -> None:
     """They are small beside its yaw, and exchanged they can double the rotation error."""
     for kind, seed in (("car", 9711), ("car", 5004), ("robot", 9706), ("robot", 9716)):
@@ -144,6 +164,17 @@ def test_increments_are_named_where_noise_is_large_beside_steps() -> None:
     first = found(dataclasses.replace(wrong, estimate=noisy)).suggested
     assert first is not None
     assert first.cause == "increments"
+
+
+def test_jumps_of_wrong_rotations_are_no_restart() -> None:
+    """Euler angles in another order jump, and so did a remark on the estimate."""
+    wrong = USERS["Euler order"].make(DRONE)
+    remarks = (
+        run(wrong.truth, [wrong.estimate], Request(wrong.protocol)).runs[0].evaluation.remarks
+    )
+    codes = {each.code for each in remarks}
+    assert "rotations" in codes
+    assert "jumps" not in codes
 
 
 def test_increments_of_keyframes_are_not_of_another_run() -> None:
