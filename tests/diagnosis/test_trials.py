@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.diagnosis import CORRECTED, found, left_by_corrections
 from benchmarks.diagnosis_further import FURTHER
-from benchmarks.diagnosis_mistakes import MISTAKES
+from benchmarks.diagnosis_mistakes import MISTAKES, Mistake
 from benchmarks.diagnosis_runs import Pair, simulated
 from benchmarks.diagnosis_users import USERS
 from trajeval_ros import Request, Trajectory, run
@@ -96,6 +96,27 @@ def test_a_frozen_groundtruth_is_no_clock_offset() -> None:
         assert causes == {"groundtruth_frozen"}
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("pair", "mistake", "option"),
+    [
+        # Of the options that fit short motions, the whole path selects one.
+        (CAR, USERS["x and y alone swapped"], ("estimate.axes", "positions=y,x,z")),
+        (CAR, FURTHER["positions in other axes"], ("estimate.axes", "positions=z,x,y")),
+        # The mirror leaves the least rotation of world and body.
+        (DRONE, USERS["x and y swapped"], ("estimate.axes", "y,x,z")),
+        # y is vertical in both frames, and no frame is tilted.
+        (DRONE, USERS["both optical"], ("up", "-y,-y")),
+    ],
+)
+def test_the_option_is_the_one_that_corrects(
+    pair: Pair, mistake: Mistake, option: tuple[str, str]
+) -> None:
+    first = found(mistake.make(pair)).suggested
+    assert first is not None
+    assert tuple(first.correction.items()) == (option,)
+
+
 def test_a_clock_offset_is_found_beside_a_frozen_groundtruth() -> None:
     """The frozen interval is left out of the correlation."""
     rows, count = np.arange(len(DRONE.truth)), len(DRONE.truth)
@@ -106,6 +127,7 @@ def test_a_clock_offset_is_found_beside_a_frozen_groundtruth() -> None:
     assert causes == {"clock_offset", "groundtruth_frozen"}
 
 
+@pytest.mark.slow
 def test_a_clock_offset_is_no_lever_arm() -> None:
     """The geometry is tested at the offset of the clocks, also at one that is not stated."""
     robot = simulated(5006, "robot", "walk", 100.0)
