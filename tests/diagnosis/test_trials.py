@@ -9,12 +9,13 @@ import pytest
 
 from benchmarks.diagnosis import CORRECTED, found, left_by_corrections
 from benchmarks.diagnosis_further import FURTHER
-from benchmarks.diagnosis_mistakes import MISTAKES, Mistake
+from benchmarks.diagnosis_mistakes import MISTAKES, Mistake, change, quaternions_of
 from benchmarks.diagnosis_runs import Pair, simulated
 from benchmarks.diagnosis_users import USERS
 from trajeval_ros import Request, Trajectory, run
 from trajeval_ros.calibration.apply import Ate
 from trajeval_ros.diagnosis.findings import Tried
+from trajeval_ros.geometry import lie
 
 DRONE = simulated(5000, "drone", "walk", 100.0)
 CAR = simulated(5004, "car", "walk", 100.0)
@@ -189,8 +190,13 @@ def test_increments_are_named_where_noise_is_large_beside_steps() -> None:
 
 
 def test_jumps_of_wrong_rotations_are_no_restart() -> None:
-    """Euler angles in another order jump, and so did a remark on the estimate."""
-    wrong = USERS["Euler order"].make(DRONE)
+    """Euler angles of a body that looks down jump, and so did a remark on the estimate."""
+    down = lie.from_rotation_vector(np.radians([0.0, 80.0, 0.0]))
+    pair = DRONE
+    for side in ("truth", "estimate"):
+        turned = lie.multiply(quaternions_of(getattr(DRONE, side)), down)
+        pair = change(pair, side, quaternions=turned)
+    wrong = USERS["Euler order"].make(pair)
     remarks = (
         run(wrong.truth, [wrong.estimate], Request(wrong.protocol)).runs[0].evaluation.remarks
     )
