@@ -328,8 +328,8 @@ def test_the_same_files_on_both_sides_are_no_worse_by_pairs(tmp_path: Path) -> N
 
 
 def test_pairs_are_made_by_name_and_copies_of_a_pair_count_once() -> None:
-    old = GateTrials([], 0, {"a": ("h", 1.0), "b": ("i", 2.0), "c": ("h", 1.0)})
-    new = GateTrials([], 0, {"c": ("k", 3.0), "b": ("i", 4.0), "a": ("k", 3.0)})
+    old = GateTrials({"a": ("h", 1.0), "b": ("i", 2.0), "c": ("h", 1.0)})
+    new = GateTrials({"c": ("k", 3.0), "b": ("i", 4.0), "a": ("k", 3.0)})
     before, now = old.paired_with(new, "vio, hall")
     assert (before.values, now.values) == ([1.0, 2.0], [3.0, 4.0])
     assert (before.copies, now.copies) == (1, 1)

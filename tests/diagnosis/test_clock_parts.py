@@ -294,6 +294,7 @@ def rate_found(
     times = np.linspace(0.0, span_s, len(offsets))
     monkeypatch.setattr(clock_tests, "offsets_of_parts", lambda *_: (times, offsets))
     monkeypatch.setattr(clock_tests, "unlikeness_ratio", lambda *_, **__: unlikeness)
+    monkeypatch.setattr(clock_tests, "match_clocks", lambda *_: None)
     return clock_rate(estimate, estimate, match_of(**changed), 0.7, 0.2, 1.0)
 
 
@@ -357,3 +358,16 @@ def test_a_clock_rate_grows_beyond_the_noise_of_the_offsets(
 def test_four_parts_determine_a_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     for count, why_not in ((4, ""), (3, "too few parts of the run determine an offset")):
         assert rate_found(monkeypatch, np.linspace(0.0, 0.5, count)).why_not == why_not
+
+
+@pytest.mark.parametrize("ppm", [-36_000.0, 1000.0, 37_344.0])
+def test_a_rate_is_refined_by_the_clock_that_has_it(ppm: float) -> None:
+    """Within a part of twelve seconds, the offset grows by more than the width of a peak."""
+    fast = wandering(span_s=25.0, step_s=0.0125)
+    true = TimedPoses(4.0 * fast.seconds, fast.positions, fast.quaternions)
+    own = true.shifted(0.0, 1.0 / (1.0 + 1e-6 * ppm) - 1.0)
+    match = match_clocks(true, own)
+    assert match is not None
+    [seen] = clock_rate(true, own, match, match.offset_s, 0.0, 1.0).seen
+    assert seen.values["ppm"] == pytest.approx(ppm, abs=200.0)  # 20 ms over the run
+    assert seen.values["offset_s"] == pytest.approx(0.0, abs=0.01)

@@ -259,7 +259,7 @@ def test_twelve_known_steps_of_different_lengths_are_needed() -> None:
     assert seen_by("increments", steady, own).why_not == few
 
 
-@pytest.mark.parametrize(("share", "is_small"), [(0.049, True), (0.051, False)])
+@pytest.mark.parametrize(("share", "is_small"), [(0.49, True), (0.51, False)])
 def test_increments_are_small_beside_the_path(share: float, *, is_small: bool) -> None:
     true, steps = walk(300, 20.0)
     own = TimedPoses(true.seconds, steps)

@@ -42,6 +42,21 @@ def test_jumps_of_positions_alone_have_no_degrees() -> None:
         assert (" deg " in said) == has_turns
 
 
+def test_wrong_samples_of_the_groundtruth_are_no_jumps_of_the_estimate() -> None:
+    """As in the motion capture of the Hilti challenge, 10 m and 100 deg away."""
+    positions, turned = GROUNDTRUTH.positions.copy(), GROUNDTRUTH.quaternions
+    assert turned is not None
+    rows = [1500, 2200]
+    positions[rows] += [0.0, 10.0, 0.0]
+    turned = turned.copy()
+    turned[rows] = lie.multiply(turned[rows], lie.from_rotation_vector(np.array([1.8, 0.0, 0.0])))
+    wrong = dataclasses.replace(GROUNDTRUTH, positions=positions, quaternions=turned)
+    remarks = remarks_on(evaluate(wrong, ESTIMATE, Protocol(lengths=())), Diagnosis((), ()))
+    [said] = [each.text for each in remarks if each.code == "jumps"]
+    assert said.startswith("the groundtruth jumps at 4 places, first ")
+    assert said.endswith("more than the estimate: it has wrong samples there; remove them")
+
+
 def test_poses_of_two_publishers_in_one_file_are_named() -> None:
     protocol = Protocol(lengths=())
     noise = np.random.default_rng(0).normal(size=ESTIMATE.positions.shape)
@@ -147,3 +162,12 @@ def test_a_prism_on_a_pole_has_the_hint_of_a_lever_arm(
         request = Request(Protocol(lengths=(), lever_m=lever))
         warnings = run(points, [estimate], request).runs[0].evaluation.warnings
         assert any("position of a point, such as a prism" in each for each in warnings) == is_said
+
+
+def test_jumps_of_motion_capture_are_not_of_the_estimate(
+    recording: Callable[[str], Trajectory],
+) -> None:
+    truth, estimate = (recording(f"hilti_2021/uzh_run2_{each}.txt") for each in ("mocap", "hdl"))
+    found = run(truth, [estimate], Request(Protocol(gauge="se3", lengths=()))).runs[0].evaluation
+    [said] = [each.text for each in found.remarks if each.code == "jumps"]
+    assert said.startswith("the groundtruth jumps at 4 places, first 23.5 s after the first pair")

@@ -9,12 +9,13 @@ import pytest
 
 from benchmarks.diagnosis import CORRECTED, found, left_by_corrections
 from benchmarks.diagnosis_further import FURTHER
-from benchmarks.diagnosis_mistakes import MISTAKES
+from benchmarks.diagnosis_mistakes import MISTAKES, Mistake, change, quaternions_of
 from benchmarks.diagnosis_runs import Pair, simulated
 from benchmarks.diagnosis_users import USERS
 from trajeval_ros import Request, Trajectory, run
 from trajeval_ros.calibration.apply import Ate
 from trajeval_ros.diagnosis.findings import Tried
+from trajeval_ros.geometry import lie
 
 DRONE = simulated(5000, "drone", "walk", 100.0)
 CAR = simulated(5004, "car", "walk", 100.0)
@@ -96,6 +97,48 @@ def test_a_frozen_groundtruth_is_no_clock_offset() -> None:
         assert causes == {"groundtruth_frozen"}
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("pair", "mistake", "option"),
+    [
+        # Of the options that fit short motions, the whole path selects one.
+        (CAR, USERS["x and y alone swapped"], ("estimate.axes", "positions=y,x,z")),
+        (CAR, FURTHER["positions in other axes"], ("estimate.axes", "positions=z,x,y")),
+        # The mirror leaves the least rotation of world and body.
+        (DRONE, USERS["x and y swapped"], ("estimate.axes", "y,x,z")),
+        # y is vertical in both frames, and no frame is tilted.
+        (DRONE, USERS["both optical"], ("up", "-y,-y")),
+    ],
+)
+def test_the_option_is_the_one_that_corrects(
+    pair: Pair, mistake: Mistake, option: tuple[str, str]
+) -> None:
+    first = found(mistake.make(pair)).suggested
+    assert first is not None
+    assert tuple(first.correction.items()) == (option,)
+
+
+def test_a_clock_offset_is_found_beside_a_frozen_groundtruth() -> None:
+    """The frozen interval is left out of the correlation."""
+    rows, count = np.arange(len(DRONE.truth)), len(DRONE.truth)
+    rows[3 * count // 10 : 7 * count // 10] = 3 * count // 10
+    frozen = dataclasses.replace(DRONE.truth[rows], stamps=DRONE.truth.stamps)
+    wrong = USERS["clock +0.35 s"].make(dataclasses.replace(DRONE, truth=frozen))
+    causes = {each.cause for each in found(wrong).findings}
+    assert causes == {"clock_offset", "groundtruth_frozen"}
+
+
+@pytest.mark.slow
+def test_a_clock_offset_is_no_lever_arm() -> None:
+    """The geometry is tested at the offset of the clocks, also at one that is not stated."""
+    robot = simulated(5006, "robot", "walk", 100.0)
+    for pair, mistake, cause in (
+        (CAR, USERS["clock +0.8 s"], "clock_offset"),
+        (robot, FURTHER["clock +0.2 s"], "small_clock_offset"),
+    ):
+        assert [each.cause for each in found(mistake.make(pair)).findings] == [cause]
+
+
 def test_roll_and_pitch_of_a_vehicle_are_compared() -> None:
     """They are small beside its yaw, and exchanged they can double the rotation error."""
     for kind, seed in (("car", 9711), ("car", 5004), ("robot", 9706), ("robot", 9716)):
@@ -144,6 +187,52 @@ def test_increments_are_named_where_noise_is_large_beside_steps() -> None:
     first = found(dataclasses.replace(wrong, estimate=noisy)).suggested
     assert first is not None
     assert first.cause == "increments"
+
+
+def test_jumps_of_wrong_rotations_are_no_restart() -> None:
+    """Euler angles of a body that looks down jump, and so did a remark on the estimate."""
+    down = lie.from_rotation_vector(np.radians([0.0, 80.0, 0.0]))
+    pair = DRONE
+    for side in ("truth", "estimate"):
+        turned = lie.multiply(quaternions_of(getattr(DRONE, side)), down)
+        pair = change(pair, side, quaternions=turned)
+    wrong = USERS["Euler order"].make(pair)
+    remarks = (
+        run(wrong.truth, [wrong.estimate], Request(wrong.protocol)).runs[0].evaluation.remarks
+    )
+    codes = {each.code for each in remarks}
+    assert "rotations" in codes
+    assert "jumps" not in codes
+
+
+def test_increments_of_keyframes_are_not_of_another_run() -> None:
+    """They are as long as four tenths of the path."""
+    sparse = dataclasses.replace(DRONE, estimate=DRONE.estimate[::30])
+    first = found(USERS["increments"].make(sparse)).suggested
+    assert first is not None
+    assert first.cause == "increments"
+
+
+@pytest.mark.parametrize("mistake", ["radians as degrees", "degrees as radians"])
+def test_rotations_of_a_body_that_turns_slowly_are_compared(mistake: str) -> None:
+    """Ten times slower than the car: its angular rates correlate, so they are not noise."""
+    wrong = USERS[mistake].make(CAR)
+    sides = {
+        side: dataclasses.replace(
+            each, stamps=each.stamps[0] + 10 * (each.stamps - each.stamps[0])
+        )
+        for side, each in (("truth", wrong.truth), ("estimate", wrong.estimate))
+    }
+    [said] = found(dataclasses.replace(wrong, **sides, max_gap_s=1.0)).findings
+    assert said.cause == "rotations"
+
+
+def test_a_convention_that_leaves_other_tilts_is_not_advised() -> None:
+    """Inverse rotations have a compass's heading in a plane, and other roll and pitch."""
+    pair = simulated(31004, "car", "walk", 100.0)
+    [said] = found(USERS["compass heading"].make(pair)).findings
+    assert said.cause == "rotations"
+    assert not said.correction
 
 
 def test_rotations_that_differ_too_much_are_no_other_body() -> None:

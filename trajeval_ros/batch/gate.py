@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -101,10 +101,19 @@ class Gate:
 class GateTrials:
     """A number of one algorithm on one sequence, trial by trial."""
 
-    values: list[float]  # inf for a failed run or a run without this number
-    copies: int = 0  # omitted trials: their poses are identical to those of another trial
-    # By trial name, copies included: a key that identical poses share, and the value.
-    runs: Mapping[str, tuple[str, float]] = field(default_factory=dict)
+    # By trial name: a key that identical poses share, and the value; inf for a failed run or a run
+    # without this number.
+    runs: Mapping[str, tuple[Hashable, float]] = field(default_factory=dict)
+
+    @property
+    def values(self) -> list[float]:
+        """The values of distinct poses."""
+        return list(dict(self.runs.values()).values())
+
+    @property
+    def copies(self) -> int:
+        """The number of omitted trials: their poses are identical to those of another trial."""
+        return len(self.runs) - len(self.values)
 
     def paired_with(self, now: GateTrials, whose: str) -> tuple[GateTrials, GateTrials]:
         """Return the trials of both tables, paired by trial name.
@@ -118,13 +127,12 @@ class GateTrials:
                     f"--paired needs the same trials on both sides, and {where} has no trial "
                     f"{', '.join(missing)} of {whose}; add these trials or remove --paired"
                 )
-        pairs = {
-            (old[0], now.runs[name][0]): (old[1], now.runs[name][1])
-            for name, old in self.runs.items()
-        }
-        copies = len(self.runs) - len(pairs)
-        before, after = ([pair[side] for pair in pairs.values()] for side in (0, 1))
-        return GateTrials(before, copies), GateTrials(after, copies)
+        both = {name: (old[0], now.runs[name][0]) for name, old in self.runs.items()}
+        before, after = (
+            GateTrials({name: (key, side.runs[name][1]) for name, key in both.items()})
+            for side in (self, now)
+        )
+        return before, after
 
 
 class GateValues:
@@ -176,11 +184,7 @@ class GateValues:
             if row[column] is not None:
                 own = runs[row["algorithm"], row["sequence"]]
                 own[row["trial"]] = own[row["trial"]][0], row[column]
-        made = {}
-        for group, own in runs.items():
-            distinct = dict(own.values())
-            made[group] = GateTrials(list(distinct.values()), len(own) - len(distinct), own)
-        return made
+        return {group: GateTrials(own) for group, own in runs.items()}
 
     def why_failed(self, group: Group) -> str:
         """Return the reason of the first failed run of a group, for a message."""

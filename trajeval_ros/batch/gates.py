@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import statistics
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -170,7 +171,7 @@ def _sides(gate: Gate, baseline: GateValues, now: GateValues, *, paired: bool) -
     before, after = (each.trials(gate.path, baseline) for each in (baseline, now))
     made: Sides = {}
     for group in dict.fromkeys([*before, *after]):
-        old, new = (side.get(group, GateTrials([])) for side in (before, after))
+        old, new = (side.get(group, GateTrials()) for side in (before, after))
         both = paired and group in before and group in after
         made[group] = old.paired_with(new, ", ".join(group)) if both else (old, new)
     return made
@@ -265,9 +266,7 @@ def _require_enough(gate: Gate, pairs: int, level: float) -> None:
 
 def _median(values: Sequence[float]) -> float | None:
     """Return the median, with failed trials as inf; None without trials."""
-    ordered = sorted(values)
-    middle = len(ordered) // 2
-    return 0.5 * (ordered[-middle - 1] + ordered[middle]) if ordered else None
+    return statistics.median(values) if values else None
 
 
 def _is_beyond(gate: Gate, before: GateTrials, now: GateTrials) -> bool:

@@ -296,7 +296,13 @@ def clock_rate(
     """
     name = "clock rates"
     if match is not None and found_rate != 1.0:
-        return _other_rate(estimate, match, applied_s, found_rate)
+        rest, level = _rest(estimate, match)
+        # The estimate has the first factor already.
+        scores = {"ppm": 1e6 * rest, "offset_s": level, "peak": match.peak, "rate": found_rate}
+        values = _values(
+            found_rate * (1.0 + rest) - 1.0, level, applied_s, estimate.span_s / found_rate
+        )
+        return Examined(name, scores, (Seen("clock_drift", match.peak, values),))
     if match is None or not match.is_alone:
         return Examined(name, why_not="the rates of motion do not match at a common offset")
     turns = not np.isnan(match.turning)
@@ -321,36 +327,35 @@ def clock_rate(
     scores["unlikeness"] = unlikeness_ratio(groundtruth, estimate, level, rate, known_s=offset_s)
     if not scores["unlikeness"] < LEAST_LIKELY:
         return Examined(name, scores)
-    values: dict[str, Value] = {
-        "ppm": 1e6 * rate,
-        "growth_ms": 1e3 * growth_s,
-        "offset_s": level,
-        "total_s": applied_s + level,
-    }
+    # Within the parts, the offset grew, too.
+    scaled = estimate.shifted(0.0, rate)
+    again = match_clocks(groundtruth, scaled)
+    if again is not None:
+        rest, scores["offset_s"] = _rest(scaled, again)
+        rate += (1.0 + rate) * rest
+        scores["ppm"] = 1e6 * rate
+    values = _values(rate, scores["offset_s"], applied_s, estimate.span_s)
     explained = 1.0 - (noise_s / constant_s) ** 2
     return Examined(name, scores, (Seen("clock_drift", explained, values),))
 
 
-def _other_rate(
-    estimate: TimedPoses, match: ClockMatch, applied_s: float, rate: float
-) -> Examined:
-    """Return the finding of a rate of the grid, with its rest from parts of the run."""
+def _rest(estimate: TimedPoses, match: ClockMatch) -> tuple[float, float]:
+    """Return the rate and the offset (s) that parts of the run have besides the applied rate."""
     parts = int(np.clip(estimate.span_s / _PART_S, _FEWEST_PARTS, _MOST_PARTS))
     times, offsets = offsets_of_parts(match, match.offset_s, parts)
-    rest, level = 0.0, match.offset_s
-    if len(times) > 2:
-        rest = _slope(times, offsets)
-        level = median(offsets - rest * times)
-    ppm = 1e6 * (rate * (1.0 + rest) - 1.0)
-    values: dict[str, Value] = {
-        "ppm": ppm,
-        "growth_ms": 1e-3 * ppm * estimate.span_s / rate,
-        "offset_s": level,
-        "total_s": applied_s + level,
+    if len(times) <= 2:
+        return 0.0, match.offset_s
+    rest = _slope(times, offsets)
+    return rest, median(offsets - rest * times)
+
+
+def _values(rate: float, offset_s: float, applied_s: float, span_s: float) -> dict[str, Value]:
+    return {
+        "ppm": 1e6 * rate,
+        "growth_ms": 1e3 * rate * span_s,
+        "offset_s": offset_s,
+        "total_s": applied_s + offset_s,
     }
-    # The estimate has the first factor already.
-    scores = {"ppm": 1e6 * rest, "offset_s": level, "peak": match.peak, "rate": rate}
-    return Examined("clock rates", scores, (Seen("clock_drift", match.peak, values),))
 
 
 _LOWEST_RATE, _HIGHEST_RATE = 0.4, 2.5

@@ -17,7 +17,7 @@ _SAME_SPAN = 1.5  # ratio of durations of the same run
 _METRES_PER_DEG, _FACTOR = 111_320.0, 4.0  # of latitude; of longitude it is less
 _DEGREES, _LEAST_M = 0.1, 1.0  # largest extent in degrees, least motion
 _FLAT = 0.05  # least rms height of the other side, as a fraction of its extent
-_STEPS_ALIKE, _STEPS_WITHIN, _SMALL, _TOGETHER = 0.8, 2.0, 0.05, 10
+_STEPS_ALIKE, _STEPS_WITHIN, _SMALL, _TOGETHER = 0.8, 2.0, 0.5, 10
 
 
 def columns_of_others(inputs: InputPair) -> list[Examined]:

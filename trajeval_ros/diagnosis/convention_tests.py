@@ -49,6 +49,8 @@ _AGREE = 0.3  # of J as read, per kind of motion, that other tests can use
 _UNLIKE, _UNLIKE_RATES, _LONG_S = 0.5, 0.7, 15.0
 # No convention changes the angle of a rotation.
 _TURNS_LESS, _TURNS_MORE, _TURNS_ALIKE = 0.6, 1.6, 0.4
+_THIRDS = 3
+_TURNS_TOGETHER = 0.6  # least correlation of angular rates that are not noise
 _DISAGREE, _TURNING_RAD = 0.15, 0.03  # of J of rotations alone, and mean rotation in a motion
 # Radians that were read as degrees are 0.017, and smaller ratios are of a side that never turns.
 _MUCH_LESS, _CONSTANT = 0.1, 1e-3
@@ -85,7 +87,7 @@ def conventions(
         # Constant rates do not correlate.
         alike = match is None or not match.turning < _TURNS_ALIKE or _fits(as_read, limits)
         if not (_TURNS_LESS < scores["turn_ratio"] < _TURNS_MORE and alike):
-            found = _rotations(as_read, limits, moving, turning, scores, alike=False)
+            found = _rotations(as_read, limits, moving, turning, match, scores, alike=False)
             return Examined(NAME, scores, found, "" if found else "the rotations differ too much")
     if not others or (other.cost >= _RATIO * as_read.cost and _fits(as_read, limits)):
         found = _tilts(as_read, turning, scores) if kinds == 2 else ()
@@ -97,7 +99,9 @@ def conventions(
         if not explains or _best(composed).cost < _RATIO * other.cost:
             others, other = composed, _best(composed)
     # What remains if no convention fits, or if no correction helps.
-    rest = _rotations(as_read, limits, moving, turning, scores, alike=True) if kinds == 2 else ()
+    rest: tuple[Seen, ...] = ()
+    if kinds == 2:
+        rest = _rotations(as_read, limits, moving, turning, match, scores, alike=True)
     if not _explains(other, as_read, limits):
         agree = rest or as_read.cost < _AGREE * kinds
         why_not = "" if agree else "the motions do not agree with any convention"
@@ -130,7 +134,11 @@ def _explains(hypothesis: Hypothesis, as_read: Hypothesis, limits: list[float]) 
 
 
 def _limit(one: Floats, other: Floats) -> float:
-    return min(_FITS + _TIMES_SIZES * sizes_apart(one, other), _RIGHT)
+    return min(_noise(one, other), _RIGHT)
+
+
+def _noise(one: Floats, other: Floats) -> float:
+    return _FITS + _TIMES_SIZES * sizes_apart(one, other)
 
 
 def _fits(hypothesis: Hypothesis, limits: list[float]) -> bool:
@@ -146,6 +154,7 @@ def _rotations(
     limits: list[float],
     moving: ShortMotions,
     turning: ShortMotions,
+    match: ClockMatch | None,
     scores: dict[str, float],
     *,
     alike: bool,
@@ -153,7 +162,10 @@ def _rotations(
     """Return the finding about rotations that no convention explains, if positions agree."""
     assert turning.turns is not None
     turned = turning.turns[0] if alike else max(turning.turns, key=_total_turn)
-    turns = _total_turn(turned) >= _TURNING_RAD * len(turning)
+    # The rotations of a body that hardly turns are noise, unless its angular rates correlate.
+    turns = _total_turn(turned) >= _TURNING_RAD * len(turning) or (
+        match is not None and match.turning > _TURNS_TOGETHER
+    )
     scores["positions_alone"] = as_read.moving_alone
     if 1.0 - as_read.moving_alone > limits[0] or not (turns or alike):
         return ()
@@ -196,37 +208,41 @@ def _tilts(
     as_read: Hypothesis, turning: ShortMotions, scores: dict[str, float]
 ) -> tuple[Seen, ...]:
     """Return the finding about roll and pitch, which are small beside the yaw of a vehicle."""
-    agree, reflected = _tilts_agree(as_read.turned, turning)
-    scores["tilts"], scores["tilts_reflected"] = agree, reflected
-    if 1.0 - reflected > min(_RIGHT, _RATIO * (1.0 - agree)):
+    changes = _changes_of_tilts(as_read.turned, turning)
+    parts = [changes, *np.array_split(changes, _THIRDS, axis=1)]
+    left = [1.0 - _rotated(moment(*each)) for each in parts]
+    scores["tilts"], scores["tilts_apart"] = 1.0 - left[0], sizes_apart(*changes)
+    if min(left) < max(_DISAGREE, 2.0 * _noise(*changes)):
         return ()
-    parts = [_tilts_agree(as_read.turned, each) for each in turning.thirds]
     check = "order and signs of Euler angles"
-    found = _disagreeing(as_read, agree, scores["turn_ratio"], " (roll and pitch)", check)
-    return found if all(one < other for one, other in parts) else ()
+    return _disagreeing(as_read, 1.0 - left[0], scores["turn_ratio"], " (roll and pitch)", check)
 
 
-def _tilts_agree(turned: Floats, turning: ShortMotions) -> tuple[float, float]:
-    """Return the largest correlations of the sides' tilts by a rotation and by a reflection.
+def _rotated(both: Floats) -> float:
+    """Return the largest trace of W^T H over rotations W in the plane, of a moment H (2, 2)."""
+    return float(np.hypot(both[0, 0] + both[1, 1], both[1, 0] - both[0, 1]))
 
-    Tilts are directions of the axis that the body turns about, as seen from the body. No other
-    body axes reflect them.
+
+def _changes_of_tilts(turned: Floats, turning: ShortMotions) -> Floats:
+    """Return the changes (2, N, 2) of the sides' tilts, with limited lengths.
+
+    Tilts are directions of the axis that the body turns about, as seen from the body. Within a
+    short motion, they change more by the motion than by drift. Other axes of the body rotate them.
     """
     assert turning.turns is not None
     assert turning.groundtruth_turned is not None
     assert turning.estimate_turned is not None
     turns = bounded(turning.turns[0])
     axis = np.linalg.eigh(turns.T @ turns)[1][:, -1]
-    tilts = []
-    true, ours = turning.groundtruth_turned[0], turning.estimate_turned[0]
+    changes = []
+    true, ours = turning.groundtruth_turned, turning.estimate_turned
     for quaternions, about in ((true, axis), (ours, axis @ turned)):
         seen = lie.rotate(lie.conjugate(quaternions), about)
-        mean = seen.mean(axis=0)
+        mean = seen.mean(axis=(0, 1))
         across = np.linalg.svd(mean[None])[2][1:]
         across[0] *= np.sign(np.linalg.det([*across, mean]))
-        tilts.append((seen - mean) @ across.T)
-    one, other = np.linalg.svd(moment(*tilts))[1] * (1.0, np.sign(np.linalg.det(moment(*tilts))))
-    return float(one + other), float(one - other)
+        changes.append(bounded((seen[1] - seen[0]) @ across.T))
+    return np.stack(changes)
 
 
 def _seen(

@@ -17,7 +17,12 @@ from trajeval_ros.formatting.remarks import Level, Remark, warning
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.travelled import StepDifferences, cause_of_jumps, step_lengths
+from trajeval_ros.geometry.travelled import (
+    LEAST_JUMP_M,
+    StepDifferences,
+    cause_of_jumps,
+    step_lengths,
+)
 from trajeval_ros.geometry.up_axis import ASSUMED
 from trajeval_ros.geometry.valid_poses import MOST_UNUSABLE, NO_STATE, reasons
 from trajeval_ros.metrics.moments import Moments
@@ -191,12 +196,15 @@ def _about_jumps(evaluation: Evaluation) -> Iterator[Remark]:
     at = f"at pair {first + 2}"
     if groundtruth.reading.stamped:
         at = f"{groundtruth.seconds[first + 1]:.1f} s after the first pair"
+    who, other = "estimate", "groundtruth"
+    cause = f"{cause_of_jumps(len(jumps))}, which one alignment can't fit"
+    if (steps.true_m - scale * step_lengths(own) > LEAST_JUMP_M)[jumps].all():
+        who, other, cause = other, who, "it has wrong samples there; remove them"
     yield warning(
         "jumps",
-        f"the estimate jumps {where}, first {at}, by {steps.position_m[first]:.2f} m"
+        f"the {who} jumps {where}, first {at}, by {steps.position_m[first]:.2f} m"
         + (f" and {steps.rotation_deg[first]:.0f} deg" if turns else "")
-        + f" more than the groundtruth: {cause_of_jumps(len(jumps))}, which one alignment can't "
-        "fit",
+        + f" more than the {other}: {cause}",
     )
 
 
