@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trajeval_ros.geometry import lie, se3
+from trajeval_ros.geometry import lie, se3, so3
 from trajeval_ros.geometry.arrays import Floats, Indices, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
@@ -82,10 +82,11 @@ class Messages:
         twists = np.zeros((len(self.stamps), 6))
         inverse = lie.conjugate(self.quaternions[:-1])
         moved = lie.rotate(inverse, np.diff(self.positions, axis=0))
-        turned = lie.to_matrix(lie.multiply(inverse, self.quaternions[1:]))
+        turned = lie.rotation_vector(lie.multiply(inverse, self.quaternions[1:]))
+        moved = se3.times(so3.inverse_left_jacobian(turned), moved)
         steps_s = np.diff(self.stamps) / NANOSECONDS
         fresh = np.append(False, steps_s > 0.0)
-        twists[fresh] = se3.log(se3.poses(turned, moved))[fresh[1:]] / steps_s[fresh[1:], None]
+        twists[fresh] = np.hstack([moved, turned])[fresh[1:]] / steps_s[fresh[1:], None]
         newest = np.where(fresh, np.arange(len(twists)), 0)
         carried: Floats = twists[np.maximum.accumulate(newest)]
         return carried
@@ -180,9 +181,8 @@ def _predicted(messages: Messages, rows: Indices, reached: Stamps) -> tuple[Floa
         shape = (len(reached), len(rows))
         return np.broadcast_to(positions, (*shape, 3)), np.broadcast_to(quaternions, (*shape, 4))
     seconds = np.minimum(reached / NANOSECONDS, HORIZON_S)[..., None]
-    moved = se3.exp(messages.twists[rows] * seconds)
-    turned = lie.from_matrices(moved[..., :3, :3].reshape(-1, 3, 3)).reshape(*moved.shape[:2], 4)
+    twists = messages.twists[rows] * seconds
+    moved = se3.times(so3.left_jacobian(twists[..., 3:]), twists[..., :3])
+    turned = lie.from_rotation_vector(twists[..., 3:])
     quaternions = np.broadcast_to(quaternions, turned.shape)
-    return positions + lie.rotate(quaternions, moved[..., :3, 3]), lie.multiply(
-        quaternions, turned
-    )
+    return positions + lie.rotate(quaternions, moved), lie.multiply(quaternions, turned)

@@ -101,13 +101,12 @@ def judged_receptions(
     else:
         times = times + round(offset_s * NANOSECONDS)
     smallest_s = float((times - stamps).min()) / NANOSECONDS
-    drifts = offset_s is not None and _DRIFT_PPM < 1e6 * abs(slope) < _LARGEST_PPM
     rules = {
         "copied": copied,
         "epochs": abs(median(times - stamps)) > _DAY_S * NANOSECONDS,
         "impossible": smallest_s < -_EARLY_S,
         "suspicious": smallest_s > _LATE_S,
-        "drift": drifts,
+        "drift": offset_s is not None and _DRIFT_PPM < 1e6 * abs(slope) < _LARGEST_PPM,
     }
     verdict = next((name for name, holds in rules.items() if holds), "ok")
     return times, ReceptionClock(verdict, smallest_s, 1e6 * slope, offset_s)

@@ -47,11 +47,6 @@ from trajeval_ros.ros.slow_evaluation import SlowEvaluation
 from trajeval_ros.ros.timing import Latency
 from trajeval_ros.ros.transform_stream import TransformStream
 
-_OF_TRANSFORMS = (
-    "as available: the node composes transforms after their reception, so their poses have no "
-    "times of reception; evaluate a bag"
-)
-
 
 class DecodedMessages(NamedTuple):
     """Messages of one source: some poses, or one path.
@@ -115,7 +110,8 @@ class LiveEstimate:
         self.availability: LiveAvailability | None = None
         self._received: ReceptionWriter | None = None
         if settings.available.is_asked_for and isinstance(source.stream, TransformStream):
-            self.status.note(warning("reception_clock", _OF_TRANSFORMS))
+            said = "as available: poses of transforms have no times of reception; evaluate a bag"
+            self.status.note(warning("reception_clock", said))
         elif settings.available.is_asked_for:
             self._received = ReceptionWriter(folder / f"{self.name}{RECEIVED_SUFFIX}")
             self.availability = LiveAvailability(
