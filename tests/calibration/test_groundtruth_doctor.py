@@ -389,12 +389,17 @@ def test_refusals(healthy: tuple[ExaminedRig, ExaminedGroundtruth]) -> None:
     assert "give specific forces in m/s^2" in refused(truth, in_g)
     one = InertialReadings(readings.stamps[:1], readings.rates[:1], readings.accelerations[:1])
     assert "fewer than two readings" in refused(truth, one)
+    constant = dataclasses.replace(
+        truth, quaternions=np.tile([0.0, 0.0, 0.0, 1.0], (len(truth), 1))
+    )
+    assert "all orientations of the groundtruth are equal" in refused(constant, readings)
     unstamped = Trajectory.from_positions(truth.positions, truth.quaternions)
     assert "has no timestamps" in refused(unstamped, readings)
 
 
 def test_poses_alone() -> None:
     truth = rig(7).groundtruth
+    assert examine(truth[:5]).significant == []
     stamps = truth.stamps + np.random.default_rng(3).integers(0, 4_000_000, len(truth))
     stamps[100] = stamps[99]
     rough = dataclasses.replace(truth, stamps=stamps)

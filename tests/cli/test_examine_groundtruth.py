@@ -110,6 +110,7 @@ def test_bad_input_is_one_sentence(bag: Path, capsys: pytest.CaptureFixture[str]
         ([*imu, "--save-as", "excel"], "excel"),
         (["--imu", truth], "IMU messages are on /imu"),
         ([*imu, "--time-offset", "900"], "and the examination needs 20 s"),
+        ([*imu, "--time-offset", "nan"], "the time offset is nan s; give a finite number"),
     ):
         assert main(["groundtruth", truth, *arguments]) == 2
         said = capsys.readouterr()

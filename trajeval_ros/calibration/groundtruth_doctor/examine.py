@@ -45,7 +45,7 @@ from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
 )  # fmt: skip
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
 from trajeval_ros.calibration.significance import INSIGNIFICANT, SIGNIFICANT, axis_name
-from trajeval_ros.exceptions import InputError
+from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, runs_of
 from trajeval_ros.geometry.inertial import InertialReadings
@@ -130,6 +130,7 @@ def examine(
             estimate it from the turn rates.
 
     Raises:
+        SettingsError: The time offset is not finite.
         InputError: There are too few poses, the recordings overlap for less than 20 s, or their
             rotations are not related.
     """
@@ -138,6 +139,8 @@ def examine(
         raise InputError(f"{name} has no timestamps; give a groundtruth with timestamps")
     if len(groundtruth.in_order()) < 5:
         raise InputError(f"{name} has fewer than five poses; give a longer groundtruth")
+    if time_offset_s is not None and not math.isfinite(time_offset_s):
+        raise SettingsError(f"the time offset is {time_offset_s:g} s; give a finite number")
     first = int(groundtruth.stamps.min())
     if readings is None:
         checks = check_poses(groundtruth, None, first)
@@ -257,6 +260,10 @@ def _determined(
 
 def _first_offset(groundtruth: Trajectory, imu: ImuSeconds, origin: int, name: str) -> float:
     """Return the offset of the groundtruth's clock at which the motions match, s."""
+    poses = groundtruth.positions if groundtruth.quaternions is None else groundtruth.quaternions
+    if imu.turns and not np.diff(poses, axis=0).any():
+        kind = "positions" if groundtruth.quaternions is None else "orientations"
+        raise InputError(f"all {kind} of {name} are equal, but the IMU turns; give measured ones")
     guess = start.guess_of(groundtruth, imu, origin)
     # So high a correlation is not a coincidence, even if periodic motion has a second peak.
     if guess.is_usable or guess.peak > _CERTAIN_CORRELATION:

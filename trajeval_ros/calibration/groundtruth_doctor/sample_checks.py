@@ -74,7 +74,7 @@ def check_poses(groundtruth: Trajectory, imu: ImuSeconds | None, origin: int) ->
     shorter = steps[steps < 1.5 * usual]
     columns = [each for each in (positions, ordered.quaternions) if each is not None]
     same: Booleans = np.logical_not(np.diff(np.hstack(columns), axis=0).any(axis=1))
-    width = max(3, int(_SPEED_S / usual))
+    width = min(max(3, int(_SPEED_S / usual)), len(steps))
     speeds = np.linalg.norm(np.diff(positions, axis=0), axis=1) / steps
     moving = np.convolve(speeds, np.ones(width) / width, "same") > _MOVING_MPS
     held, runs = np.zeros(len(same), dtype=bool), runs_of(same)
