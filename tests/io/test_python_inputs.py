@@ -131,6 +131,8 @@ def test_pairs_by_row_are_said_and_have_no_duration() -> None:
     short = Trajectory.from_positions(1e-3 * bare.positions, pairs.estimate.quaternions)
     (said_of_lengths,) = (each for each in evaluate(short, short).warnings if "no sub-" in each)
     assert said_of_lengths.endswith(" m")
+    assert " s, " not in repr(bare)
+    assert " s, " in repr(timed)
 
 
 def test_the_package_lists_its_own_names() -> None:
