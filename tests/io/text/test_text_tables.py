@@ -402,7 +402,9 @@ def test_info_has_no_duration_without_timestamps(
         main(["info", str(tmp_path / "a.csv")])
         printed = capsys.readouterr().out
         timed = "t_ns" in names
-        assert all((word in printed) == timed for word in ("\nrate ", "duration", "gaps over"))
+        assert all(
+            (word in printed) == timed for word in ("\nrate ", "\nduration ", "\ngaps over ")
+        )
         assert ("timestamps   none" in printed) != timed
 
 
