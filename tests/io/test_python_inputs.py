@@ -169,7 +169,7 @@ def test_the_package_lists_its_own_names() -> None:
         (lambda: evaluate(np.zeros((5, 9)), np.zeros((5, 9))), r"groundtruth has shape \(5, 9\)"),
         (lambda: evaluate(*SIDES, "evo"), r"protocol is of type str; give .* PROTOCOLS\['evo'\]"),
         (lambda: run(SIDES[0], SIDES[1].positions), "estimates are of type ndarray; give a list"),
-        (lambda: run(SIDES[0], [{}]), "the estimate is of type dict; give a Trajectory"),
+        (lambda: run(SIDES[0], [{}]), "the estimate 1 is of type dict; give a Trajectory"),
         (lambda: evaluate(SIDES[0], SIDES[1].positions[:50]),
          "cannot be paired by row; give times .* seconds="),
         (lambda: evaluate(SIDES[0][:50], SIDES[1][:40], PROTOCOLS["kitti"]),
