@@ -131,6 +131,8 @@ def test_pairs_by_row_are_said_and_have_no_duration() -> None:
     short = Trajectory.from_positions(1e-3 * bare.positions, pairs.estimate.quaternions)
     (said_of_lengths,) = (each for each in evaluate(short, short).warnings if "no sub-" in each)
     assert said_of_lengths.endswith(" m")
+    assert " s, " not in repr(bare)
+    assert " s, " in repr(timed)
 
 
 def test_the_package_lists_its_own_names() -> None:
@@ -167,7 +169,7 @@ def test_the_package_lists_its_own_names() -> None:
         (lambda: evaluate(np.zeros((5, 9)), np.zeros((5, 9))), r"groundtruth has shape \(5, 9\)"),
         (lambda: evaluate(*SIDES, "evo"), r"protocol is of type str; give .* PROTOCOLS\['evo'\]"),
         (lambda: run(SIDES[0], SIDES[1].positions), "estimates are of type ndarray; give a list"),
-        (lambda: run(SIDES[0], [{}]), "the estimate is of type dict; give a Trajectory"),
+        (lambda: run(SIDES[0], [{}]), "the estimate 1 is of type dict; give a Trajectory"),
         (lambda: evaluate(SIDES[0], SIDES[1].positions[:50]),
          "cannot be paired by row; give times .* seconds="),
         (lambda: evaluate(SIDES[0][:50], SIDES[1][:40], PROTOCOLS["kitti"]),

@@ -118,19 +118,19 @@ def _about_alignment(evaluation: Evaluation) -> Iterator[Remark]:
 
 def _about_rows(evaluation: Evaluation) -> Iterator[Remark]:
     """Name a side that has no timestamps, and settings of an association by time."""
-    rule, groundtruth, estimate = (
-        evaluation.protocol.association,
-        evaluation.groundtruth.reading,
-        evaluation.estimate.reading,
-    )
+    rule = evaluation.protocol.association
     if evaluation.association.rule.method != "index" or rule.method == "index":
         return
-    if groundtruth.stamped != estimate.stamped and not (groundtruth.numbered or estimate.numbered):
-        side = "estimate" if groundtruth.stamped else "groundtruth"
+    sides = {
+        "groundtruth": evaluation.groundtruth.reading,
+        "estimate": evaluation.estimate.reading,
+    }
+    without = [name for name, reading in sides.items() if not reading.stamped]
+    if len(without) == 1 and not any(each.numbered for each in sides.values()):
         yield warning(
             "paired_by_row",
-            f"poses are paired by row, because the {side} has no timestamps; give them, such as "
-            "with --frame-rate or, in Python, with seconds=",
+            f"poses are paired by row, because the {without[0]} has no timestamps; give "
+            "them, such as with --frame-rate or, in Python, with seconds=",
         )
     of_protocol = PROTOCOLS.get(evaluation.protocol.name, PROTOCOLS["default"]).association
     why = (

@@ -44,11 +44,7 @@ def require_shape(array: Any, what: str, *shapes: tuple[int | None, ...]) -> Non
             wanted in (None, found) for wanted, found in zip(shape, array.shape, strict=True)
         ):
             return
-    expected = " or ".join(
-        f"({', '.join('N' if each is None else str(each) for each in shape)}"
-        + (",)" if len(shape) == 1 else ")")
-        for shape in shapes
-    )
+    expected = " or ".join(map(str, shapes)).replace("None", "N")
     raise InputError(f"{what} have shape {array.shape}, expected {expected}")
 
 

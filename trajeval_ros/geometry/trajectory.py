@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.formatting.remarks import Remark, note, warning
+from trajeval_ros.formatting.remarks import note, warning
 from trajeval_ros.geometry.array_input import (
     columns_of_frame,
     numbers,
@@ -26,7 +26,6 @@ from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 from trajeval_ros.geometry.valid_poses import (
     LARGEST,
-    Conflicts,
     at_length_one,
     conflicts_of,
     judge_poses,
@@ -140,11 +139,10 @@ class Trajectory:
         dropped with a remark. Covariances that are not finite are kept; their users check them.
         """
         position_rows = np.asarray(positions, dtype=np.float64)
+        require_shape(position_rows, "positions", (len(stamps), 3))
         quaternion_rows: Floats | None = None
         if quaternions is not None:
             quaternion_rows = np.asarray(quaternions, dtype=np.float64)
-        require_shape(position_rows, "positions", (len(stamps), 3))
-        if quaternion_rows is not None:
             require_shape(quaternion_rows, "quaternions", (len(stamps), 4))
         finite, nonzero = judge_poses(position_rows, quaternion_rows)
         keep = finite & nonzero
@@ -273,13 +271,10 @@ class Trajectory:
 
     def __repr__(self) -> str:
         """Return a summary in one line, without arrays."""
-        count = len(self)
-        parts = [
-            self.name or "unnamed",
-            f"{counted(count, 'pose')}",
-            f"{self.duration_s:.1f} s",
-            f"{self.path_length_m:.1f} m",
-        ]
+        parts = [self.name or "unnamed", counted(len(self), "pose")]
+        if self.reading.stamped:
+            parts.append(f"{self.duration_s:.1f} s")
+        parts.append(f"{self.path_length_m:.1f} m")
         if self.frame or self.child_frame:
             parts.append(f"{self.child_frame or '?'} in {self.frame or '?'}")
         return f"<Trajectory {', '.join(parts)}>"
@@ -350,20 +345,16 @@ class Trajectory:
             )
             remarks.append(note("sorted", said))
         if conflicts.number:
-            remarks.append(self._about(conflicts, duplicates))
+            said = (
+                f"{self.name or 'the trajectory'} has "
+                f"{counted(conflicts.number, 'repeated timestamp')} (of {duplicates}) with "
+                f"different positions, up to {conflicts.largest_m:.3g} m apart; the first pose of "
+                "a timestamp is used, remove the wrong rows"
+            )
+            remarks.append(warning("conflicting_states", said))
         ordered = self[order[first]]
         reading = ordered.reading.with_dropped({"duplicate_stamp": duplicates})
         return dataclasses.replace(ordered, reading=reading.remarked(*remarks))
-
-    def _about(self, conflicts: Conflicts, duplicates: int) -> Remark:
-        """Return the warning about repeated timestamps with contradicting positions."""
-        return warning(
-            "conflicting_states",
-            f"{self.name or 'the trajectory'} has "
-            f"{counted(conflicts.number, 'repeated timestamp')} (of {duplicates}) with "
-            f"different positions, up to {conflicts.largest_m:.3g} m apart; the first pose of a "
-            "timestamp is used, remove the wrong rows",
-        )
 
     def at(self, stamps: Stamps, max_gap_s: float) -> tuple[Trajectory, Bracket]:
         """Interpolate states in order of time: linearly, orientations by slerp.

@@ -89,12 +89,7 @@ def run(groundtruth: Given, estimates: Sequence[Given], request: Request | None 
     """
     if not isinstance(estimates, list | tuple):
         raise InputError(f"the estimates are of type {type(estimates).__name__}; give a list")
-    names = (
-        ["estimate"]
-        if len(estimates) == 1
-        else [f"estimate {number}" for number in range(1, len(estimates) + 1)]
-    )
-    found = [_trajectory(each, name) for each, name in zip(estimates, names, strict=True)]
+    found = [_trajectory(each, f"estimate {row}") for row, each in enumerate(estimates, 1)]
     return pipeline.run(_trajectory(groundtruth, "groundtruth"), found, request)
 
 

@@ -394,6 +394,20 @@ def test_any_damage_is_read_or_refused(data: st.DataObject) -> None:
         assert "\n" not in refusal(path, TextHints.of(columns or None, 10.0))
 
 
+def test_info_has_no_duration_without_timestamps(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for names, rest in (("x,y,z", [POSITIONS]), ("t_ns,x,y,z", [NANOSECONDS, POSITIONS])):
+        (tmp_path / "a.csv").write_text(f"{names}\n{rows(*rest)}")  # type: ignore[arg-type]
+        main(["info", str(tmp_path / "a.csv")])
+        printed = capsys.readouterr().out
+        timed = "t_ns" in names
+        assert all(
+            (word in printed) == timed for word in ("\nrate ", "\nduration ", "\ngaps over ")
+        )
+        assert ("timestamps   none" in printed) != timed
+
+
 def test_from_the_command_line(tmp_path: Path) -> None:
     source = tmp_path / "odd.csv"
     source.write_text(rows(NAMES, SECONDS, POSITIONS, WXYZ))

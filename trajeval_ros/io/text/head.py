@@ -58,11 +58,6 @@ class TextFormat:
     # Pattern of the text that does not belong to rows, such as comments.
     no_row: re.Pattern[bytes] = COMMENT
 
-    @property
-    def columns(self) -> int:
-        """Number of columns."""
-        return len(self.layout.columns)
-
 
 def holds_nmea(path: Path) -> bool:
     """Return whether the first 64 KiB of a file contain a GGA line of NMEA 0183."""

@@ -32,8 +32,7 @@ _TIME = (
     r"(?:t(?:_(?:s|ms|us|ns))?|secs?|time.*|stamp.*"
     r"|(?:.*_)?(?:time|timestamp|stamp|date|datetime|utc)(?:_.*)?)"
 )
-# The two parts of a timestamp of ROS, with the name of the message before them.
-_SECONDS, _NANOSECONDS = r"(?:(.*)_)?secs?", r"(?:(.*)_)?(?:nanosecs?|nsecs?)"
+_NANOSECONDS = r"(?:.*_)?(?:nano|n)secs?"  # of a timestamp of ROS, next to its seconds
 _RECEIVED = r"received(?:_(?:s|ms|us|ns))?"
 _FRAME = r"frame|frame_(?:index|number)|index|image|image_id|id|no"
 # Patterns of column names by group. `{}` is the element: x, y, z or w.
@@ -139,8 +138,7 @@ def _columns(names: Sequence[str]) -> tuple[str, ...]:
     _name_covariances(plain, name)
     for group, pattern in _VECTORS.items():
         for word, element in zip(GROUPS[group], "xyzw", strict=False):
-            places = [at for at, each in enumerate(plain) if _matches(pattern, element, each)]
-            for place in places[:1]:
+            for place in _places(plain, pattern.format(element))[:1]:
                 name(place, word)
     for place, word in enumerate(plain):
         match = re.fullmatch(_ANGLE, word) or re.fullmatch(_THETA, word)
@@ -152,8 +150,8 @@ def _columns(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _matches(pattern: str, element: str, word: str) -> bool:
-    return re.fullmatch(pattern.format(element), word) is not None
+def _places(plain: Sequence[str], pattern: str) -> list[int]:
+    return [place for place, word in enumerate(plain) if re.fullmatch(pattern, word)]
 
 
 def _unit(name: str) -> str:
@@ -165,21 +163,12 @@ def _name_time(
     plain: Sequence[str], units: Sequence[str], name: Callable[[int, str], None]
 ) -> None:
     """Name the column of timestamps, preferably of the header; without one, frame numbers."""
-    parts = {
-        match[1]: place
-        for place, word in enumerate(plain)
-        if (match := re.fullmatch(_NANOSECONDS, word))
+    joined = {  # places of nanoseconds, by that of their seconds
+        place: part
+        for part in _places(plain, _NANOSECONDS)
+        for place in _places(plain, re.sub("(?:nano|n)secs?$", "secs?", plain[part]))
     }
-    joined = {
-        place: parts[match[1]]
-        for place, word in enumerate(plain)
-        if (match := re.fullmatch(_SECONDS, word)) and match[1] in parts
-    }
-    times = [
-        place
-        for place, word in enumerate(plain)
-        if re.fullmatch(_TIME, word) and place not in joined.values()
-    ]
+    times = [place for place in _places(plain, _TIME) if place not in joined.values()]
     times.sort(key=lambda at: ("header_stamp" not in plain[at], at not in joined, at))
     for place in times[:1]:
         unit = units[place] or _UNITS.get(plain[place].rpartition("_")[2], "")
@@ -190,17 +179,13 @@ def _name_time(
         if plain[place] == "receive_time":  # of Foxglove's tables
             name(place, RECEIVED)
     if not times:
-        frames = [place for place, word in enumerate(plain) if re.fullmatch(_FRAME, word)]
-        for place in frames[:1]:
+        for place in _places(plain, _FRAME)[:1]:
             name(place, FRAME)
 
 
 def _name_fixes(plain: Sequence[str], name: Callable[[int, str], None]) -> None:
     """Name the columns of GNSS fixes, if latitude and longitude are present."""
-    places = {
-        word: [at for at, each in enumerate(plain) if re.fullmatch(pattern, each)]
-        for word, pattern in _FIXES.items()
-    }
+    places = {word: _places(plain, pattern) for word, pattern in _FIXES.items()}
     if places["latitude"] and places["longitude"]:
         for word, at in places.items():
             for place in at[:1]:

@@ -23,10 +23,10 @@ from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 
 IGNORED, FAST_LIO = "_", "FAST-LIO"
-# Nanoseconds per unit of time. The unit of `t` is recognised from the values.
-UNITS: dict[str, int | None] = {"t": None, "t_s": 10**9, "t_ms": 10**6, "t_us": 10**3, "t_ns": 1}
 DATE, FRAME, RECEIVED, NANOSEC = "date", "frame", "received", "nanosec"
-TIMES = (*UNITS, DATE, FRAME)
+# Nanoseconds per unit of time. The unit of `t` is recognised from the values.
+UNITS = {"t": None, "t_s": 10**9, "t_ms": 10**6, "t_us": 10**3, "t_ns": 1, DATE: 10**9}
+TIMES = (*UNITS, FRAME)
 _ANGLES = ("roll", "pitch", "yaw")
 _SIX = range(1, 7)
 UPPER = tuple(f"c{row}{column}" for row in _SIX for column in range(row, 7))

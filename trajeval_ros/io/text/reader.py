@@ -257,12 +257,6 @@ def _stamps_of(
         assert rows.stamps is not None
         if not rows.count:
             return np.zeros(0, dtype=np.int64), True, []
-        if layout.time_name == DATE:
-            return (
-                to_nanoseconds(rows.stamps, NANOSECONDS)[0],
-                True,
-                [note("dates", "dates read as UTC")],
-            )
         try:
             stamps, in_nanoseconds = to_nanoseconds(
                 rows.stamps, UNITS[layout.time_name], far_apart_is_ns=layout.separator == ","
@@ -271,8 +265,10 @@ def _stamps_of(
             raise InputError(f"{path}: {error}") from None
         if NANOSEC in rows.groups:
             stamps = stamps + _nanosecond_parts(path, rows.groups[NANOSEC][:, 0])
-        unit = [note("nanoseconds", "timestamps are in nanoseconds")] if in_nanoseconds else []
-        return stamps, True, unit
+        if in_nanoseconds:
+            return stamps, True, [note("nanoseconds", "timestamps are in nanoseconds")]
+        is_date = layout.time_name == DATE
+        return stamps, True, [note("dates", "dates read as UTC")] if is_date else []
     remarks = []
     for times_path in () if origin is None else files_of_times(origin, is_text=True):
         if "matrix" not in layout.groups and layout.name not in _NUMBERED:
