@@ -1,4 +1,4 @@
-"""The door of the diagnosis: all tests of an evaluation and its inputs, in their order.
+"""All tests of an evaluation and its inputs, in their order.
 
 Every test relies on the previous ones: numbers, groundtruth, clocks, restarts, conventions, and
 then scale, axes and bodies. A finding that invalidates the next tests ends them. Drift is never
@@ -29,21 +29,11 @@ from trajeval_ros.diagnosis.evaluation_tests import (
     number_of_pairs,
     small_clock_offset,
 )
-from trajeval_ros.diagnosis.findings import (
-    Corrections,
-    Diagnosis,
-    Examined,
-    Finding,
-    Seen,
-    Tried,
-    finding_to_correct,
-    require_correctable,
-)
+from trajeval_ros.diagnosis.findings import Diagnosis, Examined, Finding, Seen
 from trajeval_ros.diagnosis.geometry_tests import (
     body,
     groundtruth_plane,
     lever_arm,
-    require_up_axis,
     scale,
     vertical,
     without_vertical,
@@ -87,23 +77,6 @@ if TYPE_CHECKING:
     from trajeval_ros.metrics.own_error import OwnError
     from trajeval_ros.metrics.protocol import Protocol
     from trajeval_ros.metrics.tracking_loss import Loss
-
-__all__ = [
-    "Corrections",
-    "Diagnosis",
-    "Finding",
-    "Tried",
-    "diagnose",
-    "diagnose_inputs",
-    "diagnosed",
-    "finding_to_correct",
-    "fix_remarks",
-    "require_conventions",
-    "require_correctable",
-    "require_fixes",
-    "require_up_axis",
-    "same_estimate",
-]
 
 _SHORTEST_S, _FEWEST = 8.0, 12
 _MOVING_S, _TURNING_S = 2.0, 0.5
