@@ -90,6 +90,10 @@ class _Trial(NamedTuple):
         grows = position >= _EQUAL or not (withheld or rotation < _EQUAL)
         return self.finding.is_gone(self.found) and not grows
 
+    def judged(self, tried: Tried) -> _Trial:
+        """Return the trial with other errors."""
+        return self._replace(finding=dataclasses.replace(self.finding, tried=tried), tried=tried)
+
     @property
     def name(self) -> str:
         """The cause and the values of its correction."""
@@ -128,7 +132,9 @@ def _with_next(
     if then is None or not then.correction or not trial.finding.is_gone(trial.found):
         return None
     both = _trial(trial.finding, then.correction, [*steps, trial.finding.correction], None, again)
-    if both is None or (then.cause == "body" and both.found.named("body")):
+    if then.cause == "body" and (both is None or both.found.named("body")):
+        return _without_body(trial, then)
+    if both is None:
         return None
     alone = _trial(then, then.correction, steps, before, again)
     compared = Tried.of(before if alone is None else alone.evaluation, both.evaluation)
@@ -136,7 +142,14 @@ def _with_next(
     if not (compared.helps(trial.finding.cause) and together.helps(trial.finding.cause)):
         return None
     tried = dataclasses.replace(together, is_next=bool(steps), then=then.option)
-    return trial._replace(finding=dataclasses.replace(trial.finding, tried=tried), tried=tried)
+    return trial.judged(tried)
+
+
+def _without_body(trial: _Trial, body: Finding) -> _Trial | None:
+    """Return a trial that helps but for the rotation of the body, which no trial determines."""
+    after = dataclasses.replace(trial.tried.after, rotation_deg=body.evidence["rest_deg"])
+    tried = dataclasses.replace(trial.tried, after=after, then="without the body's rotation")
+    return trial.judged(tried) if tried.helps(trial.finding.cause) else None
 
 
 def _selected(finding: Finding, trials: list[_Trial]) -> _Trial:
