@@ -292,9 +292,10 @@ def _tests_of_motion(inputs: InputPair) -> list[Examined]:
         return [Examined("motions", why_not=f"a side is shorter than {_SHORTEST_S:g} s")]
     examined, match = [], None
     if inputs.by_time:
+        is_odometry = inputs.estimate.reading.format.endswith("/Odometry")
         examined += [
             groundtruth_defects(groundtruth, estimate, inputs.max_gap_s),
-            rhythm(groundtruth, estimate, is_odometry=_is_odometry(inputs.estimate)),
+            rhythm(groundtruth, estimate, is_odometry=is_odometry),
         ]
         defect = bool(_causes(examined) - {"keyframes", "frames_lost"})
         if defect:
@@ -318,10 +319,6 @@ def _tests_of_motion(inputs: InputPair) -> list[Examined]:
             estimate = estimate.shifted(offset_s)
     examined.append(velocities(groundtruth, estimate))
     return [*examined, *_tests_of_geometry(inputs, groundtruth, estimate, match)]
-
-
-def _is_odometry(estimate: Trajectory) -> bool:
-    return estimate.reading.format.endswith("/Odometry")
 
 
 def _offset_of(match: ClockMatch | None, clocks: Examined) -> float:
