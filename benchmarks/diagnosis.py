@@ -28,7 +28,7 @@ from benchmarks.diagnosis_runs import (
     with_outliers,
 )
 from benchmarks.diagnosis_users import USERS
-from trajeval_ros.diagnosis.diagnose import Diagnosis
+from trajeval_ros.diagnosis.findings import Diagnosis
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.pipeline.pipeline import diagnose, run
 from trajeval_ros.pipeline.preparation import Inputs, corrected_and_cut

@@ -10,7 +10,7 @@ from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.options import argument, settings_options, shared_options, sources_of
 from trajeval_ros.cli.programs import write_json
 from trajeval_ros.cli.progress import read_shown
-from trajeval_ros.diagnosis.diagnose import Diagnosis
+from trajeval_ros.diagnosis.findings import Diagnosis
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.requests.setting import AUTO, DIAGNOSE

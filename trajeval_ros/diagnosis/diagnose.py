@@ -1,4 +1,4 @@
-"""The door of the diagnosis: all tests of an evaluation and its inputs, in their order.
+"""All tests of an evaluation and its inputs, in their order.
 
 Every test relies on the previous ones: numbers, groundtruth, clocks, restarts, conventions, and
 then scale, axes and bodies. A finding that invalidates the next tests ends them. Drift is never
@@ -29,21 +29,11 @@ from trajeval_ros.diagnosis.evaluation_tests import (
     number_of_pairs,
     small_clock_offset,
 )
-from trajeval_ros.diagnosis.findings import (
-    Corrections,
-    Diagnosis,
-    Examined,
-    Finding,
-    Seen,
-    Tried,
-    finding_to_correct,
-    require_correctable,
-)
+from trajeval_ros.diagnosis.findings import Diagnosis, Examined, Finding, Seen
 from trajeval_ros.diagnosis.geometry_tests import (
     body,
     groundtruth_plane,
     lever_arm,
-    require_up_axis,
     scale,
     vertical,
     without_vertical,
@@ -87,23 +77,6 @@ if TYPE_CHECKING:
     from trajeval_ros.metrics.own_error import OwnError
     from trajeval_ros.metrics.protocol import Protocol
     from trajeval_ros.metrics.tracking_loss import Loss
-
-__all__ = [
-    "Corrections",
-    "Diagnosis",
-    "Finding",
-    "Tried",
-    "diagnose",
-    "diagnose_inputs",
-    "diagnosed",
-    "finding_to_correct",
-    "fix_remarks",
-    "require_conventions",
-    "require_correctable",
-    "require_fixes",
-    "require_up_axis",
-    "same_estimate",
-]
 
 _SHORTEST_S, _FEWEST = 8.0, 12
 _MOVING_S, _TURNING_S = 2.0, 0.5
@@ -319,9 +292,10 @@ def _tests_of_motion(inputs: InputPair) -> list[Examined]:
         return [Examined("motions", why_not=f"a side is shorter than {_SHORTEST_S:g} s")]
     examined, match = [], None
     if inputs.by_time:
+        is_odometry = inputs.estimate.reading.format.endswith("/Odometry")
         examined += [
             groundtruth_defects(groundtruth, estimate, inputs.max_gap_s),
-            rhythm(groundtruth, estimate, is_odometry=_is_odometry(inputs.estimate)),
+            rhythm(groundtruth, estimate, is_odometry=is_odometry),
         ]
         defect = bool(_causes(examined) - {"keyframes", "frames_lost"})
         if defect:
@@ -345,10 +319,6 @@ def _tests_of_motion(inputs: InputPair) -> list[Examined]:
             estimate = estimate.shifted(offset_s)
     examined.append(velocities(groundtruth, estimate))
     return [*examined, *_tests_of_geometry(inputs, groundtruth, estimate, match)]
-
-
-def _is_odometry(estimate: Trajectory) -> bool:
-    return estimate.reading.format.endswith("/Odometry")
 
 
 def _offset_of(match: ClockMatch | None, clocks: Examined) -> float:

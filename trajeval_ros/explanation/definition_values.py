@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trajeval_ros.diagnosis.diagnose import require_up_axis
+from trajeval_ros.diagnosis.geometry_tests import require_up_axis
 from trajeval_ros.exceptions import InputError, NoMatchError, TrajevalError
 from trajeval_ros.explanation.definition import (
     ABSOLUTE,

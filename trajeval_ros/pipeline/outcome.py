@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from trajeval_ros.diagnosis.diagnose import Diagnosis, Finding
+from trajeval_ros.diagnosis.findings import Diagnosis, Finding
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.metrics.as_available import AsAvailable

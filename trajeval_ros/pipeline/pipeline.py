@@ -13,18 +13,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trajeval_ros.consistency.covariance_request import CovarianceRequest
+from trajeval_ros.diagnosis.diagnose import diagnose as diagnose_evaluation
 from trajeval_ros.diagnosis.diagnose import (
-    Diagnosis,
-    Finding,
-    Tried,
     diagnose_inputs,
     diagnosed,
-    finding_to_correct,
     fix_remarks,
     require_conventions,
     same_estimate,
 )
-from trajeval_ros.diagnosis.diagnose import diagnose as diagnose_evaluation
+from trajeval_ros.diagnosis.findings import Diagnosis, Finding, Tried, finding_to_correct
 from trajeval_ros.diagnosis.trials import Again, with_tried_advice
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
 from trajeval_ros.formatting.remarks import Remark, warning

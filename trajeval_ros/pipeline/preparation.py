@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
-from trajeval_ros.diagnosis.diagnose import require_up_axis
+from trajeval_ros.diagnosis.geometry_tests import require_up_axis
 from trajeval_ros.exceptions import InputError, TrajevalError
 from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.frame_axes import upright

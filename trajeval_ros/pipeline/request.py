@@ -14,7 +14,8 @@ import numpy as np
 
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.consistency.covariance_request import CovarianceRequest, IntegrityRequest
-from trajeval_ros.diagnosis.diagnose import Corrections, require_correctable, require_fixes
+from trajeval_ros.diagnosis.diagnose import require_fixes
+from trajeval_ros.diagnosis.findings import Corrections, require_correctable
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.gauge import Gauge
