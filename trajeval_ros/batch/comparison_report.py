@@ -30,7 +30,7 @@ from trajeval_ros.batch.results_table import (
     ResultsTable,
     state_of,
 )
-from trajeval_ros.batch.summary_tables import definition, diagnosed, matrices
+from trajeval_ros.batch.summary_tables import common_spans, definition, diagnosed, matrices
 from trajeval_ros.diagnosis.warnings import LOW_COVERAGE
 from trajeval_ros.formatting.numbers import counted, percent, three_decimals, whole_percent
 from trajeval_ros.io.writing import refused_by_disk, write_text
@@ -224,7 +224,10 @@ def _findings(summary: ComparisonSummary, drawn: int) -> list[str]:
             "--common-time-span."
             for name in summary.algorithms
             if coverage[name] < LOW_COVERAGE * coverage[most]
+            and all(trial.status == OK for trial in summary.of(name))
         ]
+    elif spans := common_spans(summary):
+        findings.append(f"Only the common time span of all runs of a sequence: {spans}.")
     return findings
 
 

@@ -26,7 +26,8 @@ from trajeval_ros.batch.results_table import (
 
 _NAMES = ("algorithm", "sequence", "trial")
 _OF_A_RUN = (
-    "status", "reason", "groundtruth_coverage", "pairs", "key", "warnings", "diagnosis",
+    "status", "reason", "groundtruth_coverage", "common_span", "span_s", "pairs", "key",
+    "warnings", "diagnosis",
 )  # fmt: skip
 # Statistics of as-available numbers.
 _AVAILABLE = {"position_m": "rmse", "age_error_m": "rmse", "age_s": "p95"}
@@ -54,6 +55,8 @@ class Trial:
     values: dict[str, float]
     warnings: tuple[str, ...]
     diagnosis: tuple[str, ...] = ()  # causes of the mistakes that it shows, the most severe first
+    span_s: float = 0.0  # time from the first to the last pair, seconds
+    common_span: float = 1.0  # share of the groundtruth's duration that the common time span has
 
     @property
     def name(self) -> str:
@@ -147,6 +150,8 @@ def summary_of(folder: Path) -> ComparisonSummary:
                 values=values.get(run, {}),
                 warnings=tuple(map(intern, (row["warnings"] or "").splitlines())),
                 diagnosis=tuple(map(intern, filter(None, (row["diagnosis"] or "").split(",")))),
+                span_s=row["span_s"] or 0.0,
+                common_span=row["common_span"] or 1.0,
             )
         )
     return ComparisonSummary(

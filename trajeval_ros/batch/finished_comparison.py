@@ -183,6 +183,7 @@ def rows_of_run(finished: FinishedRun, record: Record) -> Iterator[dict[str, Any
         "estimate_coverage": association["estimate_coverage"],
         "groundtruth_coverage": coverage,
         "own_groundtruth_coverage": coverage if own is None else own,
+        "common_span": finished.common_share,
         "span_s": (record.span_ns[1] - record.span_ns[0]) / 1e9,
         "groundtruth_span": span,
         "longest_gap_s": gap.get("duration_s"),

@@ -35,7 +35,7 @@ _COLUMNS = {
     "count": "int64",
     "pairs": "int64",
     **dict.fromkeys(("estimate_coverage", "groundtruth_coverage", "scale"), "float64"),
-    **dict.fromkeys(("own_groundtruth_coverage", "span_s"), "float64"),
+    **dict.fromkeys(("own_groundtruth_coverage", "common_span", "span_s"), "float64"),
     **dict.fromkeys(("groundtruth_span", "longest_gap_s"), "float64"),
     **dict.fromkeys(("longest_gap_m", "longest_gap_deg"), "float64"),
     "states_used": "int64",

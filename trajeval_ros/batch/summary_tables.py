@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from statistics import median
 from typing import Any
 
 from trajeval_ros.batch.comparison_summary import KITTI, ComparisonSummary, Trial
-from trajeval_ros.batch.results_table import OK, RE
+from trajeval_ros.batch.results_table import MISSING, OK, RE
 from trajeval_ros.diagnosis.warnings import LOW_COVERAGE
 from trajeval_ros.formatting.numbers import counted, three_decimals, whole_percent
 from trajeval_ros.geometry.gauge import Gauge
@@ -44,7 +44,6 @@ def definition(settings: dict[str, Any]) -> str:
     states = settings["align_states"]
     how = {"all": "all states", 1: "the first state"}.get(states, f"the first {states} states")
     how += " and their orientations" if settings["align_with"] == "poses" else ""
-    span = ", common time span of all runs of a sequence" if settings["common_time_span"] else ""
     rule = AssociationRule(
         settings["association"],
         settings["max_time_difference"],
@@ -54,8 +53,27 @@ def definition(settings: dict[str, Any]) -> str:
     return (
         f"Protocol {settings['protocol']}, aligned by {settings['gauge']} "
         f"({Gauge(settings['gauge']).description}){modality} with {how}; "
-        f"{METHOD_TEXTS[rule.method].format(rule)}{span}.{_calibration(settings)}"
+        f"{METHOD_TEXTS[rule.method].format(rule)}.{_calibration(settings)}"
     )
+
+
+def common_spans(summary: ComparisonSummary) -> str:
+    """Return the lengths of the common time spans, "149 s of MH_01 (82 % of its groundtruth)"."""
+    if not summary.settings["common_time_span"]:
+        return ""
+    longest: dict[str, Trial] = {}
+    for trial in summary.trials:
+        if trial.status == OK:
+            longest[trial.sequence] = max(
+                trial, longest.get(trial.sequence, trial), key=lambda each: each.span_s
+            )
+    spans = sorted(longest.values(), key=lambda each: each.common_span)
+    named = [
+        f"{each.span_s:.0f} s of {each.sequence} ({whole_percent(each.common_span)} of its "
+        "groundtruth)"
+        for each in (spans if len(spans) <= _MOST_NAMED else (spans[0], spans[-1]))
+    ]
+    return (" to " if len(spans) > _MOST_NAMED else ", ").join(named)
 
 
 def _calibration(settings: dict[str, Any]) -> str:
@@ -215,11 +233,19 @@ def _by_sequence(
         return None
     several = any(len(summary.of(row, each)) > 1 for row, _ in rows for each in summary.sequences)
     over = " of trials: median (minimum to maximum); failed trials are ranked last"
-    notes = (f"{what}{over if several else ''}.", definition(summary.settings), _COMPARABLE)
+    notes = (f"{what}{over if several else ''}.", *_common_notes(summary))
     brief = _brief(summary, f"{title}{statistic}{', median of trials' if several else ''}")
     # The mean of KITTI's table is over the sub-trajectories of all sequences.
     has_average = metric not in KITTI
     return _matrix(summary, name, title, notes, rows, brief=brief, has_average=has_average)
+
+
+def _common_notes(summary: ComparisonSummary) -> Iterator[str]:
+    """Yield the notes of all tables of errors."""
+    yield definition(summary.settings)
+    if spans := common_spans(summary):
+        yield f"Only the common time span of all runs of a sequence: {spans}."
+    yield _COMPARABLE
 
 
 def _enough_pairs(summary: ComparisonSummary) -> int:
@@ -233,7 +259,9 @@ def _brief(summary: ComparisonSummary, what: str) -> str:
     """Return a caption of one sentence, without the marks and the full stop."""
     gauge = Gauge(summary.settings["gauge"])
     aligned = "unaligned" if gauge is Gauge.NONE else f"aligned by {gauge.description}"
-    return f"{what}, {aligned}; best bold, second best underlined"
+    spans = common_spans(summary)
+    span = f", common time span: {spans}" if spans else ""
+    return f"{what}, {aligned}{span}; best bold, second best underlined"
 
 
 def _legend(
@@ -264,6 +292,11 @@ def _coverage(trials: Sequence[Trial]) -> float:
     return median([each.coverage for each in trials if each.status == OK] or [0.0])
 
 
+def _mean_coverage(trials: Sequence[Trial]) -> float:
+    """Return the mean coverage of all trials, of all sequences; failed ones count as zero."""
+    return sum(trial.coverage for trial in trials) / max(len(trials), 1)
+
+
 def _mistakes(trial: Trial) -> list[str]:
     """Return the mistakes that a run shows; keyframes are not a mistake."""
     return [cause for cause in trial.diagnosis if cause not in _NO_MISTAKES]
@@ -289,6 +322,8 @@ def _cell(trials: Sequence[Trial], metric: str, enough: int, comparable: float) 
     A number is not ranked if it has too few pairs, its coverage is not comparable, or an estimate
     is the groundtruth.
     """
+    if trials and all(trial.status == MISSING for trial in trials):
+        return Cell(math.inf, is_missing=True)
     known = [trial.rmse[metric] for trial in trials if metric in trial.rmse]
     evaluated = [trial for trial in trials if trial.status == OK]
     if not trials or (evaluated and not known):
@@ -307,6 +342,8 @@ def _cell(trials: Sequence[Trial], metric: str, enough: int, comparable: float) 
         notes.append(_FEW)
     notes.append(diagnosed(evaluated))
     why = f"{counted(fewest, 'pair')}" if fewest < enough else ""
+    if not evaluated:
+        return Cell(value, " ".join(notes))
     if any(trial.is_copy for trial in evaluated):
         why = _COPY
     competes = not why
@@ -327,7 +364,8 @@ def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
         if (row["kind"], row["metric"]) == (RE, metric):
             pooled[row["algorithm"], row["length"]].append((row["mean"], row["count"]))
     rows = []
-    comparable = _comparable_coverage(summary, None)
+    most = max((_mean_coverage(summary.of(each)) for each in summary.algorithms), default=0.0)
+    comparable = LOW_COVERAGE * most
     for algorithm in summary.algorithms:
         trials = summary.of(algorithm)
         evaluated = sum(trial.status == OK for trial in trials)
@@ -340,7 +378,8 @@ def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
             means = pooled[algorithm, length]
             count = sum(each for _, each in means)
             mean = sum(value * each for value, each in means) / count if count else None
-            why = "" if _coverage(trials) >= comparable else _covers(trials)
+            covered = _mean_coverage(trials)
+            why = "" if covered >= comparable else f"covers {whole_percent(covered)}"
             why = why if is_whole else f"{evaluated} of {counted(len(trials), 'run')}"
             is_copy = any(trial.is_copy for trial in trials)
             why = _COPY if is_copy else why
@@ -351,8 +390,7 @@ def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
     notes = (
         "Relative error, mean over the sub-trajectories of all sequences and trials; "
         f"{RE_FORM_TEXTS[summary.settings['re_form']]}.",
-        definition(summary.settings),
-        _COMPARABLE,
+        *_common_notes(summary),
     )
     title = f"Relative error, {RELATIVE_LABELS[metric]}, by length"
     brief = _brief(summary, f"{title}, mean over all sub-trajectories")
@@ -397,7 +435,7 @@ def _matrix(
     for algorithm, _ in rows:
         trials = summary.of(algorithm)
         runs.append(f"{sum(trial.status == OK for trial in trials)}/{len(trials)}")
-        coverage.append(sum(trial.coverage for trial in trials) / len(trials))
+        coverage.append(_mean_coverage(trials))
     headings = tuple(summary.sequences if columns is None else columns)
     unranked, legend = _unranked(rows, headings), _legend(summary, rows)
     marks = [clause + end for clause, end in legend]

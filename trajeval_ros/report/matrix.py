@@ -36,11 +36,12 @@ class Cell:
     # without it, a worse number would be marked as the best.
     competes: bool = True
     spread: str = ""  # range over the trials, such as "(0.05–0.32)"
+    is_missing: bool = False  # whether there is no file
 
     @property
     def text(self) -> str:
         """The number as text."""
-        return three_decimals(self.value)
+        return "missing" if self.is_missing else three_decimals(self.value)
 
     @property
     def marks(self) -> str:
