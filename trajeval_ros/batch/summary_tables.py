@@ -190,7 +190,7 @@ def _kitti(summary: ComparisonSummary, metric: str, title: str) -> Matrix | None
     """Return an error of the table of the KITTI benchmark, by sequence."""
     lengths = [Length.parse(each).text for each in summary.settings["lengths"]]
     what = f"KITTI: mean over the sub-trajectories of {lengths[0]} to {lengths[-1]}"
-    return _by_sequence(summary, metric, metric, title, what)
+    return _by_sequence(summary, metric, f"re_{metric}", title, what)
 
 
 def _by_sequence(
