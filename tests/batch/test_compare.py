@@ -164,7 +164,7 @@ def test_who_lost_runs_is_never_the_best_in_relative_errors(tmp_path: Path) -> N
     assert good[0].value is not None
     assert bad[0].value is not None
     assert bad[0].value < good[0].value
-    assert [cells[0].note for _, cells in table.rows] == ["", "1/2"]
+    assert [cells[0].note for _, cells in table.rows] == ["§", "1/2"]  # an error of 50 % in scale
     # Neither: a mark would say that the larger number is the better one.
     assert [ranks[0] for ranks in table.ranks()] == [0, 0]
     assert "¶ not ranked: bad (1 of 2 runs)." in table.caption

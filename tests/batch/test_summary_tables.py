@@ -77,7 +77,7 @@ def test_kitti_has_the_tables_of_its_benchmark(shared_data: Path, tmp_path: Path
     assert main(["compare", *sources, *given, "--output", str(out)]) == 0
     # By the tool of that folder, 7dof.
     for name, expected in (("kitti_percent", 2.884113), ("kitti_deg_per_100m", 0.249056)):
-        (row,) = csv.DictReader((out / f"{name}.csv").read_text().splitlines())
+        (row,) = csv.DictReader((out / f"re_{name}.csv").read_text().splitlines())
         assert float(row["09_groundtruth"]) == pytest.approx(expected, abs=5e-7)
     text = (out / "tables.md").read_text()
     assert "KITTI: mean over the sub-trajectories of 100 m to 800 m" in text

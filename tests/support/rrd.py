@@ -34,6 +34,12 @@ class Rrd:
         return min(batch.num_rows for _, _, batch in self._chunks)
 
     @property
+    def clocks(self) -> set[str]:
+        """The types of the timeline."""
+        schemas = [batch.schema for _, is_static, batch in self._chunks if not is_static]
+        return {str(each.field(TIMELINE).type) for each in schemas if TIMELINE in each.names}
+
+    @property
     def entities(self) -> set[str]:
         return {entity.strip("/") for entity, _, _ in self._chunks}
 

@@ -22,9 +22,10 @@ from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.state_rows import states
 from trajeval_ros.simulation.drifting_odometry import simulate
-from trajeval_ros.viewer import scene_entities
+from trajeval_ros.viewer import entity_data, scene_entities
 from trajeval_ros.viewer.live_scene import LiveScene
 from trajeval_ros.viewer.paths import gaps
+from trajeval_ros.viewer.sdk import sdk
 
 NAME = "vio"
 FRAME = f"world/estimate/{NAME}"
@@ -526,3 +527,19 @@ def test_view_says_what_it_needs(
 ) -> None:
     assert main(["view", str(tmp_path / name)]) == 2
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("begin_ns", "kind"), [(0, "duration"), (1_700_000_000 * 10**9, "date")])
+def test_a_clock_that_starts_at_zero_has_no_date(begin_ns: int, kind: str, tmp_path: Path) -> None:
+    from rrd import Rrd
+
+    rerun, _ = sdk()
+    recording = rerun.RecordingStream("clock")
+    recording.save(tmp_path / "clock.rrd")
+    stamps = begin_ns + np.arange(3, dtype=np.int64) * 10**9
+    entity_data.numbers(np.zeros(3)).send(recording, "sent", stamps)
+    entity_data.log(recording, "logged", begin_ns, entity_data.numbers([1.0]).row())
+    recording.disconnect()
+    types = Rrd(tmp_path / "clock.rrd").clocks
+    assert len(types) == 1
+    assert ("duration" in types.pop()) is (kind == "duration")

@@ -88,9 +88,9 @@ class FinishedResults:
 
     @property
     def advice(self) -> str:
-        """How to name the results if no algorithm has two sequences; "" if one has."""
-        algorithms, sequences = (set(each) for each in zip(*self._names, strict=True))
-        if len(sequences) == 1 or not len(algorithms) == len(sequences) == len(self._names):
+        """How to name the results if each has another algorithm and sequence; else ""."""
+        count = len(self._names)
+        if count == 1 or any(len(set(each)) < count for each in zip(*self._names, strict=True)):
             return ""
         return (
             "every estimate has another name and another sequence; give results of one algorithm "

@@ -169,8 +169,6 @@ def _values(summary: ComparisonSummary, metric: str) -> Matrix | None:
             value = median(run.values[metric] for run in having) if having else None
             cells.append(Cell(value, diagnosed(having), ranked))
         rows.append((algorithm, tuple(cells)))
-    if all(cell.value is None for _, cells in rows for cell in cells):
-        return None
     if metric == _AVAILABLE:
         rows = _with_ranks_by_ate(summary, rows)
     title, meaning = _VALUES[metric]
@@ -210,7 +208,7 @@ def _kitti(summary: ComparisonSummary, metric: str, title: str) -> Matrix | None
     """Return an error of the table of the KITTI benchmark, by sequence."""
     lengths = [Length.parse(each).text for each in summary.settings["lengths"]]
     what = f"KITTI: mean over the sub-trajectories of {lengths[0]} to {lengths[-1]}"
-    return _by_sequence(summary, metric, metric, title, what)
+    return _by_sequence(summary, metric, f"re_{metric}", title, what)
 
 
 def _by_sequence(
@@ -229,8 +227,6 @@ def _by_sequence(
         )
         for algorithm in summary.algorithms
     ]
-    if all(cell.value is None for _, cells in rows for cell in cells):
-        return None
     several = any(len(summary.of(row, each)) > 1 for row, _ in rows for each in summary.sequences)
     over = " of trials: median (minimum to maximum); failed trials are ranked last"
     notes = (f"{what}{over if several else ''}.", *_common_notes(summary))
@@ -385,8 +381,6 @@ def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
             why = _COPY if is_copy else why
             cells.append(Cell(mean, note if count else "", not why, why, not is_copy))
         rows.append((algorithm, tuple(cells)))
-    if all(cell.value is None for _, cells in rows for cell in cells):
-        return None
     notes = (
         "Relative error, mean over the sub-trajectories of all sequences and trials; "
         f"{RE_FORM_TEXTS[summary.settings['re_form']]}.",
@@ -430,7 +424,10 @@ def _matrix(
     brief: str = "",
     *,
     has_average: bool = False,
-) -> Matrix:
+) -> Matrix | None:
+    """Return a table with the meanings of its marks; None without a number."""
+    if all(cell.value is None for _, cells in rows for cell in cells):
+        return None
     runs, coverage = [], []
     for algorithm, _ in rows:
         trials = summary.of(algorithm)

@@ -69,18 +69,6 @@ class Matrix:
         """All notes as one text."""
         return " ".join(self.notes)
 
-    @property
-    def marked(self) -> list[str]:
-        """The marks of every algorithm, with their columns: "MH_01 §, MH_05 † ¶"."""
-        return [
-            ", ".join(
-                f"{column} {cell.marks}"
-                for column, cell in zip(self.columns, cells, strict=True)
-                if cell.marks
-            )
-            for _, cells in self.rows
-        ]
-
     def ranks(self) -> list[list[int]]:
         """Return the ranks of cells in their columns: 1 for the best, 2 for the second, else 0."""
         by_column = [
@@ -190,13 +178,16 @@ def to_latex(matrix: Matrix, *, transpose: bool = False) -> str:
 
 
 def to_csv(matrix: Matrix) -> str:
-    """Return the numbers with all digits as CSV; empty cells if there is none."""
-    rows = (
-        [name, *(cell.value for cell in cells), runs, coverage, marks]
-        for (name, cells), runs, coverage, marks in zip(
-            matrix.rows, matrix.runs, matrix.coverage, matrix.marked, strict=True
-        )
-    )
+    """Return the numbers with all digits as CSV; empty cells if there is none.
+
+    The last column has the marks: "MH_01 §, MH_05 † ¶".
+    """
+    rows: list[list[str | float | None]] = []
+    of_each = zip(matrix.rows, matrix.runs, matrix.coverage, strict=True)
+    for (name, cells), runs, coverage in of_each:
+        marked = zip(matrix.columns, cells, strict=True)
+        marks = ", ".join(f"{column} {cell.marks}" for column, cell in marked if cell.marks)
+        rows.append([name, *(cell.value for cell in cells), runs, coverage, marks])
     return csv_table([*_headings(matrix), "marks"], rows)
 
 

@@ -17,6 +17,7 @@ from trajeval_ros.viewer.scene_entities import SIGMAS, TIMELINE
 from trajeval_ros.viewer.sdk import sdk
 
 _DOT = 3.5  # points of the screen, at any distance
+_YEAR_NS = 365 * 86_400 * 10**9
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class EntityData:
         """Log a row per timestamp (M,), with one element or with `lengths` (M,) elements."""
         rerun, _ = sdk()
         columns = self.archetype.columns(**self.fields)
-        times = rerun.TimeColumn(TIMELINE, timestamp=stamps.astype("datetime64[ns]"))
+        times = rerun.TimeColumn(TIMELINE, **_time_of(stamps))
         recording.send_columns(
             entity, [times], columns if lengths is None else columns.partition(lengths)
         )
@@ -44,8 +45,18 @@ class EntityData:
 
 def log(recording: Any, entity: str, stamp: int, row: Any) -> None:
     """Log one row at a timestamp."""
-    recording.set_time(TIMELINE, timestamp=np.datetime64(stamp, "ns"))
+    recording.set_time(TIMELINE, **_time_of(np.int64(stamp)))
     recording.log(entity, row)
+
+
+def _time_of(stamps: Stamps | np.int64) -> dict[str, Any]:
+    """Return stamps as an argument for Rerun: a date, or the time since the start of the clock.
+
+    Clocks of simulators and the frames of files without timestamps start at 0, not at a date.
+    """
+    if np.any(stamps < _YEAR_NS):
+        return {"duration": stamps.astype("timedelta64[ns]")}
+    return {"timestamp": stamps.astype("datetime64[ns]")}
 
 
 @dataclass(frozen=True)
