@@ -56,6 +56,10 @@ class BagRecord:
         return (both & 0xFFFFFFFF) * NANOSECONDS + (both >> 32)
 
 
+# Records of connections and the fields in their data, by id.
+ConnectionRecords = dict[int, tuple[BagRecord, BagRecord]]
+
+
 def record_at(read: Read, offset: int, kind: int | None = None) -> BagRecord:
     """Return the record at an offset.
 
@@ -131,6 +135,32 @@ class ChunkIndex:
     def offsets(self) -> Indices:
         """Offsets in the chunk (N,), bytes."""
         return self.entries[:, 2].astype(np.int64)
+
+
+def messages_in(read: Read, size: int, connections: ConnectionRecords) -> tuple[ChunkIndex, int]:
+    """Return the messages of a chunk without an index, and where its last whole record ends.
+
+    `read`: reads the chunk's data, of which `size` bytes exist. `connections`: those of the chunk
+    are added; the first record of an id is used.
+    """
+    ids: list[int] = []
+    entries: list[tuple[int, int, int]] = []
+    end = 0
+    with contextlib.suppress(DamagedError):
+        while end < size:
+            record = record_at(read, end)
+            kind = record.number("op", 1)
+            if record.end > size or kind not in (MESSAGE, CONNECTION):
+                break
+            connection = record.number("conn", 4)
+            if kind == CONNECTION:
+                connections.setdefault(connection, (record, fields_at(read, record)))
+            else:
+                time = record.number("time", 8)
+                ids.append(connection)
+                entries.append((time & 0xFFFFFFFF, time >> 32, end))
+            end = record.end
+    return ChunkIndex(np.array(ids, np.int64), np.array(entries, np.uint32).reshape(-1, 3)), end
 
 
 def find_messages(
