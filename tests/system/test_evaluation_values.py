@@ -209,10 +209,10 @@ def test_a_low_coverage_is_said() -> None:
 
 
 def test_groundtruth_that_is_slow_is_said_with_the_options_that_help() -> None:
-    """Poses every 0.05 s; of the groundtruth, two states 0.1 s apart every 2 s."""
+    """Of the groundtruth, 0.3 s of every 2 s exist."""
     dense = make_groundtruth(17, 400)
     seconds = np.round(dense.seconds - dense.seconds[0], 6)
-    result = evaluate(dense[seconds % 2.0 <= 0.11], make_estimate(dense, 18), BASE)
+    result = evaluate(dense[seconds % 2.0 <= 0.3], make_estimate(dense, 18), BASE)
     [said] = [each.text for each in result.remarks if each.code == "low_coverage"]
     assert "--association groundtruth-stamps or a larger --max-gap" in said
     [few] = [
@@ -225,7 +225,7 @@ def test_groundtruth_that_is_slow_is_said_with_the_options_that_help() -> None:
 
 def test_one_rounding_of_coverage() -> None:
     """99.97 % are not printed as 100.0 %."""
-    dense = make_groundtruth(17, 4000)
+    dense = make_groundtruth(17, 6000)
     result = evaluate(dense, make_estimate(dense, 18)[1:], BASE)
     assert 0.999 < result.association.groundtruth_coverage < 1.0
     assert "99 % of groundtruth" in repr(result)
