@@ -32,7 +32,6 @@ from trajeval_ros.io.bags.ros1_records import (
     BagRecord,
     ChunkIndex,
     ConnectionRecords,
-    Read,
     fields_at,
     find_messages,
     messages_in,
@@ -223,14 +222,11 @@ class Ros1Reader:
     def _walk(self, place: int, connections: ConnectionRecords) -> tuple[ChunkIndex, bool]:
         """List a chunk without using its index; return its messages, and whether it is whole."""
         record, compression, size = self._chunk_head(place)
-        read: Read = lambda offset, count: self._read(record.begin + offset, count)  # noqa: E731
-        there = min(size, self._source.size - record.begin)
-        if compression != "none":
-            stored = self._source.read(record.begin, record.size)
-            data = bytes(decompress(compression, stored, size))
-            read = lambda offset, count: data[offset : offset + count]  # noqa: E731
-            there = len(data)
-        index, end = messages_in(read, there, connections)
+        stored = self._source.read(record.begin, record.size)
+        data = decompress("" if compression == "none" else compression, stored, size)
+        index, end = messages_in(data, connections)
+        if end != size and compression != "none" and record.end <= self._source.size:
+            raise DamagedError("a chunk can't be decompressed")  # its records may be wrong
         if len(index):
             times = index.log_times
             self._widen(int(times.min()), int(times.max()))

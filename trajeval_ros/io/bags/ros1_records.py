@@ -137,20 +137,25 @@ class ChunkIndex:
         return self.entries[:, 2].astype(np.int64)
 
 
-def messages_in(read: Read, size: int, connections: ConnectionRecords) -> tuple[ChunkIndex, int]:
-    """Return the messages of a chunk without an index, and where its last whole record ends.
+def messages_in(
+    data: bytes | memoryview, connections: ConnectionRecords
+) -> tuple[ChunkIndex, int]:
+    """Return the messages in a chunk's data, and where the last whole record ends.
 
-    `read`: reads the chunk's data, of which `size` bytes exist. `connections`: those of the chunk
-    are added; the first record of an id is used.
+    `connections`: those of the chunk are added; the first record of an id is used.
     """
+
+    def read(offset: int, size: int) -> bytes:
+        return bytes(data[offset : offset + size])
+
     ids: list[int] = []
     entries: list[tuple[int, int, int]] = []
     end = 0
     with contextlib.suppress(DamagedError):
-        while end < size:
+        while end < len(data):
             record = record_at(read, end)
             kind = record.number("op", 1)
-            if record.end > size or kind not in (MESSAGE, CONNECTION):
+            if record.end > len(data) or kind not in (MESSAGE, CONNECTION):
                 break
             connection = record.number("conn", 4)
             if kind == CONNECTION:
