@@ -27,7 +27,7 @@ def test_the_verdict_comes_first_then_the_tables(
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("estimate: ATE 0.06")
     assert "yaw and translation, 4-DoF) for stereo-inertial, all 400 states" in lines[1]
-    assert "100.0 % of the estimate's poses" in lines[2]
+    assert "100 % of the estimate's poses" in lines[2]
     assert any("position [m]" in line and "400" in line for line in lines)
     assert any("8 m" in line for line in lines)
 

@@ -14,7 +14,7 @@ from ros_bags import ODOM, POSE, Message, messages_of, odometry_message
 from trajeval_ros import simulate
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.online.alarms import LIMITED_QUANTITIES, AlarmLimits
+from trajeval_ros.online.alarms import LIMITED_QUANTITIES, AlarmLimits, Standing
 from trajeval_ros.online.jump_detector import Jump
 from trajeval_ros.online.reports import Update
 from trajeval_ros.online.state_buffer import BufferLimits
@@ -106,6 +106,34 @@ def test_clocks_with_nothing_in_common_are_reported_within_three_seconds(
     assert cause in fault.text
     assert fault in remarks(live)
     assert fault.text in why_no_pair(live.run)
+    live.end()
+
+
+@pytest.mark.parametrize("ahead_s", [100_000.0, -100_000.0])
+def test_clocks_far_apart_are_one_remark_that_keeps_its_numbers(
+    tmp_path: Path, ahead_s: float
+) -> None:
+    """A delay can't be measured by such clocks; and the offset has digits that can be typed."""
+    live = Live(tmp_path / "live", ODOM)
+    stamps = ESTIMATED.stamps + round(ahead_s * SECOND)
+    standing, said, told = Standing(), [], []
+    for second in np.arange(0.0, 6.0, 0.5):
+        fly(
+            live,
+            sent(TRUTH, GROUNDTRUTH, TRUTH.stamps)[at(TRUTH, second) : at(TRUTH, second + 0.5)],
+            sent(ESTIMATED, ESTIMATE, stamps, late_s=0.000562 * (1.0 + second))[
+                at(ESTIMATED, second) : at(ESTIMATED, second + 0.5)
+            ],
+        )
+        now = remarks(live)
+        assert not [each for each in now if each.code == "late"]
+        told += [each.text for each in standing.renew(now) if each.code == "clock"]
+        said += [each.text for each in standing.as_told(now) if each.code == "clock"]
+    assert len(said) > 5
+    assert set(said) == set(told)
+    [text] = told
+    assert "100000 s" in text
+    assert "e+" not in text
     live.end()
 
 

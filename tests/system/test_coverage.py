@@ -16,6 +16,7 @@ from strategies import seeds
 
 from trajeval_ros import OnlineEvaluator, Protocol, Trajectory, evaluate, simulate
 from trajeval_ros import run as evaluate_all
+from trajeval_ros.formatting.numbers import whole_percent
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.metrics.coverage import Coverage, CoverageSums, PairSteps
 from trajeval_ros.online.live_settings import OnlineSettings
@@ -378,9 +379,9 @@ def test_span_and_longest_gap_are_told_where_they_differ() -> None:
         evaluation = evaluate(flight.groundtruth, run)
         coverage = evaluation.association.coverage
         [_, _, said] = verdict(evaluation)
-        assert f"{len(run)} pairs cover 100.0 % of the estimate's poses" in said
-        assert f"and {100 * coverage.covered:.1f} % of the groundtruth's time" in said
-        told = f", {100 * coverage.span:.1f} % from the first to the last pair, longest gap "
+        assert f"{len(run)} pairs cover 100 % of the estimate's poses" in said
+        assert f"and {whole_percent(coverage.covered)} of the groundtruth's time" in said
+        told = f", {whole_percent(coverage.span)} from the first to the last pair, longest gap "
         assert (told in said) != is_whole
         warned = [each for each in evaluation.warnings if "pairs cover" in each]
         assert len(warned) == (not is_whole)

@@ -19,6 +19,7 @@ from trajeval_ros.metrics.alignment import align
 from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.pipeline.pipeline import evaluate
+from trajeval_ros.report.verdict_lines import verdict
 
 
 def test_biases_and_velocities_are_compared_where_both_have_them() -> None:
@@ -205,6 +206,30 @@ def test_a_low_coverage_is_said() -> None:
     # From the first to the last pair nothing is lost, so this is a note.
     [said] = [each for each in result.remarks if "groundtruth's time" in each.text]
     assert said.level is Level.NOTE
+
+
+def test_groundtruth_that_is_slow_is_said_with_the_options_that_help() -> None:
+    """Of the groundtruth, 0.3 s of every 2 s exist."""
+    dense = make_groundtruth(17, 400)
+    seconds = np.round(dense.seconds - dense.seconds[0], 6)
+    result = evaluate(dense[seconds % 2.0 <= 0.3], make_estimate(dense, 18), BASE)
+    [said] = [each.text for each in result.remarks if each.code == "low_coverage"]
+    assert "--association groundtruth-stamps or a larger --max-gap" in said
+    [few] = [
+        each.text
+        for each in evaluate(dense[:200], make_estimate(dense, 18), BASE).remarks
+        if each.code == "low_coverage"
+    ]
+    assert "--max-gap" not in few
+
+
+def test_one_rounding_of_coverage() -> None:
+    """99.97 % are not printed as 100.0 %."""
+    dense = make_groundtruth(17, 6000)
+    result = evaluate(dense, make_estimate(dense, 18)[1:], BASE)
+    assert 0.999 < result.association.groundtruth_coverage < 1.0
+    assert "99 % of groundtruth" in repr(result)
+    assert any("99 % of the groundtruth's time" in each for each in verdict(result))
 
 
 def test_a_reason_for_dropping_that_is_new_breaks_no_evaluation() -> None:

@@ -32,7 +32,7 @@ from trajeval_ros.batch.results_table import (
 )
 from trajeval_ros.batch.summary_tables import common_spans, definition, diagnosed, matrices
 from trajeval_ros.diagnosis.warnings import LOW_COVERAGE
-from trajeval_ros.formatting.numbers import counted, percent, three_decimals, whole_percent
+from trajeval_ros.formatting.numbers import counted, three_decimals, whole_percent
 from trajeval_ros.io.writing import refused_by_disk, write_text
 from trajeval_ros.metrics.coverage import Gap
 from trajeval_ros.metrics.sub_trajectories import Length
@@ -290,7 +290,7 @@ def _facts(row: dict[str, Any]) -> tuple[tuple[str, str], ...]:
         ("estimate", row["estimate"]),
         ("groundtruth", row["groundtruth"]),
         ("pairs", f"{row['pairs']} over {row['span_s']:.1f} s, "
-                  f"{percent(row['estimate_coverage'])} of the poses"),
+                  f"{whole_percent(row['estimate_coverage'])} of the poses"),
         *_gap(row),
         ("scale", f"{row['scale']:.5g}"),
         ("sha256", f"{row['estimate_sha256'][:16]}… and {row['groundtruth_sha256'][:16]}…"),
@@ -301,5 +301,5 @@ def _gap(row: dict[str, Any]) -> tuple[tuple[str, str], ...]:
     if row["longest_gap_s"] is None:
         return ()
     gap = Gap(row["longest_gap_s"], row["longest_gap_m"], row["longest_gap_deg"])
-    first_to_last = f"{percent(row['groundtruth_span'])} of the groundtruth's time"
+    first_to_last = f"{whole_percent(row['groundtruth_span'])} of the groundtruth's time"
     return (("first to last pair", first_to_last), ("longest gap", str(gap)))

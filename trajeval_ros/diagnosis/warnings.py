@@ -61,7 +61,7 @@ def completeness_in_words(evaluation: Evaluation) -> str:
     gap = pairs.coverage.longest_gap
     without = "" if gap is None else f", longest gap {gap}"
     return (
-        f"{len(pairs)} of {states} {what} ({percent(share)}) along "
+        f"{len(pairs)} of {states} {what} ({whole_percent(share)}) along "
         f"{pairs.groundtruth.path_length_m:.1f} m have an estimate{without}"
     )
 
@@ -259,8 +259,19 @@ def _about_coverage(evaluation: Evaluation) -> Iterator[Remark]:
             f"time and {whole_percent(pairs.estimate_coverage)} of the estimate's poses"
             + (f" (dropped: {why})" if why else "")
             + (f", {coverage.gap_in_words}" if coverage.longest_gap else "")
+            + _across_gaps(pairs)
             + "; compare only runs with the same coverage",
         )
+
+
+def _across_gaps(pairs: Association) -> str:
+    """Return what to do if most poses are in groundtruth gaps, as text."""
+    if pairs.dropped.get("in_groundtruth_gap", 0) <= len(pairs):
+        return ""
+    return (
+        "; most poses are in groundtruth gaps: if the groundtruth is slow, use --association "
+        "groundtruth-stamps or a larger --max-gap"
+    )
 
 
 def _about_unusable(pairs: Association) -> Iterator[Remark]:

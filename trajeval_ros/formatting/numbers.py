@@ -56,16 +56,18 @@ def three_decimals(value: float | None) -> str:
     return f"{value:.{2 - math.floor(math.log10(size))}f}" if size >= 1e-6 else f"{value:.3g}"
 
 
-def whole_percent(share: float) -> str:
+def whole_percent(share: float | None) -> str:
     """Return a share in the nearest whole percent; 100 % only if complete, 0 % only if zero."""
+    if share is None:
+        return NOTHING
     whole = math.floor(100.0 * share + 0.5 + _ROUNDING)
     least, most = 1 if share > 0.0 else 0, 99 if 100.0 * share < 100.0 - _ROUNDING else 100
     return f"{min(max(whole, least), most)} %"
 
 
-def percent(share: float | None) -> str:
+def percent(share: float) -> str:
     """Return a share in percent with one decimal."""
-    return NOTHING if share is None else f"{100.0 * share:.1f} %"
+    return f"{100.0 * share:.1f} %"
 
 
 def change_percent(share: float, sign: str = "+") -> str:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trajeval_ros.formatting.numbers import percent
+from trajeval_ros.formatting.numbers import whole_percent
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.statistics import LogHistogram
@@ -65,7 +65,8 @@ class Coverage:
         if self.longest_gap is None:
             return ""
         return (
-            f"{percent(self.span)} from the first to the last pair, longest gap {self.longest_gap}"
+            f"{whole_percent(self.span)} from the first to the last pair, longest gap "
+            f"{self.longest_gap}"
         )
 
 

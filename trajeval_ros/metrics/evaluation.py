@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.formatting.numbers import counted, percent, significant
+from trajeval_ros.formatting.numbers import counted, significant, whole_percent
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
@@ -189,7 +189,7 @@ class Evaluation:
         lines = [
             f"<Evaluation of {self.estimate.name or 'unnamed'}: gauge "
             f"{self.protocol.gauge.value}, {counted(len(pairs), 'pair')}, "
-            f"{percent(pairs.groundtruth_coverage)} of groundtruth",
+            f"{whole_percent(pairs.groundtruth_coverage)} of groundtruth",
             f"  ATE: {rmse_text(self.ate)}",
             *(f"  RE {part.length}: {rmse_text(part.statistics)}" for part in self.relative or ()),
         ]

@@ -158,7 +158,7 @@ def about_loss(snapshot: Snapshot) -> list[Remark]:
     return [Remark(level, loss.cause, text, values=values)]
 
 
-_VARYING = {"alarm", "late", "loss", "silence", "yaw_information"}
+_VARYING = {"alarm", "clock", "late", "loss", "silence", "yaw_information"}
 
 
 class Standing:

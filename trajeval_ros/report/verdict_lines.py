@@ -11,8 +11,8 @@ from trajeval_ros.formatting.numbers import (
     NOTHING,
     counted,
     four_digits,
-    percent,
     significant,
+    whole_percent,
     with_unit,
 )
 from trajeval_ros.geometry.up_axis import ASSUMED, UpAxis
@@ -88,8 +88,9 @@ def _covered(evaluation: Evaluation) -> str:
         return completeness_in_words(evaluation)
     coverage, path_m = pairs.coverage, f"({pairs.groundtruth.path_length_m:.1f} m)"
     return (
-        f"{counted(len(pairs), 'pair')} cover {percent(pairs.estimate_coverage)} of the "
-        f"estimate's poses and {percent(coverage.covered)} of the groundtruth's time {path_m}"
+        f"{counted(len(pairs), 'pair')} cover {whole_percent(pairs.estimate_coverage)} of the "
+        f"estimate's poses and {whole_percent(coverage.covered)} of the groundtruth's time "
+        + path_m
         + (f", {coverage.gap_in_words}" if coverage.longest_gap else "")
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from trajeval_ros.formatting.numbers import with_unit
 from trajeval_ros.formatting.remarks import Remark, warning
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.ros.live_estimate import LiveEstimate
@@ -72,13 +73,13 @@ def _about_different_clocks(run: LiveRun, estimate: LiveEstimate) -> Iterator[Re
         return
     groundtruth, own = run.groundtruth.stream.arrivals, estimate.source.stream.arrivals
     offsets = [each.offset_s or 0.0 for each in (own, groundtruth)]
-    first, second = (f"{each:.4g} s" for each in offsets)
+    first, second = (with_unit(round(each, 3), "s") for each in offsets)
     side = "ahead of" if apart_s > 0.0 else "behind"
     yield warning(
         "clock",
-        f"the timestamps of {estimate.source.source} are {abs(apart_s):.4g} s {side} those of "
-        f"the groundtruth that arrive at the same time (arrival minus timestamp: {first} and "
-        f"{second}): {_cause(apart_s, run, estimate)}",
+        f"the timestamps of {estimate.source.source} are {with_unit(abs(apart_s), 's')} {side} "
+        "those of the groundtruth that arrive at the same time (arrival minus timestamp: "
+        f"{first} and {second}): {_cause(apart_s, run, estimate)}",
         "apart",
         {
             "apart_s": apart_s,

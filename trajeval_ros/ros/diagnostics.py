@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -29,7 +29,7 @@ from trajeval_ros.online.alarms import (
 from trajeval_ros.online.error_topics import status_values, stream_values
 from trajeval_ros.online.jump_detector import Jump
 from trajeval_ros.online.reports import Snapshot, Update
-from trajeval_ros.ros.clock_remarks import about_clocks, sync_risk_m
+from trajeval_ros.ros.clock_remarks import about_clock_faults, about_clocks, sync_risk_m
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_outputs import LiveOutputs
 from trajeval_ros.ros.live_run import LiveRun
@@ -195,10 +195,10 @@ def _about_rate(estimate: LiveEstimate, limits: AlarmLimits) -> list[Remark]:
 def _about_lateness(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
     """Warn of poses that arrive later than the groundtruth of their time.
 
-    In a replay, both arrive long after their timestamps.
+    In a replay, both arrive long after their timestamps. Clocks that differ measure no delay.
     """
     late_s = estimate.status.stream.arrival_after(run.groundtruth_status.stream)
-    if late_s is None or late_s <= _LATE_S:
+    if late_s is None or late_s <= _LATE_S or any(about_clock_faults(run, estimate)):
         return
     said = (
         f"poses arrive {late_s:.1f} s (95th percentile) after the groundtruth of the same time: "
@@ -317,8 +317,15 @@ def _values(
 class StatusReports:
     """Publishes the status of a run and the events about its changes."""
 
-    def __init__(self, node: Node, events: EventTopic, watching: Watching) -> None:
-        self._node, self._events, self._watching = node, events, watching
+    def __init__(
+        self,
+        node: Node,
+        events: EventTopic,
+        watching: Watching,
+        log: Callable[[str, Level], None],
+    ) -> None:
+        """Create it; `log` writes a sentence to the log."""
+        self._node, self._events, self._watching, self._log = node, events, watching, log
         self._diagnostics = DiagnosticsTopic(node)
         self.newest: dict[str, Status] = {}  # by name of the estimate
         self.remarks: dict[str, list[Remark]] = {}  # the newest published ones, by estimate
@@ -369,5 +376,7 @@ class StatusReports:
         # Every jump was published as an event.
         told = estimate.standing.renew(each for each in remarks if each.code != "jump")
         for each in told:
-            self._events.publish(estimate.name, each)
+            # A faulty clock is a reason for no or wrong pairs, which no other line states.
+            if self._events.publish(estimate.name, each) and each.code == "clock" and each.subject:
+                self._log(each.text, each.level)
         self._watching.see(told)

@@ -63,7 +63,7 @@ class EvaluatorNode:
         points = self._values["rerun_points"]
         self._points = PointTopic(self._node, points) if points else None
         self._watching = Watching(self._node, self._values, self._events, self._log)
-        self._statuses = StatusReports(self._node, self._events, self._watching)
+        self._statuses = StatusReports(self._node, self._events, self._watching, self._log)
         self._worker = ThreadPoolExecutor(1, "clocks")
         self._runs = self._new_runs()
         self._pictures = {self._runs.current: self._new_picture(self._runs.current)}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from trajeval_ros.consistency.consistency_result import Consistency
 from trajeval_ros.formatting.escaping import markdown_text
-from trajeval_ros.formatting.numbers import NOTHING, degrees, metres, percent
+from trajeval_ros.formatting.numbers import NOTHING, degrees, metres, whole_percent
 from trajeval_ros.formatting.text_tables import BOLD, MarkedText, markdown_table
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
@@ -53,8 +53,8 @@ def of_evaluations(
         ),
         *_scales(gauge, alignments),
         ("Drift", [_drift(each) for each in evaluations]),
-        ("Estimate covered", [percent(each.estimate_coverage) for each in pairs]),
-        ("Groundtruth covered", [percent(each.groundtruth_coverage) for each in pairs]),
+        ("Estimate covered", [whole_percent(each.estimate_coverage) for each in pairs]),
+        ("Groundtruth covered", [whole_percent(each.groundtruth_coverage) for each in pairs]),
         _aligned_by(gauge, alignments),
     ]
     if any(consistencies):
@@ -82,7 +82,7 @@ def of_snapshots(
         ),
         *_scales(gauge, alignments),
         ("Drift", [_drift_so_far(each) for each in snapshots]),
-        ("Estimate covered", [percent(each.estimate_coverage) for each in snapshots]),
+        ("Estimate covered", [whole_percent(each.estimate_coverage) for each in snapshots]),
         _aligned_by(gauge, alignments),
     ]
     remarks = [

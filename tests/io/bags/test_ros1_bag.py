@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from pathlib import Path
 from typing import Any
@@ -81,6 +82,15 @@ def lost_of(path: Path, *words: str) -> Trajectory:
         read_trajectory(f"{path}:/a", strict=True)
     assert (np.diff(read.positions[:, 0]) > 0).all()
     return read
+
+
+def read_without_index(path: Path, why: str) -> None:
+    """Check that a whole bag is read by a scan, and refused strictly, for a reason."""
+    read = read_trajectory(f"{path}:/a")
+    assert read.positions[:, 0].tolist() == list(range(COUNT))
+    assert any(why in each for each in read.reading.said(Level.ERROR))
+    with pytest.raises(InputError, match=why):
+        read_trajectory(f"{path}:/a", strict=True)
 
 
 @pytest.mark.parametrize("image", [b"", bytes(100), bytes(200_000)])
@@ -206,8 +216,7 @@ def test_a_list_of_chunks_that_contradicts_itself(
         other = content.rfind(field, 0, place - len(field)) + len(field)
         value = content[other : other + 8]
     damaged(path, place, value)
-    with pytest.raises(InputError, match=said):
-        read_trajectory(f"{path}:/a")
+    read_without_index(path, said)
 
 
 def test_fields_of_a_record() -> None:
@@ -289,10 +298,15 @@ def test_more_than_any_recording_decompresses_to(
         read_trajectory(f"{path}:/a")
 
 
+def test_a_bag_of_another_version(tmp_path: Path) -> None:
+    path = damaged(bag(tmp_path / "x.bag"), 0, b"#ROSBAG V1.2")
+    with pytest.raises(InputError, match=r"its version is not 2\.0"):
+        read_trajectory(f"{path}:/a")
+
+
 @pytest.mark.parametrize(
     ("before", "after", "said"),
     [
-        (b"#ROSBAG V2.0", b"#ROSBAG V1.2", "its version is not 2.0"),
         (b"index_pos=", b"index_pos=" + bytes(8), "it has no index"),
         (b"index_pos=", b"index_pos=" + b"\xff" * 8, "a record is truncated"),
         (b"index_pos=", b"index_pox=", "a record has no field 'index_pos'"),
@@ -304,5 +318,39 @@ def test_a_bag_without_a_valid_index(
 ) -> None:
     path = bag(tmp_path / "x.bag")
     damaged(path, path.read_bytes().find(before), after)
-    with pytest.raises(InputError, match=said):
-        read_trajectory(f"{path}:/a")
+    read_without_index(path, said)
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_a_truncated_bag_gives_the_messages_before_its_end(
+    compression: Any, tmp_path: Path
+) -> None:
+    path = bag(tmp_path / "x.bag", compression)
+    whole, expected = path.read_bytes(), expected_of(path)
+    in_chunk = whole.find(b"op=\x05", len(whole) // 2) + CHUNK // 2
+    for end in (in_chunk, round(0.8 * len(whole)), len(whole) - 100):
+        path.write_bytes(whole[:end])
+        read = messages_of(path)
+        assert read == expected[: len(read)]
+        assert len(read) > (end / len(whole) - 0.2) * len(expected)
+        with Bag(path) as opened:
+            [said] = opened.damage
+        assert f"of {path.stat().st_size}" in said
+        if compression is None and end == in_chunk:
+            assert re.search(r"plus \d+ messages of the cut chunk", said)
+        with pytest.raises(InputError, match="read record by record"):
+            read_trajectory(f"{path}:/a", strict=True)
+
+
+def test_a_flipped_byte_of_a_truncated_bag_loses_a_part_of_its_chunk(tmp_path: Path) -> None:
+    path = bag(tmp_path / "x.bag")
+    whole, expected = path.read_bytes()[: 5 * CHUNK], set(expected_of(path))
+    path.write_bytes(whole)
+    best = len(messages_of(path))
+    for place in range(2 * CHUNK, 2 * CHUNK + 300, 19):
+        path.write_bytes(whole)
+        damaged(path, place, bytes([whole[place] ^ 0x81]))
+        read = messages_of(path)
+        assert best - CHUNK // 100 <= len(read) <= best
+        # The format has no checksums: at most the flipped message differs.
+        assert len(set(read) - expected) <= 1

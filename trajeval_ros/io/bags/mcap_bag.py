@@ -17,7 +17,7 @@ from typing import TypeVar
 import numpy as np
 
 from trajeval_ros.io.bags.blocks import BYTES, ROWS, Block, TopicSelection, all_connections
-from trajeval_ros.io.bags.byte_source import ByteSource, DamagedError
+from trajeval_ros.io.bags.byte_source import ByteSource, DamagedError, how_far
 from trajeval_ros.io.bags.mcap_chunk_reading import ChunkMessages, read_chunk
 from trajeval_ros.io.bags.mcap_chunks import Chunk, block_at, of_channels
 from trajeval_ros.io.bags.mcap_contents import END_SIZE, data_end, read_summary, scanned_contents
@@ -56,10 +56,9 @@ class McapReader:
             declared = error.declared if isinstance(error, NoIndexError) else None
             found = scanned_contents(source, declared)
             if found.damage or not isinstance(error, NoIndexError):
-                self.damage.append(
-                    f"{source.name}: {'; '.join([*found.damage, str(error)])}; read record by "
-                    f"record, the last whole one ends at byte {found.end} of {source.size}"
-                )
+                why = "; ".join([*found.damage, str(error)])
+                far = how_far(found.end, source.size, found.in_cut)
+                self.damage.append(f"{source.name}: {why}; {far}")
         if strict and len(found.messages):
             self._verify_data()
         self._chunks = sorted(found.chunks, key=lambda chunk: chunk.first)

@@ -2,11 +2,12 @@
 
 Only chunks with requested messages are read. Of a chunk that is not compressed, only the ranges of
 these messages are read. The format has no checksums: the header of every message is compared with
-the index instead.
+the index instead. A file without a valid index is scanned from its start.
 """
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -18,7 +19,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Booleans, Indices
 from trajeval_ros.io.bags.blocks import LARGEST, Block, TopicSelection, all_connections, are_of
-from trajeval_ros.io.bags.byte_source import GAP, ByteSource, ByteWindow, DamagedError
+from trajeval_ros.io.bags.byte_source import GAP, ByteSource, ByteWindow, DamagedError, how_far
 from trajeval_ros.io.bags.compression import LARGEST_CHUNK, LARGEST_RATIO, decompress, most_of
 from trajeval_ros.io.bags.message_definitions import Connection, full_name
 from trajeval_ros.io.bags.ros1_records import (
@@ -30,8 +31,10 @@ from trajeval_ros.io.bags.ros1_records import (
     INDEX,
     BagRecord,
     ChunkIndex,
+    ConnectionRecords,
     fields_at,
     find_messages,
+    messages_in,
     record_at,
 )
 
@@ -65,16 +68,19 @@ class Ros1Reader:
         self._window = ByteWindow(source, _HEADS)
         if source.read(0, len(_MAGIC)) != _MAGIC:
             raise DamagedError("its version is not 2.0")
+        self._compressed = 0  # bytes of the compressed chunks after decompression
         head = record_at(self._read, len(_MAGIC), BAG_HEADER)
         if head.text("encryptor"):
             raise DamagedError("it is encrypted")
-        offset = head.number("index_pos", 8)
-        if not offset:
-            raise DamagedError("it has no index")
-        connections, offset = self._records(offset, CONNECTION, head.number("conn_count", 4))
-        infos, _ = self._records(offset, CHUNK_INFO, head.number("chunk_count", 4))
-        counts = self._list_chunks(infos)
-        self.connections = [self._connection(each, counts) for each in connections]
+        try:
+            connections, counts = self._indexed(head)
+        except DamagedError as error:
+            self._chunks, self.damage, self.span, self._compressed = [], [], None, 0
+            connections, counts = self._scanned(head.end, str(error))
+            if not connections:
+                raise
+        self._chunks.sort(key=lambda chunk: chunk.first)
+        self.connections = [self._connection(*each, counts) for each in connections.values()]
 
     def close(self) -> None:
         """Close the file."""
@@ -158,38 +164,93 @@ class Ros1Reader:
             offset = records[-1].end
         return records, offset
 
-    def _list_chunks(self, infos: Sequence[BagRecord]) -> Counter[int]:
-        """List the chunks with a valid index; return the declared messages by connection."""
+    def _indexed(self, head: BagRecord) -> tuple[ConnectionRecords, Counter[int]]:
+        """List the chunks of the index; return connections, and their declared messages."""
+        offset = head.number("index_pos", 8)
+        if not offset:
+            raise DamagedError("it has no index")
+        records, offset = self._records(offset, CONNECTION, head.number("conn_count", 4))
+        infos, _ = self._records(offset, CHUNK_INFO, head.number("chunk_count", 4))
+        connections = {n: (each, fields_at(self._read, each)) for n, each in enumerate(records)}
         counts: Counter[int] = Counter()
         places = [each.number("chunk_pos", 8) for each in infos]
         if len(set(places)) < len(places):
             raise DamagedError("its index lists a chunk twice")
         for info, place in zip(infos, places, strict=True):
-            if not (connections := info.number("count", 4)):
+            if not (count := info.number("count", 4)):
                 continue
             data = self._read(info.begin, info.size)
-            if len(data) != 8 * connections:
+            if len(data) != 8 * count:
                 raise DamagedError("its index is inconsistent")
-            for connection, count in np.frombuffer(data, "<u4").reshape(-1, 2).tolist():
-                counts[connection] += count
-            span = info.time("start_time"), info.time("end_time")
-            first, last = self.span or span
-            self.span = min(first, span[0]), max(last, span[1])
+            for connection, messages in np.frombuffer(data, "<u4").reshape(-1, 2).tolist():
+                counts[connection] += messages
+            self._widen(info.time("start_time"), info.time("end_time"))
             try:
-                self._chunks.append(self._chunk(place, connections))
+                self._add(self._chunk(place, count))
             except DamagedError as error:
-                self.damage.append(f"{self._source.name}: {error}, in the chunk at byte {place}")
-        self._chunks.sort(key=lambda chunk: chunk.first)
-        compressed = sum(each.size for each in self._chunks if each.compression != "none")
-        if compressed > most_of(self._source.size, LARGEST):
+                self._note_damage(error, place)
+        return connections, counts
+
+    def _scanned(self, offset: int, why: str) -> tuple[ConnectionRecords, Counter[int]]:
+        """List the chunks up to the first incomplete record; return connections and messages."""
+        connections: ConnectionRecords = {}
+        counts: Counter[int] = Counter()
+        in_cut = 0
+        with contextlib.suppress(DamagedError):
+            while offset < self._source.size:
+                record = record_at(self._read, offset)
+                is_cut = record.end > self._source.size
+                if record.number("op", 1) == CHUNK:
+                    try:
+                        index, is_whole = self._walk(offset, connections)
+                        counts.update(index.connections.tolist())
+                        in_cut = len(index) if is_cut else 0
+                        if not is_whole and not is_cut:
+                            raise DamagedError("a chunk has incomplete records")
+                    except DamagedError as error:
+                        self._note_damage(error, offset)
+                if is_cut:
+                    break
+                offset = record.end
+        if unknown := sum(count for each, count in counts.items() if each not in connections):
+            lost = f"{counted(unknown, 'message')} of undefined connections"
+            self.damage.append(f"{self._source.name}: {lost}")
+        far = how_far(offset, self._source.size, in_cut)
+        self.damage.insert(0, f"{self._source.name}: {why}; {far}")
+        return connections, counts
+
+    def _walk(self, place: int, connections: ConnectionRecords) -> tuple[ChunkIndex, bool]:
+        """List a chunk without using its index; return its messages, and whether it is whole."""
+        record, compression, size = self._chunk_head(place)
+        stored = self._source.read(record.begin, record.size)
+        data = decompress("" if compression == "none" else compression, stored, size)
+        index, end = messages_in(data, connections)
+        if end != size and compression != "none" and record.end <= self._source.size:
+            raise DamagedError("a chunk can't be decompressed")  # its records may be wrong
+        if len(index):
+            times = index.log_times
+            self._widen(int(times.min()), int(times.max()))
+            self._add(_Chunk(record, compression, end, index, int(times.min())))
+        return index, end == size
+
+    def _note_damage(self, error: DamagedError, place: int) -> None:
+        self.damage.append(f"{self._source.name}: {error}, in the chunk at byte {place}")
+
+    def _widen(self, begin: int, end: int) -> None:
+        first, last = self.span or (begin, end)
+        self.span = min(first, begin), max(last, end)
+
+    def _add(self, chunk: _Chunk) -> None:
+        self._chunks.append(chunk)
+        self._compressed += chunk.size if chunk.compression != "none" else 0
+        if self._compressed > most_of(self._source.size, LARGEST):
             raise InputError(
                 f"{self._source.name} has a compression ratio above {LARGEST_RATIO}; if you trust "
                 "the file, decompress it with `rosbag decompress`"
             )
-        return counts
 
-    def _chunk(self, place: int, connections: int) -> _Chunk:
-        """Return the chunk at a place of the file, which is followed by its index."""
+    def _chunk_head(self, place: int) -> tuple[BagRecord, str, int]:
+        """Return the record of a chunk, its compression, and its size after decompression."""
         record = record_at(self._read, place, CHUNK)
         compression, size = record.text("compression"), record.number("size", 4)
         if compression not in _COMPRESSIONS:
@@ -197,6 +258,11 @@ class Ros1Reader:
         limit = record.size if compression == "none" else most_of(record.size, LARGEST_CHUNK)
         if size > min(limit, LARGEST):
             raise DamagedError("a chunk has an invalid size")
+        return record, compression, size
+
+    def _chunk(self, place: int, connections: int) -> _Chunk:
+        """Return the chunk at a place of the file, which is followed by its index."""
+        record, compression, size = self._chunk_head(place)
         indexes, _ = self._records(record.end, INDEX, connections)
         ids, entries = [], []
         for each in indexes:
@@ -212,8 +278,9 @@ class Ros1Reader:
             raise DamagedError("an index points outside its chunk")
         return _Chunk(record, compression, size, index, int(index.log_times.min()))
 
-    def _connection(self, record: BagRecord, counts: Counter[int]) -> Connection:
-        fields = fields_at(self._read, record)
+    def _connection(
+        self, record: BagRecord, fields: BagRecord, counts: Counter[int]
+    ) -> Connection:
         number = record.number("conn", 4)
         return Connection(
             number,

@@ -56,6 +56,10 @@ class BagRecord:
         return (both & 0xFFFFFFFF) * NANOSECONDS + (both >> 32)
 
 
+# Records of connections and the fields in their data, by id.
+ConnectionRecords = dict[int, tuple[BagRecord, BagRecord]]
+
+
 def record_at(read: Read, offset: int, kind: int | None = None) -> BagRecord:
     """Return the record at an offset.
 
@@ -131,6 +135,37 @@ class ChunkIndex:
     def offsets(self) -> Indices:
         """Offsets in the chunk (N,), bytes."""
         return self.entries[:, 2].astype(np.int64)
+
+
+def messages_in(
+    data: bytes | memoryview, connections: ConnectionRecords
+) -> tuple[ChunkIndex, int]:
+    """Return the messages in a chunk's data, and where the last whole record ends.
+
+    `connections`: those of the chunk are added; the first record of an id is used.
+    """
+
+    def read(offset: int, size: int) -> bytes:
+        return bytes(data[offset : offset + size])
+
+    ids: list[int] = []
+    entries: list[tuple[int, int, int]] = []
+    end = 0
+    with contextlib.suppress(DamagedError):
+        while end < len(data):
+            record = record_at(read, end)
+            kind = record.number("op", 1)
+            if record.end > len(data) or kind not in (MESSAGE, CONNECTION):
+                break
+            connection = record.number("conn", 4)
+            if kind == CONNECTION:
+                connections.setdefault(connection, (record, fields_at(read, record)))
+            else:
+                time = record.number("time", 8)
+                ids.append(connection)
+                entries.append((time & 0xFFFFFFFF, time >> 32, end))
+            end = record.end
+    return ChunkIndex(np.array(ids, np.int64), np.array(entries, np.uint32).reshape(-1, 3)), end
 
 
 def find_messages(
