@@ -115,7 +115,7 @@ def test_points_have_no_coverage_of_poses(method: str) -> None:
     assert found.association.estimate_coverage is None
     assert found.association.groundtruth_coverage == 1.0
     assert not found.association.dropped
-    assert any("8 of 8 points (100.0 %)" in line for line in verdict(found))
+    assert any("8 of 8 points (100 %)" in line for line in verdict(found))
     rule = AssociationRule(method, max_time_difference_s=1e-4)
     moved = dataclasses.replace(points, stamps=points.stamps + np.arange(8) % 2 * 2_000_000)
     found = evaluate(moved, ESTIMATE, Protocol(association=rule, lengths=(), gauge="none"))

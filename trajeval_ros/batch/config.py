@@ -94,8 +94,8 @@ def _plan_of_yaml(target: Path, settings: Mapping[str, Any], hosts: frozenset[st
         )
     if target.suffix not in (".yaml", ".yml"):
         raise InputError(
-            f"{target} is not a comparison; give a YAML file (.yaml), a manifest, a folder, or "
-            "GROUNDTRUTH ESTIMATE..."
+            f"{target} is not a comparison; give a YAML file (.yaml), a manifest, a folder, or a "
+            "groundtruth and its estimates"
         )
     config = read_mapping(target, "comparison")
     require_known(config, [*_KEYS, *_OF_COMPARISONS, *settings_of_many_runs()], str(target))

@@ -11,12 +11,13 @@ import sys
 from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
-from typing import Any, Final
+from typing import Any
 
 import click
 
 from trajeval_ros import __version__
 from trajeval_ros.cli.programs import INTERRUPTED, exit_status
+from trajeval_ros.cli.replaced_words import REPLACED
 from trajeval_ros.exceptions import SettingsError
 
 _COMPLETION = "_TRAJEVAL_COMPLETE"
@@ -42,110 +43,6 @@ VERBS: dict[str, str] = {
     "study association": "study_association",
 }
 _GROUPS = {"study": "Repeats the experiments of the papers."}
-
-_IN_THE_FILE = "write it as a key to the YAML file, with _ for -: trajeval compare FILE.yaml"
-_DETECTED = (
-    "formats are detected by content: trajeval evaluate GROUNDTRUTH ESTIMATE, or trajeval "
-    "trajectory FILE"
-)
-_EVO_SCALE = (
-    "use --gauge sim3 for evo's -as; for -s alone, give a file with base: evo, gauge: sim3 and "
-    "apply: scale as --protocol FILE.yaml"
-)
-_LENGTHS = "use --lengths, as in 8, 10f or 5deg, and --protocol evo for evo's numbers"
-_IN_A_PROTOCOL = "write it to a YAML file, and give the file as --protocol FILE.yaml"
-# By option, by verb and option, or by verb, of version 0.2 and of evo: the end of the error
-# message.
-REMOVED: Final[dict[str, str]] = {
-    **dict.fromkeys(("tum", "kitti", "euroc", "bag", "bag2"), _DETECTED),
-    **dict.fromkeys(
-        ("ape", "rpe"), "use trajeval evaluate, with --protocol evo for evo's numbers"
-    ),
-    "traj": "use trajeval trajectory",
-    "res": "use trajeval compare RESULT...",
-    "config": "give a style sheet of matplotlib: --style FILE.mplstyle",
-    "fig": "figures are not saved for later changes; draw them again",
-    "compare-association": "use trajeval study association",
-    "gauge-study": "use trajeval study gauge",
-    "evaluate --fix": "use --correct CAUSE",
-    "evaluate --estimate-scale": "use --correct CAUSE, or convert the file: trajeval trajectory "
-    "--scale",
-    "evaluate --groundtruth-scale": "use --correct CAUSE, or convert the file: trajeval "
-    "trajectory --scale",
-    "evaluate --quaternion-order": "use --correct CAUSE, or convert the file: trajeval trajectory "
-    "--quaternion-order",
-    "evaluate --inverse": "use --correct CAUSE, or convert the file: trajeval trajectory "
-    "--inverse",
-    "evaluate --estimate-axes": "use --correct CAUSE, or convert the file: trajeval trajectory "
-    "--axes",
-    "evaluate --clock-rate": "use --correct CAUSE, or convert the file: trajeval trajectory "
-    "--clock-rate",
-    "evaluate --swap": "exchange -g and -e",
-    "evaluate --apply": _IN_A_PROTOCOL,
-    "evaluate --ate-form": _IN_A_PROTOCOL,
-    "evaluate --re-form": _IN_A_PROTOCOL,
-    "evaluate --pairs": "write it as sub_trajectories to a YAML file, and give the file as "
-    "--protocol FILE.yaml",
-    "--integrity": "--alert-limit alone requests the test",
-    "compare --figure-format": "compare writes SVG to figures/; convert it, as with rsvg-convert "
-    "-f pdf",
-    "compare --figure-width": "compare writes SVG to figures/, which scales to any width",
-    "compare --no-title": "compare writes SVG without titles to figures/",
-    "compare --style": "compare writes SVG to figures/; edit it, or draw runs with evaluate "
-    "--output",
-    "compare --shard": "use --cluster with a Dask cluster",
-    "compare --merge": "use compare --cluster with a Dask cluster instead of shards",
-    "compare --dataset": "query the files runs.parquet of several comparisons together, as in "
-    "DuckDB",
-    "compare --label": "name the --output of every comparison, and query their runs.parquet "
-    "together",
-    "compare --alert-limit": _IN_THE_FILE,
-    "compare --risk": _IN_THE_FILE,
-    "compare --rotation-covariance-frame": _IN_THE_FILE,
-    "compare --continuous-model": _IN_THE_FILE,
-    "watch --learn": "limits are fixed; watch a healthy run, and set --factor as it prints",
-    "watch --limits": "limits are fixed; set --factor for this robot",
-    "watch --groundtruth": "use trajeval evaluate to measure errors",
-    "watch -g": "use trajeval evaluate to measure errors",
-    "evaluate --watch-limits": "limits are fixed: use --watch-factor 1",
-    # Options of evo, for which docs/coming_from.md has a table.
-    **dict.fromkeys(
-        ("-a", "--align"),
-        "use --gauge se3, or --gauge sim3 for -as, and --protocol evo for evo's numbers",
-    ),
-    **dict.fromkeys(("-s", "--correct_scale"), _EVO_SCALE),
-    "--align_origin": "use --align-states 1",
-    **dict.fromkeys(("-d", "--delta", "-u", "--delta_unit"), _LENGTHS),
-    "--all_pairs": "write base: evo and sub_trajectories: all to a YAML file, and give the file "
-    "as --protocol FILE.yaml",
-    "trajectory --full_check": "use trajeval info FILE",
-    "compare --require": "use trajeval evaluate --require for a run, or --baseline and --fail-if",
-    "evaluate --common-time-span": "use trajeval compare --common-time-span",
-    **dict.fromkeys(
-        ("finish --modality", "finish --gauge"),
-        "the alignment is that of the live run; for another one, use trajeval evaluate with a bag",
-    ),
-    "trajectory -p": "--plot xy draws the path",
-    "-p": "--output DIR draws figures into a folder",
-    "evaluate --plot": "--output DIR draws figures into a folder",
-    "--save_plot": "use --output DIR, which draws figures",
-    "--save_results": "use --output DIR",
-    "--save_table": "trajeval compare RESULT... --output DIR writes the tables",
-    "evaluate --plot_mode": "--output DIR draws the views from above and from the side",
-    "trajectory --plot_mode": "use --plot xy, xz, yz or 3d",
-    "-r": "evaluate prints errors of positions and rotations",
-    "--pose_relation": "evaluate prints errors of positions and rotations",
-    "--t_max_diff": "use --max-time-difference",
-    "--t_offset": "use --time-offset",
-    "--n_to_align": "use --align-states",
-    "trajectory --ref": "use --reference",
-    "evaluate --ref": "give the groundtruth first, or as -g",
-    "trajectory --sync": "use --synchronise",
-    "trajectory --save_as_tum": "use --save-as tum",
-    "trajectory --save_as_kitti": "use --save-as kitti",
-    "--install-completion": 'add to ~/.bashrc: eval "$(_TRAJEVAL_COMPLETE=bash_source trajeval)"',
-    "--show-completion": "run _TRAJEVAL_COMPLETE=bash_source trajeval",
-}
 
 
 @cache
@@ -188,8 +85,8 @@ class VerbGroup(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Return the verb, and refuse verbs of earlier versions with what replaces them."""
-        if args and args[0] in REMOVED:
-            raise SettingsError(f"no verb {args[0]}; {REMOVED[args[0]]}")
+        if args and args[0] in REPLACED:
+            raise SettingsError(f"no verb {args[0]}; {REPLACED[args[0]]}")
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
@@ -271,7 +168,7 @@ def _sentence(error: click.UsageError) -> str:
     name = error.ctx.info_name if error.ctx else ""
     if isinstance(error, click.NoSuchOption):
         option = error.option_name
-        replacement = REMOVED.get(f"{name} {option}", REMOVED.get(option))
+        replacement = REPLACED.get(f"{name} {option}", REPLACED.get(option))
         if replacement is not None:
             return f"{name} has no option {option}; {replacement}"
         near = f"did you mean {error.possibilities[0]}? " if error.possibilities else ""
