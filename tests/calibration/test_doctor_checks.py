@@ -179,13 +179,17 @@ def test_outliers_differ_from_their_neighbours() -> None:
     errors[200:] += 0.05  # a step is no outlier
     bad = [0, 8, 100, 391, 399]  # also the first and the last
     errors[bad] += [0.03, 0.0, 0.0]
-    assert np.flatnonzero(_outliers(errors, 5e-3)).tolist() == bad
-    assert np.flatnonzero(_outliers(errors, 0.02)).tolist() == bad
-    assert not _outliers(errors, 0.04).any()
+    exact = np.zeros(400)
+    assert np.flatnonzero(_outliers(errors, 5e-3, exact)).tolist() == bad
+    assert np.flatnonzero(_outliers(errors, 0.02, exact)).tolist() == bad
+    assert not _outliers(errors, 0.04, exact).any()
     # Noise of 10 mm: the limit is eight standard deviations.
     large = 1e-2 * generator.normal(size=(400, 3))
     large[[50, 300]] = [[0.0, 0.065, 0.0], [0.0, 0.0, 0.1]]
-    assert np.flatnonzero(_outliers(large, 5e-3)).tolist() == [300]
+    assert np.flatnonzero(_outliers(large, 5e-3, exact)).tolist() == [300]
+    # Errors of timestamps explain what is fast.
+    timing = np.where(np.arange(400) < 50, 0.01, 0.0)
+    assert np.flatnonzero(_outliers(errors, 5e-3, timing)).tolist() == bad[2:]
 
 
 def test_steps_of_residuals_by_hand() -> None:
@@ -193,20 +197,24 @@ def test_steps_of_residuals_by_hand() -> None:
     errors = 1e-4 * generator.normal(size=(300, 3))
     errors[100:] += [0.02, 0.0, 0.0]
     errors[200:] -= [0.0, 0.01, 0.0]
-    rows, sizes = _steps(errors, 5e-3)
+    exact = np.zeros(300)
+    rows, sizes = _steps(errors, 5e-3, exact)
     assert rows.tolist() == pytest.approx([100, 200], abs=4)
     np.testing.assert_allclose(sizes, [0.02, 0.01], rtol=0.05)
-    rows, sizes = _steps(errors, 0.015)
+    rows, sizes = _steps(errors, 0.015, exact)
     assert len(rows) == 1
-    assert not len(_steps(errors, 0.025)[0])
-    assert not len(_steps(errors[93:120], 5e-3)[0])  # fewer than 28 samples
-    assert len(_steps(errors[93:121], 5e-3)[0]) == 1
+    assert not len(_steps(errors, 0.025, exact)[0])
+    assert not len(_steps(errors[93:120], 5e-3, exact[:27])[0])  # fewer than 28 samples
+    assert len(_steps(errors[93:121], 5e-3, exact[:28])[0]) == 1
+    # Errors of timestamps explain what is fast: here, up to the first step.
+    rows, _ = _steps(errors, 5e-3, np.where(np.arange(300) < 120, 0.01, 0.0))
+    assert rows.tolist() == pytest.approx([200], abs=4)
     # Steps of noise are none, however large it is.
-    assert not len(_steps(100.0 * generator.normal(size=(300, 3)), 5e-3)[0])
+    assert not len(_steps(100.0 * generator.normal(size=(300, 3)), 5e-3, exact)[0])
     # A residual that decays on both sides of a step is extrapolated to it.
     at = np.arange(-150, 150)
     decaying = np.where(at < 0, -1.0, 1.0) * np.exp(-np.abs(at + 0.5) / 20.0)
-    rows, sizes = _steps(np.outer(0.02 * decaying, [1.0, 0.0, 0.0]), 5e-3)
+    rows, sizes = _steps(np.outer(0.02 * decaying, [1.0, 0.0, 0.0]), 5e-3, exact)
     assert rows.tolist() == pytest.approx([150], abs=1)
     assert sizes[0] == pytest.approx(0.04, rel=0.02)
 

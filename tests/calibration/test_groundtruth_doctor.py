@@ -281,6 +281,8 @@ def test_jitter_of_timestamps() -> None:
     jitter = found.causes["jitter"]
     assert jitter.verdict == "significant"
     assert jitter.value == pytest.approx(3.0, rel=0.15)
+    # What wrong timestamps explain is no other fault.
+    assert [each.name for each in found.significant] == ["jitter"]
 
 
 def test_figure_of_a_groundtruth_without_noise_has_axes_of_a_readable_range(

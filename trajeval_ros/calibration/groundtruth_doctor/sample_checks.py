@@ -26,6 +26,7 @@ _HALF = 7  # samples before and after a jump
 _LINE = 1.0 / _HALF - 3.5 / 28.0 * np.arange(-3.0, 4.0)
 _LEAST_JUMP = (5e-3, float(np.radians(0.3)))  # m, rad
 _JUMP_SIGMAS = 8.0
+_OF_MEDIANS = 0.67  # standard deviation of the difference of two medians of 7 normal errors
 _MOST_JUMPS_PER_MINUTE = 20.0  # more steps are noise that is not white
 _OUTLIER_SIGMAS = 8.0
 _SLOWEST = 0.05  # m/s or rad/s; slower samples do not show errors of timestamps
@@ -139,21 +140,23 @@ def check_residuals(fit: JointFit, stamps: Stamps) -> ResidualChecks:
     stamps = stamps[found.rows]
     minutes = float(stamps[-1] - stamps[0]) / NANOSECONDS / 60.0
     jumps: list[GroundtruthJump] = []
-    noisy, outliers, jitters = [], [], []
-    for (kind, errors, speeds), least, scale in zip(
-        kinds, _LEAST_JUMP, fit.rows.scales, strict=False
-    ):
-        jitters.append(_jitter(errors, speeds, scale))
-        outliers.append(_outliers(errors, least))
-        rows, sizes = _steps(errors, least)
+    noisy, outliers = [], []
+    jitters = [
+        _jitter(*each[1:], scale) for each, scale in zip(kinds, fit.rows.scales, strict=False)
+    ]
+    squared, sigma = min(jitters, key=lambda each: each[1])
+    jitter_s = float(np.sqrt(max(squared, 0.0)))
+    for (kind, errors, speeds), least in zip(kinds, _LEAST_JUMP, strict=False):
+        timing = jitter_s * np.linalg.norm(speeds, axis=1)
+        outliers.append(_outliers(errors, least, timing))
+        rows, sizes = _steps(errors, least, timing)
         if len(rows) > max(_MOST_JUMPS_PER_MINUTE * minutes, 1.0):
             noisy.append(kind)
             continue
         pairs = zip(stamps[rows].tolist(), sizes.tolist(), strict=True)
         jumps += [GroundtruthJump(stamp, kind, size) for stamp, size in pairs]
-    squared, sigma = min(jitters, key=lambda each: each[1])
     return ResidualChecks(
-        jitter_s=float(np.sqrt(max(squared, 0.0))),
+        jitter_s=jitter_s,
         jitter_sigmas=squared / sigma,
         outlier_share=float(np.any(outliers, axis=0).mean()),
         jumps=tuple(sorted(jumps)),
@@ -183,12 +186,15 @@ def _jitter(errors: Floats, speeds: Floats, scale: float) -> tuple[float, float]
     return variance, max(float(np.sqrt(scatter)) / total, 1e-30)
 
 
-def _outliers(errors: Floats, least: float) -> Booleans:
-    """Return which residuals (N, 3) differ from the median of their neighbours."""
+def _outliers(errors: Floats, least: float, timing: Floats) -> Booleans:
+    """Return which residuals (N, 3) differ from the median of their neighbours.
+
+    `timing` (N,) is the standard deviation of residuals by errors of the timestamps.
+    """
     around = np.pad(errors, [(_HALF, _HALF), (0, 0)], mode="reflect")
     apart = np.linalg.norm(errors - _medians(around, 2 * _HALF + 1), axis=1)
-    usual = float(np.median(apart)) / MEDIAN_OF_CHI3
-    return np.asarray(apart > max(_OUTLIER_SIGMAS * usual, least))
+    usual = np.hypot(float(np.median(apart)) / MEDIAN_OF_CHI3, timing)
+    return np.asarray(apart > np.maximum(_OUTLIER_SIGMAS * usual, least))
 
 
 def _medians(rows: Floats, width: int) -> Floats:
@@ -197,8 +203,8 @@ def _medians(rows: Floats, width: int) -> Floats:
     return np.asarray(np.median(windows, axis=2))
 
 
-def _steps(errors: Floats, least: float) -> tuple[Indices, Floats]:
-    """Return rows after steps of residuals (N, 3), and the sizes of the steps.
+def _steps(errors: Floats, least: float, timing: Floats) -> tuple[Indices, Floats]:
+    """Return rows after steps of residuals (N, 3), and the sizes of the steps; see `_outliers`.
 
     The fitted trajectory is continuous, so a step of the residuals is one of the groundtruth.
     Medians before and after detect it. The fit follows it, so that residuals decay on both sides:
@@ -213,7 +219,8 @@ def _steps(errors: Floats, least: float) -> tuple[Indices, Floats]:
     windows = np.lib.stride_tricks.sliding_window_view(errors, _HALF, axis=0)
     sizes = np.linalg.norm(windows[_HALF:] @ _LINE - windows[:-_HALF] @ _LINE[::-1], axis=1)
     sizes = np.maximum(sizes, lengths)
-    large = np.flatnonzero((lengths > _JUMP_SIGMAS * scale) & (sizes > least))
+    usual = np.hypot(scale, _OF_MEDIANS * timing[_HALF : len(timing) - _HALF + 1])
+    large = np.flatnonzero((lengths > _JUMP_SIGMAS * usual) & (sizes > least))
     groups: Sequence[Indices] = np.split(large, np.flatnonzero(np.diff(large) > 3 * _HALF) + 1)
     largest = np.array([each[lengths[each].argmax()] for each in groups if len(each)], dtype=int)
     return largest + _HALF, sizes[largest]
