@@ -179,10 +179,11 @@ def test_a_common_time_span_takes_the_early_end_of_one_from_all(tmp_path: Path) 
     progress, cut = run(config, cut=True)
     assert progress.done == 4
     rows = ResultsTable(tmp_path / "out" / RUNS).select(
-        ["algorithm", "span_s", "groundtruth_coverage", "own_groundtruth_coverage"],
+        ["common_span", "span_s", "groundtruth_coverage", "own_groundtruth_coverage"],
         kind="ate", metric="position_m", sequence="hall",
     )  # fmt: skip
     assert [row["span_s"] for row in rows] == pytest.approx([10.0, 10.0], abs=0.1)
+    assert [row["common_span"] for row in rows] == pytest.approx([0.5, 0.5], abs=0.01)
     assert [row["groundtruth_coverage"] for row in rows] == pytest.approx([1.0, 1.0], abs=0.01)
     assert [row["own_groundtruth_coverage"] for row in rows] == pytest.approx([1, 0.5], abs=0.01)
     assert cut.of("bad", "hall")[0].rmse == pytest.approx(whole.of("bad", "hall")[0].rmse)

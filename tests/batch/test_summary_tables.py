@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
 
 from trajeval_ros.batch.comparison_summary import ComparisonSummary, Trial
-from trajeval_ros.batch.results_table import OK, RE
+from trajeval_ros.batch.results_table import FAILED, MISSING, OK, RE
 from trajeval_ros.batch.summary_tables import matrices
 from trajeval_ros.cli.app import main
 from trajeval_ros.io.requests.request_from import request_from
@@ -67,6 +68,41 @@ def test_a_note_of_several_tables_stands_once_below_them() -> None:
     noted = [*common, *(note for each in tables for note in each.notes)]
     assert len(noted) == len(set(noted))
     assert {note for each in matrices(summary()) for note in each.notes} == set(noted)
+
+
+def test_common_time_spans_are_stated_with_their_length_and_share() -> None:
+    whole = summary()
+    of_hall = [replace(each, span_s=149.4, common_span=0.82) for each in whole.trials]
+    of_yard = [replace(each, sequence="yard", span_s=75.6, common_span=0.68) for each in of_hall]
+    settings = {**whole.settings, "common_time_span": True}
+    cut = replace(whole, settings=settings, trials=(*of_hall, *of_yard))
+    spans = "76 s of yard (68 % of its groundtruth), 149 s of hall (82 % of its groundtruth)"
+    for table in matrices(cut)[:4]:
+        assert f"Only the common time span of all runs of a sequence: {spans}." in table.caption
+        assert f", common time span: {spans};" in table.brief
+    assert not any("common time span" in each.caption for each in matrices(whole))
+
+
+def test_a_run_without_a_file_is_missing_and_has_no_coverage() -> None:
+    whole = summary(cause="keyframes")
+    wrong, right = whole.trials
+    gone = replace(wrong, status=MISSING, coverage=0.0, rmse={}, values={}, pairs=0)
+    for status, word in ((MISSING, "missing"), (FAILED, "failed")):
+        lost = replace(gone, status=status)
+        [table, *_] = matrices(replace(whole, trials=(lost, right)))
+        assert [cells[0].text for _, cells in table.rows] == [word, "1.000"]
+        assert "not ranked" not in table.caption
+
+
+def test_the_coverage_in_a_footnote_is_that_of_its_column() -> None:
+    whole = summary(cause="keyframes")
+    half = [replace(whole.trials[0], sequence=name, coverage=share) for name, share in
+            (("hall", 1.0), ("yard", 1.0), ("road", 0.4))]  # fmt: skip
+    other = [replace(each, algorithm="right", coverage=1.0) for each in half]
+    tables = matrices(replace(whole, trials=(*half, *other)))
+    table = next(each for each in tables if each.name == "re_position_percent")
+    assert table.coverage == pytest.approx((0.8, 1.0))
+    assert "not ranked: wrong (covers 80 %)." in table.caption
 
 
 @pytest.mark.slow

@@ -61,12 +61,10 @@ def common_spans(summary: ComparisonSummary) -> str:
     """Return the lengths of the common time spans, "149 s of MH_01 (82 % of its groundtruth)"."""
     if not summary.settings["common_time_span"]:
         return ""
-    longest: dict[str, Trial] = {}
-    for trial in summary.trials:
-        if trial.status == OK:
-            longest[trial.sequence] = max(
-                trial, longest.get(trial.sequence, trial), key=lambda each: each.span_s
-            )
+    by_length = sorted(
+        (each for each in summary.trials if each.status == OK), key=lambda each: each.span_s
+    )
+    longest = {each.sequence: each for each in by_length}
     spans = sorted(longest.values(), key=lambda each: each.common_span)
     named = [
         f"{each.span_s:.0f} s of {each.sequence} ({whole_percent(each.common_span)} of its "
@@ -277,8 +275,8 @@ def _legend(
     return [(f"{mark} {clause}", end) for mark, clause, end in meanings if mark in used]
 
 
-def _comparable_coverage(summary: ComparisonSummary, sequence: str | None) -> float:
-    """Return the smallest coverage that is comparable with the largest one."""
+def _comparable_coverage(summary: ComparisonSummary, sequence: str) -> float:
+    """Return the smallest coverage of a sequence that is comparable with the largest one."""
     covered = [_coverage(summary.of(each, sequence)) for each in summary.algorithms]
     return LOW_COVERAGE * max(covered, default=0.0)
 
@@ -344,13 +342,8 @@ def _cell(trials: Sequence[Trial], metric: str, enough: int, comparable: float) 
         why = _COPY
     competes = not why
     if competes and _coverage(trials) < comparable:
-        why = _covers(trials)
+        why = f"covers {whole_percent(_coverage(trials))}"
     return Cell(value, " ".join(filter(None, notes)), not why, why, competes, spread)
-
-
-def _covers(trials: Sequence[Trial]) -> str:
-    """Return why runs with a low coverage are not ranked."""
-    return f"covers {whole_percent(_coverage(trials))}"
 
 
 def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
@@ -360,8 +353,9 @@ def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
         if (row["kind"], row["metric"]) == (RE, metric):
             pooled[row["algorithm"], row["length"]].append((row["mean"], row["count"]))
     rows = []
-    most = max((_mean_coverage(summary.of(each)) for each in summary.algorithms), default=0.0)
-    comparable = LOW_COVERAGE * most
+    comparable = LOW_COVERAGE * max(
+        _mean_coverage(summary.of(each)) for each in summary.algorithms
+    )
     for algorithm in summary.algorithms:
         trials = summary.of(algorithm)
         evaluated = sum(trial.status == OK for trial in trials)
