@@ -91,6 +91,7 @@ def test_views_have_nothing_to_report_at_three_times(
 
     seen = [100]
     with headless_viewer(pictures[kind]) as url, ViewerClient.connect(url) as viewer:
+        until(lambda: any(each.timelines for each in viewer.get_state().recordings), "it is read")
         (line,) = viewer.get_state().recordings[0].timelines
         assert line.name == "ros_time"
         for share in (0.25, 0.6, 1.0):

@@ -7,7 +7,7 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from statistics import median
+from statistics import fmean, median
 from typing import Any
 
 from trajeval_ros import __version__
@@ -216,15 +216,18 @@ def _findings(summary: ComparisonSummary, drawn: int) -> list[str]:
             f"{counted(len(summary.sequences), 'sequence')}."
         )
     if tables and not summary.settings["common_time_span"]:
-        coverage = dict(zip(summary.algorithms, tables[0].coverage, strict=True))
+        shares = {
+            name: [trial.coverage for trial in summary.of(name) if trial.status == OK]
+            for name in summary.algorithms
+        }
+        coverage = {name: fmean(found) for name, found in shares.items() if found}
         most = max(coverage, key=lambda name: coverage[name])
         findings += [
             f"{name} covers {whole_percent(coverage[name])} of the groundtruth and {most} covers "
             f"{whole_percent(coverage[most])}. Compare only runs with the same coverage: use "
             "--common-time-span."
-            for name in summary.algorithms
+            for name in coverage
             if coverage[name] < LOW_COVERAGE * coverage[most]
-            and all(trial.status == OK for trial in summary.of(name))
         ]
     elif spans := common_spans(summary):
         findings.append(f"Only the common time span of all runs of a sequence: {spans}.")

@@ -30,9 +30,8 @@ _WORDS = {
         "compare --alert-limit", "compare --risk", "compare --rotation-covariance-frame",
         "compare --continuous-model",
     ),
-    "limits are fixed; watch a healthy run, and set --factor as it prints": (
-        "watch --learn", "watch --limits",
-    ),
+    "limits are fixed; watch a healthy run, and set --factor as it prints": ("watch --learn",),
+    "limits are fixed; set --factor for this robot": ("watch --limits",),
     "limits are fixed: use --watch-factor 1": ("evaluate --watch-limits",),
     "use trajeval evaluate to measure errors": ("watch --groundtruth", "watch -g"),
     # evo; docs/coming_from.md has a table.
