@@ -531,6 +531,7 @@ def test_view_says_what_it_needs(
 
 @pytest.mark.parametrize(("begin_ns", "kind"), [(0, "duration"), (1_700_000_000 * 10**9, "date")])
 def test_a_clock_that_starts_at_zero_has_no_date(begin_ns: int, kind: str, tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="rerun-sdk is missing, the extra `rerun`")
     from rrd import Rrd
 
     rerun, _ = sdk()
