@@ -10,6 +10,10 @@ _WORDS = {
     "use trajeval study association": ("compare-association",),
     "use trajeval study gauge": ("gauge-study",),
     "use --correct CAUSE": ("evaluate --fix",),
+    "use --correct CAUSE, or convert the file by an option of trajeval trajectory": (
+        "evaluate --estimate-scale", "evaluate --groundtruth-scale", "evaluate --estimate-axes",
+        "evaluate --quaternion-order", "evaluate --inverse", "evaluate --clock-rate",
+    ),
     "exchange -g and -e": ("evaluate --swap",),
     "write it to a YAML file, and give the file as --protocol FILE.yaml": (
         "evaluate --apply", "evaluate --ate-form", "evaluate --re-form",
@@ -83,13 +87,6 @@ _WORDS = {
     ),
     "run _TRAJEVAL_COMPLETE=bash_source trajeval": ("--show-completion",),
 }  # fmt: skip
-_CONVERTED = {
-    "estimate-scale": "scale", "groundtruth-scale": "scale", "estimate-axes": "axes",
-    "quaternion-order": "quaternion-order", "inverse": "inverse", "clock-rate": "clock-rate",
-}  # fmt: skip
 REPLACED: Final[dict[str, str]] = {
     word: answer for answer, words in _WORDS.items() for word in words
-} | {
-    f"evaluate --{old}": f"use --correct CAUSE, or convert the file: trajeval trajectory --{new}"
-    for old, new in _CONVERTED.items()
 }
