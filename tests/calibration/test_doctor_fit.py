@@ -147,7 +147,9 @@ def test_broken_intervals_have_less_weight_from_the_fifth_iteration_on(small: Sm
     expected = [1.0, 1.0, (50.0 / 51.0) ** 0.25, (50.0 / 5000.0) ** 0.25]
     for one, other in zip(before, after, strict=True):
         scaled = one[:, :9] * np.array(expected)[:, None, None]
-        np.testing.assert_allclose(other[:, :9], scaled, rtol=1e-9)
+        # Small elements are differences of large products.
+        rounding = 16.0 * np.finfo(float).eps * float(np.abs(scaled).max())
+        np.testing.assert_allclose(other[:, :9], scaled, rtol=1e-9, atol=rounding)
         np.testing.assert_array_equal(other[:, 9:], one[:, 9:])  # random walks
 
 

@@ -221,7 +221,7 @@ def _findings(summary: ComparisonSummary, drawn: int) -> list[str]:
             for name in summary.algorithms
         }
         coverage = {name: fmean(found) for name, found in shares.items() if found}
-        most = max(coverage, key=lambda name: coverage[name])
+        most = max(coverage, key=lambda name: coverage[name], default="")
         findings += [
             f"{name} covers {whole_percent(coverage[name])} of the groundtruth and {most} covers "
             f"{whole_percent(coverage[most])}. Compare only runs with the same coverage: use "
