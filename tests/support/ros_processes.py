@@ -78,7 +78,8 @@ def listening(
 
 
 def replay_command(bag: Path, *options: object) -> list[str]:
-    waiting = ["--wait-for-subscribers", str(PATIENCE_S)]
+    waits = "--wait-for-subscribers"
+    waiting = [] if waits in options else [waits, str(PATIENCE_S)]
     topics = [] if "--topic" in options else _without_imu(bag)
     command = [sys.executable, "-m", "trajeval_ros", "replay", str(bag)]
     return [*command, *waiting, *topics, *map(str, options)]
