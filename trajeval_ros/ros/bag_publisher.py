@@ -23,6 +23,7 @@ _LAST_DELIVERY_S = 30.0
 _LAST_DELIVERY_STOPPED_S = 5.0
 _ASK_EVERY_S = 0.2
 _LOOK_EVERY_S = 0.02
+_DISCOVERY_S = 2.0  # a node's readers of transforms are discovered with those of poses
 
 
 def replay(
@@ -38,8 +39,8 @@ def replay(
     """Publish a playback; SIGINT, SIGTERM and SIGHUP end it early.
 
     It starts after `patience_s`, or as soon as all topics with poses have a subscriber; without
-    such topics, as soon as all have one. `begin` is called with those that
-    have none, and `advance` periodically with the played and the total bag time.
+    such topics, as soon as all have one. `begin` is called with those that have none, and
+    `advance` periodically with the played and the total bag time.
     """
     with ros(arguments) as stop:
         import rclpy
@@ -49,6 +50,8 @@ def replay(
         set_clock = _clock(node) if with_clock else None
         awaited = {each: publishers[each] for each in playback.awaited}
         begin(_without_subscriber(awaited, patience_s, stop))
+        others = {each: to for each, to in publishers.items() if each.topic.holds_transforms}
+        _without_subscriber(others, min(patience_s, _DISCOVERY_S), stop)
 
         def tick(time_ns: int) -> None:
             if set_clock is not None:
