@@ -118,3 +118,20 @@ def test_kitti_has_the_tables_of_its_benchmark(shared_data: Path, tmp_path: Path
     text = (out / "tables.md").read_text()
     assert "KITTI: mean over the sub-trajectories of 100 m to 800 m" in text
     assert not any("kitti" in each.name for each in matrices(summary()))
+
+
+def test_of_many_common_time_spans_the_smallest_and_the_largest_are_stated() -> None:
+    whole = summary()
+    trials = [
+        replace(whole.trials[1], sequence=name, span_s=seconds, common_span=share)
+        for name, seconds, share in (
+            ("a", 30.0, 0.5), ("b", 20.0, 0.9), ("c", 10.0, 0.3), ("d", 40.0, 0.7),
+        )
+    ]  # fmt: skip
+    lost = replace(trials[0], sequence="e", status=FAILED, span_s=0.0, rmse={})
+    settings = {**whole.settings, "common_time_span": True}
+    cut = replace(whole, settings=settings, trials=(*trials, lost))
+    assert cut.common_spans == (
+        "10 s of c (30 % of its groundtruth) to 20 s of b (90 % of its groundtruth)"
+    )
+    assert whole.common_spans == ""

@@ -30,7 +30,7 @@ from trajeval_ros.batch.results_table import (
     ResultsTable,
     state_of,
 )
-from trajeval_ros.batch.summary_tables import common_spans, definition, diagnosed, matrices
+from trajeval_ros.batch.summary_tables import SPAN_NOTE, definition, diagnosed, matrices
 from trajeval_ros.diagnosis.warnings import LOW_COVERAGE
 from trajeval_ros.formatting.numbers import counted, three_decimals, whole_percent
 from trajeval_ros.io.writing import refused_by_disk, write_text
@@ -229,8 +229,8 @@ def _findings(summary: ComparisonSummary, drawn: int) -> list[str]:
             for name in coverage
             if coverage[name] < LOW_COVERAGE * coverage[most]
         ]
-    elif spans := common_spans(summary):
-        findings.append(f"Only the common time span of all runs of a sequence: {spans}.")
+    elif summary.common_spans:
+        findings.append(f"{SPAN_NOTE}: {summary.common_spans}.")
     return findings
 
 

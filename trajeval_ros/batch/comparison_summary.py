@@ -23,12 +23,14 @@ from trajeval_ros.batch.results_table import (
     ResultsTable,
     read_pooled,
 )
+from trajeval_ros.formatting.numbers import whole_percent
 
 _NAMES = ("algorithm", "sequence", "trial")
 _OF_A_RUN = (
     "status", "reason", "groundtruth_coverage", "common_span", "span_s", "pairs", "key",
     "warnings", "diagnosis",
 )  # fmt: skip
+_MOST_SPANS = 3  # common time spans that are listed
 # Statistics of as-available numbers.
 _AVAILABLE = {"position_m": "rmse", "age_error_m": "rmse", "age_s": "p95"}
 # Errors of KITTI's ranking, means over all lengths: name, and title of the table.
@@ -100,6 +102,23 @@ class ComparisonSummary:
             for row in self.pooled
             if row["kind"] == RE
         }
+
+    @cached_property
+    def common_spans(self) -> str:
+        """Common time spans: "149 s of MH_01 (82 % of its groundtruth)"; "" without any.
+
+        Of more than three sequences, those with the smallest and the largest share.
+        """
+        if not self.settings["common_time_span"]:
+            return ""
+        by_length = sorted(self.trials, key=lambda each: each.span_s)  # failed runs have none
+        longest = {each.sequence: each for each in by_length if each.span_s}
+        named = [
+            f"{each.span_s:.0f} s of {each.sequence} ({whole_percent(each.common_span)} of its "
+            "groundtruth)"
+            for each in sorted(longest.values(), key=lambda each: each.common_span)
+        ]
+        return ", ".join(named) if len(named) <= _MOST_SPANS else f"{named[0]} to {named[-1]}"
 
     @cached_property
     def _by_place(self) -> dict[tuple[str, str | None], list[Trial]]:

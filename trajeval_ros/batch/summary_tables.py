@@ -35,6 +35,7 @@ _COMPARABLE = (
     f"Only algorithms with at least {whole_percent(LOW_COVERAGE)} of the largest coverage are "
     "ranked. A number that is worse than an unranked one is not marked as the best."
 )
+SPAN_NOTE = "Only the common time span of all runs of a sequence"
 _MOST_NAMED = 3  # unranked algorithms that a caption names
 
 
@@ -55,23 +56,6 @@ def definition(settings: dict[str, Any]) -> str:
         f"({Gauge(settings['gauge']).description}){modality} with {how}; "
         f"{METHOD_TEXTS[rule.method].format(rule)}.{_calibration(settings)}"
     )
-
-
-def common_spans(summary: ComparisonSummary) -> str:
-    """Return the lengths of the common time spans, "149 s of MH_01 (82 % of its groundtruth)"."""
-    if not summary.settings["common_time_span"]:
-        return ""
-    by_length = sorted(
-        (each for each in summary.trials if each.status == OK), key=lambda each: each.span_s
-    )
-    longest = {each.sequence: each for each in by_length}
-    spans = sorted(longest.values(), key=lambda each: each.common_span)
-    named = [
-        f"{each.span_s:.0f} s of {each.sequence} ({whole_percent(each.common_span)} of its "
-        "groundtruth)"
-        for each in (spans if len(spans) <= _MOST_NAMED else (spans[0], spans[-1]))
-    ]
-    return (" to " if len(spans) > _MOST_NAMED else ", ").join(named)
 
 
 def _calibration(settings: dict[str, Any]) -> str:
@@ -237,8 +221,8 @@ def _by_sequence(
 def _common_notes(summary: ComparisonSummary) -> Iterator[str]:
     """Yield the notes of all tables of errors."""
     yield definition(summary.settings)
-    if spans := common_spans(summary):
-        yield f"Only the common time span of all runs of a sequence: {spans}."
+    if summary.common_spans:
+        yield f"{SPAN_NOTE}: {summary.common_spans}."
     yield _COMPARABLE
 
 
@@ -253,8 +237,7 @@ def _brief(summary: ComparisonSummary, what: str) -> str:
     """Return a caption of one sentence, without the marks and the full stop."""
     gauge = Gauge(summary.settings["gauge"])
     aligned = "unaligned" if gauge is Gauge.NONE else f"aligned by {gauge.description}"
-    spans = common_spans(summary)
-    span = f", common time span: {spans}" if spans else ""
+    span = f", common time span: {summary.common_spans}" if summary.common_spans else ""
     return f"{what}, {aligned}{span}; best bold, second best underlined"
 
 

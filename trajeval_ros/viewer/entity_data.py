@@ -50,10 +50,7 @@ def log(recording: Any, entity: str, stamp: int, row: Any) -> None:
 
 
 def _time_of(stamps: Stamps | np.int64) -> dict[str, Any]:
-    """Return stamps as an argument for Rerun: a date, or the time since the start of the clock.
-
-    Clocks of simulators and the frames of files without timestamps start at 0, not at a date.
-    """
+    """Return dates for Rerun, or durations on a clock that starts at 0, as of a simulator."""
     if np.any(stamps < _YEAR_NS):
         return {"duration": stamps.astype("timedelta64[ns]")}
     return {"timestamp": stamps.astype("datetime64[ns]")}
