@@ -105,6 +105,18 @@ def test_other_units_are_refused(names: str, unit: str, tmp_path: Path) -> None:
         read_trajectory(path)
 
 
+@pytest.mark.parametrize(
+    ("unit", "is_read"),
+    [("m/s", True), ("m s^-1", True), ("mm/s", False), ("cm s^-1", False), ("km/h", False)],
+)
+def test_velocities_in_other_units_are_ignored(unit: str, is_read: bool, tmp_path: Path) -> None:
+    names = ",".join(f"v{axis} [{unit}]" for axis in "xyz")
+    read = read_trajectory(written(tmp_path / "a.csv", f"t_ns,x,y,z,{names}", STAMPS, *POSITIONS.T))
+    assert (read.velocities is not None) == is_read
+    said = [each.text for each in read.reading.remarks if "ignored" in each.text]
+    assert said == ([] if is_read else [f"ignored columns: {names.replace(',', ', ')}"])
+
+
 @pytest.mark.parametrize(("unit", "count"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
 def test_a_header_has_the_names_of_columns(unit: str, count: float, tmp_path: Path) -> None:
     times = [int(2 * second * count) for second in range(4)]

@@ -27,6 +27,7 @@ _UNITS = {
     **dict.fromkeys(("deg", "degree", "degrees", "°"), "deg"),
     **dict.fromkeys(("rad", "radian", "radians"), "rad"),
 }
+_OTHER_SPEED = r"[\[(](?!m[ /])[a-z]+ ?(?:/ ?[sh]|s\^?-1)|[\[(]m ?/ ?h"  # not m/s
 _POSITION_UNIT = rf"{_UNIT}|[^a-z0-9](mm|cm|k?m)$"
 _TIME = (
     r"(?:t(?:_(?:s|ms|us|ns))?|secs?|time.*|stamp.*"
@@ -139,7 +140,8 @@ def _columns(names: Sequence[str]) -> tuple[str, ...]:
     for group, pattern in _VECTORS.items():
         for word, element in zip(GROUPS[group], "xyzw", strict=False):
             for place in _places(plain, pattern.format(element))[:1]:
-                name(place, word)
+                if "velocity" not in group or not re.search(_OTHER_SPEED, names[place].lower()):
+                    name(place, word)
     for place, word in enumerate(plain):
         match = re.fullmatch(_ANGLE, word) or re.fullmatch(_THETA, word)
         if match:
