@@ -161,6 +161,14 @@ def test_what_leaves_out_more_of_the_way_is_no_winner() -> None:
     assert ranked(cells) == [0, 2, 1]
 
 
+def test_numbers_that_are_printed_alike_share_a_rank() -> None:
+    cells = [Cell(each) for each in (0.12312, 0.12284, 0.1251, 0.12549, 0.3)]
+    assert [cell.text for cell in cells[:4]] == ["0.123", "0.123", "0.125", "0.125"]
+    assert ranked(cells) == [1, 1, 2, 2, 0]
+    unranked = Cell(0.12271, is_ranked=False, why_unranked="covers 20 %")
+    assert ranked([*cells, unranked]) == [1, 1, 0, 0, 0, 0]
+
+
 @pytest.mark.parametrize(
     ("time_offset", "hand_eye", "said"),
     [

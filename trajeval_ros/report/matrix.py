@@ -44,6 +44,12 @@ class Cell:
         return "missing" if self.is_missing else three_decimals(self.value)
 
     @property
+    def compared(self) -> float | None:
+        """The number as printed: a difference that nobody sees makes no rank."""
+        known = self.value is not None and math.isfinite(self.value)
+        return float(self.text) if known else self.value
+
+    @property
     def marks(self) -> str:
         """The remark, with the mark of a number that is not ranked."""
         is_marked = self.why_unranked and self.value is not None
@@ -85,19 +91,14 @@ class Matrix:
 def ranked(cells: Sequence[Cell]) -> list[int]:
     """Return the ranks of cells in a column: 1 for the best, 2 for the second, else 0.
 
-    A number that is worse than an unranked one has no rank.
+    A number that is worse than an unranked one has no rank. Numbers that are printed alike share
+    one.
     """
     if sum(cell.value is not None for cell in cells) < 2:
         return [0] * len(cells)
-    values = [cell.value if cell.is_ranked else None for cell in cells]
-    limit = min(
-        (
-            cell.value
-            for cell in cells
-            if cell.why_unranked and cell.competes and cell.value is not None
-        ),
-        default=math.inf,
-    )
+    values = [cell.compared if cell.is_ranked else None for cell in cells]
+    better = [cell.compared for cell in cells if cell.why_unranked and cell.competes]
+    limit = min((value for value in better if value is not None), default=math.inf)
     places = sorted({value for value in values if value is not None and value < math.inf})[:2]
     best = [value for value in places if value <= limit]
     return [0 if v is None or v not in best else 1 + best.index(v) for v in values]
