@@ -111,7 +111,7 @@ def test_no_name_breaks_a_markdown_table(name: str) -> None:
 
 
 @pytest.mark.parametrize("transpose", [False, True])
-@pytest.mark.parametrize("columns", [2, 11])
+@pytest.mark.parametrize("columns", [2, 4, 11])
 def test_latex_compiles_as_pasted_and_fits_the_page(
     columns: int, transpose: bool, tmp_path: Path
 ) -> None:
@@ -134,8 +134,7 @@ def test_latex_compiles_as_pasted_and_fits_the_page(
     command = [program, *(["-interaction=nonstopmode"] if "pdflatex" in program else []), "a.tex"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
-    if columns == 11:
-        assert "Overfull" not in done.stdout
+    assert "Overfull" not in done.stdout
 
 
 def test_eleven_sequences_take_both_columns_or_are_rows() -> None:
@@ -149,6 +148,20 @@ def test_eleven_sequences_take_both_columns_or_are_rows() -> None:
     assert len([line for line in tall.splitlines() if line.endswith(r"\\")]) == 15
     assert r"MH\_05 & \textbf{5.000} & \textbf{5.000} & \textbf{5.000}" in tall
     assert "average & " in tall
+
+
+def test_a_table_that_is_too_wide_for_a_column_spans_the_page_and_then_omits_spreads() -> None:
+    def to_latex_of(columns: int) -> str:
+        table = matrix([[0.1 * each for each in range(1, columns + 1)]] * 3)
+        rows = tuple(
+            (name, tuple(dataclasses.replace(each, spread="(0.05–0.32)") for each in cells))
+            for name, cells in table.rows
+        )
+        return to_latex(dataclasses.replace(table, rows=rows))
+
+    for columns, is_wide, has_spread in ((1, False, True), (3, True, True), (9, True, False)):
+        text = to_latex_of(columns)
+        assert ("table*" in text, "0.05" in text) == (is_wide, has_spread)
 
 
 def test_the_average_is_of_all_columns_or_none() -> None:

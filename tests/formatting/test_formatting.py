@@ -108,11 +108,11 @@ def test_csv_leaves_numbers_and_words(name: str) -> None:
 @given(NAMES)
 def test_latex_has_one_line_for_each_row(name: str) -> None:
     lines = latex_table("a_b", name, ["name", "value"], [[name, MarkedText("1", BOLD)]])
-    assert len(lines) == 14
-    assert lines[4] == "  \\label{tab:a-b}"
+    assert len(lines) == 16
+    assert lines[6] == "  \\label{tab:a-b}"
     assert not any(controls(line) for line in lines)
-    assert len(re.findall(r"(?<!\\)&", lines[9].replace(r"\textbackslash{}", ""))) == 1
-    assert lines[9].endswith("\\textbf{1} \\\\")
+    assert len(re.findall(r"(?<!\\)&", lines[11].replace(r"\textbackslash{}", ""))) == 1
+    assert lines[11].endswith("\\textbf{1} \\\\")
 
 
 @given(NAMES)

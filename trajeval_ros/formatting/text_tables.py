@@ -13,6 +13,8 @@ from trajeval_ros.formatting.escaping import csv_text, latex_text, markdown_text
 BOLD, UNDERLINE = "bold", "underline"
 _MARKDOWN = {"": "{}", BOLD: "**{}**", UNDERLINE: "<u>{}</u>"}
 _LATEX = {"": "{}", BOLD: "\\textbf{{{}}}", UNDERLINE: "\\underline{{{}}}"}
+# The mean width of a character in \\footnotesize, and the space between columns.
+_CHARACTER_PT, _COLUMN_GAP_PT = 3.8, 4.0
 _UNDERSCORE, _BREAKABLE = "\\_", "\\_\\allowbreak{}"
 
 
@@ -52,12 +54,10 @@ def latex_table(
     """
     numbers = len(headings) - 1
     heads = _cells(headings, latex_text, _LATEX)
-    size: list[str] = []
     begin, end = f"\\begin{{tabular}}{{l{'r' * numbers}}}", "\\end{tabular}"
     if is_wide:
         # Names of sequences can be broken at underscores.
         heads = [f"\\scriptsize {head.replace(_UNDERSCORE, _BREAKABLE)}" for head in heads]
-        size = ["  \\footnotesize", "  \\setlength{\\tabcolsep}{2pt}"]
         right = ">{\\raggedleft\\arraybackslash}X"
         begin = f"\\begin{{tabularx}}{{\\textwidth}}{{l*{{{numbers}}}{{{right}}}}}"
         end = "\\end{tabularx}"
@@ -67,7 +67,8 @@ def latex_table(
         *(f"% {latex_text(remark)}" for remark in remarks),
         f"\\begin{{table{star}}}",
         "  \\centering",
-        *size,
+        "  \\footnotesize",
+        f"  \\setlength{{\\tabcolsep}}{{{_COLUMN_GAP_PT / 2:g}pt}}",
         f"  \\caption{{{latex_text(caption)}}}",
         f"  \\label{{tab:{label.replace('_', '-')}}}",
         f"  {begin}",
@@ -80,6 +81,17 @@ def latex_table(
         f"\\end{{table{star}}}",
         "",
     ]
+
+
+def is_within(width_pt: float, rows: Sequence[TextRow], *, is_wide: bool) -> bool:
+    """Return whether the rows of `latex_table`, headings first, fit in a width, approximately."""
+    widths = []
+    for place, column in enumerate(zip(*rows, strict=True)):
+        cells = column[place > 0 and is_wide :]  # headings of a wide table are broken
+        texts = (each if isinstance(each, str) else each.text + each.rest for each in cells)
+        widths.append(_CHARACTER_PT * max(map(len, texts)) + _COLUMN_GAP_PT)
+    numbers = max(widths[1:]) * len(widths[1:]) if is_wide else sum(widths[1:])
+    return widths[0] + numbers <= width_pt
 
 
 def csv_table(headings: Sequence[str], rows: Iterable[Sequence[str | float | None]]) -> str:

@@ -15,13 +15,14 @@ from trajeval_ros.formatting.text_tables import (
     MarkedText,
     TextCell,
     csv_table,
+    is_within,
     latex_table,
     markdown_table,
 )
 from trajeval_ros.report.console import Table
 
 UNRANKED = "¶"
-_MOST_NARROW = 6  # columns of numbers that fit into one column of a two-column page
+_COLUMN_PT, _PAGE_PT = 252.0, 516.0  # of a page with two columns, as IEEE's
 
 
 @dataclass(frozen=True)
@@ -141,31 +142,13 @@ def to_markdown(matrix: Matrix) -> str:
 def to_latex(matrix: Matrix, *, transpose: bool = False) -> str:
     """Return the table as LaTeX for the booktabs package, with a caption of one sentence.
 
-    A table with many columns spans both columns of a page and omits the spread of the trials.
+    A table that is too wide for one column of a page spans both. If it is too wide for these, too,
+    it omits the spread of the trials.
     """
-    names = [name for name, _ in matrix.rows]
-    columns = [[cells[place] for _, cells in matrix.rows] for place in range(len(matrix.columns))]
-    headings = list(matrix.columns)
-    if matrix.has_average:
-        columns.append(matrix.averages())
-        headings.append("average")
-    across = names if transpose else headings
-    is_wide = len(across) > _MOST_NARROW
-    by_column: list[list[TextCell]] = [
-        [
-            heading,
-            *(
-                _marked(*ranked_cell, with_spread=not is_wide)
-                for ranked_cell in zip(cells, ranked(cells), strict=True)
-            ),
-        ]
-        for heading, cells in zip(headings, columns, strict=True)
-    ]
-    by_column.append(["runs", *matrix.runs])
-    by_column.append(["coverage", *map(whole_percent, matrix.coverage)])
-    corner = "" if transpose else "algorithm"
-    table: list[list[TextCell]] = [[corner, *names], *by_column]
-    rows = table if transpose else [list(row) for row in zip(*table, strict=True)]
+    for is_wide, with_spread in ((False, True), (True, True), (True, False)):
+        rows = _latex_rows(matrix, transpose=transpose, with_spread=with_spread)
+        if is_within(_PAGE_PT if is_wide else _COLUMN_PT, rows, is_wide=is_wide):
+            break
     return "\n".join(
         latex_table(
             matrix.name,
@@ -176,6 +159,25 @@ def to_latex(matrix: Matrix, *, transpose: bool = False) -> str:
             is_wide=is_wide,
         )
     )
+
+
+def _latex_rows(matrix: Matrix, *, transpose: bool, with_spread: bool) -> list[list[TextCell]]:
+    """Return headings and rows of a table with the average, or their transpose."""
+    columns = [[cells[place] for _, cells in matrix.rows] for place in range(len(matrix.columns))]
+    headings = list(matrix.columns)
+    if matrix.has_average:
+        columns.append(matrix.averages())
+        headings.append("average")
+    table: list[list[TextCell]] = [
+        ["" if transpose else "algorithm", *(name for name, _ in matrix.rows)]
+    ]
+    for heading, cells in zip(headings, columns, strict=True):
+        marked = [_marked(*each, with_spread=with_spread)
+                  for each in zip(cells, ranked(cells), strict=True)]  # fmt: skip
+        table.append([heading, *marked])
+    table.append(["runs", *matrix.runs])
+    table.append(["coverage", *map(whole_percent, matrix.coverage)])
+    return table if transpose else [list(row) for row in zip(*table, strict=True)]
 
 
 def to_csv(matrix: Matrix) -> str:

@@ -111,7 +111,9 @@ def test_other_units_are_refused(names: str, unit: str, tmp_path: Path) -> None:
 )
 def test_velocities_in_other_units_are_ignored(unit: str, is_read: bool, tmp_path: Path) -> None:
     names = ",".join(f"v{axis} [{unit}]" for axis in "xyz")
-    read = read_trajectory(written(tmp_path / "a.csv", f"t_ns,x,y,z,{names}", STAMPS, *POSITIONS.T))
+    read = read_trajectory(
+        written(tmp_path / "a.csv", f"t_ns,x,y,z,{names}", STAMPS, *POSITIONS.T)
+    )
     assert (read.velocities is not None) == is_read
     said = [each.text for each in read.reading.remarks if "ignored" in each.text]
     assert said == ([] if is_read else [f"ignored columns: {names.replace(',', ', ')}"])
