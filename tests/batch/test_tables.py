@@ -152,7 +152,8 @@ def test_eleven_sequences_take_both_columns_or_are_rows() -> None:
 
 def test_a_table_that_is_too_wide_for_a_column_spans_the_page_and_then_omits_spreads() -> None:
     def to_latex_of(columns: int) -> str:
-        table = matrix([[0.1 * each for each in range(1, columns + 1)]] * 3)
+        values: list[float | None] = [0.1 * each for each in range(1, columns + 1)]
+        table = matrix([values] * 3)
         rows = tuple(
             (name, tuple(dataclasses.replace(each, spread="(0.05–0.32)") for each in cells))
             for name, cells in table.rows
