@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 import scipy.sparse
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.linalg.lapack import dtbtrs
@@ -38,22 +39,36 @@ class Factor:
     scale: Floats  # (N, d), the diagonal of S
 
     @classmethod
-    def of(cls, diagonal: Floats, lower: Floats, band: Floats | None = None) -> Factor:
+    def of(cls, diagonal: Floats, lower: Floats) -> Factor:
         """Factorise the matrix of blocks (N, d, d) and, below them, (N - 1, d, d).
-
-        The factor is in `band` (N, d, 2 d), if given: zeros, or that of another factor.
 
         Raises:
             numpy.linalg.LinAlgError: It is not positive definite.
         """
-        entries = np.einsum("nii->ni", diagonal)
+        band = np.zeros((*diagonal.shape[:2], 2 * diagonal.shape[1]))
+        for start in range(0, len(band), AT_ONCE):
+            rows = slice(start, start + AT_ONCE)
+            add_blocks(band[rows], diagonal[rows], lower[rows])
+        return cls.of_band(band)
+
+    @classmethod
+    def of_band(cls, band: Floats) -> Factor:
+        """Factorise the matrix of `add_blocks` (N, d, 2 d); the factor replaces it.
+
+        Raises:
+            numpy.linalg.LinAlgError: It is not positive definite.
+        """
+        entries, width = band[..., 0], band.shape[2]
         if not (entries > 0.0).all():
             raise np.linalg.LinAlgError("a diagonal entry is not positive")
         scale = 1.0 / np.sqrt(entries)
-        band = np.zeros((*entries.shape, 2 * entries.shape[1])) if band is None else band
-        _fill(band, diagonal, lower, scale)
-        band = band.reshape(entries.size, -1).T
-        return cls(cholesky_banded(band, lower=True, overwrite_ab=True), scale)
+        columns, own = band.reshape(-1, width), scale.reshape(-1, 1)
+        rows = sliding_window_view(np.pad(own[:, 0], (0, width - 1)), width)
+        for start in range(0, len(columns), width * AT_ONCE):
+            part = slice(start, start + width * AT_ONCE)
+            columns[part] *= rows[part]
+            columns[part] *= own[part]
+        return cls(cholesky_banded(columns.T, lower=True, overwrite_ab=True), scale)
 
     @property
     def log_diagonal(self) -> Floats:
@@ -103,21 +118,18 @@ class Factor:
         return blocks, beside[:-1]
 
 
-def _fill(band: Floats, diagonal: Floats, lower: Floats, scale: Floats) -> None:
-    """Write the columns (N, d, 2 d) of S A S in lower banded storage, as LAPACK requires them.
+def add_blocks(band: Floats, diagonal: Floats, lower: Floats | None = None) -> None:
+    """Add blocks (N, d, d) to the columns (N, d, 2 d) of a matrix in lower banded storage.
 
-    Entry i - j of column j is that of row i; entries of other blocks stay zero.
+    It is that of LAPACK: entry i - j of column j is that of row i. `lower` has the blocks below
+    (N or N - 1, d, d). Entries of other blocks stay zero.
     """
-    count, size, _ = diagonal.shape
-    for start in range(0, count, AT_ONCE):
-        part, next_part = (slice(each, each + AT_ONCE) for each in (start, start + 1))
-        own = diagonal[part] * scale[part, :, None] * scale[part, None, :]
-        after = scale[next_part]
-        below = lower[part] * after[..., None] * scale[part][: len(after), None, :]
-        for column in range(size):
-            end = size - column
-            band[part, column, :end] = own[:, column:, column]
-            band[start : start + len(below), column, end : end + size] = below[:, :, column]
+    size = diagonal.shape[1]
+    for column in range(size):
+        end = size - column
+        band[:, column, :end] += diagonal[:, column:, column]
+        if lower is not None:
+            band[: len(lower), column, end : end + size] += lower[:, :, column]
 
 
 def _blocks(columns: Floats) -> tuple[Floats, Floats]:

@@ -80,19 +80,26 @@ class InertialSteps:
         doubtful = (imu.gaps | imu.saturated)[np.clip(places, 0, len(imu.seconds) - 2)]
         self.doubtful = (doubtful[rows] & real).any(axis=1)
 
-    def motions(self, gyro_biases: Floats, acceleration_biases: Floats) -> Motions:
-        """Integrate the readings minus the biases (K, 3) of the intervals."""
+    def motions(self, biases: Floats) -> Motions:
+        """Integrate the readings minus the biases (K, 6) of the intervals."""
 
-        def motions(rates: Floats, forces: Floats, held: Floats) -> tuple[Floats, Floats, Floats]:
-            halves = so3.exp(rates * held[:, :, None] / 2.0)
-            return integrated(halves @ halves, np.einsum("nkij,nkj->nki", halves, forces), held)
+        def motions(rates: Floats, forces: Floats, held: Floats, biases: Floats) -> Motions:
+            halves = so3.exp((rates - biases[:, None, :3]) * held[:, :, None] / 2.0)
+            turned = np.einsum("nkij,nkj->nki", halves, forces - biases[:, None, 3:])
+            return Motions(*integrated(halves @ halves, turned, held))
 
-        rates = self.rates - gyro_biases[:, None]
-        forces = self.accelerations - acceleration_biases[:, None]
-        return Motions(*lie.by_blocks(motions, rates, forces, self.held))
+        return Motions(*lie.by_blocks(motions, self.rates, self.accelerations, self.held, biases))
 
     def uncertainty(self, bias: Floats, noise: ImuNoise) -> tuple[Floats, Floats]:
         """Return covariances (K, 9, 9) and derivatives by the biases (K, 9, 6) at a bias (3,)."""
-        found = preintegrate(self.rates - bias, self.accelerations, self.held, noise)
-        factor = np.where(self.doubtful, _DOUBTFUL, 1.0)[:, None, None]
-        return found.covariances * factor + _LEAST, found.by_biases
+
+        def uncertainty(
+            rates: Floats, forces: Floats, held: Floats, doubtful: Booleans
+        ) -> tuple[Floats, Floats]:
+            found = preintegrate(rates - bias, forces, held, noise)
+            factor = np.where(doubtful, _DOUBTFUL, 1.0)[:, None, None]
+            return found.covariances * factor + _LEAST, found.by_biases
+
+        columns = self.rates, self.accelerations, self.held, self.doubtful
+        covariances, by_biases = lie.by_blocks(uncertainty, *columns)
+        return covariances, by_biases

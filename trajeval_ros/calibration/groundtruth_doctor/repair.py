@@ -13,7 +13,6 @@ from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 _LONGEST_BRIDGE_S = 2.0
-_POSE = [6, 7, 8, 0, 1, 2]  # columns of a state: position, then rotation
 
 
 def repaired(
@@ -37,14 +36,14 @@ def repaired(
         np.diag(each)[fit.free] for each in (fit.covariance_of_blocks, fit.covariance_of_model)
     )
     inflation = max(1.0, float(np.median(by_blocks / by_model)))
-    covariances = fit.state_covariances()[:, _POSE][:, :, _POSE] * (scale * inflation)
+    covariances = fit.pose_covariances() * (scale * inflation)
     return Trajectory(
         stamps[within],
         states.positions,
         lie.from_matrices(states.rotations),
         velocities=states.velocities,
-        gyroscope_biases=rig.gyro_biases[states.knots],
-        accelerometer_biases=rig.acceleration_biases[states.knots],
+        gyroscope_biases=rig.biases[states.knots, :3],
+        accelerometer_biases=rig.biases[states.knots, 3:],
         covariances=world_from_body_rotations(covariances[states.knots], states.rotations),
         frame=groundtruth.frame,
         name=groundtruth.name,

@@ -136,7 +136,7 @@ def check_residuals(fit: JointFit, stamps: Stamps) -> ResidualChecks:
     found = fit.predicted
     kinds = [("position", found.position_errors, found.marker_velocities)]
     if fit.samples.has_rotations:
-        kinds.append(("rotation", found.rotation_errors @ fit.rig.body.T, found.states.rates))
+        kinds.append(("rotation", found.rotation_errors @ fit.rig.body.T, found.rates))
     stamps = stamps[found.rows]
     minutes = float(stamps[-1] - stamps[0]) / NANOSECONDS / 60.0
     jumps: list[GroundtruthJump] = []

@@ -1,27 +1,142 @@
-"""The start of a fit: clock from turn rates, body rotation from increments, states of knots."""
+"""The start of an examination: checks of its input, clock, body rotation, and first states."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from trajeval_ros.calibration.clock_offset import SEARCH_S, OffsetGuess, guess_offset_by
 from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds
-from trajeval_ros.calibration.groundtruth_doctor.rig import Rig
+from trajeval_ros.calibration.groundtruth_doctor.rig import BODY, GRAVITY, LEVER, SKEW, UNITS, Rig
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
 from trajeval_ros.calibration.hand_eye import robust_rotation
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.inertial import turned_by_gyro
+from trajeval_ros.geometry.arrays import Booleans, Floats
+from trajeval_ros.geometry.inertial import InertialReadings, turned_by_gyro
 from trajeval_ros.geometry.interpolation import columns_at, slerp_at
 from trajeval_ros.geometry.se3 import times
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
+_CERTAIN_CORRELATION = 0.95
+_IN_PLACE_M, _SECOND_AXIS_RADPS = 0.3, 0.1
+_LIGHTEST_MPS2, _HEAVIEST_MPS2 = 5.0, 20.0
 _INCREMENT_S = 0.25
 _PASSES = 6
 _SWING_S, _WINDOW_S = (-0.25, 0.25), 5.0
 _SPEED_S = 0.1  # half of the span over which a velocity is a difference of positions
 _INSIDE_S = 0.1  # between the ends of the recordings and the knots
 _GRAVITY_MPS2 = 9.81
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A groundtruth and an IMU, by seconds of the IMU."""
+
+    samples: TruthSamples
+    imu: ImuSeconds
+    has_forces: bool  # whether the IMU has an accelerometer
+    origin: int  # timestamp of second 0 by the groundtruth's clock, ns
+    shift_s: float  # first offset, which the samples' seconds contain
+    free: Booleans  # (10,), the parameters that sensors and motion may determine
+    notes: list[str]  # on the others, one sentence each
+
+
+def prepared(
+    groundtruth: Trajectory, readings: InertialReadings, time_offset_s: float | None
+) -> Prepared:
+    """Return a groundtruth in order and an IMU by one approximate clock.
+
+    Raises:
+        InputError: Their motions are not related, or a sensor is missing.
+    """
+    name = groundtruth.name or "the groundtruth"
+    (imu, origin), has_forces = imu_of(readings), readings.accelerations is not None
+    has_rotations = groundtruth.quaternions is not None
+    if not (has_forces or has_rotations):
+        raise InputError(f"{name} has no orientations and the IMU no accelerations; give one")
+    free, notes = _determined(groundtruth, imu, has_forces=has_forces)
+    if time_offset_s is None:
+        time_offset_s = _first_offset(groundtruth, imu, origin, name)
+    shift_ns = round(time_offset_s * NANOSECONDS)
+    seconds, turned = (
+        (groundtruth.stamps + (shift_ns - origin)) / NANOSECONDS,
+        groundtruth.quaternions,
+    )
+    if turned is None:
+        turned = rough_orientations(seconds, groundtruth.positions, imu)
+    samples = TruthSamples(seconds, groundtruth.positions, turned, has_rotations)
+    shift_s = shift_ns / NANOSECONDS
+    return Prepared(samples, imu, has_forces, origin - shift_ns, shift_s, free, notes)
+
+
+def imu_of(readings: InertialReadings) -> tuple[ImuSeconds, int]:
+    """Return the readings by time, and the timestamp of their second 0."""
+    name = readings.source or "the IMU"
+    stamps, rows = np.unique(readings.stamps, return_index=True)
+    if len(stamps) < 2:
+        raise InputError(f"{name} has fewer than two readings")
+    accelerations = readings.accelerations
+    if accelerations is None:
+        accelerations = np.zeros_like(readings.rates)
+    else:
+        usual = float(np.median(np.linalg.norm(accelerations, axis=1)))
+        if not _LIGHTEST_MPS2 < usual < _HEAVIEST_MPS2:
+            raise InputError(
+                f"{name} measures a median acceleration of {usual:.3g}, not about 9.81; give "
+                "specific forces in m/s^2"
+            )
+    origin = int(stamps[0])
+    seconds = (stamps - origin) / NANOSECONDS
+    return ImuSeconds(seconds, readings.rates[rows], accelerations[rows]), origin
+
+
+def _determined(
+    groundtruth: Trajectory, imu: ImuSeconds, *, has_forces: bool
+) -> tuple[Booleans, list[str]]:
+    """Return the parameters (10,) that sensors and motion may determine, and notes on others."""
+    free, notes = np.ones(len(UNITS), dtype=bool), []
+    for applies, columns, note in (
+        (not has_forces, np.r_[LEVER, GRAVITY],
+            "no accelerometer: lever arm and tilt are unknown"),
+        (groundtruth.quaternions is None, BODY,
+            "the groundtruth has no orientations: errors of rotation are unobservable, and the "
+            "repaired orientations are from the IMU and the positions"),
+        (not imu.turns, slice(SKEW + 1),
+            "the rig does not turn: rotation, lever arm and clock are unknown"),
+        (imu.turns and turns_in_place(groundtruth.positions, imu.rates), slice(6),
+            "the rig turns about one axis in place: rotation and lever arm are unknown"),
+    ):  # fmt: skip
+        if applies:
+            free[columns] = False
+            notes.append(note)
+    return free, notes
+
+
+def _first_offset(groundtruth: Trajectory, imu: ImuSeconds, origin: int, name: str) -> float:
+    """Return the offset of the groundtruth's clock at which the motions match, s."""
+    poses = groundtruth.positions if groundtruth.quaternions is None else groundtruth.quaternions
+    if imu.turns and not np.diff(poses, axis=0).any():
+        kind = "positions" if groundtruth.quaternions is None else "orientations"
+        raise InputError(f"all {kind} of {name} are equal, but the IMU turns; give measured ones")
+    guess = guess_of(groundtruth, imu, origin)
+    # So high a correlation is not a coincidence, even if periodic motion has a second peak.
+    if guess.is_usable or guess.peak > _CERTAIN_CORRELATION:
+        return guess.offset_s
+    if not imu.turns:
+        return 0.0
+    raise InputError(
+        f"the motion of {name} matches that of the IMU at no single offset (correlation "
+        f"{guess.peak:.2f}); use recordings of the same run, or give --time-offset"
+    )
+
+
+def turns_in_place(positions: Floats, rates: Floats) -> bool:
+    """Return whether neither a turn about a second axis nor accelerations determine the body."""
+    extent_m = float(np.linalg.norm(np.std(positions, axis=0)))
+    deviations = np.linalg.eigvalsh(np.cov(rates.T))
+    return extent_m < _IN_PLACE_M and float(deviations[1]) < _SECOND_AXIS_RADPS**2
 
 
 def guess_of(groundtruth: Trajectory, imu: ImuSeconds, origin: int) -> OffsetGuess:
@@ -99,9 +214,9 @@ def first_rig(samples: TruthSamples, imu: ImuSeconds, knots: Floats) -> Rig:
 
     The body's rotation is that of the increments, and without turns the identity.
     """
-    body, bias, none = np.eye(3), np.zeros(3), np.zeros((len(knots), 3))
+    body, biases = np.eye(3), np.zeros((len(knots), 6))
     if imu.turns and samples.has_rotations:
-        body, bias = _body_and_bias(samples, imu, knots)
+        body, biases[:, :3] = _body_and_bias(samples, imu, knots)
     rotations = lie.to_matrix(slerp_at(samples.seconds, samples.quaternions, knots)) @ body.T
     measured = columns_at(imu.seconds, imu.accelerations, knots)
     force = np.median(times(rotations, measured), axis=0)
@@ -113,7 +228,7 @@ def first_rig(samples: TruthSamples, imu: ImuSeconds, knots: Floats) -> Rig:
     )
     velocities = (after - before) / (2.0 * _SPEED_S)
     return Rig(
-        rotations, velocities, positions, none + bias, none, body, np.zeros(3), 0.0, 0.0,
+        rotations, velocities, positions, biases, body, np.zeros(3), 0.0, 0.0,
         -_GRAVITY_MPS2 * up,
     )  # fmt: skip
 
