@@ -11,6 +11,7 @@ from examined_rigs import START_NS
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from trajeval_ros.calibration.groundtruth_doctor.examine import _difference
 from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds
 from trajeval_ros.calibration.groundtruth_doctor.repair import _with_bridges
 from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
@@ -24,7 +25,6 @@ from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
 )  # fmt: skip
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import _weights
 from trajeval_ros.calibration.groundtruth_doctor.start import turns_in_place
-from trajeval_ros.calibration.groundtruth_doctor.two_horizons import difference
 from trajeval_ros.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -301,7 +301,7 @@ def test_horizons_disagree_by_size_and_by_deviations() -> None:
             )
             for each, arm in ((body, np.zeros(3)), (more, apart))
         )
-        return difference(brief, lasting)  # type: ignore[arg-type]
+        return _difference(brief, lasting)  # type: ignore[arg-type]
 
     found, disagree = found_by(np.array([-19.0, 0.0, 0.0]), 0.01, 0.99)
     np.testing.assert_allclose(found, [0.0, 0.99, 0.0, 19.0, 0.0, 0.0], atol=1e-12)

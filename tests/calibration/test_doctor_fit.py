@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 from small_rigs import Small, small_rig
 
 from trajeval_ros.calibration.groundtruth_doctor import start
-from trajeval_ros.calibration.groundtruth_doctor.examine import IMU_NOISE
-from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds
+from trajeval_ros.calibration.groundtruth_doctor.examine import IMU_NOISE, _fitted
 from trajeval_ros.calibration.groundtruth_doctor.joint_fit import Horizon, JointFit
 from trajeval_ros.calibration.groundtruth_doctor.repair import repaired
 from trajeval_ros.calibration.groundtruth_doctor.rig import LEVER
@@ -24,7 +23,6 @@ from trajeval_ros.calibration.groundtruth_doctor.sample_rows import (
     _means,
     rig_at,
 )
-from trajeval_ros.calibration.groundtruth_doctor.two_horizons import fitted
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.preintegration import ImuNoise
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -139,15 +137,14 @@ def test_fixed_parameters_do_not_move(small: Small) -> None:
 
 def test_broken_intervals_have_less_weight_from_the_fifth_iteration_on(small: Small) -> None:
     fit = small.fit()
-    intervals = np.arange(4), np.arange(1, 5)
-    before = fit._rows_between(*intervals)
+    before = fit._rows_of_intervals(np.arange(4))
     squared = np.square(before[2][:, :9, -1]).sum(axis=1)
     sizes = np.sqrt(np.array([10.0, 49.0, 51.0, 5000.0]) / squared)
     fit._whiten = fit._whiten * sizes[:, None, None]
     fit._iteration = 4
-    before = fit._rows_between(*intervals)
+    before = fit._rows_of_intervals(np.arange(4))
     fit._iteration = 5
-    after = fit._rows_between(*intervals)
+    after = fit._rows_of_intervals(np.arange(4))
     # The square root of the weight of a quadratic cost that grows linearly beyond chi2 = 50.
     expected = [1.0, 1.0, (50.0 / 51.0) ** 0.25, (50.0 / 5000.0) ** 0.25]
     for one, other in zip(before, after, strict=True):
@@ -165,7 +162,7 @@ def test_a_solved_fit_is_a_minimum_with_the_noise_of_its_residuals() -> None:
     assert readings.accelerations is not None
     case, horizon = start.prepared(truth, readings, 0.0), Horizon(0.05, IMU_NOISE, (1e-3, 3e-3))
     assert case.free.all()
-    fit = fitted(case, horizon)
+    fit = _fitted(case, horizon)
     assert 7 <= fit._iteration <= 14
     step = fit._step_inverse @ fit._gradient
     assert (np.abs(step) < 0.05 * np.sqrt(np.diag(fit.covariance_of_model))).all()
@@ -179,7 +176,7 @@ def test_a_solved_fit_is_a_minimum_with_the_noise_of_its_residuals() -> None:
     assert abs(values[6] - 0.004) < 5.0 * sigmas[6]
     assert (np.abs(values[LEVER] - [0.05, -0.03, 0.02]) < 5.0 * sigmas[LEVER]).all()
     with pytest.raises(InputError, match=r"overlap for 19.\d s, and the examination needs 20 s"):
-        fitted(start.prepared(truth, readings, 2.0), horizon)
+        _fitted(start.prepared(truth, readings, 2.0), horizon)
 
 
 def test_unobservable_directions_of_the_lever_arm_are_fixed(small: Small) -> None:
@@ -282,24 +279,23 @@ def test_repaired_states_are_those_of_the_imu(small: Small) -> None:
 def test_rough_orientations_are_found_from_positions() -> None:
     made = rig(5, noise=(1e-5, 1e-5))
     readings, truth = made.readings, made.groundtruth
-    assert readings.accelerations is not None
-    imu = ImuSeconds((readings.stamps - START_NS) / 1e9, readings.rates, readings.accelerations)
+    imu = start.imu_of(readings)
     own = (truth.stamps - START_NS) / 1e9
     found = start.rough_orientations(own, truth.positions, imu)
     apart = made.motion.rotations(own).inv() * Rotation.from_quat(found)
     # Good enough for a start: the gyroscope's drift within windows of 5 s is about 3 deg.
     assert np.degrees(np.median(apart.magnitude())) < 6.0
-    guess = start.guess_of(truth, imu, START_NS)
+    guess = start.guess_of(truth, imu)
     assert guess.signal == "angular rate"
     assert guess.offset_s == pytest.approx(0.0, abs=5e-3)
     late = dataclasses.replace(truth, stamps=truth.stamps - 700_000_000)
-    assert start.guess_of(late, imu, START_NS).offset_s == pytest.approx(0.7, abs=5e-3)
+    assert start.guess_of(late, imu).offset_s == pytest.approx(0.7, abs=5e-3)
     bare = dataclasses.replace(late, quaternions=None)
-    swings = start.guess_of(bare, imu, START_NS)
+    swings = start.guess_of(bare, imu)
     assert swings.signal == "speed"
     assert swings.offset_s == pytest.approx(0.7, abs=0.02)
     far = dataclasses.replace(truth, stamps=truth.stamps - 700 * 10**9)
-    assert start.guess_of(far, imu, START_NS).offset_s == pytest.approx(700.0, abs=5e-3)
+    assert start.guess_of(far, imu).offset_s == pytest.approx(700.0, abs=5e-3)
 
 
 def test_uncertainty_of_an_exact_imu_and_of_a_doubtful_one(small: Small) -> None:

@@ -129,11 +129,11 @@ def test_accelerations_are_in_metres(size: float, refused: bool) -> None:
         with pytest.raises(InputError, match="specific forces"):
             imu_of(readings)
         return
-    imu, origin = imu_of(readings)
-    assert origin == 10
+    imu = imu_of(readings)
+    assert imu.origin == 10
     np.testing.assert_allclose(imu.seconds, [0.0, 1e-8, 2e-8], atol=1e-20)
     assert imu.rates[:, 0].tolist() == [3.0, 6.0, 0.0]
-    gyroscope, _ = imu_of(dataclasses.replace(readings, accelerations=None))
+    gyroscope = imu_of(dataclasses.replace(readings, accelerations=None))
     assert not gyroscope.accelerations.any()
 
 

@@ -8,19 +8,30 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trajeval_ros.calibration.groundtruth_doctor import doctor_causes
-from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import PARAMETERS, GroundtruthCause
-from trajeval_ros.calibration.groundtruth_doctor.joint_fit import LEVER_M, HorizonFit, JointFit
+from trajeval_ros.calibration.groundtruth_doctor import doctor_causes, start
+from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import (
+    HALF_WIDTH,
+    PARAMETERS,
+    Calibration,
+    GroundtruthCause,
+)
+from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import InertialSteps
+from trajeval_ros.calibration.groundtruth_doctor.joint_fit import (
+    LEVER_M,
+    Horizon,
+    HorizonFit,
+    JointFit,
+)
 from trajeval_ros.calibration.groundtruth_doctor.repair import repaired
 from trajeval_ros.calibration.groundtruth_doctor.rig import (
     BODY,
+    CLOCK,
     GRAVITY,
     LEVER,
     OFFSET,
-    SKEW,
     UNITS,
     Rig,
-)  # fmt: skip
+)
 from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
     PoseChecks,
     ResidualChecks,
@@ -28,15 +39,9 @@ from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
     check_residuals,
     spans_of,
 )  # fmt: skip
-from trajeval_ros.calibration.groundtruth_doctor.start import Prepared, prepared
-from trajeval_ros.calibration.groundtruth_doctor.two_horizons import (
-    Calibration,
-    combined,
-    two_fits,
-)
-from trajeval_ros.calibration.significance import SIGNIFICANT, axis_name
+from trajeval_ros.calibration.significance import SIGNIFICANT
 from trajeval_ros.exceptions import InputError, SettingsError
-from trajeval_ros.geometry import lie
+from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, runs_of
 from trajeval_ros.geometry.inertial import InertialReadings
 from trajeval_ros.geometry.marker import HandEye
@@ -45,8 +50,18 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 # Effective densities: those of data sheets are too small on real recordings (vibration, scale).
 IMU_NOISE = ImuNoise(8e-4, 2e-2)
+_ITERATIONS = 14
+_OVERLAP_S = 20.0
+_GYROSCOPE_ONLY = 1e3  # m/s^2/sqrt(Hz), for an IMU without accelerometer
+# Errors that one recording does not reveal, from differences to two published calibrations: deg,
+# mm, ms, ppm, deg.
+_FLOORS = np.array([0.05] * 3 + [1.0] * 4 + [20.0] + [0.07] * 2)
+_FLOOR_ALONG_FORCE_MM = 3.0
+_FLOOR_BY_POSITIONS_MS = 3.0  # real accelerometers differ from the gyroscope by 3 to 12 ms
+# The two horizons disagree above these differences (deg, mm) and standard deviations.
+_DISAGREE = np.array([1.0] * 3 + [20.0] * 3)
+_DISAGREE_SIGMAS, _PART_OF_DIFFERENCE = 5.0, 4.0
 _LIKELY_SIGMAS = np.sqrt(2.0)  # Akaike: a smaller value is better left at zero
-_LARGEST_SIGMA_RAD = math.radians(3.0)  # of an orientation from positions
 _SLOW_HZ = 50.0
 _SMOOTH_M = 2e-5  # a smaller high-frequency noise is that of a model
 
@@ -131,74 +146,123 @@ def _with_imu(
     time_offset_s: float | None,
 ) -> ExaminedGroundtruth:
     ordered = groundtruth.in_order()
-    case = prepared(ordered, readings, time_offset_s)
-    short, long, lasting = two_fits(case, imu_noise)
+    case = start.prepared(ordered, readings, time_offset_s)
+    short, long, lasting = _two_fits(case, imu_noise)
     brief = short.summary()
-    found = combined(case, brief, lasting)
-    poses = check_poses(groundtruth, case.imu, case.origin)
+    found = _combined(case, brief, lasting)
+    poses = check_poses(groundtruth, case.imu, case.imu.origin - case.shift_ns)
     residuals = check_residuals(short, ordered.stamps)
-    causes = _causes(case, found, brief, lasting)
-    causes += doctor_causes.sample_causes(poses, residuals, int(ordered.stamps[0]))
-    by_name = {each.name: each for each in causes}
-    noise_m, noise_rad = short.rows.scales
-    chosen, scale = long if found.disagree else short, 1.0
+    causes = [
+        *doctor_causes.parameter_causes(found, case.free, brief.fixed_axes),
+        doctor_causes.fused_cause(brief, lasting, disagree=found.disagree),
+        *doctor_causes.sample_causes(poses, residuals, int(ordered.stamps[0])),
+    ]
+    by_name, scale = {each.name: each for each in causes}, 1.0
+    (noise_m, noise_rad), chosen = short.rows.scales, long if found.disagree else short
     _apply(chosen, short, by_name, _noisy(case, found))
     if not case.samples.has_rotations:
         by_name |= {each.name: each for each in doctor_causes.OF_ROTATION}
         scale = float(np.median(np.square(found.sigmas[case.free] / brief.sigmas[case.free])))
+    rig = chosen.rig
     fits = Fits(
         brief,
         lasting,
         found.disagree,
-        replace(chosen.rig, offset_s=case.shift_s + chosen.rig.offset_s, shift_s=0.0),
-        _hand_eye_covariance(chosen.rig, found.sigmas, brief),
+        replace(rig, offset_s=rig.shift_s + rig.offset_s, shift_s=0.0),
+        _hand_eye_covariance(rig.body, found.sigmas, brief.fixed_directions),
         noise_m,
         noise_rad if case.samples.has_rotations else None,
         residuals,
         repaired(chosen, ordered, poses.gaps, scale),
     )
-    _refuse_open_orientations(case, fits.repaired)
     notes = [*case.notes, *_notes_on_imu(case), *_notes(poses)]
-    if brief.fixed_directions:
+    if brief.fixed_axes:
         notes.append(
-            f"the motion does not determine the lever arm along {_axes(brief)}: the repaired "
+            f"the motion does not determine the lever arm along {brief.fixed_axes}: the repaired "
             "groundtruth has the groundtruth's point there"
         )
-    for kind in residuals.noisy_steps:
-        notes.append(f"{kind} noise is not white: it has more than 20 steps per minute")
+    notes += [
+        f"{kind} noise is not white: it has more than 20 steps per minute"
+        for kind in residuals.noisy_steps
+    ]
     return ExaminedGroundtruth(by_name, poses, fits, tuple(notes))
 
 
-def _causes(
-    case: Prepared, found: Calibration, brief: HorizonFit, lasting: HorizonFit
-) -> list[GroundtruthCause]:
-    """Return the verdicts on the calibration."""
-    causes = [
-        doctor_causes.parameter_cause(each, found.values, found.sigmas, case.free, _axes(brief))
-        for each in PARAMETERS
-    ]
-    short_deg, long_deg = (float(np.linalg.norm(each.values[BODY])) for each in (brief, lasting))
-    slow_deg = float(np.degrees(np.linalg.norm(lasting.noise[3:])))
-    return [
-        *causes,
-        doctor_causes.fused_cause(short_deg, long_deg, slow_deg, disagree=found.disagree),
-    ]
+def _two_fits(case: start.Prepared, noise: ImuNoise) -> tuple[JointFit, JointFit, HorizonFit]:
+    """Return the fits over 0.1 s and over 2 s, and the summary of the second.
+
+    Raises:
+        InputError: The recordings overlap for less than 20 s.
+    """
+    if not case.imu.accelerations.any():
+        noise = replace(noise, accelerometer=_GYROSCOPE_ONLY)
+    stiff = ImuNoise(noise.gyroscope / 4.0, noise.accelerometer / 2.0)
+    long = _fitted(case, Horizon(0.1, stiff, (3e-3, 5e-3), window_s=2.0))
+    lasting = long.summary()
+    long.forget()
+    # Over short times, noise of the attitude seems to determine the height of a car's lever arm.
+    short = _fitted(case, Horizon(0.05, noise, (1e-3, 3e-3), fixed=lasting.fixed_directions))
+    return short, long, lasting
 
 
-def _axes(fit: HorizonFit) -> str:
-    return " and ".join(map(axis_name, fit.fixed_directions))
+def _fitted(case: start.Prepared, horizon: Horizon) -> JointFit:
+    knots = start.knots_of(case.samples, case.imu, horizon.knot_s)
+    lasts_s = float(knots[-1] - knots[0]) if len(knots) else 0.0
+    if lasts_s < _OVERLAP_S:
+        raise InputError(
+            f"groundtruth and IMU overlap for {lasts_s:.1f} s, and the examination needs "
+            f"{_OVERLAP_S:g} s; give longer recordings, or the clocks' difference as --time-offset"
+        )
+    rig = replace(
+        start.first_rig(case.samples, case.imu, knots), shift_s=case.shift_ns / NANOSECONDS
+    )
+    fit = JointFit(case.samples, InertialSteps(knots, case.imu), rig, horizon, case.free)
+    fit.solve(_ITERATIONS)
+    fit.fix_unobservable_lever()
+    return fit
 
 
-def _noisy(case: Prepared, found: Calibration) -> Booleans:
+def _combined(case: start.Prepared, short: HorizonFit, long: HorizonFit) -> Calibration:
+    """Return values and standard deviations of both fits."""
+    apart, disagree = _difference(short, long)
+    values, sigmas, floors = short.values.copy(), short.sigmas.copy(), _FLOORS.copy()
+    # Scale errors of accelerometers shift the lever arm along gravity.
+    force = np.mean(case.imu.accelerations, axis=0)
+    along = force / max(float(np.linalg.norm(force)), 1e-9)
+    floors[LEVER] = np.hypot(floors[LEVER], _FLOOR_ALONG_FORCE_MM * along)
+    if disagree:
+        values[:6], sigmas[:6] = long.values[:6], long.sigmas[:6]
+        # The difference is a measure of the same systematic errors as the floors.
+        floors[:6] = np.maximum(floors[:6], apart / _PART_OF_DIFFERENCE)
+    if not case.samples.has_rotations:
+        # They compare with accelerometers, whose delays and scale errors are larger than those of
+        # gyroscopes, and differ by horizon.
+        floors[3:] = np.maximum(floors[3:], np.abs(long.values - short.values)[3:])
+        floors[OFFSET] = max(floors[OFFSET], _FLOOR_BY_POSITIONS_MS)
+    return Calibration(values, np.hypot(sigmas, floors), disagree)
+
+
+def _difference(short: HorizonFit, long: HorizonFit) -> tuple[Floats, bool]:
+    """Return the differences of both horizons (6,), deg and mm, and whether they disagree."""
+    apart = np.abs(long.values - short.values)[:6]
+    for direction in short.fixed_directions:  # they contain those of the long fit
+        apart[LEVER] = np.abs(apart[LEVER] - direction * (direction @ apart[LEVER]))
+    one, other = so3.exp(np.stack([short.values[BODY], long.values[BODY]]) / UNITS[BODY])
+    apart[BODY] = np.abs(so3.log((one.T @ other)[None])[0] * UNITS[BODY])
+    limit = _DISAGREE_SIGMAS * np.hypot(short.sigmas, long.sigmas)[:6]
+    return apart, bool(((apart > _DISAGREE) & (apart > limit)).any())
+
+
+def _noisy(case: start.Prepared, found: Calibration) -> Booleans:
     """Return which parameters (10,) are more probably zero than their values.
 
     Parts of the body's rotation are not applied alone.
     """
     limits = np.full(len(UNITS), _LIKELY_SIGMAS)
     # Along gravity, the lever arm's error is mainly that of the accelerometer's scale.
-    limits[LEVER][np.abs(case.imu.accelerations.mean(axis=0)).argmax()] = doctor_causes.HALF_WIDTH
+    limits[LEVER][np.abs(case.imu.accelerations.mean(axis=0)).argmax()] = HALF_WIDTH
     if not case.samples.has_rotations:
-        limits[[OFFSET, SKEW]] = doctor_causes.HALF_WIDTH
+        limits[CLOCK] = HALF_WIDTH
     ratios = np.abs(found.values) / found.sigmas
     ratios[BODY] = np.sqrt(np.square(ratios[BODY]).mean())
     return np.asarray((ratios < limits) | ~case.free)
@@ -220,31 +284,19 @@ def _apply(
         fixed[PARAMETERS[name].columns] |= causes[name].verdict == doctor_causes.INCONCLUSIVE
     if chosen is not short:
         rig = replace(rig, offset_s=short.rig.offset_s, skew=short.rig.skew)
-        free[[OFFSET, SKEW]] = False
+        free[CLOCK] = False
     chosen.solve_again(rig.without(fixed), free & ~fixed)
 
 
-def _hand_eye_covariance(rig: Rig, sigmas: Floats, brief: HorizonFit) -> Floats:
+def _hand_eye_covariance(body: Floats, sigmas: Floats, fixed: tuple[Floats, ...]) -> Floats:
     """Return the covariance (6, 6) of T_I_M; along fixed directions it is that of the prior."""
     covariance = np.diag(np.square(np.roll(sigmas[:6] / UNITS[:6], 3)))
-    for each in brief.fixed_directions:
-        covariance[:3, :3] += LEVER_M**2 * np.outer(each, each)
-    covariance[3:, 3:] = rig.body @ covariance[3:, 3:] @ rig.body.T
+    covariance[:3, :3] += sum(LEVER_M**2 * np.outer(each, each) for each in fixed)
+    covariance[3:, 3:] = body @ covariance[3:, 3:] @ body.T
     return covariance
 
 
-def _refuse_open_orientations(case: Prepared, repaired: Trajectory) -> None:
-    assert repaired.covariances is not None
-    variance = float(np.median(np.einsum("nii->n", repaired.covariances[:, 3:, 3:])))
-    if not case.samples.has_rotations and variance > _LARGEST_SIGMA_RAD**2:
-        raise InputError(
-            f"{repaired.name or 'the groundtruth'} and the IMU do not determine the orientation "
-            f"(standard deviation {math.degrees(math.sqrt(variance)):.2g} deg); examine it "
-            "without --imu"
-        )
-
-
-def _notes_on_imu(case: Prepared) -> Iterator[str]:
+def _notes_on_imu(case: start.Prepared) -> Iterator[str]:
     stamps = np.rint(case.imu.seconds * NANOSECONDS).astype(np.int64)
     first_ns = round(case.samples.seconds[0] * NANOSECONDS)
     for what, steps in (("gap", case.imu.gaps), ("saturated interval", case.imu.saturated)):

@@ -26,7 +26,8 @@ class ImuSeconds:
 
     seconds: Floats  # (N,)
     rates: Floats  # (N, 3), rad/s
-    accelerations: Floats  # (N, 3), m/s^2
+    accelerations: Floats  # (N, 3), m/s^2; zeros without an accelerometer
+    origin: int = 0  # timestamp of second 0, ns
 
     @property
     def turns(self) -> bool:
@@ -93,13 +94,12 @@ class InertialSteps:
     def uncertainty(self, bias: Floats, noise: ImuNoise) -> tuple[Floats, Floats]:
         """Return covariances (K, 9, 9) and derivatives by the biases (K, 9, 6) at a bias (3,)."""
 
-        def uncertainty(
-            rates: Floats, forces: Floats, held: Floats, doubtful: Booleans
-        ) -> tuple[Floats, Floats]:
+        def uncertainty(rates: Floats, forces: Floats, held: Floats) -> tuple[Floats, Floats]:
             found = preintegrate(rates - bias, forces, held, noise)
-            factor = np.where(doubtful, _DOUBTFUL, 1.0)[:, None, None]
-            return found.covariances * factor + _LEAST, found.by_biases
+            return found.covariances, found.by_biases
 
-        columns = self.rates, self.accelerations, self.held, self.doubtful
-        covariances, by_biases = lie.by_blocks(uncertainty, *columns)
-        return covariances, by_biases
+        covariances, by_biases = lie.by_blocks(
+            uncertainty, self.rates, self.accelerations, self.held
+        )
+        covariances *= np.where(self.doubtful, _DOUBTFUL, 1.0)[:, None, None]
+        return covariances + _LEAST, by_biases

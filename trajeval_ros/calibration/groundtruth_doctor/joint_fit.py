@@ -22,6 +22,7 @@ from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import InertialS
 from trajeval_ros.calibration.groundtruth_doctor.rig import GRAVITY, LEVER, UNITS, Rig, tangents
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples, averaged, predict
 from trajeval_ros.calibration.robust_fit import BLOCKS
+from trajeval_ros.calibration.significance import axis_name
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
 from trajeval_ros.geometry.banded_matrices import AT_ONCE, Factor, add_blocks
@@ -62,8 +63,13 @@ class HorizonFit:
     sigmas: Floats  # (10,), without the errors that a recording does not reveal
     seconds: Floats  # (Q,), times of the knots since the groundtruth's first pose
     residuals: Floats  # (Q, 2), lengths of position (m) and rotation (rad) residuals
-    fixed_directions: tuple[Floats, ...]  # of the lever arm (3,), which are not estimated
     noise: Floats  # (6,), standard deviations of a knot's measurement, m and rad
+    fixed_directions: tuple[Floats, ...]  # of the lever arm (3,), which are not estimated
+
+    @property
+    def fixed_axes(self) -> str:
+        """The fixed directions as text."""
+        return " and ".join(map(axis_name, self.fixed_directions))
 
 
 class JointFit:
@@ -134,8 +140,8 @@ class JointFit:
             np.sqrt(np.maximum(*variances)) * UNITS,
             self.steps.knots[self.rows.knots] - self.samples.seconds[0],
             np.linalg.norm(residuals, axis=2),
-            tuple(self.fixed_directions),
             self.sigmas,
+            tuple(self.fixed_directions),
         )
 
     @property
@@ -191,19 +197,19 @@ class JointFit:
         intervals = len(self.steps.durations_s)
         for start in range(0, intervals, AT_ONCE):
             knots = np.arange(start, min(start + AT_ONCE, intervals))
-            yield knots, *self._rows_between(knots, knots + 1)
+            yield knots, *self._rows_of_intervals(knots)
         for knots, by_state, by_rig in self.rows.weighted(self.sigmas):
             yield knots, by_state, None, by_rig
 
-    def _rows_between(self, knots: Indices, others: Indices) -> tuple[Floats, Floats, Floats]:
-        rig, dt = self.rig, self.steps.durations_s[knots, None]
+    def _rows_of_intervals(self, knots: Indices) -> tuple[Floats, Floats, Floats]:
+        rig, others, dt = self.rig, knots + 1, self.steps.durations_s[knots, None]
         into, turned = transposed(rig.rotations[knots]), rig.rotations[others]
         rotations, velocities, positions = (each[knots, -1] for each in self.motions)
         turn = so3.log(transposed(rotations) @ into @ turned)
         faster = rig.velocities[others] - rig.velocities[knots] - rig.gravity * dt
-        faster = times(into, faster)
         start = rig.velocities[knots] * dt + 0.5 * rig.gravity * dt**2
-        moved = times(into, rig.positions[others] - rig.positions[knots] - start)
+        moved = rig.positions[others] - rig.positions[knots] - start
+        faster, moved = times(into, faster), times(into, moved)
         before, after, whiten = np.zeros((3, len(dt), 15, STATES))
         by_rig = np.zeros((len(dt), 15, PARAMETERS + 1))
         back, step, by_biases = so3.inverse_left_jacobian(-turn), dt[..., None], self._by_biases
@@ -233,7 +239,8 @@ class JointFit:
         count, band = len(self.rig.positions), self._band  # the storage of the factor before
         band[:] = 0.0
         band[..., 0] = _WEAK
-        border = np.zeros((count, STATES, PARAMETERS + 1))  # the last column is the gradient
+        # In the order of LAPACK; the last column is the gradient.
+        border = np.moveaxis(np.zeros((PARAMETERS + 1, count, STATES)), 0, 2)
         corner = np.zeros((PARAMETERS, PARAMETERS + 1))
         for knots, before, after, columns in self._rows():
             own = slice(int(knots[0]), int(knots[-1]) + 2)

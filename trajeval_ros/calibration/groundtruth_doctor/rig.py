@@ -12,6 +12,7 @@ from trajeval_ros.geometry.se3 import times
 
 # Columns of the calibration: R_IM (right perturbation), lever arm, clock, tilt of gravity.
 BODY, LEVER, OFFSET, SKEW, GRAVITY = slice(0, 3), slice(3, 6), 6, 7, slice(8, 10)
+CLOCK = slice(6, 8)
 # Their units in results: deg, mm, ms, ppm, deg.
 UNITS = np.array([np.degrees(1.0)] * 3 + [1e3] * 4 + [1e6] + [np.degrees(1.0)] * 2)
 

@@ -36,9 +36,7 @@ class Prepared:
 
     samples: TruthSamples
     imu: ImuSeconds
-    has_forces: bool  # whether the IMU has an accelerometer
-    origin: int  # timestamp of second 0 by the groundtruth's clock, ns
-    shift_s: float  # first offset, which the samples' seconds contain
+    shift_ns: int  # first offset of the groundtruth's clock, which the samples have
     free: Booleans  # (10,), the parameters that sensors and motion may determine
     notes: list[str]  # on the others, one sentence each
 
@@ -51,33 +49,32 @@ def prepared(
     Raises:
         InputError: Their motions are not related, or a sensor is missing.
     """
-    name = groundtruth.name or "the groundtruth"
-    (imu, origin), has_forces = imu_of(readings), readings.accelerations is not None
-    has_rotations = groundtruth.quaternions is not None
-    if not (has_forces or has_rotations):
-        raise InputError(f"{name} has no orientations and the IMU no accelerations; give one")
-    free, notes = _determined(groundtruth, imu, has_forces=has_forces)
-    if time_offset_s is None:
-        time_offset_s = _first_offset(groundtruth, imu, origin, name)
-    shift_ns = round(time_offset_s * NANOSECONDS)
-    seconds, turned = (
-        (groundtruth.stamps + (shift_ns - origin)) / NANOSECONDS,
+    name, imu, turned = (
+        groundtruth.name or "the groundtruth",
+        imu_of(readings),
         groundtruth.quaternions,
     )
+    if turned is None and readings.accelerations is None:
+        raise InputError(f"{name} has no orientations and the IMU no accelerations; give one")
+    free, notes = _determined(groundtruth, imu, has_forces=readings.accelerations is not None)
+    if time_offset_s is None:
+        time_offset_s = _first_offset(groundtruth, imu, name)
+    shift_ns = round(time_offset_s * NANOSECONDS)
+    seconds = (groundtruth.stamps + (shift_ns - imu.origin)) / NANOSECONDS
     if turned is None:
         turned = rough_orientations(seconds, groundtruth.positions, imu)
-    samples = TruthSamples(seconds, groundtruth.positions, turned, has_rotations)
-    shift_s = shift_ns / NANOSECONDS
-    return Prepared(samples, imu, has_forces, origin - shift_ns, shift_s, free, notes)
+    samples = TruthSamples(
+        seconds, groundtruth.positions, turned, groundtruth.quaternions is not None
+    )
+    return Prepared(samples, imu, shift_ns, free, notes)
 
 
-def imu_of(readings: InertialReadings) -> tuple[ImuSeconds, int]:
-    """Return the readings by time, and the timestamp of their second 0."""
-    name = readings.source or "the IMU"
+def imu_of(readings: InertialReadings) -> ImuSeconds:
+    """Return the readings by time, in seconds since the first one."""
+    name, accelerations = readings.source or "the IMU", readings.accelerations
     stamps, rows = np.unique(readings.stamps, return_index=True)
     if len(stamps) < 2:
         raise InputError(f"{name} has fewer than two readings")
-    accelerations = readings.accelerations
     if accelerations is None:
         accelerations = np.zeros_like(readings.rates)
     else:
@@ -87,9 +84,8 @@ def imu_of(readings: InertialReadings) -> tuple[ImuSeconds, int]:
                 f"{name} measures a median acceleration of {usual:.3g}, not about 9.81; give "
                 "specific forces in m/s^2"
             )
-    origin = int(stamps[0])
-    seconds = (stamps - origin) / NANOSECONDS
-    return ImuSeconds(seconds, readings.rates[rows], accelerations[rows]), origin
+    seconds = (stamps - stamps[0]) / NANOSECONDS
+    return ImuSeconds(seconds, readings.rates[rows], accelerations[rows], int(stamps[0]))
 
 
 def _determined(
@@ -114,13 +110,13 @@ def _determined(
     return free, notes
 
 
-def _first_offset(groundtruth: Trajectory, imu: ImuSeconds, origin: int, name: str) -> float:
+def _first_offset(groundtruth: Trajectory, imu: ImuSeconds, name: str) -> float:
     """Return the offset of the groundtruth's clock at which the motions match, s."""
     poses = groundtruth.positions if groundtruth.quaternions is None else groundtruth.quaternions
     if imu.turns and not np.diff(poses, axis=0).any():
         kind = "positions" if groundtruth.quaternions is None else "orientations"
         raise InputError(f"all {kind} of {name} are equal, but the IMU turns; give measured ones")
-    guess = guess_of(groundtruth, imu, origin)
+    guess = guess_of(groundtruth, imu)
     # So high a correlation is not a coincidence, even if periodic motion has a second peak.
     if guess.is_usable or guess.peak > _CERTAIN_CORRELATION:
         return guess.offset_s
@@ -139,19 +135,16 @@ def turns_in_place(positions: Floats, rates: Floats) -> bool:
     return extent_m < _IN_PLACE_M and float(deviations[1]) < _SECOND_AXIS_RADPS**2
 
 
-def guess_of(groundtruth: Trajectory, imu: ImuSeconds, origin: int) -> OffsetGuess:
-    """Return the offset of the groundtruth's clock by the correlation of turn rates or swings.
-
-    `origin` is the timestamp of the IMU's second 0, ns.
-    """
+def guess_of(groundtruth: Trajectory, imu: ImuSeconds) -> OffsetGuess:
+    """Return the offset of the groundtruth's clock by the correlation of turn rates or swings."""
 
     def at(seconds: Floats, positions: Floats, turned: Floats | None = None) -> Trajectory:
-        return Trajectory(origin + np.rint(seconds * 1e9).astype(np.int64), positions, turned)
+        return Trajectory(imu.origin + np.rint(seconds * 1e9).astype(np.int64), positions, turned)
 
     # Without repeated poses a frozen interval is a gap, and its end no fast turn.
     poses = groundtruth.positions if groundtruth.quaternions is None else groundtruth.quaternions
     groundtruth = groundtruth[np.asarray(np.diff(poses, axis=0, prepend=np.nan).any(axis=1))]
-    own_s = (groundtruth.stamps - origin) / NANOSECONDS
+    own_s = (groundtruth.stamps - imu.origin) / NANOSECONDS
     meets = imu.seconds[0] < own_s[-1] and own_s[0] < imu.seconds[-1]
     search_s = SEARCH_S if meets else None  # all overlaps, for clocks of different epochs
     turned = turned_by_gyro(imu.seconds, imu.rates)
