@@ -49,11 +49,8 @@ def prepared(
     Raises:
         InputError: Their motions are not related, or a sensor is missing.
     """
-    name, imu, turned = (
-        groundtruth.name or "the groundtruth",
-        imu_of(readings),
-        groundtruth.quaternions,
-    )
+    name, imu = groundtruth.name or "the groundtruth", imu_of(readings)
+    turned, has_rotations = groundtruth.quaternions, groundtruth.quaternions is not None
     if turned is None and readings.accelerations is None:
         raise InputError(f"{name} has no orientations and the IMU no accelerations; give one")
     free, notes = _determined(groundtruth, imu, has_forces=readings.accelerations is not None)
@@ -63,9 +60,7 @@ def prepared(
     seconds = (groundtruth.stamps + (shift_ns - imu.origin)) / NANOSECONDS
     if turned is None:
         turned = rough_orientations(seconds, groundtruth.positions, imu)
-    samples = TruthSamples(
-        seconds, groundtruth.positions, turned, groundtruth.quaternions is not None
-    )
+    samples = TruthSamples(seconds, groundtruth.positions, turned, has_rotations)
     return Prepared(samples, imu, shift_ns, free, notes)
 
 
