@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy.stats import f as fisher
 
 from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import (
-    Calibration,
     GroundtruthCause,
     fused_cause,
     parameter_causes,
@@ -127,7 +126,8 @@ def test_limits_of_faults_of_residuals(
 def parameter_cause(
     name: str, values: Array, sigmas: Array, free: NDArray[np.bool_], axes: str
 ) -> GroundtruthCause:
-    causes = parameter_causes(Calibration(values, sigmas, False), free, axes)
+    found = SimpleNamespace(values=values, sigmas=sigmas, fixed_axes=axes)
+    causes = parameter_causes(found, free)  # type: ignore[arg-type]
     return {each.name: each for each in causes}[name]
 
 

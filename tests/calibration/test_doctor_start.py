@@ -109,3 +109,17 @@ def test_swings_are_third_differences_over_half_a_second() -> None:
     np.testing.assert_allclose(swings, np.tile(6.0 * 0.125 * bend, (len(times), 1)), atol=1e-9)
     assert times[0] == pytest.approx(0.8, abs=0.051)
     assert times[-1] == pytest.approx(seconds[-1] - 0.8, abs=0.051)
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 100.0])
+def test_the_first_rig_of_a_car_is_turned_by_its_accelerations(turn_deg: float) -> None:
+    """Turns about the vertical alone do not determine the body's rotation about it."""
+    made = rig(2, "car", duration_s=60.0, turn_deg=(0.0, 0.0, turn_deg))
+    case = start.prepared(made.groundtruth, made.readings, 0.0)
+    assert start.turns_about_one_axis(case.imu.rates)
+    found = start.first_rig(case.samples, case.imu, start.knots_of(case.samples, case.imu, 0.1))
+    body = Rotation.from_rotvec([0.0, 0.0, turn_deg], degrees=True)
+    apart = (body.inv() * Rotation.from_matrix(found.body)).magnitude()
+    # Accelerations give it up to the drift of the gyroscope within five seconds: its bias is
+    # drawn with 0.01 rad/s.
+    assert np.degrees(apart) < 5.0

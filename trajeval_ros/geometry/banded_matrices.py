@@ -35,11 +35,7 @@ class Factor:
 
     @classmethod
     def of(cls, diagonal: Floats, lower: Floats) -> Factor:
-        """Factorise the matrix of blocks (N, d, d) and, below them, (N - 1, d, d).
-
-        Raises:
-            numpy.linalg.LinAlgError: It is not positive definite.
-        """
+        """Return `of_band` of the blocks (N, d, d) and, below them, (N - 1, d, d)."""
         band = np.zeros((*diagonal.shape[:2], 2 * diagonal.shape[1]))
         for start in range(0, len(band), AT_ONCE):
             rows = slice(start, start + AT_ONCE)

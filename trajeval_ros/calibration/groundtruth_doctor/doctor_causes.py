@@ -23,7 +23,7 @@ from trajeval_ros.calibration.significance import (
     chance_of,
 )  # fmt: skip
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry.arrays import Booleans, Floats
+from trajeval_ros.geometry.arrays import Booleans
 
 INCONCLUSIVE = "inconclusive"
 # Half width of a 95 % interval in standard deviations: Student's t with 11 degrees of freedom.
@@ -71,17 +71,6 @@ _MISSING, _HELD, _OUTLIERS, _UNEVEN = 1.0, 2.0, 0.5, 10.0  # %
 _JITTER_MS, _JITTER_SIGMAS = 0.2, 4.0
 
 
-@dataclass(frozen=True, eq=False)
-class Calibration:
-    """What both fits measure, in `UNITS`, with the errors that one recording does not reveal."""
-
-    values: Floats  # (10,)
-    sigmas: Floats  # (10,)
-    disagree: (
-        bool  # whether the fits differ; then rotation and lever arm are those of the long one
-    )
-
-
 @dataclass(frozen=True)
 class GroundtruthCause:
     """A cause of errors, and whether the recording shows it; causes that are counted have no p."""
@@ -108,20 +97,14 @@ OF_ROTATION = [
 ]
 
 
-def parameter_causes(
-    found: Calibration, observable: Booleans, axes: str
-) -> Iterator[GroundtruthCause]:
-    """Yield the verdicts on the calibration.
-
-    `observable` (10,) has the parameters that are estimated, `axes` the directions of the lever
-    arm that are fixed at zero, as text.
-    """
+def parameter_causes(found: HorizonFit, observable: Booleans) -> Iterator[GroundtruthCause]:
+    """Yield the verdicts on the calibration; `observable` (10,) has what is estimated."""
     for name, parameter in PARAMETERS.items():
         value, sigma = found.values[parameter.columns], found.sigmas[parameter.columns]
         if not observable[parameter.columns].any():
             yield GroundtruthCause(name, INCONCLUSIVE, unit=parameter.unit)
             continue
-        fixed = axes if name == "lever_arm" else ""
+        fixed = found.fixed_axes if name == "lever_arm" else ""
         chance = chance_of(value, np.diag(sigma**2), BLOCKS)
         size = float(np.linalg.norm(value))
         along = float(sigma.max()) if size == 0.0 else float(np.linalg.norm(value * sigma)) / size

@@ -12,7 +12,6 @@ from trajeval_ros.calibration.groundtruth_doctor import doctor_causes, start
 from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import (
     HALF_WIDTH,
     PARAMETERS,
-    Calibration,
     GroundtruthCause,
 )
 from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import InertialSteps
@@ -149,16 +148,16 @@ def _with_imu(
     case = start.prepared(ordered, readings, time_offset_s)
     short, long, lasting = _two_fits(case, imu_noise)
     brief = short.summary()
-    found = _combined(case, brief, lasting)
+    found, disagree = _combined(case, brief, lasting)
     poses = check_poses(groundtruth, case.imu, case.imu.origin - case.shift_ns)
     residuals = check_residuals(short, ordered.stamps)
     causes = [
-        *doctor_causes.parameter_causes(found, case.free, brief.fixed_axes),
-        doctor_causes.fused_cause(brief, lasting, disagree=found.disagree),
+        *doctor_causes.parameter_causes(found, case.free),
+        doctor_causes.fused_cause(brief, lasting, disagree=disagree),
         *doctor_causes.sample_causes(poses, residuals, int(ordered.stamps[0])),
     ]
     by_name, scale = {each.name: each for each in causes}, 1.0
-    (noise_m, noise_rad), chosen = short.rows.scales, long if found.disagree else short
+    (noise_m, noise_rad), chosen = short.rows.scales, long if disagree else short
     _apply(chosen, short, by_name, _noisy(case, found))
     if not case.samples.has_rotations:
         by_name |= {each.name: each for each in doctor_causes.OF_ROTATION}
@@ -167,9 +166,9 @@ def _with_imu(
     fits = Fits(
         brief,
         lasting,
-        found.disagree,
+        disagree,
         replace(rig, offset_s=rig.shift_s + rig.offset_s, shift_s=0.0),
-        _hand_eye_covariance(rig.body, found.sigmas, brief.fixed_directions),
+        _hand_eye_covariance(rig.body, found),
         noise_m,
         noise_rad if case.samples.has_rotations else None,
         residuals,
@@ -222,8 +221,13 @@ def _fitted(case: start.Prepared, horizon: Horizon) -> JointFit:
     return fit
 
 
-def _combined(case: start.Prepared, short: HorizonFit, long: HorizonFit) -> Calibration:
-    """Return values and standard deviations of both fits."""
+def _combined(
+    case: start.Prepared, short: HorizonFit, long: HorizonFit
+) -> tuple[HorizonFit, bool]:
+    """Return what both fits measure, and whether they disagree.
+
+    Standard deviations contain the errors that one recording does not reveal.
+    """
     apart, disagree = _difference(short, long)
     values, sigmas, floors = short.values.copy(), short.sigmas.copy(), _FLOORS.copy()
     # Scale errors of accelerometers shift the lever arm along gravity.
@@ -239,7 +243,7 @@ def _combined(case: start.Prepared, short: HorizonFit, long: HorizonFit) -> Cali
         # gyroscopes, and differ by horizon.
         floors[3:] = np.maximum(floors[3:], np.abs(long.values - short.values)[3:])
         floors[OFFSET] = max(floors[OFFSET], _FLOOR_BY_POSITIONS_MS)
-    return Calibration(values, np.hypot(sigmas, floors), disagree)
+    return replace(short, values=values, sigmas=np.hypot(sigmas, floors)), disagree
 
 
 def _difference(short: HorizonFit, long: HorizonFit) -> tuple[Floats, bool]:
@@ -253,7 +257,7 @@ def _difference(short: HorizonFit, long: HorizonFit) -> tuple[Floats, bool]:
     return apart, bool(((apart > _DISAGREE) & (apart > limit)).any())
 
 
-def _noisy(case: start.Prepared, found: Calibration) -> Booleans:
+def _noisy(case: start.Prepared, found: HorizonFit) -> Booleans:
     """Return which parameters (10,) are more probably zero than their values.
 
     Parts of the body's rotation are not applied alone.
@@ -288,10 +292,10 @@ def _apply(
     chosen.solve_again(rig.without(fixed), free & ~fixed)
 
 
-def _hand_eye_covariance(body: Floats, sigmas: Floats, fixed: tuple[Floats, ...]) -> Floats:
+def _hand_eye_covariance(body: Floats, found: HorizonFit) -> Floats:
     """Return the covariance (6, 6) of T_I_M; along fixed directions it is that of the prior."""
-    covariance = np.diag(np.square(np.roll(sigmas[:6] / UNITS[:6], 3)))
-    covariance[:3, :3] += sum(LEVER_M**2 * np.outer(each, each) for each in fixed)
+    covariance = np.diag(np.square(np.roll(found.sigmas[:6] / UNITS[:6], 3)))
+    covariance[:3, :3] += sum(LEVER_M**2 * np.outer(each, each) for each in found.fixed_directions)
     covariance[3:, 3:] = body @ covariance[3:, 3:] @ body.T
     return covariance
 

@@ -93,13 +93,6 @@ class InertialSteps:
 
     def uncertainty(self, bias: Floats, noise: ImuNoise) -> tuple[Floats, Floats]:
         """Return covariances (K, 9, 9) and derivatives by the biases (K, 9, 6) at a bias (3,)."""
-
-        def uncertainty(rates: Floats, forces: Floats, held: Floats) -> tuple[Floats, Floats]:
-            found = preintegrate(rates - bias, forces, held, noise)
-            return found.covariances, found.by_biases
-
-        covariances, by_biases = lie.by_blocks(
-            uncertainty, self.rates, self.accelerations, self.held
-        )
-        covariances *= np.where(self.doubtful, _DOUBTFUL, 1.0)[:, None, None]
-        return covariances + _LEAST, by_biases
+        found = preintegrate(self.rates - bias, self.accelerations, self.held, noise)
+        factor = np.where(self.doubtful, _DOUBTFUL, 1.0)[:, None, None]
+        return found.covariances * factor + _LEAST, found.by_biases

@@ -10,7 +10,7 @@ from trajeval_ros.calibration.clock_offset import SEARCH_S, OffsetGuess, guess_o
 from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds
 from trajeval_ros.calibration.groundtruth_doctor.rig import BODY, GRAVITY, LEVER, SKEW, UNITS, Rig
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
-from trajeval_ros.calibration.hand_eye import robust_rotation
+from trajeval_ros.calibration.hand_eye import closest_rotation, robust_rotation
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats
@@ -24,6 +24,7 @@ _IN_PLACE_M, _SECOND_AXIS_RADPS = 0.3, 0.1
 _LIGHTEST_MPS2, _HEAVIEST_MPS2 = 5.0, 20.0
 _INCREMENT_S = 0.25
 _PASSES = 6
+_LITTLE = 0.05  # weight of swings relative to that of turns about their axis
 _SWING_S, _WINDOW_S = (-0.25, 0.25), 5.0
 _SPEED_S = 0.1  # half of the span over which a velocity is a difference of positions
 _INSIDE_S = 0.1  # between the ends of the recordings and the knots
@@ -126,8 +127,12 @@ def _first_offset(groundtruth: Trajectory, imu: ImuSeconds, name: str) -> float:
 def turns_in_place(positions: Floats, rates: Floats) -> bool:
     """Return whether neither a turn about a second axis nor accelerations determine the body."""
     extent_m = float(np.linalg.norm(np.std(positions, axis=0)))
-    deviations = np.linalg.eigvalsh(np.cov(rates.T))
-    return extent_m < _IN_PLACE_M and float(deviations[1]) < _SECOND_AXIS_RADPS**2
+    return extent_m < _IN_PLACE_M and turns_about_one_axis(rates)
+
+
+def turns_about_one_axis(rates: Floats) -> bool:
+    """Return whether angular velocities (N, 3), rad/s, are about one axis."""
+    return float(np.linalg.eigvalsh(np.cov(rates.T))[1]) < _SECOND_AXIS_RADPS**2
 
 
 def guess_of(groundtruth: Trajectory, imu: ImuSeconds) -> OffsetGuess:
@@ -235,4 +240,11 @@ def _body_and_bias(samples: TruthSamples, imu: ImuSeconds, knots: Floats) -> tup
     for _ in range(_PASSES):
         body = robust_rotation(of_imu - bias * _INCREMENT_S, of_marker)
         bias = np.median(of_imu - of_marker @ body.T, axis=0) / _INCREMENT_S
+    if turns_about_one_axis(imu.rates):
+        # They do not determine the angle about this axis, and swings do.
+        by_swings = rough_orientations(samples.seconds, samples.positions, imu)
+        turned = lie.multiply(lie.conjugate(by_swings), samples.quaternions)
+        little = _LITTLE * np.square(of_imu).sum() * lie.to_matrix(turned).mean(axis=0)
+        turns = np.vstack([of_imu - bias * _INCREMENT_S, little.T])
+        body = closest_rotation(turns, np.vstack([of_marker, np.eye(3)]))
     return body, bias
