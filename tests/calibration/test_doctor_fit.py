@@ -120,6 +120,21 @@ def test_positions_alone_are_not_trusted_more_than_their_first_noise(small: Smal
     np.testing.assert_array_equal(fit.sigmas, np.repeat([0.01, 0.02], 3))
 
 
+def test_positions_of_a_car_are_not_trusted_more_than_its_imu_over_a_knot() -> None:
+    """Otherwise its clock is wrong by 10 ms, since its turns hardly determine it."""
+    found = []
+    for axes in (3, 1):
+        made = small_rig()
+        made.steps.rates[..., : 3 - axes] = 0.0
+        fit = made.fit(sigmas=(1e-4, 0.02))
+        fit._estimate_noise(np.full(2, 1e9))
+        found.append(fit.sigmas)
+    # White noise of 2e-2 m/s^2/sqrt(Hz), integrated twice over 0.1 s.
+    drift_m = 2e-2 * np.sqrt(0.1**3 / 3.0)
+    np.testing.assert_allclose(found[0], np.repeat([3e-5, 6e-3], 3))
+    np.testing.assert_allclose(found[1], np.repeat([drift_m, 6e-3], 3))
+
+
 def test_fixed_parameters_do_not_move(small: Small) -> None:
     fit = small.fit()
     whole = np.linalg.inv(fit.covariance_of_model)

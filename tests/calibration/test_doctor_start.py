@@ -11,7 +11,11 @@ from examined_rigs import START_NS, rig
 from scipy.spatial.transform import Rotation
 
 from trajeval_ros.calibration.groundtruth_doctor import start
-from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds, InertialSteps
+from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import (
+    ImuSeconds,
+    InertialSteps,
+    turns_about_one_axis,
+)
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
 
 
@@ -116,7 +120,7 @@ def test_the_first_rig_of_a_car_is_turned_by_its_accelerations(turn_deg: float) 
     """Turns about the vertical alone do not determine the body's rotation about it."""
     made = rig(2, "car", duration_s=60.0, turn_deg=(0.0, 0.0, turn_deg))
     case = start.prepared(made.groundtruth, made.readings, 0.0)
-    assert start.turns_about_one_axis(case.imu.rates)
+    assert turns_about_one_axis(case.imu.rates)
     found = start.first_rig(case.samples, case.imu, start.knots_of(case.samples, case.imu, 0.1))
     body = Rotation.from_rotvec([0.0, 0.0, turn_deg], degrees=True)
     apart = (body.inv() * Rotation.from_matrix(found.body)).magnitude()

@@ -12,7 +12,7 @@ from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, runs_of
 from trajeval_ros.geometry.interpolation import columns_at
 from trajeval_ros.geometry.preintegration import ImuNoise, integrated, preintegrate
 
-_AT_REST_RADPS = 0.05
+_AT_REST_RADPS, _SECOND_AXIS_RADPS = 0.05, 0.1
 _LONGEST_S = 0.05  # a longer step of the IMU is a gap
 _FEWEST_SATURATED = 4  # readings in a row at the extreme of an axis
 _DOUBTFUL = 1e4  # factor on the covariance of an interval with a gap or saturated readings
@@ -49,6 +49,11 @@ class ImuSeconds:
             for begin, end in runs_of(is_extreme):
                 saturated[begin:end] |= end - begin >= _FEWEST_SATURATED
         return np.asarray(saturated[1:] | saturated[:-1])
+
+
+def turns_about_one_axis(rates: Floats) -> bool:
+    """Return whether angular velocities (N, 3), rad/s, are about one axis."""
+    return float(np.linalg.eigvalsh(np.cov(rates.T))[1]) < _SECOND_AXIS_RADPS**2
 
 
 class Motions(NamedTuple):

@@ -18,7 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import InertialSteps
+from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import (
+    InertialSteps,
+    turns_about_one_axis,
+)
 from trajeval_ros.calibration.groundtruth_doctor.rig import GRAVITY, LEVER, UNITS, Rig, tangents
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples, averaged, predict
 from trajeval_ros.calibration.robust_fit import BLOCKS
@@ -88,9 +91,12 @@ class JointFit:
         self.horizon = horizon
         self.fixed_directions = list(horizon.fixed)  # of the lever arm, unobservable ones (3,)
         self.sigmas = np.repeat(horizon.sigmas, 3)  # of a knot's measurement, m and rad
-        # Noise of the IMU acts at the next knot. If positions alone are trusted more than the IMU,
-        # it contains motion, and this delay is an error of the clock.
+        # Noise of the IMU acts at the next knot. If positions are trusted more than the IMU, it
+        # contains motion. This delay is an error of the clock, unless rotations determine it.
         self._least_noise = _LEAST_NOISE if samples.has_rotations else self.sigmas
+        if turns_about_one_axis(steps.rates.reshape(-1, 3)):
+            drift_m = horizon.noise.accelerometer * np.sqrt(horizon.knot_s**3 / 3.0)
+            self._least_noise = np.maximum(self._least_noise, np.repeat([drift_m, 0.0], 3))
         bias = np.median(rig.biases[:, :3], axis=0)
         covariances, self._by_biases = steps.uncertainty(bias, horizon.noise)
         self._whiten = np.linalg.inv(np.linalg.cholesky(covariances))

@@ -7,7 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.calibration.clock_offset import SEARCH_S, OffsetGuess, guess_offset_by
-from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds
+from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import (
+    ImuSeconds,
+    turns_about_one_axis,
+)
 from trajeval_ros.calibration.groundtruth_doctor.rig import BODY, GRAVITY, LEVER, SKEW, UNITS, Rig
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
 from trajeval_ros.calibration.hand_eye import closest_rotation, robust_rotation
@@ -20,7 +23,7 @@ from trajeval_ros.geometry.se3 import times
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 _CERTAIN_CORRELATION = 0.95
-_IN_PLACE_M, _SECOND_AXIS_RADPS = 0.3, 0.1
+_IN_PLACE_M = 0.3
 _LIGHTEST_MPS2, _HEAVIEST_MPS2 = 5.0, 20.0
 _INCREMENT_S = 0.25
 _PASSES = 6
@@ -128,11 +131,6 @@ def turns_in_place(positions: Floats, rates: Floats) -> bool:
     """Return whether neither a turn about a second axis nor accelerations determine the body."""
     extent_m = float(np.linalg.norm(np.std(positions, axis=0)))
     return extent_m < _IN_PLACE_M and turns_about_one_axis(rates)
-
-
-def turns_about_one_axis(rates: Floats) -> bool:
-    """Return whether angular velocities (N, 3), rad/s, are about one axis."""
-    return float(np.linalg.eigvalsh(np.cov(rates.T))[1]) < _SECOND_AXIS_RADPS**2
 
 
 def guess_of(groundtruth: Trajectory, imu: ImuSeconds) -> OffsetGuess:
