@@ -37,9 +37,7 @@ class Factor:
     def of(cls, diagonal: Floats, lower: Floats) -> Factor:
         """Return `of_band` of the blocks (N, d, d) and, below them, (N - 1, d, d)."""
         band = np.zeros((*diagonal.shape[:2], 2 * diagonal.shape[1]))
-        for start in range(0, len(band), AT_ONCE):
-            rows = slice(start, start + AT_ONCE)
-            add_blocks(band[rows], diagonal[rows], lower[rows])
+        add_blocks(band, diagonal, lower)
         return cls.of_band(band)
 
     @classmethod

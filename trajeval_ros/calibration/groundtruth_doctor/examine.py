@@ -188,11 +188,7 @@ def _with_imu(
 
 
 def _two_fits(case: start.Prepared, noise: ImuNoise) -> tuple[JointFit, JointFit, HorizonFit]:
-    """Return the fits over 0.1 s and over 2 s, and the summary of the second.
-
-    Raises:
-        InputError: The recordings overlap for less than 20 s.
-    """
+    """Return the fits over 0.1 s and over 2 s, and the summary of the second."""
     if not case.imu.accelerations.any():
         noise = replace(noise, accelerometer=_GYROSCOPE_ONLY)
     stiff = ImuNoise(noise.gyroscope / 4.0, noise.accelerometer / 2.0)
