@@ -238,7 +238,7 @@ def _body_and_bias(samples: TruthSamples, imu: ImuSeconds, knots: Floats) -> tup
     for _ in range(_PASSES):
         body = robust_rotation(of_imu - bias * _INCREMENT_S, of_marker)
         bias = np.median(of_imu - of_marker @ body.T, axis=0) / _INCREMENT_S
-    if turns_about_one_axis(imu.rates):
+    if turns_about_one_axis(imu.rates) and not turns_in_place(samples.positions, imu.rates):
         # They do not determine the angle about this axis, and swings do.
         by_swings = rough_orientations(samples.seconds, samples.positions, imu)
         turned = lie.multiply(lie.conjugate(by_swings), samples.quaternions)
