@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from scipy.stats import f as fisher
 from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import (
     GroundtruthCause,
     fused_cause,
-    parameter_cause,
+    parameter_causes,
     sample_causes,
 )  # fmt: skip
 from trajeval_ros.calibration.groundtruth_doctor.examine import (
@@ -122,6 +123,25 @@ def test_limits_of_faults_of_residuals(
         assert (said in sentence) == found
 
 
+def parameter_cause(
+    name: str, values: Array, sigmas: Array, free: NDArray[np.bool_], axes: str
+) -> GroundtruthCause:
+    found = SimpleNamespace(values=values, sigmas=sigmas, fixed_axes=axes)
+    causes = parameter_causes(found, free)  # type: ignore[arg-type]
+    return {each.name: each for each in causes}[name]
+
+
+def fused(short_deg: float, long_deg: float, *, disagree: bool) -> GroundtruthCause:
+    short, long = (
+        SimpleNamespace(
+            values=np.array([0.6 * angle, 0.0, -0.8 * angle, *[9.0] * 7]),
+            noise=np.radians([9.0, 9.0, 9.0, 0.15, 0.2, 0.0]),
+        )
+        for angle in (short_deg, long_deg)
+    )
+    return fused_cause(short, long, disagree=disagree)  # type: ignore[arg-type]
+
+
 def calibration(columns: slice, value: float, sigma: float) -> tuple[Array, Array]:
     values, sigmas = np.zeros(10), np.full(10, 1e-9)
     values[columns.start], sigmas[columns] = value, sigma
@@ -178,10 +198,12 @@ def test_sentences_on_the_clock_have_a_direction() -> None:
     skew = parameter_cause("clock_skew", *calibration(slice(7, 8), 1000.0, 1.0), free, "")
     assert "1000 ppm" in skew.sentence
     assert "3.60 s per hour" in skew.sentence
-    fused = fused_cause(1.0, 3.5, 0.25, disagree=True)
-    assert (fused.verdict, fused.value) == ("significant", 2.5)
-    assert fused_cause(3.5, 1.0, 0.25, disagree=False).verdict == "insignificant"
-    assert fused_cause(3.5, 1.0, 0.25, disagree=False).value == 2.5
+    found = fused(1.0, 3.5, disagree=True)
+    assert (found.verdict, found.value) == ("significant", pytest.approx(2.5))
+    assert "over 0.1 s and over 2 s disagree (1.0 and 3.5 deg)" in found.sentence
+    assert found.sentence.endswith("uncertain by 0.25 deg.")
+    found = fused(3.5, 1.0, disagree=False)
+    assert (found.verdict, found.value) == ("insignificant", pytest.approx(2.5))
 
 
 def test_a_standard_deviation_is_along_the_value() -> None:

@@ -11,7 +11,7 @@ from examined_rigs import START_NS
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.calibration.groundtruth_doctor.examine import _difference, _turns_in_place
+from trajeval_ros.calibration.groundtruth_doctor.examine import _difference
 from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds
 from trajeval_ros.calibration.groundtruth_doctor.repair import _with_bridges
 from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
@@ -24,6 +24,7 @@ from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
     check_residuals,
 )  # fmt: skip
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import _weights
+from trajeval_ros.calibration.groundtruth_doctor.start import turns_in_place
 from trajeval_ros.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -237,7 +238,7 @@ def test_residuals_of_both_kinds_are_checked() -> None:
             position_errors=positions,
             rotation_errors=rotations,
             marker_velocities=speeds[0],
-            states=SimpleNamespace(rates=speeds[1]),
+            rates=speeds[1],
         ),
         samples=SimpleNamespace(has_rotations=True),
         rig=SimpleNamespace(body=body),
@@ -278,35 +279,39 @@ def test_turning_in_place_needs_both() -> None:
     generator = np.random.default_rng(0)
     rates = generator.normal(size=(1000, 3)) * [0.05, 0.09, 1.0]
     still = np.zeros((10, 3))
-    assert _turns_in_place(still, rates)
-    assert not _turns_in_place(still, rates * [1.0, 1.3, 1.0] + [0.0, 0.0, 5.0])
+    assert turns_in_place(still, rates)
+    assert not turns_in_place(still, rates * [1.0, 1.3, 1.0] + [0.0, 0.0, 5.0])
     moving = 0.16 * np.tile([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]], (5, 1))
-    assert _turns_in_place(moving * 1.0, rates)  # 0.277 m
-    assert not _turns_in_place(moving * 1.2, rates)
+    assert turns_in_place(moving * 1.0, rates)  # 0.277 m
+    assert not turns_in_place(moving * 1.2, rates)
 
 
 def test_horizons_disagree_by_size_and_by_deviations() -> None:
-    def difference(
+    def found_by(
         apart: Array, sigma: float, turn_deg: float, fixed: tuple[Array, ...] = ()
     ) -> tuple[Array, bool]:
-        turn = Rotation.from_rotvec([0.0, turn_deg, 0.0], degrees=True).as_matrix()
-        short = SimpleNamespace(fixed_directions=fixed, rig=SimpleNamespace(body=np.eye(3)))
-        long = SimpleNamespace(fixed_directions=(), rig=SimpleNamespace(body=turn))
-        values = np.concatenate([np.zeros(3), apart, np.zeros(4)])
-        sigmas = np.full(10, sigma)
-        brief = SimpleNamespace(values=np.zeros(10), sigmas=sigmas)
-        lasting = SimpleNamespace(values=values, sigmas=sigmas)
-        return _difference(short, long, brief, lasting)  # type: ignore[arg-type]
+        # Both fits find a rotation of 100 deg, and the long one a further one about its axes.
+        body = Rotation.from_rotvec([60.0, 0.0, -80.0], degrees=True)
+        more = body * Rotation.from_rotvec([0.0, turn_deg, 0.0], degrees=True)
+        brief, lasting = (
+            SimpleNamespace(
+                values=np.concatenate([each.as_rotvec(degrees=True), arm, np.zeros(4)]),
+                sigmas=np.full(10, sigma),
+                fixed_directions=fixed,
+            )
+            for each, arm in ((body, np.zeros(3)), (more, apart))
+        )
+        return _difference(brief, lasting)  # type: ignore[arg-type]
 
-    found, disagree = difference(np.array([-19.0, 0.0, 0.0]), 0.01, 0.99)
+    found, disagree = found_by(np.array([-19.0, 0.0, 0.0]), 0.01, 0.99)
     np.testing.assert_allclose(found, [0.0, 0.99, 0.0, 19.0, 0.0, 0.0], atol=1e-12)
     assert not disagree
-    assert difference(np.zeros(3), 0.01, 1.01)[1]
-    assert difference(np.array([0.0, -20.1, 0.0]), 0.01, 0.0)[1]
+    assert found_by(np.zeros(3), 0.01, 1.01)[1]
+    assert found_by(np.array([0.0, -20.1, 0.0]), 0.01, 0.0)[1]
     # Five standard deviations of the difference.
-    assert not difference(np.array([0.0, 21.0, 0.0]), 21.0 / (4.99 * np.sqrt(2.0)), 0.0)[1]
-    assert difference(np.array([0.0, 21.0, 0.0]), 21.0 / (5.01 * np.sqrt(2.0)), 0.0)[1]
-    along = difference(np.array([5.0, 50.0, 0.0]), 0.01, 0.0, (np.array([0.0, 1.0, 0.0]),))
+    assert not found_by(np.array([0.0, 21.0, 0.0]), 21.0 / (4.99 * np.sqrt(2.0)), 0.0)[1]
+    assert found_by(np.array([0.0, 21.0, 0.0]), 21.0 / (5.01 * np.sqrt(2.0)), 0.0)[1]
+    along = found_by(np.array([5.0, 50.0, 0.0]), 0.01, 0.0, (np.array([0.0, 1.0, 0.0]),))
     np.testing.assert_allclose(along[0][3:], [5.0, 0.0, 0.0])
     assert not along[1]
 

@@ -21,10 +21,11 @@ from trajeval_ros.calibration.groundtruth_doctor.doctor_causes import (
 from trajeval_ros.calibration.groundtruth_doctor.examine import (
     ExaminedGroundtruth,
     _apply,
-    _imu_of,
+    _noisy,
     examine,
 )  # fmt: skip
 from trajeval_ros.calibration.groundtruth_doctor.rig import LEVER, OFFSET, SKEW, UNITS
+from trajeval_ros.calibration.groundtruth_doctor.start import imu_of
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.inertial import InertialReadings
 
@@ -126,13 +127,13 @@ def test_accelerations_are_in_metres(size: float, refused: bool) -> None:
     )
     if refused:
         with pytest.raises(InputError, match="specific forces"):
-            _imu_of(readings)
+            imu_of(readings)
         return
-    imu, origin = _imu_of(readings)
-    assert origin == 10
+    imu = imu_of(readings)
+    assert imu.origin == 10
     np.testing.assert_allclose(imu.seconds, [0.0, 1e-8, 2e-8], atol=1e-20)
     assert imu.rates[:, 0].tolist() == [3.0, 6.0, 0.0]
-    gyroscope, _ = _imu_of(dataclasses.replace(readings, accelerations=None))
+    gyroscope = imu_of(dataclasses.replace(readings, accelerations=None))
     assert not gyroscope.accelerations.any()
 
 
@@ -161,7 +162,7 @@ def test_a_summary_has_the_larger_variance_in_its_units() -> None:
     ],
 )
 @pytest.mark.parametrize("is_short", [True, False])
-def test_insignificant_parameters_are_not_applied(
+def test_parameters_that_are_noise_are_not_applied(
     verdict: str, lever: list[bool], is_short: bool
 ) -> None:
     calls: list[tuple[Any, Array]] = []
@@ -178,7 +179,7 @@ def test_insignificant_parameters_are_not_applied(
     causes["body_rotation"] = GroundtruthCause("body_rotation", "insignificant")
     causes["tilted"] = GroundtruthCause("tilted", "insignificant")
     causes["lever_arm"] = GroundtruthCause("lever_arm", verdict)
-    noisy = np.array([False] * 3 + [True, False, True] + [False, True, False, False])
+    noisy = np.array([True] * 3 + [True, False, True] + [False, True, False, False])
     _apply(chosen, chosen if is_short else other, causes, noisy)
     [(applied, free)] = calls
     np.testing.assert_array_equal(applied.body, np.eye(3))
@@ -188,3 +189,35 @@ def test_insignificant_parameters_are_not_applied(
     assert applied.skew == 0.0
     expected = np.array([False] * 3 + [not each for each in lever] + [is_short, False, True, True])
     np.testing.assert_array_equal(free, expected)
+    # A rotation that is not noise is applied, also a small one, but not an inconclusive one.
+    for verdict in ("insignificant", "inconclusive"):
+        causes["body_rotation"] = GroundtruthCause("body_rotation", verdict)
+        _apply(chosen, chosen, causes, noisy & (np.arange(10) > 2))
+        applied, free = calls.pop()
+        is_applied = verdict == "insignificant"
+        np.testing.assert_array_equal(applied.body, own.body if is_applied else np.eye(3))
+        assert free[:3].tolist() == [is_applied] * 3
+
+
+def test_noise_is_what_zero_explains_better() -> None:
+    def noisy(values: Array, **changed: bool) -> list[bool]:
+        has_rotations = changed.get("has_rotations", True)
+        case = SimpleNamespace(
+            imu=SimpleNamespace(accelerations=np.tile([0.1, -9.8, 0.3], (4, 1))),
+            samples=SimpleNamespace(has_rotations=has_rotations),
+            free=np.arange(10) != 9,
+        )
+        found = SimpleNamespace(values=values, sigmas=np.full(10, 0.5))
+        return _noisy(case, found).tolist()  # type: ignore[arg-type]
+
+    # Akaike: a parameter is worth two units of chi2, and along gravity the limit is 2.2.
+    below = np.array([0.7, 0.7, 0.7, 0.7, 1.09, 0.7, 0.7, 0.7, 0.7, 9.0])
+    assert noisy(below) == noisy(-below) == [True] * 10
+    above = np.array([0.71, 0.71, 0.71, 0.71, 1.11, 0.71, 0.71, 0.71, 0.71, 9.0])
+    assert noisy(above) == noisy(-above) == [False] * 9 + [True]
+    # Rotations are judged whole: their chi2 is above six, or not.
+    above[:3] = [0.0, 0.0, 1.23]
+    assert noisy(above)[:3] == [False] * 3
+    above[:3] = [0.0, 0.0, 1.22]
+    assert noisy(above)[:3] == [True] * 3
+    assert noisy(above, has_rotations=False)[6:8] == [True, True]

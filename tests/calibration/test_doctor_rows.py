@@ -44,7 +44,7 @@ def moved(rig: Rig, knot: int, state: Array, calibration: Array) -> Rig:
 
 
 def test_a_rig_predicts_its_samples(small: Small) -> None:
-    motions = small.steps.motions(small.rig.gyro_biases[:-1], small.rig.acceleration_biases[:-1])
+    motions = small.steps.motions(small.rig.biases[:-1])
     found = predict(small.samples, small.steps, motions, small.rig)
     own = small.samples.seconds
     seconds = own + 0.02 + 1e-3 * (own - 0.5 * (own[0] + own[-1]))
@@ -62,7 +62,7 @@ def test_a_rig_predicts_its_samples(small: Small) -> None:
     )
     np.testing.assert_allclose(found.marker_velocities, change / (2 * STEP), atol=1e-6)
     turns = so3.log(np.swapaxes(behind.rotations, 1, 2) @ ahead.rotations) / (2.0 * STEP)
-    np.testing.assert_allclose(found.states.rates, turns, atol=1e-6)
+    np.testing.assert_allclose(found.rates, turns, atol=1e-6)
 
 
 def test_a_constant_force_without_turns_is_a_parabola() -> None:
@@ -73,10 +73,10 @@ def test_a_constant_force_without_turns_is_a_parabola() -> None:
     start = Rotation.from_rotvec([0.2, 0.5, -0.3]).as_matrix()
     rig = Rig(
         np.tile(start, (3, 1, 1)), np.tile([1.0, 2.0, 3.0], (3, 1)), np.tile([4.0, 5, 6], (3, 1)),
-        np.zeros((3, 3)), np.tile([0.1, 0.2, 0.3], (3, 1)), np.eye(3), np.zeros(3), 0.0, 0.0,
+        np.tile([0.0, 0.0, 0.0, 0.1, 0.2, 0.3], (3, 1)), np.eye(3), np.zeros(3), 0.0, 0.0,
         np.array([0.0, 0.0, -9.81]),
     )  # fmt: skip
-    motions = steps.motions(rig.gyro_biases[:-1], rig.acceleration_biases[:-1])
+    motions = steps.motions(rig.biases[:-1])
     at = np.array([0.105, 0.2, 0.304, 0.4, 0.5])
     found = rig_at(at, steps, motions, rig)
     assert found.knots.tolist() == [0, 0, 0, 1, 1]
@@ -92,10 +92,10 @@ def test_a_constant_force_without_turns_is_a_parabola() -> None:
 
 
 def test_rows_of_samples_are_derivatives(small: Small) -> None:
-    motions = small.steps.motions(small.rig.gyro_biases[:-1], small.rig.acceleration_biases[:-1])
+    motions = small.steps.motions(small.rig.biases[:-1])
 
     def residuals(rig: Rig) -> Array:
-        changed = small.steps.motions(rig.gyro_biases[:-1], rig.acceleration_biases[:-1])
+        changed = small.steps.motions(rig.biases[:-1])
         found = predict(small.samples, small.steps, changed, rig)
         return averaged(found, rig, small.samples).residuals
 
@@ -139,13 +139,14 @@ def test_rows_of_intervals_are_derivatives(small: Small) -> None:
 
     def rows(rig: Rig) -> Array:
         again = dataclasses.replace(small, rig=rig).fit()
-        [(_, _, _, _, by_rig)] = again._inertial_rows()
+        by_rig = again._rows_of_intervals(np.arange(4))[2]
         # Whitened by the biases of the start, so that the differences are of residuals.
         residuals = np.linalg.solve(again._whiten, by_rig[:, :9, -1:])[..., 0]
         return np.concatenate([residuals, np.diff(rig.biases, axis=0)], axis=1)
 
-    [(knots, others, before, after, by_rig)] = fit._inertial_rows()
-    assert (knots, others) == (slice(0, 4), slice(1, 5))
+    (knots, before, after, by_rig), _ = fit._rows()
+    assert knots.tolist() == [0, 1, 2, 3]
+    assert after is not None
     walk = np.repeat([2e-5, 1e-3], 3) * np.sqrt(0.1)
     whiten = np.zeros((4, 15, 15))
     whiten[:, :9, :9], whiten[:, 9:, 9:] = fit._whiten, np.diag(1.0 / walk)
@@ -171,7 +172,9 @@ def test_rows_of_intervals_are_derivatives(small: Small) -> None:
 
 def dense(fit: JointFit) -> tuple[Array, Array]:
     """Return the information (85, 85) of five states and the calibration, and the gradient."""
-    rows, width = fit._weighted, 5 * 15 + 10
+    (_, before, after, by_rig), samples = fit._rows()
+    assert after is not None
+    width = 5 * 15 + 10
     information, gradient = np.zeros((width, width)), np.zeros(width)
 
     def add(jacobian: Array, residual: Array) -> None:
@@ -179,18 +182,17 @@ def dense(fit: JointFit) -> tuple[Array, Array]:
         information += jacobian.T @ jacobian
         gradient += jacobian.T @ residual
 
-    [(_, _, before, after, by_rig)] = fit._inertial_rows()
     for knot in range(4):
         jacobian = np.zeros((15, width))
         jacobian[:, 15 * knot : 15 * knot + 15] = before[knot]
         jacobian[:, 15 * knot + 15 : 15 * knot + 30] = after[knot]
         jacobian[:, 75:] = by_rig[knot, :, :-1]
         add(jacobian, by_rig[knot, :, -1])
-    for place, knot in enumerate(rows.knots.tolist()):
+    for knot, by_state, _, columns in zip(*samples[:2], samples[0], samples[3], strict=True):
         jacobian = np.zeros((6, width))
-        jacobian[:, 15 * knot : 15 * knot + 15] = rows.by_state[place]
-        jacobian[:, 75:] = rows.by_rig[place]
-        add(jacobian, rows.residuals[place])
+        jacobian[:, 15 * knot : 15 * knot + 15] = by_state
+        jacobian[:, 75:] = columns[:, :-1]
+        add(jacobian, columns[:, -1])
     for column, sigma in zip(range(9, 15), np.repeat([0.2, 1.0], 3), strict=True):
         jacobian = np.eye(width)[[column]] / sigma
         add(jacobian, fit.rig.biases[0, [column - 9]] / sigma)
@@ -214,10 +216,11 @@ def test_normal_equations_are_dense_ones(small: Small) -> None:
     states = -fit._by_gradient - fit._by_calibration @ calibration
     sigmas = np.sqrt(np.diag(inverse)[:75].reshape(5, 15))
     np.testing.assert_allclose(states / sigmas, step[:75].reshape(5, 15) / sigmas, atol=1e-4)
-    for knot, found in enumerate(fit.state_covariances()):
-        rows = slice(15 * knot, 15 * knot + 15)
-        unit = np.outer(sigmas[knot], sigmas[knot])
-        np.testing.assert_allclose(found / unit, inverse[rows, rows] / unit, atol=1e-6)
+    pose = np.r_[6:9, 0:3]
+    for knot, found in enumerate(fit.pose_covariances()):
+        rows = 15 * knot + pose
+        unit = np.outer(sigmas[knot, pose], sigmas[knot, pose])
+        np.testing.assert_allclose(found / unit, inverse[np.ix_(rows, rows)] / unit, atol=1e-6)
 
 
 def test_a_fixed_direction_of_the_lever_arm_does_not_move(small: Small) -> None:

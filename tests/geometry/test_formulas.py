@@ -14,7 +14,7 @@ from strategies import make_groundtruth, seeds
 
 from trajeval_ros.exceptions import DegenerateGeometryError, SettingsError
 from trajeval_ros.geometry import covariance_frames, lie, se3, so3
-from trajeval_ros.geometry.banded_matrices import BandedGaussian, Factor, bandwidth
+from trajeval_ros.geometry.banded_matrices import BandedGaussian, Factor, add_blocks, bandwidth
 from trajeval_ros.geometry.gauge import (
     Gauge,
     dimension,
@@ -334,10 +334,15 @@ def test_factors_of_many_states_are_one_matrix(count: int) -> None:
     each = np.arange(count)
     np.testing.assert_allclose(own, inverse[each, :, each], rtol=1e-8, atol=1e-9)
     np.testing.assert_allclose(beside, inverse[each[:-1], :, each[1:]], rtol=1e-8, atol=1e-9)
-    # The storage of another factor may be used again.
-    used = np.zeros((count, 2, 4))
-    Factor.of(2.0 * diagonal, -lower, used)
-    np.testing.assert_array_equal(Factor.of(diagonal, lower, used).band, factor.band)
+    # Blocks are added up, with and without those below them.
+    band = np.zeros((count, 2, 4))
+    add_blocks(band[:7], 0.25 * diagonal[:7], lower[:6])
+    add_blocks(band[6:], diagonal[6:], lower[6:])
+    add_blocks(band[:6], 0.75 * diagonal[:6])
+    band[6] -= 0.25 * np.array(
+        [[*diagonal[6, :, 0], 0.0, 0.0], [diagonal[6, 1, 1], 0.0, 0.0, 0.0]]
+    )
+    np.testing.assert_allclose(Factor.of_band(band).band, factor.band, rtol=1e-12, atol=1e-12)
     columns = generator.normal(size=(count, 2, 3))
     expected = np.linalg.solve(dense, columns.reshape(-1, 3)).reshape(columns.shape)
     np.testing.assert_allclose(factor.solve(columns), expected, rtol=1e-8, atol=1e-9)

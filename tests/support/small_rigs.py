@@ -43,8 +43,7 @@ def small_rig() -> Small:
         Rotation.from_rotvec(generator.normal(size=shape)).as_matrix(),
         generator.normal(size=shape),
         generator.normal(size=shape),
-        np.tile(0.1 * generator.normal(size=3), (5, 1)),
-        np.zeros(shape),
+        np.tile(np.append(0.1 * generator.normal(size=3), np.zeros(3)), (5, 1)),
         Rotation.from_rotvec([0.3, -0.5, 0.4]).as_matrix(),
         np.array([0.2, -0.3, 0.1]),
         0.02,
@@ -55,7 +54,7 @@ def small_rig() -> Small:
     blank = TruthSamples(
         own, np.zeros((len(own), 3)), np.tile([0.0, 0, 0, 1], (len(own), 1)), True
     )
-    motions = steps.motions(rig.gyro_biases[:-1], rig.acceleration_biases[:-1])
+    motions = steps.motions(rig.biases[:-1])
     states = rig_at(own + 0.02 + 1e-3 * (own - blank.middle_s), steps, motions, rig)
     # All errors have one length, for which no weight is below 1.
     errors = generator.normal(size=(2, len(own), 3))

@@ -75,44 +75,27 @@ class PublishedNumber(NamedTuple):
 
 @dataclass(frozen=True)
 class Match:
-    """Definitions that differ only in the association, or have equal values.
+    """Definitions that differ only in the association, or have equal values."""
 
-    Attributes:
-        definitions: The likeliest one, of every number of a run.
-        values: Its values by number of a run, and by run; metres, degrees, % or deg/m.
-        associations: All associations that give the numbers.
-        others: Other definitions with equal values, as text.
-        probability: Posterior probability of these definitions together.
-    """
-
-    definitions: tuple[Definition, ...]
+    definitions: tuple[Definition, ...]  # the likeliest one, of every number of a run
+    # Its values by number of a run, and by run; metres, degrees, % or deg/m.
     values: tuple[tuple[float, ...], ...]
-    associations: tuple[str, ...]
-    others: tuple[str, ...]
-    probability: float
+    associations: tuple[str, ...]  # all that give the numbers
+    others: tuple[str, ...]  # other definitions with equal values, as text
+    probability: float  # posterior probability of these definitions together
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """The definitions that give published numbers.
+    """The definitions that give published numbers."""
 
-    Attributes:
-        searched: Number of definitions with the unit of the numbers.
-        matching: Number of definitions that give the numbers.
-        expected: Expected number of matches of unrelated numbers of the same size.
-        any_probability: Probability that unrelated numbers have a match.
-        none_probability: Posterior probability that none of the definitions was used.
-        matches: Groups of matching definitions, the likeliest first.
-        nearest: Likely definitions with near values, if none matches.
-    """
-
-    searched: int
-    matching: int
-    expected: float
-    any_probability: float
-    none_probability: float
-    matches: tuple[Match, ...]
-    nearest: tuple[Match, ...]
+    searched: int  # number of definitions with the unit of the numbers
+    matching: int  # number of definitions that give the numbers
+    expected: float  # expected number of matches of unrelated numbers of the same size
+    any_probability: float  # probability that unrelated numbers have a match
+    none_probability: float  # posterior probability that none of the definitions was used
+    matches: tuple[Match, ...]  # groups of matching definitions, the likeliest first
+    nearest: tuple[Match, ...]  # likely definitions with near values, if none matches
 
     @property
     def verdict(self) -> str:

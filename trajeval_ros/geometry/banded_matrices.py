@@ -2,20 +2,16 @@
 
 Relative poses have a block tridiagonal covariance, since consecutive ones share a state
 (probabilistic paper, eq. 15). States of a Markov process have such an information matrix. An
-estimator's information matrix is banded: `BandedGaussian` cuts its parameters into segments at
-least as long as the bandwidth, so that a segment is coupled to its neighbours only. A block
-elimination from the first to the last segment needs one small Cholesky factor per segment.
+estimator's information matrix is banded: in blocks as long as the bandwidth, it is such a matrix.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.linalg.lapack import dtbtrs
@@ -38,22 +34,30 @@ class Factor:
     scale: Floats  # (N, d), the diagonal of S
 
     @classmethod
-    def of(cls, diagonal: Floats, lower: Floats, band: Floats | None = None) -> Factor:
-        """Factorise the matrix of blocks (N, d, d) and, below them, (N - 1, d, d).
+    def of(cls, diagonal: Floats, lower: Floats) -> Factor:
+        """Return `of_band` of the blocks (N, d, d) and, below them, (N - 1, d, d)."""
+        band = np.zeros((*diagonal.shape[:2], 2 * diagonal.shape[1]))
+        add_blocks(band, diagonal, lower)
+        return cls.of_band(band)
 
-        The factor is in `band` (N, d, 2 d), if given: zeros, or that of another factor.
+    @classmethod
+    def of_band(cls, band: Floats) -> Factor:
+        """Factorise the matrix of `add_blocks` (N, d, 2 d); the factor replaces it.
 
         Raises:
             numpy.linalg.LinAlgError: It is not positive definite.
         """
-        entries = np.einsum("nii->ni", diagonal)
+        entries, width = band[..., 0], band.shape[2]
         if not (entries > 0.0).all():
             raise np.linalg.LinAlgError("a diagonal entry is not positive")
         scale = 1.0 / np.sqrt(entries)
-        band = np.zeros((*entries.shape, 2 * entries.shape[1])) if band is None else band
-        _fill(band, diagonal, lower, scale)
-        band = band.reshape(entries.size, -1).T
-        return cls(cholesky_banded(band, lower=True, overwrite_ab=True), scale)
+        columns, own = band.reshape(-1, width), scale.reshape(-1, 1)
+        rows = sliding_window_view(np.pad(own[:, 0], (0, width - 1)), width)
+        for start in range(0, len(columns), width * AT_ONCE):
+            part = slice(start, start + width * AT_ONCE)
+            columns[part] *= rows[part]
+            columns[part] *= own[part]
+        return cls(cholesky_banded(columns.T, lower=True, overwrite_ab=True), scale)
 
     @property
     def log_diagonal(self) -> Floats:
@@ -88,8 +92,9 @@ class Factor:
         count, size = self.scale.shape
         blocks, beside = np.empty((2, count, size, size))
         after = np.zeros((size, size))
-        for start in reversed(range(0, count, AT_ONCE)):
-            rows = slice(start, start + AT_ONCE)
+        few = max(1, AT_ONCE * 256 // size**2)
+        for start in reversed(range(0, count, few)):
+            rows = slice(start, start + few)
             diagonal, lower = _blocks(self.band.T.reshape(count, size, -1)[rows])
             inverted = np.linalg.inv(diagonal)
             own, gain = np.swapaxes(inverted, 1, 2) @ inverted, lower @ inverted
@@ -103,21 +108,18 @@ class Factor:
         return blocks, beside[:-1]
 
 
-def _fill(band: Floats, diagonal: Floats, lower: Floats, scale: Floats) -> None:
-    """Write the columns (N, d, 2 d) of S A S in lower banded storage, as LAPACK requires them.
+def add_blocks(band: Floats, diagonal: Floats, lower: Floats | None = None) -> None:
+    """Add blocks (N, d, d) to the columns (N, d, 2 d) of a matrix in lower banded storage.
 
-    Entry i - j of column j is that of row i; entries of other blocks stay zero.
+    It is that of LAPACK: entry i - j of column j is that of row i. `lower` has the blocks below
+    (N or N - 1, d, d). Entries of other blocks stay zero.
     """
-    count, size, _ = diagonal.shape
-    for start in range(0, count, AT_ONCE):
-        part, next_part = (slice(each, each + AT_ONCE) for each in (start, start + 1))
-        own = diagonal[part] * scale[part, :, None] * scale[part, None, :]
-        after = scale[next_part]
-        below = lower[part] * after[..., None] * scale[part][: len(after), None, :]
-        for column in range(size):
-            end = size - column
-            band[part, column, :end] = own[:, column:, column]
-            band[start : start + len(below), column, end : end + size] = below[:, :, column]
+    size = diagonal.shape[1]
+    for column in range(size):
+        end = size - column
+        band[:, column, :end] += diagonal[:, column:, column]
+        if lower is not None:
+            band[: len(lower), column, end : end + size] += lower[:, :, column]
 
 
 def _blocks(columns: Floats) -> tuple[Floats, Floats]:
@@ -137,77 +139,51 @@ def bandwidth(matrix: scipy.sparse.csr_matrix) -> int:
 
 
 class BandedGaussian:
-    """The block factors of an information matrix (n, n), positive definite and banded."""
+    """A Gaussian with an information matrix (n, n), positive definite and banded."""
 
     def __init__(self, information: scipy.sparse.csr_matrix) -> None:
-        """Eliminate the segments in order."""
-        size = information.shape[0]
-        links = max(size // max(bandwidth(information), 1), 1)
-        cuts = np.linspace(0, size, links + 1).astype(int)
-        self._rows = [slice(*bounds) for bounds in itertools.pairwise(cuts)]
-        # Per segment: the Cholesky factor D of its Schur complement, and the regression -D^-1 U
-        # on the next segment.
-        self._factors: list[Floats] = []
-        self._regressions: list[Floats] = []
-        correction: Floats | float = 0.0
-        for rows, after in zip(self._rows, [*self._rows[1:], slice(size, size)], strict=True):
-            left = information[rows, rows].toarray() - correction
-            coupling = information[rows, after].toarray()
-            try:
-                factor = scipy.linalg.cholesky(left, lower=True)
-            except np.linalg.LinAlgError as error:
-                raise DegenerateGeometryError(
-                    "the measurements do not determine all directions except position and yaw; "
-                    "add landmarks, or keyframes with other viewpoints"
-                ) from error
-            whitened = scipy.linalg.solve_triangular(factor, coupling, lower=True)
-            correction = whitened.T @ whitened
-            self._factors.append(factor)
-            self._regressions.append(
-                -scipy.linalg.solve_triangular(factor, whitened, lower=True, trans="T")
-            )
+        """Factorise the matrix, in blocks as long as the bandwidth; unit entries fill the last."""
+        self._size, block = information.shape[0], max(bandwidth(information), 1)
+        band = np.zeros((-(-self._size // block), block, 2 * block))
+        columns, entries = band.reshape(-1, 2 * block), scipy.sparse.tril(information).tocoo()
+        np.add.at(columns, (entries.col, entries.row - entries.col), entries.data)
+        columns[self._size :, 0] = 1.0
+        try:
+            self._factor = Factor.of_band(band)
+        except np.linalg.LinAlgError as error:
+            raise DegenerateGeometryError(
+                "the measurements do not determine all directions except position and yaw; "
+                "add landmarks, or keyframes with other viewpoints"
+            ) from error
 
     def sampled(self, normals: Floats) -> Floats:
         """Return a sample (n, ...) of the Gaussian from standard normal numbers (n, ...)."""
-        sample = np.empty_like(normals)
-        ahead = np.empty((0, *normals.shape[1:]))
-        for rows, factor, regression in self._backwards():
-            noise = scipy.linalg.solve_triangular(factor, normals[rows], lower=True, trans="T")
-            ahead = noise + regression @ ahead
-            sample[rows] = ahead
-        return sample
+        rows, scale = self._filled(normals), self._factor.scale.reshape(-1, 1)
+        solved = np.asarray(dtbtrs(self._factor.band, rows, uplo="L", trans="T")[0]) * scale
+        return solved[: self._size].reshape(normals.shape)
 
     def solved(self, columns: Floats) -> Floats:
         """Return the covariance times columns (n, k)."""
-        product = columns.astype(float)
-        for rows, after, regression in zip(
-            self._rows[:-1], self._rows[1:], self._regressions[:-1], strict=True
-        ):
-            product[after] += regression.T @ product[rows]
-        ahead = np.empty((0, columns.shape[1]))
-        for rows, factor, regression in self._backwards():
-            ahead = scipy.linalg.cho_solve((factor, True), product[rows]) + regression @ ahead
-            product[rows] = ahead
-        return product
+        rows = self._filled(columns).reshape(*self._factor.scale.shape, -1)
+        return self._factor.solve(rows).reshape(-1, columns.shape[1])[: self._size]
 
     def marginals(self, starts: NDArray[np.int64], size: int) -> Floats:
         """Return the blocks (B, size, size) on the covariance's diagonal that start at `starts`.
 
-        A block can extend over two segments.
+        A block can extend over two blocks of the factor.
         """
-        blocks = np.empty((len(starts), size, size))
-        covariance = np.empty((0, 0))
-        for rows, factor, regression in self._backwards():
-            cross = regression @ covariance
-            own = scipy.linalg.cho_solve((factor, True), np.eye(len(factor)))
-            own += cross @ regression.T
-            # With the next segment, for blocks that extend over both.
-            joint = np.block([[own, cross], [cross.T, covariance]])
-            here = np.flatnonzero((starts >= rows.start) & (starts < rows.stop))
-            within = (starts[here] - rows.start)[:, None] + np.arange(size)
-            blocks[here] = joint[within[:, :, None], within[:, None, :]]
-            covariance = own
+        own, beside = self._factor.inverse_blocks()
+        blocks, length = np.empty((len(starts), size, size)), own.shape[1]
+        for block, start in zip(blocks, starts.tolist(), strict=True):
+            first, at = divmod(start, length)
+            joint = own[first]
+            if at + size > length:
+                across = beside[first]
+                joint = np.block([[joint, across], [across.T, own[first + 1]]])
+            block[:] = joint[at : at + size, at : at + size]
         return blocks
 
-    def _backwards(self) -> Iterator[tuple[slice, Floats, Floats]]:
-        return zip(self._rows[::-1], self._factors[::-1], self._regressions[::-1], strict=True)
+    def _filled(self, rows: Floats) -> Floats:
+        """Return rows (n, ...) with zeros for the unit entries, in two dimensions."""
+        more = self._factor.scale.size - self._size
+        return np.pad(rows.reshape(self._size, -1), [(0, more), (0, 0)])

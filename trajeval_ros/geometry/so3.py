@@ -23,8 +23,12 @@ def skew(vector: Floats) -> Floats:
 def exp(rotation_vector: Floats) -> Floats:
     """Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad (Rodrigues)."""
     sine, cosine, _ = _rodrigues(rotation_vector)
-    cross = skew(rotation_vector)
-    matrix: Floats = np.eye(3) + sine * cross + cosine * (cross @ cross)
+    matrix = skew(rotation_vector)
+    squared = matrix @ matrix
+    squared *= cosine  # in place: without new arrays it takes less than half of the time
+    matrix *= sine
+    matrix += np.eye(3)
+    matrix += squared
     return matrix
 
 

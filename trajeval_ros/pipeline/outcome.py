@@ -81,17 +81,11 @@ class RunOutcome:
 
 @dataclass(frozen=True)
 class FailedRun:
-    """An estimate that could not be evaluated.
+    """An estimate that could not be evaluated."""
 
-    Attributes:
-        name: Its name in tables.
-        source: Its source.
-        reason: Why it could not be evaluated, one sentence.
-    """
-
-    name: str
+    name: str  # in tables
     source: str
-    reason: str
+    reason: str  # why it could not be evaluated, one sentence
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -29,19 +29,13 @@ Change: TypeAlias = Callable[[Trajectory], Trajectory]
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """Groundtruth and one estimate.
-
-    Attributes:
-        groundtruth: Of a live run, only the states in pairs.
-        estimate: Of a live run, only the states in pairs.
-        pairs: The recorded pairs of a live run; None if states are still to be associated.
-        streams: All groundtruth states, and the poses in the order of their reception; None if
-            these are the two sides.
-    """
+    """Groundtruth and one estimate; of a live run, only the states in pairs."""
 
     groundtruth: Trajectory
     estimate: Trajectory
-    pairs: Association | None = None
+    pairs: Association | None = None  # recorded ones of a live run; None before the association
+    # All groundtruth states, and the poses in the order of their reception; None if these are the
+    # two sides.
     streams: tuple[Trajectory, Trajectory] | None = None
 
     @classmethod

@@ -20,17 +20,13 @@ _PAPER, _INK, _GRID, _GROUNDTRUTH = "#ffffff", "#1b1f24", "#e4e7eb", "#555b63"
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A part of a figure.
-
-    Attributes:
-        name, kind: Text above the picture and its CSS classes; empty for none.
-    """
+    """A part of a figure."""
 
     panels: Sequence[SvgPanel]
     size: tuple[float, float]  # width and height, pixels
     label: str  # description for screen readers
-    name: str = ""
-    kind: str = ""
+    name: str = ""  # text above the picture; empty for none
+    kind: str = ""  # its CSS classes
 
     @property
     def content(self) -> str:

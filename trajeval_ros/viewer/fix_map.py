@@ -67,13 +67,10 @@ class LiveMap:
 
     A map has no transforms: a new alignment moves a track only if the track is drawn again.
     Therefore a new drawing replaces the previous one, and has a limited number of points.
-
-    Attributes:
-        datum: Origin of the frame of the fixes; None before the first one.
     """
 
     def __init__(self, log: Log) -> None:
-        self.datum: Datum | None = None
+        self.datum: Datum | None = None  # origin of the frame of the fixes
         self._log = log
         self._history = RowHistory(3)  # latitude, longitude and status
         self._drawn_at = _NEVER

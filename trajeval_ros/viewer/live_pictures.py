@@ -31,18 +31,13 @@ DRAWN_EVERY_NS = NANOSECONDS // 5  # ends of paths, and relative errors of a len
 
 
 class GroundtruthPicture:
-    """Draws the groundtruth.
-
-    Attributes:
-        origin: Origin of all drawn positions, (3,), in its frame; None before the first state.
-        corners: Smallest and largest drawn coordinates of the run, (2, 3); empty before.
-    """
+    """Draws the groundtruth."""
 
     def __init__(self, recording: LiveRecording) -> None:
         self._recording = recording
         self.newest = NEVER  # the newest timestamp, nanoseconds
-        self.origin: Floats | None = None
-        self.corners: Floats = np.empty((0, 3))
+        self.origin: Floats | None = None  # origin of all drawn positions, (3,), in its frame
+        self.corners: Floats = np.empty((0, 3))  # smallest and largest drawn coordinates, (2, 3)
         self._path = LivePath(GroundtruthEntities.path, recording.log, appearance.GROUNDTRUTH_PATH)
         self._thinning, self._drawn_at = Thinning(), NEVER
 
@@ -99,17 +94,7 @@ _RARE_NS = NANOSECONDS // 4  # between updates: errors between them are drawn, t
 
 
 class EstimatePicture:
-    """Draws one estimate.
-
-    Attributes:
-        entities: Its entities.
-        memory: Groundtruth and estimate of the pairs, six numbers.
-        rotations: Drawn rotation errors, degrees.
-        origin: Origin of its drawn positions, (3,), in its frame; None before the first pair.
-        told_at: Time of its newest text.
-        is_available: Whether as-available errors are drawn.
-        scans: Scans that were measured in its body.
-    """
+    """Draws one estimate."""
 
     def __init__(
         self,
@@ -122,15 +107,17 @@ class EstimatePicture:
     ) -> None:
         self.entities, self._recording, self._lanes = entities, recording, lanes
         self._path, self._is_alone = LivePath(entities.path, recording.log, look), is_alone
-        self._thinning, self.memory, self.rotations = Thinning(), RowHistory(6), RowHistory(1)
-        self.scans = LiveScans(entities, recording)
+        self._thinning = Thinning()
+        self.memory = RowHistory(6)  # positions of groundtruth and estimate of the pairs
+        self.rotations = RowHistory(1)  # drawn rotation errors, degrees
+        self.scans = LiveScans(entities, recording)  # scans that were measured in its body
         self._errors_at = NEVER  # time of the newest drawn error
         self._settled_at: int | None = None  # time of the first drawn rotation error
         self._between = Thinning()
-        self.origin: Floats | None = None
+        self.origin: Floats | None = None  # origin of its drawn positions, (3,), in its frame
         self.similarity: Similarity | None = None  # the newest alignment, of drawn positions
         self.snapshot: Snapshot | None = None  # the newest state of its evaluation
-        self.told_at = self._drawn_at = NEVER
+        self.told_at = self._drawn_at = NEVER  # time of its newest text, and of its newest path
         self._coloured, self.is_available = 0, False
         self._is_revised = False  # whether errors of the newest path exist
         self._lengths: dict[str, int] = {}  # time of the newest drawn error by length

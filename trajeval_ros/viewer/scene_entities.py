@@ -94,12 +94,7 @@ def lane(kind: str, *parts: str) -> str:
 
 
 class EstimateEntities:
-    """The entities of one estimate.
-
-    Attributes:
-        name: Its name, in one line.
-        colour: Colour of its lines.
-    """
+    """The entities of one estimate."""
 
     def __init__(self, name: str, place: int) -> None:
         rerun, _ = sdk()

@@ -62,14 +62,7 @@ class Sums:
 
 
 class Visibility:
-    """M observations of K landmarks from N keyframes, in any order.
-
-    Attributes:
-        keyframe_of: (M,), keyframes of the observations.
-        landmark_of: (M,), landmarks of the observations.
-        keyframes: N.
-        landmarks: K.
-    """
+    """M observations of K landmarks from N keyframes, in any order."""
 
     def __init__(
         self, keyframe_of: Indices, landmark_of: Indices, keyframes: int, landmarks: int

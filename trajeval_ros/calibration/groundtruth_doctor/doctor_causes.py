@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trajeval_ros.calibration.groundtruth_doctor.joint_fit import HorizonFit
 from trajeval_ros.calibration.groundtruth_doctor.rig import BODY, GRAVITY, LEVER, UNITS
 from trajeval_ros.calibration.groundtruth_doctor.sample_checks import (
     PoseChecks,
@@ -22,7 +23,7 @@ from trajeval_ros.calibration.significance import (
     chance_of,
 )  # fmt: skip
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry.arrays import Booleans, Floats
+from trajeval_ros.geometry.arrays import Booleans
 
 INCONCLUSIVE = "inconclusive"
 # Half width of a 95 % interval in standard deviations: Student's t with 11 degrees of freedom.
@@ -96,45 +97,38 @@ OF_ROTATION = [
 ]
 
 
-def parameter_cause(
-    name: str, values: Floats, sigmas: Floats, observable: Booleans, axes: str
-) -> GroundtruthCause:
-    """Return the verdict on the parameters of a name in `PARAMETERS`.
-
-    Of the calibration, there are values and standard deviations (10,), in `UNITS`, which ones are
-    estimated (10,), and the directions of the lever arm that are fixed at zero, as text.
-    """
-    parameter = PARAMETERS[name]
-    value, sigma = values[parameter.columns], sigmas[parameter.columns]
-    if not observable[parameter.columns].any():
-        return GroundtruthCause(name, INCONCLUSIVE, unit=parameter.unit)
-    fixed = axes if name == "lever_arm" else ""
-    chance = chance_of(value, np.diag(sigma**2), BLOCKS)
-    size = float(np.linalg.norm(value))
-    along = float(sigma.max()) if size == 0.0 else float(np.linalg.norm(value * sigma)) / size
-    verdict, sentence = INSIGNIFICANT, ""
-    if chance < CHANCE and size > parameter.least:
-        verdict = SIGNIFICANT
-        sentence = parameter.sentence.format(
-            size=size,
-            width=f"± {HALF_WIDTH * along:.2g}",
-            change="early: add" if value[0] > 0.0 else "late: subtract",
-            per_hour=size * 3.6e-3,
-        )
-        if fixed:
-            sentence += f" Its component along {fixed} is not observable and assumed zero."
-    elif HALF_WIDTH * float(sigma.max()) > parameter.limit or fixed:
-        verdict = INCONCLUSIVE
-    components = tuple(value.tolist())
-    return GroundtruthCause(
-        name, verdict, size, parameter.unit, along, chance, components, sentence
-    )
+def parameter_causes(found: HorizonFit, observable: Booleans) -> Iterator[GroundtruthCause]:
+    """Yield the verdicts on the calibration; `observable` (10,) has what is estimated."""
+    for name, parameter in PARAMETERS.items():
+        value, sigma = found.values[parameter.columns], found.sigmas[parameter.columns]
+        if not observable[parameter.columns].any():
+            yield GroundtruthCause(name, INCONCLUSIVE, unit=parameter.unit)
+            continue
+        fixed = found.fixed_axes if name == "lever_arm" else ""
+        chance = chance_of(value, np.diag(sigma**2), BLOCKS)
+        size = float(np.linalg.norm(value))
+        along = float(sigma.max()) if size == 0.0 else float(np.linalg.norm(value * sigma)) / size
+        verdict, sentence = INSIGNIFICANT, ""
+        if chance < CHANCE and size > parameter.least:
+            verdict = SIGNIFICANT
+            sentence = parameter.sentence.format(
+                size=size,
+                width=f"± {HALF_WIDTH * along:.2g}",
+                change="early: add" if value[0] > 0.0 else "late: subtract",
+                per_hour=size * 3.6e-3,
+            )
+            if fixed:
+                sentence += f" Its component along {fixed} is not observable and assumed zero."
+        elif HALF_WIDTH * float(sigma.max()) > parameter.limit or fixed:
+            verdict = INCONCLUSIVE
+        components, unit = tuple(value.tolist()), parameter.unit
+        yield GroundtruthCause(name, verdict, size, unit, along, chance, components, sentence)
 
 
-def fused_cause(
-    short_deg: float, long_deg: float, sigma_deg: float, *, disagree: bool
-) -> GroundtruthCause:
+def fused_cause(short: HorizonFit, long: HorizonFit, *, disagree: bool) -> GroundtruthCause:
     """Return the verdict on a fusion with an IMU under a wrong body, from two horizons."""
+    short_deg, long_deg = (float(np.linalg.norm(each.values[BODY])) for each in (short, long))
+    sigma_deg = float(np.degrees(np.linalg.norm(long.noise[3:])))
     sentence = (
         f"The body rotations over 0.1 s and over 2 s disagree ({short_deg:.1f} and {long_deg:.1f} "
         "deg): the groundtruth was fused with an IMU under a wrong body transform. Between poses, "

@@ -12,7 +12,7 @@ from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, runs_of
 from trajeval_ros.geometry.interpolation import columns_at
 from trajeval_ros.geometry.preintegration import ImuNoise, integrated, preintegrate
 
-_AT_REST_RADPS = 0.05
+_AT_REST_RADPS, _SECOND_AXIS_RADPS = 0.05, 0.1
 _LONGEST_S = 0.05  # a longer step of the IMU is a gap
 _FEWEST_SATURATED = 4  # readings in a row at the extreme of an axis
 _DOUBTFUL = 1e4  # factor on the covariance of an interval with a gap or saturated readings
@@ -26,7 +26,8 @@ class ImuSeconds:
 
     seconds: Floats  # (N,)
     rates: Floats  # (N, 3), rad/s
-    accelerations: Floats  # (N, 3), m/s^2
+    accelerations: Floats  # (N, 3), m/s^2; zeros without an accelerometer
+    origin: int = 0  # timestamp of second 0, ns
 
     @property
     def turns(self) -> bool:
@@ -48,6 +49,11 @@ class ImuSeconds:
             for begin, end in runs_of(is_extreme):
                 saturated[begin:end] |= end - begin >= _FEWEST_SATURATED
         return np.asarray(saturated[1:] | saturated[:-1])
+
+
+def turns_about_one_axis(rates: Floats) -> bool:
+    """Return whether angular velocities (N, 3), rad/s, are about one axis."""
+    return float(np.linalg.eigvalsh(np.cov(rates.T))[1]) < _SECOND_AXIS_RADPS**2
 
 
 class Motions(NamedTuple):
@@ -80,16 +86,15 @@ class InertialSteps:
         doubtful = (imu.gaps | imu.saturated)[np.clip(places, 0, len(imu.seconds) - 2)]
         self.doubtful = (doubtful[rows] & real).any(axis=1)
 
-    def motions(self, gyro_biases: Floats, acceleration_biases: Floats) -> Motions:
-        """Integrate the readings minus the biases (K, 3) of the intervals."""
+    def motions(self, biases: Floats) -> Motions:
+        """Integrate the readings minus the biases (K, 6) of the intervals."""
 
-        def motions(rates: Floats, forces: Floats, held: Floats) -> tuple[Floats, Floats, Floats]:
-            halves = so3.exp(rates * held[:, :, None] / 2.0)
-            return integrated(halves @ halves, np.einsum("nkij,nkj->nki", halves, forces), held)
+        def motions(rates: Floats, forces: Floats, held: Floats, biases: Floats) -> Motions:
+            halves = so3.exp((rates - biases[:, None, :3]) * held[:, :, None] / 2.0)
+            turned = np.einsum("nkij,nkj->nki", halves, forces - biases[:, None, 3:])
+            return Motions(*integrated(halves @ halves, turned, held))
 
-        rates = self.rates - gyro_biases[:, None]
-        forces = self.accelerations - acceleration_biases[:, None]
-        return Motions(*lie.by_blocks(motions, rates, forces, self.held))
+        return Motions(*lie.by_blocks(motions, self.rates, self.accelerations, self.held, biases))
 
     def uncertainty(self, bias: Floats, noise: ImuNoise) -> tuple[Floats, Floats]:
         """Return covariances (K, 9, 9) and derivatives by the biases (K, 9, 6) at a bias (3,)."""

@@ -18,13 +18,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import InertialSteps
+from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import (
+    InertialSteps,
+    turns_about_one_axis,
+)
 from trajeval_ros.calibration.groundtruth_doctor.rig import GRAVITY, LEVER, UNITS, Rig, tangents
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples, averaged, predict
 from trajeval_ros.calibration.robust_fit import BLOCKS
+from trajeval_ros.calibration.significance import axis_name
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
-from trajeval_ros.geometry.banded_matrices import AT_ONCE, Factor
+from trajeval_ros.geometry.banded_matrices import AT_ONCE, Factor, add_blocks
 from trajeval_ros.geometry.preintegration import ImuNoise
 from trajeval_ros.geometry.se3 import times, transposed
 
@@ -62,6 +66,13 @@ class HorizonFit:
     sigmas: Floats  # (10,), without the errors that a recording does not reveal
     seconds: Floats  # (Q,), times of the knots since the groundtruth's first pose
     residuals: Floats  # (Q, 2), lengths of position (m) and rotation (rad) residuals
+    noise: Floats  # (6,), standard deviations of a knot's measurement, m and rad
+    fixed_directions: tuple[Floats, ...]  # of the lever arm (3,), which are not estimated
+
+    @property
+    def fixed_axes(self) -> str:
+        """The fixed directions as text."""
+        return " and ".join(map(axis_name, self.fixed_directions))
 
 
 class JointFit:
@@ -80,13 +91,16 @@ class JointFit:
         self.horizon = horizon
         self.fixed_directions = list(horizon.fixed)  # of the lever arm, unobservable ones (3,)
         self.sigmas = np.repeat(horizon.sigmas, 3)  # of a knot's measurement, m and rad
-        # Noise of the IMU acts at the next knot. If positions alone are trusted more than the IMU,
-        # it contains motion, and this delay is an error of the clock.
+        # Noise of the IMU acts at the next knot. If positions are trusted more than the IMU, it
+        # contains motion. This delay is an error of the clock, unless rotations determine it.
         self._least_noise = _LEAST_NOISE if samples.has_rotations else self.sigmas
-        bias = np.median(rig.gyro_biases, axis=0)
+        if turns_about_one_axis(steps.rates.reshape(-1, 3)):
+            drift_m = horizon.noise.accelerometer * np.sqrt(horizon.knot_s**3 / 3.0)
+            self._least_noise = np.maximum(self._least_noise, np.repeat([drift_m, 0.0], 3))
+        bias = np.median(rig.biases[:, :3], axis=0)
         covariances, self._by_biases = steps.uncertainty(bias, horizon.noise)
         self._whiten = np.linalg.inv(np.linalg.cholesky(covariances))
-        self._iteration, self._band = 0, np.zeros((len(rig.positions), STATES, 2 * STATES))
+        self._iteration, self._band = 0, np.empty((len(rig.positions), STATES, 2 * STATES))
         self._linearise()
 
     def solve(self, iterations: int, *, estimate_noise: bool = True) -> None:
@@ -119,6 +133,7 @@ class JointFit:
     def solve_again(self, rig: Rig, free: Booleans) -> None:
         """Solve from another rig with fewer free parameters (10,) and the same noise."""
         self.rig, self.free = rig, free
+        self._band = np.empty((len(rig.positions), STATES, 2 * STATES))
         self._linearise()
         self.solve(6, estimate_noise=False)
 
@@ -131,28 +146,40 @@ class JointFit:
             np.sqrt(np.maximum(*variances)) * UNITS,
             self.steps.knots[self.rows.knots] - self.samples.seconds[0],
             np.linalg.norm(residuals, axis=2),
+            self.sigmas,
+            tuple(self.fixed_directions),
         )
 
     @property
     def covariance_of_blocks(self) -> Floats:
         """Sandwich covariance (10, 10) of the calibration, from the scores of twelve blocks."""
-        moved, rows = self._by_calibration, self._weighted
-        samples = rows.by_rig - rows.by_state @ moved[rows.knots]
+        moved = self._by_calibration
         block = np.arange(len(moved)) * BLOCKS // len(moved)
         scores = np.zeros((BLOCKS, PARAMETERS))
-        for knots, others, before, after, by_rig in self._inertial_rows():
-            inertial = by_rig[..., :-1] - before @ moved[knots] - after @ moved[others]
-            np.add.at(scores, block[knots], times(transposed(inertial), by_rig[..., -1]))
-        np.add.at(scores, block[rows.knots], times(transposed(samples), rows.residuals))
+        for knots, before, after, by_rig in self._rows():
+            reduced = by_rig[..., :-1] - before @ moved[knots]
+            if after is not None:
+                reduced -= after @ moved[knots + 1]
+            np.add.at(scores, block[knots], times(transposed(reduced), by_rig[..., -1]))
         scores -= scores.mean(axis=0)
         meat = scores.T @ scores * (BLOCKS / (BLOCKS - 1))
         return np.asarray(self.covariance_of_model @ meat @ self.covariance_of_model)
 
-    def state_covariances(self) -> Floats:
-        """Return the covariances (N, 15, 15) of the knots, with the calibration's uncertainty."""
+    def pose_covariances(self) -> Floats:
+        """Return the covariances (N, 6, 6) of the knots' poses, with that of the calibration.
+
+        Position first (m), about the axes of W, then rotation (rad), about those of I.
+        """
+        columns = np.r_[6:9, 0:3]
         blocks, _ = self._factor.inverse_blocks()
-        after = self._by_calibration
+        after = self._by_calibration[:, columns]
+        blocks = blocks[:, columns[:, None], columns]
         return np.asarray(blocks + after @ self.covariance_of_model @ transposed(after))
+
+    def forget(self) -> None:
+        """Free the memory of the linearisation, until `solve_again`."""
+        del self.motions, self.predicted, self.rows, self._band, self._factor
+        del self._by_calibration, self._by_gradient
 
     def _linearise(self) -> None:
         """Evaluate residuals and Jacobians at the rig, and factorise the normal matrix.
@@ -160,35 +187,35 @@ class JointFit:
         `motions` are of the intervals, `rows` the measurements of the knots.
         """
         rig, horizon = self.rig, self.horizon
-        self.motions = self.steps.motions(rig.gyro_biases[:-1], rig.acceleration_biases[:-1])
+        self.motions = self.steps.motions(rig.biases[:-1])
         self.predicted = predict(self.samples, self.steps, self.motions, rig)
         self.rows = averaged(self.predicted, rig, self.samples)
         if horizon.window_s and self.samples.has_rotations:
             self.rows.average_rotations(rig, round(horizon.window_s / horizon.knot_s))
-        self._weighted = self.rows.weighted(self.sigmas)
         self._factorise()
 
-    def _inertial_rows(self) -> Iterator[tuple[slice, slice, Floats, Floats, Floats]]:
-        """Yield parts of the whitened rows (n, 15): rotation, velocity, position and biases.
+    def _rows(self) -> Iterator[tuple[Indices, Floats, Floats | None, Floats]]:
+        """Yield parts of the whitened rows: of the intervals (n, 15), and of the samples (n, 6).
 
-        With the knots before and after the intervals, and the Jacobians by their states. The last
-        one is by the calibration, and its last column has the residuals.
+        With the knots (n,), the Jacobians by their states, those by the states of the next knots,
+        and those by the calibration, whose last column has the residuals.
         """
         intervals = len(self.steps.durations_s)
         for start in range(0, intervals, AT_ONCE):
-            end = min(start + AT_ONCE, intervals)
-            knots, others = slice(start, end), slice(start + 1, end + 1)
-            yield knots, others, *self._rows_between(knots, others)
+            knots = np.arange(start, min(start + AT_ONCE, intervals))
+            yield knots, *self._rows_of_intervals(knots)
+        for knots, by_state, by_rig in self.rows.weighted(self.sigmas):
+            yield knots, by_state, None, by_rig
 
-    def _rows_between(self, knots: slice, others: slice) -> tuple[Floats, Floats, Floats]:
-        rig, dt = self.rig, self.steps.durations_s[knots, None]
+    def _rows_of_intervals(self, knots: Indices) -> tuple[Floats, Floats, Floats]:
+        rig, others, dt = self.rig, knots + 1, self.steps.durations_s[knots, None]
         into, turned = transposed(rig.rotations[knots]), rig.rotations[others]
         rotations, velocities, positions = (each[knots, -1] for each in self.motions)
         turn = so3.log(transposed(rotations) @ into @ turned)
         faster = rig.velocities[others] - rig.velocities[knots] - rig.gravity * dt
-        faster = times(into, faster)
         start = rig.velocities[knots] * dt + 0.5 * rig.gravity * dt**2
-        moved = times(into, rig.positions[others] - rig.positions[knots] - start)
+        moved = rig.positions[others] - rig.positions[knots] - start
+        faster, moved = times(into, faster), times(into, moved)
         before, after, whiten = np.zeros((3, len(dt), 15, STATES))
         by_rig = np.zeros((len(dt), 15, PARAMETERS + 1))
         back, step, by_biases = so3.inverse_left_jacobian(-turn), dt[..., None], self._by_biases
@@ -215,34 +242,30 @@ class JointFit:
 
     def _factorise(self) -> None:
         """Assemble the normal equations, factorise them, and eliminate the states."""
-        count, rows = len(self.rig.positions), self._weighted
-        diagonal = np.zeros((count, STATES, STATES))
-        lower = np.empty((count - 1, STATES, STATES))
-        border = np.zeros((count, STATES, PARAMETERS + 1))  # the last column is the gradient
+        count, band = len(self.rig.positions), self._band  # the storage of the factor before
+        band[:] = 0.0
+        band[..., 0] = _WEAK
+        # In the order of LAPACK; the last column is the gradient.
+        border = np.moveaxis(np.zeros((PARAMETERS + 1, count, STATES)), 0, 2)
         corner = np.zeros((PARAMETERS, PARAMETERS + 1))
-
-        def add(knots: slice | Indices, jacobian: Floats, columns: Floats) -> None:
-            diagonal[knots] += transposed(jacobian) @ jacobian
-            border[knots] += transposed(jacobian) @ columns
-
-        for knots, others, before, after, columns in self._inertial_rows():
-            add(knots, before, columns)
-            add(others, after, columns)
-            lower[knots] = transposed(after) @ before
-            corner += np.tensordot(columns[..., :-1], columns, axes=_ROWS)
-        for start in range(0, len(rows.knots), AT_ONCE):
-            part = slice(start, start + AT_ONCE)
-            columns = np.concatenate([rows.by_rig[part], rows.residuals[part, :, None]], axis=2)
-            add(rows.knots[part], rows.by_state[part], columns)
+        for knots, before, after, columns in self._rows():
+            own = slice(int(knots[0]), int(knots[-1]) + 2)
+            diagonal, lower = np.zeros((own.stop - own.start, STATES, STATES)), None
+            diagonal[knots - own.start] = transposed(before) @ before
+            border[knots] += transposed(before) @ columns
+            if after is not None:
+                diagonal[1:] += transposed(after) @ after
+                border[knots + 1] += transposed(after) @ columns
+                lower = transposed(after) @ before
+            add_blocks(band[own], diagonal, lower)
             corner += np.tensordot(columns[..., :-1], columns, axes=_ROWS)
         prior = np.eye(3) / LEVER_M**2
         prior += _FIXED * sum(np.outer(each, each) for each in self.fixed_directions)
         corner[LEVER, LEVER] += prior
         corner[LEVER, -1] += prior @ self.rig.lever
-        diagonal[0, 9:, 9:] += np.diag(_FIRST_BIAS**-2.0)
+        band[0, 9:, 0] += _FIRST_BIAS**-2.0
         border[0, 9:, -1] += self.rig.biases[0] / _FIRST_BIAS**2
-        diagonal += np.diag(_WEAK)
-        self._factor = Factor.of(diagonal, lower, self._band)
+        self._factor = Factor.of_band(band)
         solved = self._factor.solve(border)
         self._by_calibration, self._by_gradient = solved[..., :-1], solved[..., -1]
         width = PARAMETERS + 1
@@ -262,17 +285,20 @@ class JointFit:
     def _redundancy(self) -> Floats:
         """Return the redundancies of the rows of position and of rotation, (2,)."""
         blocks, _ = self._factor.inverse_blocks()
-        by_state = self._weighted.by_state
-        used = ((by_state @ blocks[self.rows.knots]) * by_state).sum(axis=2)
-        free = np.clip(self.rows.shares - used, 0.0, 1.0)
+        used = [
+            ((by_state @ blocks[knots]) * by_state).sum(axis=2)
+            for knots, by_state, _ in self.rows.weighted(self.sigmas)
+        ]
+        free = np.clip(self.rows.shares - np.concatenate(used), 0.0, 1.0)
         return np.asarray(free.reshape(-1, 2, 3).sum(axis=(0, 2)))
 
     def _estimate_noise(self, redundancy: Floats) -> float:
         """Scale the standard deviations, and return the largest change of their logarithms."""
-        squares = np.square(self._weighted.residuals).reshape(-1, 2, 3).sum(axis=(0, 2))
-        ratio = np.sqrt(np.clip(squares / np.maximum(redundancy, 1.0), 0.09, 9.0))
+        before, rows = self.sigmas, self.rows
+        squares = (rows.shares * np.square(rows.residuals / before)).reshape(-1, 2, 3)
+        ratio = squares.sum(axis=(0, 2)) / np.maximum(redundancy, 1.0)
+        ratio = np.sqrt(np.clip(ratio, 0.09, 9.0))
         if self.horizon.window_s and self.samples.has_rotations:
             ratio[0] = 1.0
-        before = self.sigmas
         self.sigmas = np.clip(before * np.repeat(ratio, 3), self._least_noise, _LARGEST_NOISE)
         return float(np.abs(np.log(self.sigmas / before)).max())

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from trajeval_ros.calibration.groundtruth_doctor.joint_fit import JointFit
 from trajeval_ros.calibration.groundtruth_doctor.sample_checks import PoseSpan
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import rig_at
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Stamps
+from trajeval_ros.geometry.arrays import Floats, Indices, Stamps
 from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 _LONGEST_BRIDGE_S = 2.0
-_POSE = [6, 7, 8, 0, 1, 2]  # columns of a state: position, then rotation
+_LARGEST_SIGMA_RAD = math.radians(3.0)  # of an orientation from positions
 
 
 def repaired(
@@ -24,6 +27,9 @@ def repaired(
     Covariances are those of the fit times `scale` and the median ratio of the sandwich and the
     model variance of the calibration. They are lower limits: the IMU does not reveal errors of the
     groundtruth that last for more than about a second.
+
+    Raises:
+        InputError: Positions and IMU do not determine the orientations.
     """
     stamps, rig, steps = _with_bridges(groundtruth.stamps, gaps), fit.rig, fit.steps
     own_s = fit.samples.seconds[0] + (stamps - groundtruth.stamps[0]) / NANOSECONDS
@@ -32,20 +38,34 @@ def repaired(
     within = (seconds >= steps.knots[0]) & (seconds < steps.knots[-1])
     later_ns = np.rint(later_s * NANOSECONDS).astype(np.int64)
     stamps = stamps + later_ns + round(rig.shift_s * NANOSECONDS)
-    states = rig_at(seconds[within], steps, fit.motions, rig)
     by_blocks, by_model = (
         np.diag(each)[fit.free] for each in (fit.covariance_of_blocks, fit.covariance_of_model)
     )
     inflation = max(1.0, float(np.median(by_blocks / by_model)))
-    covariances = fit.state_covariances()[:, _POSE][:, :, _POSE] * (scale * inflation)
+    covariances = fit.pose_covariances() * (scale * inflation)
+    variance = float(np.median(np.einsum("nii->n", covariances[:, 3:, 3:])))
+    if not fit.samples.has_rotations and variance > _LARGEST_SIGMA_RAD**2:
+        raise InputError(
+            f"{groundtruth.name or 'the groundtruth'} and the IMU do not determine the "
+            f"orientation (standard deviation {math.degrees(math.sqrt(variance)):.2g} deg); "
+            "examine it without --imu"
+        )
+
+    def states(seconds: Floats) -> tuple[Floats | Indices, ...]:
+        found = rig_at(seconds, steps, fit.motions, rig)
+        turned = world_from_body_rotations(covariances[found.knots], found.rotations)
+        quaternions = lie.from_matrices(found.rotations)
+        return found.positions, quaternions, found.velocities, rig.biases[found.knots], turned
+
+    positions, quaternions, velocities, biases, turned = lie.by_blocks(states, seconds[within])
     return Trajectory(
         stamps[within],
-        states.positions,
-        lie.from_matrices(states.rotations),
-        velocities=states.velocities,
-        gyroscope_biases=rig.gyro_biases[states.knots],
-        accelerometer_biases=rig.acceleration_biases[states.knots],
-        covariances=world_from_body_rotations(covariances[states.knots], states.rotations),
+        positions,
+        quaternions,
+        velocities=velocities,
+        gyroscope_biases=biases[:, :3],
+        accelerometer_biases=biases[:, 3:],
+        covariances=turned,
         frame=groundtruth.frame,
         name=groundtruth.name,
     )

@@ -12,6 +12,7 @@ from trajeval_ros.geometry.se3 import times
 
 # Columns of the calibration: R_IM (right perturbation), lever arm, clock, tilt of gravity.
 BODY, LEVER, OFFSET, SKEW, GRAVITY = slice(0, 3), slice(3, 6), 6, 7, slice(8, 10)
+CLOCK = slice(6, 8)
 # Their units in results: deg, mm, ms, ppm, deg.
 UNITS = np.array([np.degrees(1.0)] * 3 + [1e3] * 4 + [1e6] + [np.degrees(1.0)] * 2)
 
@@ -23,19 +24,13 @@ class Rig:
     rotations: Floats  # (N, 3, 3), R_WI, perturbed on the right
     velocities: Floats  # (N, 3), m/s, in W
     positions: Floats  # (N, 3), metres, in W
-    gyro_biases: Floats  # (N, 3), rad/s
-    acceleration_biases: Floats  # (N, 3), m/s^2
+    biases: Floats  # (N, 6), of the gyroscope, rad/s, and of the accelerometer, m/s^2
     body: Floats  # (3, 3), R_IM
     lever: Floats  # (3,), metres, origin of M in I
     offset_s: float  # of the clock, without `shift_s`
     skew: float
     gravity: Floats  # (3,), m/s^2, in W, of fixed magnitude
     shift_s: float = 0.0  # the part of the clock's offset that the samples already have
-
-    @property
-    def biases(self) -> Floats:
-        """Biases of gyroscope and accelerometer (N, 6)."""
-        return np.hstack([self.gyro_biases, self.acceleration_biases])
 
     def moved(self, states: Floats, calibration: Floats) -> Rig:
         """Return the rig after a step of the states (N, 15) and of the calibration (10,)."""
@@ -44,8 +39,7 @@ class Rig:
             self.rotations @ so3.exp(states[:, 0:3]),
             self.velocities + states[:, 3:6],
             self.positions + states[:, 6:9],
-            self.gyro_biases + states[:, 9:12],
-            self.acceleration_biases + states[:, 12:15],
+            self.biases + states[:, 9:15],
             self.body @ so3.exp(calibration[BODY]),
             self.lever + calibration[LEVER],
             self.offset_s + float(calibration[OFFSET]),

@@ -134,9 +134,10 @@ class ResidualChecks:
 def check_residuals(fit: JointFit, stamps: Stamps) -> ResidualChecks:
     """Check the residuals of a fit of the groundtruth with timestamps (N,), which increase."""
     found = fit.predicted
-    kinds = [("position", found.position_errors, found.marker_velocities)]
-    if fit.samples.has_rotations:
-        kinds.append(("rotation", found.rotation_errors @ fit.rig.body.T, found.states.rates))
+    kinds = [
+        ("position", found.position_errors, found.marker_velocities),
+        ("rotation", found.rotation_errors @ fit.rig.body.T, found.rates),
+    ][: 1 + fit.samples.has_rotations]
     stamps = stamps[found.rows]
     minutes = float(stamps[-1] - stamps[0]) / NANOSECONDS / 60.0
     jumps: list[GroundtruthJump] = []

@@ -11,7 +11,8 @@ has no effect on the size of the problem, and its noise may be correlated within
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ from trajeval_ros.calibration.groundtruth_doctor.rig import (
 )  # fmt: skip
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Floats, Indices
+from trajeval_ros.geometry.banded_matrices import AT_ONCE
 from trajeval_ros.geometry.se3 import times, transposed
 
 MEDIAN_OF_CHI3 = 1.538  # median length of a vector of three normal components
@@ -64,35 +66,42 @@ class RigStates(NamedTuple):
     rates: Floats  # (S, 3), angular velocities in I
 
 
-@dataclass(frozen=True, eq=False)
-class Predicted:
-    """The rig at the S samples between the knots, and residuals of the samples."""
+class Predicted(NamedTuple):
+    """Residuals of the S samples between the knots, and what their Jacobians are made of."""
 
     rows: Indices  # (S,), in the groundtruth
-    states: RigStates
+    knots: Indices  # (S,), the knot before
+    since_s: Floats  # (S, 1), tau
+    turned: Floats  # (S, 3, 3), dR
+    arms: Floats  # (S, 3), dp + dR l
     marker_velocities: Floats  # (S, 3)
+    rates: Floats  # (S, 3), angular velocities in I
     position_errors: Floats  # (S, 3), in W
     rotation_errors: Floats  # (S, 3), in M
 
 
 def predict(samples: TruthSamples, steps: InertialSteps, motions: Motions, rig: Rig) -> Predicted:
-    """Return the rig at all samples between the first and the last knot."""
-    own, skew = samples.seconds, rig.skew
-    seconds = own + rig.offset_s + skew * (own - samples.middle_s)
-    rows = np.flatnonzero((seconds >= steps.knots[0]) & (seconds < steps.knots[-1]))
+    """Return all samples between the first and the last knot, compared with the rig."""
+    own = samples.seconds
+    seconds = own + rig.offset_s + rig.skew * (own - samples.middle_s)
+    inside = np.flatnonzero((seconds >= steps.knots[0]) & (seconds < steps.knots[-1]))
 
-    def at(rows: Indices) -> tuple[Floats | Indices, ...]:
-        states = rig_at(seconds[rows], steps, motions, rig)
-        turned, measured = states.rotations, lie.to_matrix(samples.quaternions[rows])
-        return (
-            *states,
-            states.velocities + times(turned, np.cross(states.rates, rig.lever)),
-            states.positions + times(turned, rig.lever) - samples.positions[rows],
+    def at(rows: Indices) -> Predicted:
+        found = rig_at(seconds[rows], steps, motions, rig)
+        turned, measured = found.rotations, lie.to_matrix(samples.quaternions[rows])
+        return Predicted(
+            rows,
+            found.knots,
+            found.since_s,
+            found.turned,
+            found.moved + times(found.turned, rig.lever),
+            found.velocities + times(turned, np.cross(found.rates, rig.lever)),
+            found.rates,
+            found.positions + times(turned, rig.lever) - samples.positions[rows],
             so3.log(transposed(measured) @ turned @ rig.body),
         )
 
-    *states, speeds, positions, rotations = lie.by_blocks(at, rows)
-    return Predicted(rows, RigStates(*states), speeds, positions, rotations)
+    return Predicted(*lie.by_blocks(at, inside))
 
 
 def rig_at(seconds: Floats, steps: InertialSteps, motions: Motions, rig: Rig) -> RigStates:
@@ -102,9 +111,9 @@ def rig_at(seconds: Floats, steps: InertialSteps, motions: Motions, rig: Rig) ->
     at = knots, np.clip(place, 0, steps.held.shape[1] - 1)
     tau = (seconds - steps.knots[knots])[:, None]
     part = tau - steps.starts[at][:, None]
-    rates = steps.rates[at] - rig.gyro_biases[knots]
+    rates = steps.rates[at] - rig.biases[knots, :3]
     before, start = motions.rotations[at], rig.rotations[knots]
-    force = times(before, steps.accelerations[at] - rig.acceleration_biases[knots])
+    force = times(before, steps.accelerations[at] - rig.biases[knots, 3:])
     moved = motions.positions[at] + motions.velocities[at] * part + 0.5 * force * part**2
     turned = before @ so3.exp(rates * part)
     positions = rig.positions[knots] + rig.velocities[knots] * tau + 0.5 * rig.gravity * tau**2
@@ -119,21 +128,22 @@ class SampleRows:
     """The measurements of Q knots: three rows of position, then three of rotation."""
 
     knots: Indices  # (Q,)
-    residuals: Floats  # (Q, 6)
     by_state: Floats  # (Q, 6, 15)
-    by_rig: Floats  # (Q, 6, 10)
+    by_rig: Floats  # (Q, 6, 11), by the calibration; the last column has the residuals
     shares: Floats  # (Q, 6), information relative to a usual interval
     scales: tuple[float, float]  # robust standard deviation of a sample, m and rad
 
-    def weighted(self, sigmas: Floats) -> SampleRows:
-        """Return the rows over the standard deviations (6,) of the measurements."""
-        weights = np.sqrt(self.shares) / sigmas
-        return replace(
-            self,
-            residuals=self.residuals * weights,
-            by_state=self.by_state * weights[..., None],
-            by_rig=self.by_rig * weights[..., None],
-        )
+    @property
+    def residuals(self) -> Floats:
+        """Residuals (Q, 6), m and rad."""
+        return self.by_rig[..., -1]
+
+    def weighted(self, sigmas: Floats) -> Iterator[tuple[Indices, Floats, Floats]]:
+        """Yield parts of knots and rows over the standard deviations (6,) of measurements."""
+        for start in range(0, len(self.knots), AT_ONCE):
+            part = slice(start, start + AT_ONCE)
+            weights = (np.sqrt(self.shares[part]) / sigmas)[..., None]
+            yield self.knots[part], self.by_state[part] * weights, self.by_rig[part] * weights
 
     def average_rotations(self, rig: Rig, width: int) -> None:
         """Replace the rotations by one per window of knots, at the knot in its middle.
@@ -144,70 +154,66 @@ class SampleRows:
         starts = np.flatnonzero(np.diff(window, prepend=-1))
         middles = np.minimum(window * width + width // 2, len(rig.rotations) - 1)
         carried = self.by_state[:, 3:, :3] @ transposed(rig.rotations[self.knots])
-        columns = np.concatenate(
-            [self.residuals[:, 3:, None], carried @ rig.rotations[middles], self.by_rig[:, 3:]],
-            axis=2,
-        )
-        weights = self.shares[:, 3]
-        means = _means(columns, weights, starts, _REJECTED)
+        carried = carried @ rig.rotations[middles]
+        columns = np.concatenate([carried, self.by_rig[:, 3:]], axis=2)
+        means = _means(columns, self.shares[:, 3], starts, _REJECTED)
         places = np.minimum(np.searchsorted(self.knots, middles[starts]), len(self.knots) - 1)
         has_middle = self.knots[places] == middles[starts]
         places, means = places[has_middle], means[has_middle]
         count = np.diff(np.append(starts, len(self.knots)))[has_middle]
         self.by_state[:, 3:], self.shares[:, 3:] = 0.0, 0.0
-        self.residuals[places, 3:], self.by_state[places, 3:, :3] = means[..., 0], means[..., 1:4]
-        self.by_rig[places, 3:], self.shares[places, 3:] = means[..., 4:], (count / width)[:, None]
+        self.by_state[places, 3:, :3], self.by_rig[places, 3:] = means[..., :3], means[..., 3:]
+        self.shares[places, 3:] = (count / width)[:, None]
 
 
 def averaged(found: Predicted, rig: Rig, samples: TruthSamples) -> SampleRows:
     """Return the weighted means of the samples of every interval, with their Jacobians."""
-    states, lever = found.states, rig.lever
-    starts = np.flatnonzero(np.diff(states.knots, prepend=-1))
-    knots = states.knots[starts]
+    starts = np.flatnonzero(np.diff(found.knots, prepend=-1))
+    ends = np.append(starts[1:], len(found.knots))
     of_position, position_scale = _weights(found.position_errors)
     of_rotation, rotation_scale = _weights(found.rotation_errors)
-    tau, turned = states.since_s, states.turned
-    arms = states.moved + times(turned, lever)
-    error, tau1, tau2, arm, turn, tau_turn, speed = (
-        _means(each, of_position, starts)
-        for each in (
-            found.position_errors, tau, tau**2, arms, turned, tau[..., None] * turned,
-            found.marker_velocities,
+    usual, unit = float(np.median(ends - starts)), np.eye(3)
+
+    def rows(starts: Indices, ends: Indices) -> tuple[Floats | Indices, ...]:
+        part = slice(starts[0], ends[-1])
+        own = Predicted._make(each[part] for each in found)
+        starts = starts - starts[0]
+        knots, tau = own.knots[starts], own.since_s
+        start = rig.rotations[knots]
+        by_state, by_rig = np.zeros((len(knots), 6, 15)), np.zeros((len(knots), 6, 11))
+        error, tau1, tau2, arm, turn, tau_turn, speed = (
+            _means(each, of_position[part], starts)
+            for each in (
+                own.position_errors, tau, tau**2, own.arms, own.turned,
+                tau[..., None] * own.turned, own.marker_velocities,
+            )
+        )  # fmt: skip
+        by_state[:, :3, 0:3] = -start @ so3.skew(arm)
+        by_state[:, :3, 3:6] = tau1[..., None] * unit
+        by_state[:, :3, 6:9] = unit
+        by_state[:, :3, 9:12] = start @ tau_turn @ so3.skew(rig.lever)
+        by_state[:, :3, 12:15] = -0.5 * tau2[..., None] * start
+        by_rig[:, :3, LEVER] = start @ turn
+        by_rig[:, :3, OFFSET], by_rig[:, :3, -1] = speed, error
+        by_rig[:, :3, GRAVITY] = 0.5 * tau2[..., None] * tangents(rig.gravity)
+        error, tau1, turn, rate = (
+            _means(each, of_rotation[part], starts)
+            for each in (own.rotation_errors, tau, own.turned, own.rates)
         )
-    )  # fmt: skip
-    by_state, by_rig = np.zeros((len(knots), 6, 15)), np.zeros((len(knots), 6, 10))
-    start, unit = rig.rotations[knots], np.eye(3)
-    by_state[:, :3, 0:3] = -start @ so3.skew(arm)
-    by_state[:, :3, 3:6] = tau1[..., None] * unit
-    by_state[:, :3, 6:9] = unit
-    by_state[:, :3, 9:12] = start @ tau_turn @ so3.skew(lever)
-    by_state[:, :3, 12:15] = -0.5 * tau2[..., None] * start
-    by_rig[:, :3, LEVER] = start @ turn
-    by_rig[:, :3, OFFSET] = speed
-    by_rig[:, :3, GRAVITY] = 0.5 * tau2[..., None] * tangents(rig.gravity)
-    turning, tau1, turn, rate = (
-        _means(each, of_rotation, starts)
-        for each in (found.rotation_errors, tau, turned, states.rates)
-    )
-    back = so3.inverse_left_jacobian(-turning)
-    into = back @ rig.body.T
-    by_state[:, 3:, 0:3] = into @ transposed(turn)
-    by_state[:, 3:, 9:12] = -into * tau1[..., None]
-    by_rig[:, 3:, BODY] = back
-    by_rig[:, 3:, OFFSET] = times(into, rate)
-    since_s = samples.seconds[found.rows[starts]] - samples.middle_s
-    by_rig[:, :, SKEW] = by_rig[:, :, OFFSET] * since_s[:, None]
-    usual = float(np.median(np.diff(np.append(starts, len(states.knots)))))
-    weights = np.stack([of_position, of_rotation * samples.has_rotations], axis=1)
-    totals = np.add.reduceat(weights, starts)
-    return SampleRows(
-        knots,
-        np.concatenate([error, turning], axis=1),
-        by_state,
-        by_rig,
-        np.repeat(np.minimum(totals / usual, 1.0), 3, axis=1),
-        (position_scale, rotation_scale),
-    )
+        back = so3.inverse_left_jacobian(-error)
+        into = back @ rig.body.T
+        by_state[:, 3:, 0:3] = into @ transposed(turn)
+        by_state[:, 3:, 9:12] = -into * tau1[..., None]
+        by_rig[:, 3:, BODY] = back
+        by_rig[:, 3:, OFFSET], by_rig[:, 3:, -1] = times(into, rate), error
+        since_s = samples.seconds[own.rows[starts]] - samples.middle_s
+        by_rig[:, :, SKEW] = by_rig[:, :, OFFSET] * since_s[:, None]
+        weights = np.stack([of_position[part], of_rotation[part] * samples.has_rotations], axis=1)
+        shares = np.minimum(np.add.reduceat(weights, starts) / usual, 1.0)
+        return knots, by_state, by_rig, np.repeat(shares, 3, axis=1)
+
+    knots, by_state, by_rig, shares = lie.by_blocks(rows, starts, ends)
+    return SampleRows(knots, by_state, by_rig, shares, (position_scale, rotation_scale))
 
 
 def _means(columns: Floats, weights: Floats, starts: Indices, least: float = 1e-12) -> Floats:

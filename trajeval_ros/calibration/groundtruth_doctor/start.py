@@ -1,42 +1,148 @@
-"""The start of a fit: clock from turn rates, body rotation from increments, states of knots."""
+"""The start of an examination: checks of its input, clock, body rotation, and first states."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from trajeval_ros.calibration.clock_offset import SEARCH_S, OffsetGuess, guess_offset_by
-from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import ImuSeconds
-from trajeval_ros.calibration.groundtruth_doctor.rig import Rig
+from trajeval_ros.calibration.groundtruth_doctor.inertial_steps import (
+    ImuSeconds,
+    turns_about_one_axis,
+)
+from trajeval_ros.calibration.groundtruth_doctor.rig import BODY, GRAVITY, LEVER, SKEW, UNITS, Rig
 from trajeval_ros.calibration.groundtruth_doctor.sample_rows import TruthSamples
-from trajeval_ros.calibration.hand_eye import robust_rotation
+from trajeval_ros.calibration.hand_eye import closest_rotation, robust_rotation
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.inertial import turned_by_gyro
+from trajeval_ros.geometry.arrays import Booleans, Floats
+from trajeval_ros.geometry.inertial import InertialReadings, turned_by_gyro
 from trajeval_ros.geometry.interpolation import columns_at, slerp_at
 from trajeval_ros.geometry.se3 import times
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
+_CERTAIN_CORRELATION = 0.95
+_IN_PLACE_M = 0.3
+_LIGHTEST_MPS2, _HEAVIEST_MPS2 = 5.0, 20.0
 _INCREMENT_S = 0.25
 _PASSES = 6
+_LITTLE = 0.05  # weight of swings relative to that of turns about their axis
 _SWING_S, _WINDOW_S = (-0.25, 0.25), 5.0
 _SPEED_S = 0.1  # half of the span over which a velocity is a difference of positions
 _INSIDE_S = 0.1  # between the ends of the recordings and the knots
 _GRAVITY_MPS2 = 9.81
 
 
-def guess_of(groundtruth: Trajectory, imu: ImuSeconds, origin: int) -> OffsetGuess:
-    """Return the offset of the groundtruth's clock by the correlation of turn rates or swings.
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A groundtruth and an IMU, by seconds of the IMU."""
 
-    `origin` is the timestamp of the IMU's second 0, ns.
+    samples: TruthSamples
+    imu: ImuSeconds
+    shift_ns: int  # first offset of the groundtruth's clock, which the samples have
+    free: Booleans  # (10,), the parameters that sensors and motion may determine
+    notes: list[str]  # on the others, one sentence each
+
+
+def prepared(
+    groundtruth: Trajectory, readings: InertialReadings, time_offset_s: float | None
+) -> Prepared:
+    """Return a groundtruth in order and an IMU by one approximate clock.
+
+    Raises:
+        InputError: Their motions are not related, or a sensor is missing.
     """
+    name, imu = groundtruth.name or "the groundtruth", imu_of(readings)
+    turned, has_rotations = groundtruth.quaternions, groundtruth.quaternions is not None
+    if turned is None and readings.accelerations is None:
+        raise InputError(f"{name} has no orientations and the IMU no accelerations; give one")
+    free, notes = _determined(groundtruth, imu, has_forces=readings.accelerations is not None)
+    if time_offset_s is None:
+        time_offset_s = _first_offset(groundtruth, imu, name)
+    shift_ns = round(time_offset_s * NANOSECONDS)
+    seconds = (groundtruth.stamps + (shift_ns - imu.origin)) / NANOSECONDS
+    if turned is None:
+        turned = rough_orientations(seconds, groundtruth.positions, imu)
+    samples = TruthSamples(seconds, groundtruth.positions, turned, has_rotations)
+    return Prepared(samples, imu, shift_ns, free, notes)
+
+
+def imu_of(readings: InertialReadings) -> ImuSeconds:
+    """Return the readings by time, in seconds since the first one."""
+    name, accelerations = readings.source or "the IMU", readings.accelerations
+    stamps, rows = np.unique(readings.stamps, return_index=True)
+    if len(stamps) < 2:
+        raise InputError(f"{name} has fewer than two readings")
+    if accelerations is None:
+        accelerations = np.zeros_like(readings.rates)
+    else:
+        usual = float(np.median(np.linalg.norm(accelerations, axis=1)))
+        if not _LIGHTEST_MPS2 < usual < _HEAVIEST_MPS2:
+            raise InputError(
+                f"{name} measures a median acceleration of {usual:.3g}, not about 9.81; give "
+                "specific forces in m/s^2"
+            )
+    seconds = (stamps - stamps[0]) / NANOSECONDS
+    return ImuSeconds(seconds, readings.rates[rows], accelerations[rows], int(stamps[0]))
+
+
+def _determined(
+    groundtruth: Trajectory, imu: ImuSeconds, *, has_forces: bool
+) -> tuple[Booleans, list[str]]:
+    """Return the parameters (10,) that sensors and motion may determine, and notes on others."""
+    free, notes = np.ones(len(UNITS), dtype=bool), []
+    for applies, columns, note in (
+        (not has_forces, np.r_[LEVER, GRAVITY],
+            "no accelerometer: lever arm and tilt are unknown"),
+        (groundtruth.quaternions is None, BODY,
+            "the groundtruth has no orientations: errors of rotation are unobservable, and the "
+            "repaired orientations are from the IMU and the positions"),
+        (not imu.turns, slice(SKEW + 1),
+            "the rig does not turn: rotation, lever arm and clock are unknown"),
+        (imu.turns and turns_in_place(groundtruth.positions, imu.rates), slice(6),
+            "the rig turns about one axis in place: rotation and lever arm are unknown"),
+    ):  # fmt: skip
+        if applies:
+            free[columns] = False
+            notes.append(note)
+    return free, notes
+
+
+def _first_offset(groundtruth: Trajectory, imu: ImuSeconds, name: str) -> float:
+    """Return the offset of the groundtruth's clock at which the motions match, s."""
+    poses = groundtruth.positions if groundtruth.quaternions is None else groundtruth.quaternions
+    if imu.turns and not np.diff(poses, axis=0).any():
+        kind = "positions" if groundtruth.quaternions is None else "orientations"
+        raise InputError(f"all {kind} of {name} are equal, but the IMU turns; give measured ones")
+    guess = guess_of(groundtruth, imu)
+    # So high a correlation is not a coincidence, even if periodic motion has a second peak.
+    if guess.is_usable or guess.peak > _CERTAIN_CORRELATION:
+        return guess.offset_s
+    if not imu.turns:
+        return 0.0
+    raise InputError(
+        f"the motion of {name} matches that of the IMU at no single offset (correlation "
+        f"{guess.peak:.2f}); use recordings of the same run, or give --time-offset"
+    )
+
+
+def turns_in_place(positions: Floats, rates: Floats) -> bool:
+    """Return whether neither a turn about a second axis nor accelerations determine the body."""
+    extent_m = float(np.linalg.norm(np.std(positions, axis=0)))
+    return extent_m < _IN_PLACE_M and turns_about_one_axis(rates)
+
+
+def guess_of(groundtruth: Trajectory, imu: ImuSeconds) -> OffsetGuess:
+    """Return the offset of the groundtruth's clock by the correlation of turn rates or swings."""
 
     def at(seconds: Floats, positions: Floats, turned: Floats | None = None) -> Trajectory:
-        return Trajectory(origin + np.rint(seconds * 1e9).astype(np.int64), positions, turned)
+        return Trajectory(imu.origin + np.rint(seconds * 1e9).astype(np.int64), positions, turned)
 
     # Without repeated poses a frozen interval is a gap, and its end no fast turn.
     poses = groundtruth.positions if groundtruth.quaternions is None else groundtruth.quaternions
     groundtruth = groundtruth[np.asarray(np.diff(poses, axis=0, prepend=np.nan).any(axis=1))]
-    own_s = (groundtruth.stamps - origin) / NANOSECONDS
+    own_s = (groundtruth.stamps - imu.origin) / NANOSECONDS
     meets = imu.seconds[0] < own_s[-1] and own_s[0] < imu.seconds[-1]
     search_s = SEARCH_S if meets else None  # all overlaps, for clocks of different epochs
     turned = turned_by_gyro(imu.seconds, imu.rates)
@@ -99,9 +205,9 @@ def first_rig(samples: TruthSamples, imu: ImuSeconds, knots: Floats) -> Rig:
 
     The body's rotation is that of the increments, and without turns the identity.
     """
-    body, bias, none = np.eye(3), np.zeros(3), np.zeros((len(knots), 3))
+    body, biases = np.eye(3), np.zeros((len(knots), 6))
     if imu.turns and samples.has_rotations:
-        body, bias = _body_and_bias(samples, imu, knots)
+        body, biases[:, :3] = _body_and_bias(samples, imu, knots)
     rotations = lie.to_matrix(slerp_at(samples.seconds, samples.quaternions, knots)) @ body.T
     measured = columns_at(imu.seconds, imu.accelerations, knots)
     force = np.median(times(rotations, measured), axis=0)
@@ -113,7 +219,7 @@ def first_rig(samples: TruthSamples, imu: ImuSeconds, knots: Floats) -> Rig:
     )
     velocities = (after - before) / (2.0 * _SPEED_S)
     return Rig(
-        rotations, velocities, positions, none + bias, none, body, np.zeros(3), 0.0, 0.0,
+        rotations, velocities, positions, biases, body, np.zeros(3), 0.0, 0.0,
         -_GRAVITY_MPS2 * up,
     )  # fmt: skip
 
@@ -132,4 +238,11 @@ def _body_and_bias(samples: TruthSamples, imu: ImuSeconds, knots: Floats) -> tup
     for _ in range(_PASSES):
         body = robust_rotation(of_imu - bias * _INCREMENT_S, of_marker)
         bias = np.median(of_imu - of_marker @ body.T, axis=0) / _INCREMENT_S
+    if turns_about_one_axis(imu.rates) and not turns_in_place(samples.positions, imu.rates):
+        # They do not determine the angle about this axis, and swings do.
+        by_swings = rough_orientations(samples.seconds, samples.positions, imu)
+        turned = lie.multiply(lie.conjugate(by_swings), samples.quaternions)
+        little = _LITTLE * np.square(of_imu).sum() * lie.to_matrix(turned).mean(axis=0)
+        turns = np.vstack([of_imu - bias * _INCREMENT_S, little.T])
+        body = closest_rotation(turns, np.vstack([of_marker, np.eye(3)]))
     return body, bias
