@@ -386,6 +386,9 @@ def test_refusals(healthy: tuple[ExaminedRig, ExaminedGroundtruth]) -> None:
     assert "at no single offset" in refused(positions_of(made), other)
     still = rig(1, "rest")
     assert "not determine the orientation" in refused(positions_of(still), still.readings)
+    for unit in (1e3, 3.281, 1e-2):
+        other_unit = dataclasses.replace(truth, positions=truth.positions * unit)
+        assert "times that of the IMU; give positions in metres" in refused(other_unit, readings)
     assert "fewer than five poses" in refused(truth[:4], readings)
     in_g = dataclasses.replace(readings, accelerations=readings.accelerations / 9.81)
     assert "give specific forces in m/s^2" in refused(truth, in_g)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +33,8 @@ _SWING_S, _WINDOW_S = (-0.25, 0.25), 5.0
 _SPEED_S = 0.1  # half of the span over which a velocity is a difference of positions
 _INSIDE_S = 0.1  # between the ends of the recordings and the knots
 _GRAVITY_MPS2 = 9.81
+# Correlation of the lengths of swings, and a ratio that no error of an accelerometer reaches.
+_ALIKE, _OTHER_UNIT = 0.8, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +68,7 @@ def prepared(
     if turned is None:
         turned = rough_orientations(seconds, groundtruth.positions, imu)
     samples = TruthSamples(seconds, groundtruth.positions, turned, has_rotations)
+    _require_metres(samples, imu, name)
     return Prepared(samples, imu, shift_ns, free, notes)
 
 
@@ -176,6 +180,30 @@ def _swings_of(imu: ImuSeconds, turned: Floats) -> tuple[Floats, Floats]:
     return _swings(imu.seconds, moved)
 
 
+def _both_swings(
+    seconds: Floats, positions: Floats, imu: ImuSeconds
+) -> list[tuple[Floats, Floats]]:
+    """Return the times and swings of positions (N, 3) and of an IMU, each in its own axes."""
+    by_gyro = turned_by_gyro(imu.seconds, imu.rates)
+    return [_swings(seconds, positions), _swings_of(imu, by_gyro)]
+
+
+def _require_metres(samples: TruthSamples, imu: ImuSeconds, name: str) -> None:
+    """Refuse positions whose swings are clearly longer or shorter than those of the IMU."""
+    begins, ends = (samples.seconds + each for each in _SWING_S)
+    theirs, ours = (
+        np.linalg.norm(columns_at(*each, ends) - columns_at(*each, begins), axis=1)
+        for each in _both_swings(samples.seconds, samples.positions, imu)
+    )
+    if not (theirs.any() and ours.any()):
+        return
+    ratio, alike = float(theirs @ ours / (ours @ ours)), np.corrcoef(theirs, ours)[0, 1]
+    if alike > _ALIKE and abs(math.log(ratio)) > math.log(_OTHER_UNIT):
+        raise InputError(
+            f"the motion of {name} is {ratio:.3g} times that of the IMU; give positions in metres"
+        )
+
+
 def rough_orientations(seconds: Floats, positions: Floats, imu: ImuSeconds) -> Floats:
     """Return orientations (N, 4) of the IMU at positions (N, 3) by its clock.
 
@@ -184,7 +212,7 @@ def rough_orientations(seconds: Floats, positions: Floats, imu: ImuSeconds) -> F
     by_gyro = turned_by_gyro(imu.seconds, imu.rates)
     theirs, ours = (
         np.gradient(columns_at(*swings, seconds), axis=0)
-        for swings in (_swings(seconds, positions), _swings_of(imu, by_gyro))
+        for swings in _both_swings(seconds, positions, imu)
     )
     count = max(1, int((seconds[-1] - seconds[0]) / _WINDOW_S))
     windows = np.array_split(np.arange(len(seconds)), count)
