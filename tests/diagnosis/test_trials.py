@@ -240,6 +240,25 @@ def test_rotations_that_differ_too_much_are_no_other_body() -> None:
     assert causes == {"rotations"}
 
 
+@pytest.mark.parametrize(
+    ("kind", "rotations", "mistake", "causes"),
+    [
+        ("drone", "Euler order", "estimate in mm", ["rotations", "unit"]),
+        ("drone", "radians as degrees", "camera axes", ["rotations", "up_axis"]),
+        ("robot", "compass heading", "scale lost", ["rotations", "scale"]),
+        # Wrong rotations look like another body here, and like a lever arm.
+        ("robot", "roll and pitch swapped", "NED", ["rotations", "up_axis"]),
+        ("robot", "roll and pitch swapped", "lever arm", ["rotations"]),
+    ],
+)
+def test_beside_wrong_rotations_only_positions_are_compared(
+    kind: str, rotations: str, mistake: str, causes: list[str]
+) -> None:
+    pair = DRONE if kind == "drone" else simulated(5006, "robot", "walk", 100.0)
+    wrong = USERS[rotations].make(MISTAKES[mistake].make(pair))
+    assert [each.cause for each in found(wrong).findings] == causes
+
+
 def test_a_right_recording_is_not_evaluated_again(monkeypatch: pytest.MonkeyPatch) -> None:
     from trajeval_ros.metrics import evaluation
     from trajeval_ros.pipeline import preparation
