@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -127,22 +128,14 @@ def match_clocks(groundtruth: TimedPoses, estimate: TimedPoses) -> ClockMatch | 
     )
 
 
-def unlikeness_ratio(
-    groundtruth: TimedPoses,
-    estimate: TimedPoses,
-    offset_s: float,
-    rate: float = 0.0,
-    *,
-    known_s: float = 0.0,
-) -> float:
-    """Return the ratio of the differences of two rates with and without a clock's correction.
+def unlikeness_ratio(groundtruth: TimedPoses, estimate: TimedPoses, offset_s: float) -> float:
+    """Return the ratio of the differences of two rates with and without an offset's correction.
 
     It is less than 1 if the correction helps, and NaN if the common time span is shorter than 8 s.
-    A random offset, caused by drift, does not help. The correction is `offset_s` and `rate`, a
-    fraction; `known_s` is the offset that is applied without it.
+    A random offset, caused by drift, does not help.
     """
-    before = _unlikeness(_by_clock_of(estimate, groundtruth, known_s, 0.0), estimate)
-    after = _unlikeness(_by_clock_of(estimate, groundtruth, offset_s, rate), estimate)
+    before = _unlikeness(groundtruth, estimate)
+    after = _unlikeness(_by_clock_of(estimate, groundtruth, offset_s, 0.0), estimate)
     return after / max(before, 1e-12)
 
 
@@ -159,24 +152,44 @@ def _by_clock_of(
     return TimedPoses(seconds, groundtruth.positions, groundtruth.quaternions)
 
 
+class _CommonRates(NamedTuple):
+    """Angular speeds, or speeds without orientations, of N common cells of a fine grid."""
+
+    groundtruth: Floats  # (N,)
+    estimate: Floats  # (N,)
+    known: Floats  # (N,) 1 where both are known, else 0
+    seconds: Floats  # (N,) since the estimate's first pose
+    cell_s: float
+
+    @classmethod
+    def of(cls, groundtruth: TimedPoses, estimate: TimedPoses) -> _CommonRates:
+        cell_s = max(_LEAST_CELL_S, estimate.span_s / _CELLS)
+        steps_s = groundtruth.usual_step_s, estimate.usual_step_s
+        window_s = max(_SHORT_WINDOW_S, 2.0 * max(steps_s))
+        epoch_s = float(estimate.seconds[0])
+        ours, true = (
+            MotionRates.of(each, cell_s, window_s, epoch_s) for each in (estimate, groundtruth)
+        )
+        begin = max(ours.start, true.start)
+        end = max(min(each.start + len(each.known) for each in (ours, true)), begin)
+        rows, others = (slice(begin - each.start, end - each.start) for each in (ours, true))
+        kind = min(len(ours.rates), len(true.rates)) - 1
+        known = ours.known[rows] * true.known[others]
+        seconds = cell_s * np.arange(begin, end, dtype=np.float64)
+        return cls(true.rates[kind, others], ours.rates[kind, rows], known, seconds, cell_s)
+
+    @property
+    def enough(self) -> bool:
+        """Whether the common time span is long enough."""
+        return float(self.known.sum()) * self.cell_s >= _LEAST_OVERLAP_S
+
+
 def _unlikeness(groundtruth: TimedPoses, estimate: TimedPoses) -> float:
     """Return 1 - correlation of the angular speeds, or of the speeds without orientations."""
-    cell_s = max(_LEAST_CELL_S, estimate.span_s / _CELLS)
-    window_s = max(_SHORT_WINDOW_S, 2.0 * groundtruth.usual_step_s, 2.0 * estimate.usual_step_s)
-    epoch_s = float(estimate.seconds[0])
-    ours, true = (
-        MotionRates.of(each, cell_s, window_s, epoch_s) for each in (estimate, groundtruth)
-    )
-    begin = max(ours.start, true.start)
-    end = min(ours.start + len(ours.known), true.start + len(true.known))
-    rows, others = (
-        slice(begin - each.start, max(end, begin) - each.start) for each in (ours, true)
-    )
-    known = ours.known[rows] * true.known[others]
-    if known.sum() * cell_s < _LEAST_OVERLAP_S:
+    common = _CommonRates.of(groundtruth, estimate)
+    if not common.enough:
         return np.nan
-    kind = min(len(ours.rates), len(true.rates)) - 1
-    a, b = tamed(ours.rates[kind, rows], known), tamed(true.rates[kind, others], known)
+    a, b = (tamed(each, common.known) for each in (common.estimate, common.groundtruth))
     return 1.0 - float(a @ b) / max(float(np.sqrt((a @ a) * (b @ b))), 1e-12)
 
 
@@ -237,9 +250,11 @@ USABLE = 0.8  # least correlation of an offset that other tests apply
 _LEAP_S = {18: "GPS time without leap seconds", 19: "GPS against TAI", 37: "TAI against UTC"}
 _THIRDS, _SAME_OFFSET_S = 3, 0.1
 _PART_S, _FEWEST_PARTS, _MOST_PARTS = 12.0, 4, 12
-_LEAST_GROWTH_S, _LEAST_RATE = 0.06, 5e-5
-_TIMES_NOISE, _TIMES_NOISE_OF_POSITIONS = 5.0, 8.0
-_STRAIGHTER = 2.5
+_LEAST_GROWTH_S = 0.06
+# Standard deviations of a significant rate; speeds depend on the scale, which drifts.
+_SIGMAS, _SIGMAS_OF_POSITIONS = 5.0, 10.0
+_STEPS, _BLOCK_S = 3, 1.5  # iterations; time after which residuals are independent
+_OUTLYING = 3.0  # of the median residual, from which on the weight decreases
 _FEWEST_HZ = 3.0
 
 
@@ -294,68 +309,71 @@ def clock_rate(
 
     The estimate's time since its start was multiplied by `found_rate`.
     """
-    name = "clock rates"
-    if match is not None and found_rate != 1.0:
-        rest, level = _rest(estimate, match)
-        # The estimate has the first factor already.
-        scores = {"ppm": 1e6 * rest, "offset_s": level, "peak": match.peak, "rate": found_rate}
-        values = _values(
-            found_rate * (1.0 + rest) - 1.0, level, applied_s, estimate.span_s / found_rate
-        )
-        return Examined(name, scores, (Seen("clock_drift", match.peak, values),))
+    name, is_found = "clock rates", found_rate != 1.0
     if match is None or not match.is_alone:
         return Examined(name, why_not="the rates of motion do not match at a common offset")
     turns = not np.isnan(match.turning)
-    if min(match.turning if turns else 1.0, match.speed) <= 0.6:
+    if not is_found and min(match.turning if turns else 1.0, match.speed) <= 0.6:
         return Examined(name, why_not="the correlation of the rates of motion is too low")
-    if len(estimate) <= _FEWEST_HZ * estimate.span_s:
+    if not is_found and len(estimate) <= _FEWEST_HZ * estimate.span_s:
         return Examined(name, why_not="the rate of the estimate is too low")
     parts = int(np.clip(estimate.span_s / _PART_S, _FEWEST_PARTS, _MOST_PARTS))
-    times, offsets = offsets_of_parts(match, offset_s, parts)
-    if len(times) < _FEWEST_PARTS:
+    times, offsets = offsets_of_parts(match, match.offset_s if is_found else offset_s, parts)
+    if len(times) < _FEWEST_PARTS and not is_found:
         return Examined(name, why_not="too few parts of the run determine an offset")
-    rate = _slope(times, offsets)
-    level = median(offsets - rate * times)
-    noise_s = _spread(offsets - level - rate * times)
-    constant_s = _spread(offsets - median(offsets))
-    growth_s = rate * float(times[-1] - times[0])
-    scores = {"ppm": 1e6 * rate, "growth_s": growth_s, "noise_s": noise_s, "offset_s": level}
-    limit_s = (_TIMES_NOISE if turns else _TIMES_NOISE_OF_POSITIONS) * noise_s
-    grows = abs(growth_s) > max(limit_s, _LEAST_GROWTH_S) and abs(rate) > _LEAST_RATE
-    if not (grows and constant_s > _STRAIGHTER * noise_s):
+    rate, level = 0.0, match.offset_s
+    if len(times) > 2:
+        rate = _slope(times, offsets)
+        level = median(offsets - rate * times)
+    rate, level, sigma = _refined(groundtruth, estimate, rate, level)
+    growth_s = rate * estimate.span_s
+    total = found_rate * (1.0 + rate) - 1.0
+    # The estimate has the first factor already.
+    scores = {"ppm": 1e6 * rate, "offset_s": level, "growth_s": growth_s, "rate": found_rate}
+    scores["sigmas"] = abs(rate) / max(sigma, 1e-12)
+    limit_s = max(_LEAST_GROWTH_S, estimate.usual_step_s)
+    is_significant = scores["sigmas"] > (_SIGMAS if turns else _SIGMAS_OF_POSITIONS)
+    if not (is_found or (is_significant and abs(growth_s) > limit_s)):
         return Examined(name, scores)
-    scores["unlikeness"] = unlikeness_ratio(groundtruth, estimate, level, rate, known_s=offset_s)
-    if not scores["unlikeness"] < LEAST_LIKELY:
-        return Examined(name, scores)
-    # Within the parts, the offset grew, too.
-    scaled = estimate.shifted(0.0, rate)
-    again = match_clocks(groundtruth, scaled)
-    if again is not None:
-        rest, scores["offset_s"] = _rest(scaled, again)
-        rate += (1.0 + rate) * rest
-        scores["ppm"] = 1e6 * rate
-    values = _values(rate, scores["offset_s"], applied_s, estimate.span_s)
-    explained = 1.0 - (noise_s / constant_s) ** 2
+    values: dict[str, Value] = {
+        "ppm": 1e6 * total,
+        "growth_ms": 1e3 * total * estimate.span_s / found_rate,
+        "offset_s": level,
+        "total_s": applied_s + level,
+    }
+    explained = match.peak if is_found else 1.0 - scores["sigmas"] ** -2
     return Examined(name, scores, (Seen("clock_drift", explained, values),))
 
 
-def _rest(estimate: TimedPoses, match: ClockMatch) -> tuple[float, float]:
-    """Return the rate and the offset (s) that parts of the run have besides the applied rate."""
-    parts = int(np.clip(estimate.span_s / _PART_S, _FEWEST_PARTS, _MOST_PARTS))
-    times, offsets = offsets_of_parts(match, match.offset_s, parts)
-    if len(times) <= 2:
-        return 0.0, match.offset_s
-    rest = _slope(times, offsets)
-    return rest, median(offsets - rest * times)
+def _refined(
+    groundtruth: TimedPoses, estimate: TimedPoses, rate: float, offset_s: float
+) -> tuple[float, float, float]:
+    """Return a clock rate, its offset (s), and the standard deviation of the rate; inf for none.
 
-
-def _values(rate: float, offset_s: float, applied_s: float, span_s: float) -> dict[str, Value]:
-    return {
-        "ppm": 1e6 * rate,
-        "growth_ms": 1e3 * rate * span_s,
-        "offset_s": offset_s,
-        "total_s": applied_s + offset_s,
-    }
+    If a rate r and an offset o are left, the speeds a of the estimate and b of the groundtruth are
+    a = k b + c + (o + r t) b', which is linear in (o, r, k, c). Residuals are correlated within
+    blocks of time only, whose sums give the covariance (White, 1980).
+    """
+    sigma = np.inf
+    for _ in range(_STEPS):
+        common = _CommonRates.of(_by_clock_of(estimate, groundtruth, offset_s, rate), estimate)
+        if not common.enough:
+            break
+        slope = np.gradient(common.groundtruth, common.cell_s)
+        terms = [slope, slope * common.seconds, common.groundtruth, np.ones_like(slope)]
+        columns, weights = np.column_stack(terms), common.known
+        for _ in range(_STEPS):
+            weighted = columns * weights[:, None]
+            inverse = np.linalg.pinv(weighted.T @ columns)
+            fitted = inverse @ (weighted.T @ common.estimate)
+            rest = common.estimate - columns @ fitted
+            usual = median(np.abs(rest[common.known > 0.0]))
+            weights = common.known / np.maximum(1.0, np.abs(rest) / max(_OUTLYING * usual, 1e-12))
+        blocks = np.arange(0, len(rest), max(1, int(_BLOCK_S / common.cell_s)))
+        sums = np.add.reduceat(weighted * rest[:, None], blocks) @ inverse
+        sigma = float(np.linalg.norm(sums[:, 1]))
+        offset_s, rate = offset_s + float(fitted[0]), rate + float(fitted[1])
+    return rate, offset_s, sigma
 
 
 _LOWEST_RATE, _HIGHEST_RATE = 0.4, 2.5
@@ -411,8 +429,3 @@ def _slope(times: Floats, offsets: Floats) -> float:
     rows = np.array(list(itertools.combinations(range(len(times)), 2)))
     steps = offsets[rows[:, 1]] - offsets[rows[:, 0]]
     return median(steps / (times[rows[:, 1]] - times[rows[:, 0]]))
-
-
-def _spread(offsets: Floats) -> float:
-    """Return a standard deviation from the median, plus 4 ms, the resolution of an offset."""
-    return 1.48 * median(np.abs(offsets)) + 0.004
