@@ -320,7 +320,8 @@ def rate_found(
         (0.5, {"count": 360}, False),
         (0.5, {"count": 361}, True),
         # A rate that was found already.
-        (0.01, {"found_rate": 1.5, "sigmas": 0.1, "speed": 0.5, "count": 100}, True),
+        (0.01, {"found_rate": 1.5, "speed": 0.5, "count": 100}, True),
+        (-40.0, {"found_rate": 1.5}, False),  # it was wrong
     ],
 )
 def test_a_clock_rate_is_significant(
@@ -332,8 +333,8 @@ def test_a_clock_rate_is_significant(
     ratio, rate = changed.get("found_rate", 1.0), growth_s / 120.0
     total = ratio * (1.0 + rate) - 1.0
     if found.scores:
-        expected = {"ppm": 1e6 * rate, "growth_s": growth_s, "offset_s": 0.5, "rate": ratio}
-        expected["sigmas"] = changed.get("sigmas", 1e3)
+        expected = {"ppm": 1e6 * rate, "growth_s": total * 120.0 / ratio, "offset_s": 0.5}
+        expected |= {"rate": ratio, "sigmas": changed.get("sigmas", 1e3) * abs(total / rate)}
         assert dict(found.scores) == pytest.approx(expected)
     for seen in found.seen:
         assert dict(seen.values) == pytest.approx(
@@ -344,8 +345,7 @@ def test_a_clock_rate_is_significant(
                 "total_s": 0.7,
             }
         )
-        is_found = ratio != 1.0
-        assert seen.explained == (0.9 if is_found else 1.0 - found.scores["sigmas"] ** -2)
+        assert seen.explained == 1.0 - found.scores["sigmas"] ** -2
 
 
 def test_four_parts_determine_a_rate(monkeypatch: pytest.MonkeyPatch) -> None:

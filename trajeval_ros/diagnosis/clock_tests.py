@@ -326,22 +326,21 @@ def clock_rate(
         rate = _slope(times, offsets)
         level = median(offsets - rate * times)
     rate, level, sigma = _refined(groundtruth, estimate, rate, level)
-    growth_s = rate * estimate.span_s
-    total = found_rate * (1.0 + rate) - 1.0
     # The estimate has the first factor already.
+    total = found_rate * (1.0 + rate) - 1.0
+    growth_s = total * estimate.span_s / found_rate
     scores = {"ppm": 1e6 * rate, "offset_s": level, "growth_s": growth_s, "rate": found_rate}
-    scores["sigmas"] = abs(rate) / max(sigma, 1e-12)
-    limit_s = max(_LEAST_GROWTH_S, estimate.usual_step_s)
+    scores["sigmas"] = abs(total) / max(sigma, 1e-12)
     is_significant = scores["sigmas"] > (_SIGMAS if turns else _SIGMAS_OF_POSITIONS)
-    if not (is_found or (is_significant and abs(growth_s) > limit_s)):
+    if not (is_significant and abs(growth_s) > max(_LEAST_GROWTH_S, estimate.usual_step_s)):
         return Examined(name, scores)
     values: dict[str, Value] = {
         "ppm": 1e6 * total,
-        "growth_ms": 1e3 * total * estimate.span_s / found_rate,
+        "growth_ms": 1e3 * growth_s,
         "offset_s": level,
         "total_s": applied_s + level,
     }
-    explained = match.peak if is_found else 1.0 - scores["sigmas"] ** -2
+    explained = 1.0 - scores["sigmas"] ** -2
     return Examined(name, scores, (Seen("clock_drift", explained, values),))
 
 

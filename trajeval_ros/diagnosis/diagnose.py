@@ -312,7 +312,7 @@ def _tests_of_motion(inputs: InputPair) -> list[Examined]:
         else:
             drift = clock_rate(groundtruth, estimate, match, offset_s, inputs.time_offset_s, rate)
         examined.append(drift)
-        if drift.seen:  # which includes an offset
+        if drift.seen or rate != 1.0:  # which includes an offset
             examined[-2] = dataclasses.replace(examined[-2], seen=())
             estimate = estimate.shifted(drift.scores["offset_s"], 1e-6 * drift.scores["ppm"])
         else:

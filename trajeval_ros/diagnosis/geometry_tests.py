@@ -40,7 +40,8 @@ _UNITS = {
     "inches": (0.0254, 0.1),
     "feet": (0.3048, 0.1),
 }
-_FOOT_OF_GROUNDTRUTH = 0.015  # the scale of a monocular estimate is often as near to it
+# The scale of a monocular estimate is often as near to a foot, so this adds to its spread.
+_FOOT_OF_GROUNDTRUTH = 0.015
 _FAST_M = 200.0  # in a short motion: no body that is localised is as fast
 _STEADY_GAIN = 0.8
 # Ratios of a plane's thickness and a line's width to the length; rotation about the normal.
@@ -85,7 +86,7 @@ def scale(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examined:
     if off > _DIVERGED:
         moved = {"true_m": float(lengths(true).sum()), "moved_m": float(lengths(ours).sum())}
         return Examined(name, scores, (Seen("diverged_at_start", 1.0, {"until": "", **moved}),))
-    unit = _unit_of(found, moving)
+    unit = _unit_of(found, spread, moving)
     if unit is not None and (unit["side"], unit["unit"]) == ("groundtruth", "feet"):
         # A monocular estimate may have this scale, too.
         convert = " (--gauge sim3), or convert feet: trajeval trajectory SOURCE --scale 0.3048"
@@ -109,12 +110,12 @@ def scale(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examined:
     return Examined(name, scores)
 
 
-def _unit_of(scale: float, moving: ShortMotions) -> dict[str, Value] | None:
+def _unit_of(scale: float, spread: float, moving: ShortMotions) -> dict[str, Value] | None:
     """Return the unit of one side, from metres per unit of the estimate; None for no unit."""
     for name, (metres, within) in _UNITS.items():
         for side, found in (("estimate", scale), ("groundtruth", 1.0 / scale)):
             if (side, name) == ("groundtruth", "feet"):
-                within = _FOOT_OF_GROUNDTRUTH
+                within = min(within, math.hypot(spread, _FOOT_OF_GROUNDTRUTH))
             if abs(float(np.log(found / metres))) > within:
                 continue
             # Millimetres of one side are kilometres of the other.

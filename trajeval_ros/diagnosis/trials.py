@@ -61,9 +61,9 @@ def with_tried_advice(found: Diagnosis, before: Evaluation | None, again: Again)
             kept.append(best.finding)
             steps.append(best.finding.correction)
         elif finding.cause in _HOLD or any(each.is_possible for each in possible):
-            # Without a smaller error, no name is better than another that is possible.
-            same = {each.finding.sentence for each in possible if each.is_possible}
-            stated = clean[0].finding if clean and len(same) == 1 else finding
+            # Without a smaller error, no name is better than another that leaves no finding.
+            same = {each.finding.sentence for each in clean}
+            stated = clean[0].finding if len(same) == 1 else finding
             kept.append(stated.without_advice(was_tried=bool(possible)))
         else:
             kept += [each for each in finding.rivals if not each.correction]
