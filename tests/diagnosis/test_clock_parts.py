@@ -374,6 +374,17 @@ def test_the_deviation_of_a_rate_is_that_of_repeated_runs() -> None:
     assert sigmas.mean() < 1e-4
 
 
+@pytest.mark.parametrize(
+    ("gain", "is_known"), [(0.45, False), (0.55, True), (1.9, True), (2.1, False)]
+)
+def test_other_angular_speeds_determine_no_rate(gain: float, *, is_known: bool) -> None:
+    true = wandering()
+    angles = np.unwrap(Rotation.from_quat(true.quaternions).as_euler("ZYX")[:, 0])
+    turned = Rotation.from_rotvec(np.outer(gain * angles, [0.0, 0.0, 1.0])).as_quat()
+    found = _refined(true, TimedPoses(true.seconds, true.positions, turned), 0.0, 0.0)
+    assert np.isfinite(found[2]) == is_known
+
+
 def test_without_common_time_a_rate_has_no_deviation() -> None:
     own = wandering(span_s=20.0)
     assert _refined(own, own.shifted(15.0), 0.1, 0.2) == (0.1, 0.2, np.inf)

@@ -160,6 +160,7 @@ class _CommonRates(NamedTuple):
     known: Floats  # (N,) 1 where both are known, else 0
     seconds: Floats  # (N,) since the estimate's first pose
     cell_s: float
+    turns: bool  # whether these are angular speeds
 
     @classmethod
     def of(cls, groundtruth: TimedPoses, estimate: TimedPoses) -> _CommonRates:
@@ -176,7 +177,8 @@ class _CommonRates(NamedTuple):
         kind = min(len(ours.rates), len(true.rates)) - 1
         known = ours.known[rows] * true.known[others]
         seconds = cell_s * np.arange(begin, end, dtype=np.float64)
-        return cls(true.rates[kind, others], ours.rates[kind, rows], known, seconds, cell_s)
+        sides = true.rates[kind, others], ours.rates[kind, rows]
+        return cls(*sides, known, seconds, cell_s, bool(kind))
 
     @property
     def enough(self) -> bool:
@@ -255,6 +257,7 @@ _LEAST_GROWTH_S = 0.06
 _SIGMAS, _SIGMAS_OF_POSITIONS = 5.0, 10.0
 _STEPS, _BLOCK_S = 3, 1.5  # iterations; time after which residuals are independent
 _OUTLYING = 3.0  # of the median residual, from which on the weight decreases
+_LEAST_GAIN = 0.5  # of angular speeds, and its inverse
 _FEWEST_HZ = 3.0
 
 
@@ -349,6 +352,8 @@ def _refined(
 ) -> tuple[float, float, float]:
     """Return a clock rate, its offset (s), and the standard deviation of the rate; inf for none.
 
+    Angular speeds of one body are equal. If they are not, they do not determine a rate.
+
     If a rate r and an offset o are left, the speeds a of the estimate and b of the groundtruth are
     a = k b + c + (o + r t) b', which is linear in (o, r, k, c). Residuals are correlated within
     blocks of time only, whose sums give the covariance (White, 1980).
@@ -371,6 +376,8 @@ def _refined(
         blocks = np.arange(0, len(rest), max(1, int(_BLOCK_S / common.cell_s)))
         sums = np.add.reduceat(weighted * rest[:, None], blocks) @ inverse
         sigma = float(np.linalg.norm(sums[:, 1]))
+        if common.turns and not _LEAST_GAIN < fitted[2] < 1.0 / _LEAST_GAIN:
+            return rate, offset_s, np.inf
         offset_s, rate = offset_s + float(fitted[0]), rate + float(fitted[1])
     return rate, offset_s, sigma
 
