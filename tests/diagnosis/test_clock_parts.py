@@ -13,7 +13,7 @@ from trajeval_ros.diagnosis.clock_tests import (
     ClockMatch,
     MotionRates,
     _middle,
-    _refined,
+    _RateFit,
     _slope,
     clock_offset,
     clock_rate,
@@ -287,6 +287,7 @@ def rate_found(
     span_s: float = 120.0,
     count: int = 2400,
     found_rate: float = 1.0,
+    rest: float = 0.9,
     **changed: Any,
 ) -> Examined:
     """Return the test of a rate, from the offsets of parts of a run and the rate's deviation."""
@@ -294,10 +295,10 @@ def rate_found(
     times = np.linspace(0.0, span_s, len(offsets))
     monkeypatch.setattr(clock_tests, "offsets_of_parts", lambda *_: (times, offsets))
 
-    def unchanged(_: object, __: object, rate: float, level: float) -> tuple[float, float, float]:
-        return rate, level, abs(rate) / sigmas
+    def unchanged(_: object, __: object, rate: float, level: float) -> _RateFit:
+        return _RateFit(rate, level, abs(rate) / sigmas, rest if rate else 1.0)
 
-    monkeypatch.setattr(clock_tests, "_refined", unchanged)
+    monkeypatch.setattr(clock_tests._RateFit, "of", unchanged)
     return clock_rate(estimate, estimate, match_of(**changed), 0.7, 0.2, found_rate)
 
 
@@ -348,6 +349,12 @@ def test_a_clock_rate_is_significant(
         assert seen.explained == 1.0 - found.scores["sigmas"] ** -2
 
 
+def test_a_rate_that_fits_worse_than_none_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = rate_found(monkeypatch, np.linspace(0.5, 0.8, 10), rest=1.1)
+    assert not found.seen
+    assert (found.scores["ppm"], found.scores["offset_s"]) == (0.0, 2.0)
+
+
 def test_four_parts_determine_a_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     for count, why_not in ((4, ""), (3, "too few parts of the run determine an offset")):
         assert rate_found(monkeypatch, np.linspace(0.0, 0.5, count)).why_not == why_not
@@ -365,8 +372,9 @@ def test_the_deviation_of_a_rate_is_that_of_repeated_runs() -> None:
         assert true.quaternions is not None
         own = (noise * Rotation.from_quat(true.quaternions)).as_quat()
         estimate = TimedPoses(true.seconds, true.positions, own).shifted(0.03, 4e-4)
-        found.append(_refined(true, estimate, 0.0, 0.0))
-    rates, offsets, sigmas = np.array(found).T
+        found.append(_RateFit.of(true, estimate, 0.0, 0.0))
+    rates, offsets, sigmas, rests = np.array(found).T
+    assert 0.02 < rests.mean() < 0.06
     # The mean of 40 runs has a deviation of a sixth of that of one.
     assert abs(rates.mean() + 4e-4) < 0.5 * sigmas.mean()
     assert offsets.mean() == pytest.approx(-0.03, abs=0.005)
@@ -381,13 +389,13 @@ def test_other_angular_speeds_determine_no_rate(gain: float, *, is_known: bool) 
     true = wandering()
     angles = np.unwrap(Rotation.from_quat(true.quaternions).as_euler("ZYX")[:, 0])
     turned = Rotation.from_rotvec(np.outer(gain * angles, [0.0, 0.0, 1.0])).as_quat()
-    found = _refined(true, TimedPoses(true.seconds, true.positions, turned), 0.0, 0.0)
-    assert np.isfinite(found[2]) == is_known
+    found = _RateFit.of(true, TimedPoses(true.seconds, true.positions, turned), 0.0, 0.0)
+    assert np.isfinite(found.sigma) == is_known
 
 
 def test_without_common_time_a_rate_has_no_deviation() -> None:
     own = wandering(span_s=20.0)
-    assert _refined(own, own.shifted(15.0), 0.1, 0.2) == (0.1, 0.2, np.inf)
+    assert _RateFit.of(own, own.shifted(15.0), 0.1, 0.2) == _RateFit(0.1, 0.2, np.inf)
 
 
 @pytest.mark.parametrize("ppm", [-36_000.0, 1000.0, 37_344.0])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -315,8 +316,7 @@ def clock_rate(
     name, is_found = "clock rates", found_rate != 1.0
     if match is None or not match.is_alone:
         return Examined(name, why_not="the rates of motion do not match at a common offset")
-    turns = not np.isnan(match.turning)
-    if not is_found and min(match.turning if turns else 1.0, match.speed) <= 0.6:
+    if not is_found and min(np.nan_to_num(match.turning, nan=1.0), match.speed) <= 0.6:
         return Examined(name, why_not="the correlation of the rates of motion is too low")
     if not is_found and len(estimate) <= _FEWEST_HZ * estimate.span_s:
         return Examined(name, why_not="the rate of the estimate is too low")
@@ -328,14 +328,19 @@ def clock_rate(
     if len(times) > 2:
         rate = _slope(times, offsets)
         level = median(offsets - rate * times)
-    rate, level, sigma = _refined(groundtruth, estimate, rate, level)
+    sigmas = _SIGMAS_OF_POSITIONS if np.isnan(match.turning) else _SIGMAS
+    fit = _RateFit.of(groundtruth, estimate, rate, level)
+    if rate and abs(fit.rate) > sigmas * fit.sigma:  # unless none is a better fit
+        without = _RateFit.of(groundtruth, estimate, 0.0, match.offset_s)
+        fit = min(fit, without, key=attrgetter("rest"))
+    rate, level = fit.rate, fit.offset_s
     # The estimate has the first factor already.
     total = found_rate * (1.0 + rate) - 1.0
     growth_s = total * estimate.span_s / found_rate
     scores = {"ppm": 1e6 * rate, "offset_s": level, "growth_s": growth_s, "rate": found_rate}
-    scores["sigmas"] = abs(total) / max(sigma, 1e-12)
-    is_significant = scores["sigmas"] > (_SIGMAS if turns else _SIGMAS_OF_POSITIONS)
-    if not (is_significant and abs(growth_s) > max(_LEAST_GROWTH_S, estimate.usual_step_s)):
+    scores["sigmas"] = abs(total) / max(fit.sigma, 1e-12)
+    grows = abs(growth_s) > max(_LEAST_GROWTH_S, estimate.usual_step_s)
+    if not (grows and scores["sigmas"] > sigmas):
         return Examined(name, scores)
     values: dict[str, Value] = {
         "ppm": 1e6 * total,
@@ -347,39 +352,51 @@ def clock_rate(
     return Examined(name, scores, (Seen("clock_drift", explained, values),))
 
 
-def _refined(
-    groundtruth: TimedPoses, estimate: TimedPoses, rate: float, offset_s: float
-) -> tuple[float, float, float]:
-    """Return a clock rate, its offset (s), and the standard deviation of the rate; inf for none.
+class _RateFit(NamedTuple):
+    """A clock rate and an offset that fit the rates of motion."""
 
-    Angular speeds of one body are equal. If they are not, they do not determine a rate.
+    rate: float
+    offset_s: float
+    sigma: float  # standard deviation of the rate; inf if it is not determined
+    rest: float = np.inf  # usual residual
 
-    If a rate r and an offset o are left, the speeds a of the estimate and b of the groundtruth are
-    a = k b + c + (o + r t) b', which is linear in (o, r, k, c). Residuals are correlated within
-    blocks of time only, whose sums give the covariance (White, 1980).
-    """
-    sigma = np.inf
-    for _ in range(_STEPS):
-        common = _CommonRates.of(_by_clock_of(estimate, groundtruth, offset_s, rate), estimate)
-        if not common.enough:
-            break
-        slope = np.gradient(common.groundtruth, common.cell_s)
-        terms = [slope, slope * common.seconds, common.groundtruth, np.ones_like(slope)]
-        columns, weights = np.column_stack(terms), common.known
+    @classmethod
+    def of(
+        cls, groundtruth: TimedPoses, estimate: TimedPoses, rate: float, offset_s: float
+    ) -> _RateFit:
+        """Fit from a start; angular speeds that are not those of one body determine no rate.
+
+        If a rate r and an offset o are left, the speeds a of the estimate and b of the groundtruth
+        are a = k b + c + (o + r t) b', which is linear in (o, r, k, c). Residuals are correlated
+        within blocks of time only, whose sums give the covariance (White, 1980).
+        """
+        fit = cls(rate, offset_s, np.inf)
         for _ in range(_STEPS):
-            weighted = columns * weights[:, None]
-            inverse = np.linalg.pinv(weighted.T @ columns)
-            fitted = inverse @ (weighted.T @ common.estimate)
-            rest = common.estimate - columns @ fitted
-            usual = median(np.abs(rest[common.known > 0.0]))
-            weights = common.known / np.maximum(1.0, np.abs(rest) / max(_OUTLYING * usual, 1e-12))
-        blocks = np.arange(0, len(rest), max(1, int(_BLOCK_S / common.cell_s)))
-        sums = np.add.reduceat(weighted * rest[:, None], blocks) @ inverse
-        sigma = float(np.linalg.norm(sums[:, 1]))
-        if common.turns and not _LEAST_GAIN < fitted[2] < 1.0 / _LEAST_GAIN:
-            return rate, offset_s, np.inf
-        offset_s, rate = offset_s + float(fitted[0]), rate + float(fitted[1])
-    return rate, offset_s, sigma
+            common = _CommonRates.of(
+                _by_clock_of(estimate, groundtruth, fit.offset_s, fit.rate), estimate
+            )
+            if not common.enough:
+                break
+            slope = np.gradient(common.groundtruth, common.cell_s)
+            terms = [slope, slope * common.seconds, common.groundtruth, np.ones_like(slope)]
+            columns, weights = np.column_stack(terms), common.known
+            for _ in range(_STEPS):
+                weighted = columns * weights[:, None]
+                inverse = np.linalg.pinv(weighted.T @ columns)
+                fitted = inverse @ (weighted.T @ common.estimate)
+                rest = common.estimate - columns @ fitted
+                usual = median(np.abs(rest[common.known > 0.0]))
+                far = np.abs(rest) / max(_OUTLYING * usual, 1e-12)
+                weights = common.known / np.maximum(1.0, far)
+            if common.turns and not _LEAST_GAIN < fitted[2] < 1.0 / _LEAST_GAIN:
+                return cls(rate, offset_s, np.inf)
+            blocks = np.arange(0, len(rest), max(1, int(_BLOCK_S / common.cell_s)))
+            sums = np.add.reduceat(weighted * rest[:, None], blocks) @ inverse
+            offset_s, rate = fit.offset_s + float(fitted[0]), fit.rate + float(fitted[1])
+            fit = cls(rate, offset_s, float(np.linalg.norm(sums[:, 1])), usual)
+            if abs(rate) < _SIGMAS / 2.0 * fit.sigma:
+                break
+        return fit
 
 
 _LOWEST_RATE, _HIGHEST_RATE = 0.4, 2.5
