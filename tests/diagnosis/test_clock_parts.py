@@ -21,7 +21,6 @@ from trajeval_ros.diagnosis.clock_tests import (
     offsets_of_parts,
     other_rate,
     tamed,
-    unlikeness_ratio,
 )
 from trajeval_ros.diagnosis.findings import Examined
 from trajeval_ros.diagnosis.input_pair import TimedPoses
@@ -106,7 +105,7 @@ def wandering(seed: int = 0, span_s: float = 60.0, step_s: float = 0.05) -> Time
 
 
 @pytest.mark.parametrize("offset_s", [0.0, 2.5, -7.13])
-def test_an_offset_of_clocks_is_found_and_likely(offset_s: float) -> None:
+def test_an_offset_of_clocks_is_found_(offset_s: float) -> None:
     true = wandering()
     own = true[100:1000].shifted(-offset_s)
     match = match_clocks(true, own)
@@ -120,8 +119,6 @@ def test_an_offset_of_clocks_is_found_and_likely(offset_s: float) -> None:
     assert match.speed > 0.97
     assert match.cell_s == 0.05
     assert (match.zero > 0.97) == (offset_s == 0.0)
-    likely = unlikeness_ratio(true, own, offset_s)
-    assert likely < 0.1 or not offset_s
     middles, offsets = offsets_of_parts(match, match.offset_s, 3)
     np.testing.assert_allclose(offsets, offset_s, atol=0.02)
     np.testing.assert_allclose(middles, np.array([7.5, 22.5, 37.5]), atol=0.15)
@@ -144,7 +141,7 @@ def test_eight_seconds_of_common_time_are_needed(span_s: float, *, is_compared: 
     own = wandering(span_s=20.0)
     part = own[: round(span_s / 0.05)]
     assert (match_clocks(own, part) is not None) == is_compared
-    assert np.isfinite(unlikeness_ratio(own, part, 0.0)) == is_compared
+    assert np.isfinite(_RateFit.of(own, part, 0.0, 0.0).sigma) == is_compared
 
 
 def test_one_side_may_be_shorter_than_a_cell_of_the_other() -> None:
@@ -155,7 +152,7 @@ def test_one_side_may_be_shorter_than_a_cell_of_the_other() -> None:
     long = TimedPoses(seconds, own.positions, own.quaternions)
     assert match_clocks(own, long) is None
     assert match_clocks(long, own) is None
-    assert np.isnan(unlikeness_ratio(own, long, 0.0))
+    assert _RateFit.of(own, long, 0.0, 0.0).sigma == np.inf
 
 
 @pytest.mark.parametrize("rate", [0.5, 1.37, 1.907, 2.116])
@@ -315,13 +312,8 @@ def rate_found(
         (0.3, {"sigmas": 4.9}, False),
         (0.3, {"sigmas": 10.1, "turning": np.nan}, True),
         (0.3, {"sigmas": 9.9, "turning": np.nan}, False),
-        (0.3, {"turning": 0.6}, False),
-        (0.3, {"speed": 0.6}, False),
-        (0.3, {"speed": 0.61, "turning": 0.61}, True),
-        (0.5, {"count": 360}, False),
-        (0.5, {"count": 361}, True),
         # A rate that was found already.
-        (0.01, {"found_rate": 1.5, "speed": 0.5, "count": 100}, True),
+        (0.01, {"found_rate": 1.5}, True),
         (-40.0, {"found_rate": 1.5}, False),  # it was wrong
     ],
 )

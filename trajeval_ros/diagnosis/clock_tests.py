@@ -22,8 +22,7 @@ from trajeval_ros.metrics.statistics import median
 _LEAST_CELL_S, _CELLS = 0.05, 4000
 _LEAST_WINDOW_S, _SHORT_WINDOW_S = 0.4, 0.2
 _LEAST_OVERLAP_S, _SHARE_OF_OVERLAP = 8.0, 0.5
-# Largest ratio of unlikeness of a clock correction that is accepted.
-LEAST_LIKELY = 0.8
+_LEAST_LIKELY = 0.8  # of 1 - correlation: largest ratio with and without an offset
 _LOBE_S = 3.0  # on both sides of a peak
 _SEARCH_S = 3.0  # for parts of a run
 _OUTLIERS = 0.02  # fraction of the rates that is limited to the largest of the others
@@ -81,7 +80,7 @@ class ClockMatch:
     @property
     def is_usable(self) -> bool:
         """Whether the offset is better than none: the peak is high, and clearly above zero's."""
-        gain = 1.0 - self.peak < LEAST_LIKELY * (1.0 - self.zero)
+        gain = 1.0 - self.peak < _LEAST_LIKELY * (1.0 - self.zero)
         near = abs(self.offset_s) < SMALL_S
         return self.is_alone and self.peak > USABLE and (near or gain)
 
@@ -129,30 +128,6 @@ def match_clocks(groundtruth: TimedPoses, estimate: TimedPoses) -> ClockMatch | 
     )
 
 
-def unlikeness_ratio(groundtruth: TimedPoses, estimate: TimedPoses, offset_s: float) -> float:
-    """Return the ratio of the differences of two rates with and without an offset's correction.
-
-    It is less than 1 if the correction helps, and NaN if the common time span is shorter than 8 s.
-    A random offset, caused by drift, does not help.
-    """
-    before = _unlikeness(groundtruth, estimate)
-    after = _unlikeness(_by_clock_of(estimate, groundtruth, offset_s, 0.0), estimate)
-    return after / max(before, 1e-12)
-
-
-def _by_clock_of(
-    estimate: TimedPoses, groundtruth: TimedPoses, offset_s: float, rate: float
-) -> TimedPoses:
-    """Return the groundtruth with timestamps of the estimate's clock.
-
-    The estimate keeps its timestamps, so its poses have the same phases on the grid of cells. At
-    another phase, interpolation averages the noise of two poses, and the correlation increases.
-    """
-    start_s = float(estimate.seconds[0])
-    seconds = start_s + (groundtruth.seconds - start_s - offset_s) / (1.0 + rate)
-    return TimedPoses(seconds, groundtruth.positions, groundtruth.quaternions)
-
-
 class _CommonRates(NamedTuple):
     """Angular speeds, or speeds without orientations, of N common cells of a fine grid."""
 
@@ -164,36 +139,28 @@ class _CommonRates(NamedTuple):
     turns: bool  # whether these are angular speeds
 
     @classmethod
-    def of(cls, groundtruth: TimedPoses, estimate: TimedPoses) -> _CommonRates:
-        cell_s = max(_LEAST_CELL_S, estimate.span_s / _CELLS)
-        steps_s = groundtruth.usual_step_s, estimate.usual_step_s
-        window_s = max(_SHORT_WINDOW_S, 2.0 * max(steps_s))
-        epoch_s = float(estimate.seconds[0])
-        ours, true = (
-            MotionRates.of(each, cell_s, window_s, epoch_s) for each in (estimate, groundtruth)
-        )
+    def of(
+        cls, groundtruth: TimedPoses, estimate: TimedPoses, offset_s: float, rate: float
+    ) -> _CommonRates:
+        """Compare the rates by the clock of the estimate, if it has an offset and a rate.
+
+        The estimate keeps its timestamps, so its poses have the same phases on the grid of cells.
+        At another phase, interpolation averages the noise of two poses.
+        """
+        cell_s, start_s = max(_LEAST_CELL_S, estimate.span_s / _CELLS), float(estimate.seconds[0])
+        own_clock = start_s + (groundtruth.seconds - start_s - offset_s) / (1.0 + rate)
+        true_poses = TimedPoses(own_clock, groundtruth.positions, groundtruth.quaternions)
+        sides = estimate, true_poses
+        window_s = max(_SHORT_WINDOW_S, 2.0 * max(each.usual_step_s for each in sides))
+        ours, true = (MotionRates.of(each, cell_s, window_s, start_s) for each in sides)
         begin = max(ours.start, true.start)
         end = max(min(each.start + len(each.known) for each in (ours, true)), begin)
         rows, others = (slice(begin - each.start, end - each.start) for each in (ours, true))
         kind = min(len(ours.rates), len(true.rates)) - 1
         known = ours.known[rows] * true.known[others]
         seconds = cell_s * np.arange(begin, end, dtype=np.float64)
-        sides = true.rates[kind, others], ours.rates[kind, rows]
-        return cls(*sides, known, seconds, cell_s, bool(kind))
-
-    @property
-    def enough(self) -> bool:
-        """Whether the common time span is long enough."""
-        return float(self.known.sum()) * self.cell_s >= _LEAST_OVERLAP_S
-
-
-def _unlikeness(groundtruth: TimedPoses, estimate: TimedPoses) -> float:
-    """Return 1 - correlation of the angular speeds, or of the speeds without orientations."""
-    common = _CommonRates.of(groundtruth, estimate)
-    if not common.enough:
-        return np.nan
-    a, b = (tamed(each, common.known) for each in (common.estimate, common.groundtruth))
-    return 1.0 - float(a @ b) / max(float(np.sqrt((a @ a) * (b @ b))), 1e-12)
+        rates = true.rates[kind, others], ours.rates[kind, rows]
+        return cls(*rates, known, seconds, cell_s, bool(kind))
 
 
 def offsets_of_parts(match: ClockMatch, offset_s: float, parts: int) -> tuple[Floats, Floats]:
@@ -259,7 +226,6 @@ _SIGMAS, _SIGMAS_OF_POSITIONS = 5.0, 10.0
 _STEPS, _BLOCK_S = 3, 1.5  # iterations; time after which residuals are independent
 _OUTLYING = 3.0  # of the median residual, from which on the weight decreases
 _LEAST_GAIN = 0.5  # of angular speeds, and its inverse
-_FEWEST_HZ = 3.0
 
 
 def clock_offset(match: ClockMatch | None, applied_s: float, rate: float) -> Examined:
@@ -277,7 +243,7 @@ def clock_offset(match: ClockMatch | None, applied_s: float, rate: float) -> Exa
         "usable_from": USABLE,
         "cell_s": match.cell_s,
     }
-    gain = 1.0 - match.peak < LEAST_LIKELY * (1.0 - match.zero)
+    gain = 1.0 - match.peak < _LEAST_LIKELY * (1.0 - match.zero)
     far = abs(match.offset_s) > SMALL_S and gain and rate == 1.0
     if not (match.is_alone and far):
         return Examined("clocks", scores)
@@ -316,10 +282,6 @@ def clock_rate(
     name, is_found = "clock rates", found_rate != 1.0
     if match is None or not match.is_alone:
         return Examined(name, why_not="the rates of motion do not match at a common offset")
-    if not is_found and min(np.nan_to_num(match.turning, nan=1.0), match.speed) <= 0.6:
-        return Examined(name, why_not="the correlation of the rates of motion is too low")
-    if not is_found and len(estimate) <= _FEWEST_HZ * estimate.span_s:
-        return Examined(name, why_not="the rate of the estimate is too low")
     parts = int(np.clip(estimate.span_s / _PART_S, _FEWEST_PARTS, _MOST_PARTS))
     times, offsets = offsets_of_parts(match, match.offset_s if is_found else offset_s, parts)
     if len(times) < _FEWEST_PARTS and not is_found:
@@ -372,10 +334,8 @@ class _RateFit(NamedTuple):
         """
         fit = cls(rate, offset_s, np.inf)
         for _ in range(_STEPS):
-            common = _CommonRates.of(
-                _by_clock_of(estimate, groundtruth, fit.offset_s, fit.rate), estimate
-            )
-            if not common.enough:
+            common = _CommonRates.of(groundtruth, estimate, fit.offset_s, fit.rate)
+            if float(common.known.sum()) * common.cell_s < _LEAST_OVERLAP_S:
                 break
             slope = np.gradient(common.groundtruth, common.cell_s)
             terms = [slope, slope * common.seconds, common.groundtruth, np.ones_like(slope)]

@@ -145,7 +145,7 @@ def diagnose(
     examined = [number, *found.examined, frame_offset(evaluation)]
     if all(each.rank < _GRAVE for each in found.findings):
         if _may_be_apart(found):
-            examined.append(small_clock_offset(evaluation, *inputs.in_order))
+            examined.append(small_clock_offset(evaluation))
         examined.append(covariance_blocks(evaluation))
     return Diagnosis.of(examined)
 
