@@ -16,7 +16,7 @@ import numpy as np
 from trajeval_ros.calibration.clock_offset import masked_correlation, refined_peak
 from trajeval_ros.diagnosis.findings import Examined, Seen, Value
 from trajeval_ros.diagnosis.input_pair import TimedPoses, lengths
-from trajeval_ros.geometry.arrays import Booleans, Floats
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.statistics import median
 
 _LEAST_CELL_S, _CELLS = 0.05, 4000
@@ -111,7 +111,8 @@ def match_clocks(groundtruth: TimedPoses, estimate: TimedPoses) -> ClockMatch | 
     shift_s: Floats = cell_s * (lags + true.start - ours.start).astype(np.float64)
     heights = np.where(enough, mean, -1.0)
     at = int(np.argmax(heights))
-    between = refined_peak(heights, at) if _inside(enough, at) else 0.0
+    inside = 0 < at < len(enough) - 1 and enough[at - 1] and enough[at + 1]
+    between = refined_peak(heights, at) if inside else 0.0
     rest = heights[enough & (np.abs(shift_s - shift_s[at]) >= _LOBE_S)]
     as_stamped = int(np.argmin(np.abs(shift_s)))
     known = abs(float(shift_s[as_stamped])) <= cell_s and overlap_s[as_stamped] > 5.0
@@ -209,10 +210,6 @@ def tamed(rate: Floats, known: Floats) -> Floats:
     spread = np.sqrt(np.square(tame).sum(axis=-1, keepdims=True) / number)
     scaled: Floats = tame / np.maximum(spread, np.maximum(1e-9 * high, 1e-12))
     return scaled
-
-
-def _inside(enough: Booleans, at: int) -> bool:
-    return 0 < at < len(enough) - 1 and bool(enough[at - 1] and enough[at + 1])
 
 
 SMALL_S = 0.25  # limit of the test on the finer grid
