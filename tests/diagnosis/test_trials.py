@@ -180,6 +180,15 @@ def test_without_a_smaller_error_no_name_is_preferred() -> None:
     assert not said.correction
 
 
+@pytest.mark.parametrize("mistake", ["Euler order", "compass heading"])
+def test_two_conventions_that_do_not_reduce_the_error_are_not_named(mistake: str) -> None:
+    """In a plane, they can imitate other angles; the compass with another body in addition."""
+    robot = simulated(20277, "robot", "walk", 100.0)
+    [said] = found(USERS[mistake].make(robot)).findings
+    assert said.cause == "rotations"
+    assert not said.correction
+
+
 def test_increments_are_named_where_noise_is_large_beside_steps() -> None:
     wrong = USERS["increments"].make(DRONE)
     noise = np.random.default_rng(0).normal(scale=0.01, size=wrong.estimate.positions.shape)

@@ -41,6 +41,7 @@ def with_tried_advice(found: Diagnosis, before: Evaluation | None, again: Again)
     scores: dict[str, float] = {}
     for finding in found.findings:
         candidates = [each for each in finding.rivals or (finding,) if each.correction]
+        others = [each for each in finding.rivals if not each.correction]
         if not candidates:
             kept.append(finding)
             continue
@@ -52,7 +53,8 @@ def with_tried_advice(found: Diagnosis, before: Evaluation | None, again: Again)
         clean = [each for each in possible if each.is_possible and not each.found.findings]
         if clean and all(each.found.findings for each in trials):
             trials = []
-        if not (trials or clean):  # other mistakes can hide it, too
+        is_double = finding.cause == "conventions"  # a third mistake is unlikely
+        if not (trials or clean or is_double):  # other mistakes can hide it, too
             together = [_with_next(each, steps, before, again) for each in possible[:_MOST]]
             trials = [each for each in together if each is not None]
         if trials:
@@ -60,13 +62,15 @@ def with_tried_advice(found: Diagnosis, before: Evaluation | None, again: Again)
             before = best.evaluation
             kept.append(best.finding)
             steps.append(best.finding.correction)
+        elif others and is_double:
+            kept += others
         elif finding.cause in _HOLD or any(each.is_possible for each in possible):
             # Without a smaller error, no name is better than another that leaves no finding.
             same = {each.finding.sentence for each in clean}
             stated = clean[0].finding if len(same) == 1 else finding
             kept.append(stated.without_advice(was_tried=bool(possible)))
         else:
-            kept += [each for each in finding.rivals if not each.correction]
+            kept += others
     examined = (*found.examined, Examined("tried advice", scores)) if scores else found.examined
     return Diagnosis(tuple(kept), examined)
 
