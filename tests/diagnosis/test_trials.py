@@ -189,6 +189,14 @@ def test_two_conventions_that_do_not_reduce_the_error_are_not_named(mistake: str
     assert not said.correction
 
 
+@pytest.mark.parametrize(("seed", "kind"), [(20276, "car"), (20278, "robot")])
+def test_without_the_body_a_plane_shows_no_convention(seed: int, kind: str) -> None:
+    """Quaternions in another order fit as well as other axes."""
+    vehicle = simulated(seed, kind, "heavy", 100.0)
+    [said] = found(USERS["positions alone converted"].make(vehicle)).findings
+    assert said.cause == "rotations"
+
+
 def test_increments_are_named_where_noise_is_large_beside_steps() -> None:
     wrong = USERS["increments"].make(DRONE)
     noise = np.random.default_rng(0).normal(scale=0.01, size=wrong.estimate.positions.shape)

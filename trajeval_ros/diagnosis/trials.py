@@ -23,6 +23,7 @@ Again: TypeAlias = Callable[[Sequence[Mapping[str, str]]], tuple["Evaluation", D
 _EQUAL = 1.1  # ratio of the errors of two corrections that are equally good
 _MOST = 3  # trials with the next finding
 _LEAST = 1e-9  # an error of zero, for logarithms
+_WITHOUT_BODY = "without the body's rotation"
 # These are measured without their corrections, and hold if the corrections do not help.
 _HOLD = {
     "clock_offset", "clock_drift", "gap_bridged", "restart", "body", "lever_arm", "frozen",
@@ -55,8 +56,12 @@ def with_tried_advice(found: Diagnosis, before: Evaluation | None, again: Again)
             trials = []
         is_double = finding.cause == "conventions"  # a third mistake is unlikely
         if not (trials or clean or is_double):  # other mistakes can hide it, too
-            together = [_with_next(each, steps, before, again) for each in possible[:_MOST]]
+            first = possible[:_MOST]
+            together = [_with_next(each, steps, before, again) for each in first]
             trials = [each for each in together if each is not None]
+            # With an unknown rotation of the body, several names fit the motion in a plane.
+            if len({each.finding.cause for each in first}) > 1:
+                trials = [each for each in trials if each.tried.then != _WITHOUT_BODY]
         if trials:
             best = _selected(finding, trials)
             before = best.evaluation
@@ -152,7 +157,7 @@ def _with_next(
 def _without_body(trial: _Trial, body: Finding) -> _Trial | None:
     """Return a trial that helps but for the rotation of the body, which no trial determines."""
     after = dataclasses.replace(trial.tried.after, rotation_deg=body.evidence["rest_deg"])
-    tried = dataclasses.replace(trial.tried, after=after, then="without the body's rotation")
+    tried = dataclasses.replace(trial.tried, after=after, then=_WITHOUT_BODY)
     return trial.judged(tried) if tried.helps(trial.finding.cause) else None
 
 
