@@ -333,7 +333,7 @@ def lever_arm(as_read: Hypothesis, moving: ShortMotions) -> Examined:
     if length <= _LEAST_LEVER or share <= _LEAST_SHARE:
         return Examined(name, {"lever_m": length, "share": share})
     parts = [each for each in np.array_split(np.flatnonzero(keep), _THIRDS) if len(each) > 10]
-    worst = 1.0 - min(_removed(left[each], rest[each]) for each in parts or [keep])
+    worst = 1.0 - min(_removed(left[each], rest[each]) for each in parts or [np.flatnonzero(keep)])
     levers = [_least_squares(swing[each], left[each], 1e-3) for each in parts]
     apart = max((float(lengths(each - lever)) for each in levers), default=np.inf)
     apart /= max(length, 1e-9)
