@@ -310,8 +310,9 @@ def rate_found(
         (0.101, {"count": 1201}, True),
         (0.3, {"sigmas": 5.1}, True),
         (0.3, {"sigmas": 4.9}, False),
-        (0.3, {"sigmas": 10.1, "turning": np.nan}, True),
-        (0.3, {"sigmas": 9.9, "turning": np.nan}, False),
+        # By speeds.
+        (0.41, {"sigmas": 5.1, "turning": np.nan}, True),
+        (0.39, {"turning": np.nan}, False),
         # A rate that was found already.
         (0.01, {"found_rate": 1.5}, True),
         (-40.0, {"found_rate": 1.5}, False),  # it was wrong

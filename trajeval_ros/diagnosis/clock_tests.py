@@ -218,8 +218,7 @@ _LEAP_S = {18: "GPS time without leap seconds", 19: "GPS against TAI", 37: "TAI 
 _THIRDS, _SAME_OFFSET_S = 3, 0.1
 _PART_S, _FEWEST_PARTS, _MOST_PARTS = 12.0, 4, 12
 _LEAST_GROWTH_S = 0.06
-# Standard deviations of a significant rate; speeds depend on the scale, which drifts.
-_SIGMAS, _SIGMAS_OF_POSITIONS = 5.0, 10.0
+_SIGMAS = 5.0  # standard deviations of a significant rate
 _STEPS, _BLOCK_S = 3, 1.5  # iterations; time after which residuals are independent
 _OUTLYING = 3.0  # of the median residual, from which on the weight decreases
 _LEAST_GAIN = 0.5  # of angular speeds, and its inverse
@@ -287,9 +286,8 @@ def clock_rate(
     if len(times) > 2:
         rate = _slope(times, offsets)
         level = median(offsets - rate * times)
-    sigmas = _SIGMAS_OF_POSITIONS if np.isnan(match.turning) else _SIGMAS
     fit = _RateFit.of(groundtruth, estimate, rate, level)
-    if rate and abs(fit.rate) > sigmas * fit.sigma:  # unless none is a better fit
+    if rate and abs(fit.rate) > _SIGMAS * fit.sigma:  # unless none is a better fit
         without = _RateFit.of(groundtruth, estimate, 0.0, match.offset_s)
         fit = min(fit, without, key=attrgetter("rest"))
     rate, level = fit.rate, fit.offset_s
@@ -298,8 +296,10 @@ def clock_rate(
     growth_s = total * estimate.span_s / found_rate
     scores = {"ppm": 1e6 * rate, "offset_s": level, "growth_s": growth_s, "rate": found_rate}
     scores["sigmas"] = abs(total) / max(fit.sigma, 1e-12)
-    grows = abs(growth_s) > max(_LEAST_GROWTH_S, estimate.usual_step_s)
-    if not (grows and scores["sigmas"] > sigmas):
+    # Speeds of noisy positions are biased, so only a growth beyond their window is certain.
+    least_s = _LEAST_WINDOW_S if np.isnan(match.turning) else _LEAST_GROWTH_S
+    grows = abs(growth_s) > max(least_s, estimate.usual_step_s)
+    if not (grows and scores["sigmas"] > _SIGMAS):
         return Examined(name, scores)
     values: dict[str, Value] = {
         "ppm": 1e6 * total,
