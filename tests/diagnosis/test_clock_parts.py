@@ -342,6 +342,17 @@ def test_a_clock_rate_is_significant(
         assert seen.explained == 1.0 - found.scores["sigmas"] ** -2
 
 
+@pytest.mark.parametrize(("noise_s", "is_seen"), [(0.04, True), (0.045, False)])
+def test_a_rate_of_speeds_grows_beyond_the_noise_of_parts(
+    noise_s: float, monkeypatch: pytest.MonkeyPatch, *, is_seen: bool
+) -> None:
+    wave = noise_s * np.array([1.0, -1.0, 1.0, -1.0, 0.0, 0.0, -1.0, 1.0, -1.0, 1.0])
+    offsets = np.linspace(0.5, 1.0, 10) + wave
+    for turning in (np.nan, 0.9):
+        found = rate_found(monkeypatch, offsets, turning=turning)
+        assert bool(found.seen) == (is_seen or turning == 0.9)
+
+
 def test_a_rate_that_fits_worse_than_none_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
     found = rate_found(monkeypatch, np.linspace(0.5, 0.8, 10), rest=1.1)
     assert not found.seen

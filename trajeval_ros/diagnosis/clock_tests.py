@@ -218,7 +218,7 @@ _LEAP_S = {18: "GPS time without leap seconds", 19: "GPS against TAI", 37: "TAI 
 _THIRDS, _SAME_OFFSET_S = 3, 0.1
 _PART_S, _FEWEST_PARTS, _MOST_PARTS = 12.0, 4, 12
 _LEAST_GROWTH_S = 0.06
-_SIGMAS = 5.0  # standard deviations of a significant rate
+_SIGMAS, _TIMES_NOISE = 5.0, 12.0  # of a significant rate, and of offsets by speeds
 _STEPS, _BLOCK_S = 3, 1.5  # iterations; time after which residuals are independent
 _OUTLYING = 3.0  # of the median residual, from which on the weight decreases
 _LEAST_GAIN = 0.5  # of angular speeds, and its inverse
@@ -296,8 +296,10 @@ def clock_rate(
     growth_s = total * estimate.span_s / found_rate
     scores = {"ppm": 1e6 * rate, "offset_s": level, "growth_s": growth_s, "rate": found_rate}
     scores["sigmas"] = abs(total) / max(fit.sigma, 1e-12)
-    # Speeds of noisy positions are biased, so only a growth beyond their window is certain.
-    least_s = _LEAST_WINDOW_S if np.isnan(match.turning) else _LEAST_GROWTH_S
+    least_s = _LEAST_GROWTH_S
+    if np.isnan(match.turning):  # speeds are biased by noise, and depend on the scale
+        noise_s = median(np.abs(offsets - level - rate * times)) if len(times) else np.inf
+        least_s = max(_LEAST_WINDOW_S, _TIMES_NOISE * noise_s)
     grows = abs(growth_s) > max(least_s, estimate.usual_step_s)
     if not (grows and scores["sigmas"] > _SIGMAS):
         return Examined(name, scores)
