@@ -351,6 +351,7 @@ class _RateFit(NamedTuple):
                 return cls(rate, offset_s, np.inf)
             blocks = np.arange(0, len(rest), max(1, int(_BLOCK_S / common.cell_s)))
             sums = np.add.reduceat(weighted * rest[:, None], blocks) @ inverse
+            sums *= np.sqrt(len(blocks) / max(len(blocks) - len(fitted), 1))
             offset_s, rate = fit.offset_s + float(fitted[0]), fit.rate + float(fitted[1])
             fit = cls(rate, offset_s, float(np.linalg.norm(sums[:, 1])), usual)
             if abs(rate) < _SIGMAS / 2.0 * fit.sigma:
