@@ -47,8 +47,8 @@ def found(pair: Pair) -> Diagnosis:
 
 def verdict(pair: Pair, diagnosis: Diagnosis, causes: Iterable[str]) -> str:
     """Return what became of a mistake."""
-    first = diagnosis.suggested
-    if first is None or _is_known(pair, first.cause):
+    first = next((each for each in diagnosis.findings if not _is_known(pair, each.cause)), None)
+    if first is None:
         return SILENT
     if first.cause in causes:
         return RIGHT

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from trajeval_ros.diagnosis.column_tests import columns_of_others
 from trajeval_ros.diagnosis.findings import Examined
@@ -176,6 +177,17 @@ def test_a_flat_side_has_one_constant_column_while_the_other_has_heights(
     assert (seen.cause, seen.explained) == ("flat", 1.0)
     assert seen.values == {"side": side, "other": another, "axis": axis, "height_m": height_m}
     assert found.scores == {"height_m": height_m}
+
+
+@pytest.mark.parametrize(("roll", "is_seen"), [(0.0, False), (0.0004, False), (0.0006, True)])
+def test_a_side_with_roll_and_pitch_has_heights(roll: float, *, is_seen: bool) -> None:
+    """The roll in radians, on both sides of zero."""
+    columns = np.random.default_rng(2).normal(size=(40, 3)) * [1.0, 1.0, 0.01]
+    turns = Rotation.from_euler("ZX", np.outer(np.linspace(-1.0, 1.0, 40), [2.0, roll]))
+    mounted = turns * Rotation.from_rotvec([0.5, 0.2, 0.1])
+    flat = TimedPoses(np.arange(40.0), columns * [1.0, 1.0, 0.0], mounted.as_quat())
+    found = seen_by("flat", groundtruth=flat, estimate=TimedPoses(np.arange(40.0), columns))
+    assert [each.cause for each in found.seen] == ["flat"] * is_seen
 
 
 def walk(count: int, size: float = 1.0) -> tuple[TimedPoses, Floats]:

@@ -168,21 +168,18 @@ def test_a_body_at_rest_has_no_delay() -> None:
 
 def clocks_of(monkeypatch: pytest.MonkeyPatch, guess: Any, **changed: Any) -> Examined:
     """Return the test for a guess, or by the positions if it is not usable."""
-    count, unlikeness = changed.pop("count", 101), changed.pop("unlikeness", 0.79)
-    late_s = changed.pop("late_s", 0.3)
+    count, late_s = changed.pop("count", 101), changed.pop("late_s", 0.3)
     rule = {"method": "linear", "time_offset_s": 0.0, "max_time_difference_s": 0.02, **changed}
     pairs, aligned = delayed(late_s, count=count)
     pairs.rule = SimpleNamespace(**rule)
     monkeypatch.setattr(evaluation_tests, "_guess", lambda _: guess)
-    monkeypatch.setattr(evaluation_tests, "unlikeness_ratio", lambda *_: unlikeness)
 
     class Pairs(SimpleNamespace):
         def __len__(self) -> int:
             return count
 
     evaluation: Any = SimpleNamespace(association=Pairs(**vars(pairs)), aligned=aligned)
-    nothing: Any = None
-    return small_clock_offset(evaluation, nothing, nothing)
+    return small_clock_offset(evaluation)
 
 
 def guess_of(offset_s: float, signal: str, *, is_usable: bool = True) -> Any:
@@ -200,9 +197,6 @@ def guess_of(offset_s: float, signal: str, *, is_usable: bool = True) -> Any:
         (0.26, "speed", {"method": "nearest", "max_time_difference_s": 0.25}, True),
         (0.24, "speed", {"method": "nearest", "max_time_difference_s": 0.25}, False),
         (0.24, "speed", {"method": "linear", "max_time_difference_s": 0.25}, True),
-        (0.3, "speed", {"unlikeness": 0.79}, True),
-        (0.3, "speed", {"unlikeness": 0.8}, False),
-        (0.3, "speed", {"unlikeness": np.nan}, False),
     ],
 )
 def test_an_offset_of_rates_is_beyond_their_resolution(

@@ -158,6 +158,19 @@ def test_a_groundtruth_in_feet_may_be_a_monocular_estimate(ratio: float, *, is_t
     assert seen.values["gauge"] == ("" if is_told else "sim3")
 
 
+@pytest.mark.parametrize(("spread", "is_told"), [(0.02, False), (0.05, True)])
+def test_a_foot_is_within_the_spread_of_the_scale(spread: float, *, is_told: bool) -> None:
+    """The scale is 4 % off."""
+    ratios = np.exp(np.random.default_rng(3).normal(0.0, spread / 0.84, COUNT))
+    moving = motions(metres=ratios, oriented=False)
+    off = 1.04 / scale_of(moving)[0]
+    moving = motions(metres=ratios * off / 0.3048, oriented=False)
+    found = scale(as_read(moving, moving=0.9), moving, Gauge.YAW)
+    assert found.scores["spread"] == pytest.approx(spread, rel=0.1)
+    [told] = [each.values["or_feet"] for each in found.seen] or [""]
+    assert bool(told) == is_told
+
+
 @pytest.mark.parametrize(("apart", "is_seen"), [(0.33, True), (0.37, False)])
 def test_a_scale_is_the_same_in_all_thirds(apart: float, *, is_seen: bool) -> None:
     """The last third has another one, by a part of the logarithm."""

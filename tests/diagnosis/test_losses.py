@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 from trajeval_ros import AssociationRule, Protocol, evaluate, simulate
-from trajeval_ros.diagnosis import lost_tracking_tests
-from trajeval_ros.diagnosis.findings import Finding
 from trajeval_ros.diagnosis.lost_tracking_tests import (
     begins_at_start,
     is_certain,
@@ -93,22 +91,17 @@ def test_a_loss_within_a_second_is_one_of_the_start(begin_s: float, *, is_at_sta
     assert begins_at_start(loss_of(FROZEN, begin_s, 5.0), pairs) == is_at_start
 
 
-def told(monkeypatch: pytest.MonkeyPatch, *losses: Loss, ate: float | None = 0.25) -> list[Any]:
-    """Return the values of what is seen, with the cause, for this ATE before the loss."""
-    begins: list[int] = []
-    monkeypatch.setattr(
-        lost_tracking_tests, "_ate_before", lambda begin, *_: begins.append(begin) or ate
-    )
+def told(*losses: Loss) -> list[Any]:
+    """Return the values of what is seen, with the cause."""
     pairs = pairs_of(np.zeros(200), np.zeros(200))
-    examined = lost_tracking(losses, pairs, Protocol(), BEGIN - 5 * SECOND)
+    examined = lost_tracking(losses, pairs, BEGIN - 5 * SECOND)
     assert examined.test == "lost tracking"
     assert examined.scores == {"losses": float(len(losses))}
-    assert set(begins) <= {losses[0].begin_ns}
     assert all(each.explained == 1.0 for each in examined.seen)
     return [{"cause": each.cause, **each.values} for each in examined.seen]
 
 
-def test_a_divergence_is_told_from_its_first_begin(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_divergence_is_told_from_its_first_begin() -> None:
     first = loss_of(DIVERGED, 20.0, 26.5, is_over=True)
     values = {
         "cause": "diverged",
@@ -120,17 +113,15 @@ def test_a_divergence_is_told_from_its_first_begin(monkeypatch: pytest.MonkeyPat
         "true_m": 4.0,
         "true_deg": 30.0,
         "moved_m": 9.0,
-        "before": "; the ATE until then is 0.25 m",
-        "ate_before_m": 0.25,
     }
-    assert told(monkeypatch, first) == [values]
+    assert told(first) == [values]
     values["number"] = " (longest of 2 times)"
-    assert told(monkeypatch, first, loss_of(DIVERGED, 40.0, 90.0)) == [values]
+    assert told(first, loss_of(DIVERGED, 40.0, 90.0)) == [values]
 
 
-def test_the_longest_of_frozen_poses_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_longest_of_frozen_poses_is_told() -> None:
     short, long = loss_of(FROZEN, 20.0, 26.5), loss_of(FROZEN, 40.0, 49.0, true_m=7.0)
-    [values] = told(monkeypatch, short, long, short, ate=None)
+    [values] = told(short, long, short)
     assert values == {
         "cause": "frozen",
         "at_s": 45.0,
@@ -141,9 +132,8 @@ def test_the_longest_of_frozen_poses_is_told(monkeypatch: pytest.MonkeyPatch) ->
         "true_m": 7.0,
         "true_deg": 30.0,
         "moved_m": 9.0,
-        "before": "",
     }
-    both = told(monkeypatch, short, loss_of(DIVERGED, 60.0, 99.0))
+    both = told(short, loss_of(DIVERGED, 60.0, 99.0))
     assert [each["cause"] for each in both] == ["diverged", "frozen"]
 
 
@@ -156,34 +146,10 @@ def test_the_longest_of_frozen_poses_is_told(monkeypatch: pytest.MonkeyPatch) ->
         (FROZEN, False, "frozen"),
     ],
 )
-def test_a_loss_of_the_start_has_no_ate_before_it(
-    cause: str, name: str, monkeypatch: pytest.MonkeyPatch, *, is_over: bool
-) -> None:
+def test_a_loss_of_the_start_has_another_name(cause: str, name: str, *, is_over: bool) -> None:
     """An estimate that is frozen from the start to the end has no part after it."""
-    [values] = told(monkeypatch, loss_of(cause, 0.5, 12.0, is_over=is_over))
+    [values] = told(loss_of(cause, 0.5, 12.0, is_over=is_over))
     assert values["cause"] == name
-    assert ("ate_before_m" in values) == (name == "frozen")
-
-
-@pytest.mark.parametrize("rows", [9, 10, 60])
-def test_the_ate_before_a_loss_is_of_the_pairs_until_it(rows: int) -> None:
-    truth = simulate(seed=4, duration_s=30.0).groundtruth[::50]
-    noise = np.random.default_rng(1).normal(scale=0.3, size=truth.positions.shape)
-    estimate = dataclasses.replace(truth, positions=truth.positions + noise)
-    protocol = Protocol(gauge="yaw", lengths=("5m",))
-    pairs = evaluate(truth, estimate, protocol).association
-    begin_ns = int(pairs.estimate.stamps[rows - 1])
-    loss = dataclasses.replace(loss_of(DIVERGED, 0.0, 0.0), begin_ns=begin_ns, end_ns=2 * begin_ns)
-    [seen] = lost_tracking([loss], pairs, protocol, int(truth.stamps[0])).seen
-    assert seen.values["at_s"] == pytest.approx((begin_ns - truth.stamps[0]) / SECOND)
-    assert seen.cause == "diverged"
-    if rows < 10:
-        assert "ate_before_m" not in seen.values
-        return
-    part = evaluate(truth[:rows], estimate[:rows], Protocol(gauge="yaw", lengths=()))
-    assert len(part.association) == rows
-    assert seen.values["ate_before_m"] == pytest.approx(part.ate["position_m"].rmse, rel=1e-9)
-    assert "; the ATE until then is " in Finding.of(seen).sentence
 
 
 def test_pairs_by_row_have_no_losses() -> None:

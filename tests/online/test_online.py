@@ -335,3 +335,21 @@ def test_live_lengths_in_seconds_end_where_offline_ones_do() -> None:
     assert mean is not None
     assert live.count == mean.count > 50
     assert live.position_m == pytest.approx(mean.mean, rel=1e-9)
+
+
+def test_the_last_pair_ends_sub_trajectories_if_no_other_follows() -> None:
+    """Straight along x, 1 m per pair; the last pair is at 4.9 m, as near to 5 m as any."""
+    truth, _ = make_pair(5, 6)
+    places = np.outer([0.0, 1.0, 2.0, 3.0, 4.0, 4.9], [1.0, 0.0, 0.0])
+    truth = dataclasses.replace(truth, positions=places)
+    protocol = Protocol(gauge=Gauge.NONE, lengths=("5m", "2m"))
+    evaluator = OnlineEvaluator(OnlineSettings(protocol))
+    evaluator.add_groundtruth(truth.stamps, rows_of(truth))
+    evaluator.add_estimate(truth.stamps, rows_of(truth))
+    evaluator.update()
+    counts = {key: each.count for key, each in evaluator.snapshot().relative.items()}
+    evaluator.update(at_end=True)
+    at_end = {key: each.count for key, each in evaluator.snapshot().relative.items()}
+    offline = evaluate(truth, truth, protocol).relative or ()
+    assert at_end == {str(each.length): len(each.errors.ends) for each in offline}
+    assert (counts, at_end) == ({"5m": 0, "2m": 3}, {"5m": 1, "2m": 4})

@@ -24,7 +24,6 @@ from trajeval_ros.geometry.arrays import Floats
 
 _SIZE = r"(\d+\.?\d*|\.\d+)"
 _GATE = re.compile(rf"\s*([\w.%]+)\s+worse\s+than\s+{_SIZE}\s*%(\s+untested)?\s*")
-_REMOVED = re.compile(r"worse\s+than\b.*(\d\s*MAD|\s+spread\s)")
 _OTHER_SPAN = 0.01  # relative difference of common time spans that is stated
 _EQUAL = 1e-9  # relative: numbers that differ by less are equal
 
@@ -51,11 +50,6 @@ class Gate:
     def parse(cls, text: str) -> Gate:
         """Parse `ate.position_m.rmse worse than 5 %`; `untested` may follow."""
         match = _GATE.fullmatch(text)
-        if match is None and _REMOVED.search(text):
-            raise SettingsError(
-                f"the gate {text!r} has a condition without an exact test, 'spread' or 'MAD'; "
-                "remove it: 6 sequences or 4 trials on both sides need no such condition"
-            )
         if match is None:
             raise SettingsError(
                 f"the gate {text!r} is not valid; write it as in 'ate.position_m.rmse worse than "
@@ -104,6 +98,7 @@ class GateTrials:
     # By trial name: a key that identical poses share, and the value; inf for a failed run or a run
     # without this number.
     runs: Mapping[str, tuple[Hashable, float]] = field(default_factory=dict)
+    why_failed: str = "the value is missing"  # reason of the first failed run, for a message
 
     @property
     def values(self) -> list[float]:
@@ -121,8 +116,7 @@ class GateTrials:
         Pairs with identical poses count once. `whose` names algorithm and sequence.
         """
         for has, lacks, where in ((self, now, "this comparison"), (now, self, "the baseline")):
-            missing = [repr(name) for name in has.runs if name not in lacks.runs]
-            if missing:
+            if missing := [repr(name) for name in has.runs if name not in lacks.runs]:
                 raise SettingsError(
                     f"--paired needs the same trials on both sides, and {where} has no trial "
                     f"{', '.join(missing)} of {whose}; add these trials or remove --paired"
@@ -184,12 +178,11 @@ class GateValues:
             if row[column] is not None:
                 own = runs[row["algorithm"], row["sequence"]]
                 own[row["trial"]] = own[row["trial"]][0], row[column]
-        return {group: GateTrials(own) for group, own in runs.items()}
-
-    def why_failed(self, group: Group) -> str:
-        """Return the reason of the first failed run of a group, for a message."""
-        reasons = self._by_trial(lambda row: row["status"] != OK and row["reason"])[group]
-        return next(filter(None, reasons.values()), "the value is missing")
+        reasons = self._by_trial(lambda row: row["status"] != OK and row["reason"])
+        return {
+            group: GateTrials(own, *list(filter(None, reasons[group].values()))[:1])
+            for group, own in runs.items()
+        }
 
     def find(self, path: str) -> tuple[dict[str, Sequence[str | None]], str]:
         """Return the rows that a path selects, as allowed values by column, and its column."""

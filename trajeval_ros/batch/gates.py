@@ -97,15 +97,15 @@ class GateVerdict:
         return WORSE if WORSE in found else found.pop() if found else UNDECIDED
 
 
-@dataclass(frozen=True)
-class Failures:
-    """The test whether more runs fail, of groups in both comparisons."""
+@dataclass(frozen=True, kw_only=True)
+class Failures(Verdict):
+    """The test whether more runs fail, of groups in both comparisons.
+
+    The verdict is `more failures` or `undecided`; there is no test for "not more".
+    """
 
     before: Size  # failed and all runs
     now: Size
-    p: float
-    level: float
-    verdict: str  # `more failures` or `undecided`; there is no test for "not more"
 
 
 @dataclass(frozen=True)
@@ -144,10 +144,7 @@ def judge(
     new within pairs.
     """
     sides = [_sides(each, baseline, now, paired=paired and each.tested) for each in gates]
-    verdicts = [
-        _by_medians(gate, each, now, paired=paired)
-        for gate, each in zip(gates, sides, strict=True)
-    ]
+    verdicts = [_by_medians(*each, paired=paired) for each in zip(gates, sides, strict=True)]
     tested = [place for place, each in enumerate(verdicts) if each.undecided]
     if tested:
         made = _tested([verdicts[each] for each in tested], [sides[each] for each in tested],
@@ -163,7 +160,8 @@ def _failures(baseline: GateValues, now: GateValues, level: float) -> Failures:
     old, new = ([np.array(side[each]) for each in both] for side in (before, after))
     sums = [(int(sum(map(np.sum, side))), sum(map(len, side))) for side in (old, new)]
     p = more_failures(old, new) if both else 1.0
-    return Failures(sums[0], sums[1], p, level, MORE_FAILURES if p <= level else UNDECIDED)
+    verdict = MORE_FAILURES if p <= level else UNDECIDED
+    return Failures(verdict=verdict, p=p, level=level, before=sums[0], now=sums[1])
 
 
 def _sides(gate: Gate, baseline: GateValues, now: GateValues, *, paired: bool) -> Sides:
@@ -177,7 +175,7 @@ def _sides(gate: Gate, baseline: GateValues, now: GateValues, *, paired: bool) -
     return made
 
 
-def _by_medians(gate: Gate, sides: Sides, now: GateValues, *, paired: bool) -> GateVerdict:
+def _by_medians(gate: Gate, sides: Sides, *, paired: bool) -> GateVerdict:
     """Return the verdicts without a test, `undecided` if one follows."""
     numbers, copies = [], 0
     for group, (old, new) in sides.items():
@@ -187,7 +185,7 @@ def _by_medians(gate: Gate, sides: Sides, now: GateValues, *, paired: bool) -> G
             verdict = NEW if has_new else FAILED
         elif not has_new:
             verdict = LOST
-            reason = now.why_failed(group) if new.values else "not in this comparison"
+            reason = new.why_failed if new.values else "not in this comparison"
         elif not gate.tested:
             verdict = WORSE if _is_beyond(gate, old, new) else NO_WORSE
         elif paired and not np.isfinite(np.add(old.values, new.values)).any():

@@ -92,15 +92,15 @@ def to_markdown(judgement: Judgement, title: str, remarks: Sequence[str]) -> str
         MORE_FAILURES: "more failed runs",
         NO_WORSE: f"no worse than {' and '.join(margins)}",
     }.get(judgement.verdict, _TEXTS.get(judgement.verdict, judgement.verdict))
-    lines = [f"### {markdown_text(title)}: {head}"]
+    lines, level = [f"### {markdown_text(title)}: {head}"], f"{100 * judgement.false_alarms:g} %"
     lines += [f"**Note:** {markdown_text(each)}." for each in remarks]
     for each in judgement.gates:
         lines += _gate(each, judgement.false_alarms)
     lines.append(_failures(judgement.failures))
     if any(each.gate.tested for each in judgement.gates):
         lines.append(
-            f"Probability of a false alarm: at most {100 * judgement.false_alarms:g} % from "
-            f"values, and {100 * judgement.failures.level:g} % from failed runs."
+            f"Probability of a false alarm: at most {level} from values, and {level} from failed "
+            "runs."
         )
     return "\n\n".join([*lines, ""]).removesuffix("\n")
 

@@ -57,7 +57,7 @@ _TABLE = (
         "diverged",
         9.4,
         "the estimate diverges from {at_s:.1f} s on{until}: it moves {moved_m:.3g} m while the "
-        "groundtruth moves {true_m:.3g} m{before}",
+        "groundtruth moves {true_m:.3g} m",
         "evaluate the part before it",
         {"end": "{at_s:.3f}"},
     ),
@@ -72,7 +72,7 @@ _TABLE = (
         "frozen",
         9.3,
         "the estimate repeats its pose for {lost_s:.1f} s from {at_s:.1f} s on{number}, while the "
-        "groundtruth moves {true_m:.2f} m and {true_deg:.0f} deg{before}",
+        "groundtruth moves {true_m:.2f} m and {true_deg:.0f} deg",
         "evaluate the part before it",
         {"end": "{at_s:.3f}"},
     ),

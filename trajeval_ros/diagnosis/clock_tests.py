@@ -8,20 +8,21 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 
 from trajeval_ros.calibration.clock_offset import masked_correlation, refined_peak
 from trajeval_ros.diagnosis.findings import Examined, Seen, Value
 from trajeval_ros.diagnosis.input_pair import TimedPoses, lengths
-from trajeval_ros.geometry.arrays import Booleans, Floats
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.statistics import median
 
 _LEAST_CELL_S, _CELLS = 0.05, 4000
 _LEAST_WINDOW_S, _SHORT_WINDOW_S = 0.4, 0.2
 _LEAST_OVERLAP_S, _SHARE_OF_OVERLAP = 8.0, 0.5
-# Largest ratio of unlikeness of a clock correction that is accepted.
-LEAST_LIKELY = 0.8
+_LEAST_LIKELY = 0.8  # of 1 - correlation: largest ratio with and without an offset
 _LOBE_S = 3.0  # on both sides of a peak
 _SEARCH_S = 3.0  # for parts of a run
 _OUTLIERS = 0.02  # fraction of the rates that is limited to the largest of the others
@@ -79,7 +80,7 @@ class ClockMatch:
     @property
     def is_usable(self) -> bool:
         """Whether the offset is better than none: the peak is high, and clearly above zero's."""
-        gain = 1.0 - self.peak < LEAST_LIKELY * (1.0 - self.zero)
+        gain = 1.0 - self.peak < _LEAST_LIKELY * (1.0 - self.zero)
         near = abs(self.offset_s) < SMALL_S
         return self.is_alone and self.peak > USABLE and (near or gain)
 
@@ -110,7 +111,8 @@ def match_clocks(groundtruth: TimedPoses, estimate: TimedPoses) -> ClockMatch | 
     shift_s: Floats = cell_s * (lags + true.start - ours.start).astype(np.float64)
     heights = np.where(enough, mean, -1.0)
     at = int(np.argmax(heights))
-    between = refined_peak(heights, at) if _inside(enough, at) else 0.0
+    inside = 0 < at < len(enough) - 1 and enough[at - 1] and enough[at + 1]
+    between = refined_peak(heights, at) if inside else 0.0
     rest = heights[enough & (np.abs(shift_s - shift_s[at]) >= _LOBE_S)]
     as_stamped = int(np.argmin(np.abs(shift_s)))
     known = abs(float(shift_s[as_stamped])) <= cell_s and overlap_s[as_stamped] > 5.0
@@ -127,57 +129,39 @@ def match_clocks(groundtruth: TimedPoses, estimate: TimedPoses) -> ClockMatch | 
     )
 
 
-def unlikeness_ratio(
-    groundtruth: TimedPoses,
-    estimate: TimedPoses,
-    offset_s: float,
-    rate: float = 0.0,
-    *,
-    known_s: float = 0.0,
-) -> float:
-    """Return the ratio of the differences of two rates with and without a clock's correction.
+class _CommonRates(NamedTuple):
+    """Angular speeds, or speeds without orientations, of N common cells of a fine grid."""
 
-    It is less than 1 if the correction helps, and NaN if the common time span is shorter than 8 s.
-    A random offset, caused by drift, does not help. The correction is `offset_s` and `rate`, a
-    fraction; `known_s` is the offset that is applied without it.
-    """
-    before = _unlikeness(_by_clock_of(estimate, groundtruth, known_s, 0.0), estimate)
-    after = _unlikeness(_by_clock_of(estimate, groundtruth, offset_s, rate), estimate)
-    return after / max(before, 1e-12)
+    groundtruth: Floats  # (N,)
+    estimate: Floats  # (N,)
+    known: Floats  # (N,) 1 where both are known, else 0
+    seconds: Floats  # (N,) since the estimate's first pose
+    cell_s: float
+    turns: bool  # whether these are angular speeds
 
+    @classmethod
+    def of(
+        cls, groundtruth: TimedPoses, estimate: TimedPoses, offset_s: float, rate: float
+    ) -> _CommonRates:
+        """Compare the rates by the clock of the estimate, if it has an offset and a rate.
 
-def _by_clock_of(
-    estimate: TimedPoses, groundtruth: TimedPoses, offset_s: float, rate: float
-) -> TimedPoses:
-    """Return the groundtruth with timestamps of the estimate's clock.
-
-    The estimate keeps its timestamps, so its poses have the same phases on the grid of cells. At
-    another phase, interpolation averages the noise of two poses, and the correlation increases.
-    """
-    start_s = float(estimate.seconds[0])
-    seconds = start_s + (groundtruth.seconds - start_s - offset_s) / (1.0 + rate)
-    return TimedPoses(seconds, groundtruth.positions, groundtruth.quaternions)
-
-
-def _unlikeness(groundtruth: TimedPoses, estimate: TimedPoses) -> float:
-    """Return 1 - correlation of the angular speeds, or of the speeds without orientations."""
-    cell_s = max(_LEAST_CELL_S, estimate.span_s / _CELLS)
-    window_s = max(_SHORT_WINDOW_S, 2.0 * groundtruth.usual_step_s, 2.0 * estimate.usual_step_s)
-    epoch_s = float(estimate.seconds[0])
-    ours, true = (
-        MotionRates.of(each, cell_s, window_s, epoch_s) for each in (estimate, groundtruth)
-    )
-    begin = max(ours.start, true.start)
-    end = min(ours.start + len(ours.known), true.start + len(true.known))
-    rows, others = (
-        slice(begin - each.start, max(end, begin) - each.start) for each in (ours, true)
-    )
-    known = ours.known[rows] * true.known[others]
-    if known.sum() * cell_s < _LEAST_OVERLAP_S:
-        return np.nan
-    kind = min(len(ours.rates), len(true.rates)) - 1
-    a, b = tamed(ours.rates[kind, rows], known), tamed(true.rates[kind, others], known)
-    return 1.0 - float(a @ b) / max(float(np.sqrt((a @ a) * (b @ b))), 1e-12)
+        The estimate keeps its timestamps, so its poses have the same phases on the grid of cells.
+        At another phase, interpolation averages the noise of two poses.
+        """
+        cell_s, start_s = max(_LEAST_CELL_S, estimate.span_s / _CELLS), float(estimate.seconds[0])
+        own_clock = start_s + (groundtruth.seconds - start_s - offset_s) / (1.0 + rate)
+        true_poses = TimedPoses(own_clock, groundtruth.positions, groundtruth.quaternions)
+        sides = estimate, true_poses
+        window_s = max(_SHORT_WINDOW_S, 2.0 * max(each.usual_step_s for each in sides))
+        ours, true = (MotionRates.of(each, cell_s, window_s, start_s) for each in sides)
+        begin = max(ours.start, true.start)
+        end = max(min(each.start + len(each.known) for each in (ours, true)), begin)
+        rows, others = (slice(begin - each.start, end - each.start) for each in (ours, true))
+        kind = min(len(ours.rates), len(true.rates)) - 1
+        known = ours.known[rows] * true.known[others]
+        seconds = cell_s * np.arange(begin, end, dtype=np.float64)
+        rates = true.rates[kind, others], ours.rates[kind, rows]
+        return cls(*rates, known, seconds, cell_s, bool(kind))
 
 
 def offsets_of_parts(match: ClockMatch, offset_s: float, parts: int) -> tuple[Floats, Floats]:
@@ -228,19 +212,16 @@ def tamed(rate: Floats, known: Floats) -> Floats:
     return scaled
 
 
-def _inside(enough: Booleans, at: int) -> bool:
-    return 0 < at < len(enough) - 1 and bool(enough[at - 1] and enough[at + 1])
-
-
 SMALL_S = 0.25  # limit of the test on the finer grid
 USABLE = 0.8  # least correlation of an offset that other tests apply
 _LEAP_S = {18: "GPS time without leap seconds", 19: "GPS against TAI", 37: "TAI against UTC"}
 _THIRDS, _SAME_OFFSET_S = 3, 0.1
 _PART_S, _FEWEST_PARTS, _MOST_PARTS = 12.0, 4, 12
-_LEAST_GROWTH_S, _LEAST_RATE = 0.06, 5e-5
-_TIMES_NOISE, _TIMES_NOISE_OF_POSITIONS = 5.0, 8.0
-_STRAIGHTER = 2.5
-_FEWEST_HZ = 3.0
+_LEAST_GROWTH_S = 0.06
+_SIGMAS, _TIMES_NOISE = 5.0, 12.0  # of a significant rate, and of offsets by speeds
+_STEPS, _BLOCK_S = 3, 1.5  # iterations; time after which residuals are independent
+_OUTLYING = 3.0  # of the median residual, from which on the weight decreases
+_LEAST_GAIN = 0.5  # of angular speeds, and its inverse
 
 
 def clock_offset(match: ClockMatch | None, applied_s: float, rate: float) -> Examined:
@@ -258,7 +239,7 @@ def clock_offset(match: ClockMatch | None, applied_s: float, rate: float) -> Exa
         "usable_from": USABLE,
         "cell_s": match.cell_s,
     }
-    gain = 1.0 - match.peak < LEAST_LIKELY * (1.0 - match.zero)
+    gain = 1.0 - match.peak < _LEAST_LIKELY * (1.0 - match.zero)
     far = abs(match.offset_s) > SMALL_S and gain and rate == 1.0
     if not (match.is_alone and far):
         return Examined("clocks", scores)
@@ -294,68 +275,88 @@ def clock_rate(
 
     The estimate's time since its start was multiplied by `found_rate`.
     """
-    name = "clock rates"
-    if match is not None and found_rate != 1.0:
-        rest, level = _rest(estimate, match)
-        # The estimate has the first factor already.
-        scores = {"ppm": 1e6 * rest, "offset_s": level, "peak": match.peak, "rate": found_rate}
-        values = _values(
-            found_rate * (1.0 + rest) - 1.0, level, applied_s, estimate.span_s / found_rate
-        )
-        return Examined(name, scores, (Seen("clock_drift", match.peak, values),))
+    name, is_found = "clock rates", found_rate != 1.0
     if match is None or not match.is_alone:
         return Examined(name, why_not="the rates of motion do not match at a common offset")
-    turns = not np.isnan(match.turning)
-    if min(match.turning if turns else 1.0, match.speed) <= 0.6:
-        return Examined(name, why_not="the correlation of the rates of motion is too low")
-    if len(estimate) <= _FEWEST_HZ * estimate.span_s:
-        return Examined(name, why_not="the rate of the estimate is too low")
     parts = int(np.clip(estimate.span_s / _PART_S, _FEWEST_PARTS, _MOST_PARTS))
-    times, offsets = offsets_of_parts(match, offset_s, parts)
-    if len(times) < _FEWEST_PARTS:
+    times, offsets = offsets_of_parts(match, match.offset_s if is_found else offset_s, parts)
+    if len(times) < _FEWEST_PARTS and not is_found:
         return Examined(name, why_not="too few parts of the run determine an offset")
-    rate = _slope(times, offsets)
-    level = median(offsets - rate * times)
-    noise_s = _spread(offsets - level - rate * times)
-    constant_s = _spread(offsets - median(offsets))
-    growth_s = rate * float(times[-1] - times[0])
-    scores = {"ppm": 1e6 * rate, "growth_s": growth_s, "noise_s": noise_s, "offset_s": level}
-    limit_s = (_TIMES_NOISE if turns else _TIMES_NOISE_OF_POSITIONS) * noise_s
-    grows = abs(growth_s) > max(limit_s, _LEAST_GROWTH_S) and abs(rate) > _LEAST_RATE
-    if not (grows and constant_s > _STRAIGHTER * noise_s):
+    rate, level = 0.0, match.offset_s
+    if len(times) > 2:
+        rate = _slope(times, offsets)
+        level = median(offsets - rate * times)
+    fit = _RateFit.of(groundtruth, estimate, rate, level)
+    if rate and abs(fit.rate) > _SIGMAS * fit.sigma:  # unless none is a better fit
+        without = _RateFit.of(groundtruth, estimate, 0.0, match.offset_s)
+        fit = min(fit, without, key=attrgetter("rest"))
+    rate, level = fit.rate, fit.offset_s
+    # The estimate has the first factor already.
+    total = found_rate * (1.0 + rate) - 1.0
+    growth_s = total * estimate.span_s / found_rate
+    scores = {"ppm": 1e6 * rate, "offset_s": level, "growth_s": growth_s, "rate": found_rate}
+    scores["sigmas"] = abs(total) / max(fit.sigma, 1e-12)
+    least_s = _LEAST_GROWTH_S
+    if np.isnan(match.turning):  # speeds are biased by noise, and depend on the scale
+        noise_s = median(np.abs(offsets - level - rate * times)) if len(times) else np.inf
+        least_s = max(_LEAST_WINDOW_S, _TIMES_NOISE * noise_s)
+    grows = abs(growth_s) > max(least_s, estimate.usual_step_s)
+    if not (grows and scores["sigmas"] > _SIGMAS):
         return Examined(name, scores)
-    scores["unlikeness"] = unlikeness_ratio(groundtruth, estimate, level, rate, known_s=offset_s)
-    if not scores["unlikeness"] < LEAST_LIKELY:
-        return Examined(name, scores)
-    # Within the parts, the offset grew, too.
-    scaled = estimate.shifted(0.0, rate)
-    again = match_clocks(groundtruth, scaled)
-    if again is not None:
-        rest, scores["offset_s"] = _rest(scaled, again)
-        rate += (1.0 + rate) * rest
-        scores["ppm"] = 1e6 * rate
-    values = _values(rate, scores["offset_s"], applied_s, estimate.span_s)
-    explained = 1.0 - (noise_s / constant_s) ** 2
+    values: dict[str, Value] = {
+        "ppm": 1e6 * total,
+        "growth_ms": 1e3 * growth_s,
+        "offset_s": level,
+        "total_s": applied_s + level,
+    }
+    explained = 1.0 - scores["sigmas"] ** -2
     return Examined(name, scores, (Seen("clock_drift", explained, values),))
 
 
-def _rest(estimate: TimedPoses, match: ClockMatch) -> tuple[float, float]:
-    """Return the rate and the offset (s) that parts of the run have besides the applied rate."""
-    parts = int(np.clip(estimate.span_s / _PART_S, _FEWEST_PARTS, _MOST_PARTS))
-    times, offsets = offsets_of_parts(match, match.offset_s, parts)
-    if len(times) <= 2:
-        return 0.0, match.offset_s
-    rest = _slope(times, offsets)
-    return rest, median(offsets - rest * times)
+class _RateFit(NamedTuple):
+    """A clock rate and an offset that fit the rates of motion."""
 
+    rate: float
+    offset_s: float
+    sigma: float  # standard deviation of the rate; inf if it is not determined
+    rest: float = np.inf  # usual residual
 
-def _values(rate: float, offset_s: float, applied_s: float, span_s: float) -> dict[str, Value]:
-    return {
-        "ppm": 1e6 * rate,
-        "growth_ms": 1e3 * rate * span_s,
-        "offset_s": offset_s,
-        "total_s": applied_s + offset_s,
-    }
+    @classmethod
+    def of(
+        cls, groundtruth: TimedPoses, estimate: TimedPoses, rate: float, offset_s: float
+    ) -> _RateFit:
+        """Fit from a start; angular speeds that are not those of one body determine no rate.
+
+        If a rate r and an offset o are left, the speeds a of the estimate and b of the groundtruth
+        are a = k b + c + (o + r t) b', which is linear in (o, r, k, c). Residuals are correlated
+        within blocks of time only, whose sums give the covariance (White, 1980).
+        """
+        fit = cls(rate, offset_s, np.inf)
+        for _ in range(_STEPS):
+            common = _CommonRates.of(groundtruth, estimate, fit.offset_s, fit.rate)
+            if float(common.known.sum()) * common.cell_s < _LEAST_OVERLAP_S:
+                break
+            slope = np.gradient(common.groundtruth, common.cell_s)
+            terms = [slope, slope * common.seconds, common.groundtruth, np.ones_like(slope)]
+            columns, weights = np.column_stack(terms), common.known
+            for _ in range(_STEPS):
+                weighted = columns * weights[:, None]
+                inverse = np.linalg.pinv(weighted.T @ columns)
+                fitted = inverse @ (weighted.T @ common.estimate)
+                rest = common.estimate - columns @ fitted
+                usual = median(np.abs(rest[common.known > 0.0]))
+                far = np.abs(rest) / max(_OUTLYING * usual, 1e-12)
+                weights = common.known / np.maximum(1.0, far)
+            if common.turns and not _LEAST_GAIN < fitted[2] < 1.0 / _LEAST_GAIN:
+                return cls(rate, offset_s, np.inf)
+            blocks = np.arange(0, len(rest), max(1, int(_BLOCK_S / common.cell_s)))
+            sums = np.add.reduceat(weighted * rest[:, None], blocks) @ inverse
+            sums *= np.sqrt(len(blocks) / max(len(blocks) - len(fitted), 1))
+            offset_s, rate = fit.offset_s + float(fitted[0]), fit.rate + float(fitted[1])
+            fit = cls(rate, offset_s, float(np.linalg.norm(sums[:, 1])), usual)
+            if abs(rate) < _SIGMAS / 2.0 * fit.sigma:
+                break
+        return fit
 
 
 _LOWEST_RATE, _HIGHEST_RATE = 0.4, 2.5
@@ -411,8 +412,3 @@ def _slope(times: Floats, offsets: Floats) -> float:
     rows = np.array(list(itertools.combinations(range(len(times)), 2)))
     steps = offsets[rows[:, 1]] - offsets[rows[:, 0]]
     return median(steps / (times[rows[:, 1]] - times[rows[:, 0]]))
-
-
-def _spread(offsets: Floats) -> float:
-    """Return a standard deviation from the median, plus 4 ms, the resolution of an offset."""
-    return 1.48 * median(np.abs(offsets)) + 0.004

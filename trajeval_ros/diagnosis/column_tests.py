@@ -6,9 +6,11 @@ import numpy as np
 
 from trajeval_ros.diagnosis.findings import Examined, Seen, Value
 from trajeval_ros.diagnosis.input_pair import InputPair, TimedPoses, lengths
+from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, extents
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.geometry.trajectory_edits import every_nth
 from trajeval_ros.metrics.statistics import median
 
 _FEWEST = 12
@@ -17,6 +19,7 @@ _SAME_SPAN = 1.5  # ratio of durations of the same run
 _METRES_PER_DEG, _FACTOR = 111_320.0, 4.0  # of latitude; of longitude it is less
 _DEGREES, _LEAST_M = 0.1, 1.0  # largest extent in degrees, least motion
 _FLAT = 0.05  # least rms height of the other side, as a fraction of its extent
+_TILTS, _ENOUGH = 1e-3, 2000  # least change of a body's vertical axis, of so many poses
 _STEPS_ALIKE, _STEPS_WITHIN, _SMALL, _TOGETHER = 0.8, 2.0, 0.5, 10
 
 
@@ -55,15 +58,22 @@ def _degrees(sides: dict[str, TimedPoses], sizes: dict[str, Floats]) -> Examined
 
 
 def _flat(sides: dict[str, TimedPoses], sizes: dict[str, Floats], gauge: Gauge) -> Examined:
-    """Test for a constant column of one side while the other side moves in space."""
+    """Test for a constant column of one side while the other side moves in space.
+
+    A side with roll and pitch is three-dimensional, and has a height that is not constant.
+    """
     constant = {side: size == 0.0 for side, size in sizes.items()}
     for side, other in (("groundtruth", "estimate"), ("estimate", "groundtruth")):
         if np.count_nonzero(constant[side]) != 1 or constant[other].any():
             continue
         height, extent = float(sides[other].positions[:, 2].std()), sides[other].extent
-        if gauge is not Gauge.PLANAR and height > _FLAT * extent:
-            axis = "xyz"[int(np.argmax(constant[side]))]
-            names: dict[str, Value] = {"side": side, "other": other, "axis": axis}
+        axis, turns = constant[side].astype(np.float64), sides[side].quaternions
+        tilts = 0.0
+        if turns is not None:
+            vertical = lie.rotate(lie.conjugate(turns[every_nth(len(turns), _ENOUGH)]), axis)
+            tilts = float(np.linalg.norm(extents(vertical)))
+        if gauge is not Gauge.PLANAR and (tilts > _TILTS or height > _FLAT * extent):
+            names: dict[str, Value] = {"side": side, "other": other, "axis": "xyz"[axis.argmax()]}
             seen = Seen("flat", 1.0, {**names, "height_m": height})
             return Examined("flat", {"height_m": height}, (seen,))
     return Examined("flat")

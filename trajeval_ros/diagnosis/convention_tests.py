@@ -29,7 +29,6 @@ from trajeval_ros.diagnosis.hypotheses import (
     improper_permutations,
     mean_rotation,
     moment,
-    shorter_if_inverted,
     sizes_apart,
 )
 from trajeval_ros.diagnosis.input_pair import lengths
@@ -253,8 +252,6 @@ def _seen(
     found: list[Seen] = []
     counts: dict[tuple[str, str], int] = {}
     for each in fitting:
-        if each.cause == INVERSE and each.side != shorter_if_inverted(moving):
-            continue
         key = each.cause, each.side
         counts[key] = counts.get(key, 0) + 1
         if counts[key] <= _MOST_OPTIONS:

@@ -139,13 +139,13 @@ def diagnose(
     number = number_of_pairs(protocol, pairs, evaluation.groundtruth, evaluation.estimate)
     losses = losses_in(pairs) if losses is None else losses
     inputs = InputPair.of(groundtruth, estimate, protocol, time_offset_s=time_offset_s)
-    found, is_lost = _tested_where_tracked(losses, pairs, inputs, protocol)
+    found, is_lost = _tested_where_tracked(losses, pairs, inputs)
     if is_lost:
         return Diagnosis.of([number, *found.examined])
     examined = [number, *found.examined, frame_offset(evaluation)]
     if all(each.rank < _GRAVE for each in found.findings):
         if _may_be_apart(found):
-            examined.append(small_clock_offset(evaluation, *inputs.in_order))
+            examined.append(small_clock_offset(evaluation))
         examined.append(covariance_blocks(evaluation))
     return Diagnosis.of(examined)
 
@@ -162,12 +162,12 @@ def diagnose_inputs(
         return _tested(InputPair.of(groundtruth, estimate, protocol))
     number = number_of_pairs(protocol, pairs, groundtruth, estimate)
     inputs = InputPair.of(groundtruth, estimate, protocol)
-    found, _ = _tested_where_tracked(losses_in(pairs), pairs, inputs, protocol)
+    found, _ = _tested_where_tracked(losses_in(pairs), pairs, inputs)
     return Diagnosis.of([number, *found.examined])
 
 
 def _tested_where_tracked(
-    losses: Sequence[Loss], pairs: Association, inputs: InputPair, protocol: Protocol
+    losses: Sequence[Loss], pairs: Association, inputs: InputPair
 ) -> tuple[Diagnosis, bool]:
     """Report losses, and apply the other tests to the rest, since a loss looks like most mistakes.
 
@@ -192,7 +192,7 @@ def _tested_where_tracked(
     if not known:
         return found, False
     first_ns = int(inputs.groundtruth.stamps.min())
-    lost = lost_tracking(known, pairs, protocol, first_ns)
+    lost = lost_tracking(known, pairs, first_ns)
     # Lost messages look like keyframes.
     rest = [each for each in found.examined if each.test != "keyframes"]
     return Diagnosis.of([lost, *rest]), True
@@ -306,26 +306,21 @@ def _tests_of_motion(inputs: InputPair) -> list[Examined]:
             rate, match = other_rate(groundtruth, estimate, match)
             estimate = estimate.shifted(0.0, rate - 1.0)
         examined += [clock_offset(match, inputs.time_offset_s, rate)]
-        offset_s = _offset_of(match, examined[-1])
+        offset_s = 0.0
+        if match is not None and (examined[-1].seen or match.is_usable):
+            offset_s = match.offset_s
         if defect:
             drift = Examined("clock rates", why_not="the groundtruth has defects")
         else:
             drift = clock_rate(groundtruth, estimate, match, offset_s, inputs.time_offset_s, rate)
         examined.append(drift)
-        if drift.seen:  # which includes an offset
+        if drift.seen or rate != 1.0:  # which includes an offset
             examined[-2] = dataclasses.replace(examined[-2], seen=())
             estimate = estimate.shifted(drift.scores["offset_s"], 1e-6 * drift.scores["ppm"])
         else:
             estimate = estimate.shifted(offset_s)
     examined.append(velocities(groundtruth, estimate))
     return [*examined, *_tests_of_geometry(inputs, groundtruth, estimate, match)]
-
-
-def _offset_of(match: ClockMatch | None, clocks: Examined) -> float:
-    """Return the offset between the clocks that other tests apply, seconds."""
-    if match is None:
-        return 0.0
-    return match.offset_s if clocks.seen or match.is_usable else 0.0
 
 
 def _tests_of_geometry(

@@ -8,9 +8,7 @@ import numpy as np
 
 from trajeval_ros.calibration.clock_offset import OffsetGuess, guess_offset
 from trajeval_ros.consistency.constant_covariances import constant_covariances
-from trajeval_ros.diagnosis.clock_tests import LEAST_LIKELY, unlikeness_ratio
 from trajeval_ros.diagnosis.findings import Examined, Seen, Value
-from trajeval_ros.diagnosis.input_pair import TimedPoses
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
@@ -113,10 +111,11 @@ _EXPLAINED = 0.5
 _LATE_S = 0.020
 
 
-def small_clock_offset(
-    evaluation: Evaluation, groundtruth: TimedPoses, estimate: TimedPoses
-) -> Examined:
-    """Test for a small offset, by rates of motion or by errors along the velocity."""
+def small_clock_offset(evaluation: Evaluation) -> Examined:
+    """Test for a small offset, by rates of motion or by errors along the velocity.
+
+    Drift causes random offsets. A trial shows that they do not reduce the errors.
+    """
     pairs = evaluation.association
     rule = pairs.rule
     few = len(pairs) < _FEWEST_STATES or pairs.estimate.duration_s < _SHORTEST_S
@@ -130,9 +129,6 @@ def small_clock_offset(
         # Timestamps of pairs may differ by the limit of the association.
         within_s = 0.0 if rule.method in INTERPOLATING else rule.max_time_difference_s
         if abs(apart_s) <= max(_LEAST_S[guess.signal], step_s / 2.0, within_s):
-            return Examined(_CLOCKS, scores)
-        scores["unlikeness"] = unlikeness_ratio(groundtruth, estimate, apart_s)
-        if not scores["unlikeness"] < LEAST_LIKELY:
             return Examined(_CLOCKS, scores)
         how = f"the {guess.signal}s match best"
     else:

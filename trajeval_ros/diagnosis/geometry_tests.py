@@ -40,7 +40,8 @@ _UNITS = {
     "inches": (0.0254, 0.1),
     "feet": (0.3048, 0.1),
 }
-_FOOT_OF_GROUNDTRUTH = 0.015  # the scale of a monocular estimate is often as near to it
+# The scale of a monocular estimate is often as near to a foot, so this adds to its spread.
+_FOOT_OF_GROUNDTRUTH = 0.015
 _FAST_M = 200.0  # in a short motion: no body that is localised is as fast
 _STEADY_GAIN = 0.8
 # Ratios of a plane's thickness and a line's width to the length; rotation about the normal.
@@ -75,8 +76,7 @@ def scale(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examined:
         return Examined(name, why_not="displacements do not agree")
     found, spread = scale_of(moving)
     true, ours = moving.true_steps, moving.steps @ as_read.turned.T
-    before = float(np.sum((true - ours) ** 2))
-    gain = 1.0 - float(np.sum((true - found * ours) ** 2)) / max(before, 1e-300)
+    gain = _removed(true - ours, true - found * ours)
     off = abs(float(np.log(found)))
     scores = {"scale": found, "spread": spread, "gain": gain}
     values: dict[str, Value] = {"scale": found, "or_feet": "", "or_convert": "", "gauge": "sim3"}
@@ -85,7 +85,7 @@ def scale(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examined:
     if off > _DIVERGED:
         moved = {"true_m": float(lengths(true).sum()), "moved_m": float(lengths(ours).sum())}
         return Examined(name, scores, (Seen("diverged_at_start", 1.0, {"until": "", **moved}),))
-    unit = _unit_of(found, moving)
+    unit = _unit_of(found, spread, moving)
     if unit is not None and (unit["side"], unit["unit"]) == ("groundtruth", "feet"):
         # A monocular estimate may have this scale, too.
         convert = " (--gauge sim3), or convert feet: trajeval trajectory SOURCE --scale 0.3048"
@@ -109,12 +109,12 @@ def scale(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examined:
     return Examined(name, scores)
 
 
-def _unit_of(scale: float, moving: ShortMotions) -> dict[str, Value] | None:
+def _unit_of(scale: float, spread: float, moving: ShortMotions) -> dict[str, Value] | None:
     """Return the unit of one side, from metres per unit of the estimate; None for no unit."""
     for name, (metres, within) in _UNITS.items():
         for side, found in (("estimate", scale), ("groundtruth", 1.0 / scale)):
             if (side, name) == ("groundtruth", "feet"):
-                within = _FOOT_OF_GROUNDTRUTH
+                within = min(within, math.hypot(spread, _FOOT_OF_GROUNDTRUTH))
             if abs(float(np.log(found / metres))) > within:
                 continue
             # Millimetres of one side are kilometres of the other.
@@ -283,19 +283,21 @@ def body(as_read: Hypothesis, moving: ShortMotions) -> Examined:
         return Examined(name, why_not="one side has no orientations")
     if as_read.turning <= 0.8 or as_read.cost >= 2.0 * (1.0 - _AGREE):
         return Examined(name, why_not="motions do not agree")
-    mean, rest = _constant(_between_bodies(moving, as_read.turned))
+    true, aligned = _aligned(moving, as_read.turned)
+    mean, rest = _constant(lie.multiply(lie.conjugate(aligned), true))
     angle = float(np.degrees(lie.angle(mean)))
     # A rotation of the world has the same effect, unless the body rotates.
-    true = moving.groundtruth_turned[0]
-    aligned = lie.multiply(lie.from_matrix(as_read.turned), moving.estimate_turned[0])
     worlds = _constant(lie.multiply(true, lie.conjugate(aligned)))[1]
     scores = {"angle_deg": angle, "rest_deg": rest, "rest_of_worlds_deg": worlds}
     limit = _BODY_DEG if worlds > 2.0 * rest else _BODY_OR_WORLD_DEG
     if angle <= limit or rest >= angle / 3.0:
         return Examined(name, scores)
     # Drift rotates the world, so the world of every third is fitted separately.
-    parts = [mean_rotation(_between_bodies(each, each.world())) for each in moving.thirds]
-    apart = [lie.angle(lie.multiply(lie.conjugate(mean), each)) for each in parts]
+    apart = []
+    for each in moving.thirds:
+        true, aligned = _aligned(each, each.world())
+        part = mean_rotation(lie.multiply(lie.conjugate(aligned), true))
+        apart.append(lie.angle(lie.multiply(lie.conjugate(mean), part)))
     scores["thirds_apart"] = float(np.degrees(max(apart))) / angle
     if scores["thirds_apart"] >= _ALIKE:
         return Examined(name, scores)
@@ -310,13 +312,10 @@ def lever_arm(as_read: Hypothesis, moving: ShortMotions) -> Examined:
         return Examined(name, why_not="one side has no orientations")
     if as_read.turning <= 0.8 or as_read.cost >= 2.0 * (1.0 - _AGREE):
         return Examined(name, why_not="motions do not agree")
-    found = scale_of(moving)[0]
-    found = found if abs(np.log(found)) > 0.1 else 1.0
-    left = moving.true_steps - found * moving.steps @ as_read.turned.T
-    ours = moving.steps @ as_read.turned.T
-    by_scale = 1.0 - _squares(moving.true_steps - scale_of(moving)[0] * ours) / max(
-        _squares(moving.true_steps - ours), 1e-300
-    )
+    ratio, ours = scale_of(moving)[0], moving.steps @ as_read.turned.T
+    found = ratio if abs(np.log(ratio)) > 0.1 else 1.0
+    left = moving.true_steps - found * ours
+    by_scale = _removed(moving.true_steps - ours, moving.true_steps - ratio * ours)
     # On a circle, a scale error equals a lever arm to the centre.
     if found == 1.0 and by_scale > _BY_SCALE:
         return Examined(name, {"by_scale": by_scale}, why_not="a scale explains the same error")
@@ -326,16 +325,15 @@ def lever_arm(as_read: Hypothesis, moving: ShortMotions) -> Examined:
     lever = np.zeros(3)
     for _ in range(2):  # the second time without outliers of the first fit
         lever = _least_squares(swing[keep], left[keep], 1e-4)
-        rest = lengths(left - swing @ lever)
-        keep = rest < 6.0 * median(rest) + 1e-9
-    before, after = left[keep], (left - swing @ lever)[keep]
-    share = 1.0 - _squares(after) / max(_squares(before), 1e-300)
+        size = lengths(left - swing @ lever)
+        keep = size < 6.0 * median(size) + 1e-9
+    rest = left - swing @ lever
+    share = _removed(left[keep], rest[keep])
     length = float(np.linalg.norm(lever))
     if length <= _LEAST_LEVER or share <= _LEAST_SHARE:
         return Examined(name, {"lever_m": length, "share": share})
     parts = [each for each in np.array_split(np.flatnonzero(keep), _THIRDS) if len(each) > 10]
-    rest, some = left - swing @ lever, parts or [np.flatnonzero(keep)]
-    worst = max(_squares(rest[each]) / max(_squares(left[each]), 1e-300) for each in some)
+    worst = 1.0 - min(_removed(left[each], rest[each]) for each in parts or [np.flatnonzero(keep)])
     levers = [_least_squares(swing[each], left[each], 1e-3) for each in parts]
     apart = max((float(lengths(each - lever)) for each in levers), default=np.inf)
     apart /= max(length, 1e-9)
@@ -356,16 +354,17 @@ def _least_squares(swing: Floats, left: Floats, damping: float) -> Floats:
     return np.asarray(np.linalg.solve(normal, rows.T @ left.ravel()))
 
 
-def _squares(vectors: Floats) -> float:
-    return float(np.sum(vectors**2))
+def _removed(before: Floats, after: Floats) -> float:
+    """Return the fraction of the squared lengths of vectors (N, 3) that is removed."""
+    return 1.0 - float(np.sum(after**2)) / max(float(np.sum(before**2)), 1e-300)
 
 
-def _between_bodies(moving: ShortMotions, turned: Floats) -> Floats:
-    """Return the rotations (N, 4) between the bodies' axes at the starts of N motions."""
+def _aligned(moving: ShortMotions, turned: Floats) -> tuple[Floats, Floats]:
+    """Return the orientations (N, 4) of both bodies at the starts of N motions, in one world."""
     assert moving.groundtruth_turned is not None
     assert moving.estimate_turned is not None
     aligned = lie.multiply(lie.from_matrix(turned), moving.estimate_turned[0])
-    return lie.multiply(lie.conjugate(aligned), moving.groundtruth_turned[0])
+    return moving.groundtruth_turned[0], aligned
 
 
 def _constant(quaternions: Floats) -> tuple[Floats, float]:

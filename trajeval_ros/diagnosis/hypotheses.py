@@ -354,19 +354,6 @@ def improper_permutations() -> Floats:
     return mirrors[order]
 
 
-def shorter_if_inverted(motions: ShortMotions) -> str:
-    """Return the side with the larger decrease of path length by inversion."""
-    gains = []
-    for positions, quaternions in (
-        (motions.estimate, motions.estimate_turned),
-        (motions.groundtruth, motions.groundtruth_turned),
-    ):
-        before = float(lengths(positions[1] - positions[0]).sum())
-        after = float(lengths(_steps_if_inverted(positions, quaternions)).sum())
-        gains.append(after / max(before, 1e-12))
-    return ESTIMATE if gains[0] < gains[1] else GROUNDTRUTH
-
-
 def mean_rotation(quaternions: Floats) -> Floats:
     """Return the quaternion (4,) nearest to N of them, (N, 4), of either sign."""
     return np.asarray(np.linalg.eigh(quaternions.T @ quaternions)[1][:, -1])

@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from trajeval_ros.diagnosis.findings import Examined, Seen, Value
-from trajeval_ros.exceptions import TrajevalError
-from trajeval_ros.formatting.numbers import with_unit
 from trajeval_ros.geometry.arrays import extents
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.metrics.evaluation import evaluate_pairs
 from trajeval_ros.metrics.lost_tracking import losses_of
 from trajeval_ros.metrics.tracking_loss import DIVERGED, FROZEN, Loss
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.arrays import Floats
     from trajeval_ros.metrics.association import Association
-    from trajeval_ros.metrics.protocol import Protocol
 
 _TEST = "lost tracking"
 _START_S = 1.0  # a loss within this time after the first pair is one of the start
-_FEWEST = 10  # pairs before a loss, for their ATE
+_FEWEST = 10  # pairs before a loss, for the size of their path
 # Of the size of the groundtruth's path. Inverse poses have up to twice its size.
 _UNBOUNDED = 3.0
 _LARGE_PART, _LARGE = 0.2, 1.5  # of the run, and of the groundtruth's path
@@ -71,13 +66,8 @@ def _size(positions: Floats) -> float:
     return float(np.linalg.norm(extents(positions)))
 
 
-def lost_tracking(
-    losses: Sequence[Loss], pairs: Association, protocol: Protocol, first_ns: int
-) -> Examined:
-    """Report losses, with the ATE until the first one.
-
-    Times are since `first_ns`, the groundtruth's first timestamp.
-    """
+def lost_tracking(losses: Sequence[Loss], pairs: Association, first_ns: int) -> Examined:
+    """Report losses, by times since `first_ns`, the groundtruth's first timestamp."""
     seen = []
     for kind in (DIVERGED, FROZEN):
         some = [each for each in losses if each.cause == kind]
@@ -96,28 +86,9 @@ def lost_tracking(
             "true_m": told.true_m,
             "true_deg": told.true_deg,
             "moved_m": told.moved_m,
-            "before": "",
         }
         cause = kind
         if begins_at_start(told, pairs) and (told.is_over or kind == DIVERGED):
             cause = f"{kind}_at_start"
-        elif (ate := _ate_before(losses[0].begin_ns, pairs, protocol)) is not None:
-            before = f"; the ATE until then is {with_unit(ate, 'm')}"
-            values |= {"ate_before_m": ate, "before": before}
         seen.append(Seen(cause, 1.0, values))
     return Examined(_TEST, {"losses": float(len(losses))}, tuple(seen))
-
-
-def _ate_before(begin_ns: int, pairs: Association, protocol: Protocol) -> float | None:
-    """Return the position ATE of the pairs until a loss, metres; None if there are too few."""
-    rows = pairs.estimate.stamps <= begin_ns
-    if np.count_nonzero(rows) < _FEWEST:
-        return None
-    sides = pairs.groundtruth[rows], pairs.estimate[rows]
-    part = dataclasses.replace(pairs, groundtruth=sides[0], estimate=sides[1])
-    plain = dataclasses.replace(protocol, lengths=(), score=None, recall=None, ate_form="plain")
-    try:
-        found = evaluate_pairs(part, *sides, plain).ate["position_m"]
-    except TrajevalError:
-        return None
-    return None if found is None else found.rmse

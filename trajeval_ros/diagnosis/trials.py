@@ -23,6 +23,7 @@ Again: TypeAlias = Callable[[Sequence[Mapping[str, str]]], tuple["Evaluation", D
 _EQUAL = 1.1  # ratio of the errors of two corrections that are equally good
 _MOST = 3  # trials with the next finding
 _LEAST = 1e-9  # an error of zero, for logarithms
+_WITHOUT_BODY = "without the body's rotation"
 # These are measured without their corrections, and hold if the corrections do not help.
 _HOLD = {
     "clock_offset", "clock_drift", "gap_bridged", "restart", "body", "lever_arm", "frozen",
@@ -41,6 +42,7 @@ def with_tried_advice(found: Diagnosis, before: Evaluation | None, again: Again)
     scores: dict[str, float] = {}
     for finding in found.findings:
         candidates = [each for each in finding.rivals or (finding,) if each.correction]
+        others = [each for each in finding.rivals if not each.correction]
         if not candidates:
             kept.append(finding)
             continue
@@ -52,21 +54,28 @@ def with_tried_advice(found: Diagnosis, before: Evaluation | None, again: Again)
         clean = [each for each in possible if each.is_possible and not each.found.findings]
         if clean and all(each.found.findings for each in trials):
             trials = []
-        if not (trials or clean):  # other mistakes can hide it, too
-            together = [_with_next(each, steps, before, again) for each in possible[:_MOST]]
+        is_double = finding.cause == "conventions"  # a third mistake is unlikely
+        if not (trials or clean or is_double):  # other mistakes can hide it, too
+            first = possible[:_MOST]
+            together = [_with_next(each, steps, before, again) for each in first]
             trials = [each for each in together if each is not None]
+            # With an unknown rotation of the body, several names fit the motion in a plane.
+            if len({each.finding.cause for each in first}) > 1:
+                trials = [each for each in trials if each.tried.then != _WITHOUT_BODY]
         if trials:
             best = _selected(finding, trials)
             before = best.evaluation
             kept.append(best.finding)
             steps.append(best.finding.correction)
+        elif others and is_double:
+            kept += others
         elif finding.cause in _HOLD or any(each.is_possible for each in possible):
-            # Without a smaller error, no name is better than another that is possible.
-            same = {each.finding.sentence for each in possible if each.is_possible}
-            stated = clean[0].finding if clean and len(same) == 1 else finding
+            # Without a smaller error, no name is better than another that leaves no finding.
+            same = {each.finding.sentence for each in clean}
+            stated = clean[0].finding if len(same) == 1 else finding
             kept.append(stated.without_advice(was_tried=bool(possible)))
         else:
-            kept += [each for each in finding.rivals if not each.correction]
+            kept += others
     examined = (*found.examined, Examined("tried advice", scores)) if scores else found.examined
     return Diagnosis(tuple(kept), examined)
 
@@ -148,7 +157,7 @@ def _with_next(
 def _without_body(trial: _Trial, body: Finding) -> _Trial | None:
     """Return a trial that helps but for the rotation of the body, which no trial determines."""
     after = dataclasses.replace(trial.tried.after, rotation_deg=body.evidence["rest_deg"])
-    tried = dataclasses.replace(trial.tried, after=after, then="without the body's rotation")
+    tried = dataclasses.replace(trial.tried, after=after, then=_WITHOUT_BODY)
     return trial.judged(tried) if tried.helps(trial.finding.cause) else None
 
 
