@@ -24,6 +24,7 @@ from trajeval_ros.geometry.arrays import Floats
 
 _SIZE = r"(\d+\.?\d*|\.\d+)"
 _GATE = re.compile(rf"\s*([\w.%]+)\s+worse\s+than\s+{_SIZE}\s*%(\s+untested)?\s*")
+_REMOVED = re.compile(r"worse\s+than\b.*(\d\s*MAD|\s+spread\s)")
 _OTHER_SPAN = 0.01  # relative difference of common time spans that is stated
 _EQUAL = 1e-9  # relative: numbers that differ by less are equal
 
@@ -50,6 +51,11 @@ class Gate:
     def parse(cls, text: str) -> Gate:
         """Parse `ate.position_m.rmse worse than 5 %`; `untested` may follow."""
         match = _GATE.fullmatch(text)
+        if match is None and _REMOVED.search(text):
+            raise SettingsError(
+                f"the gate {text!r} has a condition without an exact test, 'spread' or 'MAD'; "
+                "remove it: 6 sequences or 4 trials on both sides need no such condition"
+            )
         if match is None:
             raise SettingsError(
                 f"the gate {text!r} is not valid; write it as in 'ate.position_m.rmse worse than "
