@@ -136,11 +136,8 @@ def test_samples_are_evaluated_after_a_fifth_of_a_second() -> None:
 
 def test_states_that_are_no_poses_are_neither_used_nor_recorded() -> None:
     seen: list[np.ndarray] = []
-
-    def record(*columns: np.ndarray) -> None:
-        seen.append(columns[0])
-
-    live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0, record, record)
+    live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
+    live.record = lambda truth, messages: seen.extend([truth[0], messages[0]])  # type: ignore[method-assign]
     stamps = np.arange(4) * 10**9
     rows = np.hstack([states_on(stamps), np.ones((4, 3))])
     rows[1, 0] = np.nan

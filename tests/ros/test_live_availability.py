@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from live_runs import ESTIMATE, GROUNDTRUTH, Live, QueueSource
+from live_runs import ESTIMATE, GROUNDTRUTH, Live
 from ros_bags import (
     ODOM,
     PATH,
@@ -18,18 +19,19 @@ from ros_bags import (
     Message,
     messages_of,
     path_message,
+    transforms_message,
     write_messages,
 )  # fmt: skip
 from ros_processes import GROUNDTRUTH as TRUTH
 from ros_processes import ODOMETRY, Peer, assert_same, evaluating, offline
 
-from trajeval_ros import simulate
+from trajeval_ros import Trajectory, simulate
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.up_axis import Z_UP
 from trajeval_ros.io.live.reception_file import read_received
 from trajeval_ros.metrics.as_available import AvailabilityRule
-from trajeval_ros.ros.live_estimate import LiveEstimate
-from trajeval_ros.ros.marker_body import MarkerBody
-from trajeval_ros.ros.transform_stream import TransformStream
 
 FLIGHT = simulate(seed=5, duration_s=20.0)
 CLOCK, CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
@@ -44,10 +46,46 @@ def received(estimate: list[Message], seed: int = 0) -> list[Message]:
     return [(*each[:2], at, each[3]) for each, at in zip(estimate, times, strict=True)]
 
 
+def twisting(flight: Trajectory, rate: float = 0.3) -> Trajectory:
+    """Return a trajectory with velocities and turn rates that are about right."""
+    rates = rate * np.sin(np.arange(3 * len(flight)).reshape(-1, 3) / 7.0)
+    reading = Reading(receptions=Receptions(flight.stamps, body_rates=rates))
+    velocities = np.gradient(flight.positions, flight.stamps / 1e9, axis=0)
+    return replace(flight, velocities=velocities, reading=reading)
+
+
+def corrected(flight: Trajectory, topic: str, seed: int) -> list[Message]:
+    """Return a trajectory as transforms of odom to base, and rare ones of map to odom.
+
+    Corrections have timestamps over a second apart and, as those of AMCL, in the future. One
+    timestamp of the others is isolated. No message arrives after a newer one, because the pairs
+    of a live run are without such transforms.
+    """
+    assert flight.quaternions is not None
+    random = np.random.default_rng(seed)
+    rows = zip(flight.stamps.tolist(), flight.positions, flight.quaternions, strict=True)
+    transforms = [(at, ("odom", "base", at, *pose)) for at, *pose in rows]
+    begin, end = flight.stamps[[0, -1]].tolist()
+    turns = lie.from_rotation_vector(random.normal(scale=0.05, size=(20, 3)))
+    for row, at in enumerate(range(begin, end, 1_700_000_000)):
+        moved = random.normal(scale=0.5, size=3)
+        transforms.append((at + 20_000_000, ("map", "odom", at + 10**9, moved, turns[row])))
+    at, (*frames, stamp, moved, turn) = transforms[len(flight) // 2]
+    transforms[len(flight) // 2] = at, (*frames, stamp + 10**16, moved, turn)
+    transforms = sorted(transforms, key=lambda each: each[0])
+    times = sorted(
+        random.integers(15_000_000, 150_000_000, len(transforms)) + [a for a, _ in transforms]
+    )
+    rows = zip(times, transforms, strict=True)
+    return [(topic, TRANSFORMS, int(at), transforms_message(each)) for at, (_, each) in rows]
+
+
 def feed_of(kind: str) -> list[Message]:
     truth = messages_of(FLIGHT.groundtruth, GROUNDTRUTH, POSE)
+    if kind == TRANSFORMS:
+        return sorted([*truth, *corrected(FLIGHT.estimate, ESTIMATE, seed=3)], key=lambda m: m[2])
     if kind != PATH:
-        estimate = messages_of(FLIGHT.estimate, ESTIMATE, kind)
+        estimate = messages_of(twisting(FLIGHT.estimate), ESTIMATE, kind)
     else:
         stamps = FLIGHT.estimate.stamps.tolist()
         columns = FLIGHT.estimate.positions, FLIGHT.estimate.quaternions
@@ -64,7 +102,17 @@ def feed_of(kind: str) -> list[Message]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "motion"), [(ODOM, "hold"), (POSE, "constant"), (PATH, "hold")])
+@pytest.mark.parametrize(
+    ("kind", "motion"),
+    [
+        (ODOM, "hold"),
+        (POSE, "constant"),
+        (ODOM, "twist"),
+        (PATH, "hold"),
+        (TRANSFORMS, "hold"),
+        (TRANSFORMS, "constant"),
+    ],
+)
 def test_finish_has_the_numbers_of_a_recording(kind: str, motion: str, tmp_path: Path) -> None:
     feed = feed_of(kind)
     write_messages(tmp_path / "bag", feed)
@@ -72,13 +120,40 @@ def test_finish_has_the_numbers_of_a_recording(kind: str, motion: str, tmp_path:
     for each in feed:
         live.feed([each])
     live.end()
-    expected = offline(tmp_path / "bag", tmp_path, GROUNDTRUTH, [ESTIMATE], *OPTIONS, motion)
+    estimate = f"{ESTIMATE}:map.base" if kind == TRANSFORMS else ESTIMATE
+    expected = offline(tmp_path / "bag", tmp_path, GROUNDTRUTH, [estimate], *OPTIONS, motion)
     [run], [recorded] = live.result["runs"], expected["runs"]
     found, wanted = run["as_available"], recorded["as_available"]
     assert (found.pop("received"), wanted.pop("received")) == ("node", "log")
     assert_same(found, wanted)
-    if kind != PATH:
+    assert wanted["why_withheld"] == ""
+    if kind == TRANSFORMS:
+        assert wanted["corrections"]["age_s"]["mean"] > 0.5
+    elif kind != PATH:
         assert wanted["late_messages"] > 0.05 * len(FLIGHT.estimate)
+
+
+@pytest.mark.parametrize("kind", [POSE, ODOM])
+def test_without_a_twist_one_sentence_withholds_the_numbers(kind: str, tmp_path: Path) -> None:
+    """Also of odometry with zeros, as of drivers that measure none."""
+    live = Live(tmp_path / "live", kind, available=AvailabilityRule("twist"))
+    truth = messages_of(FLIGHT.groundtruth, GROUNDTRUTH, POSE)
+    still = replace(FLIGHT.estimate, velocities=None)
+    feed = [*truth, *received(messages_of(still, ESTIMATE, kind))]
+    live.feed(sorted(feed, key=lambda each: each[2])[:1200])
+    estimate = live.run.estimates[0]
+    errors, alignment = estimate.availability, estimate.evaluator.alignment
+    assert errors is not None
+    assert alignment is not None
+    assert errors.update(alignment.similarity) is None
+    assert errors.numbers == {}
+    [told] = errors.remarks
+    said = "the messages have no twist; use --as-available constant"
+    assert told.text == f"as available: {said}"
+    live.end()
+    [run] = live.result["runs"]
+    assert run["as_available"]["why_withheld"] == said
+    assert run["as_available"]["position_m"] is None
 
 
 def test_without_the_setting_nothing_is_written(tmp_path: Path) -> None:
@@ -88,17 +163,6 @@ def test_without_the_setting_nothing_is_written(tmp_path: Path) -> None:
     live.end()
     assert not list(live.folder.glob("*.received"))
     assert live.result["runs"][0]["as_available"] is None
-
-
-def test_transforms_have_no_receptions_live_and_say_so(tmp_path: Path) -> None:
-    live = Live(tmp_path / "live", ODOM, available=AvailabilityRule("hold"))
-    source: Any = QueueSource("/tf:map.base", TRANSFORMS)
-    source.stream = TransformStream("/tf:map.base", "map", "base")
-    clock = live.run.estimates[0].clock
-    estimate = LiveEstimate(source, live._settings, tmp_path, MarkerBody(), clock, {})
-    assert estimate.availability is None
-    [told] = [each for each in estimate.status.remarks if each.code == "reception_clock"]
-    assert "evaluate a bag" in told.text
 
 
 TICK_NS, PAUSE_NS = 10_000_000, 750_000_000

@@ -155,10 +155,7 @@ def as_available(
     times, clock = judged_receptions(stamps, receptions.times, rule.receive_clock)
     recording_s = receptions.recording_s
     known = replace(known, received=receptions.by, clock=clock, recording_s=recording_s)
-    if not clock.is_usable:
-        return AsAvailable(replace(known, why_withheld=clock.sentence))
-    if rule.motion == TWIST and (receptions.body_rates is None or estimate.velocities is None):
-        said = "the messages have no twist; use --as-available constant"
+    if said := why_withheld(estimate, clock, rule.motion):
         return AsAvailable(replace(known, why_withheld=said))
     messages = Messages.of(similarity.trajectory(estimate), times, rule.motion, offset_ns)
     stamps = instants(int(groundtruth.stamps[0]), int(groundtruth.stamps[-1]))
@@ -170,6 +167,23 @@ def as_available(
     lacking = len(stamps) - before - len(samples.stamps)
     known = replace(known, without_groundtruth=lacking, time_to_first_pose_s=before / RATE_HZ)
     return AsAvailable(_with_numbers(known, samples), samples)
+
+
+def why_withheld(
+    estimate: Trajectory, clock: ReceptionClock, motion: str, *, has_moved: bool = False
+) -> str:
+    """Return why there are no errors of an estimate with receptions; empty if there are.
+
+    Many drivers leave the twist zero. `has_moved`: whether an earlier message had a velocity.
+    """
+    if not clock.is_usable:
+        return clock.sentence
+    receptions, velocities = estimate.reading.receptions, estimate.velocities
+    rates = None if receptions is None else receptions.body_rates
+    has_twist = rates is not None and velocities is not None and np.isfinite(rates).all()
+    if motion == TWIST and not (has_twist and (has_moved or np.any(velocities))):
+        return "the messages have no twist; use --as-available constant"
+    return ""
 
 
 def _with_numbers(known: Availability, samples: AvailableSamples) -> Availability:

@@ -6,11 +6,13 @@ after newer ones are never in use, so nothing changes it afterwards.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from trajeval_ros.formatting.remarks import Remark, warning
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 from trajeval_ros.geometry.gauge import Similarity
@@ -18,8 +20,9 @@ from trajeval_ros.geometry.reading import NOT_READ, Reading
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
-from trajeval_ros.metrics.as_available import AvailabilityRule
+from trajeval_ros.metrics.as_available import AvailabilityRule, why_withheld
 from trajeval_ros.metrics.availability import (
+    HOLD,
     RATE_HZ,
     RECENT,
     STEP_NS,
@@ -33,8 +36,13 @@ from trajeval_ros.metrics.reception_clock import ReceptionClock, judged_receptio
 from trajeval_ros.metrics.statistics import quantile
 from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.state_buffer import NEVER, StateBuffer, usable_rows
+from trajeval_ros.online.state_rows import POSITION, QUATERNION, VELOCITY, WIDTH
 
-_POSE = 7  # columns of a row
+Columns = Sequence[NDArray[Any]]
+_POSE, _STATE = QUATERNION.stop, WIDTH + 3  # columns of groundtruth, and of messages with a twist
+_NO_STAMPS = np.empty(0, np.int64)
+_NO_TRUTH: Columns = _NO_STAMPS, np.empty((0, _POSE))
+_NO_MESSAGES: Columns = _NO_STAMPS, _NO_STAMPS, _NO_STAMPS, np.empty((0, _STATE))
 _RECENT_SAMPLES = 10 * RATE_HZ
 _AT_ONCE_NS = 20 * STEP_NS  # an evaluation has a fixed cost, whatever the number of samples
 
@@ -42,24 +50,16 @@ _AT_ONCE_NS = 20 * STEP_NS  # an evaluation has a fixed cost, whatever the numbe
 class LiveAvailability:
     """Computes the as-available errors of one estimate, in bounded memory."""
 
-    def __init__(
-        self,
-        rule: AvailabilityRule,
-        max_gap_s: float,
-        max_delay_s: float,
-        record_groundtruth: Callable[[Stamps, Floats], object] = lambda *_: None,
-        record_estimate: Callable[[Stamps, Stamps, Floats], object] = lambda *_: None,
-    ) -> None:
-        """Create it without messages; the last two are called with all usable ones."""
+    def __init__(self, rule: AvailabilityRule, max_gap_s: float, max_delay_s: float) -> None:
+        """Create it without messages."""
         self._rule, self._max_gap_s = rule, max_gap_s
         self._delay_ns = round(min(max_delay_s, 3600.0) * NANOSECONDS)
-        self._record_groundtruth, self._record_estimate = record_groundtruth, record_estimate
-        # Columns since the last call of `store`.
-        self._new_truth: list[tuple[Stamps, Floats]] = []
-        self._new_messages: list[tuple[Stamps, Stamps, Floats]] = []
-        self._truth, no_stamps = StateBuffer(_POSE), np.empty(0, dtype=np.int64)
-        # Timestamps, receptions and poses of the messages that later samples can use.
-        self._messages: tuple[Any, ...] = no_stamps, no_stamps, np.empty((0, _POSE))
+        # Since the last call of `store`.
+        self._new_truth: list[Columns] = [_NO_TRUTH]
+        self._new_messages: list[Columns] = [_NO_MESSAGES]
+        self._truth = StateBuffer(_POSE)
+        self._messages = _NO_MESSAGES  # those that later samples can use
+        self._has_moved = False  # whether a message had a velocity
         self._next = self._seen = NEVER  # next sample; newest groundtruth at the last evaluation
         self._ages_s, self._is_late = np.empty(0), False
         # Of the last update, by topic and as samples; none if it has none.
@@ -67,6 +67,7 @@ class LiveAvailability:
         self.newest: AvailableSamples | None = None
         # Comparison of the recent receptions with timestamps; None before the first.
         self.clock: ReceptionClock | None = None
+        self.why_withheld = ""  # why there are no errors now
         self.missed = 0  # number of spans with ages above the deadline so far
         self.age_p95_s: float | None = None  # 95th percentile of the ages of the newest 10 s
 
@@ -74,27 +75,46 @@ class LiveAvailability:
         """Take groundtruth states: timestamps (N,), nanoseconds, and rows (N, 7 or more)."""
         self._new_truth.append((stamps, rows[:, :_POSE]))
 
-    def add_estimate(self, stamps: Stamps, times: Stamps, rows: Floats) -> None:
-        """Take messages: timestamps and receptions (N,), nanoseconds, and rows (N, 7 or more).
+    def add_estimate(
+        self,
+        stamps: Stamps,
+        times: Stamps,
+        rows: Floats,
+        body_rates: Floats | None = None,
+        corrected: Stamps | None = None,
+    ) -> None:
+        """Take messages.
 
-        Messages with an unknown time of reception are left out.
+        Args:
+            stamps: Timestamps, (N,), nanoseconds.
+            times: Receptions, (N,), nanoseconds. Messages with unknown ones are left out.
+            rows: States (N, 7 or more), as in `online.state_rows`.
+            body_rates: As in `Receptions`, (N, 3); NaN if not measured.
+            corrected: As in `Receptions`, (N,).
         """
-        self._new_messages.append((stamps, times, rows[:, :_POSE]))
+        wide = np.full((len(stamps), _STATE), np.nan)
+        wide[:, : min(rows.shape[1], WIDTH)] = rows[:, :WIDTH]
+        if body_rates is not None:
+            wide[:, WIDTH:] = body_rates
+        unknown = np.full(len(stamps), UNKNOWN)
+        corrected = unknown if corrected is None else corrected
+        self._new_messages.append((stamps, times, corrected, wide))
+
+    def record(self, groundtruth: Columns, messages: Columns) -> None:
+        """Receive the usable columns of `store`."""
 
     def store(self) -> None:
-        """Record the usable states since the last call, all together because of the cost."""
-        if self._new_truth:
-            truth = list(map(np.concatenate, zip(*self._new_truth, strict=True)))
-            truth = [each[usable_rows(truth[1])[0]] for each in truth]
-            self._truth.merge(*truth)
-            self._record_groundtruth(*truth)
-        if self._new_messages:
-            new = list(map(np.concatenate, zip(*self._new_messages, strict=True)))
-            usable = usable_rows(new[2])[0] & (new[1] != UNKNOWN)
-            new = [each[usable] for each in new]
-            self._messages = tuple(map(np.concatenate, zip(self._messages, new, strict=True)))
-            self._record_estimate(*new)
-        self._new_truth, self._new_messages = [], []
+        """Take the usable states since the last call, all together because of the cost."""
+        if len(self._new_truth) == len(self._new_messages) == 1:
+            return
+        truth, new = _joined(self._new_truth), _joined(self._new_messages)
+        truth = tuple(each[usable_rows(truth[-1])[0]] for each in truth)
+        new = tuple(each[usable_rows(new[-1])[0] & (new[1] != UNKNOWN)] for each in new)
+        self._new_truth, self._new_messages = [_NO_TRUTH], [_NO_MESSAGES]
+        self._truth.merge(*truth)
+        self._messages = _joined([self._messages, new])
+        self._has_moved |= bool(np.nan_to_num(new[-1][:, VELOCITY]).any())
+        self.record(truth, new)
 
     def update(self, similarity: Similarity | None, offset_ns: int = 0) -> AvailableSamples | None:
         """Return the samples that are final now, under the present alignment; None if none.
@@ -103,7 +123,7 @@ class LiveAvailability:
         """
         self.store()
         self.newest, self.numbers = None, {}
-        (stamps, times, rows), last = self._messages, self._truth.newest
+        (stamps, times, *_), last = self._messages, self._truth.newest
         if last < self._seen + _AT_ONCE_NS:
             return None
         self._seen = last
@@ -111,10 +131,12 @@ class LiveAvailability:
             self._forget(times >= times.max(initial=0) - self._delay_ns, last - self._delay_ns)
             return None
         _, self.clock = judged_receptions(stamps + offset_ns, times)
-        truth = received_states(*self._truth.held)
-        reading = Reading(receptions=Receptions(times, "node"))
-        estimate = similarity.trajectory(received_states(stamps, rows, reading))
-        messages = Messages.of(estimate, times, self._rule.motion, offset_ns)
+        truth, estimate = received_groundtruth(self._truth.held), received_poses(self._messages)
+        motion = self._rule.motion
+        self.why_withheld = why_withheld(estimate, self.clock, motion, has_moved=self._has_moved)
+        if self.why_withheld:
+            motion = HOLD  # what is no longer needed is forgotten all the same
+        messages = Messages.of(similarity.trajectory(estimate), times, motion, offset_ns)
         known = min(int(times.max()), int(messages.stamps[-1])) - 1
         first = max(self._next, int(truth.stamps[0]))
         final = instants(first, min(last, max(known, last - self._delay_ns)))
@@ -124,10 +146,11 @@ class LiveAvailability:
         have = final[in_use(messages, final) >= 0]
         samples = sampled(truth, messages, have, self._max_gap_s)
         # Keep what the next sample can use, and the messages before that.
-        used = int(in_use(messages, np.array([self._next]))[0])
-        kept = times >= messages.times[max(used - RECENT - 1, 0)]
-        self._forget(kept, min(int(messages.stamps[max(used, 0)]), self._next))
-        if len(samples.stamps) and self.clock.is_usable:
+        used = max(int(in_use(messages, np.array([self._next]))[0]), 0)
+        before = np.unique(messages.stamps[: used + 1])[-RECENT - 2 :]
+        kept = times >= messages.times[messages.stamps.searchsorted(before[0])]
+        self._forget(kept, min(int(messages.stamps[used]), self._next))
+        if len(samples.stamps) and not self.why_withheld:
             self._see(samples)
         return self.newest
 
@@ -156,6 +179,12 @@ class LiveAvailability:
         self.age_p95_s = quantile(np.sort(self._ages_s), 0.95)
 
     @property
+    def remarks(self) -> list[Remark]:
+        """The warning about withheld errors."""
+        said = f"as available: {self.why_withheld}"
+        return [warning("reception_clock", said)] if self.why_withheld else []
+
+    @property
     def values(self) -> dict[str, Any]:
         """The values for diagnostics, by name and unit."""
         return {
@@ -165,10 +194,26 @@ class LiveAvailability:
         }
 
 
-def received_states(
-    stamps: Stamps, rows: Floats, reading: Reading = NOT_READ, up: UpAxis = Z_UP
-) -> Trajectory:
-    """Return the states in rows (N, 7), as received; without orientations if these are NaN."""
-    turns = rows[:, 3:]
+def received_groundtruth(columns: Columns, up: UpAxis = Z_UP) -> Trajectory:
+    """Return the groundtruth of timestamps and rows (N, 7)."""
+    stamps, rows = columns
+    return _states(stamps, rows, up, NOT_READ)
+
+
+def received_poses(columns: Columns, up: UpAxis = Z_UP) -> Trajectory:
+    """Return messages of timestamps, receptions, those of corrections, and rows (N, 13)."""
+    stamps, times, corrected, rows = columns
+    known = None if (corrected == UNKNOWN).any() else corrected
+    receptions = Receptions(times, "node", body_rates=rows[:, WIDTH:], corrected=known)
+    return _states(stamps, rows, up, Reading(receptions=receptions))
+
+
+def _states(stamps: Stamps, rows: Floats, up: UpAxis, reading: Reading) -> Trajectory:
+    turns, velocities = rows[:, QUATERNION], rows[:, VELOCITY]
     quaternions = None if np.isnan(turns).any() else lie.normalized(turns)
-    return Trajectory.from_columns(stamps, rows[:, :3], quaternions, reading, up=up)
+    known = None if not velocities.size or np.isnan(velocities).any() else velocities
+    return Trajectory(stamps, rows[:, POSITION], quaternions, known, reading=reading, up=up)
+
+
+def _joined(parts: Sequence[Columns]) -> Columns:
+    return tuple(map(np.concatenate, zip(*parts, strict=True)))

@@ -13,7 +13,6 @@ import numpy as np
 
 from trajeval_ros.consistency.s_transformation import unknown_covariances
 from trajeval_ros.diagnosis.geometry_tests import up_axis_doubt
-from trajeval_ros.formatting.remarks import warning
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.marker import BODYS_VELOCITIES
 from trajeval_ros.geometry.up_axis import UpAxis
@@ -21,13 +20,12 @@ from trajeval_ros.geometry.valid_poses import judge_poses
 from trajeval_ros.io.bags.pose_messages import COVARIANCE_TYPES, decode_poses
 from trajeval_ros.io.live.pair_file import REVISED_SUFFIX, SUFFIX, PairWriter, write_revised
 from trajeval_ros.io.live.reception_file import SUFFIX as RECEIVED_SUFFIX
-from trajeval_ros.io.live.reception_file import ReceptionWriter
+from trajeval_ros.io.live.reception_file import RecordedAvailability
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH
 from trajeval_ros.online.alarms import Peaks, Standing
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.jump_detector import Jump, JumpDetector
-from trajeval_ros.online.live_availability import LiveAvailability
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.reports import Snapshot, Update, united
@@ -45,7 +43,6 @@ from trajeval_ros.ros.pose_source import PoseSource
 from trajeval_ros.ros.poses import StateColumns, StreamStatus
 from trajeval_ros.ros.slow_evaluation import SlowEvaluation
 from trajeval_ros.ros.timing import Latency
-from trajeval_ros.ros.transform_stream import TransformStream
 
 
 class DecodedMessages(NamedTuple):
@@ -106,20 +103,14 @@ class LiveEstimate:
         self._updates: list[Update] = []
         self.newest: tuple[str, bytes] | None = None  # type and bytes of the newest pose
         self._undigested: list[Pairs] = []
-        # As-available accuracy, if requested; transforms are composed later than received.
-        self.availability: LiveAvailability | None = None
-        self._received: ReceptionWriter | None = None
-        if settings.available.is_asked_for and isinstance(source.stream, TransformStream):
-            said = "as available: poses of transforms have no times of reception; evaluate a bag"
-            self.status.note(warning("reception_clock", said))
-        elif settings.available.is_asked_for:
-            self._received = ReceptionWriter(folder / f"{self.name}{RECEIVED_SUFFIX}")
-            self.availability = LiveAvailability(
+        self.availability: RecordedAvailability | None = None  # as-available, if requested
+        if settings.available.is_asked_for:
+            source.stream.is_receiver = True
+            self.availability = RecordedAvailability(
+                folder / f"{self.name}{RECEIVED_SUFFIX}",
                 settings.available,
                 settings.protocol.association.max_gap_s,
                 settings.limits.past_s,
-                self._received.add_groundtruth,
-                self._received.add_estimate,
             )
 
     def continue_after(self, before: LiveEstimate) -> None:
@@ -170,15 +161,15 @@ class LiveEstimate:
             assert self.revised is not None
             new = self.revised.renew(poses.stamps, rows)
             self.source.stream.count_new(poses.picked(new), int(messages.times[0]))
-            newest = poses.stamps.argsort(kind="stable")[-1:]
-            self._receive(poses.stamps[newest], messages.times[: len(newest)], rows[newest])
+            newest = poses.picked(poses.stamps.argsort(kind="stable")[-1:])
+            self._receive(newest._replace(arrived=messages.times[: len(newest.stamps)]))
             self.evaluator.add_estimate(poses.stamps[new], rows[new])
             return
         self.newest = messages.newest or self.newest
         resets, self.source.stream.resets = self.source.stream.resets, []
         self.jumps.declare(each + self.offset_ns for each in resets)
-        if poses.arrived is not None:
-            self._receive(poses.stamps, poses.arrived, rows)
+        if self.availability is not None:
+            self._receive(self.source.stream.as_received(poses))
         self.latency.arrive(poses.stamps + self.offset_ns, messages.times)
         self._note_velocities(
             self._body.leaves_out_velocities_of(poses.states, is_groundtruth=False)
@@ -186,9 +177,13 @@ class LiveEstimate:
         )
         self.evaluator.add_estimate(poses.stamps, rows)
 
-    def _receive(self, stamps: Stamps, times: Stamps, rows: Floats) -> None:
-        if self.availability is not None:
-            self.availability.add_estimate(stamps, times, rows)
+    def _receive(self, poses: StateColumns) -> None:
+        if self.availability is None or poses.arrived is None:
+            return
+        rows = self._body.estimated(poses.states)
+        self.availability.add_estimate(
+            poses.stamps, poses.arrived, rows, poses.body_rates, poses.corrected
+        )
 
     def _note_velocities(self, are_left_out: bool) -> None:
         if are_left_out:
@@ -325,9 +320,8 @@ class LiveEstimate:
 
     def write_state(self, state: Mapping[str, Any]) -> None:
         """Write what `trajeval finish` needs besides pairs (`recorded_state`), if it changed."""
-        if self.availability is not None and self._received is not None:
-            self.availability.store()
-            self._received.write()
+        if self.availability is not None:
+            self.availability.write()
         if state == self._state:
             self.pairs_file.write()
             return
@@ -352,7 +346,6 @@ class LiveEstimate:
         try:
             self.write_revised()
         finally:
-            if self.availability is not None and self._received is not None:
-                self.availability.store()
-                self._received.close()
+            if self.availability is not None:
+                self.availability.close()
             self.pairs_file.close()

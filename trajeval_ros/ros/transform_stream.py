@@ -14,6 +14,7 @@ from trajeval_ros.geometry.reading import FORMAT
 from trajeval_ros.geometry.stamp_trust import LONE, NEAR_NS, StampTrust
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.pose_messages import TransformColumns, decode_transforms
+from trajeval_ros.io.bags.received_transforms import ReceivedChain, ReceivedEdge
 from trajeval_ros.io.bags.transform_tree import (
     LEADS_BY_S,
     Edge,
@@ -54,6 +55,10 @@ class TransformStream(PoseStream):
         self._leading: EdgeKey | None = None
         self._until = NEVER
         self._warn_at: float | None = None
+        # For `as_received`: the transforms since its last call, and what composes them.
+        self._received: dict[EdgeKey, ReceivedEdge] = {}
+        self._chain: ReceivedChain | None = None
+        self._is_over = False  # whether no transforms will follow
 
     def poses(
         self, message_type: str, payloads: Sequence[bytes], arrived_ns: Stamps
@@ -65,12 +70,15 @@ class TransformStream(PoseStream):
         for key, columns in edges.items():
             if self._wants(key):
                 self._extend(key, columns)
+                if self.is_receiver:
+                    self._receive(key, columns, arrived_ns[columns.rows])
+        return self._completed(len(payloads) - 1, arrived_ns)
+
+    def _completed(self, row: int, arrived_ns: Stamps) -> StateColumns:
+        """Return the states that are possible now, with the index and the arrival of a message."""
         stamps = self._new_stamps()
-        found = StateColumns(
-            stamps,
-            states(*compose(self._edges, self._way, stamps)),
-            np.full(len(stamps), len(payloads) - 1),
-        )
+        states_ = states(*compose(self._edges, self._way, stamps))
+        found = StateColumns(stamps, states_, np.full(len(stamps), row))
         if len(stamps):
             self._until = int(stamps[-1])
             self.heard_at = time.monotonic()
@@ -81,6 +89,32 @@ class TransformStream(PoseStream):
         self._forget()
         self._count(found)
         return found
+
+    def as_received(self, poses: StateColumns) -> StateColumns:
+        """Return the poses at every reception since the last call; see `ReceivedChain`.
+
+        They begin when the leading edge is determined. Their times of arrival are never `UNKNOWN`.
+        """
+        if self._leading is None:
+            return poses
+        self._chain = self._chain or ReceivedChain(self._edges, self._way, self._leading)
+        found = self._chain.poses(self._received, at_end=self._is_over)
+        self._received = {}
+        return StateColumns(
+            found.stamps,
+            states(found.positions, found.quaternions),
+            np.arange(len(found.stamps)),
+            arrived=found.times,
+            corrected=found.corrected,
+        )
+
+    def last_poses(self) -> StateColumns:
+        """Return the states whose timestamps are still under test, at the end of the run."""
+        self._is_over = True
+        for key in self._trusts:
+            none = np.empty(0, np.int64)
+            self._extend(key, TransformColumns(none, np.empty((0, 7)), none))
+        return self._completed(0, np.array([UNKNOWN]))
 
     def hold(self, payloads: Sequence[bytes]) -> None:
         """Add static transforms."""
@@ -106,7 +140,9 @@ class TransformStream(PoseStream):
         timed = columns.stamps != 0  # a timestamp that was not set
         trust = self._trusts.setdefault(key, StampTrust())
         before = trust.lone
-        stamps, numbers = trust.take(columns.stamps[timed], columns.numbers[timed])
+        stamps, numbers = trust.take(
+            columns.stamps[timed], columns.numbers[timed], at_end=self._is_over
+        )
         if trust.lone > before:
             self._tell_lone(trust)
             self.status.drop(LONE, trust.lone - before)
@@ -123,6 +159,14 @@ class TransformStream(PoseStream):
         known = self._edges.get(key)
         self._keep(key, new if known is None or known.is_static else known.joined(new))
 
+    def _receive(self, key: EdgeKey, columns: TransformColumns, arrived_ns: Stamps) -> None:
+        known = self._received.get(key, ReceivedEdge())
+        known = known.joined(ReceivedEdge(columns.stamps, columns.numbers, arrived_ns))
+        if not self._way:
+            recent = known.times >= known.times[-1] - round(_MEMORY_S * NANOSECONDS)
+            known = known.picked(recent)
+        self._received[key] = known.picked(slice(-_MOST_TRANSFORMS, None))
+
     def begin_anew(self) -> None:
         """Forget earlier messages."""
         self._trusts = {}
@@ -132,6 +176,7 @@ class TransformStream(PoseStream):
         """Drop moving transforms, because time started again."""
         self._edges = {key: edge for key, edge in self._edges.items() if edge.is_static}
         self._way, self._leading, self._until = [], None, NEVER
+        self._received, self._chain, self._is_over = {}, None, False
 
     def _wants(self, key: EdgeKey) -> bool:
         return key in self._edges or (not self._way and len(self._edges) < _MOST_EDGES)

@@ -14,7 +14,6 @@ from trajeval_ros.formatting.remarks import Level, Remark, note
 from trajeval_ros.geometry.fix_selection import trajectory_of_rows
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.reading import FORMAT, Reading
-from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.stamp_trust import LONE, trusted_states
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
@@ -38,10 +37,7 @@ from trajeval_ros.io.bags.topic_readers import (
     tree_of,
     tree_topics,
 )
-from trajeval_ros.io.bags.transform_tree import (
-    compose_transforms,
-    fixed_transform,
-)
+from trajeval_ros.io.bags.transform_tree import compose_transforms, fixed_transform
 from trajeval_ros.io.bags.usable_poses import WORLD_TWIST, has_world_twist, usable_poses
 from trajeval_ros.io.checks import check_stamps, judge_rotations
 
@@ -254,19 +250,11 @@ def trajectory_of_columns(
             dropped=dropped,
             remarks=(*remarks, *told, *frames, *judgement),
             resets=resets,
-            receptions=_with_rates(columns),
+            receptions=columns.receptions,
             as_received=None if columns.as_received is None else _as_received(columns.as_received),
         ),
     )
     return _usable(_without_lone_stamps(everything), where, count)
-
-
-def _with_rates(columns: PoseColumns) -> Receptions | None:
-    """Return the receptions with the angular velocities, if these were decoded."""
-    receptions, rates = columns.receptions, columns.body_rates
-    if receptions is None or rates is None or not np.isfinite(rates).all():
-        return receptions
-    return replace(receptions, body_rates=rates)
 
 
 def _as_received(columns: PoseColumns) -> Trajectory:
