@@ -30,10 +30,12 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.up_axis import Z_UP
+from trajeval_ros.io.bags.pose_messages import decode_poses, decode_transforms
 from trajeval_ros.io.live.reception_file import read_received
 from trajeval_ros.metrics.as_available import AvailabilityRule
 
 FLIGHT = simulate(seed=5, duration_s=20.0)
+TF = "/tf:map.base"
 CLOCK, CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 OPTIONS = ("--gauge", "yaw", "--lengths", "2,4", "--as-available")
 
@@ -190,9 +192,39 @@ def clock_message(at: int) -> bytes:
     return STORE.serialize_cdr(STORE.types[CLOCK_TYPE](time), CLOCK_TYPE).tobytes()
 
 
+def as_stored(sent: list[Message], poses: Trajectory) -> list[Message]:
+    """Return messages with the receptions that a run has stored.
+
+    Corrections have stored receptions in their order, and other messages that of the first pose of
+    their timestamp. Transforms before the first correction, and the isolated one, have none.
+    """
+    receptions = poses.reading.receptions
+    assert receptions is not None
+    first = dict(zip(poses.stamps[::-1].tolist(), receptions.times[::-1].tolist(), strict=True))
+    later = [] if receptions.corrected is None else np.unique(receptions.corrected).tolist()
+    found: list[Message] = []
+    for topic, kind, _, payload in sent[::-1]:  # the first correction may be missing
+        parent, stamp = "", 0
+        if kind == TRANSFORMS:
+            [((parent, _), columns)] = decode_transforms([payload])[0].items()
+            stamp = int(columns.stamps[0])
+        else:
+            stamp = int(decode_poses([payload], kind).stamps[0])
+        at = first.get(stamp)
+        if parent == "map":
+            at = later.pop() if later else None
+        if at is not None:
+            found.append((topic, kind, at, payload))
+    assert not later
+    return found[::-1]
+
+
 @pytest.mark.ros
+@pytest.mark.parametrize(
+    ("source", "motion"), [(ODOMETRY, "hold"), (ODOMETRY, "twist"), (TF, "hold"), (TF, "constant")]
+)
 def test_over_dds_the_stored_receptions_give_the_numbers_of_a_recording(
-    peer: Peer, environment: dict[str, str], tmp_path: Path
+    source: str, motion: str, peer: Peer, environment: dict[str, str], tmp_path: Path
 ) -> None:
     """With a pause and a restart of the simulated time.
 
@@ -202,41 +234,48 @@ def test_over_dds_the_stored_receptions_give_the_numbers_of_a_recording(
     from geometry_msgs.msg import Vector3Stamped
     from std_msgs.msg import Float64
 
+    topic, name = source.partition(":")[0], source[1:].translate(str.maketrans("/:.", "___"))
+    if source == TF:
+        pytest.importorskip("tf2_msgs", reason="`make test-ros` builds it with a compiler")
     truth = messages_of(FLIGHT.groundtruth[::2], TRUTH, POSE)
-    estimate = received(messages_of(FLIGHT.estimate, ODOMETRY, ODOM))
+    if source == TF:
+        sent = corrected(FLIGHT.estimate, topic, seed=4)
+    else:
+        sent = received(messages_of(twisting(FLIGHT.estimate), topic, ODOM))
     begin = min(each[2] for each in truth)
-    feed = with_clock([*truth, *estimate], begin + 800 * TICK_NS)
+    feed = with_clock([*truth, *sent], begin + 800 * TICK_NS)
     write_messages(tmp_path / "played", feed)
-    below = "/evaluator/vio_odometry/available"
+    below = f"/evaluator/{name}/available"
     ages = peer.hear(f"{below}/age", Float64)
     errors = peer.hear(f"{below}/stamped/position_error", Vector3Stamped)
     folders = [tmp_path / "live", tmp_path / "live_2"]
-    with evaluating(
-        folders[0], environment, gauge="none", use_sim_time=True, as_available="hold"
-    ) as evaluator:
+    values = {"gauge": "none", "use_sim_time": True, "as_available": motion}
+    with evaluating(folders[0], environment, estimates=[source], **values) as evaluator:
         for _ in folders:
-            subscribers = {TRUTH: 1, ODOMETRY: 1, CLOCK: 2}
+            subscribers = {TRUTH: 1, topic: 1, CLOCK: 2}
             peer.play(tmp_path / "played", subscribers, ["evaluator"], rate=8.0)
         peer.until(lambda: ages and errors, "as-available errors")
         evaluator.wait_for(f"results of {folders[0]} are complete")
         assert evaluator.end() == 0
-    logged = {stamp: each[2] for stamp, each in zip(FLIGHT.estimate.stamps, estimate, strict=True)}
+    options = ("--gauge", "none", "--as-available", motion)
     for number, folder in enumerate(folders):
-        groundtruth, poses = read_received(folder / "vio_odometry.received", [Z_UP, Z_UP])
+        groundtruth, poses = read_received(folder / f"{name}.received", [Z_UP, Z_UP])
         assert len(groundtruth) == len(truth)
-        assert poses.reading.receptions is not None
-        times = poses.reading.receptions.times
-        after_tick = (np.array([logged[each] for each in poses.stamps]) - begin) % TICK_NS
-        since_tick = times - [logged[each] for each in poses.stamps] + after_tick
+        messages, logged = as_stored(sent, poses), {payload: at for _, _, at, payload in sent}
+        write_messages(tmp_path / f"bag_{number}", [*truth, *messages])
+        if source == TF:
+            del messages[0]  # it was received before the first correction, with which it is stored
+        after_tick = np.array([(logged[each[3]] - begin) % TICK_NS for each in messages])
+        since_tick = np.array([each[2] - logged[each[3]] for each in messages]) + after_tick
         assert -1 <= since_tick.min() <= since_tick.max() <= TICK_NS + 1
-        stored = messages_of(poses, ODOMETRY, ODOM)
-        stored = [(*each[:2], int(at), each[3]) for each, at in zip(stored, times, strict=True)]
-        write_messages(tmp_path / f"bag_{number}", [*truth, *stored])
-        options = ("--gauge", "none", "--as-available", "hold")
-        recorded: Any = offline(tmp_path / f"bag_{number}", tmp_path, TRUTH, [ODOMETRY], *options)
+        recorded: Any = offline(tmp_path / f"bag_{number}", tmp_path, TRUTH, [source], *options)
         found = json.loads((folder / "result.json").read_text())["runs"][0]["as_available"]
         wanted = recorded["runs"][0]["as_available"]
         assert found["why_withheld"] == ""
         assert (found.pop("received"), wanted.pop("received")) == ("node", "log")
         assert_same(found, wanted)
-        assert found["late_messages"] > 0.05 * len(poses)
+        if source == ODOMETRY:
+            assert found["late_messages"] > 0.05 * len(poses)
+        else:
+            # From its timestamp on, it would be over a second younger.
+            assert found["corrections"]["age_s"]["mean"] > 0.5

@@ -58,6 +58,7 @@ class TransformStream(PoseStream):
         # For `as_received`: the transforms since its last call, and what composes them.
         self._received: dict[EdgeKey, ReceivedEdge] = {}
         self._chain: ReceivedChain | None = None
+        self._anew_row = 0  # the newest message at which time started again
         self._is_over = False  # whether no transforms will follow
 
     def poses(
@@ -67,11 +68,13 @@ class TransformStream(PoseStream):
         del message_type  # timestamps are tested per edge
         edges, undecodable = decode_transforms(payloads)
         self.status.drop("undecodable", undecodable)
-        for key, columns in edges.items():
-            if self._wants(key):
-                self._extend(key, columns)
-                if self.is_receiver:
-                    self._receive(key, columns, arrived_ns[columns.rows])
+        wanted = {key: columns for key, columns in edges.items() if self._wants(key)}
+        self._anew_row = 0
+        for key, columns in wanted.items():
+            self._extend(key, columns)
+        if self.is_receiver:
+            for key, columns in wanted.items():
+                self._receive(key, columns, arrived_ns)
         return self._completed(len(payloads) - 1, arrived_ns)
 
     def _completed(self, row: int, arrived_ns: Stamps) -> StateColumns:
@@ -152,6 +155,7 @@ class TransformStream(PoseStream):
             back = np.flatnonzero(np.diff(np.concatenate([last, stamps])) < -NEAR_NS)
             if len(back):
                 self._drop_moving()
+                self._anew_row = int(columns.rows[max(back[-1] - len(stamps), -len(columns.rows))])
                 stamps, numbers = stamps[back[-1] :], numbers[back[-1] :]
         new = Edge.from_columns(stamps, numbers, False)
         if key == self._leading and len(new.stamps):
@@ -160,12 +164,13 @@ class TransformStream(PoseStream):
         self._keep(key, new if known is None or known.is_static else known.joined(new))
 
     def _receive(self, key: EdgeKey, columns: TransformColumns, arrived_ns: Stamps) -> None:
-        known = self._received.get(key, ReceivedEdge())
-        known = known.joined(ReceivedEdge(columns.stamps, columns.numbers, arrived_ns))
+        known, new = self._received.get(key, ReceivedEdge()), columns.rows >= self._anew_row
+        received = ReceivedEdge(columns.stamps, columns.numbers, arrived_ns[columns.rows])
+        known = known.joined(received.picked(new)).picked(slice(-_MOST_TRANSFORMS, None))
         if not self._way:
-            recent = known.times >= known.times[-1] - round(_MEMORY_S * NANOSECONDS)
+            recent = known.times >= known.times[-1:] - round(_MEMORY_S * NANOSECONDS)
             known = known.picked(recent)
-        self._received[key] = known.picked(slice(-_MOST_TRANSFORMS, None))
+        self._received[key] = known
 
     def begin_anew(self) -> None:
         """Forget earlier messages."""
