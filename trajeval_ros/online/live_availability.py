@@ -1,4 +1,4 @@
-"""As-available accuracy of a live estimate: all final samples of 0.2 s together.
+"""As-available accuracy of a live estimate: all final samples of 0.5 s together.
 
 A sample is final when groundtruth and the newest message have passed it. Messages that arrive
 after newer ones are never in use, so nothing changes it afterwards.
@@ -6,7 +6,7 @@ after newer ones are never in use, so nothing changes it afterwards.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from trajeval_ros.formatting.remarks import Remark, warning
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 from trajeval_ros.geometry.gauge import Similarity
-from trajeval_ros.geometry.reading import NOT_READ, Reading
+from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
@@ -38,13 +38,14 @@ from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.state_buffer import NEVER, StateBuffer, usable_rows
 from trajeval_ros.online.state_rows import POSITION, QUATERNION, VELOCITY, WIDTH
 
-Columns = Sequence[NDArray[Any]]
 _POSE, _STATE = QUATERNION.stop, WIDTH + 3  # columns of groundtruth, and of messages with a twist
-_NO_STAMPS = np.empty(0, np.int64)
-_NO_TRUTH: Columns = _NO_STAMPS, np.empty((0, _POSE))
-_NO_MESSAGES: Columns = _NO_STAMPS, _NO_STAMPS, _NO_STAMPS, np.empty((0, _STATE))
+GROUNDTRUTH = np.dtype([("stamp", "<i8"), ("pose", "<f8", _POSE)])
+MESSAGE = np.dtype(
+    [("stamp", "<i8"), ("time", "<i8"), ("corrected", "<i8"), ("state", "<f8", _STATE)]
+)
+Rows = NDArray[np.void]
 _RECENT_SAMPLES = 10 * RATE_HZ
-_AT_ONCE_NS = 20 * STEP_NS  # an evaluation has a fixed cost, whatever the number of samples
+_AT_ONCE_NS = 50 * STEP_NS  # an evaluation has a fixed cost, whatever the number of samples
 
 
 class LiveAvailability:
@@ -55,12 +56,13 @@ class LiveAvailability:
         self._rule, self._max_gap_s = rule, max_gap_s
         self._delay_ns = round(min(max_delay_s, 3600.0) * NANOSECONDS)
         # Since the last call of `store`.
-        self._new_truth: list[Columns] = [_NO_TRUTH]
-        self._new_messages: list[Columns] = [_NO_MESSAGES]
+        self._new_truth: list[Rows] = []
+        self._new_messages: list[Rows] = []
         self._truth = StateBuffer(_POSE)
-        self._messages = _NO_MESSAGES  # those that later samples can use
+        self._messages = np.empty(0, MESSAGE)  # those that later samples can use
         self._has_moved = False  # whether a message had a velocity
-        self._next = self._seen = NEVER  # next sample; newest groundtruth at the last evaluation
+        self._next = NEVER  # next sample
+        self._last = self._seen = NEVER  # newest groundtruth, also at the last evaluation
         self._ages_s, self._is_late = np.empty(0), False
         # Of the last update, by topic and as samples; none if it has none.
         self.numbers: dict[str, float] = {}
@@ -73,7 +75,10 @@ class LiveAvailability:
 
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
         """Take groundtruth states: timestamps (N,), nanoseconds, and rows (N, 7 or more)."""
-        self._new_truth.append((stamps, rows[:, :_POSE]))
+        self._last = max(self._last, int(stamps.max(initial=NEVER)))
+        new = np.empty(len(stamps), GROUNDTRUTH)
+        new["stamp"], new["pose"] = stamps, rows[:, :_POSE]
+        self._new_truth.append(new)
 
     def add_estimate(
         self,
@@ -92,28 +97,30 @@ class LiveAvailability:
             body_rates: As in `Receptions`, (N, 3); NaN if not measured.
             corrected: As in `Receptions`, (N,).
         """
-        wide = np.full((len(stamps), _STATE), np.nan)
-        wide[:, : min(rows.shape[1], WIDTH)] = rows[:, :WIDTH]
+        new = np.empty(len(stamps), MESSAGE)
+        new["stamp"], new["time"] = stamps, times
+        new["corrected"] = UNKNOWN if corrected is None else corrected
+        new["state"] = np.nan
+        new["state"][:, : min(rows.shape[1], WIDTH)] = rows[:, :WIDTH]
         if body_rates is not None:
-            wide[:, WIDTH:] = body_rates
-        unknown = np.full(len(stamps), UNKNOWN)
-        corrected = unknown if corrected is None else corrected
-        self._new_messages.append((stamps, times, corrected, wide))
+            new["state"][:, WIDTH:] = body_rates
+        self._new_messages.append(new)
 
-    def record(self, groundtruth: Columns, messages: Columns) -> None:
-        """Receive the usable columns of `store`."""
+    def record(self, groundtruth: Rows, messages: Rows) -> None:
+        """Receive the usable rows of `store`."""
 
     def store(self) -> None:
         """Take the usable states since the last call, all together because of the cost."""
-        if len(self._new_truth) == len(self._new_messages) == 1:
+        if not self._new_truth and not self._new_messages:
             return
-        truth, new = _joined(self._new_truth), _joined(self._new_messages)
-        truth = tuple(each[usable_rows(truth[-1])[0]] for each in truth)
-        new = tuple(each[usable_rows(new[-1])[0] & (new[1] != UNKNOWN)] for each in new)
-        self._new_truth, self._new_messages = [_NO_TRUTH], [_NO_MESSAGES]
-        self._truth.merge(*truth)
-        self._messages = _joined([self._messages, new])
-        self._has_moved |= bool(np.nan_to_num(new[-1][:, VELOCITY]).any())
+        truth = np.concatenate([np.empty(0, GROUNDTRUTH), *self._new_truth])
+        new = np.concatenate([np.empty(0, MESSAGE), *self._new_messages])
+        self._new_truth, self._new_messages = [], []
+        truth = truth[usable_rows(truth["pose"])[0]]
+        new = new[usable_rows(new["state"])[0] & (new["time"] != UNKNOWN)]
+        self._truth.merge(truth["stamp"], truth["pose"])
+        self._messages = np.concatenate([self._messages, new])
+        self._has_moved |= bool(np.nan_to_num(new["state"][:, VELOCITY]).any())
         self.record(truth, new)
 
     def update(self, similarity: Similarity | None, offset_ns: int = 0) -> AvailableSamples | None:
@@ -121,17 +128,19 @@ class LiveAvailability:
 
         `offset_ns` is added to the estimate's timestamps, not to the receptions.
         """
-        self.store()
         self.newest, self.numbers = None, {}
-        (stamps, times, *_), last = self._messages, self._truth.newest
-        if last < self._seen + _AT_ONCE_NS:
+        if self._last < self._seen + _AT_ONCE_NS:
             return None
-        self._seen = last
+        self.store()
+        stamps, times, last = self._messages["stamp"], self._messages["time"], self._truth.newest
+        self._seen = self._last
+        if last == NEVER:
+            return None  # no usable groundtruth
         if similarity is None or not len(stamps):
             self._forget(times >= times.max(initial=0) - self._delay_ns, last - self._delay_ns)
             return None
         _, self.clock = judged_receptions(stamps + offset_ns, times)
-        truth, estimate = received_groundtruth(self._truth.held), received_poses(self._messages)
+        truth, estimate = received_groundtruth(*self._truth.held), received_poses(self._messages)
         motion = self._rule.motion
         self.why_withheld = why_withheld(estimate, self.clock, motion, has_moved=self._has_moved)
         if self.why_withheld:
@@ -156,7 +165,7 @@ class LiveAvailability:
 
     def _forget(self, kept: Booleans, begin: int) -> None:
         """Keep some messages (N,), and groundtruth from the state before `begin` on."""
-        self._messages = tuple(each[kept] for each in self._messages)
+        self._messages = self._messages[kept]
         before = int(self._truth.held[0].searchsorted(begin, side="right")) - 1
         self._truth.drop(max(before, 0))
 
@@ -194,26 +203,21 @@ class LiveAvailability:
         }
 
 
-def received_groundtruth(columns: Columns, up: UpAxis = Z_UP) -> Trajectory:
-    """Return the groundtruth of timestamps and rows (N, 7)."""
-    stamps, rows = columns
-    return _states(stamps, rows, up, NOT_READ)
-
-
-def received_poses(columns: Columns, up: UpAxis = Z_UP) -> Trajectory:
-    """Return messages of timestamps, receptions, those of corrections, and rows (N, 13)."""
-    stamps, times, corrected, rows = columns
-    known = None if (corrected == UNKNOWN).any() else corrected
-    receptions = Receptions(times, "node", body_rates=rows[:, WIDTH:], corrected=known)
-    return _states(stamps, rows, up, Reading(receptions=receptions))
-
-
-def _states(stamps: Stamps, rows: Floats, up: UpAxis, reading: Reading) -> Trajectory:
-    turns, velocities = rows[:, QUATERNION], rows[:, VELOCITY]
+def received_groundtruth(stamps: Stamps, rows: Floats, up: UpAxis = Z_UP) -> Trajectory:
+    """Return the groundtruth in rows (N, 7); without orientations if these are NaN."""
+    turns = rows[:, QUATERNION]
     quaternions = None if np.isnan(turns).any() else lie.normalized(turns)
-    known = None if not velocities.size or np.isnan(velocities).any() else velocities
-    return Trajectory(stamps, rows[:, POSITION], quaternions, known, reading=reading, up=up)
+    return Trajectory(stamps, rows[:, POSITION], quaternions, up=up)
 
 
-def _joined(parts: Sequence[Columns]) -> Columns:
-    return tuple(map(np.concatenate, zip(*parts, strict=True)))
+def received_poses(rows: Rows, up: UpAxis = Z_UP) -> Trajectory:
+    """Return the messages in rows of type `MESSAGE`; without velocities if these are NaN."""
+    poses = received_groundtruth(rows["stamp"], rows["state"], up)
+    velocities, rates = rows["state"][:, VELOCITY], rows["state"][:, WIDTH:]
+    corrected = None if (rows["corrected"] == UNKNOWN).any() else rows["corrected"]
+    receptions = Receptions(rows["time"], "node", body_rates=rates, corrected=corrected)
+    return replace(
+        poses,
+        velocities=None if np.isnan(velocities).any() else velocities,
+        reading=Reading(receptions=receptions),
+    )

@@ -16,8 +16,6 @@ from trajeval_ros.diagnosis.geometry_tests import up_axis_doubt
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.marker import BODYS_VELOCITIES
 from trajeval_ros.geometry.up_axis import UpAxis
-from trajeval_ros.geometry.valid_poses import judge_poses
-from trajeval_ros.io.bags.pose_messages import COVARIANCE_TYPES, decode_poses
 from trajeval_ros.io.live.pair_file import REVISED_SUFFIX, SUFFIX, PairWriter, write_revised
 from trajeval_ros.io.live.reception_file import SUFFIX as RECEIVED_SUFFIX
 from trajeval_ros.io.live.reception_file import RecordedAvailability
@@ -33,8 +31,8 @@ from trajeval_ros.online.state_rows import (
     COVARIANCE,
     POSITION,
     QUATERNION,
+    WIDTH,
     Pairs,
-    states,
     trajectory,
 )
 from trajeval_ros.online.whole_run import RevisedPath, ThinnedRun
@@ -55,7 +53,6 @@ class DecodedMessages(NamedTuple):
     stamps: Stamps
     states: StateColumns
     times: Stamps
-    newest: tuple[str, bytes] | None = None  # type and bytes of the newest message of poses
     is_path: bool = False
 
     def part(self, rows: slice) -> DecodedMessages:
@@ -101,7 +98,7 @@ class LiveEstimate:
         self._given_up = None if settings.up is None else settings.up[1]
         self._paired_at = 0.0
         self._updates: list[Update] = []
-        self.newest: tuple[str, bytes] | None = None  # type and bytes of the newest pose
+        self._newest: tuple[int, Floats] | None = None  # timestamp and state (1, k) of a message
         self._undigested: list[Pairs] = []
         self.availability: RecordedAvailability | None = None  # as-available, if requested
         if settings.available.is_asked_for:
@@ -165,7 +162,8 @@ class LiveEstimate:
             self._receive(newest._replace(arrived=messages.times[: len(newest.stamps)]))
             self.evaluator.add_estimate(poses.stamps[new], rows[new])
             return
-        self.newest = messages.newest or self.newest
+        if len(poses.stamps):
+            self._newest = int(poses.stamps[-1]), poses.states[-1:]
         resets, self.source.stream.resets = self.source.stream.resets, []
         self.jumps.declare(each + self.offset_ns for each in resets)
         if self.availability is not None:
@@ -289,22 +287,16 @@ class LiveEstimate:
         They refer to the evaluated body, with the clock offset applied, as in pairs. None without
         a message, or if its covariance is unknown.
         """
-        message_type, payload = self.newest or ("", b"")
-        if message_type not in COVARIANCE_TYPES:
+        if self._newest is None or self._newest[1].shape[1] == WIDTH:
             return None
-        pose = decode_poses([payload], message_type, covariance=True)
-        if not len(pose.stamps) or pose.covariances is None or pose.stamps[0] == 0:
-            return None
+        stamp, row = self._newest
         # `unknown_covariances` accepts zeros in the first covariance, so it is passed twice.
-        unknown = unknown_covariances(pose.covariances.repeat(2, 0))
-        if unknown or not judge_poses(pose.positions)[0][0]:
+        if unknown_covariances(row[:, COVARIANCE].reshape(1, 6, 6).repeat(2, 0)):
             return None
-        rows = states(pose.positions, pose.quaternions)
-        [moved] = self._body.estimated(np.hstack([rows, pose.covariances.reshape(1, 36)]))
+        [moved] = self._body.estimated(row)
         if not np.isfinite(moved[POSITION]).all():
             return None
-        covariance = moved[COVARIANCE].reshape(6, 6)[:3, :3]
-        return int(pose.stamps[0]) + self.offset_ns, moved[POSITION], covariance
+        return stamp + self.offset_ns, moved[POSITION], moved[COVARIANCE].reshape(6, 6)[:3, :3]
 
     @property
     def why_not_revised(self) -> str:

@@ -252,5 +252,4 @@ def _decoded(source: PoseSource, time_at: TimeAt | None) -> Iterator[DecodedMess
                 yield DecodedMessages(path.stamps[-1:], path, each[None], is_path=True)
             continue
         poses = stream.poses(message_type, taken.payloads, arrived)
-        newest = message_type, taken.payloads[-1]
-        yield DecodedMessages(poses.stamps, poses, received[poses.rows], newest)
+        yield DecodedMessages(poses.stamps, poses, received[poses.rows])

@@ -102,13 +102,14 @@ class TransformStream(PoseStream):
             return poses
         self._chain = self._chain or ReceivedChain(self._edges, self._way, self._leading)
         found = self._chain.poses(self._received, at_end=self._is_over)
-        self._received = {}
+        self._received, receptions = {}, found.reading.receptions
+        assert receptions is not None
         return StateColumns(
             found.stamps,
             states(found.positions, found.quaternions),
-            np.arange(len(found.stamps)),
-            arrived=found.times,
-            corrected=found.corrected,
+            np.arange(len(found)),
+            arrived=receptions.times,
+            corrected=receptions.corrected,
         )
 
     def last_poses(self) -> StateColumns:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from strategies import seeds
 
 from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.received_transforms import ReceivedChain, ReceivedEdge, compose_received
 from trajeval_ros.io.bags.transform_tree import Edge
 
@@ -20,6 +21,20 @@ STEP = 10**7
 NOTHING = np.empty((0, 7))
 MOVING = Edge.from_columns(np.empty(0, np.int64), NOTHING, is_static=False)
 MAP, ODOM, ARM, FIXED = ("map", "odom"), ("odom", "base"), ("tip", "base"), ("tip", "tool")
+
+
+def columns_of(poses: Trajectory) -> dict[str, Array]:
+    receptions = poses.reading.receptions
+    assert receptions is not None
+    assert receptions.corrected is not None
+    assert poses.quaternions is not None
+    return {
+        "stamps": poses.stamps,
+        "positions": poses.positions,
+        "quaternions": poses.quaternions,
+        "times": receptions.times,
+        "corrected": receptions.corrected,
+    }
 
 
 def as_matrix(numbers: Array) -> Array:
@@ -101,8 +116,7 @@ def test_poses_do_not_depend_on_the_batches_of_transforms(seed: int, parts: int)
         received[key] = ReceivedEdge(stamps, numbers, times)
     way = [(MAP, True), (ODOM, True)]
     wanted = ReceivedChain({MAP: MOVING, ODOM: MOVING}, way, ODOM).poses(received, at_end=True)
-    assert len(wanted.stamps) > 50
-    assert np.abs(np.diff(wanted.stamps)).max() < 10**10
+    assert len(wanted) > 50
     chain, found = ReceivedChain({MAP: MOVING, ODOM: MOVING}, way, ODOM), []
     edges = 10**15 + np.sort(rng.integers(0, 40 * 10**9, size=parts))
     for begin, end in zip([0, *edges], [*edges, 2 * 10**15], strict=True):
@@ -111,9 +125,9 @@ def test_poses_do_not_depend_on_the_batches_of_transforms(seed: int, parts: int)
             for key, each in received.items()
         }
         found.append(chain.poses(new, at_end=end > 10**15 + 40 * 10**9))
-    for name in wanted._fields:
-        joined = np.concatenate([getattr(each, name) for each in found])
-        np.testing.assert_allclose(joined, getattr(wanted, name), atol=1e-14, err_msg=name)
+    for name, column in columns_of(wanted).items():
+        joined = np.concatenate([columns_of(each)[name] for each in found])
+        np.testing.assert_allclose(joined, column, atol=1e-14, err_msg=name)
 
 
 def test_a_transform_received_with_the_newest_pose_holds_just_after_it() -> None:
@@ -125,12 +139,11 @@ def test_a_transform_received_with_the_newest_pose_holds_just_after_it() -> None
         return ReceivedEdge(np.array([stamp]), np.array([[x, 0.0, 0.0, *turn]]), np.array([time]))
 
     odometry = at(STEP, 9, 2.0)
-    assert len(chain.poses({MAP: at(5, 9, 1.0), ODOM: odometry}).times) == 0  # the first waits
-    first = chain.poses({ODOM: at(STEP + 1, 10, 2.0)})
-    assert (first.times.tolist(), first.positions[:, 0].tolist()) == ([9, 10], [3.0, 3.0])
+    assert len(chain.poses({MAP: at(5, 9, 1.0), ODOM: odometry})) == 0  # the first waits
+    first = columns_of(chain.poses({ODOM: at(STEP + 1, 10, 2.0)}))
+    assert (first["times"].tolist(), first["positions"][:, 0].tolist()) == ([9, 10], [3.0, 3.0])
     for new, time, x in ((10, 11, 7.0), (4, 12, 9.0)):
-        found = chain.poses({MAP: at(6, new, x)})
-        assert (found.times.tolist(), found.positions[:, 0].tolist()) == ([time], [x + 2.0])
-        assert found.corrected is not None
-        assert found.corrected.tolist() == [time]
-    assert len(chain.poses({}).times) == 0
+        found = columns_of(chain.poses({MAP: at(6, new, x)}))
+        assert (found["times"].tolist(), found["positions"][:, 0].tolist()) == ([time], [x + 2.0])
+        assert found["corrected"].tolist() == [time]
+    assert len(chain.poses({})) == 0

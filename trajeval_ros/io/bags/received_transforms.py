@@ -49,16 +49,6 @@ class ReceivedEdge(NamedTuple):
         return ReceivedEdge._make(map(np.concatenate, zip(self, later, strict=True)))
 
 
-class ReceivedPoses(NamedTuple):
-    """The poses of one frame in another at N receptions."""
-
-    stamps: Stamps  # (N,) nanoseconds, of the newest transform of the leading edge
-    positions: Floats  # (N, 3), metres
-    quaternions: Floats  # (N, 4), xyzw
-    times: Stamps  # (N,) nanoseconds, of the reception
-    corrected: Stamps | None  # see `Receptions.corrected`
-
-
 class ReceivedChain:
     """Composes the pose of a frame in another at every reception of a transform between them.
 
@@ -74,10 +64,11 @@ class ReceivedChain:
         self._moving = {key: ReceivedEdge() for key, _ in way if key not in self._static}
         self._until = UNKNOWN  # reception of the newest pose
 
-    def poses(self, new: Mapping[EdgeKey, ReceivedEdge], *, at_end: bool = False) -> ReceivedPoses:
+    def poses(self, new: Mapping[EdgeKey, ReceivedEdge], *, at_end: bool = False) -> Trajectory:
         """Return the poses at the receptions of new transforms, as far as these are decided.
 
-        A leading transform whose timestamp is under test delays all poses from its reception on.
+        Timestamps are of the newest leading transform; one repeats if only a correction is new. A
+        leading transform whose timestamp is under test delays all poses from its reception on.
         `at_end`: no transforms will follow.
         """
         for key in self._moving:
@@ -101,7 +92,8 @@ class ReceivedChain:
             if len(rows):
                 self._moving[key] = edge.picked(slice(rows[-1], None))
         self._until = int(events[-1]) if len(events) else self._until
-        return ReceivedPoses(stamps, *compose(held, self._way, places), events, corrected)
+        reading = Reading(receptions=Receptions(events, "node", corrected=corrected))
+        return Trajectory(stamps, *compose(held, self._way, places), reading=reading)
 
     def _add(self, key: EdgeKey, new: ReceivedEdge, *, at_end: bool) -> None:
         """Take usable transforms; one that was received with the newest pose holds just after."""
@@ -127,8 +119,7 @@ def compose_received(
 ) -> Trajectory:
     """Return the pose of `child` in `parent` at every reception of one of its transforms.
 
-    `received`: the transforms of a recording by moving edge, and what their times are. Timestamps
-    are of the newest transform of the leading edge; one repeats if only a correction is new.
+    `received`: the transforms of a recording by moving edge, and what their times are.
     """
     way = find_way([key for key, edge in edges.items() if len(edge.stamps)], parent, child, "")
     span = common_span(edges, way)
@@ -136,6 +127,7 @@ def compose_received(
     leading = leading_edge(edges, way, span)
     transforms = {key: each for key, (each, _) in received.items()}
     found = ReceivedChain(edges, way, leading).poses(transforms, at_end=True)
-    receptions = replace(received[leading][1], times=found.times, corrected=found.corrected)
-    reading = Reading(receptions=receptions)
-    return Trajectory.from_columns(found.stamps, found.positions, found.quaternions, reading)
+    assert found.reading.receptions is not None
+    by = received[leading][1]
+    receptions = replace(found.reading.receptions, by=by.by, recording_s=by.recording_s)
+    return replace(found, reading=Reading(receptions=receptions))

@@ -10,28 +10,22 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.live.chunk_file import ChunkWriter, read_tables
 from trajeval_ros.metrics.as_available import AvailabilityRule
 from trajeval_ros.online.live_availability import (
-    Columns,
+    GROUNDTRUTH,
+    MESSAGE,
     LiveAvailability,
+    Rows,
     received_groundtruth,
     received_poses,
 )
 
 FORMAT = "trajeval-received/2"
 SUFFIX = ".received"
-_KINDS = {
-    b"TERG": np.dtype([("stamp", "<i8"), ("pose", "<f8", 7)]),
-    b"TERM": np.dtype(
-        [("stamp", "<i8"), ("time", "<i8"), ("corrected", "<i8"), ("state", "<f8", 13)]
-    ),
-}
-_TRUTH, _MESSAGE = _KINDS
+_KINDS = {b"TERG": GROUNDTRUTH, b"TERM": MESSAGE}
 
 
 class RecordedAvailability(LiveAvailability):
@@ -44,10 +38,10 @@ class RecordedAvailability(LiveAvailability):
         super().__init__(rule, max_gap_s, max_delay_s)
         self._file = ChunkWriter(path, _KINDS, {"format": FORMAT})
 
-    def record(self, groundtruth: Columns, messages: Columns) -> None:
+    def record(self, groundtruth: Rows, messages: Rows) -> None:
         """Queue usable states for writing."""
-        self._file.add(_TRUTH, *groundtruth)
-        self._file.add(_MESSAGE, *messages)
+        for magic, rows in zip(_KINDS, (groundtruth, messages), strict=True):
+            self._file.add(magic, *(rows[name] for name in rows.dtype.names or ()))
 
     def write(self) -> None:
         """Write everything so far."""
@@ -62,5 +56,6 @@ class RecordedAvailability(LiveAvailability):
 
 def read_received(path: Path, ups: list[UpAxis]) -> tuple[Trajectory, Trajectory]:
     """Return groundtruth and estimate of a file, with their up axes."""
-    groundtruth, messages = read_tables(path, _KINDS, FORMAT, "file of receptions").values()
-    return received_groundtruth(groundtruth, ups[0]), received_poses(messages, ups[1])
+    truth, messages = read_tables(path, _KINDS, FORMAT, "file of receptions").values()
+    groundtruth = received_groundtruth(truth["stamp"], truth["pose"], ups[0])
+    return groundtruth, received_poses(messages, ups[1])
