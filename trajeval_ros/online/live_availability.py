@@ -20,19 +20,17 @@ from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
-from trajeval_ros.metrics.as_available import AvailabilityRule, why_withheld
+from trajeval_ros.metrics.as_available import AvailabilityRule, usable_messages
 from trajeval_ros.metrics.availability import (
-    HOLD,
     RATE_HZ,
     RECENT,
     STEP_NS,
     AvailableSamples,
-    Messages,
     in_use,
     instants,
     sampled,
 )
-from trajeval_ros.metrics.reception_clock import ReceptionClock, judged_receptions
+from trajeval_ros.metrics.reception_clock import ReceptionClock
 from trajeval_ros.metrics.statistics import quantile
 from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.state_buffer import NEVER, StateBuffer, usable_rows
@@ -132,34 +130,33 @@ class LiveAvailability:
         if self._last < self._seen + _AT_ONCE_NS:
             return None
         self.store()
-        stamps, times, last = self._messages["stamp"], self._messages["time"], self._truth.newest
+        times, last, messages = self._messages["time"], self._truth.newest, None
         self._seen = self._last
         if last == NEVER:
             return None  # no usable groundtruth
-        if similarity is None or not len(stamps):
+        if similarity is not None and len(times):
+            estimate = received_poses(self._messages)
+            known, messages = usable_messages(
+                estimate, similarity, self._rule, offset_ns, has_moved=self._has_moved
+            )
+            self.clock, self.why_withheld = known.clock, known.why_withheld
+        if messages is None:
             self._forget(times >= times.max(initial=0) - self._delay_ns, last - self._delay_ns)
             return None
-        _, self.clock = judged_receptions(stamps + offset_ns, times)
-        truth, estimate = received_groundtruth(*self._truth.held), received_poses(self._messages)
-        motion = self._rule.motion
-        self.why_withheld = why_withheld(estimate, self.clock, motion, has_moved=self._has_moved)
-        if self.why_withheld:
-            motion = HOLD  # what is no longer needed is forgotten all the same
-        messages = Messages.of(similarity.trajectory(estimate), times, motion, offset_ns)
-        known = min(int(times.max()), int(messages.stamps[-1])) - 1
+        truth = received_groundtruth(*self._truth.held)
+        decided = min(int(times.max()), int(messages.stamps[-1])) - 1
         first = max(self._next, int(truth.stamps[0]))
-        final = instants(first, min(last, max(known, last - self._delay_ns)))
+        final = instants(first, min(last, max(decided, last - self._delay_ns)))
         if not len(final):
             return None
         self._next = int(final[-1]) + STEP_NS
-        have = final[in_use(messages, final) >= 0]
-        samples = sampled(truth, messages, have, self._max_gap_s)
+        samples = sampled(truth, messages, final[in_use(messages, final) >= 0], self._max_gap_s)
         # Keep what the next sample can use, and the messages before that.
         used = max(int(in_use(messages, np.array([self._next]))[0]), 0)
         before = np.unique(messages.stamps[: used + 1])[-RECENT - 2 :]
         kept = times >= messages.times[messages.stamps.searchsorted(before[0])]
         self._forget(kept, min(int(messages.stamps[used]), self._next))
-        if len(samples.stamps) and not self.why_withheld:
+        if len(samples.stamps):
             self._see(samples)
         return self.newest
 

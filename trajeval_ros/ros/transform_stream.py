@@ -68,13 +68,12 @@ class TransformStream(PoseStream):
         del message_type  # timestamps are tested per edge
         edges, undecodable = decode_transforms(payloads)
         self.status.drop("undecodable", undecodable)
-        wanted = {key: columns for key, columns in edges.items() if self._wants(key)}
         self._anew_row = 0
-        for key, columns in wanted.items():
-            self._extend(key, columns)
-        if self.is_receiver:
-            for key, columns in wanted.items():
-                self._receive(key, columns, arrived_ns)
+        for key, columns in edges.items():
+            if self._wants(key):
+                self._extend(key, columns)
+        for key in edges.keys() & self._trusts.keys() if self.is_receiver else ():
+            self._receive(key, edges[key], arrived_ns)
         return self._completed(len(payloads) - 1, arrived_ns)
 
     def _completed(self, row: int, arrived_ns: Stamps) -> StateColumns:

@@ -14,7 +14,7 @@ from strategies import seeds
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.received_transforms import ReceivedChain, ReceivedEdge, compose_received
-from trajeval_ros.io.bags.transform_tree import Edge
+from trajeval_ros.io.bags.transform_tree import Edge, find_chain
 
 Array = NDArray[Any]
 STEP = 10**7
@@ -64,7 +64,9 @@ def test_a_pose_is_of_the_newest_transforms_that_were_received(
     fixed = rng.normal(size=(1, 7))
     edges[FIXED] = Edge.from_columns(np.zeros(1, dtype=np.int64), fixed, is_static=True)
     by = {key: (each, Receptions(each.times)) for key, each in received.items()}
-    found = compose_received(edges, by, "map", "tool")
+    way, leading, _ = find_chain(edges, "map", "tool", "t")
+    assert leading == ODOM
+    found = compose_received(ReceivedChain(edges, way, leading), by)
     receptions = found.reading.receptions
     assert receptions is not None
     assert receptions.corrected is not None

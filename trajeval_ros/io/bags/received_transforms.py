@@ -19,15 +19,7 @@ from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.stamp_trust import StampTrust
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.valid_poses import judge_poses
-from trajeval_ros.io.bags.transform_tree import (
-    Edge,
-    EdgeKey,
-    Way,
-    common_span,
-    compose,
-    find_way,
-    leading_edge,
-)
+from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey, Way, compose
 from trajeval_ros.metrics.stream_health import UNKNOWN
 
 _NEVER = int(np.iinfo(np.int64).max)
@@ -58,7 +50,7 @@ class ReceivedChain:
 
     def __init__(self, edges: Mapping[EdgeKey, Edge], way: Way, leading: EdgeKey) -> None:
         """Begin without received transforms; static ones are taken from `edges`."""
-        self._way, self._leading, self._trust = way, leading, StampTrust()
+        self._way, self.leading, self._trust = way, leading, StampTrust()
         self._static = {key: edges[key] for key, _ in way if edges[key].is_static}
         # The transforms from the ones in use on.
         self._moving = {key: ReceivedEdge() for key, _ in way if key not in self._static}
@@ -85,7 +77,7 @@ class ReceivedChain:
             used = edge.picked(rows)
             # An edge over the number of the event instead of time: nothing is interpolated.
             held[key] = Edge.from_columns(places, used.numbers, is_static=False)
-            if key == self._leading:
+            if key == self.leading:
                 stamps = used.stamps
             else:
                 corrected = used.times if corrected is None else np.maximum(corrected, used.times)
@@ -101,7 +93,7 @@ class ReceivedChain:
         usable = (new.stamps != 0) & (new.times != UNKNOWN) & finite & turned
         times = np.maximum.accumulate(np.maximum(new.times, self._until + 1))
         new = new._replace(times=times).picked(usable)
-        if key != self._leading:
+        if key != self.leading:
             self._moving[key] = self._moving[key].joined(new)
             return
         joined = self._moving[key].joined(
@@ -112,22 +104,11 @@ class ReceivedChain:
 
 
 def compose_received(
-    edges: Mapping[EdgeKey, Edge],
-    received: Mapping[EdgeKey, tuple[ReceivedEdge, Receptions]],
-    parent: str,
-    child: str,
+    chain: ReceivedChain, received: Mapping[EdgeKey, tuple[ReceivedEdge, Receptions]]
 ) -> Trajectory:
-    """Return the pose of `child` in `parent` at every reception of one of its transforms.
-
-    `received`: the transforms of a recording by moving edge, and what their times are.
-    """
-    way = find_way([key for key, edge in edges.items() if len(edge.stamps)], parent, child, "")
-    span = common_span(edges, way)
-    assert span is not None
-    leading = leading_edge(edges, way, span)
-    transforms = {key: each for key, (each, _) in received.items()}
-    found = ReceivedChain(edges, way, leading).poses(transforms, at_end=True)
-    assert found.reading.receptions is not None
-    by = received[leading][1]
-    receptions = replace(found.reading.receptions, by=by.by, recording_s=by.recording_s)
+    """Return the poses of a recording, by moving edge with what its times are."""
+    found = chain.poses({key: each for key, (each, _) in received.items()}, at_end=True)
+    receptions, (_, by) = found.reading.receptions, received[chain.leading]
+    assert receptions is not None
+    receptions = replace(receptions, by=by.by, recording_s=by.recording_s)
     return replace(found, reading=Reading(receptions=receptions))

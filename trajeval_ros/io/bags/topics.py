@@ -29,7 +29,7 @@ from trajeval_ros.io.bags.px4_messages import (
     majority_frame,
     why_none,
 )
-from trajeval_ros.io.bags.received_transforms import compose_received
+from trajeval_ros.io.bags.received_transforms import ReceivedChain, compose_received
 from trajeval_ros.io.bags.topic_readers import (
     PoseReader,
     TransformReader,
@@ -37,7 +37,7 @@ from trajeval_ros.io.bags.topic_readers import (
     tree_of,
     tree_topics,
 )
-from trajeval_ros.io.bags.transform_tree import compose_transforms, fixed_transform
+from trajeval_ros.io.bags.transform_tree import compose, find_chain, fixed_transform
 from trajeval_ros.io.bags.usable_poses import WORLD_TWIST, has_world_twist, usable_poses
 from trajeval_ros.io.checks import check_stamps, judge_rotations
 
@@ -294,11 +294,12 @@ def _transform_trajectory(
     where = f"{bag.path}:{source.topic}:{parent}.{child}"
     remarks = bag.remarks([each.reading for each in tree])
     edges, wanted, received = tree_of(tree), source.received, None
-    stamps, positions, quaternions = compose_transforms(edges, parent, child, where)
+    way, leading, stamps = find_chain(edges, parent, child, where)
+    positions, quaternions = compose(edges, way, stamps)
     check_stamps(stamps, where)
     if wanted:
         arrived = {key: each for reader in tree for key, each in reader.received(wanted).items()}
-        received = compose_received(edges, arrived, parent, child)
+        received = compose_received(ReceivedChain(edges, way, leading), arrived)
     trajectory = Trajectory.from_columns(
         stamps,
         positions,
