@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.formatting.remarks import Remark, warning
-from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.reading import Reading
@@ -34,7 +33,7 @@ from trajeval_ros.metrics.reception_clock import ReceptionClock
 from trajeval_ros.metrics.statistics import quantile
 from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.state_buffer import NEVER, StateBuffer, usable_rows
-from trajeval_ros.online.state_rows import POSITION, QUATERNION, VELOCITY, WIDTH
+from trajeval_ros.online.state_rows import QUATERNION, VELOCITY, WIDTH, trajectory
 
 _POSE, _STATE = QUATERNION.stop, WIDTH + 3  # columns of groundtruth, and of messages with a twist
 GROUNDTRUTH = np.dtype([("stamp", "<i8"), ("pose", "<f8", _POSE)])
@@ -143,7 +142,7 @@ class LiveAvailability:
         if messages is None:
             self._forget(times >= times.max(initial=0) - self._delay_ns, last - self._delay_ns)
             return None
-        truth = received_groundtruth(*self._truth.held)
+        truth = trajectory(*self._truth.held)
         decided = min(int(times.max()), int(messages.stamps[-1])) - 1
         first = max(self._next, int(truth.stamps[0]))
         final = instants(first, min(last, max(decided, last - self._delay_ns)))
@@ -200,21 +199,10 @@ class LiveAvailability:
         }
 
 
-def received_groundtruth(stamps: Stamps, rows: Floats, up: UpAxis = Z_UP) -> Trajectory:
-    """Return the groundtruth in rows (N, 7); without orientations if these are NaN."""
-    turns = rows[:, QUATERNION]
-    quaternions = None if np.isnan(turns).any() else lie.normalized(turns)
-    return Trajectory(stamps, rows[:, POSITION], quaternions, up=up)
-
-
 def received_poses(rows: Rows, up: UpAxis = Z_UP) -> Trajectory:
     """Return the messages in rows of type `MESSAGE`; without velocities if these are NaN."""
-    poses = received_groundtruth(rows["stamp"], rows["state"], up)
-    velocities, rates = rows["state"][:, VELOCITY], rows["state"][:, WIDTH:]
     corrected = None if (rows["corrected"] == UNKNOWN).any() else rows["corrected"]
+    rates = rows["state"][:, WIDTH:]
     receptions = Receptions(rows["time"], "node", body_rates=rates, corrected=corrected)
-    return replace(
-        poses,
-        velocities=None if np.isnan(velocities).any() else velocities,
-        reading=Reading(receptions=receptions),
-    )
+    poses = trajectory(rows["stamp"], rows["state"][:, :WIDTH], up)
+    return replace(poses, reading=Reading(receptions=receptions))

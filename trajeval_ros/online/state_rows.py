@@ -153,11 +153,11 @@ def on_plane(rows: Floats, up: UpAxis) -> Floats:
 
 
 def trajectory(stamps: Stamps, rows: Floats, up: UpAxis = Z_UP) -> Trajectory:
-    """Return rows (N, 10) or (N, 46) as a trajectory, without quantities that are not measured."""
+    """Return rows (N, 7 or more) as a trajectory, without quantities that are not measured."""
     quaternions, velocities = rows[:, QUATERNION], rows[:, VELOCITY]
     covariances = rows[:, COVARIANCE]
     measured = len(rows) and not np.isnan(quaternions[0, 0])
-    moving = len(rows) and not np.isnan(velocities).any()
+    moving = velocities.size and not np.isnan(velocities).any()
     return Trajectory(
         stamps=np.array(stamps),
         positions=np.array(rows[:, POSITION]),

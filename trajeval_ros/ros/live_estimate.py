@@ -46,22 +46,23 @@ from trajeval_ros.ros.timing import Latency
 class DecodedMessages(NamedTuple):
     """Messages of one source: some poses, or one path.
 
-    Timestamps (N,) are for the detection of steps back; a path has only that of its last pose.
     Times (N,) are those of reception by the middleware; for a path, its time of arrival.
     """
 
-    stamps: Stamps
     states: StateColumns
     times: Stamps
     is_path: bool = False
+
+    @property
+    def stamps(self) -> Stamps:
+        """Timestamps for the detection of steps back; a path has only that of its last pose."""
+        return self.states.stamps[-1:] if self.is_path else self.states.stamps
 
     def part(self, rows: slice) -> DecodedMessages:
         """Return some of the messages; a path has one part."""
         if self.is_path:
             return self
-        return self._replace(
-            stamps=self.stamps[rows], states=self.states.picked(rows), times=self.times[rows]
-        )
+        return DecodedMessages(self.states.picked(rows), self.times[rows])
 
 
 class LiveEstimate:

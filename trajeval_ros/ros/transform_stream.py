@@ -14,7 +14,12 @@ from trajeval_ros.geometry.reading import FORMAT
 from trajeval_ros.geometry.stamp_trust import LONE, NEAR_NS, StampTrust
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.pose_messages import TransformColumns, decode_transforms
-from trajeval_ros.io.bags.received_transforms import ReceivedChain, ReceivedEdge
+from trajeval_ros.io.bags.received_transforms import (
+    NO_TRANSFORMS,
+    ReceivedChain,
+    Transforms,
+    transforms_of,
+)
 from trajeval_ros.io.bags.transform_tree import (
     LEADS_BY_S,
     Edge,
@@ -56,7 +61,7 @@ class TransformStream(PoseStream):
         self._until = NEVER
         self._warn_at: float | None = None
         # For `as_received`: the transforms since its last call, and what composes them.
-        self._received: dict[EdgeKey, ReceivedEdge] = {}
+        self._received: dict[EdgeKey, Transforms] = {}
         self._chain: ReceivedChain | None = None
         self._anew_row = 0  # the newest message at which time started again
         self._is_over = False  # whether no transforms will follow
@@ -164,13 +169,13 @@ class TransformStream(PoseStream):
         self._keep(key, new if known is None or known.is_static else known.joined(new))
 
     def _receive(self, key: EdgeKey, columns: TransformColumns, arrived_ns: Stamps) -> None:
-        known, new = self._received.get(key, ReceivedEdge()), columns.rows >= self._anew_row
-        received = ReceivedEdge(columns.stamps, columns.numbers, arrived_ns[columns.rows])
-        known = known.joined(received.picked(new)).picked(slice(-_MOST_TRANSFORMS, None))
+        new = columns.rows >= self._anew_row
+        received = transforms_of(columns.stamps, columns.numbers, arrived_ns[columns.rows])[new]
+        known = np.concatenate([self._received.get(key, NO_TRANSFORMS), received])
         if not self._way:
-            recent = known.times >= known.times[-1:] - round(_MEMORY_S * NANOSECONDS)
-            known = known.picked(recent)
-        self._received[key] = known
+            recent = known["time"][-1:] - round(_MEMORY_S * NANOSECONDS)
+            known = known[known["time"] >= recent]
+        self._received[key] = known[-_MOST_TRANSFORMS:]
 
     def begin_anew(self) -> None:
         """Forget earlier messages."""

@@ -13,7 +13,12 @@ from strategies import seeds
 
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.bags.received_transforms import ReceivedChain, ReceivedEdge, compose_received
+from trajeval_ros.io.bags.received_transforms import (
+    ReceivedChain,
+    Transforms,
+    compose_received,
+    transforms_of,
+)
 from trajeval_ros.io.bags.transform_tree import Edge, find_chain
 
 Array = NDArray[Any]
@@ -59,11 +64,11 @@ def test_a_pose_is_of_the_newest_transforms_that_were_received(
         numbers[:, 3:] /= np.linalg.norm(numbers[:, 3:], axis=1)[:, None]
         dated = stamps + shift * STEP
         order = np.argsort(times, kind="stable")
-        received[key] = ReceivedEdge(dated[order], numbers[order], times[order])
+        received[key] = transforms_of(dated[order], numbers[order], times[order])
         edges[key] = Edge.from_columns(dated, numbers, is_static=False)
     fixed = rng.normal(size=(1, 7))
     edges[FIXED] = Edge.from_columns(np.zeros(1, dtype=np.int64), fixed, is_static=True)
-    by = {key: (each, Receptions(each.times)) for key, each in received.items()}
+    by = {key: (each, Receptions(each["time"])) for key, each in received.items()}
     way, leading, _ = find_chain(edges, "map", "tool", "t")
     assert leading == ODOM
     found = compose_received(ReceivedChain(edges, way, leading), by)
@@ -72,10 +77,10 @@ def test_a_pose_is_of_the_newest_transforms_that_were_received(
     assert receptions.corrected is not None
     assert found.quaternions is not None
     odometry = received[ODOM]  # it has the most transforms
-    is_newer = np.diff(np.maximum.accumulate(odometry.stamps), prepend=0) > 0
-    used = [received[MAP].times, received[ARM].times, odometry.times[is_newer]]
+    is_newer = np.diff(np.maximum.accumulate(odometry["stamp"]), prepend=0) > 0
+    used = [received[MAP]["time"], received[ARM]["time"], odometry["time"][is_newer]]
     events = sorted({int(at) for times in used for at in times})
-    first = max(int(each.times.min()) for each in received.values())
+    first = max(int(each["time"].min()) for each in received.values())
     events = [each for each in events if each >= first]
     assert receptions.times.tolist() == events
     for row, now in enumerate(events):
@@ -86,14 +91,14 @@ def test_a_pose_is_of_the_newest_transforms_that_were_received(
                 product = product @ as_matrix(numbers)
                 continue
             each = received[key]
-            known = np.flatnonzero(each.times <= now)
+            known = np.flatnonzero(each["time"] <= now)
             newest = known[-1]
             if key == ODOM:
-                newest = known[int(each.stamps[known].argmax())]
-                assert found.stamps[row] == each.stamps[newest]
+                newest = known[int(each["stamp"][known].argmax())]
+                assert found.stamps[row] == each["stamp"][newest]
             else:
-                corrected = max(corrected, int(each.times[newest]))
-            product = product @ np.linalg.matrix_power(as_matrix(each.numbers[newest]), power)
+                corrected = max(corrected, int(each["time"][newest]))
+            product = product @ np.linalg.matrix_power(as_matrix(each["numbers"][newest]), power)
         assert receptions.corrected[row] == corrected
         np.testing.assert_allclose(found.positions[row], product[:3, 3], atol=1e-12)
         turned = Rotation.from_quat(found.quaternions[row]).as_matrix()
@@ -105,7 +110,7 @@ def test_a_pose_is_of_the_newest_transforms_that_were_received(
 def test_poses_do_not_depend_on_the_batches_of_transforms(seed: int, parts: int) -> None:
     """Corrections come seldom, up to a minute apart; the leading edge has isolated timestamps."""
     rng = np.random.default_rng(seed)
-    received: dict[tuple[str, str], ReceivedEdge] = {}
+    received: dict[tuple[str, str], Transforms] = {}
     for key, count in ((MAP, 8), (ODOM, 400)):
         times = 10**15 + np.sort(rng.integers(0, 40 * 10**9, size=count))
         stamps = times - rng.integers(0, 10**8, size=count)
@@ -115,7 +120,7 @@ def test_poses_do_not_depend_on_the_batches_of_transforms(seed: int, parts: int)
             stamps += rng.integers(-60 * 10**9, 60 * 10**9, size=count)
         numbers = rng.normal(size=(count, 7))
         numbers[rng.choice(count, size=count // 8), 3:] = 0.0
-        received[key] = ReceivedEdge(stamps, numbers, times)
+        received[key] = transforms_of(stamps, numbers, times)
     way = [(MAP, True), (ODOM, True)]
     wanted = ReceivedChain({MAP: MOVING, ODOM: MOVING}, way, ODOM).poses(received, at_end=True)
     assert len(wanted) > 50
@@ -123,7 +128,7 @@ def test_poses_do_not_depend_on_the_batches_of_transforms(seed: int, parts: int)
     edges = 10**15 + np.sort(rng.integers(0, 40 * 10**9, size=parts))
     for begin, end in zip([0, *edges], [*edges, 2 * 10**15], strict=True):
         new = {
-            key: each.picked((each.times >= begin) & (each.times < end))
+            key: each[(each["time"] >= begin) & (each["time"] < end)]
             for key, each in received.items()
         }
         found.append(chain.poses(new, at_end=end > 10**15 + 40 * 10**9))
@@ -137,8 +142,8 @@ def test_a_transform_received_with_the_newest_pose_holds_just_after_it() -> None
     chain = ReceivedChain({MAP: MOVING, ODOM: MOVING}, [(MAP, True), (ODOM, True)], ODOM)
     turn = [0.0, 0.0, 0.0, 1.0]
 
-    def at(stamp: int, time: int, x: float) -> ReceivedEdge:
-        return ReceivedEdge(np.array([stamp]), np.array([[x, 0.0, 0.0, *turn]]), np.array([time]))
+    def at(stamp: int, time: int, x: float) -> Transforms:
+        return transforms_of(np.array([stamp]), np.array([[x, 0.0, 0.0, *turn]]), np.array([time]))
 
     odometry = at(STEP, 9, 2.0)
     assert len(chain.poses({MAP: at(5, 9, 1.0), ODOM: odometry})) == 0  # the first waits

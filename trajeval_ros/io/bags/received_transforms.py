@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.reading import Reading
@@ -25,20 +25,18 @@ from trajeval_ros.metrics.stream_health import UNKNOWN
 _NEVER = int(np.iinfo(np.int64).max)
 
 
-class ReceivedEdge(NamedTuple):
-    """The transforms of a moving edge in the order of their reception."""
+# A transform: timestamp in nanoseconds, translation and quaternion xyzw, and time of reception in
+# nanoseconds, which may be `UNKNOWN`.
+TRANSFORM = np.dtype([("stamp", "<i8"), ("numbers", "<f8", 7), ("time", "<i8")])
+Transforms = NDArray[np.void]  # (N,) in the order of their reception
+NO_TRANSFORMS: Transforms = np.empty(0, TRANSFORM)
 
-    stamps: Stamps = np.empty(0, np.int64)  # (N,) nanoseconds
-    numbers: Floats = np.empty((0, 7))  # (N, 7): translation, quaternion xyzw
-    times: Stamps = np.empty(0, np.int64)  # (N,) nanoseconds, of reception, may be `UNKNOWN`
 
-    def picked(self, rows: Any) -> ReceivedEdge:
-        """Return the transforms of a slice, a mask or an array of indices."""
-        return ReceivedEdge._make(each[rows] for each in self)
-
-    def joined(self, later: ReceivedEdge) -> ReceivedEdge:
-        """Return these transforms and later ones."""
-        return ReceivedEdge._make(map(np.concatenate, zip(self, later, strict=True)))
+def transforms_of(stamps: Stamps, numbers: Floats, times: Stamps) -> Transforms:
+    """Return transforms by column: (N,), (N, 7), (N,)."""
+    found = np.empty(len(stamps), TRANSFORM)
+    found["stamp"], found["numbers"], found["time"] = stamps, numbers, times
+    return found
 
 
 class ReceivedChain:
@@ -53,10 +51,10 @@ class ReceivedChain:
         self._way, self.leading, self._trust = way, leading, StampTrust()
         self._static = {key: edges[key] for key, _ in way if edges[key].is_static}
         # The transforms from the ones in use on.
-        self._moving = {key: ReceivedEdge() for key, _ in way if key not in self._static}
+        self._moving = {key: NO_TRANSFORMS for key, _ in way if key not in self._static}
         self._until = UNKNOWN  # reception of the newest pose
 
-    def poses(self, new: Mapping[EdgeKey, ReceivedEdge], *, at_end: bool = False) -> Trajectory:
+    def poses(self, new: Mapping[EdgeKey, Transforms], *, at_end: bool = False) -> Trajectory:
         """Return the poses at the receptions of new transforms, as far as these are decided.
 
         Timestamps are of the newest leading transform; one repeats if only a correction is new. A
@@ -64,47 +62,46 @@ class ReceivedChain:
         `at_end`: no transforms will follow.
         """
         for key in self._moving:
-            self._add(key, new.get(key, ReceivedEdge()), at_end=at_end)
-        moving = self._moving.values()
-        events = np.unique(np.concatenate([each.times for each in moving]))
-        undecided = self._trust.waiting[-1] if self._trust.waiting else [_NEVER]
-        begin = max(each.times[0] if len(each.times) else _NEVER for each in moving)
-        events = events[(events > self._until) & (events >= begin) & (events < undecided[0])]
+            self._add(key, new.get(key, NO_TRANSFORMS), at_end=at_end)
+        times = [each["time"] for each in self._moving.values()]
+        events = np.unique(np.concatenate(times))
+        begin = max(each[0] if len(each) else _NEVER for each in times)
+        undecided = self._trust.waiting[1]["time"][0] if self._trust.waiting else _NEVER
+        events = events[(events > self._until) & (events >= begin) & (events < undecided)]
         places = np.arange(len(events)) + 1
         held, corrected = dict(self._static), None
         for key, edge in self._moving.items():
-            rows = edge.times.searchsorted(events, side="right") - 1
-            used = edge.picked(rows)
+            rows = edge["time"].searchsorted(events, side="right") - 1
+            used = edge[rows]
             # An edge over the number of the event instead of time: nothing is interpolated.
-            held[key] = Edge.from_columns(places, used.numbers, is_static=False)
+            held[key] = Edge.from_columns(places, used["numbers"], is_static=False)
             if key == self.leading:
-                stamps = used.stamps
+                stamps = used["stamp"]
             else:
-                corrected = used.times if corrected is None else np.maximum(corrected, used.times)
+                since = used["time"]
+                corrected = since if corrected is None else np.maximum(corrected, since)
             if len(rows):
-                self._moving[key] = edge.picked(slice(rows[-1], None))
+                self._moving[key] = edge[rows[-1] :]
         self._until = int(events[-1]) if len(events) else self._until
         reading = Reading(receptions=Receptions(events, "node", corrected=corrected))
         return Trajectory(stamps, *compose(held, self._way, places), reading=reading)
 
-    def _add(self, key: EdgeKey, new: ReceivedEdge, *, at_end: bool) -> None:
+    def _add(self, key: EdgeKey, new: Transforms, *, at_end: bool) -> None:
         """Take usable transforms; one that was received with the newest pose holds just after."""
-        finite, turned = judge_poses(new.numbers[:, :3], new.numbers[:, 3:])
-        usable = (new.stamps != 0) & (new.times != UNKNOWN) & finite & turned
-        times = np.maximum.accumulate(np.maximum(new.times, self._until + 1))
-        new = new._replace(times=times).picked(usable)
-        if key != self.leading:
-            self._moving[key] = self._moving[key].joined(new)
-            return
-        joined = self._moving[key].joined(
-            ReceivedEdge._make(self._trust.take(*new, at_end=at_end))
-        )
-        newest = np.maximum.accumulate(joined.stamps)  # late ones are never in use
-        self._moving[key] = joined.picked(np.diff(newest, prepend=newest[:1] - 1) > 0)
+        finite, turned = judge_poses(new["numbers"][:, :3], new["numbers"][:, 3:])
+        new = new[(new["stamp"] != 0) & (new["time"] != UNKNOWN) & finite & turned]
+        new["time"] = np.maximum.accumulate(np.maximum(new["time"], self._until + 1))
+        if key == self.leading:
+            _, new = self._trust.take(new["stamp"], new, at_end=at_end)
+        joined = np.concatenate([self._moving[key], new])
+        if key == self.leading:  # late ones are never in use
+            newest = np.maximum.accumulate(joined["stamp"])
+            joined = joined[np.diff(newest, prepend=newest[:1] - 1) > 0]
+        self._moving[key] = joined
 
 
 def compose_received(
-    chain: ReceivedChain, received: Mapping[EdgeKey, tuple[ReceivedEdge, Receptions]]
+    chain: ReceivedChain, received: Mapping[EdgeKey, tuple[Transforms, Receptions]]
 ) -> Trajectory:
     """Return the poses of a recording, by moving edge with what its times are."""
     found = chain.poses({key: each for key, (each, _) in received.items()}, at_end=True)

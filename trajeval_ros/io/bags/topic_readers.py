@@ -39,7 +39,7 @@ from trajeval_ros.io.bags.px4_messages import (
     attitude_name,
     with_attitudes,
 )
-from trajeval_ros.io.bags.received_transforms import ReceivedEdge
+from trajeval_ros.io.bags.received_transforms import Transforms, transforms_of
 from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey
 from trajeval_ros.io.checks import times
 from trajeval_ros.io.growing_rows import GrowingRows
@@ -93,7 +93,7 @@ class TransformReader:
             part = transforms, block.log_times[rows], block.publish_times[rows]
             self._parts.setdefault(edge, []).append(part)
 
-    def received(self, wanted: str) -> dict[EdgeKey, tuple[ReceivedEdge, Receptions]]:
+    def received(self, wanted: str) -> dict[EdgeKey, tuple[Transforms, Receptions]]:
         """Return the transforms of moving edges, and what their times of reception are.
 
         `wanted`: the clock of the receptions, as in `Receptions.of_bag`.
@@ -103,7 +103,7 @@ class TransformReader:
             stamps, numbers, logged, published = self._in_order(key)
             receptions = Receptions.of_bag(logged, published, wanted)
             order = np.argsort(receptions.times, kind="stable")
-            found[key] = ReceivedEdge(stamps, numbers, receptions.times).picked(order), receptions
+            found[key] = transforms_of(stamps, numbers, receptions.times)[order], receptions
         return found
 
     @property

@@ -19,9 +19,9 @@ from trajeval_ros.online.live_availability import (
     MESSAGE,
     LiveAvailability,
     Rows,
-    received_groundtruth,
     received_poses,
 )
+from trajeval_ros.online.state_rows import trajectory
 
 FORMAT = "trajeval-received/2"
 SUFFIX = ".received"
@@ -57,5 +57,4 @@ class RecordedAvailability(LiveAvailability):
 def read_received(path: Path, ups: list[UpAxis]) -> tuple[Trajectory, Trajectory]:
     """Return groundtruth and estimate of a file, with their up axes."""
     truth, messages = read_tables(path, _KINDS, FORMAT, "file of receptions").values()
-    groundtruth = received_groundtruth(truth["stamp"], truth["pose"], ups[0])
-    return groundtruth, received_poses(messages, ups[1])
+    return trajectory(truth["stamp"], truth["pose"], ups[0]), received_poses(messages, ups[1])
