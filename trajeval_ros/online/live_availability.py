@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.formatting.remarks import Remark, warning
+from trajeval_ros.formatting.remarks import Remark
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
-from trajeval_ros.metrics.as_available import AvailabilityRule, usable_messages
+from trajeval_ros.metrics.as_available import Availability, AvailabilityRule, usable_messages
 from trajeval_ros.metrics.availability import (
     RATE_HZ,
     RECENT,
@@ -29,7 +29,6 @@ from trajeval_ros.metrics.availability import (
     instants,
     sampled,
 )
-from trajeval_ros.metrics.reception_clock import ReceptionClock
 from trajeval_ros.metrics.statistics import quantile
 from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.state_buffer import NEVER, StateBuffer, usable_rows
@@ -64,9 +63,8 @@ class LiveAvailability:
         # Of the last update, by topic and as samples; none if it has none.
         self.numbers: dict[str, float] = {}
         self.newest: AvailableSamples | None = None
-        # Comparison of the recent receptions with timestamps; None before the first.
-        self.clock: ReceptionClock | None = None
-        self.why_withheld = ""  # why there are no errors now
+        # What is known of the messages, such as why there are no errors now.
+        self._known = Availability(rule.motion, rule.deadline_s)
         self.missed = 0  # number of spans with ages above the deadline so far
         self.age_p95_s: float | None = None  # 95th percentile of the ages of the newest 10 s
 
@@ -135,10 +133,9 @@ class LiveAvailability:
             return None  # no usable groundtruth
         if similarity is not None and len(times):
             estimate = received_poses(self._messages)
-            known, messages = usable_messages(
+            self._known, messages = usable_messages(
                 estimate, similarity, self._rule, offset_ns, has_moved=self._has_moved
             )
-            self.clock, self.why_withheld = known.clock, known.why_withheld
         if messages is None:
             self._forget(times >= times.max(initial=0) - self._delay_ns, last - self._delay_ns)
             return None
@@ -186,8 +183,7 @@ class LiveAvailability:
     @property
     def remarks(self) -> list[Remark]:
         """The warning about withheld errors."""
-        said = f"as available: {self.why_withheld}"
-        return [warning("reception_clock", said)] if self.why_withheld else []
+        return self._known.remarks if self._known.why_withheld else []
 
     @property
     def values(self) -> dict[str, Any]:
@@ -195,7 +191,7 @@ class LiveAvailability:
         return {
             "pose age p95 [s]": self.age_p95_s,
             "missed deadlines": self.missed,
-            "reception clock": None if self.clock is None else self.clock.verdict,
+            "reception clock": self._known.clock and self._known.clock.verdict,
         }
 
 

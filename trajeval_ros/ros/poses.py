@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.formatting.remarks import Remark, note, warning
-from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.fix_selection import FRAME
 from trajeval_ros.geometry.geodesy import Datum
 from trajeval_ros.geometry.reading import FORMAT, DeclaredReset
@@ -25,7 +25,7 @@ from trajeval_ros.io.bags.pose_messages import PATH_TYPE, decode_path, decode_po
 from trajeval_ros.io.bags.usable_poses import UsablePoses, usable_poses
 from trajeval_ros.metrics.stream_health import StreamMonitor
 from trajeval_ros.online.state_buffer import StateCounts, usable_rows
-from trajeval_ros.online.state_rows import POSITION, WIDTH, as_wide, states
+from trajeval_ros.online.state_rows import WIDTH, as_wide, states
 from trajeval_ros.ros.clock_steps import ClockSteps
 from trajeval_ros.ros.live_fixes import LiveFixes
 from trajeval_ros.ros.timing import Arrivals
@@ -177,7 +177,7 @@ class PoseStream:
         """
         self._see_type(PATH_TYPE)
         found = self._states(decode_path(payload))
-        poses = np.flatnonzero(_are_poses(found.states))
+        poses = np.flatnonzero(usable_rows(found.states)[0])
         rows, trust = trusted_states(found.stamps[poses])
         self._tell_lone(trust)
         return found.picked(poses[rows]) if trust.lone else found
@@ -261,7 +261,7 @@ class PoseStream:
 
         States that waited get the row of the first of these messages.
         """
-        poses, before = _are_poses(found.states), self._trust.lone
+        poses, before = usable_rows(found.states)[0], self._trust.lone
         self._batch += 1
         self._width = max(self._width, found.states.shape[1])  # types may change on the way
         rates = found.body_rates
@@ -308,7 +308,7 @@ class PoseStream:
                 self.news.append(self.trouble)
 
     def _count(self, found: StateColumns) -> None:
-        poses = _are_poses(found.states)
+        poses = usable_rows(found.states)[0]
         stamps = found.stamps[poses]
         if not len(stamps):
             return
@@ -336,10 +336,3 @@ class PoseStream:
         """Store a new note, and publish it as a warning with the code of an event."""
         if self.status.note(note(code, said)):
             self.news.append(warning(event, said, values=values))
-
-
-def _are_poses(rows: Floats) -> Booleans:
-    """Return which states (N, 10) are finite, with a valid quaternion or without one."""
-    rows = rows[:, :WIDTH]
-    finite = np.isfinite(rows[:, POSITION]).all(axis=1)
-    return np.logical_and(finite, ~np.isposinf(rows).any(axis=1))
