@@ -24,12 +24,7 @@ from trajeval_ros.geometry.interpolation import Bracket, bracket_stamps, mix, sl
 from trajeval_ros.geometry.reading import NOT_READ, Reading, require_column
 from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
-from trajeval_ros.geometry.valid_poses import (
-    LARGEST,
-    at_length_one,
-    conflicts_of,
-    judge_poses,
-)
+from trajeval_ros.geometry.valid_poses import LARGEST, at_length_one, conflicts_of, judge_poses
 
 if TYPE_CHECKING:
     import pandas

@@ -322,11 +322,7 @@ class StatusReports:
     """Publishes the status of a run and the events about its changes."""
 
     def __init__(
-        self,
-        node: Node,
-        events: EventTopic,
-        watching: Watching,
-        log: Callable[[str, Level], None],
+        self, node: Node, events: EventTopic, watching: Watching, log: Callable[[str, Level], None]
     ) -> None:
         """Create it; `log` writes a sentence to the log."""
         self._node, self._events, self._watching, self._log = node, events, watching, log

@@ -136,10 +136,7 @@ class LiveWatch:
         if np.isfinite(velocities).any():
             self._needs.add("twist")
         return self.watchdog.add_states(
-            stamps,
-            positions,
-            quaternions,
-            lie.rotate(lie.conjugate(quaternions), velocities),
+            stamps, positions, quaternions, lie.rotate(lie.conjugate(quaternions), velocities)
         )
 
     def _keep_latest(self, signals: Signals) -> None:

@@ -225,9 +225,7 @@ def trajectory_of_columns(
             columns.positions,
             columns.fix_quality,
             Reading(
-                dropped=dropped,
-                remarks=(*remarks, *receivers),
-                receptions=columns.receptions,
+                dropped=dropped, remarks=(*remarks, *receivers), receptions=columns.receptions
             ),
             child_frame=columns.frames[0][1],
             name=name.strip("/"),
