@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.metrics.test_as_available import IDENTITY, rough
+from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.metrics.as_available import AvailabilityRule, as_available
 from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.live_availability import LiveAvailability
@@ -34,7 +35,9 @@ def test_live_errors_equal_recorded_ones(motion: str, every: int) -> None:
     for number, (_, kind, row) in enumerate(sorted(events)):
         part = slice(row, row + 1)
         if kind:
-            live.add_estimate(estimate.stamps[part], receptions.times[part], rows[part])
+            live.add_estimate(
+                estimate.stamps[part], rows[part], Receptions(receptions.times[part])
+            )
         else:
             live.add_groundtruth(truth.stamps[part], truth_rows[part])
         if number % every == 0 and (samples := live.update(IDENTITY)) is not None:
@@ -67,7 +70,7 @@ def test_nothing_is_reported_from_impossible_clocks_or_unknown_receptions() -> N
     ):
         live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
         live.add_groundtruth(truth.stamps, np.hstack([truth.positions, truth.quaternions]))
-        live.add_estimate(estimate.stamps, times, rows)
+        live.add_estimate(estimate.stamps, rows, Receptions(times))
         assert live.update(IDENTITY) is None
         assert live.numbers == {}
         assert live.values["reception clock"] == verdict
@@ -90,7 +93,7 @@ def fed(step_ms: int, until_ms: int, every_ms: int, deadline_s: float = 0.1) -> 
         now = truth[(truth >= edges[0]) & (truth < edges[1])]
         live.add_groundtruth(now, states_on(now))
         now = messages[(messages + 30_000_000 >= edges[0]) & (messages + 30_000_000 < edges[1])]
-        live.add_estimate(now, now + 30_000_000, states_on(now))
+        live.add_estimate(now, states_on(now), Receptions(now + 30_000_000))
         live.update(IDENTITY)
     return live
 
@@ -121,7 +124,7 @@ def test_a_deadline_is_missed_once_per_span_above_it(deadline_s: float, *, misse
 def test_samples_are_evaluated_twice_a_second() -> None:
     live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
     stamps = np.arange(0, 2000, 5) * 1_000_000
-    live.add_estimate(stamps, stamps + 10_000_000, states_on(stamps))
+    live.add_estimate(stamps, states_on(stamps), Receptions(stamps + 10_000_000))
     evaluated = []
     for stamp in stamps:
         one = np.array([stamp])
@@ -144,7 +147,7 @@ def test_states_that_are_no_poses_are_neither_used_nor_recorded() -> None:
     times = stamps + 5
     times[2] = UNKNOWN
     live.add_groundtruth(stamps, rows)
-    live.add_estimate(stamps, times, rows)
+    live.add_estimate(stamps, rows, Receptions(times))
     live.store()
     assert [each.tolist() for each in seen] == [[0, 2 * 10**9, 3 * 10**9], [0, 3 * 10**9]]
     assert live._messages["time"].tolist() == [5, 3 * 10**9 + 5]
@@ -159,7 +162,7 @@ def test_an_offset_moves_the_timestamps_and_not_the_receptions() -> None:
         live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
         stamps = np.arange(0, 2000, 5) * 1_000_000
         live.add_groundtruth(stamps, states_on(stamps))
-        live.add_estimate(stamps, stamps + 50_000_000, states_on(stamps))
+        live.add_estimate(stamps, states_on(stamps), Receptions(stamps + 50_000_000))
         assert live.update(IDENTITY, offset_ns) is not None
         found.append(live.numbers)
     assert found[0]["available/age"] - found[1]["available/age"] == pytest.approx(0.02)
@@ -175,7 +178,7 @@ def test_memory_is_bounded_before_the_first_alignment(*, has_messages: bool) -> 
         stamps = (second * 100 + np.arange(100)) * 10_000_000
         live.add_groundtruth(stamps, states_on(stamps))
         if has_messages:
-            live.add_estimate(stamps, stamps + 30_000_000, states_on(stamps))
+            live.add_estimate(stamps, states_on(stamps), Receptions(stamps + 30_000_000))
         live.update(None)
     assert len(live._truth) <= 1001
     assert len(live._messages) == (1001 if has_messages else 0)
@@ -183,7 +186,7 @@ def test_memory_is_bounded_before_the_first_alignment(*, has_messages: bool) -> 
     if has_messages:
         stamps = (6000 + np.arange(100)) * 10_000_000
         live.add_groundtruth(stamps, states_on(stamps))
-        live.add_estimate(stamps, stamps + 30_000_000, states_on(stamps))
+        live.add_estimate(stamps, states_on(stamps), Receptions(stamps + 30_000_000))
         samples = live.update(IDENTITY)
         assert samples is not None
         assert len(samples.stamps) > 900
@@ -193,7 +196,7 @@ def test_there_is_no_error_before_the_first_message() -> None:
     live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
     truth, stamps = np.arange(0, 3000, 5) * 1_000_000, np.arange(1000, 3000, 50) * 1_000_000
     live.add_groundtruth(truth, states_on(truth))
-    live.add_estimate(stamps, stamps + 30_000_000, states_on(stamps))
+    live.add_estimate(stamps, states_on(stamps), Receptions(stamps + 30_000_000))
     samples = live.update(IDENTITY)
     assert samples is not None
     assert samples.stamps[0] == 1_030_000_000

@@ -313,6 +313,13 @@ class Trajectory:
         return "poses" if has_rotations else "points"
 
     @property
+    def known_quaternions(self) -> Floats:
+        """Quaternions (N, 4), xyzw; the identity without orientations."""
+        if self.quaternions is not None:
+            return self.quaternions
+        return np.tile([0.0, 0.0, 0.0, 1.0], (len(self), 1))
+
+    @property
     def rotations(self) -> Rotation | None:
         """The orientations as a scipy `Rotation` of N; imports `scipy.spatial`."""
         if self.quaternions is None:

@@ -75,30 +75,17 @@ class LiveAvailability:
         new["stamp"], new["pose"] = stamps, rows[:, :_POSE]
         self._new_truth.append(new)
 
-    def add_estimate(
-        self,
-        stamps: Stamps,
-        times: Stamps,
-        rows: Floats,
-        body_rates: Floats | None = None,
-        corrected: Stamps | None = None,
-    ) -> None:
-        """Take messages.
+    def add_estimate(self, stamps: Stamps, rows: Floats, receptions: Receptions) -> None:
+        """Take messages: timestamps (N,), nanoseconds, and states (N, 7 or more).
 
-        Args:
-            stamps: Timestamps, (N,), nanoseconds.
-            times: Receptions, (N,), nanoseconds. Messages with unknown ones are left out.
-            rows: States (N, 7 or more), as in `online.state_rows`.
-            body_rates: As in `Receptions`, (N, 3); NaN if not measured.
-            corrected: As in `Receptions`, (N,).
+        Those with an `UNKNOWN` time of reception are left out. Body rates may be NaN.
         """
         new = np.empty(len(stamps), MESSAGE)
-        new["stamp"], new["time"] = stamps, times
-        new["corrected"] = UNKNOWN if corrected is None else corrected
-        new["state"] = np.nan
+        new["stamp"], new["time"], new["state"] = stamps, receptions.times, np.nan
+        new["corrected"] = UNKNOWN if receptions.corrected is None else receptions.corrected
         new["state"][:, : min(rows.shape[1], WIDTH)] = rows[:, :WIDTH]
-        if body_rates is not None:
-            new["state"][:, WIDTH:] = body_rates
+        if receptions.body_rates is not None:
+            new["state"][:, WIDTH:] = receptions.body_rates
         self._new_messages.append(new)
 
     def record(self, groundtruth: Rows, messages: Rows) -> None:

@@ -125,13 +125,6 @@ def turned_covariances(rows: Floats, *, to_body: bool = False) -> Floats:
     return turned
 
 
-def without_orientations(rows: Floats) -> Floats:
-    """Return states (N, 10) with positions only."""
-    places: Floats = rows.copy()
-    places[:, POSITION.stop :] = np.nan
-    return places
-
-
 def as_wide(rows: Floats, width: int) -> Floats:
     """Return states with `width` columns: covariances are cut off, or set to zero (unknown)."""
     if rows.shape[1] >= width:

@@ -353,17 +353,9 @@ class StatusReports:
             self.newest[estimate.name] = Status.of(
                 run, estimate, snapshot, newest, remarks, peaks, undrawn
             )
-            missing = missing_source(run, estimate)
-            parts.append(
-                summary(
-                    estimate.name,
-                    snapshot,
-                    window,
-                    newest.position_m,
-                    missing,
-                    unpaired_s=estimate.unpaired_s,
-                )
-            )
+            missing, unpaired_s = missing_source(run, estimate), estimate.unpaired_s
+            about = estimate.name, snapshot, window, newest.position_m, missing
+            parts.append(summary(*about, unpaired_s=unpaired_s))
         statuses = [
             status_message(self._node, each.level, name, each.text, each.values)
             for name, each in self.newest.items()

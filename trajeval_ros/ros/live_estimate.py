@@ -15,6 +15,7 @@ from trajeval_ros.consistency.s_transformation import unknown_covariances
 from trajeval_ros.diagnosis.geometry_tests import up_axis_doubt
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.marker import BODYS_VELOCITIES
+from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.live.pair_file import REVISED_SUFFIX, SUFFIX, PairWriter, write_revised
 from trajeval_ros.io.live.reception_file import SUFFIX as RECEIVED_SUFFIX
@@ -177,12 +178,10 @@ class LiveEstimate:
         self.evaluator.add_estimate(poses.stamps, rows)
 
     def _receive(self, poses: StateColumns) -> None:
-        if self.availability is None or poses.arrived is None:
-            return
-        rows = self._body.estimated(poses.states)
-        self.availability.add_estimate(
-            poses.stamps, poses.arrived, rows, poses.body_rates, poses.corrected
-        )
+        if self.availability is not None and poses.arrived is not None:
+            rows, rates = self._body.estimated(poses.states), poses.body_rates
+            receptions = Receptions(poses.arrived, "node", None, rates, poses.corrected)
+            self.availability.add_estimate(poses.stamps, rows, receptions)
 
     def _note_velocities(self, are_left_out: bool) -> None:
         if are_left_out:

@@ -20,6 +20,7 @@ from strategies import make_groundtruth
 from trajeval_ros import Protocol
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Level
+from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.live import chunk_file
 from trajeval_ros.io.live.chunk_file import ChunkWriter, read_chunks, read_tables
@@ -143,7 +144,8 @@ def test_receptions_are_read_as_written_each_with_its_up_axis(tmp_path: Path) ->
     rates, velocities = np.arange(30.0).reshape(2, 5, 3)
     corrected = times - 7
     rows = np.hstack([rows, velocities])
-    writer.add_estimate(estimate.stamps, times, rows, rates, corrected)
+    received = Receptions(times, "node", None, rates, corrected)
+    writer.add_estimate(estimate.stamps, rows, received)
     writer.close()
     found = read_received(tmp_path / "x.received", [UpAxis("y"), UpAxis("-z")])
     for one, other, up in zip(found, (truth, estimate), ("y", "-z"), strict=True):
