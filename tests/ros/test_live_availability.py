@@ -33,10 +33,13 @@ from trajeval_ros.geometry.up_axis import Z_UP
 from trajeval_ros.io.bags.pose_messages import decode_poses, decode_transforms
 from trajeval_ros.io.live.reception_file import read_received
 from trajeval_ros.metrics.as_available import AvailabilityRule
+from trajeval_ros.online.alarms import AlarmLimits
+from trajeval_ros.ros.diagnostics import remarks_about
 
 FLIGHT = simulate(seed=5, duration_s=20.0)
 TF = "/tf:map.base"
 CLOCK, CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
+LIMITS = dict.fromkeys(("rate_hz", "coverage"), AlarmLimits())
 OPTIONS = ("--gauge", "yaw", "--lengths", "2,4", "--as-available")
 
 
@@ -149,7 +152,8 @@ def test_without_a_twist_one_sentence_withholds_the_numbers(kind: str, tmp_path:
     assert alignment is not None
     assert errors.update(alignment.similarity) is None
     assert errors.numbers == {}
-    [told] = errors.remarks
+    now = remarks_about(live.run, estimate, estimate.snapshot(), {}, LIMITS)
+    [told] = [each for each in now if each.code == "reception_clock"]
     said = "the messages have no twist; use --as-available constant"
     assert told.text == f"as available: {said}"
     live.end()
