@@ -2,21 +2,39 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.metrics.test_as_available import IDENTITY, rough
+from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.as_available import AvailabilityRule, as_available
 from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.live_availability import LiveAvailability
 
 
+def often_corrected(estimate: Trajectory, count: int) -> Trajectory:
+    """Return every pose so many times, 3 ms after one another, and 1 cm apart."""
+    receptions = estimate.reading.receptions
+    assert receptions is not None
+    number = np.tile(np.arange(count), len(estimate))
+    repeated = estimate[np.repeat(np.arange(len(estimate)), count)]
+    times = np.repeat(receptions.times, count) + 3_000_000 * number
+    reading = Reading(receptions=Receptions(times, corrected=times))
+    moved = repeated.positions + 0.01 * number[:, None]
+    repeated = replace(repeated, positions=moved, reading=reading)
+    return repeated[np.argsort(times, kind="stable")]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("motion", ["hold", "constant"])
-@pytest.mark.parametrize("every", [1, 7, 40])
-def test_live_errors_equal_recorded_ones(motion: str, every: int) -> None:
+@pytest.mark.parametrize(("every", "corrections"), [(1, 1), (7, 1), (40, 1), (7, 6)])
+def test_live_errors_equal_recorded_ones(motion: str, every: int, corrections: int) -> None:
     truth, estimate = rough(3)
+    estimate = often_corrected(estimate, corrections) if corrections > 1 else estimate
     rule = AvailabilityRule(motion)
     expected = as_available(truth, estimate, IDENTITY, rule, 0.5)
     assert expected.samples is not None
@@ -35,9 +53,7 @@ def test_live_errors_equal_recorded_ones(motion: str, every: int) -> None:
     for number, (_, kind, row) in enumerate(sorted(events)):
         part = slice(row, row + 1)
         if kind:
-            live.add_estimate(
-                estimate.stamps[part], rows[part], Receptions(receptions.times[part])
-            )
+            live.add_estimate(estimate.stamps[part], rows[part], receptions[part])
         else:
             live.add_groundtruth(truth.stamps[part], truth_rows[part])
         if number % every == 0 and (samples := live.update(IDENTITY)) is not None:
@@ -52,7 +68,7 @@ def test_live_errors_equal_recorded_ones(motion: str, every: int) -> None:
         parts = np.concatenate([getattr(each, name) for each in found], axis=1)
         wanted = getattr(expected.samples, name)[:, rows_of]
         np.testing.assert_allclose(parts, wanted, atol=1e-12, err_msg=name)
-    assert most < 100
+    assert most < 100 * corrections
     missed = expected.numbers.missed_deadlines
     assert missed is not None
     assert abs(live.missed - missed.count) <= 1
@@ -96,6 +112,26 @@ def fed(step_ms: int, until_ms: int, every_ms: int, deadline_s: float = 0.1) -> 
         live.add_estimate(now, states_on(now), Receptions(now + 30_000_000))
         live.update(IDENTITY)
     return live
+
+
+def test_a_twist_of_zero_is_used_once_there_was_another_one() -> None:
+    """A robot at rest has one; a driver that measures none has no other."""
+    stamps = np.arange(0, 8000, 5) * 1_000_000
+    rows = np.hstack([states_on(stamps), np.zeros((len(stamps), 3))])
+    for moves, rate in ((False, 0.0), (True, 0.0), (True, np.nan)):
+        live = LiveAvailability(AvailabilityRule("twist"), 0.5, 10.0)
+        for begin in range(0, len(stamps), 200):
+            part = slice(begin, begin + 200)
+            rows[part, 7] = 2.0 if moves and begin < 400 else 0.0
+            times = stamps[part] + 30_000_000
+            live.add_groundtruth(stamps[part], rows[part])
+            live.add_estimate(
+                stamps[part], rows[part], Receptions(times, body_rates=np.full((200, 3), rate))
+            )
+            live.update(IDENTITY)
+        has_twist = moves and rate == 0.0
+        assert bool(live.numbers) is has_twist
+        assert [each.code for each in live.remarks] == ["reception_clock"] * (not has_twist)
 
 
 def test_errors_of_a_held_pose_are_its_age_times_the_speed() -> None:

@@ -72,7 +72,7 @@ def corrected(flight: Trajectory, topic: str, seed: int) -> list[Message]:
     transforms = [(at, ("odom", "base", at, *pose)) for at, *pose in rows]
     begin, end = flight.stamps[[0, -1]].tolist()
     turns = lie.from_rotation_vector(random.normal(scale=0.05, size=(20, 3)))
-    for row, at in enumerate(range(begin, end, 1_700_000_000)):
+    for row, at in enumerate(range(begin, end, 1_600_000_000)):
         moved = random.normal(scale=0.5, size=3)
         transforms.append((at + 20_000_000, ("map", "odom", at + 10**9, moved, turns[row])))
     at, (*frames, stamp, moved, turn) = transforms[len(flight) // 2]
@@ -136,6 +136,25 @@ def test_finish_has_the_numbers_of_a_recording(kind: str, motion: str, tmp_path:
         assert wanted["corrections"]["age_s"]["mean"] > 0.5
     elif kind != PATH:
         assert wanted["late_messages"] > 0.05 * len(FLIGHT.estimate)
+
+
+@pytest.mark.parametrize("size", [77, 300])
+def test_transforms_of_a_restart_do_not_mix_with_those_before(size: int, tmp_path: Path) -> None:
+    """Also where a batch has the end of one run and the start of the next."""
+    live = Live(tmp_path / "live", TRANSFORMS, available=AvailabilityRule("hold"))
+    feed = feed_of(TRANSFORMS)
+    for begin in range(0, 2 * len(feed), size):
+        live.feed([*feed, *feed][begin : begin + size])
+    live.end()
+    _, second = (
+        read_received(folder / "vio.received", [Z_UP, Z_UP])[1] for folder in live.folders
+    )
+    assert second.stamps[0] < FLIGHT.estimate.stamps[0] + 10**9
+    steps = np.diff(np.concatenate([[0], second.stamps, FLIGHT.estimate.stamps[-1:]]))
+    assert (steps >= 0).all()
+    assert second.reading.receptions is not None
+    assert second.reading.receptions.times.max() <= feed[-1][2]
+    assert len(np.unique(second.stamps)) > len(FLIGHT.estimate) / size
 
 
 @pytest.mark.parametrize("kind", [POSE, ODOM])

@@ -20,6 +20,7 @@ from trajeval_ros.io.bags.received_transforms import (
     transforms_of,
 )
 from trajeval_ros.io.bags.transform_tree import Edge, find_chain
+from trajeval_ros.metrics.stream_health import UNKNOWN
 
 Array = NDArray[Any]
 STEP = 10**7
@@ -106,16 +107,19 @@ def test_a_pose_is_of_the_newest_transforms_that_were_received(
 
 
 @settings(max_examples=12)
-@given(seed=seeds, parts=st.integers(1, 200))
-def test_poses_do_not_depend_on_the_batches_of_transforms(seed: int, parts: int) -> None:
-    """Corrections come seldom, up to a minute apart; the leading edge has isolated timestamps."""
+@given(seed=seeds, parts=st.integers(1, 200), seconds=st.sampled_from([40, 4000]))
+def test_poses_do_not_depend_on_the_batches_of_transforms(
+    seed: int, parts: int, seconds: int
+) -> None:
+    """Corrections come seldom; the leading edge has isolated timestamps, or is slow."""
     rng = np.random.default_rng(seed)
     received: dict[tuple[str, str], Transforms] = {}
-    for key, count in ((MAP, 8), (ODOM, 400)):
-        times = 10**15 + np.sort(rng.integers(0, 40 * 10**9, size=count))
+    for key, count in ((MAP, 8 if seconds == 40 else 200), (ODOM, 400)):
+        times = 10**15 + np.sort(rng.integers(0, seconds * 10**9, size=count))
         stamps = times - rng.integers(0, 10**8, size=count)
         if key == ODOM:
-            stamps[rng.choice(count, size=12)] += rng.choice([-1, 1]) * 10**16
+            isolated = 20 * rng.integers(0, 20, size=12 if seconds == 40 else 0) + 5
+            stamps[isolated] += rng.choice([-1, 1]) * 10**16
         else:
             stamps += rng.integers(-60 * 10**9, 60 * 10**9, size=count)
         numbers = rng.normal(size=(count, 7))
@@ -125,13 +129,13 @@ def test_poses_do_not_depend_on_the_batches_of_transforms(seed: int, parts: int)
     wanted = ReceivedChain({MAP: MOVING, ODOM: MOVING}, way, ODOM).poses(received, at_end=True)
     assert len(wanted) > 50
     chain, found = ReceivedChain({MAP: MOVING, ODOM: MOVING}, way, ODOM), []
-    edges = 10**15 + np.sort(rng.integers(0, 40 * 10**9, size=parts))
-    for begin, end in zip([0, *edges], [*edges, 2 * 10**15], strict=True):
+    edges = 10**15 + np.sort(rng.integers(0, seconds * 10**9, size=parts))
+    for begin, end in zip([0, *edges], [*edges, 10**16], strict=True):
         new = {
             key: each[(each["time"] >= begin) & (each["time"] < end)]
             for key, each in received.items()
         }
-        found.append(chain.poses(new, at_end=end > 10**15 + 40 * 10**9))
+        found.append(chain.poses(new, at_end=end == 10**16))
     for name, column in columns_of(wanted).items():
         joined = np.concatenate([columns_of(each)[name] for each in found])
         np.testing.assert_allclose(joined, column, atol=1e-14, err_msg=name)
@@ -153,4 +157,5 @@ def test_a_transform_received_with_the_newest_pose_holds_just_after_it() -> None
         found = columns_of(chain.poses({MAP: at(6, new, x)}))
         assert (found["times"].tolist(), found["positions"][:, 0].tolist()) == ([time], [x + 2.0])
         assert found["corrected"].tolist() == [time]
-    assert len(chain.poses({})) == 0
+    unusable = [at(0, 20, 1.0), at(7, UNKNOWN, 1.0)]
+    assert len(chain.poses({MAP: np.concatenate(unusable)})) == 0
