@@ -14,7 +14,6 @@ from trajeval_ros import evaluate
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import note
 from trajeval_ros.geometry.reading import Reading
-from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.pose_columns import PoseColumns
 from trajeval_ros.io.bags.topics import trajectory_of_columns
@@ -79,17 +78,6 @@ def test_a_twist_of_the_world_is_told() -> None:
     assert [each.code for each in made(world).reading.remarks] == ["world_twist"]
     without = world.replaced(body_velocities=np.zeros((6, 3)))
     assert made(without).reading.remarks == ()
-
-
-@pytest.mark.parametrize("are_finite", [True, False])
-def test_angular_velocities_are_kept_if_all_are_finite(*, are_finite: bool) -> None:
-    rates = np.ones((6, 3))
-    rates[3, 1] = 1.0 if are_finite else np.nan
-    columns = later(poses(body_rates=rates, receptions=Receptions(np.arange(6) * SECOND)))
-    receptions = made(columns).reading.receptions
-    assert receptions is not None
-    assert (receptions.body_rates is not None) == are_finite
-    assert made(columns.replaced(receptions=None)).reading.receptions is None
 
 
 def test_an_isolated_timestamp_is_dropped_and_told() -> None:

@@ -96,6 +96,27 @@ def test_prediction_on_a_line_has_no_error(motion: str) -> None:
     assert np.abs(errors(found)[0][second]).max() < 1e-12
 
 
+@pytest.mark.parametrize("lacks", ["rates", "a rate", "velocities", "motion"])
+def test_without_a_twist_the_numbers_of_its_prediction_are_withheld(lacks: str) -> None:
+    truth, estimate = on_line()
+    receptions, velocities = estimate.reading.receptions, estimate.velocities
+    assert receptions is not None
+    assert receptions.body_rates is not None
+    assert velocities is not None
+    rates: np.ndarray | None = receptions.body_rates
+    if lacks == "rates":
+        rates = None
+    elif lacks == "a rate":
+        receptions.body_rates[7, 1] = np.nan
+    reading = Reading(receptions=dataclasses.replace(receptions, body_rates=rates))
+    moving = {"velocities": None, "motion": np.zeros_like(velocities)}.get(lacks, velocities)
+    estimate = dataclasses.replace(estimate, velocities=moving, reading=reading)
+    numbers = as_available(truth, estimate, IDENTITY, AvailabilityRule("twist"), 0.5).numbers
+    assert numbers.why_withheld == "the messages have no twist; use --as-available constant"
+    assert numbers.position_m is None
+    assert measured(truth, estimate, "constant").numbers.position_m is not None
+
+
 def test_every_message_has_a_latency_and_all_but_the_first_an_interval() -> None:
     truth, estimate = on_line()
     stamps = estimate.stamps[:5] + np.array([0, 0, 0, 20_000_000, 0])

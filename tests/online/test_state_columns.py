@@ -35,7 +35,6 @@ from trajeval_ros.online.state_rows import (
     trajectory,
     turned_covariances,
     upright_rows,
-    without_orientations,
 )
 from trajeval_ros.online.window import PairStore, Window
 
@@ -211,9 +210,6 @@ def test_rows_are_widened_with_zeros_and_cut() -> None:
     np.testing.assert_array_equal(widened[:, :10], rows[:, :10])
     assert widened.shape == (4, 46)
     assert not widened[:, 10:].any()
-    places = without_orientations(rows)
-    np.testing.assert_array_equal(places[:, :3], rows[:, :3])
-    assert np.isnan(places[:, 3:]).all()
     assert np.isfinite(rows).all()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from trajeval_ros.online.alarms import LIMITED_QUANTITIES, AlarmLimits, Standing
 from trajeval_ros.online.jump_detector import Jump
 from trajeval_ros.online.reports import Update
 from trajeval_ros.online.state_buffer import BufferLimits
+from trajeval_ros.ros import clock_remarks
 from trajeval_ros.ros.clock_remarks import about_clock_faults
 from trajeval_ros.ros.diagnostics import Status, about_jump, remarks_about
 from trajeval_ros.ros.live_runs import NewRunRule
@@ -171,7 +173,12 @@ def test_poses_that_arrive_late_are_a_warning_with_their_delay(
         sent(TRUTH, GROUNDTRUTH, TRUTH.stamps)[: at(TRUTH, 8.0)],
         sent(ESTIMATED, ESTIMATE, ESTIMATED.stamps, late_s=late_s)[: at(ESTIMATED, 5.0) : 4],
     )
-    [estimate], found = live.run.estimates, remarks(live)
+    compared = clock_remarks._about_different_clocks
+    with mock.patch.object(
+        clock_remarks, "_about_different_clocks", side_effect=compared
+    ) as tested:
+        [estimate], found = live.run.estimates, remarks(live)
+    assert tested.call_count == 1
     snapshot = estimate.snapshot()
     values = Status.of(live.run, estimate, snapshot, Update(), found, {}, 0).values
     for name in ("p50", "p95", "max"):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from live_runs import ESTIMATE, GROUNDTRUTH, Live, QueueSource
+from live_runs import ESTIMATE, GROUNDTRUTH, Live
 from ros_bags import (
     ODOM,
     PATH,
@@ -18,21 +19,27 @@ from ros_bags import (
     Message,
     messages_of,
     path_message,
+    transforms_message,
     write_messages,
 )  # fmt: skip
 from ros_processes import GROUNDTRUTH as TRUTH
 from ros_processes import ODOMETRY, Peer, assert_same, evaluating, offline
 
-from trajeval_ros import simulate
+from trajeval_ros import Trajectory, simulate
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.up_axis import Z_UP
+from trajeval_ros.io.bags.pose_messages import decode_poses, decode_transforms
 from trajeval_ros.io.live.reception_file import read_received
 from trajeval_ros.metrics.as_available import AvailabilityRule
-from trajeval_ros.ros.live_estimate import LiveEstimate
-from trajeval_ros.ros.marker_body import MarkerBody
-from trajeval_ros.ros.transform_stream import TransformStream
+from trajeval_ros.online.alarms import AlarmLimits
+from trajeval_ros.ros.diagnostics import remarks_about
 
 FLIGHT = simulate(seed=5, duration_s=20.0)
+TF = "/tf:map.base"
 CLOCK, CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
+LIMITS = dict.fromkeys(("rate_hz", "coverage"), AlarmLimits())
 OPTIONS = ("--gauge", "yaw", "--lengths", "2,4", "--as-available")
 
 
@@ -44,10 +51,46 @@ def received(estimate: list[Message], seed: int = 0) -> list[Message]:
     return [(*each[:2], at, each[3]) for each, at in zip(estimate, times, strict=True)]
 
 
+def twisting(flight: Trajectory, rate: float = 0.3) -> Trajectory:
+    """Return a trajectory with velocities and turn rates that are about right."""
+    rates = rate * np.sin(np.arange(3 * len(flight)).reshape(-1, 3) / 7.0)
+    reading = Reading(receptions=Receptions(flight.stamps, body_rates=rates))
+    velocities = np.gradient(flight.positions, flight.stamps / 1e9, axis=0)
+    return replace(flight, velocities=velocities, reading=reading)
+
+
+def corrected(flight: Trajectory, topic: str, seed: int) -> list[Message]:
+    """Return a trajectory as transforms of odom to base, and rare ones of map to odom.
+
+    Corrections have timestamps over a second apart and, as those of AMCL, in the future. One
+    timestamp of the others is isolated. No message arrives after a newer one, because the pairs
+    of a live run are without such transforms.
+    """
+    assert flight.quaternions is not None
+    random = np.random.default_rng(seed)
+    rows = zip(flight.stamps.tolist(), flight.positions, flight.quaternions, strict=True)
+    transforms = [(at, ("odom", "base", at, *pose)) for at, *pose in rows]
+    begin, end = flight.stamps[[0, -1]].tolist()
+    turns = lie.from_rotation_vector(random.normal(scale=0.05, size=(20, 3)))
+    for row, at in enumerate(range(begin, end, 1_600_000_000)):
+        moved = random.normal(scale=0.5, size=3)
+        transforms.append((at + 20_000_000, ("map", "odom", at + 10**9, moved, turns[row])))
+    at, (*frames, stamp, moved, turn) = transforms[len(flight) // 2]
+    transforms[len(flight) // 2] = at, (*frames, stamp + 10**16, moved, turn)
+    transforms = sorted(transforms, key=lambda each: each[0])
+    times = sorted(
+        random.integers(15_000_000, 150_000_000, len(transforms)) + [a for a, _ in transforms]
+    )
+    rows = zip(times, transforms, strict=True)
+    return [(topic, TRANSFORMS, int(at), transforms_message(each)) for at, (_, each) in rows]
+
+
 def feed_of(kind: str) -> list[Message]:
     truth = messages_of(FLIGHT.groundtruth, GROUNDTRUTH, POSE)
+    if kind == TRANSFORMS:
+        return sorted([*truth, *corrected(FLIGHT.estimate, ESTIMATE, seed=3)], key=lambda m: m[2])
     if kind != PATH:
-        estimate = messages_of(FLIGHT.estimate, ESTIMATE, kind)
+        estimate = messages_of(twisting(FLIGHT.estimate), ESTIMATE, kind)
     else:
         stamps = FLIGHT.estimate.stamps.tolist()
         columns = FLIGHT.estimate.positions, FLIGHT.estimate.quaternions
@@ -64,7 +107,17 @@ def feed_of(kind: str) -> list[Message]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "motion"), [(ODOM, "hold"), (POSE, "constant"), (PATH, "hold")])
+@pytest.mark.parametrize(
+    ("kind", "motion"),
+    [
+        (ODOM, "hold"),
+        (POSE, "constant"),
+        (ODOM, "twist"),
+        (PATH, "hold"),
+        (TRANSFORMS, "hold"),
+        (TRANSFORMS, "constant"),
+    ],
+)
 def test_finish_has_the_numbers_of_a_recording(kind: str, motion: str, tmp_path: Path) -> None:
     feed = feed_of(kind)
     write_messages(tmp_path / "bag", feed)
@@ -72,13 +125,60 @@ def test_finish_has_the_numbers_of_a_recording(kind: str, motion: str, tmp_path:
     for each in feed:
         live.feed([each])
     live.end()
-    expected = offline(tmp_path / "bag", tmp_path, GROUNDTRUTH, [ESTIMATE], *OPTIONS, motion)
+    estimate = f"{ESTIMATE}:map.base" if kind == TRANSFORMS else ESTIMATE
+    expected = offline(tmp_path / "bag", tmp_path, GROUNDTRUTH, [estimate], *OPTIONS, motion)
     [run], [recorded] = live.result["runs"], expected["runs"]
     found, wanted = run["as_available"], recorded["as_available"]
     assert (found.pop("received"), wanted.pop("received")) == ("node", "log")
     assert_same(found, wanted)
-    if kind != PATH:
+    assert wanted["why_withheld"] == ""
+    if kind == TRANSFORMS:
+        assert wanted["corrections"]["age_s"]["mean"] > 0.5
+    elif kind != PATH:
         assert wanted["late_messages"] > 0.05 * len(FLIGHT.estimate)
+
+
+@pytest.mark.parametrize("size", [77, 300])
+def test_transforms_of_a_restart_do_not_mix_with_those_before(size: int, tmp_path: Path) -> None:
+    """Also where a batch has the end of one run and the start of the next."""
+    live = Live(tmp_path / "live", TRANSFORMS, available=AvailabilityRule("hold"))
+    feed = feed_of(TRANSFORMS)
+    for begin in range(0, 2 * len(feed), size):
+        live.feed([*feed, *feed][begin : begin + size])
+    live.end()
+    _, second = (
+        read_received(folder / "vio.received", [Z_UP, Z_UP])[1] for folder in live.folders
+    )
+    assert second.stamps[0] < FLIGHT.estimate.stamps[0] + 10**9
+    steps = np.diff(np.concatenate([[0], second.stamps, FLIGHT.estimate.stamps[-1:]]))
+    assert (steps >= 0).all()
+    assert second.reading.receptions is not None
+    assert second.reading.receptions.times.max() <= feed[-1][2]
+    assert len(np.unique(second.stamps)) > len(FLIGHT.estimate) / size
+
+
+@pytest.mark.parametrize("kind", [POSE, ODOM])
+def test_without_a_twist_one_sentence_withholds_the_numbers(kind: str, tmp_path: Path) -> None:
+    """Also of odometry with zeros, as of drivers that measure none."""
+    live = Live(tmp_path / "live", kind, available=AvailabilityRule("twist"))
+    truth = messages_of(FLIGHT.groundtruth, GROUNDTRUTH, POSE)
+    still = replace(FLIGHT.estimate, velocities=None)
+    feed = [*truth, *received(messages_of(still, ESTIMATE, kind))]
+    live.feed(sorted(feed, key=lambda each: each[2])[:1200])
+    estimate = live.run.estimates[0]
+    errors, alignment = estimate.availability, estimate.evaluator.alignment
+    assert errors is not None
+    assert alignment is not None
+    assert errors.update(alignment.similarity) is None
+    assert errors.numbers == {}
+    now = remarks_about(live.run, estimate, estimate.snapshot(), {}, LIMITS)
+    [told] = [each for each in now if each.code == "reception_clock"]
+    said = "the messages have no twist; use --as-available constant"
+    assert told.text == f"as available: {said}"
+    live.end()
+    [run] = live.result["runs"]
+    assert run["as_available"]["why_withheld"] == said
+    assert run["as_available"]["position_m"] is None
 
 
 def test_without_the_setting_nothing_is_written(tmp_path: Path) -> None:
@@ -88,17 +188,6 @@ def test_without_the_setting_nothing_is_written(tmp_path: Path) -> None:
     live.end()
     assert not list(live.folder.glob("*.received"))
     assert live.result["runs"][0]["as_available"] is None
-
-
-def test_transforms_have_no_receptions_live_and_say_so(tmp_path: Path) -> None:
-    live = Live(tmp_path / "live", ODOM, available=AvailabilityRule("hold"))
-    source: Any = QueueSource("/tf:map.base", TRANSFORMS)
-    source.stream = TransformStream("/tf:map.base", "map", "base")
-    clock = live.run.estimates[0].clock
-    estimate = LiveEstimate(source, live._settings, tmp_path, MarkerBody(), clock, {})
-    assert estimate.availability is None
-    [told] = [each for each in estimate.status.remarks if each.code == "reception_clock"]
-    assert "evaluate a bag" in told.text
 
 
 TICK_NS, PAUSE_NS = 10_000_000, 750_000_000
@@ -126,9 +215,39 @@ def clock_message(at: int) -> bytes:
     return STORE.serialize_cdr(STORE.types[CLOCK_TYPE](time), CLOCK_TYPE).tobytes()
 
 
+def as_stored(sent: list[Message], poses: Trajectory) -> list[Message]:
+    """Return messages with the receptions that a run has stored.
+
+    Corrections have stored receptions in their order, and other messages that of the first pose of
+    their timestamp. Transforms before the first correction, and the isolated one, have none.
+    """
+    receptions = poses.reading.receptions
+    assert receptions is not None
+    first = dict(zip(poses.stamps[::-1].tolist(), receptions.times[::-1].tolist(), strict=True))
+    later = [] if receptions.corrected is None else np.unique(receptions.corrected).tolist()
+    found: list[Message] = []
+    for topic, kind, _, payload in sent[::-1]:  # the first correction may be missing
+        parent, stamp = "", 0
+        if kind == TRANSFORMS:
+            [((parent, _), columns)] = decode_transforms([payload])[0].items()
+            stamp = int(columns.stamps[0])
+        else:
+            stamp = int(decode_poses([payload], kind).stamps[0])
+        at = first.get(stamp)
+        if parent == "map":
+            at = later.pop() if later else None
+        if at is not None:
+            found.append((topic, kind, at, payload))
+    assert not later
+    return found[::-1]
+
+
 @pytest.mark.ros
+@pytest.mark.parametrize(
+    ("source", "motion"), [(ODOMETRY, "hold"), (ODOMETRY, "twist"), (TF, "hold"), (TF, "constant")]
+)
 def test_over_dds_the_stored_receptions_give_the_numbers_of_a_recording(
-    peer: Peer, environment: dict[str, str], tmp_path: Path
+    source: str, motion: str, peer: Peer, environment: dict[str, str], tmp_path: Path
 ) -> None:
     """With a pause and a restart of the simulated time.
 
@@ -138,41 +257,48 @@ def test_over_dds_the_stored_receptions_give_the_numbers_of_a_recording(
     from geometry_msgs.msg import Vector3Stamped
     from std_msgs.msg import Float64
 
+    topic, name = source.partition(":")[0], source[1:].translate(str.maketrans("/:.", "___"))
+    if source == TF:
+        pytest.importorskip("tf2_msgs", reason="`make test-ros` builds it with a compiler")
     truth = messages_of(FLIGHT.groundtruth[::2], TRUTH, POSE)
-    estimate = received(messages_of(FLIGHT.estimate, ODOMETRY, ODOM))
+    if source == TF:
+        sent = corrected(FLIGHT.estimate, topic, seed=4)
+    else:
+        sent = received(messages_of(twisting(FLIGHT.estimate), topic, ODOM))
     begin = min(each[2] for each in truth)
-    feed = with_clock([*truth, *estimate], begin + 800 * TICK_NS)
+    feed = with_clock([*truth, *sent], begin + 800 * TICK_NS)
     write_messages(tmp_path / "played", feed)
-    below = "/evaluator/vio_odometry/available"
+    below = f"/evaluator/{name}/available"
     ages = peer.hear(f"{below}/age", Float64)
     errors = peer.hear(f"{below}/stamped/position_error", Vector3Stamped)
     folders = [tmp_path / "live", tmp_path / "live_2"]
-    with evaluating(
-        folders[0], environment, gauge="none", use_sim_time=True, as_available="hold"
-    ) as evaluator:
+    values = {"gauge": "none", "use_sim_time": True, "as_available": motion}
+    with evaluating(folders[0], environment, estimates=[source], **values) as evaluator:
         for _ in folders:
-            subscribers = {TRUTH: 1, ODOMETRY: 1, CLOCK: 2}
+            subscribers = {TRUTH: 1, topic: 1, CLOCK: 2}
             peer.play(tmp_path / "played", subscribers, ["evaluator"], rate=8.0)
         peer.until(lambda: ages and errors, "as-available errors")
         evaluator.wait_for(f"results of {folders[0]} are complete")
         assert evaluator.end() == 0
-    logged = {stamp: each[2] for stamp, each in zip(FLIGHT.estimate.stamps, estimate, strict=True)}
+    options = ("--gauge", "none", "--as-available", motion)
     for number, folder in enumerate(folders):
-        groundtruth, poses = read_received(folder / "vio_odometry.received", [Z_UP, Z_UP])
+        groundtruth, poses = read_received(folder / f"{name}.received", [Z_UP, Z_UP])
         assert len(groundtruth) == len(truth)
-        assert poses.reading.receptions is not None
-        times = poses.reading.receptions.times
-        after_tick = (np.array([logged[each] for each in poses.stamps]) - begin) % TICK_NS
-        since_tick = times - [logged[each] for each in poses.stamps] + after_tick
+        messages, logged = as_stored(sent, poses), {payload: at for _, _, at, payload in sent}
+        write_messages(tmp_path / f"bag_{number}", [*truth, *messages])
+        if source == TF:
+            del messages[0]  # it was received before the first correction, with which it is stored
+        after_tick = np.array([(logged[each[3]] - begin) % TICK_NS for each in messages])
+        since_tick = np.array([each[2] - logged[each[3]] for each in messages]) + after_tick
         assert -1 <= since_tick.min() <= since_tick.max() <= TICK_NS + 1
-        stored = messages_of(poses, ODOMETRY, ODOM)
-        stored = [(*each[:2], int(at), each[3]) for each, at in zip(stored, times, strict=True)]
-        write_messages(tmp_path / f"bag_{number}", [*truth, *stored])
-        options = ("--gauge", "none", "--as-available", "hold")
-        recorded: Any = offline(tmp_path / f"bag_{number}", tmp_path, TRUTH, [ODOMETRY], *options)
+        recorded: Any = offline(tmp_path / f"bag_{number}", tmp_path, TRUTH, [source], *options)
         found = json.loads((folder / "result.json").read_text())["runs"][0]["as_available"]
         wanted = recorded["runs"][0]["as_available"]
         assert found["why_withheld"] == ""
         assert (found.pop("received"), wanted.pop("received")) == ("node", "log")
         assert_same(found, wanted)
-        assert found["late_messages"] > 0.05 * len(poses)
+        if source == ODOMETRY:
+            assert found["late_messages"] > 0.05 * len(poses)
+        else:
+            # From its timestamp on, it would be over a second younger.
+            assert found["corrections"]["age_s"]["mean"] > 0.5

@@ -323,9 +323,7 @@ def test_an_offset_that_nobody_asked_for_is_told_and_not_applied(tmp_path: Path)
 def test_stamps_that_stand_still_are_not_held_for_ever() -> None:
     held = HeldMessages()
     stamps = np.full(1000, 10**18)
-    still = DecodedMessages(
-        stamps, StateColumns(stamps, np.empty((1000, 10)), np.arange(1000)), stamps
-    )
+    still = DecodedMessages(StateColumns(stamps, np.empty((1000, 10)), np.arange(1000)), stamps)
     for _ in range(300):
         held.add(1, still)
     assert held.span_s == np.inf

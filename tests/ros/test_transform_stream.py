@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from composed import compose_transforms
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from strategies import START, seeds
 
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.io.bags.bag import Bag
-from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey, compose_transforms
+from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.online.state_rows import POSITION, QUATERNION, states
 from trajeval_ros.ros.poses import StateColumns, StreamStatus

@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from ros_bags import ODOM, PATH, POSE, Message, messages_of, path_message
+from ros_bags import ODOM, PATH, POSE, TRANSFORMS, Message, messages_of, path_message
 from strategies import make_pair
 
 from trajeval_ros import CovarianceRequest
@@ -30,6 +30,7 @@ from trajeval_ros.ros.poses import PoseStream
 from trajeval_ros.ros.recorded_state import write_states
 from trajeval_ros.ros.start_decision import StartDecision
 from trajeval_ros.ros.subscriptions import ReceivedMessages
+from trajeval_ros.ros.transform_stream import TransformStream
 
 GROUNDTRUTH, ESTIMATE = "/groundtruth", "/vio"
 COUNT = 160
@@ -48,7 +49,9 @@ class QueueSource:
 
     def __init__(self, topic: str, kind: str) -> None:
         self.source, self.name, self.kind = topic, topic.strip("/"), kind
-        self.stream = PoseStream(topic, covariances=topic == ESTIMATE)
+        self.stream: PoseStream = PoseStream(topic, covariances=topic == ESTIMATE)
+        if kind == TRANSFORMS:
+            self.stream = TransformStream(topic, "map", "base")
         self.queue: list[bytes] = []
 
     def take(

@@ -53,13 +53,14 @@ def odometry_message(
     quaternion: Sequence[float],
     body_velocity: Sequence[float] = (0.0, 0.0, 0.0),
     covariance: Any = None,
+    body_rate: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> bytes:
     types = STORE.types
     Vector3 = types["geometry_msgs/msg/Vector3"]
     nothing = np.zeros(36)
     own = nothing if covariance is None else np.ravel(covariance)
     pose = types["geometry_msgs/msg/PoseWithCovariance"](_pose(position, quaternion), own)
-    twist = types["geometry_msgs/msg/Twist"](Vector3(*body_velocity), Vector3(0.0, 0.0, 0.0))
+    twist = types["geometry_msgs/msg/Twist"](Vector3(*body_velocity), Vector3(*body_rate))
     twist = types["geometry_msgs/msg/TwistWithCovariance"](twist, nothing)
     return _serialised(ODOM, types[ODOM](_header(stamp, "odom"), "base_link", pose, twist))
 
@@ -121,11 +122,12 @@ def messages_of(source: Trajectory, topic: str, kind: str, frame: str = "world")
     if source.velocities is not None and source.rotations is not None:
         velocities = source.rotations.inv().apply(source.velocities)
     covariances: Any = [None] * len(source) if source.covariances is None else source.covariances
+    rates, receptions = np.zeros((len(source), 3)), source.reading.receptions
+    if receptions is not None and receptions.body_rates is not None:
+        rates = receptions.body_rates
     return [
-        (topic, kind, stamp, odometry_message(stamp, place, turn, velocity, covariance))
-        for stamp, place, turn, velocity, covariance in zip(
-            *columns, velocities, covariances, strict=True
-        )
+        (topic, kind, each[0], odometry_message(*each))
+        for each in zip(*columns, velocities, covariances, rates, strict=True)
     ]
 
 

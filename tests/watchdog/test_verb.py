@@ -85,7 +85,9 @@ def test_values_that_are_not_valid(good: Path, capsys: pytest.CaptureFixture[str
 def test_sources_that_are_none(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
     base = [f"{good}:/odom"]
     assert "IMU messages are on /imu" in fails([*base, "--imu", f"{good}:/vio"], capsys)
-    assert "is odometry, not an IMU" in fails([*base, "--imu", f"{good}:/odom"], capsys)
+    assert "has type nav_msgs/msg/Odometry, not sensor_msgs/msg/Imu" in fails(
+        [*base, "--imu", f"{good}:/odom"], capsys
+    )
     assert "is not a topic of a bag" in fails([*base, "--imu", str(good)], capsys)
     assert "has no topic /nothing" in fails([*base, "--imu", f"{good}:/nothing"], capsys)
 
@@ -112,7 +114,7 @@ def test_imu_messages_that_cannot_be_used_are_counted() -> None:
     rates, force = np.zeros((3, 3)), np.zeros((3, 3))
     rates[1, 0] = np.nan
     rows = encode_imu(np.arange(3) * SECOND, rates, force, "imu")
-    found = decode_rates([*map(bytes, rows), b"\0\1"], "sensor_msgs/msg/Imu")
+    found = decode_rates([*map(bytes, rows), b"\0\1"])
     assert len(found) == 2
     assert found.undecodable == 2
 

@@ -182,10 +182,7 @@ def _runs(
 
 
 def _hints(
-    config: Mapping[str, Any],
-    target: Path,
-    algorithms: Sequence[str],
-    settings: Mapping[str, Any],
+    config: Mapping[str, Any], target: Path, algorithms: Sequence[str], settings: Mapping[str, Any]
 ) -> dict[str, TextHints]:
     """Return the hints for the text files of each algorithm."""
     columns, frame_rate = settings.get("columns"), settings.get("frame_rate")

@@ -8,13 +8,7 @@ from typing import Any
 
 from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.evaluation_output import write_and_print
-from trajeval_ros.cli.options import (
-    OUTPUT,
-    argument,
-    option,
-    settings_options,
-    shared_options,
-)
+from trajeval_ros.cli.options import OUTPUT, argument, option, settings_options, shared_options
 from trajeval_ros.io.live.live_folder import evaluate_folder
 from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.requests.setting import FINISH

@@ -87,8 +87,7 @@ def replay(
         if wait_for_subscribers:
             names = _names(playback.awaited)
             print(
-                f"waiting up to {wait_for_subscribers:g} s for subscribers to {names}",
-                flush=True,
+                f"waiting up to {wait_for_subscribers:g} s for subscribers to {names}", flush=True
             )
 
         def begin(alone: Sequence[Channel]) -> None:

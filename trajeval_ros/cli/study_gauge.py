@@ -179,12 +179,7 @@ def _recorded(
     for source, name in zip(sources, names_of(sources), strict=True):
         flown = recorded(dataclasses.replace(read_trajectory(source), name=name), start, duration)
         scenes[f"motion of {name}"] = make_scene(
-            flown,
-            "random",
-            sensors,
-            _SEED,
-            keyframes=keyframes,
-            landmarks=_MOTION_LANDMARKS,
+            flown, "random", sensors, _SEED, keyframes=keyframes, landmarks=_MOTION_LANDMARKS
         )
     return scenes
 

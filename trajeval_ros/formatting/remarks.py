@@ -36,10 +36,7 @@ def note(code: str, text: str) -> Remark:
 
 
 def warning(
-    code: str,
-    text: str,
-    subject: str = "",
-    values: Mapping[str, float | int | str] | None = None,
+    code: str, text: str, subject: str = "", values: Mapping[str, float | int | str] | None = None
 ) -> Remark:
     """Return a remark that questions a number."""
     return Remark(Level.WARNING, code, text, subject, values or {})

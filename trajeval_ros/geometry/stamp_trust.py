@@ -36,7 +36,7 @@ class StampTrust:
         self.lone = 0  # number of states dropped so far
         self.farthest_ns = 0  # largest distance of a dropped timestamp from the others
         self._newest: int | None = None
-        self._waiting: tuple[NDArray[Any], ...] = ()
+        self.waiting: tuple[NDArray[Any], ...] = ()  # stamps and columns under test; () if none
 
     def take(
         self, stamps: Stamps, *columns: NDArray[Any], at_end: bool = False
@@ -50,11 +50,11 @@ class StampTrust:
             Stamps and columns of trusted states, which include states that have waited.
         """
         everything: tuple[NDArray[Any], ...] = (stamps, *columns)
-        if self._waiting:
-            together = zip(self._waiting, everything, strict=True)
+        if self.waiting:
+            together = zip(self.waiting, everything, strict=True)
             everything = tuple(np.concatenate(columns) for columns in together)
         trusted, waiting = self._judge(everything[0], at_end=at_end)
-        self._waiting = tuple(column[waiting] for column in everything) if waiting else ()
+        self.waiting = tuple(column[waiting] for column in everything) if waiting else ()
         return everything if trusted.all() else tuple(column[trusted] for column in everything)
 
     def _judge(self, stamps: Stamps, *, at_end: bool) -> tuple[Booleans, list[int]]:

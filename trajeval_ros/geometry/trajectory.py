@@ -24,12 +24,7 @@ from trajeval_ros.geometry.interpolation import Bracket, bracket_stamps, mix, sl
 from trajeval_ros.geometry.reading import NOT_READ, Reading, require_column
 from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
-from trajeval_ros.geometry.valid_poses import (
-    LARGEST,
-    at_length_one,
-    conflicts_of,
-    judge_poses,
-)
+from trajeval_ros.geometry.valid_poses import LARGEST, at_length_one, conflicts_of, judge_poses
 
 if TYPE_CHECKING:
     import pandas
@@ -316,6 +311,13 @@ class Trajectory:
             return "gnss"
         has_rotations = self.quaternions is not None or reading.has_identity_rotations
         return "poses" if has_rotations else "points"
+
+    @property
+    def known_quaternions(self) -> Floats:
+        """Quaternions (N, 4), xyzw; the identity without orientations."""
+        if self.quaternions is not None:
+            return self.quaternions
+        return np.tile([0.0, 0.0, 0.0, 1.0], (len(self), 1))
 
     @property
     def rotations(self) -> Rotation | None:

@@ -51,9 +51,4 @@ def imu_of(source: str) -> InertialReadings:
         )
     from trajeval_ros.io.bags.rate_messages import read_rates
 
-    readings = read_rates(parts.path, parts.topic)
-    if readings.accelerations is None:
-        raise InputError(
-            f"{source} is odometry, not an IMU; give a topic of type sensor_msgs/msg/Imu"
-        )
-    return readings
+    return read_rates(parts.path, parts.topic)

@@ -147,20 +147,9 @@ def as_available(
         max_gap_s: Longest gap of the groundtruth to interpolate across, seconds.
         offset_ns: Offset of the estimate's timestamps, nanoseconds; not of the receptions.
     """
-    known, receptions = Availability(rule.motion, rule.deadline_s), estimate.reading.receptions
-    if receptions is None or not len(receptions):
-        said = "no times of reception; evaluate a bag, or name a column received"
-        return AsAvailable(replace(known, why_withheld=said))
-    stamps = estimate.stamps + offset_ns
-    times, clock = judged_receptions(stamps, receptions.times, rule.receive_clock)
-    recording_s = receptions.recording_s
-    known = replace(known, received=receptions.by, clock=clock, recording_s=recording_s)
-    if not clock.is_usable:
-        return AsAvailable(replace(known, why_withheld=clock.sentence))
-    if rule.motion == TWIST and (receptions.body_rates is None or estimate.velocities is None):
-        said = "the messages have no twist; use --as-available constant"
-        return AsAvailable(replace(known, why_withheld=said))
-    messages = Messages.of(similarity.trajectory(estimate), times, rule.motion, offset_ns)
+    known, messages = usable_messages(estimate, similarity, rule, offset_ns)
+    if messages is None:
+        return AsAvailable(known)
     stamps = instants(int(groundtruth.stamps[0]), int(groundtruth.stamps[-1]))
     have = in_use(messages, stamps) >= 0
     samples, before = sampled(groundtruth, messages, stamps[have], max_gap_s), int((~have).sum())
@@ -170,6 +159,34 @@ def as_available(
     lacking = len(stamps) - before - len(samples.stamps)
     known = replace(known, without_groundtruth=lacking, time_to_first_pose_s=before / RATE_HZ)
     return AsAvailable(_with_numbers(known, samples), samples)
+
+
+def usable_messages(
+    estimate: Trajectory,
+    similarity: Similarity,
+    rule: AvailabilityRule,
+    offset_ns: int = 0,
+    *,
+    has_moved: bool = False,
+) -> tuple[Availability, Messages | None]:
+    """Return what is known without groundtruth, and the aligned messages; None if withheld.
+
+    Many drivers leave the twist zero. `has_moved`: whether an earlier message had a velocity.
+    """
+    known, receptions = Availability(rule.motion, rule.deadline_s), estimate.reading.receptions
+    if receptions is None or not len(receptions):
+        said = "no times of reception; evaluate a bag, or name a column received"
+        return replace(known, why_withheld=said), None
+    stamps, velocities, rates = estimate.stamps, estimate.velocities, receptions.body_rates
+    times, clock = judged_receptions(stamps + offset_ns, receptions.times, rule.receive_clock)
+    known = replace(known, received=receptions.by, clock=clock, recording_s=receptions.recording_s)
+    has_twist = rates is not None and velocities is not None and np.isfinite(rates).all()
+    if not clock.is_usable:
+        return replace(known, why_withheld=clock.sentence), None
+    if rule.motion == TWIST and not (has_twist and (has_moved or np.any(velocities))):
+        said = "the messages have no twist; use --as-available constant"
+        return replace(known, why_withheld=said), None
+    return known, Messages.of(similarity.trajectory(estimate), times, rule.motion, offset_ns)
 
 
 def _with_numbers(known: Availability, samples: AvailableSamples) -> Availability:

@@ -46,20 +46,18 @@ class Messages:
         `offset_ns` is added to the timestamps, not to the receptions. Of equal timestamps the
         first received is used, unless a correction arrived in between.
         """
-        receptions, quaternions = estimate.reading.receptions, estimate.quaternions
+        receptions = estimate.reading.receptions
         corrected = None if receptions is None else receptions.corrected
         order = np.argsort(times, kind="stable")
         stamps = estimate.stamps[order]
         newest = np.maximum.accumulate(stamps)
         steps = np.diff(newest, prepend=newest[:1] - 1)
         rows = order[steps > 0 if corrected is None else stamps == newest]
-        if quaternions is None:
-            quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (len(estimate), 1))
         made = cls(
             estimate.stamps[rows] + offset_ns,
             times[rows],
             estimate.positions[rows],
-            quaternions[rows],
+            estimate.known_quaternions[rows],
             estimate.quaternions is not None,
             corrected=None if corrected is None else corrected[rows],
             late=len(order) - len(rows),

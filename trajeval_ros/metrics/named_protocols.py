@@ -54,10 +54,7 @@ PROTOCOLS: dict[str, Protocol] = {
     # The UZH-FPV competitions: the organisers' answer in issue 3 of
     # uzh-rpg/IROS2020-FPV-VIO-Competition. The ranking uses the means of position and rotation.
     "uzh-fpv": Protocol(
-        name="uzh-fpv",
-        gauge=Gauge.YAW,
-        re_form="fitted",
-        lengths=metres(40, 60, 80, 100, 120),
+        name="uzh-fpv", gauge=Gauge.YAW, re_form="fitted", lengths=metres(40, 60, 80, 100, 120)
     ),
     # Hilti SLAM challenge 2022: surveyed points at the tip of the handheld's pole.
     "hilti-2022": Protocol(

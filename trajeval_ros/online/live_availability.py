@@ -1,4 +1,4 @@
-"""As-available accuracy of a live estimate: all final samples of 0.2 s together.
+"""As-available accuracy of a live estimate: all final samples of 0.5 s together.
 
 A sample is final when groundtruth and the newest message have passed it. Messages that arrive
 after newer ones are never in use, so nothing changes it afterwards.
@@ -6,134 +6,146 @@ after newer ones are never in use, so nothing changes it afterwards.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from trajeval_ros.geometry import lie
+from trajeval_ros.formatting.remarks import Remark
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 from trajeval_ros.geometry.gauge import Similarity
-from trajeval_ros.geometry.reading import NOT_READ, Reading
+from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
-from trajeval_ros.metrics.as_available import AvailabilityRule
+from trajeval_ros.metrics.as_available import Availability, AvailabilityRule, usable_messages
 from trajeval_ros.metrics.availability import (
     RATE_HZ,
     RECENT,
     STEP_NS,
     AvailableSamples,
-    Messages,
     in_use,
     instants,
     sampled,
 )
-from trajeval_ros.metrics.reception_clock import ReceptionClock, judged_receptions
 from trajeval_ros.metrics.statistics import quantile
 from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.state_buffer import NEVER, StateBuffer, usable_rows
+from trajeval_ros.online.state_rows import QUATERNION, VELOCITY, WIDTH, trajectory
 
-_POSE = 7  # columns of a row
+_POSE, _STATE = QUATERNION.stop, WIDTH + 3  # columns of groundtruth, and of messages with a twist
+GROUNDTRUTH = np.dtype([("stamp", "<i8"), ("pose", "<f8", _POSE)])
+MESSAGE = np.dtype(
+    [("stamp", "<i8"), ("time", "<i8"), ("corrected", "<i8"), ("state", "<f8", _STATE)]
+)
+Rows = NDArray[np.void]
 _RECENT_SAMPLES = 10 * RATE_HZ
-_AT_ONCE_NS = 20 * STEP_NS  # an evaluation has a fixed cost, whatever the number of samples
+_AT_ONCE_NS = 50 * STEP_NS  # an evaluation has a fixed cost, whatever the number of samples
 
 
 class LiveAvailability:
     """Computes the as-available errors of one estimate, in bounded memory."""
 
-    def __init__(
-        self,
-        rule: AvailabilityRule,
-        max_gap_s: float,
-        max_delay_s: float,
-        record_groundtruth: Callable[[Stamps, Floats], object] = lambda *_: None,
-        record_estimate: Callable[[Stamps, Stamps, Floats], object] = lambda *_: None,
-    ) -> None:
-        """Create it without messages; the last two are called with all usable ones."""
+    def __init__(self, rule: AvailabilityRule, max_gap_s: float, max_delay_s: float) -> None:
+        """Create it without messages."""
         self._rule, self._max_gap_s = rule, max_gap_s
         self._delay_ns = round(min(max_delay_s, 3600.0) * NANOSECONDS)
-        self._record_groundtruth, self._record_estimate = record_groundtruth, record_estimate
-        # Columns since the last call of `store`.
-        self._new_truth: list[tuple[Stamps, Floats]] = []
-        self._new_messages: list[tuple[Stamps, Stamps, Floats]] = []
-        self._truth, no_stamps = StateBuffer(_POSE), np.empty(0, dtype=np.int64)
-        # Timestamps, receptions and poses of the messages that later samples can use.
-        self._messages: tuple[Any, ...] = no_stamps, no_stamps, np.empty((0, _POSE))
-        self._next = self._seen = NEVER  # next sample; newest groundtruth at the last evaluation
+        # Since the last call of `store`.
+        self._new_truth: list[Rows] = []
+        self._new_messages: list[Rows] = []
+        self._truth = StateBuffer(_POSE)
+        self._messages = np.empty(0, MESSAGE)  # those that later samples can use
+        self._has_moved = False  # whether a message had a velocity
+        self._next = NEVER  # next sample
+        self._last = self._seen = NEVER  # newest groundtruth, also at the last evaluation
         self._ages_s, self._is_late = np.empty(0), False
         # Of the last update, by topic and as samples; none if it has none.
         self.numbers: dict[str, float] = {}
         self.newest: AvailableSamples | None = None
-        # Comparison of the recent receptions with timestamps; None before the first.
-        self.clock: ReceptionClock | None = None
+        # What is known of the messages, such as why there are no errors now.
+        self._known = Availability(rule.motion, rule.deadline_s)
         self.missed = 0  # number of spans with ages above the deadline so far
         self.age_p95_s: float | None = None  # 95th percentile of the ages of the newest 10 s
 
     def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
         """Take groundtruth states: timestamps (N,), nanoseconds, and rows (N, 7 or more)."""
-        self._new_truth.append((stamps, rows[:, :_POSE]))
+        self._last = max(self._last, int(stamps.max(initial=NEVER)))
+        new = np.empty(len(stamps), GROUNDTRUTH)
+        new["stamp"], new["pose"] = stamps, rows[:, :_POSE]
+        self._new_truth.append(new)
 
-    def add_estimate(self, stamps: Stamps, times: Stamps, rows: Floats) -> None:
-        """Take messages: timestamps and receptions (N,), nanoseconds, and rows (N, 7 or more).
+    def add_estimate(self, stamps: Stamps, rows: Floats, receptions: Receptions) -> None:
+        """Take messages: timestamps (N,), nanoseconds, and states (N, 7 or more).
 
-        Messages with an unknown time of reception are left out.
+        Those with an `UNKNOWN` time of reception are left out. Body rates may be NaN.
         """
-        self._new_messages.append((stamps, times, rows[:, :_POSE]))
+        new = np.empty(len(stamps), MESSAGE)
+        new["stamp"], new["time"], new["state"] = stamps, receptions.times, np.nan
+        new["corrected"] = UNKNOWN if receptions.corrected is None else receptions.corrected
+        new["state"][:, : min(rows.shape[1], WIDTH)] = rows[:, :WIDTH]
+        if receptions.body_rates is not None:
+            new["state"][:, WIDTH:] = receptions.body_rates
+        self._new_messages.append(new)
+
+    def record(self, groundtruth: Rows, messages: Rows) -> None:
+        """Receive the usable rows of `store`."""
 
     def store(self) -> None:
-        """Record the usable states since the last call, all together because of the cost."""
-        if self._new_truth:
-            truth = list(map(np.concatenate, zip(*self._new_truth, strict=True)))
-            truth = [each[usable_rows(truth[1])[0]] for each in truth]
-            self._truth.merge(*truth)
-            self._record_groundtruth(*truth)
-        if self._new_messages:
-            new = list(map(np.concatenate, zip(*self._new_messages, strict=True)))
-            usable = usable_rows(new[2])[0] & (new[1] != UNKNOWN)
-            new = [each[usable] for each in new]
-            self._messages = tuple(map(np.concatenate, zip(self._messages, new, strict=True)))
-            self._record_estimate(*new)
+        """Take the usable states since the last call, all together because of the cost."""
+        if not self._new_truth and not self._new_messages:
+            return
+        truth = np.concatenate([np.empty(0, GROUNDTRUTH), *self._new_truth])
+        new = np.concatenate([np.empty(0, MESSAGE), *self._new_messages])
         self._new_truth, self._new_messages = [], []
+        truth = truth[usable_rows(truth["pose"])[0]]
+        new = new[usable_rows(new["state"])[0] & (new["time"] != UNKNOWN)]
+        self._truth.merge(truth["stamp"], truth["pose"])
+        self._messages = np.concatenate([self._messages, new])
+        self._has_moved |= bool(np.nan_to_num(new["state"][:, VELOCITY]).any())
+        self.record(truth, new)
 
     def update(self, similarity: Similarity | None, offset_ns: int = 0) -> AvailableSamples | None:
         """Return the samples that are final now, under the present alignment; None if none.
 
         `offset_ns` is added to the estimate's timestamps, not to the receptions.
         """
-        self.store()
         self.newest, self.numbers = None, {}
-        (stamps, times, rows), last = self._messages, self._truth.newest
-        if last < self._seen + _AT_ONCE_NS:
+        if self._last < self._seen + _AT_ONCE_NS:
             return None
-        self._seen = last
-        if similarity is None or not len(stamps):
+        self.store()
+        times, last, messages = self._messages["time"], self._truth.newest, None
+        self._seen = self._last
+        if last == NEVER:
+            return None  # no usable groundtruth
+        if similarity is not None and len(times):
+            estimate = received_poses(self._messages)
+            self._known, messages = usable_messages(
+                estimate, similarity, self._rule, offset_ns, has_moved=self._has_moved
+            )
+        if messages is None:
             self._forget(times >= times.max(initial=0) - self._delay_ns, last - self._delay_ns)
             return None
-        _, self.clock = judged_receptions(stamps + offset_ns, times)
-        truth = received_states(*self._truth.held)
-        reading = Reading(receptions=Receptions(times, "node"))
-        estimate = similarity.trajectory(received_states(stamps, rows, reading))
-        messages = Messages.of(estimate, times, self._rule.motion, offset_ns)
-        known = min(int(times.max()), int(messages.stamps[-1])) - 1
+        truth = trajectory(*self._truth.held)
+        decided = min(int(times.max()), int(messages.stamps[-1])) - 1
         first = max(self._next, int(truth.stamps[0]))
-        final = instants(first, min(last, max(known, last - self._delay_ns)))
+        final = instants(first, min(last, max(decided, last - self._delay_ns)))
         if not len(final):
             return None
         self._next = int(final[-1]) + STEP_NS
-        have = final[in_use(messages, final) >= 0]
-        samples = sampled(truth, messages, have, self._max_gap_s)
+        samples = sampled(truth, messages, final[in_use(messages, final) >= 0], self._max_gap_s)
         # Keep what the next sample can use, and the messages before that.
-        used = int(in_use(messages, np.array([self._next]))[0])
-        kept = times >= messages.times[max(used - RECENT - 1, 0)]
-        self._forget(kept, min(int(messages.stamps[max(used, 0)]), self._next))
-        if len(samples.stamps) and self.clock.is_usable:
+        used = max(int(in_use(messages, np.array([self._next]))[0]), 0)
+        before = np.unique(messages.stamps[: used + 1])[-RECENT - 2 :]
+        kept = times >= messages.times[messages.stamps.searchsorted(before[0])]
+        self._forget(kept, min(int(messages.stamps[used]), self._next))
+        if len(samples.stamps):
             self._see(samples)
         return self.newest
 
     def _forget(self, kept: Booleans, begin: int) -> None:
         """Keep some messages (N,), and groundtruth from the state before `begin` on."""
-        self._messages = tuple(each[kept] for each in self._messages)
+        self._messages = self._messages[kept]
         before = int(self._truth.held[0].searchsorted(begin, side="right")) - 1
         self._truth.drop(max(before, 0))
 
@@ -156,19 +168,24 @@ class LiveAvailability:
         self.age_p95_s = quantile(np.sort(self._ages_s), 0.95)
 
     @property
+    def remarks(self) -> list[Remark]:
+        """The warning about withheld errors."""
+        return self._known.remarks if self._known.why_withheld else []
+
+    @property
     def values(self) -> dict[str, Any]:
         """The values for diagnostics, by name and unit."""
         return {
             "pose age p95 [s]": self.age_p95_s,
             "missed deadlines": self.missed,
-            "reception clock": None if self.clock is None else self.clock.verdict,
+            "reception clock": self._known.clock and self._known.clock.verdict,
         }
 
 
-def received_states(
-    stamps: Stamps, rows: Floats, reading: Reading = NOT_READ, up: UpAxis = Z_UP
-) -> Trajectory:
-    """Return the states in rows (N, 7), as received; without orientations if these are NaN."""
-    turns = rows[:, 3:]
-    quaternions = None if np.isnan(turns).any() else lie.normalized(turns)
-    return Trajectory.from_columns(stamps, rows[:, :3], quaternions, reading, up=up)
+def received_poses(rows: Rows, up: UpAxis = Z_UP) -> Trajectory:
+    """Return the messages in rows of type `MESSAGE`; without velocities if these are NaN."""
+    corrected = None if (rows["corrected"] == UNKNOWN).any() else rows["corrected"]
+    rates = rows["state"][:, WIDTH:]
+    receptions = Receptions(rows["time"], "node", body_rates=rates, corrected=corrected)
+    poses = trajectory(rows["stamp"], rows["state"][:, :WIDTH], up)
+    return replace(poses, reading=Reading(receptions=receptions))

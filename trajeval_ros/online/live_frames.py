@@ -28,9 +28,9 @@ from trajeval_ros.online.state_rows import (
     WIDTH,
     Pairs,
     on_plane,
+    states,
     turned_covariances,
     upright_rows,
-    without_orientations,
 )
 
 
@@ -106,7 +106,7 @@ class LiveFrames:
 
         They are of a point, also if messages have a constant orientation.
         """
-        return rows if self._arm is None else without_orientations(rows)
+        return rows if self._arm is None else states(rows[:, POSITION])
 
     def in_plane(self, rows: Floats) -> Floats:
         """Return groundtruth states projected on the horizontal plane, for gauge planar."""

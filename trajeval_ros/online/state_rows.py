@@ -125,13 +125,6 @@ def turned_covariances(rows: Floats, *, to_body: bool = False) -> Floats:
     return turned
 
 
-def without_orientations(rows: Floats) -> Floats:
-    """Return states (N, 10) with positions only."""
-    places: Floats = rows.copy()
-    places[:, POSITION.stop :] = np.nan
-    return places
-
-
 def as_wide(rows: Floats, width: int) -> Floats:
     """Return states with `width` columns: covariances are cut off, or set to zero (unknown)."""
     if rows.shape[1] >= width:
@@ -153,11 +146,11 @@ def on_plane(rows: Floats, up: UpAxis) -> Floats:
 
 
 def trajectory(stamps: Stamps, rows: Floats, up: UpAxis = Z_UP) -> Trajectory:
-    """Return rows (N, 10) or (N, 46) as a trajectory, without quantities that are not measured."""
+    """Return rows (N, 7 or more) as a trajectory, without quantities that are not measured."""
     quaternions, velocities = rows[:, QUATERNION], rows[:, VELOCITY]
     covariances = rows[:, COVARIANCE]
     measured = len(rows) and not np.isnan(quaternions[0, 0])
-    moving = len(rows) and not np.isnan(velocities).any()
+    moving = velocities.size and not np.isnan(velocities).any()
     return Trajectory(
         stamps=np.array(stamps),
         positions=np.array(rows[:, POSITION]),

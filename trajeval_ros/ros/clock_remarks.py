@@ -28,10 +28,9 @@ _UNSET_BEFORE_S = 315964800.0  # earlier timestamps are no dates, but count from
 _ONE_DAY_S = 86400.0
 
 
-def about_clocks(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
-    """Yield what is wrong with the clocks."""
+def about_clock_offset(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
+    """Yield the warning of a clock offset that is not applied."""
     clock, applied_s = estimate.clock.report, estimate.evaluator.settings.offset_s
-    yield from about_clock_faults(run, estimate)
     if run.holds or clock.offset_s is None or clock.half_width_95_s is None:
         return
     apart_s = clock.offset_s - applied_s

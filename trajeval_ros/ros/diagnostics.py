@@ -29,7 +29,7 @@ from trajeval_ros.online.alarms import (
 from trajeval_ros.online.error_topics import status_values, stream_values
 from trajeval_ros.online.jump_detector import Jump
 from trajeval_ros.online.reports import Snapshot, Update
-from trajeval_ros.ros.clock_remarks import about_clock_faults, about_clocks, sync_risk_m
+from trajeval_ros.ros.clock_remarks import about_clock_faults, about_clock_offset, sync_risk_m
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_outputs import LiveOutputs
 from trajeval_ros.ros.live_run import LiveRun
@@ -90,16 +90,20 @@ def remarks_about(
 
     Peaks are the largest values since the last status. Limits are by name of the quantity.
     """
+    faults = list(about_clock_faults(run, estimate))
     return [
         *_about_data(run, estimate, snapshot),
         *_about_coverage(snapshot, limits["coverage"]),
         *_about_rate(estimate, limits["rate_hz"]),
-        *_about_lateness(run, estimate),
+        # Clocks that differ measure no delay.
+        *([] if faults else _about_lateness(run, estimate)),
+        *([] if estimate.availability is None else estimate.availability.remarks),
         *about_loss(snapshot),
         *alarms(peaks, limits),
         *about_integrity(snapshot),
         *_about_start(run),
-        *about_clocks(run, estimate),
+        *faults,
+        *about_clock_offset(run, estimate),
         *_about_run(run, estimate, snapshot),
     ]
 
@@ -195,10 +199,10 @@ def _about_rate(estimate: LiveEstimate, limits: AlarmLimits) -> list[Remark]:
 def _about_lateness(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
     """Warn of poses that arrive later than the groundtruth of their time.
 
-    In a replay, both arrive long after their timestamps. Clocks that differ measure no delay.
+    In a replay, both arrive long after their timestamps.
     """
     late_s = estimate.status.stream.arrival_after(run.groundtruth_status.stream)
-    if late_s is None or late_s <= _LATE_S or any(about_clock_faults(run, estimate)):
+    if late_s is None or late_s <= _LATE_S:
         return
     said = (
         f"poses arrive {late_s:.1f} s (95th percentile) after the groundtruth of the same time: "
@@ -318,11 +322,7 @@ class StatusReports:
     """Publishes the status of a run and the events about its changes."""
 
     def __init__(
-        self,
-        node: Node,
-        events: EventTopic,
-        watching: Watching,
-        log: Callable[[str, Level], None],
+        self, node: Node, events: EventTopic, watching: Watching, log: Callable[[str, Level], None]
     ) -> None:
         """Create it; `log` writes a sentence to the log."""
         self._node, self._events, self._watching, self._log = node, events, watching, log
@@ -353,17 +353,9 @@ class StatusReports:
             self.newest[estimate.name] = Status.of(
                 run, estimate, snapshot, newest, remarks, peaks, undrawn
             )
-            missing = missing_source(run, estimate)
-            parts.append(
-                summary(
-                    estimate.name,
-                    snapshot,
-                    window,
-                    newest.position_m,
-                    missing,
-                    unpaired_s=estimate.unpaired_s,
-                )
-            )
+            missing, unpaired_s = missing_source(run, estimate), estimate.unpaired_s
+            about = estimate.name, snapshot, window, newest.position_m, missing
+            parts.append(summary(*about, unpaired_s=unpaired_s))
         statuses = [
             status_message(self._node, each.level, name, each.text, each.values)
             for name, each in self.newest.items()

@@ -13,21 +13,18 @@ import numpy as np
 
 from trajeval_ros.consistency.s_transformation import unknown_covariances
 from trajeval_ros.diagnosis.geometry_tests import up_axis_doubt
-from trajeval_ros.formatting.remarks import warning
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.marker import BODYS_VELOCITIES
+from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.up_axis import UpAxis
-from trajeval_ros.geometry.valid_poses import judge_poses
-from trajeval_ros.io.bags.pose_messages import COVARIANCE_TYPES, decode_poses
 from trajeval_ros.io.live.pair_file import REVISED_SUFFIX, SUFFIX, PairWriter, write_revised
 from trajeval_ros.io.live.reception_file import SUFFIX as RECEIVED_SUFFIX
-from trajeval_ros.io.live.reception_file import ReceptionWriter
+from trajeval_ros.io.live.reception_file import RecordedAvailability
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH
 from trajeval_ros.online.alarms import Peaks, Standing
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.jump_detector import Jump, JumpDetector
-from trajeval_ros.online.live_availability import LiveAvailability
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.reports import Snapshot, Update, united
@@ -35,8 +32,8 @@ from trajeval_ros.online.state_rows import (
     COVARIANCE,
     POSITION,
     QUATERNION,
+    WIDTH,
     Pairs,
-    states,
     trajectory,
 )
 from trajeval_ros.online.whole_run import RevisedPath, ThinnedRun
@@ -45,29 +42,28 @@ from trajeval_ros.ros.pose_source import PoseSource
 from trajeval_ros.ros.poses import StateColumns, StreamStatus
 from trajeval_ros.ros.slow_evaluation import SlowEvaluation
 from trajeval_ros.ros.timing import Latency
-from trajeval_ros.ros.transform_stream import TransformStream
 
 
 class DecodedMessages(NamedTuple):
     """Messages of one source: some poses, or one path.
 
-    Timestamps (N,) are for the detection of steps back; a path has only that of its last pose.
     Times (N,) are those of reception by the middleware; for a path, its time of arrival.
     """
 
-    stamps: Stamps
     states: StateColumns
     times: Stamps
-    newest: tuple[str, bytes] | None = None  # type and bytes of the newest message of poses
     is_path: bool = False
+
+    @property
+    def stamps(self) -> Stamps:
+        """Timestamps for the detection of steps back; a path has only that of its last pose."""
+        return self.states.stamps[-1:] if self.is_path else self.states.stamps
 
     def part(self, rows: slice) -> DecodedMessages:
         """Return some of the messages; a path has one part."""
         if self.is_path:
             return self
-        return self._replace(
-            stamps=self.stamps[rows], states=self.states.picked(rows), times=self.times[rows]
-        )
+        return DecodedMessages(self.states.picked(rows), self.times[rows])
 
 
 class LiveEstimate:
@@ -104,22 +100,16 @@ class LiveEstimate:
         self._given_up = None if settings.up is None else settings.up[1]
         self._paired_at = 0.0
         self._updates: list[Update] = []
-        self.newest: tuple[str, bytes] | None = None  # type and bytes of the newest pose
+        self._newest: tuple[int, Floats] | None = None  # timestamp and state (1, k) of a message
         self._undigested: list[Pairs] = []
-        # As-available accuracy, if requested; transforms are composed later than received.
-        self.availability: LiveAvailability | None = None
-        self._received: ReceptionWriter | None = None
-        if settings.available.is_asked_for and isinstance(source.stream, TransformStream):
-            said = "as available: poses of transforms have no times of reception; evaluate a bag"
-            self.status.note(warning("reception_clock", said))
-        elif settings.available.is_asked_for:
-            self._received = ReceptionWriter(folder / f"{self.name}{RECEIVED_SUFFIX}")
-            self.availability = LiveAvailability(
+        self.availability: RecordedAvailability | None = None  # as-available, if requested
+        if settings.available.is_asked_for:
+            source.stream.is_receiver = True
+            self.availability = RecordedAvailability(
+                folder / f"{self.name}{RECEIVED_SUFFIX}",
                 settings.available,
                 settings.protocol.association.max_gap_s,
                 settings.limits.past_s,
-                self._received.add_groundtruth,
-                self._received.add_estimate,
             )
 
     def continue_after(self, before: LiveEstimate) -> None:
@@ -170,15 +160,16 @@ class LiveEstimate:
             assert self.revised is not None
             new = self.revised.renew(poses.stamps, rows)
             self.source.stream.count_new(poses.picked(new), int(messages.times[0]))
-            newest = poses.stamps.argsort(kind="stable")[-1:]
-            self._receive(poses.stamps[newest], messages.times[: len(newest)], rows[newest])
+            newest = poses.picked(poses.stamps.argsort(kind="stable")[-1:])
+            self._receive(newest._replace(arrived=messages.times[: len(newest.stamps)]))
             self.evaluator.add_estimate(poses.stamps[new], rows[new])
             return
-        self.newest = messages.newest or self.newest
+        if len(poses.stamps):
+            self._newest = int(poses.stamps[-1]), poses.states[-1:]
         resets, self.source.stream.resets = self.source.stream.resets, []
         self.jumps.declare(each + self.offset_ns for each in resets)
-        if poses.arrived is not None:
-            self._receive(poses.stamps, poses.arrived, rows)
+        if self.availability is not None:
+            self._receive(self.source.stream.as_received(poses))
         self.latency.arrive(poses.stamps + self.offset_ns, messages.times)
         self._note_velocities(
             self._body.leaves_out_velocities_of(poses.states, is_groundtruth=False)
@@ -186,9 +177,11 @@ class LiveEstimate:
         )
         self.evaluator.add_estimate(poses.stamps, rows)
 
-    def _receive(self, stamps: Stamps, times: Stamps, rows: Floats) -> None:
-        if self.availability is not None:
-            self.availability.add_estimate(stamps, times, rows)
+    def _receive(self, poses: StateColumns) -> None:
+        if self.availability is not None and poses.arrived is not None:
+            rows, rates = self._body.estimated(poses.states), poses.body_rates
+            receptions = Receptions(poses.arrived, "node", None, rates, poses.corrected)
+            self.availability.add_estimate(poses.stamps, rows, receptions)
 
     def _note_velocities(self, are_left_out: bool) -> None:
         if are_left_out:
@@ -294,22 +287,16 @@ class LiveEstimate:
         They refer to the evaluated body, with the clock offset applied, as in pairs. None without
         a message, or if its covariance is unknown.
         """
-        message_type, payload = self.newest or ("", b"")
-        if message_type not in COVARIANCE_TYPES:
+        if self._newest is None or self._newest[1].shape[1] == WIDTH:
             return None
-        pose = decode_poses([payload], message_type, covariance=True)
-        if not len(pose.stamps) or pose.covariances is None or pose.stamps[0] == 0:
-            return None
+        stamp, row = self._newest
         # `unknown_covariances` accepts zeros in the first covariance, so it is passed twice.
-        unknown = unknown_covariances(pose.covariances.repeat(2, 0))
-        if unknown or not judge_poses(pose.positions)[0][0]:
+        if unknown_covariances(row[:, COVARIANCE].reshape(1, 6, 6).repeat(2, 0)):
             return None
-        rows = states(pose.positions, pose.quaternions)
-        [moved] = self._body.estimated(np.hstack([rows, pose.covariances.reshape(1, 36)]))
+        [moved] = self._body.estimated(row)
         if not np.isfinite(moved[POSITION]).all():
             return None
-        covariance = moved[COVARIANCE].reshape(6, 6)[:3, :3]
-        return int(pose.stamps[0]) + self.offset_ns, moved[POSITION], covariance
+        return stamp + self.offset_ns, moved[POSITION], moved[COVARIANCE].reshape(6, 6)[:3, :3]
 
     @property
     def why_not_revised(self) -> str:
@@ -325,9 +312,8 @@ class LiveEstimate:
 
     def write_state(self, state: Mapping[str, Any]) -> None:
         """Write what `trajeval finish` needs besides pairs (`recorded_state`), if it changed."""
-        if self.availability is not None and self._received is not None:
-            self.availability.store()
-            self._received.write()
+        if self.availability is not None:
+            self.availability.write()
         if state == self._state:
             self.pairs_file.write()
             return
@@ -352,7 +338,6 @@ class LiveEstimate:
         try:
             self.write_revised()
         finally:
-            if self.availability is not None and self._received is not None:
-                self.availability.store()
-                self._received.close()
+            if self.availability is not None:
+                self.availability.close()
             self.pairs_file.close()

@@ -118,7 +118,7 @@ class LiveRuns:
         self.take(time_at)
         for place, source in enumerate(self._sources):
             poses = source.stream.last_poses()
-            messages = DecodedMessages(poses.stamps, poses, poses.stamps)
+            messages = DecodedMessages(poses, poses.stamps)
             self._run_of[place].take(place, messages)
         for run in self._open:
             run.decide(at_end=True)
@@ -249,8 +249,7 @@ def _decoded(source: PoseSource, time_at: TimeAt | None) -> Iterator[DecodedMess
         if message_type == PATH_TYPE:
             for payload, each in zip(taken.payloads, arrived, strict=True):
                 path = stream.path(payload)
-                yield DecodedMessages(path.stamps[-1:], path, each[None], is_path=True)
+                yield DecodedMessages(path, each[None], is_path=True)
             continue
         poses = stream.poses(message_type, taken.payloads, arrived)
-        newest = message_type, taken.payloads[-1]
-        yield DecodedMessages(poses.stamps, poses, received[poses.rows], newest)
+        yield DecodedMessages(poses, received[poses.rows])

@@ -16,7 +16,7 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE
-from trajeval_ros.io.bags.rate_messages import IMU_TYPE, decode_rates
+from trajeval_ros.io.bags.rate_messages import decode_rates
 from trajeval_ros.online.state_rows import (
     COVARIANCE,
     POSITION,
@@ -121,7 +121,7 @@ class LiveWatch:
     def _take_imu(self, payloads: Sequence[bytes]) -> Signals:
         if not payloads:
             return {}
-        readings = decode_rates(payloads, IMU_TYPE)
+        readings = decode_rates(payloads)
         assert readings.accelerations is not None
         timed = readings.stamps != 0  # 0: the timestamp is not set
         return self.watchdog.add_source(
@@ -136,10 +136,7 @@ class LiveWatch:
         if np.isfinite(velocities).any():
             self._needs.add("twist")
         return self.watchdog.add_states(
-            stamps,
-            positions,
-            quaternions,
-            lie.rotate(lie.conjugate(quaternions), velocities),
+            stamps, positions, quaternions, lie.rotate(lie.conjugate(quaternions), velocities)
         )
 
     def _keep_latest(self, signals: Signals) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.formatting.remarks import Remark, note, warning
-from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
+from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.fix_selection import FRAME
 from trajeval_ros.geometry.geodesy import Datum
 from trajeval_ros.geometry.reading import FORMAT, DeclaredReset
@@ -23,9 +23,9 @@ from trajeval_ros.io.bags.declared_resets import declared_resets
 from trajeval_ros.io.bags.pose_columns import Frames, PoseColumns
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE, decode_path, decode_poses
 from trajeval_ros.io.bags.usable_poses import UsablePoses, usable_poses
-from trajeval_ros.metrics.stream_health import UNKNOWN, StreamMonitor
+from trajeval_ros.metrics.stream_health import StreamMonitor
 from trajeval_ros.online.state_buffer import StateCounts, usable_rows
-from trajeval_ros.online.state_rows import POSITION, WIDTH, as_wide, states
+from trajeval_ros.online.state_rows import WIDTH, as_wide, states
 from trajeval_ros.ros.clock_steps import ClockSteps
 from trajeval_ros.ros.live_fixes import LiveFixes
 from trajeval_ros.ros.timing import Arrivals
@@ -44,6 +44,8 @@ class StateColumns(NamedTuple):
     rows: NDArray[np.int64]  # (N,), index of the message
     fixes: Floats | None = None  # (N, 14), place and quality of GNSS fixes as in their messages
     arrived: Stamps | None = None  # (N,) times of arrival, nanoseconds, may be `UNKNOWN`
+    body_rates: Floats | None = None  # (N, 3), rad/s, in the body; NaN if not measured
+    corrected: Stamps | None = None  # see `Receptions.corrected`
 
     def picked(self, rows: NDArray[Any] | slice) -> StateColumns:
         """Return the states of a mask, of indices, or of a slice."""
@@ -93,6 +95,7 @@ class PoseStream:
         self.trouble: Remark | None = None  # why messages currently contain no valid poses
         self.heard_at: float | None = None  # by `time.monotonic`
         self.begins_anew = False  # whether a step back of time begins a new run
+        self.is_receiver = False  # whether `as_received` is called
         self._topic = topic
         self._type = ""
         self._frames: Frames | None = None
@@ -144,7 +147,9 @@ class PoseStream:
     ) -> StateColumns:
         """Return the states of messages, N of them, that arrived at times (N,), nanoseconds."""
         self._see_type(message_type)
-        columns = decode_poses(payloads, message_type, covariance=self._covariances)
+        columns = decode_poses(
+            payloads, message_type, covariance=self._covariances, rates=self.is_receiver
+        )
         if columns.fix_quality is not None:
             found = self._fix_states(columns)
             self.status.stream.add(found.stamps, arrived_ns[found.rows])
@@ -153,6 +158,10 @@ class PoseStream:
         self.arrivals.see(found.stamps, arrived_ns[found.rows])
         self._count(found)
         return found
+
+    def as_received(self, poses: StateColumns) -> StateColumns:
+        """Return poses, not of a path, as the as-available accuracy uses them."""
+        return poses
 
     def last_poses(self) -> StateColumns:
         """Return the states whose timestamps are still under test, at the end of the run."""
@@ -168,7 +177,7 @@ class PoseStream:
         """
         self._see_type(PATH_TYPE)
         found = self._states(decode_path(payload))
-        poses = np.flatnonzero(_are_poses(found.states))
+        poses = np.flatnonzero(usable_rows(found.states)[0])
         rows, trust = trusted_states(found.stamps[poses])
         self._tell_lone(trust)
         return found.picked(poses[rows]) if trust.lone else found
@@ -213,7 +222,7 @@ class PoseStream:
         count = int(np.count_nonzero(repeated))
         dropped = add_counts(dropped, unusable, {"duplicate_stamp": count})
         self._see_trouble(len(stamps) - count, dropped)
-        return StateColumns(columns.stamps, states_, columns.rows)
+        return StateColumns(columns.stamps, states_, columns.rows, body_rates=columns.body_rates)
 
     def _see_resets(self, columns: PoseColumns) -> None:
         """Store the resets that poses declare, also relative to the pose before them."""
@@ -252,27 +261,25 @@ class PoseStream:
 
         States that waited get the row of the first of these messages.
         """
-        poses, before = _are_poses(found.states), self._trust.lone
+        poses, before = usable_rows(found.states)[0], self._trust.lone
         self._batch += 1
         self._width = max(self._width, found.states.shape[1])  # types may change on the way
-        unknown = np.full(len(found.stamps), UNKNOWN)
-        found = found._replace(states=as_wide(found.states, self._width), arrived=unknown)
+        rates = found.body_rates
+        rates = np.full((len(found.stamps), 3), np.nan) if rates is None else rates
+        states_ = as_wide(found.states, self._width)
+        arrived = arrived_ns[found.rows]
+        found = found._replace(states=states_, arrived=arrived, body_rates=rates)
         batches = np.full(len(found.stamps), self._batch)
-        picked, batches = found.picked(poses), batches[poses]
-        stamps, states_, rows, batches, arrived = self._trust.take(
-            picked.stamps,
-            picked.states,
-            picked.rows,
-            batches,
-            arrived_ns[picked.rows],
-            at_end=at_end,
+        columns: list[NDArray[Any]] = [found.stamps, states_, found.rows, arrived, rates, batches]
+        stamps, states_, rows, arrived, rates, batches = self._trust.take(
+            *(each[poses] for each in columns), at_end=at_end
         )
         self.status.stream.add(stamps, arrived)
         rows = np.where(batches == self._batch, rows, 0)
         if self._trust.lone > before:
             self._tell_lone(self._trust)
             self.status.drop(LONE, self._trust.lone - before)
-        trusted = StateColumns(stamps, states_, rows, None, arrived)
+        trusted = StateColumns(stamps, states_, rows, None, arrived, rates)
         return trusted if poses.all() else trusted.joined(found.picked(~poses))
 
     def _tell_lone(self, trust: StampTrust) -> None:
@@ -301,7 +308,7 @@ class PoseStream:
                 self.news.append(self.trouble)
 
     def _count(self, found: StateColumns) -> None:
-        poses = _are_poses(found.states)
+        poses = usable_rows(found.states)[0]
         stamps = found.stamps[poses]
         if not len(stamps):
             return
@@ -329,10 +336,3 @@ class PoseStream:
         """Store a new note, and publish it as a warning with the code of an event."""
         if self.status.note(note(code, said)):
             self.news.append(warning(event, said, values=values))
-
-
-def _are_poses(rows: Floats) -> Booleans:
-    """Return which states (N, 10) are finite, with a valid quaternion or without one."""
-    rows = rows[:, :WIDTH]
-    finite = np.isfinite(rows[:, POSITION]).all(axis=1)
-    return np.logical_and(finite, ~np.isposinf(rows).any(axis=1))

@@ -13,12 +13,7 @@ from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.tracking_loss import Loss
 from trajeval_ros.online.state_rows import Pairs
-from trajeval_ros.online.whole_run import (
-    RevisedPath,
-    ThinnedRun,
-    association_of,
-    evaluate_rows,
-)
+from trajeval_ros.online.whole_run import RevisedPath, ThinnedRun, association_of, evaluate_rows
 from trajeval_ros.pipeline.pipeline import diagnose
 from trajeval_ros.pipeline.request import Request
 from trajeval_ros.ros.background import BackgroundTask

@@ -14,6 +14,12 @@ from trajeval_ros.geometry.reading import FORMAT
 from trajeval_ros.geometry.stamp_trust import LONE, NEAR_NS, StampTrust
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.pose_messages import TransformColumns, decode_transforms
+from trajeval_ros.io.bags.received_transforms import (
+    NO_TRANSFORMS,
+    ReceivedChain,
+    Transforms,
+    transforms_of,
+)
 from trajeval_ros.io.bags.transform_tree import (
     LEADS_BY_S,
     Edge,
@@ -54,6 +60,11 @@ class TransformStream(PoseStream):
         self._leading: EdgeKey | None = None
         self._until = NEVER
         self._warn_at: float | None = None
+        # For `as_received`: the transforms since its last call, and what composes them.
+        self._received: dict[EdgeKey, Transforms] = {}
+        self._chain: ReceivedChain | None = None
+        self._anew_row = 0  # the newest message at which time started again
+        self._is_over = False  # whether no transforms will follow
 
     def poses(
         self, message_type: str, payloads: Sequence[bytes], arrived_ns: Stamps
@@ -62,15 +73,19 @@ class TransformStream(PoseStream):
         del message_type  # timestamps are tested per edge
         edges, undecodable = decode_transforms(payloads)
         self.status.drop("undecodable", undecodable)
+        self._anew_row = 0
         for key, columns in edges.items():
             if self._wants(key):
                 self._extend(key, columns)
+        for key in edges.keys() & self._trusts.keys() if self.is_receiver else ():
+            self._receive(key, edges[key], arrived_ns)
+        return self._completed(len(payloads) - 1, arrived_ns)
+
+    def _completed(self, row: int, arrived_ns: Stamps) -> StateColumns:
+        """Return the states that are possible now, with the index and the arrival of a message."""
         stamps = self._new_stamps()
-        found = StateColumns(
-            stamps,
-            states(*compose(self._edges, self._way, stamps)),
-            np.full(len(stamps), len(payloads) - 1),
-        )
+        states_ = states(*compose(self._edges, self._way, stamps))
+        found = StateColumns(stamps, states_, np.full(len(stamps), row))
         if len(stamps):
             self._until = int(stamps[-1])
             self.heard_at = time.monotonic()
@@ -81,6 +96,33 @@ class TransformStream(PoseStream):
         self._forget()
         self._count(found)
         return found
+
+    def as_received(self, poses: StateColumns) -> StateColumns:
+        """Return the poses at every reception since the last call; see `ReceivedChain`.
+
+        They begin when the leading edge is determined. Their times of arrival are never `UNKNOWN`.
+        """
+        if self._leading is None:
+            return poses
+        self._chain = self._chain or ReceivedChain(self._edges, self._way, self._leading)
+        found = self._chain.poses(self._received, at_end=self._is_over)
+        self._received, receptions = {}, found.reading.receptions
+        assert receptions is not None
+        return StateColumns(
+            found.stamps,
+            states(found.positions, found.quaternions),
+            np.arange(len(found)),
+            arrived=receptions.times,
+            corrected=receptions.corrected,
+        )
+
+    def last_poses(self) -> StateColumns:
+        """Return the states whose timestamps are still under test, at the end of the run."""
+        self._is_over = True
+        for key in self._trusts:
+            none = np.empty(0, np.int64)
+            self._extend(key, TransformColumns(none, np.empty((0, 7)), none))
+        return self._completed(0, np.array([UNKNOWN]))
 
     def hold(self, payloads: Sequence[bytes]) -> None:
         """Add static transforms."""
@@ -106,7 +148,9 @@ class TransformStream(PoseStream):
         timed = columns.stamps != 0  # a timestamp that was not set
         trust = self._trusts.setdefault(key, StampTrust())
         before = trust.lone
-        stamps, numbers = trust.take(columns.stamps[timed], columns.numbers[timed])
+        stamps, numbers = trust.take(
+            columns.stamps[timed], columns.numbers[timed], at_end=self._is_over
+        )
         if trust.lone > before:
             self._tell_lone(trust)
             self.status.drop(LONE, trust.lone - before)
@@ -116,12 +160,22 @@ class TransformStream(PoseStream):
             back = np.flatnonzero(np.diff(np.concatenate([last, stamps])) < -NEAR_NS)
             if len(back):
                 self._drop_moving()
+                self._anew_row = int(columns.rows[max(back[-1] - len(stamps), -len(columns.rows))])
                 stamps, numbers = stamps[back[-1] :], numbers[back[-1] :]
         new = Edge.from_columns(stamps, numbers, False)
         if key == self._leading and len(new.stamps):
             self._tell_step_back((self._until - int(new.stamps[-1])) / NANOSECONDS)
         known = self._edges.get(key)
         self._keep(key, new if known is None or known.is_static else known.joined(new))
+
+    def _receive(self, key: EdgeKey, columns: TransformColumns, arrived_ns: Stamps) -> None:
+        new = columns.rows >= self._anew_row
+        received = transforms_of(columns.stamps, columns.numbers, arrived_ns[columns.rows])[new]
+        known = np.concatenate([self._received.get(key, NO_TRANSFORMS), received])
+        if not self._way:
+            recent = known["time"][-1:] - round(_MEMORY_S * NANOSECONDS)
+            known = known[known["time"] >= recent]
+        self._received[key] = known[-_MOST_TRANSFORMS:]
 
     def begin_anew(self) -> None:
         """Forget earlier messages."""
@@ -132,6 +186,7 @@ class TransformStream(PoseStream):
         """Drop moving transforms, because time started again."""
         self._edges = {key: edge for key, edge in self._edges.items() if edge.is_static}
         self._way, self._leading, self._until = [], None, NEVER
+        self._received, self._chain, self._is_over = {}, None, False
 
     def _wants(self, key: EdgeKey) -> bool:
         return key in self._edges or (not self._way and len(self._edges) < _MOST_EDGES)

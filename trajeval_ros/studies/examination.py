@@ -75,12 +75,7 @@ def examine(recording: SensorRecording, model: MeasurementModel) -> Examination:
     """Select keyframes, check the data, and reject outliers."""
     gravity = np.array([0.0, 0.0, -model.gravity])
     whole = select(
-        recording,
-        model.every,
-        model.keyframes,
-        model.pixel_noise,
-        model.imu_noise,
-        gravity,
+        recording, model.every, model.keyframes, model.pixel_noise, model.imu_noise, gravity
     )
     felt = whole.gravity_felt
     off = abs(float(np.linalg.norm(felt)) - model.gravity)

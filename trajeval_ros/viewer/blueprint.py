@@ -40,9 +40,7 @@ def until_now(seconds: float | None = None) -> Any:
     return layout.VisibleTimeRanges(
         [
             layout.VisibleTimeRange(
-                TIMELINE,
-                start=begin,
-                end=layout.TimeRangeBoundary.cursor_relative(),
+                TIMELINE, start=begin, end=layout.TimeRangeBoundary.cursor_relative()
             )
         ]
     )
@@ -164,12 +162,7 @@ def _within_bands() -> Any:
     plots = [_plot(*each) for each in zip(names, scene_entities.ERRORS_WITHIN, strict=True)]
     return layout.Vertical(
         *(layout.Horizontal(plots[axis], plots[axis + 3]) for axis in range(3)),
-        _plot(
-            "NEES of poses / dof",
-            scene_entities.NEES,
-            scene_entities.NEES_LIMIT,
-            legend=True,
-        ),
+        _plot("NEES of poses / dof", scene_entities.NEES, scene_entities.NEES_LIMIT, legend=True),
         name="Errors within 3 sigma",
     )
 

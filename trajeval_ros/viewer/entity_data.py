@@ -167,11 +167,7 @@ def alignment(similarity: Similarity) -> Any:
 def marker(position: Floats, colour: colours.Colour) -> Any:
     """Return a dot at a position (3,); its size does not depend on the distance."""
     rerun, _ = sdk()
-    return rerun.Points3D(
-        [position],
-        colors=[colour],
-        radii=[rerun.Radius.ui_points(_DOT)],
-    )
+    return rerun.Points3D([position], colors=[colour], radii=[rerun.Radius.ui_points(_DOT)])
 
 
 def pose_axes(length_m: float) -> Any:

@@ -14,11 +14,7 @@ from trajeval_ros.geometry.inertial import turned_by_gyro
 from trajeval_ros.geometry.interpolation import columns_at, slerp_at
 from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.watchdog.rotations_over_time import between, only_axis
-from trajeval_ros.watchdog.row_buffer import (
-    QUATERNION,
-    TIME,
-    window_begins,
-)
+from trajeval_ros.watchdog.row_buffer import QUATERNION, TIME, window_begins
 
 # Columns of an IMU row after `TIME` and `SINCE`: rad/s, m/s^2.
 GYRO, ACCELERATION = slice(2, 5), slice(5, 8)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from composed import compose_transforms
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
@@ -20,7 +21,6 @@ from trajeval_ros.io.bags.pose_columns import PoseColumns, frames_changes
 from trajeval_ros.io.bags.transform_tree import (
     Edge,
     common_span,
-    compose_transforms,
     find_way,
     fixed_transform,
     leading_edge,

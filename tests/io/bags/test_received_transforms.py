@@ -12,12 +12,35 @@ from scipy.spatial.transform import Rotation
 from strategies import seeds
 
 from trajeval_ros.geometry.receptions import Receptions
-from trajeval_ros.io.bags.received_transforms import ReceivedEdge, compose_received
-from trajeval_ros.io.bags.transform_tree import Edge
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.bags.received_transforms import (
+    ReceivedChain,
+    Transforms,
+    compose_received,
+    transforms_of,
+)
+from trajeval_ros.io.bags.transform_tree import Edge, find_chain
+from trajeval_ros.metrics.stream_health import UNKNOWN
 
 Array = NDArray[Any]
 STEP = 10**7
+NOTHING = np.empty((0, 7))
+MOVING = Edge.from_columns(np.empty(0, np.int64), NOTHING, is_static=False)
 MAP, ODOM, ARM, FIXED = ("map", "odom"), ("odom", "base"), ("tip", "base"), ("tip", "tool")
+
+
+def columns_of(poses: Trajectory) -> dict[str, Array]:
+    receptions = poses.reading.receptions
+    assert receptions is not None
+    assert receptions.corrected is not None
+    assert poses.quaternions is not None
+    return {
+        "stamps": poses.stamps,
+        "positions": poses.positions,
+        "quaternions": poses.quaternions,
+        "times": receptions.times,
+        "corrected": receptions.corrected,
+    }
 
 
 def as_matrix(numbers: Array) -> Array:
@@ -42,17 +65,23 @@ def test_a_pose_is_of_the_newest_transforms_that_were_received(
         numbers[:, 3:] /= np.linalg.norm(numbers[:, 3:], axis=1)[:, None]
         dated = stamps + shift * STEP
         order = np.argsort(times, kind="stable")
-        received[key] = ReceivedEdge(dated[order], numbers[order], Receptions(times[order]))
+        received[key] = transforms_of(dated[order], numbers[order], times[order])
         edges[key] = Edge.from_columns(dated, numbers, is_static=False)
     fixed = rng.normal(size=(1, 7))
     edges[FIXED] = Edge.from_columns(np.zeros(1, dtype=np.int64), fixed, is_static=True)
-    found = compose_received(edges, received, "map", "tool")
+    by = {key: (each, Receptions(each["time"])) for key, each in received.items()}
+    way, leading, _ = find_chain(edges, "map", "tool", "t")
+    assert leading == ODOM
+    found = compose_received(ReceivedChain(edges, way, leading), by)
     receptions = found.reading.receptions
     assert receptions is not None
     assert receptions.corrected is not None
     assert found.quaternions is not None
-    events = sorted({int(at) for each in received.values() for at in each.receptions.times})
-    first = max(int(each.receptions.times.min()) for each in received.values())
+    odometry = received[ODOM]  # it has the most transforms
+    is_newer = np.diff(np.maximum.accumulate(odometry["stamp"]), prepend=0) > 0
+    used = [received[MAP]["time"], received[ARM]["time"], odometry["time"][is_newer]]
+    events = sorted({int(at) for times in used for at in times})
+    first = max(int(each["time"].min()) for each in received.values())
     events = [each for each in events if each >= first]
     assert receptions.times.tolist() == events
     for row, now in enumerate(events):
@@ -63,15 +92,70 @@ def test_a_pose_is_of_the_newest_transforms_that_were_received(
                 product = product @ as_matrix(numbers)
                 continue
             each = received[key]
-            known = np.flatnonzero(each.receptions.times <= now)
+            known = np.flatnonzero(each["time"] <= now)
             newest = known[-1]
-            if key == ODOM:  # it has the most transforms
-                newest = known[int(each.stamps[known].argmax())]
-                assert found.stamps[row] == each.stamps[newest]
+            if key == ODOM:
+                newest = known[int(each["stamp"][known].argmax())]
+                assert found.stamps[row] == each["stamp"][newest]
             else:
-                corrected = max(corrected, int(each.receptions.times[newest]))
-            product = product @ np.linalg.matrix_power(as_matrix(each.numbers[newest]), power)
+                corrected = max(corrected, int(each["time"][newest]))
+            product = product @ np.linalg.matrix_power(as_matrix(each["numbers"][newest]), power)
         assert receptions.corrected[row] == corrected
         np.testing.assert_allclose(found.positions[row], product[:3, 3], atol=1e-12)
         turned = Rotation.from_quat(found.quaternions[row]).as_matrix()
         np.testing.assert_allclose(turned, product[:3, :3], atol=1e-12)
+
+
+@settings(max_examples=12)
+@given(seed=seeds, parts=st.integers(1, 200), seconds=st.sampled_from([40, 4000]))
+def test_poses_do_not_depend_on_the_batches_of_transforms(
+    seed: int, parts: int, seconds: int
+) -> None:
+    """Corrections come seldom; the leading edge has isolated timestamps, or is slow."""
+    rng = np.random.default_rng(seed)
+    received: dict[tuple[str, str], Transforms] = {}
+    for key, count in ((MAP, 8 if seconds == 40 else 200), (ODOM, 400)):
+        times = 10**15 + np.sort(rng.integers(0, seconds * 10**9, size=count))
+        stamps = times - rng.integers(0, 10**8, size=count)
+        if key == ODOM:
+            isolated = 20 * rng.integers(0, 20, size=12 if seconds == 40 else 0) + 5
+            stamps[isolated] += rng.choice([-1, 1]) * 10**16
+        else:
+            stamps += rng.integers(-60 * 10**9, 60 * 10**9, size=count)
+        numbers = rng.normal(size=(count, 7))
+        numbers[rng.choice(count, size=count // 8), 3:] = 0.0
+        received[key] = transforms_of(stamps, numbers, times)
+    way = [(MAP, True), (ODOM, True)]
+    wanted = ReceivedChain({MAP: MOVING, ODOM: MOVING}, way, ODOM).poses(received, at_end=True)
+    assert len(wanted) > 50
+    chain, found = ReceivedChain({MAP: MOVING, ODOM: MOVING}, way, ODOM), []
+    edges = 10**15 + np.sort(rng.integers(0, seconds * 10**9, size=parts))
+    for begin, end in zip([0, *edges], [*edges, 10**16], strict=True):
+        new = {
+            key: each[(each["time"] >= begin) & (each["time"] < end)]
+            for key, each in received.items()
+        }
+        found.append(chain.poses(new, at_end=end == 10**16))
+    for name, column in columns_of(wanted).items():
+        joined = np.concatenate([columns_of(each)[name] for each in found])
+        np.testing.assert_allclose(joined, column, atol=1e-14, err_msg=name)
+
+
+def test_a_transform_received_with_the_newest_pose_holds_just_after_it() -> None:
+    """Simulated time stands still now and then, and messages of a topic can overtake others."""
+    chain = ReceivedChain({MAP: MOVING, ODOM: MOVING}, [(MAP, True), (ODOM, True)], ODOM)
+    turn = [0.0, 0.0, 0.0, 1.0]
+
+    def at(stamp: int, time: int, x: float) -> Transforms:
+        return transforms_of(np.array([stamp]), np.array([[x, 0.0, 0.0, *turn]]), np.array([time]))
+
+    odometry = at(STEP, 9, 2.0)
+    assert len(chain.poses({MAP: at(5, 9, 1.0), ODOM: odometry})) == 0  # the first waits
+    first = columns_of(chain.poses({ODOM: at(STEP + 1, 10, 2.0)}))
+    assert (first["times"].tolist(), first["positions"][:, 0].tolist()) == ([9, 10], [3.0, 3.0])
+    for new, time, x in ((10, 11, 7.0), (4, 12, 9.0)):
+        found = columns_of(chain.poses({MAP: at(6, new, x)}))
+        assert (found["times"].tolist(), found["positions"][:, 0].tolist()) == ([time], [x + 2.0])
+        assert found["corrected"].tolist() == [time]
+    unusable = [at(0, 20, 1.0), at(7, UNKNOWN, 1.0)]
+    assert len(chain.poses({MAP: np.concatenate(unusable)})) == 0

@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from composed import compose_transforms
 from hypothesis import given
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 from strategies import seeds
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.bags.transform_tree import Edge, compose_transforms
+from trajeval_ros.io.bags.transform_tree import Edge
 from trajeval_ros.io.sources import read_trajectory
 
 Matrices = NDArray[np.float64]

@@ -20,6 +20,7 @@ from strategies import make_groundtruth
 from trajeval_ros import Protocol
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Level
+from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.live import chunk_file
 from trajeval_ros.io.live.chunk_file import ChunkWriter, read_chunks, read_tables
@@ -31,13 +32,14 @@ from trajeval_ros.io.live.pair_file import (
     read_revised,
     write_revised,
 )
-from trajeval_ros.io.live.reception_file import ReceptionWriter, read_received
+from trajeval_ros.io.live.reception_file import RecordedAvailability, read_received
 from trajeval_ros.io.live.recorded_association import (
     all_groundtruth,
     recorded_association,
     revised_association,
 )
 from trajeval_ros.io.live.run_state import recorded_remarks, require_run_state
+from trajeval_ros.metrics.as_available import AvailabilityRule
 from trajeval_ros.metrics.coverage import StampedPoses
 
 UPS = [UpAxis("z"), UpAxis("z")]
@@ -69,11 +71,13 @@ def test_tables_of_all_kinds_are_read_as_written(
     writer.close()
     tables = read_tables(path, KINDS, "tables/1", "table")
     expected = np.concatenate([np.zeros(0), *one])
-    assert [column.tolist() for column in tables[b"ONE_"]] == [
+    first, second = (tables[b"ONE_"][name].tolist() for name in KINDS[b"ONE_"].names or ())
+    assert (first, second) == (
         expected.tolist(),
         np.column_stack([expected / 2, -expected]).tolist(),
-    ]
-    assert tables[b"TWO_"][0].tolist() == np.concatenate([np.zeros(0), *two]).tolist()
+    )
+    [name] = KINDS[b"TWO_"].names or ()
+    assert tables[b"TWO_"][name].tolist() == np.concatenate([np.zeros(0), *two]).tolist()
     found, rest = read_chunks(path, KINDS)
     assert rest == 0
     assert [len(rows) for _, rows in found] == [0, *(rows for _, rows in chunks)]
@@ -89,7 +93,7 @@ def test_a_chunk_waits_if_there_is_memory_for_it(tmp_path: Path, more: int) -> N
         assert writer.add(b"TWO_", np.zeros(10, dtype=np.int64))
         assert writer.add(b"TWO_", np.zeros(3 + more, dtype=np.int64)) == (not more)
     writer.close()
-    [stamps] = read_tables(tmp_path / "x", KINDS, "tables/1", "table")[b"TWO_"]
+    stamps = read_tables(tmp_path / "x", KINDS, "tables/1", "table")[b"TWO_"]
     assert len(stamps) == (10 if more else 13)
 
 
@@ -133,11 +137,15 @@ def test_receptions_are_read_as_written_each_with_its_up_axis(tmp_path: Path) ->
     truth, estimate = make_groundtruth(1, 9), make_groundtruth(2, 5)
     assert truth.quaternions is not None
     assert estimate.quaternions is not None
-    writer = ReceptionWriter(tmp_path / "x.received")
+    writer = RecordedAvailability(tmp_path / "x.received", AvailabilityRule("hold"), 0.5, 10.0)
     writer.add_groundtruth(truth.stamps, np.hstack([truth.positions, truth.quaternions]))
     times = estimate.stamps + 12
     rows = np.hstack([estimate.positions, estimate.quaternions])
-    writer.add_estimate(estimate.stamps, times, rows)
+    rates, velocities = np.arange(30.0).reshape(2, 5, 3)
+    corrected = times - 7
+    rows = np.hstack([rows, velocities])
+    received = Receptions(times, "node", None, rates, corrected)
+    writer.add_estimate(estimate.stamps, rows, received)
     writer.close()
     found = read_received(tmp_path / "x.received", [UpAxis("y"), UpAxis("-z")])
     for one, other, up in zip(found, (truth, estimate), ("y", "-z"), strict=True):
@@ -149,6 +157,10 @@ def test_receptions_are_read_as_written_each_with_its_up_axis(tmp_path: Path) ->
     receptions = found[1].reading.receptions
     assert receptions is not None
     assert receptions.times.tolist() == times.tolist()
+    assert receptions.corrected is not None
+    assert receptions.corrected.tolist() == corrected.tolist()
+    np.testing.assert_array_equal(receptions.body_rates, rates)
+    np.testing.assert_array_equal(found[1].velocities, velocities)
 
 
 def test_revised_poses_are_read_as_written(tmp_path: Path) -> None:

@@ -17,12 +17,7 @@ from trajeval_ros.io.bags.blocks import Buffer, are_same, gather
 from trajeval_ros.io.bags.cdr_batch import ROS1_ALIGNMENT, XCDR2_ALIGNMENT, MessageBatch
 from trajeval_ros.io.bags.cdr_columns import Columns, joined
 from trajeval_ros.io.bags.cdr_steps import steps_of
-from trajeval_ros.io.bags.message_definitions import (
-    STANDARD,
-    Fields,
-    UnplannedError,
-    ros1_fields,
-)
+from trajeval_ros.io.bags.message_definitions import STANDARD, Fields, UnplannedError, ros1_fields
 
 # Byte order and largest alignment by encapsulation of CDR (DDS-XTYPES 1.3, 7.6.3.1).
 _ENCAPSULATIONS = {0x0000: (">", 8), 0x0001: ("<", 8), 0x0006: (">", 4), 0x0007: ("<", 4)}

@@ -88,7 +88,11 @@ _OF_TRANSFORMS = _PATHS["geometry_msgs/msg/TransformStamped"]
 
 
 def decode_poses(
-    payloads: Sequence[bytes | memoryview], message_type: str, *, covariance: bool = False
+    payloads: Sequence[bytes | memoryview],
+    message_type: str,
+    *,
+    covariance: bool = False,
+    rates: bool = False,
 ) -> PoseColumns:
     """Return the poses of messages of ROS 2, by the standard definition of their type.
 
@@ -98,7 +102,7 @@ def decode_poses(
     plan = (
         Px4Plan(message_type)
         if message_type in PX4_POSE_TYPES
-        else _plan(message_type, covariance=covariance)
+        else _plan(message_type, covariance=covariance, rates=rates)
     )
     columns = plan.decode(payloads)
     return poses_of(
@@ -125,9 +129,9 @@ def decode_transforms(
 
 
 @cache
-def _plan(message_type: str, *, covariance: bool = False) -> CdrPlan:
+def _plan(message_type: str, *, covariance: bool = False, rates: bool = False) -> CdrPlan:
     """Return how a standard type of ROS 2 is decoded."""
-    return plan_of(STANDARD[message_type], message_type, covariance=covariance)
+    return plan_of(STANDARD[message_type], message_type, covariance=covariance, rates=rates)
 
 
 def plan_of(

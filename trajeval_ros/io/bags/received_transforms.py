@@ -1,76 +1,111 @@
 """The pose between two frames as a receiver knows it.
 
 Every transform holds from its reception on. Corrections such as map to odom may be dated into the
-future or the past; a receiver uses the newest one that it has, whatever its timestamp.
+future or the past, and seldom come; a receiver uses the newest one that it has, whatever its
+timestamp. Only the leading edge, which dates the poses, is filtered by timestamps.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.stamp_trust import StampTrust
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.bags.transform_tree import (
-    Edge,
-    EdgeKey,
-    common_span,
-    compose,
-    find_way,
-    leading_edge,
-)
+from trajeval_ros.geometry.valid_poses import judge_poses
+from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey, Way, compose
+from trajeval_ros.metrics.stream_health import UNKNOWN
+
+_NEVER = int(np.iinfo(np.int64).max)
 
 
-class ReceivedEdge(NamedTuple):
-    """The transforms of a moving edge in the order of their reception."""
+# A transform: timestamp in nanoseconds, translation and quaternion xyzw, and time of reception in
+# nanoseconds, which may be `UNKNOWN`.
+TRANSFORM = np.dtype([("stamp", "<i8"), ("numbers", "<f8", 7), ("time", "<i8")])
+Transforms = NDArray[np.void]  # (N,) in the order of their reception
+NO_TRANSFORMS: Transforms = np.empty(0, TRANSFORM)
 
-    stamps: Stamps  # (N,) nanoseconds
-    numbers: Floats  # (N, 7): translation, quaternion xyzw
-    receptions: Receptions  # of N
+
+def transforms_of(stamps: Stamps, numbers: Floats, times: Stamps) -> Transforms:
+    """Return transforms by column: (N,), (N, 7), (N,)."""
+    found = np.empty(len(stamps), TRANSFORM)
+    found["stamp"], found["numbers"], found["time"] = stamps, numbers, times
+    return found
+
+
+class ReceivedChain:
+    """Composes the pose of a frame in another at every reception of a transform between them.
+
+    The poses do not depend on how the transforms are divided into calls, so that live and recorded
+    ones are the same.
+    """
+
+    def __init__(self, edges: Mapping[EdgeKey, Edge], way: Way, leading: EdgeKey) -> None:
+        """Begin without received transforms; static ones are taken from `edges`."""
+        self._way, self.leading, self._trust = way, leading, StampTrust()
+        self._static = {key: edges[key] for key, _ in way if edges[key].is_static}
+        # The transforms from the ones in use on.
+        self._moving = {key: NO_TRANSFORMS for key, _ in way if key not in self._static}
+        self._until = UNKNOWN  # reception of the newest pose
+
+    def poses(self, new: Mapping[EdgeKey, Transforms], *, at_end: bool = False) -> Trajectory:
+        """Return the poses at the receptions of new transforms, as far as these are decided.
+
+        Timestamps are of the newest leading transform; one repeats if only a correction is new. A
+        leading transform whose timestamp is under test delays all poses from its reception on.
+        `at_end`: no transforms will follow.
+        """
+        for key in self._moving:
+            self._add(key, new.get(key, NO_TRANSFORMS), at_end=at_end)
+        times = [each["time"] for each in self._moving.values()]
+        events = np.unique(np.concatenate(times))
+        begin = max(each[0] if len(each) else _NEVER for each in times)
+        undecided = self._trust.waiting[1]["time"][0] if self._trust.waiting else _NEVER
+        events = events[(events > self._until) & (events >= begin) & (events < undecided)]
+        places = np.arange(len(events)) + 1
+        held, corrected = dict(self._static), None
+        for key, edge in self._moving.items():
+            rows = edge["time"].searchsorted(events, side="right") - 1
+            used = edge[rows]
+            # An edge over the number of the event instead of time: nothing is interpolated.
+            held[key] = Edge.from_columns(places, used["numbers"], is_static=False)
+            if key == self.leading:
+                stamps = used["stamp"]
+            else:
+                since = used["time"]
+                corrected = since if corrected is None else np.maximum(corrected, since)
+            if len(rows):
+                self._moving[key] = edge[rows[-1] :]
+        self._until = int(events[-1]) if len(events) else self._until
+        reading = Reading(receptions=Receptions(events, "node", corrected=corrected))
+        return Trajectory(stamps, *compose(held, self._way, places), reading=reading)
+
+    def _add(self, key: EdgeKey, new: Transforms, *, at_end: bool) -> None:
+        """Take usable transforms; one that was received with the newest pose holds just after."""
+        finite, turned = judge_poses(new["numbers"][:, :3], new["numbers"][:, 3:])
+        new = new[(new["stamp"] != 0) & (new["time"] != UNKNOWN) & finite & turned]
+        new["time"] = np.maximum.accumulate(np.maximum(new["time"], self._until + 1))
+        if key == self.leading:
+            _, new = self._trust.take(new["stamp"], new, at_end=at_end)
+        joined = np.concatenate([self._moving[key], new])
+        if key == self.leading:  # late ones are never in use
+            newest = np.maximum.accumulate(joined["stamp"])
+            joined = joined[np.diff(newest, prepend=newest[:1] - 1) > 0]
+        self._moving[key] = joined
 
 
 def compose_received(
-    edges: Mapping[EdgeKey, Edge],
-    received: Mapping[EdgeKey, ReceivedEdge],
-    parent: str,
-    child: str,
+    chain: ReceivedChain, received: Mapping[EdgeKey, tuple[Transforms, Receptions]]
 ) -> Trajectory:
-    """Return the pose of `child` in `parent` at every reception of one of its transforms.
-
-    Timestamps are of the newest transform of the leading edge; one repeats if only a correction is
-    new.
-    """
-    way = find_way([key for key, edge in edges.items() if len(edge.stamps)], parent, child, "")
-    span = common_span(edges, way)
-    assert span is not None
-    leading = leading_edge(edges, way, span)
-    moving = [key for key, _ in way if not edges[key].is_static]
-    times = np.unique(np.concatenate([received[key].receptions.times for key in moving]))
-    begin = max(int(received[key].receptions.times.min()) for key in moving)
-    times = times[times >= begin]
-    held, stamps = dict(edges), times
-    corrected = None
-    for key in moving:
-        arrived = received[key]
-        order = np.argsort(arrived.receptions.times, kind="stable")
-        if key == leading:  # late messages are never in use
-            newest = np.maximum.accumulate(arrived.stamps[order])
-            order = order[np.diff(newest, prepend=newest[0] - 1) > 0]
-        row = order[arrived.receptions.times[order].searchsorted(times, side="right") - 1]
-        if key == leading:
-            stamps = arrived.stamps[row]
-        else:
-            since = arrived.receptions.times[row]
-            corrected = since if corrected is None else np.maximum(corrected, since)
-        # An edge over the number of the event instead of time: nothing is interpolated.
-        events = np.arange(len(times))
-        held[key] = Edge.from_columns(events + 1, arrived.numbers[row], is_static=False)
-    positions, quaternions = compose(held, way, np.arange(len(times)) + 1)
-    by = received[leading].receptions
-    receptions = replace(by, times=times, corrected=corrected)
-    return Trajectory.from_columns(stamps, positions, quaternions, Reading(receptions=receptions))
+    """Return the poses of a recording, by moving edge with what its times are."""
+    found = chain.poses({key: each for key, (each, _) in received.items()}, at_end=True)
+    receptions, (_, by) = found.reading.receptions, received[chain.leading]
+    assert receptions is not None
+    receptions = replace(receptions, by=by.by, recording_s=by.recording_s)
+    return replace(found, reading=Reading(receptions=receptions))

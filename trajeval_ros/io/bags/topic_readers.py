@@ -11,7 +11,7 @@ import numpy as np
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.stamp_trust import trusted_states
-from trajeval_ros.geometry.valid_poses import add_counts, judge_poses
+from trajeval_ros.geometry.valid_poses import add_counts
 from trajeval_ros.io.bags.bag import Bag, Key
 from trajeval_ros.io.bags.blocks import Block
 from trajeval_ros.io.bags.cdr import CdrPlan
@@ -39,7 +39,7 @@ from trajeval_ros.io.bags.px4_messages import (
     attitude_name,
     with_attitudes,
 )
-from trajeval_ros.io.bags.received_transforms import ReceivedEdge
+from trajeval_ros.io.bags.received_transforms import Transforms, transforms_of
 from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey
 from trajeval_ros.io.checks import times
 from trajeval_ros.io.growing_rows import GrowingRows
@@ -93,8 +93,8 @@ class TransformReader:
             part = transforms, block.log_times[rows], block.publish_times[rows]
             self._parts.setdefault(edge, []).append(part)
 
-    def received(self, wanted: str) -> dict[EdgeKey, ReceivedEdge]:
-        """Return the transforms of moving edges in the order of their log times.
+    def received(self, wanted: str) -> dict[EdgeKey, tuple[Transforms, Receptions]]:
+        """Return the transforms of moving edges, and what their times of reception are.
 
         `wanted`: the clock of the receptions, as in `Receptions.of_bag`.
         """
@@ -102,10 +102,8 @@ class TransformReader:
         for key in () if self._is_static else self._parts:
             stamps, numbers, logged, published = self._in_order(key)
             receptions = Receptions.of_bag(logged, published, wanted)
-            poses = np.logical_and(*judge_poses(numbers[:, :3], numbers[:, 3:])) & times(stamps)
-            rows = np.flatnonzero(poses)
-            rows = rows[trusted_states(stamps[rows])[0]]
-            found[key] = ReceivedEdge(stamps[rows], numbers[rows], receptions[rows])
+            order = np.argsort(receptions.times, kind="stable")
+            found[key] = transforms_of(stamps, numbers, receptions.times)[order], receptions
         return found
 
     @property
@@ -256,7 +254,10 @@ class _Poses:
             frames=frames_changes(frames),
             undecodable=self._undecodable,
             dropped=self._dropped,
-            receptions=Receptions.of_bag(columns["log"], columns["published"], self._received),
+            receptions=replace(
+                Receptions.of_bag(columns["log"], columns["published"], self._received),
+                body_rates=columns.get("body_rates"),
+            ),
         )
 
 

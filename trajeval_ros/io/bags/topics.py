@@ -14,7 +14,6 @@ from trajeval_ros.formatting.remarks import Level, Remark, note
 from trajeval_ros.geometry.fix_selection import trajectory_of_rows
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.reading import FORMAT, Reading
-from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.stamp_trust import LONE, trusted_states
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
@@ -30,7 +29,7 @@ from trajeval_ros.io.bags.px4_messages import (
     majority_frame,
     why_none,
 )
-from trajeval_ros.io.bags.received_transforms import compose_received
+from trajeval_ros.io.bags.received_transforms import ReceivedChain, compose_received
 from trajeval_ros.io.bags.topic_readers import (
     PoseReader,
     TransformReader,
@@ -38,10 +37,7 @@ from trajeval_ros.io.bags.topic_readers import (
     tree_of,
     tree_topics,
 )
-from trajeval_ros.io.bags.transform_tree import (
-    compose_transforms,
-    fixed_transform,
-)
+from trajeval_ros.io.bags.transform_tree import compose, find_chain, fixed_transform
 from trajeval_ros.io.bags.usable_poses import WORLD_TWIST, has_world_twist, usable_poses
 from trajeval_ros.io.checks import check_stamps, judge_rotations
 
@@ -229,9 +225,7 @@ def trajectory_of_columns(
             columns.positions,
             columns.fix_quality,
             Reading(
-                dropped=dropped,
-                remarks=(*remarks, *receivers),
-                receptions=columns.receptions,
+                dropped=dropped, remarks=(*remarks, *receivers), receptions=columns.receptions
             ),
             child_frame=columns.frames[0][1],
             name=name.strip("/"),
@@ -254,19 +248,11 @@ def trajectory_of_columns(
             dropped=dropped,
             remarks=(*remarks, *told, *frames, *judgement),
             resets=resets,
-            receptions=_with_rates(columns),
+            receptions=columns.receptions,
             as_received=None if columns.as_received is None else _as_received(columns.as_received),
         ),
     )
     return _usable(_without_lone_stamps(everything), where, count)
-
-
-def _with_rates(columns: PoseColumns) -> Receptions | None:
-    """Return the receptions with the angular velocities, if these were decoded."""
-    receptions, rates = columns.receptions, columns.body_rates
-    if receptions is None or rates is None or not np.isfinite(rates).all():
-        return receptions
-    return replace(receptions, body_rates=rates)
 
 
 def _as_received(columns: PoseColumns) -> Trajectory:
@@ -306,11 +292,12 @@ def _transform_trajectory(
     where = f"{bag.path}:{source.topic}:{parent}.{child}"
     remarks = bag.remarks([each.reading for each in tree])
     edges, wanted, received = tree_of(tree), source.received, None
-    stamps, positions, quaternions = compose_transforms(edges, parent, child, where)
+    way, leading, stamps = find_chain(edges, parent, child, where)
+    positions, quaternions = compose(edges, way, stamps)
     check_stamps(stamps, where)
     if wanted:
         arrived = {key: each for reader in tree for key, each in reader.received(wanted).items()}
-        received = compose_received(edges, arrived, parent, child)
+        received = compose_received(ReceivedChain(edges, way, leading), arrived)
     trajectory = Trajectory.from_columns(
         stamps,
         positions,

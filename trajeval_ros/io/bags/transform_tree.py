@@ -85,10 +85,10 @@ class Edge:
         )
 
 
-def compose_transforms(
+def find_chain(
     edges: Mapping[EdgeKey, Edge], parent: str, child: str, where: str
-) -> tuple[Stamps, Floats, Floats]:
-    """Return the pose of `child` in `parent` over time: stamps, positions and quaternions xyzw.
+) -> tuple[Way, EdgeKey, Stamps]:
+    """Return the way from `parent` to `child`, its leading edge, and the stamps of the poses.
 
     The stamps are those of the leading edge between the two frames, within the common time span of
     all edges. The other edges are interpolated there, and never extrapolated. `parent`: a frame,
@@ -106,8 +106,8 @@ def compose_transforms(
             f"{where}: the transforms between {parent} and {child} have no common time span; "
             "choose two frames closer in the tree"
         )
-    stamps = edges[leading_edge(edges, way, span)].within(*span)
-    return (stamps, *compose(edges, way, stamps))
+    leading = leading_edge(edges, way, span)
+    return way, leading, edges[leading].within(*span)
 
 
 def fixed_transform(

@@ -166,10 +166,7 @@ def _serialised_imus(inertial: Mapping[str, InertialReadings]) -> list[_Serialis
 
 def _poses(trajectory: Trajectory) -> Floats:
     """Return positions and quaternions (N, 7), identities if the latter are unknown."""
-    quaternions = trajectory.quaternions
-    if quaternions is None:
-        quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (len(trajectory), 1))
-    return np.hstack([trajectory.positions, quaternions])
+    return np.hstack([trajectory.positions, trajectory.known_quaternions])
 
 
 def _body_velocities(trajectory: Trajectory) -> Floats:

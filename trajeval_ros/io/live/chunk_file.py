@@ -90,20 +90,15 @@ class ChunkWriter:
         self.trouble = ""
 
 
-def read_tables(
-    path: Path, kinds: Kinds, schema: str, what: str
-) -> dict[bytes, list[NDArray[Any]]]:
-    """Return the columns of the rows of every kind; refuses a file with another schema."""
+def read_tables(path: Path, kinds: Kinds, schema: str, what: str) -> dict[bytes, NDArray[Any]]:
+    """Return the rows of every kind; refuses a file with another schema."""
     chunks, _ = read_chunks(path, kinds)
     found = chunks[0][0].get("format") if chunks else None
     require_schema(path, found, schema, what, "evaluate a recording of the run")
     tables = {}
     for magic, kind in kinds.items():
-        rows = np.concatenate(
-            [np.empty(0, kind), *(each for _, each in chunks if each.dtype == kind)]
-        )
-        columns = [rows[name] for name in kind.names or ()]
-        tables[magic] = [each.astype(each.dtype.newbyteorder("=")) for each in columns]
+        parts = [np.empty(0, kind), *(each for _, each in chunks if each.dtype == kind)]
+        tables[magic] = np.concatenate(parts).astype(kind.newbyteorder("="))
     return tables
 
 

@@ -40,8 +40,8 @@ class FixWriter(ChunkWriter):
 
 def read_fix_rows(folder: Path) -> tuple[Stamps, Floats]:
     """Return stamps (N,), nanoseconds, and rows (N, 14) of the file of fixes, as written."""
-    stamps, fixes = read_tables(folder / NAME, _KINDS, FORMAT, "file of fixes")[_FIXES]
-    return stamps, fixes
+    rows = read_tables(folder / NAME, _KINDS, FORMAT, "file of fixes")[_FIXES]
+    return rows["stamp"], rows["fix"]
 
 
 def read_fixes(folder: Path, datum: Datum) -> tuple[Stamps, Fixes]:

@@ -48,7 +48,7 @@ from trajeval_ros.io.requests.setting import (
 )
 from trajeval_ros.metrics.as_available import RECEIVED
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH, METHODS
-from trajeval_ros.metrics.availability import CONSTANT, HOLD, MOTIONS
+from trajeval_ros.metrics.availability import HOLD, MOTIONS
 from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.protocol import (
     ALIGN_WEIGHTS,
@@ -302,12 +302,10 @@ _ROWS = (
     Setting(name="as_available", target="available.motion",
         metavar=f"[{'|'.join(MOTIONS)}]", value_if_alone=HOLD, panel=AVAILABLE,
         verbs=(EVALUATE, COMPARE, FINISH, NODE),
-        choices=(NONE, *MOTIONS), node_choices=(NONE, HOLD, CONSTANT),
-        help="Error of the newest pose that was received, at 100 Hz (docs/as_available.md). "
-        "Prediction of a pose for at most 0.5 s: hold (without a value), constant (twist between "
-        "the newest two poses) or twist (of the message). Default: none.",
-        node_help="Error of the newest pose that was received: none, hold, or constant (the pose "
-        "is predicted by the twist between the newest two)."),
+        choices=(NONE, *MOTIONS),
+        help="Error of the newest pose that was received, at 100 Hz (docs/as_available.md), "
+        "predicted for at most 0.5 s by hold (without a value), constant (twist "
+        "between the newest two poses) or twist (of the message). Default: none."),
     Setting(name="deadline", kind=float, target="available.deadline_s", metavar="S",
         panel=AVAILABLE, verbs=(EVALUATE, FINISH), range=(0.001, 3600.0),
         help="Largest age of a pose in time, in seconds. Default: {default}."),

@@ -79,10 +79,7 @@ class Requirement:
         if isinstance(value, Mapping) and "segments" in value:
             # A dot in a length is written as an underscore, since dots separate keys.
             names = [length.replace(".", "_") for length in lengths]
-            known = {
-                **dict(zip(names, value["segments"], strict=True)),
-                "pooled": value["pooled"],
-            }
+            known = {**dict(zip(names, value["segments"], strict=True)), "pooled": value["pooled"]}
         if not isinstance(known, Mapping) or key not in known:
             names = list(known) if isinstance(known, Mapping) else []
             near = get_close_matches(key, names, n=1) or names[:1]

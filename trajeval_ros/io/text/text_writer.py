@@ -34,7 +34,7 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
 
     If the trajectory has no orientations, identity quaternions are written.
     """
-    values = np.hstack([trajectory.positions, _quaternions(trajectory)])
+    values = np.hstack([trajectory.positions, trajectory.known_quaternions])
     _write(path, _TUM_HEADER, trajectory, values, _seconds, " ")
 
 
@@ -64,19 +64,13 @@ def write_kitti(path: Path, trajectory: Trajectory) -> None:
     """
     matrices = trajectory.reading.matrices
     if matrices is None:
-        matrices = lie.to_matrix(_quaternions(trajectory))
+        matrices = lie.to_matrix(trajectory.known_quaternions)
     poses = np.concatenate([matrices, trajectory.positions[:, :, None]], axis=2)
     if trajectory.reading.stamped:
         no_values = np.empty((len(trajectory), 0))
         times = path.with_name(f"{path.stem}_times.txt")
         _write(times, "", trajectory, no_values, _seconds, " ")
     _write(path, "", trajectory, poses.reshape(-1, 12), None, " ")
-
-
-def _quaternions(trajectory: Trajectory) -> Floats:
-    if trajectory.quaternions is not None:
-        return trajectory.quaternions
-    return np.tile([0.0, 0.0, 0.0, 1.0], (len(trajectory), 1))
 
 
 def _write(
