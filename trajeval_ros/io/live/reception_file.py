@@ -23,7 +23,7 @@ from trajeval_ros.online.live_availability import (
 )
 from trajeval_ros.online.state_rows import trajectory
 
-FORMAT = "trajeval-received/2"
+FORMAT = "trajeval-received/1"
 SUFFIX = ".received"
 _KINDS = {b"TERG": GROUNDTRUTH, b"TERM": MESSAGE}
 
