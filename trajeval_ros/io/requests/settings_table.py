@@ -303,9 +303,9 @@ _ROWS = (
         metavar=f"[{'|'.join(MOTIONS)}]", value_if_alone=HOLD, panel=AVAILABLE,
         verbs=(EVALUATE, COMPARE, FINISH, NODE),
         choices=(NONE, *MOTIONS),
-        help="Error of the newest pose that was received, at 100 Hz (docs/as_available.md). For at "
-        "most 0.5 s it is predicted by hold (without a value), constant (twist between the newest "
-        "two poses) or twist (of the message). Default: none."),
+        help="Error of the newest pose that was received, at 100 Hz (docs/as_available.md). For "
+        "at most 0.5 s it is predicted by hold (without a value), constant (twist between the "
+        "newest two poses) or twist (of the message). Default: none."),
     Setting(name="deadline", kind=float, target="available.deadline_s", metavar="S",
         panel=AVAILABLE, verbs=(EVALUATE, FINISH), range=(0.001, 3600.0),
         help="Largest age of a pose in time, in seconds. Default: {default}."),
