@@ -12,7 +12,6 @@ from trajeval_ros.diagnosis import clock_tests
 from trajeval_ros.diagnosis.clock_tests import (
     ClockMatch,
     MotionRates,
-    _middle,
     _RateFit,
     _slope,
     clock_offset,
@@ -84,8 +83,6 @@ def test_slopes_are_medians() -> None:
         for j in range(i + 1, 5)
     ]
     assert _slope(times, offsets) == pytest.approx(np.median(pairs))
-    poses = TimedPoses(5.0 + np.arange(101.0), np.zeros((101, 3)))
-    assert _middle(poses, 20.0).seconds.tolist() == np.arange(45.0, 66.0).tolist()
 
 
 def wandering(seed: int = 0, span_s: float = 60.0, step_s: float = 0.05) -> TimedPoses:
@@ -164,6 +161,16 @@ def test_a_rate_of_clocks_is_found_between_all_steps_of_the_search(rate: float) 
     assert abs(np.log(found / rate)) < 0.7 / (480.0 / rate)
     assert match is not None
     assert match.peak > 0.95
+
+
+def test_the_rate_of_a_fast_motion_is_refined_to_a_part_of_its_last_step() -> None:
+    slow = wandering(span_s=400.0)
+    true = TimedPoses(slow.seconds / 6.0, slow.positions, slow.quaternions)
+    for rate in (0.83, 1.2, 1.213):
+        found, match = other_rate(true, true[60:7800].shifted(0.0, 1.0 / rate - 1.0), None)
+        assert abs(np.log(found / rate)) < 1.4 / 8.0 / (64.5 / rate)
+        assert match is not None
+        assert match.peak > 0.9
 
 
 def match_of(**changed: Any) -> ClockMatch:

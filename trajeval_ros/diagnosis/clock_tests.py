@@ -362,6 +362,7 @@ class _RateFit(NamedTuple):
 _LOWEST_RATE, _HIGHEST_RATE = 0.4, 2.5
 _FIRST_SPAN_S, _COHERENT_S = 30.0, 0.7  # of a part, and the shift that its correlation allows
 _REFINED = 4  # rates to refine, of a longer part
+_LAST = np.linspace(-0.5, 0.5, 9)  # of a step, around the best rate
 _BETTER = 0.1  # least gain of the correlation
 
 
@@ -378,33 +379,34 @@ def other_rate(
     step = 2.0 * _COHERENT_S / span_s
     count = round(np.log(_HIGHEST_RATE / _LOWEST_RATE) / step)
     rates = np.geomspace(_LOWEST_RATE, _HIGHEST_RATE, max(count, 2))
-    while True:
-        part = _middle(estimate, span_s)
-        if len(part) < 2:  # a gap
-            return 1.0, match
-        found = [match_clocks(groundtruth, part.shifted(0.0, each - 1.0)) for each in rates]
-        peaks = [-1.0 if each is None else each.peak for each in found]
+    from_middle_s = estimate.seconds - estimate.seconds[0] - estimate.span_s / 2.0
+    while rates.size:
+        part = estimate[np.abs(from_middle_s) <= span_s / 2.0 + 1e-9]
+        best = _likeliest(groundtruth, part, rates)[-_REFINED:]
         if span_s >= estimate.span_s:
             break
-        best = rates[np.argsort(peaks)[-_REFINED:]]
         span_s, wide = min(4.0 * span_s, estimate.span_s), step
         step = 2.0 * _COHERENT_S / span_s
         half = np.ceil(wide / step / 2.0)
         near = np.exp(step * np.arange(-half, half + 1.0))
-        rates = np.unique(np.outer(best, near))
-    at = int(np.argmax(peaks))
-    best_match = found[at]
-    least = max(USABLE, 0.0 if match is None else match.peak + _BETTER)
-    if best_match is None or not best_match.is_alone or best_match.peak < least:
-        return 1.0, match
-    return float(rates[at]), best_match
+        rates = np.unique(np.outer([rate for rate, _ in best], near))
+    # Fast motions correlate only within a part of this step.
+    last = [rate * np.exp(step * _LAST) for rate, _ in best[-1:]]
+    for rate, found in _likeliest(groundtruth, estimate, np.ravel(last))[-1:]:
+        if found.is_alone and found.peak >= max(USABLE, match.peak + _BETTER if match else 0.0):
+            return rate, found
+    return 1.0, match
 
 
-def _middle(poses: TimedPoses, span_s: float) -> TimedPoses:
-    """Return the poses of a part from the middle, by the time since the start of all poses."""
-    since = poses.seconds - poses.seconds[0]
-    rows = np.abs(since - poses.span_s / 2.0) <= span_s / 2.0 + 1e-9
-    return poses[rows]
+def _likeliest(
+    groundtruth: TimedPoses, part: TimedPoses, rates: Floats
+) -> list[tuple[float, ClockMatch]]:
+    """Return rates with the match of a part of the estimate, the highest correlation last."""
+    if len(part) < 2:  # a gap
+        return []
+    found = [(each, match_clocks(groundtruth, part.shifted(0.0, each - 1.0))) for each in rates]
+    matches = [(float(rate), each) for rate, each in found if each is not None]
+    return sorted(matches, key=lambda each: each[1].peak)
 
 
 def _slope(times: Floats, offsets: Floats) -> float:
