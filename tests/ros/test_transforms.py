@@ -246,6 +246,7 @@ def test_a_latched_static_transform_is_received_beside_one_that_is_not_latched(
     with evaluating(
         tmp_path / "out", environment, estimates=[ESTIMATE], gauge="yaw", lengths="none"
     ) as evaluator:
+        peer.until(publishers[0].get_subscription_count, "a reader of latched static transforms")
         replay(flight, environment, "--rate", 8, "--topic", GROUNDTRUTH, "--topic", "/tf")
         assert evaluator.end() == 0
     for each in publishers:
