@@ -13,7 +13,7 @@ from trajeval_ros.formatting.escaping import csv_text, latex_text, markdown_text
 BOLD, UNDERLINE = "bold", "underline"
 _MARKDOWN = {"": "{}", BOLD: "**{}**", UNDERLINE: "<u>{}</u>"}
 _LATEX = {"": "{}", BOLD: "\\textbf{{{}}}", UNDERLINE: "\\underline{{{}}}"}
-# The mean width of a character in \\footnotesize, and the space between columns.
+# The mean width of a character in \footnotesize, and the space between columns.
 _CHARACTER_PT, _COLUMN_GAP_PT = 3.8, 4.0
 _UNDERSCORE, _BREAKABLE = "\\_", "\\_\\allowbreak{}"
 

@@ -22,9 +22,7 @@ from trajeval_ros.geometry.valid_poses import judge_poses
 from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey, Way, compose
 from trajeval_ros.metrics.stream_health import UNKNOWN
 
-_NEVER = int(np.iinfo(np.int64).max)
-
-
+_AFTER_ALL = int(np.iinfo(np.int64).max)  # later than every reception
 # A transform: timestamp in nanoseconds, translation and quaternion xyzw, and time of reception in
 # nanoseconds, which may be `UNKNOWN`.
 TRANSFORM = np.dtype([("stamp", "<i8"), ("numbers", "<f8", 7), ("time", "<i8")])
@@ -65,8 +63,8 @@ class ReceivedChain:
             self._add(key, new.get(key, NO_TRANSFORMS), at_end=at_end)
         times = [each["time"] for each in self._moving.values()]
         events = np.unique(np.concatenate(times))
-        begin = max(each[0] if len(each) else _NEVER for each in times)
-        undecided = self._trust.waiting[1]["time"][0] if self._trust.waiting else _NEVER
+        begin = max(each[0] if len(each) else _AFTER_ALL for each in times)
+        undecided = self._trust.waiting[1]["time"][0] if self._trust.waiting else _AFTER_ALL
         events = events[(events > self._until) & (events >= begin) & (events < undecided)]
         places = np.arange(len(events)) + 1
         held, corrected = dict(self._static), None
