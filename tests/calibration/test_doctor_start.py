@@ -127,3 +127,9 @@ def test_the_first_rig_of_a_car_is_turned_by_its_accelerations(turn_deg: float) 
     # Accelerations give it up to the drift of the gyroscope within five seconds: its bias is
     # drawn with 0.01 rad/s.
     assert np.degrees(apart) < 5.0
+
+
+def test_noise_of_a_rig_at_rest_is_no_other_unit() -> None:
+    made = rig(1, "rest", noise=(0.2, 2e-3))
+    case = start.prepared(made.groundtruth, made.readings, 0.0)
+    assert len(case.samples.seconds) == len(made.groundtruth)
