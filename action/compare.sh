@@ -37,13 +37,18 @@ while IFS= read -r option; do
     arguments+=("$option")
 done < <(lines "$TRAJEVAL_OPTIONS")
 
-# The summary of an earlier comparison must not be shown for this one.
-rm -f -- "$output/gates.md" "$output/tables.md"
 status=0
 "$environment/bin/trajeval" compare "${arguments[@]}" || status=$?
 
+# Only a comparison that ended has written these files: others may be of an earlier one or the user's.
+parts=()
+if [ "$status" -le 1 ]; then
+    parts=(tables)
+    [ -z "$TRAJEVAL_BASELINE" ] || parts=(gates tables)
+fi
+
 {
-    for part in gates tables; do
+    for part in "${parts[@]}"; do
         if [ -f "$output/$part.md" ]; then
             cat -- "$output/$part.md"
             echo
