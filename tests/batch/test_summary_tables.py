@@ -135,3 +135,35 @@ def test_of_many_common_time_spans_the_smallest_and_the_largest_are_stated() -> 
         "10 s of c (30 % of its groundtruth) to 20 s of b (90 % of its groundtruth)"
     )
     assert whole.common_spans == ""
+
+
+@pytest.mark.parametrize("metric", ["position_m", "rotation_deg"])
+def test_a_trial_without_a_value_is_ranked_last(metric: str) -> None:
+    whole = summary()
+    wrong, right = whole.trials
+    partial = {name: 0.5 for name in wrong.rmse if name != metric}
+    trials = (
+        *(replace(wrong, trial=str(k), rmse={**partial, metric: 0.5}) for k in range(2)),
+        *(replace(wrong, trial=str(k), rmse=partial) for k in range(2, 5)),
+        *(replace(right, trial=str(k)) for k in range(5)),
+    )
+    tables = {each.name: each for each in matrices(replace(whole, trials=trials))}
+    table = tables[f"ate_{metric}"]
+    assert [cells[0].text for _, cells in table.rows] == ["withheld", "1.000"]
+    assert table.ranks() == [[0], [1]]
+    assert table.rows[0][1][0].note.startswith("2/5")
+    relative = "rotation_deg_per_m" if metric == "rotation_deg" else "position_percent"
+    assert tables[f"re_{relative}"].ranks()[0] == [0, 0]
+
+
+def test_a_trial_without_a_likelihood_is_ranked_last() -> None:
+    whole = summary()
+    wrong, right = whole.trials
+    trials = (
+        replace(wrong, trial="0", values={"nll_per_pose": 0.1}),
+        *(replace(wrong, trial=str(k), values={}) for k in (1, 2)),
+        *(replace(right, trial=str(k), values={"nll_per_pose": 1.0}) for k in range(3)),
+    )
+    tables = {each.name: each for each in matrices(replace(whole, trials=trials))}
+    assert tables["nll_per_pose"].ranks() == [[0], [1]]
+    assert tables["nll_per_pose"].rows[0][1][0].text == "withheld"

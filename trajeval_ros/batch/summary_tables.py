@@ -35,6 +35,7 @@ _COMPARABLE = (
     f"Only algorithms with at least {whole_percent(LOW_COVERAGE)} of the largest coverage are "
     "ranked. A number that is worse than an unranked one is not marked as the best."
 )
+WITHHELD = "withheld"
 SPAN_NOTE = "Only the common time span of all runs of a sequence"
 _MOST_NAMED = 3  # unranked algorithms that a caption names
 
@@ -148,8 +149,13 @@ def _values(summary: ComparisonSummary, metric: str) -> Matrix | None:
         cells = []
         for sequence in summary.sequences:
             having = [run for run in summary.of(algorithm, sequence) if metric in run.values]
-            value = median(run.values[metric] for run in having) if having else None
-            cells.append(Cell(value, diagnosed(having), ranked))
+            known = [run.values[metric] for run in having]
+            trials = len(summary.of(algorithm, sequence)) if ranked else len(having)
+            value = _median_with_last(known, trials) if known else None
+            instead = WITHHELD if value == math.inf else ""
+            share = f"{len(known)}/{trials}" if 0 < len(known) < trials else ""
+            note = f"{share} {diagnosed(having)}".strip()
+            cells.append(Cell(value, note, ranked, instead=instead))
         rows.append((algorithm, tuple(cells)))
     if metric == _AVAILABLE:
         rows = _with_ranks_by_ate(summary, rows)
@@ -165,7 +171,10 @@ def _with_ranks_by_ate(
     for column, sequence in enumerate(summary.sequences):
         cells = [cells[column] for _, cells in rows]
         of_each = [summary.of(algorithm, sequence) for algorithm, _ in rows]
-        known = [[each.rmse["position_m"] for each in own if each.rmse] for own in of_each]
+        known = [
+            [trial.rmse["position_m"] for trial in trials if "position_m" in trial.rmse]
+            for trials in of_each
+        ]
         ates = [median(each) if each else None for each in known]
         ranks = zip(_ranks([each.value for each in cells]), _ranks(ates), strict=True)
         for place, (cell, (own, by_ate)) in enumerate(zip(cells, ranks, strict=True)):
@@ -210,7 +219,7 @@ def _by_sequence(
         for algorithm in summary.algorithms
     ]
     several = any(len(summary.of(row, each)) > 1 for row, _ in rows for each in summary.sequences)
-    over = " of trials: median (minimum to maximum); failed trials are ranked last"
+    over = " of trials: median (minimum to maximum); trials without a value are ranked last"
     notes = (f"{what}{over if several else ''}.", *_common_notes(summary))
     brief = _brief(summary, f"{title}{statistic}{', median of trials' if several else ''}")
     # The mean of KITTI's table is over the sub-trajectories of all sequences.
@@ -294,18 +303,20 @@ def _named_mistakes(summary: ComparisonSummary) -> str:
 
 
 def _cell(trials: Sequence[Trial], metric: str, enough: int, comparable: float) -> Cell:
-    """Return the median over trials; a failed trial is worse than any other.
+    """Return the median over trials; a trial without a value is worse than any other.
 
     A number is not ranked if it has too few pairs, its coverage is not comparable, or an estimate
     is the groundtruth.
     """
     if trials and all(trial.status == MISSING for trial in trials):
-        return Cell(math.inf, is_missing=True)
+        return Cell(math.inf, instead=MISSING)
     known = [trial.rmse[metric] for trial in trials if metric in trial.rmse]
     evaluated = [trial for trial in trials if trial.status == OK]
     if not trials or (evaluated and not known):
         return Cell(None)
-    value = median([*known, *[math.inf] * (len(trials) - len(evaluated))])
+    value = _median_with_last(known, len(trials))
+    failed = len(trials) - len(evaluated)
+    instead = WITHHELD if math.isinf(value) and 2 * failed < len(trials) else ""
     notes = []
     spread = ""
     if len(known) > 1:
@@ -326,7 +337,12 @@ def _cell(trials: Sequence[Trial], metric: str, enough: int, comparable: float) 
     competes = not why
     if competes and _coverage(trials) < comparable:
         why = f"covers {whole_percent(_coverage(trials))}"
-    return Cell(value, " ".join(filter(None, notes)), not why, why, competes, spread)
+    return Cell(value, " ".join(filter(None, notes)), not why, why, competes, spread, instead)
+
+
+def _median_with_last(known: Sequence[float], trials: int) -> float:
+    """Return the median over all trials; those without a value count as infinite."""
+    return median([*known, *[math.inf] * (trials - len(known))])
 
 
 def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
@@ -339,10 +355,11 @@ def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
     comparable = LOW_COVERAGE * max(
         _mean_coverage(summary.of(each)) for each in summary.algorithms
     )
+    absolute = "rotation_deg" if metric.startswith("rotation") else "position_m"
     for algorithm in summary.algorithms:
         trials = summary.of(algorithm)
-        evaluated = sum(trial.status == OK for trial in trials)
-        # Omitting failed runs favours an algorithm.
+        evaluated = sum(absolute in trial.rmse for trial in trials)
+        # Omitting runs that failed or whose errors are withheld favours an algorithm.
         is_whole = evaluated == len(trials)
         note = "" if is_whole else f"{evaluated}/{len(trials)}"
         note = f"{note} {diagnosed(trials)}".strip()

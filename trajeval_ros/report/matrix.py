@@ -29,7 +29,7 @@ _COLUMN_PT, _PAGE_PT = 252.0, 516.0  # of a page with two columns, as IEEE's
 class Cell:
     """One number of a table."""
 
-    value: float | None  # the number, infinite if too many runs failed; None if there is none
+    value: float | None  # the number, infinite if most runs have none; None if all have none
     note: str = ""  # a remark such as "8/10" or "†"
     is_ranked: bool = True  # whether it can be the best
     why_unranked: str = ""  # why it is not ranked, if others of its column are
@@ -37,12 +37,12 @@ class Cell:
     # without it, a worse number would be marked as the best.
     competes: bool = True
     spread: str = ""  # range over the trials, such as "(0.05–0.32)"
-    is_missing: bool = False  # whether there is no file
+    instead: str = ""  # a word that is printed instead of the number: missing, withheld
 
     @property
     def text(self) -> str:
         """The number as text."""
-        return "missing" if self.is_missing else three_decimals(self.value)
+        return self.instead or three_decimals(self.value)
 
     @property
     def compared(self) -> float | None:
