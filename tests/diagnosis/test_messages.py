@@ -171,3 +171,24 @@ def test_jumps_of_motion_capture_are_not_of_the_estimate(
     found = run(truth, [estimate], Request(Protocol(gauge="se3", lengths=()))).runs[0].evaluation
     [said] = [each.text for each in found.remarks if each.code == "jumps"]
     assert said.startswith("the groundtruth jumps at 4 places, first 23.5 s after the first pair")
+
+
+@pytest.mark.parametrize("count", [1, 3, 40])
+def test_wrong_samples_of_the_groundtruth_are_named(count: int) -> None:
+    positions = GROUNDTRUTH.positions.copy()
+    rows = np.random.default_rng(count).choice(np.arange(5, len(positions) - 5), count)
+    positions[rows] += [30.0, 0.0, 0.0]
+    wrong = dataclasses.replace(GROUNDTRUTH, positions=positions)
+    estimate = dataclasses.replace(GROUNDTRUTH, positions=GROUNDTRUTH.positions + 0.01)
+    warnings = evaluate(wrong, estimate, Protocol(gauge="se3")).warnings
+    assert any("the groundtruth jumps" in warning for warning in warnings)
+    assert not any("the estimate jumps" in warning for warning in warnings)
+
+
+def test_a_frozen_estimate_is_no_jump_of_the_groundtruth() -> None:
+    positions = ESTIMATE.positions.copy()
+    positions[100:200] = positions[100]
+    found = evaluate(
+        GROUNDTRUTH, dataclasses.replace(ESTIMATE, positions=positions), Protocol(gauge="se3")
+    )
+    assert not any("the groundtruth jumps" in warning for warning in found.warnings)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import io
 import json
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.paths import SHARED
+from trajeval_ros.cli.app import main
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.reading import Reading
@@ -440,3 +443,15 @@ def test_a_figure_shows_errors_ages_and_latencies() -> None:
     assert set(deadline) == {found.numbers.deadline_s}
     assert sum(bar.get_height() for bar in right.patches) == len(estimate)
     assert right.get_title(loc="left") == "median 0.08 s, 95 % 0.08 s"
+
+
+def test_a_final_silence_is_a_dropout(shared_data: Path) -> None:
+    folder = shared_data / "field_cases" / "as_available"
+    columns = "t x y z qx qy qz qw received"
+    sides = [str(folder / name) for name in ("g2.txt", "e2.txt")]
+    options = ["--columns", columns, "--as-available", "hold", "--gauge", "none", "--json", "-"]
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        assert main(["evaluate", *sides, *options]) == 0
+    [run] = json.loads(printed.getvalue())["runs"]
+    assert run["as_available"]["dropouts"]["count"] == 1
+    assert 29.5 < run["as_available"]["dropouts"]["longest_s"] < 30.5

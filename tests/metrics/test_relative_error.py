@@ -250,12 +250,8 @@ def test_errors_of_long_runs_are_measured_again(monkeypatch: pytest.MonkeyPatch)
         assert one.statistics == other.statistics
         assert other.count == len(other.errors.ends) > 0
         assert other.errors is other.errors
-        without = other.without("yaw_deg")
-        assert without.errors.yaw_deg is without.statistics["yaw_deg"] is None
         for name, column in vars(one.errors).items():
             np.testing.assert_array_equal(column, getattr(other.errors, name))
-            if name != "yaw_deg":
-                np.testing.assert_array_equal(column, getattr(without.errors, name))
 
 
 def test_absolute_errors_by_blocks_are_those_of_all_states_at_once() -> None:

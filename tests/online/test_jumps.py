@@ -139,7 +139,8 @@ def test_a_jump_is_beyond_the_least_the_usual_and_the_way(
     true_m: float, typical_m: float, typical_deg: float, limit_m: float, limit_deg: float
 ) -> None:
     factors = np.array([0.99, 1.01, 0.0, 0.0])
-    steps = StepDifferences(np.full(4, true_m), factors * limit_m, factors[::-1] * limit_deg)
+    true = np.full(4, true_m)
+    steps = StepDifferences(true, true, factors * limit_m, factors[::-1] * limit_deg)
     assert steps.jumps(typical_m, typical_deg).tolist() == [1, 2]
 
 

@@ -126,7 +126,7 @@ def _print_verdicts(terminal: Console, outcome: Outcome) -> None:
     from trajeval_ros.report.verdict_lines import diagnosis_lines, doubt, own_error_line, verdict
 
     for run in outcome.runs:
-        headline, *rest = verdict(run.evaluation)
+        headline, *rest = verdict(run.evaluation, run.likelihood)
         headline += doubt(run.diagnosis)
         terminal.print(headline, BOLD, soft_wrap=True)
         for line in diagnosis_lines(run):

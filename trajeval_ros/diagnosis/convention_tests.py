@@ -35,6 +35,7 @@ from trajeval_ros.diagnosis.input_pair import lengths
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.pose_conventions import mirrored_quaternions
+from trajeval_ros.geometry.vertical_axis import nearest_axis
 
 NAME = "conventions"
 # Of J, per kind of motion: least value as read, largest value and ratio of the other one.
@@ -351,9 +352,3 @@ def mirror(hypothesis: Hypothesis, moving: ShortMotions) -> str:
 def _axes(permutation: Floats) -> str:
     """Return a signed permutation as the value of an option."""
     return ",".join(map(nearest_axis, permutation))
-
-
-def nearest_axis(direction: Floats) -> str:
-    """Return the signed axis, such as -y, that is nearest to a direction (3,)."""
-    axis = int(np.argmax(np.abs(direction)))
-    return ("-" if direction[axis] < 0.0 else "") + "xyz"[axis]

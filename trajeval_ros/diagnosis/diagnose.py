@@ -36,7 +36,6 @@ from trajeval_ros.diagnosis.geometry_tests import (
     lever_arm,
     scale,
     vertical,
-    without_vertical,
 )
 from trajeval_ros.diagnosis.hypotheses import ShortMotions, fit_as_read
 from trajeval_ros.diagnosis.input_pair import InputPair, TimedPoses
@@ -111,7 +110,6 @@ def diagnosed(
         diagnosis = diagnosis.after_hand_eye_calibration()
     diagnosis = with_tried_advice(diagnosis, evaluation, again)
     require_same_body(evaluation, diagnosis)
-    evaluation = without_vertical(evaluation)
     remarks = (*remarks_on(evaluation, diagnosis), *evaluation.remarks)
     return dataclasses.replace(evaluation, remarks=remarks), diagnosis
 

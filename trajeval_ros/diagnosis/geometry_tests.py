@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from trajeval_ros.diagnosis.convention_tests import mirror, nearest_axis
+from trajeval_ros.diagnosis.convention_tests import mirror
 from trajeval_ros.diagnosis.findings import Examined, Seen, Value
 from trajeval_ros.diagnosis.hypotheses import (
     Hypothesis,
@@ -17,20 +17,15 @@ from trajeval_ros.diagnosis.hypotheses import (
     mean_rotation,
 )
 from trajeval_ros.diagnosis.input_pair import lengths
-from trajeval_ros.exceptions import InputError
-from trajeval_ros.formatting.remarks import warning
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.geometry.trajectory_edits import every_nth
 from trajeval_ros.geometry.up_axis import UpAxis
-from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.geometry.vertical_axis import nearest_axis
 from trajeval_ros.metrics.statistics import median, quantile
 
 Ups: TypeAlias = tuple[UpAxis, UpAxis]  # of groundtruth and estimate
 
-UP_AXIS_DOUBTED = "up_axis_doubted"  # code of the remark on a wrong vertical axis
 # Of the logarithm of the scale: the least one, and one that no unit has, but a divergence.
 _OFF, _DIVERGED = 0.2, math.log(1e4)
 # Metres per unit, and largest difference of the logarithm of the scale.
@@ -56,17 +51,6 @@ _BY_SCALE = 0.5
 # A mistake is constant, and drift is not: largest difference between a third of the run and the
 # whole run, as a fraction of the value.
 _ALIKE = 0.35
-# Of |M^T u|: least value for the axis of rotation (18 deg of roll and pitch, rms), and largest
-# value for the others (headings over more than half of a circle).
-_HELD = 0.95
-_TURNED = 0.6
-# Largest extent along the axis, as a fraction of the smaller one across it: not a climb.
-_CLIMB = 0.5
-# Between the axis of rotation and the up axis.
-_APART_DEG = 45.0
-_NEAR_DEG = 20.0  # from an axis of the frame, which the message then names
-_FEWEST = 20
-_ENOUGH = 2000  # states
 
 
 def scale(as_read: Hypothesis, moving: ShortMotions, gauge: Gauge) -> Examined:
@@ -376,91 +360,3 @@ def _constant(quaternions: Floats) -> tuple[Floats, float]:
 
 def _degrees(cosine: float) -> float:
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
-
-
-def up_axis_doubt(trajectory: Trajectory) -> str:
-    """Return why the up axis is wrong; "" if it is possible, or was given."""
-    if trajectory.up.is_given or trajectory.quaternions is None:
-        return ""
-    axis = vertical_axis_of(trajectory.positions, trajectory.quaternions)
-    if axis is None:
-        return ""
-    if _degrees(abs(axis @ trajectory.up.matrix[2])) < _APART_DEG:
-        return ""
-    name = nearest_axis(axis).lstrip("-")
-    if _degrees(np.abs(axis).max()) > _NEAR_DEG:
-        direction = ", ".join(f"{each:.2f}" for each in axis)
-        what = (
-            f"the direction ({direction}), which is not an axis; rotate the frame to a "
-            "vertical axis"
-        )
-    else:
-        what = f"the {name} axis; set --up=-{name} or --up={name}"
-    return (
-        f"{trajectory.up} is probably not the vertical axis of the groundtruth's frame: the body "
-        f"turns about {what}; to keep it, set --up={trajectory.up.name}"
-    )
-
-
-def vertical_axis_of(positions: Floats, quaternions: Floats) -> Floats | None:
-    """Return the axis (3,) of rotation that a body moves perpendicular to, of either sign.
-
-    A body that rotates about only one axis, like vehicles, drones and people, rotates about
-    gravity. With M = mean R_i, weighted by the distance travelled, |M^T u| is 1 for a direction u
-    of the world that is constant in the body's axes, and 0 for a direction that rotates all
-    around. u is vertical if the value is near 1 for u, small for the others, and the body moves
-    perpendicular to u. It is None without such an axis: no rotation, several axes, a climb, or a
-    line. The quaternions (N, 4) are xyzw.
-    """
-    some = every_nth(len(positions), _ENOUGH)
-    positions, quaternions = positions[some], quaternions[some]
-    steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    if len(positions) < _FEWEST or not steps.sum() > 0.0:
-        return None
-    mean = np.einsum("n,nij->ij", steps / steps.sum(), lie.to_matrix(quaternions[1:]))
-    axes, held, _ = np.linalg.svd(mean)
-    if held[0] < _HELD or held[1] > _TURNED:
-        return None
-    along = (positions - positions.mean(axis=0)) @ axes
-    level = np.linalg.eigvalsh(along[:, 1:].T @ along[:, 1:])
-    if along[:, 0] @ along[:, 0] > _CLIMB**2 * level[0]:
-        return None
-    return np.asarray(axes[:, 0])
-
-
-def require_up_axis(groundtruth: Trajectory, gauge: Gauge) -> None:
-    """Refuse gauges yaw and planar if the groundtruth rotates about another axis than up."""
-    doubt = up_axis_doubt(groundtruth) if gauge.turns_about_gravity_only else ""
-    if doubt:
-        raise InputError(f"gauge {gauge.value} needs the vertical axis, but {doubt}")
-
-
-def without_vertical(evaluation: Evaluation) -> Evaluation:
-    """Return an evaluation without yaw and tilt, with a warning, if the up axis is wrong.
-
-    Angles of form `euler` are the numbers of the toolbox, not angles about gravity.
-    """
-    # With a wrong up axis, such an alignment is refused.
-    if evaluation.absolute.yaw_deg is None or evaluation.protocol.gauge.turns_about_gravity_only:
-        return evaluation
-    doubt = up_axis_doubt(evaluation.groundtruth)
-    if not doubt:
-        return evaluation
-    nothing = {"yaw_deg": None, "tilt_deg": None}
-    relative = evaluation.relative
-    if relative is not None and evaluation.protocol.re_form != "euler":
-        relative = tuple(each.without(*nothing) for each in relative)
-    return dataclasses.replace(
-        evaluation,
-        absolute=dataclasses.replace(
-            evaluation.absolute, horizontal_m=None, vertical_m=None, yaw_deg=None, tilt_deg=None
-        ),
-        ate={**evaluation.ate, **nothing, "horizontal_m": None, "vertical_m": None},
-        relative=relative,
-        remarks=(
-            warning(
-                UP_AXIS_DOUBTED, f"{doubt}; yaw, tilt, horizontal and vertical errors withheld"
-            ),
-            *evaluation.remarks,
-        ),
-    )

@@ -15,18 +15,20 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted, percent, whole_percent
 from trajeval_ros.formatting.remarks import Level, Remark, warning
 from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Indices
 from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.travelled import (
-    LEAST_JUMP_M,
     StepDifferences,
     cause_of_jumps,
     step_lengths,
 )
 from trajeval_ros.geometry.up_axis import ASSUMED
 from trajeval_ros.geometry.valid_poses import MOST_UNUSABLE, NO_STATE, reasons
+from trajeval_ros.metrics.absolute_errors import AbsoluteErrors
 from trajeval_ros.metrics.moments import Moments
 from trajeval_ros.metrics.named_protocols import PROTOCOLS
+from trajeval_ros.metrics.premises import Doubts, Premise
 from trajeval_ros.metrics.statistics import median
 from trajeval_ros.metrics.tracking_loss import DIVERGED
 
@@ -78,6 +80,7 @@ def remarks_on(evaluation: Evaluation, diagnosis: Diagnosis) -> tuple[Remark, ..
         *(each for each in read if each.level is Level.ERROR),
         *(each for each in read if each.level is Level.WARNING),
         *_about_rows(evaluation),
+        *_about_up_axis(evaluation),
         *([] if _is_lost(diagnosis) else _about_freedom(evaluation)),
         *_about_alignment(evaluation),
         *([] if _explains_jumps(diagnosis) else _about_jumps(evaluation)),
@@ -187,20 +190,27 @@ def _about_jumps(evaluation: Evaluation) -> Iterator[Remark]:
             f"every other pose of the estimate is {back_m:.2g} m away, and the next one is back: "
             "messages of two publishers are probably mixed; evaluate one of them",
         )
-    turns = groundtruth.quaternions is not None and estimate.quaternions is not None
-    jumps = steps.jumps(back_m, median(steps.rotation_deg))
-    if not len(jumps):
-        return
-    first = jumps[0]
+    wrong = steps.groundtruth_jumps(back_m)
+    jumps = np.setdiff1d(steps.jumps(back_m, median(steps.rotation_deg)), wrong)
+    for who, rows in (("groundtruth", wrong), ("estimate", jumps)):
+        if len(rows):
+            yield _jump_warning(evaluation, who, steps, rows)
+
+
+def _jump_warning(
+    evaluation: Evaluation, who: str, steps: StepDifferences, jumps: Indices
+) -> Remark:
+    """Return the warning about steps, `jumps` (K,), that one side alone makes."""
+    groundtruth, first = evaluation.association.groundtruth, jumps[0]
     where = "once" if len(jumps) == 1 else f"at {len(jumps)} places"
     at = f"at pair {first + 2}"
     if groundtruth.reading.stamped:
         at = f"{groundtruth.seconds[first + 1]:.1f} s after the first pair"
-    who, other = "estimate", "groundtruth"
-    cause = f"{cause_of_jumps(len(jumps))}, which one alignment can't fit"
-    if (steps.true_m - scale * step_lengths(own) > LEAST_JUMP_M)[jumps].all():
-        who, other, cause = other, who, "it has wrong samples there; remove them"
-    yield warning(
+    turns = evaluation.association.have_rotations
+    other, cause = "groundtruth", f"{cause_of_jumps(len(jumps))}, which one alignment can't fit"
+    if who == other:
+        other, cause, turns = "estimate", "it has wrong samples there; remove them", False
+    return warning(
         "jumps",
         f"the {who} jumps {where}, first {at}, by {steps.position_m[first]:.2f} m"
         + (f" and {steps.rotation_deg[first]:.0f} deg" if turns else "")
@@ -210,18 +220,14 @@ def _about_jumps(evaluation: Evaluation) -> Iterator[Remark]:
 
 def _about_rotations(evaluation: Evaluation) -> Iterator[Remark]:
     pairs = evaluation.association
-    without = [
-        who
-        for who, side in (("groundtruth", pairs.groundtruth), ("estimate", pairs.estimate))
-        if side.quaternions is None
-    ]
+    without = pairs.without_orientations
     if without:
         withheld = "rotation errors"
         if evaluation.relative is None and evaluation.protocol.lengths:
             withheld += " and relative errors"
         yield warning(
             "no_orientations",
-            f"{withheld} withheld: no orientations in the {' and the '.join(without)}",
+            f"{withheld} withheld: {without}",
         )
     if pairs.has_headings_only and not evaluation.withheld:
         yield warning(
@@ -408,6 +414,16 @@ def _about_projection(name: str, side: Trajectory) -> Iterator[Remark]:
     )
 
 
+def _about_up_axis(evaluation: Evaluation) -> Iterator[Remark]:
+    """Yield the warning about errors that rely on a doubtful up axis, if any."""
+    doubt = evaluation.doubts.reasons.get(Premise.UP_AXIS)
+    if doubt is None:
+        return
+    metrics = Doubts({Premise.UP_AXIS: doubt}).withheld(AbsoluteErrors)
+    *names, last = (metric.partition("_")[0] for metric in metrics)
+    yield warning("up_axis_doubted", f"{doubt}; {', '.join(names)} and {last} errors withheld")
+
+
 def _about_freedom(evaluation: Evaluation) -> Iterator[Remark]:
     """Yield the warning about rotation errors that the alignment causes, if any."""
     freedom, withheld = evaluation.alignment.freedom, evaluation.withheld
@@ -425,7 +441,10 @@ def _about_freedom(evaluation: Evaluation) -> Iterator[Remark]:
         advice = "check for a marker frame (--hand-eye auto) and for different axes"
     elif freedom.orientations is not None and evaluation.protocol.align_with == "positions":
         advice = "include them with --align-with poses" + (f"; or {advice}" if advice else "")
-    start = "rotation and velocity errors are withheld: " if withheld else ""
+    names = "rotation and velocity errors"
+    if evaluation.relative is None and evaluation.protocol.lengths:
+        names = "rotation, velocity and relative errors"
+    start = f"{names} are withheld: " if withheld else ""
     yield warning(
         "rotation_undetermined", start + "; ".join(part for part in (why, advice) if part)
     )

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trajeval_ros.diagnosis.geometry_tests import require_up_axis
 from trajeval_ros.exceptions import InputError, NoMatchError, TrajevalError
 from trajeval_ros.explanation.definition import (
     ABSOLUTE,
@@ -31,10 +30,13 @@ from trajeval_ros.explanation.definition import (
 from trajeval_ros.geometry.frame_axes import upright
 from trajeval_ros.geometry.gauge import Gauge, Similarity
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.geometry.vertical_axis import require_up_axis
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import Association, associate
 from trajeval_ros.metrics.evaluation import Evaluation, evaluate_pairs
 from trajeval_ros.metrics.named_protocols import PROTOCOLS
+from trajeval_ros.metrics.premises import Doubts
 from trajeval_ros.metrics.relative_evaluation import relative_evaluation
 
 
@@ -137,6 +139,8 @@ def _evaluated(paired: Paired, name: str, before: dict[str, Alignment]) -> Evalu
         groundtruth = dataclasses.replace(groundtruth, quaternions=None)
         estimate = dataclasses.replace(estimate, quaternions=None)
     pairs = dataclasses.replace(pairs, groundtruth=groundtruth, estimate=estimate)
+    # The command of a definition gives the up axis, so that no number is withheld for it.
+    groundtruth = dataclasses.replace(groundtruth, up=UpAxis(groundtruth.up.name))
     return evaluate_pairs(pairs, groundtruth, estimate, protocol)
 
 
@@ -156,7 +160,9 @@ def _relative(paired: Paired, alignment: Alignment, name: str, family: str) -> I
     searched = FAMILIES[family]
     protocol = protocol_of(searched.associations[0], name, family)
     try:
-        parts, pooled = relative_evaluation(paired.pairs, paired.groundtruth, alignment, protocol)
+        parts, pooled = relative_evaluation(
+            paired.pairs, paired.groundtruth, alignment, protocol, Doubts()
+        )
     except TrajevalError:  # pairs that are not in order have no lengths in seconds
         return
     drift = dict.fromkeys(pooled, searched.pooled)

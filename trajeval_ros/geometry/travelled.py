@@ -60,6 +60,7 @@ class StepDifferences:
     """
 
     true_m: Floats  # (N,) distances moved by the groundtruth, metres
+    estimate_m: Floats  # (N,) distances moved by the estimate, metres
     position_m: Floats  # (N,) differences of the distances moved, metres
     rotation_deg: Floats  # (N,) differences of the rotation angles, deg; zeros without rotations
 
@@ -78,12 +79,13 @@ class StepDifferences:
         the estimate; None without rotations. `scale`: metres per unit of the estimate's positions.
         """
         true_m = step_lengths(groundtruth_positions)
-        position_m = np.abs(true_m - scale * step_lengths(positions))
+        estimate_m = scale * step_lengths(positions)
+        position_m = np.abs(true_m - estimate_m)
         rotation_deg = np.zeros(len(true_m))
         if groundtruth_quaternions is not None and quaternions is not None:
             turned = step_angles(groundtruth_quaternions) - step_angles(quaternions)
             rotation_deg = np.degrees(np.abs(turned))
-        return cls(true_m, position_m, rotation_deg)
+        return cls(true_m, estimate_m, position_m, rotation_deg)
 
     def jumps(self, typical_m: float, typical_deg: float) -> Indices:
         """Return the indices of steps that are not a motion of the robot.
@@ -97,6 +99,19 @@ class StepDifferences:
         found: Indices = np.flatnonzero(
             (self.position_m > limit_m) | (self.rotation_deg > limit_deg)
         )
+        return found
+
+    def groundtruth_jumps(self, typical_m: float) -> Indices:
+        """Return the indices of steps that the groundtruth alone makes.
+
+        `typical_m`: typical difference of the distances moved, metres. A step must also be long
+        for the groundtruth: one that follows a moving body, while the estimate is frozen, is not.
+        """
+        moving = self.true_m[self.true_m > 0.0]
+        usual_m = float(np.median(moving)) if len(moving) else 0.0
+        least_m = max(LEAST_JUMP_M, _TIMES_TYPICAL * max(typical_m, usual_m))
+        limit_m = np.maximum(self.estimate_m, least_m)
+        found: Indices = np.flatnonzero(self.true_m - self.estimate_m > limit_m)
         return found
 
 

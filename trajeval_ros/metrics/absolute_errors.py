@@ -15,26 +15,31 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.metrics.premises import Premise, relies_on
+
+_ANGLE = (Premise.ORIENTATIONS, Premise.ALIGNMENT_ROTATION, Premise.BODY_ROTATION)
 
 
 @dataclass(frozen=True, eq=False)
 class AbsoluteErrors:
     """Errors of N aligned states; a quantity that is not available is None, never zeros."""
 
-    position_m: Floats  # (N,), length of the position error
+    position_m: Floats = relies_on(required=True)  # (N,), length of the position error
     # (N,), its component perpendicular to the groundtruth's up axis.
-    horizontal_m: Floats | None = None
-    vertical_m: Floats | None = None  # (N,), its component along the up axis, absolute value
-    rotation_deg: Floats | None = None  # (N,), angle of E
+    horizontal_m: Floats | None = relies_on(Premise.UP_AXIS, Premise.DIRECTIONS)
+    # (N,), its component along the up axis, absolute value.
+    vertical_m: Floats | None = relies_on(Premise.HEIGHT, Premise.UP_AXIS, Premise.DIRECTIONS)
+    rotation_deg: Floats | None = relies_on(*_ANGLE)  # (N,), angle of E
     # (N,), twist of E about the groundtruth's up axis, absolute value.
-    yaw_deg: Floats | None = None
+    yaw_deg: Floats | None = relies_on(*_ANGLE, Premise.UP_AXIS)
     # (N,), angle between the up axis and its image under E: roll and pitch.
-    tilt_deg: Floats | None = None
-    velocity_mps: Floats | None = None  # (N,), length of the velocity error
+    tilt_deg: Floats | None = relies_on(Premise.ROLL_AND_PITCH, *_ANGLE, Premise.UP_AXIS)
+    # (N,), length of the velocity error.
+    velocity_mps: Floats | None = relies_on(Premise.ALIGNMENT_ROTATION, Premise.BODY_ROTATION)
     # (N,), rad/s, length of the difference, in the body frame.
-    gyroscope_bias: Floats | None = None
+    gyroscope_bias: Floats | None = relies_on()
     # (N,), m/s^2, length of the difference, in the body frame.
-    accelerometer_bias: Floats | None = None
+    accelerometer_bias: Floats | None = relies_on()
 
 
 def absolute_errors(

@@ -109,7 +109,7 @@ class Availability:
     interval_s: Statistics | None = None  # intervals of the messages
     available_percent: float | None = None  # percentage of instants with an age in time
     missed_deadlines: Spans | None = None  # spans with ages above the deadline
-    dropouts: Spans | None = None  # intervals of more than two usual ones
+    dropouts: Spans | None = None  # intervals of more than two usual ones, and a final silence
     parts: dict[str, Part] | None = None  # the parts of the error, by `PARTS`
     # `age_s` of the newest correction, as of map to odom; None without corrections.
     corrections: dict[str, Statistics | None] | None = None
@@ -195,6 +195,8 @@ def _with_numbers(known: Availability, samples: AvailableSamples) -> Availabilit
     distinct = np.diff(messages.stamps, prepend=messages.stamps[:1] - 1) > 0
     stamps, usual = messages.stamps[distinct], messages.usual_ns[distinct]
     intervals = np.diff(stamps)
+    # After the last message, the groundtruth goes on without an estimate.
+    silences = np.append(intervals, samples.stamps[-1] - messages.times[distinct][-1])
     rotation = None if samples.rotation is None else np.degrees(samples.rotation)
     errors = [_rmse_and_share(each) for each in (samples.position, rotation) if each is not None]
     since = None
@@ -213,7 +215,7 @@ def _with_numbers(known: Availability, samples: AvailableSamples) -> Availabilit
         interval_s=statistics_of(intervals / NANOSECONDS),
         available_percent=100.0 * float(np.mean(~missed)),
         missed_deadlines=Spans.of(_spans_s(samples.stamps, missed)),
-        dropouts=Spans.of(intervals[intervals > 2 * usual[:-1]] / NANOSECONDS),
+        dropouts=Spans.of(silences[silences > 2 * usual] / NANOSECONDS),
         parts={name: Part(*sum(of, ())) for name, *of in zip(PARTS, *errors, strict=True)},
         corrections=None if since is None else {"age_s": statistics_of(since / NANOSECONDS)},
     )

@@ -135,6 +135,13 @@ class Association:
         """Whether both sides have orientations."""
         return self.groundtruth.quaternions is not None and self.estimate.quaternions is not None
 
+    @property
+    def without_orientations(self) -> str:
+        """Which sides have no orientations, as text; empty if both have them."""
+        sides = (("groundtruth", self.groundtruth), ("estimate", self.estimate))
+        absent = [name for name, side in sides if side.quaternions is None]
+        return f"no orientations in the {' and the '.join(absent)}" if absent else ""
+
     @cached_property
     def has_headings_only(self) -> bool:
         """Whether the estimate has 2-D headings, and the groundtruth has tilt."""

@@ -19,6 +19,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.trajectory_edits import flattened
+from trajeval_ros.geometry.vertical_axis import up_axis_doubt
 from trajeval_ros.metrics.absolute_errors import (
     AbsoluteErrors,
     ErrorVectors,
@@ -30,6 +31,7 @@ from trajeval_ros.metrics.association import AT_GROUNDTRUTH, Association, associ
 from trajeval_ros.metrics.columns import arrow_table, pandas_frame
 from trajeval_ros.metrics.other_programs import pose_errors
 from trajeval_ros.metrics.pair_alignment import align_pairs
+from trajeval_ros.metrics.premises import Doubts, Premise
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.relative_errors import RelativeErrors
 from trajeval_ros.metrics.relative_evaluation import (
@@ -41,6 +43,7 @@ from trajeval_ros.metrics.relative_evaluation import (
 from trajeval_ros.metrics.score import Recall, Score, point_errors
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
 from trajeval_ros.metrics.sub_trajectories import Length
+from trajeval_ros.metrics.withholding import doubts_of
 
 if TYPE_CHECKING:
     import pandas
@@ -64,6 +67,7 @@ class Evaluation:
         relative: Relative errors by length; None if they are not available.
         pooled: Statistics of `position_percent` and `rotation_deg_per_m` over the
             sub-trajectories of all lengths in metres, as in the KITTI ranking; None without any.
+        doubts: What the withheld errors rely on, with reasons.
         remarks: What is said about the validity of the numbers, added by the pipeline.
         score: Score by the protocol's table of points; None without a table.
         recall: Recall of the groundtruth's points; None without a recall rule.
@@ -87,6 +91,7 @@ class Evaluation:
     ate: dict[str, Statistics | None]
     relative: tuple[SubTrajectoryErrors, ...] | None
     pooled: dict[str, Statistics | None]
+    doubts: Doubts
     remarks: tuple[Remark, ...]
     score: Score | None = None
     recall: Recall | None = None
@@ -113,19 +118,15 @@ class Evaluation:
 
     @property
     def withheld(self) -> str:
-        """The reason why rotation and velocity errors are withheld; empty if they are not."""
-        return self.alignment.why_withheld(self.protocol)
+        """Why the alignment's rotation is not reliable; empty if it is."""
+        return self.doubts.reasons.get(Premise.ALIGNMENT_ROTATION, "")
 
     @property
     def drift(self) -> Drift | None:
-        """The drift over the longest sub-trajectories in metres; None if there are none.
-
-        It is withheld with the rotation errors: if the orientations are of another body, the
-        alignment of every sub-trajectory by its first state is wrong.
-        """
+        """The drift over the longest sub-trajectories in metres; None if there are none."""
         drifts = [
             Drift(percent, part.length_m)
-            for part in (() if self.withheld else self.relative or ())
+            for part in self.relative or ()
             if part.length_m is not None and (percent := part.statistics["position_percent"])
         ]
         return max(drifts, key=lambda drift: drift.length_m, default=None)
@@ -241,7 +242,7 @@ def evaluate(
     if protocol.gauge is Gauge.PLANAR:
         groundtruth = on_plane(groundtruth)
     rule = protocol.association.for_kind(groundtruth.kind)
-    if rule.method == AT_GROUNDTRUTH:
+    if rule.method == AT_GROUNDTRUTH and protocol.lever_m is not None:
         # The lever arm depends on the orientation at the groundtruth's timestamp.
         pairs = associate(groundtruth, estimate, rule)
         same_point = of_same_point(pairs.estimate, protocol)
@@ -284,18 +285,20 @@ def evaluate_pairs(
     if not pairs.have_rotations:
         protocol = _for_positions(protocol)
     alignment = align_pairs(pairs, protocol)
-    withheld = alignment.why_withheld(protocol)
-    if protocol.ate_form == "tutorial" and (withheld or not pairs.have_rotations):
-        why = withheld or "one side has no orientations"
+    # With a doubtful up axis, alignments about gravity are refused.
+    up_axis = "" if protocol.gauge.turns_about_gravity_only else up_axis_doubt(groundtruth)
+    doubts = doubts_of(pairs, alignment, protocol, up_axis)
+    why = doubts.about(AbsoluteErrors, "rotation_deg")
+    if protocol.ate_form == "tutorial" and why:
         raise InputError(
             f"ATE form tutorial, eq. (23), needs rotation errors, but {why}; use ATE form plain"
         )
     measured = _absolute_errors(pairs, alignment, protocol)
-    absolute = meaningful(measured, pairs, alignment, protocol.gauge)
+    absolute = doubts.without(measured)
     ate = {metric: statistics_of(getattr(absolute, metric)) for metric in ATE_METRICS}
     if protocol.ate_form == "evo":
         ate |= pose_errors(absolute.position_m, absolute.rotation_deg)
-    relative, pooled = relative_evaluation(pairs, groundtruth, alignment, protocol)
+    relative, pooled = relative_evaluation(pairs, groundtruth, alignment, protocol, doubts)
     score, recall = protocol.score, protocol.recall
 
     def of_points(dimensions: int) -> tuple[Floats, int]:
@@ -311,28 +314,11 @@ def evaluate_pairs(
         ate=ate,
         relative=relative,
         pooled=pooled,
+        doubts=doubts,
         remarks=(),
         score=None if score is None else score.score(*of_points(score.dimensions)),
         recall=None if recall is None else recall.recall(*of_points(recall.dimensions)),
     )
-
-
-def meaningful(
-    errors: AbsoluteErrors, pairs: Association, alignment: Alignment, gauge: Gauge
-) -> AbsoluteErrors:
-    """Return errors without parts that gauge or headings lack or the alignment does not determine.
-
-    On an exact line, the rotation about it is a rounding error. It changes the direction of a
-    position error, not its length.
-    """
-    if gauge is Gauge.PLANAR:
-        return dataclasses.replace(errors, tilt_deg=None, vertical_m=None)
-    if pairs.has_headings_only:
-        errors = dataclasses.replace(errors, tilt_deg=None)
-    freedom = alignment.freedom
-    if freedom is not None and freedom.moves_positions and not freedom.about_gravity:
-        return dataclasses.replace(errors, horizontal_m=None, vertical_m=None)
-    return errors
 
 
 def _absolute_errors(

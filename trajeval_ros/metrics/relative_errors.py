@@ -16,6 +16,9 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.absolute_errors import angle_yaw_tilt, lengths, rotation_errors
 from trajeval_ros.metrics.other_programs import by_matrices
+from trajeval_ros.metrics.premises import Premise, relies_on
+
+_ANGLE = (Premise.ORIENTATIONS, Premise.BODY_ROTATION, Premise.FIRST_STATES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,14 +27,16 @@ class RelativeErrors:
 
     starts: Indices  # (K,) indices of the first pairs
     ends: Indices  # (K,) indices of the last pairs
-    position_m: Floats  # (K,), length of the position error at the end
+    # (K,), length of the position error at the end; without it, there are no relative errors.
+    position_m: Floats = relies_on(Premise.FIRST_STATES, required=True)
     # (K,), angle of E at the end; None without orientations on both sides.
-    rotation_deg: Floats | None
+    rotation_deg: Floats | None = relies_on(*_ANGLE)
     # (K,), twist about the up axis, absolute value; None if the up axis is unknown.
-    yaw_deg: Floats | None
+    yaw_deg: Floats | None = relies_on(*_ANGLE, Premise.RELATIVE_UP_AXIS)
     # (K,), roll and pitch; None if the up axis is unknown or the gauge is planar.
-    tilt_deg: Floats | None
-    velocity_mps: Floats | None = None  # (K,), length of the velocity error at the end, or None
+    tilt_deg: Floats | None = relies_on(Premise.ROLL_AND_PITCH, *_ANGLE, Premise.RELATIVE_UP_AXIS)
+    # (K,), length of the velocity error at the end, or None.
+    velocity_mps: Floats | None = relies_on(Premise.BODY_ROTATION, Premise.FIRST_STATES)
 
 
 def relative_errors(
@@ -68,7 +73,7 @@ def relative_errors(
     if form == "fitted" and (groundtruth.quaternions is None or estimate.quaternions is None):
         sides = groundtruth.positions, estimate.positions
         errors = _fitted_differences(*sides, starts, ends)[0]
-        return RelativeErrors(starts, ends, lengths(errors), None, None, None)
+        return RelativeErrors(starts, ends, lengths(errors))
     groundtruth_poses, estimate_poses = PoseArrays.of(groundtruth), PoseArrays.of(estimate)
 
     def at_ends(s: Indices, e: Indices) -> tuple[Floats, ...]:

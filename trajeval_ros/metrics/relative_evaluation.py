@@ -6,22 +6,20 @@ rotation in degrees per metre (tutorial, section IV-B; KITTI).
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
 
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats, Indices
-from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.travelled import turned_angle
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import Association
 from trajeval_ros.metrics.other_programs import distance_errors, pose_errors
+from trajeval_ros.metrics.premises import Doubts
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.relative_errors import RelativeErrors, relative_errors
 from trajeval_ros.metrics.statistics import Statistics, statistics_in_place, statistics_of
@@ -118,15 +116,6 @@ class SubTrajectoryErrors:
         """Errors of the K sub-trajectories; computed again for long runs."""
         return self.held or self.measure()
 
-    def without(self, *metrics: str) -> SubTrajectoryErrors:
-        """Return a copy with some metrics withheld."""
-        return dataclasses.replace(
-            self,
-            measure=partial(_measure_without, self.measure, metrics),
-            held=None if self.held is None else _without(self.held, metrics),
-            statistics={**self.statistics, **dict.fromkeys(metrics)},
-        )
-
     @property
     def duration_s(self) -> float | None:
         """The length in seconds; None if it is no duration."""
@@ -156,15 +145,19 @@ def rmse_text(statistics: dict[str, Statistics | None]) -> str:
 
 
 def relative_evaluation(
-    pairs: Association, groundtruth: Trajectory, alignment: Alignment, protocol: Protocol
+    pairs: Association,
+    groundtruth: Trajectory,
+    alignment: Alignment,
+    protocol: Protocol,
+    doubts: Doubts,
 ) -> tuple[tuple[SubTrajectoryErrors, ...] | None, dict[str, Statistics | None]]:
     """Compute the errors of eq. (27) for all sub-trajectories of all lengths of a protocol.
 
     Sub-trajectories use the scale of the pairs' alignment. The errors are None without lengths, or
-    without orientations on both sides if the form needs them. The second value has statistics of
+    if their positions are withheld. The second value has statistics of
     the drift over all lengths in metres.
     """
-    if not protocol.lengths or not (pairs.have_rotations or protocol.re_form == "fitted"):
+    if not protocol.lengths or doubts.about(RelativeErrors, "position_m"):
         return None, PooledDrift(0).statistics()
     scale = alignment.similarity.scale
     along = _Measure(pairs, groundtruth, protocol, scale)
@@ -173,7 +166,7 @@ def relative_evaluation(
     pooled = PooledDrift(in_metres * len(pairs))
     of_lengths = []
     for length in protocol.lengths:
-        measure = partial(_errors, pairs, protocol, along, length, scale)
+        measure = partial(_errors, pairs, protocol, along, length, scale, doubts)
         errors = measure()
         starts, ends = errors.starts, errors.ends
         length_m = along.metres(length) if length.in_metres else None
@@ -202,25 +195,18 @@ def relative_evaluation(
 
 
 def _errors(
-    pairs: Association, protocol: Protocol, along: _Measure, length: Length, scale: float
+    pairs: Association,
+    protocol: Protocol,
+    along: _Measure,
+    length: Length,
+    scale: float,
+    doubts: Doubts,
 ) -> RelativeErrors:
     """Return the errors of all sub-trajectories of a length."""
     sides = pairs.groundtruth, pairs.estimate
     chosen = along.select(length)
     errors = relative_errors(*sides, *chosen, protocol.gauge, scale, protocol.re_form)
-    has_tilt = protocol.gauge is not Gauge.PLANAR and not pairs.has_headings_only
-    return errors if has_tilt else _without(errors, ("tilt_deg",))
-
-
-def _without(errors: RelativeErrors, metrics: tuple[str, ...]) -> RelativeErrors:
-    columns: dict[str, Any] = dict.fromkeys(metrics)
-    return dataclasses.replace(errors, **columns)
-
-
-def _measure_without(
-    measure: Callable[[], RelativeErrors], metrics: tuple[str, ...]
-) -> RelativeErrors:
-    return _without(measure(), metrics)
+    return doubts.without(errors)
 
 
 class _Measure:

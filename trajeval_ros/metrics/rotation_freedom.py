@@ -112,6 +112,13 @@ class RotationFreedom:
         )
 
     @property
+    def other_body(self) -> str:
+        """The reason why the orientations are of another body or axes; empty if they are not."""
+        seen = self.orientations
+        is_large = seen is not None and seen.turn_deg >= _LARGE_TURN_DEG
+        return self.misleading if is_large and self.disagrees else ""
+
+    @property
     def untrustworthy(self) -> str:
         """The reason why rotation errors are withheld; empty if they are reported."""
         seen = self.orientations

@@ -16,9 +16,10 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.absolute_errors import AbsoluteErrors, absolute_errors, lengths
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import Association
-from trajeval_ros.metrics.evaluation import evaluate_pairs, meaningful
+from trajeval_ros.metrics.evaluation import evaluate_pairs
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
+from trajeval_ros.metrics.withholding import doubts_of
 from trajeval_ros.online.state_buffer import StateBuffer
 from trajeval_ros.online.state_rows import POSITION, WIDTH, WIDTH_WITH_COVARIANCE, Pairs, as_wide
 
@@ -147,7 +148,7 @@ def window_statistics(
         alignment.similarity.trajectory(pairs.estimate),
         rotation=not alignment.why_withheld(protocol),
     )
-    errors = meaningful(errors, pairs, alignment, protocol.gauge)
+    errors = doubts_of(pairs, alignment, protocol).without(errors)
     return {name: statistics_of(getattr(errors, name)) for name in AbsoluteErrors.__annotations__}
 
 

@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
-from trajeval_ros.diagnosis.geometry_tests import require_up_axis
 from trajeval_ros.exceptions import InputError, TrajevalError
 from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.frame_axes import upright
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.geometry.vertical_axis import require_up_axis
 from trajeval_ros.metrics import evaluation as metrics
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.sub_trajectories import Length

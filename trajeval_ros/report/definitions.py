@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.metrics.absolute_errors import AbsoluteErrors
 from trajeval_ros.metrics.evaluation import Evaluation
 
 METHOD_TEXTS = {
@@ -107,15 +108,4 @@ def first_state_alignment_of(evaluations: Sequence[Evaluation]) -> str:
 
 def why_no_rotation(evaluation: Evaluation) -> str:
     """Return why rotation errors are withheld."""
-    return evaluation.withheld or positions_only(evaluation)
-
-
-def positions_only(evaluation: Evaluation) -> str:
-    """Return which side has no orientations."""
-    pairs = evaluation.association
-    sides = [
-        who
-        for who, side in (("groundtruth", pairs.groundtruth), ("estimate", pairs.estimate))
-        if side.quaternions is None
-    ]
-    return f"no orientations in the {' and the '.join(sides)}"
+    return evaluation.doubts.about(AbsoluteErrors, "rotation_deg")

@@ -9,10 +9,11 @@ import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.metrics.relative_errors import RelativeErrors
 from trajeval_ros.metrics.relative_evaluation import SubTrajectoryErrors, position_percent
 from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.report import canvas
-from trajeval_ros.report.definitions import first_state_alignment_of, positions_only
+from trajeval_ros.report.definitions import first_state_alignment_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -153,7 +154,7 @@ def _add_legend(figure: Figure, names: Sequence[str]) -> None:
 def _why_nothing(evaluations: Sequence[Evaluation]) -> str:
     """Return why there are no relative errors."""
     if all(e.relative is None for e in evaluations):
-        reasons = dict.fromkeys(map(positions_only, evaluations))
+        reasons = dict.fromkeys(e.doubts.about(RelativeErrors, "position_m") for e in evaluations)
         return f"Withheld: {'; '.join(reasons)}."
     longest = max(e.association.groundtruth.path_length_m for e in evaluations)
     lengths = ", ".join(length.text for length in evaluations[0].protocol.lengths)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from trajeval_ros.formatting.numbers import NOTHING, four_digits, whole_percent, with_unit
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.metrics.absolute_errors import AbsoluteErrors
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.relative_evaluation import SubTrajectoryErrors
 from trajeval_ros.metrics.statistics import Statistics
@@ -47,11 +48,25 @@ def absolute_table(evaluations: Sequence[Evaluation], width: int) -> Table:
         name = evaluation.estimate.name
         for metric, label in ABSOLUTE_LABELS.items():
             statistics = evaluation.ate.get(metric)
-            if statistics is not None and (metric not in _PARTS or _are_apart(evaluation)):
+            if metric in _PARTS and not _are_apart(evaluation):
+                continue
+            if statistics is not None:
                 numbers = [four_digits(getattr(statistics, column)) for column in shown]
                 table.add([name, label, *numbers, str(statistics.count)])
                 name = ""
+            elif _is_withheld(evaluation, metric):
+                table.add([name, label, *[NOTHING] * (len(shown) + 1)])
+                name = ""
     return table
+
+
+def _is_withheld(evaluation: Evaluation, metric: str) -> bool:
+    """Return whether an absolute error exists, but is withheld."""
+    if not evaluation.association.have_rotations:
+        return False
+    if metric == "velocity_mps" and evaluation.association.estimate.velocities is None:
+        return False
+    return metric in evaluation.doubts.of_existing.withheld(AbsoluteErrors)
 
 
 def _are_apart(evaluation: Evaluation) -> bool:
@@ -113,6 +128,8 @@ def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | Non
     table = Table(title, ["estimate", "length"], [*headings, "count"])
     for evaluation in evaluations:
         name = evaluation.estimate.name
+        if evaluation.relative is None and evaluation.protocol.lengths:
+            table.add([name, "all", *[NOTHING] * (len(metrics) + 1)])
         for segment in evaluation.relative or ():
             cells = [_mean(segment.statistics.get(metric), with_medians) for metric in metrics]
             count = str(segment.count)

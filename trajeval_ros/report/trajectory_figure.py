@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trajeval_ros.diagnosis.geometry_tests import UP_AXIS_DOUBTED
 from trajeval_ros.formatting.palette import FIX_STATUS_PLACES
 from trajeval_ros.geometry.arrays import Floats, extents
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.metrics.premises import Premise
 from trajeval_ros.report import canvas
 from trajeval_ros.report.definitions import alignment_of
 from trajeval_ros.report.line_thinning import thinned
@@ -52,7 +52,7 @@ def _view(
     groundtruth, upward = first.groundtruth, first.groundtruth.up
     max_gap_s = first.protocol.association.max_gap_s
     across, up = axis_names(upward, plane)
-    if any(each.code == UP_AXIS_DOUBTED for e in evaluations for each in e.remarks):
+    if any(Premise.UP_AXIS in evaluation.doubts.reasons for evaluation in evaluations):
         title = "Paths"
     shown_up = up.replace("-", "\N{MINUS SIGN}")
     aligned = [_seen(e.aligned, upward, plane) for e in evaluations]

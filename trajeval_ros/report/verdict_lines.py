@@ -24,6 +24,8 @@ from trajeval_ros.report.definitions import METHOD_TEXTS, WEIGHT_TEXTS
 if TYPE_CHECKING:
     from trajeval_ros.calibration.apply import Ate
     from trajeval_ros.diagnosis.findings import Diagnosis
+    from trajeval_ros.likelihood.likelihood_assessment import LikelihoodAssessment
+    from trajeval_ros.likelihood.uncertain_ate import UncertainAte
     from trajeval_ros.metrics.own_error import OwnError
     from trajeval_ros.pipeline.outcome import RunOutcome
 
@@ -33,8 +35,11 @@ _STATED = ("few_pairs", "identical")  # causes that the line or the numbers stat
 _LOST = {FROZEN: "froze", DIVERGED: "diverged"}  # errors of the estimator
 
 
-def verdict(evaluation: Evaluation) -> list[str]:
-    """Return the result lines: errors, definitions and coverage."""
+def verdict(evaluation: Evaluation, likelihood: LikelihoodAssessment | None = None) -> list[str]:
+    """Return the result lines: errors, definitions and coverage.
+
+    With a `likelihood`, the first line has the ATE of poses that the groundtruth supports.
+    """
     position, rotation = evaluation.ate["position_m"], evaluation.ate["rotation_deg"]
     assert position is not None
     name = evaluation.estimate.name or "estimate"
@@ -43,7 +48,7 @@ def verdict(evaluation: Evaluation) -> list[str]:
         turned = f"{with_unit(rotation.rmse, 'deg')} rotation"
         if evaluation.association.has_headings_only:
             turned += " including tilt against 2-D headings"
-    elif evaluation.relative is not None:
+    elif evaluation.relative is None and evaluation.protocol.lengths:
         turned = "rotation and drift withheld"
     protocol, pairs = evaluation.protocol, evaluation.association
     states = evaluation.alignment.states_used
@@ -59,10 +64,13 @@ def verdict(evaluation: Evaluation) -> list[str]:
         f", scale {evaluation.alignment.similarity.scale:.4f}" if protocol.gauge.has_scale else ""
     )
     kitti = f"{evaluation.kitti_ranking}; " if evaluation.kitti_ranking else ""
+    whole = f"ATE {with_unit(position.rmse, 'm')} position"
+    supported = "" if likelihood is None else _supported(likelihood.ate)
     return [
-        f"{name}: {kitti}ATE {with_unit(position.rmse, 'm')} position, {turned} "
+        f"{name}: {kitti}{supported or whole}, {turned} "
         f"(rmse{_drift(evaluation)})"
         + (f"; {few}" if (few := few_pairs(protocol, pairs)) else ""),
+        *([f"  {whole} over all pairs, gaps of the groundtruth included"] if supported else []),
         f"  aligned by {protocol.gauge.value} ({protocol.gauge.description}){modality}, "
         f"{how}{poses}{weights}{scale}{_spread(evaluation)}; "
         f"{METHOD_TEXTS[pairs.rule.method].format(pairs.rule)}",
@@ -70,6 +78,17 @@ def verdict(evaluation: Evaluation) -> list[str]:
         *_up(evaluation.groundtruth.up, evaluation.estimate.up),
         *_score(evaluation),
     ]
+
+
+def _supported(ate: UncertainAte) -> str:
+    """Return the ATE of the poses that the groundtruth supports; empty without one."""
+    if ate.supported_m is None:
+        return ""
+    text = f"ATE {with_unit(ate.supported_m, 'm')} position"
+    if ate.interval_m is not None:
+        low, high = (with_unit(limit, "m") for limit in ate.interval_m)
+        text += f" (approximate 95 % interval {low} to {high})"
+    return f"{text} over {whole_percent(ate.supported_share)} of the poses"
 
 
 def _spread(evaluation: Evaluation) -> str:

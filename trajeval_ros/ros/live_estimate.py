@@ -12,16 +12,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trajeval_ros.consistency.s_transformation import unknown_covariances
-from trajeval_ros.diagnosis.geometry_tests import up_axis_doubt
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.marker import BODYS_VELOCITIES
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.up_axis import UpAxis
+from trajeval_ros.geometry.vertical_axis import up_axis_doubt
 from trajeval_ros.io.live.pair_file import REVISED_SUFFIX, SUFFIX, PairWriter, write_revised
 from trajeval_ros.io.live.reception_file import SUFFIX as RECEIVED_SUFFIX
 from trajeval_ros.io.live.reception_file import RecordedAvailability
 from trajeval_ros.io.writing import write_whole
+from trajeval_ros.metrics.absolute_errors import AbsoluteErrors
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH
+from trajeval_ros.metrics.premises import Doubts, Premise
 from trajeval_ros.online.alarms import Peaks, Standing
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.jump_detector import Jump, JumpDetector
@@ -235,7 +237,7 @@ class LiveEstimate:
         return 1.0 if alignment is None else alignment.similarity.scale
 
     def snapshot(self) -> Snapshot:
-        """Return the state of the evaluation, without yaw and tilt if the up axis is doubtful."""
+        """Return the state of the evaluation, without what relies on a doubtful up axis."""
         snapshot = self.evaluator.snapshot()
         stamps, groundtruth, _ = self.thinned.columns()
         if len(stamps):
@@ -244,7 +246,8 @@ class LiveEstimate:
             )
         if not self.doubt:
             return snapshot
-        return replace(snapshot, ate={**snapshot.ate, "yaw_deg": None, "tilt_deg": None})
+        absent = Doubts({Premise.UP_AXIS: self.doubt}).withheld(AbsoluteErrors)
+        return replace(snapshot, ate={**snapshot.ate, **dict.fromkeys(absent)})
 
     def digest(self) -> list[Jump]:
         """Add the pairs since the last call to thinned and revision; return their jumps.

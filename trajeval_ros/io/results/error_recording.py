@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trajeval_ros import __version__
-from trajeval_ros.diagnosis.geometry_tests import up_axis_doubt
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.escaping import one_line, part_of_topic
 from trajeval_ros.formatting.remarks import Level
@@ -29,6 +28,7 @@ from trajeval_ros.io.bags.encode_messages import (
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.metrics.premises import Premise
 from trajeval_ros.online.error_topics import (
     ALIGNMENT,
     ALIGNMENT_TYPE,
@@ -124,7 +124,7 @@ class _RecordedRun:
 
     def channels(self) -> Iterator[_Channel]:
         """Yield the topics with their messages."""
-        errors, knows_up = self._errors, not up_axis_doubt(self._evaluation.groundtruth)
+        errors, knows_up = self._errors, Premise.UP_AXIS not in self._evaluation.doubts.reasons
         begin, whole = self._times[:1], self._times[[0, -1]]
         for topic in VECTORS:
             stamps, vectors = vectors_of(errors, topic, self._offset_ns, knows_up=knows_up)

@@ -1,0 +1,122 @@
+"""No output has a number that the evaluation withholds."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from upright_runs import car, erring, standing
+from written_trajectories import write
+
+from trajeval_ros.cli.app import main
+from trajeval_ros.formatting.numbers import four_digits, significant
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.metrics import evaluation as metrics
+from trajeval_ros.metrics.absolute_errors import AbsoluteErrors
+from trajeval_ros.metrics.evaluation import evaluate
+from trajeval_ros.metrics.premises import Doubts, Premise, relies_on
+from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.metrics.relative_errors import RelativeErrors
+from trajeval_ros.simulation.drifting_odometry import simulate
+
+PROTOCOL = Protocol(gauge="se3", lengths=("8m", "16m"))
+Sides = tuple[Trajectory, Trajectory]
+
+
+def other_body() -> Sides:
+    flight = simulate(seed=3, duration_s=40.0)
+    truth = flight.groundtruth[::10]
+    rotated = lie.from_rotation_vector(np.array([0.0, 0.0, 1.2]))
+    assert truth.quaternions is not None
+    quaternions = lie.multiply(truth.quaternions, rotated[None])
+    return truth, dataclasses.replace(truth, quaternions=quaternions, covariances=None)
+
+
+def other_up_axis() -> Sides:
+    truth = standing(car(1), "-y", said=False)
+    return truth, erring(truth)
+
+
+def straight() -> Sides:
+    truth = car(1)
+    along = np.arange(len(truth))[:, None] * np.array([[0.2, 0.0, 0.0]])
+    noise = np.random.default_rng(1).normal(scale=0.003, size=along.shape)
+    truth = dataclasses.replace(truth, positions=along)
+    return truth, dataclasses.replace(truth, positions=along + noise)
+
+
+CASES = {
+    other_body: {Premise.ALIGNMENT_ROTATION, Premise.BODY_ROTATION, Premise.FIRST_STATES},
+    other_up_axis: {Premise.UP_AXIS, Premise.RELATIVE_UP_AXIS},
+    straight: {Premise.ALIGNMENT_ROTATION},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
+def test_no_output_has_a_withheld_number(
+    case: Callable[[], Sides],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name, side in zip(("truth", "vio"), case(), strict=True):
+        write(tmp_path / f"{name}.txt", side)
+    sides = [str(tmp_path / f"{name}.txt") for name in ("truth", "vio")]
+    output = tmp_path / "out"
+    options = ["--gauge", "se3", "--lengths", "8,16", "--output", str(output)]
+    assert main(["evaluate", *sides, *options]) == 0
+    printed = capsys.readouterr().out
+    found = evaluate(*case(), PROTOCOL)
+    assert CASES[case] <= found.doubts.reasons.keys()
+    [stored] = json.loads((output / "result.json").read_text())["runs"]
+    withheld = found.doubts.withheld(AbsoluteErrors)
+    relative = found.doubts.withheld(RelativeErrors)
+    assert withheld
+    assert all(stored["ate"][metric] is None for metric in withheld)
+    segments = [] if stored["re"] is None else stored["re"]["segments"]
+    assert bool(segments) == ("position_m" not in relative)
+    assert all(segment[metric] is None for segment in segments for metric in relative)
+    columns = np.load(output / "errors.npz")
+    assert not [name for name in columns.files if name.split("/")[-1] in withheld]
+    assert ("drift" in printed.splitlines()[0].replace("drift withheld", "")) == bool(segments)
+    # Without doubts, the evaluation has the numbers that no text may have.
+    monkeypatch.setattr(metrics, "doubts_of", lambda *_: Doubts())
+    freedom = dataclasses.replace(found.alignment, freedom=None)
+    monkeypatch.setattr(metrics, "align_pairs", lambda *_: freedom)
+    whole = evaluate(*case(), PROTOCOL)
+    secret = {whole.ate[metric] for metric in withheld}
+    for part in whole.relative or ():
+        secret |= {part.statistics[metric] for metric in relative}
+    texts = [printed, *(path.read_text() for path in output.rglob("*.svg"))]
+    texts += [path.read_text() for path in output.rglob("*.html")]
+    for statistics in secret - {None}:
+        assert statistics is not None
+        for number in (statistics.rmse, statistics.mean):
+            for digits in (four_digits(number), significant(number, 3)):
+                if len(digits) >= 5:
+                    assert not any(f" {digits} " in text for text in texts), digits
+
+
+@pytest.mark.parametrize("kind", [AbsoluteErrors, RelativeErrors])
+def test_every_error_declares_what_it_relies_on(kind: type) -> None:
+    undeclared = {
+        column.name for column in dataclasses.fields(kind) if "premises" not in column.metadata
+    }
+    assert undeclared <= {"starts", "ends"}
+
+
+def test_a_new_metric_is_withheld_by_its_declaration() -> None:
+    @dataclasses.dataclass(frozen=True)
+    class Errors:
+        length_m: float = relies_on(required=True)
+        sideways_m: float | None = relies_on(Premise.UP_AXIS)
+
+    doubts = Doubts({Premise.UP_AXIS: "z is not up"})
+    assert doubts.withheld(Errors) == {"sideways_m": "z is not up"}
+    assert doubts.without(Errors(2.0, 1.0)) == Errors(2.0)
