@@ -19,7 +19,7 @@ _PARAMETERS = (
     *settings_options(FINISH),
     *shared_options(FINISH),
     option("--output", kind=Path, metavar="DIR", panel=OUTPUT,
-        help="Output folder for result.json, errors.npz and figures. Default: FOLDER, or none with "
+        help="Output folder for result.json, errors.npz and figures. Default: FOLDER; none with "
         "--json."),
 )  # fmt: skip
 
