@@ -78,6 +78,11 @@ def require_one_of(value: object, known: Iterable[str], what: str) -> None:
     raise SettingsError(f"unknown {what} {value!r}{hint}; use one of {', '.join(known) or 'none'}")
 
 
+def describe_defect(error: Exception) -> str:
+    """Return an exception that is a defect of this package, in one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
 def reason_of(error: OSError) -> str:
     """Return the system's description of an error, as part of a sentence."""
     return (error.strerror or str(error)).lower()

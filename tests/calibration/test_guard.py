@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from strategies import seeds
 
+from trajeval_ros import simulate
 from trajeval_ros.calibration import significance
 from trajeval_ros.calibration.apply import evaluate_calibrated
 from trajeval_ros.calibration.calibrate import calibrate
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
-from trajeval_ros.calibration.increments import POSITION, ROTATION
-from trajeval_ros.calibration.robust_fit import huber_cost
+from trajeval_ros.calibration.increments import COLUMNS, POSITION, ROTATION, Increments
+from trajeval_ros.calibration.robust_fit import fit, huber_cost
 from trajeval_ros.calibration.significance import chance_of
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
@@ -46,6 +47,39 @@ def jumping(poses: Trajectory, seed: int, deg: float) -> Trajectory:
     jumps *= (random.random(len(poses)) < 0.05 / 4.0)[:, None]
     turned = Rotation.from_rotvec(np.cumsum(jumps, axis=0)) * poses.rotations
     return dataclasses.replace(poses, quaternions=turned.as_quat())
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_marker_that_flips_is_judged(axis: int, seed: int) -> None:
+    """Then only the body's rotation is observable, and the fit without it has no parameter."""
+    flight = simulate(seed=seed, duration_s=40.0)
+    groundtruth = flight.groundtruth
+    assert groundtruth.rotations is not None
+    flip = Rotation.from_rotvec(np.pi * np.eye(3)[axis])
+    late = groundtruth.seconds > 18.0
+    turned = np.where(
+        late[:, None], (groundtruth.rotations * flip).as_quat(), groundtruth.quaternions
+    )
+    flipping = dataclasses.replace(groundtruth, quaternions=turned)
+    found = calibrate(flipping, flight.estimate, "yaw")
+    assert found.offset.reason
+    assert found.turn.reason
+
+
+def test_a_fit_without_free_directions_stays_at_its_start() -> None:
+    flight = simulate(seed=1, duration_s=40.0)
+    increments = Increments(flight.groundtruth, flight.estimate)
+    start = increments.start(0.01, with_scale=False, about_z=True)
+    fitted = fit(increments, start, np.zeros((COLUMNS, 0)))
+    assert fitted is not None
+    assert fitted.settled
+    assert fitted.free == 0
+    assert fitted.unknowns.offset_s == start.offset_s
+    np.testing.assert_array_equal(fitted.unknowns.turn, start.turn)
+    np.testing.assert_array_equal(fitted.covariance, np.zeros((COLUMNS, COLUMNS)))
+    expected = increments.linearise(start).residual
+    np.testing.assert_array_equal(fitted.linearised.residual, expected)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

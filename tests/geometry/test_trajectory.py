@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -50,6 +50,21 @@ def test_rows_that_are_no_poses_are_dropped_and_counted_by_reason() -> None:
     np.testing.assert_array_equal(read.positions, positions[3:])
     np.testing.assert_array_equal(read.velocities, velocities[3:])
     assert read.reading.dropped == {"half_a_line": 2, "not_finite": 2, "zero_quaternion": 1}
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_columns_of_a_wide_table_are_stored_contiguously(order: Literal["C", "F"]) -> None:
+    rows = np.asarray(np.random.default_rng(1).normal(size=(50, 13)), order=order)
+    rows[:, 3:7] /= np.linalg.norm(rows[:, 3:7], axis=1, keepdims=True)
+    made = Trajectory(stamps(50), rows[:, :3], rows[:, 3:7], rows[:, 7:10])
+    for one in (made, made[::2], made[np.arange(50) > 7]):
+        for column in (one.stamps, one.positions, one.quaternions, one.velocities):
+            assert column is not None
+            assert column.flags.c_contiguous
+    np.testing.assert_array_equal(made.positions, rows[:, :3])
+    np.testing.assert_array_equal(made.quaternions, rows[:, 3:7])
+    plain = rows[:, :3].copy()
+    assert Trajectory(stamps(50), plain).positions is plain
 
 
 @pytest.mark.parametrize("row", WILD, ids=str)

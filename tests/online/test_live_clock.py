@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from typing import Any
 from unittest import mock
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.linalg import LinAlgError
 from strategies import seeds
 
 from trajeval_ros import Gauge
@@ -86,6 +88,18 @@ def test_a_clock_without_groundtruth_waits() -> None:
     clock.add_estimate(np.arange(50) * SECOND, states(np.zeros((50, 3))))
     assert not clock.update(at_end=True)
     assert clock.report.status == "waiting"
+
+
+@pytest.mark.parametrize("error", [ValueError("zero-size array"), MemoryError(), LinAlgError("x")])
+def test_a_failed_estimation_is_a_reason_and_no_exception(error: Exception) -> None:
+    with ThreadPoolExecutor(1) as worker:
+        clock = OnlineClock(Gauge.YAW, worker)
+        at_rest(36.0, clock)
+        with mock.patch.object(live_clock, "calibrate", side_effect=error):
+            clock.update()
+            clock.update(at_end=True)
+    assert clock.report.status == "unobservable"
+    assert type(error).__name__ in clock.report.reason
 
 
 def test_a_clock_is_estimated_by_a_worker_that_may_take_long() -> None:

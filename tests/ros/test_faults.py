@@ -448,7 +448,7 @@ def test_a_full_disk_is_told_once_and_nothing_is_lost_when_there_is_room_again(
         assert evaluator.said.count("results can't be written") == 1
         subprocess.run(["mount", "-o", "remount,size=16m", "tmpfs", str(small_disk)], check=True)
         peer.until(lambda: peer.ask("/evaluator/save", Trigger).success, "it is saved")
-        evaluator.wait_for("are written to")
+        evaluator.wait_for("no longer: results can't be written")
         assert evaluator.end() == 0
     expected = offline(
         flight, tmp_path, GROUNDTRUTH, [ODOMETRY], "--gauge", "yaw", "--lengths", "8"

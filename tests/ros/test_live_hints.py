@@ -190,6 +190,17 @@ def test_nobody_waits_for_what_is_computed_beside() -> None:
     task.close()
 
 
+def test_a_computation_that_fails_ends_alone() -> None:
+    task = BackgroundTask[int](most_share=1.0)
+    task.start(lambda: 1 // 0)
+    assert task.wait() is None
+    assert "ZeroDivisionError" in task.trouble
+    task.start(lambda: 7)
+    assert task.wait() == 7
+    assert not task.trouble
+    task.close()
+
+
 def test_a_bag_has_the_marker_among_its_static_transforms(tmp_path: Path) -> None:
     inner = ("base_link", "mount", 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
     back = MOUNTED.inverse()

@@ -191,8 +191,9 @@ def test_poses_without_stamps_are_told(tmp_path: Path) -> None:
     live.end()
 
 
+@pytest.mark.parametrize("waits", [True, False])
 def test_what_is_being_written_is_given_up_when_all_is_to_be_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, waits: bool
 ) -> None:
     program, folder = tmp_path / "program", tmp_path / "out"
     folder.mkdir()
@@ -206,10 +207,13 @@ def test_what_is_being_written_is_given_up_when_all_is_to_be_written(
     finisher = Finisher(folder)
     finisher.save()
     until(lambda: len(list(folder.iterdir())) == 2, "it writes")
-    finisher.finish_alone()
+    if waits:
+        assert not finisher.finish(quiet=True)
+    else:
+        finisher.finish_alone()
+        assert finisher.is_busy
+        until(finisher.poll, "all is written, or not")
     assert [each.name for each in folder.iterdir()] == [".other.json.1.part"]
-    assert finisher.is_busy
-    until(finisher.poll, "all is written, or not")
     assert finisher.trouble == "full"
 
 

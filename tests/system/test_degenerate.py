@@ -132,22 +132,49 @@ def test_vertical_motion_does_not_determine_yaw(noise_m: float) -> None:
 
 def test_vertical_motion_is_no_motion_on_a_plane() -> None:
     groundtruth = along_line(PATH, DIRECTIONS["vertical"])
-    with pytest.raises(DegenerateGeometryError, match="does not move"):
-        evaluate(groundtruth, groundtruth, by(Gauge.PLANAR))
+    result = evaluate(groundtruth, groundtruth, by(Gauge.PLANAR))
+    assert_rotation_withheld(result)
+    assert result.ate["position_m"] is not None
+    assert result.ate["position_m"].rmse == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("gauge", TURNING)
 @pytest.mark.parametrize("who", ["groundtruth", "estimate", "both"])
 @pytest.mark.parametrize("place", [np.zeros(3), np.array([4.5e5, 5.2e6, 400.0])])
-def test_no_motion_is_refused_where_a_rotation_is_to_be_found(
+def test_at_rest_errors_have_a_length_and_no_scale_or_rotation(
     gauge: Gauge, who: str, place: np.ndarray
 ) -> None:
+    """The errors do not depend on the rotation: they are the distances to the mean."""
     walking = make_groundtruth(1, 50)
     resting = dataclasses.replace(walking, positions=np.tile(place, (50, 1)))
     groundtruth = resting if who in ("groundtruth", "both") else walking
     estimate = resting if who in ("estimate", "both") else walking
-    with pytest.raises(DegenerateGeometryError, match="does not move"):
-        evaluate(groundtruth, estimate, by(gauge))
+    if gauge is Gauge.SIM3:
+        with pytest.raises(DegenerateGeometryError, match="does not move"):
+            evaluate(groundtruth, estimate, by(gauge))
+        return
+    result = evaluate(groundtruth, estimate, by(gauge))
+    assert_rotation_withheld(result)
+    moving = walking.positions if who != "both" else resting.positions
+    axes = slice(2 if gauge is Gauge.PLANAR else 3)
+    spread = (moving - moving.mean(axis=0))[:, axes]
+    expected = np.sqrt(np.mean(np.sum(spread**2, axis=1)))
+    assert result.ate["position_m"] is not None
+    assert result.ate["position_m"].rmse == pytest.approx(expected, rel=1e-9, abs=1e-8)
+
+
+def test_a_robot_at_rest_is_of_no_other_run() -> None:
+    resting = dataclasses.replace(
+        make_groundtruth(1, 2000), positions=np.ones((2000, 3)), velocities=None
+    )
+    assert resting.quaternions is not None
+    resting = dataclasses.replace(resting, quaternions=np.tile(resting.quaternions[0], (2000, 1)))
+    assert resting.duration_s > 20.0
+    noise = np.random.default_rng(2).normal(scale=3e-3, size=(2000, 3))
+    estimate = dataclasses.replace(resting, positions=resting.positions + noise)
+    result = evaluate(resting, estimate, by(Gauge.YAW))
+    assert not [each for each in result.remarks if each.code == "other_run"]
+    assert not [each for each in result.warnings if "another run" in each]
 
 
 @pytest.mark.parametrize("gauge", TURNING)

@@ -63,6 +63,27 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.parametrize(
+    ("options", "is_written"),
+    [
+        ([], True),
+        (["--json", "-"], False),
+        (["--json", "{}/other.json"], False),
+        (["--output", "{}/other"], False),
+    ],
+    ids=["alone", "json to stdout", "json", "output"],
+)
+def test_results_are_written_into_the_folder_of_the_run(
+    folder: Path, tmp_path_factory: pytest.TempPathFactory, options: list[str], is_written: bool
+) -> None:
+    elsewhere = tmp_path_factory.mktemp("elsewhere")
+    options = [each.format(elsewhere) for each in options]
+    assert main(["finish", str(folder), "--quiet", *options]) == 0
+    names = {path.name for path in folder.iterdir()}
+    assert ({"result.json", "errors.npz"} <= names) == is_written
+    assert is_written or names == {"good.pairs"}
+
+
 ODD_STATES = [
     with_value(value, *keys)
     for keys in (

@@ -82,8 +82,9 @@ def fit(
 ) -> Fit | None:
     """Fit by Gauss-Newton with Huber weights; their scale is estimated in every iteration.
 
-    `basis` (9, P) has the free directions, `kinds` the groups of rows in use. None if there are
-    fewer than P + 3 time blocks, too few for a standard deviation.
+    `basis` (9, P) has the free directions, `kinds` the groups of rows in use. Without a free
+    direction (P = 0), the solution is the start. None if there are fewer than P + 3 time blocks,
+    too few for a standard deviation.
     """
     free = basis.shape[1]
     at, settled = start, False
@@ -158,7 +159,8 @@ def _inverse(hessian: Floats) -> Floats:
     """
     diagonal = np.diag(hessian)
     # Columns of parameters without influence are zero.
-    scale = 1.0 / np.sqrt(np.maximum(diagonal, max(1e-30 * float(diagonal.max()), 1e-300)))
+    least = 1e-30 * float(diagonal.max(initial=0.0))
+    scale = 1.0 / np.sqrt(np.maximum(diagonal, max(least, 1e-300)))
     values, vectors = np.linalg.eigh(hessian * np.outer(scale, scale))
     known = values > _SINGULAR
     vectors = scale[:, None] * vectors[:, known]

@@ -19,7 +19,8 @@ _PARAMETERS = (
     *settings_options(FINISH),
     *shared_options(FINISH),
     option("--output", kind=Path, metavar="DIR", panel=OUTPUT,
-        help="Output folder for result.json, errors.npz and figures. It can be FOLDER itself."),
+        help="Output folder for result.json, errors.npz and figures. Default: FOLDER; none with "
+        "--json."),
 )  # fmt: skip
 
 
@@ -36,10 +37,10 @@ def finish(
     """Evaluates the pairs that a live run has recorded, during the run or after a crash.
 
     The live evaluator writes every pair to its output folder during the run. This command
-    evaluates them. The results are equal to the results of `trajeval evaluate` on a bag of the
-    same topics:
+    evaluates them, and writes the results into the same folder. They are equal to the results of
+    `trajeval evaluate` on a bag of the same topics:
 
-        trajeval finish trajeval_2026_03_01-10_00_00 --output result
+        trajeval finish trajeval_2026_03_01-10_00_00
 
     Apply the pose of the groundtruth's marker in the body:
 
@@ -55,6 +56,6 @@ def finish(
         evaluate_folder(folder, request, align_with),
         requirements,
         json=json,
-        output=output,
+        output=folder if output is None and json is None else output,
         quiet=quiet,
     )

@@ -41,6 +41,7 @@ from trajeval_ros.diagnosis.hypotheses import ShortMotions, fit_as_read
 from trajeval_ros.diagnosis.input_pair import InputPair, TimedPoses
 from trajeval_ros.diagnosis.input_tests import (
     duplicated_rows,
+    is_at_rest,
     rhythm,
     rounded_stamps,
     same_positions,
@@ -324,6 +325,8 @@ def _tests_of_motion(inputs: InputPair) -> list[Examined]:
 def _tests_of_geometry(
     inputs: InputPair, groundtruth: TimedPoses, estimate: TimedPoses, match: ClockMatch | None
 ) -> list[Examined]:
+    if is_at_rest(inputs):
+        match = None  # noise does not correlate, which is no sign of another run
     gap_s = max(inputs.max_gap_s, 4.0 * groundtruth.usual_step_s, _LEAST_GAP_S)
     step_s = estimate.usual_step_s
     if inputs.by_time:

@@ -180,13 +180,19 @@ def _equal_when_fitted(one: Floats, other: Floats) -> float:
     return float(np.mean(lengths(b - a @ turned.T) < _FITTED_SHARE * size))
 
 
+def is_at_rest(inputs: InputPair) -> bool:
+    """Return whether neither side moves."""
+    return max(_travelled(poses.positions) for _, poses in _sides(inputs)) < _MOVED
+
+
 def standing_still(inputs: InputPair) -> Examined:
     """Test for a side that does not move while the other one moves."""
     sizes = {side: _travelled(poses.positions) for side, poses in _sides(inputs)}
     still = min(sizes, key=lambda side: sizes[side])
     moving = max(sizes.values())
     scores = {f"{side} path": size for side, size in sizes.items()}
-    if min(map(len, (inputs.groundtruth_poses, inputs.estimate_poses))) < 10 or moving < _MOVED:
+    few = min(map(len, (inputs.groundtruth_poses, inputs.estimate_poses))) < 10
+    if few or is_at_rest(inputs):
         return Examined("standing still", scores, why_not="neither side moves")
     # Next to an estimate that diverges by far, all groundtruth is small.
     if sizes[still] > min(_STILL_SHARE * moving, _MOVED):

@@ -48,7 +48,8 @@ _COLUMNS: dict[str, tuple[int, ...]] = {
 class Trajectory:
     """States of a moving body over time in one fixed frame; immutable.
 
-    `from_columns` makes one from raw numbers and drops invalid poses.
+    `from_columns` makes one from raw numbers and drops invalid poses. Columns are stored as
+    contiguous arrays: `numpy.take` copies a strided array completely for every block of rows.
 
     Attributes:
         stamps: (N,) int64, nanoseconds.
@@ -99,6 +100,7 @@ class Trajectory:
             column = getattr(self, name)
             if column is not None:
                 require_column(name, column, (count, *row_shape))
+                object.__setattr__(self, name, np.ascontiguousarray(column))
         self.reading.require_rows(count)
         if self.stamps.dtype != np.int64:
             raise TypeError(f"timestamps must be int64 nanoseconds, not {self.stamps.dtype}")

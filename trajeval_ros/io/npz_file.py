@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import zipfile
 from collections.abc import Collection, Mapping
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -23,15 +22,14 @@ _LARGEST = 1 << 29  # bytes of an array that are accepted at any compression rat
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Any], *, compressed: bool = True) -> None:
-    """Write an archive in a single write.
+    """Write an archive array by array, without a copy of it in memory.
 
-    The archive is built in memory. If zipfile writes to a full disk itself, its open archive
-    raises again when it is garbage collected.
+    The file is closed here: zipfile would close it on a full disk when it is garbage collected,
+    and raise again.
     """
-    archive = BytesIO()
     save = np.savez_compressed if compressed else np.savez
-    save(archive, **arrays)
-    path.write_bytes(archive.getbuffer())
+    with path.open("wb") as file:
+        save(file, **arrays)
 
 
 def read_arrays(path: Path, names: Collection[str]) -> dict[str, NDArray[Any]]:

@@ -198,7 +198,7 @@ def align(
 
     Raises:
         DegenerateGeometryError: Fewer states than the gauge needs, or no motion although the
-            gauge has a rotation.
+            gauge has a scale. Without motion, a rotation is `undetermined`.
 
     Example:
         >>> import numpy as np
@@ -216,7 +216,7 @@ def align(
             "degrees of freedom"
         )
     moments = Moments.of_pairs(groundtruth, estimate, weights)
-    if gauge.minimum_states > 1:
+    if gauge.has_scale:
         _require_motion("groundtruth", groundtruth)
         _require_motion("estimate", estimate)
     turned = None if orientations is None else OrientationSum.of_pairs(*orientations, weights)
@@ -229,8 +229,7 @@ def _require_motion(who: str, positions: Floats) -> None:
     if extent <= _ROUNDING * max(1.0, float(np.abs(positions[0]).max())):
         raise DegenerateGeometryError(
             f"the {who} does not move in {counted(len(positions), 'aligned state')}, so the "
-            "rotation is undetermined; align more states, only the first state (align states "
-            "1), or use gauge translation"
+            "scale is undetermined; align more states, or use a gauge without scale"
         )
 
 

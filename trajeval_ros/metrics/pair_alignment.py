@@ -33,8 +33,8 @@ def align_pairs(pairs: Association, protocol: Protocol) -> Alignment:
         if not _is_open(align(protocol.gauge, p, q)):
             raise DegenerateGeometryError(
                 f"the first {alignment.states_used} states do not determine the rotation of the "
-                "later ones, because they are on a line; align by more states, or by the first "
-                "one alone (align states 1)"
+                "later ones, because they are on a line or do not move; align by more states, or "
+                "by the first one alone (align states 1)"
             )
     return alignment
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.calibration.calibrate import Calibration, calibrate
-from trajeval_ros.exceptions import TrajevalError
+from trajeval_ros.exceptions import TrajevalError, describe_defect
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
@@ -113,8 +113,8 @@ def _estimated(
             calibration = calibrate(groundtruth, estimate, gauge, most_increments=_INCREMENTS)
     except TrajevalError as error:
         return ClockReport(span_s, status="unobservable", reason=str(error)), None
-    except np.linalg.LinAlgError as error:
-        reason = f"estimation not possible: {error}"
+    except Exception as error:  # such as LinAlgError; it must not end the node
+        reason = f"the estimation has failed ({describe_defect(error)})"
         return ClockReport(span_s, status="unobservable", reason=reason), None
     offset = calibration.offset
     if offset.value is None or offset.sigma is None or offset.half_width_95 is None:

@@ -272,9 +272,11 @@ def _about_run(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> Iter
         yield warning("loss", f"{counted(lost, 'message')} lost")
     if forgotten := estimate.evaluator.buffer.why_forgotten:
         yield warning("delay", forgotten)
-    trouble = estimate.pairs_file.trouble or (snapshot.pairs and run.finisher.trouble)
-    if trouble:
-        yield Remark(Level.ERROR, "disk", f"results can't be written: {trouble}")
+    if estimate.pairs_file.trouble:
+        said = f"results can't be written to {run.folder}: {estimate.pairs_file.trouble}"
+        yield Remark(Level.ERROR, "disk", said)
+    elif snapshot.pairs and run.finisher.trouble:
+        yield warning("result", f"no result: {run.finisher.trouble}")
 
 
 def _about_twins(node: Node) -> list[Remark]:
@@ -340,6 +342,7 @@ class StatusReports:
     ) -> list[str]:
         """Publish diagnostics and new events; return the estimates' parts of the status line."""
         twins, parts, self.newest = _about_twins(self._node), [], {}
+        news: dict[tuple[Level, str], list[str]] = {}  # names of estimates by new remark
         for estimate in run.estimates:
             snapshot = outputs.snapshots.get(estimate.name)
             if snapshot is None:
@@ -349,13 +352,19 @@ class StatusReports:
             remarks = remarks_about(run, estimate, snapshot, peaks, limits)
             remarks += [*twins, *outputs.remarks(estimate)]
             self.remarks[estimate.name] = remarks
-            self._publish_changes(estimate, remarks)
+            # A source logs unusable messages itself, once.
+            troubles = run.groundtruth.stream.trouble, estimate.source.stream.trouble
+            logged = {trouble.text for trouble in troubles if trouble is not None}
+            self._publish_changes(estimate, remarks, news, logged)
             self.newest[estimate.name] = Status.of(
                 run, estimate, snapshot, newest, remarks, peaks, undrawn
             )
             missing, unpaired_s = missing_source(run, estimate), estimate.unpaired_s
             about = estimate.name, snapshot, window, newest.position_m, missing
             parts.append(summary(*about, unpaired_s=unpaired_s))
+        for (level, text), names in news.items():
+            # A remark about the groundtruth concerns all estimates.
+            self._log(f"{', '.join(names)}: {text}", level)
         statuses = [
             status_message(self._node, each.level, name, each.text, each.values)
             for name, each in self.newest.items()
@@ -363,12 +372,20 @@ class StatusReports:
         self._diagnostics.publish([*statuses, *self._watching.statuses()])
         return parts
 
-    def _publish_changes(self, estimate: LiveEstimate, remarks: Sequence[Remark]) -> None:
-        """Publish the remarks that are new, more severe, or no longer true."""
+    def _publish_changes(
+        self,
+        estimate: LiveEstimate,
+        remarks: Sequence[Remark],
+        news: dict[tuple[Level, str], list[str]],
+        logged: set[str],
+    ) -> None:
+        """Publish the remarks that are new, more severe, or no longer true.
+
+        They are added to `news`, unless their text was logged.
+        """
         # Every jump was published as an event.
         told = estimate.standing.renew(each for each in remarks if each.code != "jump")
         for each in told:
-            # A faulty clock is a reason for no or wrong pairs, which no other line states.
-            if self._events.publish(estimate.name, each) and each.code == "clock" and each.subject:
-                self._log(each.text, each.level)
+            if self._events.publish(estimate.name, each) and each.text not in logged:
+                news.setdefault((each.level, each.text), []).append(estimate.name)
         self._watching.see(told)

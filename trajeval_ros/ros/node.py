@@ -286,8 +286,8 @@ class EvaluatorNode:
         limits = self._alarm_limits
         parts = self._statuses.publish(run, self._outputs, limits, window, undrawn)
         self._picture.statuses(self._statuses.remarks)
-        for each in self._events.publish_counts():
-            self._log(each.text, each.level)
+        for about, remark in self._events.publish_counts():
+            self._log(f"{about}: {remark.text}", remark.level)
         for news in self._picture.news():
             self._log(f"no output in Rerun: {news}", Level.WARNING)
         if (line := self._line.show(parts)) is not None:

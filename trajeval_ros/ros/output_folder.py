@@ -76,18 +76,20 @@ class Finisher:
 
         Without `quiet`, tables are printed.
         """
-        if self._process is not None:
-            self._end()
-        self._start(["--output", str(self.folder)], quiet=quiet)
+        self._finish(quiet=quiet)
         return self._end()
 
     def finish_alone(self) -> None:
-        """Start to write everything without waiting; a process that is writing is ended."""
+        """Start to write everything, without waiting."""
+        self._finish(quiet=True)
+
+    def _finish(self, *, quiet: bool) -> None:
+        """Start to write everything; a process that is writing has older pairs, and is ended."""
         if self._process is not None:
             self._process.terminate()
             self._end()
             collect_leftovers(self.folder)
-        self._start(["--output", str(self.folder)], quiet=True)
+        self._start(["--output", str(self.folder)], quiet=quiet)
 
     def _start(self, options: list[str], *, quiet: bool) -> None:
         command = [sys.executable, "-m", "trajeval_ros", "finish", str(self.folder), *options]

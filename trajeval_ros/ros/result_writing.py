@@ -24,11 +24,9 @@ class ResultWriting:
         self._saved = Future()  # done when the running process has ended
         self._past: list[Finisher] = []  # finishers of previous runs
         self.has_finished = False  # whether a previous run had pairs
-        self._complaint = ""
 
     def tell(self, period_s: float) -> None:
         """Report written results, and start to write again after a period, seconds."""
-        self._complain()
         finisher = self._current().finisher
         if finisher.poll():
             self._wake()
@@ -81,19 +79,6 @@ class ResultWriting:
     def _wake(self) -> None:
         saved, self._saved = self._saved, Future()
         saved.set_result(None)
-
-    def _complain(self) -> None:
-        """Report once that the disk can't be written, and once that it can be written again."""
-        run = self._current()
-        troubles = [each.pairs_file.trouble for each in run.estimates if each.pairs_file.trouble]
-        if run.has_pairs and run.finisher.trouble:
-            troubles.append(run.finisher.trouble)
-        complaint = troubles[0] if troubles else ""
-        if complaint != self._complaint:
-            folder = run.folder
-            said = f"results can't be written to {folder}: {complaint}" if complaint else ""
-            self._log(said or f"results are written to {folder} again", _level(complaint))
-        self._complaint = complaint
 
 
 def _level(trouble: str) -> Level:

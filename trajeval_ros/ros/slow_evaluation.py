@@ -98,6 +98,9 @@ class SlowEvaluation:
         if found is not None:
             self.hints = self.hints if found.hints is None else found.hints
             self.revised = found.revised or self.revised
+        if self._task.trouble:
+            said = f"no test for mistakes: it has failed ({self._task.trouble}); report the defect"
+            self.hints = [warning("hint", said, "diagnosis")]
         has_revised = found is not None and found.revised is not None
         if not self._task.is_due:
             return has_revised

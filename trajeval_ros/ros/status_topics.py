@@ -81,12 +81,12 @@ class EventTopic:
             self._send(about, remark)
         return reported
 
-    def publish_counts(self) -> list[Remark]:
-        """Publish how often remarks have repeated, and return these counts."""
+    def publish_counts(self) -> list[tuple[str, Remark]]:
+        """Publish how often remarks have repeated; return these counts with their subjects."""
         counts = self._repeated.counts(time.monotonic())
         for about, remark in counts:
             self._send(about, remark)
-        return [remark for _, remark in counts]
+        return counts
 
     def _send(self, about: str, remark: Remark) -> None:
         values = {

@@ -168,21 +168,32 @@ class EstimateWatch:
     def tick(self) -> WatchReport | None:
         """Gather the messages that have arrived, and process them if due; return a new report."""
         self._gather()
-        found = self._task.take()
+        report = self._renewed_by(self._task.take())
         if self._task.is_due and time.monotonic() >= self._look_at:
             self._look_at = time.monotonic() + _LOOK_EVERY_S
-            messages = self._gathered()
-            self._task.start(lambda: self._watch.look(messages))
-        self._report = found or self._report
-        return found
+            self._start()
+        return report
 
     def conclude(self) -> list[WatchReport]:
         """Process the last messages; return the reports about them."""
         self._gather()
-        running = self._task.wait()
-        self._report = self._watch.look(self._gathered())
+        reports = [self._renewed_by(self._task.wait())]
+        self._start()
+        reports.append(self._renewed_by(self._task.wait()))
         self._task.close()
-        return [self._report] if running is None else [running, self._report]
+        return [report for report in reports if report is not None]
+
+    def _start(self) -> None:
+        messages = self._gathered()
+        self._task.start(lambda: self._watch.look(messages))
+
+    def _renewed_by(self, report: WatchReport | None) -> WatchReport | None:
+        """Keep a new report; after a failure it has the reason."""
+        if self._task.trouble:
+            said = f"the newest messages are not watched: {self._task.trouble}; report the defect"
+            report = WatchReport([warning("watch", said)])
+        self._report = report or self._report
+        return report
 
     def _gather(self) -> None:
         if self._imu is not None:

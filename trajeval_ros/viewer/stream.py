@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from trajeval_ros.exceptions import TrajevalError
+from trajeval_ros.exceptions import TrajevalError, describe_defect
 
 _MOST_WAITING = 2000  # about a minute of a run
 _LOOK_EVERY_S = 0.1
@@ -158,7 +158,7 @@ class DrawingThread:
             self.trouble = str(error)
             self._forget()
         except Exception as error:
-            self.trouble = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            self.trouble = describe_defect(error)
             self._forget()
 
     def _forget(self) -> None:
