@@ -11,7 +11,6 @@ import pytest
 
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.gauge import Similarity
-from trajeval_ros.geometry.up_axis import Z_UP
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.coverage import Coverage
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
@@ -34,8 +33,9 @@ from trajeval_ros.online.error_topics import (
 )
 from trajeval_ros.online.live_relative_errors import RunningErrors
 from trajeval_ros.online.pair_errors import PairErrors
+from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.reports import Snapshot, Update, united
-from trajeval_ros.online.state_rows import Pairs, states
+from trajeval_ros.online.state_rows import states, trajectory
 
 BY_UP = {"stamped/attitude_error", "stamped/heading_error", "yaw_error", "tilt_error"}
 EMPTY = Snapshot(
@@ -62,10 +62,10 @@ def errors_of(count: int = 6, *, rotation: bool = True, still: tuple[int, ...] =
     for _ in range(2):
         velocities = rng.normal(size=(count, 3))
         velocities[list(still)] = 0.0
-        sides.append(states(rng.normal(size=(count, 3)), rng.normal(size=(count, 4)), velocities))
-    stamps = 1000 + 7 * np.arange(count, dtype=np.int64)
-    pairs = Pairs(stamps, *sides)
-    return PairErrors(pairs, Similarity.identity(), Z_UP, rotation=rotation)
+        stamps = 1000 + 7 * np.arange(count, dtype=np.int64)
+        rows = states(rng.normal(size=(count, 3)), rng.normal(size=(count, 4)), velocities)
+        sides.append(trajectory(stamps, rows))
+    return PairErrors(PairedStates(*sides), Similarity.identity(), rotation=rotation)
 
 
 @pytest.mark.parametrize("topic", VECTORS)

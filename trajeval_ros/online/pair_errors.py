@@ -9,9 +9,8 @@ import numpy as np
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Similarity
-from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.absolute_errors import lengths
-from trajeval_ros.online.state_rows import POSITION, QUATERNION, VELOCITY, Pairs
+from trajeval_ros.online.pairing import PairedStates
 
 
 class PairErrors:
@@ -21,12 +20,13 @@ class PairErrors:
     otherwise. A quantity that is not available is None. Quantities are computed on access.
     """
 
-    def __init__(self, pairs: Pairs, alignment: Similarity, up: UpAxis, *, rotation: bool) -> None:
-        self._pairs, self._alignment, self._up = pairs, alignment, up
+    def __init__(self, pairs: PairedStates, alignment: Similarity, *, rotation: bool) -> None:
+        self._groundtruth, self._estimate = pairs.groundtruth, pairs.estimate
+        self._alignment, self._up = alignment, pairs.groundtruth.up
         self._has_rotation = rotation
         self.stamps = pairs.stamps  # (N,) timestamps of the pairs, nanoseconds
-        aligned = alignment.positions(pairs.estimate[:, POSITION])
-        self.position: Floats = pairs.groundtruth[:, POSITION] - aligned  # (N, 3), metres
+        aligned = alignment.positions(pairs.estimate.positions)
+        self.position: Floats = pairs.groundtruth.positions - aligned  # (N, 3), metres
 
     @cached_property
     def position_m(self) -> Floats:
@@ -36,10 +36,10 @@ class PairErrors:
     @cached_property
     def _between(self) -> Floats | None:
         """The rotation errors E = R R'^T, (N, 4)."""
-        if not self._has_rotation or not self._pairs.have_rotations:
+        groundtruth, estimate = self._groundtruth.quaternions, self._estimate.quaternions
+        if not self._has_rotation or groundtruth is None or estimate is None:
             return None
-        groundtruth = self._pairs.groundtruth[:, QUATERNION]
-        aligned = self._alignment.quaternions(self._pairs.estimate[:, QUATERNION])
+        aligned = self._alignment.quaternions(estimate)
         return lie.normalized(lie.multiply(groundtruth, lie.conjugate(aligned)))
 
     @cached_property
@@ -84,17 +84,16 @@ class PairErrors:
 
     @property
     def velocity(self) -> Floats | None:
-        """Velocity errors, (N, 3), m/s; NaN if a side has no velocity.
+        """Velocity errors, (N, 3), m/s; NaN where a side has none.
 
         A velocity of exactly zero is an unset field of a message.
         """
-        groundtruth, estimate = (
-            self._pairs.groundtruth[:, VELOCITY],
-            self._pairs.estimate[:, VELOCITY],
-        )
+        groundtruth, estimate = self._groundtruth.velocities, self._estimate.velocities
+        if not self._has_rotation or groundtruth is None or estimate is None:
+            return None
         error = groundtruth - self._alignment.vectors(estimate)
         error[~(groundtruth.any(axis=1) & estimate.any(axis=1))] = np.nan
-        return error if self._has_rotation and np.isfinite(error).any() else None
+        return error if np.isfinite(error).any() else None
 
     @property
     def along_cross_vertical(self) -> Floats | None:
@@ -103,8 +102,8 @@ class PairErrors:
         The heading is the rotation about the up axis nearest to the groundtruth's attitude; x is
         forward (REP-103).
         """
-        attitude = self._pairs.groundtruth[:, QUATERNION]
-        if np.isnan(attitude[0, 0]):
+        attitude = self._groundtruth.quaternions
+        if attitude is None:
             return None
         upright = lie.multiply(lie.from_matrices(self._up.matrix[None]), attitude)
         return lie.rotate(lie.conjugate(lie.heading(upright)), self._up.turned(self.position))

@@ -55,8 +55,7 @@ def united(updates: Sequence[Update]) -> Update:
 class Snapshot:
     """The state of an evaluation; a result that is not available or not configured is None."""
 
-    # Number of pairs so far, without those out of order, which are in `dropped` and on disk.
-    pairs: int
+    pairs: int  # number of pairs so far
     stamp: int | None  # timestamp of the newest pair, nanoseconds; None without a pair
     warming_up: str  # why there is no alignment yet; empty if there is one
     alignment: Alignment | None  # the present alignment

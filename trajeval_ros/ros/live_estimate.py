@@ -29,6 +29,7 @@ from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.jump_detector import Jump, JumpDetector
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
 from trajeval_ros.online.live_settings import OnlineSettings
+from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.reports import Snapshot, Update, united
 from trajeval_ros.online.state_rows import (
     COVARIANCE,
@@ -124,8 +125,7 @@ class LiveEstimate:
 
     def share_groundtruth(self, before: LiveEstimate) -> None:
         """Copy the newest groundtruth states, of the evaluated body, from the previous run."""
-        self.evaluator.frames.groundtruth_up = before.evaluator.frames.groundtruth_up
-        self.evaluator.add_groundtruth(*before.evaluator.buffer.newest_groundtruth)
+        self.evaluator.add_groundtruth(before.evaluator.buffer.groundtruth.trajectory())
 
     def begin_to_evaluate(self, offset_s: float) -> None:
         """Use a clock offset, seconds, and the marker pose from now on."""
@@ -146,9 +146,9 @@ class LiveEstimate:
 
     def see(self, messages: DecodedMessages) -> None:
         """Use messages for what precedes the evaluation: axes, clock, and their kind."""
-        self.evaluator.frames.estimate_up = self.up
         if not messages.is_path:
-            self.clock.add_estimate(messages.states.stamps, messages.states.states)
+            states = messages.states
+            self.clock.add_estimate(trajectory(states.stamps, states.states))
         elif self.revised is None:
             self.revised = RevisedPath(self.evaluator.settings.protocol.gauge, self.up)
             reason = "paths are revised during the run, so their clock can't be estimated"
@@ -164,7 +164,7 @@ class LiveEstimate:
             self.source.stream.count_new(poses.picked(new), int(messages.times[0]))
             newest = poses.picked(poses.stamps.argsort(kind="stable")[-1:])
             self._receive(newest._replace(arrived=messages.times[: len(newest.stamps)]))
-            self.evaluator.add_estimate(poses.stamps[new], rows[new])
+            self.evaluator.add_estimate(trajectory(poses.stamps[new], rows[new], self.up))
             return
         if len(poses.stamps):
             self._newest = int(poses.stamps[-1]), poses.states[-1:]
@@ -177,7 +177,7 @@ class LiveEstimate:
             self._body.leaves_out_velocities_of(poses.states, is_groundtruth=False)
             or self.evaluator.frames.leaves_out_velocities_of(poses.states)
         )
-        self.evaluator.add_estimate(poses.stamps, rows)
+        self.evaluator.add_estimate(trajectory(poses.stamps, rows, self.up))
 
     def _receive(self, poses: StateColumns) -> None:
         if self.availability is not None and poses.arrived is not None:
@@ -193,16 +193,16 @@ class LiveEstimate:
         """Evaluate the pairs that are possible now, up to a jump that ends the run."""
         if self.restarted_at is not None and not at_end:
             return  # what waits belongs to the next run, which takes it before the end
-        buffer = self.evaluator.buffer
-        pairs = self.evaluator.frames.of_same_point(buffer.made(at_end=at_end))
-        if self.ends_at_jump and len(pairs.stamps):
+        pairs = self.evaluator.made(at_end=at_end)
+        if self.ends_at_jump and pairs is not None:
             pairs = self._until_jump(pairs)
-        buffer.settle(self.restarted_at)
-        if len(pairs.stamps):
+        self.evaluator.buffer.settle(self.restarted_at)
+        if pairs is not None and len(pairs):
             self._paired_at = time.monotonic()
             # Pairs are written to disk before anything else.
-            self.pairs_file.append(*pairs)
-            narrow = pairs.without_covariances()
+            rows = pairs.rows
+            self.pairs_file.append(*rows)
+            narrow = rows.without_covariances()
             self._undigested.append(narrow)
             if self.on_pairs is not None:
                 self.on_pairs(self, narrow)
@@ -219,8 +219,8 @@ class LiveEstimate:
         updates, self._updates = self._updates, []
         return united(updates)
 
-    def _until_jump(self, pairs: Pairs) -> Pairs:
-        narrow, detector = pairs.without_covariances(), copy(self.jumps)
+    def _until_jump(self, pairs: PairedStates) -> PairedStates:
+        narrow, detector = pairs.rows.without_covariances(), copy(self.jumps)
         found = detector.update(narrow, self._scale)
         if not found:
             self.jumps = detector
@@ -229,7 +229,7 @@ class LiveEstimate:
         row = int(pairs.stamps.searchsorted(self.restarted_at))
         self._found_jumps = self.jumps.update(narrow.picked(slice(row + 1)), self._scale)
         self.jumps.count = 0  # a run contains no jump
-        return pairs.picked(slice(row))
+        return pairs.part(slice(row))
 
     @property
     def _scale(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
@@ -52,8 +53,8 @@ from trajeval_ros.online.error_topics import (
 )
 from trajeval_ros.online.live_relative_errors import RunningErrors
 from trajeval_ros.online.pair_errors import PairErrors
+from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.reports import Snapshot, Update
-from trajeval_ros.online.state_rows import Pairs, states
 from trajeval_ros.online.whole_run import ThinnedRun
 from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
 
@@ -114,9 +115,10 @@ class _RecordedRun:
             "groundtruth": outcome.groundtruth.source,
             "estimate": run.estimate.source,
         }
-        self._pairs, self._alignment = _as_live(run.evaluation, up, run.estimate.up)
+        pairs, self._alignment = _as_live(run.evaluation, up, run.estimate.up)
+        self._pairs = pairs.rows.without_covariances()
         rotation = not run.evaluation.withheld
-        self._errors = PairErrors(self._pairs, self._alignment, up, rotation=rotation)
+        self._errors = PairErrors(pairs, self._alignment, rotation=rotation)
         self._snapshot = _snapshot(run.evaluation)
         rule = run.evaluation.association.rule
         self._offset_ns = round(rule.time_offset_s * NANOSECONDS)
@@ -178,7 +180,7 @@ class _RecordedRun:
 
 def _as_live(
     evaluation: Evaluation, groundtruth_up: UpAxis, estimate_up: UpAxis
-) -> tuple[Pairs, Similarity]:
+) -> tuple[PairedStates, Similarity]:
     """Return the pairs and the alignment in the original axes of both frames.
 
     Under an upright gauge, the evaluation has turned the trajectories to z up.
@@ -191,17 +193,14 @@ def _as_live(
             _turned_back(groundtruth, groundtruth_up),
             _turned_back(estimate, estimate_up),
         )
-    return Pairs(pairs.estimate.stamps, _rows(groundtruth), _rows(estimate)), similarity
+    groundtruth = dataclasses.replace(groundtruth, up=groundtruth_up)
+    return PairedStates(groundtruth, estimate), similarity
 
 
 def _turned_back(trajectory: Trajectory, up: UpAxis) -> Trajectory:
     if up.name == "z":
         return trajectory
     return Similarity(up.matrix.T, np.zeros(3)).trajectory(trajectory)
-
-
-def _rows(trajectory: Trajectory) -> Floats:
-    return states(trajectory.positions, trajectory.quaternions, trajectory.velocities)
 
 
 def _snapshot(evaluation: Evaluation) -> Snapshot:
