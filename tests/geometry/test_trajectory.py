@@ -101,7 +101,8 @@ def test_the_same_rows_are_poses_live_and_recorded(seed: int) -> None:
     pairs = associate(truth, read, AssociationRule())
     buffer = Pairing()
     buffer.add_groundtruth(trajectory(truth.stamps, states(truth.positions, truth.quaternions)))
-    buffer.add_estimate(trajectory(truth.stamps, states(positions, quaternions)))
+    block = trajectory(truth.stamps, states(positions, quaternions))
+    buffer.add_estimate(block, block.reading.dropped)
     live = buffer.made(at_end=True)
     buffer.settle()
     assert live is not None

@@ -160,6 +160,77 @@ def test_batches_of_any_size_give_the_same_snapshot(seed: int, gauge: Gauge, win
                 assert other == mine
 
 
+def in_order_of_arrival(
+    evaluator: OnlineEvaluator, sides: tuple[Trajectory, Trajectory], arrivals: list[Any]
+) -> None:
+    """Play both sides by their times of arrival, seconds, with ticks of 40 ms."""
+    orders = [np.argsort(times, kind="stable") for times in arrivals]
+    ticks = np.arange(0.0, max(float(times.max()) for times in arrivals) + 0.08, 0.04)
+    cuts = [np.searchsorted(np.sort(times), ticks) for times in arrivals]
+    for tick in range(1, len(ticks)):
+        for side, add, order, cut in zip(
+            sides, (evaluator.add_groundtruth, evaluator.add_estimate), orders, cuts, strict=True
+        ):
+            rows = order[cut[tick - 1] : cut[tick]]
+            if len(rows):
+                add(side[rows])
+        evaluator.update()
+        if tick % 10 == 0:
+            evaluator.snapshot()
+    evaluator.update(at_end=True)
+
+
+@pytest.mark.slow
+@settings(max_examples=10)
+@given(
+    seed=seeds,
+    late_s=st.sampled_from([0.0, 0.15, 2.0]),
+    jitter_s=st.sampled_from([0.0, 0.15, 0.6]),
+    burst_s=st.sampled_from([0.0, 1.0]),
+)
+@pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.SE3])
+def test_late_disordered_and_bursty_estimates_give_the_errors_of_the_recording(
+    seed: int, gauge: Gauge, late_s: float, jitter_s: float, burst_s: float
+) -> None:
+    groundtruth, estimate = make_pair(seed, 300)
+    protocol = Protocol(gauge=gauge, lengths=("3m", "2s"))
+    evaluator = OnlineEvaluator(OnlineSettings(protocol, Window.parse("5s")))
+    begin = min(groundtruth.stamps[0], estimate.stamps[0])
+    known, sent = ((side.stamps - begin) / SECOND for side in (groundtruth, estimate))
+    sent = sent + late_s + jitter_s * np.random.default_rng(seed).random(len(sent))
+    arrivals = [
+        np.ceil(times / burst_s) * burst_s if burst_s else times for times in (known, sent)
+    ]
+    in_order_of_arrival(evaluator, (groundtruth, estimate), arrivals)
+    offline, live = evaluate(groundtruth, estimate, protocol), evaluator.snapshot()
+    assert live.pairs == len(offline.association)
+    assert live.dropped == offline.association.dropped
+    position = offline.ate["position_m"]
+    assert position is not None
+    assert live.position_rmse_m == pytest.approx(position.rmse, rel=1e-12)
+    if jitter_s:
+        return  # coverage and relative errors so far leave out what is late
+    assert live.coverage == offline.association.coverage
+    for segment in offline.relative or ():
+        running, mean = live.relative[str(segment.length)], segment.statistics["position_m"]
+        assert running.count == segment.count
+        if mean is not None:
+            assert running.position_m == pytest.approx(mean.mean, rel=1e-12)
+
+
+def test_a_part_of_a_trajectory_does_not_count_what_the_whole_dropped() -> None:
+    groundtruth, estimate = make_pair(3, 60)
+    positions = estimate.positions.copy()
+    positions[7] = np.nan
+    read = Trajectory.from_columns(estimate.stamps, positions, estimate.quaternions)
+    evaluator = OnlineEvaluator()
+    evaluator.add_groundtruth(groundtruth)
+    for begin in range(0, len(read), 10):
+        evaluator.add_estimate(read[begin : begin + 10])
+    evaluator.update(at_end=True)
+    assert "not_finite" not in evaluator.snapshot().dropped
+
+
 @given(seed=seeds)
 def test_order_of_arrival_within_the_buffer_changes_no_pair(seed: int) -> None:
     random = np.random.default_rng(seed)
@@ -250,7 +321,8 @@ def test_states_that_are_no_poses_are_counted_by_reason() -> None:
     evaluator.add_groundtruth(
         trajectory(stamps, states(np.zeros((4, 3)), quaternions[[0, 0, 0, 0]]))
     )
-    evaluator.add_estimate(trajectory(stamps, states(positions, quaternions)))
+    block = trajectory(stamps, states(positions, quaternions))
+    evaluator.add_estimate(block, block.reading.dropped)
     evaluator.update(at_end=True)
     assert evaluator.snapshot().pairs == 2
     assert evaluator.snapshot().dropped == {"not_finite": 1, "zero_quaternion": 1}

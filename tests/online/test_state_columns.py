@@ -141,7 +141,7 @@ def test_states_that_are_no_poses_are_counted_once(faults: list[tuple[bool, bool
     counts = StateCounts()
     stamps = np.arange(count, dtype=np.int64)[::-1] * 3
     block = trajectory(stamps, rows)
-    counts.take(block)
+    counts.take(block, block.reading.dropped)
     kept = block.stamps
     assert kept.tolist() == stamps[usable].tolist()
     assert (counts.poses, counts.dropped) == (usable.sum(), dropped)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pair_errors import PairErrors
 from trajeval_ros.online.pairing import PairedStates, Pairing
 from trajeval_ros.online.reports import Snapshot, Update
-from trajeval_ros.online.state_buffer import NEVER
+from trajeval_ros.online.state_buffer import NEVER, NOTHING
 from trajeval_ros.online.window import PairStore, judge_window, window_integrity, window_statistics
 
 # Coverage, losses and ends of sub-trajectories are measured for the pairs of this time together:
@@ -88,8 +88,12 @@ class OnlineEvaluator:
         self._yaw = YawInformation()
         self._ate_before_m: float | None = None  # until nothing suggested a loss of tracking
 
-    def add_groundtruth(self, block: Trajectory) -> None:
+    def add_groundtruth(self, block: Trajectory, dropped: Mapping[str, int] = NOTHING) -> None:
         """Take new groundtruth states, in any order.
+
+        Args:
+            block: The states.
+            dropped: Number of messages without a usable state by reason, to be counted.
 
         Raises:
             InputError: A number is not finite; `Trajectory.from_columns` drops such states.
@@ -98,10 +102,10 @@ class OnlineEvaluator:
         block = self.frames.of_groundtruth(block)
         if not self._is_settled:
             self._settle(block)
-        self.buffer.add_groundtruth(block)
+        self.buffer.add_groundtruth(block, dropped)
 
-    def add_estimate(self, block: Trajectory) -> None:
-        """Take new estimated states, in any order.
+    def add_estimate(self, block: Trajectory, dropped: Mapping[str, int] = NOTHING) -> None:
+        """Take new estimated states, in any order; see `add_groundtruth`.
 
         Raises:
             InputError: A number is not finite; `Trajectory.from_columns` drops such states. Or
@@ -111,7 +115,7 @@ class OnlineEvaluator:
         block = self.frames.of_estimate(block)
         if offset_ns := self.settings.offset_ns:
             block = dataclasses.replace(block, stamps=block.stamps + offset_ns)
-        self.buffer.add_estimate(block)
+        self.buffer.add_estimate(block, dropped)
 
     def continue_after(self, before: OnlineEvaluator) -> None:
         """Take the states that the evaluator of the previous run has received and not used.

@@ -7,7 +7,7 @@ states beyond it, or until the end. Both sides are kept for a while, because sta
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -22,7 +22,7 @@ from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.geometry.valid_poses import add_counts, count_up
 from trajeval_ros.metrics.completeness import Interpolation, InterpolationMeter
 from trajeval_ros.metrics.coverage import NO_GAP_NS, StampedPoses, time_without_gaps
-from trajeval_ros.online.state_buffer import NEVER, BufferLimits, StateCounts, Tail
+from trajeval_ros.online.state_buffer import NEVER, NOTHING, BufferLimits, StateCounts, Tail
 from trajeval_ros.online.state_rows import WIDTH, Pairs, rows_of
 
 
@@ -131,14 +131,14 @@ class Pairing:
         self._unpaired = dict.fromkeys(Bracket.reasons(self.interpolated), 0)
         self._waits_from = NEVER
 
-    def add_groundtruth(self, block: Trajectory) -> None:
-        """Take groundtruth states in any order."""
-        self.groundtruth_counts.take(block)
+    def add_groundtruth(self, block: Trajectory, dropped: Mapping[str, int] = NOTHING) -> None:
+        """Take groundtruth states in any order; `dropped`: see `StateCounts.take`."""
+        self.groundtruth_counts.take(block, dropped)
         self._add(self.groundtruth, self.groundtruth_counts, block)
 
-    def add_estimate(self, block: Trajectory) -> None:
+    def add_estimate(self, block: Trajectory, dropped: Mapping[str, int] = NOTHING) -> None:
         """Take estimated states in any order; covariances of interpolated ones are dropped."""
-        self.estimate_counts.take(block)
+        self.estimate_counts.take(block, dropped)
         self._add(self.estimate, self.estimate_counts, block)
 
     @property

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -18,6 +20,7 @@ from trajeval_ros.metrics.coverage import POSE, StampedPoses
 NEVER = int(np.iinfo(np.int64).min)  # before all timestamps
 _STATE = ("positions", "quaternions", "velocities", "covariances")  # columns of a trajectory
 _ALL = slice(None)
+NOTHING: Mapping[str, int] = MappingProxyType({})  # no counts
 _FEWEST_ROWS = 1024  # of the arrays, so that a short stream is copied a few times only
 
 
@@ -161,10 +164,10 @@ class StateCounts:
     last: int | None = None  # the latest timestamp, nanoseconds
     dropped: dict[str, int] = field(default_factory=dict)  # number of unusable states by reason
 
-    def take(self, block: Trajectory) -> None:
-        """Count the states of a block, and those that were dropped when it was made."""
-        if block.reading.dropped:
-            self.dropped = add_counts(self.dropped, block.reading.dropped)
+    def take(self, block: Trajectory, dropped: Mapping[str, int]) -> None:
+        """Count the states of a block, and those that were left out of it, by reason."""
+        if dropped:
+            self.dropped = add_counts(self.dropped, dropped)
         self.count(block.stamps)
 
     def count(self, stamps: Stamps) -> None:

@@ -164,7 +164,7 @@ class LiveEstimate:
             self.source.stream.count_new(poses.picked(new), int(messages.times[0]))
             newest = poses.picked(poses.stamps.argsort(kind="stable")[-1:])
             self._receive(newest._replace(arrived=messages.times[: len(newest.stamps)]))
-            self.evaluator.add_estimate(trajectory(poses.stamps[new], rows[new], self.up))
+            self._add(poses.stamps[new], rows[new])
             return
         if len(poses.stamps):
             self._newest = int(poses.stamps[-1]), poses.states[-1:]
@@ -177,7 +177,11 @@ class LiveEstimate:
             self._body.leaves_out_velocities_of(poses.states, is_groundtruth=False)
             or self.evaluator.frames.leaves_out_velocities_of(poses.states)
         )
-        self.evaluator.add_estimate(trajectory(poses.stamps, rows, self.up))
+        self._add(poses.stamps, rows)
+
+    def _add(self, stamps: Stamps, rows: Floats) -> None:
+        block = trajectory(stamps, rows, self.up)
+        self.evaluator.add_estimate(block, block.reading.dropped)
 
     def _receive(self, poses: StateColumns) -> None:
         if self.availability is not None and poses.arrived is not None:

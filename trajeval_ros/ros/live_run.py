@@ -245,7 +245,7 @@ class LiveRun:
         stamps, rows = messages.states.stamps, self.body.groundtruth(messages.states.states)
         block = trajectory(stamps, rows, self.groundtruth_up)
         for each in self.estimates:
-            each.evaluator.add_groundtruth(block)
+            each.evaluator.add_groundtruth(block, block.reading.dropped)
             if each.availability is not None:
                 each.availability.add_groundtruth(stamps, rows)
 
