@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros import Gauge, Protocol, Trajectory, evaluate
 from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
@@ -149,6 +150,26 @@ def test_a_late_estimate_is_paired_within_the_delay_or_told(
         late = evaluator.buffer.dropped["too_late"]
         assert said.startswith(f"{counted(late, 'pose')} dropped: later than")
         assert "5 s (max_delay)" in said
+
+
+@pytest.mark.parametrize("silent", ["groundtruth", "estimate"])
+@pytest.mark.parametrize("method", ["linear", "groundtruth-stamps"])
+def test_states_are_forgotten_while_the_other_side_is_silent(method: str, silent: str) -> None:
+    """Except for those that wait for it, up to their limit."""
+    protocol = Protocol(association=AssociationRule(method))
+    limits = BufferLimits(past_s=1.0, waiting_states=300)
+    evaluator = OnlineEvaluator(OnlineSettings(protocol, limits=limits))
+    add = evaluator.add_estimate if silent == "groundtruth" else evaluator.add_groundtruth
+    stamps = np.arange(2000, dtype=np.int64) * SECOND // 100
+    for part in np.array_split(stamps, 500):
+        add(Trajectory(part, np.zeros((len(part), 3))))
+        evaluator.update()
+    buffer = evaluator.buffer
+    waits = (buffer.estimate if silent == "groundtruth" else buffer.groundtruth) is (
+        buffer.groundtruth if buffer.at_groundtruth else buffer.estimate
+    )
+    held = max(len(buffer.groundtruth), len(buffer.estimate))
+    assert (held, buffer.waiting) == (300, 300) if waits else 100 <= held <= 145
 
 
 def test_a_memory_that_is_full_is_told() -> None:

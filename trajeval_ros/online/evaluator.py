@@ -83,7 +83,8 @@ class OnlineEvaluator:
         self.store = PairStore()
         self._begin_to_align()
         self._count = 0
-        self._measured_until = self._passed_until = NEVER  # newest measured pair; groundtruth then
+        self._measured_until = NEVER  # newest measured pair
+        self._measured_at = NEVER  # newest state at the last measurement
         self._ended: tuple[RelativeEnd, ...] = ()  # since the last update
         self._yaw = YawInformation()
         self._ate_before_m: float | None = None  # until nothing suggested a loss of tracking
@@ -156,9 +157,7 @@ class OnlineEvaluator:
             self._aligning.add(evaluated)
             self._add_covariances(evaluated.estimate)
             update = Update(len(pairs), int(pairs.stamps[-1]), self._errors_of(pairs))
-        newest = self.buffer.groundtruth.newest
-        passed = max(self.store.newest - self._measured_until, newest - self._passed_until)
-        if at_end or passed >= _MEASURED_EVERY_NS:
+        if at_end or self.buffer.newest - self._measured_at >= _MEASURED_EVERY_NS:
             self._measure(at_end=at_end)
         ended, self._ended = self._ended, ()
         return dataclasses.replace(update, ends=ended) if ended else update
@@ -292,7 +291,7 @@ class OnlineEvaluator:
         """Measure coverage, losses and ended sub-trajectories; forget what nothing needs."""
         begin = int(self.store.stamps().searchsorted(self._measured_until, side="right"))
         self._measured_until = self.store.newest
-        self._passed_until = self.buffer.groundtruth.newest
+        self._measured_at = self.buffer.newest
         groundtruth, estimate = self.store.poses(slice(begin, None))
         self._coverage.measure(groundtruth, estimate)
         self.buffer.forget()

@@ -194,6 +194,11 @@ class Pairing:
         return add_counts(self.estimate_counts.dropped, self._unpaired)
 
     @property
+    def newest(self) -> int:
+        """The newest timestamp of both sides, nanoseconds; the least int64 without states."""
+        return max(self.groundtruth.newest, self.estimate.newest)
+
+    @property
     def waiting(self) -> int:
         """Number of states that wait for the other side."""
         return len(self._waiting_rows(len(self._waiting_side)))
@@ -318,6 +323,8 @@ class Pairing:
             self._is_full |= int(track.stamps[old]) > horizon
             self._forgotten_until = int(track.stamps[old - 1])
             self._leave(track, old)
+        if not len(side):
+            return
         # Of the other side, states are kept so that a repeated timestamp is detected.
         decided = self._first_waiting - 1
         old = int(side.stamps.searchsorted(self.limits.horizon(side.newest)))
