@@ -172,6 +172,32 @@ def test_what_cannot_be_compared_is_told(job: Job) -> None:
 
 
 @pytest.mark.slow
+def test_files_of_the_user_stay_and_are_not_shown(job: Job) -> None:
+    folder = job.folder / "comparison"
+    folder.mkdir()
+    for name in ("tables.md", "gates.md"):
+        (folder / name).write_text(f"the user's {name}\n")
+    assert job.run(config="runs.yaml").returncode == 2
+    assert {path.name: path.read_text() for path in folder.iterdir()} == {
+        name: f"the user's {name}\n" for name in ("tables.md", "gates.md")
+    }
+    assert "the user's" not in job.summary
+
+
+@pytest.mark.slow
+def test_a_gate_that_cannot_fail_ends_with_its_tables(job: Job) -> None:
+    assert job.run(config="runs.yaml", output="old").returncode == 0
+    shutil.copy(job.folder / "old" / "runs.parquet", job.folder / "main.parquet")
+    for path in job.folder.glob("*/*_trial1.txt"):
+        path.unlink()
+    done = job.run(config="runs.yaml", baseline="main.parquet")
+    assert done.returncode == 2
+    assert "cannot fail" in done.stderr
+    assert "inconclusive" in job.summary
+    assert "### ATE, position [m]" in job.summary
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["config", "baseline", "output", "fail_if", "options"])
 def test_an_input_is_never_a_command(name: str, job: Job) -> None:
     evil = 'x\'; touch pwned; "$(touch pwned)`touch pwned`" ; #'
