@@ -99,8 +99,6 @@ class GateVerdict:
 
     def why_it_cannot_fail(self, false_alarms: float) -> str:
         """Return why no error, however large, gives the verdict `worse`, and what does; or ""."""
-        if all(number.verdict == NEW for number in self.numbers):
-            return "no algorithm and sequence has values in both comparisons; use the same names"
         if self.pooled is None or not self.pooled.more_trials:
             return ""
         values = counted(self.pooled.count, "value")
