@@ -19,7 +19,7 @@ from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory_edits import TimeSpan
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.io.text.layouts import TextHints
+from trajeval_ros.io.text.hints import TextHints
 from trajeval_ros.io.yaml_file import read_mapping
 from trajeval_ros.pipeline.pipeline import evaluate
 

@@ -21,7 +21,7 @@ from trajeval_ros.batch.results_table import ResultsTable
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.io.text.layouts import TextHints
+from trajeval_ros.io.text.hints import TextHints
 
 HEADER = ["algorithm", "sequence", "trial", "groundtruth", "estimate"]
 ROWS = [

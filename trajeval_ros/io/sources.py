@@ -24,7 +24,7 @@ from trajeval_ros.formatting.escaping import SECRET
 from trajeval_ros.formatting.install_command import extra_command
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.text.layouts import NO_HINTS, TextHints
+from trajeval_ros.io.text.hints import NO_HINTS, TextHints
 from trajeval_ros.io.text.reader import read_text
 
 Advance = Callable[[int, int], None]

@@ -12,7 +12,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.io.text.layouts import TextHints
+from trajeval_ros.io.text.hints import TextHints
 from trajeval_ros.simulation.drifting_odometry import simulate
 
 FLIGHT = simulate(seed=5, duration_s=20.0).estimate

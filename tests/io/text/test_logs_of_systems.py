@@ -14,7 +14,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.io.text.layouts import TextHints
+from trajeval_ros.io.text.hints import TextHints
 
 COUNT = 40
 TURNS = Rotation.random(COUNT, random_state=3)

@@ -18,7 +18,7 @@ from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.io.text.layouts import TextHints
+from trajeval_ros.io.text.hints import TextHints
 
 STAMPS = [1403636580_838555574, 1403636580_843555212, 1403636580_848555000]
 POSITIONS = np.array([[1.0, 2.0, 3.0], [1.5, 2.0, -3.25], [2.0, 2.5, 3.125]])

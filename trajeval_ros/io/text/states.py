@@ -13,8 +13,7 @@ from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.array_input import quaternions_of
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.io.text.layouts import BODY_TWISTS, EXAMPLE, FAST_LIO, GROUPS, Layout
-from trajeval_ros.io.text.stamps import ExactNumbers
+from trajeval_ros.io.text.names import BODY_TWISTS, EXAMPLE, FAST_LIO, GROUPS, Layout
 
 _LARGEST_ANGLE = 2.0 * np.pi + 0.01  # rad, with a margin for rounded digits
 _LARGEST_SUM = 1e9  # rad; larger sums of angles have too few digits for the angle itself
@@ -24,16 +23,6 @@ _COVARIANCES = {
 }
 _METRES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3}
 _NO_Z = note("no_height", "no column z: assumed 0")
-
-
-@dataclass(frozen=True, eq=False)
-class FileColumns:
-    """The columns of the N valid rows of a file."""
-
-    stamps: ExactNumbers | None  # N exact numbers, None if there is no time column
-    groups: dict[str, Floats]  # columns (N, width), by the name of their group in the layout
-    count: int  # N
-    untimed: int  # number of rows that were dropped because their timestamp is not finite
 
 
 @dataclass(frozen=True, eq=False)
