@@ -6,17 +6,20 @@ Otherwise it is refused: a wrong guess is a wrong number. The message has the op
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.text.names import BODY_TWISTS, FAST_LIO, GROUPS, IGNORED, TEXT, Layout
-from trajeval_ros.io.text.table import Table
+from trajeval_ros.io.text.table import Table, number
 
 _MOST = 0.85  # part of the rows that must pass a check: some may be damaged
+_LEAST_NANOSECONDS = 1e12  # time of a file with commas: larger numbers are nanoseconds
 _CAMERA = UpAxis("-y", "KITTI's camera axes")
 _NED = UpAxis("-z", "TartanAir's axes: north, east, down")
 _POSE, _POSE_W, _V = "t x y z qx qy qz qw", "t x y z qw qx qy qz", "vx vy vz"
@@ -46,13 +49,16 @@ OPENVINS_STATE = (
     *_V.split(),
     *_BIASES.split(),
 )
+_TUM_COMMAS = _known("TUM", _POSE, "commas time unit", "4Seasons, evo_traj edits")
+_EUROC_POSES = _known("EuRoC/ASL", _POSE_W, "commas time unit", "ASL ground truth, ADVIO")
+_ORDER = "no header with the order of the quaternion: assumed qw qx qy qz, as in VINS-Mono"
 KNOWN = (
     _known("t x y z", "t x y z", "time", "Leica and laser trackers; evo without rotation"),
     _known("TUM", _POSE, "spaces unit", "cvg.cit.tum.de RGB-D file formats"),
-    _known("TUM with commas", _POSE, "commas time unit", "4Seasons, evo_traj edits"),
-    _known("EuRoC/ASL", _POSE_W, "commas time unit", "ASL state_groundtruth_estimate0, ADVIO"),
-    _known("VINS-Mono", f"{_POSE_W} _", "vins", "vins_estimator/utility/visualization.cpp"),
-    _known("VINS-Mono", f"{_POSE_W} {_V} _", "vins", "vins_estimator/utility/visualization.cpp"),
+    _TUM_COMMAS,
+    _EUROC_POSES,
+    _known("VINS-Mono", f"{_POSE_W} _", "vins", "vins_estimator/utility/visualization.cpp", note=_ORDER),
+    _known("VINS-Mono", f"{_POSE_W} {_V} _", "vins", "vins_estimator/utility/visualization.cpp", note=_ORDER),
     _known("TUM with velocity", f"{_POSE} {_V}", "time unit", "rpg, ESVO"),
     _known("VINS with velocity", f"{_POSE_W} {_V}", "time unit", "VINS-Mono edited"),
     _known("TUM with an id", f"_ {_POSE}", "id time unit", "rpg_trajectory_evaluation",
@@ -80,7 +86,7 @@ KNOWN = (
     _known("OpenVINS with covariance", " ".join(
         [_POSE, *GROUPS["rotation_covariance"], *GROUPS["position_covariance"]]), "time unit",
         "ov_eval Recorder.h"),
-    _known(FAST_LIO, f"t rx ry rz x y z _ _ _ {_V} {'_ ' * 12}", "time rotvec", "FAST_LIO dump_lio_state_to_log",
+    _known(FAST_LIO, f"t rx ry rz x y z _ _ _ {_V} {'_ ' * 12}", "time", "FAST_LIO dump_lio_state_to_log",
            note="no header: 25 columns read as the log of FAST-LIO, whose times start at 0"),
     _known("smfeval", " ".join([_POSE, *GROUPS["covariance_lower"]]), "time unit", "smfeval",
            note="covariances read as body twists, position first (default of smfeval)",
@@ -154,7 +160,6 @@ CHECKS: dict[str, Callable[[Table, Layout, Floats], Booleans | bool]] = {
     "unit": lambda table, layout, values: _lengths(layout, values),
     "matrix": lambda table, layout, values: _matrices(layout, values),
     "bottom": lambda table, layout, values: (values[:, -4:] == [0.0, 0.0, 0.0, 1.0]).all(axis=1),
-    "rotvec": lambda table, layout, values: np.linalg.norm(values[:, 1:4], axis=1) < np.pi + 1e-3,
     "ros2": lambda table, layout, values: _parts(layout, values),
 }  # fmt: skip
 
@@ -183,17 +188,38 @@ def by_rows(table: Table) -> Layout:
         InputError: No known layout fits, or several do.
     """
     found = [layout for layout in KNOWN if fits(table, layout)]
+    if [layout.columns for layout in found] == [_TUM_COMMAS.columns, _EUROC_POSES.columns]:
+        return _by_unit_of_time(table)
     if len(found) == 1:
         return found[0]
     where = f"its first row, line {table.first + 1}, is {table.first_line!r}"
     if found:
-        said = " or ".join(
+        options = " or ".join(
             f"{{option}} '{' '.join(layout.columns)}' ({layout.name}: {layout.source})"
             for layout in found
         )
-        raise InputError(f"several layouts fit, and {where}; name the columns: {said}")
-    names = (*_POSE.split(), *[IGNORED] * table.columns)[: min(max(table.columns, 4), 40)]
+        raise InputError(f"several layouts fit, and {where}; name the columns: {options}")
+    names = (*_POSE.split(), *[IGNORED] * table.columns)[: min(max(table.columns, 3), 40)]
+    option = f"{{option}} '{' '.join(names)}'"
+    for line, row in zip(table.sample_lines, table.sample, strict=True):
+        wrong = [at for at, word in enumerate(row) if number(word) is None]
+        if 0 < len(wrong) <= max(1, table.columns // 4):
+            raise InputError(
+                f"line {line + 1}, column {wrong[0] + 1}: {row[wrong[0]][:40]!r} is not a number; "
+                "correct or remove the line, or name the columns in a header line or as in "
+                f"{option}"
+            )
     raise InputError(
-        f"unknown layout with {table.columns} columns, and {where}; name the columns, as in "
-        f"{{option}} '{' '.join(names)}', with {IGNORED} for columns to ignore"
+        f"unknown layout with {counted(table.columns, 'column')}, and {where}; name the columns, "
+        f"as in {option}, with {IGNORED} for columns to ignore"
     )
+
+
+def _by_unit_of_time(table: Table) -> Layout:
+    """Return the layout of eight columns with commas: position and time are the same in both."""
+    first = np.abs(table.values[:, 0])
+    is_euroc = bool(np.nanmedian(first) > _LEAST_NANOSECONDS)
+    order, system = ("qw qx qy qz", "EuRoC") if is_euroc else ("qx qy qz qw", "TUM")
+    layout = _EUROC_POSES if is_euroc else _TUM_COMMAS
+    doubt = f"no header with the order of the quaternion: assumed {order}, as in {system}"
+    return dataclasses.replace(layout, doubt=doubt)

@@ -96,6 +96,7 @@ class Layout:
     checks: tuple[str, ...] = ()  # names of `layouts.CHECKS`, which all rows must pass
     source: str = field(default="", compare=False)  # who writes it, for the documentation
     extra: tuple[str, ...] = ()  # other columns of numbers, one group of their own
+    doubt: str = ""  # what the file does not say, for a warning
     inverse: bool = False  # whether the poses are those of the world in the camera
 
     @cached_property

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.formatting.remarks import note
+from trajeval_ros.formatting.remarks import note, warning
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.reading import FORMAT, NAMED_COLUMNS, Reading
@@ -164,6 +164,8 @@ def trajectory_of(
     ]
     if layout.note:
         remarks.append(note("layout", layout.note))
+    if layout.doubt:
+        remarks.append(warning("quaternion_order", layout.doubt))
     reading = Reading(
         stamped=times.stamped,
         numbered=times.numbered or layout.time_name in (FRAME, FRAME_1),

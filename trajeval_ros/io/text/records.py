@@ -15,7 +15,7 @@ from typing import Any, TextIO
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.text.layouts import _CAMERA, _known
-from trajeval_ros.io.text.lines import open_lines
+from trajeval_ros.io.text.lines import Advance, open_lines
 from trajeval_ros.io.text.names import GROUPS, Layout
 from trajeval_ros.io.text.table import Lines, number
 
@@ -69,16 +69,16 @@ def rewritten(path: Path, head: Sequence[str]) -> Records | None:
             left_out,
         )
     if _COLMAP in text:
-        return Records(lambda advance: _images(open_lines(path, advance)), _IMAGES)
+        return Records(lambda advance: _images(path, advance), _IMAGES)
     rows = [line.split() for line in head[:120] if line.strip() and line.lstrip()[0] not in "#%"]
     if (
         len(rows) >= 4
         and _is_block(rows[:4])
         and all(_is_block(rows[at : at + 4]) for at in range(0, min(len(rows) - 3, 40), 4))
     ):
-        return Records(lambda advance: _blocks(path, open_lines(path, advance), 4), _STACKED)
+        return Records(lambda advance: _blocks(path, advance, 4), _STACKED)
     if len(rows) >= 5 and len(rows[0]) == 3 and _is_block(rows[1:5]):
-        return Records(lambda advance: _blocks(path, open_lines(path, advance), 5), _LOGGED)
+        return Records(lambda advance: _blocks(path, advance, 5), _LOGGED)
     beginning = text.lstrip()[:2000]
     if beginning[:1] in "{[" and re.match(r"\{|\[\s*\{", beginning):
         left_out = {}
@@ -86,7 +86,7 @@ def rewritten(path: Path, head: Sequence[str]) -> Records | None:
     if re.match(
         r"(?:---\s+)?(?:header|position|pose|transform|seq|At time \S+|latitude)\b:?", beginning
     ) and _is_yaml(beginning):
-        return Records(lambda advance: _table_of(path, _yaml(open_lines(path, advance))))
+        return Records(lambda advance: _table_of(path, _messages(path, advance)))
     return None
 
 
@@ -113,7 +113,12 @@ def _tagged(lines: TextIO, tag: str, left_out: dict[str, int]) -> Iterator[str]:
                 yield "\n"
 
 
-def _images(lines: Iterable[str]) -> Iterator[str]:
+def _images(path: Path, advance: Advance | None) -> Iterator[str]:
+    with open_lines(path, advance) as lines:
+        yield from _image_rows(lines)
+
+
+def _image_rows(lines: Iterable[str]) -> Iterator[str]:
     is_pose = True
     for line in lines:
         if line.startswith("#"):
@@ -131,19 +136,20 @@ def _images(lines: Iterable[str]) -> Iterator[str]:
         is_pose = not is_pose if line.strip() or not is_pose else is_pose
 
 
-def _blocks(path: Path, lines: Iterable[str], size: int) -> Iterator[str]:
+def _blocks(path: Path, advance: Advance | None, size: int) -> Iterator[str]:
     """Yield every `size` lines with numbers as one, of an index and a matrix or of a matrix."""
     part: list[str] = []
     at = 0
-    for at, line in enumerate(lines, 1):
-        words = line.split("#")[0].strip()
-        if words:
-            part.append(words)
-        if len(part) == size:
-            yield " ".join(part) + "\n"
-            part = []
-        else:
-            yield "\n"
+    with open_lines(path, advance) as lines:
+        for at, line in enumerate(lines, 1):
+            words = line.split("#")[0].strip()
+            if words:
+                part.append(words)
+            if len(part) == size:
+                yield " ".join(part) + "\n"
+                part = []
+            else:
+                yield "\n"
     if part:
         raise InputError(f"{path}, line {at}: {len(part)} of {size} lines of a pose; complete it")
 
@@ -185,6 +191,11 @@ def _table_of(path: Path, records: Iterable[Mapping[str, str]]) -> Iterator[str]
 def _has_position(record: Mapping[str, str]) -> bool:
     last = {key.rpartition(".")[2].lower() for key in record}
     return {"x", "y", "z"} <= last or "m11" in last or "latitude" in last
+
+
+def _messages(path: Path, advance: Advance | None) -> Iterator[dict[str, str]]:
+    with open_lines(path, advance) as lines:
+        yield from _yaml(lines)
 
 
 def _yaml(lines: Iterable[str]) -> Iterator[dict[str, str]]:
@@ -233,7 +244,7 @@ def _json(path: Path, left_out: dict[str, int]) -> Iterator[dict[str, str]]:
         try:
             json.loads(first)
             lines: Iterable[Any] = (first, *file) if first.strip()[-1:] == "}" else ()
-        except ValueError:
+        except (ValueError, RecursionError):
             lines = ()
     if lines:
         records = _parsed(path, lines)

@@ -61,6 +61,7 @@ class Table:
     at_end: bool = False  # whether lines end with a separator
     commas: bool = False  # whether numbers have decimal commas
     first_line: str = ""  # the first row as written, for messages
+    sample_lines: list[int] = field(default_factory=list)  # indices of the lines of the sample
     # Records that are no rows, by reason; complete after the rows are read.
     left_out: Mapping[str, int] = field(default_factory=dict)
 
@@ -150,29 +151,30 @@ def sniff(
         raise InputError(
             f"{path}, line {used[-1] + 1}: numbers have decimal commas; write decimal points"
         )
-    best: tuple[int, int, str] = (0, 0, "")
-    for separator in (",", ";", "\t", "", _MIXED):
-        if separator not in ("", _MIXED) and separator not in late[-1]:
+    best = (0, 0, 0)  # numbers, other fields (negative), length of the separator (negative)
+    columns, separator = 0, ""
+    for candidate in (",", ";", "\t", "", _MIXED):
+        if candidate not in ("", _MIXED) and candidate not in late[-1]:
             continue
-        rows = [split(line, separator) for line in late]
+        rows = [split(line, candidate) for line in late]
         if all(len(row) > 1 and not row[-1] for row in rows):
             rows = [row[:-1] for row in rows]
         count = Counter(len(row) for row in rows if len(row) >= wanted)
         exact = {wanted: count[wanted]} if count[wanted] else count
         if not count:
             continue
-        columns = Counter(exact).most_common(1)[0][0]
+        width = Counter(exact).most_common(1)[0][0]
         cells = [
             number(each) is not None and each != ""
             for row in rows
-            if len(row) == columns
+            if len(row) == width
             for each in row
         ]
-        score = sum(cells) if separator != _MIXED or all(cells) else 0
-        if (score, -len(separator)) > (best[0], -len(best[2]) if best[0] else -9):
-            best = (score, columns, separator)
-    score, columns, separator = best
-    if not score:
+        score = sum(cells) if candidate != _MIXED or all(cells) else 0
+        rank = (score, score - len(cells), -len(candidate))
+        if score and (not best[0] or rank > best):
+            best, columns, separator = rank, width, candidate
+    if not best[0]:
         if wanted:
             found = max(len(split(bodies[used[0]], each)) for each in (",", ";", "\t", ""))
             raise InputError(
@@ -218,12 +220,13 @@ def sniff(
             raise InputError(
                 f"{path}, line {at + 1}: {wrong[:40]!r} is not a number; correct or remove the line"
             )
-    sample = []
+    sample, sample_lines = [], []
     for at in [each for each in used if each >= first][:_SAMPLE]:
         row = split(bodies[at], separator)
         if len(row) != columns + at_end:
             break
         sample.append(row[:columns])
+        sample_lines.append(at)
     values = np.array([[_or_nan(each) for each in row] for row in sample])
     texts = np.array(
         [any(number(row[at]) is None for row in sample) for at in range(columns)]
@@ -249,6 +252,7 @@ def sniff(
         any(at < first for at in used), sample, values, texts, plain, comment,
         at_end=at_end,
         commas=commas, first_line=line.strip()[:80],
+        sample_lines=sample_lines,
         left_out={} if records is None else records.left_out,
     )  # fmt: skip
 
@@ -301,15 +305,20 @@ def read_rows(table: Table, layout: Layout, advance: Advance | None = None) -> R
     )
 
 
-def _load(table, separator, dtype, advance, lines=None) -> Iterator[NDArray[np.void]]:  # type: ignore[no-untyped-def]
-    """Yield the rows as arrays of `_ROWS` rows."""
+def _load(
+    table: Table,
+    separator: str,
+    dtype: np.dtype[Any],
+    advance: Advance | None,
+    repaired: Iterator[str] | None = None,
+) -> Iterator[NDArray[np.void]]:
+    """Yield the rows as arrays of `_ROWS` rows, of a table or of its `repaired` lines."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # on no data
-        if lines is None:
-            lines = table.open(advance)
-            for _ in range(table.first):
-                next(lines)
+        lines: Any = table.open(advance) if repaired is None else repaired
         with contextlib.closing(lines):
+            for _ in range(table.first if repaired is None else 0):
+                next(lines)
             while True:
                 part = np.loadtxt(
                     lines, dtype, comments=table.comment, delimiter=separator or None, ndmin=1,
@@ -329,34 +338,34 @@ def _repaired(table: Table, layout: Layout, advance: Advance | None) -> Iterator
     wanted = sorted({place for places in layout.groups.values() for place in places})
     kept = {*wanted, *(at for at, name in enumerate(layout.columns) if name in _EXACT)}
     above = [each.strip() for each in table.header[-1:]]
-    lines = table.open(advance)
-    for index, line in enumerate(lines):
-        if index < table.first:
-            continue
-        body = _body(line)
-        if not body.strip() or line.strip() in above:
-            continue
-        where = f"{table.path}, line {index + 1}"
-        fields = split(body.replace(",", ".") if table.commas else body, table.separator)
-        if table.at_end and not fields[-1]:
-            fields.pop()
-        if len(fields) != table.columns:
-            raise InputError(
-                f"{where}: {table.columns} columns expected, found {len(fields)}; correct or "
-                "remove the line"
+    with contextlib.closing(table.open(advance)) as lines:
+        for index, line in enumerate(lines):
+            if index < table.first:
+                continue
+            body = _body(line)
+            if not body.strip() or line.strip() in above:
+                continue
+            where = f"{table.path}, line {index + 1}"
+            fields = split(body.replace(",", ".") if table.commas else body, table.separator)
+            if table.at_end and not fields[-1]:
+                fields.pop()
+            if len(fields) != table.columns:
+                raise InputError(
+                    f"{where}: {table.columns} columns expected, found {len(fields)}; correct or "
+                    "remove the line"
+                )
+            for place in wanted:
+                word = fields[place]
+                if not _FLOAT.fullmatch(word):
+                    if not _MISSING.fullmatch(word):
+                        name = layout.columns[place]
+                        raise InputError(
+                            f"{where}: {word[:40]!r} is not a number, in column {place + 1} ({name}); "
+                            "correct or remove the line"
+                        )
+                    fields[place] = "nan"
+            text = "\x1f".join(
+                (each or "nan").replace("\x1f", "?") if at in kept else ""
+                for at, each in enumerate(fields)
             )
-        for place in wanted:
-            word = fields[place]
-            if not _FLOAT.fullmatch(word):
-                if not _MISSING.fullmatch(word):
-                    name = layout.columns[place]
-                    raise InputError(
-                        f"{where}: {word[:40]!r} is not a number, in column {place + 1} ({name}); "
-                        "correct or remove the line"
-                    )
-                fields[place] = "nan"
-        text = "\x1f".join(
-            (each or "nan").replace("\x1f", "?") if at in kept else ""
-            for at, each in enumerate(fields)
-        )
-        yield text if text.isascii() else text.encode("ascii", "replace").decode()
+            yield text if text.isascii() else text.encode("ascii", "replace").decode()
