@@ -161,7 +161,7 @@ def test_files_of_this_package_come_before_those_of_euroc(folder: Path) -> None:
 
 def test_a_file_that_is_too_large(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     size = (folder / "imu.csv").stat().st_size
-    monkeypatch.setattr("trajeval_ros.io.text.samples._LARGEST", size - 1)
+    monkeypatch.setattr("trajeval_ros.io.text.sensor_table._LARGEST", size - 1)
     assert "imu.csv is too large; use a part of the recording" in refusal(folder)
 
 

@@ -196,9 +196,9 @@ def _hints(
     else:
         written = dict.fromkeys(algorithms, _typed(config, "columns", str, target))
     require_known(written, [*algorithms, GROUNDTRUTH], f"{target}: columns")
-    of_both = [f"{GROUNDTRUTH}: {_typed(written, GROUNDTRUTH, str, target)}"] * (
-        GROUNDTRUTH in written
-    )
+    of_both = []
+    if GROUNDTRUTH in written:
+        of_both = [f"{GROUNDTRUTH}: {_typed(written, GROUNDTRUTH, str, target)}"]
     try:
         return {
             name: SideHints.of(

@@ -46,7 +46,7 @@ def imu_of(source: str) -> InertialReadings:
     """
     parts = parse_source(source)
     if not parts.is_bag and not parts.is_log and not parts.is_pipe:
-        from trajeval_ros.io.text.samples import IMU, read_samples
+        from trajeval_ros.io.text.sensor_table import IMU, read_samples
 
         stamps, values = read_samples(parts.path, IMU)
         return InertialReadings(stamps, values[:, :3].copy(), values[:, 3:].copy(), source=source)

@@ -17,7 +17,7 @@ from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.text.reader import read_text
-from trajeval_ros.io.text.samples import read_samples
+from trajeval_ros.io.text.sensor_table import read_samples
 from trajeval_ros.io.yaml_file import read_mapping
 from trajeval_ros.studies.sensor_recording import (
     CalibratedCamera,

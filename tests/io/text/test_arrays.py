@@ -163,5 +163,5 @@ def test_semicolons_without_a_header(tmp_path: Path) -> None:
 def test_a_picture_is_called_a_picture(tmp_path: Path) -> None:
     path = tmp_path / "run.txt"
     path.write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR")
-    with pytest.raises(InputError, match=r"is a picture"):
+    with pytest.raises(InputError, match=r"is a picture \(PNG\)"):
         read_trajectory(path)

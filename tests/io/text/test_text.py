@@ -243,6 +243,7 @@ def test_files_of_many_blocks_are_read_whole(
     random = np.random.default_rng(seed)
     stamps = 1_700_000_000 * 10**9 + np.cumsum(random.integers(1, 10**7, count))
     numbers = random.normal(size=(count, 7))
+    numbers[:, 3:] /= np.linalg.norm(numbers[:, 3:], axis=1, keepdims=True)
     path = tmp_path_factory.mktemp("blocks") / "t"
     lines = []
     for row, (stamp, values) in enumerate(zip(stamps.tolist(), numbers.tolist(), strict=True)):
@@ -256,10 +257,9 @@ def test_files_of_many_blocks_are_read_whole(
         mock.patch.object(text_table, "_ROWS", 64),
     ):
         trajectory = read_trajectory(str(path))
-    usable = np.abs(np.round(numbers[:, 3:], places)).sum(axis=1) > 1e-5
-    assert trajectory.stamps.tolist() == stamps[usable].tolist()
+    assert trajectory.stamps.tolist() == stamps.tolist()
     expected = [[float(f"{value:.{places}f}") for value in row[:3]] for row in numbers.tolist()]
-    np.testing.assert_array_equal(trajectory.positions, np.array(expected)[usable])
+    np.testing.assert_array_equal(trajectory.positions, np.array(expected))
 
 
 def test_progress_reaches_the_end(tmp_path: Path) -> None:
@@ -327,7 +327,7 @@ BAD_FILES: dict[str, tuple[bytes, str]] = {
     ),
     "decimal commas and spaces": (
         b"1,2" + b" " * 60_000 + b"b\n",
-        "unknown layout with 2|'b' is not a number",
+        "is not a number",
     ),
     "one endless line": (b"1 " * 1_000_000, "unknown layout|is not a trajectory"),
 }

@@ -1,22 +1,25 @@
 """Known layouts of tables without a header, as a list of rows.
 
 A table has the layout whose columns and checks agree with its first rows, if there is exactly one.
-Otherwise it is refused: a wrong guess is a wrong number. The message has the options to choose from.
+Otherwise it is refused: a wrong guess is a wrong number. The message has the options to choose
+from.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry.arrays import Booleans, Floats
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.text.names import BODY_TWISTS, FAST_LIO, GROUPS, IGNORED, TEXT, Layout
-from trajeval_ros.io.text.table import Table, number
+from trajeval_ros.io.text.states import ORTHONORMAL
+from trajeval_ros.io.text.table import TextTable, number
 
 _MOST = 0.85  # part of the rows that must pass a check: some may be damaged
 _LEAST_NANOSECONDS = 1e12  # time of a file with commas: larger numbers are nanoseconds
@@ -33,10 +36,10 @@ _TWIST = "body_vx body_vy body_vz _ _ _"
 _ROS2 = "https://docs.ros.org: ros2 topic echo --csv"
 
 
-def _known(name: str, columns: str, checks: str, source: str, **more: object) -> Layout:
+def _known(name: str, columns: str, checks: str, source: str, **more: Any) -> Layout:
     return Layout(
         name, tuple(columns.split()), checks=tuple(checks.split()), source=source, **more
-    )  # type: ignore[arg-type]
+    )
 
 
 OPENVINS_STATE = (
@@ -104,7 +107,7 @@ KNOWN = (
 )  # fmt: skip
 
 
-def _lengths(layout: Layout, values: Floats) -> Booleans:
+def _lengths(layout: Layout, values: Floats) -> Any:
     lengths = np.linalg.norm(values[:, list(layout.groups["quaternion"])], axis=1)
     lengths = lengths[np.isfinite(lengths) & (lengths > 0.0)]
     typical = 1.0 if len(lengths) < 3 else float(np.median(lengths))
@@ -113,11 +116,11 @@ def _lengths(layout: Layout, values: Floats) -> Booleans:
     return (np.abs(lengths - typical) < 1e-6 * typical) & (typical < 10.0)  # all scaled alike
 
 
-def _matrices(layout: Layout, values: Floats) -> Booleans:
+def _matrices(layout: Layout, values: Floats) -> Any:
     axes = values[:, list(layout.groups["matrix"])].reshape(-1, 3, 4)[:, :, :3]
     axes = axes[np.isfinite(axes).all(axis=(1, 2))]
     errors = np.abs(axes @ np.swapaxes(axes, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0)
-    return (errors < 1e-2) & (np.linalg.det(axes) > 0.0)
+    return (errors < ORTHONORMAL) & (np.linalg.det(axes) > 0.0)
 
 
 def _steps(column: Floats) -> bool:
@@ -126,7 +129,7 @@ def _steps(column: Floats) -> bool:
     return bool(not signs.any() or abs(signs.sum()) >= 0.2 * np.abs(signs).sum())
 
 
-def _whole(column: Floats) -> Booleans:
+def _whole(column: Floats) -> Any:
     return column == np.round(column)
 
 
@@ -139,13 +142,13 @@ def _counts(column: Floats) -> bool:
     return bool((_whole(column) & (column < 1e8) & (column >= 0)).all())
 
 
-def _parts(layout: Layout, values: Floats) -> Booleans:
+def _parts(layout: Layout, values: Floats) -> Any:
     part, whole = values[:, 1], _time(layout, values)
     return _whole(part) & (part >= 0.0) & (part < 1e9) & _whole(whole)
 
 
 # By the name in `Layout.checks`: which of the rows (N, C) pass.
-CHECKS: dict[str, Callable[[Table, Layout, Floats], Booleans | bool]] = {
+CHECKS: dict[str, Callable[[TextTable, Layout, Floats], Any]] = {
     "spaces": lambda table, layout, values: table.separator in ("", "\t"),
     "commas": lambda table, layout, values: table.separator not in ("", "\t") and not table.at_end,
     "vins": lambda table, layout, values: table.at_end,
@@ -164,7 +167,7 @@ CHECKS: dict[str, Callable[[Table, Layout, Floats], Booleans | bool]] = {
 }  # fmt: skip
 
 
-def fits(table: Table, layout: Layout) -> bool:
+def fits(table: TextTable, layout: Layout) -> bool:
     """Return whether the sample of a table has a layout."""
     names = (
         layout.columns[:-1] if table.at_end and layout.columns[-1] == IGNORED else layout.columns
@@ -181,7 +184,7 @@ def fits(table: Table, layout: Layout) -> bool:
     return all(not len(each) or each.mean() >= _MOST for each in results)
 
 
-def by_rows(table: Table) -> Layout:
+def by_rows(table: TextTable) -> Layout:
     """Return the layout that a table without a header has.
 
     Raises:
@@ -215,7 +218,7 @@ def by_rows(table: Table) -> Layout:
     )
 
 
-def _by_unit_of_time(table: Table) -> Layout:
+def _by_unit_of_time(table: TextTable) -> Layout:
     """Return the layout of eight columns with commas: position and time are the same in both."""
     first = np.abs(table.values[:, 0])
     is_euroc = bool(np.nanmedian(first) > _LEAST_NANOSECONDS)

@@ -28,7 +28,9 @@ _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 # Beginnings of files that are no text with poses, and what to do with them.
 _REFUSED = {
     rb"\s*\Z": "empty; check that the recording has poses",
-    rb"\x89PNG|\xff\xd8\xff|GIF8": "a picture; give a file with poses",
+    rb"\x89PNG": "a picture (PNG); give a file with poses",
+    rb"\xff\xd8\xff": "a picture (JPEG); give a file with poses",
+    rb"GIF8": "a picture (GIF); give a file with poses",
     rb"PK\x03\x04": "a zip archive; unpack it, and give the file with poses",
     rb"ARROW1|PAR1": 'Arrow or Parquet; convert it: python -c "import pandas as p; '
     "p.read_feather('IN').to_csv('OUT.csv', index=False)\" (read_parquet for Parquet)",
@@ -54,7 +56,7 @@ class _Watched(io.BufferedIOBase):
         self._inner.close()
         super().close()
 
-    def read1(self, size: int = -1) -> bytes:
+    def read1(self, size: int | None = -1) -> bytes:  # noqa: ARG002 - TextIOWrapper's request
         """Return the next block, of any size: small ones are slow."""
         if self.first:
             block, self.first = self.first, b""
@@ -64,7 +66,13 @@ class _Watched(io.BufferedIOBase):
         except Exception as error:  # zlib.error, lzma.LZMAError and ZstdError have no common base
             raise InputError(f"{self._path} is damaged: {error}") from None
         if b"\0" in block and not self.zeros and not block.startswith(_UTF16):
-            raise InputError(f"{self._path} contains zero bytes, as after a crash of the recorder")
+            line = (
+                self._newlines_before(self._read) + block.count(b"\n", 0, block.index(b"\0")) + 1
+            )
+            raise InputError(
+                f"{self._path}, line {line}: contains zero bytes, as after a crash of the "
+                "recorder; correct or remove the line"
+            )
         self._read += len(block)
         last = max(block.rfind(b"\n"), block.rfind(b"\r"))
         self._line = len(block) - last - 1 + (self._line if last < 0 else 0)
@@ -78,14 +86,19 @@ class _Watched(io.BufferedIOBase):
 
     read = read1
 
+    def _newlines_before(self, offset: int) -> int:
+        """Return the number of line ends in the first bytes; counting all would take time."""
+        with _opened(self._path)[0] as file:
+            return sum(
+                file.read(min(_BUFFER, offset - at)).count(b"\n")
+                for at in range(0, offset, _BUFFER)
+            )
+
 
 def open_lines(path: Path, advance: Advance | None = None) -> io.TextIOWrapper:
     """Return the lines of a text file, as text of one byte per character."""
-    inner = path.open("rb", buffering=0)
-    beginning = inner.read(8)
-    inner.seek(0)
-    module = next((name for magic, name in _PACKED.items() if beginning.startswith(magic)), "")
-    raw = _Watched(path, _unpacked(path, module, inner) if module else inner, inner, advance)
+    stream, inner = _opened(path)
+    raw = _Watched(path, stream, inner, advance)
     try:
         first = raw.read1()
     except InputError:
@@ -93,7 +106,20 @@ def open_lines(path: Path, advance: Advance | None = None) -> io.TextIOWrapper:
         raise
     raw.zeros = first[:2] in _UTF16
     raw.first = first.removeprefix(b"\xef\xbb\xbf")
-    return io.TextIOWrapper(raw, encoding="utf-16" if raw.zeros else "latin-1", errors="replace")  # type: ignore[type-var]
+    return io.TextIOWrapper(raw, encoding="utf-16" if raw.zeros else "latin-1", errors="replace")  # type: ignore[arg-type]
+
+
+def _opened(path: Path) -> tuple[IO[bytes], IO[bytes]]:
+    """Return the bytes of a file without its compression, and the file."""
+    inner = path.open("rb", buffering=0)
+    try:
+        beginning = inner.read(8)
+        inner.seek(0)
+        module = next((name for magic, name in _PACKED.items() if beginning.startswith(magic)), "")
+        return (_unpacked(path, module, inner) if module else inner), inner
+    except BaseException:
+        inner.close()
+        raise
 
 
 def _unpacked(path: Path, module: str, inner: IO[bytes]) -> IO[bytes]:

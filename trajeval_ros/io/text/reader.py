@@ -19,7 +19,6 @@ from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.reading import FORMAT, NAMED_COLUMNS, Reading
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.checks import check_stamps, judge_rotations
-from trajeval_ros.io.text.arrays import load, rows_of
 from trajeval_ros.io.text.geographic import ANY_GGA, fixes_of, read_nmea
 from trajeval_ros.io.text.hints import NO_HINTS, TextHints
 from trajeval_ros.io.text.layouts import fits
@@ -34,10 +33,11 @@ from trajeval_ros.io.text.names import (
     Layout,
     layout_of,
 )
+from trajeval_ros.io.text.numpy_files import load, rows_of
+from trajeval_ros.io.text.pose_records import rewritten
 from trajeval_ros.io.text.recognise import layout_of_table, with_dates
-from trajeval_ros.io.text.records import rewritten
 from trajeval_ros.io.text.states import states_of
-from trajeval_ros.io.text.table import Rows, Table, read_rows, sniff
+from trajeval_ros.io.text.table import Rows, TextTable, read_rows, sniff
 from trajeval_ros.io.text.times import nanosecond_parts, receptions_of, times_of, with_times
 
 
@@ -62,7 +62,8 @@ def read_text(
     except (InputError, SettingsError) as error:
         said = hints.said(str(error))
         named = str(path) in said or isinstance(error, SettingsError)
-        raise type(error)(said if named else f"{path}: {said}") from None
+        joint = ", " if said.startswith("line ") else ": "
+        raise type(error)(said if named else f"{path}{joint}{said}") from None
     except OverflowError:
         raise InputError(
             f"{path}: a time or a frame number is out of range; correct or remove it"
@@ -117,7 +118,7 @@ def _read(path: Path, origin: Path, advance: Advance | None, hints: TextHints) -
     )  # fmt: skip
 
 
-def _recognised(path: Path, columns: tuple[str, ...]) -> tuple[Table, Layout]:
+def _recognised(path: Path, columns: tuple[str, ...]) -> tuple[TextTable, Layout]:
     """Return the table in a file and its layout; `columns`: names by the user, or ()."""
     head = ([], True) if path.is_dir() else head_of(path)
     records = rewritten(path, head[0])

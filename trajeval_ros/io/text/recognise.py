@@ -17,7 +17,7 @@ from trajeval_ros.io.text.names import (
     split_header,
 )
 from trajeval_ros.io.text.stamps import DATE as DATE_PATTERN
-from trajeval_ros.io.text.table import Table
+from trajeval_ros.io.text.table import TextTable
 
 _LONGEST_HEADER = 1 << 15  # characters: patterns need quadratic time for longer ones
 # Columns that systems write whose header does not say them, by a word above the rows.
@@ -27,8 +27,21 @@ _HINTS = {
 }
 
 
-def layout_of_table(table: Table) -> Layout:
-    """Return the layout of a table by its header, or by its first rows."""
+def layout_of_table(table: TextTable) -> Layout:
+    """Return the layout of a table by its header, or by its first rows.
+
+    Raises:
+        InputError: No layout is certain; the message quotes the first row.
+    """
+    try:
+        return _certain(table)
+    except InputError as error:
+        if "row" in str(error) or str(error).startswith("line "):
+            raise
+        raise InputError(f"{error}; its first row is {table.first_line!r}") from None
+
+
+def _certain(table: TextTable) -> Layout:
     clock = _has_clock(table)
     lines = table.header[::-1]
     for word, said in _HINTS.items():
@@ -60,17 +73,18 @@ def _counts(line: str) -> set[int]:
     return {len(split_header(line, separator)) for separator in (",", ";", "\t", "")}
 
 
-def _uncommented(table: Table) -> str:
+def _uncommented(table: TextTable) -> str:
     return next(
         (each for each in table.header[::-1] if not each.lstrip().startswith(("#", "%"))), ""
     )
 
 
-def _titled(table: Table, line: str, above: list[str], clock: bool) -> Layout | None:
+def _titled(table: TextTable, line: str, above: list[str], clock: bool) -> Layout | None:
     """Return the layout that a line above the rows describes, else None."""
     if len(line) > _LONGEST_HEADER:
         return None
     plain = re.sub(r"\[[^\]]*\]|\([^)]*\)", "", line).lower()
+    plain = " ".join(re.split(r"[\s,;#%]+", plain))
     if vectors := re.search(r"\bq p v( bg ba)?\b", plain):
         columns = OPENVINS_STATE if vectors[1] else OPENVINS_STATE[:11]
         if table.columns >= len(columns):
@@ -128,7 +142,7 @@ def _titled(table: Table, line: str, above: list[str], clock: bool) -> Layout | 
     return layout
 
 
-def _has_clock(table: Table) -> bool:
+def _has_clock(table: TextTable) -> bool:
     first = table.sample[0]
     return (
         table.separator == "" and len(first) > 2 and bool(re.fullmatch(r"\d{1,4}[-/.]\d\d?[-/.]\d{1,4}", first[0]))
@@ -136,7 +150,7 @@ def _has_clock(table: Table) -> bool:
     )  # fmt: skip
 
 
-def with_dates(table: Table, layout: Layout) -> Layout:
+def with_dates(table: TextTable, layout: Layout) -> Layout:
     """Return the layout with a date as time if the first row has one."""
     at = layout.time
     if at is None:

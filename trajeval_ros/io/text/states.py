@@ -21,6 +21,7 @@ _COVARIANCES = {
     *("covariance", "covariance_upper", "covariance_lower", "variances"),
     *("rotation_covariance", "position_covariance"),
 }
+ORTHONORMAL = 1e-2  # largest error of a rotation matrix times its transpose
 _METRES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3}
 _NO_Z = note("no_height", "no column z: assumed 0")
 
@@ -52,7 +53,14 @@ def states_of(path: Path, layout: Layout, groups: Mapping[str, Floats], count: i
     if "matrix" in groups:
         whole = groups["matrix"].reshape(-1, 3, 4)
         matrices, positions = whole[:, :, :3], np.ascontiguousarray(whole[:, :, 3])
-        quaternions: Floats | None = quaternions_of(matrices)
+        rotations = quaternions_of(matrices)
+        if layout.checks:  # its first rows are rotations; a damaged one is dropped
+            with np.errstate(over="ignore", invalid="ignore"):
+                products = matrices @ np.swapaxes(matrices, 1, 2)
+                wrong = ~(np.abs(products - np.eye(3)).max(axis=(1, 2)) < ORTHONORMAL)
+            if wrong.any():
+                rotations = np.where(wrong[:, None], np.nan, rotations)
+        quaternions: Floats | None = rotations
     else:
         quaternions = groups.get("quaternion")
         if quaternions is None and "rotation_vector" in groups:

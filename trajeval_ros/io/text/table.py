@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,6 @@ from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.io.text.lines import Advance, Head, head_of, open_lines
 from trajeval_ros.io.text.names import CLOCK, IGNORED, RECEIVED, TIMES, Layout
 from trajeval_ros.io.text.stamps import WIDTH, Words
-
-if TYPE_CHECKING:
-    from trajeval_ros.io.text.records import Records
 
 _ROWS = 1 << 13  # rows that are read at once; they fit into the cache
 _SAMPLE = 50  # rows from which a layout is recognised
@@ -43,7 +40,17 @@ Lines = Callable[[Advance | None], Any]  # a file or a generator of lines
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class Records:
+    """The poses of a file as lines of a table."""
+
+    open: Lines
+    layout: Layout | None = None  # None if the first line is a header
+    # Records that are no rows, by reason; counted when the lines are read.
+    left_out: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class TextTable:
     """What the first lines of a file say of its rows."""
 
     path: Path
@@ -110,7 +117,7 @@ def sniff(
     named: tuple[str, ...] = (),
     records: Records | None = None,
     known: Head | None = None,
-) -> Table:
+) -> TextTable:
     """Return what the first lines of a file say of its rows.
 
     `named`: names of its first columns. `records`: lines instead of those of the file. `known`:
@@ -246,7 +253,7 @@ def sniff(
         )
         and not all(any(sign in each for each in head) for sign in "#%")
     )
-    return Table(
+    return TextTable(
         path, opened, separator, columns, first,
         [each for each in head[:first] if each.strip()],
         any(at < first for at in used), sample, values, texts, plain, comment,
@@ -262,7 +269,7 @@ def _or_nan(word: str) -> float:
     return float("nan") if found is None else found
 
 
-def read_rows(table: Table, layout: Layout, advance: Advance | None = None) -> Rows:
+def read_rows(table: TextTable, layout: Layout, advance: Advance | None = None) -> Rows:
     """Read the rows of a table."""
     wanted = {place for places in layout.groups.values() for place in places}
     stamped = {at for at, name in enumerate(layout.columns) if name in _EXACT}
@@ -306,7 +313,7 @@ def read_rows(table: Table, layout: Layout, advance: Advance | None = None) -> R
 
 
 def _load(
-    table: Table,
+    table: TextTable,
     separator: str,
     dtype: np.dtype[Any],
     advance: Advance | None,
@@ -329,7 +336,7 @@ def _load(
                     return
 
 
-def _repaired(table: Table, layout: Layout, advance: Advance | None) -> Iterator[str]:
+def _repaired(table: TextTable, layout: Layout, advance: Advance | None) -> Iterator[str]:
     """Yield the rows of a table with one separator and NaN for missing numbers.
 
     Raises:

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.formatting.remarks import Remark, note
+from trajeval_ros.formatting.remarks import Remark, note, warning
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.io.text.arrays import files_of_times, is_numbered, load
 from trajeval_ros.io.text.names import (
     AS_NAMED,
     CLOCK,
@@ -29,6 +28,7 @@ from trajeval_ros.io.text.names import (
     UNPADDED,
     Layout,
 )
+from trajeval_ros.io.text.numpy_files import files_of_times, is_numbered, load
 from trajeval_ros.io.text.stamps import WIDTH, dates, exact, to_stamps, unit_of, unpadded
 from trajeval_ros.io.text.table import Rows, number, read_rows, sniff
 
@@ -54,14 +54,14 @@ def times_of(
 ) -> Times:
     """Return the timestamps of rows, from their column or from a file next to it, or by a rate."""
     if layout.time is None:
-        return _of_frames(path, layout, np.arange(len(rows.values)), rate, origin)
+        return _of_frames(layout, np.arange(len(rows.values)), rate, origin)
     times: Any = rows.texts[layout.time_name]
     kept = None
     if layout.time_name == DATE:
         return _of_dates(path, rows)
     if layout.time_name in (FRAME, FRAME_1):
         frames, said = _frames(path, layout, times)
-        found = _of_frames(path, layout, frames, rate, origin)
+        found = _of_frames(layout, frames, rate, origin)
         return dataclasses.replace(found, remarks=(*said, *found.remarks))
     try:
         sample = times[:200].astype(np.float64)
@@ -76,20 +76,21 @@ def times_of(
         unit = _unit(layout, values[kept], times)
         stamps = to_stamps(times, values[kept], unit)
     if _counts_frames(layout, stamps, origin):
-        found = _of_frames(path, layout, stamps // NANOSECONDS, rate, origin)
+        found = _of_frames(layout, stamps // NANOSECONDS, rate, origin)
         return dataclasses.replace(found, kept=kept, numbered=True)
     if layout.time_name == UNPADDED:
         stamps = unpadded(times)
     elif layout.name != AS_NAMED and _is_unpadded(stamps, times):
         told = " ".join(UNPADDED if each == "t" else each for each in layout.columns)
         raise InputError(
-            "its times go forward and back, and do not if nanoseconds were written without leading "
-            f"zeros (secs.nsecs); use {{option}} '{told}', or '{' '.join(layout.columns)}' if not"
+            "its times go forward and back, and do not if nanoseconds were written without "
+            f"leading zeros (secs.nsecs); use {{option}} '{told}', or "
+            f"{{option}} '{' '.join(layout.columns)}' if not"
         )
     name = {1: "nanoseconds", 10**3: "microseconds", 10**6: "milliseconds"}.get(unit)
     is_said = name is not None and (unit == 1 or UNITS[layout.time_name] is None)
-    said = [note("nanoseconds", f"timestamps are in {name}")] if is_said else []
-    return Times(stamps, None, True, kept, tuple(said))
+    remarks = (note("nanoseconds", f"timestamps are in {name}"),) if is_said else ()
+    return Times(stamps, None, True, kept, remarks)
 
 
 def _of_dates(path: Path, rows: Rows) -> Times:
@@ -104,7 +105,8 @@ def _of_dates(path: Path, rows: Rows) -> Times:
     except ValueError as error:
         row = words.index(str(error)) + 1
         raise InputError(
-            f"{path}: {str(error)[:40]!r} in row {row} is not a date (UTC); correct or remove the row"
+            f"{path}: {str(error)[:40]!r} in row {row} is not a date (UTC); correct or remove "
+            "the row"
         ) from None
     return Times(stamps, None, True, None if kept.all() else kept, (note("dates", said),))
 
@@ -142,7 +144,8 @@ def _unit(layout: Layout, values: Floats, times: Any) -> int:
         )
         raise InputError(
             f"its timestamps (up to {np.abs(values).max():.6g}) are neither times since 1970 nor "
-            f"seconds{key}; name the unit: {{option}} '{told}'{'' if key else ' (or t_ms, t_us, t_ns, t_s)'}"
+            f"seconds{key}; name the unit: "
+            f"{{option}} '{told}'{'' if key else ' (or t_ms, t_us, t_ns, t_s)'}"
         )
     return unit
 
@@ -176,7 +179,8 @@ def _frames(path: Path, layout: Layout, times: Any) -> tuple[Stamps, tuple[Remar
     values = _floats(path, times)
     wrong = (values != np.round(values)) | (values < 0.0)
     whole = ~wrong & (values < 2.0**63)
-    frames, said = np.full(len(values), -1), ()
+    frames = np.full(len(values), -1)
+    said: tuple[Remark, ...] = ()
     frames[whole] = exact(times[whole], 0) if times.dtype.kind == "S" else values[whole]
     letters = np.unique(frames >> 56 if frames.max(initial=0) >> 56 else frames >> 48)
     if len(letters) == 1 and 65 <= letters[0] <= 122:
@@ -192,9 +196,7 @@ def _frames(path: Path, layout: Layout, times: Any) -> tuple[Stamps, tuple[Remar
     return frames - (layout.time_name == FRAME_1), said
 
 
-def _of_frames(
-    path: Path, layout: Layout, frames: Any, rate: float | None, origin: Path | None
-) -> Times:
+def _of_frames(layout: Layout, frames: Any, rate: float | None, origin: Path | None) -> Times:
     """Return the times of frame numbers: of a file next to it, or by a rate."""
     remarks = []
     for beside in () if origin is None else files_of_times(origin):
@@ -219,15 +221,28 @@ def _of_frames(
                 FRAME if at == layout.time else each for at, each in enumerate(layout.columns)
             )
             raise InputError(
-                f"its frame numbers start at 1, and {beside} has {len(times)} times: number 0 or 1 "
-                f"may be the first; name the columns: {{option}} '{told}', or {FRAME_1} if 1 is"
+                f"its frame numbers start at 1, and {beside} has {len(times)} times: "
+                f"number 0 or 1 may be the first; name the columns: {{option}} '{told}', or "
+                f"{{option}} '{told.replace(FRAME, FRAME_1, 1)}' if 1 is"
             )
         counts = layout.time is None and len(times) == len(frames)
         if counts or (layout.time is not None and numbers.max(initial=0) < len(times)):
             said = note("times_file", f"timestamps read from {beside}")
             return Times(times[numbers], frames, True, None, (*remarks, said))
-        said = f"{beside} ignored: it has {counted(len(times), 'row')} for {counted(len(frames), 'pose')}"
-        remarks.append(note("times_file_ignored", said))
+        counts_differ = (
+            f"{beside} ignored: it has {counted(len(times), 'row')} for "
+            f"{counted(len(frames), 'pose')}"
+        )
+        remarks.append(note("times_file_ignored", counts_differ))
+    if layout.time_name == FRAME and layout.name != AS_NAMED and len(frames) and frames.min() == 1:
+        told = " ".join(FRAME_1 if name == FRAME else name for name in layout.columns)
+        remarks.append(
+            warning(
+                "frames_from_1",
+                "frame numbers start at 1 and are used as they are; if number 1 is the first, use "
+                f"--columns '{told}'",
+            )
+        )
     if rate is not None:
         stamps = np.round(frames * (NANOSECONDS / rate)).astype(np.int64)
         said = note(ROW_TIMES, f"timestamps counted at {rate:g} Hz")
@@ -289,8 +304,8 @@ def with_times(
     times = np.asarray(times, dtype=np.float64)
     if times.shape != (len(rows.values),):
         raise InputError(
-            f"{said[16:]} has shape {times.shape} for {counted(len(rows.values), 'pose')}; give one "
-            "time per pose, or remove it"
+            f"{said[16:]} has shape {times.shape} for {counted(len(rows.values), 'pose')}; "
+            "give one time per pose, or remove it"
         )
     columns = (FRAME if is_numbered(times) else "t", *layout.columns)
     layout = dataclasses.replace(

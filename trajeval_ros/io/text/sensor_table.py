@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -39,7 +40,7 @@ def read_samples(path: Path, columns: str) -> tuple[Stamps, Floats]:
         said = str(error).replace(" as given with {option}", "").replace("{option}", "columns")
         said = said if str(path) in said else f"{path}: {said}"
         raise InputError(f"{said}; use the columns {columns}") from None
-    usable = np.isfinite(rows.values).all(axis=1)
+    usable: Any = np.isfinite(rows.values).all(axis=1)
     if times.kept is not None:
         usable &= times.kept
     if len(usable) < 2 or not usable.all():

@@ -9,15 +9,14 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TextIO
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.text.layouts import _CAMERA, _known
 from trajeval_ros.io.text.lines import Advance, open_lines
-from trajeval_ros.io.text.names import GROUPS, Layout
-from trajeval_ros.io.text.table import Lines, number
+from trajeval_ros.io.text.names import GROUPS
+from trajeval_ros.io.text.table import Records, number
 
 _MATRIX = f"{' '.join(GROUPS['matrix'])} _ _ _ _"
 _TAG = re.compile(r"(?m)^(VERTEX_SE3:QUAT|VERTEX_SE2)\s")
@@ -39,17 +38,8 @@ _TF_ECHO = (
 )
 _OTHER_VERTEX, _NO_POSE = "other_vertex_type", "no_position_or_not_tracking"
 _LARGEST = 1 << 28  # bytes of a JSON document
+_END = 3 * "-"  # line after a message in YAML
 _STATUS = ("status", "trackingStatus")
-
-
-@dataclass(frozen=True, eq=False)
-class Records:
-    """The poses of a file as lines of a table."""
-
-    open: Lines
-    layout: Layout | None = None  # None if the first line is a header
-    # Records that are no rows, by reason; counted when the lines are read.
-    left_out: dict[str, int] = field(default_factory=dict)
 
 
 def rewritten(path: Path, head: Sequence[str]) -> Records | None:
@@ -141,7 +131,7 @@ def _blocks(path: Path, advance: Advance | None, size: int) -> Iterator[str]:
     part: list[str] = []
     at = 0
     with open_lines(path, advance) as lines:
-        for at, line in enumerate(lines, 1):
+        for at, line in enumerate(lines, 1):  # noqa: B007 - used below
             words = line.split("#")[0].strip()
             if words:
                 part.append(words)
@@ -204,7 +194,7 @@ def _yaml(lines: Iterable[str]) -> Iterator[dict[str, str]]:
     above: list[tuple[int, str]] = []
     for line in lines:
         line = line.rstrip()
-        if line == "---" or line.startswith("At time"):
+        if line == _END or line.startswith("At time"):
             if _has_position(record):
                 yield record
             record, above = {}, []
