@@ -52,8 +52,8 @@ def imu_of(source: str) -> InertialReadings:
         return InertialReadings(stamps, values[:, :3].copy(), values[:, 3:].copy(), source=source)
     if not parts.is_bag or not parts.topic or parts.frames is not None:
         raise InputError(
-            f"{source} is not a topic of a bag; give an IMU topic, as in run.mcap:/imu, or a table "
-            "of time, angular velocity and acceleration, as in mav0/imu0/data.csv"
+            f"{source} is not a topic of a bag; give an IMU topic, as in run.mcap:/imu, or a "
+            "table of time, angular velocity and acceleration, as in mav0/imu0/data.csv"
         )
     from trajeval_ros.io.bags.rate_messages import read_rates
 

@@ -48,8 +48,9 @@ WXYZ = XYZW[:, [3, 0, 1, 2]]
 BOTTOM = np.tile([0, 0, 0, 1], (COUNT, 1))
 HALF = np.hstack([STAMPS[:, None] // 10**9, STAMPS[:, None] % 10**9])
 NAMES = np.full((COUNT, 1), "odom")
+INVERSE_WXYZ = TURNS.inv().as_quat()[:, [3, 0, 1, 2]]
 IMAGES = "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n" + "".join(
-    f"{row + 1} {' '.join(words(Rotation.from_matrix(INVERSE[row, :3, :3]).as_quat()[[3, 0, 1, 2]]))} "
+    f"{row + 1} {' '.join(words(INVERSE_WXYZ[row]))} "
     f"{' '.join(words(INVERSE[row, :3, 3]))} 1 {row:06d}.png\n\n"
     for row in range(COUNT)
 )
@@ -78,26 +79,90 @@ KINDS: dict[str, tuple[str, bool, bool]] = {
     "KITTI-360 cam0_to_world": (rows(np.arange(COUNT), MATRICES), True, False),
     "a time and 4 x 4": (rows(SECONDS, MATRICES), True, True),
     "16 columns": (rows(MATRICES), True, False),
-    "blocks of 4 x 4": ("".join(f"{' '.join(words(row))}\n" for row in MATRICES.reshape(-1, 4)), True, False),
-    "Open3D log": ("".join(f"{row} {row} {row + 1}\n" + "".join(f"{' '.join(words(line))}\n" for line in MATRICES[row]) for row in range(COUNT)), True, False),
-    "time named nsec": (rows(STAMPS, PLACES, XYZW, separator=",", header="nsec,x,y,z,qx,qy,qz,qw"), True, True),
-    "x y height": (rows(SECONDS, PLACES, XYZW, separator=",", header="time,x,y,height,qx,qy,qz,qw"), True, True),
+    "blocks of 4 x 4": (
+        "".join(f"{' '.join(words(row))}\n" for row in MATRICES.reshape(-1, 4)),
+        True,
+        False,
+    ),
+    "Open3D log": (
+        "".join(
+            f"{row} {row} {row + 1}\n"
+            + "".join(f"{' '.join(words(line))}\n" for line in MATRICES[row])
+            for row in range(COUNT)
+        ),
+        True,
+        False,
+    ),
+    "time named nsec": (
+        rows(STAMPS, PLACES, XYZW, separator=",", header="nsec,x,y,z,qx,qy,qz,qw"),
+        True,
+        True,
+    ),
+    "x y height": (
+        rows(SECONDS, PLACES, XYZW, separator=",", header="time,x,y,height,qx,qy,qz,qw"),
+        True,
+        True,
+    ),
     "phi theta psi": (rows(SECONDS, PLACES, ANGLES, header="t x y z phi theta psi"), True, True),
-    "seconds and nanoseconds": (rows(HALF, PLACES, XYZW, header="secs nsecs x y z qx qy qz qw"), True, True),
+    "seconds and nanoseconds": (
+        rows(HALF, PLACES, XYZW, header="secs nsecs x y z qx qy qz qw"),
+        True,
+        True,
+    ),
     "microseconds": (rows(STAMPS // 1000, PLACES, XYZW), True, True),
     "milliseconds": (rows(STAMPS // 10**6, PLACES, XYZW), True, True),
     "ros2 echo of PoseStamped": (rows(HALF, NAMES, PLACES, XYZW, separator=","), True, True),
-    "ros2 echo of Odometry": (rows(HALF, NAMES, NAMES, PLACES, XYZW, ZEROS, ZEROS[:, :6], ZEROS, separator=","), True, True),
+    "ros2 echo of Odometry": (
+        rows(HALF, NAMES, NAMES, PLACES, XYZW, ZEROS, ZEROS[:, :6], ZEROS, separator=","),
+        True,
+        True,
+    ),
     "rostopic echo": (MESSAGES, True, True),
-    "Aria": (rows(STAMPS // 1000, PLACES, XYZW, separator=",", header="tracking_timestamp_us,tx_world_device,ty_world_device,tz_world_device,qx_world_device,qy_world_device,qz_world_device,qw_world_device"), True, True),
-    "quoted": (rows([f'"{stamp}"' for stamp in SECONDS], PLACES, XYZW, separator=",", header='"t","x","y","z","qx","qy","qz","qw"'), True, True),
-    "OpenVINS q p v": (rows(SECONDS, XYZW, PLACES, ZEROS[:, :3], header="# timestamp(s) q p v"), True, True),
+    "Aria": (
+        rows(
+            STAMPS // 1000,
+            PLACES,
+            XYZW,
+            separator=",",
+            header="tracking_timestamp_us,"
+            + ",".join(
+                f"{name}_world_device" for name in ["tx", "ty", "tz", "qx", "qy", "qz", "qw"]
+            ),
+        ),
+        True,
+        True,
+    ),
+    "quoted": (
+        rows(
+            [f'"{stamp}"' for stamp in SECONDS],
+            PLACES,
+            XYZW,
+            separator=",",
+            header='"t","x","y","z","qx","qy","qz","qw"',
+        ),
+        True,
+        True,
+    ),
+    "OpenVINS q p v": (
+        rows(SECONDS, XYZW, PLACES, ZEROS[:, :3], header="# timestamp(s) q p v"),
+        True,
+        True,
+    ),
     "micro-JSON lines": (RECORDS, True, True),
-    "day and clock": (rows(["14/11/2023 22:13:" + f"{20.25 + 0.05 * row:09.6f}" for row in range(COUNT)], PLACES, separator=",", header="Time,X,Y,Z"), False, True),
+    "day and clock": (
+        rows(
+            ["14/11/2023 22:13:" + f"{20.25 + 0.05 * row:09.6f}" for row in range(COUNT)],
+            PLACES,
+            separator=",",
+            header="Time,X,Y,Z",
+        ),
+        False,
+        True,
+    ),
     "COLMAP": (IMAGES, True, False),
     "commas, seconds": (rows(SECONDS, PLACES, XYZW, separator=","), True, True),
     "commas, nanoseconds": (rows(STAMPS, PLACES, WXYZ, separator=","), True, True),
-}  # fmt: skip
+}
 
 
 def assert_right(found: Trajectory, *, rotations: bool = True, times: bool = True) -> None:
@@ -204,16 +269,19 @@ def test_a_table_of_an_imu(tmp_path: Path, unit: int) -> None:
         imu_of(str(path))
 
 
+NPY = b"\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': "  # a header of 118 bytes
+
+
 @pytest.mark.parametrize(
     ("name", "content"),
     [
         ("many digits", b'{"time": 1, "x": ' + b"9" * 400 + b', "y": 0, "z": 0}\n'),
         ("deep", b'{"a":' * 2000 + b"1" + b"}" * 2000),
         ("far time", b'{"time": 1e30, "x": 1, "y": 0, "z": 0}\n' * 2),
-        ("shape", b"\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000, 8), }".ljust(127) + b"\n"),
-        ("header", b"\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': (((False, ".ljust(127) + b"\n"),
+        ("shape", NPY + b"False, 'shape': (1000000000000, 8), }".ljust(79) + b"\n"),
+        ("header", NPY + b"(((False, ".ljust(79) + b"\n"),
     ],
-)  # fmt: skip
+)
 def test_hostile_numbers_are_refused_before_they_are_allocated(
     name: str, content: bytes, tmp_path: Path
 ) -> None:
@@ -236,16 +304,19 @@ def test_other_vertices_of_a_graph_are_counted(tmp_path: Path) -> None:
 FIELD = SHARED / "data" / "field_cases" / "text"
 
 
-@pytest.mark.skipif(not FIELD.is_dir(), reason="needs the shared data")
-def test_every_field_case_is_read_or_refused_with_one_sentence() -> None:
-    files = [path for path in sorted(FIELD.rglob("*")) if path.is_file()]
-    files = [path for path in files if path.name != "times.txt" and "23_pose" not in str(path)]
-    refused = set()
-    for path in files:
-        try:
-            assert len(read_trajectory(path)) > 10
-        except InputError as error:
-            assert "\n" not in str(error)
-            assert "--columns '" in str(error)
-            refused.add(path.parent.name)
-    assert refused == {"05_header_of_velocities", "08_unpadded_nanoseconds", "11_frames_from_1"}
+FILES = [path.relative_to(FIELD) for path in sorted(FIELD.rglob("*")) if path.is_file()]
+REFUSED_CASES = ("05_header_of_velocities", "08_unpadded_nanoseconds", "11_frames_from_1")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [path for path in FILES if path.name != "times.txt" and "23_" not in str(path)],
+    ids=str,
+)
+def test_a_field_case_is_read_or_refused_with_one_sentence(name: Path) -> None:
+    if name.parent.name in REFUSED_CASES and name.stem == "est":
+        with pytest.raises(InputError, match="--columns '") as refusal:
+            read_trajectory(FIELD / name)
+        assert "\n" not in str(refusal.value)
+    else:
+        assert len(read_trajectory(FIELD / name)) > 10

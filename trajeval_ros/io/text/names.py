@@ -185,9 +185,9 @@ _FRAME = r"frame|frame_?(?:index|number|num|no|id)|index|image|image_id|id|no|nu
 _FRAMES = r"(?:_(?:world|odom|map|device|body|imu|cam(?:era)?|enu|ecef|local|global))*"
 _VECTORS = {
     "position": r"(?:(?:t|p|pos|position|p_[a-z_]+|ecef_p|trans|loc(?:ation)?|pose)?_?"
-    r"|(?:.*_)?(?:position|translation|point|pos)_){}(?:_?pos)?%s(?:_(mm|cm|m|km))?" % _FRAMES,
+    r"|(?:.*_)?(?:position|translation|point|pos)_){}(?:_?pos)?" + _FRAMES + r"(?:_(mm|cm|m|km))?",
     "quaternion": r"(?:(?:q|quat|quaternion|orientation|q_[a-z_]+)_?"
-    r"|(?:.*_)?(?:orientation|rotation|quaternion|quat)_){}%s" % _FRAMES,
+    r"|(?:.*_)?(?:orientation|rotation|quaternion|quat)_){}" + _FRAMES,
     "body_velocity": r"(?:.*_)?twist_linear_{}",
     "velocity": r"(?:(?:v|vel|velocity|v_[a-z_]+)_?|(?:.*_)?linear_velocity_){}",
     "gyroscope_bias": r"b_?[wg](?:_[a-z_]+)?_?{}",
@@ -270,12 +270,12 @@ def plain_of(name: str) -> str:
 def from_header(names: Sequence[str], sample: Floats, texts: Booleans) -> Layout | None:
     """Return the layout that the names of all columns describe; None if they are no names.
 
-    `sample`: (N, C) first rows, NaN for what is no number. `texts`: (C,), whether a column is text.
+    `sample`: (N, C) first rows, NaN for what is no number. `texts`: (C,), whether a
+    column is text.
 
     Raises:
         InputError: A quantity is missing that a column with an unknown name may be.
     """
-    line = " ".join(names)
     plain = [plain_of(name) for name in names]
     found = _columns(names, plain, sample, ~texts)
     known = [
@@ -300,10 +300,17 @@ def from_header(names: Sequence[str], sample: Floats, texts: Booleans) -> Layout
     with np.errstate(over="ignore", invalid="ignore"):  # numbers may be of any size
         wanted = _missing(layout, unknown, sample, plain)
     if wanted:
-        of = f", and the meaning of {', '.join(repr(names[at][:40]) for at in unknown[:6])} is unknown"
+        words = ", ".join(repr(names[at][:40]) for at in unknown[:6])
+        said = f", and the meaning of {words} is unknown" if unknown else ""
+        known_names = [name for name in found if name != IGNORED]
+        example = (
+            found
+            if known_names
+            else [*["t", "x", "y", "z", "qx", "qy", "qz", "qw"], *found][: len(found)]
+        )
         raise InputError(
-            f"no column has a name of a {wanted} ({', '.join(names)[:200]}){of if unknown else ''}; "
-            f"name the columns: {{option}} '{' '.join(found)[:300]}', with x, y, z, t, qx ... for _"
+            f"no column has a name of a {wanted} ({', '.join(names)[:200]}){said}; name the "
+            f"columns: {{option}} '{' '.join(example)[:300]}', with x, y, z, t, qx ... for _"
         )
     ignored = [
         name or f"column {at + 1}"
@@ -319,7 +326,7 @@ def from_header(names: Sequence[str], sample: Floats, texts: Booleans) -> Layout
             note += (
                 f"; {compass[0]} may count from north: no rotations are read; name it yaw if not"
             )
-    return Layout(_title(layout, line), tuple(found), note, unit=_unit_of(names, layout))
+    return Layout(_title(layout), tuple(found), note, unit=_unit_of(names, layout))
 
 
 def _missing(layout: Layout, unknown: Sequence[int], sample: Floats, plain: Sequence[str]) -> str:
@@ -457,7 +464,7 @@ def _name_covariances(plain, name) -> None:  # type: ignore[no-untyped-def]
             name(place, f"c{row}{column}")
 
 
-def _title(layout: Layout, line: str) -> str:
+def _title(layout: Layout) -> str:
     """Return the name of the format that has these columns."""
     groups = layout.groups
     if "rotation_covariance" in groups:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.io.text.names import GROUPS, RECEIVED, TIMES, Layout
 from trajeval_ros.io.text.table import Rows
@@ -41,8 +42,8 @@ def load(path: Path) -> tuple[Any, Floats | None]:
     }
     if len(poses) != 1:
         raise InputError(
-            f"{path} has {len(poses)} arrays of poses ({', '.join(arrays) or 'none'}); save one of "
-            f"shape {_SAID} as .npy"
+            f"{path} has {len(poses)} arrays of poses ({', '.join(arrays) or 'none'}); save "
+            f"one of shape {_SAID} as .npy"
         )
     ((_, array),) = poses.items()
     times = [
@@ -80,7 +81,8 @@ def rows_of(path: Path, array: Any, named: Layout | None = None) -> tuple[Layout
         _check(path, layout, rows)
     if len(layout.columns) != rows.shape[1]:
         raise InputError(
-            f"{path} has shape {array.shape}, and {{option}} names {len(layout.columns)} columns; name all"
+            f"{path} has shape {array.shape}, and {{option}} names "
+            f"{counted(len(layout.columns), 'column')}; name all"
         )
     wanted = sorted({at for places in layout.groups.values() for at in places})
     groups = {

@@ -205,8 +205,8 @@ def trajectory_of(
     )  # fmt: skip
     if not len(trajectory):
         raise InputError(
-            f"{path}: no valid pose in {counted(len(rows.values), 'row')} (NaN, zero quaternions, or "
-            "positions beyond the limit)"
+            f"{path}: no valid pose in {counted(len(rows.values), 'row')} (NaN, zero quaternions, "
+            "or positions beyond the limit)"
         )
     return trajectory
 

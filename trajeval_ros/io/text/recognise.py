@@ -58,12 +58,13 @@ def _certain(table: TextTable) -> Layout:
     if above and not (is_prose and {"unit", "matrix"} & set(by_rows(table).checks)):
         raise InputError(
             f"line {table.first} is no header of {table.columns} known columns: {above[:80]!r}, "
-            f"above the first row {table.first_line!r}; name the columns, as in {{option}} 't x y z "
-            f"qx qy qz qw', with {IGNORED} for columns to ignore"
+            f"above the first row {table.first_line!r}; name the columns, as in "
+            f"{{option}} 't x y z qx qy qz qw', with {IGNORED} for columns to ignore"
         )
     if clock:
         raise InputError(
-            f"dates without a header, first row {table.first_line!r}; name the columns: {{option}} 't clock x y z ...'"
+            f"dates without a header, first row {table.first_line!r}; name the columns: "
+            "{option} 't clock x y z'"
         )
     layout = by_rows(table)
     return _smfeval(layout, table.header) if layout.name == "smfeval" else layout
@@ -132,8 +133,8 @@ def _titled(table: TextTable, line: str, above: list[str], clock: bool) -> Layou
     ]
     if twice:
         raise InputError(
-            f"its header names {twice[0]!r} twice, as for several bodies; name the columns of one: "
-            f"{{option}} '{' '.join(layout.columns)}'"
+            f"its header names {twice[0]!r} twice, as for several bodies; name the columns "
+            f"of one: {{option}} '{' '.join(layout.columns)}'"
         )
     if clock and layout.time == 0:
         layout = dataclasses.replace(layout, columns=(DATE, CLOCK, *layout.columns[2:]))
@@ -143,11 +144,12 @@ def _titled(table: TextTable, line: str, above: list[str], clock: bool) -> Layou
 
 
 def _has_clock(table: TextTable) -> bool:
+    """Return whether a date and a time of the day are the first two columns."""
     first = table.sample[0]
-    return (
-        table.separator == "" and len(first) > 2 and bool(re.fullmatch(r"\d{1,4}[-/.]\d\d?[-/.]\d{1,4}", first[0]))
-        and bool(re.fullmatch(r"\d\d?:\d\d(:\d\d(\.\d+)?)?", first[1]))
-    )  # fmt: skip
+    if table.separator or len(first) < 3:
+        return False
+    is_date = re.fullmatch(r"\d{1,4}[-/.]\d\d?[-/.]\d{1,4}", first[0])
+    return bool(is_date and re.fullmatch(r"\d\d?:\d\d(:\d\d(\.\d+)?)?", first[1]))
 
 
 def with_dates(table: TextTable, layout: Layout) -> Layout:
@@ -166,8 +168,8 @@ def with_dates(table: TextTable, layout: Layout) -> Layout:
         return dataclasses.replace(layout, columns=columns)
     if table.texts[at]:
         raise InputError(
-            f"line {table.first + 1}: {word[:40]!r} is no time, in column {at + 1}; name the columns: "
-            f"{{option}} '{' '.join(layout.columns)}'"
+            f"line {table.first + 1}: {word[:40]!r} is no time, in column {at + 1}; name the "
+            f"columns: {{option}} '{' '.join(layout.columns)}'"
         )
     return layout
 

@@ -134,7 +134,7 @@ def sniff(
     else:
         iterator = iter(lines(None))
         head, complete, opened = list(itertools.islice(iterator, 200)), False, lines
-        iterator.close()  # type: ignore[attr-defined]
+        iterator.close()
     if len(head) == 1 and not complete and lines is None:
         raise InputError(f"{path} is not a trajectory: its first line has more than 64 KiB")
     bodies = [_body(line) for line in head]
@@ -225,7 +225,8 @@ def sniff(
                 "",
             )
             raise InputError(
-                f"{path}, line {at + 1}: {wrong[:40]!r} is not a number; correct or remove the line"
+                f"{path}, line {at + 1}: {wrong[:40]!r} is not a number; correct or remove the "
+                "line"
             )
     sample, sample_lines = [], []
     for at in [each for each in used if each >= first][:_SAMPLE]:
@@ -367,7 +368,8 @@ def _repaired(table: TextTable, layout: Layout, advance: Advance | None) -> Iter
                     if not _MISSING.fullmatch(word):
                         name = layout.columns[place]
                         raise InputError(
-                            f"{where}: {word[:40]!r} is not a number, in column {place + 1} ({name}); "
+                            f"{where}: {word[:40]!r} is not a number, in column {place + 1} "
+                            f"({name}); "
                             "correct or remove the line"
                         )
                     fields[place] = "nan"
