@@ -15,8 +15,10 @@ _HERE, _NAME = Path(), "groundtruth"
 _PARAMETERS = (
     argument("truth", metavar="SOURCE",
         help="Groundtruth to examine, such as mocap.bag:/vicon/pose or groundtruth.csv."),
-    option("--imu", metavar="BAG:TOPIC", panel=INPUT,
-        help="IMU of the same rig (sensor_msgs/Imu). Without it, only the poses are checked."),
+    option("--imu", metavar="BAG:TOPIC|FILE", panel=INPUT,
+        help="IMU of the same rig: a topic of sensor_msgs/Imu, or a table of time, angular "
+        "velocity (rad/s) and acceleration (m/s^2), as mav0/imu0/data.csv of EuRoC. Without "
+        "it, only the poses are checked."),
     option("--imu-noise", metavar="G,A", panel=INPUT,
         help="Effective noise densities of the IMU: rad/s/sqrt(Hz), m/s^2/sqrt(Hz). They include "
         "vibration and scale errors and are larger than in data sheets. Default: 8e-4,2e-2."),
