@@ -157,9 +157,7 @@ def test_a_trial_without_a_value_is_ranked_last(metric: str) -> None:
 @pytest.mark.parametrize("metric", METRICS)
 def test_relative_errors_of_fewer_trials_are_not_ranked(metric: str) -> None:
     whole = summary(cause="keyframes")
-    trials = tuple(
-        replace(each, trial=str(k), rmse={}) for each in whole.trials for k in range(5)
-    )
+    trials = tuple(replace(each, trial=str(k), rmse={}) for each in whole.trials for k in range(5))
     having = {"wrong": 2, "right": 5}
     pooled = tuple(
         {**row, "evaluated": having[row["algorithm"]] if row["metric"] == metric else 5}
