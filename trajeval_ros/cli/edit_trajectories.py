@@ -21,7 +21,7 @@ from trajeval_ros.cli.options import (
 )
 from trajeval_ros.cli.plotting import PLOT_OPTIONS, Plotting
 from trajeval_ros.cli.programs import may_break
-from trajeval_ros.cli.progress import read_shown
+from trajeval_ros.cli.progress import read_shown, report_dropped
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.pose_conventions import ORDERS, POSES, ROTATIONS, Conventions
@@ -262,6 +262,7 @@ def trajectory(
         with may_break():
             _print(everything, paths)
     _remark(read, edited, quiet=quiet)
+    report_dropped(read)
 
 
 def parse_motion(text: str) -> tuple[float, float]:

@@ -69,7 +69,7 @@ def groundtruth(
     from trajeval_ros.calibration.groundtruth_doctor.examine import IMU_NOISE, examine
     from trajeval_ros.cli.evaluation_output import refuse_inputs
     from trajeval_ros.cli.pictures import Pictures
-    from trajeval_ros.cli.progress import progress
+    from trajeval_ros.cli.progress import progress, report_dropped
     from trajeval_ros.geometry.trajectory import NANOSECONDS
     from trajeval_ros.io.results.groundtruth_json import groundtruth_json
     from trajeval_ros.io.save_trajectories import files_of, save_trajectories
@@ -120,3 +120,4 @@ def groundtruth(
         from trajeval_ros.report.groundtruth_report import print_groundtruth
 
         print_groundtruth(console(), found, saved)
+    report_dropped([original])

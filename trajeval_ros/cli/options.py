@@ -54,7 +54,8 @@ _SHARED = (
         verbs=(EVALUATE, COMPARE, TRAJECTORY, "info"),
         help="Pose rate of text files without timestamps, such as KITTI, TartanAir and g2o."),
     Setting(name="strict", kind=bool, panel=INPUT, verbs=(EVALUATE, TRAJECTORY),
-        help="Verification of all data read from a bag. Exits with status 2 if it is damaged."),
+        help="Verification of all data read from a bag. Exits with status 2 if it is damaged, "
+        "or if poses of a file are not finite or cannot be decoded."),
     Setting(name="json", metavar="FILE|-", panel=OUTPUT,
         verbs=(
             EVALUATE, FINISH, DIAGNOSE, "explain", "watch", "groundtruth", STUDY_ASSOCIATION,

@@ -24,6 +24,7 @@ from trajeval_ros.formatting.escaping import SECRET
 from trajeval_ros.formatting.install_command import extra_command
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.valid_poses import dropped_in_words
 from trajeval_ros.io.text.hints import NO_HINTS, TextHints
 from trajeval_ros.io.text.reader import read_text
 
@@ -77,7 +78,8 @@ def read_trajectory(
         advance: Progress callback, called with the amount done and the total: bytes of a text,
             messages of a bag.
         covariances: Whether to read the covariances of a bag.
-        strict: Whether to verify all data that is read from a bag, and to refuse a damaged bag.
+        strict: Whether to verify all data that is read from a bag, and to refuse a damaged bag,
+            and any source with poses that are damaged.
         hints: Columns and frame rate of a text file, as the user states them.
         received: Whether to read the poses of a bag as they were received; see `read_many`.
 
@@ -122,7 +124,8 @@ def read_many(
         advance: Progress callback, called with the amount done and the total. For one source or
             one bag as for `read_trajectory`; otherwise all files and bags have equal weight.
         covariances: Whether to read the covariances of a bag; one value, or one per source.
-        strict: Whether to verify all data that is read from a bag, and to refuse a damaged bag.
+        strict: Whether to verify all data that is read from a bag, and to refuse a damaged bag,
+            and any source with poses that are damaged.
         hints: Columns and frame rate of text files; one value, or one per source.
         received: Whether to read the poses of a bag as they were received, and by which clock:
             `log`, `publish`, or `auto` for publish times where they differ; empty for no.
@@ -200,6 +203,9 @@ def read_many(
     for number, source in enumerate(sources):
         reading = dataclasses.replace(read[number].reading, source=str(source))
         found.append(dataclasses.replace(read[number], reading=reading))
+        lost = dropped_in_words(reading.dropped, len(read[number]), all_reasons=False)
+        if strict and lost:
+            raise InputError(f"{source}: {lost}; correct them, or remove --strict")
     return found
 
 

@@ -243,7 +243,10 @@ def _json(path: Path, left_out: dict[str, int]) -> Iterator[dict[str, str]]:
             raise InputError(f"{path} is a JSON document of more than 256 MiB; write JSON lines")
         try:
             document = json.loads(
-                path.read_text("utf-8-sig", "replace"), parse_float=str, parse_int=str
+                path.read_text("utf-8-sig", "replace"),
+                parse_float=str,
+                parse_int=str,
+                parse_constant=str,
             )
         except (ValueError, RecursionError) as error:
             raise InputError(f"{path} is no JSON: {error}") from None
@@ -272,7 +275,7 @@ def _parsed(path: Path, lines: Iterable[str]) -> Iterator[Any]:
     for at, line in enumerate(lines, 1):
         if line.strip():
             try:
-                yield json.loads(line, parse_float=str, parse_int=str)
+                yield json.loads(line, parse_float=str, parse_int=str, parse_constant=str)
             except (ValueError, RecursionError):
                 raise InputError(
                     f"{path}, line {at}: no JSON object; write one per line"
