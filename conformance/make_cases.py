@@ -89,8 +89,8 @@ def pair(
     name: str,
     *,
     poses: int = POSES,
-    step: float = 0.1,
-    noise: float = 0.05,
+    step: float = 0.5,
+    noise: float = 0.02,
     angle: float = 0.02,
     scale: float = 1.0,
     frame: Quaternion | None = None,
@@ -104,12 +104,14 @@ def pair(
         noise: Standard deviation of the estimate's position per axis, m.
         angle: Rotation error of every pose, rad.
         scale: The estimate is smaller by this factor.
-        frame: Rotation from the groundtruth's frame to the estimate's; random by default.
+        frame: Rotation from the groundtruth's frame to the estimate's; by default a random yaw
+            and a tilt of 0.05 rad.
         offsets: Origins of both frames, m.
         shape: Changes position i of the groundtruth.
     """
     draws = Draws(name)
-    frame = draws.rotation(2.0) if frame is None else frame
+    if frame is None:
+        frame = multiply(about((0, 0, 1), draws.uniform(-3, 3)), about((2, 1, 0), 0.05))
     groundtruth, estimate = [], []
     for i, walked in enumerate(draws.walk(poses, step)):
         p, q = shape(i, walked), draws.rotation(draws.uniform(0, math.pi))
@@ -192,7 +194,7 @@ def timed(
     return Case(
         [(stamp, *smooth(stamp, origin)) for stamp in groundtruth],
         [
-            (stamp, plus(p, draws.vector(0.03)), multiply(draws.rotation(0.01), q))
+            (stamp, plus(p, draws.vector(0.01)), multiply(draws.rotation(0.01), q))
             for stamp, p, q in rows
         ],
     )
@@ -250,7 +252,7 @@ def nanoseconds(name: str) -> Case:
 
 def rest(name: str) -> Case:
     """Return a walk with a rest, in which the path does not grow."""
-    case = pair(name, step=0.12)
+    case = pair(name, step=0.12, noise=0.01)
     still = case.groundtruth[15][1]
     return changed(
         case, groundtruth=lambda i, row: (row[0], still, row[2]) if 15 <= i < 25 else row
@@ -263,7 +265,7 @@ def with_covariances(name: str) -> Case:
     draws = Draws(name + " covariances")
     case.covariances = []
     for _ in case.estimate:
-        a, b, c = (draws.vector(0.04) for _ in range(3))
+        a, b, c = (draws.vector(0.02) for _ in range(3))
         rows = [[sum(v[i] * v[j] for v in (a, b, c)) for j in range(3)] for i in range(3)]
         case.covariances.append(tuple(
             rows[i][j] + (1e-4 if i == j else 0) for i in range(3) for j in range(i, 3)
@@ -289,14 +291,14 @@ RECIPES: dict[str, Callable[[str], Case]] = {
         pair(n), estimate=lambda _, row: (row[0], (row[1][0], -row[1][1], row[1][2]), row[2])
     ),
     "plane": lambda n: pair(n, noise=0.01, shape=lambda _, p: (p[0], p[1], 0.0)),
-    "tilted_frame": lambda n: pair(n, frame=about((1, 2, 0), 0.1)),
+    "turned_frame": lambda n: pair(n, frame=about((1, 2, 3), 2.0)),
     "yaw_near_180_deg": lambda n: pair(n, frame=about((0, 0, 1), math.pi - 1e-9)),
     "near_line": lambda n: pair(n, noise=0.001, shape=lambda i, p: plus(
         times(i / 4, LINE), times(0.001, p))),
     "exact_line": exact_line,
     "motionless_estimate": lambda n: at_one_point(n, "estimate"),
     "motionless_groundtruth": lambda n: at_one_point(n, "groundtruth"),
-    "micrometres": lambda n: pair(n, step=1e-7, noise=1e-8, offsets=((0, 0, 0), (0, 0, 0))),
+    "micrometres": lambda n: pair(n, step=1e-7, noise=5e-9, offsets=((0, 0, 0), (0, 0, 0))),
     "megametres": lambda n: pair(n, step=1e5, noise=10.0),
     "no_noise": lambda n: pair(n, noise=0.0, angle=1e-12),
     "rotation_1e-8_rad": lambda n: pair(
@@ -315,16 +317,16 @@ RECIPES: dict[str, Callable[[str], Case]] = {
         pair(n), estimate=lambda i, row: (row[0], plus(row[1], (300.0 * (i == 27), 0, 0)), row[2])
     ),
     "negative_zero": lambda n: changed(
-        pair(n),
-        groundtruth=lambda i, row: (row[0], (row[1][0], -0.0, row[1][2]), row[2]),
-        estimate=lambda i, row: (row[0], row[1], row[2]) if i else (row[0], (-0.0,) * 3, row[2]),
+        pair(n, frame=IDENTITY),
+        groundtruth=lambda _, row: (row[0], (*row[1][:2], -0.0), row[2]),
+        estimate=lambda _, row: (row[0], (*row[1][:2], -0.0), row[2]),
     ),
     "text_forms": pair,
     "keyframes": lambda n: timed(
         n, *2 * [[EPOCH_NS + 1_000_000 * (97 * i * i % 1500 + 1500 * i) for i in range(20)]]
     ),
     "slow_estimate": lambda n: timed(
-        n, every(10, 0, 600), jittered(n, every(64, 3.1, 590), 2_000_000)
+        n, every(25, 0, 2000), jittered(n, every(97, 3.1, 1990), 2_000_000)
     ),
     "fast_estimate": lambda n: timed(
         n, jittered(n, every(50, 0, 2000), 1_000_000), every(12.3, 5, 1000)
@@ -349,9 +351,9 @@ RECIPES: dict[str, Callable[[str], Case]] = {
         groundtruth=lambda i, row: (*row[:2], times(-1 if i % 2 else 1, row[2])),
     ),
     "nanoseconds": nanoseconds,
-    "relative_walk": lambda n: pair(n, step=0.12),
+    "relative_walk": lambda n: pair(n, step=0.12, noise=0.01),
     "relative_rest": rest,
-    "relative_utm": lambda n: pair(n, step=0.12, offsets=(UTM, (4e5, 4e6, 50.0))),
+    "relative_utm": lambda n: pair(n, step=0.12, noise=0.01, offsets=(UTM, (4e5, 4e6, 50.0))),
     "kitti_drive": lambda n: drive(n, 140),
     "kitti_short_drive": lambda n: drive(n, 45),
     "nees": with_covariances,
