@@ -223,7 +223,9 @@ def shuffled(name: str) -> Case:
 def repeated(name: str) -> Case:
     """Return a case in which every fifth row occurs twice."""
     case = timed(name, every(50, 0, 2000), jittered(name, every(70, 11, 1990), 2_000_000))
-    case.groundtruth = [row for i, row in enumerate(case.groundtruth) for _ in range(1 + (i % 5 == 0))]
+    case.groundtruth = [
+        row for i, row in enumerate(case.groundtruth) for _ in range(1 + (i % 5 == 0))
+    ]
     case.estimate = [row for i, row in enumerate(case.estimate) for _ in range(1 + (i % 5 == 2))]
     return case
 

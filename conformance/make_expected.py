@@ -48,7 +48,7 @@ RELATIVE_CASES = ("relative_walk", "relative_rest", "relative_utm")
 KITTI_CASES = ("kitti_drive", "kitti_short_drive")
 # Quantities that no data of the case determine: `undetermined` is the only right answer.
 UNDETERMINED: dict[str, tuple[str, ...]] = {
-    "one_pose": ("rotation_deg.yaw.", "rotation_deg.se3.", "rotation_deg.sim3.", "scale."),
+    "one_pose": ("rotation_deg.yaw.", "rotation_deg.se3.", "sim3."),
     "two_poses": ("rotation_deg.se3.", "rotation_deg.sim3."),
     "exact_line": ("rotation_deg.se3.", "rotation_deg.sim3.", "rotation_deg.se3_first_10."),
     "motionless_estimate": ("sim3.", "rotation_deg.yaw.", "rotation_deg.se3.")
@@ -58,7 +58,7 @@ UNDETERMINED: dict[str, tuple[str, ...]] = {
 }
 # Quantities with a value that a tool may withhold, because noise or rounding decides it.
 UNCERTAIN: dict[str, tuple[str, ...]] = {
-    "one_pose": (".yaw.", ".se3.", ".sim3."),
+    "one_pose": (".yaw.", ".se3."),
     "two_poses": (".yaw.", ".se3.", "sim3."),
     "three_poses": (".yaw.", ".se3.", "sim3."),
     "exact_line": (".se3.", "sim3.", ".se3_first_10.", "rotation_deg.yaw"),
@@ -258,7 +258,7 @@ def align(kind: str, pairs: Pairs, draws: random.Random | None = None) -> Simila
             R = U * S * V
             if kind == "sim3":
                 variance = sum(norm(e.p - mean_e) ** 2 for _, e in used) / count
-                # No motion has no scale; the value is of no use, and listed as undetermined.
+                # No motion has no scale; what depends on it is listed as undetermined.
                 s = sum(D[i] * S[i, i] for i in range(3)) / variance if variance else mpf(1)
     return s, R, mean_p - s * (R * mean_e)
 

@@ -17,6 +17,7 @@ The exit status is 0 if no number is wrong, else 1. Needs Python 3.8 and nothing
 
 import argparse
 import json
+import re
 import sys
 from collections import Counter
 from decimal import Decimal, InvalidOperation, getcontext
@@ -27,6 +28,8 @@ RIGHT, WITHHELD, WRONG, REFUSED = "right", "undetermined", "wrong", "refused"
 ABSENT = "not offered"
 OUTCOMES = (RIGHT, WITHHELD, WRONG, REFUSED, ABSENT)
 getcontext().prec = 60
+# Numbers that are none, as C prints them.
+_NAN = re.compile(r"(?<=[:\s])-?(nan|inf)(?=\s*[,}])", re.IGNORECASE)
 
 
 def expected():
@@ -126,7 +129,7 @@ def main():
     results = []
     for name in arguments.results:
         try:
-            result = json.loads(Path(name).read_text(encoding="utf-8"))
+            result = json.loads(_NAN.sub("NaN", Path(name).read_text(encoding="utf-8")))
             results.append({"version": "", **result, "tool": str(result["tool"])})
             unknown = result["results"].keys() - expected().keys()
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:

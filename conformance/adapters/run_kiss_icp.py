@@ -18,7 +18,7 @@ def answer(folder: Path, quantities: list[str]) -> Answers:
     sides = [matrices(rows(folder / f"{side}.txt")) for side in ("groundtruth", "estimate")]
     if quantities[0].startswith("kitti"):
         percent, degrees = sequence_error(*sides)
-        return {"kitti.t_rel_percent": percent, "kitti.r_rel_deg_per_m": degrees / 100}
+        return {"kitti.t_rel_percent": percent, "kitti.r_rel_deg_per_m": degrees}
     if quantities[0].startswith("relative"):
         return {}
     rotation, position = absolute_trajectory_error(*sides)

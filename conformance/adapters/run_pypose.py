@@ -47,7 +47,9 @@ def answer(folder: Path, quantities: list[str]) -> Answers:
                 found = dict.fromkeys(STATISTICS.values(), f"{type(error).__name__}: {error}")
             for statistic, key in STATISTICS.items():
                 value = found[key]
-                answers[f"{quantity}.{statistic}"] = value if isinstance(value, str) else float(value)
+                answers[f"{quantity}.{statistic}"] = (
+                    value if isinstance(value, str) else float(value)
+                )
     return {quantity: answers[quantity] for quantity in quantities if quantity in answers}
 
 

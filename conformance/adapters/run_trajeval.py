@@ -106,7 +106,9 @@ def _nees(groundtruth: Trajectory, estimate: Trajectory, file: Path) -> float:
     """Return the mean NEES of the positions; the kit has no covariances of orientations."""
     xx, xy, xz, yy, yz, zz = np.loadtxt(file)[:, 1:].T
     covariances = np.tile(1e-4 * np.eye(6), (len(xx), 1, 1))
-    covariances[:, :3, :3] = np.moveaxis(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), 2, 0)
+    covariances[:, :3, :3] = np.moveaxis(
+        np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), 2, 0
+    )
     request = Request(
         protocol=Protocol(gauge="none", lengths=()), covariances=CovarianceRequest("message")
     )
