@@ -10,6 +10,7 @@ angles of quaternion products. Needs mpmath; imports nothing of the kit.
 
 from __future__ import annotations
 
+import itertools
 import json
 import sys
 from fractions import Fraction
@@ -67,7 +68,7 @@ def angle_deg(q):
 
 def minus(a, b):
     """Return the difference of two vectors."""
-    return [x - y for x, y in zip(a, b)]
+    return [x - y for x, y in zip(a, b, strict=False)]
 
 
 def size(v):
@@ -77,7 +78,7 @@ def size(v):
 
 def mean(vectors):
     """Return the mean of vectors."""
-    return [mpmath.fsum(column) / len(vectors) for column in zip(*vectors)]
+    return [mpmath.fsum(column) / len(vectors) for column in zip(*vectors, strict=False)]
 
 
 def slerp(a, b, share):
@@ -89,7 +90,7 @@ def slerp(a, b, share):
     if theta == 0:
         return a
     x, y = mpmath.sin((1 - share) * theta), mpmath.sin(share * theta)
-    return [(x * c + y * d) / mpmath.sin(theta) for c, d in zip(a, b)]
+    return [(x * c + y * d) / mpmath.sin(theta) for c, d in zip(a, b, strict=False)]
 
 
 def by_time(true, other):
@@ -105,7 +106,7 @@ def by_time(true, other):
         if 2 * width > 1000000000:
             continue
         share = mpf(stamp - a[0]) / width if width else mpf(0)
-        between = [x + (y - x) * share for x, y in zip(a[1], b[1])]
+        between = [x + (y - x) * share for x, y in zip(a[1], b[1], strict=False)]
         out.append((stamp, between, slerp(a[2], b[2], share), p, q))
     return out
 
@@ -132,7 +133,10 @@ def heading(q):
 
 def horn(a, b):
     """Return the rotation that brings centred points b to a, by Horn's matrix."""
-    S = [[mpmath.fsum(y[i] * x[j] for x, y in zip(a, b)) for j in range(3)] for i in range(3)]
+    S = [
+        [mpmath.fsum(y[i] * x[j] for x, y in zip(a, b, strict=False)) for j in range(3)]
+        for i in range(3)
+    ]
     N = mpmath.matrix(
         [
             [S[0][0] + S[1][1] + S[2][2], S[1][2] - S[2][1], S[2][0] - S[0][2], S[0][1] - S[1][0]],
@@ -165,15 +169,15 @@ def fit(kind, pairs):
     if name == "translation":
         return mpf(1), [mpf(0)] * 3 + [mpf(1)], center, middle
     if name == "yaw":
-        x = mpmath.fsum(p[0] * e[0] + p[1] * e[1] for p, e in zip(a, b))
-        y = mpmath.fsum(p[1] * e[0] - p[0] * e[1] for p, e in zip(a, b))
+        x = mpmath.fsum(p[0] * e[0] + p[1] * e[1] for p, e in zip(a, b, strict=False))
+        y = mpmath.fsum(p[1] * e[0] - p[0] * e[1] for p, e in zip(a, b, strict=False))
         half = mpmath.atan2(y, x) / 2
         return mpf(1), [mpf(0), mpf(0), mpmath.sin(half), mpmath.cos(half)], center, middle
     turn = horn(a, b)
     if name == "se3":
         return mpf(1), turn, center, middle
     total = mpmath.fsum(mpmath.fdot(e, e) for e in b)
-    along = mpmath.fsum(mpmath.fdot(p, rotated(turn, e)) for p, e in zip(a, b))
+    along = mpmath.fsum(mpmath.fdot(p, rotated(turn, e)) for p, e in zip(a, b, strict=False))
     return (along / total if total else mpf(1)), turn, center, middle
 
 
@@ -212,7 +216,7 @@ def ate(out, pairs, kinds, prefix=""):
 def lengths(pairs):
     """Return the path up to every pair."""
     total, out = mpf(0), [mpf(0)]
-    for before, after in zip(pairs, pairs[1:]):
+    for before, after in itertools.pairwise(pairs):
         total += size(minus(after[1], before[1]))
         out.append(total)
     return out
@@ -234,7 +238,7 @@ def at_end(a, b, form):
     moved = rotated(turn, minus(b[3], a[3]))
     error = product(b[2], inverse(product(turn, b[4])))
     if form.startswith("tutorial"):
-        aligned = [x + y for x, y in zip(a[1], moved)]
+        aligned = [x + y for x, y in zip(a[1], moved, strict=False)]
         difference = minus(b[1], rotated(error, aligned))
     else:
         difference = minus(minus(b[1], a[1]), moved)
@@ -272,7 +276,7 @@ def benchmark(out, pairs):
 def squared(out, pairs, file):
     """Store the NEES, by the inverse of a symmetric matrix from its cofactors."""
     values = []
-    for pair, line in zip(pairs, file.read_text().splitlines()):
+    for pair, line in zip(pairs, file.read_text().splitlines(), strict=False):
         a, b, c, d, e, f = (number(text) for text in line.split()[1:])
         x, y, z = minus(pair[1], pair[3])
         determinant = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
@@ -294,13 +298,15 @@ def case(folder):
             out[f"{rule}:pairs"] = len(pairs)
             ate(out, pairs, ("none", "yaw", "se3"), f"{rule}:")
         return out
-    pairs = [(a[0], a[1], a[2], b[1], b[2]) for a, b in zip(true, other)]
+    pairs = [(a[0], a[1], a[2], b[1], b[2]) for a, b in zip(true, other, strict=False)]
     if folder.name.startswith("relative"):
         re(out, pairs)
     elif folder.name.startswith("kitti"):
         benchmark(out, pairs)
     else:
-        ate(out, pairs, "none translation yaw se3 sim3 yaw_first_1 se3_first_1".split())
+        ate(
+            out, pairs, ["none", "translation", "yaw", "se3", "sim3", "yaw_first_1", "se3_first_1"]
+        )
         ate(out, pairs, ("yaw_first_10", "se3_first_10"))
         if (folder / "covariance.txt").exists():
             squared(out, pairs, folder / "covariance.txt")

@@ -8,6 +8,7 @@ Needs mpmath. The definitions are those of README.md.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import math
 import random
@@ -101,10 +102,10 @@ ABOUT = {
     "quaternions_not_normalised": "norms from 0.996 to 1.006",
     "one_outlier": "one position is wrong by 300 m",
     "negative_zero": "heights that are -0 on both sides",
-    "text_forms": "tabs, comments, empty lines, exponents, CR LF, no line end at the end of the file",
+    "text_forms": "tabs, comments, empty lines, exponents, CR LF, no final line end",
     "keyframes": "poses at irregular times, 0.1 to 3 s apart",
     "slow_estimate": "groundtruth of 40 Hz, estimate of 10 Hz",
-    "fast_estimate": "groundtruth of 20 Hz, estimate of 81 Hz: several poses per groundtruth state",
+    "fast_estimate": "groundtruth of 20 Hz, estimate of 81 Hz: several poses per state",
     "near_the_limit": "time differences of 19.9 and 20.1 ms",
     "unsorted": "rows in random order",
     "repeated_rows": "some rows occur twice",
@@ -211,7 +212,7 @@ def linear(groundtruth: list[State], estimate: list[State]) -> Pairs:
     """Pair every estimated state with the interpolated groundtruth, not across gaps."""
     pairs = []
     for e in estimate:
-        for a, b in zip(groundtruth[:-1], groundtruth[1:], strict=True):
+        for a, b in itertools.pairwise(groundtruth):
             if a.stamp <= e.stamp <= b.stamp and b.stamp - a.stamp <= GAP_NS:
                 share = mpf(e.stamp - a.stamp) / (b.stamp - a.stamp)
                 R = about_axis(b.R * a.R.T, share) * a.R
@@ -299,7 +300,7 @@ def absolute(
 def path(pairs: Pairs) -> list[mpf]:
     """Return the length of the groundtruth's path up to every pair, m."""
     lengths = [mpf(0)]
-    for (a, _), (b, _) in zip(pairs[:-1], pairs[1:], strict=True):
+    for (a, _), (b, _) in itertools.pairwise(pairs):
         lengths.append(lengths[-1] + norm(b.p - a.p))
     return lengths
 

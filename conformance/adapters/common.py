@@ -24,7 +24,7 @@ def print_result(tool: str, version: str, answer: Callable[[Path, list[str]], An
     for folder, quantities in cases():
         try:
             results[folder.name] = answer(folder, quantities)
-        except Exception as error:  # whatever a tool raises is its answer
+        except Exception as error:  # noqa: PERF203 - whatever a tool raises is its answer
             results[folder.name] = f"{type(error).__name__}: {error}"[:200]
     json.dump({"tool": tool, "version": version, "results": results}, sys.stdout, indent=1)
     print()
