@@ -103,8 +103,10 @@ class GateVerdict:
             return ""
         values = counted(self.pooled.count, "value")
         enough = equal_trials(self.pooled.count, false_alarms)
+        copies = " (identical ones count once)" if self.copies else ""
         return (
-            f"{values} with so few trials cannot be significant at {100 * false_alarms:g} %; use "
+            f"{values} with so few trials{copies} cannot be significant at "
+            f"{100 * false_alarms:g} %; use "
             f"{counted(enough, 'trial')} on both sides, or "
             f"{self.pooled.more_trials} more per value now"
         )

@@ -200,7 +200,7 @@ def _comparison_of(
             f"{results[0]} has finished results, and {others[0]} has none; give folders with "
             f"{RESULT}, or groundtruth and estimates"
         )
-    given = [name for name, value in settings.items() if value is not None]
+    given = [name for name, value in settings.items() if value not in (None, (), [])]
     if given:
         option = f"--{given[0].replace('_', '-')}"
         raise SettingsError(

@@ -42,8 +42,8 @@ def load(path: Path) -> tuple[Any, Floats | None]:
     }
     if len(poses) != 1:
         raise InputError(
-            f"{path} has {len(poses)} arrays of poses ({', '.join(arrays) or 'none'}); save "
-            f"one of shape {_SAID} as .npy"
+            f"{path} has {counted(len(poses), 'array')} of poses "
+            f"({', '.join(arrays) or 'none'}); save one of shape {_SAID} as .npy"
         )
     ((_, array),) = poses.items()
     times = [

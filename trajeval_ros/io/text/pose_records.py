@@ -160,7 +160,9 @@ def _folder(path: Path) -> Records | None:
         for frame, file in sorted(files.items()):
             words = file.read_text("latin-1").split()
             if len(words) not in (12, 16):
-                raise InputError(f"{file} has {len(words)} numbers, expected a 4 x 4 matrix")
+                raise InputError(
+                    f"{file} is not a 4 x 4 matrix: 12 or 16 numbers expected, found {len(words)}"
+                )
             yield f"{frame} {' '.join(words[:12])} 0 0 0 1\n"
 
     return Records(lines, _FOLDER)
@@ -249,7 +251,7 @@ def _json(path: Path, left_out: dict[str, int]) -> Iterator[dict[str, str]]:
                 parse_constant=str,
             )
         except (ValueError, RecursionError) as error:
-            raise InputError(f"{path} is no JSON: {error}") from None
+            raise InputError(f"{path} is not valid JSON: {error}") from None
         if isinstance(document, dict):
             document = next(
                 (each for each in document.values() if isinstance(each, list)), [document]

@@ -57,7 +57,7 @@ def _certain(table: TextTable) -> Layout:
     is_prose = above and not clock and table.columns not in _counts(above)
     if above and not (is_prose and {"unit", "matrix"} & set(by_rows(table).checks)):
         raise InputError(
-            f"line {table.first} is no header of {table.columns} known columns: {above[:80]!r}, "
+            f"line {table.first} does not name {table.columns} known columns: {above[:80]!r}, "
             f"above the first row {table.first_line!r}; name the columns, as in "
             f"{{option}} 't x y z qx qy qz qw', with {IGNORED} for columns to ignore"
         )
@@ -168,8 +168,8 @@ def with_dates(table: TextTable, layout: Layout) -> Layout:
         return dataclasses.replace(layout, columns=columns)
     if table.texts[at]:
         raise InputError(
-            f"line {table.first + 1}: {word[:40]!r} is no time, in column {at + 1}; name the "
-            f"columns: {{option}} '{' '.join(layout.columns)}'"
+            f"line {table.first + 1}: column {at + 1} has {word[:40]!r}, which is not a time; "
+            f"name the columns: {{option}} '{' '.join(layout.columns)}'"
         )
     return layout
 

@@ -29,6 +29,7 @@ from trajeval_ros.io.text.stamps import WIDTH, Words
 _ROWS = 1 << 13  # rows that are read at once; they fit into the cache
 _SAMPLE = 50  # rows from which a layout is recognised
 _MOST_COLUMNS = 4096
+_LONGEST_COUNT = 2  # numbers in a line above the rows that can be a count or a size
 _MIXED = "mixed"  # commas, semicolons, spaces and brackets between numbers, in any number
 _MISSING = re.compile(
     r"(?:[-+]?nan(?:\([^)]*\))?|-?1\.#(?:qnan|ind)\d*|n/?a|null|none|-|)", re.IGNORECASE
@@ -213,6 +214,13 @@ def sniff(
     )  # fmt: skip
     if first is None or not any(numeric):
         raise InputError(f"{path} is text without a row of numbers; give a file with poses")
+    for at in used[: used.index(first)]:  # a row of numbers is not a header
+        row = split(bodies[at], separator)
+        if len(row) > _LONGEST_COUNT and all(number(word) is not None for word in row):
+            raise InputError(
+                f"{path}, line {at + 1}: {columns} columns expected, found {len(row)}; correct or "
+                "remove the line"
+            )
     for at in used[: used.index(first)] if not named else ():  # no row is skipped in silence
         row = split(bodies[at], separator)
         if len(row) == columns and 2 * sum(bool(each and number(each)) for each in row) > columns:

@@ -121,7 +121,8 @@ def _floats(path: Path, times: Any) -> Floats:
         if value is None or len(word) >= WIDTH:
             shown = word.decode("latin-1")[:40]
             raise InputError(
-                f"{path}: {shown!r} in row {row + 1} is no time; correct or remove the row"
+                f"{path}: row {row + 1} has {shown!r}, which is not a time; "
+                "correct or remove the row"
             )
         found[row] = value
     return found
@@ -221,7 +222,7 @@ def _of_frames(layout: Layout, frames: Any, rate: float | None, origin: Path | N
                 FRAME if at == layout.time else each for at, each in enumerate(layout.columns)
             )
             raise InputError(
-                f"its frame numbers start at 1, and {beside} has {len(times)} times: "
+                f"its frame numbers start at 1, and {beside} has {counted(len(times), 'time')}: "
                 f"number 0 or 1 may be the first; name the columns: {{option}} '{told}', or "
                 f"{{option}} '{told.replace(FRAME, FRAME_1, 1)}' if 1 is"
             )
