@@ -145,8 +145,10 @@ def with_errors(position_m: float, rotation_deg: float | None) -> Any:
 def test_without_short_motions_another_run_has_a_low_peak_and_a_long_overlap(
     overlap_s: float, peak: float, causes: list[str]
 ) -> None:
-    poses = TimedPoses(np.array([0.0, 100.0]), np.zeros((2, 3)))
-    inputs: Any = SimpleNamespace(max_gap_s=0.5, by_time=True)
+    poses = TimedPoses(np.array([0.0, 100.0]), np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]]))
+    inputs: Any = SimpleNamespace(
+        max_gap_s=0.5, by_time=True, groundtruth_poses=poses, estimate_poses=poses
+    )
     match: Any = SimpleNamespace(overlap_s=overlap_s, peak=peak)
     [examined] = _tests_of_geometry(inputs, poses, poses, match)
     assert [seen.cause for seen in examined.seen] == causes

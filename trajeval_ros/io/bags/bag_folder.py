@@ -105,7 +105,13 @@ class BagFolder:
             notes += said
             listed = {each.name for each in metadata.files}
             wanted = set(map(_plain, listed))
-            files = [file for file in files if _plain(file.name) in wanted] or files
+            others = [file for file in files if _plain(file.name) not in wanted]
+            if len(others) < len(files):
+                notes += _about_others(others, wanted)
+                parts = [file for file in others if _series(file.name) in map(_series, wanted)]
+                files = [file for file in files if file in parts or file not in others]
+                # The counts of the metadata are those of the files that it lists.
+                metadata = None if parts else metadata
         kept = _without_copies(files, listed)
         if metadata is None:
             notes += tuple(
@@ -122,6 +128,25 @@ class BagFolder:
 def _plain(name: str) -> str:
     """Return a file's name without compression. Players leave a decompressed copy next to it."""
     return name.removesuffix(_COMPRESSED)
+
+
+def _series(name: str) -> str:
+    """Return the part of a file's name that all files of a split bag share."""
+    return re.sub(r"_\d+(\.\w+)$", r"\1", _plain(name))
+
+
+def _about_others(others: list[Path], listed: set[str]) -> tuple[str, ...]:
+    """Return a note on each file that the metadata does not list: whether it is read."""
+    series = set(map(_series, listed))
+    return tuple(
+        f"{file.with_name(_METADATA)} does not list {file.name}, "
+        + (
+            "a file of the same recording, which is read, too"
+            if _series(file.name) in series
+            else "which is not read; give it alone, or remove it"
+        )
+        for file in others
+    )
 
 
 def _without_copies(files: list[Path], listed: set[str]) -> list[Path]:
