@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
+from trajeval_ros.io.text import reader
 from trajeval_ros.io.text.hints import SideHints
+from trajeval_ros.io.text.reader import read_text
 from trajeval_ros.simulation.drifting_odometry import simulate
 
 FLIGHT = simulate(seed=5, duration_s=20.0).estimate
@@ -165,3 +168,17 @@ def test_a_picture_is_called_a_picture(tmp_path: Path) -> None:
     path.write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR")
     with pytest.raises(InputError, match=r"is a picture \(PNG\)"):
         read_trajectory(path)
+
+
+@pytest.mark.parametrize("kind", [TypeError, AttributeError, struct.error, AssertionError])
+def test_an_exception_of_a_library_becomes_a_refusal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: type[Exception]
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise kind("broken inside")
+
+    path = tmp_path / "a.txt"
+    path.write_text("1.5 1 2 3 0 0 0 1\n2.5 1 2 3 0 0 0 1\n")
+    monkeypatch.setattr(reader, "_read", fail)
+    with pytest.raises(InputError, match=r"a\.txt can't be read by the reader of text.*broken"):
+        read_text(path)

@@ -12,6 +12,9 @@ from trajeval_ros.io.yaml_file import read_mapping
 
 _METADATA = "metadata.yaml"
 _COMPRESSED = ".zstd"
+# Of a file that metadata.yaml does not list.
+_READ = "a file of the same recording, which is read, too"
+_UNREAD = "which is not read; give it alone, or remove it"
 _ENDINGS = (".mcap", ".db3", f".mcap{_COMPRESSED}", f".db3{_COMPRESSED}")
 
 
@@ -107,11 +110,14 @@ class BagFolder:
             wanted = set(map(_plain, listed))
             others = [file for file in files if _plain(file.name) not in wanted]
             if len(others) < len(files):
-                notes += _about_others(others, wanted)
-                parts = [file for file in others if _series(file.name) in map(_series, wanted)]
-                files = [file for file in files if file in parts or file not in others]
+                series = set(map(_series, wanted))
+                files = [file for file in files if _series(file.name) in series]
+                notes += tuple(
+                    f"{described} does not list {file.name}, {_READ if file in files else _UNREAD}"
+                    for file in others
+                )
                 # The counts of the metadata are those of the files that it lists.
-                metadata = None if parts else metadata
+                metadata = None if set(others) & set(files) else metadata
         kept = _without_copies(files, listed)
         if metadata is None:
             notes += tuple(
@@ -133,20 +139,6 @@ def _plain(name: str) -> str:
 def _series(name: str) -> str:
     """Return the part of a file's name that all files of a split bag share."""
     return re.sub(r"_\d+(\.\w+)$", r"\1", _plain(name))
-
-
-def _about_others(others: list[Path], listed: set[str]) -> tuple[str, ...]:
-    """Return a note on each file that the metadata does not list: whether it is read."""
-    series = set(map(_series, listed))
-    return tuple(
-        f"{file.with_name(_METADATA)} does not list {file.name}, "
-        + (
-            "a file of the same recording, which is read, too"
-            if _series(file.name) in series
-            else "which is not read; give it alone, or remove it"
-        )
-        for file in others
-    )
 
 
 def _without_copies(files: list[Path], listed: set[str]) -> list[Path]:

@@ -20,6 +20,7 @@ from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.text.names import BODY_TWISTS, FAST_LIO, GROUPS, IGNORED, TEXT, Layout
 from trajeval_ros.io.text.states import ORTHONORMAL
 from trajeval_ros.io.text.table import TextTable, number
+from trajeval_ros.metrics.statistics import median
 
 _MOST = 0.85  # part of the rows that must pass a check: some may be damaged
 _LEAST_NANOSECONDS = 1e12  # time of a file with commas: larger numbers are nanoseconds
@@ -203,7 +204,7 @@ KNOWN = (
 def _lengths(layout: Layout, values: Floats) -> Any:
     lengths = np.linalg.norm(values[:, list(layout.groups["quaternion"])], axis=1)
     lengths = lengths[np.isfinite(lengths) & (lengths > 0.0)]
-    typical = 1.0 if len(lengths) < 3 else float(np.median(lengths))
+    typical = 1.0 if len(lengths) < 3 else median(lengths)
     if abs(typical - 1.0) < 2e-2 or "spaces" not in layout.checks or layout.time is None:
         return np.abs(lengths - 1.0) < 2e-2
     return (np.abs(lengths - typical) < 1e-6 * typical) & (typical < 10.0)  # all scaled alike

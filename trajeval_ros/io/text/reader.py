@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import note, warning
 from trajeval_ros.geometry import lie
@@ -68,9 +68,12 @@ def read_text(
         raise InputError(
             f"{path}: a time or a frame number is out of range; correct or remove it"
         ) from None
-    except (ValueError, LookupError, ArithmeticError, RecursionError, MemoryError) as error:
+    except (TrajevalError, OSError):
+        raise
+    except Exception as error:  # numpy, zipfile, YAML and JSON have types of their own
         raise InputError(
-            f"{path} can't be read ({type(error).__name__}: {str(error)[:100]}); check the file"
+            f"{path} can't be read by the reader of text "
+            f"({type(error).__name__}: {str(error)[:100]}); check the file"
         ) from error
 
 

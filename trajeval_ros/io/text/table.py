@@ -7,7 +7,6 @@ damage is read line by line by `_repaired`, which also says what is wrong and wh
 from __future__ import annotations
 
 import contextlib
-import csv
 import itertools
 import re
 import warnings
@@ -107,6 +106,8 @@ def split(line: str, separator: str) -> list[str]:
     if separator == _MIXED:
         return [each for each in re.split(r"[,;\s\[\]()\"]+", line) if each]
     if '"' in line:
+        import csv  # few files have quotes
+
         fields = next(csv.reader([line.strip()], delimiter=separator, skipinitialspace=True), [])
     else:
         fields = line.split(separator)

@@ -31,6 +31,7 @@ from trajeval_ros.io.text.names import (
 from trajeval_ros.io.text.numpy_files import files_of_times, is_numbered, load
 from trajeval_ros.io.text.stamps import WIDTH, dates, exact, to_stamps, unit_of, unpadded
 from trajeval_ros.io.text.table import Rows, number, read_rows, sniff
+from trajeval_ros.metrics.statistics import median
 
 ROW_TIMES = "row_times"  # code of the remark on a frame rate that was used
 _FRAMES = 10**8  # limit of frame numbers
@@ -341,7 +342,7 @@ def receptions_of(path: Path, stamps: Stamps, column: Any) -> Receptions | None:
             "remove the row"
         )
     units = [unit for unit in UNITS.values() if unit is not None]
-    unit = min(units, key=lambda unit: float(np.abs(np.median(values * unit - stamps))))
+    unit = min(units, key=lambda unit: abs(median(values * unit - stamps)))
     if (np.abs(values) * unit >= 2.0**63).any():
         raise InputError(f"column {RECEIVED} has times after the year 2262; correct it")
     return Receptions(to_stamps(column, values, unit))
