@@ -65,7 +65,7 @@ def levels(
             add(
                 trajectory(side.stamps[rows], states(side.positions[rows], side.quaternions[rows]))
             )
-        peaks.see_update(live.update(), knows_up=True)
+        peaks.see_update(live.update())
         if (tick + 1) * every % 200 == 0:
             seen.append({each.subject: each.level for each in alarms(peaks.take(), limits)})
     return seen
@@ -133,8 +133,8 @@ def test_drift_is_the_largest_of_the_sub_trajectories_that_ended() -> None:
         for begin in range(0, 180, count):
             part = slice(begin, begin + count)
             live.add_estimate(trajectory(flight.stamps[part], drifted[part]))
-            peaks.see_update(live.update(), knows_up=True)
-        peaks.see_update(live.update(at_end=True), knows_up=True)
+            peaks.see_update(live.update())
+        peaks.see_update(live.update(at_end=True))
         found.append(peaks.take()["drift_percent"].value)
     assert found[0] == pytest.approx(found[1], rel=1e-9)
     assert found[0] > 0.0
@@ -148,7 +148,8 @@ def test_peaks_are_the_largest_errors_of_all_pairs_and_their_stamps(*, knows_up:
     live, peaks = OnlineEvaluator(OnlineSettings(Protocol(gauge="none"))), Peaks()
     live.add_groundtruth(trajectory(flight.stamps, states(flight.positions, flight.quaternions)))
     live.add_estimate(trajectory(flight.stamps, states(off, flight.quaternions)))
-    peaks.see_update(live.update(), knows_up=knows_up)
+    live.up_axis_doubt = "" if knows_up else "y is up"
+    peaks.see_update(live.update())
     found = peaks.take()
     assert found["position_error_m"].value == pytest.approx(0.7)
     assert found["position_error_m"].stamp == flight.stamps[1]

@@ -18,7 +18,10 @@ from trajeval_ros.metrics.association import AT_GROUNDTRUTH, AUTO, Association, 
 from trajeval_ros.metrics.coverage import Coverage, StampedPoses
 from trajeval_ros.metrics.lost_tracking import LostTracking
 from trajeval_ros.metrics.moments import Moments
+from trajeval_ros.metrics.premises import Doubts
+from trajeval_ros.metrics.relative_errors import RelativeErrors
 from trajeval_ros.metrics.statistics import Statistics
+from trajeval_ros.metrics.withholding import doubts_of
 from trajeval_ros.online.live_alignment import LiveAlignment
 from trajeval_ros.online.live_coverage import LiveCompleteness, LiveCoverage
 from trajeval_ros.online.live_frames import LiveFrames
@@ -49,6 +52,8 @@ class OnlineEvaluator:
         frames: Up axes of both frames, and conversions.
         store: The pairs of the window, and those that relative errors still need.
         tracking: Losses of tracking: frozen and diverging estimates.
+        up_axis_doubt: Why the groundtruth's up axis is doubtful; set by the caller, who has the
+            path of the whole run. Empty if it is not.
 
     Example:
         >>> from trajeval_ros import OnlineEvaluator, simulate
@@ -88,6 +93,7 @@ class OnlineEvaluator:
         self._ended: tuple[RelativeEnd, ...] = ()  # since the last update
         self._yaw = YawInformation()
         self._ate_before_m: float | None = None  # until nothing suggested a loss of tracking
+        self.up_axis_doubt = ""
 
     def add_groundtruth(self, block: Trajectory, dropped: Mapping[str, int] = NOTHING) -> None:
         """Take new groundtruth states, in any order.
@@ -156,7 +162,8 @@ class OnlineEvaluator:
             self.store.add(evaluated)
             self._aligning.add(evaluated)
             self._add_covariances(evaluated.estimate)
-            update = Update(len(pairs), int(pairs.stamps[-1]), self._errors_of(pairs))
+            doubts = self._doubts_about(self._associated(evaluated))
+            update = Update(len(pairs), int(pairs.stamps[-1]), self._errors_of(pairs, doubts))
         if at_end or self.buffer.newest - self._measured_at >= _MEASURED_EVERY_NS:
             self._measure(at_end=at_end)
         ended, self._ended = self._ended, ()
@@ -171,12 +178,15 @@ class OnlineEvaluator:
         begin = self.store.window_begin(self.settings.window)
         protocol, request = self.settings.protocol, self.settings.covariances
         found = self._aligning.found
-        pairs = None
+        pairs, doubts, relative = None, Doubts(), self._relative.running
         if len(self.store):
             pairs = self._associated(self.store.pairs(slice(begin - self.store.begin, None)))
+            doubts = self._doubts_about(pairs)
         ate: dict[str, Statistics | None] = {}
         if pairs is not None and found is not None:
-            ate = window_statistics(pairs, found, protocol)
+            ate = window_statistics(pairs, found, doubts)
+        if doubts.about(RelativeErrors, "position_m"):
+            relative = {}
         loss = self.tracking.present
         consistency, why_not = judge_window(pairs, protocol, request.once_turned)
         return Snapshot(
@@ -188,7 +198,7 @@ class OnlineEvaluator:
             window_position_rmse_m=self._aligning.rmse(self._window_moments(begin)),
             ate=ate,
             window_pairs=self.store.end - begin,
-            relative=self._relative.running,
+            relative=relative,
             estimate_coverage=self._estimate_coverage(),
             coverage=self._coverage.coverage(),
             dropped=self.buffer.dropped,
@@ -201,6 +211,7 @@ class OnlineEvaluator:
             loss=loss,
             ate_before_loss_m=None if loss is None else self._ate_before_m,
             about_yaw=self._yaw.remark,
+            doubts=doubts,
         )
 
     @property
@@ -306,13 +317,15 @@ class OnlineEvaluator:
         self.store.drop_before(min(window_begin, self._relative.oldest_needed(self.store)))
 
     def _ends(self, *, at_end: bool) -> tuple[RelativeEnd, ...]:
-        """Return the sub-trajectories that end by the newest pair, if poses have orientations."""
-        newest = self.store.pairs(slice(-1, None))
-        if newest.groundtruth.quaternions is None or newest.estimate.quaternions is None:
+        """Return the sub-trajectories that end by the newest pair, unless they are withheld."""
+        newest = self._associated(self.store.pairs(slice(-1, None)))
+        if not newest.have_rotations:
             return ()
         found = self._aligning.found
         scale = 1.0 if found is None else found.similarity.scale
-        return self._relative.update(self.store, scale, at_end=at_end)
+        ends = self._relative.update(self.store, scale, at_end=at_end)
+        is_withheld = self._doubts_about(newest).about(RelativeErrors, "position_m")
+        return () if is_withheld else ends
 
     def _settle(self, block: Trajectory) -> None:
         """Resolve association `auto` by the first usable groundtruth states, if there are any."""
@@ -341,13 +354,19 @@ class OnlineEvaluator:
         pairs = self.store.pairs(slice(begin - self.store.begin, None))
         return self._aligning.moments(pairs, self._aligning.whole.anchor)
 
-    def _errors_of(self, pairs: PairedStates) -> tuple[PairErrors, ...]:
+    def _doubts_about(self, pairs: Association) -> Doubts:
+        """Return which premises do not hold for pairs under the present alignment."""
+        alignment = self._aligning.found
+        if alignment is None:
+            return Doubts()
+        return doubts_of(pairs, alignment, self.settings.protocol, self.up_axis_doubt)
+
+    def _errors_of(self, pairs: PairedStates, doubts: Doubts) -> tuple[PairErrors, ...]:
         """Return errors of pairs between the frames' own axes under the present alignment."""
         alignment = self.alignment
         if alignment is None:
             return ()
-        rotation = not alignment.why_withheld(self.settings.protocol)
-        return (PairErrors(pairs, alignment.similarity, rotation=rotation),)
+        return (PairErrors(pairs, alignment.similarity, doubts),)
 
     def _estimate_coverage(self) -> float | None:
         """Return the share of estimated states in a pair; None for pairs at fixes and points."""

@@ -9,7 +9,8 @@ import numpy as np
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Similarity
-from trajeval_ros.metrics.absolute_errors import lengths
+from trajeval_ros.metrics.absolute_errors import AbsoluteErrors, lengths
+from trajeval_ros.metrics.premises import Doubts
 from trajeval_ros.online.pairing import PairedStates
 
 
@@ -17,13 +18,14 @@ class PairErrors:
     """Errors of N pairs under the alignment at their arrival.
 
     Vectors are groundtruth minus aligned estimate, in the groundtruth's frame unless stated
-    otherwise. A quantity that is not available is None. Quantities are computed on access.
+    otherwise. A quantity that is not available or withheld is None. Quantities are computed on
+    access.
     """
 
-    def __init__(self, pairs: PairedStates, alignment: Similarity, *, rotation: bool) -> None:
+    def __init__(self, pairs: PairedStates, alignment: Similarity, doubts: Doubts) -> None:
         self._groundtruth, self._estimate = pairs.groundtruth, pairs.estimate
         self._alignment, self._up = alignment, pairs.groundtruth.up
-        self._has_rotation = rotation
+        self._withheld = doubts.withheld(AbsoluteErrors).keys()
         self.stamps = pairs.stamps  # (N,) timestamps of the pairs, nanoseconds
         aligned = alignment.positions(pairs.estimate.positions)
         self.position: Floats = pairs.groundtruth.positions - aligned  # (N, 3), metres
@@ -37,7 +39,7 @@ class PairErrors:
     def _between(self) -> Floats | None:
         """The rotation errors E = R R'^T, (N, 4)."""
         groundtruth, estimate = self._groundtruth.quaternions, self._estimate.quaternions
-        if not self._has_rotation or groundtruth is None or estimate is None:
+        if "rotation_deg" in self._withheld or groundtruth is None or estimate is None:
             return None
         aligned = self._alignment.quaternions(estimate)
         return lie.normalized(lie.multiply(groundtruth, lie.conjugate(aligned)))
@@ -50,14 +52,14 @@ class PairErrors:
     @cached_property
     def yaw_deg(self) -> Floats | None:
         """Signed twists of the rotation errors about the up axis, (N,), degrees."""
-        if self._between is None:
+        if self._between is None or "yaw_deg" in self._withheld:
             return None
         return np.degrees(lie.yaw(self._up.turned(self._between)))
 
     @cached_property
     def tilt_deg(self) -> Floats | None:
         """Angles between the up axis and its image under the rotation errors, (N,), degrees."""
-        if self._between is None:
+        if self._between is None or "tilt_deg" in self._withheld:
             return None
         return np.degrees(lie.tilt(self._up.turned(self._between)))
 
@@ -73,7 +75,7 @@ class PairErrors:
         The component along the up axis is `yaw_deg`. The components perpendicular to it are the
         rotation vector of the tilt, whose length is `tilt_deg`.
         """
-        if self._between is None or self.yaw_deg is None:
+        if self._between is None or self.yaw_deg is None or "tilt_deg" in self._withheld:
             return None
         level = self._up.turned(self._between)
         tilted = lie.multiply(level, lie.conjugate(lie.heading(level)))
@@ -89,7 +91,7 @@ class PairErrors:
         A velocity of exactly zero is an unset field of a message.
         """
         groundtruth, estimate = self._groundtruth.velocities, self._estimate.velocities
-        if not self._has_rotation or groundtruth is None or estimate is None:
+        if "velocity_mps" in self._withheld or groundtruth is None or estimate is None:
             return None
         error = groundtruth - self._alignment.vectors(estimate)
         error[~(groundtruth.any(axis=1) & estimate.any(axis=1))] = np.nan
@@ -103,7 +105,7 @@ class PairErrors:
         forward (REP-103).
         """
         attitude = self._groundtruth.quaternions
-        if attitude is None:
+        if attitude is None or "horizontal_m" in self._withheld:
             return None
         upright = lie.multiply(lie.from_matrices(self._up.matrix[None]), attitude)
         return lie.rotate(lie.conjugate(lie.heading(upright)), self._up.turned(self.position))

@@ -19,9 +19,9 @@ from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import Association
 from trajeval_ros.metrics.coverage import StampedPoses
 from trajeval_ros.metrics.evaluation import evaluate_pairs
+from trajeval_ros.metrics.premises import Doubts
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
-from trajeval_ros.metrics.withholding import doubts_of
 from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.state_buffer import Tail
 
@@ -158,15 +158,11 @@ class PairStore:
 
 
 def window_statistics(
-    pairs: Association, alignment: Alignment, protocol: Protocol
+    pairs: Association, alignment: Alignment, doubts: Doubts
 ) -> dict[str, Statistics | None]:
     """Return statistics of the absolute errors by metric, under the alignment of the run."""
-    errors = absolute_errors(
-        pairs.groundtruth,
-        alignment.similarity.trajectory(pairs.estimate),
-        rotation=not alignment.why_withheld(protocol),
-    )
-    errors = doubts_of(pairs, alignment, protocol).without(errors)
+    aligned = alignment.similarity.trajectory(pairs.estimate)
+    errors = doubts.without(absolute_errors(pairs.groundtruth, aligned))
     return {name: statistics_of(getattr(errors, name)) for name in AbsoluteErrors.__annotations__}
 
 

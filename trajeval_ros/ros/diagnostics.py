@@ -17,6 +17,7 @@ from trajeval_ros.geometry.valid_poses import (
     in_words,
     reasons,
 )
+from trajeval_ros.metrics.premises import Premise
 from trajeval_ros.metrics.stream_health import FEWEST_RECENT
 from trajeval_ros.online.alarms import (
     LIMITED_QUANTITIES,
@@ -254,8 +255,8 @@ def _about_run(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> Iter
         yield warning("hint", said, "covariance")
     if snapshot.about_yaw is not None:
         yield snapshot.about_yaw
-    if estimate.doubt:
-        yield warning("hint", estimate.doubt.replace("--up=", "up:="), "up")
+    if doubt := snapshot.doubts.reasons.get(Premise.UP_AXIS):
+        yield warning("hint", doubt.replace("--up=", "up:="), "up")
     stepped = estimate.source.stream.clock_steps.found is not None
     if estimate.jumps.count and snapshot.loss is None and not stepped:
         said = f"{counted(estimate.jumps.count, 'jump')}, {cause_of_jumps(estimate.jumps.count)}"

@@ -21,9 +21,7 @@ from trajeval_ros.io.live.pair_file import REVISED_SUFFIX, SUFFIX, PairWriter, w
 from trajeval_ros.io.live.reception_file import SUFFIX as RECEIVED_SUFFIX
 from trajeval_ros.io.live.reception_file import RecordedAvailability
 from trajeval_ros.io.writing import write_whole
-from trajeval_ros.metrics.absolute_errors import AbsoluteErrors
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH
-from trajeval_ros.metrics.premises import Doubts, Premise
 from trajeval_ros.online.alarms import Peaks, Standing
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.jump_detector import Jump, JumpDetector
@@ -99,7 +97,6 @@ class LiveEstimate:
         self.clock = clock  # estimate of its clock offset; none if the topic carries paths
         self.peaks, self.standing = Peaks(), Standing()  # peaks since the last status
         self.slow = SlowEvaluation()  # hints, and the errors of the newest path
-        self.doubt = ""  # why the groundtruth's up axis is probably wrong, at the newest snapshot
         self._given_up = None if settings.up is None else settings.up[1]
         self._paired_at = 0.0
         self._updates: list[Update] = []
@@ -241,17 +238,12 @@ class LiveEstimate:
         return 1.0 if alignment is None else alignment.similarity.scale
 
     def snapshot(self) -> Snapshot:
-        """Return the state of the evaluation, without what relies on a doubtful up axis."""
-        snapshot = self.evaluator.snapshot()
+        """Return the state of the evaluation, without what is withheld."""
         stamps, groundtruth, _ = self.thinned.columns()
         if len(stamps):
-            self.doubt = up_axis_doubt(
-                trajectory(stamps, groundtruth, self.evaluator.frames.groundtruth_up)
-            )
-        if not self.doubt:
-            return snapshot
-        absent = Doubts({Premise.UP_AXIS: self.doubt}).withheld(AbsoluteErrors)
-        return replace(snapshot, ate={**snapshot.ate, **dict.fromkeys(absent)})
+            up = self.evaluator.frames.groundtruth_up
+            self.evaluator.up_axis_doubt = up_axis_doubt(trajectory(stamps, groundtruth, up))
+        return self.evaluator.snapshot()
 
     def digest(self) -> list[Jump]:
         """Add the pairs since the last call to thinned and revision; return their jumps.

@@ -29,7 +29,6 @@ from trajeval_ros.io.bags.encode_messages import (
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.evaluation import Evaluation
-from trajeval_ros.metrics.premises import Premise
 from trajeval_ros.online.error_topics import (
     ALIGNMENT,
     ALIGNMENT_TYPE,
@@ -43,7 +42,6 @@ from trajeval_ros.online.error_topics import (
     ROBOT,
     VECTOR_TYPE,
     VECTORS,
-    numbers_of,
     position_and_rotation,
     relative_error_topic,
     status_texts,
@@ -117,8 +115,7 @@ class _RecordedRun:
         }
         pairs, self._alignment = _as_live(run.evaluation, up, run.estimate.up)
         self._pairs = pairs.rows.without_covariances()
-        rotation = not run.evaluation.withheld
-        self._errors = PairErrors(pairs, self._alignment, rotation=rotation)
+        self._errors = PairErrors(pairs, self._alignment, run.evaluation.doubts)
         self._snapshot = _snapshot(run.evaluation)
         rule = run.evaluation.association.rule
         self._offset_ns = round(rule.time_offset_s * NANOSECONDS)
@@ -126,15 +123,13 @@ class _RecordedRun:
 
     def channels(self) -> Iterator[_Channel]:
         """Yield the topics with their messages."""
-        errors, knows_up = self._errors, Premise.UP_AXIS not in self._evaluation.doubts.reasons
         begin, whole = self._times[:1], self._times[[0, -1]]
         for topic in VECTORS:
-            stamps, vectors = vectors_of(errors, topic, self._offset_ns, knows_up=knows_up)
+            stamps, vectors = vectors_of(self._errors, topic, self._offset_ns)
             messages = _each(encode_stamped(stamps, vectors, self._frame))
             yield self._channel(topic, VECTOR_TYPE, stamps, messages)
-        for topic in NUMBERS:
-            values = numbers_of(errors, topic, knows_up=knows_up)
-            if values is not None:
+        for topic, numbers_of in NUMBERS.items():
+            if (values := numbers_of(self._errors)) is not None:
                 yield self._numbers(topic, self._times, values)
         for segment in self._evaluation.relative or ():
             found, topic = segment.errors, relative_error_topic(str(segment.length))
