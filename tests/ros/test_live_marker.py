@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_runs import COUNT, ESTIMATE, GROUNDTRUTH, Live, batches
 from marker_flights import MOUNTED, of_marker, write_mounting
+from recorded_runs import pairs_of
 from ros_bags import ODOM, POINT, POSE, Message, messages_of, write_messages
 from ros_processes import assert_same, offline
 from strategies import make_pair, seeds
@@ -22,7 +23,6 @@ from trajeval_ros import simulate
 from trajeval_ros.cli.app import main
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.live.pair_file import read_pairs
 from trajeval_ros.io.requests.request_from import known_hand_eye
 from trajeval_ros.ros import live_runs
 from trajeval_ros.ros.live_runs import NewRunRule
@@ -128,12 +128,14 @@ def test_covariances_are_of_the_markers_position(tmp_path: Path) -> None:
     )
     live.feed(feed)
     live.end()
-    recorded = read_pairs(live.folder / "vio.pairs")
-    rows = estimate.stamps.searchsorted(recorded.stamps)
+    recorded = pairs_of(live.folder)
+    rows = estimate.stamps.searchsorted(recorded.estimate.stamps)
     expected = MOUNTED.of_marker(estimate[rows], 1.0)
     assert expected.covariances is not None
-    assert recorded.covariances is not None
-    np.testing.assert_allclose(recorded.covariances, expected.covariances, rtol=1e-9, atol=1e-12)
+    assert recorded.estimate.covariances is not None
+    np.testing.assert_allclose(
+        recorded.estimate.covariances, expected.covariances, rtol=1e-9, atol=1e-12
+    )
     newest = live.run.estimates[0].uncertainty()
     last = MOUNTED.of_marker(estimate[-1:], 1.0)
     assert newest is not None
@@ -206,13 +208,13 @@ def test_groundtruth_that_serves_two_runs_is_moved_once(
     for message in sorted([*groundtruth, *arriving], key=lambda each: each[2]):
         live.feed([message])
     live.end()
-    recorded = read_pairs(live.folders[1] / "vio.pairs")
-    rows = pair.groundtruth.stamps.searchsorted(recorded.stamps)
+    recorded = pairs_of(live.folders[1])
+    rows = pair.groundtruth.stamps.searchsorted(recorded.estimate.stamps)
     rows = rows.clip(1, len(pair.groundtruth) - 1)
     around = pair.groundtruth.positions[[rows - 1, rows]]
     reach = np.linalg.norm(around[1] - around[0], axis=1)
-    apart = np.linalg.norm(around - recorded.groundtruth[:, :3], axis=2).min(axis=0)
-    assert len(recorded.stamps) > 0.9 * (len(stamps) - COUNT // 4)
+    apart = np.linalg.norm(around - recorded.groundtruth.positions, axis=2).min(axis=0)
+    assert len(recorded.estimate.stamps) > 0.9 * (len(stamps) - COUNT // 4)
     assert (apart <= reach + 1e-9).all()
 
 

@@ -130,6 +130,9 @@ def _of_states(
     asked = _with_settings_of(request, asked_live)
     truth = _groundtruth(path.parent, groundtruth, state["groundtruth"], state["fixes"])
     estimate = _trajectory(recorded, state["estimate"], name)
+    if asked.up is not None:
+        axes = zip((truth, estimate), asked.up, strict=True)
+        truth, estimate = (dataclasses.replace(side, up=UpAxis(up)) for side, up in axes)
     if asked.available.is_asked_for:
         estimate = _with_receptions(estimate, recorded)
     if state["until_ns"] is not None:
@@ -167,18 +170,20 @@ def _request_of(state: Mapping[str, Any], align_with: str | None, path: Path) ->
         settings.pop("risk", None)
     try:
         request = request_from(settings)
+        protocol, fixes = request.protocol, request.fixes
+        # Number of states when the alignment was frozen.
+        frozen = int(state["aligned_by"]) if state["aligned_by"] else protocol.align_states
+        protocol = dataclasses.replace(
+            protocol, align_with=align_with or protocol.align_with, align_states=frozen
+        )
+        if state["fixes"] is not None:  # the live run has selected them
+            fixes = FixRule(Datum(*state["fixes"]), correlation_s=fixes.correlation_s)
+        calibration = CalibrationRequest()
+        if (body := state["hand_eye"]) is not None:
+            known = hand_eye_of(body["T_body_marker"], str(path))
+            calibration = CalibrationRequest(known=known, source=str(body["source"]))
     except SettingsError as error:  # a damaged file; other estimates can be valid
         raise InputError(f"{path} is damaged or from another version: {error}") from error
-    protocol, fixes = request.protocol, request.fixes
-    protocol = dataclasses.replace(protocol, align_with=align_with or protocol.align_with)
-    if state["aligned_by"]:  # number of states when the alignment was frozen
-        protocol = dataclasses.replace(protocol, align_states=int(state["aligned_by"]))
-    if state["fixes"] is not None:  # the live run has selected them
-        fixes = FixRule(Datum(*state["fixes"]), correlation_s=fixes.correlation_s)
-    known, body = None, state["hand_eye"]
-    if body is not None:
-        known = hand_eye_of(body["T_body_marker"], str(path))
-    calibration = CalibrationRequest(known=known, source="" if body is None else body["source"])
     return dataclasses.replace(
         request,
         protocol=protocol,
