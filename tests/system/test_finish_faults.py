@@ -105,6 +105,7 @@ ODD_STATES = [
     )
     for value in ({"a": 1}, [{}], "x", -1, 0.5, 10**40, float("nan"), 1e300, True)
 ]
+ODD_STATES.append(with_value({"name": "up", "origin": "stated"}, "estimate", "up"))
 ODD_DESCRIPTIONS = [
     with_value(value, "place", of=ODD) for value in ({"a": 1}, [1], None, float("nan"))
 ]

@@ -274,7 +274,7 @@ class EvaluatorNode:
             name: {"status": int(each.level), **each.values}
             for name, each in self._statuses.newest.items()
         }
-        with suppress(InputError):  # the pair file reports a disk that can't be written
+        with suppress(InputError):  # the file of states reports a disk that can't be written
             write_metrics(run.folder, metrics)
         self._results.tell(self._values["autosave_period"])
 

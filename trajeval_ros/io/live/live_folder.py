@@ -253,7 +253,7 @@ def _trajectory(recorded: RecordedStates, counts: Mapping[str, Any], name: str) 
         covariances=covariances if covariances is not None and covariances.any() else None,
         frame=str(counts["frame"]),
         child_frame=str(counts["child_frame"]),
-        up=UpAxis(**counts["up"]),
+        up=_up_axis(counts["up"]),
         name=name,
         reading=dataclasses.replace(
             reading,
@@ -261,6 +261,13 @@ def _trajectory(recorded: RecordedStates, counts: Mapping[str, Any], name: str) 
             remarks=(*reading.remarks, *remarks),
         ),
     )
+
+
+def _up_axis(words: Mapping[str, str]) -> UpAxis:
+    try:
+        return UpAxis(**words)
+    except SettingsError as error:  # of a damaged file, and no mistake of the user
+        raise ValueError(str(error)) from error
 
 
 def _with_receptions(estimate: Trajectory, recorded: RecordedStates) -> Trajectory:
