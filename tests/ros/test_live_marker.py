@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,6 @@ from uncertain_runs import MESSAGE
 from uncertain_runs import OPTIONS as JUDGED
 
 from trajeval_ros import simulate
-from trajeval_ros.cli.app import main
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.requests.request_from import known_hand_eye
@@ -76,18 +76,19 @@ def test_a_marker_is_applied_as_offline(
     )
 
 
-def test_what_was_applied_live_is_not_applied_again(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_another_marker_pose_can_be_applied_after_the_run(tmp_path: Path) -> None:
     file = str(write_mounting(tmp_path))
     live = Live(tmp_path / "live", ODOM, body=MarkerBody(file, known_hand_eye(file)))
     live.feed(marker_messages(4))
     live.end()
-    for wanted in (file, "auto"):
-        assert live.finish("--hand-eye", wanted) == 2
-        assert f"the live run has applied hand_eye {file}" in capsys.readouterr().err
-    assert main(["finish", str(live.folder), "--hand-eye", "none"]) == 0
-    assert f"transformed with {file} during the run" in capsys.readouterr().out
+    own, result = live.result, tmp_path / "again.json"
+    for hand_eye in (file, "none", "auto"):
+        assert live.finish("--hand-eye", hand_eye, "--json", str(result)) == 0
+        [run], [known] = json.loads(result.read_text())["runs"], own["runs"]
+        if hand_eye == "auto":
+            assert run["calibration"] != known["calibration"]
+        else:
+            assert_same(run["ate"], known["ate"])
 
 
 @settings(max_examples=3)

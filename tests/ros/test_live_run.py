@@ -115,8 +115,10 @@ def test_pairs_that_a_disk_did_not_take_are_missing_with_the_reason(
     live.feed(rest)
     live.end()
     [run] = live.result["runs"]
-    [told] = [each["text"] for each in run["remarks"] if "missing, since the disk" in each["text"]]
-    assert told.endswith("since the disk could not be written: no space left on device")
+    told = [each["text"] for each in run["remarks"] if "missing, since the disk" in each["text"]]
+    assert told
+    for each in told:
+        assert each.endswith("since the disk could not be written: no space left on device")
 
 
 def full(*_: object) -> int:

@@ -13,7 +13,6 @@ import numpy as np
 
 from trajeval_ros.consistency.s_transformation import unknown_covariances
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.marker import BODYS_VELOCITIES
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.vertical_axis import up_axis_doubt
@@ -120,7 +119,6 @@ class LiveEstimate:
         before.until_ns = self.evaluator.continue_after(before.evaluator)
         taken = self.evaluator.buffer.estimate.stamps - before.offset_ns
         copy_states(before.states_file.path, self.states_file, taken)
-        self._note_velocities(BODYS_VELOCITIES in before.status.remarks)
 
     def share_groundtruth(self, before: LiveEstimate) -> None:
         """Copy the newest groundtruth states, of the evaluated body, from the previous run."""
@@ -176,10 +174,6 @@ class LiveEstimate:
         if self.availability is not None:
             self._receive(self.source.stream.as_received(poses))
         self.latency.arrive(poses.stamps + self.offset_ns, messages.times)
-        self._note_velocities(
-            self._body.leaves_out_velocities_of(poses.states, is_groundtruth=False)
-            or self.evaluator.frames.leaves_out_velocities_of(poses.states)
-        )
         self._add(poses.stamps, rows)
 
     def _add(self, stamps: Stamps, rows: Floats) -> None:
@@ -192,10 +186,6 @@ class LiveEstimate:
             self.states_file.append_received(message_rows(poses.stamps, poses.states, receptions))
             rows = self._body.estimated(poses.states)
             self.availability.add_estimate(poses.stamps, rows, receptions)
-
-    def _note_velocities(self, are_left_out: bool) -> None:
-        if are_left_out:
-            self.status.note(BODYS_VELOCITIES)
 
     def evaluate(self, *, at_end: bool = False) -> None:
         """Evaluate the pairs that are possible now, up to a jump that ends the run."""

@@ -14,7 +14,6 @@ from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.marker import MARKERS_VELOCITIES
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.live.fix_file import FixWriter, read_fix_rows
 from trajeval_ros.io.live.state_file import GROUNDTRUTH, StateWriter, copy_states
@@ -239,9 +238,6 @@ class LiveRun:
         if not len(poses.stamps):
             return
         self.start.see_groundtruth(poses.states)
-        self._note_velocities(
-            self.body.leaves_out_velocities_of(poses.states, is_groundtruth=True)
-        )
         if self.on_groundtruth is not None:
             self.on_groundtruth(poses._replace(states=self.body.groundtruth(poses.states)))
 
@@ -291,17 +287,12 @@ class LiveRun:
         self._fixes = self._fixes or FixWriter(self.folder)
         self._fixes.append(stamps, fixes)
 
-    def _note_velocities(self, are_left_out: bool) -> None:
-        if are_left_out:
-            self.groundtruth_status.note(MARKERS_VELOCITIES)
-
     def _describe_groundtruth_of(self, before: LiveRun) -> None:
-        """Store and draw groundtruth that was taken from the previous run, with its note."""
+        """Store and draw groundtruth that was taken from the previous run."""
         if self.on_groundtruth is not None:
             states = self.estimates[0].evaluator.buffer.groundtruth.trajectory()
             rows = rows_of(states)
             self.on_groundtruth(StateColumns(states.stamps.copy(), rows, np.arange(len(rows))))
-        self._note_velocities(MARKERS_VELOCITIES in before.groundtruth_status.remarks)
         buffers = [estimate.evaluator.buffer for estimate in self.estimates]
         taken = np.concatenate([buffer.groundtruth.stamps for buffer in buffers])
         copy_states(before.states_file.path, self.states_file, taken)
