@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.text.layouts import _CAMERA, _known
+from trajeval_ros.io.text.layouts import CAMERA, known
 from trajeval_ros.io.text.lines import Advance, open_lines
 from trajeval_ros.io.text.names import GROUPS
 from trajeval_ros.io.text.table import Records, number
@@ -21,17 +21,17 @@ from trajeval_ros.io.text.table import Records, number
 _MATRIX = f"{' '.join(GROUPS['matrix'])} _ _ _ _"
 _TAG = re.compile(r"(?m)^(VERTEX_SE3:QUAT|VERTEX_SE2)\s")
 _GRAPHS = {
-    "VERTEX_SE3:QUAT": _known("g2o", "frame x y z qx qy qz qw", "unit", "g2o wiki: file format"),
-    "VERTEX_SE2": _known("g2o", "frame x y yaw", "", "g2o wiki: file format"),
+    "VERTEX_SE3:QUAT": known("g2o", "frame x y z qx qy qz qw", "unit", "g2o wiki: file format"),
+    "VERTEX_SE2": known("g2o", "frame x y yaw", "", "g2o wiki: file format"),
 }
 _COLMAP = "IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME"
-_IMAGES = _known(
+_IMAGES = known(
     "COLMAP", "frame qw qx qy qz x y z", "unit", "colmap.github.io: output format",
-    inverse=True, up=_CAMERA, note="frame numbers from the names of the images",
+    inverse=True, up=CAMERA, note="frame numbers from the names of the images",
 )  # fmt: skip
-_STACKED = _known("stacked 4 x 4 matrices", _MATRIX, "matrix bottom", "NICE-SLAM, 7-Scenes")
-_LOGGED = _known("Open3D log", f"frame _ _ {_MATRIX}", "matrix", "open3d.org: camera trajectory")
-_FOLDER = _known("folder of 4 x 4 matrices", f"frame {_MATRIX}", "matrix", "7-Scenes, ScanNet")
+_STACKED = known("stacked 4 x 4 matrices", _MATRIX, "matrix bottom", "NICE-SLAM, 7-Scenes")
+_LOGGED = known("Open3D log", f"frame _ _ {_MATRIX}", "matrix", "open3d.org: camera trajectory")
+_FOLDER = known("folder of 4 x 4 matrices", f"frame {_MATRIX}", "matrix", "7-Scenes, ScanNet")
 _KEY = re.compile(r"(\s*)(?:- )?([A-Za-z_][\w ]*):\s*(.*)")
 _TF_ECHO = (
     r"At time (\S+)\s*\n- Translation: \[(.*)\]\s*\n- Rotation: in Quaternion \S*\s*\[(.*)\]"

@@ -36,8 +36,9 @@ from trajeval_ros.io.text.names import (
 from trajeval_ros.io.text.numpy_files import load, rows_of
 from trajeval_ros.io.text.pose_records import rewritten
 from trajeval_ros.io.text.recognise import layout_of_table, with_dates
+from trajeval_ros.io.text.sniff import sniff
 from trajeval_ros.io.text.states import states_of
-from trajeval_ros.io.text.table import Rows, TextTable, read_rows, sniff
+from trajeval_ros.io.text.table import Rows, TextTable, read_rows
 from trajeval_ros.io.text.times import nanosecond_parts, receptions_of, times_of, with_times
 
 

@@ -10,7 +10,8 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.io.text.names import Layout
-from trajeval_ros.io.text.table import read_rows, sniff
+from trajeval_ros.io.text.sniff import sniff
+from trajeval_ros.io.text.table import read_rows
 from trajeval_ros.io.text.times import times_of
 
 _LARGEST = 1 << 30  # bytes of a file

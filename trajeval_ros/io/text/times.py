@@ -29,8 +29,9 @@ from trajeval_ros.io.text.names import (
     Layout,
 )
 from trajeval_ros.io.text.numpy_files import files_of_times, is_numbered, load
+from trajeval_ros.io.text.sniff import sniff
 from trajeval_ros.io.text.stamps import WIDTH, dates, exact, to_stamps, unit_of, unpadded
-from trajeval_ros.io.text.table import Rows, number, read_rows, sniff
+from trajeval_ros.io.text.table import Rows, number, read_rows
 from trajeval_ros.metrics.statistics import median
 
 ROW_TIMES = "row_times"  # code of the remark on a frame rate that was used
