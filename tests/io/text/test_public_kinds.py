@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -291,14 +292,18 @@ def test_hostile_numbers_are_refused_before_they_are_allocated(
         read_trajectory(path)
 
 
-def test_other_vertices_of_a_graph_are_counted(tmp_path: Path) -> None:
+def test_a_graph_of_two_kinds_of_poses_is_refused_with_a_command(tmp_path: Path) -> None:
     path = tmp_path / "t.g2o"
-    graph = "VERTEX_SE2 0 1 2 0.5\n" + "".join(
+    graph = "VERTEX_XY 9 1 2\nVERTEX_SE2 0 1 2 0.5\n" + "".join(
         f"VERTEX_SE3:QUAT {row} {' '.join(words([*PLACES[row], *XYZW[row]]))}\n"
         for row in range(COUNT)
     )
     path.write_text(graph)
-    assert sum(read_trajectory(path).reading.dropped.values()) >= 1
+    with pytest.raises(InputError, match="line 3: VERTEX_SE3:QUAT after VERTEX_SE2") as refusal:
+        read_trajectory(path)
+    command = str(refusal.value).partition("type: ")[2]
+    subprocess.run(["bash", "-c", command], cwd=tmp_path, check=True)
+    assert_right(read_trajectory(tmp_path / "one.g2o"), times=False)
 
 
 FIELD = SHARED / "data" / "field_cases" / "text"

@@ -61,10 +61,10 @@ def read_text(
     try:
         return _read(path, origin, advance, hints)
     except (InputError, SettingsError) as error:
-        said = hints.said(str(error))
-        named = str(path) in said or isinstance(error, SettingsError)
-        joint = ", " if said.startswith("line ") else ": "
-        raise type(error)(said if named else f"{path}{joint}{said}") from None
+        message = hints.in_message(str(error))
+        named = str(path) in message or isinstance(error, SettingsError)
+        joint = ", " if message.startswith("line ") else ": "
+        raise type(error)(message if named else f"{path}{joint}{message}") from None
     except OverflowError:
         raise InputError(
             f"{path}: a time or a frame number is out of range; correct or remove it"
@@ -95,7 +95,7 @@ def array_trajectory(array: NDArray[np.generic], name: str) -> Trajectory:
     try:
         return trajectory_of(Path(name), *rows_of(Path(name), array), None, None)
     except InputError as error:
-        raise InputError(NO_HINTS.said(str(error))) from None
+        raise InputError(NO_HINTS.in_message(str(error))) from None
 
 
 def _read(path: Path, origin: Path, advance: Advance | None, hints: TextHints) -> Trajectory:
@@ -186,16 +186,17 @@ def trajectory_of(
             path, stamps, received if times.kept is None else received[times.kept]
         )
     states = states_of(path, layout, groups, len(values))
-    positions, found = states.positions, states.quaternions
-    if layout.inverse and found is not None:
-        found = found * [-1.0, -1.0, -1.0, 1.0]
+    positions, rotations = states.positions, states.quaternions
+    if layout.inverse and rotations is not None:
+        rotations = rotations * [-1.0, -1.0, -1.0, 1.0]
         usable = np.where(
-            np.isfinite(found).all(axis=1, keepdims=True) & found.any(axis=1, keepdims=True),
-            found,
+            np.isfinite(rotations).all(axis=1, keepdims=True)
+            & rotations.any(axis=1, keepdims=True),
+            rotations,
             [0.0, 0.0, 0.0, 1.0],
         )
         positions = -lie.rotate(lie.normalized(usable), positions)
-    quaternions, judgement = judge_rotations(found)
+    quaternions, judgement = judge_rotations(rotations)
     trajectory = Trajectory.from_columns(
         stamps, positions, quaternions, velocities=states.velocities,
         gyroscope_biases=groups.get("gyroscope_bias"),

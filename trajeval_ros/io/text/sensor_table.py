@@ -38,9 +38,9 @@ def read_samples(path: Path, columns: str) -> tuple[Stamps, Floats]:
         rows = read_rows(table, layout)
         times = times_of(path, layout, rows, None, None)
     except InputError as error:
-        said = str(error).replace(" as given with {option}", "").replace("{option}", "columns")
-        said = said if str(path) in said else f"{path}: {said}"
-        raise InputError(f"{said}; use the columns {columns}") from None
+        message = str(error).replace(" as given with {option}", "").replace("{option}", "columns")
+        message = message if str(path) in message else f"{path}: {message}"
+        raise InputError(f"{message}; use the columns {columns}") from None
     usable: Any = np.isfinite(rows.values).all(axis=1)
     if times.kept is not None:
         usable &= times.kept
