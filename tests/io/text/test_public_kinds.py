@@ -206,6 +206,14 @@ REFUSED: dict[str, tuple[str, int]] = {  # text, and which of the suggested opti
     "eleven columns with commas": (rows(SECONDS, PLACES, XYZW, ZEROS[:, :3], separator=","), 0),
     "eleven columns, w first": (rows(SECONDS, PLACES, WXYZ, ZEROS[:, :3], separator=","), 1),
     "nine columns": (rows(SECONDS, PLACES, XYZW, ZEROS[:, :1] + 0.5), 0),
+    "the last column is a time": (
+        rows(PLACES, XYZW, SECONDS, header="x y z qx qy qz qw lidar_seconds"),
+        0,
+    ),
+    "a frame number and another time": (
+        rows(np.arange(COUNT), SECONDS, PLACES, XYZW, header="frame image x y z qx qy qz qw"),
+        0,
+    ),
     "unknown names": (rows(SECONDS, PLACES, XYZW, header="a1 a2 a3 a4 a5 a6 a7 a8"), 0),
 }
 
@@ -227,6 +235,24 @@ def test_the_option_that_a_refusal_suggests_works(
     if kind == "unpadded nanoseconds":
         assert found.stamps.tolist() == (STAMPS - 200_000_000).tolist()
     assert_right(found, times=kind != "unpadded nanoseconds")
+
+
+def test_rows_are_not_paired_by_number_while_an_unnamed_column_may_be_the_time(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "t.txt"
+    path.write_text(rows(PLACES, ZEROS[:, :1], SECONDS))
+    with pytest.raises(InputError, match="column 5 has no name and may be the time") as refusal:
+        read_trajectory(path, hints=SideHints.of("x y z", None).estimate)
+    as_time, ignored = re.findall(r"--columns '([^']*)'", str(refusal.value))
+    read = read_trajectory(path, hints=SideHints.of(as_time, None).estimate)
+    assert_right(read, rotations=False)
+    assert not read_trajectory(path, hints=SideHints.of(ignored, None).estimate).reading.stamped
+    path.write_text(rows(PLACES, ZEROS[:, :1], np.arange(COUNT)))  # counts rows
+    assert_right(
+        read_trajectory(path, hints=SideHints.of("x y z", None).estimate),
+        rotations=False, times=False,
+    )  # fmt: skip
 
 
 def test_velocities_are_no_positions(tmp_path: Path) -> None:

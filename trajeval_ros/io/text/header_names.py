@@ -19,6 +19,7 @@ from trajeval_ros.io.text.names import (
     ROTATIONS,
     Layout,
 )
+from trajeval_ros.io.text.stamps import is_clock
 
 # Patterns are compiled on use, since most files have no header.
 _UNIT = r"\[([^\[\]]*)\]|\(([^()]*)\)"
@@ -88,16 +89,19 @@ _FIXES = {  # used only if both latitude and longitude are present
     "sigma_up": r"(?:s|sd|std|sigma)_?(?:u|up|z)(?:_?m)?",
     "fix_status": r"(?:.*_)?(?:fix_?)?status(?:_status)?",
 }
-# Words of quantities that are no part of a pose.
-_OTHER = (
+# Words of what is no part of a pose: quantities, and labels, which may count or be times.
+_END = r"(?:[xyzneu]|\d{1,4})?(?:_.*)?"
+_QUANTITY = (
+    r"(?:.*_)?(?:vel|velocity|speed|twist|linear|angular|ang(?:vel)?|omega|acc|accel(?:eration)?"
+    r"|gyro|mag|gravity|wind|force|torque|wrench|temp(?:erature)?|pressure|battery|voltage"
+    r"|exposure|gain|cov(?:ar(?:iance)?)?|var(?:iance)?|std(?:dev)?|sigma|sd|sd[neu]+"
+    r"|err(?:or)?|residual|rmse|quality|score|confidence|conf|ratio|dop|[hpv]dop|scale|bias|b[agw]"
+    r"|distance|dist|length|width|hz|rate|fov|fx|fy|cx|cy)" + _END
+)
+_LABEL = (
     r"(?:.*_)?(?:id|uid|name|key|seq|counter|topic|type|state|mode|flag|valid|camera|device|label"
-    r"|vel|velocity|speed|twist|linear|angular|ang(?:vel)?|omega|acc|accel(?:eration)?|gyro|mag"
-    r"|gravity|wind|force|torque|wrench|temp(?:erature)?|pressure|battery|voltage|exposure|gain"
-    r"|cov(?:ar(?:iance)?)?|var(?:iance)?|std(?:dev)?|sigma|sd|sd[neu]+|err(?:or)?|residual|rmse"
-    r"|quality|q|score|confidence|conf|num|count|sats?|satellites|ns|nsat|age|ratio|dop|[hpv]dop"
-    r"|status|fix|service|scale|bias|b[agw]|distance|dist|length|width|duration|dt|hz|rate|week"
-    r"|seconds|v|w|a|b|d|l|fov|fx|fy|cx|cy|marker|mean|tracking|lidar|image|file|path|frame)"
-    r"(?:[xyzneu]|\d{1,4})?(?:_.*)?"
+    r"|q|num|count|sats?|satellites|ns|nsat|age|status|fix|service|duration|dt|week|seconds"
+    r"|v|w|a|b|d|l|marker|mean|tracking|lidar|image|file|path|frame)" + _END
 )
 _OPENVINS = r"\bq p v bg ba\b"  # one name per vector
 _COMPASS = r"(?:.*_)?(?:heading|azimuth|course|bearing|track)(?:_deg)?"
@@ -138,7 +142,9 @@ def from_header(names: Sequence[str], sample: Floats, texts: Booleans) -> Layout
     plain = [plain_of(name) for name in names]
     columns = _columns(names, plain, sample, ~texts)
     known = [
-        name != IGNORED or bool(re.fullmatch(f"{_OTHER}|{_COMPASS}", plain[at])) or not plain[at]
+        name != IGNORED
+        or bool(re.fullmatch(f"{_QUANTITY}|{_LABEL}|{_COMPASS}", plain[at]))
+        or not plain[at]
         for at, name in enumerate(columns)
     ]
     layout = Layout("", tuple(columns))
@@ -166,12 +172,12 @@ def from_header(names: Sequence[str], sample: Floats, texts: Booleans) -> Layout
     if quantity:
         words = ", ".join(repr(names[at][:40]) for at in unknown[:6])
         doubt = f", and the meaning of {words} is unknown" if unknown else ""
-        known_names = [name for name in columns if name != IGNORED]
-        example = (
-            columns
-            if known_names
-            else [*["t", "x", "y", "z", "qx", "qy", "qz", "qw"], *columns][: len(columns)]
-        )
+        example = list(columns)
+        if set(columns) <= {IGNORED}:
+            example = ["t", "x", "y", "z", "qx", "qy", "qz", "qw", *columns][: len(columns)]
+        elif quantity == "time":
+            example = [IGNORED if name == FRAME else name for name in columns]
+            example[_clock_of(layout, sample, plain) or 0] = "t"
         raise InputError(
             f"no column has a name of a {quantity} ({', '.join(names)[:200]}){doubt}; name the "
             f"columns: {{option}} '{' '.join(example)[:300]}', with x, y, z, t, qx ... for _"
@@ -197,10 +203,8 @@ def _missing(layout: Layout, unknown: Sequence[int], sample: Floats, plain: Sequ
     """Return the quantity that a column with an unknown name may be, "" if all is known."""
     if not layout.has_places:
         return "position"
-    if layout.time is None and len(sample) > 1:
-        steps = np.diff(sample[:, unknown], axis=0)
-        if ((steps >= 0.0).all(axis=0) & (steps > 0.0).any(axis=0)).any():
-            return "time"
+    if _clock_of(layout, sample, plain) is not None:
+        return "time"
     if "planar" in layout.groups and unknown:
         return "height"
     if not layout.is_geographic and set(ROTATIONS).isdisjoint(layout.groups):
@@ -210,6 +214,17 @@ def _missing(layout: Layout, unknown: Sequence[int], sample: Floats, plain: Sequ
             if len(lengths) and (np.abs(lengths - 1.0) < 1e-2).all():
                 return "rotation"
     return ""
+
+
+def _clock_of(layout: Layout, sample: Floats, plain: Sequence[str]) -> int | None:
+    """Return the first ignored column that may be the time, if rows are paired by number."""
+    places = range(len(plain)) if layout.time_name in ("", FRAME) else ()
+    ignored = (
+        at
+        for at in places
+        if layout.columns[at] == IGNORED and not re.fullmatch(_QUANTITY, plain[at])
+    )
+    return next((at for at in ignored if is_clock(sample[:, at])), None)
 
 
 def _unit_of(names: Sequence[str], layout: Layout) -> str:

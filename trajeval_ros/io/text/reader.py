@@ -37,6 +37,7 @@ from trajeval_ros.io.text.numpy_files import load, rows_of
 from trajeval_ros.io.text.pose_records import rewritten
 from trajeval_ros.io.text.recognise import layout_of_table, with_dates
 from trajeval_ros.io.text.sniff import sniff
+from trajeval_ros.io.text.stamps import is_clock
 from trajeval_ros.io.text.states import states_of
 from trajeval_ros.io.text.table import Rows, TextTable, read_rows
 from trajeval_ros.io.text.times import nanosecond_parts, receptions_of, times_of, with_times
@@ -135,8 +136,16 @@ def _recognised(path: Path, columns: tuple[str, ...]) -> tuple[TextTable, Layout
         )
     table = sniff(path, columns or (known.columns if known else ()), records, head)
     if columns:
-        rest = (IGNORED,) * (table.columns - len(columns))
-        return table, layout_of((*columns, *rest))
+        layout = layout_of((*columns, *(IGNORED,) * (table.columns - len(columns))))
+        for at in range(len(columns), table.columns):
+            if layout.time is None and is_clock(table.values[:, at]):
+                named = " ".join((*columns, *(IGNORED,) * (at - len(columns))))
+                raise InputError(
+                    f"column {at + 1} has no name and may be the time: "
+                    f"{', '.join(row[at] for row in table.sample[:3])} ...; use "
+                    f"{{option}} '{named} t', or {{option}} '{named} _' to ignore it"
+                )
+        return table, layout
     if known is None:
         return table, layout_of_table(table)
     if known.name != "g2o" and not fits(table, known):
