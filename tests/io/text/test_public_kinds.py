@@ -351,3 +351,18 @@ def test_a_field_case_is_read_or_refused_with_one_sentence(name: Path) -> None:
         assert "\n" not in str(refusal.value)
     else:
         assert len(read_trajectory(FIELD / name)) > 10
+
+
+@pytest.mark.parametrize(
+    ("columns", "up"),
+    [
+        ((MATRICES[:, :3],), "-y"),  # KITTI's first camera
+        ((np.arange(COUNT), MATRICES[:, :3]), "z"),  # KITTI-360, whose world is level
+        ((np.arange(COUNT), MATRICES), "z"),
+        ((SECONDS, MATRICES[:, :3]), "z"),  # MulRan's UTM
+    ],
+)
+def test_the_up_axis_of_matrices(columns: tuple[np.ndarray, ...], up: str, tmp_path: Path) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_text(rows(*columns))
+    assert read_trajectory(path).up.name == up

@@ -104,6 +104,19 @@ class Layout:
         """Name of the column `time`, "" if there is none."""
         return "" if self.time is None else self.columns[self.time]
 
+    def named(self, time: str = "") -> str:
+        """Return the columns as --columns takes them, without ignored ones at the end.
+
+        `time`: another name of the column `time`, such as one with its unit.
+        """
+        known = (name if name in NAMES else IGNORED for name in self.columns)
+        names = [
+            f"{name}_{self.unit}" if name in _XYZ and self.unit != "m" else name for name in known
+        ]
+        if self.time is not None and time:
+            names[self.time] = time
+        return " ".join(names).rstrip(f" {IGNORED}")
+
     @cached_property
     def groups(self) -> dict[str, tuple[int, ...]]:
         """Groups of `GROUPS` that are read, with the indices of their columns."""

@@ -81,10 +81,10 @@ def rows_of(path: Path, array: Any, named: Layout | None = None) -> tuple[Layout
             f"numpy ({', '.join(['N', *map(str, array.shape[1:])])})", tuple(names.split()), note
         )
         _check(path, layout, rows)
-    if len(layout.columns) != rows.shape[1]:
+    if len(layout.columns) > rows.shape[1]:
         raise InputError(
             f"{path} has shape {array.shape}, and {{option}} names "
-            f"{counted(len(layout.columns), 'column')}; name all"
+            f"{counted(len(layout.columns), 'column')}; name fewer"
         )
     places_of_rows = sorted({at for places in layout.groups.values() for at in places})
     groups = {

@@ -181,6 +181,7 @@ def trajectory_of(
     if layout.doubt:
         remarks.append(warning("quaternion_order", layout.doubt))
     reading = Reading(
+        columns=layout.named(times.name),
         stamped=times.stamped,
         numbered=times.numbered or layout.time_name in (FRAME, FRAME_1),
         dropped={"not_finite": len(rows.values) - len(values), **left_out},

@@ -49,6 +49,7 @@ class Times:
     kept: NDArray[np.bool_] | None = None  # rows that have a time; None if all do
     remarks: tuple[Remark, ...] = ()
     numbered: bool = False  # whether a column counts frames
+    name: str = ""  # name of the column of times, with its unit
 
 
 def times_of(
@@ -85,19 +86,16 @@ def times_of(
     elif layout.name != AS_NAMED and _is_unpadded(stamps, times):
         raise InputError(
             "its times go forward and back, and do not if nanoseconds were written without "
-            f"leading zeros (secs.nsecs); use {_option(layout, UNPADDED)}, or "
-            f"{_option(layout, layout.time_name)} if not"
+            f"leading zeros (secs.nsecs); use {{option}} '{layout.named(UNPADDED)}', or "
+            f"{{option}} '{layout.named()}' if not"
         )
-    name = {1: "nanoseconds", 10**3: "microseconds", 10**6: "milliseconds"}.get(unit)
-    is_said = name is not None and (unit == 1 or UNITS[layout.time_name] is None)
-    remarks = (note("nanoseconds", f"timestamps are in {name}"),) if is_said else ()
-    return Times(stamps, None, True, kept, remarks)
-
-
-def _option(layout: Layout, time: str) -> str:
-    """Return the option that names the columns of a layout, with another name of the time."""
-    names = (time if at == layout.time else name for at, name in enumerate(layout.columns))
-    return f"{{option}} '{' '.join(names)}'"
+    word = {1: "nanoseconds", 10**3: "microseconds", 10**6: "milliseconds"}.get(unit)
+    is_inferred = UNITS[layout.time_name] is None
+    is_noted = word is not None and (unit == 1 or is_inferred)
+    remarks = (note("nanoseconds", f"timestamps are in {word}"),) if is_noted else ()
+    units = {10**9: "t_s", 10**6: "t_ms", 10**3: "t_us", 1: "t_ns"}
+    name = units[unit] if is_inferred else layout.time_name
+    return Times(stamps, None, True, kept, remarks, name=name)
 
 
 def _of_dates(path: Path, rows: Rows) -> Times:
@@ -148,7 +146,7 @@ def _unit(layout: Layout, values: Floats, times: Any) -> int:
         raise InputError(
             f"its timestamps (up to {np.abs(values).max():.6g}) are neither times since 1970 nor "
             f"seconds{key}; name the unit: "
-            f"{_option(layout, unit_name)}{'' if key else ' (or t_ms, t_us, t_ns, t_s)'}"
+            f"{{option}} '{layout.named(unit_name)}'{'' if key else ' (or t_ms, t_us, t_ns, t_s)'}"
         )
     return unit
 
@@ -224,8 +222,9 @@ def _of_frames(layout: Layout, frames: Any, rate: float | None, origin: Path | N
         ):
             raise InputError(
                 f"its frame numbers start at 1, and {beside} has {counted(len(times), 'time')}: "
-                f"number 0 or 1 may be the first; name the columns: {_option(layout, FRAME)}, or "
-                f"{_option(layout, FRAME_1)} if 1 is"
+                "number 0 or 1 may be the first; name the columns: "
+                f"{{option}} '{layout.named(FRAME)}', or "
+                f"{{option}} '{layout.named(FRAME_1)}' if 1 is"
             )
         counts = layout.time is None and len(times) == len(frames)
         if counts or (layout.time is not None and numbers.max(initial=0) < len(times)):
@@ -241,7 +240,7 @@ def _of_frames(layout: Layout, frames: Any, rate: float | None, origin: Path | N
             warning(
                 "frames_from_1",
                 "frame numbers start at 1 and are used as they are; if number 1 is the first, use "
-                + _option(layout, FRAME_1).replace("{option}", "--columns"),
+                f"--columns '{layout.named(FRAME_1)}'",
             )
         )
     if rate is not None:
