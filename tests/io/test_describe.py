@@ -155,10 +155,8 @@ def test_columns_that_nothing_names(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "--columns" in capsys.readouterr().err
     assert main(["info", str(path), "--columns", "t_ms _ x y yaw_deg"]) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert (
-        "columns as named columns t_ms _ x y yaw_deg poses 5 rate 1.0 Hz timestamps 0.000 to 4.000 s"
-        in printed
-    )
+    assert "columns as named columns t_ms _ x y yaw_deg poses 5 rate 1.0 Hz" in printed
+    assert "timestamps 0.000 to 4.000 s" in printed
     assert "path length 4.000 m" in printed
 
 

@@ -366,3 +366,37 @@ def test_the_up_axis_of_matrices(columns: tuple[np.ndarray, ...], up: str, tmp_p
     path = tmp_path / "poses.txt"
     path.write_text(rows(*columns))
     assert read_trajectory(path).up.name == up
+
+
+SCIENTIFIC = [f"{value:.17e}" for value in PLACES[:, 0]]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        rows(SECONDS, PLACES, XYZW),
+        rows([f"{stamp / 1e9:.{1 + stamp // 10**8 % 3}f}" for stamp in STAMPS], PLACES, XYZW),
+        rows(STAMPS, SCIENTIFIC, PLACES[:, 1:], WXYZ, separator=",", header="t,x,y,z,qw,qx,qy,qz"),
+        rows(SECONDS, PLACES, NAMES, XYZW, separator=", ", header="t, x, y, z, n, qx, qy, qz, qw"),
+        rows(SECONDS, PLACES, XYZW).replace(" ", "  ", 3),
+        rows(SECONDS, PLACES, XYZW) + "# end\n",
+        rows(SECONDS, PLACES, XYZW) + f"{SECONDS[-1]} nan - 3 0 0 0 1\n",
+    ],
+    ids=["TUM", "widths", "scientific", "names", "spaces", "comment", "missing"],
+)
+def test_large_files_have_the_same_bits(
+    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+    path = tmp_path / "t.txt"
+    path.write_text(text)
+    plain = read_trajectory(path)
+    monkeypatch.setattr("trajeval_ros.io.text.sniff._LARGE", 0)
+    large = read_trajectory(path)
+    assert large.reading.dropped == plain.reading.dropped
+    assert large.stamps.tobytes() == plain.stamps.tobytes()
+    assert large.positions.tobytes() == plain.positions.tobytes()
+    if text.startswith(SECONDS[0]) and text.count("\n") == COUNT and "  " not in text:
+        monkeypatch.delattr(np, "loadtxt")  # pyarrow reads it
+        assert len(read_trajectory(path)) == COUNT
+    assert large.known_quaternions.tobytes() == plain.known_quaternions.tobytes()

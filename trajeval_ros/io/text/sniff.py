@@ -16,6 +16,7 @@ from trajeval_ros.io.text.names import IGNORED
 from trajeval_ros.io.text.table import MIXED, Lines, Records, TextTable, body_of, number, split
 
 _SAMPLE = 50  # rows from which a layout is recognised
+_LARGE = 1 << 24  # bytes from which reading by pyarrow saves more than its import takes
 _LATE = 30  # last lines of the head, which are rows if the file has any
 _RECORD_LINES = 200  # lines of rewritten records in the place of a head
 _MOST_COLUMNS = 4096
@@ -91,6 +92,7 @@ def sniff(
         sample=list(sample.values()), sample_lines=list(sample), values=values,
         texts=~np.array(numeric), comment=signs[0] if signs else "#",
         plain=separator != MIXED and not commas and '"' not in lines[first] and len(signs) < 2,
+        large=records is None and path.stat().st_size >= _LARGE,
         at_end=at_end, commas=commas, first_line=lines[first].strip()[:80],
         left_out={} if records is None else records.left_out,
     )  # fmt: skip

@@ -61,6 +61,7 @@ class TextTable:
     texts: Booleans  # (columns,), whether a column of the sample is text
     comment: str  # sign of comments
     plain: bool  # whether np.loadtxt can read the rows
+    large: bool  # whether the file is so large that pyarrow is worth its import
     at_end: bool  # whether lines end with a separator
     commas: bool  # whether numbers have decimal commas
     first_line: str  # the first row as written, for messages
@@ -119,6 +120,15 @@ def read_rows(table: TextTable, layout: Layout, advance: Advance | None = None) 
     """
     numbers = sorted({place for places in layout.groups.values() for place in places})
     exact = [at for at, name in enumerate(layout.columns) if name in _EXACT]
+    place_of = {at: place for place, at in enumerate(numbers)}
+    groups = {group: [place_of[at] for at in places] for group, places in layout.groups.items()}
+    if table.large and table.plain and not table.at_end:
+        from trajeval_ros.io.text.arrow_rows import read_with_arrow
+
+        content = read_with_arrow(table, numbers, exact, advance)
+        if content is not None:
+            names = (layout.columns[at] for at in exact)
+            return Rows(dict(zip(names, content[1], strict=True)), content[0], groups)
     kinds = dict.fromkeys(numbers, "f8") | dict.fromkeys(exact, f"S{WIDTH}")
     # One field per run of columns of a kind; ignored columns are read as one character, since
     # usecols switches off the check of the number of columns.
@@ -146,8 +156,6 @@ def read_rows(table: TextTable, layout: Layout, advance: Advance | None = None) 
     texts = {
         layout.columns[at]: np.ascontiguousarray(of) for at, of in zip(exact, words, strict=True)
     }
-    place_of = {at: place for place, at in enumerate(numbers)}
-    groups = {group: [place_of[at] for at in places] for group, places in layout.groups.items()}
     return Rows(texts, values, groups)
 
 
