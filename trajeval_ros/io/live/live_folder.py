@@ -153,9 +153,10 @@ def _of_states(
     remarks += _about_end(path, recorded)
     evaluation = dataclasses.replace(run.evaluation, remarks=(*run.evaluation.remarks, *remarks))
     run = dataclasses.replace(run, evaluation=evaluation, live=live, stream=None)
-    return _EvaluatedFile(
-        int(recorded.description["place"]), asked, summary, run, dict(state["settings"])
-    )
+    # The settings state the rule that selected the fixes, not the datum that resulted.
+    stated = dataclasses.replace(asked, fixes=FixRule(correlation_s=asked.fixes.correlation_s))
+    place = int(recorded.description["place"])
+    return _EvaluatedFile(place, stated, summary, run, dict(state["settings"]))
 
 
 def _request_of(state: Mapping[str, Any], align_with: str | None, path: Path) -> Request:
