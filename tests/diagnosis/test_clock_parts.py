@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-
-from trajeval_ros.diagnosis import clock_tests
 from trajeval_ros.diagnosis.clock_tests import (
     ClockMatch,
     MotionRates,
@@ -21,6 +19,8 @@ from trajeval_ros.diagnosis.clock_tests import (
     other_rate,
     tamed,
 )
+
+from trajeval_ros.diagnosis import clock_tests
 from trajeval_ros.diagnosis.findings import Examined
 from trajeval_ros.diagnosis.input_pair import TimedPoses
 from trajeval_ros.geometry.arrays import Floats

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from trajeval_ros.diagnosis.geometry_tests import body, lever_arm, scale, scale_of, vertical
 
 from trajeval_ros.diagnosis.findings import Examined, Seen
-from trajeval_ros.diagnosis.geometry_tests import body, lever_arm, scale, scale_of, vertical
 from trajeval_ros.diagnosis.hypotheses import Hypothesis, ShortMotions, fit_as_read
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from trajeval_ros.diagnosis import convention_tests
 from trajeval_ros.diagnosis.clock_tests import other_rate
 from trajeval_ros.diagnosis.convention_tests import conventions
+from trajeval_ros.diagnosis.trials import with_tried_advice
+
+from trajeval_ros.diagnosis import convention_tests
 from trajeval_ros.diagnosis.diagnose import _tests_of_geometry
 from trajeval_ros.diagnosis.findings import Diagnosis, Finding
 from trajeval_ros.diagnosis.hypotheses import (
@@ -22,7 +23,6 @@ from trajeval_ros.diagnosis.hypotheses import (
 )
 from trajeval_ros.diagnosis.input_pair import TimedPoses
 from trajeval_ros.diagnosis.input_tests import rounded_stamps
-from trajeval_ros.diagnosis.trials import with_tried_advice
 
 NO_TURNS: Any = SimpleNamespace(
     turns=None,
