@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -47,7 +48,7 @@ class RatesOfMotion:
         half = max(1, round(window_s / cell_s / 2))
         count = int(poses.span_s / cell_s)
         start_s = float(np.floor(poses.seconds[0] / cell_s) * cell_s)
-        grid = start_s + cell_s * np.arange(-half, count + half)
+        grid: Floats = start_s + cell_s * np.arange(-half, count + half, dtype=np.float64)
         at = poses.at(grid, max(4.0 * poses.usual_step_s, 0.3))
         before, after = slice(None, -2 * half), slice(2 * half, None)
         wide_s = 2 * half * cell_s
@@ -246,7 +247,7 @@ class _QuickLogOdds:
     """An approximation of the likelihood of many rates: gaps count as the mean."""
 
     groundtruth: RatesOfMotion
-    spectra: dict[int, tuple[Floats, Floats]] = field(default_factory=dict)  # by size
+    spectra: dict[int, tuple[Any, Any]] = field(default_factory=dict)  # by size
 
     def __call__(self, estimate: RatesOfMotion) -> float:
         """Return the largest logarithm of the likelihood over all offsets, per second."""

@@ -78,7 +78,8 @@ def diagnosed(
 ) -> tuple[Evaluation, Diagnosis]:
     """Return an evaluation with remarks and without meaningless errors, and its diagnosis.
 
-    `reevaluate` evaluates with corrections. An alignment by another body's orientations is refused.
+    `reevaluate` evaluates with corrections. An alignment by orientations of another body is
+    refused.
     """
     diagnosis = diagnose(evaluation, groundtruth, estimate, paired=paired)
     if hand_eye_calibrated:

@@ -69,12 +69,14 @@ class Tried:
         return cls(None if before is None else Ate.of(before), Ate.of(after), then)
 
     def raises_errors(self, cause: str) -> bool:
-        """Return whether an error that a cause is about grows by more than the drift in it."""
+        """Return whether an error that a cause is about grows by more than the drift in it.
+
+        A correction that decreases the rotation error clearly is right, whatever the drift is.
+        """
         position, rotation = self.ratios
-        of = CAUSES[cause].of_error
-        if of == "rotation":
-            return rotation > _GROWS or position > _GROWS
-        return position > _GROWS or (of == "" and min(position, rotation) > 1.0)
+        if CAUSES[cause].of_error == "rotation" and rotation > _GROWS:
+            return True
+        return position > _GROWS and rotation > _CLEARLY
 
     @property
     def ratios(self) -> tuple[float, float]:
@@ -111,7 +113,7 @@ class Tried:
 
 
 WITHHELD_DEG = 180.0
-# Ratios of errors: a decrease beyond rounding, and an increase by the drift, which is part of both.
+# Ratios of errors: a decrease beyond rounding, and an increase by the drift in both errors.
 _FALLS, _GROWS = 0.999, 1.05
 _CLEARLY = 0.5  # ratio of decreases, from which on the rotation is stated in place of the position
 

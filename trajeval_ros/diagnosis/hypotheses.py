@@ -152,7 +152,7 @@ def _euler_table() -> list[Hypothesis]:
         if signs.sum() in (1.0, -3.0)
     ]  # fmt: skip
     radians = _euler("ZYX", "ZYX", factor=DEGREES_PER_RADIAN)
-    what = "radians were read as degrees"
+    what = "radians were probably read as degrees"
     return [*rows, Hypothesis(ROTATIONS, ESTIMATE, MISTAKE, radians, detail=what)]
 
 

@@ -82,7 +82,8 @@ class Model:
             return cause
         if cause != AS_READ:
             return "conventions"
-        return "mirrored" if self.is_mirrored else "axes_mixed"
+        # Whole poses are mirrored, or only the positions have other axes.
+        return "mirrored" if (self.axes == -np.eye(3)).all() else "axes_mixed"
 
 
 @dataclass(frozen=True)
@@ -237,7 +238,7 @@ class ModelScores:
         models: list[Model] = []
         ranks: list[Floats] = []
         for hypothesis in hypotheses:
-            for kind, agreements, priors, bodies, rows in self._ranked(hypothesis):
+            for agreements, priors, bodies, rows in self._ranked(hypothesis):
                 ranks.append(
                     priors
                     - 3.0
@@ -257,8 +258,11 @@ class ModelScores:
         chosen += [model for model in plain if model not in chosen]
         return self._with_likelihoods(chosen)
 
-    def _ranked(self, hypothesis: Hypothesis) -> list[tuple[str, Floats, Floats, Floats, Floats]]:
-        """Return kinds of models: name, agreements, priors, bodies, and rows of the axes."""
+    def _ranked(self, hypothesis: Hypothesis) -> list[tuple[Floats, Floats, Floats, Floats]]:
+        """Return agreements, priors, bodies and rows of the axes, by kind of body.
+
+        The kinds are equal axes, permuted axes, and any rotation.
+        """
         read = self.read(hypothesis)
         oriented = self.motions.has_orientations
         rows = np.array([0, MIRRORED])
@@ -268,16 +272,16 @@ class ModelScores:
         traces, rotations = best_rotations(moments)
         priors = hypothesis.log_prior + AXES_LOG_PRIORS[rows]
         if not oriented:  # the rotation is that of the world
-            return [("world", traces, priors, rotations, rows)]
+            return [(traces, priors, rotations, rows)]
         permuted = np.einsum("qab,pab->pq", PROPER, moments)
         best = permuted[:, 1:].argmax(axis=1) + 1
         body_priors = np.where(rows == MIRRORED, MIRROR_LOG_PRIORS[best], OTHER_BODY)
         same = np.broadcast_to(np.eye(3), rotations.shape)
         chosen = permuted[np.arange(len(rows)), best]
         return [
-            ("same body", permuted[:, 0] / 2.0, priors, same, rows),
-            ("permuted body", chosen / 2.0, priors + body_priors, PROPER[best], rows),
-            ("any body", traces / 2.0, priors + ROTATED_BODY, rotations, rows),
+            (permuted[:, 0] / 2.0, priors, same, rows),
+            (chosen / 2.0, priors + body_priors, PROPER[best], rows),
+            (traces / 2.0, priors + ROTATED_BODY, rotations, rows),
         ]
 
     def _with_likelihoods(self, models: list[Model]) -> list[Model]:
@@ -357,7 +361,7 @@ class ModelScores:
 
 
 def _ratio(groundtruth: Floats, estimate: Floats) -> float:
-    """Return units of the estimate per metre by displacements (N, 3), without bias by its noise."""
+    """Return units of the estimate per metre by displacements (N, 3); its noise is no bias."""
     squared = np.einsum("ni,ni->n", groundtruth, groundtruth)
     large = squared > median(squared)
     if not large.any():

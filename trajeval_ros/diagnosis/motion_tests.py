@@ -57,7 +57,8 @@ _NO_PEAK, _LONG_S = 0.45, 20.0  # the same, without common motions
 _AT_REST_M, _AT_REST_RAD = 0.02, 0.01  # median motion of a body at rest, which is noise
 _MISFIT = 2.0  # of directions relative to lengths of rotation vectors; conventions keep lengths
 _REFINED_S, _REFINED_GROWTH_S = 0.03, 0.06  # clock errors from which on motions are sampled again
-_STEPS_APART = 0.15  # of a step of the estimate, healthy offset of its timestamps
+_WANDER_S = 0.007  # of healthy clocks along a run: short runs show no rate
+_STEPS_APART = 0.05  # of a step of the estimate, healthy offset of its timestamps
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +99,7 @@ def tests_of_motion(inputs: InputPair) -> list[Examined]:
     return [
         *examined,
         *_Comparison(inputs, groundtruth, estimate, motions, clock, gap_s).results(
-            states_rate=not has_defects
+            states_clock=not has_defects
         ),
     ]
 
@@ -133,7 +134,7 @@ def _coarse_clock(groundtruth: TimedPoses, estimate: TimedPoses, *, has_defects:
 def _few_motions(clock: _Clock, inputs: InputPair) -> Examined:
     match = clock.match
     if match is None or match.overlap_s < _LONG_S or match.peak > _NO_PEAK:
-        seen = ()
+        seen: tuple[Seen, ...] = ()
         if clock.is_stated:
             assert match is not None
             seen = (_coarse_finding(clock, match, inputs),)
@@ -163,8 +164,11 @@ class _Comparison:
     clock: _Clock
     max_gap_s: float
 
-    def results(self, *, states_rate: bool) -> list[Examined]:
-        """Return the results of all tests; a clock rate is stated only if `states_rate`."""
+    def results(self, *, states_clock: bool) -> list[Examined]:
+        """Return the results of all tests; only if `states_clock`, small clock errors are stated.
+
+        Defects of the groundtruth shift the motions by a part of a second.
+        """
         scores = ModelScores(self.motions)
         models = scores.likeliest(HYPOTHESES)
         best = max(models, key=lambda model: model.score)
@@ -187,16 +191,15 @@ class _Comparison:
         if nats < AGREE_NATS:
             return [self._clock_result(None), self._unrelated(scores, statistics)]
         if oriented and rotates and unrelated.positions + MISTAKE > best.score + ODDS:
-            seen = (naming.rotations(),)
             by_scale = naming.unit_or_scale(
                 unrelated.scale, SPREADS["scale"].healthy ** 2, self.motions, self.inputs.gauge
             )
             return [
                 self._clock_result(None),
-                Examined("models", statistics, seen),
+                Examined("models", statistics, (naming.rotations(scores),)),
                 Examined("scale", {"scale": unrelated.scale}, tuple(by_scale)),
             ]
-        seen = ()
+        seen: tuple[Seen, ...] = ()
         if best.cause != AS_READ and best.score > as_read.score + ODDS:
             seen = (naming.convention(scores, best, models, as_read),)
         else:
@@ -204,7 +207,11 @@ class _Comparison:
         agrees = (best.log_likelihood - unrelated.motions) / scores.evidence > AGREE_NATS
         parameters, scores = self._fitted(scores, best)
         results = [
-            self._clock_result(parameters, states_rate=states_rate and oriented and not seen),
+            self._clock_result(
+                parameters,
+                states_offset=states_clock and oriented,
+                states_rate=states_clock and oriented and not seen,
+            ),
             Examined("models", statistics, seen),
             self._scale_result(parameters),
         ]
@@ -216,7 +223,7 @@ class _Comparison:
             results.append(Examined("vertical axes", why_not=why_not))
         elif not best.changes_axes:
             results.append(self._world_result(scores, best, parameters, models))
-        of_bodies, bodies = naming.body_and_lever(parameters, best)
+        of_bodies, bodies = naming.body_and_lever(scores, parameters, best)
         return [*results, Examined("bodies", of_bodies, tuple(bodies))]
 
     def _rotates(self, scores: ModelScores) -> bool:
@@ -271,7 +278,11 @@ class _Comparison:
         return refined, scores
 
     def _clock_result(
-        self, parameters: Parameters | None, *, states_rate: bool = False
+        self,
+        parameters: Parameters | None,
+        *,
+        states_offset: bool = False,
+        states_rate: bool = False,
     ) -> Examined:
         """Return the offset or the rate of the clock, by the fit if there is one."""
         clock, match = self.clock, self.clock.match
@@ -288,8 +299,13 @@ class _Comparison:
             return Examined("clocks", statistics, seen)
         offset_s = clock.offset_s + parameters.offset_s
         rate = clock.factor * (1.0 + parameters.rate) - 1.0
-        rate_odds = parameters.log_odds("rate", RATE)
-        usual = SPREADS["offset"]
+        usual, wander = SPREADS["offset"], _WANDER_S / max(self.estimate.span_s, 1.0)
+        rates = SPREADS["rate"]
+        rate_odds = log_odds(
+            parameters.values[RATE],
+            parameters.covariance[RATE, RATE],
+            Spread(max(rates.healthy, wander), rates.mistake),
+        )
         healthy = max(usual.healthy, _STEPS_APART * self.estimate.usual_step_s)
         spread = Spread(healthy, usual.mistake)
         variance = parameters.covariance[OFFSET, OFFSET]
@@ -305,7 +321,7 @@ class _Comparison:
             span_s = self.estimate.span_s / clock.factor
             first_s = offset_s - parameters.rate * self.estimate.span_s / 2.0
             seen = (naming.clock(match, first_s, 1e6 * rate, rate * span_s, applied_s),)
-        elif clock.is_stated or (self.motions.has_orientations and offset_odds > ODDS):
+        elif clock.is_stated or (states_offset and offset_odds > ODDS):
             seen = (naming.clock(match, offset_s, 0.0, 0.0, applied_s),)
         else:
             seen = ()

@@ -13,6 +13,7 @@ from trajeval_ros.diagnosis.hypotheses import (
     AS_READ,
     BOTH,
     GROUNDTRUTH,
+    HYPOTHESES,
     MISTAKE,
     PROPER,
     ROTATIONS,
@@ -41,6 +42,8 @@ _UNIT_SPREAD = 0.04  # of the logarithm of a scale that is a unit
 _FOOT_SPREAD = 0.01
 _LEAST_LOG_SCALE, _DIVERGED = 0.2, math.log(1e4)  # a scale error, and one that no unit has
 _FAST_M = 200.0  # per motion: no body that is localised is as fast, so the unit is smaller
+# Ratios of the sums of rotation angles: of another unit, and of constant orientations.
+_OTHER_UNIT, _CONSTANT = 0.1, 1e-3
 _LEAP_S = {18: "GPS time without leap seconds", 19: "GPS against TAI", 37: "TAI against UTC"}
 _LEAP_WITHIN_S = 0.3
 _WRITTEN = {
@@ -90,17 +93,33 @@ def _of_model(scores: ModelScores, model: Model, ties: Sequence[Model], as_read:
         "causes": _WRITTEN.get(hypothesis.cause, ""),
     }
     if cause == ROTATIONS:
-        return rotations(hypothesis.detail)
+        return rotations(scores, hypothesis.detail)
     if model.changes_axes:
         values["axes"] = _axes_option(scores, model)
     return Seen(cause, 1.0, values)
 
 
-def rotations(detail: str = "") -> Seen:
+def rotations(scores: ModelScores, detail: str = "") -> Seen:
     """Return the finding that positions agree, and rotations do not, or only as in `detail`."""
-    how = f"only if {detail}" if detail else "in no convention"
-    check = "order, signs and unit of Euler angles; a compass heading is clockwise"
-    return Seen(ROTATIONS, 1.0, {"how": how, "check": check})
+    read = scores.read(HYPOTHESES[0])
+    groundtruth, estimate = (
+        max(float(np.minimum(lengths(vectors), math.pi).sum()), 1e-12)
+        for vectors in (read.groundtruth[0], read.rotations)
+    )
+    ratio = estimate / groundtruth
+    how, check = "in no convention", "order and signs of Euler angles; a compass is clockwise"
+    if detail:
+        how = f"only with a correction: {detail}"
+    elif not _CONSTANT < ratio < 1.0 / _CONSTANT:
+        side = "estimate" if ratio < 1.0 else "groundtruth"
+        how, check = f"{how} (those of the {side} are constant)", "columns of the orientations"
+    elif ratio < _OTHER_UNIT:
+        how += f" (angles {ratio:.3g} times as large)"
+        check = "radians were probably read as degrees"
+    elif ratio > 1.0 / _OTHER_UNIT:
+        how += f" (angles {ratio:.3g} times as large)"
+        check = "degrees were probably read as radians"
+    return Seen(ROTATIONS, 1.0, {"how": how, "check": check, "angle_ratio": ratio})
 
 
 def _axes_option(scores: ModelScores, model: Model) -> str:
@@ -108,7 +127,7 @@ def _axes_option(scores: ModelScores, model: Model) -> str:
     axes = model.axes
     if model.is_mirrored:
         if (axes == -np.eye(3)).all():
-            return _axes(mirror_of(model))
+            return _axes(mirror_of(scores, model))
         return f"positions={_axes(axes)}"
     # The positions or the rotations were converted, which gravity decides.
     worlds = world_rotations(scores, model, model.body)
@@ -121,10 +140,20 @@ def _axes_option(scores: ModelScores, model: Model) -> str:
     return f"rotations={_axes(axes.T)}"
 
 
-def mirror_of(model: Model) -> Floats:
-    """Return the mirror M (3, 3) of a model with the axes -1: its poses are M p and M R M^T."""
-    nearest = int(np.einsum("qij,ij->q", PROPER, model.body).argmax())
-    return np.asarray(-PROPER[nearest])
+def mirror_of(scores: ModelScores, model: Model) -> Floats:
+    """Return the mirror M (3, 3) of a model with the axes -1: its poses are M p and M R M^T.
+
+    Mirrors differ by rotations of body and world. This one leaves the least rotation of the body
+    and tilt of the world.
+    """
+    of_body = np.einsum("qij,ij->q", PROPER, model.body)  # traces of the remaining rotations
+    up = lie.rotate(
+        lie.conjugate(world_rotations(scores, model, model.body)),
+        np.broadcast_to([0.0, 0.0, 1.0], (len(scores.motions), 3)),
+    )
+    of_world = PROPER[:, 2] @ mean_direction(up)
+    angles = np.arccos(np.clip(np.stack([(of_body - 1.0) / 2.0, of_world]), -1.0, 1.0))
+    return np.asarray(-PROPER[int(angles.sum(axis=0).argmin())])
 
 
 def _axes(permutation: Floats) -> str:
@@ -191,14 +220,16 @@ def _log_density(value: float, variance: float) -> float:
     return -0.5 * math.log(2.0 * math.pi * variance) - 0.5 * value**2 / variance
 
 
-def body_and_lever(parameters: Parameters, model: Model) -> tuple[dict[str, float], list[Seen]]:
+def body_and_lever(
+    scores: ModelScores, parameters: Parameters, model: Model
+) -> tuple[dict[str, float], list[Seen]]:
     """Return statistics and findings about the body, with the pose that corrects them.
 
     The correction is the pose of the groundtruth's body in the estimate's, T_B_M.
     """
     matrix = parameters.body
     if model.is_mirrored and (model.axes == -np.eye(3)).all():
-        matrix = matrix @ -mirror_of(model).T  # what the mirror leaves
+        matrix = matrix @ -mirror_of(scores, model).T  # what the mirror leaves
     rotation = lie.rotation_vector(lie.from_matrix(matrix))
     values = parameters.values.copy()
     values[BODY] = rotation

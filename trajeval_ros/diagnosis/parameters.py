@@ -1,4 +1,4 @@
-"""Continuous parameters of a model by one robust Gauss-Newton, and the odds that they are mistakes.
+"""Continuous parameters of a model by one Gauss-Newton, and the odds that they are mistakes.
 
 The parameters are the rotation of the body, the logarithm of the scale, the lever arm, the offset
 and the rate of the clock. A parameter is a mistake if a wide distribution explains its value much

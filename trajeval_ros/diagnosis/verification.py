@@ -24,7 +24,7 @@ def verified(diagnosis: Diagnosis, before: Evaluation | None, reevaluate: Reeval
 
     The corrections of all findings are evaluated together. If an error grows, that of the first
     one is evaluated alone; if the error grows still, the finding is no cause. It is dropped, and
-    the others are verified. `before` is the evaluation without corrections, or None if there is none.
+    the others are verified. `before` is the evaluation without corrections, or None without one.
     """
     correctable = [finding for finding in diagnosis.findings if finding.correction]
     if not correctable:
