@@ -300,8 +300,7 @@ def test_diagnose_explains_at_length(tmp_path: Path, capsys: pytest.CaptureFixtu
     for test in (
         "rounded stamps: no mistake",
         "clocks: no mistake (offset_s",
-        "conventions: convention_tie (",
-        "tried advice: ",
+        "models: mirrored (",
     ):
         assert test in shown
     assert main(["diagnose", truth, estimate, "--gauge", "yaw", "--json", "-"]) == 0

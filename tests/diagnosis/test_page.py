@@ -32,7 +32,8 @@ ROBOT = simulated(5006, "robot", "walk", 100.0)
 ALL = {**MISTAKES, **FURTHER, **USERS}
 # What shows a cause whose name is not the only one of a mistake, or that a drone does not show.
 SHOWN_BY = {
-    "convention_tie": ("transposed rotations", CAR),
+    "convention_tie": ("positions in other axes", CAR),
+    "xyzw": ("xyzw, estimate", DRONE),
     "frozen": ("frozen", DRONE),
     "frozen_at_start": ("frozen at the start", DRONE),
     "diverged_at_start": ("diverging from the start", DRONE),

@@ -311,4 +311,4 @@ def finding_to_correct(diagnosis: Diagnosis, cause: str, *, is_first: bool) -> F
             f"{cause} not found in the recording (found: {causes}); remove --correct, or convert "
             "the file with trajeval trajectory"
         )
-    return found
+    raise InputError(f"no option corrects {cause}: {found.text}; remove --correct")

@@ -256,7 +256,7 @@ class ModelScores:
         # As read, with equal bodies and with any rotation between them.
         plain = [m for m in models if m.hypothesis.cause == AS_READ and not m.changes_axes]
         chosen += [model for model in plain if model not in chosen]
-        return self._with_likelihoods(chosen)
+        return self.with_likelihoods(chosen)
 
     def _ranked(self, hypothesis: Hypothesis) -> list[tuple[Floats, Floats, Floats, Floats]]:
         """Return agreements, priors, bodies and rows of the axes, by kind of body.
@@ -284,7 +284,8 @@ class ModelScores:
             (traces / 2.0, priors + ROTATED_BODY, rotations, rows),
         ]
 
-    def _with_likelihoods(self, models: list[Model]) -> list[Model]:
+    def with_likelihoods(self, models: list[Model]) -> list[Model]:
+        """Return models with their scales and likelihoods."""
         residuals, scales = [], []
         for model in models:
             read = self.read(model.hypothesis)

@@ -7,7 +7,7 @@ so no test needs the result of another one, but for the clock, which selects the
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -57,7 +57,7 @@ _NO_PEAK, _LONG_S = 0.45, 20.0  # the same, without common motions
 _AT_REST_M, _AT_REST_RAD = 0.02, 0.01  # median motion of a body at rest, which is noise
 _MISFIT = 2.0  # of directions relative to lengths of rotation vectors; conventions keep lengths
 _REFINED_S, _REFINED_GROWTH_S = 0.03, 0.06  # clock errors from which on motions are sampled again
-_WANDER_S = 0.007  # of healthy clocks along a run: short runs show no rate
+_WANDER_S = 0.005  # of healthy clocks along a run: short runs show no rate
 _STEPS_APART = 0.05  # of a step of the estimate, healthy offset of its timestamps
 
 
@@ -209,20 +209,22 @@ class _Comparison:
         results = [
             self._clock_result(
                 parameters,
-                states_offset=states_clock and oriented,
+                states_offset=states_clock,
                 states_rate=states_clock and oriented and not seen,
             ),
             Examined("models", statistics, seen),
             self._scale_result(parameters),
         ]
-        if not (oriented and agrees) or best.hypothesis.cause == ROTATIONS:
+        if not (oriented and agrees):
             why_not = "no orientations" if not oriented else "rotations do not agree"
             return [*results, Examined("bodies", why_not=why_not)]
         if not self.inputs.gauge.turns_about_gravity_only:
             why_not = "the alignment includes roll and pitch, or no rotation"
             results.append(Examined("vertical axes", why_not=why_not))
         elif not best.changes_axes:
-            results.append(self._world_result(scores, best, parameters, models))
+            results.append(self._world_result(scores, best, parameters))
+        if best.hypothesis.cause == ROTATIONS:
+            return [*results, Examined("bodies", why_not="rotations do not agree")]
         of_bodies, bodies = naming.body_and_lever(scores, parameters, best)
         return [*results, Examined("bodies", of_bodies, tuple(bodies))]
 
@@ -317,9 +319,11 @@ class _Comparison:
             "log_odds_of_rate": rate_odds,
         }
         applied_s = self.inputs.time_offset_s
-        if clock.factor != 1.0 or (states_rate and rate_odds > ODDS):
+        first_s = offset_s - parameters.rate * self.estimate.span_s / 2.0
+        # One rate explains an offset that grows from the first pose on.
+        grows = offset_odds > ODDS and rate_odds > TIE and abs(first_s) < abs(offset_s) / 2.0
+        if clock.factor != 1.0 or (states_rate and (rate_odds > ODDS or grows)):
             span_s = self.estimate.span_s / clock.factor
-            first_s = offset_s - parameters.rate * self.estimate.span_s / 2.0
             seen = (naming.clock(match, first_s, 1e6 * rate, rate * span_s, applied_s),)
         elif clock.is_stated or (states_offset and offset_odds > ODDS):
             seen = (naming.clock(match, offset_s, 0.0, 0.0, applied_s),)
@@ -333,14 +337,11 @@ class _Comparison:
         seen = naming.unit_or_scale(parameters.scale, variance, self.motions, self.inputs.gauge)
         return Examined("scale", statistics, tuple(seen))
 
-    def _world_result(
-        self, scores: ModelScores, model: Model, parameters: Parameters, models: list[Model]
-    ) -> Examined:
-        likeliest = max(other.log_likelihood for other in models)
-        can_mirror = any(
-            other.cause == "mirrored" and other.log_likelihood > likeliest - TIE
-            for other in models
-        )
+    def _world_result(self, scores: ModelScores, model: Model, parameters: Parameters) -> Examined:
+        # The same poses with z flipped, in place of the rotation by 180 deg that up = -z is.
+        flipped = replace(model, axes=-np.eye(3), body=model.body @ np.diag([-1.0, -1.0, 1.0]))
+        [flipped] = scores.with_likelihoods([flipped])
+        can_mirror = flipped.log_likelihood > model.log_likelihood - TIE
         statistics, seen = vertical_axes(
             scores, model, parameters.body, self.inputs, can_mirror=can_mirror
         )

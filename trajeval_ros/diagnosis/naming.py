@@ -33,13 +33,14 @@ ODDS = 12.0  # least logarithm of odds of a statement: alarms against missed mis
 TIE = 3.0  # largest difference of logarithms between models that the motion can't distinguish
 # Rotations of a body within this angle of other axes are stated as these axes.
 _EXACT_AXES_DEG = 3.0
+_TILTS_APART_DEG = 20.0  # that gravity distinguishes; less is drift
 _LEAST_LEVER_M = 0.02  # shorter lever arms have no effect worth a statement
 _UNITS = {
     "millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254, "feet": 0.3048, "kilometres": 1e3
 }  # fmt: skip
 _UNIT_SPREAD = 0.04  # of the logarithm of a scale that is a unit
 # The scale of a monocular estimate is often as near to a foot of the groundtruth.
-_FOOT_SPREAD = 0.01
+_FOOT_SPREAD, _FOOT_ODDS = 0.01, 2.5
 _LEAST_LOG_SCALE, _DIVERGED = 0.2, math.log(1e4)  # a scale error, and one that no unit has
 _FAST_M = 200.0  # per motion: no body that is localised is as fast, so the unit is smaller
 # Ratios of the sums of rotation angles: of another unit, and of constant orientations.
@@ -95,7 +96,10 @@ def _of_model(scores: ModelScores, model: Model, ties: Sequence[Model], as_read:
     if cause == ROTATIONS:
         return rotations(scores, hypothesis.detail)
     if model.changes_axes:
-        values["axes"] = _axes_option(scores, model)
+        # Of axes that short motions can't distinguish, gravity selects one.
+        similar = [tie for tie in ties if tie.cause == cause and tie.hypothesis is hypothesis]
+        options = [option for tie in (model, *similar) for option in _axes_options(scores, tie)]
+        values["axes"] = min(options, key=lambda option: round(option[0] / _TILTS_APART_DEG))[1]
     return Seen(cause, 1.0, values)
 
 
@@ -122,22 +126,22 @@ def rotations(scores: ModelScores, detail: str = "") -> Seen:
     return Seen(ROTATIONS, 1.0, {"how": how, "check": check, "angle_ratio": ratio})
 
 
-def _axes_option(scores: ModelScores, model: Model) -> str:
-    """Return the value of --axes that corrects a model with other axes of the positions."""
+def _axes_options(scores: ModelScores, model: Model) -> list[tuple[float, str]]:
+    """Return values of --axes that correct a model, with the tilt that they leave, deg."""
     axes = model.axes
-    if model.is_mirrored:
-        if (axes == -np.eye(3)).all():
-            return _axes(mirror_of(scores, model))
-        return f"positions={_axes(axes)}"
-    # The positions or the rotations were converted, which gravity decides.
+    if (axes == -np.eye(3)).all():
+        return [(0.0, _axes(mirror_of(scores, model)))]
     worlds = world_rotations(scores, model, model.body)
-    as_positions, as_rotations = (
-        mean_direction(lie.rotate(worlds, np.broadcast_to(up, (len(worlds), 3))))[2]
-        for up in (np.array([0.0, 0.0, 1.0]), axes[:, 2])
-    )
-    if as_positions >= as_rotations - 1e-6:
-        return f"positions={_axes(axes)}"
-    return f"rotations={_axes(axes.T)}"
+
+    def tilt_deg(up: Floats) -> float:
+        """Return the angle between a direction of the estimate's world and up."""
+        rotated = mean_direction(lie.rotate(worlds, np.broadcast_to(up, (len(worlds), 3))))
+        return math.degrees(math.acos(min(max(float(rotated[2]), -1.0), 1.0)))
+
+    options = [(tilt_deg(np.array([0.0, 0.0, 1.0])), f"positions={_axes(axes)}")]
+    if not model.is_mirrored:  # the rotations may have been converted
+        options.append((tilt_deg(axes[:, 2]), f"rotations={_axes(axes.T)}"))
+    return options
 
 
 def mirror_of(scores: ModelScores, model: Model) -> Floats:
@@ -196,11 +200,13 @@ def unit_or_scale(
             densities[name, side] = density + MISTAKE - math.log(len(_UNITS))
     name, side = max(densities, key=lambda key: densities[key])
     values: dict[str, Value] = {"scale": scale, "or_feet": "", "or_convert": "", "gauge": "sim3"}
-    is_unit = densities[name, side] > max(healthy + ODDS, any_scale + 1.0)
+    is_foot = (name, side) == ("feet", GROUNDTRUTH)
+    more_than_scale = any_scale + (_FOOT_ODDS if is_foot else 1.0)
+    is_unit = densities[name, side] > max(healthy + ODDS, more_than_scale)
     # An alignment with scale hides the unit of the estimate, and that of a slow groundtruth.
     if gauge.has_scale:
         is_unit = is_unit and side == GROUNDTRUTH and fast[GROUNDTRUTH]
-    if is_unit and (name, side) == ("feet", GROUNDTRUTH):
+    if is_unit and is_foot:
         convert = " (--gauge sim3), or convert feet: trajeval trajectory SOURCE --scale 0.3048"
         values |= {"or_feet": ", or with groundtruth in feet", "or_convert": convert, "gauge": ""}
         return [Seen("scale", 1.0, values)]

@@ -46,7 +46,7 @@ SPREADS = {
     "lever": Spread(0.03, 0.6),  # m
     "offset": Spread(0.004, 0.3),  # s
     "rate": Spread(3e-5, 5e-3),
-    "tilt": Spread(math.radians(0.6), 0.8),  # rad, of a world
+    "tilt": Spread(math.radians(0.5), 0.8),  # rad, of a world
 }
 
 
