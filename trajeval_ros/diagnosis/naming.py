@@ -66,10 +66,11 @@ def convention(scores: ModelScores, best: Model, models: Sequence[Model], as_rea
     for model in sorted(ties, key=lambda model: -model.score):
         by_cause.setdefault(model.cause, model)
     explained = 1.0 - math.exp(-max(best.score - as_read.score, 0.0))
-    if len(by_cause) > 1 and best.cause != ROTATIONS:
+    if len(by_cause) > 1:
         rows = [_of_model(scores, model, ties, as_read) for model in by_cause.values()]
-        names = [_WRITTEN.get(cause, "several of these") for cause in by_cause]
-        options = (Finding.of(Seen(row.cause, explained, row.values)).conversion for row in rows)
+        names = map(_written, by_cause.values())
+        findings = (Finding.of(Seen(row.cause, explained, row.values)) for row in rows)
+        options = (finding.conversion for finding in findings)
         values = {
             **rows[0].values,
             "causes": " or ".join(dict.fromkeys(names)),
@@ -78,6 +79,13 @@ def convention(scores: ModelScores, best: Model, models: Sequence[Model], as_rea
         return Seen("convention_tie", explained, values)
     seen = _of_model(scores, best, ties, as_read)
     return Seen(seen.cause, explained, seen.values)
+
+
+def _written(model: Model) -> str:
+    """Return how the poses of a model are written."""
+    if model.cause == "conventions":
+        return f"{_WRITTEN[model.hypothesis.cause]} with other axes of the positions"
+    return _WRITTEN[model.cause]
 
 
 def _of_model(scores: ModelScores, model: Model, ties: Sequence[Model], as_read: Model) -> Seen:
