@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import re
 
 import numpy as np
@@ -21,11 +22,6 @@ from trajeval_ros.geometry.reading import Reading
 
 PAGE = ROOT / "docs" / "diagnosis.md"
 TEXT = PAGE.read_text("utf-8")
-ROWS = {
-    name
-    for names in re.findall(r"^\| (`.+?) \| .+ \|$", TEXT, re.M)
-    for name in re.findall(r"`(\w+)`", names)
-}
 DRONE = simulated(5000, "drone", "walk", 100.0)
 CAR = simulated(5004, "car", "walk", 100.0)
 ROBOT = simulated(5006, "robot", "walk", 100.0)
@@ -98,8 +94,29 @@ def without_numbers(text: str) -> str:
     return re.sub(r"[-+]?\d[\d.]*(e[-+]\d+)?", "#", " ".join(text.split()))
 
 
-def test_every_cause_has_an_entry() -> None:
-    assert set(CAUSES) == ROWS
+def table() -> str:
+    """Return the rows of the page's table: names, messages without numbers, and options."""
+    rows = []
+    for cause in CAUSES.values():
+        message = re.sub(r"\{[^}]*\}", "...", cause.sentence)
+        if message == "...":  # several sentences
+            message = cause.name.replace("_", " ")
+        options = dict.fromkeys(name.partition(".")[2] or name for name in cause.correction)
+        named = ", ".join(f"`--{name.replace('_', '-')}`" for name in options)
+        rows.append(f"| `{cause.name}` | {message} | {named} |\n")
+    return "".join(rows)
+
+
+def test_the_table_of_causes_is_generated() -> None:
+    """With KEEP=1 in the environment, it is written again."""
+    head = "|---|---|---|\n"
+    before, _, rest = TEXT.partition(head)
+    _, after = rest.split("\n\n", 1)
+    page = f"{before}{head}{table()}\n{after}"
+    if os.environ.get("KEEP"):
+        PAGE.write_text(page, "utf-8")
+        return
+    assert page == TEXT
 
 
 @pytest.mark.slow

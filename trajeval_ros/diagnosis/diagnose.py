@@ -62,7 +62,7 @@ _FEWEST = 12  # poses outside of losses
 _FINAL = {
     "identical", "stands_still", "stamps_rounded", "degrees", "row_numbers", "increments",
 }  # fmt: skip
-_OTHER_PAIRS = {*_FINAL, "clock_offset", "clock_drift"}
+_OTHER_PAIRS = {*_FINAL, "clock_offset", "clock_drift", "other_run"}
 # With such a finding, the errors contain no information on covariances.
 _GRAVE = 5.2  # of ranks
 

@@ -52,7 +52,7 @@ _USABLE_PEAK = 0.6  # correlation of rates from which on an offset is applied to
 _ALIKE_PEAK, _ALIKE_RATE = 0.95, 0.985  # correlations from which on no other rate is searched
 _NEAR_S = 0.5  # largest offset with the second of these: turn rates can match at random
 _RATE_PRIOR = -4.0  # logarithm: other clock rates are rare
-_UNRELATED_PEAK, _UNRELATED_S = 0.7, 15.0  # correlation and common time of another run
+_UNRELATED_PEAK, _UNRELATED_S = 0.8, 15.0  # correlation and common time of another run
 _NO_PEAK, _LONG_S = 0.45, 20.0  # the same, without common motions
 _AT_REST_M, _AT_REST_RAD = 0.02, 0.01  # median motion of a body at rest, which is noise
 _MISFIT = 2.0  # of directions relative to lengths of rotation vectors; conventions keep lengths
@@ -188,7 +188,9 @@ class _Comparison:
             "positions_alone": unrelated.positions - unrelated.motions,
             "nats_per_motion": nats,
         }
-        if nats < AGREE_NATS:
+        # Few independent directions can agree at random, and rates of motion hardly can.
+        least_nats = 2.0 * AGREE_NATS if self._has_unrelated_rates() else AGREE_NATS
+        if nats < least_nats:
             return [self._clock_result(None), self._unrelated(scores, statistics)]
         if oriented and rotates and unrelated.positions + MISTAKE > best.score + ODDS:
             by_scale = naming.unit_or_scale(
@@ -233,6 +235,11 @@ class _Comparison:
         rotations, _ = scores.read(HYPOTHESES[0]).groundtruth
         return median(lengths(rotations)) > _AT_REST_RAD
 
+    def _has_unrelated_rates(self) -> bool:
+        """Return whether neither speeds nor angular speeds correlate at any offset."""
+        match = self.clock.match
+        return match is not None and match.overlap_s > _LONG_S and match.highest < _NO_PEAK
+
     def _may_be_euler(self, scores: ModelScores, best: Model) -> bool:
         """Return whether directions of rotations fit worse than their lengths."""
         usual = best.cause in (AS_READ, "wxyz", "xyzw", "inverse", "mirrored")
@@ -254,12 +261,11 @@ class _Comparison:
             why_not = "both at rest; motions can't be compared"
             return Examined("models", statistics, why_not=why_not)
         seen: tuple[Seen, ...] = ()
-        if match is not None and (
-            match.peak < _UNRELATED_PEAK
-            and match.overlap_s > _UNRELATED_S
-            and abs(match.offset_s) > SMALL_S
-        ):
-            seen = (_other_run(match),)
+        if match is not None and match.overlap_s > _UNRELATED_S:
+            # The rates of one run correlate most without an offset, even if the estimate is bad.
+            is_apart = match.peak < _UNRELATED_PEAK and abs(match.offset_s) > SMALL_S
+            if is_apart or self._has_unrelated_rates():
+                seen = (_other_run(match),)
         return Examined("models", statistics, seen, "" if seen else "the motions do not agree")
 
     def _fitted(self, scores: ModelScores, model: Model) -> tuple[Parameters, ModelScores]:

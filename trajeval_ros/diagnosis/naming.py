@@ -72,7 +72,8 @@ def convention(scores: ModelScores, best: Model, models: Sequence[Model], as_rea
         findings = (Finding.of(Seen(row.cause, explained, row.values)) for row in rows)
         options = (finding.conversion for finding in findings)
         values = {
-            **rows[0].values,
+            "agreement": 100.0 * max(best.agreement, 0.0),
+            "as_read": 100.0 * max(as_read.agreement, 0.0),
             "causes": " or ".join(dict.fromkeys(names)),
             "options": ", or ".join(dict.fromkeys(option for option in options if option)),
         }
