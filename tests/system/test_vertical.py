@@ -23,7 +23,6 @@ from trajeval_ros.geometry.vertical_axis import up_axis_doubt, vertical_axis_of
 from trajeval_ros.io.requests.request_from import protocol_from
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.geometry.vertical_axis import up_axis_doubt, vertical_axis_of
 from trajeval_ros.pipeline.pipeline import evaluate, run
 from trajeval_ros.pipeline.request import Request
 from trajeval_ros.simulation.drifting_odometry import simulate

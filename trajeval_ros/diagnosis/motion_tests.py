@@ -29,7 +29,7 @@ from trajeval_ros.diagnosis.hypotheses import (
     ROTATIONS,
 )
 from trajeval_ros.diagnosis.input_pair import InputPair, TimedPoses, lengths
-from trajeval_ros.diagnosis.input_tests import rhythm, velocities
+from trajeval_ros.diagnosis.input_tests import is_at_rest, rhythm, velocities
 from trajeval_ros.diagnosis.models import Model, ModelScores
 from trajeval_ros.diagnosis.naming import ODDS, TIE
 from trajeval_ros.diagnosis.parameters import (
@@ -54,7 +54,7 @@ _NEAR_S = 0.5  # largest offset with the second of these: turn rates can match a
 _RATE_PRIOR = -4.0  # logarithm: other clock rates are rare
 _UNRELATED_PEAK, _UNRELATED_S = 0.8, 15.0  # correlation and common time of another run
 _NO_PEAK, _LONG_S = 0.45, 20.0  # the same, without common motions
-_AT_REST_M, _AT_REST_RAD = 0.02, 0.01  # median motion of a body at rest, which is noise
+_AT_REST_RAD = 0.01  # median rotation of a body that does not rotate, which is noise
 _MISFIT = 2.0  # of directions relative to lengths of rotation vectors; conventions keep lengths
 _REFINED_S, _REFINED_GROWTH_S = 0.03, 0.06  # clock errors from which on motions are sampled again
 _WANDER_S = 0.005  # of healthy clocks along a run: short runs show no rate
@@ -133,12 +133,14 @@ def _coarse_clock(groundtruth: TimedPoses, estimate: TimedPoses, *, has_defects:
 
 def _few_motions(clock: _Clock, inputs: InputPair) -> Examined:
     match = clock.match
-    if match is None or match.overlap_s < _LONG_S or match.peak > _NO_PEAK:
+    is_unknown = match is None or match.overlap_s < _LONG_S or match.peak > _NO_PEAK
+    if is_unknown or is_at_rest(inputs):
         seen: tuple[Seen, ...] = ()
         if clock.is_stated:
             assert match is not None
             seen = (_coarse_finding(clock, match, inputs),)
         return Examined("models", seen=seen, why_not="too few short motions have groundtruth")
+    assert match is not None
     return Examined("models", {"peak": match.peak}, (_other_run(match),))
 
 
@@ -255,9 +257,7 @@ class _Comparison:
 
     def _unrelated(self, scores: ModelScores, statistics: dict[str, float]) -> Examined:
         match = self.clock.match
-        rotations, displacements = scores.read(HYPOTHESES[0]).groundtruth
-        moved = median(lengths(displacements)), median(lengths(scores.read(HYPOTHESES[0]).steps))
-        if max(moved) < _AT_REST_M and median(lengths(rotations)) < _AT_REST_RAD:
+        if is_at_rest(self.inputs):
             why_not = "both at rest; motions can't be compared"
             return Examined("models", statistics, why_not=why_not)
         seen: tuple[Seen, ...] = ()

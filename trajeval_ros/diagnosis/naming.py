@@ -26,8 +26,8 @@ from trajeval_ros.diagnosis.world_axes import mean_direction, world_rotations
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.metrics.statistics import median
 from trajeval_ros.geometry.vertical_axis import nearest_axis
+from trajeval_ros.metrics.statistics import median
 
 ODDS = 12.0  # least logarithm of odds of a statement: alarms against missed mistakes
 TIE = 3.0  # largest difference of logarithms between models that the motion can't distinguish

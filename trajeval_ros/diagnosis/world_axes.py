@@ -13,8 +13,8 @@ from trajeval_ros.diagnosis.parameters import SPREADS, log_odds
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.up_axis import UpAxis
-from trajeval_ros.metrics.statistics import median
 from trajeval_ros.geometry.vertical_axis import nearest_axis, vertical_axis_of
+from trajeval_ros.metrics.statistics import median
 
 _PARTS = 8  # of the run, whose spread gives the covariance of a direction
 _AXIS_DEG = 5.0  # largest angle to an axis of the frame that is named as the vertical one

@@ -38,7 +38,6 @@ from trajeval_ros.metrics.evaluation import Evaluation, evaluate_pairs
 from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.premises import Doubts
 from trajeval_ros.metrics.relative_evaluation import relative_evaluation
-from trajeval_ros.geometry.vertical_axis import require_up_axis
 
 
 class Paired(NamedTuple):

@@ -18,7 +18,6 @@ from trajeval_ros.geometry.vertical_axis import require_up_axis
 from trajeval_ros.metrics import evaluation as metrics
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.sub_trajectories import Length
-from trajeval_ros.geometry.vertical_axis import require_up_axis
 from trajeval_ros.pipeline.request import Request
 
 if TYPE_CHECKING:
