@@ -193,7 +193,7 @@ class _Comparison:
         # Few independent directions can agree at random, and rates of motion hardly can.
         least_nats = 2.0 * AGREE_NATS if self._has_unrelated_rates() else AGREE_NATS
         if nats < least_nats:
-            return [self._clock_result(None), self._unrelated(scores, statistics)]
+            return [self._clock_result(None), self._unrelated(statistics)]
         if oriented and rotates and unrelated.positions + MISTAKE > best.score + ODDS:
             by_scale = naming.unit_or_scale(
                 unrelated.scale, SPREADS["scale"].healthy ** 2, self.motions, self.inputs.gauge
@@ -255,7 +255,7 @@ class _Comparison:
         sizes_apart = np.abs(lengths(rotations) - lengths(read.rotations)) / unit
         return median(apart) > _MISFIT * (median(sizes_apart) + 0.01)
 
-    def _unrelated(self, scores: ModelScores, statistics: dict[str, float]) -> Examined:
+    def _unrelated(self, statistics: dict[str, float]) -> Examined:
         match = self.clock.match
         if is_at_rest(self.inputs):
             why_not = "both at rest; motions can't be compared"

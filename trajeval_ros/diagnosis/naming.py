@@ -71,7 +71,7 @@ def convention(scores: ModelScores, best: Model, models: Sequence[Model], as_rea
         names = map(_written, by_cause.values())
         findings = (Finding.of(Seen(row.cause, explained, row.values)) for row in rows)
         options = (finding.conversion for finding in findings)
-        values = {
+        values: dict[str, Value] = {
             "agreement": 100.0 * max(best.agreement, 0.0),
             "as_read": 100.0 * max(as_read.agreement, 0.0),
             "causes": " or ".join(dict.fromkeys(names)),

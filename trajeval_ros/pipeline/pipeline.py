@@ -27,6 +27,7 @@ from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
 from trajeval_ros.formatting.remarks import Remark, warning
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.vertical_axis import up_axis_doubt
 from trajeval_ros.metrics.as_available import AsAvailable, as_available
 from trajeval_ros.metrics.evaluation import Evaluation, of_same_point, on_plane
 from trajeval_ros.metrics.input_summary import InputSummary
@@ -225,7 +226,10 @@ def _with_gaps_of(pairs: Association, request: Request) -> Request:
 
 def _evaluated(given: Inputs, request: Request, same_as: Calibrated | None = None) -> RunOutcome:
     """Evaluate one estimate: the steps of the pipeline in their order."""
-    inputs, calibrated, evaluation = _measured(given, request, same_as)
+    try:
+        inputs, calibrated, evaluation = _measured(given, request, same_as)
+    except InputError as error:
+        raise _explained(error, given, request) from error
     evaluation, diagnosis = diagnosed(
         evaluation,
         inputs.groundtruth,
@@ -251,6 +255,22 @@ def _evaluated(given: Inputs, request: Request, same_as: Calibrated | None = Non
         stream=_stream(given.estimate),
         available=available,
     )
+
+
+def _explained(error: InputError, given: Inputs, request: Request) -> InputError:
+    """Return the error of an evaluation, or the wrong convention that causes a wrong up axis.
+
+    Inverse poses of the groundtruth rotate about no vertical axis.
+    """
+    inputs = corrected_and_cut(given, request)
+    gauge = request.protocol.gauge
+    if not gauge.turns_about_gravity_only or not up_axis_doubt(inputs.groundtruth):
+        return error
+    found = diagnose_inputs(inputs.groundtruth, inputs.estimate, request.protocol)
+    causes = [finding for finding in found.findings if finding.cause == "inverse"]
+    if not causes or request.calibration.hand_eye:
+        return error
+    return InputError(f"gauge {gauge.value} is not possible: {causes[0].text}")
 
 
 def _stream(estimate: Trajectory) -> StreamHealth | None:
