@@ -8,6 +8,7 @@ ROS := .venv-ros
 REAL := .venv-real
 COLCON := .venv-colcon
 EVO := .venv-evo
+CONFORMANCE := .venv-conformance
 ORACLES := .venv-oracles
 LOCK := .venv-lock
 ATHERIS := .venv-fuzz
@@ -34,7 +35,7 @@ export PYTHONDONTWRITEBYTECODE :=
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help install demo demo-real test test-jazzy test-ros test-real lint format bench bench-gnss bench-live \
-	bench-runs bench-scale bench-diagnosis bench-watch soak parity fuzz fuzz-bytes chaos \
+	bench-runs bench-scale bench-diagnosis bench-watch soak parity conformance fuzz fuzz-bytes chaos \
 	chaos-ros mutate audit lock colcon-environment ros-environment clean settings site serve-site test-kernels \
 	test-all test-stress oracles
 
@@ -110,6 +111,17 @@ bench: $(VENV)/.installed $(EVO)/.installed $(ORACLES)/.installed ## Compare wit
 
 parity: $(VENV)/.installed $(EVO)/.installed ## Compare with evo, number by number, on pairs from a new seed; SEED=1.
 	$(VENV)/bin/python -m benchmarks.parity --evo $(EVO)/bin/evo_ape $(if $(SEED),--seed $(SEED))
+
+# The exit status of score.py is 1, because numbers of some tools differ from the kit's definitions.
+conformance: $(VENV)/.installed $(CONFORMANCE)/.installed ## Score evo, KISS-ICP, PyPose and trajeval on the cases in conformance/.
+	mkdir -p conformance/results
+	$(CONFORMANCE)/bin/python conformance/independent.py > conformance/results/independent.json
+	python3 conformance/score.py --relative 1e-12 conformance/results/independent.json
+	$(VENV)/bin/python conformance/adapters/run_trajeval.py > conformance/results/trajeval.json
+	for tool in evo kiss_icp pypose; do \
+		$(CONFORMANCE)/bin/python conformance/adapters/run_$$tool.py > conformance/results/$$tool.json || exit; \
+	done
+	-python3 conformance/score.py --table conformance/results/*.json
 
 bench-runs: $(VENV)/.installed ## Time comparisons of a thousand runs; BENCH="--runs 200".
 	$(VENV)/bin/python -m benchmarks.many_runs $(BENCH)
@@ -193,9 +205,9 @@ colcon-environment: $(COLCON)/.installed
 ros-environment: $(ROS)/.installed $(ROS)/.tf2_msgs ## Make .venv-ros, with ROS 2 Jazzy's wheels.
 
 clean: ## Remove the environments and all that runs leave behind.
-	rm -rf $(VENV) $(JAZZY) $(ROS) $(REAL) $(COLCON) $(EVO) $(ORACLES) $(LOCK) $(ATHERIS) $(MUTATE) \
+	rm -rf $(VENV) $(JAZZY) $(ROS) $(REAL) $(COLCON) $(EVO) $(CONFORMANCE) $(ORACLES) $(LOCK) $(ATHERIS) $(MUTATE) \
 		$(AUDIT) $(SITE) site build install log dist *.egg-info \
-		demo_output demo_real_output benchmarks/data benchmarks/results.json \
+		demo_output demo_real_output conformance/results benchmarks/data benchmarks/results.json \
 		.pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
@@ -264,6 +276,12 @@ $(EVO)/.installed: benchmarks/requirements.txt constraints.txt
 	$(make_venv)
 	$(EVO)/bin/python -m pip install --quiet --constraint constraints.txt \
 		--requirement benchmarks/requirements.txt
+	touch $@
+
+# PyPose needs torch, so this environment has 1.4 GB.
+$(CONFORMANCE)/.installed: conformance/requirements.txt
+	$(make_venv)
+	$(CONFORMANCE)/bin/python -m pip install --quiet --requirement conformance/requirements.txt
 	touch $@
 
 # atheris has wheels for Python 3.11 to 3.13 on Linux.

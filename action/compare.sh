@@ -37,19 +37,15 @@ while IFS= read -r option; do
     arguments+=("$option")
 done < <(lines "$TRAJEVAL_OPTIONS")
 
+# Files of an earlier comparison or of the user are older than this one.
+begin=$RUNNER_TEMP/trajeval-begin
+touch "$begin"
 status=0
 "$environment/bin/trajeval" compare "${arguments[@]}" || status=$?
 
-# Only a comparison that ended has written these files: others may be of an earlier one or the user's.
-parts=()
-if [ "$status" -le 1 ]; then
-    parts=(tables)
-    [ -z "$TRAJEVAL_BASELINE" ] || parts=(gates tables)
-fi
-
 {
-    for part in "${parts[@]}"; do
-        if [ -f "$output/$part.md" ]; then
+    for part in gates tables; do
+        if [ -f "$output/$part.md" ] && [ "$output/$part.md" -nt "$begin" ]; then
             cat -- "$output/$part.md"
             echo
         fi

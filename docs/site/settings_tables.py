@@ -1,6 +1,6 @@
-"""Writes what the table of settings states: docs/settings.md and config/evaluator.yaml.
+"""Writes what tables of the program state: settings, parameters and layouts of text files.
 
-Run it after a change of a setting or parameter: make settings. A test compares the files.
+Run it after a change of one of them: make settings. A test compares the files.
 """
 
 from __future__ import annotations
@@ -13,11 +13,13 @@ from typing import Any
 
 from trajeval_ros.io.requests.setting import NODE, Setting, as_text
 from trajeval_ros.io.requests.settings_table import SETTINGS
+from trajeval_ros.io.text.layouts import KNOWN, Layout
 from trajeval_ros.ros.parameter_table import PARAMETERS, NodeParameter
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE, PARAMETER_FILE = ROOT / "docs/settings.md", ROOT / "config/evaluator.yaml"
 BEGIN, END = "<!-- settings: written by make settings -->", "<!-- end of settings -->"
+FORMATS = ROOT / "docs/trajectory.md"
 _EXAMPLES: dict[str, Any] = {
     "groundtruth_topic": "/groundtruth/pose",
     "estimate_topics": ["/vio/odometry"],
@@ -63,6 +65,24 @@ def _row(setting: Setting) -> str:
     return f"| `{setting.name}` | {shown} | {', '.join(where)} | {meaning} |"
 
 
+def layouts_table() -> str:
+    """Return the table of all layouts of text files without a header in Markdown."""
+    rows = [
+        f"| {layout.name} | {_columns(layout)} | {layout.up.name} | {layout.source} |"
+        for layout in KNOWN
+    ]
+    return "\n".join(["| layout | columns | up | written by |", "|---|---|---|---|", *rows])
+
+
+def _columns(layout: Layout) -> str:
+    text = " ".join(layout.columns)
+    text = re.sub(r"m11 .*m34", "m11 ... m34", text)
+    text = re.sub(r"c11 .*c66", "c11 ... c66", text)
+    text = re.sub(r"pr11 .*pt33", "pr11 ... pt33", text)
+    text = re.sub(r"_( _){3,}", lambda ignored: f"_ ({len(ignored[0].split())} times)", text)
+    return f"`{text}`"
+
+
 def json_text(value: Any) -> str:
     """Return a default as it is written in YAML."""
     return str(value).lower() if isinstance(value, bool) else as_text(value)
@@ -104,9 +124,11 @@ def _yaml(value: Any) -> str:
 
 
 def main() -> None:
-    """Write both files."""
+    """Write the files."""
     page = PAGE.read_text(encoding="utf-8")
     PAGE.write_text(page_with(settings_table(), page), encoding="utf-8")
+    formats = FORMATS.read_text(encoding="utf-8")
+    FORMATS.write_text(page_with(layouts_table(), formats), encoding="utf-8")
     PARAMETER_FILE.write_text(parameter_file(), encoding="utf-8")
 
 

@@ -19,7 +19,7 @@ from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory_edits import TimeSpan
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.io.text.layouts import TextHints
+from trajeval_ros.io.text.hints import SideHints
 from trajeval_ros.io.yaml_file import read_mapping
 from trajeval_ros.pipeline.pipeline import evaluate
 
@@ -383,9 +383,9 @@ def test_columns_of_all_algorithms_and_the_command_line_comes_first(tmp_path: Pa
     with config.open("a") as file:
         file.write("columns: t_s x y z qx qy qz qw\nframe_rate: 10\n")
     hints = {run.hints for run in plan(config).runs}
-    assert hints == {TextHints.of("t_s x y z qx qy qz qw", 10.0)}
+    assert hints == {SideHints.of("t_s x y z qx qy qz qw", 10.0)}
     said = plan_of(config, {"columns": "t x y z _ _ _ _", "frame_rate": 5.0})
-    assert {run.hints for run in said.runs} == {TextHints.of("t x y z _ _ _ _", 5.0)}
+    assert {run.hints for run in said.runs} == {SideHints.of("t x y z _ _ _ _", 5.0)}
 
 
 def test_other_columns_are_another_run(tmp_path: Path) -> None:

@@ -100,12 +100,24 @@ def test_too_few_trials_of_one_number_are_undecided_and_say_how_many_decide(
     assert "undecided" not in text
     assert "too few trials to decide. A worsening of any size remains inconclusive." in text
     assert f"Use {enough} trials on both sides, or {more} more per value now." in text
+    reason = judgement.gates[0].why_it_cannot_fail(judgement.false_alarms)
+    assert f"use {enough} trials on both sides, or {more} more per value now" in reason
     # What the sentence advises is enough.
     new = [9.0 + 0.01 * each for each in range(now + more)]
     assert judged(tmp_path, {"s": list(spread[:trials])}, {"s": list(new)}).fails
     assert judged(tmp_path, {"s": list(spread[:enough])}, {"s": list(new[:enough])}).fails or (
         now + more < enough
     )
+
+
+def test_gates_that_can_fail_are_not_reported(tmp_path: Path) -> None:
+    same = trials_of(6, 1)
+    for gate in (GATE, f"{GATE} untested"):
+        (verdict,) = judged(tmp_path, same, same, gate).gates
+        assert not verdict.why_it_cannot_fail(0.025)
+    (verdict,) = judged(tmp_path, {"a": [1.0]}, {"b": [9.0]}).gates
+    assert verdict.verdict == "lost"
+    assert not verdict.why_it_cannot_fail(0.025)
 
 
 def test_one_trial_of_many_numbers_is_judged_together_alone(tmp_path: Path) -> None:

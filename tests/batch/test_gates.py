@@ -182,6 +182,34 @@ def test_a_sequence_without_numbers_is_lost_and_the_rest_can_not_hide_it(
     assert ": no worse than 90 %" in (today / "old" / "gates.md").read_text()
 
 
+@pytest.mark.slow
+def test_a_gate_that_cannot_fail_is_an_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sequences = ["hall", "yard", "attic", "cellar"]
+    config = str(write_runs(tmp_path, sequences, ["good"], trials=1))
+    common = ["compare", config, "--workers", "1", "--quiet", "--output"]
+    assert main([*common, str(tmp_path / "old")]) == 0
+    for sequence in sequences:
+        write_run(tmp_path / "good" / f"{sequence}_trial0.txt", 1.5)
+    gate = ["--baseline", str(tmp_path / "old" / "runs.parquet"), "--fail-if", GATE]
+    capsys.readouterr()
+    for given in [], ["--undecided", "fail"]:
+        assert main([*common, str(tmp_path / "new"), *gate, *given]) == 2
+        error = capsys.readouterr().err
+        assert f"the gate '{GATE}' cannot fail: 4 values with so few trials" in error
+        assert "use 2 trials on both sides, or 1 more per value now" in error
+        assert ": inconclusive" in (tmp_path / "new" / "gates.md").read_text()
+    assert main([*common, str(tmp_path / "new"), *gate, "--undecided", "pass"]) == 0
+    # What the message advises is enough.
+    write_runs(tmp_path, sequences, ["good"], trials=2)
+    assert main([*common, str(tmp_path / "old")]) == 0
+    for sequence in sequences:
+        for trial in range(2):
+            write_run(tmp_path / "good" / f"{sequence}_trial{trial}.txt", 1.5 + 0.01 * trial)
+    assert main([*common, str(tmp_path / "new"), *gate]) == 1
+
+
 def test_what_is_gone_or_new_is_told(today: Path, yesterday: Path) -> None:
     config = today / "runs.yaml"
     text = config.read_text()

@@ -21,7 +21,7 @@ from trajeval_ros.batch.results_table import ResultsTable
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.io.text.layouts import TextHints
+from trajeval_ros.io.text.hints import SideHints
 
 HEADER = ["algorithm", "sequence", "trial", "groundtruth", "estimate"]
 ROWS = [
@@ -112,7 +112,7 @@ def test_a_configuration_names_a_manifest_and_has_the_settings(tmp_path: Path) -
     assert plan.request.protocol.gauge is Gauge.YAW
     assert plan.runs[0].estimate == f"{tmp_path}/lists/good/hall_trial0.txt"
     hints = {run.algorithm: run.hints for run in plan.runs}
-    assert hints["bad"] == TextHints.of("t x y z qw qx qy qz", None) != hints["good"]
+    assert hints["bad"] == SideHints.of("t x y z qw qx qy qz", None) != hints["good"]
 
 
 @pytest.mark.parametrize(

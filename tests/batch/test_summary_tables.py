@@ -37,7 +37,7 @@ def summary(protocol: str = "default", cause: str = "other_run") -> ComparisonSu
     )  # fmt: skip
     pooled = tuple(
         {"algorithm": each.algorithm, "sequence": "hall", "kind": RE, "metric": metric,
-         "length": length, "mean": 2.0, "count": 9}
+         "length": length, "mean": 2.0, "count": 9, "evaluated": 1}
         for each in trials
         for metric in METRICS
         for length in settings["lengths"]
@@ -152,8 +152,33 @@ def test_a_trial_without_a_value_is_ranked_last(metric: str) -> None:
     assert [cells[0].text for _, cells in table.rows] == ["withheld", "1.000"]
     assert table.ranks() == [[0], [1]]
     assert table.rows[0][1][0].note.startswith("2/5")
-    relative = "rotation_deg_per_m" if metric == "rotation_deg" else "position_percent"
-    assert tables[f"re_{relative}"].ranks()[0] == [0, 0]
+
+
+@pytest.mark.parametrize("metric", METRICS)
+def test_relative_errors_of_fewer_trials_are_not_ranked(metric: str) -> None:
+    whole = summary(cause="keyframes")
+    trials = tuple(replace(each, trial=str(k), rmse={}) for each in whole.trials for k in range(5))
+    having = {"wrong": 2, "right": 5}
+    pooled = tuple(
+        {**row, "evaluated": having[row["algorithm"]] if row["metric"] == metric else 5}
+        for row in whole.pooled
+    )
+    tables = {each.name: each for each in matrices(replace(whole, trials=trials, pooled=pooled))}
+    table, [other] = tables[f"re_{metric}"], [f"re_{each}" for each in METRICS if each != metric]
+    # Absolute errors that are withheld do not matter.
+    assert [[cell.note for cell in cells] for _, cells in table.rows] == [["2/5"] * 2, [""] * 2]
+    assert "not ranked: wrong (2 of 5 runs)." in table.caption
+    assert "not ranked" not in tables[other].caption
+
+
+def test_a_sequence_too_short_for_a_length_favours_no_algorithm() -> None:
+    whole = summary(cause="keyframes")
+    trials = (*whole.trials, *(replace(each, sequence="yard") for each in whole.trials))
+    pooled = [{**row, "sequence": name} for name in ("hall", "yard") for row in whole.pooled]
+    short = tuple(row for row in pooled if (row["sequence"], row["length"]) != ("yard", "16m"))
+    assert len(short) < len(pooled)
+    tables = matrices(replace(whole, trials=trials, pooled=short))
+    assert not any("not ranked" in each.caption for each in tables)
 
 
 def test_a_trial_without_a_likelihood_is_ranked_last() -> None:

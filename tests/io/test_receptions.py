@@ -19,7 +19,7 @@ from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.io.bags.write_bag import write_bag
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.io.text.layouts import TextHints
+from trajeval_ros.io.text.hints import TextHints
 from trajeval_ros.metrics.stream_health import health_of
 
 FLIGHT = simulate(seed=2, duration_s=20.0)

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from tests.support.paths import SHARED
 from trajeval_ros.cli.app import main
+from trajeval_ros.formatting.numbers import significant
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.reading import Reading
@@ -452,6 +453,14 @@ def test_a_final_silence_is_a_dropout(shared_data: Path) -> None:
     options = ["--columns", columns, "--as-available", "hold", "--gauge", "none", "--json", "-"]
     with contextlib.redirect_stdout(io.StringIO()) as printed:
         assert main(["evaluate", *sides, *options]) == 0
-    [run] = json.loads(printed.getvalue())["runs"]
-    assert run["as_available"]["dropouts"]["count"] == 1
-    assert 29.5 < run["as_available"]["dropouts"]["longest_s"] < 30.5
+        assert main(["evaluate", *sides, *options[:-2]]) == 0
+    lines = printed.getvalue().splitlines()
+    end = lines.index("}") + 1
+    [run] = json.loads("\n".join(lines[:end]))["runs"]
+    dropouts = run["as_available"]["dropouts"]
+    assert dropouts["count"] == 1
+    assert 29.5 < dropouts["longest_s"] < 30.5
+    [stream] = [line for line in lines[end:] if "arrival after timestamp" in line]
+    assert stream.endswith("longest gap between messages 0.05 s")
+    [age] = [line for line in lines[end:] if "pose age" in line]
+    assert f"1 dropout (longest {significant(dropouts['longest_s'], 3)} s)" in age

@@ -354,11 +354,11 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", list(KINDS))
-def test_a_stream_of_unusable_poses_is_a_warning_at_once(tmp_path: Path, kind: str) -> None:
+def test_a_stream_of_unusable_poses_is_an_error_at_once(tmp_path: Path, kind: str) -> None:
     live = Live(tmp_path / "live", ODOM)
     fly(live, sent(TRUTH, GROUNDTRUTH, TRUTH.stamps)[:200], spoiled(kind, 1.0)[:20])
     [told] = [each for each in remarks(live) if "no message with a valid pose" in each.text]
-    assert told.level == Level.WARNING
+    assert told.level == Level.ERROR
     assert KINDS[kind] in told.text
     live.end()
 

@@ -359,7 +359,7 @@ def test_an_estimate_without_stamps_is_told_at_once_and_in_the_end(
         publish(publishers, 1000.0, 4.0, dated=False)
         peer.until(lambda: newest() and trouble in newest().message, "diagnostics tell of it")
         values = {each.key: each.value for each in newest().values}
-        assert newest().level == b"\x01"
+        assert newest().level == b"\x02"
         assert values["dropped"] == "80 with timestamp zero"
         assert evaluator.end() == 2
     assert evaluator.said.count("no message with a valid pose") == 1

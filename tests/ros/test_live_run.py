@@ -217,6 +217,30 @@ def test_what_is_being_written_is_given_up_when_all_is_to_be_written(
     assert finisher.trouble == "full"
 
 
+def test_the_evaluation_of_a_long_run_continues_after_the_end_of_the_node(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("rclpy", reason="`make test-ros` has it", exc_type=ImportError)
+    from trajeval_ros.ros import result_writing
+
+    pair, log = make_pair(3, COUNT, smooth=True), []
+    live = Live(tmp_path / "live", ODOM)
+    live.feed(messages_of(pair.groundtruth, GROUNDTRUTH, POSE))
+    live.feed(messages_of(pair.estimate, ESTIMATE, ODOM))
+    run = live.run
+    write_states(run)
+    run.close()
+    monkeypatch.setattr(result_writing, "MOST_AWAITED", run.pair_count - 1)
+    writing = result_writing.ResultWriting(lambda: run, lambda text, _: log.append(text))
+    assert writing.conclude(run)
+    assert run.finisher.is_busy
+    [said] = log
+    assert f"trajeval finish {run.folder}" in said
+    until(run.finisher.poll, "the process ends")
+    assert not run.finisher.trouble
+    assert {"result.json", "errors.npz"} <= {file.name for file in run.folder.iterdir()}
+
+
 def test_an_autosave_that_is_late_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
     monkeypatch.setattr("trajeval_ros.ros.output_folder.time.monotonic", lambda: now[0])

@@ -81,8 +81,11 @@ def test_a_node_that_only_watches_names_unknown_parameters(
     environment: dict[str, str], tmp_path: Path
 ) -> None:
     values = {"watch_factor": 2.0, "watch_facto": 3.0, "estimates": ["/odom"]}
+    quality = "qos_overrides./odom.subscription.reliability"
+    values[quality] = "best_effort"
     with evaluating(tmp_path / "out", environment, groundtruth="", **values) as evaluator:
         evaluator.wait_for("unknown parameter watch_facto; did you mean watch_factor?")
+        evaluator.wait_for(f"parameter {quality} has no effect")
         assert evaluator.end() == 0
 
 

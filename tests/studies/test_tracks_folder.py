@@ -279,7 +279,7 @@ def _copied(folder: Path) -> None:
         (_replaced("tracks.csv", r"\n(\d+),0,", r"\n\1,1,"), "track 1 is 2 times in the image"),
         (_replaced("tracks.csv", r"\n(\d+),0,", r"\n\1,0.5,"), "must be whole numbers"),
         (_replaced("tracks.csv", r",0,[^,\n]*", ",0,nan"), "row 1 is not finite"),
-        (_replaced("imu.csv", r"\n(\d+),[^,]*,", r"\n\1,"), "line 2: 7 columns expected, found 6"),
+        (_replaced("imu.csv", r"\n(\d+),[^,]*,", r"\n\1,"), "7 columns expected, found 6"),
         (_replaced("imu.csv", r"\n(\d+),", "\n1503715000000000000,"), "does not increase"),
         (_later("tracks.csv", 2_500_000), "have no groundtruth: at"),
         (_later("imu.csv", 3_600_000_000_000), "0 of 47 images are within the time span of IMU"),

@@ -139,6 +139,11 @@ def make_files(folder: Path) -> None:
     for name in ("gt.csv", "groundtruth.csv", "mav0/state_groundtruth_estimate0/data.csv"):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         _saved(folder, truth, name, "euroc")
+    assert truth.rotations is not None
+    angles = truth.rotations.as_euler("xyz")
+    microseconds = truth.stamps[:, None] / 1e3
+    rows = np.column_stack([microseconds, truth.positions, angles])
+    np.savetxt(folder / "mocap.csv", rows, fmt=["%.0f", *["%.9f"] * 6], delimiter=",")
     for name in ("vio.txt", "estimate.txt", "a.txt"):
         _saved(folder, estimate, name, "tum")
     for name in ("slam.txt", "b.txt"):
@@ -154,7 +159,9 @@ def make_files(folder: Path) -> None:
         (folder / algorithm).mkdir()
         for sequence in ("MH_01", "MH_02"):
             for trial in range(2):
-                _saved(folder / algorithm, states, f"{sequence}_{trial}.txt", "tum")
+                # Identical trials count once.
+                varied = dataclasses.replace(states, positions=states.positions + 1e-3 * trial)
+                _saved(folder / algorithm, varied, f"{sequence}_{trial}.txt", "tum")
     (folder / "groundtruth").mkdir()
     for sequence in ("MH_01", "MH_02"):
         _saved(folder / "groundtruth", truth, f"{sequence}.txt", "tum")

@@ -144,8 +144,10 @@ def test_what_is_worse_fails_and_is_told_first(job: Job) -> None:
     shutil.copy(job.folder / "old" / "runs.parquet", job.folder / "main.parquet")
     baseline = {"config": "runs.yaml", "baseline": "main.parquet"}
     gates = "ate.position_m.rmse worse than 5 %\n\n  \nate.position_m.max worse than 5 %\n"
-    same = job.run(**baseline, fail_if=gates)
+    same = job.run(**baseline, fail_if=gates, undecided="pass")
     assert same.returncode == 0, same.stderr
+    # Equal errors are no evidence that nothing has become worse.
+    assert job.run(**baseline, fail_if=gates).returncode == 1
     for sequence in ("hall", "yard"):
         for trial in (0, 1):
             write_run(job.folder / "good" / f"{sequence}_trial{trial}.txt", 1.05 + 0.001 * trial)
@@ -169,6 +171,31 @@ def test_what_cannot_be_compared_is_told(job: Job) -> None:
     assert "inconclusive" not in job.summary
     assert not job.folder.parent.joinpath("output").exists()
     assert "ended with status 2" in job.summary
+
+
+@pytest.mark.slow
+def test_files_of_the_user_stay_and_are_not_shown(job: Job) -> None:
+    folder = job.folder / "comparison"
+    folder.mkdir()
+    for name in ("tables.md", "gates.md"):
+        (folder / name).write_text(f"the user's {name}\n")
+    assert job.run(config="runs.yaml").returncode == 2
+    assert {path.name: path.read_text() for path in folder.iterdir()} == {
+        name: f"the user's {name}\n" for name in ("tables.md", "gates.md")
+    }
+    assert "the user's" not in job.summary
+
+
+@pytest.mark.slow
+def test_a_gate_that_cannot_fail_ends_with_its_tables(job: Job) -> None:
+    write_runs(job.folder, ["hall"], ["good"], trials=1)
+    assert job.run(config="runs.yaml", output="old").returncode == 0
+    shutil.copy(job.folder / "old" / "runs.parquet", job.folder / "main.parquet")
+    done = job.run(config="runs.yaml", baseline="main.parquet")
+    assert done.returncode == 2
+    assert "cannot fail" in done.stderr
+    assert "inconclusive" in job.summary
+    assert "### ATE, position [m]" in job.summary
 
 
 @pytest.mark.slow

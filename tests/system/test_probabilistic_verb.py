@@ -16,6 +16,7 @@ from written_trajectories import write
 from trajeval_ros.cli.app import main
 from trajeval_ros.continuous_time.models import MODELS
 from trajeval_ros.continuous_time.samples import Noise
+from trajeval_ros.formatting.numbers import with_unit
 from trajeval_ros.geometry.trajectory import Trajectory
 
 NAMES = ("best", "middling", "worst")
@@ -95,6 +96,26 @@ def test_every_gauge_but_a_planes(files: Path, gauge: str) -> None:
     if chain is not None:
         assert chain["scale"] == pytest.approx(1.0, abs=0.01)
         assert len(chain["tilt_z"]) == 2
+
+
+def test_the_headline_is_the_ate_that_the_groundtruth_supports(
+    files: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sides = ["-g", str(files / "groundtruth.txt"), "-e", str(files / "best.txt")]
+    output = files / "headline.json"
+    assert main(["evaluate", *sides, *CONTINUOUS, "--json", str(output)]) == 0
+    headline, below, *_ = capsys.readouterr().out.splitlines()
+    (run,) = json.loads(output.read_text())["runs"]
+    ate = run["probabilistic"]["ate"]
+    supported, low, high, whole = (
+        with_unit(number, "m")
+        for number in (ate["supported_m"], *ate["interval_95_m"], run["ate"]["position_m"]["rmse"])
+    )
+    assert supported != whole
+    assert headline.startswith(
+        f"best: ATE {supported} position (approximate 95 % interval {low} to {high}) over "
+    )
+    assert below == f"  ATE {whole} position over all pairs, gaps of the groundtruth included"
 
 
 def test_noise_is_the_users(files: Path) -> None:

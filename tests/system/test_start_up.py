@@ -93,7 +93,7 @@ def test_pictures_without_covariances_import_no_distributions(
     arguments = ["evaluate", str(truth), str(estimate), option, str(tmp_path / name), "--quiet"]
     _, loaded = _loaded(MAIN.format(arguments=arguments))
     assert (tmp_path / name).exists()
-    assert not loaded & unwanted
+    assert not loaded & unwanted, sorted(loaded & unwanted)
 
 
 THREADS = (
@@ -156,7 +156,7 @@ def test_an_evaluation_imports_nothing_that_writes_folders_tables_or_styles(
             "io.temporary",
         )
     }
-    assert not loaded & unwanted
+    assert not loaded & unwanted, sorted(loaded & unwanted)
     said, loaded = _loaded(MAIN.format(arguments=arguments[:-2]))  # with tables
     assert "rotation [deg]" in said
     assert not loaded & ({"rich"} - libraries)

@@ -297,7 +297,7 @@ def test_the_option_says_what_is_up(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert status == 0
     assert result["runs"][0]["ate"]["yaw_deg"] is None
     assert result["groundtruth"]["up"] == {"name": "z", "origin": "assumed"}
-    assert "yaw, tilt, horizontal and vertical errors withheld" in capsys.readouterr().err
+    assert "horizontal, vertical, yaw and tilt errors withheld" in capsys.readouterr().err
     assert evaluated(tmp_path, "--up", "q")[0] == 2
     assert "unknown up axis 'q'" in capsys.readouterr().err
 

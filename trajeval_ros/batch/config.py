@@ -22,7 +22,7 @@ from trajeval_ros.io.requests.setting import AUTO, MESSAGE, NONE
 from trajeval_ros.io.requests.settings_table import settings_of_many_runs
 from trajeval_ros.io.source_names import is_source, names_of, names_with, split_name
 from trajeval_ros.io.sources import parse_source, require_no_password
-from trajeval_ros.io.text.layouts import TextHints
+from trajeval_ros.io.text.hints import GROUNDTRUTH, SideHints
 from trajeval_ros.io.yaml_file import read_mapping, require_known
 from trajeval_ros.pipeline.request import Request
 
@@ -81,7 +81,7 @@ def plan_of_sources(sources: Sequence[str], settings: Mapping[str, Any]) -> Plan
 
 
 def _plan(title: str, found: Iterable[PlannedRun], settings: Mapping[str, Any]) -> Plan:
-    hints = TextHints.of(settings.get("columns"), settings.get("frame_rate"))
+    hints = SideHints.of(settings.get("columns"), settings.get("frame_rate"))
     runs = tuple(dataclasses.replace(run, hints=hints) for run in found)
     return Plan(title, runs, _request({}, settings), bool(settings.get("common_time_span")))
 
@@ -183,23 +183,27 @@ def _runs(
 
 def _hints(
     config: Mapping[str, Any], target: Path, algorithms: Sequence[str], settings: Mapping[str, Any]
-) -> dict[str, TextHints]:
-    """Return the hints for the text files of each algorithm."""
+) -> dict[str, SideHints]:
+    """Return the hints for the text files of both sides, by algorithm."""
     columns, frame_rate = settings.get("columns"), settings.get("frame_rate")
     if frame_rate is None and "frame_rate" in config:
         frame_rate = _typed(config, "frame_rate", float, target)
-    if columns is not None:
-        return dict.fromkeys(algorithms, TextHints.of(columns, frame_rate))
+    if columns:
+        return dict.fromkeys(algorithms, SideHints.of(columns, frame_rate))
     given = config.get("columns", {})
     if isinstance(given, dict):
         written = {str(name): each for name, each in given.items()}
     else:
         written = dict.fromkeys(algorithms, _typed(config, "columns", str, target))
-    require_known(written, algorithms, f"{target}: columns")
+    require_known(written, [*algorithms, GROUNDTRUTH], f"{target}: columns")
+    of_both = []
+    if GROUNDTRUTH in written:
+        of_both = [f"{GROUNDTRUTH}: {_typed(written, GROUNDTRUTH, str, target)}"]
     try:
         return {
-            name: TextHints.of(
-                _typed(written, name, str, target) if name in written else None, frame_rate
+            name: SideHints.of(
+                [*of_both, *([_typed(written, name, str, target)] if name in written else [])],
+                frame_rate,
             )
             for name in algorithms
         }

@@ -13,7 +13,7 @@ from trajeval_ros.batch.remote_files import open_store
 from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.io.json_file import json_text, mapping_in
 from trajeval_ros.io.sources import parse_source
-from trajeval_ros.io.text.number_tables import files_of_times
+from trajeval_ros.io.text.numpy_files import files_of_times
 from trajeval_ros.io.writing import write_text
 
 _NANOSECONDS = 1_000_000_000

@@ -283,18 +283,15 @@ def pooled_rows(
     """Yield the statistics over trials.
 
     Absolute errors: statistics of the RMSE of the trials. Relative errors: statistics over the
-    sub-trajectories of all trials. Rows have the number of evaluated and of expected trials.
+    sub-trajectories of all trials. Rows have the number of expected trials and of those with the
+    error.
     """
-    same = {
-        "algorithm": algorithm,
-        "sequence": sequence,
-        "trials": trials,
-        "evaluated": len(records),
-    }
+    same = {"algorithm": algorithm, "sequence": sequence, "trials": trials}
     for metric in _ABSOLUTE:
         each = [record.run["ate"][metric] for record in records]
         values = np.array([one["rmse"] for one in each if one is not None])
-        yield from _statistics_rows(values, {**same, "kind": ATE, "metric": metric})
+        row = {**same, "kind": ATE, "metric": metric, "evaluated": len(values)}
+        yield from _statistics_rows(values, row)
     for length in dict.fromkeys(length for record in records for length in record.lengths):
         yield from _relative(length, records, same)
 
@@ -304,23 +301,28 @@ def _relative(
 ) -> Iterator[dict[str, Any]]:
     having = [record for record in records if length in record.lengths]
     segments = [record.run["re"]["segments"][record.lengths.index(length)] for record in having]
-    sizes = [segment.get("length_m") for segment in segments]
-    row = {**same, "kind": RE, "length": length, "length_m": sizes[0]}
+    row = {**same, "kind": RE, "length": length, "length_m": segments[0].get("length_m")}
     # Errors in percent refer to the length of each trial, which may differ between trials.
     for metric, (share, unit) in PER_LENGTH.items():
-        name = f"{length}.{metric}"
-        errors = [record.columns[name] for record in having if name in record.columns]
-        if len(errors) < len(having):  # without orientations there are no rotation errors
+        # Trials without orientations, or with withheld rotation errors, have no column.
+        known = [
+            (segment.get("length_m"), record.columns[f"{length}.{metric}"])
+            for record, segment in zip(having, segments, strict=True)
+            if f"{length}.{metric}" in record.columns
+        ]
+        if not known:
             continue
-        absolute = list(_statistics_rows(np.concatenate(errors), {**row, "metric": metric}))
+        of_metric = {**row, "metric": metric, "evaluated": len(known)}
+        sizes, errors = zip(*known, strict=True)
+        absolute = list(_statistics_rows(np.concatenate(errors), of_metric))
         yield from absolute
         if None in sizes:
             continue
         if len(set(sizes)) == 1:
             yield from (_scaled(each, share, unit / sizes[0]) for each in absolute)
         else:
-            shares = [unit / size * each for size, each in zip(sizes, errors, strict=True)]
-            yield from _statistics_rows(np.concatenate(shares), {**row, "metric": share})
+            shares = [unit / size * column for size, column in known]
+            yield from _statistics_rows(np.concatenate(shares), {**of_metric, "metric": share})
 
 
 def _scaled(row: dict[str, Any], metric: str, factor: float) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from trajeval_ros.batch.permutation_tests import (
     PermutationTest,
     Sample,
     can_reject,
+    equal_trials,
     more_failures,
     more_trials,
 )
@@ -95,6 +96,20 @@ class GateVerdict:
         together = words if self.pooled is None else [self.pooled.verdict]
         found = {*together, *words} & {WORSE, LOST} or {*together} & {NO_WORSE}
         return WORSE if WORSE in found else found.pop() if found else UNDECIDED
+
+    def why_it_cannot_fail(self, false_alarms: float) -> str:
+        """Return why no error, however large, gives the verdict `worse`, and what does; or ""."""
+        if self.pooled is None or not self.pooled.more_trials:
+            return ""
+        values = counted(self.pooled.count, "value")
+        enough = equal_trials(self.pooled.count, false_alarms)
+        copies = " (identical ones count once)" if self.copies else ""
+        return (
+            f"{values} with so few trials{copies} cannot be significant at "
+            f"{100 * false_alarms:g} %; use "
+            f"{counted(enough, 'trial')} on both sides, or "
+            f"{self.pooled.more_trials} more per value now"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from typing import Any
 from trajeval_ros.formatting.numbers import natural_key
 from trajeval_ros.geometry.trajectory_edits import TimeSpan
 from trajeval_ros.io.requests.settings_table import settings_of
-from trajeval_ros.io.text.layouts import NO_HINTS, TextHints
+from trajeval_ros.io.text.hints import NO_SIDES, SideHints
 from trajeval_ros.pipeline.request import Request
 
 Name = tuple[str, str, str]
@@ -28,7 +28,7 @@ class PlannedRun:
     missing: str = ""  # why it has no files; "" if it has
     # The time span to evaluate, by a file of its folder; None for all.
     time_span: TimeSpan | None = None
-    hints: TextHints = NO_HINTS  # columns and frame rate of the estimate's text file
+    hints: SideHints = NO_SIDES  # columns and frame rates of the text files of both sides
 
     @property
     def name(self) -> str:

@@ -347,30 +347,35 @@ def _median_with_last(known: Sequence[float], trials: int) -> float:
 
 def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
     lengths = summary.settings["lengths"]
-    pooled: dict[tuple[str, str], list[tuple[float, int]]] = defaultdict(list)
+    pooled: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
     for row in summary.pooled:
         if (row["kind"], row["metric"]) == (RE, metric):
-            pooled[row["algorithm"], row["length"]].append((row["mean"], row["count"]))
+            pooled[row["algorithm"], row["length"]].append(row)
     rows = []
     comparable = LOW_COVERAGE * max(
         _mean_coverage(summary.of(each)) for each in summary.algorithms
     )
-    absolute = "rotation_deg" if metric.startswith("rotation") else "position_m"
+    long_enough = {
+        length: {row["sequence"] for name in summary.algorithms for row in pooled[name, length]}
+        for length in lengths
+    }
     for algorithm in summary.algorithms:
         trials = summary.of(algorithm)
-        evaluated = sum(absolute in trial.rmse for trial in trials)
-        # Omitting runs that failed or whose errors are withheld favours an algorithm.
-        is_whole = evaluated == len(trials)
-        note = "" if is_whole else f"{evaluated}/{len(trials)}"
-        note = f"{note} {diagnosed(trials)}".strip()
         cells = []
         for length in lengths:
-            means = pooled[algorithm, length]
-            count = sum(each for _, each in means)
-            mean = sum(value * each for value, each in means) / count if count else None
+            of_length = pooled[algorithm, length]
+            count = sum(row["count"] for row in of_length)
+            mean = sum(row["mean"] * row["count"] for row in of_length) / count if count else None
+            # Omitting runs that failed or whose errors are withheld favours an algorithm.
+            # Sequences that are too short for all algorithms favour none.
+            evaluated = sum(row["evaluated"] for row in of_length)
+            expected = sum(trial.sequence in long_enough[length] for trial in trials)
+            is_whole = evaluated == expected
+            note = "" if is_whole else f"{evaluated}/{expected}"
+            note = f"{note} {diagnosed(trials)}".strip()
             covered = _mean_coverage(trials)
             why = "" if covered >= comparable else f"covers {whole_percent(covered)}"
-            why = why if is_whole else f"{evaluated} of {counted(len(trials), 'run')}"
+            why = why if is_whole else f"{evaluated} of {counted(expected, 'run')}"
             is_copy = any(trial.is_copy for trial in trials)
             why = _COPY if is_copy else why
             cells.append(Cell(mean, note if count else "", not why, why, not is_copy))

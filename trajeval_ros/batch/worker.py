@@ -19,7 +19,7 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.bags.byte_source import counting_fetched_bytes
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.io.text.layouts import TextHints
+from trajeval_ros.io.text.hints import TextHints
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.pipeline.pipeline import run as run_pipeline
 from trajeval_ros.pipeline.request import Request
@@ -41,7 +41,7 @@ class Task:
     @functools.cached_property
     def key(self) -> str:
         """Hash of everything that its numbers depend on, including the program."""
-        hints = dataclasses.astuple(self.run.hints)
+        hints = tuple(map(dataclasses.astuple, self.run.hints))
         parts = (hash_of_numbers(), self.request.fingerprint, self.run.name, self.inputs, hints)
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
 
@@ -72,11 +72,11 @@ def work(task: Task) -> WorkerResult:
 
 def _evaluate(task: Task) -> Record:
     run, request = task.run, task.request
-    groundtruth = _groundtruth(run.groundtruth, task.inputs[0], run.hints.of_reference)
+    groundtruth = _groundtruth(run.groundtruth, task.inputs[0], run.hints.groundtruth)
     read = read_trajectory(
         run.estimate,
         covariances=request.reads_covariances,
-        hints=run.hints,
+        hints=run.hints.estimate,
         received=request.received,
     )
     estimate = dataclasses.replace(read, name=run.name)

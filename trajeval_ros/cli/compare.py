@@ -33,13 +33,14 @@ if TYPE_CHECKING:
     from trajeval_ros.batch.comparison_summary import ComparisonSummary
     from trajeval_ros.batch.finished_results import FinishedResults
     from trajeval_ros.batch.gate import Gate, GateValues
+    from trajeval_ros.batch.gates import Judgement
     from trajeval_ros.batch.plan import Plan
 
 _WORK = "Work"
 
 
 _GATES = "Gates"
-_UNDECIDED, _FALSE_ALARMS = "pass", 2.5  # defaults
+_FALSE_ALARMS = 2.5  # default
 
 _GATE_OPTIONS = (
     option("--baseline", kind=Path, metavar="OLD.parquet", panel=_GATES, is_common=True,
@@ -48,8 +49,9 @@ _GATE_OPTIONS = (
         help="Gate, such as 'ate.position_m.rmse worse than 5 %'. The exit status is 1 if a "
         "value is worse than in the baseline by more than the margin, with statistical "
         "significance. Repeatable."),
-    option("--undecided", metavar="pass|fail", default=_UNDECIDED, panel=_GATES,
-        help="Verdict of a gate whose test is inconclusive: pass or fail."),
+    option("--undecided", metavar="pass|fail", panel=_GATES,
+        help="Verdict of a gate whose test is inconclusive: pass or fail. By default it passes, "
+        "but a gate that cannot fail, with too few trials, is an error: exit status 2."),
     option("--false-alarms", kind=float, metavar="PERCENT", default=_FALSE_ALARMS, panel=_GATES,
         help="Probability of a false alarm over all gates, in percent."),
     option("--paired", kind=bool, panel=_GATES,
@@ -99,7 +101,7 @@ def compare(
     cluster: str | None,
     baseline: Path | None,
     fail_if: Sequence[str],
-    undecided: str,
+    undecided: str | None,
     false_alarms: float,
     paired: bool,
     output: Path,
@@ -198,7 +200,7 @@ def _comparison_of(
             f"{results[0]} has finished results, and {others[0]} has none; give folders with "
             f"{RESULT}, or groundtruth and estimates"
         )
-    given = [name for name, value in settings.items() if value is not None]
+    given = [name for name, value in settings.items() if value not in (None, (), [])]
     if given:
         option = f"--{given[0].replace('_', '-')}"
         raise SettingsError(
@@ -214,7 +216,7 @@ class Gates:
 
     gates: list[Gate]
     baseline: GateValues  # of the older comparison
-    undecided_fails: bool  # whether an inconclusive verdict causes exit status 1
+    undecided: str | None  # verdict of an inconclusive gate; None: `pass` if it could fail
     false_alarms: float  # probability
     paired: bool  # whether trials of the same name have the same seed
 
@@ -222,7 +224,7 @@ class Gates:
 def _gates_of(
     path: Path | None,
     texts: Sequence[str],
-    undecided: str,
+    undecided: str | None,
     false_alarms: float,
     settings: dict[str, Any],
     *,
@@ -234,14 +236,14 @@ def _gates_of(
 
     if (path is None) != (not texts):
         raise SettingsError("--baseline and --fail-if belong together; give both")
-    require_one_of(undecided, ("pass", "fail"), "value of --undecided")
+    require_one_of(undecided or "pass", ("pass", "fail"), "value of --undecided")
     if not 0.0 < false_alarms <= 20.0:
         raise SettingsError(
             f"--false-alarms {false_alarms:g} is out of range; give a percentage above 0 and up "
             "to 20, such as 2.5"
         )
     if path is None:
-        if paired or undecided != _UNDECIDED or false_alarms != _FALSE_ALARMS:
+        if paired or undecided is not None or false_alarms != _FALSE_ALARMS:
             raise SettingsError(
                 "--paired, --undecided and --false-alarms need --baseline and --fail-if; give both"
             )
@@ -251,7 +253,7 @@ def _gates_of(
     require_same_settings(values, settings, gates)
     for gate in gates:
         values.find(gate.path)
-    return Gates(gates, values, undecided == "fail", false_alarms / 100.0, paired)
+    return Gates(gates, values, undecided, false_alarms / 100.0, paired)
 
 
 def _judge(given: Gates, folder: Path, title: str, *, quiet: bool) -> None:
@@ -275,13 +277,27 @@ def _judge(given: Gates, folder: Path, title: str, *, quiet: bool) -> None:
     if not quiet:
         with may_break():
             print(f"\n{text}", end="")
-    if not judgement.fails and given.undecided_fails and judgement.verdict != gates.NO_WORSE:
+    if not judgement.fails:
+        _require_decided(given, judgement)
+        if given.undecided != "fail" or judgement.verdict == gates.NO_WORSE:
+            return
         console(sys.stderr).remark(
             WARNING, "a gate is inconclusive, which fails by --undecided fail: exit status 1"
         )
-    elif not judgement.fails:
-        return
     raise click.exceptions.Exit(1)
+
+
+def _require_decided(given: Gates, judgement: Judgement) -> None:
+    """Refuse a gate that cannot fail, unless inconclusive gates pass by request."""
+    if given.undecided == "pass":
+        return
+    for verdict in judgement.gates:
+        reason = verdict.why_it_cannot_fail(given.false_alarms)
+        if reason:
+            raise SettingsError(
+                f"the gate '{verdict.gate}' cannot fail: {reason}, or accept it with "
+                "--undecided pass"
+            )
 
 
 def _print_verdict(summary: ComparisonSummary, progress: Progress, folder: Path) -> None:

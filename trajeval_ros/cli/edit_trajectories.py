@@ -21,7 +21,7 @@ from trajeval_ros.cli.options import (
 )
 from trajeval_ros.cli.plotting import PLOT_OPTIONS, Plotting
 from trajeval_ros.cli.programs import may_break
-from trajeval_ros.cli.progress import read_shown
+from trajeval_ros.cli.progress import read_shown, report_dropped
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.pose_conventions import ORDERS, POSES, ROTATIONS, Conventions
@@ -32,7 +32,7 @@ from trajeval_ros.io.requests.setting import INPUT, PAIR, TRAJECTORY, two_number
 from trajeval_ros.io.save_trajectories import MESSAGES, files_of, save_trajectories
 from trajeval_ros.io.source_names import names_with, split_name
 from trajeval_ros.io.sources import each_topic
-from trajeval_ros.io.text.layouts import TextHints
+from trajeval_ros.io.text.hints import SideHints
 from trajeval_ros.metrics.editing import Edited, Editing, edit
 from trajeval_ros.report.figure_style import FigureStyle
 
@@ -107,7 +107,7 @@ _PARAMETERS = (
 def trajectory(
     sources: Sequence[str],
     reference: str | None,
-    columns: str | None,
+    columns: tuple[str, ...],
     frame_rate: float | None,
     strict: bool,
     quiet: bool,
@@ -236,7 +236,7 @@ def trajectory(
             "--reference needs an operation; add --gauge, --modality, --synchronise, --start, "
             "--end or --plot"
         )
-    hints = TextHints.of(columns, frame_rate)
+    hints = SideHints.of(columns, frame_rate)
     split = [(name, each) for name, source in map(split_name, sources)
              for each in each_topic(source)]  # fmt: skip
     wanted = [source for _, source in split]
@@ -245,9 +245,9 @@ def trajectory(
     # One call reads all sources of a bag in one pass.
     others = [] if reference is None else [reference]
     names = [*names_with([name for name, _ in split], wanted), *("reference" for _ in others)]
-    every_hint = [*[hints] * len(wanted), *[hints.of_reference] * len(others)]
+    every_hint = [*[hints.estimate] * len(wanted), *[hints.groundtruth] * len(others)]
     read = read_shown([*wanted, *others], names, strict=strict, hints=every_hint)
-    require_used(hints, (said for each in read for said in each.reading.remarks))
+    require_used(list(zip(every_hint, read, strict=True)))
     edited = edit(read[: len(wanted)], None if reference is None else read[-1], editing)
     everything = _with_references(edited)
     paths: list[Path] = []
@@ -262,6 +262,7 @@ def trajectory(
         with may_break():
             _print(everything, paths)
     _remark(read, edited, quiet=quiet)
+    report_dropped(read)
 
 
 def parse_motion(text: str) -> tuple[float, float]:

@@ -24,7 +24,7 @@ from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.requests.setting import EVALUATE
 from trajeval_ros.io.results.requirement import Requirement
 from trajeval_ros.io.source_names import names_with, split_name
-from trajeval_ros.io.text.layouts import TextHints
+from trajeval_ros.io.text.hints import SideHints
 from trajeval_ros.pipeline.pipeline import run
 from trajeval_ros.report.figure_style import PLAIN, FigureStyle
 
@@ -51,7 +51,7 @@ def evaluate(
     by_position: Sequence[str],
     groundtruth: str | None,
     estimate: Sequence[str],
-    columns: str | None,
+    columns: tuple[str, ...],
     frame_rate: float | None,
     strict: bool,
     json: str | None,
@@ -115,8 +115,8 @@ def evaluate(
     sources = [source for _, source in split]
     names = names_with([name for name, _ in split], sources)
     refuse_inputs([mcap, rrd, json, output], sources)
-    hints = TextHints.of(columns, frame_rate)
-    every_hint = [hints.of_reference, *[hints] * (len(sources) - 1)]
+    hints = SideHints.of(columns, frame_rate)
+    every_hint = [hints.groundtruth, *[hints.estimate] * (len(sources) - 1)]
     flags = [request.reads_covariances] * (len(sources) - 1)
     reference, *estimates = read_shown(
         sources,
@@ -126,9 +126,7 @@ def evaluate(
         hints=every_hint,
         received=request.received,
     )
-    require_used(
-        hints, (said for each in (reference, *estimates) for said in each.reading.remarks)
-    )
+    require_used(list(zip(every_hint, [reference, *estimates], strict=True)))
     outcome = run(reference, estimates, request)
     write_and_print(
         outcome,

@@ -15,8 +15,10 @@ _HERE, _NAME = Path(), "groundtruth"
 _PARAMETERS = (
     argument("truth", metavar="SOURCE",
         help="Groundtruth to examine, such as mocap.bag:/vicon/pose or groundtruth.csv."),
-    option("--imu", metavar="BAG:TOPIC", panel=INPUT,
-        help="IMU of the same rig (sensor_msgs/Imu). Without it, only the poses are checked."),
+    option("--imu", metavar="BAG:TOPIC|FILE", panel=INPUT,
+        help="IMU of the same rig: a topic of sensor_msgs/Imu, or a table of time, angular "
+        "velocity (rad/s) and acceleration (m/s^2), as mav0/imu0/data.csv of EuRoC. Without "
+        "it, only the poses are checked."),
     option("--imu-noise", metavar="G,A", panel=INPUT,
         help="Effective noise densities of the IMU: rad/s/sqrt(Hz), m/s^2/sqrt(Hz). They include "
         "vibration and scale errors and are larger than in data sheets. Default: 8e-4,2e-2."),
@@ -67,7 +69,7 @@ def groundtruth(
     from trajeval_ros.calibration.groundtruth_doctor.examine import IMU_NOISE, examine
     from trajeval_ros.cli.evaluation_output import refuse_inputs
     from trajeval_ros.cli.pictures import Pictures
-    from trajeval_ros.cli.progress import progress
+    from trajeval_ros.cli.progress import progress, report_dropped
     from trajeval_ros.geometry.trajectory import NANOSECONDS
     from trajeval_ros.io.results.groundtruth_json import groundtruth_json
     from trajeval_ros.io.save_trajectories import files_of, save_trajectories
@@ -118,3 +120,4 @@ def groundtruth(
         from trajeval_ros.report.groundtruth_report import print_groundtruth
 
         print_groundtruth(console(), found, saved)
+    report_dropped([original])

@@ -32,7 +32,7 @@ _PARAMETERS = (
 
 
 @verb(*_PARAMETERS)
-def info(source: str, columns: str | None, frame_rate: float | None) -> None:
+def info(source: str, columns: tuple[str, ...], frame_rate: float | None) -> None:
     """Prints the contents of a bag or file, and the likely roles of its topics.
 
     List all topics of a bag with rates, timestamps and frames, and the TF tree:
@@ -60,10 +60,10 @@ def info(source: str, columns: str | None, frame_rate: float | None) -> None:
     from trajeval_ros.cli.progress import progress
     from trajeval_ros.io.bags.bag_folder import holds_bag
     from trajeval_ros.io.describe import describe
-    from trajeval_ros.io.text.layouts import NO_HINTS, TextHints
+    from trajeval_ros.io.text.hints import NO_HINTS, SideHints
     from trajeval_ros.report.console import console, show_fitting
 
-    hints = TextHints.of(columns, frame_rate)
+    hints = SideHints.of(columns, frame_rate).estimate
     folder = Path(source)
     if folder.is_dir() and not holds_bag(folder):
         if hints != NO_HINTS:
@@ -74,7 +74,7 @@ def info(source: str, columns: str | None, frame_rate: float | None) -> None:
         return
     with progress(f"reading {source}") as advance:
         description = describe(source, advance=advance, hints=hints)
-    require_used(hints, (remark for each in description.trajectories for remark in each.remarks))
+    require_used([(hints, each) for each in description.trajectories])
     terminal = console()
     terminal.print(f"{description.path}", soft_wrap=True)
     for remark in description.remarks:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.formatting.remarks import Remark
 from trajeval_ros.geometry.reading import NAMED_COLUMNS
 from trajeval_ros.io.requests.setting import (
     COMPARE,
@@ -21,8 +20,8 @@ from trajeval_ros.io.requests.setting import (
     TRAJECTORY,
     Setting,
 )
-from trajeval_ros.io.text.layouts import TextHints
-from trajeval_ros.io.text.reader import ROW_TIMES
+from trajeval_ros.io.text.hints import TextHints
+from trajeval_ros.io.text.times import ROW_TIMES
 from trajeval_ros.report.figure_style import FORMATS, WIDTHS_IN
 
 if TYPE_CHECKING:
@@ -47,13 +46,16 @@ _SHARED = (
         help="Trajectory to evaluate. Repeat the option to evaluate several."),
     Setting(name="columns", metavar="NAMES", panel=INPUT,
         verbs=(EVALUATE, COMPARE, TRAJECTORY, "info"),
-        help="Columns of text files (except the groundtruth or reference), as in 't x y z qw qx "
-        "qy qz'. Use _ for columns to ignore. Names: docs/trajectory.md."),
+        is_repeatable=True,
+        help="Columns of the estimates' text files, as in 't x y z qw qx qy qz'; of the "
+        "groundtruth's or reference's after a prefix, as in 'groundtruth: t_us x y z'. "
+        "Repeatable. Use _ for columns to ignore. Names: docs/trajectory.md."),
     Setting(name="frame_rate", kind=float, metavar="HZ", panel=INPUT,
         verbs=(EVALUATE, COMPARE, TRAJECTORY, "info"),
         help="Pose rate of text files without timestamps, such as KITTI, TartanAir and g2o."),
     Setting(name="strict", kind=bool, panel=INPUT, verbs=(EVALUATE, TRAJECTORY),
-        help="Verification of all data read from a bag. Exits with status 2 if it is damaged."),
+        help="Verification of all data read from a bag. Exits with status 2 if it is damaged, "
+        "or if poses of a file are not finite or cannot be decoded."),
     Setting(name="json", metavar="FILE|-", panel=OUTPUT,
         verbs=(
             EVALUATE, FINISH, DIAGNOSE, "explain", "watch", "groundtruth", STUDY_ASSOCIATION,
@@ -232,15 +234,29 @@ def refuse_format(sources: Sequence[str], usage: str) -> None:
         )
 
 
-def require_used(hints: TextHints, remarks: Iterable[Remark]) -> None:
-    """Refuse column names and a frame rate that no source needed, by the readers' remarks."""
-    codes = {each.code for each in remarks}
-    if hints.columns and NAMED_COLUMNS not in codes:
-        raise SettingsError("--columns is for text files, and no text file was read; remove it")
-    if hints.frame_rate_hz is not None and ROW_TIMES not in codes:
+def require_used(given: Sequence[tuple[TextHints, Any]]) -> None:
+    """Refuse column names and a frame rate that no source needed, by the readers' remarks.
+
+    `given`: hints, and the trajectory or its description that was read with them.
+    """
+    sides = {hints.side for hints, _ in given if hints.columns}
+    for side in sides:
+        codes = {code for hints, read in given if hints.side == side for code in _codes(read)}
+        if NAMED_COLUMNS not in codes:
+            prefix = f" '{side}: ...'" if side else ""
+            raise SettingsError(
+                f"--columns{prefix} is for text files, and no text file was read; remove it"
+            )
+    codes = {code for _, read in given for code in _codes(read)}
+    if any(hints.frame_rate_hz is not None for hints, _ in given) and ROW_TIMES not in codes:
         raise SettingsError(
             "--frame-rate is for text files without timestamps, and none was read; remove it"
         )
+
+
+def _codes(read: Any) -> set[str]:
+    remarks = getattr(read, "reading", read).remarks
+    return {remark.code for remark in remarks}
 
 
 def sources_of(

@@ -9,7 +9,7 @@ from typing import Any
 from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.options import argument, settings_options, shared_options, sources_of
 from trajeval_ros.cli.programs import write_json
-from trajeval_ros.cli.progress import read_shown
+from trajeval_ros.cli.progress import read_shown, report_dropped
 from trajeval_ros.diagnosis.findings import Diagnosis
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.io.requests.request_from import request_from
@@ -59,6 +59,7 @@ def diagnose(
     write_json(json, {"findings": findings_json(found.findings), "examined": _scores(found)})
     if json != "-":
         _print(found, refused)
+    report_dropped([first, second])
 
 
 def _scores(found: Diagnosis) -> list[dict[str, Any]]:

@@ -10,7 +10,7 @@ from typing import Any
 from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.options import argument, option, shared_options
 from trajeval_ros.cli.programs import write_json
-from trajeval_ros.cli.progress import progress
+from trajeval_ros.cli.progress import progress, report_dropped
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.explanation.definition import Command, Definition, command_of
 from trajeval_ros.explanation.explain import UNITS, Explanation, Match, PublishedNumber
@@ -82,6 +82,7 @@ def explain(
     write_json(json, _json(found, up))
     if json != "-":
         _print(found, runs, up, unit or "")
+    report_dropped(trajectories)
     return 0 if found.verdict == "named" else _NOT_NAMED
 
 

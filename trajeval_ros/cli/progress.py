@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -48,8 +48,23 @@ def read_shown(sources: Sequence[str], names: Sequence[str], **options: Any) -> 
     from trajeval_ros.io.sources import read_many
 
     with progress(f"reading {', '.join(names)}") as advance:
-        found = read_many(sources, advance=advance, **options)
-    return [dataclasses.replace(each, name=name) for each, name in zip(found, names, strict=True)]
+        read = read_many(sources, advance=advance, **options)
+    return [
+        dataclasses.replace(trajectory, name=name)
+        for trajectory, name in zip(read, names, strict=True)
+    ]
+
+
+def report_dropped(trajectories: Iterable[Trajectory]) -> None:
+    """Print on stderr how many poses of each source the reader dropped, and why."""
+    from trajeval_ros.geometry.valid_poses import dropped_in_words
+    from trajeval_ros.report.console import WARNING, console
+
+    terminal = console(sys.stderr)
+    for trajectory in trajectories:
+        text = dropped_in_words(trajectory.reading.dropped, len(trajectory))
+        if text:
+            terminal.remark(WARNING, f"{trajectory.reading.source}: {text}")
 
 
 @contextmanager

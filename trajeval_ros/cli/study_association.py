@@ -11,7 +11,7 @@ import click
 from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.options import STUDY_ASSOCIATION, option, shared_options
 from trajeval_ros.cli.programs import write_json
-from trajeval_ros.cli.progress import read_shown
+from trajeval_ros.cli.progress import read_shown, report_dropped
 from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.numbers import counted
@@ -96,6 +96,7 @@ def study_association(
         "estimates": [dataclasses.asdict(each) for each in comparisons],
     }
     write_json(json, content)
+    report_dropped([accurate, *estimates])
 
 
 def _durations(text: str) -> tuple[float, float]:

@@ -71,6 +71,7 @@ def watch(
     docs/watchdog.md lists what is detected, the detection delays and the limits of detection.
     """
     from trajeval_ros.cli.evaluation_output import refuse_inputs
+    from trajeval_ros.cli.progress import report_dropped
     from trajeval_ros.watchdog.recording import watched
     from trajeval_ros.watchdog.watch_alarms import AlarmBook
 
@@ -89,6 +90,7 @@ def watch(
 
         write_watch(rrd, run.estimate, seen, book)
     _deliver(estimate, seen, book, json=json, figure=figure, quiet=quiet)
+    report_dropped([run.estimate, *run.others.values()])
     failing = [each for each in book.alarms if fail_on == "alarm" or book.is_error(each)]
     if fail_on is not None and failing:
         raise click.exceptions.Exit(1)

@@ -191,7 +191,10 @@ def _about_jumps(evaluation: Evaluation) -> Iterator[Remark]:
             "messages of two publishers are probably mixed; evaluate one of them",
         )
     wrong = steps.groundtruth_jumps(back_m)
-    jumps = np.setdiff1d(steps.jumps(back_m, median(steps.rotation_deg)), wrong)
+    is_wrong = np.zeros(len(steps.true_m), dtype=bool)
+    is_wrong[wrong] = True
+    jumps = steps.jumps(back_m, median(steps.rotation_deg))
+    jumps = jumps[~is_wrong[jumps]]
     for who, rows in (("groundtruth", wrong), ("estimate", jumps)):
         if len(rows):
             yield _jump_warning(evaluation, who, steps, rows)

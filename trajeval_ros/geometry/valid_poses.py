@@ -102,6 +102,8 @@ NO_STATE = (
     *("xy_valid_false", "z_valid_false", "no_attitude_within_0.1_s"),
     "zero_quaternion",
     "zero_stamp",
+    # of graphs and JSON lines
+    *("other_vertex_type", "no_position_or_not_tracking"),
 )
 
 
@@ -143,6 +145,31 @@ _REASONS = {
     "zero_quaternion": "with a zero quaternion",
     "undecodable": "that can't be decoded",
 }
+
+
+# Reasons that are no damage of the source: repeated poses, and poses that it marks as invalid.
+_MARKED = (
+    *("duplicate_stamp", "no_position_or_not_tracking"),
+    *("no_position", "no_orientation", "unknown_frame", "other_frame"),
+    *("xy_valid_false", "z_valid_false", "no_attitude_within_0.1_s"),
+)
+
+
+def dropped_in_words(dropped: Mapping[str, int], kept: int, *, all_reasons: bool = True) -> str:
+    """Return the number of poses that a reader dropped as text, or "" without any.
+
+    Args:
+        dropped: Counts by reason.
+        kept: Number of poses that are left.
+        all_reasons: Whether to count poses that the source repeats or marks as invalid.
+    """
+    counted = {
+        reason: count
+        for reason, count in dropped.items()
+        if reason in NO_STATE and (all_reasons or reason not in _MARKED)
+    }
+    lost = sum(counted.values())
+    return f"{lost} of {lost + kept} poses dropped: {reasons(counted)}" if lost else ""
 
 
 def reasons(dropped: Mapping[str, int]) -> str:

@@ -15,7 +15,7 @@ from trajeval_ros.geometry.reading import FORMATS
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.known_systems import KnownSystem, recognised
 from trajeval_ros.io.sources import Advance, parse_source, read_trajectory
-from trajeval_ros.io.text.layouts import NO_HINTS, TextHints
+from trajeval_ros.io.text.hints import NO_HINTS, TextHints
 
 LONG_GAP_S = 0.5  # association does not interpolate over longer gaps
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.io.text.head import recognise_text
+from trajeval_ros.io.text.reader import layout_in
 
 DEEPEST, MOST = 4, 200  # limits: levels of subfolders, listed sources
 _MOST_FILES = 20_000  # limit of examined files
@@ -110,6 +110,6 @@ def _recognised(path: Path) -> FoundSource | None:
     if path.suffix.lower() not in _TEXTS or not path.is_file():
         return None
     try:
-        return FoundSource(path, recognise_text(path).layout.name)
+        return FoundSource(path, layout_in(path).name)
     except (InputError, OSError):
         return None

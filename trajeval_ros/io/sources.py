@@ -24,7 +24,8 @@ from trajeval_ros.formatting.escaping import SECRET
 from trajeval_ros.formatting.install_command import extra_command
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.text.layouts import NO_HINTS, TextHints
+from trajeval_ros.geometry.valid_poses import dropped_in_words
+from trajeval_ros.io.text.hints import NO_HINTS, TextHints
 from trajeval_ros.io.text.reader import read_text
 
 Advance = Callable[[int, int], None]
@@ -38,6 +39,11 @@ _URL = re.compile(r"[a-z][a-z0-9+.-]*://")
 # Other schemes have an @ in valid addresses: abfs://CONTAINER@ACCOUNT, github://OWNER:NAME@BRANCH.
 _WITHOUT_USER = ("http", "https", "s3", "gs", "gcs")
 _BAG_ENDINGS = (".mcap", ".db3", ".bag")
+_PACKED_TEXTS = tuple(
+    f"{ending}{packed}"
+    for ending in (".txt", ".csv", ".tum", ".tsv")
+    for packed in (".zst", ".zstd")
+)
 STDIN = "-"  # the SOURCE for stdin
 _STDIN_PATH = "/dev/stdin"
 _PARTS = 1000  # progress steps per file, if there are several files
@@ -72,7 +78,8 @@ def read_trajectory(
         advance: Progress callback, called with the amount done and the total: bytes of a text,
             messages of a bag.
         covariances: Whether to read the covariances of a bag.
-        strict: Whether to verify all data that is read from a bag, and to refuse a damaged bag.
+        strict: Whether to verify all data that is read from a bag, and to refuse a damaged bag,
+            and any source with poses that are damaged.
         hints: Columns and frame rate of a text file, as the user states them.
         received: Whether to read the poses of a bag as they were received; see `read_many`.
 
@@ -117,7 +124,8 @@ def read_many(
         advance: Progress callback, called with the amount done and the total. For one source or
             one bag as for `read_trajectory`; otherwise all files and bags have equal weight.
         covariances: Whether to read the covariances of a bag; one value, or one per source.
-        strict: Whether to verify all data that is read from a bag, and to refuse a damaged bag.
+        strict: Whether to verify all data that is read from a bag, and to refuse a damaged bag,
+            and any source with poses that are damaged.
         hints: Columns and frame rate of text files; one value, or one per source.
         received: Whether to read the poses of a bag as they were received, and by which clock:
             `log`, `publish`, or `auto` for publish times where they differ; empty for no.
@@ -195,6 +203,9 @@ def read_many(
     for number, source in enumerate(sources):
         reading = dataclasses.replace(read[number].reading, source=str(source))
         found.append(dataclasses.replace(read[number], reading=reading))
+        lost = dropped_in_words(reading.dropped, len(read[number]), all_reasons=False)
+        if strict and lost:
+            raise InputError(f"{source}: {lost}; correct them, or remove --strict")
     return found
 
 
@@ -254,7 +265,7 @@ def parse_source(source: str) -> Source:
             return Source(path, rest, None, is_bag=False, is_pipe=True)
         beginning = _beginning_of(path) if path.is_file() else b""
         is_log = beginning.startswith(_ULOG)
-        is_bag = path.is_dir() or _begins_as_bag(path, beginning)
+        is_bag = _begins_as_bag(path, beginning) if path.is_file() else not _holds_poses(path)
     except OSError as error:
         raise InputError(f"{path} can't be read: {reason_of(error)}") from error
     if not rest or is_log:
@@ -318,7 +329,20 @@ def _begins_as_bag(path: Path, beginning: bytes) -> bool:
     """Return whether a file is a bag of any format, from its first bytes."""
     if not beginning and path.suffix in _BAG_ENDINGS:
         raise InputError(f"{path} is empty; check that the recording has data")
-    return beginning.startswith((*_BAG_BEGINNINGS, _ZSTD))
+    is_packed = beginning.startswith(_ZSTD)  # text is read by its own reader
+    return beginning.startswith(_BAG_BEGINNINGS) or (
+        is_packed and not path.name.endswith(_PACKED_TEXTS)
+    )
+
+
+def _holds_poses(folder: Any) -> bool:
+    """Return whether a folder has one text file per pose, and no bag."""
+    if not isinstance(folder, Path) or (folder / "metadata.yaml").exists():
+        return False
+    names = [path.name for path in folder.iterdir()]
+    return any(name.endswith(".txt") for name in names) and not any(
+        name.removesuffix(".zstd").endswith(_BAG_ENDINGS) for name in names
+    )
 
 
 def _beginning_of(path: Any) -> bytes:
@@ -337,7 +361,7 @@ def _local_file(path: Any) -> Iterator[Path]:
 
     Messages about the copy name the original.
     """
-    if isinstance(path, Path) and path.is_file():
+    if isinstance(path, Path) and (path.is_file() or path.is_dir()):
         yield path
         return
     from trajeval_ros.io.temporary import temporary_folder

@@ -39,15 +39,21 @@ def read_watched(
 
 
 def imu_of(source: str) -> InertialReadings:
-    """Read an IMU topic of a bag.
+    """Read an IMU topic of a bag, or a table with the columns of EuRoC's mav0/imu0/data.csv.
 
     Raises:
-        InputError: The source is no such topic.
+        InputError: The source is neither.
     """
     parts = parse_source(source)
+    if not parts.is_bag and not parts.is_log and not parts.is_pipe:
+        from trajeval_ros.io.text.sensor_table import IMU, read_samples
+
+        stamps, values = read_samples(parts.path, IMU)
+        return InertialReadings(stamps, values[:, :3].copy(), values[:, 3:].copy(), source=source)
     if not parts.is_bag or not parts.topic or parts.frames is not None:
         raise InputError(
-            f"{source} is not a topic of a bag; give an IMU topic, as in run.mcap:/imu"
+            f"{source} is not a topic of a bag; give an IMU topic, as in run.mcap:/imu, or a "
+            "table of time, angular velocity and acceleration, as in mav0/imu0/data.csv"
         )
     from trajeval_ros.io.bags.rate_messages import read_rates
 

@@ -43,12 +43,21 @@ def arrow_array(pyarrow: Any, column: NDArray[Any]) -> Any:
     return pyarrow.array(values)
 
 
-def write_parquet(path: Path, tables: Sequence[Columns], metadata: Mapping[str, str]) -> None:
-    """Write tables one after the other to a Parquet file; columns that a table lacks are null."""
+def write_parquet(
+    path: Path, label: str, tables: Sequence[tuple[str, Columns]], metadata: Mapping[str, str]
+) -> None:
+    """Write tables with their names, one after the other, to a Parquet file.
+
+    The first column, `label`, has the name of the table. Columns that a table lacks are null.
+    """
     pyarrow = _load_pyarrow()
     from pyarrow import parquet
 
-    table = pyarrow.concat_tables(map(arrow_table, tables), promote_options="default")
+    named = []
+    for name, columns in tables:
+        table = arrow_table(columns)
+        named.append(table.add_column(0, label, pyarrow.repeat(name, len(table))))
+    table = pyarrow.concat_tables(named, promote_options="default")
     parquet.write_table(table.replace_schema_metadata(metadata), path)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from trajeval_ros.formatting.numbers import counted, four_digits, significant
-from trajeval_ros.metrics.as_available import Availability
+from trajeval_ros.metrics.as_available import Availability, Spans
 from trajeval_ros.metrics.statistics import Statistics
 from trajeval_ros.metrics.stream_health import StreamHealth
 
@@ -22,7 +22,7 @@ def stream_line(stream: StreamHealth) -> str:
     if stream.missed:
         parts.append(f"{stream.missed} of {stream.messages + stream.missed} messages missed")
     if stream.largest_gap_s is not None and parts:
-        parts.append(f"longest gap {significant(stream.largest_gap_s, 3)} s")
+        parts.append(f"longest gap between messages {significant(stream.largest_gap_s, 3)} s")
     return f"  {'; '.join(parts)}" if parts else ""
 
 
@@ -49,7 +49,7 @@ def available_lines(numbers: Availability, ate_m: float) -> list[str]:
         f"    pose age   {significant(age.mean, 3)} s mean, {significant(age.p95, 3)} s p95; "
         f"latency{above} {significant(latency.median, 3)} s median; "
         f"{numbers.available_percent:.1f} % of the time within {numbers.deadline_s:g} s; "
-        f"{counted(numbers.dropouts.count, 'dropout')}, "
+        f"{counted(numbers.dropouts.count, 'dropout')}{_longest(numbers.dropouts)}, "
         f"{counted(numbers.late_messages or 0, 'late message')}",
     ]
     corrected = numbers.corrections and numbers.corrections["age_s"]
@@ -63,3 +63,8 @@ def available_lines(numbers: Availability, ate_m: float) -> list[str]:
 
 def _degrees(statistics: Statistics | None) -> str:
     return "" if statistics is None else f", {four_digits(statistics.rmse)} deg"
+
+
+def _longest(spans: Spans) -> str:
+    """Return the longest of spans as text; empty without any."""
+    return f" (longest {significant(spans.longest_s, 3)} s)" if spans.count else ""

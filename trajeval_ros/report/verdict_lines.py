@@ -66,11 +66,16 @@ def verdict(evaluation: Evaluation, likelihood: LikelihoodAssessment | None = No
     kitti = f"{evaluation.kitti_ranking}; " if evaluation.kitti_ranking else ""
     whole = f"ATE {with_unit(position.rmse, 'm')} position"
     supported = "" if likelihood is None else _supported(likelihood.ate)
+    has_gaps = likelihood is not None and likelihood.ate.supported_share < 1.0
     return [
         f"{name}: {kitti}{supported or whole}, {turned} "
         f"(rmse{_drift(evaluation)})"
         + (f"; {few}" if (few := few_pairs(protocol, pairs)) else ""),
-        *([f"  {whole} over all pairs, gaps of the groundtruth included"] if supported else []),
+        *(
+            [f"  {whole} over all pairs, gaps of the groundtruth included"]
+            if supported and has_gaps
+            else []
+        ),
         f"  aligned by {protocol.gauge.value} ({protocol.gauge.description}){modality}, "
         f"{how}{poses}{weights}{scale}{_spread(evaluation)}; "
         f"{METHOD_TEXTS[pairs.rule.method].format(pairs.rule)}",

@@ -128,7 +128,12 @@ class LiveRun:
     @property
     def has_pairs(self) -> bool:
         """Whether there are pairs."""
-        return any(each.evaluator.pairs for each in self.estimates)
+        return self.pair_count > 0
+
+    @property
+    def pair_count(self) -> int:
+        """The number of pairs of all estimates."""
+        return sum(estimate.evaluator.pairs for estimate in self.estimates)
 
     @property
     def holds(self) -> bool:

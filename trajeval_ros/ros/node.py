@@ -100,7 +100,7 @@ class EvaluatorNode:
         for each in troubles:
             self._log(each, Level.ERROR)
         if run.has_pairs:
-            return run.finisher.finish(quiet=False) and not troubles
+            return self._results.conclude(run) and not troubles
         # The last loop of a bag may end soon after its start.
         level = Level.WARNING if self._results.has_finished else Level.ERROR
         self._log(why_no_pair(run), level)

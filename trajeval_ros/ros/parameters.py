@@ -88,7 +88,13 @@ def about_unknown(node: Node) -> list[str]:
     names = [each.name for each in PARAMETERS]
     found = []
     for name in getattr(node, "_parameter_overrides", {}):
-        if node.has_parameter(name) or name.startswith("qos_overrides."):
+        if node.has_parameter(name):
+            continue
+        if name.startswith("qos_overrides."):
+            found.append(
+                f"parameter {name} has no effect: a subscription has the reliability and "
+                "durability that all publishers of its topic offer"
+            )
             continue
         near = get_close_matches(name, names, n=1)
         found.append(f"unknown parameter {name}" + (f"; did you mean {near[0]}?" if near else ""))

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.formatting.remarks import Remark, note, warning
+from trajeval_ros.formatting.remarks import Level, Remark, note, warning
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.fix_selection import FRAME
 from trajeval_ros.geometry.geodesy import Datum
@@ -302,7 +302,7 @@ class PoseStream:
         elif sum(self._in_a_row.values()) >= _TROUBLE_AFTER:
             why = self.fixes.why_none or ", ".join(map(in_words, self._in_a_row))
             said = f"{self._topic}: no message with a valid pose ({why})"
-            self.trouble = warning("data", said)
+            self.trouble = Remark(Level.ERROR, "data", said)
             if not self._is_told:
                 self._is_told = True
                 self.news.append(self.trouble)

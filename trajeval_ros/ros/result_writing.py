@@ -14,6 +14,10 @@ from trajeval_ros.ros.recorded_state import save, why_no_pair
 
 Log = Callable[[str, Level], object]
 
+# Pairs of the longest run whose last evaluation the node awaits: a few seconds on a core.
+# `ros2 launch` kills a node 10 s after Ctrl-C by default. 400,000 pairs are 33 min at 200 Hz.
+MOST_AWAITED = 400_000
+
 
 class ResultWriting:
     """Starts the processes that write results, and reports how they end."""
@@ -62,6 +66,23 @@ class ResultWriting:
             run.finisher.finish_alone()
             self._past.append(run.finisher)
         self._wake()
+
+    def conclude(self, run: LiveRun) -> bool:
+        """Write the final results at the node's end; return whether no error is known.
+
+        The process that evaluates a long run continues after the end of the node.
+        """
+        if run.pair_count <= MOST_AWAITED:
+            return run.finisher.finish(quiet=False)
+        run.finisher.finish_alone()
+        self._log(
+            "the evaluation of this long run continues in another process, which writes "
+            f"result.json, errors.npz and figures into {run.folder}; until then, a result.json "
+            "in it is of the last autosave; if the process is killed: trajeval finish "
+            f"{run.folder}",
+            Level.NOTE,
+        )
+        return True
 
     def _begin(self) -> str:
         """Start to write result.json; return the reason if that is not possible, else ""."""

@@ -16,11 +16,8 @@ import numpy as np
 from trajeval_ros.exceptions import InputError, reason_of
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.text.decimals import RowFormat, parse_rows
-from trajeval_ros.io.text.head import COMMENT, read_head
 from trajeval_ros.io.text.reader import read_text
-from trajeval_ros.io.text.stamps import to_nanoseconds
-from trajeval_ros.io.text.tokens import RowError
+from trajeval_ros.io.text.sensor_table import read_samples
 from trajeval_ros.io.yaml_file import read_mapping
 from trajeval_ros.studies.sensor_recording import (
     CalibratedCamera,
@@ -36,7 +33,6 @@ _NAMES = {
     "groundtruth": ("groundtruth*.csv", "mav0/state_groundtruth_estimate0/data.csv"),
     "camera": ("cam*.yaml", "mav0/cam0/sensor.yaml"),
 }
-_LARGEST = 1 << 30  # bytes
 _LARGEST_ID = 1 << 53  # larger whole numbers are not exact as float64
 
 
@@ -59,14 +55,14 @@ def read_tracks_folder(folder: Path) -> SensorRecording:
 def _recording_in(folder: Path) -> SensorRecording:
     paths = {what: _only(folder, what) for what in _NAMES}
     imu_path, tracks_path = paths["IMU samples"], paths["tracks"]
-    imu_stamps, samples = _read_rows(imu_path, "stamp_ns,wx,wy,wz,ax,ay,az")
+    imu_stamps, samples = read_samples(imu_path, "t_ns wx wy wz ax ay az")
     if (np.diff(imu_stamps) <= 0).any():
         place = int(np.argmax(np.diff(imu_stamps) <= 0))
         raise InputError(
             f"{imu_path}: the timestamp after {imu_stamps[place]} ns does not increase; sort the "
             "samples and remove duplicates"
         )
-    seen_stamps, tracks = _read_rows(tracks_path, "stamp_ns,track,u,v")
+    seen_stamps, tracks = read_samples(tracks_path, "t_ns track u v")
     image_stamps, image_of = one_instant_each(seen_stamps)
     track_of = _track_names(tracks_path, tracks[:, 0])
     _require_once(tracks_path, np.column_stack([image_of, track_of]), seen_stamps)
@@ -104,30 +100,6 @@ def _only(folder: Path, what: str) -> Path:
     raise InputError(
         f"{folder} has no file of {what}; add {' or '.join(_NAMES[what])} (docs/consistency.md)"
     )
-
-
-def _read_rows(path: Path, names: str) -> tuple[Stamps, Floats]:
-    """Return timestamps (N,) in nanoseconds and the other of C named columns, (N, C - 1)."""
-    columns = names.count(",") + 1
-    if path.stat().st_size > _LARGEST:
-        raise InputError(f"{path} is too large; use a part of the recording")
-    start = read_head(path).start
-    content = path.read_bytes()
-    table = COMMENT.sub(b"", content[start:])
-    try:
-        rows = parse_rows(table, RowFormat(columns, 0, tuple(range(1, columns))))
-    except RowError as error:
-        line = content[:start].count(b"\n") + error.line + 1
-        raise InputError(f"{path}, line {line}: {error.reason}; use the columns {names}") from None
-    assert rows.stamps is not None
-    usable = rows.timed & np.isfinite(rows.values).all(axis=1)
-    if len(usable) < 2 or not usable.all():
-        where = f"row {int(np.argmin(usable)) + 1} is not finite" if len(usable) > 1 else "empty"
-        raise InputError(f"{path}: {where}; use the columns {names}")
-    try:
-        return to_nanoseconds(rows.stamps, unit_ns=1)[0], rows.values
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def _track_names(path: Path, column: Floats) -> Stamps:

@@ -214,14 +214,14 @@ def test_what_names_no_file_is_missing(path: str, bags: dict[Any, Path], tmp_pat
     )
 
 
-def test_files_that_are_not_listed_are_read_only_if_no_listed_one_is_there(
+def test_files_of_the_recording_are_read_also_if_they_are_not_listed(
     bags: dict[Any, Path], tmp_path: Path
 ) -> None:
     bag = tmp_path / "bag"
     shutil.copytree(bags[MCAP, CompressionMode.NONE], bag)
     first, _ = names_in(bag)
     rewrite(bag, information(9, [first]))
-    assert len(read_trajectory(str(bag))) == COUNT
+    assert len(read_trajectory(str(bag))) == 2 * COUNT
     rewrite(bag, information(9, ["other.mcap"]))
     assert len(read_trajectory(str(bag))) == 2 * COUNT
 

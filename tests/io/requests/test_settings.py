@@ -198,6 +198,8 @@ def tables(monkeypatch: pytest.MonkeyPatch) -> Any:
 def test_the_page_and_the_parameter_file_are_up_to_date(tables: Any) -> None:
     page = tables.PAGE.read_text(encoding="utf-8")
     assert tables.page_with(tables.settings_table(), page) == page, "run make settings"
+    formats = tables.FORMATS.read_text(encoding="utf-8")
+    assert tables.page_with(tables.layouts_table(), formats) == formats, "run make settings"
     assert tables.PARAMETER_FILE.read_text(encoding="utf-8") == tables.parameter_file()
 
 

@@ -14,7 +14,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.io.text.layouts import TextHints
+from trajeval_ros.io.text.hints import SideHints
 
 COUNT = 40
 TURNS = Rotation.random(COUNT, random_state=3)
@@ -84,7 +84,7 @@ def test_angles_of_point_lio_are_no_rotation_vectors(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="those of Point-LIO are angles: --columns '") as refused:
         read_trajectory(path)
     columns = str(refused.value).partition("--columns '")[2].rstrip("'")
-    found = read_trajectory(path, hints=TextHints.of(columns, None))
+    found = read_trajectory(path, hints=SideHints.of(columns, None).estimate)
     assert found.rotations is not None
     np.testing.assert_allclose(found.rotations[0].as_euler("xyz"), angles[0], atol=1e-5)
 
@@ -200,7 +200,7 @@ def test_poses_without_times_have_those_of_their_rate(tmp_path: Path, name: str)
         np.save(path, whole)
     else:
         np.savetxt(path, MATRICES.reshape(COUNT, 12))
-    found = read_trajectory(path, hints=TextHints.of(None, 10.0))
+    found = read_trajectory(path, hints=SideHints.of(None, 10.0).estimate)
     check(found, (0.1 * np.arange(COUNT)).tolist())
     assert found.up.name == ("z" if path.suffix == ".npy" else "-y")
 

@@ -14,10 +14,8 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.io.text import reader
-from trajeval_ros.io.text.layouts import (
-    TextHints,
-)
+from trajeval_ros.io.text import times
+from trajeval_ros.io.text.hints import TextHints
 
 SECOND = 10**9
 
@@ -54,7 +52,7 @@ def test_frame_numbers_are_whole_and_below_a_hundred_million(
 ) -> None:
     path = tmp_path / "x.csv"
     path.write_text(f"frame,x,y,z\n0,1,2,3\n{number},2,3,4\n")
-    assert reader._FRAMES == 10**8
+    assert times._FRAMES == 10**8
     if refused:
         with pytest.raises(InputError, match=r"row 2 has no frame number in column 1"):
             read_trajectory(path)

@@ -12,6 +12,9 @@ from trajeval_ros.io.yaml_file import read_mapping
 
 _METADATA = "metadata.yaml"
 _COMPRESSED = ".zstd"
+# Of a file that metadata.yaml does not list.
+_READ = "a file of the same recording, which is read, too"
+_UNREAD = "which is not read; give it alone, or remove it"
 _ENDINGS = (".mcap", ".db3", f".mcap{_COMPRESSED}", f".db3{_COMPRESSED}")
 
 
@@ -105,7 +108,16 @@ class BagFolder:
             notes += said
             listed = {each.name for each in metadata.files}
             wanted = set(map(_plain, listed))
-            files = [file for file in files if _plain(file.name) in wanted] or files
+            others = [file for file in files if _plain(file.name) not in wanted]
+            if len(others) < len(files):
+                series = set(map(_series, wanted))
+                files = [file for file in files if _series(file.name) in series]
+                notes += tuple(
+                    f"{described} does not list {file.name}, {_READ if file in files else _UNREAD}"
+                    for file in others
+                )
+                # The counts of the metadata are those of the files that it lists.
+                metadata = None if set(others) & set(files) else metadata
         kept = _without_copies(files, listed)
         if metadata is None:
             notes += tuple(
@@ -122,6 +134,11 @@ class BagFolder:
 def _plain(name: str) -> str:
     """Return a file's name without compression. Players leave a decompressed copy next to it."""
     return name.removesuffix(_COMPRESSED)
+
+
+def _series(name: str) -> str:
+    """Return the part of a file's name that all files of a split bag share."""
+    return re.sub(r"_\d+(\.\w+)$", r"\1", _plain(name))
 
 
 def _without_copies(files: list[Path], listed: set[str]) -> list[Path]:

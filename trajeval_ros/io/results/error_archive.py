@@ -7,8 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from trajeval_ros.io.npz_file import write_arrays
 from trajeval_ros.io.results.pair_columns import columns_of, component_columns, pair_columns
 from trajeval_ros.metrics.columns import have_pyarrow, write_parquet
@@ -75,6 +73,5 @@ def write_error_table(path: Path, outcome: Outcome) -> None:
     tables = []
     for run in outcome.runs:
         columns = component_columns(pair_columns(run, outcome.groundtruth.up))
-        names = np.full(len(columns["stamps"]), run.estimate.name)
-        tables.append({"estimate": names, **columns})
-    write_parquet(path, tables, {"trajeval.schema": TABLE_SCHEMA})
+        tables.append((run.estimate.name, columns))
+    write_parquet(path, "estimate", tables, {"trajeval.schema": TABLE_SCHEMA})

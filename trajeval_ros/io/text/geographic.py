@@ -16,8 +16,8 @@ from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
 from trajeval_ros.geometry.fix_selection import trajectory_of_rows
 from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.io.text.head import ANY_GGA
 
+ANY_GGA = rb"(?m)^\$..GGA,"  # start of a line with a fix
 _KNOWN, _UNKNOWN = 2.0, 0.0  # types of covariance in sensor_msgs/NavSatFix
 
 # Patterns are compiled on use, since few files are NMEA.

@@ -13,8 +13,7 @@ from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.array_input import quaternions_of
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.io.text.layouts import BODY_TWISTS, EXAMPLE, FAST_LIO, GROUPS, Layout
-from trajeval_ros.io.text.stamps import ExactNumbers
+from trajeval_ros.io.text.names import BODY_TWISTS, EXAMPLE, FAST_LIO, GROUPS, Layout
 
 _LARGEST_ANGLE = 2.0 * np.pi + 0.01  # rad, with a margin for rounded digits
 _LARGEST_SUM = 1e9  # rad; larger sums of angles have too few digits for the angle itself
@@ -22,18 +21,9 @@ _COVARIANCES = {
     *("covariance", "covariance_upper", "covariance_lower", "variances"),
     *("rotation_covariance", "position_covariance"),
 }
+ORTHONORMAL = 1e-2  # largest error of a rotation matrix times its transpose
 _METRES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3}
 _NO_Z = note("no_height", "no column z: assumed 0")
-
-
-@dataclass(frozen=True, eq=False)
-class FileColumns:
-    """The columns of the N valid rows of a file."""
-
-    stamps: ExactNumbers | None  # N exact numbers, None if there is no time column
-    groups: dict[str, Floats]  # columns (N, width), by the name of their group in the layout
-    count: int  # N
-    untimed: int  # number of rows that were dropped because their timestamp is not finite
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +53,14 @@ def states_of(path: Path, layout: Layout, groups: Mapping[str, Floats], count: i
     if "matrix" in groups:
         whole = groups["matrix"].reshape(-1, 3, 4)
         matrices, positions = whole[:, :, :3], np.ascontiguousarray(whole[:, :, 3])
-        quaternions: Floats | None = quaternions_of(matrices)
+        rotations = quaternions_of(matrices)
+        if layout.checks:  # its first rows are rotations; a damaged one is dropped
+            with np.errstate(over="ignore", invalid="ignore"):
+                products = matrices @ np.swapaxes(matrices, 1, 2)
+                wrong = ~(np.abs(products - np.eye(3)).max(axis=(1, 2)) < ORTHONORMAL)
+            if wrong.any():
+                rotations = np.where(wrong[:, None], np.nan, rotations)
+        quaternions: Floats | None = rotations
     else:
         quaternions = groups.get("quaternion")
         if quaternions is None and "rotation_vector" in groups:

@@ -15,7 +15,7 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.io.text.layouts import RECEIVED
+from trajeval_ros.io.text.names import RECEIVED
 from trajeval_ros.io.writing import write_whole
 
 _BLOCK = 1 << 11  # rows that are converted at once; their objects fit into the cache

@@ -1,0 +1,322 @@
+"""Layouts of files that tools and datasets write: read right, or refused with a command."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from paths import SHARED
+from scipy.spatial.transform import Rotation
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.remarks import Level
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.sources import read_trajectory
+from trajeval_ros.io.text.hints import NO_HINTS, SideHints, TextHints
+from trajeval_ros.io.watched_sources import imu_of
+
+COUNT = 60
+RNG = np.random.default_rng(7)
+PLACES = np.cumsum(RNG.normal(size=(COUNT, 3)), axis=0).round(6)
+TURNS = Rotation.from_rotvec(np.cumsum(RNG.normal(scale=0.2, size=(COUNT, 3)), axis=0))
+XYZW = TURNS.as_quat().round(9)
+STAMPS = 1_700_000_000_250_000_000 + 50_000_000 * np.arange(COUNT)
+MATRICES = np.tile(np.eye(4), (COUNT, 1, 1))
+MATRICES[:, :3, :3] = TURNS.as_matrix().round(9)
+MATRICES[:, :3, 3] = PLACES
+INVERSE = np.linalg.inv(MATRICES)
+ANGLES = TURNS.as_euler("ZYX")[:, ::-1].round(9)
+
+
+def words(values: object) -> list[str]:
+    return [str(value) for value in np.ravel(np.asarray(values)).tolist()]
+
+
+def rows(*columns: object, separator: str = " ", header: str = "") -> str:
+    tables = [np.asarray(column).reshape(COUNT, -1) for column in columns]
+    lines = [separator.join(word for table in tables for word in words(table[row]))
+             for row in range(COUNT)]  # fmt: skip
+    return "\n".join([*([header] if header else []), *lines]) + "\n"
+
+
+SECONDS = np.array([f"{stamp // 10**9}.{stamp % 10**9:09d}" for stamp in STAMPS.tolist()])
+ZEROS = np.zeros((COUNT, 36))
+WXYZ = XYZW[:, [3, 0, 1, 2]]
+BOTTOM = np.tile([0, 0, 0, 1], (COUNT, 1))
+HALF = np.hstack([STAMPS[:, None] // 10**9, STAMPS[:, None] % 10**9])
+NAMES = np.full((COUNT, 1), "odom")
+INVERSE_WXYZ = TURNS.inv().as_quat()[:, [3, 0, 1, 2]]
+IMAGES = "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n" + "".join(
+    f"{row + 1} {' '.join(words(INVERSE_WXYZ[row]))} "
+    f"{' '.join(words(INVERSE[row, :3, 3]))} 1 {row:06d}.png\n\n"
+    for row in range(COUNT)
+)
+MESSAGES = "---\n".join(
+    f"header:\n  seq: {row}\n  stamp:\n    secs: {HALF[row, 0]}\n    nsecs: {HALF[row, 1]:9d}\n"
+    "  frame_id: map\npose:\n  position:\n"
+    + "".join(f"    {axis}: {value}\n" for axis, value in zip("xyz", PLACES[row], strict=True))
+    + "  orientation:\n"
+    + "".join(f"    {axis}: {value}\n" for axis, value in zip("xyzw", XYZW[row], strict=True))
+    for row in range(COUNT)
+)
+RECORDS = "".join(
+    json.dumps(
+        {
+            "timestamp": int(STAMPS[row] // 1000),
+            "token": "a",
+            "translation": PLACES[row].tolist(),
+            "rotation": WXYZ[row].tolist(),
+        }
+    )
+    + "\n"
+    for row in range(COUNT)
+)
+# Text, whether it has rotations, and whether it has times.
+KINDS: dict[str, tuple[str, bool, bool]] = {
+    "KITTI-360 cam0_to_world": (rows(np.arange(COUNT), MATRICES), True, False),
+    "a time and 4 x 4": (rows(SECONDS, MATRICES), True, True),
+    "16 columns": (rows(MATRICES), True, False),
+    "blocks of 4 x 4": (
+        "".join(f"{' '.join(words(row))}\n" for row in MATRICES.reshape(-1, 4)),
+        True,
+        False,
+    ),
+    "Open3D log": (
+        "".join(
+            f"{row} {row} {row + 1}\n"
+            + "".join(f"{' '.join(words(line))}\n" for line in MATRICES[row])
+            for row in range(COUNT)
+        ),
+        True,
+        False,
+    ),
+    "time named nsec": (
+        rows(STAMPS, PLACES, XYZW, separator=",", header="nsec,x,y,z,qx,qy,qz,qw"),
+        True,
+        True,
+    ),
+    "x y height": (
+        rows(SECONDS, PLACES, XYZW, separator=",", header="time,x,y,height,qx,qy,qz,qw"),
+        True,
+        True,
+    ),
+    "phi theta psi": (rows(SECONDS, PLACES, ANGLES, header="t x y z phi theta psi"), True, True),
+    "seconds and nanoseconds": (
+        rows(HALF, PLACES, XYZW, header="secs nsecs x y z qx qy qz qw"),
+        True,
+        True,
+    ),
+    "microseconds": (rows(STAMPS // 1000, PLACES, XYZW), True, True),
+    "milliseconds": (rows(STAMPS // 10**6, PLACES, XYZW), True, True),
+    "ros2 echo of PoseStamped": (rows(HALF, NAMES, PLACES, XYZW, separator=","), True, True),
+    "ros2 echo of Odometry": (
+        rows(HALF, NAMES, NAMES, PLACES, XYZW, ZEROS, ZEROS[:, :6], ZEROS, separator=","),
+        True,
+        True,
+    ),
+    "rostopic echo": (MESSAGES, True, True),
+    "Aria": (
+        rows(
+            STAMPS // 1000,
+            PLACES,
+            XYZW,
+            separator=",",
+            header="tracking_timestamp_us,"
+            + ",".join(
+                f"{name}_world_device" for name in ["tx", "ty", "tz", "qx", "qy", "qz", "qw"]
+            ),
+        ),
+        True,
+        True,
+    ),
+    "quoted": (
+        rows(
+            [f'"{stamp}"' for stamp in SECONDS],
+            PLACES,
+            XYZW,
+            separator=",",
+            header='"t","x","y","z","qx","qy","qz","qw"',
+        ),
+        True,
+        True,
+    ),
+    "OpenVINS q p v": (
+        rows(SECONDS, XYZW, PLACES, ZEROS[:, :3], header="# timestamp(s) q p v"),
+        True,
+        True,
+    ),
+    "micro-JSON lines": (RECORDS, True, True),
+    "day and clock": (
+        rows(
+            ["14/11/2023 22:13:" + f"{20.25 + 0.05 * row:09.6f}" for row in range(COUNT)],
+            PLACES,
+            separator=",",
+            header="Time,X,Y,Z",
+        ),
+        False,
+        True,
+    ),
+    "COLMAP": (IMAGES, True, False),
+    "commas, seconds": (rows(SECONDS, PLACES, XYZW, separator=","), True, True),
+    "commas, nanoseconds": (rows(STAMPS, PLACES, WXYZ, separator=","), True, True),
+}
+
+
+def assert_right(found: Trajectory, *, rotations: bool = True, times: bool = True) -> None:
+    np.testing.assert_allclose(found.positions, PLACES, rtol=0, atol=1e-6)
+    if rotations:
+        assert found.quaternions is not None
+        between = Rotation.from_quat(found.quaternions).inv() * TURNS
+        assert between.magnitude().max() < 1e-6
+    if times:
+        assert found.reading.stamped
+        assert found.stamps.tolist() == STAMPS.tolist()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_public_kind_is_read(kind: str, tmp_path: Path) -> None:
+    text, rotations, times = KINDS[kind]
+    path = tmp_path / "t.txt"
+    path.write_text(text)
+    found = read_trajectory(path)
+    assert_right(found, rotations=rotations, times=times)
+    doubts = [each for each in found.reading.remarks if each.level is Level.WARNING]
+    assert bool(doubts) == kind.startswith("commas")
+
+
+def test_a_folder_of_poses(tmp_path: Path) -> None:
+    folder = tmp_path / "poses"
+    folder.mkdir()
+    for row, matrix in enumerate(MATRICES):
+        (folder / f"frame-{row:06d}.pose.txt").write_text(rows_of(matrix))
+    assert_right(read_trajectory(folder), times=False)
+
+
+def rows_of(matrix: np.ndarray) -> str:
+    return "".join(f"{' '.join(words(row))}\n" for row in matrix)
+
+
+UNPADDED = np.array([f"{stamp // 10**9}.{stamp % 10**9}" for stamp in (STAMPS - 200_000_000)])
+REFUSED: dict[str, tuple[str, int]] = {  # text, and which of the suggested options is right
+    "unpadded nanoseconds": (rows(UNPADDED, PLACES, XYZW), 0),
+    "eleven columns with commas": (rows(SECONDS, PLACES, XYZW, ZEROS[:, :3], separator=","), 0),
+    "eleven columns, w first": (rows(SECONDS, PLACES, WXYZ, ZEROS[:, :3], separator=","), 1),
+    "nine columns": (rows(SECONDS, PLACES, XYZW, ZEROS[:, :1] + 0.5), 0),
+    "unknown names": (rows(SECONDS, PLACES, XYZW, header="a1 a2 a3 a4 a5 a6 a7 a8"), 0),
+}
+
+
+@pytest.mark.parametrize("side", [NO_HINTS, SideHints.of(None, None).groundtruth])
+@pytest.mark.parametrize("kind", REFUSED)
+def test_the_option_that_a_refusal_suggests_works(
+    kind: str, side: TextHints, tmp_path: Path
+) -> None:
+    text, right = REFUSED[kind]
+    path = tmp_path / "t.txt"
+    path.write_text(text)
+    with pytest.raises(InputError) as refusal:
+        read_trajectory(path, hints=side)
+    options = re.findall(r"--columns '([^']*)'", str(refusal.value))
+    assert all(option.startswith("groundtruth: ") == bool(side.side) for option in options)
+    hints = SideHints.of(options[right], None)
+    found = read_trajectory(path, hints=hints.groundtruth if side.side else hints.estimate)
+    if kind == "unpadded nanoseconds":
+        assert found.stamps.tolist() == (STAMPS - 200_000_000).tolist()
+    assert_right(found, times=kind != "unpadded nanoseconds")
+
+
+def test_velocities_are_no_positions(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text(rows(SECONDS, PLACES, separator=",", header="time,vel_x,vel_y,vel_z"))
+    with pytest.raises(InputError, match=r"no column has a name of a position .* first row is"):
+        read_trajectory(path)
+
+
+def test_columns_of_both_sides(tmp_path: Path) -> None:
+    both = SideHints.of(["groundtruth: t_us x y z", "t x y z"], 10.0)
+    assert both.groundtruth.columns == ("t_us", "x", "y", "z")
+    assert both.estimate.columns == ("t", "x", "y", "z")
+    path = tmp_path / "t.txt"
+    path.write_text(rows(STAMPS // 1000, 1000.0 * PLACES, ZEROS[:, :2]))
+    found = read_trajectory(path, hints=SideHints.of("t_us x_mm y_mm z_mm", None).estimate)
+    assert_right(found, rotations=False)  # the last two columns need no _
+
+
+def test_receptions_are_exact_to_the_nanosecond(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    header = "t,x,y,z,received"
+    path.write_text(rows(STAMPS, PLACES, STAMPS + 1_234_567, separator=",", header=header))
+    receptions = read_trajectory(path).reading.receptions
+    assert receptions is not None
+    assert receptions.times.tolist() == (STAMPS + 1_234_567).tolist()
+
+
+@pytest.mark.parametrize("unit", [1, 10**9])
+def test_a_table_of_an_imu(tmp_path: Path, unit: int) -> None:
+    path = tmp_path / "data.csv"
+    times = STAMPS if unit == 1 else SECONDS
+    header = "#timestamp [ns],w_RS_S_x [rad s^-1],w_y,w_z,a_RS_S_x [m s^-2],a_y,a_z"
+    path.write_text(rows(times, PLACES, ANGLES, separator=",", header=header))
+    readings = imu_of(str(path))
+    assert readings.stamps.tolist() == STAMPS.tolist()
+    np.testing.assert_array_equal(readings.rates, PLACES)
+    np.testing.assert_array_equal(readings.accelerations, ANGLES)  # type: ignore[arg-type]
+    path.write_text(rows(times, PLACES, separator=","))
+    with pytest.raises(InputError, match="use the columns t wx wy wz ax ay az"):
+        imu_of(str(path))
+
+
+NPY = b"\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': "  # a header of 118 bytes
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("many digits", b'{"time": 1, "x": ' + b"9" * 400 + b', "y": 0, "z": 0}\n'),
+        ("deep", b'{"a":' * 2000 + b"1" + b"}" * 2000),
+        ("far time", b'{"time": 1e30, "x": 1, "y": 0, "z": 0}\n' * 2),
+        ("shape", NPY + b"False, 'shape': (1000000000000, 8), }".ljust(79) + b"\n"),
+        ("header", NPY + b"(((False, ".ljust(79) + b"\n"),
+    ],
+)
+def test_hostile_numbers_are_refused_before_they_are_allocated(
+    name: str, content: bytes, tmp_path: Path
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=re.escape(name)):
+        read_trajectory(path)
+
+
+def test_other_vertices_of_a_graph_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "t.g2o"
+    graph = "VERTEX_SE2 0 1 2 0.5\n" + "".join(
+        f"VERTEX_SE3:QUAT {row} {' '.join(words([*PLACES[row], *XYZW[row]]))}\n"
+        for row in range(COUNT)
+    )
+    path.write_text(graph)
+    assert sum(read_trajectory(path).reading.dropped.values()) >= 1
+
+
+FIELD = SHARED / "data" / "field_cases" / "text"
+
+
+FILES = [path.relative_to(FIELD) for path in sorted(FIELD.rglob("*")) if path.is_file()]
+REFUSED_CASES = ("05_header_of_velocities", "08_unpadded_nanoseconds", "11_frames_from_1")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [path for path in FILES if path.name != "times.txt" and "23_" not in str(path)],
+    ids=str,
+)
+def test_a_field_case_is_read_or_refused_with_one_sentence(name: Path) -> None:
+    if name.parent.name in REFUSED_CASES and name.stem == "est":
+        with pytest.raises(InputError, match="--columns '") as refusal:
+            read_trajectory(FIELD / name)
+        assert "\n" not in str(refusal.value)
+    else:
+        assert len(read_trajectory(FIELD / name)) > 10

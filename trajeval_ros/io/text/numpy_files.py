@@ -1,0 +1,135 @@
+"""Arrays of numpy: .npy, .npz and arrays in Python."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.io.text.names import GROUPS, RECEIVED, TIMES, Layout
+from trajeval_ros.io.text.table import Rows
+
+_MATRIX, _POSE = " ".join(GROUPS["matrix"]), "x y z qx qy qz qw"
+_SHAPES = {
+    (4, 4): f"{_MATRIX} _ _ _ _", (16,): f"{_MATRIX} _ _ _ _", (3, 4): _MATRIX, (12,): _MATRIX,
+    (8,): f"t {_POSE}", (7,): _POSE, (4,): "t x y z", (3,): "x y z",
+}  # fmt: skip
+_SAID = "(N, 4, 4), (N, 3, 4), (N, 16), (N, 12), (N, 8), (N, 7), (N, 4) and (N, 3)"
+_TIMES = ("tstamps", "timestamps", "times")
+_UNIT = 1e-2  # largest deviation of a quaternion's length
+
+
+def load(path: Path) -> tuple[Any, Floats | None]:
+    """Return the array of poses in a file, and that of times if it has one (.npz)."""
+    try:
+        with path.open("rb") as file:
+            found = np.load(file, allow_pickle=False)
+            arrays = (
+                {}
+                if isinstance(found, np.ndarray)
+                else {name: found[name] for name in found.files[:50]}
+            )
+    except Exception as error:  # zipfile and zlib have own types
+        raise InputError(f"{path} is not a readable array of numpy ({error})") from None
+    if isinstance(found, np.ndarray):
+        return _of_numbers(path, found), None
+    poses = {
+        name: each for name, each in arrays.items() if each.ndim > 1 and each.shape[1:] in _SHAPES
+    }
+    if len(poses) != 1:
+        raise InputError(
+            f"{path} has {counted(len(poses), 'array')} of poses "
+            f"({', '.join(arrays) or 'none'}); save one of shape {_SAID} as .npy"
+        )
+    ((_, array),) = poses.items()
+    times = [
+        each
+        for name, each in arrays.items()
+        if each.shape == (len(array),) and "t" in name.lower()
+    ]
+    return _of_numbers(path, array), times[0].astype(np.float64) if len(times) == 1 else None
+
+
+def _of_numbers(path: Path, array: Any) -> Any:
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"{path} has values of type {array.dtype}; save an array of numbers")
+    return array
+
+
+def rows_of(path: Path, array: Any, named: Layout | None = None) -> tuple[Layout, Rows]:
+    """Return the layout and the rows of an array, which messages name `path`."""
+    if array.ndim < 2 or not len(array):
+        raise InputError(f"{path} has shape {array.shape}; supported: {_SAID}")
+    with np.errstate(invalid="ignore", over="ignore"):
+        rows = array.reshape(len(array), -1).astype(np.float64)
+    layout = named
+    if layout is None:
+        names = _SHAPES.get(array.shape[1:])
+        if names is None:
+            raise InputError(
+                f"{path} has shape {array.shape}; supported: {_SAID}; for other columns, use "
+                "{option} 't x y z qw qx qy qz'"
+            )
+        note = "float32: 7 digits" if array.dtype == np.float32 else ""
+        layout = Layout(
+            f"numpy ({', '.join(['N', *map(str, array.shape[1:])])})", tuple(names.split()), note
+        )
+        _check(path, layout, rows)
+    if len(layout.columns) != rows.shape[1]:
+        raise InputError(
+            f"{path} has shape {array.shape}, and {{option}} names "
+            f"{counted(len(layout.columns), 'column')}; name all"
+        )
+    wanted = sorted({at for places in layout.groups.values() for at in places})
+    groups = {
+        group: [wanted.index(at) for at in places] for group, places in layout.groups.items()
+    }
+    texts = {
+        name: rows[:, at] for at, name in enumerate(layout.columns) if name in (*TIMES, RECEIVED)
+    }
+    return layout, Rows(texts, rows[:, wanted], groups)
+
+
+def _check(path: Path, layout: Layout, rows: Floats) -> None:
+    """Refuse rows that are not the poses of their layout."""
+    from trajeval_ros.geometry.array_input import require_poses
+
+    try:
+        if "matrix" in layout.groups:
+            require_poses(rows.reshape(len(rows), -1, 4))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    if "quaternion" in layout.groups:
+        usable = rows[np.isfinite(rows).all(axis=1)]
+        first = 0 if layout.time is None else 1
+        with np.errstate(over="ignore", invalid="ignore"):
+            unit, other = (
+                bool((np.abs(np.linalg.norm(usable[:, places], axis=1) - 1.0) < _UNIT).all())
+                for places in (list(layout.groups["quaternion"]), list(range(first, first + 4)))
+            )
+        if not unit or other:
+            raise InputError(
+                f"{path}: it is unclear which of the {rows.shape[1]} columns are the quaternion; "
+                "name them, as in {option} 't x y z qw qx qy qz'"
+            )
+
+
+def files_of_times(path: Path) -> list[Path]:
+    """Return the files next to an array or a text that may have the times of its rows."""
+    names = [f"{path.stem}_times.txt", "times.txt"]
+    if path.suffix == ".npy":
+        stems = [path.stem.replace("poses", word) for word in _TIMES if "poses" in path.stem]
+        stems += [f"{path.stem}_{word}" for word in _TIMES] + list(_TIMES)
+        names = [f"{stem}{suffix}" for stem in stems for suffix in (".npy", ".txt")]
+    folder = path / "x" if path.is_dir() else path
+    paths = [folder.with_name(name) for name in names]
+    return [each for each in paths if each.is_file() and each != path]
+
+
+def is_numbered(times: Floats) -> bool:
+    """Return whether times next to an array are frame numbers."""
+    return bool((times == np.round(times)).all() and np.abs(times).max(initial=0.0) < 1e7)

@@ -1,0 +1,185 @@
+"""Recognition of the layout of a table, by its header or by its first rows."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.text.layouts import OPENVINS_STATE, by_rows
+from trajeval_ros.io.text.names import (
+    CLOCK,
+    DATE,
+    IGNORED,
+    Layout,
+    from_header,
+    plain_of,
+    split_header,
+)
+from trajeval_ros.io.text.stamps import DATE as DATE_PATTERN
+from trajeval_ros.io.text.table import TextTable
+
+_LONGEST_HEADER = 1 << 15  # characters: patterns need quadratic time for longer ones
+# Columns that systems write whose header does not say them, by a word above the rows.
+_HINTS = {
+    "NO_OF_FRAMES": "Qualisys writes mm and degrees: name them x_mm y_mm z_mm roll_deg pitch_deg "
+    "yaw_deg"
+}
+
+
+def layout_of_table(table: TextTable) -> Layout:
+    """Return the layout of a table by its header, or by its first rows.
+
+    Raises:
+        InputError: No layout is certain; the message quotes the first row.
+    """
+    try:
+        return _certain(table)
+    except InputError as error:
+        if "row" in str(error) or str(error).startswith("line "):
+            raise
+        raise InputError(f"{error}; its first row is {table.first_line!r}") from None
+
+
+def _certain(table: TextTable) -> Layout:
+    clock = _has_clock(table)
+    lines = table.header[::-1]
+    for word, said in _HINTS.items():
+        if any(line.startswith(word) for line in lines):
+            raise InputError(f"{said}, with {{option}}; its columns are {lines[0].split()}")
+    for at, line in enumerate(lines):
+        by_comment = line.lstrip().startswith(("#", "%"))
+        if by_comment or at == 0 or not table.named:
+            layout = _titled(table, line, lines[at + 1 :], clock)
+            if layout is not None:
+                return layout
+    above = _uncommented(table)
+    is_prose = above and not clock and table.columns not in _counts(above)
+    if above and not (is_prose and {"unit", "matrix"} & set(by_rows(table).checks)):
+        raise InputError(
+            f"line {table.first} does not name {table.columns} known columns: {above[:80]!r}, "
+            f"above the first row {table.first_line!r}; name the columns, as in "
+            f"{{option}} 't x y z qx qy qz qw', with {IGNORED} for columns to ignore"
+        )
+    if clock:
+        raise InputError(
+            f"dates without a header, first row {table.first_line!r}; name the columns: "
+            "{option} 't clock x y z'"
+        )
+    layout = by_rows(table)
+    return _smfeval(layout, table.header) if layout.name == "smfeval" else layout
+
+
+def _counts(line: str) -> set[int]:
+    return {len(split_header(line, separator)) for separator in (",", ";", "\t", "")}
+
+
+def _uncommented(table: TextTable) -> str:
+    return next(
+        (each for each in table.header[::-1] if not each.lstrip().startswith(("#", "%"))), ""
+    )
+
+
+def _titled(table: TextTable, line: str, above: list[str], clock: bool) -> Layout | None:
+    """Return the layout that a line above the rows describes, else None."""
+    if len(line) > _LONGEST_HEADER:
+        return None
+    plain = re.sub(r"\[[^\]]*\]|\([^)]*\)", "", line).lower()
+    plain = " ".join(re.split(r"[\s,;#%]+", plain))
+    if vectors := re.search(r"\bq p v( bg ba)?\b", plain):
+        columns = OPENVINS_STATE if vectors[1] else OPENVINS_STATE[:11]
+        if table.columns >= len(columns):
+            return Layout(
+                "OpenVINS state", (*columns, *(IGNORED,) * (table.columns - len(columns)))
+            )
+    separators = [each for each in (",", ";", "\t") if each in line and table.separator != each]
+    for separator in (table.separator if table.separator in ",;\t" else "", *separators, ""):
+        names = split_header(line, separator)
+        if (
+            separator
+            and line.rstrip("\r\n").endswith(separator)
+            and len(names) == table.columns - 1
+        ):
+            names.append("")
+        if len(names) == table.columns - clock:
+            break
+    else:
+        return None
+    if clock:
+        names.insert(1, CLOCK)
+    if len({each for each in names if each}) < sum(map(bool, names)) and above:  # Motive
+        more = split_header(above[0], separator)
+        names = [
+            f"{first} {name}".strip() if first else name
+            for first, name in zip([*more, *[""] * len(names)], names, strict=False)
+        ]
+    if above and all(re.fullmatch(r"|m/?s?|mm|cm|km|deg|rad|s|ms|us|ns", each) for each in names):
+        units = names  # of a Vicon export, below the names
+        names = [
+            f"{name} [{unit}]" if unit else name
+            for name, unit in zip(
+                split_header(above[0], separator), [*units, *[""] * 99], strict=False
+            )
+        ]
+        names += [""] * (table.columns - len(names))
+    known = [plain_of(each) for each in names]
+    layout = from_header(names, table.values, table.texts)
+    if layout is None:
+        return None
+    twice = [
+        name
+        for at, name in enumerate(names)
+        if known.count(known[at]) > 1 and known[at] and layout.columns[at] != IGNORED
+    ]
+    if twice:
+        raise InputError(
+            f"its header names {twice[0]!r} twice, as for several bodies; name the columns "
+            f"of one: {{option}} '{' '.join(layout.columns)}'"
+        )
+    if clock and layout.time == 0:
+        layout = dataclasses.replace(layout, columns=(DATE, CLOCK, *layout.columns[2:]))
+    if line.lstrip("# ").startswith("fields "):
+        layout = dataclasses.replace(layout, name="trajectopy")
+    return layout
+
+
+def _has_clock(table: TextTable) -> bool:
+    """Return whether a date and a time of the day are the first two columns."""
+    first = table.sample[0]
+    if table.separator or len(first) < 3:
+        return False
+    is_date = re.fullmatch(r"\d{1,4}[-/.]\d\d?[-/.]\d{1,4}", first[0])
+    return bool(is_date and re.fullmatch(r"\d\d?:\d\d(:\d\d(\.\d+)?)?", first[1]))
+
+
+def with_dates(table: TextTable, layout: Layout) -> Layout:
+    """Return the layout with a date as time if the first row has one."""
+    at = layout.time
+    if at is None:
+        return layout
+    word = table.sample[0][at] if table.sample else ""
+    match = DATE_PATTERN.fullmatch(word)
+    if (
+        layout.time_name in ("t", DATE)
+        and match is not None
+        and (match[1] or match[4] or match[7])
+    ):
+        columns = tuple(DATE if place == at else name for place, name in enumerate(layout.columns))
+        return dataclasses.replace(layout, columns=columns)
+    if table.texts[at]:
+        raise InputError(
+            f"line {table.first + 1}: column {at + 1} has {word[:40]!r}, which is not a time; "
+            f"name the columns: {{option}} '{' '.join(layout.columns)}'"
+        )
+    return layout
+
+
+def _smfeval(layout: Layout, header: list[str]) -> Layout:
+    """Return the layout with the convention of covariances that the header of SQUARE states."""
+    said = " ".join(header).upper()
+    if re.search("LEFT_PERTURBATION|ROTATION_TRANSLATION", said):
+        dropped = "covariances dropped: their axes or their order are not supported"
+        return dataclasses.replace(
+            layout, columns=layout.columns[:8] + (IGNORED,) * 21, note=dropped
+        )
+    return dataclasses.replace(layout, note="") if "RIGHT_PERTURBATION" in said else layout

@@ -1,0 +1,348 @@
+"""Times of the rows of a file: of a column, of a file next to it, or by a frame rate."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.formatting.remarks import Remark, note, warning
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.io.text.names import (
+    AS_NAMED,
+    CLOCK,
+    DATE,
+    FRAME,
+    FRAME_1,
+    RECEIVED,
+    UNITS,
+    UNPADDED,
+    Layout,
+)
+from trajeval_ros.io.text.numpy_files import files_of_times, is_numbered, load
+from trajeval_ros.io.text.stamps import WIDTH, dates, exact, to_stamps, unit_of, unpadded
+from trajeval_ros.io.text.table import Rows, number, read_rows, sniff
+from trajeval_ros.metrics.statistics import median
+
+ROW_TIMES = "row_times"  # code of the remark on a frame rate that was used
+_FRAMES = 10**8  # limit of frame numbers
+_NUMBERED = ("TUM", "numpy (N, 7)", AS_NAMED)  # layouts whose first column can count frames
+
+
+@dataclass(frozen=True, eq=False)
+class Times:
+    """The times of the rows of a file."""
+
+    stamps: Stamps  # (N,) nanoseconds
+    frames: NDArray[np.int64] | None  # (N,) frame numbers, None if rows have timestamps
+    stamped: bool  # whether `stamps` are times
+    kept: NDArray[np.bool_] | None = None  # rows that have a time; None if all do
+    remarks: tuple[Remark, ...] = ()
+    numbered: bool = False  # whether a column counts frames
+
+
+def times_of(
+    path: Path, layout: Layout, rows: Rows, rate: float | None, origin: Path | None
+) -> Times:
+    """Return the timestamps of rows, from their column or from a file next to it, or by a rate."""
+    if layout.time is None:
+        return _of_frames(layout, np.arange(len(rows.values)), rate, origin)
+    times: Any = rows.texts[layout.time_name]
+    kept = None
+    if layout.time_name == DATE:
+        return _of_dates(path, rows)
+    if layout.time_name in (FRAME, FRAME_1):
+        frames, said = _frames(path, layout, times)
+        found = _of_frames(layout, frames, rate, origin)
+        return dataclasses.replace(found, remarks=(*said, *found.remarks))
+    try:
+        sample = times[:200].astype(np.float64)
+        if not np.isfinite(sample).all():
+            raise ValueError
+        unit = _unit(layout, sample, times)
+        stamps = to_stamps(times, sample, unit)
+    except (ValueError, OverflowError):  # a time is missing or out of range
+        values = _floats(path, times)
+        kept = np.isfinite(values)
+        times = np.char.strip(times[kept]) if times.dtype.kind == "S" else times[kept]
+        unit = _unit(layout, values[kept], times)
+        stamps = to_stamps(times, values[kept], unit)
+    if _counts_frames(layout, stamps, origin):
+        found = _of_frames(layout, stamps // NANOSECONDS, rate, origin)
+        return dataclasses.replace(found, kept=kept, numbered=True)
+    if layout.time_name == UNPADDED:
+        stamps = unpadded(times)
+    elif layout.name != AS_NAMED and _is_unpadded(stamps, times):
+        told = " ".join(UNPADDED if each == "t" else each for each in layout.columns)
+        raise InputError(
+            "its times go forward and back, and do not if nanoseconds were written without "
+            f"leading zeros (secs.nsecs); use {{option}} '{told}', or "
+            f"{{option}} '{' '.join(layout.columns)}' if not"
+        )
+    name = {1: "nanoseconds", 10**3: "microseconds", 10**6: "milliseconds"}.get(unit)
+    is_said = name is not None and (unit == 1 or UNITS[layout.time_name] is None)
+    remarks = (note("nanoseconds", f"timestamps are in {name}"),) if is_said else ()
+    return Times(stamps, None, True, kept, remarks)
+
+
+def _of_dates(path: Path, rows: Rows) -> Times:
+    days: Any = rows.texts[DATE]
+    words = [day.decode("latin-1").strip() for day in days.tolist()]
+    if CLOCK in rows.texts:
+        clocks = (clock.decode("latin-1") for clock in rows.texts[CLOCK].tolist())
+        words = [f"{day} {clock}" for day, clock in zip(words, clocks, strict=True)]
+    kept = np.array([each not in ("", "nan") for each in words])
+    try:
+        stamps, said = dates([each for each in words if each not in ("", "nan")])
+    except ValueError as error:
+        row = words.index(str(error)) + 1
+        raise InputError(
+            f"{path}: {str(error)[:40]!r} in row {row} is not a date (UTC); correct or remove "
+            "the row"
+        ) from None
+    return Times(stamps, None, True, None if kept.all() else kept, (note("dates", said),))
+
+
+def _floats(path: Path, times: Any) -> Floats:
+    """Return times as float64; an empty word is NaN."""
+    if times.dtype.kind != "S":
+        return np.asarray(times)
+    found = np.full(len(times), np.nan)
+    for row, word in enumerate(times.tolist()):
+        value = number(word.strip().decode("latin-1"))
+        if value is None or len(word) >= WIDTH:
+            shown = word.decode("latin-1")[:40]
+            raise InputError(
+                f"{path}: row {row + 1} has {shown!r}, which is not a time; "
+                "correct or remove the row"
+            )
+        found[row] = value
+    return found
+
+
+def _unit(layout: Layout, values: Floats, times: Any) -> int:
+    """Return the nanoseconds per unit of time that the name has or the values show."""
+    named = UNITS.get(layout.time_name, NANOSECONDS)
+    if named is not None:
+        return named
+    is_whole = times.dtype.kind == "S" and b"." not in times[:1].tobytes()
+    unit = unit_of(values, is_whole or bool((values == np.round(values)).all()))
+    if unit is None:
+        key = _key(values)
+        told = " ".join(
+            (FRAME if key else "t_us" if np.abs(values).max() > 1e13 else "t_ms")
+            if each == "t"
+            else each
+            for each in layout.columns
+        )
+        raise InputError(
+            f"its timestamps (up to {np.abs(values).max():.6g}) are neither times since 1970 nor "
+            f"seconds{key}; name the unit: "
+            f"{{option}} '{told}'{'' if key else ' (or t_ms, t_us, t_ns, t_s)'}"
+        )
+    return unit
+
+
+def _is_unpadded(stamps: Stamps, times: Any) -> bool:
+    """Return whether times go forward only if their decimals are numbers of nanoseconds."""
+    if times.dtype.kind != "S" or not (np.diff(stamps) < 0).any():
+        return False
+    points = times[:: max(len(times) // 1000, 1)]
+    if (
+        not np.char.isdigit(np.char.replace(points, b".", b"")).all()
+        or (np.char.count(points, b".") != 1).any()
+    ):
+        return False
+    with contextlib.suppress(ValueError):
+        return bool((np.diff(unpadded(times)) > 0).all())
+    return False
+
+
+def _key(values: Floats) -> str:
+    """Return what keys of GTSAM are, if the values are such keys."""
+    for shift in (56, 48):
+        letter = int(values[0]) >> shift if abs(values[0]) < 2.0**63 else 0
+        if 65 <= letter <= 122 and (values < (letter + 1) * 2.0**shift).all():
+            return f", but keys of GTSAM ({chr(letter)}0, {chr(letter)}1 ...)"
+    return ""
+
+
+def _frames(path: Path, layout: Layout, times: Any) -> tuple[Stamps, tuple[Remark, ...]]:
+    """Return frame numbers (N,), which keys of GTSAM have after a letter, and remarks."""
+    values = _floats(path, times)
+    wrong = (values != np.round(values)) | (values < 0.0)
+    whole = ~wrong & (values < 2.0**63)
+    frames = np.full(len(values), -1)
+    said: tuple[Remark, ...] = ()
+    frames[whole] = exact(times[whole], 0) if times.dtype.kind == "S" else values[whole]
+    letters = np.unique(frames >> 56 if frames.max(initial=0) >> 56 else frames >> 48)
+    if len(letters) == 1 and 65 <= letters[0] <= 122:
+        frames = frames & (2**48 - 1)
+        said = (note("gtsam_keys", f"frame numbers from keys of GTSAM, {chr(letters[0])}0 ..."),)
+    wrong |= ~((frames >= 0) & (frames < _FRAMES))
+    if wrong.any():
+        several = f" (keys of GTSAM of {len(letters)} robots)" if letters.min() >= 65 else ""
+        raise InputError(
+            f"{path}: row {int(np.argmax(wrong)) + 1} has no frame number in column "
+            f"{(layout.time or 0) + 1}{several}; correct or remove the row"
+        )
+    return frames - (layout.time_name == FRAME_1), said
+
+
+def _of_frames(layout: Layout, frames: Any, rate: float | None, origin: Path | None) -> Times:
+    """Return the times of frame numbers: of a file next to it, or by a rate."""
+    remarks = []
+    for beside in () if origin is None else files_of_times(origin):
+        if "matrix" not in layout.groups and layout.name not in _NUMBERED:
+            continue
+        times = _read_times(beside)
+        numbers = frames
+        if (
+            layout.time is not None
+            and frames.max(initial=0) == len(times)
+            and frames.min(initial=1) >= 1
+        ):
+            numbers = frames - 1
+            remarks.append(note("frames_from_1", "frame numbers start at 1"))
+        elif (
+            layout.name != AS_NAMED
+            and layout.time is not None
+            and len(frames)
+            and frames.min() == 1
+        ):
+            told = " ".join(
+                FRAME if at == layout.time else each for at, each in enumerate(layout.columns)
+            )
+            raise InputError(
+                f"its frame numbers start at 1, and {beside} has {counted(len(times), 'time')}: "
+                f"number 0 or 1 may be the first; name the columns: {{option}} '{told}', or "
+                f"{{option}} '{told.replace(FRAME, FRAME_1, 1)}' if 1 is"
+            )
+        counts = layout.time is None and len(times) == len(frames)
+        if counts or (layout.time is not None and numbers.max(initial=0) < len(times)):
+            said = note("times_file", f"timestamps read from {beside}")
+            return Times(times[numbers], frames, True, None, (*remarks, said))
+        counts_differ = (
+            f"{beside} ignored: it has {counted(len(times), 'row')} for "
+            f"{counted(len(frames), 'pose')}"
+        )
+        remarks.append(note("times_file_ignored", counts_differ))
+    if layout.time_name == FRAME and layout.name != AS_NAMED and len(frames) and frames.min() == 1:
+        told = " ".join(FRAME_1 if name == FRAME else name for name in layout.columns)
+        remarks.append(
+            warning(
+                "frames_from_1",
+                "frame numbers start at 1 and are used as they are; if number 1 is the first, use "
+                f"--columns '{told}'",
+            )
+        )
+    if rate is not None:
+        stamps = np.round(frames * (NANOSECONDS / rate)).astype(np.int64)
+        said = note(ROW_TIMES, f"timestamps counted at {rate:g} Hz")
+        return Times(stamps, frames, True, None, (*remarks, said))
+    said = note(
+        "no_timestamps",
+        "no timestamps: frames counted, 1 s apart; set their rate with --frame-rate",
+    )
+    return Times(frames * NANOSECONDS, frames, False, None, (*remarks, said))
+
+
+def _counts_frames(layout: Layout, stamps: Stamps, origin: Path | None) -> bool:
+    """Return whether a first column of whole numbers in equal steps counts frames.
+
+    It does so if a file with the times of the frames is next to the file, as for VGGT-SLAM, which
+    repeats frames where its submaps meet.
+    """
+    if (
+        layout.time_name != "t"
+        or layout.name not in _NUMBERED
+        or origin is None
+        or len(stamps) < 2
+    ):
+        return False
+    if (stamps % NANOSECONDS).any() or stamps.max() >= _FRAMES * NANOSECONDS:
+        return False
+    steps = np.diff(stamps)
+    steps = steps[steps != 0]
+    is_counted = len(steps) > 0 and 0 < steps.min() == steps.max()
+    return bool(is_counted and files_of_times(origin))
+
+
+def _read_times(path: Path) -> Stamps:
+    """Return the timestamps (N,) of a file with one time per line, or of an array."""
+    if path.suffix == ".npy":
+        return to_stamps(*(2 * (load(path)[0].astype(np.float64),)), NANOSECONDS)
+    table = sniff(path)
+    if table.columns != 1:
+        raise InputError(f"{path} has {table.columns} columns, expected one time per line")
+    layout = Layout("times", ("t",))
+    return times_of(path, layout, read_rows(table, layout), None, None).stamps
+
+
+def with_times(
+    layout: Layout, rows: Rows, path: Path, times: Floats | None
+) -> tuple[Layout, Rows]:
+    """Add the column of times, or of frame numbers, that an array or a file next to it has."""
+    said = "times read from the same file"
+    for beside in files_of_times(path) if times is None else ():
+        times = (
+            load(beside)[0]
+            if beside.suffix == ".npy"
+            else _floats(beside, read_rows(sniff(beside), Layout("times", ("t",))).texts["t"])
+        )
+        said = f"times read from {beside}"
+        break
+    if times is None:
+        return layout, rows
+    times = np.asarray(times, dtype=np.float64)
+    if times.shape != (len(rows.values),):
+        raise InputError(
+            f"{said[16:]} has shape {times.shape} for {counted(len(rows.values), 'pose')}; "
+            "give one time per pose, or remove it"
+        )
+    columns = (FRAME if is_numbered(times) else "t", *layout.columns)
+    layout = dataclasses.replace(
+        layout, columns=columns, note="; ".join(filter(None, (layout.note, said)))
+    )
+    return layout, dataclasses.replace(rows, texts={**rows.texts, layout.time_name: times})
+
+
+def nanosecond_parts(path: Path, column: Floats) -> Stamps:
+    """Return the nanoseconds (N,) of timestamps in two columns; float64 has them exactly."""
+    right = (column >= 0.0) & (column < NANOSECONDS) & (column == np.round(column))
+    if not right.all():
+        row = int(np.argmin(right))
+        raise InputError(
+            f"{path}: row {row + 1} has {column[row]:g} nanoseconds after its seconds, expected "
+            "0 to 999999999; correct or remove the row"
+        )
+    return column.astype(np.int64)
+
+
+def receptions_of(path: Path, stamps: Stamps, column: Any) -> Receptions | None:
+    """Return the times in the column `received`, exact to the nanosecond.
+
+    `stamps`: (N,), nanoseconds. `column`: (N,), words or float64, in a unit of timestamps: the one
+    in which they are nearest to `stamps`.
+    """
+    values = _floats(path, column)
+    known = np.isfinite(values)
+    if not known.all():
+        raise InputError(
+            f"row {int(np.argmin(known)) + 1} has no number in column {RECEIVED}; correct or "
+            "remove the row"
+        )
+    units = [unit for unit in UNITS.values() if unit is not None]
+    unit = min(units, key=lambda unit: abs(median(values * unit - stamps)))
+    if (np.abs(values) * unit >= 2.0**63).any():
+        raise InputError(f"column {RECEIVED} has times after the year 2262; correct it")
+    return Receptions(to_stamps(column, values, unit))
