@@ -82,7 +82,7 @@ def test_body_lever_arm_and_scale_are_fitted(seed: int, scale: float) -> None:
     # T_B_M of the groundtruth's point in the estimate's body.
     assert fitted.scale == pytest.approx(scale, rel=0.01)
     assert np.degrees(lie.angle(lie.from_matrix(fitted.body @ body.as_matrix().T))) < 0.5
-    assert fitted.values[LEVER] == pytest.approx(-body.inv().apply(lever), abs=0.1)
+    assert fitted.values[LEVER] == pytest.approx(-body.inv().apply(lever), abs=0.02)
     assert fitted.values[BODY].shape == (3,)
 
 

@@ -379,7 +379,7 @@ _TABLE = (
         4.8,
         "the clocks of groundtruth and estimate probably differ: short motions match best with "
         "{offset_ms:+.0f} ms {more}added to the estimate's timestamps",
-        "shift the estimate's timestamps, or estimate the offset with --time-offset auto",
+        "shift the estimate's timestamps",
         {"time_offset": "{total_s:.4f}"},
         of_error="",
     ),

@@ -29,6 +29,9 @@ _ITERATIONS, _CONVERGED = 5, 1e-5  # of Gauss-Newton, and the last step in prior
 _BLOCKS = 24  # of time, for the covariance: residuals within a block are correlated
 _MOST_ROTATION, _MOST_LOG_SCALE = 0.7, 1.0  # of one iteration, rad and logarithm
 _MOST_OFFSET_S, _MOST_RATE = 0.5, 0.05  # beyond, the derivatives by the clock are useless
+# Of the fit: it keeps directions near zero that the motion does not show, such as the height of
+# a vehicle's lever arm. A narrower prior would make all lever arms shorter.
+_LEVER_PRIOR_M = 2.0
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class Spread:
 
 # Larger healthy spreads miss small mistakes; smaller ones alarm about drift and calibrations.
 SPREADS = {
-    "body": Spread(math.radians(1.2), 1.0),  # rad
+    "body": Spread(math.radians(0.7), 1.0),  # rad
     "scale": Spread(0.045, 1.5),  # of the logarithm
     "lever": Spread(0.03, 0.6),  # m
     "offset": Spread(0.004, 0.3),  # s
@@ -105,7 +108,7 @@ def fit_parameters(scores: ModelScores, model: Model) -> Parameters:
 
 
 class _GaussNewton:
-    """State of the iteration; prior deviations are those of mistakes."""
+    """State of the iteration; prior deviations are those of mistakes, but of lever arms."""
 
     def __init__(self, scores: ModelScores, model: Model) -> None:
         self.read: ReadMotions = scores.read(model.hypothesis)
@@ -124,6 +127,7 @@ class _GaussNewton:
         self.offset_s, self.rate = 0.0, 0.0
         spreads = (SPREADS[name].mistake for name in ("body", "scale", "lever", "offset", "rate"))
         self.deviations = np.repeat(list(spreads), (3, 1, 3, 1, 1))
+        self.deviations[LEVER] = _LEVER_PRIOR_M / model.scale
 
     def iterate(self) -> float:
         """Do one step, and return its largest component in prior deviations."""
