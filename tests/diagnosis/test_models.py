@@ -20,8 +20,8 @@ from trajeval_ros import HandEye, InputError, read_trajectory
 from trajeval_ros.diagnosis.clock_match import ClockMatch, rates_of_both
 from trajeval_ros.diagnosis.hypotheses import HYPOTHESES, PERMUTATIONS, euler_angles_changed
 from trajeval_ros.diagnosis.input_pair import TimedPoses
-from trajeval_ros.diagnosis.models import ModelScores
-from trajeval_ros.diagnosis.parameters import BODY, LEVER, SPREADS, fit_parameters, log_odds
+from trajeval_ros.diagnosis.motion_models import ModelScores
+from trajeval_ros.diagnosis.motion_parameters import BODY, LEVER, SPREADS, fit_parameters, log_odds
 from trajeval_ros.diagnosis.short_motions import ShortMotions
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge

@@ -242,7 +242,7 @@ def search_rate(
     return factor, match
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class _QuickLogOdds:
     """An approximation of the likelihood of many rates: gaps count as the mean."""
 

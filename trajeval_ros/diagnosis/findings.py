@@ -86,7 +86,7 @@ class Tried:
         """
         if self.before is None:
             return 0.0, 1.0
-        before_deg, after_deg = self.before.rotation_deg, self.after.rotation_deg
+        before_deg, after_deg = map(_compared_deg, (self.before, self.after))
         of_rotations = 1.0
         if not (before_deg is None and after_deg is None):
             of_rotations = _ratio(
@@ -100,12 +100,14 @@ class Tried:
         position, rotation = self.ratios
         before, after = self.before, self.after
         option = f"{option} and {self.then}" if self.then else option
+        after_deg = _compared_deg(after)
         is_about_rotation = rotation < _CLEARLY * position or rotation < _FALLS <= position
-        if after.rotation_deg is not None and is_about_rotation:
+        if after_deg is not None and is_about_rotation:
             assert before is not None
             size = before.rotation_deg
             without = "withheld" if size is None else f"{four_digits(size)} deg"
-            return f"rotation ATE {without}, with {option} {four_digits(after.rotation_deg)} deg"
+            how = " aligned by orientations" if after.rotation_deg is None else ""
+            return f"rotation ATE {without}, with {option} {four_digits(after_deg)} deg{how}"
         with_it = f"with {option} {four_digits(after.position_m)} m"
         if before is None:
             return f"ATE {with_it}"
@@ -116,6 +118,10 @@ WITHHELD_DEG = 180.0
 # Ratios of errors: a decrease beyond rounding, and an increase by the drift in both errors.
 _FALLS, _GROWS = 0.999, 1.05
 _CLEARLY = 0.5  # ratio of decreases, from which on the rotation is stated in place of the position
+
+
+def _compared_deg(ate: Ate) -> float | None:
+    return ate.by_orientations_deg if ate.rotation_deg is None else ate.rotation_deg
 
 
 def _ratio(after: float, before: float) -> float:

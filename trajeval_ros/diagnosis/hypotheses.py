@@ -1,7 +1,7 @@
 """The table of mistakes in how poses are written, with their prior probabilities.
 
 A hypothesis states how the columns of a side are to be read. It is combined with the 48 signed
-permutations of the axes of the positions, and with rotations of the body (`models.py`).
+permutations of the axes of the positions, and with rotations of the body (`motion_models.py`).
 """
 
 from __future__ import annotations

@@ -30,9 +30,8 @@ from trajeval_ros.diagnosis.hypotheses import (
 )
 from trajeval_ros.diagnosis.input_pair import InputPair, TimedPoses, lengths
 from trajeval_ros.diagnosis.input_tests import is_at_rest, rhythm, velocities
-from trajeval_ros.diagnosis.models import Model, ModelScores
-from trajeval_ros.diagnosis.naming import ODDS, TIE
-from trajeval_ros.diagnosis.parameters import (
+from trajeval_ros.diagnosis.motion_models import Model, ModelScores
+from trajeval_ros.diagnosis.motion_parameters import (
     OFFSET,
     RATE,
     SPREADS,
@@ -41,6 +40,7 @@ from trajeval_ros.diagnosis.parameters import (
     fit_parameters,
     log_odds,
 )
+from trajeval_ros.diagnosis.naming import ODDS, TIE
 from trajeval_ros.diagnosis.short_motions import FEWEST_MOTIONS, ShortMotions
 from trajeval_ros.diagnosis.world_axes import vertical_axes
 from trajeval_ros.metrics.statistics import median
@@ -155,7 +155,7 @@ def _other_run(match: ClockMatch) -> Seen:
     return Seen("other_run", 1.0, {"peak": match.peak})
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Comparison:
     """The comparison of motions at the coarse clock."""
 

@@ -19,8 +19,8 @@ from trajeval_ros.diagnosis.hypotheses import (
     ROTATIONS,
 )
 from trajeval_ros.diagnosis.input_pair import lengths
-from trajeval_ros.diagnosis.models import Model, ModelScores
-from trajeval_ros.diagnosis.parameters import BODY, LEVER, SPREADS, Parameters
+from trajeval_ros.diagnosis.motion_models import Model, ModelScores
+from trajeval_ros.diagnosis.motion_parameters import BODY, LEVER, SPREADS, Parameters
 from trajeval_ros.diagnosis.short_motions import ShortMotions
 from trajeval_ros.diagnosis.world_axes import mean_direction, world_rotations
 from trajeval_ros.geometry import lie
@@ -253,10 +253,8 @@ def body_and_lever(
     lever_odds = remaining.log_odds("lever", LEVER)
     lever = values[LEVER]
     lever_m, angle_deg = float(np.linalg.norm(lever)), math.degrees(float(lengths(rotation)))
-    sigma_deg, sigma_m = (
-        math.sqrt(float(np.trace(parameters.covariance[rows, rows]))) for rows in (BODY, LEVER)
-    )
-    sigma_deg = math.degrees(sigma_deg)
+    sigma_deg = math.degrees(_sigma_of_length(rotation, parameters.covariance[BODY, BODY]))
+    sigma_m = _sigma_of_length(lever, parameters.covariance[LEVER, LEVER])
     statistics = {
         "angle_deg": angle_deg,
         "lever_m": lever_m,
@@ -279,6 +277,12 @@ def body_and_lever(
     if has_lever:
         seen.append(Seen("lever_arm", 1.0, {"lever_m": lever_m, "sigma_m": sigma_m, "pose": pose}))
     return statistics, seen
+
+
+def _sigma_of_length(vector: Floats, covariance: Floats) -> float:
+    """Return the standard deviation of the length of a vector (3,) with a covariance (3, 3)."""
+    along = vector / max(float(np.linalg.norm(vector)), 1e-12)
+    return math.sqrt(float(along @ covariance @ along))
 
 
 def _pose(rotation: Floats, lever_m: Floats) -> str:

@@ -8,8 +8,8 @@ import numpy as np
 
 from trajeval_ros.diagnosis.findings import Seen, Value
 from trajeval_ros.diagnosis.input_pair import InputPair
-from trajeval_ros.diagnosis.models import Model, ModelScores, bounded
-from trajeval_ros.diagnosis.parameters import SPREADS, log_odds
+from trajeval_ros.diagnosis.motion_models import Model, ModelScores, bounded
+from trajeval_ros.diagnosis.motion_parameters import SPREADS, log_odds
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.up_axis import UpAxis
@@ -69,7 +69,24 @@ def vertical_axes(
     shared = _vertical_of_both(scores, model, matrix, inputs)
     if shared is not None:
         return statistics, [shared]
-    return statistics, [_tilted(matrix, statistics, inputs, can_mirror=can_mirror)]
+    finding = _tilted(matrix, statistics, inputs, can_mirror=can_mirror)
+    if finding.cause == "tilted":
+        # Errors of orientations, or orientations of other axes, do not rotate the positions.
+        level_worlds = lie.multiply(lie.from_matrix(_shortest_rotation(up).T), worlds)
+        statistics["log_odds_of_positions"] = scores.log_odds_of_worlds(
+            model, worlds, level_worlds
+        )
+        if statistics["log_odds_of_positions"] <= 0.0:
+            return statistics, []
+    return statistics, [finding]
+
+
+def _shortest_rotation(up: Floats) -> Floats:
+    """Return the shortest rotation (3, 3) from z to a direction (3,)."""
+    axis = np.array([-up[1], up[0], 0.0])
+    sine = float(np.linalg.norm(axis))
+    angle = math.atan2(sine, float(up[2]))
+    return lie.to_matrix(lie.from_rotation_vector(axis / max(sine, 1e-12) * angle))
 
 
 def _tilted(

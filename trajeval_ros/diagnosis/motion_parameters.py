@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.diagnosis.models import (
+from trajeval_ros.diagnosis.motion_models import (
     DEGREES_OF_FREEDOM,
     Model,
     ModelScores,

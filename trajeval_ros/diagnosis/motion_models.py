@@ -323,6 +323,21 @@ class ModelScores:
         """Return the log likelihood in the units of the motions."""
         return self.evidence * mean - self.weight * self.read(hypothesis).log_units
 
+    def log_odds_of_worlds(self, model: Model, one: Floats, other: Floats) -> float:
+        """Return the log odds of rotations (N, 4) from the estimate's world against others.
+
+        Only displacements are compared.
+        """
+        ends = self.motions.groundtruth.positions
+        steps, read = ends[1] - ends[0], self.read(model.hypothesis)
+        unit = read.units[1][:, None] * self.size_ratio
+        rows = []
+        for worlds in (one, other):
+            rotated = lie.rotate(worlds, read.steps @ model.axes.T)
+            rows.append(((rotated - steps * _ratio(steps, rotated)) / unit).T)
+        likelihoods = t_log_likelihood(np.stack(rows))[0].sum(axis=1)
+        return self.evidence * float(likelihoods[0] - likelihoods[1])
+
     @functools.cached_property
     def size_ratio(self) -> float:
         """Units of the estimate per metre, equal for all models, for numbers near 1."""
