@@ -20,6 +20,7 @@ from trajeval_ros.io.bags.containers import Topic, TopicReading
 from trajeval_ros.io.bags.foxglove import TYPES as FOXGLOVE_TYPES
 from trajeval_ros.io.bags.foxglove import FoxglovePlan
 from trajeval_ros.io.bags.message_definitions import Connection, recorded_fields
+from trajeval_ros.io.bags.nested_poses import NestedPose
 from trajeval_ros.io.bags.pose_columns import COLUMNS, Frames, PoseColumns, frames_changes
 from trajeval_ros.io.bags.pose_messages import (
     PATH_TYPE,
@@ -51,15 +52,28 @@ class PoseReader:
     PX4's local positions get the orientations of the attitude's topic, if the bag has it.
     """
 
-    def __init__(self, bag: Bag, topic: Topic, *, covariances: bool, received: str = "") -> None:
+    def __init__(
+        self,
+        bag: Bag,
+        topic: Topic,
+        *,
+        covariances: bool,
+        received: str = "",
+        nested: NestedPose | None = None,
+    ) -> None:
+        """Prepare to read.
+
+        `nested`: where the messages have the pose, if their type is not one of poses.
+        """
+        self.nested = nested
         self.reading = TopicReading(topic)  # the topic, and the damage found while it is read
         named = [each for each in bag.topics if each.name == attitude_name(topic.name)]
         attitudes = [each for each in named if each.type == ATTITUDE]
         self.attitudes: PoseReader | None = None
         if topic.type == LOCAL_POSITION and attitudes:
             self.attitudes = PoseReader(bag, attitudes[0], covariances=False)
-        kind = _LastPath if topic.type == PATH_TYPE else _Poses
-        decoders = _Decoders(topic, covariances=covariances, rates=bool(received))
+        kind = _LastPath if topic.type == PATH_TYPE and nested is None else _Poses
+        decoders = _Decoders(topic, covariances=covariances, rates=bool(received), nested=nested)
         self._poses = kind(decoders, received)
 
     def add(self, key: Key, block: Block) -> None:
@@ -166,8 +180,15 @@ def tree_of(readers: Iterable[TransformReader]) -> dict[EdgeKey, Edge]:
 class _Decoders:
     """The decoders of a topic by connection, because definitions can differ."""
 
-    def __init__(self, topic: Topic, *, covariances: bool, rates: bool = False) -> None:
-        self.topic, self.covariances = topic, covariances
+    def __init__(
+        self,
+        topic: Topic,
+        *,
+        covariances: bool,
+        rates: bool = False,
+        nested: NestedPose | None = None,
+    ) -> None:
+        self.topic, self.covariances, self.nested = topic, covariances, nested
         self._plans = {
             (id(each.owner), each.id): self._plan(each, covariances, rates)
             for each in topic.connections
@@ -177,6 +198,9 @@ class _Decoders:
         self, connection: Connection, covariances: bool, rates: bool
     ) -> CdrPlan | FoxglovePlan:
         encoding = connection.encoding
+        if self.nested is not None:
+            wanted = self.nested.wanted(covariances=covariances)
+            return CdrPlan(recorded_fields(connection) or (), wanted, is_ros1=encoding == "ros1")
         if self.topic.type in (*PX4_POSE_TYPES, ATTITUDE):
             fields = recorded_fields(connection)
             return Px4Plan(self.topic.type) if fields is None else CdrPlan(fields)
@@ -218,10 +242,12 @@ class _Poses:
 
     def _add(self, decoded: Columns, log_times: Stamps, publish_times: Stamps) -> None:
         undecodable, kind = len(log_times) - len(decoded.rows), self._decoders.topic.type
-        if kind == POSE_2D:
+        nested, wanted = self._decoders.nested, self._decoders.covariances
+        if nested is not None:
+            part = nested.poses(decoded, log_times, undecodable, covariances=wanted)
+        elif kind == POSE_2D:
             part = poses_2d_of(decoded, log_times, undecodable)
         else:
-            wanted = self._decoders.covariances
             part = poses_of(decoded, kind, undecodable, covariance=wanted)
         columns = {name: getattr(part, name) for name in COLUMNS} | {
             "rows": part.rows + self._messages,
