@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.diagnosis.findings import Examined, Seen, Value
-from trajeval_ros.diagnosis.hypotheses import best_rotations
 from trajeval_ros.diagnosis.input_pair import Between, TimedPoses, lengths
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, extents, runs_of
+from trajeval_ros.geometry.rotation_fit import best_rotations
 from trajeval_ros.geometry.trajectory_edits import evenly
 from trajeval_ros.geometry.travelled import step_angles
 from trajeval_ros.metrics.statistics import median

@@ -19,6 +19,7 @@ from trajeval_ros.diagnosis.findings import Corrections, require_correctable
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.trajectory_edits import TimeSpan
 from trajeval_ros.geometry.up_axis import UpAxis
@@ -151,12 +152,16 @@ class Request:
             protocol = dataclasses.replace(protocol, gauge=gauge, modality=None)
         if "max_gap" in correction:
             rule = dataclasses.replace(rule, max_gap_s=float(correction["max_gap"]))
-        if correction.get("time_offset") == "auto":
-            calibration = dataclasses.replace(calibration, offset=True)
-        elif "time_offset" in correction:
+        if "time_offset" in correction:
             rule = dataclasses.replace(rule, time_offset_s=float(correction["time_offset"]))
         if "hand_eye" in correction:
-            calibration = dataclasses.replace(calibration, hand_eye=True)
+            pose = HandEye.from_text(correction["hand_eye"])
+            assert pose is not None
+            # The pose is relative to the groundtruth after a known one.
+            pose = pose if calibration.known is None else pose.after(calibration.known)
+            calibration = dataclasses.replace(
+                calibration, hand_eye=False, known=pose, source="the diagnosis"
+            )
         if "up" in correction:
             groundtruth, _, estimate = correction["up"].partition(",")
             up = groundtruth, estimate
