@@ -101,8 +101,9 @@ def evaluate_folder(
     # Jumps are attributed to fixes or estimates by comparing the estimates.
     runs = with_same_estimates_named([estimate.run for estimate in evaluated])
     runs = with_own_errors(runs, first.request.fixes)
-    settings = settings_with(first.request, first.stated)
-    return Outcome(first.request, first.groundtruth, tuple(runs), tuple(failed), settings)
+    request = dataclasses.replace(first.request, protocol=runs[0].evaluation.protocol)
+    settings = settings_with(request, first.stated)
+    return Outcome(request, first.groundtruth, tuple(runs), tuple(failed), settings)
 
 
 def _evaluate(
