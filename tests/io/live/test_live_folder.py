@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import json
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,8 @@ from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.io.hand_eye_file import hand_eye_json
 from trajeval_ros.io.live.live_folder import evaluate_folder
 from trajeval_ros.io.live.state_file import GROUNDTRUTH, StateWriter, read_states
+from trajeval_ros.io.requests.request_from import request_from
+from trajeval_ros.io.requests.settings_table import settings_of
 from trajeval_ros.pipeline.request import Request
 
 POSE = HandEye.of(np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.5, 0.6]))
@@ -129,6 +132,30 @@ def test_a_frozen_alignment_is_that_of_its_states(tmp_path: Path) -> None:
         assert found.protocol.align_states == aligned_by
         assert found.alignment.states_used == (aligned_by or COUNT)
     assert evaluate_folder(folder, None, "poses").runs[0].evaluation.protocol.align_with == "poses"
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"modality": "mono", "lengths": "none", "max_gap": 0.3},
+        {"align_states": "10", "align_with": "poses", "gauge": "se3"},
+        {"align_states": "1", "lengths": "2s,30f", "association": "linear"},
+        {"lever_arm": "0.1,0,0.2"},
+    ],
+    ids=str,
+)
+def test_the_settings_of_the_node_are_those_of_the_evaluation(
+    settings: dict[str, Any], tmp_path: Path
+) -> None:
+    request = request_from(settings)
+    stored = json.loads(json.dumps(settings_of(request)))
+    write_estimate(tmp_path / "vio.states", state_with(settings=stored))
+    outcome = evaluate_folder(tmp_path)
+    truth, estimate = trajectories()
+    expected = run(truth, [estimate], dataclasses.replace(request, gauge_is_default=False))
+    assert outcome.runs[0].evaluation.protocol == expected.runs[0].evaluation.protocol
+    assert outcome.settings == settings_of(request)
 
 
 def test_revised_poses_are_judged_and_the_causal_errors_kept(tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ from trajeval_ros.io.live.state_file import (
     state_files,
 )
 from trajeval_ros.io.requests.request_from import request_from
-from trajeval_ros.io.requests.setting import NONE
+from trajeval_ros.io.requests.setting import NONE, Setting
 from trajeval_ros.io.requests.settings_table import SETTINGS, settings_with
 from trajeval_ros.io.results.result_json import statistics_json
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH
@@ -163,7 +163,7 @@ def _of_states(
 def _request_of(state: Mapping[str, Any], align_with: str | None, path: Path) -> Request:
     """Return the request of the live run, with what it has decided at its start."""
     settings = {
-        name: ",".join(map(str, value)) or NONE if isinstance(value, list) else value
+        name: _as_option(value, SETTINGS[name])
         for name, value in state["settings"].items()
         if value != SETTINGS[name].default
     }
@@ -193,6 +193,13 @@ def _request_of(state: Mapping[str, Any], align_with: str | None, path: Path) ->
         fixes=fixes,
         gauge_is_default=False,
     )
+
+
+def _as_option(value: Any, setting: Setting) -> Any:
+    """Return a value of `settings_of` as `request_from` takes it."""
+    if isinstance(value, list):
+        return ",".join(map(str, value)) or NONE
+    return str(value) if setting.kind is str and value is not None else value
 
 
 def _with_settings_of(request: Request, live: Request) -> Request:
