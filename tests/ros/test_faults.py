@@ -381,10 +381,10 @@ def test_save_tells_why_a_path_can_t_be_written(
         slam = PathSender(publishers["estimate"])
         publish({**publishers, "estimate": slam}, 1000.0, 4.0)
         until(lambda: poses_on_disk(evaluator) >= 78, "pairs")
-        (evaluator.folder / "vio_odometry.revised.npz").mkdir()
+        (evaluator.folder / "vio_odometry.revised").mkdir()
         saved = peer.ask("/evaluator/save", Trigger)
         assert not saved.success
-        assert "vio_odometry.revised.npz can't be written: is a directory" in saved.message
+        assert "vio_odometry.revised can't be written: is a directory" in saved.message
         evaluator.end()
 
 
@@ -493,6 +493,7 @@ def test_an_estimate_that_is_too_late_is_told(
         )
         assert evaluator.end() == 0
     run = evaluator.run_of(ODOMETRY)
-    late = run["association"]["dropped"]["too_late"]
-    assert late > 300
-    assert f"{late} poses {said}" in [each["text"] for each in run["remarks"]]
+    # The result is of all poses that were received.
+    assert run["association"]["pairs"] > 300
+    assert "too_late" not in run["association"]["dropped"]
+    assert not [each for each in run["remarks"] if said in each["text"]]

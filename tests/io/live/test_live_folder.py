@@ -233,6 +233,18 @@ def test_rows_that_are_no_states_are_counted(tmp_path: Path) -> None:
     assert found.groundtruth.reading.dropped == {"not_finite": 1, "zero_quaternion": 1}
 
 
+def test_identity_rotations_are_left_out_as_from_a_bag(tmp_path: Path) -> None:
+    stamps, truth, _ = columns()
+    truth[:, 3:7] = [0.0, 0.0, 0.0, 1.0]
+    writer = StateWriter(tmp_path / GROUNDTRUTH, {"source": "/truth"})
+    writer.append(stamps, truth)
+    writer.close()
+    write_estimate(tmp_path / "vio.states")
+    found = evaluate_folder(tmp_path).runs[0].evaluation
+    assert found.groundtruth.quaternions is None
+    assert found.association.rule.method == "linear"
+
+
 def test_settings_of_finish_are_used_where_it_has_some(tmp_path: Path) -> None:
     write_estimate(tmp_path / "vio.states", state_with(time_offset_s=0.05))
     [found] = evaluate_folder(tmp_path).runs

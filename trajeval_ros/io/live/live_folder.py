@@ -250,7 +250,8 @@ def _trajectory(recorded: RecordedStates, counts: Mapping[str, Any], name: str) 
     usable, dropped = usable_rows(recorded.states)
     used = recorded.part(usable)
     rotations, velocities = used.states[:, QUATERNION], used.states[:, VELOCITY]
-    quaternions, remarks = judge_rotations(None if np.isnan(rotations).any() else rotations)
+    given = None if np.isnan(rotations).any() else rotations
+    quaternions, remarks = judge_rotations(given)
     is_moving = quaternions is not None and np.isfinite(velocities).any() and velocities.any()
     covariances = used.covariances
     reading = _reading(recorded, counts)
@@ -266,6 +267,7 @@ def _trajectory(recorded: RecordedStates, counts: Mapping[str, Any], name: str) 
         name=name,
         reading=dataclasses.replace(
             reading,
+            has_identity_rotations=given is not None and quaternions is None,
             dropped=add_counts(reading.dropped, dropped),
             remarks=(*reading.remarks, *remarks),
         ),
@@ -298,8 +300,7 @@ def _until(
 ) -> tuple[Trajectory, Trajectory]:
     """Return the states before the next run, and the one after them that interpolation needs."""
     rule = request.protocol.association
-    kind = "points" if groundtruth.quaternions is None else "poses"
-    interpolates_estimate = rule.for_kind(kind).method == AT_GROUNDTRUTH
+    interpolates_estimate = rule.for_kind(groundtruth.kind).method == AT_GROUNDTRUTH
     offset_ns = round(rule.time_offset_s * NANOSECONDS)
     return (
         _cut(groundtruth, groundtruth.stamps, until_ns, one_more=not interpolates_estimate),
