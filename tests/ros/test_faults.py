@@ -37,7 +37,7 @@ from waiting import LOOK_EVERY_S, PATIENCE_S, until
 
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.io.live.live_folder import evaluate_folder
-from trajeval_ros.io.live.state_file import read_states
+from trajeval_ros.io.live.state_file import read_states, state_files
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.pipeline.pipeline import evaluate
@@ -55,7 +55,8 @@ def flight(flights: Path) -> Path:
 
 
 def poses_on_disk(evaluator: Evaluator) -> int:
-    return len(read_states(evaluator.folder / "vio_odometry.states").stamps)
+    [file] = state_files(evaluator.folder)
+    return len(read_states(file).stamps)
 
 
 def publish(
@@ -320,7 +321,7 @@ def test_a_reset_goes_on_receiving_and_tells_of_results_that_can_t_be_written(
         answer = peer.ask("/evaluator/reset", Trigger)
         assert answer.success
         publish(publishers, 1000.0, 4.0)
-        begun = Path(answer.message.rpartition(" ")[2]) / "vio_odometry.states"
+        [begun] = state_files(Path(answer.message.rpartition(" ")[2]))
         until(lambda: len(read_states(begun).stamps) >= 78, "poses of the new run")
         assert evaluator.said.count(told) == 1  # subscriptions last over all runs
         evaluator.wait_for(f"results can't be written to {evaluator.folder}: ")

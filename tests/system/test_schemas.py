@@ -20,6 +20,7 @@ from trajeval_ros.batch.gate import GateValues
 from trajeval_ros.batch.results_table import ResultsTable
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.install_command import install_command
 from trajeval_ros.io.live import state_file
 from trajeval_ros.io.live.state_file import StateWriter, read_states
 from trajeval_ros.io.results import error_archive, result_json
@@ -56,7 +57,7 @@ def test_a_folder_of_version_0_3_names_what_reads_it(
     assert main(["finish", str(tmp_path), "--quiet", "--output", str(tmp_path / "out")]) == 2
     assert capsys.readouterr().err == (
         f"trajeval: {tmp_path} is of version 0.3, which recorded pairs; read it with that "
-        "version: pip install 'trajeval-ros==0.3.*'\n"
+        f"version: {install_command('trajeval-ros==0.3.*')}\n"
     )
     assert not (tmp_path / "out").exists()
 

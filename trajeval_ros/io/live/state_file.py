@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.install_command import install_command
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 from trajeval_ros.io.json_file import require_schema
 from trajeval_ros.io.live.chunk_file import ChunkWriter, read_chunks
@@ -164,7 +165,7 @@ def state_files(folder: Path) -> list[Path]:
     if any(folder.glob(f"*{_OF_03}")):
         raise InputError(
             f"{folder} is of version 0.3, which recorded pairs; read it with that version: "
-            "pip install 'trajeval-ros==0.3.*'"
+            f"{install_command('trajeval-ros==0.3.*')}"
         )
     raise InputError(
         f"no live run in {folder} (no file *{SUFFIX}); give the output folder of the evaluator"
