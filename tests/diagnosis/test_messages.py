@@ -11,8 +11,8 @@ import pytest
 from trajeval_ros import AssociationRule, Protocol, Request, Trajectory, evaluate, run, simulate
 from trajeval_ros.diagnosis.evaluation_tests import number_of_pairs
 from trajeval_ros.diagnosis.findings import Diagnosis, Finding
-from trajeval_ros.diagnosis.warnings import remarks_on
 from trajeval_ros.geometry import lie
+from trajeval_ros.pipeline.evaluation_remarks import remarks_on
 from trajeval_ros.report.verdict_lines import verdict
 
 GROUNDTRUTH = simulate(seed=3, duration_s=40.0).groundtruth

@@ -35,25 +35,14 @@ from trajeval_ros.diagnosis.lost_tracking_tests import (
     lost_tracking,
 )
 from trajeval_ros.diagnosis.motion_tests import tests_of_motion
-from trajeval_ros.diagnosis.verification import Reevaluate, verified
-from trajeval_ros.diagnosis.warnings import (
-    about_lever_arm,
-    about_unused_rule,
-    remarks_on,
-    require_same_body,
-)
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.metrics.association import Association, associate
 from trajeval_ros.metrics.tracking_loss import FROZEN
 
 if TYPE_CHECKING:
-    from trajeval_ros.formatting.remarks import Remark
-    from trajeval_ros.geometry.fix_selection import FixRule
-    from trajeval_ros.geometry.gauge import Gauge
     from trajeval_ros.geometry.trajectory import Trajectory
     from trajeval_ros.metrics.evaluation import Evaluation
     from trajeval_ros.metrics.input_summary import InputSummary
-    from trajeval_ros.metrics.own_error import OwnError
     from trajeval_ros.metrics.protocol import Protocol
     from trajeval_ros.metrics.tracking_loss import Loss
 
@@ -65,29 +54,6 @@ _FINAL = {
 _OTHER_PAIRS = {*_FINAL, "clock_offset", "clock_drift", "other_run"}
 # With such a finding, the errors contain no information on covariances.
 _GRAVE = 5.2  # of ranks
-
-
-def diagnosed(
-    evaluation: Evaluation,
-    groundtruth: Trajectory,
-    estimate: Trajectory,
-    reevaluate: Reevaluate,
-    *,
-    paired: bool = False,
-    hand_eye_calibrated: bool = False,
-) -> tuple[Evaluation, Diagnosis]:
-    """Return an evaluation with remarks and without meaningless errors, and its diagnosis.
-
-    `reevaluate` evaluates with corrections. An alignment by orientations of another body is
-    refused.
-    """
-    diagnosis = diagnose(evaluation, groundtruth, estimate, paired=paired)
-    if hand_eye_calibrated:
-        diagnosis = diagnosis.after_hand_eye_calibration()
-    diagnosis = verified(diagnosis, evaluation, reevaluate)
-    require_same_body(evaluation, diagnosis)
-    remarks = (*remarks_on(evaluation, diagnosis), *evaluation.remarks)
-    return dataclasses.replace(evaluation, remarks=remarks), diagnosis
 
 
 def diagnose(
@@ -200,38 +166,6 @@ def require_conventions(
     found = _tested(inputs).of_conventions()
     if found is not None:
         raise InputError(f"--hand-eye auto needs correct conventions, but {found.text}")
-
-
-def require_fixes(
-    groundtruth: Trajectory, estimates: Sequence[Trajectory], gauge: Gauge, rule: FixRule
-) -> None:
-    """Refuse a gauge that the groundtruth's GNSS fixes, if it has any, do not support."""
-    if groundtruth.reading.fixes is not None:
-        from trajeval_ros.diagnosis.gnss_warnings import require_fixes_fit
-
-        require_fixes_fit(groundtruth, estimates, gauge, rule)
-
-
-def fix_remarks(
-    evaluation: Evaluation,
-    rule: FixRule,
-    own: OwnError | None = None,
-    why: str = "",
-    *,
-    lever_arm_known: bool = False,
-    of: int = 1,
-) -> list[Remark]:
-    """Return remarks on groundtruth of GNSS fixes or points, or on settings of fixes without them.
-
-    `own` is the error without the noise of the fixes, or None for the reason `why`, and `of` the
-    number of evaluated estimates. The point's place may be known (`lever_arm_known`).
-    """
-    lever_arm = [] if lever_arm_known else about_lever_arm(evaluation)
-    if evaluation.groundtruth.reading.fixes is None:
-        return [*about_unused_rule(rule), *lever_arm]
-    from trajeval_ros.diagnosis.gnss_warnings import about_fixes
-
-    return [*about_fixes(evaluation, own, why, of), *lever_arm]
 
 
 def same_estimate(estimate: InputSummary, others: Sequence[InputSummary]) -> Finding | None:

@@ -14,8 +14,6 @@ import numpy as np
 
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.consistency.covariance_request import CovarianceRequest, IntegrityRequest
-from trajeval_ros.diagnosis.diagnose import require_fixes
-from trajeval_ros.diagnosis.findings import Corrections, require_correctable
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.gauge import Gauge
@@ -26,6 +24,7 @@ from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.as_available import AvailabilityRule
 from trajeval_ros.metrics.protocol import GROUNDTRUTH_WEIGHTS, Protocol
 from trajeval_ros.metrics.states_table import FirstStates
+from trajeval_ros.pipeline.corrections import Corrections, require_correctable
 
 CONTINUOUS = "continuous"
 
@@ -140,7 +139,10 @@ class Request:
         protocol = self.protocol
         if self.gauge_is_default and groundtruth.reading.fixes is not None:
             protocol = dataclasses.replace(protocol, gauge=Gauge.YAW)
-        require_fixes(groundtruth, estimates, protocol.gauge, self.fixes)
+        if groundtruth.reading.fixes is not None:
+            from trajeval_ros.pipeline.fix_remarks import require_fixes_fit
+
+            require_fixes_fit(groundtruth, estimates, protocol.gauge, self.fixes)
         return dataclasses.replace(self, protocol=protocol)
 
     def corrected(self, correction: Mapping[str, str]) -> Request:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from trajeval_ros.diagnosis.causes import CAUSES
 from trajeval_ros.diagnosis.evaluation_tests import few_pairs
-from trajeval_ros.diagnosis.warnings import completeness_in_words
 from trajeval_ros.formatting.numbers import (
     NOTHING,
     counted,
@@ -19,6 +18,7 @@ from trajeval_ros.geometry.up_axis import ASSUMED, UpAxis
 from trajeval_ros.geometry.valid_poses import reasons
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.tracking_loss import DIVERGED, FROZEN
+from trajeval_ros.pipeline.input_remarks import completeness_in_words
 from trajeval_ros.report.definitions import METHOD_TEXTS, WEIGHT_TEXTS
 
 if TYPE_CHECKING:

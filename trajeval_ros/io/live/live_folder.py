@@ -51,8 +51,9 @@ from trajeval_ros.metrics.association import Association
 from trajeval_ros.metrics.input_summary import FixSummary, InputSummary
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.pipeline.outcome import FailedRun, Outcome, RunOutcome
-from trajeval_ros.pipeline.pipeline import run_live_pairs, with_own_errors
+from trajeval_ros.pipeline.pipeline import run_live_pairs
 from trajeval_ros.pipeline.request import Request
+from trajeval_ros.pipeline.several_runs import with_own_errors
 
 Streams = tuple[Trajectory, Trajectory]
 
