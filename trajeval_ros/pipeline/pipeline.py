@@ -177,11 +177,18 @@ def diagnose(
 
 
 def _measured(
-    given: Inputs, request: Request, same_as: Calibrated | None = None
+    given: Inputs,
+    request: Request,
+    same_as: Calibrated | None = None,
+    *,
+    compares: bool = True,
 ) -> tuple[Inputs, Calibrated | None, Evaluation]:
-    """Correct, cut, calibrate, associate, align and compute the errors of one estimate."""
+    """Correct, cut, calibrate, associate, align and compute the errors of one estimate.
+
+    A calibration `compares` errors with those without it.
+    """
     inputs, protocol = in_world_axes(corrected_and_cut(given, request), request)
-    calibrated = _calibrated(inputs, protocol, request, same_as)
+    calibrated = _calibrated(inputs, protocol, request, same_as, compares=compares)
     if calibrated is None:
         return inputs, None, inputs.evaluated(protocol)
     evaluation = calibrated.evaluation
@@ -207,7 +214,7 @@ def _reevaluate(given: Inputs, request: Request, same_as: Calibrated | None = No
             if given.pairs is not None and correction.keys() & _TEMPORAL:
                 sides = _unpaired(given.pairs)
                 changed = _with_gaps_of(given.pairs, changed)
-        return _measured(sides, changed, same_as)[2]
+        return _measured(sides, changed, same_as, compares=False)[2]
 
     return reevaluate
 
@@ -333,7 +340,12 @@ def _available(inputs: Inputs, evaluation: Evaluation, request: Request) -> AsAv
 
 
 def _calibrated(
-    inputs: Inputs, protocol: Protocol, request: Request, same_as: Calibrated | None
+    inputs: Inputs,
+    protocol: Protocol,
+    request: Request,
+    same_as: Calibrated | None,
+    *,
+    compares: bool,
 ) -> Calibrated | None:
     """Estimate or apply the clock and the body, and evaluate; None if neither is requested."""
     groundtruth, estimate, pairs = inputs.groundtruth, inputs.estimate, inputs.pairs
@@ -344,7 +356,13 @@ def _calibrated(
     from trajeval_ros.calibration.apply import evaluate_calibrated
 
     return evaluate_calibrated(
-        groundtruth, estimate, protocol, request.calibration, same_as=same_as, pairs=pairs
+        groundtruth,
+        estimate,
+        protocol,
+        request.calibration,
+        same_as=same_as,
+        pairs=pairs,
+        compares=compares,
     )
 
 
