@@ -7,7 +7,7 @@ import bisect
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.metrics.discontinuities.pose_stream import PoseStream
+from trajeval_ros.metrics.discontinuities.pose_stream import SidePoses
 from trajeval_ros.metrics.discontinuities.relative_motion import (
     Difference,
     Pair,
@@ -21,8 +21,8 @@ _TIMES_MOVED = 3.0  # the motion exceeds the rest by this: a robot at rest agree
 
 
 def clock_by_motion(
-    stream: PoseStream,
-    other: PoseStream,
+    stream: SidePoses,
+    other: SidePoses,
     number: int,
     before_s: float,
     after_s: float,

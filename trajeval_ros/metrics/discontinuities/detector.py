@@ -22,9 +22,9 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.discontinuities import events as kinds
 from trajeval_ros.metrics.discontinuities.clock_by_motion import clock_by_motion
 from trajeval_ros.metrics.discontinuities.events import SIDES, UNDECIDED, Event
-from trajeval_ros.metrics.discontinuities.exoneration import GAP_PERIODS, Verdict, guilty_side
+from trajeval_ros.metrics.discontinuities.exoneration import GAP_PERIODS, SideVerdict, guilty_side
 from trajeval_ros.metrics.discontinuities.frozen_parts import FrozenParts
-from trajeval_ros.metrics.discontinuities.pose_stream import PoseStream
+from trajeval_ros.metrics.discontinuities.pose_stream import SidePoses
 from trajeval_ros.metrics.discontinuities.relative_motion import (
     CELL_S,
     LAGS,
@@ -87,7 +87,8 @@ class _Step:
 class Discontinuities:
     """Takes the poses of both sides in order of arrival and finds events.
 
-    The events are equal for batches of any size. The memory is that of about one minute.
+    Kind, side, time and size are those for batches of any size; `ratio` may differ, as the first
+    limits depend on the first batch. The memory is that of about one minute.
 
     Example:
         >>> import numpy as np
@@ -107,7 +108,7 @@ class Discontinuities:
     def __init__(self, *, oriented: bool = True) -> None:
         """Create it before the first message; without orientations, positions are compared."""
         self.events: list[Event] = []  # in order of detection
-        self._streams = PoseStream(oriented=oriented), PoseStream(oriented=oriented)
+        self._streams = SidePoses(oriented=oriented), SidePoses(oriented=oriented)
         self._motion = RelativeMotion(oriented=oriented)
         self._zero_ns: int | None = None
         self._periods: tuple[float, float] | None = None  # seconds, of both sides
@@ -189,7 +190,7 @@ class Discontinuities:
             verdict = self._guilty(step_left.begin, step_left.after, step_left.size, (True, True))
             if verdict.side:
                 # The recording ends before it is known whether the step stays.
-                verdict = Verdict(verdict.side, UNDECIDED, verdict.innovations, verdict.gap_s)
+                verdict = SideVerdict(verdict.side, UNDECIDED, verdict.innovations, verdict.gap_s)
                 self._add(kinds.STEP, verdict, step_left, step_left.pairs[-1])
         self.events.sort(key=lambda event: event.t_ns)
         return self.events
@@ -484,7 +485,7 @@ class Discontinuities:
             self._marks.clear()
         self._resume(step, row)
 
-    def _kind_of_step(self, begin: Pair, end: Pair, size: Difference, verdict: Verdict) -> str:
+    def _kind_of_step(self, begin: Pair, end: Pair, size: Difference, verdict: SideVerdict) -> str:
         """Return whether the estimate restarted, was corrected, or made another step."""
         assert self._first is not None
         scale, origin = self._motion.scale, (0.0, 0.0, 0.0)
@@ -504,7 +505,7 @@ class Discontinuities:
                 return kinds.CORRECTION
         return kinds.STEP
 
-    def _ends_excursion(self, verdict: Verdict, end: Pair) -> bool:
+    def _ends_excursion(self, verdict: SideVerdict, end: Pair) -> bool:
         """Return whether the poses return to the path before an earlier step that stayed."""
         for stayed in reversed(self._stayed):
             begin, start, event, before = stayed
@@ -599,7 +600,7 @@ class Discontinuities:
 
     def _guilty(
         self, begin: Pair, end: Pair, size: Difference, parts: tuple[bool, bool]
-    ) -> Verdict:
+    ) -> SideVerdict:
         assert self._periods is not None
         innovations = []
         for number, stream in enumerate(self._streams):
@@ -611,7 +612,7 @@ class Discontinuities:
         assert self._periods is not None
         return 0.0 if number == self._base else 1.01 * self._periods[number]
 
-    def _add(self, kind: str, verdict: Verdict, step: _Step, end: Pair) -> Event:
+    def _add(self, kind: str, verdict: SideVerdict, step: _Step, end: Pair) -> Event:
         by_m, by_deg = step.by_parts
         event = Event(
             kind,
@@ -675,7 +676,7 @@ def _by_parts(size: Difference, limits: tuple[float, float]) -> tuple[bool, bool
     return m > 1.0 and (m > 0.2 * deg or m > 3.0), deg > 1.0 and (deg > 0.2 * m or deg > 3.0)
 
 
-def _both_edges(out: Verdict, back: Verdict) -> Verdict:
+def _both_edges(out: SideVerdict, back: SideVerdict) -> SideVerdict:
     """Return the verdict on an excursion by its begin and its end."""
     if out.side == back.side:
         return out

@@ -20,7 +20,7 @@ _SLOWEST_S = 0.5  # a slower side does not show which one jumped
 
 
 @dataclass(frozen=True)
-class Verdict:
+class SideVerdict:
     """The side that made a step; "" if neither jumps."""
 
     side: str
@@ -35,7 +35,7 @@ def guilty_side(
     scale: float,
     size: Difference,
     parts: tuple[bool, bool],
-) -> Verdict:
+) -> SideVerdict:
     """Return the side that made a step, by exoneration.
 
     `innovations`: of groundtruth and estimate. `scale`: metres per unit of the estimate. `parts`:
@@ -55,22 +55,22 @@ def guilty_side(
         is_odd = (by_m and moved > least_m) or (by_deg and innovation.deg > least_deg)
         odd.append(is_whole and is_odd)
     both = shares[0], shares[1]
-    undecided = Verdict(UNDECIDED, UNDECIDED, both, max(gaps))
+    undecided = SideVerdict(UNDECIDED, UNDECIDED, both, max(gaps))
     free = [is_whole and share < _EXONERATES for is_whole, share in zip(whole, both, strict=True)]
     if all(free):
-        return Verdict("", "", both)
+        return SideVerdict("", "", both)
     if periods_s[0] > _SLOWEST_S:
         return undecided
     if any(free):
         number = 1 if free[0] else 0
         is_sure = not whole[number] or both[number] > _CONVICTS
-        return Verdict(SIDES[number], "sure" if is_sure else "likely", both, gaps[number])
+        return SideVerdict(SIDES[number], "sure" if is_sure else "likely", both, gaps[number])
     if not all(whole) or max(periods_s) > _SLOWEST_S:
         return undecided
     if odd[0] != odd[1]:
-        return Verdict(SIDES[int(odd[1])], "likely", both)
+        return SideVerdict(SIDES[int(odd[1])], "likely", both)
     if both[1] > _TIMES_OTHER * both[0]:
-        return Verdict(ESTIMATE, "likely", both)
+        return SideVerdict(ESTIMATE, "likely", both)
     if both[0] > _TIMES_OTHER * both[1]:
-        return Verdict(GROUNDTRUTH, "likely", both)
+        return SideVerdict(GROUNDTRUTH, "likely", both)
     return undecided

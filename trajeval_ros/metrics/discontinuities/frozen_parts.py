@@ -14,7 +14,7 @@ from trajeval_ros.metrics.discontinuities.events import (
     SIDES,
     Event,
 )
-from trajeval_ros.metrics.discontinuities.pose_stream import FROZEN_S, PoseStream, Repeats
+from trajeval_ros.metrics.discontinuities.pose_stream import FROZEN_S, Repeats, SidePoses
 
 _MOVED_M, _MOVED_DEG = 0.15, 10.0  # motion of the other side that is no noise
 _KINDS = {"position": FROZEN_POSITION, "rotation": FROZEN_ROTATION}
@@ -33,7 +33,7 @@ class _Followed:
 class FrozenParts:
     """Follows the repeats of both sides, and compares them with the other side's motion."""
 
-    def __init__(self, streams: tuple[PoseStream, PoseStream]) -> None:
+    def __init__(self, streams: tuple[SidePoses, SidePoses]) -> None:
         self._streams = streams
         self._followed: list[tuple[int, _Followed]] = []
 
@@ -95,7 +95,7 @@ class FrozenParts:
         else:
             followed.event.deg = followed.moved
 
-    def _moved(self, followed: _Followed, other: PoseStream, row: int, scale: float) -> float:
+    def _moved(self, followed: _Followed, other: SidePoses, row: int, scale: float) -> float:
         assert followed.position is not None
         if followed.repeats.part == "position":
             return scale * math.dist(followed.position, other.positions[row])

@@ -40,7 +40,7 @@ class Innovation:
     usual_deg: float
 
 
-class PoseStream:
+class SidePoses:
     """The poses of one side, without repeated ones, so that a frozen pose is a gap."""
 
     def __init__(self, *, oriented: bool) -> None:
