@@ -87,8 +87,7 @@ class _Step:
 class Discontinuities:
     """Takes the poses of both sides in order of arrival and finds events.
 
-    Kind, side, time and size are those for batches of any size; `ratio` may differ, as the first
-    limits depend on the first batch. The memory is that of about one minute.
+    The events are equal for batches of any size. The memory is that of about one minute.
 
     Example:
         >>> import numpy as np
@@ -237,7 +236,11 @@ class Discontinuities:
         overlap_s = min(groundtruth.stamps[-1], estimate.stamps[-1]) - begin_s
         if overlap_s < _LEAST_OVERLAP_S and not at_end:
             return False
-        first, second = (float(np.median(np.diff(each.stamps[:400]))) for each in self._streams)
+        until_s = begin_s + _LEAST_OVERLAP_S  # the same poses for batches of any size
+        first, second = (
+            float(np.median(np.diff(each.stamps[: max(bisect.bisect(each.stamps, until_s), 2)])))
+            for each in self._streams
+        )
         self._periods, self._base = (first, second), 0 if first > 1.5 * second else 1
         self._begin_s = begin_s
         self._usual = UsualDifferences(self._period_s)
