@@ -52,17 +52,22 @@ ARRAYS = ("Booleans", "Bytes", "Floats", "Indices", "NDArray", "Stamps")
 # Dataclasses that count, or that are filled in steps.
 CHANGING = {
     "Chunk",
+    "Event",
     "McapContents",
     "MessageIndex",
     "PlaybackResult",
     "Progress",
     "Registry",
+    "Repeats",
     "StateCounts",
     "StreamStatus",
     "TopicReading",
     "TopicSelection",
     "WatchAlarm",
+    "_Candidate",
+    "_Followed",
     "_Kind",
+    "_Step",
     "_Leaves",
 }
 MODULES_AT_THE_TOP = {"__init__", "__main__", "exceptions", "linear_algebra_threads"}
