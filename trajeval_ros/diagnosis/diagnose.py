@@ -22,6 +22,7 @@ from trajeval_ros.diagnosis.clock_tests import (
 )
 from trajeval_ros.diagnosis.column_tests import columns_of_others
 from trajeval_ros.diagnosis.convention_tests import conventions
+from trajeval_ros.diagnosis.discontinuity_remarks import events_of
 from trajeval_ros.diagnosis.dropout_tests import groundtruth_defects, restart, without_defects
 from trajeval_ros.diagnosis.evaluation_tests import (
     covariance_blocks,
@@ -65,6 +66,8 @@ from trajeval_ros.diagnosis.warnings import (
 )
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.metrics.association import Association, associate
+from trajeval_ros.metrics.discontinuities.events import CLOCK_STEP
+from trajeval_ros.metrics.discontinuities.parts import parts_of
 from trajeval_ros.metrics.tracking_loss import FROZEN
 
 if TYPE_CHECKING:
@@ -106,11 +109,16 @@ def diagnosed(
 
     `again` evaluates with corrections. An alignment by another body's orientations is refused.
     """
-    diagnosis = diagnose(evaluation, groundtruth, estimate, paired=paired)
+    events = events_of(evaluation, paired=paired)
+    diagnosis = Diagnosis()
+    if not any(event.kind == CLOCK_STEP for event in events):  # which looks like other mistakes
+        diagnosis = diagnose(evaluation, groundtruth, estimate, paired=paired)
     if hand_eye_calibrated:
         diagnosis = diagnosis.after_hand_eye_calibration()
     diagnosis = with_tried_advice(diagnosis, evaluation, again)
     require_same_body(evaluation, diagnosis)
+    parts = parts_of(evaluation.association, events, evaluation.protocol)
+    evaluation = dataclasses.replace(evaluation, events=events, parts=parts)
     remarks = (*remarks_on(evaluation, diagnosis), *evaluation.remarks)
     return dataclasses.replace(evaluation, remarks=remarks), diagnosis
 

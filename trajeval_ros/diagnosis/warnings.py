@@ -9,23 +9,24 @@ import numpy as np
 
 from trajeval_ros.consistency.yaw_information import YawInformation
 from trajeval_ros.diagnosis.causes import CAUSES
+from trajeval_ros.diagnosis.discontinuity_remarks import about_discontinuities
 from trajeval_ros.diagnosis.findings import Diagnosis
 from trajeval_ros.diagnosis.input_tests import stamped_at_arrival
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted, percent, whole_percent
 from trajeval_ros.formatting.remarks import Level, Remark, warning
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Indices
 from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.travelled import (
-    StepDifferences,
-    cause_of_jumps,
-    step_lengths,
-)
+from trajeval_ros.geometry.travelled import StepDifferences, step_lengths
 from trajeval_ros.geometry.up_axis import ASSUMED
 from trajeval_ros.geometry.valid_poses import MOST_UNUSABLE, NO_STATE, reasons
 from trajeval_ros.metrics.absolute_errors import AbsoluteErrors
+from trajeval_ros.metrics.discontinuities.events import (
+    ESTIMATE,
+    FROZEN_POSITION,
+    GROUNDTRUTH,
+)
 from trajeval_ros.metrics.moments import Moments
 from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.premises import Doubts, Premise
@@ -41,6 +42,13 @@ LOW_COVERAGE = 0.9
 LARGE_TILT_DEG = 10.0
 _WHOLE = 0.95  # of the time from the first to the last pair
 _BACK = 0.1  # of the differences of steps, that of two steps together if poses alternate
+# Side of a frozen pose by the cause of the finding.
+_FROZEN = {
+    "frozen": ESTIMATE,
+    "frozen_at_start": ESTIMATE,
+    "groundtruth_frozen": GROUNDTRUTH,
+    "groundtruth_held": GROUNDTRUTH,
+}
 # Of a UTM zone; northings below are within 9 deg of the equator.
 _EASTING_M, _NORTHING_M = (1e5, 1e6), (1e6, 1e7)
 # Largest factor on the position ATE by orientations in the alignment, without a warning.
@@ -83,7 +91,7 @@ def remarks_on(evaluation: Evaluation, diagnosis: Diagnosis) -> tuple[Remark, ..
         *_about_up_axis(evaluation),
         *([] if _is_lost(diagnosis) else _about_freedom(evaluation)),
         *_about_alignment(evaluation),
-        *([] if _explains_jumps(diagnosis) else _about_jumps(evaluation)),
+        *([] if _explains_jumps(diagnosis) else _about_jumps(evaluation, diagnosis)),
         *_about_rotations(evaluation),
         *_about_coverage(evaluation),
         *_about_relative_errors(evaluation),
@@ -173,7 +181,15 @@ def _is_lost(diagnosis: Diagnosis) -> bool:
     return any(each.cause.startswith(DIVERGED) for each in diagnosis.findings)
 
 
-def _about_jumps(evaluation: Evaluation) -> Iterator[Remark]:
+def _about_jumps(evaluation: Evaluation, diagnosis: Diagnosis) -> Iterator[Remark]:
+    sides = {_FROZEN[each.cause] for each in diagnosis.findings if each.cause in _FROZEN}
+    events = [
+        event
+        for event in evaluation.events
+        if not (event.kind == FROZEN_POSITION and event.side in sides)
+    ]
+    if not _is_lost(diagnosis):
+        yield from about_discontinuities(evaluation, events, evaluation.parts)
     groundtruth, estimate = evaluation.association.groundtruth, evaluation.association.estimate
     scale = evaluation.alignment.similarity.scale
     true, own = groundtruth.positions, estimate.positions
@@ -190,35 +206,6 @@ def _about_jumps(evaluation: Evaluation) -> Iterator[Remark]:
             f"every other pose of the estimate is {back_m:.2g} m away, and the next one is back: "
             "messages of two publishers are probably mixed; evaluate one of them",
         )
-    wrong = steps.groundtruth_jumps(back_m)
-    is_wrong = np.zeros(len(steps.true_m), dtype=bool)
-    is_wrong[wrong] = True
-    jumps = steps.jumps(back_m, median(steps.rotation_deg))
-    jumps = jumps[~is_wrong[jumps]]
-    for who, rows in (("groundtruth", wrong), ("estimate", jumps)):
-        if len(rows):
-            yield _jump_warning(evaluation, who, steps, rows)
-
-
-def _jump_warning(
-    evaluation: Evaluation, who: str, steps: StepDifferences, jumps: Indices
-) -> Remark:
-    """Return the warning about steps, `jumps` (K,), that one side alone makes."""
-    groundtruth, first = evaluation.association.groundtruth, jumps[0]
-    where = "once" if len(jumps) == 1 else f"at {len(jumps)} places"
-    at = f"at pair {first + 2}"
-    if groundtruth.reading.stamped:
-        at = f"{groundtruth.seconds[first + 1]:.1f} s after the first pair"
-    turns = evaluation.association.have_rotations
-    other, cause = "groundtruth", f"{cause_of_jumps(len(jumps))}, which one alignment can't fit"
-    if who == other:
-        other, cause, turns = "estimate", "it has wrong samples there; remove them", False
-    return warning(
-        "jumps",
-        f"the {who} jumps {where}, first {at}, by {steps.position_m[first]:.2f} m"
-        + (f" and {steps.rotation_deg[first]:.0f} deg" if turns else "")
-        + f" more than the {other}: {cause}",
-    )
 
 
 def _about_rotations(evaluation: Evaluation) -> Iterator[Remark]:

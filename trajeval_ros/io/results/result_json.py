@@ -139,6 +139,8 @@ def _run(run: RunOutcome, groundtruth_up: UpAxis) -> dict[str, Any]:
         "as_available": run.available and dataclasses.asdict(run.available.numbers),
         "diagnosis": findings_json(run.diagnosis.findings),
         "corrected": findings_json(run.corrected),
+        "events": [dataclasses.asdict(each) for each in evaluation.events],
+        "segments": [dataclasses.asdict(each) for each in evaluation.parts],
         "live": run.live,
         "remarks": [remark_json(each) for each in evaluation.remarks],
     }

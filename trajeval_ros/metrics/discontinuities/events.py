@@ -11,6 +11,8 @@ SIDES = GROUNDTRUTH, ESTIMATE
 OUTLIER, FLIP, STEP, RESTART, CORRECTION = "outlier", "flip", "step", "restart", "correction"
 FLIP_STAYS, FROZEN_POSITION, FROZEN_ROTATION = "flip_stays", "frozen_position", "frozen_rotation"
 CLOCK_STEP, LOST = "clock_step", "lost"
+# Kinds that end a part of the estimate that one alignment fits.
+PARTING = STEP, RESTART
 
 
 @dataclass
