@@ -16,7 +16,7 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.metrics.discontinuities.clock_correction import without_clock_steps
+from trajeval_ros.metrics.discontinuities.handling import without_clock_steps
 from trajeval_ros.metrics.discontinuities.detector import Discontinuities, discontinuities
 from trajeval_ros.metrics.discontinuities.events import SIDES, Event
 

@@ -22,8 +22,12 @@ from trajeval_ros.diagnosis.clock_tests import (
 )
 from trajeval_ros.diagnosis.column_tests import columns_of_others
 from trajeval_ros.diagnosis.convention_tests import conventions
-from trajeval_ros.diagnosis.discontinuity_remarks import events_of
-from trajeval_ros.diagnosis.dropout_tests import groundtruth_defects, restart, without_defects
+from trajeval_ros.diagnosis.discontinuities import (
+    examined_discontinuities,
+    has_clock_step,
+    with_events,
+)
+from trajeval_ros.diagnosis.dropout_tests import groundtruth_defects, without_defects
 from trajeval_ros.diagnosis.evaluation_tests import (
     covariance_blocks,
     frame_offset,
@@ -66,8 +70,6 @@ from trajeval_ros.diagnosis.warnings import (
 )
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.metrics.association import Association, associate
-from trajeval_ros.metrics.discontinuities.events import CLOCK_STEP
-from trajeval_ros.metrics.discontinuities.parts import parts_of
 from trajeval_ros.metrics.tracking_loss import FROZEN
 
 if TYPE_CHECKING:
@@ -109,16 +111,12 @@ def diagnosed(
 
     `again` evaluates with corrections. An alignment by another body's orientations is refused.
     """
-    events = events_of(evaluation, paired=paired)
-    diagnosis = Diagnosis()
-    if not any(event.kind == CLOCK_STEP for event in events):  # which looks like other mistakes
-        diagnosis = diagnose(evaluation, groundtruth, estimate, paired=paired)
+    evaluation = with_events(evaluation, groundtruth, estimate, paired=paired)
+    diagnosis = diagnose(evaluation, groundtruth, estimate, paired=paired)
     if hand_eye_calibrated:
         diagnosis = diagnosis.after_hand_eye_calibration()
     diagnosis = with_tried_advice(diagnosis, evaluation, again)
     require_same_body(evaluation, diagnosis)
-    parts = parts_of(evaluation.association, events, evaluation.protocol)
-    evaluation = dataclasses.replace(evaluation, events=events, parts=parts)
     remarks = (*remarks_on(evaluation, diagnosis), *evaluation.remarks)
     return dataclasses.replace(evaluation, remarks=remarks), diagnosis
 
@@ -134,8 +132,11 @@ def diagnose(
     """Search for mistakes that affect an evaluation of two trajectories.
 
     These are in the order of their sources, without the time offset. They may be `paired`: contain
-    only the pairs, row by row. `losses` of tracking are by default those in the pairs.
+    only the pairs, row by row. `losses` of tracking are by default those in the pairs. The
+    evaluation has its events, see `with_events`.
     """
+    if has_clock_step(evaluation):  # the other tests rely on clocks
+        return Diagnosis.of([examined_discontinuities(evaluation, Diagnosis())])
     protocol, pairs = evaluation.protocol, evaluation.association
     time_offset_s = None
     if paired or pairs.rule.method == "index":
@@ -147,9 +148,10 @@ def diagnose(
     losses = losses_in(pairs) if losses is None else losses
     inputs = InputPair.of(groundtruth, estimate, protocol, time_offset_s=time_offset_s)
     found, is_lost = _tested_where_tracked(losses, pairs, inputs)
+    examined = [number, *found.examined, examined_discontinuities(evaluation, found)]
     if is_lost:
-        return Diagnosis.of([number, *found.examined])
-    examined = [number, *found.examined, frame_offset(evaluation)]
+        return Diagnosis.of(examined)
+    examined.append(frame_offset(evaluation))
     if all(each.rank < _GRAVE for each in found.findings):
         if _may_be_apart(found):
             examined.append(small_clock_offset(evaluation))
@@ -348,12 +350,9 @@ def _tests_of_geometry(
             other = Seen("other_run", 1.0, {"peak": match.peak})
             return [Examined("conventions", {"peak": match.peak}, (other,))]
         return [Examined("conventions", why_not="too few short motions have groundtruth")]
-    examined = [restart(groundtruth, estimate)]
-    if examined[-1].seen:
-        return examined
     moving, turning = moving.without_jumps(estimate), turning.without_jumps(estimate)
     as_read = fit_as_read(moving, turning)
-    examined.append(conventions(as_read, moving, turning, match))
+    examined = [conventions(as_read, moving, turning, match)]
     found = _causes(examined)
     if found - {"rotations"}:
         return examined

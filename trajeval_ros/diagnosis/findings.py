@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from trajeval_ros.diagnosis.causes import CAUSES
+from trajeval_ros.diagnosis.causes import CAUSES, CLOCK_STEPS, FLAG
 from trajeval_ros.exceptions import InputError, require_one_of
 from trajeval_ros.formatting.numbers import four_digits
 from trajeval_ros.formatting.remarks import Remark, warning
@@ -181,7 +181,8 @@ class Finding:
     @property
     def option(self) -> str:
         """The option of `evaluate` that corrects it; "" without a correction."""
-        return f"--correct {self.cause}" if self.conversion else _options(self.correction)
+        is_named = bool(self.conversion) or CLOCK_STEPS in self.correction
+        return f"--correct {self.cause}" if is_named else _options(self.correction)
 
     @property
     def conversion(self) -> str:
@@ -274,7 +275,8 @@ class Diagnosis:
 
 def _options(values: Mapping[str, str]) -> str:
     return " ".join(
-        f"--{name.replace('_', '-')}" + (f"={text}" if text.startswith("-") else f" {text}")
+        f"--{name.replace('_', '-')}"
+        + (f"={text}" if text.startswith("-") else f" {text}".removesuffix(f" {FLAG}"))
         for name, text in values.items()
     )
 

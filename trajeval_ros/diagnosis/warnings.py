@@ -9,7 +9,7 @@ import numpy as np
 
 from trajeval_ros.consistency.yaw_information import YawInformation
 from trajeval_ros.diagnosis.causes import CAUSES
-from trajeval_ros.diagnosis.discontinuity_remarks import about_discontinuities
+from trajeval_ros.diagnosis.discontinuities import about_small_discontinuities, has_clock_step
 from trajeval_ros.diagnosis.findings import Diagnosis
 from trajeval_ros.diagnosis.input_tests import stamped_at_arrival
 from trajeval_ros.exceptions import InputError
@@ -22,11 +22,6 @@ from trajeval_ros.geometry.travelled import StepDifferences, step_lengths
 from trajeval_ros.geometry.up_axis import ASSUMED
 from trajeval_ros.geometry.valid_poses import MOST_UNUSABLE, NO_STATE, reasons
 from trajeval_ros.metrics.absolute_errors import AbsoluteErrors
-from trajeval_ros.metrics.discontinuities.events import (
-    ESTIMATE,
-    FROZEN_POSITION,
-    GROUNDTRUTH,
-)
 from trajeval_ros.metrics.moments import Moments
 from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.premises import Doubts, Premise
@@ -42,13 +37,6 @@ LOW_COVERAGE = 0.9
 LARGE_TILT_DEG = 10.0
 _WHOLE = 0.95  # of the time from the first to the last pair
 _BACK = 0.1  # of the differences of steps, that of two steps together if poses alternate
-# Side of a frozen pose by the cause of the finding.
-_FROZEN = {
-    "frozen": ESTIMATE,
-    "frozen_at_start": ESTIMATE,
-    "groundtruth_frozen": GROUNDTRUTH,
-    "groundtruth_held": GROUNDTRUTH,
-}
 # Of a UTM zone; northings below are within 9 deg of the equator.
 _EASTING_M, _NORTHING_M = (1e5, 1e6), (1e6, 1e7)
 # Largest factor on the position ATE by orientations in the alignment, without a warning.
@@ -91,7 +79,8 @@ def remarks_on(evaluation: Evaluation, diagnosis: Diagnosis) -> tuple[Remark, ..
         *_about_up_axis(evaluation),
         *([] if _is_lost(diagnosis) else _about_freedom(evaluation)),
         *_about_alignment(evaluation),
-        *([] if _explains_jumps(diagnosis) else _about_jumps(evaluation, diagnosis)),
+        *about_small_discontinuities(evaluation, diagnosis),
+        *([] if _explains_jumps(diagnosis) else _about_mixed_publishers(evaluation)),
         *_about_rotations(evaluation),
         *_about_coverage(evaluation),
         *_about_relative_errors(evaluation),
@@ -181,15 +170,7 @@ def _is_lost(diagnosis: Diagnosis) -> bool:
     return any(each.cause.startswith(DIVERGED) for each in diagnosis.findings)
 
 
-def _about_jumps(evaluation: Evaluation, diagnosis: Diagnosis) -> Iterator[Remark]:
-    sides = {_FROZEN[each.cause] for each in diagnosis.findings if each.cause in _FROZEN}
-    events = [
-        event
-        for event in evaluation.events
-        if not (event.kind == FROZEN_POSITION and event.side in sides)
-    ]
-    if not _is_lost(diagnosis):
-        yield from about_discontinuities(evaluation, events, evaluation.parts)
+def _about_mixed_publishers(evaluation: Evaluation) -> Iterator[Remark]:
     groundtruth, estimate = evaluation.association.groundtruth, evaluation.association.estimate
     scale = evaluation.alignment.similarity.scale
     true, own = groundtruth.positions, estimate.positions
@@ -347,7 +328,7 @@ def _about_inputs(evaluation: Evaluation) -> Iterator[Remark]:
     paired = evaluation.association.estimate
     for name, side in (("groundtruth", groundtruth), ("estimate", paired)):
         yield from _about_projection(name, side)
-        if stamped_at_arrival(side):
+        if not has_clock_step(evaluation) and stamped_at_arrival(side):
             yield warning(
                 "arrival_times",
                 f"the {name}'s timestamps are probably arrival times: they have jitter, its "

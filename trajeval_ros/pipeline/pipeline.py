@@ -21,6 +21,7 @@ from trajeval_ros.diagnosis.diagnose import (
     require_conventions,
     same_estimate,
 )
+from trajeval_ros.diagnosis.discontinuities import with_events
 from trajeval_ros.diagnosis.findings import Diagnosis, Finding, Tried, finding_to_correct
 from trajeval_ros.diagnosis.trials import Again, with_tried_advice
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
@@ -38,6 +39,7 @@ from trajeval_ros.metrics.stream_health import UNKNOWN, StreamHealth, health_of
 from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
 from trajeval_ros.pipeline.preparation import (
     Inputs,
+    at_discontinuities,
     corrected_and_cut,
     in_world_axes,
     named,
@@ -165,6 +167,7 @@ def diagnose(
         return with_tried_advice(found, None, again), str(error)
     sides = inputs.groundtruth, inputs.estimate
     paired = inputs.pairs is not None
+    evaluation = with_events(evaluation, *sides, paired=paired)
     found = diagnose_evaluation(evaluation, *sides, paired=paired, losses=losses)
     return with_tried_advice(found, evaluation, again), ""
 
@@ -174,6 +177,8 @@ def _measured(
 ) -> tuple[Inputs, Calibrated | None, Evaluation]:
     """Correct, cut, calibrate, associate, align and compute the errors of one estimate."""
     inputs, protocol = in_world_axes(corrected_and_cut(given, request), request)
+    offset_s = protocol.association.time_offset_s
+    inputs = at_discontinuities(inputs, request.discontinuities, offset_s)
     calibrated = _calibrated(inputs, protocol, request, same_as)
     if calibrated is None:
         return inputs, None, inputs.evaluated(protocol)

@@ -13,6 +13,7 @@ FLIP_STAYS, FROZEN_POSITION, FROZEN_ROTATION = "flip_stays", "frozen_position", 
 CLOCK_STEP, LOST = "clock_step", "lost"
 # Kinds that end a part of the estimate that one alignment fits.
 PARTING = STEP, RESTART
+EXCURSIONS = OUTLIER, FLIP  # kinds that return to the former path
 
 
 @dataclass

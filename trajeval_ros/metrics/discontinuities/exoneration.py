@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,10 +13,8 @@ from trajeval_ros.metrics.discontinuities.relative_motion import Difference
 GAP_PERIODS = 4.0  # a longer step of timestamps is a gap: the motion in it is unknown
 # Innovation as a fraction of the step: a smooth side has none, a guilty one nearly all of it.
 _EXONERATES, _CONVICTS = 0.34, 0.5
-_TIMES_USUAL, _TIMES_OTHER = (
-    3.0,
-    3.0,
-)  # an innovation that is odd for its side, or beside the other
+_TIMES_USUAL = 3.0  # an innovation that is unusual for its side
+_TIMES_OTHER = 3.0  # an innovation that is unusual next to the other side's
 _SLOWEST_S = 0.5  # a slower side does not show which one jumped
 
 
@@ -48,7 +47,7 @@ def guilty_side(
         is_whole = innovation.gap_s <= max(GAP_PERIODS * period_s, 1e-3)
         moved = unit * innovation.m
         whole.append(is_whole)
-        gaps.append(0.0 if is_whole else innovation.gap_s)
+        gaps.append(0.0 if is_whole or math.isinf(innovation.gap_s) else innovation.gap_s)
         shares.append(max(moved / m if by_m else 0.0, innovation.deg / deg if by_deg else 0.0))
         least_m = max(_EXONERATES * m, _TIMES_USUAL * unit * innovation.usual_m)
         least_deg = max(_EXONERATES * deg, _TIMES_USUAL * innovation.usual_deg)
