@@ -89,9 +89,7 @@ def about_small_discontinuities(evaluation: Evaluation, known: Diagnosis) -> Ite
 def _unexplained(evaluation: Evaluation, known: Diagnosis) -> list[Event]:
     """Return the events that no other finding explains."""
     frozen = {_FROZEN[finding.cause] for finding in known.findings if finding.cause in _FROZEN}
-    graver = {
-        finding.cause for finding in known.findings if finding.rank >= CAUSES["scale"].rank
-    }
+    graver = {finding.cause for finding in known.findings if finding.rank >= CAUSES["scale"].rank}
     if graver - DISCONTINUITIES - _FROZEN.keys() - {"identical"}:
         return []
     return [

@@ -14,8 +14,8 @@ import numpy as np
 
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.consistency.covariance_request import CovarianceRequest, IntegrityRequest
-from trajeval_ros.diagnosis.diagnose import require_fixes
 from trajeval_ros.diagnosis.causes import CLOCK_STEPS
+from trajeval_ros.diagnosis.diagnose import require_fixes
 from trajeval_ros.diagnosis.findings import Corrections, require_correctable
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.fix_selection import FixRule
@@ -85,7 +85,7 @@ class Request:
     integrity: IntegrityRequest | None = None
     watch_factor: float | None = None
     available: AvailabilityRule = field(default_factory=AvailabilityRule)
-    discontinuities: DiscontinuityRule = DiscontinuityRule()
+    discontinuities: DiscontinuityRule = field(default_factory=DiscontinuityRule)
 
     def __post_init__(self) -> None:
         """Refuse contradictory parts and unknown axes."""
@@ -153,9 +153,7 @@ class Request:
         if CLOCK_STEPS in correction:
             discontinuities = dataclasses.replace(discontinuities, correct_clock_steps=True)
         if "drop_groundtruth_outliers" in correction:
-            discontinuities = dataclasses.replace(
-                discontinuities, drop_groundtruth_outliers=True
-            )
+            discontinuities = dataclasses.replace(discontinuities, drop_groundtruth_outliers=True)
         if "gauge" in correction:
             gauge = Gauge.of(correction["gauge"])
             protocol = dataclasses.replace(protocol, gauge=gauge, modality=None)
