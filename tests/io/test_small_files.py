@@ -94,6 +94,9 @@ def test_rotations_that_are_all_the_identity_are_none() -> None:
     identities = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
     found, [remark] = judge_rotations(identities)
     assert (found, remark.code) == (None, "identity_rotations")
+    assert remark.text.startswith("all rotations are the identity")
+    _, [remark] = judge_rotations(0.0 * identities)
+    assert remark.text.startswith("all rotations have zero quaternions")
     alone = identities[:1]
     assert judge_rotations(alone) == (alone, ())
     for column in range(3):

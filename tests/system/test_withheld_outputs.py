@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from pyarrow import parquet
+from rrd import Rrd
 from upright_runs import car, erring, standing
 from written_trajectories import write
 
@@ -57,6 +59,27 @@ CASES = {
 }
 
 
+def comparison(
+    folder: Path,
+    sides: list[str],
+    options: list[str],
+    withheld: Iterable[str],
+    capsys: pytest.CaptureFixture[str],
+) -> list[str]:
+    """Return the texts that `compare` writes; its gates refuse withheld metrics."""
+    output = folder / "compared"
+    assert main(["compare", *sides, *options, "--output", str(output)]) == 0
+    runs = output / "runs.parquet"
+    rows = parquet.read_table(runs).to_pylist()
+    assert not [row for row in rows if row["kind"] == "ate" and row["metric"] in withheld]
+    for metric in withheld:
+        gate = ["--baseline", str(runs), "--fail-if", f"ate.{metric}.rmse worse than 5 %"]
+        assert main(["compare", *sides, *options, *gate]) == 2
+        assert metric in capsys.readouterr().err
+    pages = [path for path in output.rglob("*") if path.suffix in {".html", ".md", ".tex", ".csv"}]
+    return [path.read_text() for path in pages]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
 def test_no_output_has_a_withheld_number(
@@ -70,7 +93,8 @@ def test_no_output_has_a_withheld_number(
     sides = [str(tmp_path / f"{name}.txt") for name in ("truth", "vio")]
     output = tmp_path / "out"
     options = ["--gauge", "se3", "--lengths", "8,16", "--output", str(output)]
-    assert main(["evaluate", *sides, *options]) == 0
+    picture = tmp_path / "run.rrd"
+    assert main(["evaluate", *sides, *options, "--rrd", str(picture)]) == 0
     printed = capsys.readouterr().out
     found = evaluate(*case(), PROTOCOL)
     assert CASES[case] <= found.doubts.reasons.keys()
@@ -84,7 +108,14 @@ def test_no_output_has_a_withheld_number(
     assert all(segment[metric] is None for segment in segments for metric in relative)
     columns = np.load(output / "errors.npz")
     assert not [name for name in columns.files if name.split("/")[-1] in withheld]
+    table = parquet.read_table(output / "errors.parquet")
+    assert not withheld.keys() & set(table.column_names)
     assert ("drift" in printed.splitlines()[0].replace("drift withheld", "")) == bool(segments)
+    scalars = {line for line in Rrd(picture).described().splitlines() if " Scalars:" in line}
+    assert any(line.startswith("metrics/ate_position/") for line in scalars)
+    rotation = any(line.startswith("metrics/ate_rotation/") for line in scalars)
+    assert rotation == ("rotation_deg" not in withheld)
+    compared = comparison(tmp_path, sides, options[:4], withheld, capsys)
     # Without doubts, the evaluation has the numbers that no text may have.
     monkeypatch.setattr(metrics, "doubts_of", lambda *_: Doubts())
     freedom = dataclasses.replace(found.alignment, freedom=None)
@@ -95,6 +126,7 @@ def test_no_output_has_a_withheld_number(
         secret |= {part.statistics[metric] for metric in relative}
     texts = [printed, *(path.read_text() for path in output.rglob("*.svg"))]
     texts += [path.read_text() for path in output.rglob("*.html")]
+    texts += compared
     for statistics in secret - {None}:
         assert statistics is not None
         for number in (statistics.rmse, statistics.mean):

@@ -53,21 +53,22 @@ def times(stamps: NDArray[np.int64]) -> Booleans:
 def judge_rotations(quaternions: Floats | None) -> tuple[Floats | None, tuple[Remark, ...]]:
     """Return the quaternions (N, 4), xyzw, and remarks on them.
 
-    The quaternions are None if the input is None or if all are the identity. They are returned
+    The quaternions are None if the input is None, all zeros, or the identity everywhere. They are returned
     as given: the remark reports quaternions that are not of unit length.
     """
     if quaternions is None:
         return None, (note("no_rotations", "no rotations: rotation metrics withheld"),)
     if len(quaternions) > 1 and not quaternions[:, :3].any():
-        said = "all rotations are identity: rotation metrics withheld"
-        return None, (note("identity_rotations", said),)
+        value = "are the identity" if quaternions.any() else "have zero quaternions"
+        text = f"all rotations {value}: rotation metrics withheld"
+        return None, (note("identity_rotations", text),)
     squares = np.einsum("ni,ni->n", quaternions, quaternions)
     odd = (np.abs(squares - 1.0) > 2.0 * _UNIT_TOLERANCE) & (squares > 1e-12)
     if not odd.any():
         return quaternions, ()
     lengths = np.sqrt(squares[odd])
     worst = float(lengths[np.abs(lengths - 1.0).argmax()])
-    said = (
+    text = (
         f"{counted(len(lengths), 'quaternion')} normalised, largest deviation: length {worst:.3g}"
     )
-    return quaternions, (note("normalised", said),)
+    return quaternions, (note("normalised", text),)
