@@ -16,9 +16,10 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.metrics.discontinuities.detector import Discontinuities, discontinuities
+from trajeval_ros.metrics.discontinuities.detector import Discontinuities
 from trajeval_ros.metrics.discontinuities.events import SIDES, Event
 from trajeval_ros.metrics.discontinuities.handling import without_clock_steps
+from trajeval_ros.metrics.discontinuities.recorded import discontinuities
 
 FIELD_CASES = Path(__file__).parents[3] / "shared/data/field_cases"
 AT_S, DURATION_S = 40.0, 80.0

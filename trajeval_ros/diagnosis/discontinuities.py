@@ -11,7 +11,6 @@ from trajeval_ros.formatting.numbers import counted, four_digits
 from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.discontinuities import events as kinds
-from trajeval_ros.metrics.discontinuities.detector import discontinuities
 from trajeval_ros.metrics.discontinuities.events import Event
 from trajeval_ros.metrics.discontinuities.parts import (
     Part,
@@ -19,6 +18,7 @@ from trajeval_ros.metrics.discontinuities.parts import (
     together_m,
     without_outliers_m,
 )
+from trajeval_ros.metrics.discontinuities.recorded import discontinuities
 from trajeval_ros.metrics.evaluation import Evaluation
 
 _FALLS = 0.8  # of the ATE: a discontinuity that causes more of it is a finding

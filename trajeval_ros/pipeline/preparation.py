@@ -18,7 +18,6 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.vertical_axis import require_up_axis
 from trajeval_ros.metrics import evaluation as metrics
-from trajeval_ros.metrics.discontinuities.detector import discontinuities
 from trajeval_ros.metrics.discontinuities.events import ESTIMATE, GROUNDTRUTH
 from trajeval_ros.metrics.discontinuities.handling import (
     DiscontinuityRule,
@@ -26,6 +25,7 @@ from trajeval_ros.metrics.discontinuities.handling import (
     without_clock_steps,
     without_groundtruth_outliers,
 )
+from trajeval_ros.metrics.discontinuities.recorded import discontinuities
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.pipeline.request import Request

@@ -6,7 +6,6 @@ import bisect
 
 import numpy as np
 
-from trajeval_ros.geometry import lie
 from trajeval_ros.metrics.discontinuities.pose_stream import SidePoses
 from trajeval_ros.metrics.discontinuities.relative_motion import (
     Difference,
@@ -58,22 +57,12 @@ def clock_by_motion(
     def differences(step_s: float) -> list[Difference] | None:
         at = [row - 1, *rows]
         times = np.array([stamps[each] - (step_s if each >= row else 0.0) for each in at])
-        low = max(bisect.bisect_right(other.stamps, float(times.min())) - 1, 0)
-        high = bisect.bisect_left(other.stamps, float(times.max())) + 1
-        known = np.array(other.stamps[low:high])
-        if len(known) < 2 or times.min() < known[0] or times.max() > known[-1]:
+        positions, quaternions, is_known = other.at(times)
+        if not is_known.all():
             return None
-        upper = np.clip(np.searchsorted(known, times), 1, len(known) - 1)
-        share = ((times - known[upper - 1]) / (known[upper] - known[upper - 1]))[:, None]
-        positions = np.array(other.positions[low:high])
-        quaternions = np.array(other.quaternions[low:high])
-        moved = positions[upper - 1] + share * (positions[upper] - positions[upper - 1])
-        one, two = quaternions[upper - 1], quaternions[upper]
-        two = np.where(np.sum(one * two, axis=1, keepdims=True) < 0.0, -two, two)
-        turned = lie.normalized((1.0 - share) * one + share * two)
         pairs = []
         for index, each in enumerate(at):
-            between = tuple(moved[index].tolist()), tuple(turned[index].tolist())
+            between = tuple(positions[index].tolist()), tuple(quaternions[index].tolist())
             tested = stream.positions[each], stream.quaternions[each]
             sides = (between, tested) if number == 1 else (tested, between)
             pairs.append(Pair(stamps[each], *sides[0], *sides[1]))

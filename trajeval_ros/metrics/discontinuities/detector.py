@@ -7,27 +7,30 @@ velocity changes little there is exonerated, and the other one is guilty.
 
 from __future__ import annotations
 
-import bisect
-import dataclasses
 import itertools
 import math
 from collections import deque
-from dataclasses import dataclass, field
 
 import numpy as np
 
-from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.discontinuities import events as kinds
 from trajeval_ros.metrics.discontinuities.clock_by_motion import clock_by_motion
 from trajeval_ros.metrics.discontinuities.events import SIDES, UNDECIDED, Event
-from trajeval_ros.metrics.discontinuities.exoneration import GAP_PERIODS, SideVerdict, guilty_side
+from trajeval_ros.metrics.discontinuities.exoneration import SideVerdict, guilty_side
 from trajeval_ros.metrics.discontinuities.frozen_parts import FrozenParts
+from trajeval_ros.metrics.discontinuities.motion_history import MotionHistory
+from trajeval_ros.metrics.discontinuities.open_step import (
+    OpenStep,
+    both_edges,
+    by_parts,
+    is_back,
+    ratio_of,
+)
+from trajeval_ros.metrics.discontinuities.pairs import PairSource
 from trajeval_ros.metrics.discontinuities.pose_stream import SidePoses
 from trajeval_ros.metrics.discontinuities.relative_motion import (
-    CELL_S,
-    LAGS,
     BodyState,
     Difference,
     Pair,
@@ -36,10 +39,7 @@ from trajeval_ros.metrics.discontinuities.relative_motion import (
     rotation_beyond,
 )
 
-_BLOCK_S = 1.0  # of recorded streams, as a live node receives them
-_LEAST_POSES, _LEAST_OVERLAP_S = (10, 5), 4.0  # before the rates are known
 _BURN_IN_S, _BURN_IN_PAIRS = 4.0, 12  # the first pairs are judged in retrospect
-_LEAST_GAP_S = 0.175  # a shorter step of timestamps is interpolated at any rate
 # A step stays after this time and number of calm pairs: longer delays an alarm, shorter takes
 # an outlier for a step.
 _CALM_S, _CALM_PAIRS = 1.0, 5
@@ -47,41 +47,12 @@ _AFTER_GAP_S = 3.2  # motion after a gap that determines a clock step
 _LOST_S, _LOST_PAIRS = 10.0, 5  # steps without a calm second
 # Smallest events, as multiples of the limit. Single poses of heavy-tailed noise exceed 1.5.
 _LEAST_RATIO, _LEAST_RATIO_OF_OUTLIER = 1.5, 2.5
-_BACK = 1.0 / 3.0  # of a step: a pose that differs by less has returned
 _RETURN_S = 60.0  # longest excursion whose return is known
 _FLIP_DEG = 60.0  # smallest rotation of a flip: corrections of a heading are smaller
 _FLIP_M = 0.15  # a marker that flips moves its centre less
 _SMOOTH = 0.34  # innovation as a fraction of a step, of a side whose position did not jump
 _LEAST_LATER_M = 0.09  # motion after a flip that shows whether the body is another
 _BETTER = 0.7  # of the error against earlier pairs, after a correction
-_MEMORY_S = 70.0
-
-
-@dataclass
-class _Step:
-    """A step that is not yet known to stay or to return."""
-
-    begin: Pair  # the last good pair
-    size: Difference  # the largest so far
-    first: Difference
-    limits: tuple[float, float]
-    gap_s: float  # time from the last good pair to the first pair after the step
-    last_s: float  # time of the last unusual motion
-    pairs: list[Pair] = field(default_factory=list)  # the last good one, and those since
-    unusual: int = 1
-    clock_is_tested: bool = False
-
-    @property
-    def after(self) -> Pair:
-        return self.pairs[1]
-
-    @property
-    def ratio(self) -> float:
-        return max(self.size.m / self.limits[0], self.size.deg / self.limits[1])
-
-    @property
-    def by_parts(self) -> tuple[bool, bool]:
-        return _by_parts(self.size, self.limits)
 
 
 class Discontinuities:
@@ -108,24 +79,17 @@ class Discontinuities:
         """Create it before the first message; without orientations, positions are compared."""
         self.events: list[Event] = []  # in order of detection
         self._streams = SidePoses(oriented=oriented), SidePoses(oriented=oriented)
+        self._source = PairSource(self._streams)
         self._motion = RelativeMotion(oriented=oriented)
+        self._history = MotionHistory(self._motion, 0.0, 1.0)  # replaced when the rates are known
+        self._frozen = FrozenParts(self._streams)
         self._zero_ns: int | None = None
-        self._periods: tuple[float, float] | None = None  # seconds, of both sides
-        self._begin_s = 0.0
-        self._base = 1  # index of the slower side
-        self._next = 0  # row of the next pose of the slower side to pair
         self._burn_in: list[Pair] | None = []
         self._first: Pair | None = None
         self._previous: Pair | None = None
-        self._cell = 0
-        self._ring: deque[Pair | None] = deque(maxlen=LAGS[-1] + 1)  # good pairs, one per cell
-        self._calm: deque[tuple[Pair, Pair]] = deque(maxlen=200)
-        self._calm_count = 0
-        self._marks: deque[Pair] = deque(maxlen=40)  # good pairs of the present part
-        self._open: _Step | None = None
+        self._open: OpenStep | None = None
         # Steps that may return: begin, end, event, and the body's rotation before them.
         self._stayed: deque[tuple[Pair, Pair, Event, BodyState]] = deque(maxlen=8)
-        self._frozen = FrozenParts(self._streams)
 
     # Messages
 
@@ -212,90 +176,22 @@ class Discontinuities:
     # Pairs
 
     def _advance(self, *, at_end: bool = False) -> None:
-        if self._periods is None and not self._begin(at_end=at_end):
-            return
-        assert self._periods is not None
+        if self._source.periods is None:
+            if not self._source.begin(at_end=at_end):
+                return
+            begin_s, period_s = self._source.begin_s, self._source.period_s
+            self._history = MotionHistory(self._motion, begin_s, period_s)
         again = True
         while again:
             again = False
             shifts = [stream.clock.shift_s for stream in self._streams]
-            for pair in self._new_pairs():
+            for pair in self._source.new_pairs():
                 self._take(pair)
                 if [stream.clock.shift_s for stream in self._streams] != shifts:
                     again = True  # a clock step was corrected: pair again
                     break
         self.events += self._frozen.advance(self._motion.scale, self._ns)
-        self._drop_old()
-
-    def _begin(self, *, at_end: bool) -> bool:
-        """Determine the rates and the slower side; return whether they are known."""
-        groundtruth, estimate = self._streams
-        if len(groundtruth) < _LEAST_POSES[0] or len(estimate) < _LEAST_POSES[1]:
-            return False
-        begin_s = max(groundtruth.stamps[0], estimate.stamps[0])
-        overlap_s = min(groundtruth.stamps[-1], estimate.stamps[-1]) - begin_s
-        if overlap_s < _LEAST_OVERLAP_S and not at_end:
-            return False
-        until_s = begin_s + _LEAST_OVERLAP_S  # the same poses for batches of any size
-        first, second = (
-            float(np.median(np.diff(each.stamps[: max(bisect.bisect(each.stamps, until_s), 2)])))
-            for each in self._streams
-        )
-        self._periods, self._base = (first, second), 0 if first > 1.5 * second else 1
-        self._begin_s = begin_s
-        self._usual = UsualDifferences(self._period_s)
-        return True
-
-    @property
-    def _period_s(self) -> float:
-        assert self._periods is not None
-        return self._periods[self._base]
-
-    def _new_pairs(self) -> list[Pair]:
-        """Interpolate the faster side at the timestamps of the slower one."""
-        assert self._periods is not None
-        base, other = self._streams[self._base], self._streams[1 - self._base]
-        if len(other) < 2:
-            return []
-        begin, end = self._next, bisect.bisect_right(base.stamps, other.stamps[-1])
-        if end <= begin:
-            return []
-        self._next = end
-        start = max(bisect.bisect_right(other.stamps, base.stamps[begin]) - 1, 0)
-        times = np.array(other.stamps[start:])
-        if len(times) < 2:
-            return []
-        at = np.array(base.stamps[begin:end])
-        rows = np.clip(np.searchsorted(times, at, "right") - 1, 0, len(times) - 2)
-        width = times[rows + 1] - times[rows]
-        fraction = (at - times[rows]) / width
-        longest_s = max(GAP_PERIODS * self._periods[1 - self._base], _LEAST_GAP_S)
-        is_known = (fraction >= -1e-9) & (fraction <= 1.0 + 1e-9) & (width <= longest_s)
-        positions = np.array(other.positions[start:])
-        quaternions = np.array(other.quaternions[start:])
-        between, one, two = fraction[:, None], quaternions[rows], quaternions[rows + 1]
-        moved = positions[rows] + between * (positions[rows + 1] - positions[rows])
-        two = np.where(np.sum(one * two, axis=1, keepdims=True) < 0.0, -two, two)
-        turned = lie.normalized((1.0 - between) * one + between * two)
-        columns = list(map(tuple, moved.tolist())), list(map(tuple, turned.tolist()))
-        sides = [columns, columns]
-        sides[self._base] = base.positions[begin:end], base.quaternions[begin:end]
-        seconds = at.tolist()
-        return [
-            Pair(seconds[row], *(column[row] for side in sides for column in side))
-            for row in np.flatnonzero(is_known).tolist()
-        ]
-
-    def _drop_old(self) -> None:
-        newest_s = min(stream.newest_s for stream in self._streams)
-        if self._open is not None:
-            newest_s = min(newest_s, self._open.begin.t + _MEMORY_S)
-        newest_s = max(newest_s, max(stream.newest_s for stream in self._streams) - _MEMORY_S)
-        for number, stream in enumerate(self._streams):
-            if len(stream) and newest_s - stream.stamps[0] > 1.5 * _MEMORY_S:
-                dropped = stream.drop_before(newest_s - _MEMORY_S)
-                if number == self._base:
-                    self._next = max(self._next - dropped, 0)
+        self._source.drop_old(None if self._open is None else self._open.begin.t)
 
     # Steps
 
@@ -319,7 +215,8 @@ class Discontinuities:
     def _judge(self, pair: Pair) -> None:
         previous, self._previous = self._previous, pair
         if previous is None:
-            self._first, self._cell = pair, self._cell_of(pair)
+            self._first = pair
+            self._history.begin_at(pair, is_learned=False)
             return
         seconds, step = pair.t - previous.t, self._open
         # Inside a flip, directions in the body are those of another body.
@@ -332,41 +229,22 @@ class Discontinuities:
             return
         if is_unusual:
             pairs = [previous, pair]
-            self._open = _Step(previous, difference, difference, limits, seconds, pair.t, pairs)
+            self._open = OpenStep(previous, difference, difference, limits, seconds, pair.t, pairs)
             return
         if seconds < 2.5 * self._period_s:
-            self._calm.append((previous, pair))
-            self._calm_count += 1
-            every = max(1, int(CELL_S / self._period_s) // 3)
-            if self._calm_count % every == 0 or len(self._usual) < 60:
-                self._usual.add(0, difference)
+            self._history.add_calm(previous, pair, difference)
         self._good(pair)
 
     def _continue(
-        self, step: _Step, pair: Pair, difference: Difference, *, is_unusual: bool
+        self, step: OpenStep, pair: Pair, difference: Difference, *, is_unusual: bool
     ) -> None:
-        step.pairs.append(pair)
-        if len(step.pairs) > 400:
-            del step.pairs[200:300]
         total = self._motion.between(step.begin, pair)
-        limits = self._usual.limit(pair.t - step.begin.t)
-        by_m, by_deg = step.by_parts
-        is_back = not by_m or total.m < max(step.size.m * _BACK, min(limits[0], step.size.m / 2))
-        is_back &= not by_deg or total.deg < max(
-            step.size.deg * _BACK, min(limits[1], step.size.deg / 2)
-        )
-        if is_unusual:
-            m, deg = max(step.size.m, total.m), max(step.size.deg, total.deg)
-            step.size, step.last_s = Difference(m, deg, total.groundtruth_m), pair.t
-            step.unusual += 1
-        # A difference that only crosses zero is no return.
-        has_edge = (by_m and difference.m > step.first.m / 2) or (
-            by_deg and difference.deg > step.first.deg / 2
-        )
+        returns = step.is_back(total, self._usual.limit(pair.t - step.begin.t))
+        returns = returns and step.has_edge(difference)
+        step.add(pair, total, is_unusual=is_unusual)
         since_s = pair.t - step.after.t
-        assert self._periods is not None
         in_gap = step.gap_s > 2.5 * min(self._periods)
-        if is_back and has_edge:
+        if returns:
             self._return(step, pair)
         elif in_gap and not step.clock_is_tested and since_s >= _AFTER_GAP_S:
             step.clock_is_tested = True
@@ -380,56 +258,16 @@ class Discontinuities:
         elif since_s > _LOST_S and step.unusual > _LOST_PAIRS:
             self._lose(step, pair)
 
-    def _good(self, pair: Pair) -> None:
-        self._previous = pair
-        cell = self._cell_of(pair)
-        if cell == self._cell:
-            return
-        self._ring.extend([None] * min(cell - self._cell - 1, LAGS[-1] + 1))
-        self._cell = cell
-        self._learn(pair)
-        if cell % 4 == 0:
-            self._marks.append(pair)
-
-    def _cell_of(self, pair: Pair) -> int:
-        return int((pair.t - self._begin_s) / CELL_S)
-
-    def _learn(self, pair: Pair) -> None:
-        """Learn the differences over all lags, once per cell."""
-        for lag in LAGS:
-            earlier = self._ring[-lag] if len(self._ring) >= lag else None
-            if earlier is None or not self._is_lag(lag, pair.t - earlier.t):
-                continue
-            self._usual.add(lag, self._motion.between(earlier, pair))
-            if lag == 2 and self._motion.learn(earlier, pair):
-                self._learn_again()
-        self._ring.append(pair)
-
-    def _is_lag(self, lag: int, seconds: float) -> bool:
-        apart_s = abs(seconds - lag * CELL_S)
-        return self._usual.is_learned(lag) and apart_s <= 0.5 * CELL_S + self._period_s
-
-    def _learn_again(self) -> None:
-        """Replace differences of lengths by those of vectors, once the rotation is known."""
-        self._usual.clear()
-        pairs = [pair for pair in self._ring if pair is not None]
-        for row, pair in enumerate(pairs):
-            for lag in LAGS:
-                if row >= lag and self._is_lag(lag, pair.t - pairs[row - lag].t):
-                    self._usual.add(lag, self._motion.between(pairs[row - lag], pair))
-        for one, other in list(self._calm)[-60:]:
-            self._usual.add(0, self._motion.between(one, other))
-
     # Ends of steps
 
-    def _return(self, step: _Step, pair: Pair) -> None:
+    def _return(self, step: OpenStep, pair: Pair) -> None:
         """Close a step after which the poses returned to the former path."""
         self._open = None
         last = step.pairs[-2] if len(step.pairs) > 2 else step.after
         parts = by_m, by_deg = step.by_parts
         out = self._guilty(step.begin, step.after, step.size, parts)
         back = self._guilty(last, pair, self._motion.between(last, pair), parts)
-        verdict = _both_edges(out, back)
+        verdict = both_edges(out, back)
         if verdict.side and step.ratio >= _LEAST_RATIO_OF_OUTLIER:
             held = verdict.side in SIDES and self._moves_smoothly(verdict.side, step)
             is_flip = by_deg and step.size.deg > _FLIP_DEG
@@ -438,24 +276,22 @@ class Discontinuities:
             event.s, event.poses = last.t - step.after.t, len(step.pairs) - 2
         self._good(pair)
 
-    def _moves_smoothly(self, side: str, step: _Step) -> bool:
+    def _moves_smoothly(self, side: str, step: OpenStep) -> bool:
         number = SIDES.index(side)
         margin_s = self._margin_s(number)
         innovation = self._streams[number].innovation(step.begin.t, step.after.t, margin_s)
         scale = self._motion.scale if number else 1.0
         return scale * innovation.m < _SMOOTH * step.size.m
 
-    def _stay(self, step: _Step) -> None:
+    def _stay(self, step: OpenStep) -> None:
         """Close a step after a calm second."""
         self._open = None
-        rows = range(len(step.pairs))
-        row = next((row for row in rows if step.pairs[row].t >= step.last_s), len(rows) - 1)
+        row = step.end_of_motion()
         begin, end = step.begin, step.pairs[row]
         size = self._motion.between(begin, end)
         limits = self._usual.limit(end.t - begin.t)
-        parts = by_m, by_deg = _by_parts(size, limits)
-        ratio = max(size.m / limits[0], size.deg / limits[1])
-        first_ratio = max(step.first.m / step.limits[0], step.first.deg / step.limits[1])
+        parts = by_m, by_deg = by_parts(size, limits)
+        ratio, first_ratio = ratio_of(size, limits), ratio_of(step.first, step.limits)
         if ratio < _LEAST_RATIO and first_ratio > 2.0 * _LEAST_RATIO and row > 1:
             rest, step.pairs = step.pairs[row:], step.pairs[: row + 1]
             self._return(step, rest[0])  # in small steps
@@ -485,7 +321,7 @@ class Discontinuities:
         event.poses = row
         self._stayed.append((begin, end, event, before))
         if kind != kinds.CORRECTION:
-            self._marks.clear()
+            self._history.marks.clear()
         self._resume(step, row)
 
     def _kind_of_step(self, begin: Pair, end: Pair, size: Difference, verdict: SideVerdict) -> str:
@@ -496,7 +332,7 @@ class Discontinuities:
             math.dist(end.position, self._first.position), math.dist(end.position, origin)
         )
         far_m = scale * math.dist(begin.position, self._first.position)
-        marks = [mark for mark in self._marks if begin.t - mark.t > _BURN_IN_S]
+        marks = [mark for mark in self._history.marks if begin.t - mark.t > _BURN_IN_S]
         if verdict.side == kinds.ESTIMATE and near_m < min(max(size.m / 4.0, 0.1), far_m / 3.0):
             return kinds.RESTART
         if len(marks) > 2:
@@ -518,8 +354,8 @@ class Discontinuities:
             rows = before[0] if event.kind == kinds.FLIP_STAYS else None
             total = self._motion.between(begin, end, rows=rows)
             limit_m, _ = self._usual.limit(end.t - begin.t)
-            is_back = not event.m or (total.m < _BACK * event.m and limit_m < 2.0 * event.m)
-            if is_back and (not event.deg or total.deg < _BACK * event.deg):
+            is_known = not event.m or limit_m < 2.0 * event.m
+            if is_known and is_back(total, Difference(event.m, event.deg, 0.0)):
                 is_flip = event.deg > _FLIP_DEG
                 event.kind = kinds.FLIP if is_flip else kinds.OUTLIER
                 event.end_ns, event.s, event.poses = self._ns(end.t), end.t - start.t, 0
@@ -530,7 +366,7 @@ class Discontinuities:
                 return True
         return False
 
-    def _body_rotates(self, step: _Step, row: int) -> bool | None:
+    def _body_rotates(self, step: OpenStep, row: int) -> bool | None:
         """Rotate the learned body after a flip that stays, if later motions agree with it better.
 
         Returns None if the later motion is too short to decide.
@@ -556,7 +392,7 @@ class Discontinuities:
         self._motion.rotate(beyond)
         return True
 
-    def _lose(self, step: _Step, pair: Pair) -> None:
+    def _lose(self, step: OpenStep, pair: Pair) -> None:
         """Close a step whose poses neither return nor calm down."""
         self._open = None
         verdict = self._guilty(step.begin, step.after, step.size, step.by_parts)
@@ -569,22 +405,20 @@ class Discontinuities:
             last.end_ns = self._ns(pair.t)
         elif verdict.side:
             self._add(kinds.LOST, verdict, step, pair).poses = step.unusual
-        self._ring.clear()
-        self._previous, self._cell = pair, self._cell_of(pair)
+        self._history.begin_at(pair, is_learned=False)
+        self._previous = pair
 
-    def _resume(self, step: _Step, row: int) -> None:
+    def _resume(self, step: OpenStep, row: int) -> None:
         """Continue with the pairs after a step."""
         pairs = step.pairs[row:]
-        self._ring.clear()
-        self._cell = self._cell_of(pairs[0]) - 1
+        self._history.begin_at(pairs[0])
         if not self._motion.oriented:
             self._motion.forget_frame()
         for pair in pairs:
             self._good(pair)
 
-    def _correct_clock(self, step: _Step) -> None:
+    def _correct_clock(self, step: OpenStep) -> None:
         """Correct a forward clock step in a gap, which only the motion shows, and pair again."""
-        assert self._periods is not None
         limit_m = self._usual.limit(2.0)[0]
         for number in (1, 0):
             streams = self._streams[number], self._streams[1 - number]
@@ -597,14 +431,29 @@ class Discontinuities:
             self._streams[number].shift_from(row, size_s)
             self._add_clock_step(number, step.begin.t, size_s, is_sure=False)
             self._previous, self._open = step.begin, None
-            base = self._streams[self._base]
-            self._next = bisect.bisect_left(base.stamps, step.begin.t + 1e-9)
+            self._source.rewind(step.begin.t)
             return
+
+    def _good(self, pair: Pair) -> None:
+        self._previous = pair
+        self._history.add(pair)
+
+    @property
+    def _usual(self) -> UsualDifferences:
+        return self._history.usual
+
+    @property
+    def _periods(self) -> tuple[float, float]:
+        assert self._source.periods is not None
+        return self._source.periods
+
+    @property
+    def _period_s(self) -> float:
+        return self._source.period_s
 
     def _guilty(
         self, begin: Pair, end: Pair, size: Difference, parts: tuple[bool, bool]
     ) -> SideVerdict:
-        assert self._periods is not None
         innovations = []
         for number, stream in enumerate(self._streams):
             margin_s = self._margin_s(number)
@@ -612,10 +461,9 @@ class Discontinuities:
         return guilty_side(innovations, self._periods, self._motion.scale, size, parts)
 
     def _margin_s(self, number: int) -> float:
-        assert self._periods is not None
-        return 0.0 if number == self._base else 1.01 * self._periods[number]
+        return 0.0 if number == self._source.base else 1.01 * self._periods[number]
 
-    def _add(self, kind: str, verdict: SideVerdict, step: _Step, end: Pair) -> Event:
+    def _add(self, kind: str, verdict: SideVerdict, step: OpenStep, end: Pair) -> Event:
         by_m, by_deg = step.by_parts
         event = Event(
             kind,
@@ -634,57 +482,3 @@ class Discontinuities:
 
     def _ns(self, seconds: float) -> int:
         return (self._zero_ns or 0) + round(seconds * NANOSECONDS)
-
-
-def discontinuities(
-    groundtruth: Trajectory, estimate: Trajectory, offset_ns: int = 0
-) -> list[Event]:
-    """Return the events of two recorded trajectories, as a live run finds them, by time.
-
-    If both sides have receive times, their states are taken in that order; else in the given one.
-    `offset_ns` is added to the estimate's timestamps.
-    """
-    if offset_ns:
-        estimate = dataclasses.replace(estimate, stamps=estimate.stamps + offset_ns)
-    oriented = groundtruth.quaternions is not None and estimate.quaternions is not None
-    search, sides, blocks = Discontinuities(oriented=oriented), [], []
-    times = [each.reading.receptions for each in (groundtruth, estimate)]
-    has_times = all(each is not None for each in times)
-    for trajectory, receptions in zip((groundtruth, estimate), times, strict=True):
-        received = None
-        if has_times and receptions is not None:
-            order = np.argsort(receptions.times, kind="stable")
-            trajectory, received = trajectory[order], receptions.times[order]
-        columns = [trajectory.positions]
-        if oriented and trajectory.quaternions is not None:
-            columns.append(trajectory.quaternions)
-        sides.append((trajectory.stamps, np.hstack(columns), received))
-        blocks.append(np.maximum.accumulate(trajectory.stamps if received is None else received))
-    first, last = min(int(each[0]) for each in blocks), max(int(each[-1]) for each in blocks)
-    block_ns, rows = round(_BLOCK_S * NANOSECONDS), [0, 0]
-    ends = range(first, last + block_ns, block_ns)
-    for until in ends:
-        for number, (stamps, poses, received) in enumerate(sides):
-            begin = rows[number]
-            end = int(np.searchsorted(blocks[number], until, "right"))
-            part = None if received is None else received[begin:end]
-            search.add(SIDES[number], stamps[begin:end], poses[begin:end], part)
-            rows[number] = end
-    return search.finish()
-
-
-def _by_parts(size: Difference, limits: tuple[float, float]) -> tuple[bool, bool]:
-    """Return whether a step is one of position and of rotation; the lesser one may be noise."""
-    m, deg = size.m / limits[0], size.deg / limits[1]
-    return m > 1.0 and (m > 0.2 * deg or m > 3.0), deg > 1.0 and (deg > 0.2 * m or deg > 3.0)
-
-
-def _both_edges(out: SideVerdict, back: SideVerdict) -> SideVerdict:
-    """Return the verdict on an excursion by its begin and its end."""
-    if out.side == back.side:
-        return out
-    if out.side in ("", UNDECIDED):
-        return dataclasses.replace(back, certainty="likely" if back.side else "")
-    if back.side in ("", UNDECIDED):
-        return dataclasses.replace(out, certainty="likely")
-    return dataclasses.replace(out, side=UNDECIDED, certainty=UNDECIDED)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.arrays import Booleans, Floats
 from trajeval_ros.metrics.discontinuities.relative_motion import Quaternion, Vector
 from trajeval_ros.metrics.discontinuities.stamp_steps import Message, StampSteps
 
@@ -120,6 +120,28 @@ class SidePoses:
         self.quaternions += columns
         self.newest_s = self.stamps[-1]
         return True
+
+    def at(self, times: Floats, longest_s: float = math.inf) -> tuple[Floats, Floats, Booleans]:
+        """Interpolate at N times between stored poses that are at most `longest_s` apart.
+
+        Returns:
+            Positions (N, 3), quaternions (N, 4), and which rows (N,) are known.
+        """
+        low = max(bisect.bisect_right(self.stamps, float(times.min())) - 1, 0)
+        high = bisect.bisect_left(self.stamps, float(times.max())) + 1
+        known = np.array(self.stamps[low:high])
+        if len(known) < 2:
+            return np.zeros((len(times), 3)), np.zeros((len(times), 4)), times < -math.inf
+        rows = np.clip(np.searchsorted(known, times, "right") - 1, 0, len(known) - 2)
+        width = known[rows + 1] - known[rows]
+        share = (times - known[rows]) / width
+        is_known = (share >= -_SAME) & (share <= 1.0 + _SAME) & (width <= longest_s)
+        positions = np.array(self.positions[low:high])
+        quaternions = np.array(self.quaternions[low:high])
+        share, one, two = share[:, None], quaternions[rows], quaternions[rows + 1]
+        two = np.where(np.sum(one * two, axis=1, keepdims=True) < 0.0, -two, two)
+        between = positions[rows] + share * (positions[rows + 1] - positions[rows])
+        return between, lie.normalized((1.0 - share) * one + share * two), is_known
 
     def shift_from(self, index: int, seconds: float) -> None:
         """Subtract seconds from the timestamps from an index on."""

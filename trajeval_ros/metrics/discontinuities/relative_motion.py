@@ -19,7 +19,6 @@ BodyState: TypeAlias = tuple[Floats | None, Floats, Floats, Floats, Floats]
 
 CELL_S = 0.5  # time between learned pairs: shorter learns noise, longer learns late
 LAGS = (1, 2, 4, 8, 16, 32, 64)  # cells between the pairs of learned differences, up to 32 s
-_FIT_LAG = 2  # cells between the pairs that determine rotation, scale and lever arm
 _KEPT = 240  # learned differences of a lag: 2 min of cells
 # Limit: the larger of these multiples of the median and of the 95th percentile. Six medians
 # detect steps of 0.1 m of a good estimate, and report about 10 events per hour of a bad one.
