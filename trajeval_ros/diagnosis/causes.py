@@ -408,7 +408,7 @@ _TABLE = (
     ),
 )
 
-_SPLIT = "{parts}: --on-restart split"
+_SPLIT = "{parts}"
 _DROP = {"drop_groundtruth_outliers": FLAG}
 _AT, _DURING = "at {end_s:.2f} s{gap}{number}", "at {begin_s:.2f} s{lasting}{number}"
 _JUMPS = f"the {{side}} jumped by {{size}} {_AT}, which the {{other}} did not"

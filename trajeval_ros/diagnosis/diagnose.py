@@ -135,8 +135,6 @@ def diagnose(
     only the pairs, row by row. `losses` of tracking are by default those in the pairs. The
     evaluation has its events, see `with_events`.
     """
-    if has_clock_step(evaluation):  # the other tests rely on clocks
-        return Diagnosis.of([examined_discontinuities(evaluation, Diagnosis())])
     protocol, pairs = evaluation.protocol, evaluation.association
     time_offset_s = None
     if paired or pairs.rule.method == "index":
@@ -147,6 +145,9 @@ def diagnose(
     number = number_of_pairs(protocol, pairs, evaluation.groundtruth, evaluation.estimate)
     losses = losses_in(pairs) if losses is None else losses
     inputs = InputPair.of(groundtruth, estimate, protocol, time_offset_s=time_offset_s)
+    if has_clock_step(evaluation):  # tests of motions rely on the clocks
+        found = Diagnosis.of([number, *_tests_of_sides(inputs)])
+        return Diagnosis.of([*found.examined, examined_discontinuities(evaluation, found)])
     found, is_lost = _tested_where_tracked(losses, pairs, inputs)
     examined = [number, *found.examined, examined_discontinuities(evaluation, found)]
     if is_lost:
@@ -282,7 +283,14 @@ def same_estimate(estimate: InputSummary, others: Sequence[InputSummary]) -> Fin
 
 def _tested(inputs: InputPair) -> Diagnosis:
     """Apply all tests of the inputs; both sides have at least one state."""
-    examined = [
+    examined = _tests_of_sides(inputs)
+    if not _causes(examined) & _FINAL:
+        examined += _tests_of_motion(inputs)
+    return Diagnosis.of(examined)
+
+
+def _tests_of_sides(inputs: InputPair) -> list[Examined]:
+    return [
         standing_still(inputs),
         rounded_stamps(inputs),
         same_positions(inputs),
@@ -290,9 +298,6 @@ def _tested(inputs: InputPair) -> Diagnosis:
         swapped_names(inputs),
         *columns_of_others(inputs),
     ]
-    if not _causes(examined) & _FINAL:
-        examined += _tests_of_motion(inputs)
-    return Diagnosis.of(examined)
 
 
 def _tests_of_motion(inputs: InputPair) -> list[Examined]:

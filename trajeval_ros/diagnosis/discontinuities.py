@@ -22,7 +22,7 @@ from trajeval_ros.metrics.discontinuities.recorded import discontinuities
 from trajeval_ros.metrics.evaluation import Evaluation
 
 _FALLS = 0.8  # of the ATE: a discontinuity that causes more of it is a finding
-_SPARSE = ("gnss", "points")  # kinds of groundtruth whose noise hides steps
+_NOISY = "gnss"  # kind of groundtruth whose noise hides steps
 _MOST = 3  # parts that are named
 # Side of a frozen pose by the finding about it.
 _FROZEN = {
@@ -40,10 +40,10 @@ def with_events(
     """Return an evaluation with its discontinuities, by the groundtruth's clock, and its parts.
 
     The trajectories are in the order of their sources, without the time offset. If they are
-    `paired`, those of the pairs are used. Nothing without timestamps, and for fixes and points.
+    `paired`, those of the pairs are used. Nothing without timestamps, and for GNSS fixes.
     """
     pairs, rule = evaluation.association, evaluation.association.rule
-    if rule.method == "index" or evaluation.groundtruth.kind in _SPARSE:
+    if rule.method == "index" or evaluation.groundtruth.kind == _NOISY:
         return evaluation
     offset_ns = round(rule.time_offset_s * NANOSECONDS)
     if paired:
@@ -68,16 +68,16 @@ def examined_discontinuities(evaluation: Evaluation, known: Diagnosis) -> Examin
     scores = {"events": float(len(evaluation.events))}
     seen = [
         _seen(group, evaluation.parts, first_ns)
-        for key, group in _grouped(events).items()
-        if _is_cause(key, evaluation)
+        for group in _grouped(events)
+        if _is_cause(group, evaluation)
     ]
     return Examined("discontinuities", scores, tuple(seen))
 
 
 def about_small_discontinuities(evaluation: Evaluation, known: Diagnosis) -> Iterator[Remark]:
     """Count the discontinuities that are no finding, in one note."""
-    groups = _grouped(_unexplained(evaluation, known)).items()
-    rest = [group for key, group in groups if not _is_cause(key, evaluation)]
+    groups = _grouped(_unexplained(evaluation, known))
+    rest = [group for group in groups if not _is_cause(group, evaluation)]
     if rest:
         first_ns = int(evaluation.groundtruth.stamps.min())
         text = "; ".join(_counted(group, first_ns) for group in rest)
@@ -99,22 +99,25 @@ def _unexplained(evaluation: Evaluation, known: Diagnosis) -> list[Event]:
     ]
 
 
-def _grouped(events: Sequence[Event]) -> dict[tuple[str, str], list[Event]]:
+def _grouped(events: Sequence[Event]) -> list[list[Event]]:
+    """Return the events by kind and side."""
     groups: dict[tuple[str, str], list[Event]] = {}
     for event in events:
         groups.setdefault((event.kind, event.side), []).append(event)
-    return groups
+    return list(groups.values())
 
 
-def _is_cause(key: tuple[str, str], evaluation: Evaluation) -> bool:
-    """Return whether discontinuities of a kind and side cause errors."""
-    kind, side = key
+def _is_cause(group: Sequence[Event], evaluation: Evaluation) -> bool:
+    """Return whether discontinuities of one kind and side cause errors."""
+    kind, side = group[0].kind, group[0].side
     whole = evaluation.ate["position_m"]
     if cause_name(kind, side) not in DISCONTINUITIES or whole is None:
         return False
     if kind in kinds.PARTING:
         together = together_m(evaluation.parts)
-        return together is not None and together < _FALLS * whole.rmse
+        if together is None:  # one step gives an ATE of at most half its size
+            return max(event.m for event in group) > whole.rmse
+        return together < _FALLS * whole.rmse
     if kind == kinds.OUTLIER:
         errors_m = evaluation.absolute.position_m
         rest = without_outliers_m(evaluation.association, evaluation.events, errors_m)
@@ -147,13 +150,16 @@ def _seen(group: Sequence[Event], parts: Sequence[Part], first_ns: int) -> Seen:
 
 def _parts_text(parts: Sequence[Part]) -> str:
     together = together_m(parts)
-    assert together is not None
+    if together is None:
+        return "the parts are too short for separate alignments"
     named = [part for part in parts if part.ate is not None]
     sizes = ", ".join(
         f"{four_digits(part.ate or 0.0)} m ({part.duration_s:.0f} s)" for part in named[:_MOST]
     )
     more = f" (first {_MOST} of {len(named)})" if len(named) > _MOST else ""
-    return f"ATE of the parts{more} {sizes}, together {four_digits(together)} m"
+    return (
+        f"ATE of the parts{more} {sizes}, together {four_digits(together)} m: --on-restart split"
+    )
 
 
 def _counted(group: Sequence[Event], first_ns: int) -> str:

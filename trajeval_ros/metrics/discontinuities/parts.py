@@ -12,12 +12,13 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.association import Association
-from trajeval_ros.metrics.discontinuities.events import OUTLIER, PARTING, Event
+from trajeval_ros.metrics.discontinuities.events import OUTLIER, PARTING, RESTART, Event
 from trajeval_ros.metrics.pair_alignment import align_pairs
 from trajeval_ros.metrics.protocol import Protocol
 
 # Shorter parts have no ATE: an alignment fits any error of a few poses.
 _SHORTEST_S, _FEWEST = 5.0, 10
+_SIGMAS = 5.0  # of the errors of the parts: a smaller step is one of their errors
 
 
 @dataclass(frozen=True)
@@ -36,11 +37,22 @@ class Part:
 
 
 def parts_of(pairs: Association, events: Sequence[Event], protocol: Protocol) -> tuple[Part, ...]:
-    """Return the parts of pairs between steps and restarts; none without one."""
+    """Return the parts of pairs between restarts and large steps; none without one.
+
+    A step within the usual errors of the parts, such as one by a loop closure, is no cut.
+    """
+    sure = [event for event in events if event.kind in PARTING and event.certainty == "sure"]
+    together = together_m(_cut(pairs, sure, protocol))
+    if together is None:
+        return ()
+    large = [event for event in sure if event.kind == RESTART or event.m > _SIGMAS * together]
+    return _cut(pairs, large, protocol)
+
+
+def _cut(pairs: Association, events: Sequence[Event], protocol: Protocol) -> tuple[Part, ...]:
+    """Return the parts of pairs between events; none without one."""
     stamps = pairs.groundtruth.stamps
-    cuts = [
-        event.end_ns for event in events if event.kind in PARTING and event.certainty == "sure"
-    ]
+    cuts = [event.end_ns for event in events]
     numbers = np.searchsorted(np.sort(np.array(cuts, dtype=np.int64)), stamps, "right")
     if not cuts or numbers[0] == numbers[-1]:
         return ()
