@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator, Sequence
 
 from trajeval_ros.diagnosis.causes import CAUSES, DISCONTINUITIES, cause_name
@@ -115,9 +116,10 @@ def _is_cause(group: Sequence[Event], evaluation: Evaluation) -> bool:
         return False
     if kind in kinds.PARTING:
         together = together_m(evaluation.parts)
-        if together is None:  # one step gives an ATE of at most half its size
-            return max(event.m for event in group) > whole.rmse
-        return together < _FALLS * whole.rmse
+        if together is not None:
+            return together < _FALLS * whole.rmse
+        # Parts too short: a step gives an ATE of at most half its size, and steps add as squares.
+        return bool(evaluation.parts) and math.hypot(*(event.m for event in group)) > whole.rmse
     if kind == kinds.OUTLIER:
         errors_m = evaluation.absolute.position_m
         rest = without_outliers_m(evaluation.association, evaluation.events, errors_m)

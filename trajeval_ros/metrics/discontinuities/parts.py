@@ -42,9 +42,10 @@ def parts_of(pairs: Association, events: Sequence[Event], protocol: Protocol) ->
     A step within the usual errors of the parts, such as one by a loop closure, is no cut.
     """
     sure = [event for event in events if event.kind in PARTING and event.certainty == "sure"]
-    together = together_m(_cut(pairs, sure, protocol))
+    parts = _cut(pairs, sure, protocol)
+    together = together_m(parts)
     if together is None:
-        return ()
+        return parts
     large = [event for event in sure if event.kind == RESTART or event.m > _SIGMAS * together]
     return _cut(pairs, large, protocol)
 
