@@ -321,7 +321,7 @@ class Discontinuities:
         event.poses = row
         self._stayed.append((begin, end, event, before))
         if kind != kinds.CORRECTION:
-            self._history.marks.clear()
+            self._history.begin_part()
         self._resume(step, row)
 
     def _kind_of_step(self, begin: Pair, end: Pair, size: Difference, verdict: SideVerdict) -> str:
@@ -333,6 +333,7 @@ class Discontinuities:
         )
         far_m = scale * math.dist(begin.position, self._first.position)
         marks = [mark for mark in self._history.marks if begin.t - mark.t > _BURN_IN_S]
+        marks = marks[: len(marks) // 2]  # a loop closure agrees with the oldest poses
         if verdict.side == kinds.ESTIMATE and near_m < min(max(size.m / 4.0, 0.1), far_m / 3.0):
             return kinds.RESTART
         if len(marks) > 2:

@@ -9,7 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.exceptions import require_one_of
+from trajeval_ros.geometry.arrays import Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.travelled import step_angles, step_lengths
 from trajeval_ros.metrics.discontinuities.events import (
     CLOCK_STEP,
     EXCURSIONS,
@@ -73,8 +75,23 @@ def is_groundtruth_outlier(event: Event) -> bool:
 
 def without_groundtruth_outliers(groundtruth: Trajectory, events: Sequence[Event]) -> Trajectory:
     """Return the groundtruth without the poses inside of its outliers and flips."""
-    stamps = groundtruth.stamps
-    kept = np.ones(len(stamps), dtype=bool)
+    kept = np.ones(len(groundtruth), dtype=bool)
     for event in filter(is_groundtruth_outlier, events):
-        kept &= (stamps <= event.t_ns) | (stamps >= event.end_ns)
+        inside = (groundtruth.stamps >= event.t_ns) & (groundtruth.stamps <= event.end_ns)
+        rows = np.flatnonzero(inside)
+        kept[_between_edges(groundtruth[rows], rows, event)] = False
     return groundtruth if kept.all() else groundtruth[kept]
+
+
+def _between_edges(poses: Trajectory, rows: Indices, event: Event) -> Indices:
+    """Return the rows (M,) of N poses from the good one before an outlier to the one after it.
+
+    The first and the last pose of the outlier are at steps of more than half of its size.
+    """
+    is_edge = np.zeros(max(len(rows) - 1, 0), dtype=bool)
+    if event.m:
+        is_edge |= step_lengths(poses.positions) > event.m / 2.0
+    if event.deg and poses.quaternions is not None:
+        is_edge |= np.degrees(step_angles(poses.quaternions)) > event.deg / 2.0
+    edges = np.flatnonzero(is_edge)
+    return rows[edges[0] + 1 : edges[-1] + 1] if len(edges) > 1 else rows[1:-1]

@@ -16,7 +16,7 @@ from trajeval_ros.metrics.discontinuities.relative_motion import (
 _FIT_LAG = 2  # cells between the pairs that determine rotation, scale and lever arm
 _CALM_KEPT = 60  # motions over one period that are learned again with a known rotation
 _ALL_LEARNED = 60  # motions over one period; later ones are learned three times per cell
-_MARKS, _MARK_CELLS = 40, 4  # earlier pairs that a correction agrees with, and cells between them
+_MOST_MARKS = 40  # earlier pairs that a correction agrees with: more cost time at a step
 
 
 class MotionHistory:
@@ -24,7 +24,8 @@ class MotionHistory:
 
     def __init__(self, motion: RelativeMotion, begin_s: float, period_s: float) -> None:
         self.usual = UsualDifferences(period_s)
-        self.marks: deque[Pair] = deque(maxlen=_MARKS)  # good pairs of the present part
+        self.marks: list[Pair] = []  # good pairs, evenly over the present part
+        self._mark_cells = 1  # between two marks
         self._motion, self._begin_s, self._period_s = motion, begin_s, period_s
         self._cell = 0
         self._ring: deque[Pair | None] = deque(maxlen=LAGS[-1] + 1)  # good pairs, one per cell
@@ -54,13 +55,19 @@ class MotionHistory:
             if lag == _FIT_LAG and self._motion.learn(earlier, pair):
                 self._learn_again()
         self._ring.append(pair)
-        if cell % _MARK_CELLS == 0:
+        if cell % self._mark_cells == 0:
             self.marks.append(pair)
+        if len(self.marks) > _MOST_MARKS:
+            self.marks, self._mark_cells = self.marks[::2], 2 * self._mark_cells
 
     def begin_at(self, pair: Pair, *, is_learned: bool = True) -> None:
         """Compare no pairs before and after this one; it is not learned itself if it is not."""
         self._ring.clear()
         self._cell = self._cell_of(pair) - is_learned
+
+    def begin_part(self) -> None:
+        """Forget the marks, after a step that is no correction."""
+        self.marks, self._mark_cells = [], 1
 
     def _cell_of(self, pair: Pair) -> int:
         return int((pair.t - self._begin_s) / CELL_S)

@@ -12,13 +12,15 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.association import Association
-from trajeval_ros.metrics.discontinuities.events import OUTLIER, PARTING, RESTART, Event
+from trajeval_ros.metrics.discontinuities.events import ESTIMATE, GROUNDTRUTH, OUTLIER, PARTING, RESTART, Event
 from trajeval_ros.metrics.pair_alignment import align_pairs
 from trajeval_ros.metrics.protocol import Protocol
 
 # Shorter parts have no ATE: an alignment fits any error of a few poses.
 _SHORTEST_S, _FEWEST = 5.0, 10
-_SIGMAS = 5.0  # of the errors of the parts: a smaller step is one of their errors
+# In errors of the parts: a smaller step is one of their errors. A groundtruth has no drift, whose
+# correction looks like a step.
+_SIGMAS = {GROUNDTRUTH: 1.0, ESTIMATE: 5.0}
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,11 @@ def parts_of(pairs: Association, events: Sequence[Event], protocol: Protocol) ->
     together = together_m(parts)
     if together is None:
         return parts
-    large = [event for event in sure if event.kind == RESTART or event.m > _SIGMAS * together]
+    large = [
+        event
+        for event in sure
+        if event.kind == RESTART or event.m > _SIGMAS[event.side] * together
+    ]
     return _cut(pairs, large, protocol)
 
 
