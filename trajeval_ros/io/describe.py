@@ -73,8 +73,8 @@ class Description:
     # Trajectories in the source, also those with a problem.
     trajectories: tuple[TrajectorySummary, ...]
     edges: tuple[EdgeSummary, ...] = ()  # transforms of the TF tree
-    # (topic, type, number of messages) of the topics without poses.
-    others: tuple[tuple[str, str, int], ...] = ()
+    # (topic, type, number of messages, fields with poses) of the topics of other types.
+    others: tuple[tuple[str, str, int, str], ...] = ()
     remarks: tuple[Remark, ...] = ()  # remarks of the reader of a bag
 
 
@@ -116,6 +116,7 @@ def _describe_log(source: str, path: Path) -> Description:
 def _describe_bag(source: str, path: Path, advance: Advance | None) -> Description:
     """Return the contents of all topics of a bag."""
     from trajeval_ros.io.bags.bag import Bag
+    from trajeval_ros.io.bags.nested_poses import nested_poses
     from trajeval_ros.io.bags.topic_readers import (
         PoseReader,
         TransformReader,
@@ -154,7 +155,8 @@ def _describe_bag(source: str, path: Path, advance: Advance | None) -> Descripti
                         topic.name, *key, edge.is_static, count, rate_hz
                     )
             elif not topic.holds_transforms:
-                others.append((topic.name, topic.type, topic.count))
+                inside = ", ".join(place.field or "itself" for place in nested_poses(topic.fields))
+                others.append((topic.name, topic.type, topic.count, inside))
         remarks = bag.remarks([each.reading for each in readers])
     tree = sorted(edges.values(), key=lambda edge: (edge.topic, edge.is_static, edge.parent))
     return Description(path, tuple(trajectories), tuple(tree), tuple(others), remarks)
