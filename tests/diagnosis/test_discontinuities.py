@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from paths import SHARED
+
 from trajeval_ros import Protocol, Request, Trajectory, read_trajectory, run, simulate
 from trajeval_ros.cli.app import main
 from trajeval_ros.diagnosis.findings import Diagnosis

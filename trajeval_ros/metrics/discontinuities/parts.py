@@ -12,7 +12,14 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.association import Association
-from trajeval_ros.metrics.discontinuities.events import ESTIMATE, GROUNDTRUTH, OUTLIER, PARTING, RESTART, Event
+from trajeval_ros.metrics.discontinuities.events import (
+    ESTIMATE,
+    GROUNDTRUTH,
+    OUTLIER,
+    PARTING,
+    RESTART,
+    Event,
+)
 from trajeval_ros.metrics.pair_alignment import align_pairs
 from trajeval_ros.metrics.protocol import Protocol
 
