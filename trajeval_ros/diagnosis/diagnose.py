@@ -1,6 +1,6 @@
 """All tests of an evaluation and its inputs, in their order.
 
-Every test relies on the previous ones: numbers, groundtruth, clocks, restarts, conventions, and
+Every test relies on the previous ones: numbers, groundtruth, clocks, conventions, and
 then scale, axes and bodies. A finding that invalidates the next tests ends them. Drift is never
 reported as a mistake: all tests use short motions, in which it is small.
 """

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
+from trajeval_ros.diagnosis.causes import DISCONTINUITIES
 from trajeval_ros.diagnosis.findings import WITHHELD_DEG, Diagnosis, Examined, Finding, Tried
 from trajeval_ros.exceptions import TrajevalError
 
@@ -26,8 +27,8 @@ _LEAST = 1e-9  # an error of zero, for logarithms
 _WITHOUT_BODY = "without the body's rotation"
 # These are measured without their corrections, and hold if the corrections do not help.
 _HOLD = {
-    "clock_offset", "clock_drift", "gap_bridged", "restart", "body", "lever_arm", "frozen",
-    "frozen_at_start", "diverged",
+    "clock_offset", "clock_drift", "gap_bridged", "body", "lever_arm", "frozen", "frozen_at_start",
+    "diverged", *DISCONTINUITIES,
 }  # fmt: skip
 
 

@@ -25,6 +25,7 @@ _KEPT = 240  # learned differences of a lag: 2 min of cells
 _OF_MEDIAN, _OF_TAIL = 6.0, 2.5
 _LEAST_M, _LEAST_DEG = 0.03, 2.0  # smallest limits: motion capture is not better
 _LEAST_SAMPLES = 6
+_FEW_SAMPLES = 60  # of the differences over one period: each of fewer changes the limit
 _MEMORY_S = 60.0  # of rotation, scale and lever arm
 _LEAST_FITS, _LEAST_PATH_M = 12, 1.0  # before rotation and scale are used
 _OUTLIER, _OUTLIER_M = 4.0, 0.25  # a displacement of 4 times the groundtruth's is not learned
@@ -95,9 +96,12 @@ class UsualDifferences:
 
     def add(self, lag: int, difference: Difference) -> None:
         """Learn a difference over `lag` cells."""
-        for samples, value in zip(self._samples[lag], difference[:2], strict=True):
+        both = self._samples[lag]
+        for samples, value in zip(both, difference[:2], strict=True):
             samples.add(value)
-        self._table = None
+        # Differences over one period come often, and the other lags once per cell.
+        if lag or len(both[0]) < _FEW_SAMPLES:
+            self._table = None
 
     def clear(self) -> None:
         """Forget all differences."""
