@@ -55,6 +55,7 @@ CHANGING = {
     "Event",
     "McapContents",
     "MessageIndex",
+    "OpenStep",
     "PlaybackResult",
     "Progress",
     "Registry",
@@ -67,7 +68,6 @@ CHANGING = {
     "_Candidate",
     "_Followed",
     "_Kind",
-    "_Step",
     "_Leaves",
 }
 MODULES_AT_THE_TOP = {"__init__", "__main__", "exceptions", "linear_algebra_threads"}

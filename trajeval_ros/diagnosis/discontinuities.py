@@ -14,7 +14,7 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.discontinuities import events as kinds
 from trajeval_ros.metrics.discontinuities.events import Event
 from trajeval_ros.metrics.discontinuities.parts import (
-    Part,
+    RunPart,
     parts_of,
     together_m,
     without_outliers_m,
@@ -22,7 +22,9 @@ from trajeval_ros.metrics.discontinuities.parts import (
 from trajeval_ros.metrics.discontinuities.recorded import discontinuities
 from trajeval_ros.metrics.evaluation import Evaluation
 
-_FALLS = 0.8  # of the ATE: a discontinuity that causes more of it is a finding
+_FALLS = 0.8  # of the ATE: steps that cause more of it are a finding
+# The same without outliers: a good estimate has a few, which are its errors.
+_OUTLIERS_FALL = {kinds.GROUNDTRUTH: 0.8, kinds.ESTIMATE: 0.5}
 _NOISY = "gnss"  # kind of groundtruth whose noise hides steps
 _MOST = 3  # parts that are named
 # Side of a frozen pose by the finding about it.
@@ -123,11 +125,11 @@ def _is_cause(group: Sequence[Event], evaluation: Evaluation) -> bool:
     if kind == kinds.OUTLIER:
         errors_m = evaluation.absolute.position_m
         rest = without_outliers_m(evaluation.association, evaluation.events, errors_m)
-        return rest < _FALLS * whole.rmse
+        return rest < _OUTLIERS_FALL[side] * whole.rmse
     return True
 
 
-def _seen(group: Sequence[Event], parts: Sequence[Part], first_ns: int) -> Seen:
+def _seen(group: Sequence[Event], parts: Sequence[RunPart], first_ns: int) -> Seen:
     """Return the cause of discontinuities of one kind and side: its largest one."""
     event = max(group, key=lambda event: (event.ratio, abs(event.s)))
     begin_s, end_s = ((ns - first_ns) / NANOSECONDS for ns in (event.t_ns, event.end_ns))
@@ -150,7 +152,7 @@ def _seen(group: Sequence[Event], parts: Sequence[Part], first_ns: int) -> Seen:
     return Seen(cause_name(event.kind, event.side), 1.0, values)
 
 
-def _parts_text(parts: Sequence[Part]) -> str:
+def _parts_text(parts: Sequence[RunPart]) -> str:
     together = together_m(parts)
     if together is None:
         return "the parts are too short for separate alignments"

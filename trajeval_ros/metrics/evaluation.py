@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     import pyarrow
 
     from trajeval_ros.metrics.discontinuities.events import Event
-    from trajeval_ros.metrics.discontinuities.parts import Part
+    from trajeval_ros.metrics.discontinuities.parts import RunPart
 
 ATE_METRICS = tuple(each.name for each in dataclasses.fields(AbsoluteErrors))
 
@@ -101,7 +101,7 @@ class Evaluation:
     score: Score | None = None
     recall: Recall | None = None
     events: tuple[Event, ...] = ()
-    parts: tuple[Part, ...] = ()
+    parts: tuple[RunPart, ...] = ()
 
     @cached_property
     def aligned(self) -> Trajectory:

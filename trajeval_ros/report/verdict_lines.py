@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from trajeval_ros.diagnosis.findings import Diagnosis
     from trajeval_ros.likelihood.likelihood_assessment import LikelihoodAssessment
     from trajeval_ros.likelihood.uncertain_ate import UncertainAte
-    from trajeval_ros.metrics.discontinuities.parts import Part
+    from trajeval_ros.metrics.discontinuities.parts import RunPart
     from trajeval_ros.metrics.own_error import OwnError
     from trajeval_ros.pipeline.outcome import RunOutcome
 
@@ -77,7 +77,7 @@ def verdict(
     whole = f"ATE {with_unit(position.rmse, 'm')} position"
     together = together_m(evaluation.parts) if split else None
     if together is not None:
-        whole += f" ({len(evaluation.parts)} parts: {with_unit(together, 'm')})"
+        whole += f" ({counted(len(evaluation.parts), 'part')}: {with_unit(together, 'm')})"
     supported = "" if likelihood is None else _supported(likelihood.ate)
     has_gaps = likelihood is not None and likelihood.ate.supported_share < 1.0
     return [
@@ -99,7 +99,7 @@ def verdict(
     ]
 
 
-def _split(parts: Sequence[Part]) -> str:
+def _split(parts: Sequence[RunPart]) -> str:
     """Return the line about the parts between restarts and steps."""
     if not parts:
         return "  no restart and no step: one part"
@@ -109,7 +109,7 @@ def _split(parts: Sequence[Part]) -> str:
         for part in parts
     )
     return (
-        f"  {len(parts)} parts between restarts and steps, {counted(alignments, 'alignment')} "
+        f"  {counted(len(parts), 'part')} between restarts and steps, {counted(alignments, 'alignment')} "
         f"(position ATE; not below 5 s or 10 pairs): {sizes}"
     )
 

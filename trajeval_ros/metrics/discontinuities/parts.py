@@ -31,7 +31,7 @@ _SIGMAS = {GROUNDTRUTH: 1.0, ESTIMATE: 5.0}
 
 
 @dataclass(frozen=True)
-class Part:
+class RunPart:
     """Pairs between two discontinuities, aligned separately."""
 
     begin_ns: int
@@ -45,7 +45,9 @@ class Part:
         return (self.end_ns - self.begin_ns) / NANOSECONDS
 
 
-def parts_of(pairs: Association, events: Sequence[Event], protocol: Protocol) -> tuple[Part, ...]:
+def parts_of(
+    pairs: Association, events: Sequence[Event], protocol: Protocol
+) -> tuple[RunPart, ...]:
     """Return the parts of pairs between restarts and large steps; none without one.
 
     A step within the usual errors of the parts, such as one by a loop closure, is no cut.
@@ -63,7 +65,7 @@ def parts_of(pairs: Association, events: Sequence[Event], protocol: Protocol) ->
     return _cut(pairs, large, protocol)
 
 
-def _cut(pairs: Association, events: Sequence[Event], protocol: Protocol) -> tuple[Part, ...]:
+def _cut(pairs: Association, events: Sequence[Event], protocol: Protocol) -> tuple[RunPart, ...]:
     """Return the parts of pairs between events; none without one."""
     stamps = pairs.groundtruth.stamps
     cuts = [event.end_ns for event in events]
@@ -76,11 +78,11 @@ def _cut(pairs: Association, events: Sequence[Event], protocol: Protocol) -> tup
         begin_ns, end_ns = int(stamps[rows[0]]), int(stamps[rows[-1]])
         is_long = end_ns - begin_ns >= _SHORTEST_S * NANOSECONDS and len(rows) >= _FEWEST
         ate = _ate(pairs, rows, protocol) if is_long else None
-        parts.append(Part(begin_ns, end_ns, len(rows), ate))
+        parts.append(RunPart(begin_ns, end_ns, len(rows), ate))
     return tuple(parts)
 
 
-def together_m(parts: Sequence[Part]) -> float | None:
+def together_m(parts: Sequence[RunPart]) -> float | None:
     """Return the RMSE over the pairs of all parts with an ATE, metres; None without any."""
     measured = [(part.pairs, part.ate) for part in parts if part.ate is not None]
     if not measured:
