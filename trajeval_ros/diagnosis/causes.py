@@ -18,7 +18,6 @@ from trajeval_ros.metrics.discontinuities.events import (
 )
 
 FLAG = "true"  # value of an option without a value
-CLOCK_STEPS = "clock_steps"  # a correction without an option: `--correct clock_step`
 
 
 @dataclass(frozen=True)
@@ -209,6 +208,16 @@ _TABLE = (
         of_error="rotation",
     ),
     Cause(
+        "xyzw",
+        6.0,
+        "{owner} quaternions are in the order x, y, z, w, but were read as w, x, y, z: "
+        f"{_AGREE}",
+        "read them as x, y, z, w",
+        {"{side}.quaternion_order": "{order}"},
+        of_conventions=True,
+        of_error="rotation",
+    ),
+    Cause(
         "wxyz_transposed",
         6.0,
         f"{{owner}} quaternions are in the order w, x, y, z and inverse (world in body): {_AGREE}",
@@ -271,16 +280,14 @@ _TABLE = (
         "convention_tie",
         6.0,
         f"one side's poses are {{causes}}, which this motion can't distinguish: {_AGREE}",
-        "check the conventions of the file, and convert it: trajeval trajectory SOURCE "
-        "--quaternion-order, --inverse or --axes",
+        "check the conventions of the file, and convert it: trajeval trajectory SOURCE {options}",
         of_conventions=True,
         of_error="",
     ),
     Cause(
         "rotations",
         6.0,
-        "the positions agree, and the rotations agree in no convention{how}: the motions of the "
-        "positions agree to {positions:.0f} %, those of the rotations to {rotations:.0f} %",
+        "the positions agree, and the rotations agree {how}",
         "check how the rotations were computed: {check}",
         of_conventions=True,
     ),
@@ -319,8 +326,9 @@ _TABLE = (
     Cause(
         "tilted",
         5.7,
-        "the vertical axes of the two frames differ by {tilt_deg:.0f} deg, which this alignment "
-        "can't correct: at least one frame is not aligned with gravity",
+        "the vertical axes of the two frames differ by {tilt_deg:.1f} deg (standard deviation "
+        "{sigma_deg:.1f} deg), which this alignment can't correct: at least one frame is not "
+        "aligned with gravity",
         "align by all rotations",
         {"gauge": "se3"},
     ),
@@ -351,28 +359,28 @@ _TABLE = (
     Cause(
         "body",
         5.0,
-        "the body frames differ by a constant rotation of {angle_deg:.0f} deg (residual "
-        "{rest_deg:.1f} deg): the groundtruth is probably of another body frame, such as a "
-        "marker or a camera",
-        "estimate it with --hand-eye auto, or give a known transformation with --hand-eye FILE",
-        {"hand_eye": "auto"},
+        "the body frames differ by a constant rotation of {angle_deg:.0f} deg (standard deviation "
+        "{rest_deg:.1f} deg): the groundtruth is probably of another body frame, such as a marker "
+        "or a camera",
+        "apply this pose of the groundtruth's body, or estimate it with --hand-eye auto",
+        {"hand_eye": "{pose}"},
         of_error="rotation",
     ),
     Cause(
         "lever_arm",
         4.9,
-        "a lever arm of {lever_m:.2f} m explains {percent:.0f} % of the error over 2 s: the "
-        "trajectories are of different points of the body",
-        "estimate it with --hand-eye auto, or give a known transformation with --hand-eye FILE",
-        {"hand_eye": "auto"},
+        "the trajectories are of different points of the body: they have a lever arm of "
+        "{lever_m:.2f} m (standard deviation {sigma_m:.2g} m)",
+        "apply this pose of the groundtruth's body, or estimate it with --hand-eye auto",
+        {"hand_eye": "{pose}"},
     ),
     Cause(
         "small_clock_offset",
         4.8,
-        "the clocks of groundtruth and estimate probably differ: {how} with {offset_ms:+.0f} ms "
-        "{more}added to the estimate's timestamps",
-        "estimate the offset with --time-offset auto",
-        {"time_offset": "auto"},
+        "the clocks of groundtruth and estimate probably differ: short motions match best with "
+        "{offset_ms:+.0f} ms {more}added to the estimate's timestamps",
+        "shift the estimate's timestamps",
+        {"time_offset": "{total_s:.4f}"},
         of_error="",
     ),
     Cause(
@@ -426,7 +434,7 @@ _OF_DISCONTINUITIES = (
         8.2,
         "{owner} clock stepped by {s:+.3f} s at {end_s:.2f} s{number}{receptions}",
         "correct the timestamps after it",
-        {CLOCK_STEPS: "corrected"},
+        {"correct": CLOCK_STEP},
         of_error="",
     ),
     Cause(
@@ -439,13 +447,6 @@ _OF_DISCONTINUITIES = (
     Cause("groundtruth_flip", _OF_GROUNDTRUTH, _FLIPS, "drop such poses", _DROP, of_error=""),
     Cause("groundtruth_flip_stays", _OF_GROUNDTRUTH, _FLIPS, _BEFORE, {"end": "{begin_s:.3f}"}),
     Cause("groundtruth_step", _OF_GROUNDTRUTH, _JUMPS, _SPLIT),
-    Cause(
-        "groundtruth_frozen_position",
-        _OF_GROUNDTRUTH,
-        _HOLDS,
-        _BEFORE,
-        {"end": "{begin_s:.3f}"},
-    ),
     Cause(
         "restart",
         _OF_ESTIMATE,

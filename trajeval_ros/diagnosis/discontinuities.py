@@ -25,6 +25,7 @@ from trajeval_ros.metrics.evaluation import Evaluation
 _FALLS = 0.8  # of the ATE: steps that cause more of it are a finding
 # The same without outliers: a good estimate has a few, which are its errors.
 _OUTLIERS_FALL = {kinds.GROUNDTRUTH: 0.8, kinds.ESTIMATE: 0.5}
+_SIGMAS = 5.0  # errors: a larger outlier of the groundtruth is wrong, whatever its share is
 _NOISY = "gnss"  # kind of groundtruth whose noise hides steps
 _MOST = 3  # parts that are named
 # Side of a frozen pose by the finding about it.
@@ -57,8 +58,17 @@ def with_events(
 
 
 def has_clock_step(evaluation: Evaluation) -> bool:
-    """Return whether a clock stepped, which looks like most other mistakes."""
+    """Return whether a clock stepped."""
     return any(event.kind == kinds.CLOCK_STEP for event in evaluation.events)
+
+
+def changes_motions(evaluation: Evaluation) -> bool:
+    """Return whether a clock stepped or a body flipped, which looks like most other mistakes.
+
+    Several flips that stay are the effect of wrong rotations.
+    """
+    flips = [event.certainty for event in evaluation.events if event.kind == kinds.FLIP_STAYS]
+    return flips == ["sure"] or has_clock_step(evaluation)
 
 
 def examined_discontinuities(evaluation: Evaluation, known: Diagnosis) -> Examined:
@@ -125,7 +135,9 @@ def _is_cause(group: Sequence[Event], evaluation: Evaluation) -> bool:
     if kind == kinds.OUTLIER:
         errors_m = evaluation.absolute.position_m
         rest = without_outliers_m(evaluation.association, evaluation.events, errors_m)
-        return rest < _OUTLIERS_FALL[side] * whole.rmse
+        largest_m = max(event.m for event in group)
+        is_wrong = side == kinds.GROUNDTRUTH and largest_m > _SIGMAS * whole.rmse
+        return is_wrong or rest < _OUTLIERS_FALL[side] * whole.rmse
     return True
 
 

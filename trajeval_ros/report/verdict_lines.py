@@ -109,8 +109,8 @@ def _split(parts: Sequence[RunPart]) -> str:
         for part in parts
     )
     return (
-        f"  {counted(len(parts), 'part')} between restarts and steps, {counted(alignments, 'alignment')} "
-        f"(position ATE; not below 5 s or 10 pairs): {sizes}"
+        f"  {counted(len(parts), 'part')} between restarts and steps, "
+        f"{counted(alignments, 'alignment')} (position ATE; not below 5 s or 10 pairs): {sizes}"
     )
 
 

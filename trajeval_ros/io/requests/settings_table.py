@@ -244,11 +244,12 @@ _ROWS = (
         target=("calibration.hand_eye", "calibration.known", "calibration.source"), read=_hand_eye,
         metavar="none|auto|SOURCE", panel=PAIR, verbs=(EVALUATE, COMPARE, FINISH, NODE),
         is_common=True,
-        help="Pose of the groundtruth's marker in the estimate's body: a TransformStamped in a "
-        "YAML file, or a static transform in a bag (BAG:/tf_static:BODY.MARKER). auto estimates "
-        "it and applies it if it is statistically significant.",
-        node_help="Pose of the groundtruth's marker in the estimate's body: none; a YAML file "
-        "with a TransformStamped; /tf_static:BODY.MARKER; or auto: estimated from the first "
+        help="Pose of the groundtruth's marker in the estimate's body: X,Y,Z,QX,QY,QZ,QW "
+        "(metres), a TransformStamped in a YAML file, or a static transform in a bag "
+        "(BAG:/tf_static:BODY.MARKER); or auto: estimated, and applied if it is significant.",
+        node_help="Pose of the groundtruth's marker in the estimate's body: none; "
+        "X,Y,Z,QX,QY,QZ,QW (metres); a YAML file with a TransformStamped; "
+        "/tf_static:BODY.MARKER; or auto: estimated from the first "
         "minute, and applied if statistically significant."),
     Setting(name="datum", target="fixes.datum", parse=parse_datum, metavar="LAT,LON,HEIGHT",
         panel=GNSS, verbs=(EVALUATE, NODE),

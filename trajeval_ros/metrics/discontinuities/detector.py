@@ -385,8 +385,18 @@ class Discontinuities:
         if len(later) < 3:
             return False if later else None
         same, rotated = (
-            float(np.median([self._motion.between(end, pair, rows=each).m for pair in later]))
-            for each in (None, rows)
+            float(
+                np.median(
+                    [
+                        ratio_of(
+                            self._motion.between(end, pair, rows=known),
+                            self._usual.limit(pair.t - end.t),
+                        )
+                        for pair in later
+                    ]
+                )
+            )
+            for known in (None, rows)
         )
         if rotated >= same / 2.0:
             return False
