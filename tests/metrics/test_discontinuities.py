@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trajeval_ros import read_trajectory
+from trajeval_ros import evaluate, read_trajectory, simulate
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.reading import Reading
@@ -20,6 +20,8 @@ from trajeval_ros.metrics.discontinuities.detector import Discontinuities
 from trajeval_ros.metrics.discontinuities.events import SIDES, Event
 from trajeval_ros.metrics.discontinuities.handling import without_clock_steps
 from trajeval_ros.metrics.discontinuities.recorded import discontinuities
+from trajeval_ros.metrics.discontinuities.screening import may_have_events
+from trajeval_ros.metrics.protocol import Protocol
 
 FIELD_CASES = Path(__file__).parents[3] / "shared/data/field_cases"
 AT_S, DURATION_S = 40.0, 80.0
@@ -196,3 +198,44 @@ def test_inputs_that_people_report_are_named(
     pair = [read_trajectory(str(FIELD_CASES / name)) for name in (groundtruth, estimate)]
     event = only(discontinuities(pair[0], pair[1]))
     assert (event.kind, event.side) == (kind, side)
+
+
+def screened(groundtruth: Trajectory, estimate: Trajectory) -> bool:
+    evaluation = evaluate(groundtruth, estimate, Protocol(gauge="se3", lengths=()))
+    similarity = evaluation.alignment.similarity
+    return may_have_events(evaluation.association, similarity, groundtruth, estimate)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_healthy_runs_need_no_search(seed: int) -> None:
+    assert not screened(*sides(seed))
+    flight = simulate(seed=seed, duration_s=60.0)
+    assert not screened(flight.groundtruth, flight.estimate)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("until_s", [AT_S + 0.05, AT_S + 5.0, DURATION_S])
+@pytest.mark.parametrize("size_m", [0.2, 2.0])
+def test_runs_with_steps_and_outliers_are_searched(
+    seed: int, number: int, until_s: float, size_m: float
+) -> None:
+    both = list(sides(seed))
+    both[number] = changed(both[number], AT_S, until_s, lambda rows: rows + [size_m, 0.0, 0.0])
+    assert screened(*both)
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_runs_with_flips_freezes_and_clock_steps_are_searched(number: int) -> None:
+    both = list(sides(1))
+    rows = inside(both[number], AT_S, AT_S + 3.0)
+    side = both[number]
+    quaternions, positions, stamps = (
+        array.copy() for array in (side.quaternions, side.positions, side.stamps)
+    )
+    quaternions[rows] = lie.multiply(quaternions[rows], HALF_ROTATION[None])
+    positions[rows] = positions[rows.start]
+    stamps[rows.start :] += 1_000_000_000
+    for changes in ({"quaternions": quaternions}, {"positions": positions}, {"stamps": stamps}):
+        both[number] = dataclasses.replace(side, **changes)
+        assert screened(*both)

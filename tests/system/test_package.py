@@ -92,7 +92,7 @@ IMPORTED_ONLY_IN = {
     "distributed": {"batch"},
     "fsspec": {"batch"},
     "pandas": {"metrics", "geometry", "io"},  # types of tables that users give
-    "pyarrow": {"batch", "metrics"},
+    "pyarrow": {"batch", "metrics", "io"},
     "jinja2": {"report"},
 }
 HEAVY = {

@@ -20,6 +20,7 @@ from trajeval_ros.metrics.discontinuities.parts import (
     without_outliers_m,
 )
 from trajeval_ros.metrics.discontinuities.recorded import discontinuities
+from trajeval_ros.metrics.discontinuities.screening import may_have_events
 from trajeval_ros.metrics.evaluation import Evaluation
 
 _FALLS = 0.8  # of the ATE: steps that cause more of it are a finding
@@ -52,6 +53,8 @@ def with_events(
     offset_ns = round(rule.time_offset_s * NANOSECONDS)
     if paired:
         groundtruth, estimate, offset_ns = pairs.groundtruth, pairs.estimate, 0
+    if not may_have_events(pairs, evaluation.alignment.similarity, groundtruth, estimate):
+        return evaluation
     events = tuple(discontinuities(groundtruth, estimate, offset_ns))
     parts = parts_of(pairs, events, evaluation.protocol)
     return dataclasses.replace(evaluation, events=events, parts=parts)

@@ -23,7 +23,7 @@ _KEPT = 240  # learned differences of a lag: 2 min of cells
 # Limit: the larger of these multiples of the median and of the 95th percentile. Six medians
 # detect steps of 0.1 m of a good estimate, and report about 10 events per hour of a bad one.
 _OF_MEDIAN, _OF_TAIL = 6.0, 2.5
-_LEAST_M, _LEAST_DEG = 0.03, 2.0  # smallest limits: motion capture is not better
+LEAST_M, LEAST_DEG = 0.03, 2.0  # smallest limits: motion capture is not better
 _LEAST_SAMPLES = 6
 _FEW_SAMPLES = 60  # of the differences over one period: each of fewer changes the limit
 _MEMORY_S = 60.0  # of rotation, scale and lever arm
@@ -129,7 +129,7 @@ class UsualDifferences:
             (begin, *low), (end, *high) = table[upper - 1], table[upper]
             share = (at - begin) / (end - begin)
             m, deg = (a + share * (b - a) for a, b in zip(low, high, strict=True))
-        return max(math.exp(m), _LEAST_M), max(math.exp(deg), _LEAST_DEG)
+        return max(math.exp(m), LEAST_M), max(math.exp(deg), LEAST_DEG)
 
     def _logarithms(self) -> list[tuple[float, float, float]]:
         """Return the logarithms of time and limits, which grow with the time."""
