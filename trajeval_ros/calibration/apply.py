@@ -36,22 +36,14 @@ class Ate:
     """The RMSE of an evaluation: position in metres, rotation in degrees if available."""
 
     position_m: float
-    rotation_deg: float | None  # None if it is withheld, or without orientations
-    # The rotation error with an alignment by orientations, if it is withheld only because the
-    # positions determine the alignment's rotation poorly.
-    by_orientations_deg: float | None = None
+    rotation_deg: float | None
 
     @classmethod
     def of(cls, evaluation: Evaluation) -> Ate:
         """Return the RMSE of an evaluation."""
         position, rotation = evaluation.ate["position_m"], evaluation.ate["rotation_deg"]
         assert position is not None
-        if rotation is not None:
-            return cls(position.rmse, rotation.rmse)
-        freedom = evaluation.alignment.freedom
-        if freedom is None or freedom.orientations is None or freedom.disagrees:
-            return cls(position.rmse, None)
-        return cls(position.rmse, None, freedom.orientations.least_deg)
+        return cls(position.rmse, None if rotation is None else rotation.rmse)
 
 
 @dataclass(frozen=True, eq=False)

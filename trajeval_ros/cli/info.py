@@ -143,6 +143,7 @@ def _details(summary: TrajectorySummary) -> list[Row]:
         return [("problem", summary.problem)]
     rows: list[Row] = [
         ("format", summary.kind),
+        *([("columns", summary.columns)] if summary.columns else []),
         ("poses", str(summary.poses)),
         *(_times(summary) if summary.timed else [("timestamps", "none")]),
         ("path length", f"{summary.path_length_m:.3f} m"),

@@ -13,6 +13,10 @@ from typing import TYPE_CHECKING
 
 from trajeval_ros.diagnosis.causes import CAUSES
 from trajeval_ros.diagnosis.column_tests import columns_of_others
+from trajeval_ros.diagnosis.discontinuities import (
+    changes_motions,
+    examined_discontinuities,
+)
 from trajeval_ros.diagnosis.evaluation_tests import (
     covariance_blocks,
     frame_offset,
@@ -67,7 +71,8 @@ def diagnose(
     """Search for mistakes that affect an evaluation of two trajectories.
 
     These are in the order of their sources, without the time offset. They may be `paired`: contain
-    only the pairs, row by row. `losses` of tracking are by default those in the pairs.
+    only the pairs, row by row. `losses` of tracking are by default those in the pairs. The
+    evaluation has its events, see `with_events`.
     """
     protocol, pairs = evaluation.protocol, evaluation.association
     time_offset_s = None
@@ -79,10 +84,14 @@ def diagnose(
     number = number_of_pairs(protocol, pairs, evaluation.groundtruth, evaluation.estimate)
     losses = losses_in(pairs) if losses is None else losses
     inputs = InputPair.of(groundtruth, estimate, protocol, time_offset_s=time_offset_s)
+    if changes_motions(evaluation):
+        found = Diagnosis.of([number, *_tests_of_sides(inputs)])
+        return Diagnosis.of([*found.examined, examined_discontinuities(evaluation, found)])
     found, is_lost = _tested_where_tracked(losses, pairs, inputs)
+    examined = [number, *found.examined, examined_discontinuities(evaluation, found)]
     if is_lost:
-        return Diagnosis.of([number, *found.examined])
-    examined = [number, *found.examined, frame_offset(evaluation)]
+        return Diagnosis.of(examined)
+    examined.append(frame_offset(evaluation))
     if all(finding.rank < _GRAVE for finding in found.findings):
         examined.append(covariance_blocks(evaluation))
     return Diagnosis.of(examined)
@@ -179,7 +188,14 @@ def same_estimate(estimate: InputSummary, others: Sequence[InputSummary]) -> Fin
 
 def _tested(inputs: InputPair) -> Diagnosis:
     """Apply all tests of the inputs; both sides have at least one state."""
-    examined = [
+    examined = _tests_of_sides(inputs)
+    if not _causes(examined) & _FINAL:
+        examined += tests_of_motion(inputs)
+    return Diagnosis.of(examined)
+
+
+def _tests_of_sides(inputs: InputPair) -> list[Examined]:
+    return [
         standing_still(inputs),
         rounded_stamps(inputs),
         same_positions(inputs),
@@ -187,9 +203,6 @@ def _tested(inputs: InputPair) -> Diagnosis:
         swapped_names(inputs),
         *columns_of_others(inputs),
     ]
-    if not _causes(examined) & _FINAL:
-        examined += tests_of_motion(inputs)
-    return Diagnosis.of(examined)
 
 
 def _causes(examined: list[Examined]) -> set[str]:

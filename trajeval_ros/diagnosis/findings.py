@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from trajeval_ros.diagnosis.causes import CAUSES
+from trajeval_ros.diagnosis.causes import CAUSES, FLAG
 from trajeval_ros.formatting.numbers import four_digits
 from trajeval_ros.formatting.remarks import Remark, warning
 
@@ -56,13 +56,18 @@ class Tried:
     before: Ate | None  # None if nothing can be evaluated without it
     after: Ate
     then: str = ""  # options that correct the other findings, in `after`; "" for none
+    # Rotation errors to compare, deg: with an alignment by orientations, if they are withheld only
+    # because the positions determine the alignment's rotation poorly.
+    rotations_deg: tuple[float | None, float | None] = (None, None)
 
     @classmethod
     def of(cls, before: Evaluation | None, after: Evaluation, then: str = "") -> Tried:
         """Return the errors of two evaluations, or of one if there is none before."""
         from trajeval_ros.calibration.apply import Ate
 
-        return cls(None if before is None else Ate.of(before), Ate.of(after), then)
+        first = None if before is None else Ate.of(before)
+        rotations = None if before is None else _by_orientations(before), _by_orientations(after)
+        return cls(first, Ate.of(after), then, rotations)
 
     def raises_errors(self, cause: str) -> bool:
         """Return whether an error that a cause is about grows by more than the drift in it.
@@ -82,7 +87,8 @@ class Tried:
         """
         if self.before is None:
             return 0.0, 1.0
-        before_deg, after_deg = map(_compared_deg, (self.before, self.after))
+        before_deg = _first_known(self.before.rotation_deg, self.rotations_deg[0])
+        after_deg = _first_known(self.after.rotation_deg, self.rotations_deg[1])
         of_rotations = 1.0
         if not (before_deg is None and after_deg is None):
             of_rotations = _ratio(
@@ -96,7 +102,7 @@ class Tried:
         position, rotation = self.ratios
         before, after = self.before, self.after
         option = f"{option} and {self.then}" if self.then else option
-        after_deg = _compared_deg(after)
+        after_deg = _first_known(after.rotation_deg, self.rotations_deg[1])
         is_about_rotation = rotation < _CLEARLY * position or rotation < _FALLS <= position
         if after_deg is not None and is_about_rotation:
             assert before is not None
@@ -116,8 +122,19 @@ _FALLS, _GROWS = 0.999, 1.05
 _CLEARLY = 0.5  # ratio of decreases, from which on the rotation is stated in place of the position
 
 
-def _compared_deg(ate: Ate) -> float | None:
-    return ate.by_orientations_deg if ate.rotation_deg is None else ate.rotation_deg
+def _by_orientations(evaluation: Evaluation) -> float | None:
+    """Return the rotation error of an alignment by orientations, deg.
+
+    None without orientations, or if they disagree with the positions.
+    """
+    freedom = evaluation.alignment.freedom
+    if freedom is None or freedom.orientations is None or freedom.disagrees:
+        return None
+    return freedom.orientations.least_deg
+
+
+def _first_known(one: float | None, other: float | None) -> float | None:
+    return other if one is None else one
 
 
 def _ratio(after: float, before: float) -> float:
@@ -253,7 +270,8 @@ class Diagnosis:
 
 def _options(values: Mapping[str, str]) -> str:
     return " ".join(
-        f"--{name.replace('_', '-')}" + (f"={text}" if text.startswith("-") else f" {text}")
+        f"--{name.replace('_', '-')}"
+        + (f"={text}" if text.startswith("-") else f" {text}".removesuffix(f" {FLAG}"))
         for name, text in values.items()
     )
 

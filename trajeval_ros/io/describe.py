@@ -27,6 +27,7 @@ class TrajectorySummary:
     source: str
     kind: str  # message type, or format of the file
     poses: int  # number of states
+    columns: str = ""  # of a text file, as --columns takes them
     rate_hz: float = 0.0  # inverse of the median time step; 0 without time steps
     timed: bool = True  # whether the states have timestamps
     first_ns: int = 0  # earliest timestamp
@@ -189,6 +190,7 @@ def summarize(source: str, trajectory: Trajectory) -> TrajectorySummary:
     return TrajectorySummary(
         source=source,
         kind=reading.format,
+        columns=reading.columns,
         system=recognised(kind, topic, ordered.frame, ordered.child_frame),
         poses=len(ordered),
         rate_hz=0.0 if unstamped else _rate_hz(ordered.stamps),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trajeval_ros.diagnosis.discontinuities import has_clock_step
 from trajeval_ros.formatting.numbers import counted, percent, whole_percent
 from trajeval_ros.formatting.remarks import Level, Remark, warning
 from trajeval_ros.geometry.fix_selection import FixRule
@@ -154,7 +155,7 @@ def about_inputs(evaluation: Evaluation) -> Iterator[Remark]:
     paired = evaluation.association.estimate
     for name, side in (("groundtruth", groundtruth), ("estimate", paired)):
         yield from _about_projection(name, side)
-        if stamped_at_arrival(side):
+        if not has_clock_step(evaluation) and stamped_at_arrival(side):
             yield warning(
                 "arrival_times",
                 f"the {name}'s timestamps are probably arrival times: they have jitter, its "

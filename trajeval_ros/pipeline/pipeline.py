@@ -18,6 +18,7 @@ from trajeval_ros.diagnosis.diagnose import (
     diagnose_inputs,
     require_conventions,
 )
+from trajeval_ros.diagnosis.discontinuities import with_events
 from trajeval_ros.diagnosis.findings import Diagnosis, Finding, Tried
 from trajeval_ros.diagnosis.verification import Reevaluate, verified
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
@@ -38,6 +39,7 @@ from trajeval_ros.pipeline.evaluation_remarks import remarks_on, require_same_bo
 from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
 from trajeval_ros.pipeline.preparation import (
     Inputs,
+    at_discontinuities,
     corrected_and_cut,
     in_world_axes,
     named,
@@ -172,6 +174,7 @@ def diagnose(
         return verified(found, None, reevaluate), str(error)
     sides = inputs.groundtruth, inputs.estimate
     paired = inputs.pairs is not None
+    evaluation = with_events(evaluation, *sides, paired=paired)
     found = diagnose_evaluation(evaluation, *sides, paired=paired, losses=losses)
     return verified(found, evaluation, reevaluate), ""
 
@@ -188,6 +191,8 @@ def _measured(
     A calibration `compares` errors with those without it.
     """
     inputs, protocol = in_world_axes(corrected_and_cut(given, request), request)
+    offset_s = protocol.association.time_offset_s
+    inputs = at_discontinuities(inputs, request.discontinuities, offset_s)
     calibrated = _calibrated(inputs, protocol, request, same_as, compares=compares)
     if calibrated is None:
         return inputs, None, inputs.evaluated(protocol)
@@ -282,6 +287,7 @@ def _diagnosed(
     `reevaluate` evaluates with corrections. An alignment by orientations of another body is
     refused.
     """
+    evaluation = with_events(evaluation, groundtruth, estimate, paired=paired)
     diagnosis = diagnose_evaluation(evaluation, groundtruth, estimate, paired=paired)
     if hand_eye_calibrated:
         diagnosis = diagnosis.after_hand_eye_calibration()

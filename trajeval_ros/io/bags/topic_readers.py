@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.receptions import LOG, Receptions
 from trajeval_ros.geometry.stamp_trust import trusted_states
 from trajeval_ros.geometry.valid_poses import add_counts
 from trajeval_ros.io.bags.bag import Bag, Key
@@ -47,7 +47,7 @@ from trajeval_ros.io.growing_rows import GrowingRows
 
 
 class PoseReader:
-    """Reads the poses of a topic; of one with paths, those of the last path.
+    """Reads the poses of a topic; of one with paths, those of the last path or of sliding ones.
 
     PX4's local positions get the orientations of the attitude's topic, if the bag has it.
     """
@@ -74,11 +74,21 @@ class PoseReader:
             self.attitudes = PoseReader(bag, attitudes[0], covariances=False)
         kind = _LastPath if topic.type == PATH_TYPE and nested is None else _Poses
         decoders = _Decoders(topic, covariances=covariances, rates=bool(received), nested=nested)
-        self._poses = kind(decoders, received)
+        self._poses: _Poses | _LastPath = kind(decoders, received)
 
     def add(self, key: Key, block: Block) -> None:
         """Add messages of one connection."""
         self._poses.add(key, block)
+
+    @property
+    def slides(self) -> bool:
+        """Whether the topic has paths that slide; then `merge` needs all messages again."""
+        return isinstance(self._poses, _LastPath) and self._poses.slides
+
+    def merge(self, key: Key, block: Block) -> None:
+        """Add messages of paths that slide."""
+        assert isinstance(self._poses, _LastPath)
+        self._poses.merge(key, block)
 
     def poses(self) -> PoseColumns:
         """Return all poses, in order of the log times of their messages."""
@@ -155,6 +165,14 @@ def read_topics(bag: Bag, readers: Collection[PoseReader | TransformReader]) -> 
             fed[each.attitudes.reading] = each.attitudes
     for reading, key, block in bag.blocks(list(fed)):
         fed[reading].add(key, block)
+    sliding = {
+        TopicReading(each.reading.topic): each
+        for each in readers
+        if isinstance(each, PoseReader) and each.slides
+    }
+    if sliding:
+        for reading, key, block in bag.blocks(list(sliding)):
+            sliding[reading].merge(key, block)
 
 
 def tree_topics(bag: Bag, name: str) -> list[Topic]:
@@ -288,29 +306,66 @@ class _Poses:
 
 
 class _LastPath:
-    """The last path of a topic, which is the revised trajectory."""
+    """The last path of a topic, which is the revised trajectory.
+
+    Paths that slide, so that the last one begins after the end of the first one, are merged: the
+    newest version of every pose.
+    """
 
     def __init__(self, decoders: _Decoders, received: str) -> None:
         self._decoders, self._received = decoders, received
+        self._first: tuple[int, Key, Block] | None = None
         self._last: tuple[int, Key, Block] | None = None
         self._newest = _Poses(decoders, received)  # the last pose of every path
+        self._merged: PoseColumns | None = None  # of paths that slide
 
     def add(self, key: Key, block: Block) -> None:
-        """Store the latest message."""
-        row = len(block) - 1 - int(block.log_times[::-1].argmax())
-        log_time = int(block.log_times[row])
-        if self._last is None or log_time >= self._last[0]:
-            self._last = log_time, key, block[row : row + 1].compact()
+        """Store the first and the last message."""
+        first, last = int(block.log_times.argmin()), len(block) - 1
+        last -= int(block.log_times[::-1].argmax())
+        begin, end = int(block.log_times[first]), int(block.log_times[last])
+        if self._first is None or begin < self._first[0]:
+            self._first = begin, key, block[first : first + 1].compact()
+        if self._last is None or end >= self._last[0]:
+            self._last = end, key, block[last : last + 1].compact()
         if self._received:
             self._newest.add(key, block)
 
+    @property
+    def slides(self) -> bool:
+        """Whether the last path begins after the end of the first one."""
+        if self._first is None or self._last is None:
+            return False
+        first, last = self._poses_of(self._first).stamps, self._poses_of(self._last).stamps
+        return bool(len(first) and len(last) and last.min() > first.max())
+
+    def merge(self, key: Key, block: Block) -> None:
+        """Merge all paths of a block."""
+        poses = _Poses(self._decoders, LOG)
+        poses.add(key, block)
+        parts = [poses.done()] if self._merged is None else [self._merged, poses.done()]
+        logged = np.concatenate([part.receptions.times for part in parts if part.receptions])
+        every = parts[0] if len(parts) == 1 else parts[0].joined(parts[1])
+        every = every.replaced(
+            receptions=Receptions(logged, LOG),
+            undecodable=sum(part.undecodable for part in parts),
+        )
+        order = np.lexsort((logged, every.stamps))
+        is_newest = np.diff(every.stamps[order], append=np.iinfo(np.int64).max) > 0
+        self._merged = every.rows_of(order[is_newest])
+
+    def _poses_of(self, message: tuple[int, Key, Block]) -> PoseColumns:
+        poses = _Poses(self._decoders, self._received)
+        poses.add(*message[1:])
+        return poses.done()
+
     def done(self) -> PoseColumns:
         """Return its poses."""
-        poses = _Poses(self._decoders, self._received)
-        if self._last is not None:
-            poses.add(*self._last[1:])
+        if self._last is None:
+            return _Poses(self._decoders, self._received).done()
+        poses = self._poses_of(self._last) if self._merged is None else self._merged
         if not self._received:
-            return poses.done()
+            return poses
         newest = self._newest.done()
         last = np.flatnonzero(np.diff(newest.rows, append=-1))
-        return replace(poses.done(), as_received=newest.rows_of(last))
+        return replace(poses, as_received=newest.rows_of(last))

@@ -203,6 +203,9 @@ def trajectory_of(bag: Bag, reader: PoseReader, remarks: tuple[Remark, ...] = ()
     why = "; ".join(each.text for each in found if each.level is Level.ERROR)
     if topic.type == POSE_2D:
         remarks = (*remarks, POSE_2D_TIMES)
+    if reader.slides:
+        text = "the paths slide: poses of all messages, each in its newest version"
+        remarks = (*remarks, note("sliding_path", text))
     if nested is not None and not nested.stamp:
         remarks = (*remarks, note("log_times", "no timestamps in messages: log times used"))
     kind = f"{topic.type}, field {nested.field}" if nested and nested.field else topic.type
