@@ -73,6 +73,18 @@ def w_first(*sides: str) -> Make:
     return make
 
 
+def w_last(*sides: str) -> Make:
+    """Return what takes x, y, z, w for w, x, y, z."""
+
+    def make(pair: Pair) -> Pair:
+        for side in sides:
+            q = np.ascontiguousarray(quaternions_of(getattr(pair, side))[:, [1, 2, 3, 0]])
+            pair = change(pair, side, quaternions=q)
+        return pair
+
+    return make
+
+
 def mirrored(pair: Pair) -> Pair:
     """Flip y of positions and rotations, as a left-handed engine does."""
     one = pair.estimate
@@ -278,6 +290,8 @@ MISTAKES: dict[str, Mistake] = {
     "groundtruth in mm": Mistake(scaled("truth", 1000.0), ("unit",)),
     "scale lost": Mistake(scaled("estimate", 1.0 / 3.4), ("scale",)),
     "wxyz, estimate": Mistake(w_first("estimate"), ("wxyz",)),
+    "xyzw, estimate": Mistake(w_last("estimate"), ("xyzw",)),
+    "xyzw, groundtruth": Mistake(w_last("truth"), ("xyzw",)),
     "wxyz, both": Mistake(w_first("truth", "estimate"), ("wxyz",)),
     "mirrored": Mistake(mirrored, ("mirrored", "up_axis_or_mirrored")),
     "inverse, estimate": Mistake(inverse("estimate"), ("inverse",)),

@@ -8,13 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trajeval_ros.diagnosis import evaluation_tests
 from trajeval_ros.diagnosis.evaluation_tests import (
-    _late,
     covariance_blocks,
     few_pairs,
     frame_offset,
-    small_clock_offset,
 )
 from trajeval_ros.diagnosis.findings import Examined
 from trajeval_ros.geometry.gauge import Gauge
@@ -106,156 +103,6 @@ def test_a_vertical_offset_may_be_of_the_geoid(
     [seen] = offset_of(mean, axis=axis).seen
     kind = ": probably heights above the ellipsoid and above the geoid"
     assert seen.values["kind"] == (kind if is_geoid else "")
-
-
-def delayed(
-    late_s: float, across: float = 0.0, count: int = 80, gap: float = 1.0, fixed: bool = False
-) -> tuple[Any, Any]:
-    """Return pairs and aligned poses that are late, on parabolas, with an error across."""
-    steps = np.full(count - 1, 0.1)
-    steps[30] *= gap
-    seconds = np.concatenate([[0.0], np.cumsum(steps)])
-    stamps = np.rint(seconds * SECOND).astype(np.int64)
-    truth = np.column_stack([seconds**2, 0.5 * seconds**2 + seconds, np.zeros(count)])
-    velocity = np.column_stack([2.0 * seconds, seconds + 1.0, np.zeros(count)])
-    if fixed:
-        truth, velocity = np.zeros((2, count, 3))
-    own = truth + late_s * velocity + [3.0, -2.0, 1.0]
-    inner = velocity[1:-1] - velocity[1:-1].mean(axis=0)
-    wave = (-1.0) ** np.arange(count)
-    own[:, 2] += across * np.abs(late_s) * np.sqrt(np.square(inner).sum() / (count - 2)) * wave
-    if gap != 1.0:
-        own[30:32] += 1e3  # beside the long step
-    pairs: Any = SimpleNamespace(
-        groundtruth=SimpleNamespace(stamps=stamps, positions=truth),
-        estimate=SimpleNamespace(stamps=stamps, duration_s=float(seconds[-1])),
-        rule=SimpleNamespace(method="linear", time_offset_s=0.0, max_time_difference_s=0.02),
-    )
-    return pairs, SimpleNamespace(positions=own)
-
-
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize(
-    ("late_s", "across", "count", "is_found"),
-    [
-        (0.0201, 0.0, 80, True),
-        (0.0199, 0.0, 80, False),
-        (0.3, 0.99, 80, True),
-        (0.3, 1.01, 80, False),
-        (0.3, 0.0, 52, True),
-        (0.3, 0.0, 51, False),
-    ],
-)
-def test_a_delay_explains_half_of_the_squared_error(
-    late_s: float, across: float, count: int, sign: float, *, is_found: bool
-) -> None:
-    """On a parabola, central differences are exact; an error across it explains the rest."""
-    found = _late(*delayed(sign * late_s, across, count))
-    assert (found is not None) == is_found
-    if found is not None:
-        assert found == pytest.approx(sign * late_s)
-
-
-@pytest.mark.parametrize(("gap", "is_left_out"), [(1.99, False), (2.01, True)])
-def test_velocities_beside_a_long_step_are_left_out(gap: float, *, is_left_out: bool) -> None:
-    found = _late(*delayed(0.3, gap=gap))
-    assert (found == pytest.approx(0.3)) == is_left_out
-
-
-def test_a_body_at_rest_has_no_delay() -> None:
-    assert _late(*delayed(0.3, fixed=True)) is None
-
-
-def clocks_of(monkeypatch: pytest.MonkeyPatch, guess: Any, **changed: Any) -> Examined:
-    """Return the test for a guess, or by the positions if it is not usable."""
-    count, late_s = changed.pop("count", 101), changed.pop("late_s", 0.3)
-    rule = {"method": "linear", "time_offset_s": 0.0, "max_time_difference_s": 0.02, **changed}
-    pairs, aligned = delayed(late_s, count=count)
-    pairs.rule = SimpleNamespace(**rule)
-    monkeypatch.setattr(evaluation_tests, "_guess", lambda _: guess)
-
-    class Pairs(SimpleNamespace):
-        def __len__(self) -> int:
-            return count
-
-    evaluation: Any = SimpleNamespace(association=Pairs(**vars(pairs)), aligned=aligned)
-    return small_clock_offset(evaluation)
-
-
-def guess_of(offset_s: float, signal: str, *, is_usable: bool = True) -> Any:
-    return SimpleNamespace(offset_s=offset_s, peak=0.9, signal=signal, is_usable=is_usable)
-
-
-@pytest.mark.parametrize(
-    ("offset_s", "signal", "changed", "is_seen"),
-    [
-        (0.051, "angular rate", {}, True),  # half of a step of 0.1 s
-        (-0.051, "angular rate", {}, True),
-        (0.049, "angular rate", {}, False),
-        (0.151, "speed", {}, True),
-        (0.149, "speed", {}, False),
-        (0.26, "speed", {"method": "nearest", "max_time_difference_s": 0.25}, True),
-        (0.24, "speed", {"method": "nearest", "max_time_difference_s": 0.25}, False),
-        (0.24, "speed", {"method": "linear", "max_time_difference_s": 0.25}, True),
-    ],
-)
-def test_an_offset_of_rates_is_beyond_their_resolution(
-    offset_s: float,
-    signal: str,
-    changed: dict[str, Any],
-    monkeypatch: pytest.MonkeyPatch,
-    *,
-    is_seen: bool,
-) -> None:
-    found = clocks_of(monkeypatch, guess_of(offset_s, signal), **changed)
-    assert found.scores.items() >= {"offset_s": offset_s, "peak": 0.9}.items()
-    assert [each.cause for each in found.seen] == ["small_clock_offset"] * is_seen
-    for seen in found.seen:
-        assert seen.explained == 0.5
-        assert dict(seen.values) == {
-            "offset_ms": 1e3 * offset_s, "how": f"the {signal}s match best", "more": "",
-        }  # fmt: skip
-
-
-def test_without_usable_rates_the_error_along_the_velocity_decides(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    guess = guess_of(0.4, "speed", is_usable=False)
-    [seen] = clocks_of(monkeypatch, guess, time_offset_s=0.1).seen
-    assert seen.values["offset_ms"] == pytest.approx(300.0)
-    assert seen.values["how"] == "the position error is proportional to the speed, as"
-    assert seen.values["more"] == "more "
-    assert not clocks_of(monkeypatch, guess, late_s=0.01).seen
-
-
-def test_offsets_need_timestamps_states_and_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    guess = guess_of(0.4, "speed")
-    assert clocks_of(monkeypatch, guess, count=82).seen  # 8.1 s
-    assert clocks_of(monkeypatch, guess, count=80).why_not  # 7.9 s
-    assert clocks_of(monkeypatch, guess, method="index").why_not
-
-
-def test_the_middle_ten_minutes_are_correlated(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of at least 50 different timestamps."""
-
-    class Side:
-        def __init__(self, stamps: Any) -> None:
-            self.stamps = stamps
-
-        def __getitem__(self, rows: Any) -> Any:
-            return self.stamps[rows] / SECOND
-
-    monkeypatch.setattr(evaluation_tests, "guess_offset", lambda *sides: sides)
-    seconds = np.arange(1000.0, 2501.0)
-    sides: Any = [Side(np.rint(each * SECOND).astype(np.int64)) for each in (seconds + 9, seconds)]
-    pairs: Any = SimpleNamespace(groundtruth=sides[0], estimate=sides[1])
-    true, own = evaluation_tests._guess(pairs)
-    assert own.tolist() == np.arange(1450.0, 2051.0).tolist()
-    assert true.tolist() == np.arange(1459.0, 2060.0).tolist()
-    for count in (50, 49):
-        few = Side(np.repeat(np.arange(count), 2) * SECOND)
-        found: Any = evaluation_tests._guess(SimpleNamespace(groundtruth=few, estimate=few))  # type: ignore[arg-type]
-        assert isinstance(found, tuple) == (count == 50)
 
 
 def blocks_of(

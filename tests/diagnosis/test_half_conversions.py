@@ -21,6 +21,8 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 
 Array = NDArray[np.float64]
+# Nine seconds of motion do not always distinguish conventions.
+UNDECIDED: dict[str, list[list[str]]] = {"PX4": [[], ["convention_tie"]]}
 DATA = SHARED / "data"
 M = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 B = np.diag([1.0, -1.0, -1.0])
@@ -67,8 +69,10 @@ on_recordings = pytest.mark.parametrize(
 
 
 def causes(pair: Pair, **changes: Array) -> list[str]:
+    """Return the causes of findings, without the step: the PX4 log has a reset of 0.8 m."""
     estimate: Trajectory = dataclasses.replace(pair.estimate, **changes)
-    return [each.cause for each in found(dataclasses.replace(pair, estimate=estimate)).findings]
+    findings = found(dataclasses.replace(pair, estimate=estimate)).findings
+    return [finding.cause for finding in findings if finding.cause != "step"]
 
 
 @on_recordings
@@ -83,7 +87,7 @@ def test_a_conversion_by_half_is_named(name: str, conversion: str) -> None:
         positions=pair.estimate.positions @ of_positions.T,
         quaternions=lie.multiply(turned, lie.from_matrix(body)),
     )
-    assert named[:1] == ([] if expected is None else [expected])
+    assert named[:1] in ([[]] if expected is None else [[expected], *UNDECIDED.get(name, [])])
 
 
 @on_recordings
@@ -92,15 +96,16 @@ def test_a_wrong_form_of_quaternions_is_named(name: str, written: str) -> None:
     pair = recording(name)
     change, expected = WRITTEN[written]
     assert pair.estimate.quaternions is not None
-    assert causes(pair, quaternions=change(pair.estimate.quaternions))[:1] == [expected]
+    named = causes(pair, quaternions=change(pair.estimate.quaternions))
+    assert named[:1] in [[expected], *UNDECIDED.get(name, [])]
 
 
 @on_recordings
-def test_stamps_of_publication_get_no_wrong_name(name: str) -> None:
-    """35 ms late: less than 9 s of a drifting odometry determine."""
+def test_late_stamps_of_publication_are_stated(name: str) -> None:
+    """35 ms late."""
     pair = recording(name)
     named = causes(pair, stamps=pair.estimate.stamps + 35_000_000)
-    assert named == ([] if name == "PX4" else ["small_clock_offset"])
+    assert named == ["small_clock_offset"]
 
 
 KITTI = UpAxis("-y", "KITTI's camera axes")
@@ -149,9 +154,7 @@ def test_small_angles_in_another_unit_are_named(factor: float, said: str | None)
     noise = np.random.default_rng(7).normal(0.0, 0.01, truth.positions.shape)
     turns = Rotation.from_euler("xyz", factor * angles).as_quat()
     estimate = Trajectory.from_positions(truth.positions + noise, turns, stamps=truth.stamps)
-    named = [
-        each for each in evaluate(truth, estimate).warnings if "the rotations agree in" in each
-    ]
+    named = [each for each in evaluate(truth, estimate).warnings if "the rotations agree" in each]
     assert len(named) == (said is not None)
     assert said is None or said in named[0]
     assert factor or not any(unit in named[0] for unit in ("degrees", "radians", "times as large"))

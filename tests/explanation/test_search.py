@@ -352,3 +352,24 @@ def test_cases_of_the_reference_are_named(
 
     least = {("one", 3): 16, ("one", 4): 9, ("three", 2): 10, ("three", 3): 4}
     assert_accepted(reference("explain")["cases"], tables, least)
+
+
+@pytest.mark.parametrize("wrong", [None, 0, 2, 3])
+def test_one_wrong_number_of_four_is_named_with_the_definition(wrong: int | None) -> None:
+    pairs = ("drone_loop", "handheld_gaps", "mono_scale", "slow_gt")
+    runs = []
+    for number, pair in enumerate(pairs):
+        places, numbers = values(pair)
+        rmse = numbers[places[Definition("evo", "se3", "position_m", "rmse")]]
+        factor = 1.37 if number == wrong else 1.0
+        runs.append((*sides(pair), [f"{factor * rmse:.4g}"]))
+    found = explain(runs, "m")
+    assert (found.verdict, found.disagreeing) == ("named", wrong)
+    assert found.matches[0].definitions[0][1:4] == ("se3", "position_m", "rmse")
+    assert len(found.matches[0].values[0]) == len(runs)
+    if wrong is not None:
+        three = [run for number, run in enumerate(runs) if number != (wrong + 1) % 4]
+        assert explain(three, "m").verdict == "none"
+        two_wrong = [*runs]
+        two_wrong[wrong - 1] = (*runs[wrong - 1][:2], ["0.77777"])
+        assert explain(two_wrong, "m").verdict != "named"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -116,6 +117,32 @@ def test_a_text_file(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert "1 dropped: duplicate stamp" in printed
 
 
+@pytest.mark.parametrize(
+    ("header", "row", "columns", "ignored"),
+    [
+        ("", "1700000000{0}00 1 2 3 0 0 0 1", "t_ms x y z qx qy qz qw", ""),
+        ("#time x y z gain\n", "1700000000.{0} 1 2 3 9", "t_s x y z", "ignored columns: gain"),
+        ("gain,x_mm,y_mm,z_mm,t_us\n", "9,1,2,3,170000000{0}000000",
+         "_ x_mm y_mm z_mm t_us", "ignored columns: gain"),
+    ],
+)  # fmt: skip
+def test_the_columns_of_a_text_file_can_be_given_to_columns(
+    header: str, row: str, columns: str, ignored: str,
+    tmp_path: Path, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    path = tmp_path / "run.txt"
+    path.write_text(header + "".join(row.format(at) + "\n" for at in range(5)))
+    assert main(["info", str(path)]) == 0
+    printed = capsys.readouterr().out
+    assert re.search(rf"(?m)^columns +{columns}$", printed)
+    assert ignored in printed
+    assert main(["info", str(path), "--columns", columns]) == 0
+    again = capsys.readouterr().out
+    assert [line for line in again.splitlines() if line.startswith("timestamps")] == [
+        line for line in printed.splitlines() if line.startswith("timestamps")
+    ]
+
+
 def test_without_stamps(shared_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     info.main([str(shared_data / "kitti/KITTI_00_ORB.txt")], standalone_mode=False)
     assert "no timestamps" in capsys.readouterr().out
@@ -128,7 +155,8 @@ def test_columns_that_nothing_names(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "--columns" in capsys.readouterr().err
     assert main(["info", str(path), "--columns", "t_ms _ x y yaw_deg"]) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert "columns as named poses 5 rate 1.0 Hz timestamps 0.000 to 4.000 s" in printed
+    assert "columns as named columns t_ms _ x y yaw_deg poses 5 rate 1.0 Hz" in printed
+    assert "timestamps 0.000 to 4.000 s" in printed
     assert "path length 4.000 m" in printed
 
 

@@ -399,6 +399,27 @@ def test_no_match_is_explained_with_both_time_ranges(
     assert "\n" not in str(raised.value)
 
 
+GPS_1980 = 1_700_000_000 - 315_964_800 + 18  # GPS time counts leap seconds
+
+
+@pytest.mark.parametrize(("gps", "name"), [(GPS_1980, "since 1980"), (GPS_1980 % 604_800, "week")])
+@pytest.mark.parametrize("is_estimate", [True, False])
+def test_gps_time_is_named_with_its_offset(gps: int, name: str, *, is_estimate: bool) -> None:
+    clock, counted = (at(1000.0 * (start + np.arange(30)), 0) for start in (1_700_000_000, gps))
+    sides = (clock, counted) if is_estimate else (counted, clock)
+    offset = (1_700_000_000 - gps) * (1 if is_estimate else -1)
+    advice = f"one has GPS seconds .*{name}.*; set the time offset to {offset} s$"
+    with pytest.raises(NoMatchError, match=advice):
+        associate(*sides, AssociationRule("linear"))
+
+
+def test_clocks_of_another_day_are_no_gps_time() -> None:
+    counted = at(1000.0 * (GPS_1980 % 604_800 + 40 + 0.1 * np.arange(30)), 0)
+    clock = at(1000.0 * (1_700_000_000 + 0.1 * np.arange(30)), 0)
+    with pytest.raises(NoMatchError, match=r"from zero .* set the time offset to 16997471\d\d"):
+        associate(clock, counted, AssociationRule("linear"))
+
+
 def test_a_first_stamp_of_zero_is_no_clock_that_counts_from_zero() -> None:
     truth, estimate = at(1.7e12 + np.arange(0, 10_000, 1000)), at(np.array([0.0, 1.6e12]))
     for one, other in ((truth, estimate), (estimate, truth)):

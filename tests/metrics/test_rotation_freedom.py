@@ -226,13 +226,15 @@ def test_a_small_turn_is_printed_with_its_warning(roll_deg: float, withheld: boo
 
 def test_what_drift_does_not_explain_is_a_disagreement() -> None:
     # A robot that hardly turns on a path that is not straight: the body's turn is the world's.
+    # Both are stated: another body, and a disagreement.
     truth, estimate = flight(5)
     level = dataclasses.replace(truth, quaternions=np.tile([0.0, 0.0, 0.0, 1.0], (200, 1)))
     still = dataclasses.replace(estimate, quaternions=level.quaternions)
     found = evaluate(of_marker(level), still, on())
     assert found.alignment.freedom is not None
     assert found.alignment.freedom.disagrees
-    (warning,) = rotation_warnings(found)
+    body, warning = rotation_warnings(found)
+    assert "the body frames differ by a constant rotation" in body
     assert "positions and orientations disagree by a constant rotation of" in warning
     assert "--hand-eye auto" in warning
     assert found.ate["rotation_deg"] is None

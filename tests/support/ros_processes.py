@@ -37,7 +37,11 @@ TYPES = {GROUNDTRUTH: POSE, ODOMETRY: ODOM}
 # What two results of the same run may differ in: where it came from.
 # How much a mistake explains is of pairs alone live, and of all groundtruth in a recording.
 # Corrections of a live run are tried on its pairs, those of a recording on all of it.
-APART = {"source", "name", "inputs", "live", "stream", "evidence", "explained", "before", "after"}
+# Events of a live run are those of its pairs, those of a recording of all poses.
+APART = {
+    "source", "name", "inputs", "live", "stream", "evidence", "explained", "before", "after",
+    "events", "segments", "ate_of_segments_m",
+}  # fmt: skip
 _TRIED = re.compile(r"(ATE )[\d.]+( \w+, with --[\w,=. -]+? )[\d.]+(?= m| deg)")
 
 Received = dict[str, list[bytes]]

@@ -106,6 +106,7 @@ def test_trajectory_states_what_it_does_not_save(
         (["explain", "GROUNDTRUTH", "SOURCE", "0.1m"], f"{LOST} of {COUNT} poses dropped"),
         (["groundtruth", "SOURCE"], f"{LOST} of {COUNT} poses dropped"),
         (["watch", "SOURCE"], f"{LOST} of {COUNT} poses dropped"),
+        (["compare", "GROUNDTRUTH", "SOURCE"], f"{LOST} of {COUNT} poses dropped"),
     ],
 )
 def test_every_command_states_dropped_poses(
@@ -115,7 +116,9 @@ def test_every_command_states_dropped_poses(
     groundtruth: str,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     names = {"GROUNDTRUTH": groundtruth, "SOURCE": str(make(tmp_path))}
     main([names.get(word, word) for word in verb])
     captured = capsys.readouterr()

@@ -12,7 +12,12 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from trajeval_ros.batch.comparison import run_plan
-from trajeval_ros.batch.comparison_summary import ComparisonSummary, failures, summary_of
+from trajeval_ros.batch.comparison_summary import (
+    ComparisonSummary,
+    dropped_poses,
+    failures,
+    summary_of,
+)
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.executors import local_pool
 from trajeval_ros.batch.finished_comparison import FIGURES, PAGES, require_own
@@ -111,11 +116,17 @@ def write_tables(folder: Path, summary: ComparisonSummary, *, transpose: bool = 
     """Write tables.md, tables.tex and one CSV file per table, unless they are up to date."""
     made = matrices(summary)
     shown, notes = tables.with_common_notes(made)
-    lost = [f"* {markdown_text(line)}" for line in failures(summary)]
-    without = ["### Runs without numbers", "", *lost, ""] if lost else []
+    lists = {
+        "### Runs with dropped poses": dropped_poses(summary),
+        "### Runs without numbers": failures(summary),
+    }
+    listed: list[str] = []
+    for heading, lines in lists.items():
+        if lines:
+            listed += [heading, "", *(f"* {markdown_text(line)}" for line in lines), ""]
     common = [markdown_text(" ".join(notes)), ""] if notes else []
     title = f"# {markdown_text(summary.title)}"
-    text = "\n".join([title, "", *map(tables.to_markdown, shown), *common, *without])
+    text = "\n".join([title, "", *map(tables.to_markdown, shown), *common, *listed])
     texts = {
         "tables.md": text,
         "tables.tex": "\n".join(tables.to_latex(each, transpose=transpose) for each in made),

@@ -24,6 +24,7 @@ from trajeval_ros.batch.results_table import (
     read_pooled,
 )
 from trajeval_ros.formatting.numbers import whole_percent
+from trajeval_ros.geometry.valid_poses import POSES_DROPPED
 
 _NAMES = ("algorithm", "sequence", "trial")
 _OF_A_RUN = (
@@ -176,6 +177,16 @@ def summary_of(folder: Path) -> ComparisonSummary:
     return ComparisonSummary(
         rows.title, rows.settings, tuple(trials), tuple(read_pooled(folder / POOLED_FILE))
     )
+
+
+def dropped_poses(summary: ComparisonSummary) -> list[str]:
+    """Return one line per run whose estimate has poses that were dropped."""
+    return [
+        f"{trial.name}: {line}"
+        for trial in summary.trials
+        for line in trial.warnings
+        if POSES_DROPPED in line
+    ]
 
 
 def failures(summary: ComparisonSummary) -> list[str]:

@@ -36,6 +36,7 @@ from trajeval_ros.batch.results_table import (
 from trajeval_ros.batch.source_hash import hash_of_package
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.valid_poses import dropped_in_words
 from trajeval_ros.io.writing import refused_by_disk, write_text
 from trajeval_ros.metrics.relative_evaluation import PER_LENGTH
 from trajeval_ros.metrics.statistics import quantile, statistics_of
@@ -197,7 +198,7 @@ def rows_of_run(finished: FinishedRun, record: Record) -> Iterator[dict[str, Any
         "groundtruth_sha256": groundtruth,
         "estimate_sha256": estimate,
         "key": record.key,
-        "warnings": "\n".join(each["text"] for each in evaluated["remarks"]),
+        "warnings": "\n".join(_warnings(evaluated)),
         "diagnosis": ",".join(each["cause"] for each in evaluated["diagnosis"]),
     }
     yield from _rows(evaluated["ate"], {**same, "kind": ATE})
@@ -212,6 +213,14 @@ def rows_of_run(finished: FinishedRun, record: Record) -> Iterator[dict[str, Any
         sizes = {name: segment.get(name) for name in ("length_m", "duration_s", "mean_length_m")}
         yield from _rows(segment, {**same, **sizes, "kind": RE, "length": length})
     yield from _rows(relative["pooled"], {**same, "kind": POOLED})
+
+
+def _warnings(evaluated: dict[str, Any]) -> list[str]:
+    """Return the texts of the remarks, after the number of dropped poses."""
+    kept = evaluated["estimate"]["poses"]
+    dropped = dropped_in_words(evaluated["association"]["dropped"], kept)
+    texts = [remark["text"] for remark in evaluated["remarks"]]
+    return [dropped, *texts] if dropped else texts
 
 
 def _values(evaluated: dict[str, Any], same: dict[str, Any]) -> Iterator[dict[str, Any]]:

@@ -302,7 +302,7 @@ def _require_decided(given: Gates, judgement: Judgement) -> None:
 
 def _print_verdict(summary: ComparisonSummary, progress: Progress, folder: Path) -> None:
     """Print the tables and the number of evaluated runs, and on stderr the failed runs."""
-    from trajeval_ros.batch.comparison_summary import failures
+    from trajeval_ros.batch.comparison_summary import dropped_poses, failures
     from trajeval_ros.batch.results_table import OK
     from trajeval_ros.batch.summary_tables import matrices
     from trajeval_ros.report.console import WARNING, console, show
@@ -330,7 +330,7 @@ def _print_verdict(summary: ComparisonSummary, progress: Progress, folder: Path)
         )
         terminal.file.flush()
         remarks = console(sys.stderr)
-        for line in failures(summary):
+        for line in [*dropped_poses(summary), *failures(summary)]:
             remarks.remark(WARNING, line)
 
 

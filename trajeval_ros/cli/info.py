@@ -87,8 +87,7 @@ def info(source: str, columns: tuple[str, ...], frame_rate: float | None) -> Non
         _print_remarks(terminal, description.trajectories)
     _print_edges(terminal, description)
     if description.others:
-        rows = [(name, kind, str(count)) for name, kind, count in description.others]
-        _print_table(terminal, ("no poses", "type", "messages"), rows)
+        _print_others(terminal, description)
     _print_next_step(terminal, description)
 
 
@@ -144,6 +143,7 @@ def _details(summary: TrajectorySummary) -> list[Row]:
         return [("problem", summary.problem)]
     rows: list[Row] = [
         ("format", summary.kind),
+        *([("columns", summary.columns)] if summary.columns else []),
         ("poses", str(summary.poses)),
         *(_times(summary) if summary.timed else [("timestamps", "none")]),
         ("path length", f"{summary.path_length_m:.3f} m"),
@@ -205,6 +205,24 @@ def _print_edges(terminal: Console, description: Description) -> None:
     static = len(description.edges) - len(moving)
     if static:
         terminal.print(f"and {counted(static, 'static transform')}", soft_wrap=True)
+
+
+def _print_others(terminal: Console, description: Description) -> None:
+    """Print the topics of types that are no poses, and the fields with poses in them."""
+    inside = [row for row in description.others if row[-1]]
+    header: Row = ("no poses", "type", "messages")
+    rows: list[Row] = [(name, kind, str(count)) for name, kind, count, _ in description.others]
+    if inside:
+        header = ("other topics", *header[1:], "poses inside")
+        rows = [(*row, other[-1]) for row, other in zip(rows, description.others, strict=True)]
+    _print_table(terminal, header, rows)
+    if inside:
+        name, _, _, fields = inside[0]
+        field = fields.split(", ")[0].replace("itself", "")
+        terminal.print(
+            f"\nA pose inside a message is a source, too: {description.path}:{name}{field}",
+            soft_wrap=True,
+        )
 
 
 def _print_next_step(terminal: Console, description: Description) -> None:

@@ -67,7 +67,7 @@ def explain(
 
         trajeval explain groundtruth.txt estimate.txt 0.061m --with 1.25deg
 
-    Numbers of one column, for several sequences:
+    Numbers of one column, for several sequences; from four on, one of them may be wrong:
 
         trajeval explain --unit m --run gt1.txt vio1.txt 0.21 \
             --run gt2.txt vio2.txt 0.63
@@ -135,6 +135,12 @@ def _print(found: Explanation, runs: Sequence[Run], up: Axes, unit: str) -> None
     if not all(PublishedNumber.parse(text, unit).unit for *_, texts in runs for text in texts):
         line("note: numbers without a unit are compared in m, %, deg and deg/m; set --unit")
     line(_VERDICTS[found.verdict])
+    if found.disagreeing is not None:
+        truth, estimate, texts = runs[found.disagreeing]
+        line(
+            f"run {found.disagreeing + 1} does not fit: {truth} {estimate} {' '.join(texts)}; all "
+            f"other {len(runs) - 1} runs do"
+        )
     for match in (found.matches or found.nearest)[:_SHOWN]:
         most = 0.99 if len(runs) == 1 and len(match.definitions) == 1 else 1.0
         share = f"{100.0 * min(match.probability, most):5.1f} %  " if found.matches else ""

@@ -8,7 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from operator import attrgetter
+
+from trajeval_ros.metrics.discontinuities.events import (
+    BOTH,
+    CLOCK_STEP,
+    ESTIMATE,
+    GROUNDTRUTH,
+    UNDECIDED,
+)
+
+FLAG = "true"  # value of an option without a value
 
 
 @dataclass(frozen=True)
@@ -189,21 +198,22 @@ _TABLE = (
         {"max_gap": "0.5"},
     ),
     Cause(
-        "restart",
-        6.1,
-        "the estimate jumps by {jump_m:.2f} m and {jump_deg:.0f} deg at {at_s:.1f} s{where}, "
-        "while the groundtruth moves {true_m:.2f} m: a restart; separate alignments of the "
-        "parts reduce the squared error to {left_percent:.0f} %",
-        "evaluate the parts separately, such as the first part",
-        {"end": "{cut_s:.3f}"},
-    ),
-    Cause(
         "wxyz",
         6.0,
         "{owner} quaternions are in the order w, x, y, z, but were read as x, y, z, w: "
         f"{_AGREE}",
         "read them as w, x, y, z",
         {"{side}.quaternion_order": "wxyz"},
+        of_conventions=True,
+        of_error="rotation",
+    ),
+    Cause(
+        "xyzw",
+        6.0,
+        "{owner} quaternions are in the order x, y, z, w, but were read as w, x, y, z: "
+        f"{_AGREE}",
+        "read them as x, y, z, w",
+        {"{side}.quaternion_order": "{order}"},
         of_conventions=True,
         of_error="rotation",
     ),
@@ -270,16 +280,14 @@ _TABLE = (
         "convention_tie",
         6.0,
         f"one side's poses are {{causes}}, which this motion can't distinguish: {_AGREE}",
-        "check the conventions of the file, and convert it: trajeval trajectory SOURCE "
-        "--quaternion-order, --inverse or --axes",
+        "check the conventions of the file, and convert it: trajeval trajectory SOURCE {options}",
         of_conventions=True,
         of_error="",
     ),
     Cause(
         "rotations",
         6.0,
-        "the positions agree, and the rotations agree in no convention{how}: the motions of the "
-        "positions agree to {positions:.0f} %, those of the rotations to {rotations:.0f} %",
+        "the positions agree, and the rotations agree {how}",
         "check how the rotations were computed: {check}",
         of_conventions=True,
     ),
@@ -318,8 +326,9 @@ _TABLE = (
     Cause(
         "tilted",
         5.7,
-        "the vertical axes of the two frames differ by {tilt_deg:.0f} deg, which this alignment "
-        "can't correct: at least one frame is not aligned with gravity",
+        "the vertical axes of the two frames differ by {tilt_deg:.1f} deg (standard deviation "
+        "{sigma_deg:.1f} deg), which this alignment can't correct: at least one frame is not "
+        "aligned with gravity",
         "align by all rotations",
         {"gauge": "se3"},
     ),
@@ -350,28 +359,28 @@ _TABLE = (
     Cause(
         "body",
         5.0,
-        "the body frames differ by a constant rotation of {angle_deg:.0f} deg (residual "
-        "{rest_deg:.1f} deg): the groundtruth is probably of another body frame, such as a "
-        "marker or a camera",
-        "estimate it with --hand-eye auto, or give a known transformation with --hand-eye FILE",
-        {"hand_eye": "auto"},
+        "the body frames differ by a constant rotation of {angle_deg:.0f} deg (standard deviation "
+        "{rest_deg:.1f} deg): the groundtruth is probably of another body frame, such as a marker "
+        "or a camera",
+        "apply this pose of the groundtruth's body, or estimate it with --hand-eye auto",
+        {"hand_eye": "{pose}"},
         of_error="rotation",
     ),
     Cause(
         "lever_arm",
         4.9,
-        "a lever arm of {lever_m:.2f} m explains {percent:.0f} % of the error over 2 s: the "
-        "trajectories are of different points of the body",
-        "estimate it with --hand-eye auto, or give a known transformation with --hand-eye FILE",
-        {"hand_eye": "auto"},
+        "the trajectories are of different points of the body: they have a lever arm of "
+        "{lever_m:.2f} m (standard deviation {sigma_m:.2g} m)",
+        "apply this pose of the groundtruth's body, or estimate it with --hand-eye auto",
+        {"hand_eye": "{pose}"},
     ),
     Cause(
         "small_clock_offset",
         4.8,
-        "the clocks of groundtruth and estimate probably differ: {how} with {offset_ms:+.0f} ms "
-        "{more}added to the estimate's timestamps",
-        "estimate the offset with --time-offset auto",
-        {"time_offset": "auto"},
+        "the clocks of groundtruth and estimate probably differ: short motions match best with "
+        "{offset_ms:+.0f} ms {more}added to the estimate's timestamps",
+        "shift the estimate's timestamps",
+        {"time_offset": "{total_s:.4f}"},
         of_error="",
     ),
     Cause(
@@ -407,4 +416,55 @@ _TABLE = (
     ),
 )
 
-CAUSES: Mapping[str, Cause] = dict(zip(map(attrgetter("name"), _TABLE), _TABLE, strict=True))
+_SPLIT = "{parts}"
+_DROP = {"drop_groundtruth_outliers": FLAG}
+_AT, _DURING = "at {end_s:.2f} s{gap}{number}", "at {begin_s:.2f} s{lasting}{number}"
+_JUMPS = f"the {{side}} jumped by {{size}} {_AT}, which the {{other}} did not"
+_FLIPS = f"the {{side}} rotated by {{deg:.0f}} deg {_DURING}, which the {{other}} did not"
+_LEAVES = f"the {{side}} has an outlier of {{size}} {_DURING}"
+_HOLDS = (
+    "the position of the {side} is frozen from {begin_s:.1f} s{lasting}{number}, while the "
+    "{other} moves {m:.2f} m"
+)
+_BEFORE = "evaluate the part before it"
+_OF_GROUNDTRUTH, _OF_ESTIMATE = 6.15, 3.9  # ranks: an error of the estimate is no mistake
+_OF_DISCONTINUITIES = (
+    Cause(
+        "clock_step",
+        8.2,
+        "{owner} clock stepped by {s:+.3f} s at {end_s:.2f} s{number}{receptions}",
+        "correct the timestamps after it",
+        {"correct": CLOCK_STEP},
+        of_error="",
+    ),
+    Cause(
+        "both_clocks_step",
+        8.1,
+        "both clocks stepped by {s:+.3f} s at {end_s:.2f} s{number}: these are two runs",
+        "evaluate the time before and after it separately",
+    ),
+    Cause("groundtruth_outlier", _OF_GROUNDTRUTH, _LEAVES, "drop such poses", _DROP, of_error=""),
+    Cause("groundtruth_flip", _OF_GROUNDTRUTH, _FLIPS, "drop such poses", _DROP, of_error=""),
+    Cause("groundtruth_flip_stays", _OF_GROUNDTRUTH, _FLIPS, _BEFORE, {"end": "{begin_s:.3f}"}),
+    Cause("groundtruth_step", _OF_GROUNDTRUTH, _JUMPS, _SPLIT),
+    Cause(
+        "restart",
+        _OF_ESTIMATE,
+        f"the estimate restarted at its origin {_AT}: {{size}} that the groundtruth did not move",
+        _SPLIT,
+    ),
+    Cause("step", _OF_ESTIMATE, _JUMPS, _SPLIT),
+    Cause("outlier", _OF_ESTIMATE, _LEAVES, "check the estimator there"),
+    Cause("flip", _OF_ESTIMATE, _FLIPS, "check the estimator there"),
+    Cause("flip_stays", _OF_ESTIMATE, _FLIPS, _BEFORE, {"end": "{begin_s:.3f}"}),
+    Cause("frozen_position", _OF_ESTIMATE, _HOLDS, _BEFORE, {"end": "{begin_s:.3f}"}),
+)
+DISCONTINUITIES = frozenset(cause.name for cause in _OF_DISCONTINUITIES)
+CAUSES: Mapping[str, Cause] = {cause.name: cause for cause in (*_TABLE, *_OF_DISCONTINUITIES)}
+
+
+def cause_name(kind: str, side: str) -> str:
+    """Return the cause of discontinuities of a kind and side, or a name that is no cause."""
+    if kind == CLOCK_STEP:
+        return "both_clocks_step" if side == BOTH else kind
+    return {ESTIMATE: kind, GROUNDTRUTH: f"{GROUNDTRUTH}_{kind}"}.get(side, UNDECIDED)

@@ -1,8 +1,8 @@
 """All tests of an evaluation and its inputs, in their order.
 
-Every test relies on the previous ones: numbers, groundtruth, clocks, restarts, conventions, and
-then scale, axes and bodies. A finding that invalidates the next tests ends them. Drift is never
-reported as a mistake: all tests use short motions, in which it is small.
+Tests of the columns and of single sides come first: some of their findings invalidate the rest.
+The motions of both sides are compared by models (`motion_tests.py`). Drift is never reported as a
+mistake: all tests use short motions, in which it is small.
 """
 
 from __future__ import annotations
@@ -12,42 +12,25 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from trajeval_ros.diagnosis.causes import CAUSES
-from trajeval_ros.diagnosis.clock_tests import (
-    USABLE,
-    ClockMatch,
-    clock_offset,
-    clock_rate,
-    match_clocks,
-    other_rate,
-)
 from trajeval_ros.diagnosis.column_tests import columns_of_others
-from trajeval_ros.diagnosis.convention_tests import conventions
-from trajeval_ros.diagnosis.dropout_tests import groundtruth_defects, restart, without_defects
+from trajeval_ros.diagnosis.discontinuities import (
+    changes_motions,
+    examined_discontinuities,
+    with_events,
+)
 from trajeval_ros.diagnosis.evaluation_tests import (
     covariance_blocks,
     frame_offset,
     number_of_pairs,
-    small_clock_offset,
 )
 from trajeval_ros.diagnosis.findings import Diagnosis, Examined, Finding, Seen
-from trajeval_ros.diagnosis.geometry_tests import (
-    body,
-    groundtruth_plane,
-    lever_arm,
-    scale,
-    vertical,
-)
-from trajeval_ros.diagnosis.hypotheses import ShortMotions, fit_as_read
-from trajeval_ros.diagnosis.input_pair import InputPair, TimedPoses
+from trajeval_ros.diagnosis.input_pair import InputPair
 from trajeval_ros.diagnosis.input_tests import (
     duplicated_rows,
-    is_at_rest,
-    rhythm,
     rounded_stamps,
     same_positions,
     standing_still,
     swapped_names,
-    velocities,
 )
 from trajeval_ros.diagnosis.lost_tracking_tests import (
     begins_at_start,
@@ -56,7 +39,8 @@ from trajeval_ros.diagnosis.lost_tracking_tests import (
     losses_in,
     lost_tracking,
 )
-from trajeval_ros.diagnosis.trials import Again, with_tried_advice
+from trajeval_ros.diagnosis.motion_tests import tests_of_motion
+from trajeval_ros.diagnosis.verification import Reevaluate, verified
 from trajeval_ros.diagnosis.warnings import (
     about_lever_arm,
     about_unused_rule,
@@ -78,38 +62,35 @@ if TYPE_CHECKING:
     from trajeval_ros.metrics.protocol import Protocol
     from trajeval_ros.metrics.tracking_loss import Loss
 
-_SHORTEST_S, _FEWEST = 8.0, 12
-_MOVING_S, _TURNING_S = 2.0, 0.5
-_LEAST_GAP_S, _MOST_GAP_S = 0.3, 1.1
+_FEWEST = 12  # poses outside of losses
 # These findings invalidate all other tests.
 _FINAL = {
     "identical", "stands_still", "stamps_rounded", "degrees", "row_numbers", "increments",
 }  # fmt: skip
-_OTHER_PAIRS = {*_FINAL, "clock_offset", "clock_drift"}
-_NO_PEAK, _LONG_S = 0.45, 20.0
-# With such a finding, the errors contain no information on small offsets and covariances.
+_OTHER_PAIRS = {*_FINAL, "clock_offset", "clock_drift", "other_run"}
+# With such a finding, the errors contain no information on covariances.
 _GRAVE = 5.2  # of ranks
-# A smaller coarse offset, in seconds or cells, is not significant.
-_NONE_S, _NONE_CELLS = 0.005, 0.05
 
 
 def diagnosed(
     evaluation: Evaluation,
     groundtruth: Trajectory,
     estimate: Trajectory,
-    again: Again,
+    reevaluate: Reevaluate,
     *,
     paired: bool = False,
     hand_eye_calibrated: bool = False,
 ) -> tuple[Evaluation, Diagnosis]:
     """Return an evaluation with remarks and without meaningless errors, and its diagnosis.
 
-    `again` evaluates with corrections. An alignment by another body's orientations is refused.
+    `reevaluate` evaluates with corrections. An alignment by orientations of another body is
+    refused.
     """
+    evaluation = with_events(evaluation, groundtruth, estimate, paired=paired)
     diagnosis = diagnose(evaluation, groundtruth, estimate, paired=paired)
     if hand_eye_calibrated:
         diagnosis = diagnosis.after_hand_eye_calibration()
-    diagnosis = with_tried_advice(diagnosis, evaluation, again)
+    diagnosis = verified(diagnosis, evaluation, reevaluate)
     require_same_body(evaluation, diagnosis)
     remarks = (*remarks_on(evaluation, diagnosis), *evaluation.remarks)
     return dataclasses.replace(evaluation, remarks=remarks), diagnosis
@@ -126,7 +107,8 @@ def diagnose(
     """Search for mistakes that affect an evaluation of two trajectories.
 
     These are in the order of their sources, without the time offset. They may be `paired`: contain
-    only the pairs, row by row. `losses` of tracking are by default those in the pairs.
+    only the pairs, row by row. `losses` of tracking are by default those in the pairs. The
+    evaluation has its events, see `with_events`.
     """
     protocol, pairs = evaluation.protocol, evaluation.association
     time_offset_s = None
@@ -138,13 +120,15 @@ def diagnose(
     number = number_of_pairs(protocol, pairs, evaluation.groundtruth, evaluation.estimate)
     losses = losses_in(pairs) if losses is None else losses
     inputs = InputPair.of(groundtruth, estimate, protocol, time_offset_s=time_offset_s)
+    if changes_motions(evaluation):
+        found = Diagnosis.of([number, *_tests_of_sides(inputs)])
+        return Diagnosis.of([*found.examined, examined_discontinuities(evaluation, found)])
     found, is_lost = _tested_where_tracked(losses, pairs, inputs)
+    examined = [number, *found.examined, examined_discontinuities(evaluation, found)]
     if is_lost:
-        return Diagnosis.of([number, *found.examined])
-    examined = [number, *found.examined, frame_offset(evaluation)]
-    if all(each.rank < _GRAVE for each in found.findings):
-        if _may_be_apart(found):
-            examined.append(small_clock_offset(evaluation))
+        return Diagnosis.of(examined)
+    examined.append(frame_offset(evaluation))
+    if all(finding.rank < _GRAVE for finding in found.findings):
         examined.append(covariance_blocks(evaluation))
     return Diagnosis.of(examined)
 
@@ -272,7 +256,14 @@ def same_estimate(estimate: InputSummary, others: Sequence[InputSummary]) -> Fin
 
 def _tested(inputs: InputPair) -> Diagnosis:
     """Apply all tests of the inputs; both sides have at least one state."""
-    examined = [
+    examined = _tests_of_sides(inputs)
+    if not _causes(examined) & _FINAL:
+        examined += tests_of_motion(inputs)
+    return Diagnosis.of(examined)
+
+
+def _tests_of_sides(inputs: InputPair) -> list[Examined]:
+    return [
         standing_still(inputs),
         rounded_stamps(inputs),
         same_positions(inputs),
@@ -280,96 +271,7 @@ def _tested(inputs: InputPair) -> Diagnosis:
         swapped_names(inputs),
         *columns_of_others(inputs),
     ]
-    if not _causes(examined) & _FINAL:
-        examined += _tests_of_motion(inputs)
-    return Diagnosis.of(examined)
-
-
-def _tests_of_motion(inputs: InputPair) -> list[Examined]:
-    groundtruth, estimate = inputs.in_order
-    if min(groundtruth.span_s, estimate.span_s) < _SHORTEST_S or len(estimate) < _FEWEST:
-        return [Examined("motions", why_not=f"a side is shorter than {_SHORTEST_S:g} s")]
-    examined, match = [], None
-    if inputs.by_time:
-        is_odometry = inputs.estimate.reading.format.endswith("/Odometry")
-        examined += [
-            groundtruth_defects(groundtruth, estimate, inputs.max_gap_s),
-            rhythm(groundtruth, estimate, is_odometry=is_odometry),
-        ]
-        defect = bool(_causes(examined) - {"keyframes", "frames_lost"})
-        if defect:
-            groundtruth = without_defects(groundtruth)
-        match = match_clocks(groundtruth, estimate)
-        rate = 1.0
-        if not defect and (match is None or match.peak < USABLE):
-            rate, match = other_rate(groundtruth, estimate, match)
-            estimate = estimate.shifted(0.0, rate - 1.0)
-        examined += [clock_offset(match, inputs.time_offset_s, rate)]
-        offset_s = 0.0
-        if match is not None and (examined[-1].seen or match.is_usable):
-            offset_s = match.offset_s
-        if defect:
-            drift = Examined("clock rates", why_not="the groundtruth has defects")
-        else:
-            drift = clock_rate(groundtruth, estimate, match, offset_s, inputs.time_offset_s, rate)
-        examined.append(drift)
-        if drift.seen or rate != 1.0:  # which includes an offset
-            examined[-2] = dataclasses.replace(examined[-2], seen=())
-            estimate = estimate.shifted(drift.scores["offset_s"], 1e-6 * drift.scores["ppm"])
-        else:
-            estimate = estimate.shifted(offset_s)
-    examined.append(velocities(groundtruth, estimate))
-    return [*examined, *_tests_of_geometry(inputs, groundtruth, estimate, match)]
-
-
-def _tests_of_geometry(
-    inputs: InputPair, groundtruth: TimedPoses, estimate: TimedPoses, match: ClockMatch | None
-) -> list[Examined]:
-    if is_at_rest(inputs):
-        match = None  # noise does not correlate, which is no sign of another run
-    gap_s = max(inputs.max_gap_s, 4.0 * groundtruth.usual_step_s, _LEAST_GAP_S)
-    step_s = estimate.usual_step_s
-    if inputs.by_time:
-        gap_s = min(gap_s, _MOST_GAP_S)
-    moving, turning = (
-        ShortMotions.between(groundtruth, estimate, apart_s, gap_s)
-        for apart_s in (max(_MOVING_S, 2.0 * step_s), max(_TURNING_S, step_s))
-    )
-    if not (moving.enough and turning.enough):
-        if match is not None and match.overlap_s > _LONG_S and match.peak < _NO_PEAK:
-            other = Seen("other_run", 1.0, {"peak": match.peak})
-            return [Examined("conventions", {"peak": match.peak}, (other,))]
-        return [Examined("conventions", why_not="too few short motions have groundtruth")]
-    examined = [restart(groundtruth, estimate)]
-    if examined[-1].seen:
-        return examined
-    moving, turning = moving.without_jumps(estimate), turning.without_jumps(estimate)
-    as_read = fit_as_read(moving, turning)
-    examined.append(conventions(as_read, moving, turning, match))
-    found = _causes(examined)
-    if found - {"rotations"}:
-        return examined
-    if found or examined[-1].why_not:  # only the positions can be compared
-        moving, turning = moving.without_rotations(), turning.without_rotations()
-        as_read = fit_as_read(moving, turning)
-    examined.append(scale(as_read, moving, inputs.gauge))
-    ups = inputs.groundtruth.up, inputs.estimate.up
-    if inputs.groundtruth.up.is_given:
-        examined.append(Examined("plane of the groundtruth", why_not="its up axis was given"))
-    else:
-        examined.append(groundtruth_plane(as_read, moving, turning, inputs.gauge, ups))
-    if not examined[-1].seen:
-        examined.append(vertical(as_read, moving, turning, inputs.gauge, ups))
-    return [*examined, body(as_read, moving), lever_arm(as_read, moving)]
 
 
 def _causes(examined: list[Examined]) -> set[str]:
     return {seen.cause for each in examined for seen in each.seen}
-
-
-def _may_be_apart(found: Diagnosis) -> bool:
-    """Return whether a search on a finer grid can find an offset."""
-    clocks = next((each.scores for each in found.examined if each.test == "clocks"), {})
-    if "offset_s" not in clocks or clocks["peak"] < clocks["usable_from"]:
-        return True
-    return abs(clocks["offset_s"]) > max(_NONE_S, _NONE_CELLS * clocks["cell_s"])

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from trajeval_ros.diagnosis.causes import CAUSES
+from trajeval_ros.diagnosis.causes import CAUSES, FLAG
 from trajeval_ros.exceptions import InputError, require_one_of
 from trajeval_ros.formatting.numbers import four_digits
 from trajeval_ros.formatting.remarks import Remark, warning
@@ -30,8 +30,6 @@ class Seen:
     explained: float  # fraction of the mismatch that the correction removes, 0 to 1
     # Values of the format strings of the cause; numbers are evidence.
     values: Mapping[str, Value] = field(default_factory=dict)
-    # Other causes that fit the motions about as well: trials of their corrections decide.
-    rivals: tuple[Seen, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -48,12 +46,8 @@ _MEASURE = (
     "--hand-eye auto could not determine it; measure the transformation and give it with "
     "--hand-eye FILE"
 )
-_UNMEASURED = (
-    "--hand-eye auto is not possible on this data, and needs timestamps (--frame-rate); or give a "
-    "known transformation with --hand-eye FILE"
-)
-_UNHELPFUL = "a correction does not reduce the ATE, of which other errors are the larger part"
-_UNTRIED = "a correction cannot be tried on this data"
+_IMPOSSIBLE = "its correction is not possible on this data"
+_USELESS = "its correction does not reduce the ATE, of which other errors are the larger part"
 # By side of a finding, if it is not only the groundtruth or only the estimate.
 _OWNERS = {"both": "both sides'", "one side": "one side's"}
 _CORRECTED_SIDES = {"both": ("groundtruth", "estimate"), "one side": ("estimate",)}
@@ -65,27 +59,29 @@ class Tried:
 
     before: Ate | None  # None if nothing can be evaluated without it
     after: Ate
-    is_next: bool = False  # whether the corrections of more severe findings are in both
-    then: str = ""  # option that corrects the next finding, in `after`; "" for none
+    then: str = ""  # options that correct the other findings, in `after`; "" for none
+    # Rotation errors to compare, deg: with an alignment by orientations, if they are withheld only
+    # because the positions determine the alignment's rotation poorly.
+    rotations_deg: tuple[float | None, float | None] = (None, None)
 
     @classmethod
-    def of(cls, before: Evaluation | None, after: Evaluation) -> Tried:
+    def of(cls, before: Evaluation | None, after: Evaluation, then: str = "") -> Tried:
         """Return the errors of two evaluations, or of one if there is none before."""
         from trajeval_ros.calibration.apply import Ate
 
-        return cls(None if before is None else Ate.of(before), Ate.of(after))
+        first = None if before is None else Ate.of(before)
+        rotations = None if before is None else _by_orientations(before), _by_orientations(after)
+        return cls(first, Ate.of(after), then, rotations)
 
-    def helps(self, cause: str) -> bool:
-        """Return whether the error that a cause is about falls, and the other hardly grows."""
+    def raises_errors(self, cause: str) -> bool:
+        """Return whether an error that a cause is about grows by more than the drift in it.
+
+        A correction that decreases the rotation error clearly is right, whatever the drift is.
+        """
         position, rotation = self.ratios
-        of = CAUSES[cause].of_error
-        falls = _FALLS_MUCH if CAUSES[cause].of_conventions else _FALLS
-        if of == "position":
-            # The rotation between the bodies is another finding.
-            kept = rotation < _GROWS or position < _CLEARLY or self.after.rotation_deg is None
-            return position < falls and kept
-        about = rotation if of == "rotation" else min(position, rotation)
-        return about < falls and max(position, rotation) < _GROWS
+        if CAUSES[cause].of_error == "rotation" and rotation > _GROWS:
+            return True
+        return position > _GROWS and rotation > _CLEARLY
 
     @property
     def ratios(self) -> tuple[float, float]:
@@ -95,40 +91,54 @@ class Tried:
         """
         if self.before is None:
             return 0.0, 1.0
-        before_deg, after_deg = self.before.rotation_deg, self.after.rotation_deg
-        turned = 1.0
+        before_deg = _first_known(self.before.rotation_deg, self.rotations_deg[0])
+        after_deg = _first_known(self.after.rotation_deg, self.rotations_deg[1])
+        of_rotations = 1.0
         if not (before_deg is None and after_deg is None):
-            turned = _ratio(
+            of_rotations = _ratio(
                 WITHHELD_DEG if after_deg is None else after_deg,
                 WITHHELD_DEG if before_deg is None else before_deg,
             )
-        return _ratio(self.after.position_m, self.before.position_m), turned
+        return _ratio(self.after.position_m, self.before.position_m), of_rotations
 
     def text(self, option: str) -> str:
         """Return both numbers: of the position, or of the rotation if that decreases more."""
         position, rotation = self.ratios
         before, after = self.before, self.after
-        then = "then " if self.is_next else ""
         option = f"{option} and {self.then}" if self.then else option
+        after_deg = _first_known(after.rotation_deg, self.rotations_deg[1])
         is_about_rotation = rotation < _CLEARLY * position or rotation < _FALLS <= position
-        if after.rotation_deg is not None and is_about_rotation:
+        if after_deg is not None and is_about_rotation:
             assert before is not None
             size = before.rotation_deg
             without = "withheld" if size is None else f"{four_digits(size)} deg"
-            with_it = f"{four_digits(after.rotation_deg)} deg"
-            return f"{then}rotation ATE {without}, with {option} {with_it}"
+            how = " aligned by orientations" if after.rotation_deg is None else ""
+            return f"rotation ATE {without}, with {option} {four_digits(after_deg)} deg{how}"
         with_it = f"with {option} {four_digits(after.position_m)} m"
         if before is None:
-            return f"{then}ATE {with_it}"
-        return f"{then}ATE {four_digits(before.position_m)} m, {with_it}"
+            return f"ATE {with_it}"
+        return f"ATE {four_digits(before.position_m)} m, {with_it}"
 
 
 WITHHELD_DEG = 180.0
-# Ratios of errors: a decrease beyond rounding, the decrease by a convention, and an increase by
-# the drift, which is part of both.
-_FALLS, _FALLS_MUCH, _GROWS = 0.999, 0.9, 1.05
-_OF_POSES = 6.0  # rank of the conventions of poses
+# Ratios of errors: a decrease beyond rounding, and an increase by the drift in both errors.
+_FALLS, _GROWS = 0.999, 1.05
 _CLEARLY = 0.5  # ratio of decreases, from which on the rotation is stated in place of the position
+
+
+def _by_orientations(evaluation: Evaluation) -> float | None:
+    """Return the rotation error of an alignment by orientations, deg.
+
+    None without orientations, or if they disagree with the positions.
+    """
+    freedom = evaluation.alignment.freedom
+    if freedom is None or freedom.orientations is None or freedom.disagrees:
+        return None
+    return freedom.orientations.least_deg
+
+
+def _first_known(one: float | None, other: float | None) -> float | None:
+    return other if one is None else one
 
 
 def _ratio(after: float, before: float) -> float:
@@ -147,7 +157,6 @@ class Finding:
     correction: Mapping[str, str]
     explained: float  # fraction of the mismatch that the correction removes, 0 to 1
     evidence: Mapping[str, float]  # statistics by name
-    rivals: tuple[Finding, ...] = ()  # other findings that fit about as well
     tried: Tried | None = None  # None if there is no correction, or no trial of it
 
     @classmethod
@@ -168,15 +177,12 @@ class Finding:
             },
             seen.explained,
             {name: value for name, value in seen.values.items() if isinstance(value, float)},
-            tuple(cls.of(each) for each in seen.rivals),
         )
 
-    def without_advice(self, *, was_tried: bool) -> Finding:
-        """Return the finding for a correction that did not help, or that could not be tried."""
-        advice = _UNHELPFUL if was_tried else _UNTRIED
-        if self.cause == "body":
-            advice = _MEASURE if was_tried else _UNMEASURED
-        return dataclasses.replace(self, advice=advice, correction={}, rivals=(), tried=None)
+    def without_advice(self, *, is_possible: bool) -> Finding:
+        """Return the finding for a correction that does not help, or that is not possible."""
+        advice = _USELESS if is_possible else _IMPOSSIBLE
+        return dataclasses.replace(self, advice=advice, correction={}, tried=None)
 
     @property
     def option(self) -> str:
@@ -219,12 +225,6 @@ class Finding:
     def is_of_conventions(self) -> bool:
         """Whether the poses have another convention than the reader assumed."""
         return CAUSES[self.cause].of_conventions
-
-    def is_gone(self, found: Diagnosis) -> bool:
-        """Return whether no finding with the correction is this or a similar one."""
-        return found.named(self.cause) is None and not (
-            self.rank == _OF_POSES and any(each.rank == _OF_POSES for each in found.findings)
-        )
 
 
 @dataclass(frozen=True)
@@ -274,7 +274,8 @@ class Diagnosis:
 
 def _options(values: Mapping[str, str]) -> str:
     return " ".join(
-        f"--{name.replace('_', '-')}" + (f"={text}" if text.startswith("-") else f" {text}")
+        f"--{name.replace('_', '-')}"
+        + (f"={text}" if text.startswith("-") else f" {text}".removesuffix(f" {FLAG}"))
         for name, text in values.items()
     )
 
@@ -334,4 +335,4 @@ def finding_to_correct(diagnosis: Diagnosis, cause: str, *, is_first: bool) -> F
             f"{cause} not found in the recording (found: {causes}); remove --correct, or convert "
             "the file with trajeval trajectory"
         )
-    return found
+    raise InputError(f"no option corrects {cause}: {found.text}; remove --correct")

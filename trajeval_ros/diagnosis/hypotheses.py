@@ -1,359 +1,195 @@
-"""Short motions of both sides: over two seconds drift is small, and a mistake is not.
+"""The table of mistakes in how poses are written, with their prior probabilities.
 
-They start and end at poses of the estimate, because interpolation of a sparse estimate cuts its
-curves. The groundtruth is interpolated.
+A hypothesis states how the columns of a side are to be read. It is combined with the 48 signed
+permutations of the axes of the positions, and with rotations of the body (`motion_models.py`).
 """
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.diagnosis.input_pair import TimedPoses, lengths
+from trajeval_ros.diagnosis.short_motions import PoseEnds
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
-from trajeval_ros.geometry.pose_conventions import W_FIRST
-from trajeval_ros.geometry.trajectory_edits import evenly
-from trajeval_ros.metrics.statistics import median
+from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.pose_conventions import W_FIRST, W_THIRD
 
-_COUNT = 600
-_FEWEST = 12
-# A jump is longer than this multiple of the median step; more jumps are normal for the estimate.
-_JUMP, _MOST_JUMPS = 30.0, 20
+# Logarithms of prior probabilities: rare mistakes need more evidence than frequent ones.
+MISTAKE = -3.0  # a mistake, such as quaternions with w first
+_OF_GROUNDTRUTH, _OF_BOTH = -0.5, -1.0  # in addition, of the groundtruth and of both sides
+_EXCHANGED_AXES, _PER_CHANGED_AXIS = -2.0, -0.25  # axes exchanged, and flipped or exchanged
+_MIRROR, _MIRROR_PER_AXIS = 1.5, -0.1  # poses mirrored as a whole: most often one axis flips
+OTHER_BODY = -5.0  # axes of the body exchanged or flipped, such as a camera's
+ROTATED_BODY = -9.0  # axes of the body with any rotation
 
-
-@dataclass(frozen=True, eq=False)
-class ShortMotions:
-    """N short motions of both sides."""
-
-    rows: Indices  # (N, 2) rows of the estimate at starts and ends
-    groundtruth: Floats  # (2, N, 3) positions of the groundtruth at starts and ends
-    estimate: Floats  # (2, N, 3) positions of the estimate
-    # (2, N, 4) quaternions of the groundtruth; None unless both have them.
-    groundtruth_turned: Floats | None
-    # (2, N, 4) quaternions of the estimate; None unless both have them.
-    estimate_turned: Floats | None
-
-    @classmethod
-    def between(
-        cls, groundtruth: TimedPoses, estimate: TimedPoses, apart_s: float, max_gap_s: float
-    ) -> ShortMotions:
-        """Return evenly sampled motions of a recording with equal clocks."""
-        times = estimate.seconds
-        first = int(np.searchsorted(times, groundtruth.seconds[0]))
-        count = max(0, int(np.searchsorted(times, groundtruth.seconds[-1], side="right")) - first)
-        start = first + evenly(count, min(count, _COUNT))
-        end = np.searchsorted(times, times[start] + 0.999 * apart_s)
-        fits = end < first + count
-        start, end = start[fits], end[fits]
-        fits = times[end] - times[start] < 2.0 * apart_s + 0.2
-        rows = np.stack([start[fits], end[fits]])
-        true = groundtruth.at(times[rows].ravel(), max_gap_s)
-        known = true.known.reshape(2, -1).all(axis=0)
-        rows, positions = rows[:, known], true.positions.reshape(2, -1, 3)[:, known]
-        groundtruth_turned = estimate_turned = None
-        if true.quaternions is not None and estimate.quaternions is not None:
-            groundtruth_turned = true.quaternions.reshape(2, -1, 4)[:, known]
-            estimate_turned = estimate.quaternions[rows]
-        sides = positions, estimate.positions[rows], groundtruth_turned, estimate_turned
-        return cls(rows.T, *sides)
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    @property
-    def enough(self) -> bool:
-        """Whether there are enough motions for a test."""
-        return len(self) >= _FEWEST
-
-    @property
-    def true_steps(self) -> Floats:
-        """Displacements of the groundtruth, (N, 3)."""
-        return np.asarray(self.groundtruth[1] - self.groundtruth[0])
-
-    @property
-    def steps(self) -> Floats:
-        """Displacements of the estimate, (N, 3)."""
-        return np.asarray(self.estimate[1] - self.estimate[0])
-
-    @cached_property
-    def turns(self) -> tuple[Floats, Floats] | None:
-        """Rotation vectors (N, 3) of both sides, in their worlds; None unless both have them."""
-        if self.groundtruth_turned is None or self.estimate_turned is None:
-            return None
-        return turned_in_world(self.groundtruth_turned), turned_in_world(self.estimate_turned)
-
-    @cached_property
-    def moment_of_steps(self) -> Floats:
-        """The moment (3, 3) of the displacements."""
-        return moment(bounded(self.true_steps), bounded(self.steps))
-
-    @cached_property
-    def moment_of_turns(self) -> Floats:
-        """The moment (3, 3) of the rotations, zero without orientations."""
-        return np.zeros((3, 3)) if self.turns is None else moment(*map(bounded, self.turns))
-
-    @cached_property
-    def thirds(self) -> list[ShortMotions]:
-        """Three parts of the run with about equal distances travelled by the groundtruth."""
-        way = np.cumsum(lengths(bounded(self.true_steps)))
-        part = np.minimum(3.0 * way / max(float(way[-1]), 1e-300), 2.0).astype(np.int64)
-        return [self._only(part == each) for each in range(3)]
-
-    def world(self) -> Floats:
-        """Return the rotation (3, 3) from the estimate's world that fits the motions best."""
-        return best_rotations(self.moment_of_steps + self.moment_of_turns)[1]
-
-    def without_jumps(self, estimate: TimedPoses) -> ShortMotions:
-        """Return the motions without a jump of the estimate: a restart rotates its world."""
-        moved = estimate.moved
-        far = moved > _JUMP * median(moved[evenly(len(moved), 2000)])
-        jumps = np.concatenate([[0], np.cumsum(far)])
-        if not 0 < jumps[-1] <= _MOST_JUMPS:
-            return self
-        smooth = jumps[self.rows[:, 0]] == jumps[self.rows[:, 1]]
-        return self._only(smooth) if np.count_nonzero(smooth) >= _FEWEST else self
-
-    def without_rotations(self) -> ShortMotions:
-        """Return the motions of the positions."""
-        return replace(self, groundtruth_turned=None, estimate_turned=None)
-
-    def _only(self, keep: Booleans) -> ShortMotions:
-        return ShortMotions(
-            self.rows[keep],
-            self.groundtruth[:, keep],
-            self.estimate[:, keep],
-            None if self.groundtruth_turned is None else self.groundtruth_turned[:, keep],
-            None if self.estimate_turned is None else self.estimate_turned[:, keep],
-        )
-
-
-def turned_in_world(quaternions: Floats) -> Floats:
-    """Return the rotation vectors (..., 3) of R_end R_start^T, of the world, (2, ..., 4)."""
-    return lie.rotation_vector(lie.multiply(quaternions[1], lie.conjugate(quaternions[0])))
-
-
-def turned_in_body(quaternions: Floats) -> Floats:
-    """Return the rotation vectors (..., 3) of R_start^T R_end, of the body, (2, ..., 4)."""
-    return lie.rotation_vector(lie.multiply(lie.conjugate(quaternions[0]), quaternions[1]))
-
-
-def bounded(vectors: Floats) -> Floats:
-    """Return vectors (N, 3) with limited lengths, so that outliers have little weight."""
-    return np.asarray(vectors / bound_of(lengths(vectors))[:, None])
-
-
-def bound_of(size: Floats) -> Floats:
-    """Return the divisors (N,) of vectors of given lengths that limit their lengths."""
-    usual = median(size[size > 0.0]) if (size > 0.0).any() else 1.0
-    return size + 2.0 * usual
-
-
-def moment(groundtruth: Floats, estimate: Floats) -> Floats:
-    """Return the normalised sums (..., 3, 3) of G E^T over N vectors G and E, (..., N, 3).
-
-    The trace of W^T times it is the correlation of the vectors under a rotation W.
-    """
-    norm = np.sqrt(
-        np.square(groundtruth).sum(axis=(-1, -2)) * np.square(estimate).sum(axis=(-1, -2))
-    )
-    summed = np.swapaxes(groundtruth, -1, -2) @ estimate
-    return np.asarray(summed / np.maximum(norm, 1e-300)[..., None, None])
-
-
-def best_rotations(moments: Floats) -> tuple[Floats, Floats]:
-    """Return the largest trace of W^T H over rotations W, (...), and W (..., 3, 3), per H."""
-    u, s, vt = np.linalg.svd(moments)
-    sign = np.sign(np.linalg.det(u) * np.linalg.det(vt))
-    flipped = u.copy()
-    flipped[..., :, 2] *= sign[..., None]
-    return s[..., 0] + s[..., 1] + sign * s[..., 2], flipped @ vt
-
-
+AS_READ, ROTATIONS = "as_read", "rotations"
 ESTIMATE, GROUNDTRUTH, BOTH = "estimate", "groundtruth", "both"
-AS_READ = "as_read"
-WXYZ, TRANSPOSED, WXYZ_TRANSPOSED = "wxyz", "transposed", "wxyz_transposed"
-MIRRORED, AXES_MIXED, INVERSE = "mirrored", "axes_mixed", "inverse"
-_CHANGES = {AS_READ: 0, WXYZ: 1, TRANSPOSED: 1, WXYZ_TRANSPOSED: 2}
-_WRITTEN = tuple(_CHANGES)
-
-
-def _signed_permutations() -> Floats:
-    """Return the 48 matrices that exchange and flip axes, the identity first, by trace."""
-    found = []
-    for order in itertools.permutations(range(3)):
-        for signs in itertools.product((1.0, -1.0), repeat=3):
-            matrix = np.zeros((3, 3))
-            matrix[range(3), order] = signs
-            found.append(matrix)
-    return np.array(sorted(found, key=lambda m: (-float(np.trace(m)), -float(np.linalg.det(m)))))
-
-
-_PERMUTATIONS = _signed_permutations()
-_PROPER = np.linalg.det(_PERMUTATIONS) > 0.0
+DEGREES_PER_RADIAN = 180.0 / np.pi
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A convention with its fit."""
+    """How the columns of a side are to be read instead."""
 
-    cause: str  # `as_read`, or the name of a cause
-    side: str  # side with the mistake; "" if it is unknown
-    changes: int  # number of mistakes
-    cost: float  # J, 0 for a perfect fit
-    turned: Floats  # the rotation W (3, 3) from the estimate's world to the groundtruth's
-    moving: float  # correlation of the displacements
-    moving_alone: float  # largest correlation of the displacements under any rotation
-    turning: float  # correlation of the rotations; 0 without orientations
-    axes: Floats  # signed permutation (3, 3) of the estimate's positions
+    cause: str  # name in `causes.py`, or `AS_READ`
+    side: str  # whose columns change: `ESTIMATE`, `GROUNDTRUTH`, `BOTH`, or "" for none
+    log_prior: float
+    # Changes quaternions (..., 4) into those of this hypothesis; None for no change.
+    change: Callable[[Floats], Floats] | None = None
+    inverts_poses: bool = False  # whether the positions are inverted with the rotations
+    with_axes: bool = False  # whether the positions may have other axes, too
+    order: str = ""  # value of --quaternion-order that corrects it
+    inverse: str = ""  # value of --inverse that corrects it
+    detail: str = ""  # what differs, for the cause `ROTATIONS`
 
-    @property
-    def flips(self) -> float:
-        """Distance of `axes` from the identity: 0 for none."""
-        return 3.0 - float(np.trace(self.axes))
+    def applied(self, side: str, poses: PoseEnds) -> PoseEnds:
+        """Return the poses of a side as this hypothesis reads them."""
+        positions, quaternions = poses.positions, poses.quaternions
+        if self.side not in (side, BOTH) or quaternions is None:
+            return poses
+        if self.inverts_poses:
+            inverse = lie.conjugate(quaternions)
+            return PoseEnds(-lie.rotate(inverse, positions), inverse)
+        assert self.change is not None
+        return PoseEnds(positions, self.change(quaternions))
 
 
-def fit_as_read(moving: ShortMotions, turning: ShortMotions) -> Hypothesis:
-    """Return the hypothesis that the convention is the one that was read."""
-    as_read = _Moments(AS_READ, "", 0, moving.moment_of_steps, turning.moment_of_turns)
-    return _solved([as_read], perfect=1.0 if turning.turns is None else 2.0)[0]
+def _w_first(quaternions: Floats) -> Floats:
+    return quaternions[..., W_FIRST]
 
 
-def fit_others(
-    moving: ShortMotions, turning: ShortMotions, *, composed: bool = False
-) -> list[Hypothesis]:
-    """Return hypotheses of one mistake.
+def _w_last(quaternions: Floats) -> Floats:
+    """Undo the reading of x, y, z, w as w, x, y, z."""
+    return quaternions[..., W_THIRD]
 
-    With `composed`, they are those of a written form of the rotations and other axes of the
-    positions.
-    """
-    steps, read = moving.moment_of_steps, turning.moment_of_turns
-    if turning.groundtruth_turned is None or turning.estimate_turned is None:
-        return _solved([_Moments(MIRRORED, "", 1, -steps, read, -np.eye(3))], perfect=1.0)
-    true, ours = _as_written(turning.groundtruth_turned, turning.estimate_turned)
-    turns = moment(true[:, None], ours)
-    forms: list[_Moments] = []
-    for row, cause in enumerate(_WRITTEN[1:], 1):
-        sides = {ESTIMATE: turns[0, row], GROUNDTRUTH: turns[row, 0], BOTH: turns[row, row]}
-        forms += [
-            _Moments(cause, side, _CHANGES[cause], steps, turned) for side, turned in sides.items()
+
+def _w_first_inverse(quaternions: Floats) -> Floats:
+    return lie.conjugate(_w_first(quaternions))
+
+
+def _table() -> list[Hypothesis]:
+    rows = [Hypothesis(AS_READ, "", 0.0, with_axes=True)]
+    for side, prior in ((ESTIMATE, 0.0), (GROUNDTRUTH, _OF_GROUNDTRUTH), (BOTH, _OF_BOTH)):
+        # With other axes on the groundtruth's side, worlds that differ by 90 deg match at random.
+        axes, one = side == ESTIMATE, MISTAKE + prior
+        rows += [
+            Hypothesis("wxyz", side, one, _w_first, with_axes=axes, order="wxyz"),
+            Hypothesis(
+                "transposed", side, one, lie.conjugate, with_axes=axes, inverse="rotations"
+            ),
         ]
-    # Poses mirrored as a whole, M p and M R M, equal positions times -1: M rotates the rotation
-    # vectors by -M, which is a rotation.
-    permuted = steps @ np.swapaxes(_PERMUTATIONS, 1, 2)
-    others = [
-        (AXES_MIXED if proper else MIRRORED, permuted[row], _PERMUTATIONS[row])
-        for row, proper in enumerate(_PROPER)
-        if row
-    ]
-    if composed:
-        return _solved(
-            [
-                form._replace(changes=form.changes + 1, steps=moved, axes=axes)
-                for form in forms
-                if form.side != BOTH
-                for _, moved, axes in others
-            ],
-            perfect=2.0,
-        )
-    todo = [*forms, *(_Moments(cause, "", 1, moved, read, axes) for cause, moved, axes in others)]
-    inverse = _WRITTEN.index(TRANSPOSED)
-    ours = _steps_if_inverted(moving.estimate, moving.estimate_turned)
-    inverted = moment(bounded(moving.true_steps), bounded(ours))
-    todo.append(_Moments(INVERSE, ESTIMATE, 1, inverted, turns[0, inverse]))
-    true = _steps_if_inverted(moving.groundtruth, moving.groundtruth_turned)
-    inverted = moment(bounded(true), bounded(moving.steps))
-    todo.append(_Moments(INVERSE, GROUNDTRUTH, 1, inverted, turns[inverse, 0]))
-    return _solved(todo, perfect=2.0)
+        if side == BOTH:
+            continue
+        rows += [
+            Hypothesis("xyzw", side, one - 0.5, _w_last, order="yzwx"),
+            Hypothesis(
+                "wxyz_transposed", side, one + MISTAKE, _w_first_inverse, with_axes=axes,
+                order="wxyz", inverse="rotations",
+            ),
+            Hypothesis("inverse", side, one, inverts_poses=True, inverse="poses"),
+        ]  # fmt: skip
+    return rows
 
 
-def sizes_apart(one: Floats, other: Floats) -> float:
-    """Return 1 - correlation of the lengths of bounded vectors (N, 3).
+HYPOTHESES = _table()
 
-    No convention changes lengths, so this is the noise that remains in the right one.
+
+def euler_angles_changed(
+    quaternions: Floats, read: str, written: str, factor: float = 1.0, signs: Floats | None = None
+) -> Floats:
+    """Return the rotations (..., 4) if Euler angles were read in another way than written.
+
+    The angles about the intrinsic axes `read`, such as "ZYX", are multiplied by a factor and by
+    signs (3,), and applied about the axes `written`.
     """
-    a, b = lengths(bounded(one)), lengths(bounded(other))
-    return 1.0 - float(a @ b) / max(float(np.sqrt((a @ a) * (b @ b))), 1e-300)
+    matrices = lie.to_matrix(quaternions)
+    a, b, c = ("XYZ".index(axis) for axis in read)
+    sign = -1.0 if _is_odd(read) else 1.0  # of the order of the axes
+    angles = factor * np.stack(
+        [
+            np.arctan2(-sign * matrices[..., b, c], matrices[..., c, c]),
+            np.arcsin(np.clip(sign * matrices[..., a, c], -1.0, 1.0)),
+            np.arctan2(-sign * matrices[..., a, b], matrices[..., a, a]),
+        ]
+    )
+    if signs is not None:
+        angles *= signs.reshape(3, *[1] * (angles.ndim - 1))
+    first, second, third = (
+        lie.from_rotation_vector(angle[..., None] * np.eye(3)["XYZ".index(axis)])
+        for angle, axis in zip(angles, written, strict=True)
+    )
+    return lie.multiply(lie.multiply(first, second), third)
 
 
-class _Moments(NamedTuple):
-    cause: str
-    side: str
-    changes: int
-    steps: Floats
-    turns: Floats
-    axes: Floats = np.eye(3)
+def _is_odd(order: str) -> bool:
+    return bool(np.linalg.det(np.eye(3)[["XYZ".index(axis) for axis in order]]) < 0.0)
 
 
-def _as_written(groundtruth: Floats, estimate: Floats) -> Floats:
-    """Return bounded rotation vectors (2, 4, N, 3) of both sides, in the order of `_WRITTEN`.
+def _euler_table() -> list[Hypothesis]:
+    """Return mistakes in Euler angles that are no change of axes.
 
-    The quaternions are (2, N, 4), at starts and ends.
+    Even permutations of the order and two flipped signs are changes of axes.
     """
-    sides = np.stack([groundtruth, estimate], axis=1)
-    orders = np.stack([sides, sides[..., W_FIRST]], axis=2)
-    world = turned_in_world(orders)
-    vectors = np.concatenate([world, -turned_in_body(orders)], axis=1)
-    # Order of components and side of the product do not change the angle.
-    bounds = np.array([bound_of(size) for size in lengths(world[:, 0])])
-    return np.asarray(vectors / bounds[:, None, :, None])
-
-
-def _steps_if_inverted(positions: Floats, quaternions: Floats | None) -> Floats:
-    """Return displacements (N, 3) of poses (2, N) under the hypothesis of inverse poses."""
-    assert quaternions is not None
-    return np.asarray(np.diff(lie.rotate(lie.conjugate(quaternions), -positions), axis=0)[0])
-
-
-def _solved(todo: list[_Moments], perfect: float) -> list[Hypothesis]:
-    steps, turns = np.array([each.steps for each in todo]), np.array([each.turns for each in todo])
-    best, turned = best_rotations(steps + turns)
-    moving = np.einsum("nij,nij->n", turned, steps)
-    alone = best_rotations(steps)[0]
-    turning = np.einsum("nij,nij->n", turned, turns)
-    return [
+    orders = ["".join(axes) for axes in itertools.permutations("XYZ")]
+    rows = [
         Hypothesis(
-            each.cause,
-            each.side,
-            each.changes,
-            perfect - float(best[row]),
-            turned[row],
-            float(moving[row]),
-            float(alone[row]),
-            float(turning[row]),
-            each.axes,
+            ROTATIONS, ESTIMATE, 2.0 * MISTAKE, _euler(read, written), detail="the order of the "
+            "Euler angles differs",
         )
-        for row, each in enumerate(todo)
-    ]
+        for read, written in itertools.permutations(orders, 2)
+        if _is_odd(read) != _is_odd(written)
+    ]  # fmt: skip
+    flips = [np.array(signs) for signs in itertools.product((1.0, -1.0), repeat=3)]
+    rows += [
+        Hypothesis(
+            ROTATIONS, ESTIMATE, MISTAKE, _euler("ZYX", "ZYX", signs=signs),
+            detail="the sign of an Euler angle differs; a compass heading is clockwise",
+        )
+        for signs in flips
+        if signs.sum() in (1.0, -3.0)
+    ]  # fmt: skip
+    radians = _euler("ZYX", "ZYX", factor=DEGREES_PER_RADIAN)
+    what = "radians were probably read as degrees"
+    return [*rows, Hypothesis(ROTATIONS, ESTIMATE, MISTAKE, radians, detail=what)]
 
 
-def as_written(
-    hypothesis: Hypothesis, groundtruth: Floats, estimate: Floats
-) -> tuple[Floats, Floats]:
-    """Return the quaternions (N, 4) of both sides under the hypothesis."""
-    sides = []
-    for side, quaternions in ((GROUNDTRUTH, groundtruth), (ESTIMATE, estimate)):
-        if hypothesis.side in (side, BOTH):
-            if hypothesis.cause in (WXYZ, WXYZ_TRANSPOSED):
-                quaternions = quaternions[:, W_FIRST]
-            if hypothesis.cause in (TRANSPOSED, WXYZ_TRANSPOSED, INVERSE):
-                quaternions = lie.conjugate(quaternions)
-        sides.append(quaternions)
-    return sides[0], sides[1]
+def _euler(
+    read: str, written: str, factor: float = 1.0, signs: Floats | None = None
+) -> Callable[[Floats], Floats]:
+    return lambda quaternions: euler_angles_changed(quaternions, read, written, factor, signs)
 
 
-def improper_permutations() -> Floats:
-    """Return the 24 matrices (24, 3, 3) that exchange and flip axes and change the handedness."""
-    mirrors: Floats = _PERMUTATIONS[~_PROPER]
-    # The first of equals: y, which most left-handed systems flip, then other flips.
-    order = np.lexsort((mirrors[:, 1, 1], -np.einsum("nii->n", mirrors)))
-    return mirrors[order]
+EULER_HYPOTHESES = _euler_table()
 
 
-def mean_rotation(quaternions: Floats) -> Floats:
-    """Return the quaternion (4,) nearest to N of them, (N, 4), of either sign."""
-    return np.asarray(np.linalg.eigh(quaternions.T @ quaternions)[1][:, -1])
+def _signed_permutations() -> Floats:
+    """Return the 48 matrices that exchange and flip axes, the identity first, by trace."""
+    rows = []
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            matrix = np.zeros((3, 3))
+            matrix[range(3), order] = signs
+            rows.append(matrix)
+    return np.array(sorted(rows, key=lambda m: (-float(np.trace(m)), -float(np.linalg.det(m)))))
+
+
+PERMUTATIONS = _signed_permutations()  # (48, 3, 3)
+PROPER = PERMUTATIONS[np.linalg.det(PERMUTATIONS) > 0.0]  # (24, 3, 3), rotations
+# M p and M R M with a mirror M is -1 times the positions, and the body rotated by -M.
+MIRRORED = int(np.flatnonzero((-np.eye(3) == PERMUTATIONS).all(axis=(1, 2)))[0])
+
+
+def _log_priors() -> tuple[Floats, Floats]:
+    """Return the logarithms of priors of axes (48,), and of mirrors M = -PROPER (24,)."""
+    changed = 3.0 - np.einsum("pii->p", PERMUTATIONS)
+    kept, kept_of_mirror = (np.einsum("pii->p", np.abs(each)) for each in (PERMUTATIONS, PROPER))
+    axes = MISTAKE + _EXCHANGED_AXES * (kept < 3.0) + _PER_CHANGED_AXIS * changed
+    mirrors = _MIRROR + _EXCHANGED_AXES * (kept_of_mirror < 3.0)
+    mirrors += _MIRROR_PER_AXIS * (3.0 + np.einsum("pii->p", PROPER))
+    return np.where(changed > 0.0, axes, 0.0), mirrors
+
+
+AXES_LOG_PRIORS, MIRROR_LOG_PRIORS = _log_priors()

@@ -7,10 +7,10 @@ import re
 import numpy as np
 
 from trajeval_ros.diagnosis.findings import Examined, Seen, Value
-from trajeval_ros.diagnosis.hypotheses import best_rotations
 from trajeval_ros.diagnosis.input_pair import InputPair, TimedPoses, lengths
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, extents
+from trajeval_ros.geometry.rotation_fit import best_rotations
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.trajectory_edits import evenly
 from trajeval_ros.metrics.statistics import median

@@ -9,20 +9,16 @@ import numpy as np
 
 from trajeval_ros.consistency.yaw_information import YawInformation
 from trajeval_ros.diagnosis.causes import CAUSES
+from trajeval_ros.diagnosis.discontinuities import about_small_discontinuities, has_clock_step
 from trajeval_ros.diagnosis.findings import Diagnosis
 from trajeval_ros.diagnosis.input_tests import stamped_at_arrival
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted, percent, whole_percent
 from trajeval_ros.formatting.remarks import Level, Remark, warning
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Indices
 from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.travelled import (
-    StepDifferences,
-    cause_of_jumps,
-    step_lengths,
-)
+from trajeval_ros.geometry.travelled import StepDifferences, step_lengths
 from trajeval_ros.geometry.up_axis import ASSUMED
 from trajeval_ros.geometry.valid_poses import MOST_UNUSABLE, NO_STATE, reasons
 from trajeval_ros.metrics.absolute_errors import AbsoluteErrors
@@ -83,7 +79,8 @@ def remarks_on(evaluation: Evaluation, diagnosis: Diagnosis) -> tuple[Remark, ..
         *_about_up_axis(evaluation),
         *([] if _is_lost(diagnosis) else _about_freedom(evaluation)),
         *_about_alignment(evaluation),
-        *([] if _explains_jumps(diagnosis) else _about_jumps(evaluation)),
+        *about_small_discontinuities(evaluation, diagnosis),
+        *([] if _explains_jumps(diagnosis) else _about_mixed_publishers(evaluation)),
         *_about_rotations(evaluation),
         *_about_coverage(evaluation),
         *_about_relative_errors(evaluation),
@@ -173,7 +170,7 @@ def _is_lost(diagnosis: Diagnosis) -> bool:
     return any(each.cause.startswith(DIVERGED) for each in diagnosis.findings)
 
 
-def _about_jumps(evaluation: Evaluation) -> Iterator[Remark]:
+def _about_mixed_publishers(evaluation: Evaluation) -> Iterator[Remark]:
     groundtruth, estimate = evaluation.association.groundtruth, evaluation.association.estimate
     scale = evaluation.alignment.similarity.scale
     true, own = groundtruth.positions, estimate.positions
@@ -190,35 +187,6 @@ def _about_jumps(evaluation: Evaluation) -> Iterator[Remark]:
             f"every other pose of the estimate is {back_m:.2g} m away, and the next one is back: "
             "messages of two publishers are probably mixed; evaluate one of them",
         )
-    wrong = steps.groundtruth_jumps(back_m)
-    is_wrong = np.zeros(len(steps.true_m), dtype=bool)
-    is_wrong[wrong] = True
-    jumps = steps.jumps(back_m, median(steps.rotation_deg))
-    jumps = jumps[~is_wrong[jumps]]
-    for who, rows in (("groundtruth", wrong), ("estimate", jumps)):
-        if len(rows):
-            yield _jump_warning(evaluation, who, steps, rows)
-
-
-def _jump_warning(
-    evaluation: Evaluation, who: str, steps: StepDifferences, jumps: Indices
-) -> Remark:
-    """Return the warning about steps, `jumps` (K,), that one side alone makes."""
-    groundtruth, first = evaluation.association.groundtruth, jumps[0]
-    where = "once" if len(jumps) == 1 else f"at {len(jumps)} places"
-    at = f"at pair {first + 2}"
-    if groundtruth.reading.stamped:
-        at = f"{groundtruth.seconds[first + 1]:.1f} s after the first pair"
-    turns = evaluation.association.have_rotations
-    other, cause = "groundtruth", f"{cause_of_jumps(len(jumps))}, which one alignment can't fit"
-    if who == other:
-        other, cause, turns = "estimate", "it has wrong samples there; remove them", False
-    return warning(
-        "jumps",
-        f"the {who} jumps {where}, first {at}, by {steps.position_m[first]:.2f} m"
-        + (f" and {steps.rotation_deg[first]:.0f} deg" if turns else "")
-        + f" more than the {other}: {cause}",
-    )
 
 
 def _about_rotations(evaluation: Evaluation) -> Iterator[Remark]:
@@ -360,7 +328,7 @@ def _about_inputs(evaluation: Evaluation) -> Iterator[Remark]:
     paired = evaluation.association.estimate
     for name, side in (("groundtruth", groundtruth), ("estimate", paired)):
         yield from _about_projection(name, side)
-        if stamped_at_arrival(side):
+        if not has_clock_step(evaluation) and stamped_at_arrival(side):
             yield warning(
                 "arrival_times",
                 f"the {name}'s timestamps are probably arrival times: they have jitter, its "

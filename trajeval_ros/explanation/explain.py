@@ -7,10 +7,11 @@ c: the length of [ln(x - h), ln(x + h)] in that range, per length 2 ln 2 of the 
 
 from __future__ import annotations
 
+import copy
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +33,9 @@ _SAME_ARITHMETIC = 1e-7  # relative; programs differ by less in the same number
 _SAME_VALUE = 1e-9
 _RANGE = 2.0 * math.log(2.0)
 _NONE_PRIOR = 0.3  # probability that a number has no definition in the search
+# From this number of runs on, one of them may disagree with the definition of the others.
+_RUNS_WITH_ONE_WRONG = 4
+_ONE_WRONG_PRIOR = 0.1  # probability that one number of several is of another run or definition
 _NAMED = 0.8  # least probability of a definition that is named
 _NEAREST = 4
 _PRIOR_WEIGHT = 0.02  # of the logarithm of the prior, against that of the value, for `nearest`
@@ -96,6 +100,8 @@ class Explanation:
     none_probability: float  # posterior probability that none of the definitions was used
     matches: tuple[Match, ...]  # groups of matching definitions, the likeliest first
     nearest: tuple[Match, ...]  # likely definitions with near values, if none matches
+    # The run, counted from 0, whose number differs while those of all others match; else None.
+    disagreeing: int | None = None
 
     @property
     def verdict(self) -> str:
@@ -116,8 +122,9 @@ def explain(
 
     Args:
         runs: Groundtruth, estimate, and one or two numbers as texts, because "0.20" has more
-            digits than "0.2". All runs have the same definition. The second number of a run has
-            its own statistic, and the same association and alignment.
+            digits than "0.2". All runs have the same definition. From four runs on, the numbers
+            of one may differ. The second number of a run has its own statistic, and the same
+            association and alignment.
         unit: A key of `UNITS` for numbers without a unit; empty to search m, %, deg and deg/m.
 
     Raises:
@@ -141,7 +148,37 @@ def explain(
         )
     candidates = _Candidates([values_of(truth, estimate) for truth, estimate, _ in runs])
     columns = [_Column(candidates, each) for each in zip(*numbers, strict=True)]
-    return _explained(candidates, columns)
+    result = _explained(candidates, columns)
+    if result.matches or len(runs) < _RUNS_WITH_ONE_WRONG:
+        return result
+    return _with_one_wrong(candidates, numbers) or result
+
+
+def _with_one_wrong(
+    candidates: _Candidates, numbers: Sequence[Sequence[PublishedNumber]]
+) -> Explanation | None:
+    """Return the definitions that give the numbers of all runs but one; None without any.
+
+    An unrelated number of the disagreeing run has the same likelihood with and without a
+    definition for the others, so that it cancels in the posterior probability.
+    """
+    prior = _ONE_WRONG_PRIOR / len(numbers)
+    results = []
+    for run in range(len(numbers)):
+        others = candidates.without(run)
+        kept = [texts for number, texts in enumerate(numbers) if number != run]
+        columns = [_Column(others, column) for column in zip(*kept, strict=True)]
+        result = _explained(others, columns, prior)
+        results.append(replace(result, disagreeing=run))
+    matching = [result for result in results if result.matches]
+    if not matching:
+        return None
+    expected = sum(result.expected for result in results)  # of as many attempts as runs
+    return replace(
+        min(matching, key=lambda result: result.none_probability),
+        expected=expected,
+        any_probability=-math.expm1(-expected),
+    )
 
 
 class _Candidates:
@@ -158,8 +195,15 @@ class _Candidates:
         self.first = [each[0] for each in self.names]
         self.values: Floats = np.array(
             [[values[key[run]] for key in found] for run, (_, values) in enumerate(tables)]
-        )  # (R, K)
+        )  # (R, K), of the runs whose numbers are compared
+        self.shown = self.values  # of all runs
         self.priors = np.array([each.prior for each in self.first])
+
+    def without(self, run: int) -> _Candidates:
+        """Return the candidates for the numbers of all runs but one."""
+        others = copy.copy(self)
+        others.values = np.delete(self.values, run, axis=0)
+        return others
 
     def of_row(self, used: Sequence[Booleans]) -> Indices:
         """Return all definitions (M, C) of the C numbers in a row of a table, of those used (K,).
@@ -184,7 +228,7 @@ class _Candidates:
         associations = {one.association for row in rows for one in self.names[row[0]]}
         return Match(
             named[0],
-            tuple(map(tuple, self.values.T[rows[0]].tolist())),
+            tuple(map(tuple, self.shown.T[rows[0]].tolist())),
             tuple(name for name in ASSOCIATIONS if name in associations),
             tuple(dict.fromkeys(texts))[1:],
             probability,
@@ -222,7 +266,13 @@ class _Column:
         return float(np.maximum(high - np.maximum(low, before), 0.0).sum()) / _RANGE
 
 
-def _explained(candidates: _Candidates, columns: Sequence[_Column]) -> Explanation:
+def _explained(
+    candidates: _Candidates, columns: Sequence[_Column], prior: float = 1.0
+) -> Explanation:
+    """Return the definitions that give the numbers.
+
+    `prior`: probability that these runs have one definition, if any run has one.
+    """
     rows = candidates.of_row([each.used for each in columns])
 
     def of_rows(values: Sequence[Floats]) -> Floats:
@@ -236,7 +286,7 @@ def _explained(candidates: _Candidates, columns: Sequence[_Column]) -> Explanati
     likely = columns[0].union() if is_single else -math.expm1(-expected)
     unrelated = _NONE_PRIOR * math.prod(each.unrelated for each in columns)
     matching = float(weights[hit].sum())
-    none = unrelated / (unrelated + (1.0 - _NONE_PRIOR) * matching)
+    none = unrelated / (unrelated + (1.0 - _NONE_PRIOR) * prior * matching)
     if hit.any():
         matches = _grouped(candidates, rows[hit], (1.0 - none) * weights[hit] / matching)
         return Explanation(len(rows), int(hit.sum()), expected, likely, none, matches, ())

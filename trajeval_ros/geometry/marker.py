@@ -13,6 +13,8 @@ from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import Trajectory
 
+_NUMBERS = 7  # of a pose as text
+_UNIT = 0.01  # tolerance of a quaternion's length, for rounded digits
 # Remarks on a trajectory after a conversion by a lever arm.
 MARKERS_VELOCITIES = note(
     "column_dropped", "velocities dropped: they are of the marker, not of the body"
@@ -50,6 +52,33 @@ class HandEye:
         vector = np.zeros(3) if rotation_vector is None else rotation_vector
         lever = np.zeros(3) if lever_m is None else lever_m
         return cls(lie.from_rotation_vector(vector), lever)
+
+    @classmethod
+    def from_text(cls, text: str) -> HandEye | None:
+        """Return the pose of a text X,Y,Z,QX,QY,QZ,QW (metres, quaternion); None for other texts.
+
+        Raises:
+            InputError: The quaternion is not of length 1.
+        """
+        try:
+            numbers = np.array([float(part) for part in text.split(",")])
+        except ValueError:
+            return None
+        if len(numbers) != _NUMBERS:
+            return None
+        length = float(np.linalg.norm(numbers[3:]))
+        if not (abs(length - 1.0) < _UNIT and np.isfinite(numbers).all()):
+            raise InputError(
+                f"the quaternion of the pose {text} has length {length:.3g}; give "
+                "X,Y,Z,QX,QY,QZ,QW with a quaternion of length 1"
+            )
+        return cls(numbers[3:] / length, numbers[:3])
+
+    def after(self, first: HandEye) -> HandEye:
+        """Return this pose of a body in another one, composed with a pose in that body."""
+        lever = self.lever_m + lie.rotate(self.rotation_xyzw, first.lever_m)
+        rotation = lie.multiply(self.rotation_xyzw, first.rotation_xyzw)
+        return HandEye(rotation, lever, self.body or first.body, first.marker)
 
     def names(self, groundtruth: str, estimate: str, *, of_marker: bool) -> tuple[str, str]:
         """Return the names of both bodies after the conversion of one side.

@@ -14,10 +14,11 @@ from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.geometry.trajectory import Trajectory
 
-ORDERS = ("xyzw", "wxyz")
+# Of the columns that were read as x, y, z, w. The last one: x, y, z, w read as w, x, y, z.
+ORDERS = ("xyzw", "wxyz", "yzwx")
 POSES, ROTATIONS = "poses", "rotations"
-# Columns that were read as x, y, z, w and are w, x, y, z.
-W_FIRST = [1, 2, 3, 0]
+# Columns of x, y, z, w, if the columns that were read as these are in other orders.
+W_FIRST, W_THIRD = [1, 2, 3, 0], [3, 0, 1, 2]
 _ALL, _POSITIONS, _ROTATIONS = "", "positions=", "rotations="
 _SLOWEST_PPM, _FASTEST_PPM = -0.9e6, 9e6
 
@@ -57,7 +58,7 @@ class Conventions:
         Columns that a correction invalidates are removed.
         """
         if self.quaternion_order != ORDERS[0]:
-            trajectory = _with_w_first(trajectory)
+            trajectory = _in_order(trajectory, self.quaternion_order)
         if self.inverse:
             trajectory = _inverted(trajectory, self.inverse)
         axes, of = self._permutation()
@@ -110,12 +111,13 @@ def _scaled(trajectory: Trajectory, scale: float) -> Trajectory:
     )
 
 
-def _with_w_first(trajectory: Trajectory) -> Trajectory:
+def _in_order(trajectory: Trajectory, order: str) -> Trajectory:
     if trajectory.quaternions is None:
         raise InputError("no orientations, which a quaternion order needs")
-    quaternions = np.ascontiguousarray(trajectory.quaternions[:, W_FIRST])
+    columns = W_FIRST if order == ORDERS[1] else W_THIRD
+    quaternions = np.ascontiguousarray(trajectory.quaternions[:, columns])
     reading = trajectory.reading.without("matrices")
-    reading = _corrected(reading, "quaternions read in the order w, x, y, z")
+    reading = _corrected(reading, f"quaternions read in the order {', '.join(order)}")
     return dataclasses.replace(trajectory, quaternions=quaternions, reading=reading)
 
 

@@ -43,6 +43,7 @@ class Reading:
     """How the N states of a trajectory were read; immutable."""
 
     source: str = ""  # the source, as the user names it; "" if there is none
+    columns: str = ""  # names of the columns of a text file, as --columns takes them
     # False if the file has no timestamps; stamps then count rows, one second apart.
     stamped: bool = True
     # Whether the file has the numbers in `frame_numbers`; otherwise they count its rows.

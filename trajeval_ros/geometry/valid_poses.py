@@ -147,6 +147,9 @@ _REASONS = {
 }
 
 
+# In every text of `dropped_in_words`, and in no other.
+POSES_DROPPED = "poses dropped: "
+
 # Reasons that are no damage of the source: repeated poses, and poses that it marks as invalid.
 _MARKED = (
     *("duplicate_stamp", "no_position_or_not_tracking"),
@@ -169,7 +172,7 @@ def dropped_in_words(dropped: Mapping[str, int], kept: int, *, all_reasons: bool
         if reason in NO_STATE and (all_reasons or reason not in _MARKED)
     }
     lost = sum(counted.values())
-    return f"{lost} of {lost + kept} poses dropped: {reasons(counted)}" if lost else ""
+    return f"{lost} of {lost + kept} {POSES_DROPPED}{reasons(counted)}" if lost else ""
 
 
 def reasons(dropped: Mapping[str, int]) -> str:

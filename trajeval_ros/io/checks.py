@@ -53,8 +53,8 @@ def times(stamps: NDArray[np.int64]) -> Booleans:
 def judge_rotations(quaternions: Floats | None) -> tuple[Floats | None, tuple[Remark, ...]]:
     """Return the quaternions (N, 4), xyzw, and remarks on them.
 
-    The quaternions are None if the input is None, all zeros, or the identity everywhere. They
-    are returned as given: the remark reports quaternions that are not of unit length.
+    The quaternions are None if the input is None, all zeros, or the identity everywhere. They are
+    returned as given: the remark reports quaternions that are not of unit length.
     """
     if quaternions is None:
         return None, (note("no_rotations", "no rotations: rotation metrics withheld"),)

@@ -27,6 +27,7 @@ class TrajectorySummary:
     source: str
     kind: str  # message type, or format of the file
     poses: int  # number of states
+    columns: str = ""  # of a text file, as --columns takes them
     rate_hz: float = 0.0  # inverse of the median time step; 0 without time steps
     timed: bool = True  # whether the states have timestamps
     first_ns: int = 0  # earliest timestamp
@@ -73,8 +74,8 @@ class Description:
     # Trajectories in the source, also those with a problem.
     trajectories: tuple[TrajectorySummary, ...]
     edges: tuple[EdgeSummary, ...] = ()  # transforms of the TF tree
-    # (topic, type, number of messages) of the topics without poses.
-    others: tuple[tuple[str, str, int], ...] = ()
+    # (topic, type, number of messages, fields with poses) of the topics of other types.
+    others: tuple[tuple[str, str, int, str], ...] = ()
     remarks: tuple[Remark, ...] = ()  # remarks of the reader of a bag
 
 
@@ -116,6 +117,7 @@ def _describe_log(source: str, path: Path) -> Description:
 def _describe_bag(source: str, path: Path, advance: Advance | None) -> Description:
     """Return the contents of all topics of a bag."""
     from trajeval_ros.io.bags.bag import Bag
+    from trajeval_ros.io.bags.nested_poses import nested_poses
     from trajeval_ros.io.bags.topic_readers import (
         PoseReader,
         TransformReader,
@@ -154,7 +156,8 @@ def _describe_bag(source: str, path: Path, advance: Advance | None) -> Descripti
                         topic.name, *key, edge.is_static, count, rate_hz
                     )
             elif not topic.holds_transforms:
-                others.append((topic.name, topic.type, topic.count))
+                inside = ", ".join(place.field or "itself" for place in nested_poses(topic.fields))
+                others.append((topic.name, topic.type, topic.count, inside))
         remarks = bag.remarks([each.reading for each in readers])
     tree = sorted(edges.values(), key=lambda edge: (edge.topic, edge.is_static, edge.parent))
     return Description(path, tuple(trajectories), tuple(tree), tuple(others), remarks)
@@ -187,6 +190,7 @@ def summarize(source: str, trajectory: Trajectory) -> TrajectorySummary:
     return TrajectorySummary(
         source=source,
         kind=reading.format,
+        columns=reading.columns,
         system=recognised(kind, topic, ordered.frame, ordered.child_frame),
         poses=len(ordered),
         rate_hz=0.0 if unstamped else _rate_hz(ordered.stamps),

@@ -11,9 +11,7 @@ which are sparse. `continuous` evaluates a model of the groundtruth's motion, al
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass, field
-from datetime import datetime, timezone
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -22,7 +20,6 @@ import numpy as np
 from trajeval_ros.continuous_time.models import DEFAULT_MODEL, MODELS
 from trajeval_ros.continuous_time.samples import Noise
 from trajeval_ros.exceptions import NoMatchError, SettingsError, require_one_of
-from trajeval_ros.formatting.numbers import significant
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Indices
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
@@ -31,8 +28,8 @@ from trajeval_ros.metrics.completeness import Interpolation, InterpolationMeter,
 from trajeval_ros.metrics.coverage import Coverage, coverage_of
 from trajeval_ros.metrics.lost_tracking import frozen_ns
 from trajeval_ros.metrics.nearest_association import nearest_pairs
+from trajeval_ros.metrics.no_match import LATEST_CLOCK_S, explain_no_match
 from trajeval_ros.metrics.other_programs import match_frames
-from trajeval_ros.metrics.statistics import median
 
 if TYPE_CHECKING:
     from trajeval_ros.continuous_time.continuous_trajectory import ContinuousTrajectory
@@ -292,85 +289,3 @@ def _distinct(rows: Indices, count: int) -> int:
     named = np.zeros(count, dtype=bool)
     named[rows] = True
     return int(np.count_nonzero(named))
-
-
-LATEST_CLOCK_S = 5e9  # the year 2128
-_DAY_S = 86_400.0
-# Wrong time zones and clocks that start at zero differ by less.
-_OTHER_RECORDING_S = 2.0 * _DAY_S
-
-
-def explain_no_match(
-    groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule, dropped: dict[str, int]
-) -> str:
-    """Return both time ranges and the likely cause, as one sentence.
-
-    The estimate has the time offset applied. `dropped` counts the states without a pair.
-    """
-
-    def span(trajectory: Trajectory) -> tuple[float, float]:
-        return trajectory.stamps.min() / NANOSECONDS, trajectory.stamps.max() / NANOSECONDS
-
-    groundtruth_s, estimate_s = span(groundtruth), span(estimate)
-    covered = (
-        f"the groundtruth covers {_clock(*groundtruth_s)}, the estimate {_clock(*estimate_s)}"
-    )
-    text = f"no pairs: {covered}"
-    if dropped.get("in_groundtruth_gap"):
-        return (
-            f"{text}; all common timestamps are in groundtruth gaps longer than "
-            f"{rule.max_gap_s:g} s (median step {_step_s(groundtruth):.3g} s); increase the max "
-            "gap, or use association continuous"
-        )
-    if dropped.get("in_estimate_gap"):
-        return (
-            f"{text}; all common timestamps are in estimate gaps longer than {rule.max_gap_s:g} "
-            f"s (median step {_step_s(estimate):.3g} s); use association linear, or increase the "
-            "max gap"
-        )
-    if groundtruth_s[0] <= estimate_s[1] and estimate_s[0] <= groundtruth_s[1]:
-        if "no_groundtruth_within_max_time_difference" not in dropped:
-            return (
-                f"{text}; they overlap, but no timestamp of one side is within the other; check "
-                "the number of digits of the timestamps"
-            )
-        return (
-            f"{text}; they overlap, but all time differences exceed "
-            f"{rule.max_time_difference_s:g} s; use association linear, or increase the max "
-            "time difference"
-        )
-    thousands = math.log10(max(groundtruth_s[1], 1e-9) / max(estimate_s[1], 1e-9)) / 3.0
-    as_other_unit = abs(thousands) > 0.5 and abs(thousands - round(thousands)) < 0.01
-    if as_other_unit or max(groundtruth_s[1], estimate_s[1]) > LATEST_CLOCK_S:
-        return f"{text}; the units of the timestamps probably differ (seconds, milliseconds)"
-    if min(groundtruth_s[1], estimate_s[1]) < 1e7 and max(groundtruth_s[1], estimate_s[1]) > 1e8:
-        who = "estimate" if estimate_s[1] < groundtruth_s[1] else "groundtruth"
-        stamps = {"estimate": estimate, "groundtruth": groundtruth}[who].stamps
-        steps = np.unique(np.diff(stamps))
-        if len(steps) == 1 and steps[0] > 0 and not (stamps % NANOSECONDS).any():
-            said = f"the {who} probably has numbers of frames instead of times"
-            return f"{text}; {said}; write the times of all frames to times.txt next to it"
-        return f"{text}; one counts from zero (simulated time), the other is a system clock"
-    apart = max(groundtruth_s[0] - estimate_s[1], estimate_s[0] - groundtruth_s[1])
-    if apart > _OTHER_RECORDING_S:
-        days = f"{apart / _DAY_S:.0f} days"
-        return f"{text}, {days} apart; the estimate is probably of another recording"
-    shift = groundtruth_s[0] - estimate_s[0]
-    return (
-        f"{text}, {significant(apart, 6)} s apart; for a constant clock difference, set the time "
-        f"offset (for a common start: {shift:.6f} s)"
-    )
-
-
-def _step_s(trajectory: Trajectory) -> float:
-    """Return the median step between timestamps, seconds."""
-    return median(np.diff(np.sort(trajectory.stamps))) / NANOSECONDS
-
-
-def _clock(start: float, end: float) -> str:
-    """Return a time range in seconds, with the date if the clock is a Unix clock."""
-    text = f"{start:.3f} to {end:.3f} s"
-    if 1e8 < start < 2e10:
-        day = datetime.fromtimestamp(start, tz=timezone.utc).strftime("%Y-%m-%d %H:%M:%S")
-        text += f" ({day} UTC)"
-    return text

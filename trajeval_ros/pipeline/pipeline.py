@@ -21,12 +21,14 @@ from trajeval_ros.diagnosis.diagnose import (
     require_conventions,
     same_estimate,
 )
+from trajeval_ros.diagnosis.discontinuities import with_events
 from trajeval_ros.diagnosis.findings import Diagnosis, Finding, Tried, finding_to_correct
-from trajeval_ros.diagnosis.trials import Again, with_tried_advice
+from trajeval_ros.diagnosis.verification import Reevaluate, verified
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
 from trajeval_ros.formatting.remarks import Remark, warning
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.vertical_axis import up_axis_doubt
 from trajeval_ros.metrics.as_available import AsAvailable, as_available
 from trajeval_ros.metrics.evaluation import Evaluation, of_same_point, on_plane
 from trajeval_ros.metrics.input_summary import InputSummary
@@ -38,6 +40,7 @@ from trajeval_ros.metrics.stream_health import UNKNOWN, StreamHealth, health_of
 from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
 from trajeval_ros.pipeline.preparation import (
     Inputs,
+    at_discontinuities,
     corrected_and_cut,
     in_world_axes,
     named,
@@ -136,7 +139,9 @@ def evaluate(
     request = Request(protocol or Protocol())
     given = Inputs(groundtruth, estimate)
     inputs, _, evaluation = _measured(given, request)
-    return diagnosed(evaluation, inputs.groundtruth, inputs.estimate, _again(given, request))[0]
+    return diagnosed(evaluation, inputs.groundtruth, inputs.estimate, _reevaluate(given, request))[
+        0
+    ]
 
 
 def diagnose(
@@ -154,7 +159,7 @@ def diagnose(
         The diagnosis, and the reason if nothing can be evaluated, else "".
     """
     given = Inputs(groundtruth, estimate, pairs)
-    again = _again(given, request)
+    reevaluate = _reevaluate(given, request)
     try:
         inputs, _, evaluation = _measured(given, request)
     except TrajevalError as error:
@@ -162,11 +167,12 @@ def diagnose(
             return Diagnosis(), str(error)
         inputs = corrected_and_cut(given, request)
         found = diagnose_inputs(inputs.groundtruth, inputs.estimate, request.protocol)
-        return with_tried_advice(found, None, again), str(error)
+        return verified(found, None, reevaluate), str(error)
     sides = inputs.groundtruth, inputs.estimate
     paired = inputs.pairs is not None
+    evaluation = with_events(evaluation, *sides, paired=paired)
     found = diagnose_evaluation(evaluation, *sides, paired=paired, losses=losses)
-    return with_tried_advice(found, evaluation, again), ""
+    return verified(found, evaluation, reevaluate), ""
 
 
 def _measured(
@@ -174,6 +180,8 @@ def _measured(
 ) -> tuple[Inputs, Calibrated | None, Evaluation]:
     """Correct, cut, calibrate, associate, align and compute the errors of one estimate."""
     inputs, protocol = in_world_axes(corrected_and_cut(given, request), request)
+    offset_s = protocol.association.time_offset_s
+    inputs = at_discontinuities(inputs, request.discontinuities, offset_s)
     calibrated = _calibrated(inputs, protocol, request, same_as)
     if calibrated is None:
         return inputs, None, inputs.evaluated(protocol)
@@ -189,23 +197,20 @@ def _measured(
     return inputs, calibrated, evaluation
 
 
-def _again(given: Inputs, request: Request, same_as: Calibrated | None = None) -> Again:
-    """Return what evaluates and diagnoses again with corrections."""
+def _reevaluate(given: Inputs, request: Request, same_as: Calibrated | None = None) -> Reevaluate:
+    """Return what evaluates again with corrections, without relative errors."""
 
-    def again(corrections: Sequence[Mapping[str, str]]) -> tuple[Evaluation, Diagnosis]:
+    def reevaluate(corrections: Sequence[Mapping[str, str]]) -> Evaluation:
         protocol = dataclasses.replace(request.protocol, lengths=())
         changed, sides = dataclasses.replace(request, protocol=protocol), given
-        for each in corrections:
-            changed = changed.corrected(each)
-            if given.pairs is not None and each.keys() & _TEMPORAL:
+        for correction in corrections:
+            changed = changed.corrected(correction)
+            if given.pairs is not None and correction.keys() & _TEMPORAL:
                 sides = _unpaired(given.pairs)
                 changed = _with_gaps_of(given.pairs, changed)
-        inputs, _, evaluation = _measured(sides, changed, same_as)
-        paired = inputs.pairs is not None
-        found = diagnose_evaluation(evaluation, inputs.groundtruth, inputs.estimate, paired=paired)
-        return evaluation, found
+        return _measured(sides, changed, same_as)[2]
 
-    return again
+    return reevaluate
 
 
 def _unpaired(pairs: Association) -> Inputs:
@@ -226,12 +231,15 @@ def _with_gaps_of(pairs: Association, request: Request) -> Request:
 
 def _evaluated(given: Inputs, request: Request, same_as: Calibrated | None = None) -> RunOutcome:
     """Evaluate one estimate: the steps of the pipeline in their order."""
-    inputs, calibrated, evaluation = _measured(given, request, same_as)
+    try:
+        inputs, calibrated, evaluation = _measured(given, request, same_as)
+    except InputError as error:
+        raise _explained(error, given, request) from error
     evaluation, diagnosis = diagnosed(
         evaluation,
         inputs.groundtruth,
         inputs.estimate,
-        _again(given, request, same_as),
+        _reevaluate(given, request, same_as),
         paired=inputs.pairs is not None,
         hand_eye_calibrated=request.calibration.hand_eye,
     )
@@ -252,6 +260,22 @@ def _evaluated(given: Inputs, request: Request, same_as: Calibrated | None = Non
         stream=_stream(given.estimate),
         available=available,
     )
+
+
+def _explained(error: InputError, given: Inputs, request: Request) -> InputError:
+    """Return the error of an evaluation, or the wrong convention that causes a wrong up axis.
+
+    Inverse poses of the groundtruth rotate about no vertical axis.
+    """
+    inputs = corrected_and_cut(given, request)
+    gauge = request.protocol.gauge
+    if not gauge.turns_about_gravity_only or not up_axis_doubt(inputs.groundtruth):
+        return error
+    found = diagnose_inputs(inputs.groundtruth, inputs.estimate, request.protocol)
+    causes = [finding for finding in found.findings if finding.cause == "inverse"]
+    if not causes or request.calibration.hand_eye:
+        return error
+    return InputError(f"gauge {gauge.value} is not possible: {causes[0].text}")
 
 
 def _stream(estimate: Trajectory) -> StreamHealth | None:
@@ -363,12 +387,12 @@ def _corrected(
         changed = request.corrected(finding.correction)
         after = _evaluated(given, changed, same_as)
         tried = Tried.of(found.evaluation, after.evaluation)
-        hidden = finding.tried is not None and bool(finding.tried.then)
-        if not (hidden or tried.helps(finding.cause)):
+        is_hidden = finding.tried is not None and bool(finding.tried.then)
+        if tried.raises_errors(finding.cause) and not is_hidden:
             if corrected:
                 break
             raise InputError(
-                f"the errors do not fall with {finding.option}; correct the first finding, with "
+                f"the errors grow with {finding.option}; correct the first finding, with "
                 "--correct suggested"
             )
         corrected.append(dataclasses.replace(finding, tried=tried))

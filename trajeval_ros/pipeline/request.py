@@ -19,10 +19,13 @@ from trajeval_ros.diagnosis.findings import Corrections, require_correctable
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.trajectory_edits import TimeSpan
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.as_available import AvailabilityRule
+from trajeval_ros.metrics.discontinuities.events import CLOCK_STEP
+from trajeval_ros.metrics.discontinuities.handling import DiscontinuityRule
 from trajeval_ros.metrics.protocol import GROUNDTRUTH_WEIGHTS, Protocol
 from trajeval_ros.metrics.states_table import FirstStates
 
@@ -55,6 +58,7 @@ class Request:
             finding; "" for no correction.
         integrity: Alert limits and risk for protection levels; None for none.
         available: The as-available accuracy to compute, if it is asked for.
+        discontinuities: What to do at restarts, outliers and clock steps.
         watch_factor: Factor of a watchdog whose errors count as alerts; None for none.
 
     Raises:
@@ -82,6 +86,7 @@ class Request:
     integrity: IntegrityRequest | None = None
     watch_factor: float | None = None
     available: AvailabilityRule = field(default_factory=AvailabilityRule)
+    discontinuities: DiscontinuityRule = field(default_factory=DiscontinuityRule)
 
     def __post_init__(self) -> None:
         """Refuse contradictory parts and unknown axes."""
@@ -145,18 +150,26 @@ class Request:
     def corrected(self, correction: Mapping[str, str]) -> Request:
         """Return the request with the correction of a finding, see `Finding.correction`."""
         protocol, calibration, rule = self.protocol, self.calibration, self.protocol.association
-        up, time_span = self.up, self.time_span
+        up, time_span, discontinuities = self.up, self.time_span, self.discontinuities
+        if correction.get("correct") == CLOCK_STEP:
+            discontinuities = dataclasses.replace(discontinuities, correct_clock_steps=True)
+        if "drop_groundtruth_outliers" in correction:
+            discontinuities = dataclasses.replace(discontinuities, drop_groundtruth_outliers=True)
         if "gauge" in correction:
             gauge = Gauge.of(correction["gauge"])
             protocol = dataclasses.replace(protocol, gauge=gauge, modality=None)
         if "max_gap" in correction:
             rule = dataclasses.replace(rule, max_gap_s=float(correction["max_gap"]))
-        if correction.get("time_offset") == "auto":
-            calibration = dataclasses.replace(calibration, offset=True)
-        elif "time_offset" in correction:
+        if "time_offset" in correction:
             rule = dataclasses.replace(rule, time_offset_s=float(correction["time_offset"]))
         if "hand_eye" in correction:
-            calibration = dataclasses.replace(calibration, hand_eye=True)
+            pose = HandEye.from_text(correction["hand_eye"])
+            assert pose is not None
+            # The pose is relative to the groundtruth after a known one.
+            pose = pose if calibration.known is None else pose.after(calibration.known)
+            calibration = dataclasses.replace(
+                calibration, hand_eye=False, known=pose, source="the diagnosis"
+            )
         if "up" in correction:
             groundtruth, _, estimate = correction["up"].partition(",")
             up = groundtruth, estimate
@@ -171,6 +184,7 @@ class Request:
             corrections=(self.corrections or Corrections()).changed(correction),
             up=up,
             time_span=time_span,
+            discontinuities=discontinuities,
         )
 
     @functools.cached_property

@@ -211,4 +211,4 @@ def test_protobuf_says_what_it_needs(tmp_path: Path, monkeypatch: pytest.MonkeyP
     for source in (str(path), f"{path}:/pose"):
         with pytest.raises(InputError, match=r"pip install 'trajeval-ros\[foxglove\]'"):
             read_trajectory(source)
-    assert describe(str(path)).others == (("/pose", POSE_TYPE, 1),)
+    assert describe(str(path)).others == (("/pose", POSE_TYPE, 1, ""),)

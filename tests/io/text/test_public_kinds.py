@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -205,6 +206,14 @@ REFUSED: dict[str, tuple[str, int]] = {  # text, and which of the suggested opti
     "eleven columns with commas": (rows(SECONDS, PLACES, XYZW, ZEROS[:, :3], separator=","), 0),
     "eleven columns, w first": (rows(SECONDS, PLACES, WXYZ, ZEROS[:, :3], separator=","), 1),
     "nine columns": (rows(SECONDS, PLACES, XYZW, ZEROS[:, :1] + 0.5), 0),
+    "the last column is a time": (
+        rows(PLACES, XYZW, SECONDS, header="x y z qx qy qz qw lidar_seconds"),
+        0,
+    ),
+    "a frame number and another time": (
+        rows(np.arange(COUNT), SECONDS, PLACES, XYZW, header="frame image x y z qx qy qz qw"),
+        0,
+    ),
     "unknown names": (rows(SECONDS, PLACES, XYZW, header="a1 a2 a3 a4 a5 a6 a7 a8"), 0),
 }
 
@@ -226,6 +235,24 @@ def test_the_option_that_a_refusal_suggests_works(
     if kind == "unpadded nanoseconds":
         assert found.stamps.tolist() == (STAMPS - 200_000_000).tolist()
     assert_right(found, times=kind != "unpadded nanoseconds")
+
+
+def test_rows_are_not_paired_by_number_while_an_unnamed_column_may_be_the_time(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "t.txt"
+    path.write_text(rows(PLACES, ZEROS[:, :1], SECONDS))
+    with pytest.raises(InputError, match="column 5 has no name and may be the time") as refusal:
+        read_trajectory(path, hints=SideHints.of("x y z", None).estimate)
+    as_time, ignored = re.findall(r"--columns '([^']*)'", str(refusal.value))
+    read = read_trajectory(path, hints=SideHints.of(as_time, None).estimate)
+    assert_right(read, rotations=False)
+    assert not read_trajectory(path, hints=SideHints.of(ignored, None).estimate).reading.stamped
+    path.write_text(rows(PLACES, ZEROS[:, :1], np.arange(COUNT)))  # counts rows
+    assert_right(
+        read_trajectory(path, hints=SideHints.of("x y z", None).estimate),
+        rotations=False, times=False,
+    )  # fmt: skip
 
 
 def test_velocities_are_no_positions(tmp_path: Path) -> None:
@@ -291,14 +318,18 @@ def test_hostile_numbers_are_refused_before_they_are_allocated(
         read_trajectory(path)
 
 
-def test_other_vertices_of_a_graph_are_counted(tmp_path: Path) -> None:
+def test_a_graph_of_two_kinds_of_poses_is_refused_with_a_command(tmp_path: Path) -> None:
     path = tmp_path / "t.g2o"
-    graph = "VERTEX_SE2 0 1 2 0.5\n" + "".join(
+    graph = "VERTEX_XY 9 1 2\nVERTEX_SE2 0 1 2 0.5\n" + "".join(
         f"VERTEX_SE3:QUAT {row} {' '.join(words([*PLACES[row], *XYZW[row]]))}\n"
         for row in range(COUNT)
     )
     path.write_text(graph)
-    assert sum(read_trajectory(path).reading.dropped.values()) >= 1
+    with pytest.raises(InputError, match="line 3: VERTEX_SE3:QUAT after VERTEX_SE2") as refusal:
+        read_trajectory(path)
+    command = str(refusal.value).partition("type: ")[2]
+    subprocess.run(["bash", "-c", command], cwd=tmp_path, check=True)
+    assert_right(read_trajectory(tmp_path / "one.g2o"), times=False)
 
 
 FIELD = SHARED / "data" / "field_cases" / "text"
@@ -320,3 +351,52 @@ def test_a_field_case_is_read_or_refused_with_one_sentence(name: Path) -> None:
         assert "\n" not in str(refusal.value)
     else:
         assert len(read_trajectory(FIELD / name)) > 10
+
+
+@pytest.mark.parametrize(
+    ("columns", "up"),
+    [
+        ((MATRICES[:, :3],), "-y"),  # KITTI's first camera
+        ((np.arange(COUNT), MATRICES[:, :3]), "z"),  # KITTI-360, whose world is level
+        ((np.arange(COUNT), MATRICES), "z"),
+        ((SECONDS, MATRICES[:, :3]), "z"),  # MulRan's UTM
+    ],
+)
+def test_the_up_axis_of_matrices(columns: tuple[np.ndarray, ...], up: str, tmp_path: Path) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_text(rows(*columns))
+    assert read_trajectory(path).up.name == up
+
+
+SCIENTIFIC = [f"{value:.17e}" for value in PLACES[:, 0]]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        rows(SECONDS, PLACES, XYZW),
+        rows([f"{stamp / 1e9:.{1 + stamp // 10**8 % 3}f}" for stamp in STAMPS], PLACES, XYZW),
+        rows(STAMPS, SCIENTIFIC, PLACES[:, 1:], WXYZ, separator=",", header="t,x,y,z,qw,qx,qy,qz"),
+        rows(SECONDS, PLACES, NAMES, XYZW, separator=", ", header="t, x, y, z, n, qx, qy, qz, qw"),
+        rows(SECONDS, PLACES, XYZW).replace(" ", "  ", 3),
+        rows(SECONDS, PLACES, XYZW) + "# end\n",
+        rows(SECONDS, PLACES, XYZW) + f"{SECONDS[-1]} nan - 3 0 0 0 1\n",
+    ],
+    ids=["TUM", "widths", "scientific", "names", "spaces", "comment", "missing"],
+)
+def test_large_files_have_the_same_bits(
+    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+    path = tmp_path / "t.txt"
+    path.write_text(text)
+    plain = read_trajectory(path)
+    monkeypatch.setattr("trajeval_ros.io.text.sniff._LARGE", 0)
+    large = read_trajectory(path)
+    assert large.reading.dropped == plain.reading.dropped
+    assert large.stamps.tobytes() == plain.stamps.tobytes()
+    assert large.positions.tobytes() == plain.positions.tobytes()
+    if text.startswith(SECONDS[0]) and text.count("\n") == COUNT and "  " not in text:
+        monkeypatch.delattr(np, "loadtxt")  # pyarrow reads it
+        assert len(read_trajectory(path)) == COUNT
+    assert large.known_quaternions.tobytes() == plain.known_quaternions.tobytes()

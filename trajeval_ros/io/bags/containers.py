@@ -13,7 +13,7 @@ from trajeval_ros.io.bags.blocks import Block, TopicSelection
 from trajeval_ros.io.bags.byte_source import LocalFile, RemoteFile, source_of
 from trajeval_ros.io.bags.compression import decompress_file
 from trajeval_ros.io.bags.mcap_records import MAGIC
-from trajeval_ros.io.bags.message_definitions import Connection
+from trajeval_ros.io.bags.message_definitions import Connection, Fields, recorded_fields
 from trajeval_ros.io.bags.pose_messages import FIX_TYPE, POSE_2D, POSE_TYPES, TRANSFORM_TYPES
 from trajeval_ros.io.bags.px4_messages import GPS, PX4_POSE_TYPES
 
@@ -110,6 +110,13 @@ class Topic:
         """Whether its messages are poses."""
         own = (*PX4_POSE_TYPES, POSE_2D, foxglove.POSE_TYPE, foxglove.FIX_TYPE)
         return self.type in (*POSE_TYPES, *own) and self._is_readable
+
+    @property
+    def fields(self) -> Fields:
+        """The fields of its messages by the bag's definition; () if they can't be decoded."""
+        if not self.connections or not self._is_readable or self.type in foxglove.TYPES:
+            return ()
+        return recorded_fields(self.connections[0]) or ()
 
     @property
     def holds_fixes(self) -> bool:

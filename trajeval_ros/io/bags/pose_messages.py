@@ -178,14 +178,14 @@ def poses_of(
     return PoseColumns(
         stamps_of(columns),
         _joined(numbers, paths.position),
-        _floats(numbers[paths.quaternion]) if paths.quaternion else None,
-        _floats(numbers[paths.body_velocity]) if paths.body_velocity else None,
-        None if covariances is None else _floats(covariances).reshape(-1, 6, 6),
+        floats_of(numbers[paths.quaternion]) if paths.quaternion else None,
+        floats_of(numbers[paths.body_velocity]) if paths.body_velocity else None,
+        None if covariances is None else floats_of(covariances).reshape(-1, 6, 6),
         _joined(numbers, paths.fix_quality) if paths.fix_quality else None,
-        _changes(columns.texts["header.frame_id"], columns.texts.get(paths.child_frame)),
+        changes_of(columns.texts["header.frame_id"], columns.texts.get(paths.child_frame)),
         columns.rows,
         undecodable,
-        body_rates=_floats(numbers[paths.body_rate]) if paths.body_rate in numbers else None,
+        body_rates=floats_of(numbers[paths.body_rate]) if paths.body_rate in numbers else None,
     )
 
 
@@ -199,15 +199,16 @@ def stamps_of(columns: Columns) -> NDArray[np.int64]:
 def _joined(numbers: Mapping[str, NDArray[Any]], paths: str | tuple[str, ...]) -> Floats:
     """Return the numbers of one field, or of several fields side by side."""
     if isinstance(paths, str):
-        return _floats(numbers[paths])
-    return _floats(np.column_stack([numbers[path] for path in paths]))
+        return floats_of(numbers[paths])
+    return floats_of(np.column_stack([numbers[path] for path in paths]))
 
 
-def _floats(column: NDArray[Any]) -> Floats:
+def floats_of(column: NDArray[Any]) -> Floats:
+    """Return a column as floats of 64 bits."""
     return np.asarray(column, dtype=np.float64)
 
 
-def _changes(frames: StringColumn, children: StringColumn | None) -> list[tuple[int, str, str]]:
+def changes_of(frames: StringColumn, children: StringColumn | None) -> list[tuple[int, str, str]]:
     """Return first row, frame and child frame at every change of the frames."""
     names = [name.lstrip("/") for name in frames.names]
     child_names = [name.lstrip("/") for name in children.names] if children else [""]
@@ -232,7 +233,7 @@ def edges_of(columns: Columns) -> dict[tuple[str, str], TransformColumns]:
     stamps = stamps_of(elements)
     translations = _joined(elements.numbers, _OF_TRANSFORMS.position)
     rotations = elements.numbers[_OF_TRANSFORMS.quaternion]
-    numbers = _floats(np.concatenate([translations, rotations], axis=1))
+    numbers = floats_of(np.concatenate([translations, rotations], axis=1))
     rows = columns.rows[elements.rows]
     parents, children = elements.texts["header.frame_id"], elements.texts["child_frame_id"]
     both = parents.codes * len(children.names) + children.codes

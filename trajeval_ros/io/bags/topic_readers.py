@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.receptions import LOG, Receptions
 from trajeval_ros.geometry.stamp_trust import trusted_states
 from trajeval_ros.geometry.valid_poses import add_counts
 from trajeval_ros.io.bags.bag import Bag, Key
@@ -20,6 +20,7 @@ from trajeval_ros.io.bags.containers import Topic, TopicReading
 from trajeval_ros.io.bags.foxglove import TYPES as FOXGLOVE_TYPES
 from trajeval_ros.io.bags.foxglove import FoxglovePlan
 from trajeval_ros.io.bags.message_definitions import Connection, recorded_fields
+from trajeval_ros.io.bags.nested_poses import NestedPose
 from trajeval_ros.io.bags.pose_columns import COLUMNS, Frames, PoseColumns, frames_changes
 from trajeval_ros.io.bags.pose_messages import (
     PATH_TYPE,
@@ -46,25 +47,48 @@ from trajeval_ros.io.growing_rows import GrowingRows
 
 
 class PoseReader:
-    """Reads the poses of a topic; of one with paths, those of the last path.
+    """Reads the poses of a topic; of one with paths, those of the last path or of sliding ones.
 
     PX4's local positions get the orientations of the attitude's topic, if the bag has it.
     """
 
-    def __init__(self, bag: Bag, topic: Topic, *, covariances: bool, received: str = "") -> None:
+    def __init__(
+        self,
+        bag: Bag,
+        topic: Topic,
+        *,
+        covariances: bool,
+        received: str = "",
+        nested: NestedPose | None = None,
+    ) -> None:
+        """Prepare to read.
+
+        `nested`: where the messages have the pose, if their type is not one of poses.
+        """
+        self.nested = nested
         self.reading = TopicReading(topic)  # the topic, and the damage found while it is read
         named = [each for each in bag.topics if each.name == attitude_name(topic.name)]
         attitudes = [each for each in named if each.type == ATTITUDE]
         self.attitudes: PoseReader | None = None
         if topic.type == LOCAL_POSITION and attitudes:
             self.attitudes = PoseReader(bag, attitudes[0], covariances=False)
-        kind = _LastPath if topic.type == PATH_TYPE else _Poses
-        decoders = _Decoders(topic, covariances=covariances, rates=bool(received))
-        self._poses = kind(decoders, received)
+        kind = _LastPath if topic.type == PATH_TYPE and nested is None else _Poses
+        decoders = _Decoders(topic, covariances=covariances, rates=bool(received), nested=nested)
+        self._poses: _Poses | _LastPath = kind(decoders, received)
 
     def add(self, key: Key, block: Block) -> None:
         """Add messages of one connection."""
         self._poses.add(key, block)
+
+    @property
+    def slides(self) -> bool:
+        """Whether the topic has paths that slide; then `merge` needs all messages again."""
+        return isinstance(self._poses, _LastPath) and self._poses.slides
+
+    def merge(self, key: Key, block: Block) -> None:
+        """Add messages of paths that slide."""
+        assert isinstance(self._poses, _LastPath)
+        self._poses.merge(key, block)
 
     def poses(self) -> PoseColumns:
         """Return all poses, in order of the log times of their messages."""
@@ -141,6 +165,14 @@ def read_topics(bag: Bag, readers: Collection[PoseReader | TransformReader]) -> 
             fed[each.attitudes.reading] = each.attitudes
     for reading, key, block in bag.blocks(list(fed)):
         fed[reading].add(key, block)
+    sliding = {
+        TopicReading(each.reading.topic): each
+        for each in readers
+        if isinstance(each, PoseReader) and each.slides
+    }
+    if sliding:
+        for reading, key, block in bag.blocks(list(sliding)):
+            sliding[reading].merge(key, block)
 
 
 def tree_topics(bag: Bag, name: str) -> list[Topic]:
@@ -166,8 +198,15 @@ def tree_of(readers: Iterable[TransformReader]) -> dict[EdgeKey, Edge]:
 class _Decoders:
     """The decoders of a topic by connection, because definitions can differ."""
 
-    def __init__(self, topic: Topic, *, covariances: bool, rates: bool = False) -> None:
-        self.topic, self.covariances = topic, covariances
+    def __init__(
+        self,
+        topic: Topic,
+        *,
+        covariances: bool,
+        rates: bool = False,
+        nested: NestedPose | None = None,
+    ) -> None:
+        self.topic, self.covariances, self.nested = topic, covariances, nested
         self._plans = {
             (id(each.owner), each.id): self._plan(each, covariances, rates)
             for each in topic.connections
@@ -177,6 +216,9 @@ class _Decoders:
         self, connection: Connection, covariances: bool, rates: bool
     ) -> CdrPlan | FoxglovePlan:
         encoding = connection.encoding
+        if self.nested is not None:
+            wanted = self.nested.wanted(covariances=covariances)
+            return CdrPlan(recorded_fields(connection) or (), wanted, is_ros1=encoding == "ros1")
         if self.topic.type in (*PX4_POSE_TYPES, ATTITUDE):
             fields = recorded_fields(connection)
             return Px4Plan(self.topic.type) if fields is None else CdrPlan(fields)
@@ -218,10 +260,12 @@ class _Poses:
 
     def _add(self, decoded: Columns, log_times: Stamps, publish_times: Stamps) -> None:
         undecodable, kind = len(log_times) - len(decoded.rows), self._decoders.topic.type
-        if kind == POSE_2D:
+        nested, wanted = self._decoders.nested, self._decoders.covariances
+        if nested is not None:
+            part = nested.poses(decoded, log_times, undecodable, covariances=wanted)
+        elif kind == POSE_2D:
             part = poses_2d_of(decoded, log_times, undecodable)
         else:
-            wanted = self._decoders.covariances
             part = poses_of(decoded, kind, undecodable, covariance=wanted)
         columns = {name: getattr(part, name) for name in COLUMNS} | {
             "rows": part.rows + self._messages,
@@ -262,29 +306,66 @@ class _Poses:
 
 
 class _LastPath:
-    """The last path of a topic, which is the revised trajectory."""
+    """The last path of a topic, which is the revised trajectory.
+
+    Paths that slide, so that the last one begins after the end of the first one, are merged: the
+    newest version of every pose.
+    """
 
     def __init__(self, decoders: _Decoders, received: str) -> None:
         self._decoders, self._received = decoders, received
+        self._first: tuple[int, Key, Block] | None = None
         self._last: tuple[int, Key, Block] | None = None
         self._newest = _Poses(decoders, received)  # the last pose of every path
+        self._merged: PoseColumns | None = None  # of paths that slide
 
     def add(self, key: Key, block: Block) -> None:
-        """Store the latest message."""
-        row = len(block) - 1 - int(block.log_times[::-1].argmax())
-        log_time = int(block.log_times[row])
-        if self._last is None or log_time >= self._last[0]:
-            self._last = log_time, key, block[row : row + 1].compact()
+        """Store the first and the last message."""
+        first, last = int(block.log_times.argmin()), len(block) - 1
+        last -= int(block.log_times[::-1].argmax())
+        begin, end = int(block.log_times[first]), int(block.log_times[last])
+        if self._first is None or begin < self._first[0]:
+            self._first = begin, key, block[first : first + 1].compact()
+        if self._last is None or end >= self._last[0]:
+            self._last = end, key, block[last : last + 1].compact()
         if self._received:
             self._newest.add(key, block)
 
+    @property
+    def slides(self) -> bool:
+        """Whether the last path begins after the end of the first one."""
+        if self._first is None or self._last is None:
+            return False
+        first, last = self._poses_of(self._first).stamps, self._poses_of(self._last).stamps
+        return bool(len(first) and len(last) and last.min() > first.max())
+
+    def merge(self, key: Key, block: Block) -> None:
+        """Merge all paths of a block."""
+        poses = _Poses(self._decoders, LOG)
+        poses.add(key, block)
+        parts = [poses.done()] if self._merged is None else [self._merged, poses.done()]
+        logged = np.concatenate([part.receptions.times for part in parts if part.receptions])
+        every = parts[0] if len(parts) == 1 else parts[0].joined(parts[1])
+        every = every.replaced(
+            receptions=Receptions(logged, LOG),
+            undecodable=sum(part.undecodable for part in parts),
+        )
+        order = np.lexsort((logged, every.stamps))
+        is_newest = np.diff(every.stamps[order], append=np.iinfo(np.int64).max) > 0
+        self._merged = every.rows_of(order[is_newest])
+
+    def _poses_of(self, message: tuple[int, Key, Block]) -> PoseColumns:
+        poses = _Poses(self._decoders, self._received)
+        poses.add(*message[1:])
+        return poses.done()
+
     def done(self) -> PoseColumns:
         """Return its poses."""
-        poses = _Poses(self._decoders, self._received)
-        if self._last is not None:
-            poses.add(*self._last[1:])
+        if self._last is None:
+            return _Poses(self._decoders, self._received).done()
+        poses = self._poses_of(self._last) if self._merged is None else self._merged
         if not self._received:
-            return poses.done()
+            return poses
         newest = self._newest.done()
         last = np.flatnonzero(np.diff(newest.rows, append=-1))
-        return replace(poses.done(), as_received=newest.rows_of(last))
+        return replace(poses, as_received=newest.rows_of(last))

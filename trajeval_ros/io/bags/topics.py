@@ -20,6 +20,7 @@ from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.bags.bag import Advance, Bag
 from trajeval_ros.io.bags.containers import Topic
 from trajeval_ros.io.bags.declared_resets import about_resets, declared_resets
+from trajeval_ros.io.bags.nested_poses import NestedPose, chosen_pose, nested_poses
 from trajeval_ros.io.bags.pose_columns import PoseColumns
 from trajeval_ros.io.bags.pose_messages import POSE_2D, POSE_2D_TIMES
 from trajeval_ros.io.bags.px4_messages import (
@@ -81,7 +82,7 @@ class _Plan:
 
     def __init__(self, bag: Bag) -> None:
         self._bag = bag
-        self._poses: dict[tuple[Topic, bool, str], PoseReader] = {}
+        self._poses: dict[tuple[Topic, NestedPose | None, bool, str], PoseReader] = {}
         self._transforms: dict[Topic, TransformReader] = {}
 
     @property
@@ -102,11 +103,15 @@ class _Plan:
                 for each in tree_topics(bag, source.topic)
             ]
             return lambda: _transform_trajectory(bag, source, frames, tree)
-        topic = _choose(bag, source.topic)
-        key = topic, source.covariances, source.received
+        topic, nested = _choose(bag, source.topic)
+        key = topic, nested, source.covariances, source.received
         if key not in self._poses:
             self._poses[key] = PoseReader(
-                bag, topic, covariances=source.covariances, received=source.received
+                bag,
+                topic,
+                covariances=source.covariances,
+                received=source.received,
+                nested=nested,
             )
         reader = self._poses[key]
         if source.topic:
@@ -126,8 +131,12 @@ def read_hand_eye_of_bag(path: Path, topic: str, frames: tuple[str, str]) -> Han
     return HandEye(quaternion, lever_m, body, marker)
 
 
-def _choose(bag: Bag, name: str) -> Topic:
-    """Return the topic to read, or raise InputError with the readable topics."""
+def _choose(bag: Bag, name: str) -> tuple[Topic, NestedPose | None]:
+    """Return the topic to read, and where its messages have the pose if their type is no pose.
+
+    Raises:
+        InputError: There is none, or there are several; with the readable topics.
+    """
     posed = [topic for topic in bag.topics if topic.holds_poses]
     # A topic of fixes is chosen only by its name, or if it is the only one.
     candidates = [topic for topic in posed if not topic.holds_fixes] or posed
@@ -136,10 +145,15 @@ def _choose(bag: Bag, name: str) -> Topic:
     if transforms:
         listed += (", " if listed else "") + f"{transforms[0].name}:PARENT.CHILD"
     if name:
+        of_field = _topic_of_field(bag, name)
+        if of_field is not None:
+            return of_field
         found = bag.find(name)
         poses = [topic for topic in found if topic.holds_poses]
         if len(poses) == 1:
-            return poses[0]
+            return poses[0], None
+        if len(found) == 1 and not poses and nested_poses(found[0].fields):
+            return found[0], chosen_pose(found[0].fields, "", f"{bag.path}:{name}")
         types = " and ".join(topic.type for topic in found)
         if len(poses) > 1:
             raise InputError(f"{bag.path}: {name} has several types of poses ({types})")
@@ -148,7 +162,7 @@ def _choose(bag: Bag, name: str) -> Topic:
             + (f"; poses are on {listed}" if listed else ", and no other topic has poses")
         )
     if len(candidates) == 1:
-        return candidates[0]
+        return candidates[0], None
     if not bag.topics:
         why = "; ".join(bag.damage) or "it has no topics"
         raise InputError(f"{bag.path} is an empty bag: {why}")
@@ -163,16 +177,40 @@ def _choose(bag: Bag, name: str) -> Topic:
     )
 
 
+def _topic_of_field(bag: Bag, name: str) -> tuple[Topic, NestedPose] | None:
+    """Return the topic and the pose of a name with a field path; None for other names."""
+    if any(topic.name == name for topic in bag.topics):
+        return None
+    begun = [
+        topic
+        for topic in bag.topics
+        if name.startswith(topic.name) and name[len(topic.name)] in ".["
+    ]
+    if not begun:
+        return None
+    topic = max(begun, key=lambda candidate: len(candidate.name))
+    field = name[len(topic.name) :]
+    return topic, chosen_pose(topic.fields, field, f"{bag.path}:{topic.name}")
+
+
 def trajectory_of(bag: Bag, reader: PoseReader, remarks: tuple[Remark, ...] = ()) -> Trajectory:
     """Return the trajectory of a topic that was read."""
     topic = reader.reading.topic
     found = bag.remarks([reader.reading])
-    where = f"{bag.path}:{topic.name}"
+    nested = reader.nested
+    name = topic.name if nested is None else topic.name + nested.field
+    where = f"{bag.path}:{name}"
     why = "; ".join(each.text for each in found if each.level is Level.ERROR)
     if topic.type == POSE_2D:
         remarks = (*remarks, POSE_2D_TIMES)
-    everything = (note(FORMAT, f"format: {topic.type}"), *remarks, *found)
-    return trajectory_of_columns(where, topic.name, topic.type, reader.poses(), everything, why)
+    if reader.slides:
+        text = "the paths slide: poses of all messages, each in its newest version"
+        remarks = (*remarks, note("sliding_path", text))
+    if nested is not None and not nested.stamp:
+        remarks = (*remarks, note("log_times", "no timestamps in messages: log times used"))
+    kind = f"{topic.type}, field {nested.field}" if nested and nested.field else topic.type
+    everything = (note(FORMAT, f"format: {kind}"), *remarks, *found)
+    return trajectory_of_columns(where, name, topic.type, reader.poses(), everything, why)
 
 
 def trajectory_of_columns(

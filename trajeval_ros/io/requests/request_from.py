@@ -172,11 +172,13 @@ def in_names_of_settings(
 
 
 def known_hand_eye(text: str) -> HandEye:
-    """Read T_B_M from a file, or from BAG:/tf_static:BODY.MARKER.
+    """Read T_B_M from numbers X,Y,Z,QX,QY,QZ,QW, a file, or BAG:/tf_static:BODY.MARKER.
 
     Raises:
         InputError: The file or bag can't be read, or does not contain the transform.
     """
+    if (pose := HandEye.from_text(text)) is not None:
+        return pose
     if text.count(":") >= 2 and not Path(text).exists():
         from trajeval_ros.io.bags.topics import read_hand_eye_of_bag
 

@@ -49,6 +49,7 @@ from trajeval_ros.io.requests.setting import (
 from trajeval_ros.metrics.as_available import RECEIVED
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH, METHODS
 from trajeval_ros.metrics.availability import HOLD, MOTIONS
+from trajeval_ros.metrics.discontinuities.handling import ON_RESTART
 from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.protocol import (
     ALIGN_WEIGHTS,
@@ -243,11 +244,12 @@ _ROWS = (
         target=("calibration.hand_eye", "calibration.known", "calibration.source"), read=_hand_eye,
         metavar="none|auto|SOURCE", panel=PAIR, verbs=(EVALUATE, COMPARE, FINISH, NODE),
         is_common=True,
-        help="Pose of the groundtruth's marker in the estimate's body: a TransformStamped in a "
-        "YAML file, or a static transform in a bag (BAG:/tf_static:BODY.MARKER). auto estimates "
-        "it and applies it if it is statistically significant.",
-        node_help="Pose of the groundtruth's marker in the estimate's body: none; a YAML file "
-        "with a TransformStamped; /tf_static:BODY.MARKER; or auto: estimated from the first "
+        help="Pose of the groundtruth's marker in the estimate's body: X,Y,Z,QX,QY,QZ,QW "
+        "(metres), a TransformStamped in a YAML file, or a static transform in a bag "
+        "(BAG:/tf_static:BODY.MARKER); or auto: estimated, and applied if it is significant.",
+        node_help="Pose of the groundtruth's marker in the estimate's body: none; "
+        "X,Y,Z,QX,QY,QZ,QW (metres); a YAML file with a TransformStamped; "
+        "/tf_static:BODY.MARKER; or auto: estimated from the first "
         "minute, and applied if statistically significant."),
     Setting(name="datum", target="fixes.datum", parse=parse_datum, metavar="LAT,LON,HEIGHT",
         panel=GNSS, verbs=(EVALUATE, NODE),
@@ -334,6 +336,15 @@ _ROWS = (
         read=lambda request: _end_of_span(request, "end"), metavar="S|@STAMP|+S", panel=INPUT,
         verbs=(EVALUATE, COMPARE, TRAJECTORY),
         help="End of the evaluated time span: as --start, or +30 for 30 s after the start."),
+    Setting(name="on_restart", target="discontinuities.on_restart", panel=ERRORS,
+        verbs=(EVALUATE,), choices=ON_RESTART, is_of_one_run=True,
+        help="At restarts and steps of the estimate: whole (default) aligns all pairs at once. "
+        "split also aligns the parts separately, and states their ATE and the ATE of all "
+        "parts together."),
+    Setting(name="drop_groundtruth_outliers", kind=bool, panel=INPUT, verbs=(EVALUATE, COMPARE),
+        target="discontinuities.drop_groundtruth_outliers",
+        help="Drops groundtruth poses that leave the path of their neighbours for a time, and "
+        "that the estimate contradicts; their number is stated."),
     Setting(name="corrections", kind=dict, target="corrections", read=_corrections,
         is_of_one_run=True,
         help="Conventions of the inputs that differ from those that were read, in Python "

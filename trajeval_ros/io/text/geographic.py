@@ -74,15 +74,15 @@ def read_nmea(path: Path) -> Trajectory:
     data = path.read_bytes().replace(b"\r", b"\n")
     matches = list(re.finditer(_GGA, data))
     intact = _intact(data, matches)
-    lines = [each for each, good in zip(matches, intact.tolist(), strict=True) if good]
+    lines = [match for match, good in zip(matches, intact.tolist(), strict=True) if good]
     broken = len(re.findall(ANY_GGA, data)) - len(lines)
     if not lines:
         raise InputError(f"{path}: no complete fix in {counted(broken, 'GGA line')}")
-    fields = [each.groups() for each in lines]
+    fields = [line.groups() for line in lines]
     clock = np.array([field[1:4] for field in fields]).astype(np.int64)
     seconds = clock @ np.array([3600, 60, 1])
     parts = np.array([(field[4] or b"0").ljust(9, b"0")[:9] for field in fields]).astype(np.int64)
-    days, timing = _days(data, [each.start() for each in lines], seconds)
+    days, timing = _days(data, [line.start() for line in lines], seconds)
     stamps = (days * _DAY_S + seconds) * NANOSECONDS + parts
     level = np.array([(field[5], field[7]) for field in fields]).astype(np.float64)
     whole = np.floor(level / 100.0)
@@ -110,10 +110,10 @@ def _intact(data: bytes, matches: Sequence[re.Match[bytes]]) -> Booleans:
     """Return the mask (N,) of lines with a correct checksum."""
     if not matches:
         return np.zeros(0, dtype=bool)
-    ends = np.array([each.span(1) for each in matches]).ravel()
+    ends = np.array([match.span(1) for match in matches]).ravel()
     sums = np.bitwise_xor.reduceat(np.frombuffer(data, dtype=np.uint8), ends)[::2]
-    said = np.array([int(each.groups()[-1], 16) for each in matches])
-    return np.asarray(sums == said)
+    stated = np.array([int(match.groups()[-1], 16) for match in matches])
+    return np.asarray(sums == stated)
 
 
 def _days(
@@ -121,19 +121,19 @@ def _days(
 ) -> tuple[Indices, tuple[Remark, ...]]:
     """Return the days since 1970 (N,) of lines at byte offsets, by their times of day, seconds."""
     days = np.concatenate([[0], np.cumsum(np.diff(seconds) < -_HALF_A_DAY_S)])
-    for said in re.finditer(_DATE, data):
-        _, time, *words, _ = filter(None, said.groups())
-        told = _day(*words)
-        if told is not None and _intact(data, [said])[0]:
+    for match in re.finditer(_DATE, data):
+        _, time, *words, _ = filter(None, match.groups())
+        day = _day(*words)
+        if day is not None and _intact(data, [match])[0]:
             break
     else:
         undated = "no RMC or ZDA line with a date: timestamps count from midnight, 1970-01-01"
         return days, (note("no_date", undated),)
     # The line with the date has the same day as the GGA line before it, except over midnight.
-    row = max(int(np.searchsorted(places, said.start())) - 1, 0)
-    own_s = int(time[:2]) * 3600 + int(time[2:4]) * 60 + int(time[4:6])
-    between = round((own_s - int(seconds[row])) / _DAY_S)
-    return days + told - int(days[row]) + between, ()
+    row = max(int(np.searchsorted(places, match.start())) - 1, 0)
+    of_match_s = int(time[:2]) * 3600 + int(time[2:4]) * 60 + int(time[4:6])
+    between = round((of_match_s - int(seconds[row])) / _DAY_S)
+    return days + day - int(days[row]) + between, ()
 
 
 def _day(day: bytes, month: bytes, year: bytes) -> int | None:

@@ -30,7 +30,7 @@ class TextHints:
         if rate is not None and not (math.isfinite(rate) and rate > 0.0):
             raise SettingsError(f"the frame rate must be greater than zero, not {rate:g}")
 
-    def said(self, text: str) -> str:
+    def in_message(self, text: str) -> str:
         """Return a message with the option that names the columns of this file for `{option}`."""
         prefix = f"{self.side}: " if self.side else ""
         text = text.replace("{option} '", f"--columns '{prefix}")

@@ -24,181 +24,85 @@ from trajeval_ros.metrics.statistics import median
 
 _MOST = 0.85  # part of the rows that must pass a check: some may be damaged
 _LEAST_NANOSECONDS = 1e12  # time of a file with commas: larger numbers are nanoseconds
-_CAMERA = UpAxis("-y", "KITTI's camera axes")
+CAMERA = UpAxis("-y", "KITTI's camera axes")
 _NED = UpAxis("-z", "TartanAir's axes: north, east, down")
 _POSE, _POSE_W, _V = "t x y z qx qy qz qw", "t x y z qw qx qy qz", "vx vy vz"
 _MATRIX = " ".join(GROUPS["matrix"])
+MATRIX_4X4 = f"{_MATRIX} _ _ _ _"
 _BIASES = "bwx bwy bwz bax bay baz"
-_FOUR = f"{_MATRIX} _ _ _ _"
-_STAMP = "t_s nanosec text"
-_ROS_POSE = "x y z qx qy qz qw"
+_ROS_POSE, _STAMP = "x y z qx qy qz qw", "t_s nanosec text"
 _COVARIANCE = " ".join(GROUPS["covariance"])
 _TWIST = "body_vx body_vy body_vz _ _ _"
+_LOWER = " ".join(GROUPS["covariance_lower"])
+_MARGINALS = " ".join([*GROUPS["rotation_covariance"], *GROUPS["position_covariance"]])
 _ROS2 = "https://docs.ros.org: ros2 topic echo --csv"
-
-
-def _known(name: str, columns: str, checks: str, source: str, **more: Any) -> Layout:
-    return Layout(
-        name, tuple(columns.split()), checks=tuple(checks.split()), source=source, **more
-    )
-
-
-OPENVINS_STATE = (
-    "t",
-    "qx",
-    "qy",
-    "qz",
-    "qw",
-    *_ROS_POSE.split()[:3],
-    *_V.split(),
-    *_BIASES.split(),
-)
-_TUM_COMMAS = _known("TUM", _POSE, "commas time unit", "4Seasons, evo_traj edits")
-_EUROC_POSES = _known("EuRoC/ASL", _POSE_W, "commas time unit", "ASL ground truth, ADVIO")
+_VINS = "vins_estimator/utility/visualization.cpp"
 _ORDER = "no header with the order of the quaternion: assumed qw qx qy qz, as in VINS-Mono"
+
+
+def known(
+    name: str, columns: str, checks: str, source: str, note: str = "", **more: Any
+) -> Layout:
+    """Return a row of the table of layouts: names of columns and checks between spaces."""
+    checked = tuple(checks.split())
+    return Layout(name, tuple(columns.split()), note, checks=checked, source=source, **more)
+
+
+OPENVINS_STATE = ("t", "qx", "qy", "qz", "qw", "x", "y", "z", *_V.split(), *_BIASES.split())
+_TUM_COMMAS = known("TUM", _POSE, "commas time unit", "4Seasons, evo_traj edits")
+_EUROC_POSES = known("EuRoC/ASL", _POSE_W, "commas time unit", "ASL ground truth, ADVIO")
+# fmt: off
 KNOWN = (
-    _known("t x y z", "t x y z", "time", "Leica and laser trackers; evo without rotation"),
-    _known("TUM", _POSE, "spaces unit", "cvg.cit.tum.de RGB-D file formats"),
+    known("t x y z", "t x y z", "time", "Leica and laser trackers; evo without rotation"),
+    known("TUM", _POSE, "spaces unit", "cvg.cit.tum.de RGB-D file formats"),
     _TUM_COMMAS,
     _EUROC_POSES,
-    _known(
-        "VINS-Mono",
-        f"{_POSE_W} _",
-        "vins",
-        "vins_estimator/utility/visualization.cpp",
-        note=_ORDER,
-    ),
-    _known(
-        "VINS-Mono",
-        f"{_POSE_W} {_V} _",
-        "vins",
-        "vins_estimator/utility/visualization.cpp",
-        note=_ORDER,
-    ),
-    _known("TUM with velocity", f"{_POSE} {_V}", "time unit", "rpg, ESVO"),
-    _known("VINS with velocity", f"{_POSE_W} {_V}", "time unit", "VINS-Mono edited"),
-    _known(
-        "TUM with an id",
-        f"_ {_POSE}",
-        "id time unit",
-        "rpg_trajectory_evaluation",
-        note="the first of 9 columns is an id",
-    ),
-    _known(
-        "TUM with an id",
-        f"{_POSE} _",
-        "id_last time unit",
-        "rtabmap export format 11",
-        note="the last of 9 columns is an id",
-    ),
-    _known(
-        "EuRoC/ASL",
-        f"{_POSE_W} {_V} {_BIASES}",
-        "time unit",
-        "ASL state_groundtruth_estimate0",
-        note="no header: 17 columns read as EuRoC",
-    ),
-    _known(
-        "TartanAir",
-        _ROS_POSE,
-        "spaces unit",
-        "TartanAir pose_left.txt",
-        up=_NED,
-        note="7 columns without timestamps read as TartanAir: x y z qx qy qz qw, z down",
-    ),
-    _known(
-        "NCLT",
-        "t_us x y z roll pitch yaw",
-        "commas time us angles",
-        "robots.engin.umich.edu/nclt",
-        note="7 columns read as NCLT: microseconds, position, roll, pitch and yaw",
-        up=_NED,
-    ),
-    _known("KITTI", _MATRIX, "matrix", "cvlibs.net devkit_odometry", up=_CAMERA),
-    _known(
-        "KITTI with a frame index",
-        f"frame {_MATRIX}",
-        "matrix frames",
-        "KITTI-360 poses.txt",
-        up=_CAMERA,
-        note="the first of 13 columns is a frame index",
-    ),
-    _known(
-        "KITTI with a time",
-        f"t {_MATRIX}",
-        "matrix times time",
-        "MulRan global_pose.csv",
-        up=_CAMERA,
-        note="the first of 13 columns is a time",
-    ),
-    _known(
-        "KITTI with a time",
-        f"{_MATRIX} t",
-        "matrix times time",
-        "LIO forks",
-        up=_CAMERA,
-        note="the last of 13 columns is a time",
-    ),
-    _known("4 x 4 matrices", _FOUR, "matrix bottom", "Replica traj.txt of NICE-SLAM"),
-    _known(
-        "4 x 4 matrices",
-        f"frame {_FOUR}",
-        "matrix bottom frames",
-        "KITTI-360 cam0_to_world.txt",
-        up=_CAMERA,
-        note="the first of 17 columns is a frame index",
-    ),
-    _known(
-        "4 x 4 matrices",
-        f"t {_FOUR}",
-        "matrix bottom times time",
-        "eval3r",
-        note="the first of 17 columns is a time",
-    ),
-    _known(
-        "OpenVINS with covariance",
-        " ".join([_POSE, *GROUPS["rotation_covariance"], *GROUPS["position_covariance"]]),
-        "time unit",
-        "ov_eval Recorder.h",
-    ),
-    _known(
-        FAST_LIO,
-        f"t rx ry rz x y z _ _ _ {_V} {'_ ' * 12}",
-        "time",
-        "FAST_LIO dump_lio_state_to_log",
-        note="no header: 25 columns read as the log of FAST-LIO, whose times start at 0",
-    ),
-    _known(
-        "smfeval",
-        " ".join([_POSE, *GROUPS["covariance_lower"]]),
-        "time unit",
-        "smfeval",
-        note="covariances read as body twists, position first (default of smfeval)",
-        covariances=BODY_TWISTS,
-    ),
-    _known("ros2 echo of PointStamped", f"{_STAMP} x y z", "ros2", _ROS2),
-    _known("ros2 echo of PoseStamped", f"{_STAMP} {_ROS_POSE}", "ros2 unit", _ROS2),
-    _known("ros2 echo of TransformStamped", f"{_STAMP} text {_ROS_POSE}", "ros2 unit", _ROS2),
-    _known(
-        "ros2 echo of PoseWithCovarianceStamped",
-        f"{_STAMP} {_ROS_POSE} {_COVARIANCE}",
-        "ros2 unit",
-        _ROS2,
-    ),
-    _known(
-        "ros2 echo of Odometry",
-        f"{_STAMP} text {_ROS_POSE} {_COVARIANCE} {_TWIST} {'_ ' * 36}",
-        "ros2 unit",
-        _ROS2,
-    ),
-    _known(
-        "ros2 echo of NavSatFix",
-        f"{_STAMP} fix_status _ latitude longitude height {'_ ' * 10}",
-        "ros2",
-        _ROS2,
-    ),
-    _known("kapture", "t text qw qx qy qz x y z", "unit", "kapture, LaMAR: trajectories.txt"),
+    known("VINS-Mono", f"{_POSE_W} _", "vins", _VINS, _ORDER),
+    known("VINS-Mono", f"{_POSE_W} {_V} _", "vins", _VINS, _ORDER),
+    known("TUM with velocity", f"{_POSE} {_V}", "time unit", "rpg, ESVO"),
+    known("VINS with velocity", f"{_POSE_W} {_V}", "time unit", "VINS-Mono edited"),
+    known("TUM with an id", f"_ {_POSE}", "id time unit", "rpg_trajectory_evaluation",
+          "the first of 9 columns is an id"),
+    known("TUM with an id", f"{_POSE} _", "id_last time unit", "rtabmap export format 11",
+          "the last of 9 columns is an id"),
+    known("EuRoC/ASL", f"{_POSE_W} {_V} {_BIASES}", "time unit", "ASL state_groundtruth_estimate0",
+          "no header: 17 columns read as EuRoC"),
+    known("TartanAir", _ROS_POSE, "spaces unit", "TartanAir pose_left.txt",
+          "7 columns without timestamps read as TartanAir: x y z qx qy qz qw, z down", up=_NED),
+    known("NCLT", "t_us x y z roll pitch yaw", "commas time us angles",
+          "robots.engin.umich.edu/nclt",
+          "7 columns read as NCLT: microseconds, position, roll, pitch and yaw", up=_NED),
+    known("KITTI", _MATRIX, "matrix", "cvlibs.net devkit_odometry", up=CAMERA),
+    known("KITTI with a frame index", f"frame {_MATRIX}", "matrix frames", "KITTI-360 poses.txt",
+          "the first of 13 columns is a frame index"),
+    known("KITTI with a time", f"t {_MATRIX}", "matrix times time", "MulRan global_pose.csv",
+          "the first of 13 columns is a time"),
+    known("KITTI with a time", f"{_MATRIX} t", "matrix times time", "LIO forks",
+          "the last of 13 columns is a time"),
+    known("4 x 4 matrices", MATRIX_4X4, "matrix bottom", "Replica traj.txt of NICE-SLAM"),
+    known("4 x 4 matrices", f"frame {MATRIX_4X4}", "matrix bottom frames",
+          "KITTI-360 cam0_to_world.txt", "the first of 17 columns is a frame index"),
+    known("4 x 4 matrices", f"t {MATRIX_4X4}", "matrix bottom times time", "eval3r",
+          "the first of 17 columns is a time"),
+    known("OpenVINS with covariance", f"{_POSE} {_MARGINALS}", "time unit", "ov_eval Recorder.h"),
+    known(FAST_LIO, f"t rx ry rz x y z _ _ _ {_V} {'_ ' * 12}", "time",
+          "FAST_LIO dump_lio_state_to_log",
+          "no header: 25 columns read as the log of FAST-LIO, whose times start at 0"),
+    known("smfeval", f"{_POSE} {_LOWER}", "time unit", "smfeval",
+          "covariances read as body twists, position first (default of smfeval)",
+          covariances=BODY_TWISTS),
+    known("ros2 echo of PointStamped", f"{_STAMP} x y z", "ros2", _ROS2),
+    known("ros2 echo of PoseStamped", f"{_STAMP} {_ROS_POSE}", "ros2 unit", _ROS2),
+    known("ros2 echo of TransformStamped", f"{_STAMP} text {_ROS_POSE}", "ros2 unit", _ROS2),
+    known("ros2 echo of PoseWithCovarianceStamped", f"{_STAMP} {_ROS_POSE} {_COVARIANCE}",
+          "ros2 unit", _ROS2),
+    known("ros2 echo of Odometry",
+          f"{_STAMP} text {_ROS_POSE} {_COVARIANCE} {_TWIST} {'_ ' * 36}", "ros2 unit", _ROS2),
+    known("ros2 echo of NavSatFix",
+          f"{_STAMP} fix_status _ latitude longitude height {'_ ' * 10}", "ros2", _ROS2),
+    known("kapture", "t text qw qx qy qz x y z", "unit", "kapture, LaMAR: trajectories.txt"),
 )
+# fmt: on
 
 
 def _lengths(layout: Layout, values: Floats) -> Any:
@@ -272,10 +176,10 @@ def fits(table: TextTable, layout: Layout) -> bool:
         if is_text != (name == TEXT) and name != IGNORED:
             return False
     with np.errstate(over="ignore", invalid="ignore"):  # numbers may be of any size
-        results = [
-            np.atleast_1d(CHECKS[each](table, layout, table.values)) for each in layout.checks
+        passed = [
+            np.atleast_1d(CHECKS[name](table, layout, table.values)) for name in layout.checks
         ]
-    return all(not len(each) or each.mean() >= _MOST for each in results)
+    return all(not len(rows) or rows.mean() >= _MOST for rows in passed)
 
 
 def by_rows(table: TextTable) -> Layout:
@@ -284,16 +188,16 @@ def by_rows(table: TextTable) -> Layout:
     Raises:
         InputError: No known layout fits, or several do.
     """
-    found = [layout for layout in KNOWN if fits(table, layout)]
-    if [layout.columns for layout in found] == [_TUM_COMMAS.columns, _EUROC_POSES.columns]:
+    fitting = [layout for layout in KNOWN if fits(table, layout)]
+    if [layout.columns for layout in fitting] == [_TUM_COMMAS.columns, _EUROC_POSES.columns]:
         return _by_unit_of_time(table)
-    if len(found) == 1:
-        return found[0]
+    if len(fitting) == 1:
+        return fitting[0]
     where = f"its first row, line {table.first + 1}, is {table.first_line!r}"
-    if found:
+    if fitting:
         options = " or ".join(
             f"{{option}} '{' '.join(layout.columns)}' ({layout.name}: {layout.source})"
-            for layout in found
+            for layout in fitting
         )
         raise InputError(f"several layouts fit, and {where}; name the columns: {options}")
     names = (*_POSE.split(), *[IGNORED] * table.columns)[: min(max(table.columns, 3), 40)]

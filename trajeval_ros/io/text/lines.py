@@ -128,10 +128,10 @@ def _unpacked(path: Path, module: str, inner: IO[bytes]) -> IO[bytes]:
     names = {"zstd": ("compression.zstd", "backports.zstd", "zstandard")}.get(module, (module,))
     for name in names:
         try:
-            found = importlib.import_module(name)
+            reader = importlib.import_module(name)
         except ImportError:
             continue
-        return found.open(inner, "rb")  # type: ignore[no-any-return]
+        return reader.open(inner, "rb")  # type: ignore[no-any-return]
     raise InputError(f"{path} is compressed with {module}; decompress it: unzstd {path.name}")
 
 
@@ -139,9 +139,9 @@ def head_of(path: Path) -> Head:
     """Return the first lines of a file, without ends, and whether these are all."""
     with path.open("rb") as file:
         start = file.read(HEAD)
-    for beginning, said in _REFUSED.items():
+    for beginning, reason in _REFUSED.items():
         if re.match(beginning, start) and not start.startswith((*_PACKED, *_UTF16)):
-            raise InputError(f"{path} is {said}")
+            raise InputError(f"{path} is {reason}")
     with open_lines(path) as file:
         text = file.read(HEAD)
         more = bool(file.read(1))

@@ -27,18 +27,20 @@ def load(path: Path) -> tuple[Any, Floats | None]:
     """Return the array of poses in a file, and that of times if it has one (.npz)."""
     try:
         with path.open("rb") as file:
-            found = np.load(file, allow_pickle=False)
+            content = np.load(file, allow_pickle=False)
             arrays = (
                 {}
-                if isinstance(found, np.ndarray)
-                else {name: found[name] for name in found.files[:50]}
+                if isinstance(content, np.ndarray)
+                else {name: content[name] for name in content.files[:50]}
             )
-    except Exception as error:  # zipfile and zlib have own types
+    except Exception as error:  # zipfile and zlib have types of their own
         raise InputError(f"{path} is not a readable array of numpy ({error})") from None
-    if isinstance(found, np.ndarray):
-        return _of_numbers(path, found), None
+    if isinstance(content, np.ndarray):
+        return _of_numbers(path, content), None
     poses = {
-        name: each for name, each in arrays.items() if each.ndim > 1 and each.shape[1:] in _SHAPES
+        name: array
+        for name, array in arrays.items()
+        if array.ndim > 1 and array.shape[1:] in _SHAPES
     }
     if len(poses) != 1:
         raise InputError(
@@ -47,9 +49,9 @@ def load(path: Path) -> tuple[Any, Floats | None]:
         )
     ((_, array),) = poses.items()
     times = [
-        each
-        for name, each in arrays.items()
-        if each.shape == (len(array),) and "t" in name.lower()
+        column
+        for name, column in arrays.items()
+        if column.shape == (len(array),) and "t" in name.lower()
     ]
     return _of_numbers(path, array), times[0].astype(np.float64) if len(times) == 1 else None
 
@@ -79,19 +81,20 @@ def rows_of(path: Path, array: Any, named: Layout | None = None) -> tuple[Layout
             f"numpy ({', '.join(['N', *map(str, array.shape[1:])])})", tuple(names.split()), note
         )
         _check(path, layout, rows)
-    if len(layout.columns) != rows.shape[1]:
+    if len(layout.columns) > rows.shape[1]:
         raise InputError(
             f"{path} has shape {array.shape}, and {{option}} names "
-            f"{counted(len(layout.columns), 'column')}; name all"
+            f"{counted(len(layout.columns), 'column')}; name fewer"
         )
-    wanted = sorted({at for places in layout.groups.values() for at in places})
+    places_of_rows = sorted({at for places in layout.groups.values() for at in places})
     groups = {
-        group: [wanted.index(at) for at in places] for group, places in layout.groups.items()
+        group: [places_of_rows.index(at) for at in places]
+        for group, places in layout.groups.items()
     }
     texts = {
         name: rows[:, at] for at, name in enumerate(layout.columns) if name in (*TIMES, RECEIVED)
     }
-    return layout, Rows(texts, rows[:, wanted], groups)
+    return layout, Rows(texts, rows[:, places_of_rows], groups)
 
 
 def _check(path: Path, layout: Layout, rows: Floats) -> None:
@@ -127,7 +130,7 @@ def files_of_times(path: Path) -> list[Path]:
         names = [f"{stem}{suffix}" for stem in stems for suffix in (".npy", ".txt")]
     folder = path / "x" if path.is_dir() else path
     paths = [folder.with_name(name) for name in names]
-    return [each for each in paths if each.is_file() and each != path]
+    return [file for file in paths if file.is_file() and file != path]
 
 
 def is_numbered(times: Floats) -> bool:

@@ -36,8 +36,10 @@ from trajeval_ros.io.text.names import (
 from trajeval_ros.io.text.numpy_files import load, rows_of
 from trajeval_ros.io.text.pose_records import rewritten
 from trajeval_ros.io.text.recognise import layout_of_table, with_dates
+from trajeval_ros.io.text.sniff import sniff
+from trajeval_ros.io.text.stamps import is_clock
 from trajeval_ros.io.text.states import states_of
-from trajeval_ros.io.text.table import Rows, TextTable, read_rows, sniff
+from trajeval_ros.io.text.table import Rows, TextTable, read_rows
 from trajeval_ros.io.text.times import nanosecond_parts, receptions_of, times_of, with_times
 
 
@@ -60,10 +62,10 @@ def read_text(
     try:
         return _read(path, origin, advance, hints)
     except (InputError, SettingsError) as error:
-        said = hints.said(str(error))
-        named = str(path) in said or isinstance(error, SettingsError)
-        joint = ", " if said.startswith("line ") else ": "
-        raise type(error)(said if named else f"{path}{joint}{said}") from None
+        message = hints.in_message(str(error))
+        named = str(path) in message or isinstance(error, SettingsError)
+        joint = ", " if message.startswith("line ") else ": "
+        raise type(error)(message if named else f"{path}{joint}{message}") from None
     except OverflowError:
         raise InputError(
             f"{path}: a time or a frame number is out of range; correct or remove it"
@@ -94,7 +96,7 @@ def array_trajectory(array: NDArray[np.generic], name: str) -> Trajectory:
     try:
         return trajectory_of(Path(name), *rows_of(Path(name), array), None, None)
     except InputError as error:
-        raise InputError(NO_HINTS.said(str(error))) from None
+        raise InputError(NO_HINTS.in_message(str(error))) from None
 
 
 def _read(path: Path, origin: Path, advance: Advance | None, hints: TextHints) -> Trajectory:
@@ -134,8 +136,16 @@ def _recognised(path: Path, columns: tuple[str, ...]) -> tuple[TextTable, Layout
         )
     table = sniff(path, columns or (known.columns if known else ()), records, head)
     if columns:
-        rest = (IGNORED,) * (table.columns - len(columns))
-        return table, layout_of((*columns, *rest))
+        layout = layout_of((*columns, *(IGNORED,) * (table.columns - len(columns))))
+        for at in range(len(columns), table.columns):
+            if layout.time is None and is_clock(table.values[:, at]):
+                named = " ".join((*columns, *(IGNORED,) * (at - len(columns))))
+                raise InputError(
+                    f"column {at + 1} has no name and may be the time: "
+                    f"{', '.join(row[at] for row in table.sample[:3])} ...; use "
+                    f"{{option}} '{named} t', or {{option}} '{named} _' to ignore it"
+                )
+        return table, layout
     if known is None:
         return table, layout_of_table(table)
     if known.name != "g2o" and not fits(table, known):
@@ -171,6 +181,7 @@ def trajectory_of(
     if layout.doubt:
         remarks.append(warning("quaternion_order", layout.doubt))
     reading = Reading(
+        columns=layout.named(times.name),
         stamped=times.stamped,
         numbered=times.numbered or layout.time_name in (FRAME, FRAME_1),
         dropped={"not_finite": len(rows.values) - len(values), **left_out},
@@ -185,16 +196,17 @@ def trajectory_of(
             path, stamps, received if times.kept is None else received[times.kept]
         )
     states = states_of(path, layout, groups, len(values))
-    positions, found = states.positions, states.quaternions
-    if layout.inverse and found is not None:
-        found = found * [-1.0, -1.0, -1.0, 1.0]
+    positions, rotations = states.positions, states.quaternions
+    if layout.inverse and rotations is not None:
+        rotations = rotations * [-1.0, -1.0, -1.0, 1.0]
         usable = np.where(
-            np.isfinite(found).all(axis=1, keepdims=True) & found.any(axis=1, keepdims=True),
-            found,
+            np.isfinite(rotations).all(axis=1, keepdims=True)
+            & rotations.any(axis=1, keepdims=True),
+            rotations,
             [0.0, 0.0, 0.0, 1.0],
         )
         positions = -lie.rotate(lie.normalized(usable), positions)
-    quaternions, judgement = judge_rotations(found)
+    quaternions, judgement = judge_rotations(rotations)
     trajectory = Trajectory.from_columns(
         stamps, positions, quaternions, velocities=states.velocities,
         gyroscope_biases=groups.get("gyroscope_bias"),

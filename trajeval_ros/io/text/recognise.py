@@ -6,16 +6,9 @@ import dataclasses
 import re
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.io.text.header_names import from_header, plain_of, split_header
 from trajeval_ros.io.text.layouts import OPENVINS_STATE, by_rows
-from trajeval_ros.io.text.names import (
-    CLOCK,
-    DATE,
-    IGNORED,
-    Layout,
-    from_header,
-    plain_of,
-    split_header,
-)
+from trajeval_ros.io.text.names import CLOCK, DATE, IGNORED, Layout
 from trajeval_ros.io.text.stamps import DATE as DATE_PATTERN
 from trajeval_ros.io.text.table import TextTable
 
@@ -44,9 +37,9 @@ def layout_of_table(table: TextTable) -> Layout:
 def _certain(table: TextTable) -> Layout:
     clock = _has_clock(table)
     lines = table.header[::-1]
-    for word, said in _HINTS.items():
+    for word, advice in _HINTS.items():
         if any(line.startswith(word) for line in lines):
-            raise InputError(f"{said}, with {{option}}; its columns are {lines[0].split()}")
+            raise InputError(f"{advice}, with {{option}}; its columns are {lines[0].split()}")
     for at, line in enumerate(lines):
         by_comment = line.lstrip().startswith(("#", "%"))
         if by_comment or at == 0 or not table.named:
@@ -76,7 +69,7 @@ def _counts(line: str) -> set[int]:
 
 def _uncommented(table: TextTable) -> str:
     return next(
-        (each for each in table.header[::-1] if not each.lstrip().startswith(("#", "%"))), ""
+        (line for line in table.header[::-1] if not line.lstrip().startswith(("#", "%"))), ""
     )
 
 
@@ -92,7 +85,7 @@ def _titled(table: TextTable, line: str, above: list[str], clock: bool) -> Layou
             return Layout(
                 "OpenVINS state", (*columns, *(IGNORED,) * (table.columns - len(columns)))
             )
-    separators = [each for each in (",", ";", "\t") if each in line and table.separator != each]
+    separators = [mark for mark in (",", ";", "\t") if mark in line and table.separator != mark]
     for separator in (table.separator if table.separator in ",;\t" else "", *separators, ""):
         names = split_header(line, separator)
         if (
@@ -107,13 +100,13 @@ def _titled(table: TextTable, line: str, above: list[str], clock: bool) -> Layou
         return None
     if clock:
         names.insert(1, CLOCK)
-    if len({each for each in names if each}) < sum(map(bool, names)) and above:  # Motive
+    if len({name for name in names if name}) < sum(map(bool, names)) and above:  # Motive
         more = split_header(above[0], separator)
         names = [
             f"{first} {name}".strip() if first else name
             for first, name in zip([*more, *[""] * len(names)], names, strict=False)
         ]
-    if above and all(re.fullmatch(r"|m/?s?|mm|cm|km|deg|rad|s|ms|us|ns", each) for each in names):
+    if above and all(re.fullmatch(r"|m/?s?|mm|cm|km|deg|rad|s|ms|us|ns", name) for name in names):
         units = names  # of a Vicon export, below the names
         names = [
             f"{name} [{unit}]" if unit else name
@@ -122,7 +115,7 @@ def _titled(table: TextTable, line: str, above: list[str], clock: bool) -> Layou
             )
         ]
         names += [""] * (table.columns - len(names))
-    known = [plain_of(each) for each in names]
+    known = [plain_of(name) for name in names]
     layout = from_header(names, table.values, table.texts)
     if layout is None:
         return None
@@ -176,10 +169,10 @@ def with_dates(table: TextTable, layout: Layout) -> Layout:
 
 def _smfeval(layout: Layout, header: list[str]) -> Layout:
     """Return the layout with the convention of covariances that the header of SQUARE states."""
-    said = " ".join(header).upper()
-    if re.search("LEFT_PERTURBATION|ROTATION_TRANSLATION", said):
+    stated = " ".join(header).upper()
+    if re.search("LEFT_PERTURBATION|ROTATION_TRANSLATION", stated):
         dropped = "covariances dropped: their axes or their order are not supported"
         return dataclasses.replace(
             layout, columns=layout.columns[:8] + (IGNORED,) * 21, note=dropped
         )
-    return dataclasses.replace(layout, note="") if "RIGHT_PERTURBATION" in said else layout
+    return dataclasses.replace(layout, note="") if "RIGHT_PERTURBATION" in stated else layout

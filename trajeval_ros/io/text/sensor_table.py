@@ -10,7 +10,8 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.io.text.names import Layout
-from trajeval_ros.io.text.table import read_rows, sniff
+from trajeval_ros.io.text.sniff import sniff
+from trajeval_ros.io.text.table import read_rows
 from trajeval_ros.io.text.times import times_of
 
 _LARGEST = 1 << 30  # bytes of a file
@@ -37,9 +38,9 @@ def read_samples(path: Path, columns: str) -> tuple[Stamps, Floats]:
         rows = read_rows(table, layout)
         times = times_of(path, layout, rows, None, None)
     except InputError as error:
-        said = str(error).replace(" as given with {option}", "").replace("{option}", "columns")
-        said = said if str(path) in said else f"{path}: {said}"
-        raise InputError(f"{said}; use the columns {columns}") from None
+        message = str(error).replace(" as given with {option}", "").replace("{option}", "columns")
+        message = message if str(path) in message else f"{path}: {message}"
+        raise InputError(f"{message}; use the columns {columns}") from None
     usable: Any = np.isfinite(rows.values).all(axis=1)
     if times.kept is not None:
         usable &= times.kept

@@ -87,17 +87,17 @@ def states_of(path: Path, layout: Layout, groups: Mapping[str, Floats], count: i
         velocities = lie.rotate(_usable(quaternions), groups["body_velocity"])
     covariances = None
     if quaternions is not None and _COVARIANCES & groups.keys():
-        covariances, said = _covariances(layout, groups, _usable(quaternions))
-        remarks += said
+        covariances, notes = _covariances(layout, groups, _usable(quaternions))
+        remarks += notes
     return States(positions, quaternions, velocities, covariances, matrices, tuple(remarks))
 
 
 def _usable(quaternions: Floats) -> Floats:
     """Return unit quaternions (N, 4); invalid ones become the identity."""
     usable = np.isfinite(quaternions).all(axis=1) & quaternions.any(axis=1)
-    found = np.tile([0.0, 0.0, 0.0, 1.0], (len(quaternions), 1))
-    found[usable] = lie.normalized(quaternions[usable])
-    return found
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(quaternions), 1))
+    rotations[usable] = lie.normalized(quaternions[usable])
+    return rotations
 
 
 def _of_angles(
@@ -105,7 +105,7 @@ def _of_angles(
 ) -> Floats | None:
     """Return the quaternions (N, 4) of R = Rz(yaw) Ry(pitch) Rx(roll); None without angles."""
     group = next(
-        (each for each in ("angles", "angles_deg", "heading", "heading_deg") if each in groups),
+        (name for name in ("angles", "angles_deg", "heading", "heading_deg") if name in groups),
         None,
     )
     if group is None:
@@ -139,31 +139,31 @@ def _covariances(
     The covariances are None if only one of position and rotation covariance is present.
     """
     count = len(quaternions)
-    found = np.zeros((count, 6, 6))
+    covariances = np.zeros((count, 6, 6))
     if "rotation_covariance" in groups and "position_covariance" in groups:
         from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
 
         rows, columns = np.triu_indices(3)
         for first, group in ((0, "position_covariance"), (3, "rotation_covariance")):
-            found[:, rows + first, columns + first] = groups[group]
-            found[:, columns + first, rows + first] = groups[group]
-        said = "rotation covariances rotated from the body frame (OpenVINS) to the fixed frame"
-        turned = world_from_body_rotations(found, lie.to_matrix(quaternions))
-        return turned, [note("covariance_axes", said)]
+            covariances[:, rows + first, columns + first] = groups[group]
+            covariances[:, columns + first, rows + first] = groups[group]
+        axes = "rotation covariances rotated from the body frame (OpenVINS) to the fixed frame"
+        turned = world_from_body_rotations(covariances, lie.to_matrix(quaternions))
+        return turned, [note("covariance_axes", axes)]
     if "covariance" in groups:
-        found = groups["covariance"].reshape(-1, 6, 6)
+        covariances = groups["covariance"].reshape(-1, 6, 6)
     elif "covariance_upper" in groups or "covariance_lower" in groups:
         upper = "covariance_upper" in groups
         rows, columns = np.triu_indices(6) if upper else np.tril_indices(6)
         values = groups["covariance_upper" if upper else "covariance_lower"]
-        found[:, rows, columns] = found[:, columns, rows] = values
+        covariances[:, rows, columns] = covariances[:, columns, rows] = values
     elif "variances" in groups:
-        found[:, range(6), range(6)] = groups["variances"]
+        covariances[:, range(6), range(6)] = groups["variances"]
     else:
         return None, []
     if layout.covariances == BODY_TWISTS:
         from trajeval_ros.geometry.covariance_frames import world_from_body_twists
 
-        return world_from_body_twists(found, lie.to_matrix(quaternions)), []
-    said = "covariances read as position first, in the fixed frame"
-    return np.ascontiguousarray(found), [note("covariance_axes", said)]
+        return world_from_body_twists(covariances, lie.to_matrix(quaternions)), []
+    axes = "covariances read as position first, in the fixed frame"
+    return np.ascontiguousarray(covariances), [note("covariance_axes", axes)]

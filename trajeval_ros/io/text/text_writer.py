@@ -48,7 +48,7 @@ def write_euroc(path: Path, trajectory: Trajectory) -> None:
         name: column for name in _EUROC_GROUPS if (column := getattr(trajectory, name)) is not None
     }
     header = ",".join(
-        ["timestamp [ns]", *(each for name in groups for each in _EUROC_GROUPS[name])]
+        ["timestamp [ns]", *(title for name in groups for title in _EUROC_GROUPS[name])]
     )
     if "quaternions" in groups:
         groups["quaternions"] = groups["quaternions"][:, [3, 0, 1, 2]]

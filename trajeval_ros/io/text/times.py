@@ -29,8 +29,9 @@ from trajeval_ros.io.text.names import (
     Layout,
 )
 from trajeval_ros.io.text.numpy_files import files_of_times, is_numbered, load
+from trajeval_ros.io.text.sniff import sniff
 from trajeval_ros.io.text.stamps import WIDTH, dates, exact, to_stamps, unit_of, unpadded
-from trajeval_ros.io.text.table import Rows, number, read_rows, sniff
+from trajeval_ros.io.text.table import Rows, number, read_rows
 from trajeval_ros.metrics.statistics import median
 
 ROW_TIMES = "row_times"  # code of the remark on a frame rate that was used
@@ -48,6 +49,7 @@ class Times:
     kept: NDArray[np.bool_] | None = None  # rows that have a time; None if all do
     remarks: tuple[Remark, ...] = ()
     numbered: bool = False  # whether a column counts frames
+    name: str = ""  # name of the column of times, with its unit
 
 
 def times_of(
@@ -61,9 +63,9 @@ def times_of(
     if layout.time_name == DATE:
         return _of_dates(path, rows)
     if layout.time_name in (FRAME, FRAME_1):
-        frames, said = _frames(path, layout, times)
-        found = _of_frames(layout, frames, rate, origin)
-        return dataclasses.replace(found, remarks=(*said, *found.remarks))
+        frames, remarks = _frames(path, layout, times)
+        numbered = _of_frames(layout, frames, rate, origin)
+        return dataclasses.replace(numbered, remarks=(*remarks, *numbered.remarks))
     try:
         sample = times[:200].astype(np.float64)
         if not np.isfinite(sample).all():
@@ -77,21 +79,23 @@ def times_of(
         unit = _unit(layout, values[kept], times)
         stamps = to_stamps(times, values[kept], unit)
     if _counts_frames(layout, stamps, origin):
-        found = _of_frames(layout, stamps // NANOSECONDS, rate, origin)
-        return dataclasses.replace(found, kept=kept, numbered=True)
+        numbered = _of_frames(layout, stamps // NANOSECONDS, rate, origin)
+        return dataclasses.replace(numbered, kept=kept, numbered=True)
     if layout.time_name == UNPADDED:
         stamps = unpadded(times)
     elif layout.name != AS_NAMED and _is_unpadded(stamps, times):
-        told = " ".join(UNPADDED if each == "t" else each for each in layout.columns)
         raise InputError(
             "its times go forward and back, and do not if nanoseconds were written without "
-            f"leading zeros (secs.nsecs); use {{option}} '{told}', or "
-            f"{{option}} '{' '.join(layout.columns)}' if not"
+            f"leading zeros (secs.nsecs); use {{option}} '{layout.named(UNPADDED)}', or "
+            f"{{option}} '{layout.named()}' if not"
         )
-    name = {1: "nanoseconds", 10**3: "microseconds", 10**6: "milliseconds"}.get(unit)
-    is_said = name is not None and (unit == 1 or UNITS[layout.time_name] is None)
-    remarks = (note("nanoseconds", f"timestamps are in {name}"),) if is_said else ()
-    return Times(stamps, None, True, kept, remarks)
+    word = {1: "nanoseconds", 10**3: "microseconds", 10**6: "milliseconds"}.get(unit)
+    is_inferred = UNITS[layout.time_name] is None
+    is_noted = word is not None and (unit == 1 or is_inferred)
+    remarks = (note("nanoseconds", f"timestamps are in {word}"),) if is_noted else ()
+    units = {10**9: "t_s", 10**6: "t_ms", 10**3: "t_us", 1: "t_ns"}
+    name = units[unit] if is_inferred else layout.time_name
+    return Times(stamps, None, True, kept, remarks, name=name)
 
 
 def _of_dates(path: Path, rows: Rows) -> Times:
@@ -100,23 +104,23 @@ def _of_dates(path: Path, rows: Rows) -> Times:
     if CLOCK in rows.texts:
         clocks = (clock.decode("latin-1") for clock in rows.texts[CLOCK].tolist())
         words = [f"{day} {clock}" for day, clock in zip(words, clocks, strict=True)]
-    kept = np.array([each not in ("", "nan") for each in words])
+    kept = np.array([word not in ("", "nan") for word in words])
     try:
-        stamps, said = dates([each for each in words if each not in ("", "nan")])
+        stamps, zone = dates([word for word in words if word not in ("", "nan")])
     except ValueError as error:
         row = words.index(str(error)) + 1
         raise InputError(
             f"{path}: {str(error)[:40]!r} in row {row} is not a date (UTC); correct or remove "
             "the row"
         ) from None
-    return Times(stamps, None, True, None if kept.all() else kept, (note("dates", said),))
+    return Times(stamps, None, True, None if kept.all() else kept, (note("dates", zone),))
 
 
 def _floats(path: Path, times: Any) -> Floats:
     """Return times as float64; an empty word is NaN."""
     if times.dtype.kind != "S":
         return np.asarray(times)
-    found = np.full(len(times), np.nan)
+    values = np.full(len(times), np.nan)
     for row, word in enumerate(times.tolist()):
         value = number(word.strip().decode("latin-1"))
         if value is None or len(word) >= WIDTH:
@@ -125,8 +129,8 @@ def _floats(path: Path, times: Any) -> Floats:
                 f"{path}: row {row + 1} has {shown!r}, which is not a time; "
                 "correct or remove the row"
             )
-        found[row] = value
-    return found
+        values[row] = value
+    return values
 
 
 def _unit(layout: Layout, values: Floats, times: Any) -> int:
@@ -138,16 +142,11 @@ def _unit(layout: Layout, values: Floats, times: Any) -> int:
     unit = unit_of(values, is_whole or bool((values == np.round(values)).all()))
     if unit is None:
         key = _key(values)
-        told = " ".join(
-            (FRAME if key else "t_us" if np.abs(values).max() > 1e13 else "t_ms")
-            if each == "t"
-            else each
-            for each in layout.columns
-        )
+        unit_name = FRAME if key else "t_us" if np.abs(values).max() > 1e13 else "t_ms"
         raise InputError(
             f"its timestamps (up to {np.abs(values).max():.6g}) are neither times since 1970 nor "
             f"seconds{key}; name the unit: "
-            f"{{option}} '{told}'{'' if key else ' (or t_ms, t_us, t_ns, t_s)'}"
+            f"{{option}} '{layout.named(unit_name)}'{'' if key else ' (or t_ms, t_us, t_ns, t_s)'}"
         )
     return unit
 
@@ -182,12 +181,14 @@ def _frames(path: Path, layout: Layout, times: Any) -> tuple[Stamps, tuple[Remar
     wrong = (values != np.round(values)) | (values < 0.0)
     whole = ~wrong & (values < 2.0**63)
     frames = np.full(len(values), -1)
-    said: tuple[Remark, ...] = ()
+    remarks: tuple[Remark, ...] = ()
     frames[whole] = exact(times[whole], 0) if times.dtype.kind == "S" else values[whole]
     letters = np.unique(frames >> 56 if frames.max(initial=0) >> 56 else frames >> 48)
     if len(letters) == 1 and 65 <= letters[0] <= 122:
         frames = frames & (2**48 - 1)
-        said = (note("gtsam_keys", f"frame numbers from keys of GTSAM, {chr(letters[0])}0 ..."),)
+        remarks = (
+            note("gtsam_keys", f"frame numbers from keys of GTSAM, {chr(letters[0])}0 ..."),
+        )
     wrong |= ~((frames >= 0) & (frames < _FRAMES))
     if wrong.any():
         several = f" (keys of GTSAM of {len(letters)} robots)" if letters.min() >= 65 else ""
@@ -195,7 +196,7 @@ def _frames(path: Path, layout: Layout, times: Any) -> tuple[Stamps, tuple[Remar
             f"{path}: row {int(np.argmax(wrong)) + 1} has no frame number in column "
             f"{(layout.time or 0) + 1}{several}; correct or remove the row"
         )
-    return frames - (layout.time_name == FRAME_1), said
+    return frames - (layout.time_name == FRAME_1), remarks
 
 
 def _of_frames(layout: Layout, frames: Any, rate: float | None, origin: Path | None) -> Times:
@@ -219,41 +220,38 @@ def _of_frames(layout: Layout, frames: Any, rate: float | None, origin: Path | N
             and len(frames)
             and frames.min() == 1
         ):
-            told = " ".join(
-                FRAME if at == layout.time else each for at, each in enumerate(layout.columns)
-            )
             raise InputError(
                 f"its frame numbers start at 1, and {beside} has {counted(len(times), 'time')}: "
-                f"number 0 or 1 may be the first; name the columns: {{option}} '{told}', or "
-                f"{{option}} '{told.replace(FRAME, FRAME_1, 1)}' if 1 is"
+                "number 0 or 1 may be the first; name the columns: "
+                f"{{option}} '{layout.named(FRAME)}', or "
+                f"{{option}} '{layout.named(FRAME_1)}' if 1 is"
             )
         counts = layout.time is None and len(times) == len(frames)
         if counts or (layout.time is not None and numbers.max(initial=0) < len(times)):
-            said = note("times_file", f"timestamps read from {beside}")
-            return Times(times[numbers], frames, True, None, (*remarks, said))
+            source = note("times_file", f"timestamps read from {beside}")
+            return Times(times[numbers], frames, True, None, (*remarks, source))
         counts_differ = (
             f"{beside} ignored: it has {counted(len(times), 'row')} for "
             f"{counted(len(frames), 'pose')}"
         )
         remarks.append(note("times_file_ignored", counts_differ))
     if layout.time_name == FRAME and layout.name != AS_NAMED and len(frames) and frames.min() == 1:
-        told = " ".join(FRAME_1 if name == FRAME else name for name in layout.columns)
         remarks.append(
             warning(
                 "frames_from_1",
                 "frame numbers start at 1 and are used as they are; if number 1 is the first, use "
-                f"--columns '{told}'",
+                f"--columns '{layout.named(FRAME_1)}'",
             )
         )
     if rate is not None:
         stamps = np.round(frames * (NANOSECONDS / rate)).astype(np.int64)
-        said = note(ROW_TIMES, f"timestamps counted at {rate:g} Hz")
-        return Times(stamps, frames, True, None, (*remarks, said))
-    said = note(
+        rated = note(ROW_TIMES, f"timestamps counted at {rate:g} Hz")
+        return Times(stamps, frames, True, None, (*remarks, rated))
+    unknown = note(
         "no_timestamps",
         "no timestamps: frames counted, 1 s apart; set their rate with --frame-rate",
     )
-    return Times(frames * NANOSECONDS, frames, False, None, (*remarks, said))
+    return Times(frames * NANOSECONDS, frames, False, None, (*remarks, unknown))
 
 
 def _counts_frames(layout: Layout, stamps: Stamps, origin: Path | None) -> bool:
@@ -292,26 +290,26 @@ def with_times(
     layout: Layout, rows: Rows, path: Path, times: Floats | None
 ) -> tuple[Layout, Rows]:
     """Add the column of times, or of frame numbers, that an array or a file next to it has."""
-    said = "times read from the same file"
+    source = "times read from the same file"
     for beside in files_of_times(path) if times is None else ():
         times = (
             load(beside)[0]
             if beside.suffix == ".npy"
             else _floats(beside, read_rows(sniff(beside), Layout("times", ("t",))).texts["t"])
         )
-        said = f"times read from {beside}"
+        source = f"times read from {beside}"
         break
     if times is None:
         return layout, rows
     times = np.asarray(times, dtype=np.float64)
     if times.shape != (len(rows.values),):
         raise InputError(
-            f"{said[16:]} has shape {times.shape} for {counted(len(rows.values), 'pose')}; "
+            f"{source[16:]} has shape {times.shape} for {counted(len(rows.values), 'pose')}; "
             "give one time per pose, or remove it"
         )
     columns = (FRAME if is_numbered(times) else "t", *layout.columns)
     layout = dataclasses.replace(
-        layout, columns=columns, note="; ".join(filter(None, (layout.note, said)))
+        layout, columns=columns, note="; ".join(filter(None, (layout.note, source)))
     )
     return layout, dataclasses.replace(rows, texts={**rows.texts, layout.time_name: times})
 

@@ -1,0 +1,135 @@
+"""Short motions of both sides in the axes of their bodies: drift in them is small.
+
+They start and end at poses of the estimate, because interpolation of a sparse estimate cuts its
+curves. The groundtruth is interpolated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajeval_ros.diagnosis.input_pair import TimedPoses
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats, Indices
+from trajeval_ros.geometry.trajectory_edits import evenly
+from trajeval_ros.metrics.statistics import median
+
+MOTION_COUNT = 400  # largest number of motions, which bounds the cost
+FEWEST_MOTIONS = 12  # fewer motions determine no model
+MOTION_S = 1.5  # duration: noise matters in shorter motions, and drift in longer ones
+DERIVATIVE_S = 0.05  # half the interval of a numerical derivative by the time offset
+# A step of so many median steps is a jump; more jumps than the second number are usual motion.
+_JUMP_STEPS, _MOST_JUMPS = 30.0, 20
+_SAMPLE = 2000  # steps in the median
+
+
+@dataclass(frozen=True, eq=False)
+class PoseEnds:
+    """Poses at the starts and the ends of N motions."""
+
+    positions: Floats  # (2, N, 3)
+    quaternions: Floats | None  # (2, N, 4), xyzw; None without orientations
+
+    def body_motions(self) -> tuple[Floats, Floats]:
+        """Return rotation vectors and displacements (N, 3) in the axes of the body at the start.
+
+        Without orientations, rotations are zero and displacements are in the axes of the world.
+        """
+        displacements = self.positions[1] - self.positions[0]
+        if self.quaternions is None:
+            return np.zeros_like(displacements), displacements
+        to_body = lie.conjugate(self.quaternions[0])
+        rotations = lie.rotation_vector(lie.multiply(to_body, self.quaternions[1]))
+        return rotations, lie.rotate(to_body, displacements)
+
+
+@dataclass(frozen=True, eq=False)
+class ShortMotions:
+    """N motions of both sides at the same times."""
+
+    seconds: Floats  # (N,) from the middle of the run
+    groundtruth: PoseEnds
+    estimate: PoseEnds
+    # The groundtruth `DERIVATIVE_S` later and earlier, for derivatives by the time offset.
+    groundtruth_later: PoseEnds
+    groundtruth_earlier: PoseEnds
+    duration_s: float  # of a motion
+
+    def __len__(self) -> int:
+        return len(self.seconds)
+
+    @property
+    def has_orientations(self) -> bool:
+        """Whether both sides have orientations."""
+        return self.groundtruth.quaternions is not None
+
+    @property
+    def independent(self) -> float:
+        """The number of motions that do not overlap."""
+        span_s = float(np.ptp(self.seconds)) if len(self) else 0.0
+        return min(float(len(self)), span_s / self.duration_s + 1.0)
+
+    @classmethod
+    def between(
+        cls,
+        groundtruth: TimedPoses,
+        estimate: TimedPoses,
+        max_gap_s: float,
+        offset_s: float = 0.0,
+        rate: float = 0.0,
+    ) -> ShortMotions:
+        """Return evenly sampled motions, of poses in order.
+
+        The groundtruth is interpolated at t + offset + rate (t - middle of the run), across at
+        most `max_gap_s`.
+        """
+        times = estimate.seconds
+        duration_s = max(MOTION_S, 2.0 * estimate.usual_step_s)
+        middle_s = 0.5 * (times[0] + times[-1])
+        mapped = times + offset_s + rate * (times - middle_s)
+        first, last = np.searchsorted(mapped, groundtruth.seconds[[0, -1]])
+        count = max(int(last - first), 0)
+        start = first + evenly(count, min(count, MOTION_COUNT))
+        end = np.searchsorted(times, times[start] + 0.999 * duration_s)
+        start, end = start[end < last], end[end < last]
+        fits = times[end] - times[start] < 2.0 * duration_s + 0.2
+        rows = _without_jumps(np.stack([start[fits], end[fits]]), estimate)
+        at = mapped[rows]
+        around = np.stack([at, at + DERIVATIVE_S, at - DERIVATIVE_S])
+        poses = groundtruth.at(around.ravel(), max_gap_s)
+        known = poses.known.reshape(3, 2, -1)[0].all(axis=0)
+        positions = poses.positions.reshape(3, 2, -1, 3)[:, :, known]
+        quaternions = None
+        if poses.quaternions is not None and estimate.quaternions is not None:
+            quaternions = poses.quaternions.reshape(3, 2, -1, 4)[:, :, known]
+        now, later, earlier = (
+            PoseEnds(positions[k], None if quaternions is None else quaternions[k])
+            for k in range(3)
+        )
+        rows = rows[:, known]
+        other = None
+        if quaternions is not None and estimate.quaternions is not None:
+            other = estimate.quaternions[rows]
+        return cls(
+            times[rows].mean(axis=0) - middle_s,
+            now,
+            PoseEnds(estimate.positions[rows], other),
+            later,
+            earlier,
+            duration_s,
+        )
+
+
+def _without_jumps(rows: Indices, estimate: TimedPoses) -> Indices:
+    """Return the motions (2, N), rows of the estimate, that include no jump."""
+    if not rows.size:
+        return rows
+    steps = estimate.moved
+    is_jump = steps > _JUMP_STEPS * median(steps[evenly(len(steps), _SAMPLE)])
+    jumps_before = np.concatenate([[0], np.cumsum(is_jump)])
+    if not 0 < jumps_before[-1] <= _MOST_JUMPS:
+        return rows
+    smooth = jumps_before[rows[0]] == jumps_before[rows[1]]
+    return rows[:, smooth] if np.count_nonzero(smooth) >= FEWEST_MOTIONS else rows
