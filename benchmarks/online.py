@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states
+from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.online.window import Window
 
 Floats = NDArray[np.float64]
@@ -81,8 +81,8 @@ def seconds_by_drain(messages: int, window: str, pauses: tuple[int, ...]) -> Flo
     spent = [0.0]
     for (truth, estimate), update in zip(drains(messages), updates, strict=True):
         start = time.process_time()
-        evaluator.add_groundtruth(*truth)
-        evaluator.add_estimate(*estimate)
+        evaluator.add_groundtruth(trajectory(*truth))
+        evaluator.add_estimate(trajectory(*estimate))
         if update:
             evaluator.update()
         spent.append(spent[-1] + time.process_time() - start)

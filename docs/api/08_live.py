@@ -1,7 +1,5 @@
 """Evaluate while states arrive, and check that the end agrees with the recorded evaluation."""
 
-import numpy as np
-
 from trajeval_ros import OnlineEvaluator, OnlineSettings, Protocol, evaluate, simulate
 
 flight = simulate(seed=1, duration_s=60.0)
@@ -12,7 +10,7 @@ truth, estimate = flight.groundtruth, flight.estimate
 for begin in range(int(truth.stamps[0]), int(truth.stamps[-1]) + 1, 1_000_000_000):
     for states, add in ((truth, live.add_groundtruth), (estimate, live.add_estimate)):
         new = states[(states.stamps >= begin) & (states.stamps < begin + 1_000_000_000)]
-        add(new.stamps, np.hstack([new.positions, new.quaternions]))
+        add(new)
     update = live.update()
     if update.stamp is not None and update.ends:
         print(f"{update.pairs} pairs, now {update.position_m:.3f} m, {len(update.ends)} ends")

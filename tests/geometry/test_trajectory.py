@@ -19,8 +19,8 @@ from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.geometry.valid_poses import add_counts
 from trajeval_ros.io.bags.transform_tree import Edge
 from trajeval_ros.metrics.association import AssociationRule, associate
-from trajeval_ros.online.dense_pairing import DensePairing
-from trajeval_ros.online.state_rows import POSITION, states
+from trajeval_ros.online.pairing import Pairing
+from trajeval_ros.online.state_rows import POSITION, states, trajectory
 
 # A position and a factor of a quaternion that no robot has, finite or not.
 WILD = [(1e13, 1.0), (-1e100, 1.0), (1e200, 1.0), (1.0, 1e160), (1.0, 1e300)]
@@ -99,13 +99,15 @@ def test_the_same_rows_are_poses_live_and_recorded(seed: int) -> None:
         column[some] = random.choice(strange, (20, 1))
     read = Trajectory.from_columns(truth.stamps, positions, quaternions)
     pairs = associate(truth, read, AssociationRule())
-    buffer = DensePairing()
-    buffer.add_groundtruth(truth.stamps, states(truth.positions, truth.quaternions))
-    buffer.add_estimate(truth.stamps, states(positions, quaternions))
+    buffer = Pairing()
+    buffer.add_groundtruth(trajectory(truth.stamps, states(truth.positions, truth.quaternions)))
+    block = trajectory(truth.stamps, states(positions, quaternions))
+    buffer.add_estimate(block, block.reading.dropped)
     live = buffer.made(at_end=True)
     buffer.settle()
+    assert live is not None
     np.testing.assert_array_equal(live.stamps, pairs.estimate.stamps)
-    np.testing.assert_array_equal(live.estimate[:, POSITION], pairs.estimate.positions)
+    np.testing.assert_array_equal(live.estimate.positions, pairs.estimate.positions)
     assert {reason: n for reason, n in buffer.dropped.items() if n} == pairs.dropped
 
 

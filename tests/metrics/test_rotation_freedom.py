@@ -29,7 +29,7 @@ from trajeval_ros.metrics.moments import Moments, OrientationSum
 from trajeval_ros.metrics.rotation_freedom import OrientationEvidence, RotationFreedom
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states
+from trajeval_ros.online.state_rows import states, trajectory
 
 # The sums.
 
@@ -281,8 +281,8 @@ def live(
     rows = [states(each.positions, each.quaternions) for each in (truth, estimate)]
     for begin in range(0, len(truth), batch):
         part = slice(begin, begin + batch)
-        evaluator.add_groundtruth(truth.stamps[part], rows[0][part])
-        evaluator.add_estimate(estimate.stamps[part], rows[1][part])
+        evaluator.add_groundtruth(trajectory(truth.stamps[part], rows[0][part]))
+        evaluator.add_estimate(trajectory(estimate.stamps[part], rows[1][part]))
         evaluator.update()
     evaluator.update(at_end=True)
     return evaluator

@@ -22,7 +22,7 @@ from trajeval_ros.online.alarms import (
 )
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states
+from trajeval_ros.online.state_rows import states, trajectory
 
 NONE = {each.name: AlarmLimits() for each in LIMITED_QUANTITIES}
 SECOND = 10**9
@@ -62,8 +62,10 @@ def levels(
         for add, side in ((live.add_groundtruth, flight), (live.add_estimate, estimate)):
             rows = slice(row, row + every)
             assert side.quaternions is not None
-            add(side.stamps[rows], states(side.positions[rows], side.quaternions[rows]))
-        peaks.see_update(live.update(), knows_up=True)
+            add(
+                trajectory(side.stamps[rows], states(side.positions[rows], side.quaternions[rows]))
+            )
+        peaks.see_update(live.update())
         if (tick + 1) * every % 200 == 0:
             seen.append({each.subject: each.level for each in alarms(peaks.take(), limits)})
     return seen
@@ -127,11 +129,12 @@ def test_drift_is_the_largest_of_the_sub_trajectories_that_ended() -> None:
     for count in (1, 180):  # one by one, and all together
         protocol = Protocol(gauge="none", lengths=("4m", "3s"))
         live, peaks = OnlineEvaluator(OnlineSettings(protocol)), Peaks()
-        live.add_groundtruth(flight.stamps, rows)
+        live.add_groundtruth(trajectory(flight.stamps, rows))
         for begin in range(0, 180, count):
             part = slice(begin, begin + count)
-            live.add_estimate(flight.stamps[part], drifted[part])
-            peaks.see_update(live.update(), knows_up=True)
+            live.add_estimate(trajectory(flight.stamps[part], drifted[part]))
+            peaks.see_update(live.update())
+        peaks.see_update(live.update(at_end=True))
         found.append(peaks.take()["drift_percent"].value)
     assert found[0] == pytest.approx(found[1], rel=1e-9)
     assert found[0] > 0.0
@@ -143,9 +146,10 @@ def test_peaks_are_the_largest_errors_of_all_pairs_and_their_stamps(*, knows_up:
     assert flight.quaternions is not None
     off = flight.positions + np.outer([0.1, 0.7, 0.2, 0.3], [1.0, 0.0, 0.0])
     live, peaks = OnlineEvaluator(OnlineSettings(Protocol(gauge="none"))), Peaks()
-    live.add_groundtruth(flight.stamps, states(flight.positions, flight.quaternions))
-    live.add_estimate(flight.stamps, states(off, flight.quaternions))
-    peaks.see_update(live.update(), knows_up=knows_up)
+    live.add_groundtruth(trajectory(flight.stamps, states(flight.positions, flight.quaternions)))
+    live.add_estimate(trajectory(flight.stamps, states(off, flight.quaternions)))
+    live.up_axis_doubt = "" if knows_up else "y is up"
+    peaks.see_update(live.update())
     found = peaks.take()
     assert found["position_error_m"].value == pytest.approx(0.7)
     assert found["position_error_m"].stamp == flight.stamps[1]

@@ -11,9 +11,9 @@ import pytest
 
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.gauge import Similarity
-from trajeval_ros.geometry.up_axis import Z_UP
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.coverage import Coverage
+from trajeval_ros.metrics.premises import Doubts, Premise
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
 from trajeval_ros.metrics.stream_health import StreamHealth
 from trajeval_ros.online.error_topics import (
@@ -23,7 +23,6 @@ from trajeval_ros.online.error_topics import (
     VECTORS,
     integrity_numbers,
     nees_numbers,
-    numbers_of,
     position_and_rotation,
     relative_error_topic,
     status_texts,
@@ -34,8 +33,9 @@ from trajeval_ros.online.error_topics import (
 )
 from trajeval_ros.online.live_relative_errors import RunningErrors
 from trajeval_ros.online.pair_errors import PairErrors
+from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.reports import Snapshot, Update, united
-from trajeval_ros.online.state_rows import Pairs, states
+from trajeval_ros.online.state_rows import states, trajectory
 
 BY_UP = {"stamped/attitude_error", "stamped/heading_error", "yaw_error", "tilt_error"}
 EMPTY = Snapshot(
@@ -55,23 +55,25 @@ EMPTY = Snapshot(
 )
 
 
-def errors_of(count: int = 6, *, rotation: bool = True, still: tuple[int, ...] = ()) -> PairErrors:
+def errors_of(*doubted: Premise, count: int = 6, still: tuple[int, ...] = ()) -> PairErrors:
     """Return errors of pairs; the estimate of the rows `still` has no velocity."""
     rng = np.random.default_rng(count)
     sides = []
     for _ in range(2):
         velocities = rng.normal(size=(count, 3))
         velocities[list(still)] = 0.0
-        sides.append(states(rng.normal(size=(count, 3)), rng.normal(size=(count, 4)), velocities))
-    stamps = 1000 + 7 * np.arange(count, dtype=np.int64)
-    pairs = Pairs(stamps, *sides)
-    return PairErrors(pairs, Similarity.identity(), Z_UP, rotation=rotation)
+        stamps = 1000 + 7 * np.arange(count, dtype=np.int64)
+        rows = states(rng.normal(size=(count, 3)), rng.normal(size=(count, 4)), velocities)
+        sides.append(trajectory(stamps, rows))
+    return PairErrors(
+        PairedStates(*sides), Similarity.identity(), Doubts(dict.fromkeys(doubted, "why"))
+    )
 
 
 @pytest.mark.parametrize("topic", VECTORS)
 def test_vectors_have_the_stamps_of_the_pairs_by_the_estimates_clock(topic: str) -> None:
     errors = errors_of()
-    stamps, vectors = vectors_of(errors, topic, 300, knows_up=True)
+    stamps, vectors = vectors_of(errors, topic, 300)
     np.testing.assert_array_equal(stamps, errors.stamps - 300)
     np.testing.assert_array_equal(vectors, VECTORS[topic](errors))
     assert vectors.shape == (6, 3)
@@ -79,7 +81,7 @@ def test_vectors_have_the_stamps_of_the_pairs_by_the_estimates_clock(topic: str)
 
 def test_pairs_without_the_error_have_no_vector() -> None:
     errors = errors_of(still=(1, 4))
-    stamps, vectors = vectors_of(errors, "stamped/velocity_error", -50, knows_up=True)
+    stamps, vectors = vectors_of(errors, "stamped/velocity_error", -50)
     kept = [0, 2, 3, 5]
     np.testing.assert_array_equal(stamps, errors.stamps[kept] + 50)
     assert errors.velocity is not None
@@ -88,27 +90,25 @@ def test_pairs_without_the_error_have_no_vector() -> None:
 
 @pytest.mark.parametrize("topic", [*VECTORS, *NUMBERS])
 def test_what_is_about_gravity_needs_a_known_up_axis(topic: str) -> None:
-    errors = errors_of()
+    errors = errors_of(Premise.UP_AXIS)
     if topic in NUMBERS:
-        assert (numbers_of(errors, topic, knows_up=False) is None) == (topic in BY_UP)
-        found = numbers_of(errors, topic, knows_up=True)
-        assert found is not None
-        np.testing.assert_array_equal(found, NUMBERS[topic](errors))
+        assert (NUMBERS[topic](errors) is None) == (topic in BY_UP)
+        assert NUMBERS[topic](errors_of()) is not None
         return
-    stamps, vectors = vectors_of(errors, topic, 0, knows_up=False)
+    stamps, vectors = vectors_of(errors, topic, 0)
     assert len(stamps) == len(vectors) == (0 if topic in BY_UP else 6)
     assert vectors.shape[1:] == (3,)
     assert stamps.dtype == np.int64
 
 
 def test_errors_that_are_withheld_have_no_vectors() -> None:
-    errors = errors_of(rotation=False)
+    errors = errors_of(Premise.ALIGNMENT_ROTATION)
     for topic in VECTORS:
-        stamps, vectors = vectors_of(errors, topic, 3, knows_up=True)
+        stamps, vectors = vectors_of(errors, topic, 3)
         present = topic in ("stamped/position_error", "stamped/heading_error")
         assert len(stamps) == (6 if present else 0)
         assert vectors.shape == (len(stamps), 3)
-    assert numbers_of(errors, "rotation_error", knows_up=True) is None
+    assert NUMBERS["rotation_error"](errors) is None
 
 
 def test_a_vector_of_two_numbers_ends_with_zero() -> None:

@@ -16,7 +16,7 @@ from strategies import seeds
 from trajeval_ros import Gauge
 from trajeval_ros.online import live_clock
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
-from trajeval_ros.online.state_rows import states
+from trajeval_ros.online.state_rows import states, trajectory
 
 SECOND = 10**9
 
@@ -25,7 +25,7 @@ SECOND = 10**9
 def test_a_clock_keeps_the_first_state_of_every_step(seed: int, step_ns: int) -> None:
     rng = np.random.default_rng(seed)
     stamps = 3 * SECOND + np.cumsum(rng.integers(1_000_000, 90_000_000, size=60))
-    rows = np.repeat(stamps[:, None].astype(float), 10, axis=1)
+    rows = states(stamps[:, None] * np.ones(3), np.tile([0.0, 0.0, 0.0, 1.0], (60, 1)))
     rows[rng.integers(0, 60, size=5), 0] = np.nan
     rows[rng.integers(0, 60, size=5), 3] = np.inf
     expected: list[int] = []
@@ -36,11 +36,11 @@ def test_a_clock_keeps_the_first_state_of_every_step(seed: int, step_ns: int) ->
     clock = OnlineClock(Gauge.YAW)
     add = clock.add_groundtruth if step_ns == 20_000_000 else clock.add_estimate
     for part in np.array_split(np.arange(60), np.sort(rng.integers(0, 60, size=6))):
-        add(stamps[part], rows[part])
-    add(stamps[:30], rows[:30])  # what comes late is passed over
-    held = (clock._groundtruth if step_ns == 20_000_000 else clock._estimate).held
-    assert held[0].tolist() == expected
-    assert held[1][:, 0].tolist() == [float(each) for each in expected]
+        add(trajectory(stamps[part], rows[part]))
+    add(trajectory(stamps[:30], rows[:30]))  # what comes late is passed over
+    held = (clock._groundtruth if step_ns == 20_000_000 else clock._estimate).trajectory()
+    assert held.stamps.tolist() == expected
+    assert held.positions[:, 0].tolist() == [float(each) for each in expected]
     if step_ns == 100_000_000:
         assert clock.span_s == (expected[-1] - expected[0]) / SECOND
 
@@ -49,8 +49,8 @@ def test_a_clock_keeps_ten_minutes() -> None:
     clock = OnlineClock(Gauge.YAW)
     stamps = np.arange(0, 700) * SECOND
     for part in (slice(0, 1), slice(1, None)):
-        clock.add_estimate(stamps[part], states(np.zeros((700, 3)))[part])
-    assert clock._estimate.held[0].tolist() == stamps[99:].tolist()
+        clock.add_estimate(trajectory(stamps[part], states(np.zeros((700, 3)))[part]))
+    assert clock._estimate.stamps.tolist() == stamps[99:].tolist()
     assert clock.span_s == 699.0
 
 
@@ -60,7 +60,7 @@ def at_rest(until_s: float, clock: OnlineClock) -> None:
     stamps = np.arange(0, round(until_s * 1000) + 1, 500) * 1_000_000
     new = stamps[stamps > newest]
     for add in (clock.add_groundtruth, clock.add_estimate):
-        add(new, states(np.zeros((len(new), 3))))
+        add(trajectory(new, states(np.zeros((len(new), 3)))))
 
 
 def test_a_clock_is_estimated_after_35_s_and_then_by_the_run_s_length() -> None:
@@ -85,7 +85,7 @@ def test_a_clock_is_estimated_after_35_s_and_then_by_the_run_s_length() -> None:
 
 def test_a_clock_without_groundtruth_waits() -> None:
     clock = OnlineClock(Gauge.YAW)
-    clock.add_estimate(np.arange(50) * SECOND, states(np.zeros((50, 3))))
+    clock.add_estimate(trajectory(np.arange(50) * SECOND, states(np.zeros((50, 3)))))
     assert not clock.update(at_end=True)
     assert clock.report.status == "waiting"
 

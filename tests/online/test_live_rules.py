@@ -23,17 +23,15 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.tracking_loss import DIVERGED, FROZEN, Loss
 from trajeval_ros.online import live_relative_errors
 from trajeval_ros.online.alarms import AlarmLimits, about_loss, alarm_below
-from trajeval_ros.online.dense_pairing import DensePairing
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.jump_detector import JumpDetector
 from trajeval_ros.online.live_frames import LiveFrames, body_rows, marker_rows
 from trajeval_ros.online.live_relative_errors import RelativeTracker, RunningErrors
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.pairing import Pairing
+from trajeval_ros.online.pairing import PairedStates, Pairing
 from trajeval_ros.online.repeated_remarks import RepeatedRemarks
-from trajeval_ros.online.sparse_pairing import SparsePairing
 from trajeval_ros.online.state_buffer import BufferLimits
-from trajeval_ros.online.state_rows import Pairs, states, turned_covariances
+from trajeval_ros.online.state_rows import Pairs, states, trajectory, turned_covariances
 from trajeval_ros.online.window import PairStore
 
 Array = NDArray[Any]
@@ -239,22 +237,23 @@ def test_rows_of_a_body_become_those_of_the_marker(seed: int, frame: str) -> Non
 
 
 def test_a_lever_arm_makes_the_groundtruth_points_and_leaves_out_velocities() -> None:
-    rows = source_rows(1)[1]
+    source, rows = source_rows(1)
     with_arm = LiveFrames(OnlineSettings(Protocol(gauge="se3", lever_m=(0.1, 0.0, 0.0))))
     zero = LiveFrames(OnlineSettings(Protocol(gauge="se3", lever_m=(0.0, 0.0, 0.0))))
     plain = LiveFrames(OnlineSettings(Protocol(gauge="se3")))
-    assert plain.of_point(rows) is rows
-    assert np.isnan(with_arm.of_point(rows)[:, 3:]).all()
+    assert plain.of_groundtruth(source) is source
+    points = with_arm.of_groundtruth(source)
+    assert points.quaternions is points.velocities is None
     told = [each.leaves_out_velocities_of(rows) for each in (with_arm, zero, plain)]
     assert told == [True, False, False]
     still = rows.copy()
     still[:, 7:] = 0.0
     still[3, 7:] = np.nan
     assert not with_arm.leaves_out_velocities_of(still)
-    plain.require_orientations(rows)
+    assert plain.of_estimate(points) is points
     with pytest.raises(InputError, match="no lever arm can be applied"):
-        with_arm.require_orientations(rows)
-    with_arm.require_orientations(np.delete(rows, 4, axis=0))
+        with_arm.of_estimate(points)
+    assert with_arm.of_estimate(source) is source
 
 
 @pytest.mark.parametrize("most", [5, 12])
@@ -265,7 +264,8 @@ def test_starts_are_given_up_when_there_are_too_many(most: int) -> None:
             positions = np.zeros((4, 3))  # at rest: no length in metres ends
             turned = np.tile([0.0, 0.0, 0.0, 1.0], (4, 1))
             stamps = (begin + np.arange(4)) * SECOND // 2
-            store.append(Pairs(stamps, *[states(positions, turned)] * 2))
+            side = Trajectory(stamps, positions, turned)
+            store.add(PairedStates(side, side))
             tracker.update(store, 1.0)
             oldest = tracker.oldest_needed(store)
             assert oldest == max(store.end - most, 0)
@@ -284,18 +284,19 @@ def all_pairs(pairing: Pairing, sides: list[tuple[Array, Array]], cut: int, size
     first, found, batches = pairing, [], range(0, len(sides[0][0]), size)
     for begin in batches:
         if begin // size == cut:
-            following = type(pairing)(pairing.max_gap_s, pairing.limits)
+            following = Pairing(at_groundtruth=pairing.at_groundtruth)
             pairing.hand_over(following)
             pairing = following
         for add, (stamps, rows) in zip(
             (pairing.add_groundtruth, pairing.add_estimate), sides, strict=True
         ):
-            add(stamps[begin : begin + size], rows[begin : begin + size])
+            add(trajectory(stamps[begin : begin + size], rows[begin : begin + size]))
         found.append(pairing.made())
         pairing.settle()
+        pairing.forget()
     found.append(pairing.made(at_end=True))
     pairing.settle()
-    joined = Pairs(*map(np.concatenate, zip(*found, strict=True)))
+    joined = Pairs.in_order([pairs.rows for pairs in found if pairs is not None])
     runs = [first, pairing] if pairing is not first else [pairing]
     return joined, runs
 
@@ -306,10 +307,10 @@ def all_pairs(pairing: Pairing, sides: list[tuple[Array, Array]], cut: int, size
     cut=st.integers(1, 12),
     size=st.integers(3, 12),
     delay=st.integers(0, 30),
-    kind=st.sampled_from([DensePairing, SparsePairing]),
+    at_groundtruth=st.booleans(),
 )
 def test_a_run_that_follows_continues_with_what_waits(
-    seed: int, cut: int, size: int, delay: int, kind: type[Pairing]
+    seed: int, cut: int, size: int, delay: int, *, at_groundtruth: bool
 ) -> None:
     """Both runs together make the pairs of one, and count every waiting state once."""
     groundtruth, estimate = make_pair(seed, 100)
@@ -318,36 +319,33 @@ def test_a_run_that_follows_continues_with_what_waits(
         (groundtruth.stamps[delay : delay + count], rows_of(groundtruth)[delay : delay + count]),
         (estimate.stamps[:count], rows_of(estimate)[:count]),
     ]
-    whole, _ = all_pairs(kind(), sides, -1, size)
-    parts, runs = all_pairs(kind(), sides, cut, size)
+    whole, _ = all_pairs(Pairing(at_groundtruth=at_groundtruth), sides, -1, size)
+    parts, runs = all_pairs(Pairing(at_groundtruth=at_groundtruth), sides, cut, size)
     np.testing.assert_array_equal(parts.stamps, whole.stamps)
     np.testing.assert_allclose(parts.groundtruth, whole.groundtruth, atol=1e-12)
     np.testing.assert_allclose(parts.estimate, whole.estimate, atol=1e-12)
-    waited = [
-        each.estimate_counts if kind is DensePairing else each.groundtruth_counts for each in runs
-    ]
+    waited = [each.groundtruth_counts if at_groundtruth else each.estimate_counts for each in runs]
     assert sum(each.poses for each in waited) == count
     assert [each.waiting for each in runs] == [0] * len(runs)
     # Of the interpolated side, both runs have the states around the border.
-    tracks = [
-        each.groundtruth_counts if kind is DensePairing else each.estimate_counts for each in runs
-    ]
+    tracks = [each.estimate_counts if at_groundtruth else each.groundtruth_counts for each in runs]
     assert 0 <= sum(each.poses for each in tracks) - count <= 2 * (len(runs) - 1)
     for each, counts in zip(runs, tracks, strict=True):
-        assert each._track_count == counts.poses
-        held = each._track.held[0]
+        held = each.estimate.stamps if at_groundtruth else each.groundtruth.stamps
+        count = each.estimate_count if at_groundtruth else each.groundtruth_count
+        assert count == counts.poses
         assert counts.last == (int(held[-1]) if len(held) else None)
     if len(runs) == 2 and tracks[1].first is not None and tracks[0].last is not None:
-        stamps = sides[0 if kind is DensePairing else 1][0]
+        stamps = sides[1 if at_groundtruth else 0][0]
         between = (stamps > tracks[0].last) & (stamps < tracks[1].first)
         assert not between.any()
 
 
 @pytest.mark.parametrize("waiting", [10, 11, 12])
 def test_the_oldest_of_too_many_waiting_states_is_dropped(waiting: int) -> None:
-    pairing = DensePairing(limits=BufferLimits(waiting_states=11))
+    pairing = Pairing(limits=BufferLimits(waiting_states=11))
     stamps = np.arange(waiting, dtype=np.int64)
-    pairing.add_estimate(stamps, states(np.zeros((waiting, 3))))
+    pairing.add_estimate(trajectory(stamps, states(np.zeros((waiting, 3)))))
     assert pairing.waiting == min(waiting, 11)
     lost = max(waiting - 11, 0)
     assert pairing.dropped == ({"waited_too_long": lost} if lost else {})
@@ -355,11 +353,16 @@ def test_the_oldest_of_too_many_waiting_states_is_dropped(waiting: int) -> None:
 
 
 def test_a_repeated_timestamp_is_counted_while_it_is_remembered() -> None:
-    pairing = DensePairing(limits=BufferLimits(past_s=2.0))
+    pairing = Pairing(limits=BufferLimits(past_s=2.0))
     seconds = np.arange(10, dtype=np.int64) * SECOND
-    pairing.add_estimate(seconds, states(np.zeros((10, 3))))
+    sides = Trajectory(seconds, np.zeros((10, 3)))
+    pairing.add_groundtruth(sides)
+    pairing.add_estimate(sides)
+    pairing.made()
+    pairing.settle()
+    pairing.forget()
     for stamp, count in ((9, 1), (7, 2), (6, 2)):  # the horizon is at 7 s
-        pairing.add_estimate(np.array([stamp * SECOND]), states(np.zeros((1, 3))))
+        pairing.add_estimate(trajectory(np.array([stamp * SECOND]), states(np.zeros((1, 3)))))
         assert pairing.dropped == {"duplicate_stamp": count}
 
 
@@ -367,11 +370,11 @@ def test_a_snapshot_needs_the_alignment_of_enough_states() -> None:
     groundtruth, estimate = make_pair(3, 60)
     evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge=Gauge.SE3)))
     assert evaluator.snapshot().warming_up == "no pairs yet"
-    evaluator.add_groundtruth(groundtruth.stamps, rows_of(groundtruth))
+    evaluator.add_groundtruth(trajectory(groundtruth.stamps, rows_of(groundtruth)))
     seen = []
     for row in range(5):
         part = slice(row, row + 1)
-        evaluator.add_estimate(estimate.stamps[part], rows_of(estimate)[part])
+        evaluator.add_estimate(trajectory(estimate.stamps[part], rows_of(estimate)[part]))
         evaluator.update()
         seen.append((evaluator.pairs, evaluator.snapshot().warming_up))
     wanted = Gauge.SE3.minimum_states

@@ -16,7 +16,7 @@ from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.online.alarms import about_loss
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states
+from trajeval_ros.online.state_rows import states, trajectory
 
 DRONE = simulated(5000, "drone", "walk", 100.0)
 
@@ -37,9 +37,9 @@ def test_live_and_recorded_report_the_same_loss(name: str, code: str) -> None:
     for row in range(0, len(estimate), 10):
         part = slice(row, row + 10)
         until = int(pair.truth.stamps.searchsorted(pair.estimate.stamps[part][-1])) + 1
-        live.add_groundtruth(pair.truth.stamps[passed:until], truth[passed:until])
+        live.add_groundtruth(trajectory(pair.truth.stamps[passed:until], truth[passed:until]))
         passed = until
-        live.add_estimate(pair.estimate.stamps[part], estimate[part])
+        live.add_estimate(trajectory(pair.estimate.stamps[part], estimate[part]))
         live.update()
         told += about_loss(live.snapshot())
     levels = [each.level for each in told]
@@ -57,7 +57,7 @@ def test_live_and_recorded_report_the_same_loss(name: str, code: str) -> None:
     until = evaluate(pair.truth, pair.estimate[tracked], protocol).ate["position_m"]
     assert until is not None
     assert told[-1].values["ate_before_m"] == pytest.approx(until.rmse, rel=0.05)
-    live.add_groundtruth(pair.truth.stamps[passed:], truth[passed:])
+    live.add_groundtruth(trajectory(pair.truth.stamps[passed:], truth[passed:]))
     live.update(at_end=True)
     covered = live.snapshot().coverage
     assert covered is not None

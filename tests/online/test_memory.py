@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from trajeval_ros import Gauge, Protocol, Trajectory, evaluate
 from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.sub_trajectories import Length
-from trajeval_ros.online.dense_pairing import DensePairing
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
+from trajeval_ros.online.pairing import Pairing
 from trajeval_ros.online.state_buffer import BufferLimits
-from trajeval_ros.online.state_rows import states
+from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.online.window import Window
 
 
@@ -28,8 +29,10 @@ def test_memory_does_not_grow_with_the_run() -> None:
         t = stamps / SECOND
         path = np.column_stack([3 * np.cos(t / 3), 3 * np.sin(t / 3), 0.1 * np.sin(t)])
         quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1))
-        evaluator.add_groundtruth(stamps, states(path, quaternions))
-        evaluator.add_estimate(stamps, states(path + 0.01 * np.sin(t)[:, None], quaternions))
+        evaluator.add_groundtruth(trajectory(stamps, states(path, quaternions)))
+        evaluator.add_estimate(
+            trajectory(stamps, states(path + 0.01 * np.sin(t)[:, None], quaternions))
+        )
         evaluator.update()
         sizes.append(len(evaluator.store))
     assert max(sizes[3:]) <= max(sizes[:3]) + 50
@@ -77,8 +80,8 @@ def test_nothing_held_grows_with_the_run(speed: float, monkeypatch: pytest.Monke
     for drain in range(2000):  # 1 kHz and 200 Hz, drained at 50 Hz
         groundtruth = (drain * 20 + np.arange(20, dtype=np.int64)) * 1_000_000
         stamps = (drain * 4 + np.arange(4, dtype=np.int64)) * 5_000_000 + 300_000
-        evaluator.add_groundtruth(groundtruth, poses(groundtruth))
-        evaluator.add_estimate(stamps, poses(stamps))
+        evaluator.add_groundtruth(trajectory(groundtruth, poses(groundtruth)))
+        evaluator.add_estimate(trajectory(stamps, poses(stamps)))
         evaluator.update()
         held.append(numbers_held(evaluator, set()) if drain % 20 == 0 else 0)
     assert max(held[1000:]) <= max(held[:1000])
@@ -101,8 +104,8 @@ def test_running_sums_hold_over_two_million_pairs_at_utm_coordinates() -> None:
     evaluator_rows = states(path), states(path - [499_000.0, 4_999_000.0, 0.0] + drift)
     for begin in range(0, count, 400):
         part = slice(begin, begin + 400)
-        evaluator.add_groundtruth(stamps[part], evaluator_rows[0][part])
-        evaluator.add_estimate(stamps[part], evaluator_rows[1][part])
+        evaluator.add_groundtruth(trajectory(stamps[part], evaluator_rows[0][part]))
+        evaluator.add_estimate(trajectory(stamps[part], evaluator_rows[1][part]))
         evaluator.update()
     groundtruth = Trajectory(stamps, evaluator_rows[0][:, :3])
     estimate = Trajectory(stamps, evaluator_rows[1][:, :3])
@@ -116,7 +119,7 @@ def test_what_waits_is_bounded_and_counted() -> None:
     evaluator = OnlineEvaluator(OnlineSettings(limits=limits))
     stamps = (np.arange(1000) * SECOND // 20).astype(np.int64)
     for part in np.array_split(np.arange(1000), 50):
-        evaluator.add_estimate(stamps[part], states(np.zeros((len(part), 3))))
+        evaluator.add_estimate(trajectory(stamps[part], states(np.zeros((len(part), 3)))))
         evaluator.update()
     snapshot = evaluator.snapshot()
     assert snapshot.waiting == 100
@@ -149,19 +152,41 @@ def test_a_late_estimate_is_paired_within_the_delay_or_told(
         assert "5 s (max_delay)" in said
 
 
+@pytest.mark.parametrize("silent", ["groundtruth", "estimate"])
+@pytest.mark.parametrize("method", ["linear", "groundtruth-stamps"])
+def test_states_are_forgotten_while_the_other_side_is_silent(method: str, silent: str) -> None:
+    """Except for those that wait for it, up to their limit."""
+    protocol = Protocol(association=AssociationRule(method))
+    limits = BufferLimits(past_s=1.0, waiting_states=300)
+    evaluator = OnlineEvaluator(OnlineSettings(protocol, limits=limits))
+    add = evaluator.add_estimate if silent == "groundtruth" else evaluator.add_groundtruth
+    stamps = np.arange(2000, dtype=np.int64) * SECOND // 100
+    for part in np.array_split(stamps, 500):
+        add(Trajectory(part, np.zeros((len(part), 3))))
+        evaluator.update()
+    buffer = evaluator.buffer
+    waits = (buffer.estimate if silent == "groundtruth" else buffer.groundtruth) is (
+        buffer.groundtruth if buffer.at_groundtruth else buffer.estimate
+    )
+    held = max(len(buffer.groundtruth), len(buffer.estimate))
+    assert (held, buffer.waiting) == (300, 300) if waits else 100 <= held <= 145
+
+
 def test_a_memory_that_is_full_is_told() -> None:
-    buffer = DensePairing(limits=BufferLimits(np.inf, past_states=100, waiting_states=5))
+    buffer = Pairing(limits=BufferLimits(np.inf, past_states=100, waiting_states=5))
     stamps = np.arange(1000, dtype=np.int64) * SECOND // 10
-    buffer.add_groundtruth(stamps, np.zeros((1000, 10)))
+    buffer.add_groundtruth(Trajectory(stamps, np.zeros((1000, 3))))
     buffer.made()
     buffer.settle()
-    buffer.add_estimate(stamps[:3] + 1, np.zeros((3, 10)))
+    buffer.forget()
+    buffer.add_estimate(Trajectory(stamps[:3] + 1, np.zeros((3, 3))))
     buffer.made()
     buffer.settle()
+    buffer.forget()
     assert buffer.why_forgotten == (
         "3 poses dropped: later than the groundtruth buffer of the newest 100 states"
     )
-    buffer.add_estimate(stamps[-1] + stamps[1:9], np.zeros((8, 10)))
+    buffer.add_estimate(Trajectory(stamps[-1] + stamps[1:9], np.zeros((8, 3))))
     assert buffer.why_forgotten.endswith(
         "3 poses dropped: more than 5 were waiting for groundtruth"
     )

@@ -14,15 +14,15 @@ from live_feeding import SECOND, assert_live_is_offline, feed, make_pair, rows_o
 from strategies import gauges, make_groundtruth, seeds
 
 from trajeval_ros import Gauge, Protocol, Trajectory, evaluate
-from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.sub_trajectories import Length, Selection
-from trajeval_ros.online.dense_pairing import DensePairing
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
+from trajeval_ros.online.pairing import Pairing
 from trajeval_ros.online.state_buffer import BufferLimits
-from trajeval_ros.online.state_rows import states
+from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.online.window import Window
 
 RECORDINGS = [
@@ -82,8 +82,8 @@ def feed_in_batches(
     for begin in range(0, len(order), size):
         batch = order[begin : begin + size]
         g, e = batch[batch < len(groundtruth)], batch[batch >= len(groundtruth)] - len(groundtruth)
-        evaluator.add_groundtruth(groundtruth.stamps[g], groundtruth_rows[g])
-        evaluator.add_estimate(estimate.stamps[e], estimate_rows[e])
+        evaluator.add_groundtruth(trajectory(groundtruth.stamps[g], groundtruth_rows[g]))
+        evaluator.add_estimate(trajectory(estimate.stamps[e], estimate_rows[e]))
         evaluator.update()
     evaluator.update(at_end=True)
 
@@ -160,6 +160,77 @@ def test_batches_of_any_size_give_the_same_snapshot(seed: int, gauge: Gauge, win
                 assert other == mine
 
 
+def in_order_of_arrival(
+    evaluator: OnlineEvaluator, sides: tuple[Trajectory, Trajectory], arrivals: list[Any]
+) -> None:
+    """Play both sides by their times of arrival, seconds, with ticks of 40 ms."""
+    orders = [np.argsort(times, kind="stable") for times in arrivals]
+    ticks = np.arange(0.0, max(float(times.max()) for times in arrivals) + 0.08, 0.04)
+    cuts = [np.searchsorted(np.sort(times), ticks) for times in arrivals]
+    for tick in range(1, len(ticks)):
+        for side, add, order, cut in zip(
+            sides, (evaluator.add_groundtruth, evaluator.add_estimate), orders, cuts, strict=True
+        ):
+            rows = order[cut[tick - 1] : cut[tick]]
+            if len(rows):
+                add(side[rows])
+        evaluator.update()
+        if tick % 10 == 0:
+            evaluator.snapshot()
+    evaluator.update(at_end=True)
+
+
+@pytest.mark.slow
+@settings(max_examples=10)
+@given(
+    seed=seeds,
+    late_s=st.sampled_from([0.0, 0.15, 2.0]),
+    jitter_s=st.sampled_from([0.0, 0.15, 0.6]),
+    burst_s=st.sampled_from([0.0, 1.0]),
+)
+@pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.SE3])
+def test_late_disordered_and_bursty_estimates_give_the_errors_of_the_recording(
+    seed: int, gauge: Gauge, late_s: float, jitter_s: float, burst_s: float
+) -> None:
+    groundtruth, estimate = make_pair(seed, 300)
+    protocol = Protocol(gauge=gauge, lengths=("3m", "2s"))
+    evaluator = OnlineEvaluator(OnlineSettings(protocol, Window.parse("5s")))
+    begin = min(groundtruth.stamps[0], estimate.stamps[0])
+    known, sent = ((side.stamps - begin) / SECOND for side in (groundtruth, estimate))
+    sent = sent + late_s + jitter_s * np.random.default_rng(seed).random(len(sent))
+    arrivals = [
+        np.ceil(times / burst_s) * burst_s if burst_s else times for times in (known, sent)
+    ]
+    in_order_of_arrival(evaluator, (groundtruth, estimate), arrivals)
+    offline, live = evaluate(groundtruth, estimate, protocol), evaluator.snapshot()
+    assert live.pairs == len(offline.association)
+    assert live.dropped == offline.association.dropped
+    position = offline.ate["position_m"]
+    assert position is not None
+    assert live.position_rmse_m == pytest.approx(position.rmse, rel=1e-12)
+    if jitter_s:
+        return  # coverage and relative errors so far leave out what is late
+    assert live.coverage == offline.association.coverage
+    for segment in offline.relative or ():
+        running, mean = live.relative[str(segment.length)], segment.statistics["position_m"]
+        assert running.count == segment.count
+        if mean is not None:
+            assert running.position_m == pytest.approx(mean.mean, rel=1e-12)
+
+
+def test_a_part_of_a_trajectory_does_not_count_what_the_whole_dropped() -> None:
+    groundtruth, estimate = make_pair(3, 60)
+    positions = estimate.positions.copy()
+    positions[7] = np.nan
+    read = Trajectory.from_columns(estimate.stamps, positions, estimate.quaternions)
+    evaluator = OnlineEvaluator()
+    evaluator.add_groundtruth(groundtruth)
+    for begin in range(0, len(read), 10):
+        evaluator.add_estimate(read[begin : begin + 10])
+    evaluator.update(at_end=True)
+    assert "not_finite" not in evaluator.snapshot().dropped
+
+
 @given(seed=seeds)
 def test_order_of_arrival_within_the_buffer_changes_no_pair(seed: int) -> None:
     random = np.random.default_rng(seed)
@@ -173,7 +244,7 @@ def test_order_of_arrival_within_the_buffer_changes_no_pair(seed: int) -> None:
         order = random.permutation(len(source))
         rows = rows_of(source)
         for piece in np.array_split(np.concatenate([order, order[:20]]), 7):
-            add(source.stamps[piece], rows[piece])
+            add(trajectory(source.stamps[piece], rows[piece]))
     evaluator.update(at_end=True)
     expected = evaluate(groundtruth, estimate, PROTOCOLS["default"]).association
     pairs = evaluator.association()
@@ -191,9 +262,9 @@ def test_groundtruth_that_starts_late_ends_early_or_pauses_is_never_made_up() ->
     )
     linear = Protocol(gauge=Gauge.YAW, association="linear")
     evaluator = OnlineEvaluator(OnlineSettings(linear))
-    evaluator.add_estimate(stamps + 1, states(path))
+    evaluator.add_estimate(trajectory(stamps + 1, states(path)))
     evaluator.update()
-    evaluator.add_groundtruth(stamps[keep], states(path[keep]))
+    evaluator.add_groundtruth(trajectory(stamps[keep], states(path[keep])))
     evaluator.update(at_end=True)
     groundtruth, estimate = Trajectory(stamps[keep], path[keep]), Trajectory(stamps + 1, path)
     expected = evaluate(groundtruth, estimate, linear).association
@@ -204,16 +275,17 @@ def test_groundtruth_that_starts_late_ends_early_or_pauses_is_never_made_up() ->
 
 
 def test_a_bag_that_is_played_twice_has_the_groundtruth_of_one() -> None:
-    buffer = DensePairing()
+    buffer = Pairing()
     stamps = (np.arange(3000) * SECOND // 50).astype(np.int64)
     rows = states(np.column_stack([0.02 * np.arange(3000), np.zeros((3000, 2))]))
     told = []
     for _ in range(2):
         for part in np.array_split(np.arange(3000), 600):
-            buffer.add_groundtruth(stamps[part], rows[part])
-            buffer.add_estimate(stamps[part], rows[part])
+            buffer.add_groundtruth(trajectory(stamps[part], rows[part]))
+            buffer.add_estimate(trajectory(stamps[part], rows[part]))
             buffer.made()
             buffer.settle()
+            buffer.forget()
         told.append((buffer.groundtruth_path_m, buffer.groundtruth_time, buffer.groundtruth_count))
     assert told[0] == (pytest.approx(59.98), int(stamps[-1]), 3000)
     assert told[1] == told[0]
@@ -223,15 +295,17 @@ def test_a_bag_that_is_played_twice_has_the_groundtruth_of_one() -> None:
 
 
 def test_a_late_groundtruth_state_adds_no_path() -> None:
-    buffer = DensePairing(limits=BufferLimits(past_s=1.0))
+    buffer = Pairing(limits=BufferLimits(past_s=1.0))
     stamps = (np.arange(500) * SECOND // 50).astype(np.int64)
     rows = states(np.column_stack([0.02 * np.arange(500), np.zeros((500, 2))]))
-    buffer.add_groundtruth(stamps, rows)
+    buffer.add_groundtruth(trajectory(stamps, rows))
     buffer.made()
     buffer.settle()
-    buffer.add_groundtruth(stamps[:400] + 1, rows[:400])
+    buffer.forget()
+    buffer.add_groundtruth(trajectory(stamps[:400] + 1, rows[:400]))
     buffer.made()
     buffer.settle()
+    buffer.forget()
     assert buffer.groundtruth_path_m == pytest.approx(0.02 * 499)
     assert buffer.groundtruth_time == stamps[-1]
     assert buffer.groundtruth_counts.dropped == {"too_late": 400}
@@ -244,8 +318,11 @@ def test_states_that_are_no_poses_are_counted_by_reason() -> None:
     positions[1, 0] = np.nan
     quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (4, 1))
     quaternions[2] = 0.0
-    evaluator.add_groundtruth(stamps, states(np.zeros((4, 3)), quaternions[[0, 0, 0, 0]]))
-    evaluator.add_estimate(stamps, states(positions, quaternions))
+    evaluator.add_groundtruth(
+        trajectory(stamps, states(np.zeros((4, 3)), quaternions[[0, 0, 0, 0]]))
+    )
+    block = trajectory(stamps, states(positions, quaternions))
+    evaluator.add_estimate(block, block.reading.dropped)
     evaluator.update(at_end=True)
     assert evaluator.snapshot().pairs == 2
     assert evaluator.snapshot().dropped == {"not_finite": 1, "zero_quaternion": 1}
@@ -275,8 +352,8 @@ def test_standing_still_is_warming_up() -> None:
     stamps = (np.arange(100) * SECOND // 20).astype(np.int64)
     still = np.random.default_rng(0).normal(scale=1e-3, size=(100, 3))
     evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge=Gauge.SE3), freeze=True))
-    evaluator.add_groundtruth(stamps, states(np.zeros((100, 3))))
-    evaluator.add_estimate(stamps, states(still))
+    evaluator.add_groundtruth(trajectory(stamps, states(np.zeros((100, 3)))))
+    evaluator.add_estimate(trajectory(stamps, states(still)))
     evaluator.update()
     assert "do not determine" in evaluator.snapshot().warming_up
 
@@ -309,7 +386,8 @@ def test_a_velocity_that_is_none_leaves_the_pose(value: float) -> None:
     velocities = estimate.velocities.copy()
     velocities[20, 1] = value
     evaluator = OnlineEvaluator()
-    wild = Trajectory(estimate.stamps, estimate.positions, estimate.quaternions, velocities)
+    columns = estimate.stamps, estimate.positions, estimate.quaternions
+    wild = Trajectory.from_columns(*columns, velocities=velocities)
     feed(evaluator, groundtruth, wild)
     ate = evaluator.snapshot().ate
     assert ate["velocity_mps"] is None
@@ -318,6 +396,17 @@ def test_a_velocity_that_is_none_leaves_the_pose(value: float) -> None:
     assert expected.ate["position_m"] is not None
     assert ate["position_m"].count == expected.ate["position_m"].count
     assert ate["position_m"].rmse == pytest.approx(expected.ate["position_m"].rmse)
+
+
+@pytest.mark.parametrize("column", ["positions", "velocities"])
+def test_blocks_with_numbers_that_are_not_finite_are_refused(column: str) -> None:
+    groundtruth, _ = make_pair(3, 60)
+    numbers = getattr(groundtruth, column).copy()
+    numbers[20, 1] = np.nan
+    wild = dataclasses.replace(groundtruth, **{column: numbers})
+    for add in (OnlineEvaluator().add_groundtruth, OnlineEvaluator().add_estimate):
+        with pytest.raises(InputError, match=f"{column} that are not finite.*from_columns"):
+            add(wild)
 
 
 def test_live_lengths_in_seconds_end_where_offline_ones_do() -> None:
@@ -344,8 +433,8 @@ def test_the_last_pair_ends_sub_trajectories_if_no_other_follows() -> None:
     truth = dataclasses.replace(truth, positions=places)
     protocol = Protocol(gauge=Gauge.NONE, lengths=("5m", "2m"))
     evaluator = OnlineEvaluator(OnlineSettings(protocol))
-    evaluator.add_groundtruth(truth.stamps, rows_of(truth))
-    evaluator.add_estimate(truth.stamps, rows_of(truth))
+    evaluator.add_groundtruth(trajectory(truth.stamps, rows_of(truth)))
+    evaluator.add_estimate(trajectory(truth.stamps, rows_of(truth)))
     evaluator.update()
     counts = {key: each.count for key, each in evaluator.snapshot().relative.items()}
     evaluator.update(at_end=True)

@@ -12,10 +12,12 @@ from strategies import make_estimate, make_groundtruth, seeds
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Similarity
-from trajeval_ros.geometry.up_axis import UP_AXES, Z_UP, UpAxis
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.up_axis import UP_AXES, UpAxis
 from trajeval_ros.metrics.absolute_errors import absolute_errors
+from trajeval_ros.metrics.premises import Doubts, Premise
 from trajeval_ros.online.pair_errors import PairErrors
-from trajeval_ros.online.state_rows import Pairs, states
+from trajeval_ros.online.pairing import PairedStates
 
 
 def lengths(vectors: np.ndarray | None) -> np.ndarray:
@@ -32,8 +34,8 @@ def test_vectors_are_as_long_as_the_offline_errors(seed: int, axis: str) -> None
     turn = lie.to_matrix(lie.from_rotation_vector(np.array([0.1, -0.2, 0.3])))
     alignment = Similarity(turn, np.array([1.0, 2.0, 3.0]), 1.1)
     expected = absolute_errors(groundtruth, alignment.trajectory(estimate))
-    rows = [states(e.positions, e.quaternions, e.velocities) for e in (groundtruth, estimate)]
-    found = PairErrors(Pairs(groundtruth.stamps, *rows), alignment, up, rotation=True)
+    estimate = dataclasses.replace(estimate, stamps=groundtruth.stamps)
+    found = PairErrors(PairedStates(groundtruth, estimate), alignment, Doubts())
     near = {"rtol": 1e-9, "atol": 1e-9}
     np.testing.assert_allclose(lengths(found.position), expected.position_m, **near)
     np.testing.assert_allclose(lengths(found.along_cross_vertical), expected.position_m, **near)
@@ -53,10 +55,11 @@ def test_vectors_are_as_long_as_the_offline_errors(seed: int, axis: str) -> None
 
 def test_along_is_where_the_body_heads() -> None:
     turned = lie.from_rotation_vector(np.array([[0.0, 0.0, np.pi / 2.0]]))  # faces y
-    groundtruth = states(np.array([[1.0, 2.0, 3.0]]), turned)
-    estimate = states(np.array([[1.0, 1.5, 2.9]]), turned)  # half a metre behind, and below
-    pairs = Pairs(np.array([5]), groundtruth, estimate)
-    found = PairErrors(pairs, Similarity.identity(), Z_UP, rotation=True)
+    groundtruth = Trajectory(np.array([5]), np.array([[1.0, 2.0, 3.0]]), turned)
+    # Half a metre behind, and below.
+    estimate = dataclasses.replace(groundtruth, positions=np.array([[1.0, 1.5, 2.9]]))
+    pairs = PairedStates(groundtruth, estimate)
+    found = PairErrors(pairs, Similarity.identity(), Doubts())
     assert found.along_cross_vertical is not None
     assert found.along_cross_vertical[0] == pytest.approx([0.5, 0.0, 0.1], abs=1e-12)
     assert found.velocity is None  # nobody measures one
@@ -66,15 +69,16 @@ def test_what_is_not_measured_or_not_determined_is_withheld() -> None:
     places = np.ones((4, 3))
     turns = np.tile([0.0, 0.0, 0.0, 1.0], (4, 1))
     moving = np.array([[1.0, 0.0, 0.0]] * 3 + [[0.0, 0.0, 0.0]])
-    full, points = states(places, turns, moving), states(places)
     stamps = np.arange(4)
-    without = PairErrors(Pairs(stamps, points, full), Similarity.identity(), Z_UP, rotation=True)
+    full, points = Trajectory(stamps, places, turns, moving), Trajectory(stamps, places)
+    without = PairErrors(PairedStates(points, full), Similarity.identity(), Doubts())
     assert without.rotation_deg is without.yaw_deg is without.tilt_deg is None
     assert without.rotation_vector_deg is without.attitude_deg is None
     assert without.along_cross_vertical is without.velocity is None
-    opened = PairErrors(Pairs(stamps, full, full), Similarity.identity(), Z_UP, rotation=False)
+    reasons = dict.fromkeys((Premise.ALIGNMENT_ROTATION, Premise.BODY_ROTATION), "a line")
+    opened = PairErrors(PairedStates(full, full), Similarity.identity(), Doubts(reasons))
     assert opened.rotation_deg is opened.attitude_deg is opened.velocity is None
     assert opened.along_cross_vertical is not None
-    both = PairErrors(Pairs(stamps, full, full), Similarity.identity(), Z_UP, rotation=True)
+    both = PairErrors(PairedStates(full, full), Similarity.identity(), Doubts())
     assert both.velocity is not None
     assert np.isnan(both.velocity).any(axis=1).tolist() == [False, False, False, True]

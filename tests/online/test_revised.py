@@ -14,7 +14,8 @@ from trajeval_ros.metrics.association import associate
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import Pairs, states
+from trajeval_ros.online.pairing import PairedStates
+from trajeval_ros.online.state_rows import Pairs, states, trajectory
 from trajeval_ros.online.whole_run import RevisedPath, evaluate_rows
 from trajeval_ros.pipeline.pipeline import evaluate
 
@@ -46,10 +47,10 @@ def test_the_newest_version_is_judged(seed: int, gauge: Gauge) -> None:
     pair = make_pair(seed, 120, smooth=True)
     protocol = Protocol(gauge=gauge, lengths=())
     evaluation = evaluate(pair.groundtruth, pair.estimate, protocol)
-    record: list[Pairs] = []
+    record: list[PairedStates] = []
     evaluator = OnlineEvaluator(OnlineSettings(protocol), record=record.append)
     rows = states(pair.groundtruth.positions, pair.groundtruth.quaternions)
-    evaluator.add_groundtruth(pair.groundtruth.stamps, rows)
+    evaluator.add_groundtruth(trajectory(pair.groundtruth.stamps, rows))
     path = RevisedPath(gauge)
     stamps = pair.estimate.stamps
     final = states(pair.estimate.positions, pair.estimate.quaternions)
@@ -57,10 +58,10 @@ def test_the_newest_version_is_judged(seed: int, gauge: Gauge) -> None:
         earlier = final[:end].copy()
         earlier[:, :3] += 0.3 * (end < len(stamps))  # the last version corrects the others
         new = path.renew(stamps[:end], earlier)
-        evaluator.add_estimate(stamps[:end][new], earlier[new])
+        evaluator.add_estimate(trajectory(stamps[:end][new], earlier[new]))
     evaluator.update(at_end=True)
-    for each in record:
-        path.record(each)
+    for pairs in record:
+        path.record(pairs.rows)
     expected = evaluation.ate["position_m"]
     assert expected is not None
     assert rmse_m(path, gauge) == pytest.approx(expected.rmse, rel=1e-9)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 from types import SimpleNamespace
 from typing import Any
 from unittest import mock
@@ -14,18 +16,18 @@ from live_feeding import rows_of
 from numpy.typing import NDArray
 from strategies import make_element, make_groundtruth, seeds
 
-from trajeval_ros import Gauge, Protocol
+from trajeval_ros import Gauge, Protocol, Trajectory, evaluate
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.metrics.alignment import Alignment
-from trajeval_ros.metrics.coverage import time_without_gaps, waypoints
+from trajeval_ros.metrics.coverage import StampedPoses, time_without_gaps, waypoints
 from trajeval_ros.online import live_alignment
-from trajeval_ros.online.dense_pairing import DensePairing, WaypointStream
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_alignment import LiveAlignment
+from trajeval_ros.online.live_coverage import LiveCoverage
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.sparse_pairing import SparsePairing
+from trajeval_ros.online.pairing import PairedStates, Pairing
 from trajeval_ros.online.state_buffer import BufferLimits
-from trajeval_ros.online.state_rows import Pairs, states
+from trajeval_ros.online.state_rows import states, trajectory
 
 Array = NDArray[Any]
 SECOND = 10**9
@@ -39,33 +41,36 @@ def uneven(seed: int, count: int) -> Array:
     return np.cumsum(steps).astype(np.int64)
 
 
-@given(seed=seeds, cuts=st.lists(st.integers(1, 79), max_size=8).map(sorted))
-def test_waypoints_of_a_stream_are_those_of_the_whole(seed: int, cuts: list[int]) -> None:
+@given(
+    seed=seeds,
+    cuts=st.lists(st.integers(1, 79), max_size=8).map(sorted),
+    past_s=st.sampled_from([0.1, 2.0]),
+    silent=st.booleans(),
+)
+def test_waypoints_of_a_stream_are_those_of_the_whole(
+    seed: int, cuts: list[int], past_s: float, *, silent: bool
+) -> None:
+    """Each is recorded once, also if groundtruth is forgotten while no estimate arrives."""
     stamps = uneven(seed, 80)
-    rows = np.repeat(stamps[:, None].astype(float), 10, axis=1)
-    stream, found, poses = WaypointStream(MAX_GAP_NS), [], []
-    assert stream.newest == np.iinfo(np.int64).min
-    for end in [*cuts, 80]:
-        begin = max(end - 30, 0)  # older states may be forgotten
-        if begin and int(stamps[begin]) > stream.newest:
-            begin = int(stamps.searchsorted(stream.newest))
-        stream.pass_by(stamps[begin:end], rows[begin:end], end)
-        picked = stream.take()
-        found += picked.stamps.tolist()
-        poses += picked.poses[:, 0].tolist()
-        assert stream.newest == (stamps[end - 2] if end > 1 else np.iinfo(np.int64).min)
+    rows = states(stamps[:, None].astype(float) * np.ones(3))
+    pairing, found = Pairing(limits=BufferLimits(past_s)), list[StampedPoses]()
+    coverage = LiveCoverage(pairing, found.append)
+    none = StampedPoses.joined([])
+    for begin, end in itertools.pairwise([0, *cuts, 80]):
+        pairing.add_groundtruth(trajectory(stamps[begin:end], rows[begin:end]))
+        pairs = none
+        if not silent or end == 80:
+            pairing.add_estimate(trajectory(stamps[end - 1 : end], rows[end - 1 : end]))
+            if (made := pairing.made()) is not None:
+                pairs = StampedPoses.of(made.groundtruth, np.arange(len(made)))
+            pairing.settle()
+        coverage.measure(pairs, pairs)
+        pairing.forget()
+        assert pairing.groundtruth_count == end
+    joined = StampedPoses.joined(found)
     expected = stamps[waypoints(stamps, MAX_GAP_NS)]
-    assert found == expected[expected < stamps[-1]].tolist()
-    assert poses == [float(each) for each in found]
-    assert not len(stream.take().stamps)
-    # Up to a row, and no state twice.
-    part = WaypointStream(MAX_GAP_NS)
-    part.pass_by(stamps, rows, 40)
-    first = part.take().stamps
-    assert first.tolist() == expected[expected < stamps[40]].tolist()
-    part.pass_by(stamps, rows, 40)
-    part.pass_by(stamps, rows, 20)
-    assert not len(part.take().stamps)
+    assert joined.stamps.tolist() == expected[expected < stamps[-1]].tolist()
+    assert joined.poses[:, 0].tolist() == [float(stamp) for stamp in joined.stamps]
 
 
 @settings(max_examples=12)
@@ -74,13 +79,14 @@ def test_what_is_forgotten_stays_in_the_sums(seed: int, past_s: float, size: int
     rng = np.random.default_rng(seed)
     stamps = uneven(seed, 120)
     truth = states(rng.normal(size=(120, 3)))
-    pairing = DensePairing(limits=BufferLimits(past_s))
+    pairing = Pairing(limits=BufferLimits(past_s))
     for begin in range(0, 120, size):
         rows = slice(begin, begin + size)
-        pairing.add_groundtruth(stamps[rows], truth[rows])
-        pairing.add_estimate(stamps[rows] - 1, truth[rows])
+        pairing.add_groundtruth(trajectory(stamps[rows], truth[rows]))
+        pairing.add_estimate(trajectory(stamps[rows] - 1, truth[rows]))
         pairing.made()
         pairing.settle()
+        pairing.forget()
         end = min(begin + size, 120)
         assert pairing.groundtruth_count == end
         assert pairing.groundtruth_time == time_without_gaps(stamps[:end], MAX_GAP_NS)
@@ -88,9 +94,9 @@ def test_what_is_forgotten_stays_in_the_sums(seed: int, past_s: float, size: int
         assert pairing.groundtruth_path_m == pytest.approx(steps.sum(), rel=1e-12)
         assert pairing.estimate_count == end
         if np.isinf(past_s):
-            assert len(pairing._track) == end
+            assert len(pairing.groundtruth) == end
         else:
-            held = pairing.newest_groundtruth[0]
+            held = pairing.groundtruth.stamps
             # One state before the horizon is kept, for the interpolation.
             horizon = stamps[end - 1] - round(past_s * SECOND)
             assert held[0] <= max(horizon, stamps[0])
@@ -103,15 +109,18 @@ def test_points_have_a_path_and_a_time_of_their_own(seed: int, size: int) -> Non
     rng = np.random.default_rng(seed)
     stamps = uneven(seed, 60)
     points, estimate = states(rng.normal(size=(60, 3))), states(rng.normal(size=(60, 3)))
-    pairing, missing, count = SparsePairing(limits=BufferLimits(2.0)), 0, 0
+    pairing, missing, count = Pairing(limits=BufferLimits(2.0), at_groundtruth=True), 0, 0
     for begin in range(0, 60, size):
         rows = slice(begin, begin + size)
-        pairing.add_groundtruth(stamps[rows], points[rows])
-        pairing.add_estimate(stamps[rows] + 3, estimate[rows])
+        pairing.add_groundtruth(trajectory(stamps[rows], points[rows]))
+        pairing.add_estimate(trajectory(stamps[rows] + 3, estimate[rows]))
         pairs = pairing.made(at_end=begin + size >= 60)
         pairing.settle()
-        count += len(pairs.stamps)
-        missing += len(pairing.take_waypoints().stamps)
+        decided = np.concatenate([[], *(part.paired for part in pairing.take_decided())])
+        assert np.count_nonzero(decided) == (0 if pairs is None else len(pairs))
+        count += np.count_nonzero(decided)
+        missing += np.count_nonzero(decided == 0)
+        pairing.forget()
         done = pairing.groundtruth_count
         assert done == count + missing
         assert pairing.groundtruth_time == (stamps[done - 1] - stamps[0] if done else 0)
@@ -121,13 +130,18 @@ def test_points_have_a_path_and_a_time_of_their_own(seed: int, size: int) -> Non
     assert pairing.groundtruth_count == 60
 
 
-def pairs_of(seed: int, count: int) -> Pairs:
+def sides_of(pairs: PairedStates) -> tuple[Trajectory, Trajectory]:
+    return pairs.groundtruth, pairs.estimate
+
+
+def pairs_of(seed: int, count: int) -> PairedStates:
     """Return pairs of a motion and of a noisy estimate of it in another frame."""
     groundtruth = make_groundtruth(seed, count)
     estimate = make_element(Gauge.SIM3, seed).trajectory(groundtruth)
     noise = 0.02 * np.random.default_rng(seed).normal(size=(count, 3))
     rows = states(estimate.positions + noise, estimate.quaternions)
-    return Pairs(groundtruth.stamps, rows_of(groundtruth), rows)
+    groundtruth = trajectory(groundtruth.stamps, rows_of(groundtruth))
+    return PairedStates(groundtruth, trajectory(groundtruth.stamps, rows))
 
 
 @pytest.mark.parametrize(
@@ -156,10 +170,10 @@ def test_an_alignment_is_frozen_below_a_degree(std_deg: float | None, *, is_kept
 def test_the_first_states_alone_align_however_they_come(seed: int, size: int, first: int) -> None:
     pairs = pairs_of(seed, 80)
     expected = LiveAlignment(Protocol(gauge=Gauge.SIM3), freezes=False)
-    expected.add(pairs.picked(slice(0, first)))
+    expected.add(pairs.part(slice(0, first)))
     aligning = LiveAlignment(Protocol(gauge=Gauge.SIM3, align_states=first), freezes=False)
     for begin in range(0, 80, size):
-        aligning.add(pairs.picked(slice(begin, begin + size)))
+        aligning.add(pairs.part(slice(begin, begin + size)))
         seen = min(begin + size, 80)
         assert aligning.is_kept == (seen >= first)
         assert int(aligning.whole.weight) == seen
@@ -173,8 +187,8 @@ def test_the_first_states_alone_align_however_they_come(seed: int, size: int, fi
     np.testing.assert_allclose(one.rotation, other.rotation, atol=1e-7)
     assert one.scale == pytest.approx(other.scale, rel=1e-7)
     # The errors of all pairs, by the sums about the first pair.
-    aligned = other.positions(pairs.estimate[:, :3])
-    rmse = np.sqrt(((pairs.groundtruth[:, :3] - aligned) ** 2).sum(axis=1).mean())
+    aligned = other.positions(pairs.estimate.positions)
+    rmse = np.sqrt(((pairs.groundtruth.positions - aligned) ** 2).sum(axis=1).mean())
     assert aligning.rmse(aligning.whole) == pytest.approx(rmse, rel=1e-9)
 
 
@@ -183,8 +197,8 @@ def test_before_the_first_alignment_there_are_no_errors() -> None:
     assert aligning.why_not == "no pairs yet"
     assert aligning.rmse(aligning.whole) is None
     pairs = pairs_of(2, 20)
-    points = pairs._replace(estimate=pairs.estimate.copy())
-    points.estimate[:, 3:7] = np.nan
+    bare = dataclasses.replace(pairs.estimate, quaternions=None)
+    points = PairedStates(pairs.groundtruth, bare)
     by_poses = LiveAlignment(Protocol(gauge=Gauge.SE3, align_with="poses"), freezes=False)
     by_poses.add(points)
     assert by_poses.found is None
@@ -201,24 +215,28 @@ def test_before_the_first_alignment_there_are_no_errors() -> None:
     assert by_one.is_kept
     assert by_one.why_not == ""
     assert by_one.found is not None
-    at_first = by_one.found.similarity.positions(pairs.estimate[:1, :3])
-    np.testing.assert_allclose(at_first, pairs.groundtruth[:1, :3], atol=1e-9)
+    at_first = by_one.found.similarity.positions(pairs.estimate.positions[:1])
+    np.testing.assert_allclose(at_first, pairs.groundtruth.positions[:1], atol=1e-9)
 
 
-def test_pairs_out_of_order_are_recorded_and_not_evaluated() -> None:
-    record: list[Pairs] = []
+def test_late_pairs_are_evaluated() -> None:
+    record: list[PairedStates] = []
     evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge=Gauge.SE3)), record.append)
     pairs = pairs_of(3, 40)
-    evaluator.add_groundtruth(pairs.stamps, pairs.groundtruth)
-    evaluator.evaluate(pairs.picked(slice(10, 30)))
-    late = pairs.picked(np.r_[5:10, 29:35])
-    evaluator.evaluate(late)
+    evaluator.add_groundtruth(pairs.groundtruth)
+    evaluator.evaluate(pairs.part(slice(10, 30)))
+    evaluator.snapshot()
+    evaluator.evaluate(pairs.part(slice(5, 10)))
+    evaluator.evaluate(pairs.part(slice(30, 35)))
     snapshot = evaluator.snapshot()
-    assert [len(each.stamps) for each in record] == [20, 11]
-    assert (evaluator.pairs, snapshot.pairs) == (31, 25)
-    assert snapshot.dropped == {"out_of_order": 6}
+    assert [len(each) for each in record] == [20, 5, 5]
+    assert evaluator.pairs == snapshot.pairs == snapshot.window_pairs == 30
+    assert snapshot.dropped == {}
     assert snapshot.stamp == pairs.stamps[34]
-    assert evaluator.evaluate(pairs.picked(slice(0, 0))).pairs == 0
+    whole = evaluate(*sides_of(pairs.part(slice(5, 35))), Protocol(gauge=Gauge.SE3))
+    assert whole.ate["position_m"] is not None
+    assert snapshot.position_rmse_m == pytest.approx(whole.ate["position_m"].rmse, rel=1e-12)
+    assert evaluator.evaluate(None).pairs == 0
 
 
 @settings(max_examples=20)
@@ -228,23 +246,22 @@ def test_states_that_come_late_are_put_where_they_belong(seed: int, past: int) -
     rng = np.random.default_rng(seed)
     order = rng.permutation(60)
     stamps = np.arange(60) * SECOND
-    rows = np.repeat(stamps[:, None].astype(float), 10, axis=1)
-    pairing = DensePairing(1.0, BufferLimits(float(past)))
+    rows = states(stamps[:, None].astype(float) * np.ones(3))
+    pairing = Pairing(1.0, BufferLimits(float(past)))
     first = np.sort(order[:30])
-    pairing.add_groundtruth(stamps[first], rows[first])
-    pairing.made()
-    pairing.settle()
-    oldest = int(pairing.newest_groundtruth[0][0])
+    pairing.add_groundtruth(trajectory(stamps[first], rows[first]))
+    pairing.forget()
+    oldest = int(pairing.groundtruth.stamps[0])
     late, repeated = order[30:], first[-3:]
     batch = np.concatenate([late, repeated])
-    pairing.add_groundtruth(stamps[batch], rows[batch])
+    pairing.add_groundtruth(trajectory(stamps[batch], rows[batch]))
     everything = {*first.tolist(), *late.tolist()}
     if oldest > stamps[first[0]]:
         everything -= set(range(oldest // SECOND))
     kept = sorted(everything)
-    held, found = pairing.newest_groundtruth
-    assert held.tolist() == [each * SECOND for each in kept]
-    np.testing.assert_array_equal(found[:, 0], held)
+    found = pairing.groundtruth.trajectory()
+    assert found.stamps.tolist() == [each * SECOND for each in kept]
+    np.testing.assert_array_equal(found.positions[:, 0], found.stamps)
     # Before something was forgotten, any state can be added.
     are_old = (stamps[batch] < oldest) & (oldest > stamps[first[0]])
     dropped = pairing.groundtruth_counts.dropped

@@ -14,7 +14,7 @@ from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.evaluation import Evaluation, evaluate_pairs
-from trajeval_ros.online.state_rows import states
+from trajeval_ros.online.state_rows import states, trajectory
 
 FLIGHT = simulate(seed=5, duration_s=30.0)
 LEVER = (0.3, -0.1, 0.5)
@@ -45,7 +45,7 @@ def live(
             own = [row for _, of, row in events[begin : begin + chunk] if of == side]
             add = (evaluator.add_groundtruth, evaluator.add_estimate)[side]
             if own:
-                add(stamps[side][own], rows[side][own])
+                add(trajectory(stamps[side][own], rows[side][own]))
         evaluator.update()
     evaluator.update(at_end=True)
     return evaluator
@@ -100,10 +100,12 @@ def test_poses_are_paired_at_the_estimate_s_stamps_as_before() -> None:
     evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge="yaw")))
     groundtruth = FLIGHT.groundtruth
     evaluator.add_groundtruth(
-        groundtruth.stamps, states(groundtruth.positions, groundtruth.quaternions)
+        trajectory(groundtruth.stamps, states(groundtruth.positions, groundtruth.quaternions))
     )
     estimate = FLIGHT.estimate
-    evaluator.add_estimate(estimate.stamps, states(estimate.positions, estimate.quaternions))
+    evaluator.add_estimate(
+        trajectory(estimate.stamps, states(estimate.positions, estimate.quaternions))
+    )
     evaluator.update(at_end=True)
     assert evaluator.association().rule.method == "linear"
 
@@ -112,10 +114,10 @@ def test_estimates_that_came_before_any_fix_are_kept() -> None:
     evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge="yaw")))
     estimate, groundtruth = FLIGHT.estimate, points()
     rows = states(estimate.positions, estimate.quaternions)
-    evaluator.add_estimate(estimate.stamps, rows)
-    evaluator.add_estimate(estimate.stamps[-3:], rows[-3:])  # again
+    evaluator.add_estimate(trajectory(estimate.stamps, rows))
+    evaluator.add_estimate(trajectory(estimate.stamps[-3:], rows[-3:]))  # again
     evaluator.update()
-    evaluator.add_groundtruth(groundtruth.stamps, states(groundtruth.positions))
+    evaluator.add_groundtruth(trajectory(groundtruth.stamps, states(groundtruth.positions)))
     evaluator.update(at_end=True)
     offline = evaluate(groundtruth, estimate, Protocol(gauge="yaw"))
     assert evaluator.pairs == len(offline.association)
@@ -125,11 +127,15 @@ def test_estimates_that_came_before_any_fix_are_kept() -> None:
 def test_a_fix_that_comes_when_the_estimate_is_forgotten_is_too_late() -> None:
     evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge="yaw")))
     estimate, groundtruth = FLIGHT.estimate, points()
-    evaluator.add_groundtruth(groundtruth.stamps[-1:], states(groundtruth.positions[-1:]))
+    evaluator.add_groundtruth(
+        trajectory(groundtruth.stamps[-1:], states(groundtruth.positions[-1:]))
+    )
     rows = states(estimate.positions, estimate.quaternions)
-    evaluator.add_estimate(estimate.stamps, rows)
+    evaluator.add_estimate(trajectory(estimate.stamps, rows))
     evaluator.update()
-    evaluator.add_groundtruth(groundtruth.stamps[5:10], states(groundtruth.positions[5:10]))
+    evaluator.add_groundtruth(
+        trajectory(groundtruth.stamps[5:10], states(groundtruth.positions[5:10]))
+    )
     evaluator.update(at_end=True)
     assert evaluator.snapshot().dropped["too_late"] == 5
     assert (
@@ -141,9 +147,11 @@ def test_a_fix_that_comes_when_the_estimate_is_forgotten_is_too_late() -> None:
 def test_a_lever_arm_wants_orientations() -> None:
     evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge="yaw", lever_m=LEVER)))
     groundtruth = points()
-    evaluator.add_groundtruth(groundtruth.stamps, states(groundtruth.positions))
+    evaluator.add_groundtruth(trajectory(groundtruth.stamps, states(groundtruth.positions)))
     with pytest.raises(InputError, match="no orientations"):
-        evaluator.add_estimate(FLIGHT.estimate.stamps, states(FLIGHT.estimate.positions))
+        evaluator.add_estimate(
+            trajectory(FLIGHT.estimate.stamps, states(FLIGHT.estimate.positions))
+        )
 
 
 def test_weights_need_the_whole_recording() -> None:

@@ -13,28 +13,25 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from strategies import make_groundtruth, seeds
 
-from trajeval_ros.exceptions import InputError
-from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.frame_axes import upright
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.geometry.up_axis import UP_AXES, UpAxis
 from trajeval_ros.geometry.valid_poses import LARGEST
+from trajeval_ros.online.live_frames import in_plane
+from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.state_buffer import (
     NEVER,
     BufferLimits,
-    StateBuffer,
     StateCounts,
-    usable_rows,
+    Tail,
 )
 from trajeval_ros.online.state_rows import (
     Pairs,
-    all_columns,
     as_wide,
-    on_plane,
     states,
     trajectory,
     turned_covariances,
-    upright_rows,
+    usable_rows,
 )
 from trajeval_ros.online.window import PairStore, Window
 
@@ -53,50 +50,79 @@ def turns_of(trajectory: Trajectory) -> Array:
 
 
 steps = st.one_of(
-    st.tuples(st.just("append"), st.integers(0, 300), st.sampled_from([10, 46])),
-    st.tuples(st.just("drop"), st.integers(0, 300), st.just(0)),
-    st.tuples(st.just("merge"), st.integers(0, 40), st.sampled_from([10, 46])),
+    st.tuples(st.just("append"), st.integers(0, 300)),
+    st.tuples(st.just("drop"), st.integers(0, 300)),
+    st.tuples(st.just("late"), st.integers(0, 40)),
 )
+COLUMNS = ("positions", "velocities", "covariances")
 
 
-@settings(max_examples=20)
-@given(st.lists(steps, max_size=12), st.randoms(use_true_random=False))
-def test_a_buffer_holds_what_a_sorted_list_does(operations: list[Any], random: Any) -> None:
-    buffer, model, width, top = StateBuffer(), dict[int, float](), 10, 0
-    assert buffer.newest == NEVER
-    for kind, count, columns in operations:
+def block_at(stamps: list[int], sign: float, given: set[str]) -> Trajectory:
+    """Return states whose numbers all are the timestamp."""
+    numbers = sign * np.array(stamps, dtype=float).reshape(-1, 1)
+    shapes = {"positions": (3,), "velocities": (3,), "covariances": (6, 6)}
+    columns = {
+        name: np.repeat(numbers, int(np.prod(shape)), axis=1).reshape(-1, *shape)
+        for name, shape in shapes.items()
+        if name == "positions" or name in given
+    }
+    return Trajectory(np.array(stamps, dtype=np.int64), **columns)
+
+
+@settings(max_examples=30)
+@given(
+    st.lists(st.tuples(steps, st.sets(st.sampled_from(COLUMNS[1:]))), max_size=12),
+    st.randoms(use_true_random=False),
+)
+def test_a_tail_holds_what_a_sorted_list_does(operations: list[Any], random: Any) -> None:
+    tail, model, top, dropped = Tail(), dict[int, tuple[float, set[str]]](), 0, 0
+    assert tail.newest == NEVER
+    assert len(tail.trajectory()) == 0
+    for (kind, count), known in operations:
+        before = sorted(model)
         if kind == "drop":
             count = min(count, len(model))
-            buffer.drop(count)
-            for each in sorted(model)[:count]:
-                del model[each]
-        elif kind == "append":
-            stamps = list(range(max(model, default=top) + 1, max(model, default=top) + 1 + count))
-            buffer.append(np.array(stamps, dtype=np.int64), numbered(stamps, columns))
-            model |= {each: each for each in stamps}
-            width = max(width, columns)
+            tail.drop_before(count)
+            dropped += count
+            for stamp in before[:count]:
+                del model[stamp]
         else:
-            stamps = [random.randrange(top, top + 500) for _ in range(count)]
-            again = buffer.merge(np.array(stamps, dtype=np.int64), numbered(stamps, columns, -1))
-            assert again == len(stamps) - len(set(stamps) - model.keys())
-            model |= {each: -each for each in stamps if each not in model}
-            width = max(width, columns)
-        held, rows = buffer.held
-        assert len(buffer) == len(model)
-        assert held.tolist() == sorted(model)
-        assert rows[:, 0].tolist() == [model[each] for each in sorted(model)]
-        np.testing.assert_array_equal(rows[:, :10], rows[:, :1].repeat(10, axis=1))
-        assert rows.shape[1] == width
-        assert buffer.newest == max(model, default=NEVER)
+            sign, begin = 1.0, max(model, default=top) + 1
+            stamps = list(range(begin, begin + count))
+            if kind == "late":
+                sign, stamps = -1.0, [random.randrange(top, top + 500) for _ in range(count)]
+            row, new = tail.add(block_at(stamps, sign, known))
+            assert new == len(set(stamps) - model.keys())
+            assert tail.stamps[:row].tolist() == before[:row]
+            for stamp in stamps:
+                model.setdefault(stamp, (sign * stamp, known))
+        held, found = sorted(model), tail.trajectory()
+        assert tail.stamps.tolist() == found.stamps.tolist() == held
+        assert (len(tail), tail.dropped) == (len(model), dropped)
+        assert tail.newest == max(model, default=NEVER)
+        assert found.positions[:, 1].tolist() == [model[stamp][0] for stamp in held]
+        # A velocity is there if all states have one; an unknown covariance is zero.
+        if len(model):
+            all_known = all("velocities" in known for _, known in model.values())
+            assert (found.velocities is not None) == all_known
+            assert np.array_equal(tail.poses().poses[:, :3], found.positions)
+            one = tail.trajectory(np.array([len(tail) - 1]))
+            value, known = model[held[-1]]
+            assert (one.velocities is not None) == ("velocities" in known)
+            if one.covariances is not None:
+                expected = value if "covariances" in known else 0.0
+                assert (one.covariances == expected).all()
+            else:
+                assert value == 0.0 or "covariances" not in known
 
 
-def test_a_buffer_that_is_refilled_and_drained_stays_small() -> None:
-    buffer = StateBuffer()
+def test_a_tail_that_is_refilled_and_drained_stays_small() -> None:
+    tail = Tail()
     for begin in range(0, 100_000, 100):
-        buffer.append(np.arange(begin, begin + 100), np.zeros((100, 10)))
-        buffer.drop(max(len(buffer) - 120, 0))
-    assert len(buffer.stamps) <= 512
-    assert buffer.held[0].tolist() == list(range(99_880, 100_000))
+        tail.add(block_at(list(range(begin, begin + 100)), 1.0, set()))
+        tail.drop_before(max(len(tail) - 120, 0))
+    assert len(tail._columns["stamps"]) <= 1024
+    assert tail.stamps.tolist() == list(range(99_880, 100_000))
 
 
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), max_size=30))
@@ -114,7 +140,9 @@ def test_states_that_are_no_poses_are_counted_once(faults: list[tuple[bool, bool
     assert dropped == {name: number for name, number in expected.items() if number}
     counts = StateCounts()
     stamps = np.arange(count, dtype=np.int64)[::-1] * 3
-    kept, _ = counts.take(stamps, rows)
+    block = trajectory(stamps, rows)
+    counts.take(block, block.reading.dropped)
+    kept = block.stamps
     assert kept.tolist() == stamps[usable].tolist()
     assert (counts.poses, counts.dropped) == (usable.sum(), dropped)
     if len(kept):
@@ -128,11 +156,9 @@ def test_states_that_are_no_poses_are_counted_once(faults: list[tuple[bool, bool
 )
 def test_a_velocity_beyond_the_largest_is_not_measured(size: float, *, is_valid: bool) -> None:
     rows = states(np.zeros((2, 3)), None, np.array([[0.0, size, 0.0], [1.0, 2.0, 3.0]]))
-    given_rows = rows.copy()
-    _, kept = StateCounts().take(np.arange(2), rows)
-    np.testing.assert_array_equal(rows, given_rows)  # the caller's rows are not changed
-    assert np.isfinite(kept[:, 7:]).all(axis=1).tolist() == [is_valid, True]
-    assert np.isfinite(kept[:, :3]).all()
+    found = trajectory(np.arange(2), rows)
+    assert len(found) == 2
+    assert (found.velocities is not None) == is_valid
 
 
 def test_counts_are_taken_back() -> None:
@@ -180,28 +206,6 @@ def test_rows_become_a_trajectory_and_back(seed: int) -> None:
     assert trajectory(source.stamps, as_wide(rows, 46)).covariances is None
 
 
-@pytest.mark.parametrize("width", [3, 7, 10, 46])
-def test_rows_of_positions_and_poses_are_completed(width: int) -> None:
-    rows = np.random.default_rng(width).normal(size=(5, width))
-    found = all_columns(rows)
-    if width >= 10:
-        assert found is rows
-        return
-    np.testing.assert_array_equal(found[:, :3], rows[:, :3])
-    assert np.isnan(found[:, 7:]).all()
-    if width == 7:
-        unit = rows[:, 3:] / np.linalg.norm(rows[:, 3:], axis=1)[:, None]
-        np.testing.assert_allclose(found[:, 3:7], unit, rtol=1e-15)
-    else:
-        assert np.isnan(found[:, 3:7]).all()
-
-
-@pytest.mark.parametrize("shape", [(5, 4), (5, 9), (5, 11), (5, 45), (5, 47), (10,), (3, 10, 1)])
-def test_rows_of_another_width_are_refused(shape: tuple[int, ...]) -> None:
-    with pytest.raises(InputError, match="rows of 3, 7, 10 or 46 columns"):
-        all_columns(np.zeros(shape))
-
-
 def test_rows_are_widened_with_zeros_and_cut() -> None:
     rows = np.random.default_rng(0).normal(size=(4, 46))
     np.testing.assert_array_equal(as_wide(rows, 10), rows[:, :10])
@@ -229,43 +233,25 @@ def random_rows(seed: int, axis: str) -> tuple[Trajectory, Array]:
     return source, np.hstack([rows, covariances.reshape(12, 36)])
 
 
-@given(seed=seeds, axis=st.sampled_from(sorted(UP_AXES)))
-def test_upright_rows_are_the_upright_trajectory(seed: int, axis: str) -> None:
-    source, rows = random_rows(seed, axis)
-    expected = upright(source)
-    found = trajectory(source.stamps, upright_rows(rows, UpAxis(axis)))
-    for name in ("positions", "velocities", "covariances"):
-        np.testing.assert_allclose(
-            getattr(found, name), getattr(expected, name), rtol=1e-13, atol=1e-12, err_msg=name
-        )
-    between = lie.multiply(lie.conjugate(turns_of(found)), turns_of(expected))
-    assert lie.angle(between).max() < 1e-14
-    np.testing.assert_array_equal(upright_rows(rows[:, :10], UpAxis(axis)).shape, (12, 10))
-
-
 @settings(max_examples=20)
 @given(seed=seeds, axis=st.sampled_from(sorted(UP_AXES)))
 def test_a_state_in_the_plane_has_no_height_and_only_a_heading(seed: int, axis: str) -> None:
-    source, rows = random_rows(seed, axis)
-    up = UpAxis(axis)
-    above = up.matrix[2]
-    rows[3, 3:7] = np.nan
-    found = on_plane(rows, up)
-    for part in (slice(0, 3), slice(7, 10)):
-        np.testing.assert_allclose(found[:, part] @ above, 0.0, atol=1e-15)
-        across = rows[:, part] - np.outer(rows[:, part] @ above, above)
-        np.testing.assert_allclose(found[:, part], across, rtol=1e-14, atol=1e-14)
-    assert np.isnan(found[3, 3:7]).all()
-    turned = np.delete(np.arange(12), 3)
-    rotations = Rotation.from_quat(found[turned, 3:7])
+    source, _ = random_rows(seed, axis)
+    above = UpAxis(axis).matrix[2]
+    found = in_plane(source)
+    assert found.up == source.up
+    np.testing.assert_array_equal(found.covariances, source.covariances)
+    for part in ("positions", "velocities"):
+        flat, vectors = getattr(found, part), getattr(source, part)
+        np.testing.assert_allclose(flat @ above, 0.0, atol=1e-15)
+        across = vectors - np.outer(vectors @ above, above)
+        np.testing.assert_allclose(flat, across, rtol=1e-14, atol=1e-14)
+    rotations = Rotation.from_quat(turns_of(found))
     upwards = rotations.apply([0.0, 0.0, 1.0])  # the body stands upright
-    np.testing.assert_allclose(upwards, np.tile(above, (11, 1)), atol=1e-14)
+    np.testing.assert_allclose(upwards, np.tile(above, (12, 1)), atol=1e-14)
     # What is left is a tilt: the rotation about the vertical nearest to the orientation.
-    rest = rotations.inv() * Rotation.from_quat(turns_of(source)[turned])
+    rest = rotations.inv() * Rotation.from_quat(turns_of(source))
     np.testing.assert_allclose(rest.as_quat()[:, 2], 0.0, atol=1e-13)
-    lost = rows.copy()
-    lost[:, :3] = np.nan
-    assert np.isnan(on_plane(lost, up)[:, :3]).all()
 
 
 @given(seed=seeds)
@@ -308,33 +294,45 @@ def test_pairs_are_picked_and_put_in_order() -> None:
 @settings(max_examples=20)
 @given(
     seed=seeds,
-    batches=st.lists(st.tuples(st.integers(0, 30), st.integers(0, 25)), min_size=1, max_size=8),
-    covariances=st.booleans(),
+    batches=st.lists(st.tuples(st.integers(1, 30), st.integers(1, 25)), min_size=1, max_size=8),
+    late=st.booleans(),
 )
 def test_a_store_has_the_newest_pairs_and_the_path_from_the_start(
-    seed: int, batches: list[tuple[int, int]], *, covariances: bool
+    seed: int, batches: list[tuple[int, int]], *, late: bool
 ) -> None:
+    """A late pair lies on the path; one before the oldest stored pair is left out."""
     rng = np.random.default_rng(seed)
     total = sum(count for count, _ in batches)
     stamps = np.cumsum(rng.integers(1, SECOND, size=total))
-    groundtruth, estimate = rng.normal(size=(total, 10)), rng.normal(size=(total, 46))
-    path = np.zeros(total)
-    path[1:] = np.cumsum(np.linalg.norm(np.diff(groundtruth[:, :3], axis=0), axis=1))
-    store, end, begin = PairStore(covariances=covariances), 0, 0
+    sides = [Trajectory(stamps, rng.normal(size=(total, 3))) for _ in range(2)]
+    order = np.arange(total)
+    if late:  # by up to five pairs
+        order = np.argsort(order + rng.integers(0, 6, size=total), kind="stable")
+    store, end, known = PairStore(), 0, np.empty(0, dtype=int)
+    left = np.zeros(total)  # path of the pairs that were dropped
     for count, keep in batches:
-        rows = slice(end, end + count)
-        store.append(Pairs(stamps[rows], groundtruth[rows], estimate[rows]))
+        new = np.sort(order[end : end + count])
         end += count
-        begin = min(max(begin, end - keep), end)
-        store.drop_before(end - keep)
-        assert (store.begin, store.end, len(store)) == (begin, end, end - begin)
-        for first in (None, begin - 1, begin, begin + 1):
-            rows = slice(max(begin, begin if first is None else first), end)
-            np.testing.assert_array_equal(store.stamps(first), stamps[rows])
-            np.testing.assert_array_equal(store.groundtruth(first), groundtruth[rows])
-            width = 46 if covariances else 10
-            np.testing.assert_array_equal(store.estimate(first), estimate[rows, :width])
-            np.testing.assert_allclose(store.along(first), path[rows], rtol=1e-13)
+        store.add(PairedStates(*(side[new] for side in sides)))
+        if store.begin:
+            new = new[new > known[0]]
+        known = np.sort(np.concatenate([known, new]))
+        store.drop_before(store.end - keep)
+        if len(known) > keep:
+            dropped = travelled_distance(sides[0].positions[known])[-keep]
+            left[known[-keep:]] = dropped + left[known[0]]
+            known = known[-keep:]
+        found = store.pairs(slice(None))
+        assert (len(store), store.end - store.begin) == (len(known), len(known))
+        np.testing.assert_array_equal(store.stamps(), stamps[known])
+        for side, source in zip((found.groundtruth, found.estimate), sides, strict=True):
+            np.testing.assert_array_equal(side.positions, source.positions[known])
+        path = left[known[0]] + travelled_distance(sides[0].positions[known])
+        np.testing.assert_allclose(store.along(), path, rtol=1e-12)
+        for first in (store.begin - 1, store.begin, store.begin + 1):
+            rows = slice(max(first - store.begin, 0), None)
+            np.testing.assert_array_equal(store.stamps(first), stamps[known][rows])
+            np.testing.assert_array_equal(store.along(first), store.along()[rows])
 
 
 @pytest.mark.parametrize(
@@ -361,8 +359,8 @@ def test_a_window_contains_its_border(window: str, first: int) -> None:
     store = PairStore()
     positions = np.zeros((10, 3))
     positions[:, 1] = 0.5 * np.arange(10)
-    rows = states(positions)
-    store.append(Pairs(np.arange(10) * SECOND, rows, rows))
+    side = Trajectory(np.arange(10) * SECOND, positions)
+    store.add(PairedStates(side, side))
     store.drop_before(2)
     assert store.window_begin(Window.parse(window)) == first
     assert PairStore().window_begin(Window.parse(window)) == 0

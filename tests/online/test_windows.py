@@ -19,6 +19,7 @@ from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
+from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.state_rows import Pairs, trajectory
 from trajeval_ros.online.window import Window
 
@@ -27,14 +28,14 @@ from trajeval_ros.online.window import Window
 @pytest.mark.parametrize("gauge", [Gauge.YAW, Gauge.SIM3])
 def test_a_window_has_the_errors_of_its_pairs(window: str, gauge: Gauge) -> None:
     groundtruth, estimate = make_pair(5, 600)
-    record: list[Pairs] = []
+    record: list[PairedStates] = []
     evaluator = OnlineEvaluator(
         OnlineSettings(Protocol(gauge=gauge), Window.parse(window)),
         record.append,
     )
     feed(evaluator, groundtruth, estimate)
     snapshot = evaluator.snapshot()
-    all_pairs = Pairs(*(np.concatenate(column) for column in zip(*record, strict=True)))
+    all_pairs = Pairs.in_order([pairs.rows for pairs in record])
     stamps = all_pairs.stamps
     along = trajectory(stamps, all_pairs.groundtruth).travelled
     inside = {
@@ -98,8 +99,8 @@ def test_a_window_longer_than_any_run_is_refused(text: str) -> None:
 def test_the_longest_window_is_the_whole_run(unit: str) -> None:
     evaluator = OnlineEvaluator(OnlineSettings(window=Window.parse(f"1000000000{unit}")))
     groundtruth, estimate = make_pair(1, 200)
-    evaluator.add_groundtruth(groundtruth.stamps, rows_of(groundtruth))
-    evaluator.add_estimate(estimate.stamps, rows_of(estimate))
+    evaluator.add_groundtruth(trajectory(groundtruth.stamps, rows_of(groundtruth)))
+    evaluator.add_estimate(trajectory(estimate.stamps, rows_of(estimate)))
     evaluator.update(at_end=True)
     assert evaluator.snapshot().window_pairs == evaluator.pairs > 90
 

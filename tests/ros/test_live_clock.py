@@ -21,7 +21,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.online.live_clock import FIRST_S, ClockReport, OnlineClock
 from trajeval_ros.online.state_buffer import BufferLimits
-from trajeval_ros.online.state_rows import states
+from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.ros.live_estimate import DecodedMessages
 from trajeval_ros.ros.poses import StateColumns
 from trajeval_ros.ros.start_decision import HeldMessages
@@ -37,7 +37,7 @@ def fed(
         for side, add in ((groundtruth, clock.add_groundtruth), (estimate, clock.add_estimate)):
             now = side[(side.stamps >= begin) & (side.stamps < begin + batch)]
             if len(now):
-                add(now.stamps, states(now.positions, now.quaternions))
+                add(trajectory(now.stamps, states(now.positions, now.quaternions)))
         clock.update()
 
 
@@ -126,8 +126,8 @@ def test_memory_and_work_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     stamps = np.arange(0, 7200 * 10, dtype=np.int64) * 100_000_000 + 1
     rows = states(np.random.default_rng(0).normal(size=(len(stamps), 3)))
     for part in np.split(np.arange(len(stamps)), 720):
-        clock.add_groundtruth(stamps[part], rows[part])
-        clock.add_estimate(stamps[part], rows[part])
+        clock.add_groundtruth(trajectory(stamps[part], rows[part]))
+        clock.add_estimate(trajectory(stamps[part], rows[part]))
         clock.update()
     held = [len(clock._groundtruth), len(clock._estimate)]
     assert max(held) <= 6001
@@ -176,8 +176,8 @@ def test_late_and_odd_states_do_no_harm() -> None:
     fed(clock, groundtruth, estimate)
     before = clock.report
     nowhere = states(np.full((2, 3), np.nan), np.zeros((2, 4)))
-    clock.add_estimate(estimate.stamps[:2], nowhere)
-    clock.add_groundtruth(groundtruth.stamps[-1:] + 10**9, nowhere[:1])
+    clock.add_estimate(trajectory(estimate.stamps[:2], nowhere))
+    clock.add_groundtruth(trajectory(groundtruth.stamps[-1:] + 10**9, nowhere[:1]))
     clock.update(at_end=True)
     assert clock.report.offset_s is not None
     assert clock.report.offset_s == pytest.approx(before.offset_s, abs=1e-3)

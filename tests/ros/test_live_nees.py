@@ -39,7 +39,7 @@ from trajeval_ros.online.alarms import LIMITED_QUANTITIES, AlarmLimits, Peaks, a
 from trajeval_ros.online.error_topics import PROTECTION_LEVELS, integrity_numbers
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states
+from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.ros.diagnostics import about_integrity
 
 
@@ -114,12 +114,12 @@ def test_live_integrity_is_that_of_the_bag_and_tells_of_hazards(tmp_path: Path) 
         )
     )
     evaluator.add_groundtruth(
-        groundtruth.stamps, states(groundtruth.positions, groundtruth.quaternions)
+        trajectory(groundtruth.stamps, states(groundtruth.positions, groundtruth.quaternions))
     )
     rows = states(estimate.positions, estimate.quaternions)
     assert estimate.covariances is not None
     wide = np.hstack([rows, estimate.covariances.reshape(-1, 36)])
-    evaluator.add_estimate(estimate.stamps, wide)
+    evaluator.add_estimate(trajectory(estimate.stamps, wide))
     evaluator.update(at_end=True)
     snapshot = evaluator.snapshot()
     options = ("--alert-limit", "0.05,5", "--risk", "0.9")
@@ -263,11 +263,11 @@ def fed_evaluator() -> OnlineEvaluator:
     evaluator = OnlineEvaluator(OnlineSettings(protocol, window="5s", covariances=MESSAGE))
     assert estimate.covariances is not None
     evaluator.add_groundtruth(
-        groundtruth.stamps, states(groundtruth.positions, groundtruth.quaternions)
+        trajectory(groundtruth.stamps, states(groundtruth.positions, groundtruth.quaternions))
     )
     own = states(estimate.positions, estimate.quaternions)
     rows = np.hstack([own, estimate.covariances.reshape(-1, 36)])
-    evaluator.add_estimate(estimate.stamps, rows)
+    evaluator.add_estimate(trajectory(estimate.stamps, rows))
     evaluator.update(at_end=True)
     return evaluator
 

@@ -7,7 +7,7 @@ import pytest
 from trajeval_ros import simulate
 from trajeval_ros.geometry.travelled import MOST_RESTARTS, cause_of_jumps
 from trajeval_ros.online.evaluator import OnlineEvaluator
-from trajeval_ros.online.state_rows import states
+from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.ros.terminal import summary
 
 
@@ -20,7 +20,7 @@ def test_an_old_error_is_not_shown_as_the_present_one(unpaired_s: float, expecte
         (live.add_groundtruth, flight.groundtruth),
         (live.add_estimate, flight.estimate),
     ):
-        add(side.stamps, states(side.positions, side.quaternions))
+        add(trajectory(side.stamps, states(side.positions, side.quaternions)))
     live.update(at_end=True)
     snapshot = live.snapshot()
     line = summary("vio", snapshot, "30s", 0.006, "", unpaired_s=unpaired_s)

@@ -39,7 +39,6 @@ def feed(
 ) -> None:
     """Play both streams in order of their stamps, in batches, the estimate later by a delay."""
     arrivals = (groundtruth.stamps, estimate.stamps + round(delay_s * SECOND))
-    groundtruth_rows, estimate_rows = rows_of(groundtruth), rows_of(estimate)
     begin = min(int(each.min()) for each in arrivals)
     end = max(int(each.max()) for each in arrivals)
     ticks = np.arange(begin, end + 2 * round(drain_s * SECOND), round(drain_s * SECOND))
@@ -47,9 +46,9 @@ def feed(
     for before, after in zip(range(len(ticks) - 1), range(1, len(ticks)), strict=True):
         g, e = (slice(int(cut[before]), int(cut[after])) for cut in cuts)
         if g.start < g.stop:
-            evaluator.add_groundtruth(groundtruth.stamps[g], groundtruth_rows[g])
+            evaluator.add_groundtruth(groundtruth[g])
         if e.start < e.stop:
-            evaluator.add_estimate(estimate.stamps[e], estimate_rows[e])
+            evaluator.add_estimate(estimate[e])
         evaluator.update()
     evaluator.update(at_end=True)
 

@@ -25,7 +25,7 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states
+from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.simulation.drifting_odometry import simulate
 from trajeval_ros.viewer import stream as drawing
 from trajeval_ros.viewer.live_scene import LiveScene
@@ -88,14 +88,14 @@ def main(
         end = groundtruth.stamps[0] + round((tick + 1) * TICK_S * NANOSECONDS)
         since = end - round(TICK_S * NANOSECONDS)
         part = (groundtruth.stamps > since) & (groundtruth.stamps <= end)
-        evaluator.add_groundtruth(groundtruth.stamps[part], groundtruth_rows[part])
+        evaluator.add_groundtruth(trajectory(groundtruth.stamps[part], groundtruth_rows[part]))
         taken = groundtruth.stamps[part], groundtruth_rows[part]
         put(lambda scene, taken=taken: scene.groundtruth(*taken))
         part = (estimate.stamps > since) & (estimate.stamps <= end)
-        evaluator.add_estimate(estimate.stamps[part], estimate_rows[part])
+        evaluator.add_estimate(trajectory(estimate.stamps[part], estimate_rows[part]))
         update = evaluator.update()
         for pairs in new:
-            put(lambda scene, pairs=pairs: scene.pairs(NAME, *pairs))
+            put(lambda scene, pairs=pairs: scene.pairs(NAME, *pairs.rows))
         new.clear()
         if update.stamp is not None:
             put(lambda scene, update=update: scene.update(NAME, update))

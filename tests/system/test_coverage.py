@@ -20,7 +20,7 @@ from trajeval_ros.formatting.numbers import whole_percent
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.metrics.coverage import Coverage, CoverageSums, PairSteps
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states
+from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.online.window import Window
 from trajeval_ros.report.verdict_lines import verdict
 
@@ -43,7 +43,7 @@ def live_coverage(
             come = (side.stamps + delay >= begin) & (side.stamps + delay < until)
             if come.any():
                 turned = None if side.quaternions is None else side.quaternions[come]
-                add(side.stamps[come], states(side.positions[come], turned))
+                add(trajectory(side.stamps[come], states(side.positions[come], turned)))
         live.update()
     live.update(at_end=True)
     return live.snapshot().coverage

@@ -28,7 +28,7 @@ from trajeval_ros.io.requests.request_from import known_hand_eye
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_frames import marker_rows
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import COVARIANCE, states
+from trajeval_ros.online.state_rows import COVARIANCE, states, trajectory
 from trajeval_ros.ros.marker_body import MarkerBody
 
 IN_BODY = CovarianceRequest("message", rotation_frame="body", groundtruth_noise=(0.01, 0.2))
@@ -86,8 +86,10 @@ def test_bodies_axes_know_no_up() -> None:
     assert means[0] == pytest.approx(means[1], rel=1e-9)
     settings = OnlineSettings(protocol, covariances=IN_BODY, up=("-y", "-y"))
     live = OnlineEvaluator(settings)
-    live.add_groundtruth(other[0].stamps, states(other[0].positions, other[0].quaternions))
-    live.add_estimate(other[1].stamps, rows_of(other[1]))
+    live.add_groundtruth(
+        trajectory(other[0].stamps, states(other[0].positions, other[0].quaternions))
+    )
+    live.add_estimate(trajectory(other[1].stamps, rows_of(other[1])))
     live.update(at_end=True)
     snapshot = live.snapshot()
     assert snapshot.nees is not None, snapshot.why_not_consistency

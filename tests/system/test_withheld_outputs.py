@@ -18,12 +18,15 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.formatting.numbers import four_digits, significant
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.vertical_axis import up_axis_doubt
 from trajeval_ros.metrics import evaluation as metrics
 from trajeval_ros.metrics.absolute_errors import AbsoluteErrors
 from trajeval_ros.metrics.evaluation import evaluate
 from trajeval_ros.metrics.premises import Doubts, Premise, relies_on
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.relative_errors import RelativeErrors
+from trajeval_ros.online.evaluator import OnlineEvaluator
+from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.simulation.drifting_odometry import simulate
 
 PROTOCOL = Protocol(gauge="se3", lengths=("8m", "16m"))
@@ -78,6 +81,31 @@ def comparison(
         assert metric in capsys.readouterr().err
     pages = [path for path in output.rglob("*") if path.suffix in {".html", ".md", ".tex", ".csv"}]
     return [path.read_text() for path in pages]
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
+def test_a_live_evaluator_withholds_the_same_numbers(case: Callable[[], Sides]) -> None:
+    truth, estimate = case()
+    offline = evaluate(truth, estimate, PROTOCOL)
+    live = OnlineEvaluator(OnlineSettings(PROTOCOL))
+    live.up_axis_doubt = up_axis_doubt(truth)
+    live.add_groundtruth(truth)
+    live.add_estimate(estimate)
+    update = live.update(at_end=True)
+    snapshot = live.snapshot()
+    assert snapshot.doubts.reasons.keys() == offline.doubts.reasons.keys()
+    assert snapshot.ate.keys() >= {"rotation_deg", "yaw_deg"}
+    assert all(snapshot.ate[metric] is None for metric in offline.doubts.withheld(AbsoluteErrors))
+    assert bool(snapshot.relative) == bool(update.ends) == (offline.relative is not None)
+    [errors] = update.errors
+    for metric, values in (
+        ("rotation_deg", errors.rotation_deg),
+        ("yaw_deg", errors.yaw_deg),
+        ("tilt_deg", errors.tilt_deg),
+        ("yaw_deg", errors.attitude_deg),
+        ("horizontal_m", errors.along_cross_vertical),
+    ):
+        assert (values is None) == bool(offline.doubts.about(AbsoluteErrors, metric)), metric
 
 
 @pytest.mark.slow

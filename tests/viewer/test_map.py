@@ -15,7 +15,7 @@ from trajeval_ros.geometry.geodesy import east_north_up
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import Pairs, states
+from trajeval_ros.online.state_rows import Pairs, states, trajectory
 
 pytest.importorskip("rerun", reason="rerun-sdk is missing")
 
@@ -78,12 +78,12 @@ def live(path: Path, fixes: Trajectory) -> list[Any]:
         assert one.reading.fixes is not None
         scene.fixes(one.stamps, one.reading.fixes)
         layouts += [scene.blueprint] if scene.blueprint is not layouts[-1] else []
-        evaluator.add_groundtruth(one.stamps, states(one.positions))
+        evaluator.add_groundtruth(trajectory(one.stamps, states(one.positions)))
         new = (estimate.stamps > stamp - 400_000_000) & (estimate.stamps <= stamp)
-        evaluator.add_estimate(estimate.stamps[new], rows[new])
+        evaluator.add_estimate(trajectory(estimate.stamps[new], rows[new]))
         evaluator.update()
         for each in pairs:
-            scene.pairs("odometry", *each)
+            scene.pairs("odometry", *each.rows)
         pairs.clear()
         if evaluator.pairs:
             newest = int(evaluator.store.stamps()[-1])

@@ -14,7 +14,7 @@ from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.protocol import metres
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states
+from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.report.verdict_lines import verdict
 from trajeval_ros.viewer.appearance import ErrorScale
 from trajeval_ros.viewer.text_panel import of_evaluations, of_snapshots
@@ -52,9 +52,11 @@ def test_a_live_run_without_long_parts_has_no_drift(lengths: tuple[str, ...]) ->
     assert groundtruth.quaternions is not None
     live = OnlineEvaluator(OnlineSettings(Protocol(gauge="none", lengths=lengths)))
     live.add_groundtruth(
-        groundtruth.stamps, states(groundtruth.positions, groundtruth.quaternions)
+        trajectory(groundtruth.stamps, states(groundtruth.positions, groundtruth.quaternions))
     )
-    live.add_estimate(estimate.stamps, states(estimate.positions, estimate.quaternions))
+    live.add_estimate(
+        trajectory(estimate.stamps, states(estimate.positions, estimate.quaternions))
+    )
     live.update()
     text = of_snapshots([live.snapshot()], ["a"], Gauge.NONE, None, is_growing=True)
     [drift] = [line.split("|")[2].strip() for line in text.splitlines() if "| Drift" in line]

@@ -20,7 +20,7 @@ from trajeval_ros.metrics.as_available import AsAvailable, AvailabilityRule, as_
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states
+from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.simulation.drifting_odometry import simulate
 from trajeval_ros.viewer import entity_data, scene_entities
 from trajeval_ros.viewer.live_scene import LiveScene
@@ -322,13 +322,13 @@ def test_another_recording_of_a_run_has_all_that_came_before_it(tmp_path: Path) 
 
     flight, pairs = simulate(0, 20.0), []
     evaluator = OnlineEvaluator(
-        OnlineSettings(Protocol(gauge=Gauge.YAW)), record=lambda each: pairs.append(each)
+        OnlineSettings(Protocol(gauge=Gauge.YAW)), record=lambda each: pairs.append(each.rows)
     )
     columns = [
         states(each.positions, each.quaternions) for each in (flight.groundtruth, flight.estimate)
     ]
-    evaluator.add_groundtruth(flight.groundtruth.stamps, columns[0])
-    evaluator.add_estimate(flight.estimate.stamps, columns[1])
+    evaluator.add_groundtruth(trajectory(flight.groundtruth.stamps, columns[0]))
+    evaluator.add_estimate(trajectory(flight.estimate.stamps, columns[1]))
     evaluator.update()
     snapshot, stamp = evaluator.snapshot(), int(evaluator.store.stamps()[-1])
     scene = LiveScene("flight", [NAME], Gauge.YAW)
@@ -384,13 +384,13 @@ def test_live_colours_have_one_scale_and_no_line_below_them(
         pairs: list = []
         settings = OnlineSettings(Protocol(gauge=Gauge.YAW))
         evaluator = OnlineEvaluator(settings, record=pairs.append)
-        evaluator.add_groundtruth(flight.groundtruth.stamps, groundtruth)
+        evaluator.add_groundtruth(trajectory(flight.groundtruth.stamps, groundtruth))
         estimate = states(moved, flight.estimate.quaternions)
         for part in np.array_split(np.arange(len(estimate)), 8):
-            evaluator.add_estimate(flight.estimate.stamps[part], estimate[part])
+            evaluator.add_estimate(trajectory(flight.estimate.stamps[part], estimate[part]))
             evaluator.update()
             for each in pairs:
-                scene.pairs(name, *each)
+                scene.pairs(name, *each.rows)
             pairs.clear()
             newest = int(evaluator.store.stamps()[-1])
             scene.snapshot(name, newest, evaluator.snapshot(), None)

@@ -32,7 +32,7 @@ _USUAL_STEPS = 2.0
 _STILL_M = 0.05
 _STILL_RAD = math.radians(3.0)
 LOW_COVERAGE = 0.9  # below, errors of different runs are not compared
-_NO_GAP_NS = int(np.iinfo(np.int64).max)
+NO_GAP_NS = int(np.iinfo(np.int64).max)
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ def coverage_of(
     either side up to `max_gap_s` are no gaps. `in_gaps`: pairs exist in gaps of the groundtruth,
     so that gaps count as time. `frozen_ns` is the time of frozen estimates.
     """
-    max_gap_ns = _NO_GAP_NS if in_gaps else round(max_gap_s * NANOSECONDS)
+    max_gap_ns = NO_GAP_NS if in_gaps else round(max_gap_s * NANOSECONDS)
     order = np.argsort(groundtruth.stamps, kind="stable")
     times = groundtruth.stamps[order]
     needed = order[waypoints(times, max_gap_ns)]

@@ -83,10 +83,10 @@ class Peaks:
         if value is not None and (name not in self._peaks or value > self._peaks[name].value):
             self._peaks[name] = Peak(value, stamp)
 
-    def see_update(self, update: Update, *, knows_up: bool) -> None:
+    def see_update(self, update: Update) -> None:
         """Take the errors of new pairs and of completed sub-trajectories."""
         for errors in update.errors:
-            yaw = errors.yaw_deg if knows_up else None
+            yaw = errors.yaw_deg
             for name, values in (
                 ("position_error_m", errors.position_m),
                 ("rotation_error_deg", errors.rotation_deg),

@@ -52,7 +52,6 @@ NUMBERS: Mapping[str, Callable[[PairErrors], Floats | None]] = {
     "yaw_error": lambda errors: errors.yaw_deg,
     "tilt_error": lambda errors: errors.tilt_deg,
 }
-_BY_UP = {"stamped/attitude_error", "stamped/heading_error", "yaw_error", "tilt_error"}
 
 
 def relative_error_topic(length: str) -> str:
@@ -60,20 +59,13 @@ def relative_error_topic(length: str) -> str:
     return f"stamped/relative_error/length_{length.replace('.', '_').replace('%', '_percent')}"
 
 
-def vectors_of(
-    errors: PairErrors, topic: str, offset_ns: int, *, knows_up: bool
-) -> tuple[Stamps, Floats]:
+def vectors_of(errors: PairErrors, topic: str, offset_ns: int) -> tuple[Stamps, Floats]:
     """Return stamps (K,) and vectors (K, 3) of the pairs that have such an error."""
-    vectors = None if topic in _BY_UP and not knows_up else VECTORS[topic](errors)
+    vectors = VECTORS[topic](errors)
     if vectors is None:
         return errors.stamps[:0], np.zeros((0, 3))
     rows = np.flatnonzero(np.isfinite(vectors).all(axis=1))
     return errors.stamps[rows] - offset_ns, vectors[rows]
-
-
-def numbers_of(errors: PairErrors, topic: str, *, knows_up: bool) -> Floats | None:
-    """Return the numbers (N,) of N pairs for one of `NUMBERS`; None if not available."""
-    return None if topic in _BY_UP and not knows_up else NUMBERS[topic](errors)
 
 
 def position_and_rotation(position_m: Any, rotation_deg: Any | None) -> Floats:

@@ -3,63 +3,63 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from trajeval_ros.consistency.yaw_information import YawInformation
-from trajeval_ros.exceptions import SettingsError
-from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.marker import HandEye
-from trajeval_ros.geometry.valid_poses import NO_STATE, add_counts
+from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.geometry.valid_poses import LARGEST, NO_STATE
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH, AUTO, Association, AssociationRule
 from trajeval_ros.metrics.coverage import Coverage, StampedPoses
 from trajeval_ros.metrics.lost_tracking import LostTracking
 from trajeval_ros.metrics.moments import Moments
+from trajeval_ros.metrics.premises import Doubts
+from trajeval_ros.metrics.relative_errors import RelativeErrors
 from trajeval_ros.metrics.statistics import Statistics
-from trajeval_ros.online.dense_pairing import DensePairing, LiveCoverage
+from trajeval_ros.metrics.withholding import doubts_of
 from trajeval_ros.online.live_alignment import LiveAlignment
+from trajeval_ros.online.live_coverage import LiveCompleteness, LiveCoverage
 from trajeval_ros.online.live_frames import LiveFrames
 from trajeval_ros.online.live_relative_errors import RelativeEnd, RelativeTracker
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pair_errors import PairErrors
-from trajeval_ros.online.pairing import Pairing
+from trajeval_ros.online.pairing import PairedStates, Pairing
 from trajeval_ros.online.reports import Snapshot, Update
-from trajeval_ros.online.sparse_pairing import LiveCompleteness, SparsePairing
-from trajeval_ros.online.state_rows import (
-    COVARIANCE,
-    POSITION,
-    QUATERNION,
-    WIDTH,
-    Pairs,
-    all_columns,
-    trajectory,
-)
+from trajeval_ros.online.state_buffer import NEVER, NOTHING
 from trajeval_ros.online.window import PairStore, judge_window, window_integrity, window_statistics
+
+# Coverage, losses and ends of sub-trajectories are measured for the pairs of this time together:
+# a measurement has a high fixed cost, and the results are as old.
+_MEASURED_EVERY_NS = 400_000_000
 
 
 class OnlineEvaluator:
     """Evaluates states of both streams as they arrive; results are available at any time.
 
     It associates, aligns and measures as `evaluate` does: counts are equal, statistics agree to
-    1e-9. Association `auto` is resolved by the first groundtruth states: without orientations they
-    are fixes or points, and the estimate is interpolated at their timestamps.
+    1e-9. Late states are paired, too. Coverage and relative errors so far can differ, if states
+    are late: pairs before the measured ones are left out of them. Association `auto` is resolved
+    by the first groundtruth states: without orientations they are fixes or points, and the
+    estimate is interpolated at their timestamps.
 
     Attributes:
         buffer: The pairing of the states.
-        frames: Up axes of both frames, which must be set before the first states, and conversions.
+        frames: Up axes of both frames, and conversions.
         store: The pairs of the window, and those that relative errors still need.
         tracking: Losses of tracking: frozen and diverging estimates.
+        up_axis_doubt: Why the groundtruth's up axis is doubtful; set by the caller, who has the
+            path of the whole run. Empty if it is not.
 
     Example:
-        >>> import numpy as np
         >>> from trajeval_ros import OnlineEvaluator, simulate
         >>> flight, live = simulate(seed=1, duration_s=30.0), OnlineEvaluator()
-        >>> for add, side in ((live.add_groundtruth, flight.groundtruth),
-        ...                   (live.add_estimate, flight.estimate)):
-        ...     add(side.stamps, np.hstack([side.positions, side.quaternions]))
+        >>> live.add_groundtruth(flight.groundtruth)
+        >>> live.add_estimate(flight.estimate)
         >>> live.update(at_end=True).pairs == live.snapshot().pairs > 500
         True
     """
@@ -67,7 +67,7 @@ class OnlineEvaluator:
     def __init__(
         self,
         settings: OnlineSettings | None = None,
-        record: Callable[[Pairs], object] | None = None,
+        record: Callable[[PairedStates], object] | None = None,
         record_waypoints: Callable[[StampedPoses], object] | None = None,
     ) -> None:
         """Create an evaluator without states.
@@ -81,41 +81,48 @@ class OnlineEvaluator:
         rule = self.settings.protocol.association
         self.frames = LiveFrames(self.settings)
         self._record, self._record_waypoints = record, record_waypoints
-        kind = SparsePairing if rule.method == AT_GROUNDTRUTH else DensePairing
-        self._pair_by(kind(rule.max_gap_s, self.settings.limits))
+        at_groundtruth = rule.method == AT_GROUNDTRUTH
+        limits = self.settings.limits
+        self._pair_by(Pairing(rule.max_gap_s, limits, at_groundtruth=at_groundtruth))
         self._is_settled = rule.method != AUTO
-        covariances = self.settings.covariances.source != "none"
-        self.store = PairStore(covariances=covariances)
+        self.store = PairStore()
         self._begin_to_align()
-        self._count = self._late = 0
+        self._count = 0
+        self._measured_until = NEVER  # newest measured pair
+        self._measured_at = NEVER  # newest state at the last measurement
+        self._ended: tuple[RelativeEnd, ...] = ()  # since the last update
         self._yaw = YawInformation()
         self._ate_before_m: float | None = None  # until nothing suggested a loss of tracking
+        self.up_axis_doubt = ""
 
-    def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
-        """Take new groundtruth states.
+    def add_groundtruth(self, block: Trajectory, dropped: Mapping[str, int] = NOTHING) -> None:
+        """Take new groundtruth states, in any order.
 
         Args:
-            stamps: (N,) int64, nanoseconds.
-            rows: (N, 3) positions, metres; (N, 7) positions and quaternions xyzw; or (N, 10) of
-                `state_rows.states`, with velocities. Estimates can have (N, 46), with covariances.
+            block: The states.
+            dropped: Number of messages without a usable state by reason, to be counted.
 
         Raises:
-            InputError: The rows have another number of columns.
+            InputError: A number is not finite; `Trajectory.from_columns` drops such states.
         """
-        rows = self.frames.of_point(all_columns(rows)[:, :WIDTH])
+        _require_finite("groundtruth", block)
+        block = self.frames.of_groundtruth(block)
         if not self._is_settled:
-            self._settle(rows)
-        self.buffer.add_groundtruth(stamps, self.frames.in_plane(rows))
+            self._settle(block)
+        self.buffer.add_groundtruth(block, dropped)
 
-    def add_estimate(self, stamps: Stamps, rows: Floats) -> None:
-        """Take new estimated states; see `add_groundtruth`.
+    def add_estimate(self, block: Trajectory, dropped: Mapping[str, int] = NOTHING) -> None:
+        """Take new estimated states, in any order; see `add_groundtruth`.
 
         Raises:
-            InputError: The protocol has a lever arm, and the states have no orientations.
+            InputError: A number is not finite; `Trajectory.from_columns` drops such states. Or
+                the protocol has a lever arm, and the states have no orientations.
         """
-        rows = all_columns(rows)
-        self.frames.require_orientations(rows)
-        self.buffer.add_estimate(stamps + self.settings.offset_ns, rows)
+        _require_finite("estimate", block)
+        block = self.frames.of_estimate(block)
+        if offset_ns := self.settings.offset_ns:
+            block = dataclasses.replace(block, stamps=block.stamps + offset_ns)
+        self.buffer.add_estimate(block, dropped)
 
     def continue_after(self, before: OnlineEvaluator) -> None:
         """Take the states that the evaluator of the previous run has received and not used.
@@ -123,7 +130,9 @@ class OnlineEvaluator:
         Call it before the first state. The settings must be the same.
         """
         buffer = before.buffer
-        self._pair_by(type(buffer)(buffer.max_gap_s, buffer.limits))
+        self._pair_by(
+            Pairing(buffer.max_gap_s, buffer.limits, at_groundtruth=buffer.at_groundtruth)
+        )
         self._is_settled = before._is_settled
         buffer.hand_over(self.buffer)
 
@@ -133,56 +142,66 @@ class OnlineEvaluator:
         Args:
             at_end: No more groundtruth will come.
         """
-        pairs = self.frames.of_same_point(self.buffer.made(at_end=at_end))
+        pairs = self.made(at_end=at_end)
         self.buffer.settle()
         return self.evaluate(pairs, at_end=at_end)
 
-    def evaluate(self, pairs: Pairs, *, at_end: bool = False) -> Update:
-        """Evaluate new pairs, already converted by `frames.of_same_point`; see `update`."""
-        if len(pairs.stamps):
+    def made(self, *, at_end: bool = False) -> PairedStates | None:
+        """Return the pairs that are possible now, of the same point; None without any."""
+        pairs = self.buffer.made(at_end=at_end)
+        return None if pairs is None else self.frames.of_same_point(pairs)
+
+    def evaluate(self, pairs: PairedStates | None, *, at_end: bool = False) -> Update:
+        """Evaluate new pairs of `made`; see `update`."""
+        update = Update()
+        if pairs is not None and len(pairs):
             if self._record is not None:
                 self._record(pairs)
-            self._count += len(pairs.stamps)
-            pairs = self._in_order(pairs)
-        self._coverage.add(pairs, at_end=at_end)
-        if not len(pairs.stamps):
-            return Update(ends=self._ends(at_end=at_end)) if at_end else Update()
-        self.tracking.add(pairs.stamps, pairs.groundtruth, pairs.estimate)
-        own, pairs = pairs, self.frames.upright(pairs)
-        self.store.append(pairs)
-        self._aligning.add(pairs)
-        self._add_covariances(pairs)
-        if self.tracking.is_clear:
-            self._ate_before_m = self._aligning.rmse(self._aligning.whole)
-        ends = self._ends(at_end=at_end)
-        window_begin = self.store.window_begin(self.settings.window)
-        self.store.drop_before(min(window_begin, self._relative.oldest_needed(self.store)))
-        return Update(len(pairs.stamps), int(pairs.stamps[-1]), self._errors_of(own), ends)
+            self._count += len(pairs)
+            evaluated = self.frames.upright(pairs)
+            self.store.add(evaluated)
+            self._aligning.add(evaluated)
+            self._add_covariances(evaluated.estimate)
+            doubts = self._doubts_about(self._associated(evaluated))
+            update = Update(len(pairs), int(pairs.stamps[-1]), self._errors_of(pairs, doubts))
+        if at_end or self.buffer.newest - self._measured_at >= _MEASURED_EVERY_NS:
+            self._measure(at_end=at_end)
+        ended, self._ended = self._ended, ()
+        return dataclasses.replace(update, ends=ended) if ended else update
 
     def snapshot(self) -> Snapshot:
-        """Return the state of the evaluation, at a cost proportional to the window's length."""
+        """Return the state of the evaluation, at a cost proportional to the window's length.
+
+        The position ATE of the window is that under the alignment of the run.
+        """
+        self._measure()
         begin = self.store.window_begin(self.settings.window)
         protocol, request = self.settings.protocol, self.settings.covariances
         found = self._aligning.found
-        pairs = self._pairs_from(begin) if len(self.store) else None
+        pairs, doubts, relative = None, Doubts(), self._relative.running
+        if len(self.store):
+            pairs = self._associated(self.store.pairs(slice(begin - self.store.begin, None)))
+            doubts = self._doubts_about(pairs)
         ate: dict[str, Statistics | None] = {}
         if pairs is not None and found is not None:
-            ate = window_statistics(pairs, found, protocol)
+            ate = window_statistics(pairs, found, doubts)
+        if doubts.about(RelativeErrors, "position_m"):
+            relative = {}
         loss = self.tracking.present
         consistency, why_not = judge_window(pairs, protocol, request.once_turned)
         return Snapshot(
-            pairs=self._count - self._late,
-            stamp=int(self.store.stamps()[-1]) if len(self.store) else None,
+            pairs=self._count,
+            stamp=self.store.newest if len(self.store) else None,
             warming_up=self._aligning.why_not,
             alignment=self.alignment,
             position_rmse_m=self._aligning.rmse(self._aligning.whole),
             window_position_rmse_m=self._aligning.rmse(self._window_moments(begin)),
             ate=ate,
             window_pairs=self.store.end - begin,
-            relative=self._relative.running,
+            relative=relative,
             estimate_coverage=self._estimate_coverage(),
             coverage=self._coverage.coverage(),
-            dropped=self._dropped,
+            dropped=self.buffer.dropped,
             waiting=self.buffer.waiting,
             consistency=consistency,
             why_not_consistency=why_not,
@@ -192,12 +211,13 @@ class OnlineEvaluator:
             loss=loss,
             ate_before_loss_m=None if loss is None else self._ate_before_m,
             about_yaw=self._yaw.remark,
+            doubts=doubts,
         )
 
     @property
     def rule(self) -> AssociationRule:
         """Rule of the association, with `auto` as resolved so far."""
-        kind = "points" if isinstance(self.buffer, SparsePairing) else "poses"
+        kind = "points" if self.buffer.at_groundtruth else "poses"
         return self.settings.protocol.association.for_kind(kind)
 
     @property
@@ -238,7 +258,7 @@ class OnlineEvaluator:
         A larger window fills with new pairs. A new length starts at the next pair.
         """
         self.settings = self.settings.with_lengths_and_window_of(settings)
-        self._relative = self._relative.with_lengths(self.settings.protocol, self.store.end)
+        self._relative = self._relative.with_lengths(self.settings.protocol, self.store.newest)
 
     def set_offset(self, offset_s: float) -> None:
         """Set the offset of the estimate's timestamps, seconds; call it before the first state."""
@@ -256,91 +276,112 @@ class OnlineEvaluator:
             raise SettingsError(
                 "all pairs are available only with a window of the whole run; set window 0"
             )
+        self._measure()
+        pairs = self.store.pairs(np.arange(len(self.store)))  # copies
         return dataclasses.replace(
-            self._pairs_from(self.store.begin),
+            self._associated(pairs),
             estimate_coverage=self._estimate_coverage(),
             coverage=self._coverage.coverage() or Coverage(0.0, 0.0),
-            dropped=self._dropped,
+            dropped=self.buffer.dropped,
         )
 
-    def _pairs_from(self, begin: int) -> Association:
-        stamps = self.store.stamps(begin)
+    def _associated(self, pairs: PairedStates) -> Association:
+        """Return pairs as an association, without its counts."""
         return Association(
             rule=self.rule,
-            groundtruth=trajectory(stamps, self.store.groundtruth(begin), self.frames.vertical),
-            estimate=trajectory(stamps, self.store.estimate(begin)),
+            groundtruth=pairs.groundtruth,
+            estimate=pairs.estimate,
             estimate_coverage=0.0,
             coverage=Coverage(0.0, 0.0),
             dropped={},
-            from_the_start=isinstance(self.buffer, SparsePairing)
-            or bool(stamps[0] == self.buffer.estimate_counts.first),
+            from_the_start=self.buffer.at_groundtruth
+            or bool(pairs.stamps[0] == self.buffer.estimate_counts.first),
         )
 
-    def _ends(self, *, at_end: bool) -> tuple[RelativeEnd, ...]:
-        """Return the sub-trajectories that end by the newest pair, if poses have orientations."""
-        first = QUATERNION.start
+    def _measure(self, *, at_end: bool = False) -> None:
+        """Measure coverage, losses and ended sub-trajectories; forget what nothing needs."""
+        begin = int(self.store.stamps().searchsorted(self._measured_until, side="right"))
+        self._measured_until = self.store.newest
+        self._measured_at = self.buffer.newest
+        groundtruth, estimate = self.store.poses(slice(begin, None))
+        self._coverage.measure(groundtruth, estimate)
+        self.buffer.forget()
         if not len(self.store):
-            return ()
-        if np.isnan(self.store.groundtruth()[-1, first] + self.store.estimate()[-1, first]):
+            return
+        if len(groundtruth.stamps):
+            self.tracking.add(groundtruth.stamps, groundtruth.poses, estimate.poses)
+            if self.tracking.is_clear:
+                self._ate_before_m = self._aligning.rmse(self._aligning.whole)
+        self._ended += self._ends(at_end=at_end)
+        window_begin = self.store.window_begin(self.settings.window)
+        self.store.drop_before(min(window_begin, self._relative.oldest_needed(self.store)))
+
+    def _ends(self, *, at_end: bool) -> tuple[RelativeEnd, ...]:
+        """Return the sub-trajectories that end by the newest pair, unless they are withheld."""
+        newest = self._associated(self.store.pairs(slice(-1, None)))
+        if not newest.have_rotations:
             return ()
         found = self._aligning.found
         scale = 1.0 if found is None else found.similarity.scale
-        return self._relative.update(self.store, scale, at_end=at_end)
+        ends = self._relative.update(self.store, scale, at_end=at_end)
+        is_withheld = self._doubts_about(newest).about(RelativeErrors, "position_m")
+        return () if is_withheld else ends
 
-    def _settle(self, rows: Floats) -> None:
+    def _settle(self, block: Trajectory) -> None:
         """Resolve association `auto` by the first usable groundtruth states, if there are any."""
-        usable = np.flatnonzero(np.isfinite(rows[:, POSITION]).all(axis=1))
-        if not len(usable):
+        if not len(block):
             return
         self._is_settled = True
-        if np.isnan(rows[usable[0], QUATERNION.start]):
-            self._pair_by(SparsePairing.after(self.buffer))
+        if block.quaternions is None:
+            self.buffer.pair_at_groundtruth()
+            self._pair_by(self.buffer)
 
     def _pair_by(self, buffer: Pairing) -> None:
         self.buffer = buffer
-        self.tracking = LostTracking(of_fixes=isinstance(buffer, SparsePairing))
-        of_kind = LiveCompleteness if isinstance(buffer, SparsePairing) else LiveCoverage
+        self.tracking = LostTracking(of_fixes=buffer.at_groundtruth)
+        of_kind = LiveCompleteness if buffer.at_groundtruth else LiveCoverage
         self._coverage: LiveCompleteness | LiveCoverage = of_kind(buffer, self._record_waypoints)
 
-    def _add_covariances(self, pairs: Pairs) -> None:
+    def _add_covariances(self, estimate: Trajectory) -> None:
         """Test covariances of inertial estimators, in a frame with z up."""
-        if pairs.estimate.shape[1] > WIDTH and self.settings.protocol.gauge is Gauge.YAW:
-            covariances = pairs.estimate[:, COVARIANCE].reshape(-1, 6, 6)[:, 3:, 3:]
-            self._yaw.add(pairs.stamps, covariances, np.array([0.0, 0.0, 1.0]))
-
-    def _in_order(self, pairs: Pairs) -> Pairs:
-        """Drop pairs older than the newest one; the recording keeps them."""
-        if not len(self.store) or pairs.stamps[0] > self.store.stamps()[-1]:
-            return pairs
-        new = pairs.stamps > self.store.stamps()[-1]
-        self._late += int(np.count_nonzero(~new))
-        return pairs.picked(new)
+        if estimate.covariances is not None and self.settings.protocol.gauge is Gauge.YAW:
+            covariances = estimate.covariances[:, 3:, 3:]
+            self._yaw.add(estimate.stamps, covariances, np.array([0.0, 0.0, 1.0]))
 
     def _window_moments(self, begin: int) -> Moments:
         if self.settings.window.is_whole_run or not len(self.store):
             return self._aligning.whole
-        pairs = self.store.groundtruth(begin), self.store.estimate(begin)
-        return self._aligning.moments(*pairs, self._aligning.whole.anchor)
+        pairs = self.store.pairs(slice(begin - self.store.begin, None))
+        return self._aligning.moments(pairs, self._aligning.whole.anchor)
 
-    def _errors_of(self, pairs: Pairs) -> tuple[PairErrors, ...]:
+    def _doubts_about(self, pairs: Association) -> Doubts:
+        """Return which premises do not hold for pairs under the present alignment."""
+        alignment = self._aligning.found
+        if alignment is None:
+            return Doubts()
+        return doubts_of(pairs, alignment, self.settings.protocol, self.up_axis_doubt)
+
+    def _errors_of(self, pairs: PairedStates, doubts: Doubts) -> tuple[PairErrors, ...]:
         """Return errors of pairs between the frames' own axes under the present alignment."""
         alignment = self.alignment
         if alignment is None:
             return ()
-        rotation = not alignment.why_withheld(self.settings.protocol)
-        return (
-            PairErrors(pairs, alignment.similarity, self.frames.groundtruth_up, rotation=rotation),
-        )
-
-    @property
-    def _dropped(self) -> dict[str, int]:
-        """Number of states without an evaluated pair by reason."""
-        return add_counts(self.buffer.dropped, {"out_of_order": self._late})
+        return (PairErrors(pairs, alignment.similarity, doubts),)
 
     def _estimate_coverage(self) -> float | None:
         """Return the share of estimated states in a pair; None for pairs at fixes and points."""
-        if isinstance(self.buffer, SparsePairing):
+        if self.buffer.at_groundtruth:
             return None
         dropped = self.buffer.dropped.items()
         states = self._count + sum(count for reason, count in dropped if reason not in NO_STATE)
         return self._count / states if states else None
+
+
+def _require_finite(side: str, block: Trajectory) -> None:
+    for name in ("positions", "velocities"):
+        column = getattr(block, name)
+        if column is not None and not (np.abs(column) <= LARGEST).all():
+            raise InputError(
+                f"the {side} has {name} that are not finite; make its blocks by "
+                "Trajectory.from_columns, which leaves them out"
+            )

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
-
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Similarity
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.alignment import Alignment, align_first, solve
 from trajeval_ros.metrics.moments import Moments, OrientationSum
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.online.state_rows import POSITION, QUATERNION, Pairs
+from trajeval_ros.online.pairing import PairedStates
 
 # Standard deviation of the rotation at which a frozen alignment is taken.
 FREEZE_AT_DEG = 1.0
@@ -33,32 +31,30 @@ class LiveAlignment:
         self._turned = self._first_turned = OrientationSum.empty()
         self._anchored_at = 1
 
-    def add(self, pairs: Pairs) -> None:
-        """Take new pairs (N,), N > 0, newer than all before, and update the alignment.
+    def add(self, pairs: PairedStates) -> None:
+        """Take new pairs (N,), N > 0, and update the alignment.
 
         Running sums accumulate rounding errors. Therefore coordinates are relative to the first
         pair, and the anchor of the residuals is renewed when the number of pairs has doubled.
         """
         if self._origin is None:
-            self._origin = (
-                pairs.groundtruth[0, POSITION].copy(),
-                pairs.estimate[0, POSITION].copy(),
-            )
-        self.whole += self.moments(pairs.groundtruth, pairs.estimate, self.whole.anchor)
-        self._turned += _orientation_sum(pairs.groundtruth, pairs.estimate)
+            sides = pairs.groundtruth, pairs.estimate
+            self._origin = sides[0].positions[0].copy(), sides[1].positions[0].copy()
+        self.whole += self.moments(pairs, self.whole.anchor)
+        self._turned += _orientation_sum(pairs)
         if self.found is not None and int(self.whole.weight) >= 2 * self._anchored_at:
             anchor = self._shifted(self.found.similarity)
             self.whole = self.whole.with_anchor(anchor)
             self._anchored_at = int(self.whole.weight)
         self._align(pairs)
 
-    def moments(self, groundtruth: Floats, estimate: Floats, anchor: Similarity) -> Moments:
-        """Return the moments of pairs of states (N, 10) relative to the first pair."""
+    def moments(self, pairs: PairedStates, anchor: Similarity) -> Moments:
+        """Return the moments of pairs relative to the first pair."""
         assert self._origin is not None
-        p, q = groundtruth[:, POSITION], estimate[:, POSITION]
+        p, q = pairs.groundtruth.positions, pairs.estimate.positions
         return Moments.of_pairs(p - self._origin[0], q - self._origin[1], anchor=anchor)
 
-    def _align(self, pairs: Pairs) -> None:
+    def _align(self, pairs: PairedStates) -> None:
         """Update the alignment by all states so far, or by the first ones."""
         protocol, gauge = self._protocol, self._protocol.gauge
         if self.is_kept:
@@ -85,30 +81,30 @@ class LiveAlignment:
             self._freeze_if_known(solution)
         self.found = self._between_frames(solution)
 
-    def _align_by_one(self, pairs: Pairs) -> None:
+    def _align_by_one(self, pairs: PairedStates) -> None:
         """Align by the first of the pairs (N,), N > 0, for good, if it determines the gauge."""
-        groundtruth, estimate = pairs.groundtruth[0], pairs.estimate[0]
+        groundtruth, estimate = pairs.groundtruth, pairs.estimate
         try:
             self.found = align_first(
                 self._protocol.gauge,
-                groundtruth[POSITION],
-                _quaternion(groundtruth),
-                estimate[POSITION],
-                _quaternion(estimate),
+                groundtruth.positions[0],
+                _first_quaternion(groundtruth),
+                estimate.positions[0],
+                _first_quaternion(estimate),
             )
         except DegenerateGeometryError as error:
             self.why_not = str(error)
         else:
             self.why_not, self.is_kept = "", True
 
-    def _sums_to_align_by(self, pairs: Pairs) -> tuple[Moments, OrientationSum]:
+    def _sums_to_align_by(self, pairs: PairedStates) -> tuple[Moments, OrientationSum]:
         """Return the sums over all states, or over the first ones after adding to these."""
         if self._protocol.align_states is None:
             return self.whole, self._turned
         wanted = self._protocol.align_states - int(self._first.weight)
-        first = pairs.groundtruth[:wanted], pairs.estimate[:wanted]
-        self._first += self.moments(*first, self._first.anchor)
-        self._first_turned += _orientation_sum(*first)
+        first = pairs.part(slice(wanted))
+        self._first += self.moments(first, self._first.anchor)
+        self._first_turned += _orientation_sum(first)
         self.is_kept = int(self._first.weight) >= self._protocol.align_states
         return self._first, self._first_turned
 
@@ -149,15 +145,14 @@ class LiveAlignment:
         return None if self.found is None else moments.rmse(self._shifted(self.found.similarity))
 
 
-def _orientation_sum(groundtruth: Floats, estimate: Floats) -> OrientationSum:
-    """Return the sum over pairs of rows (N, 10); empty if orientations are missing."""
-    groundtruth, other = groundtruth[:, QUATERNION], estimate[:, QUATERNION]
-    if np.isnan(groundtruth[:, 0] + other[:, 0]).any():
+def _orientation_sum(pairs: PairedStates) -> OrientationSum:
+    """Return the sum over pairs; empty if orientations are missing."""
+    groundtruth, other = pairs.groundtruth.quaternions, pairs.estimate.quaternions
+    if groundtruth is None or other is None:
         return OrientationSum.empty()
-    return OrientationSum.of_pairs(lie.normalized(groundtruth), lie.normalized(other))
+    return OrientationSum.of_pairs(groundtruth, other)
 
 
-def _quaternion(row: Floats) -> Floats | None:
-    """Return the orientation of a state (10,); None without one."""
-    quaternion = row[QUATERNION]
-    return None if np.isnan(quaternion[0]) else lie.normalized(quaternion)
+def _first_quaternion(side: Trajectory) -> Floats | None:
+    """Return the orientation of the first state (4,); None without one."""
+    return None if side.quaternions is None else side.quaternions[0]

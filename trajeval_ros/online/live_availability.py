@@ -31,8 +31,8 @@ from trajeval_ros.metrics.availability import (
 )
 from trajeval_ros.metrics.statistics import quantile
 from trajeval_ros.metrics.stream_health import UNKNOWN
-from trajeval_ros.online.state_buffer import NEVER, StateBuffer, usable_rows
-from trajeval_ros.online.state_rows import QUATERNION, VELOCITY, WIDTH, trajectory
+from trajeval_ros.online.state_buffer import NEVER, Tail
+from trajeval_ros.online.state_rows import QUATERNION, VELOCITY, WIDTH, trajectory, usable_rows
 
 _POSE, _STATE = QUATERNION.stop, WIDTH + 3  # columns of groundtruth, and of messages with a twist
 GROUNDTRUTH = np.dtype([("stamp", "<i8"), ("pose", "<f8", _POSE)])
@@ -54,7 +54,7 @@ class LiveAvailability:
         # Since the last call of `store`.
         self._new_truth: list[Rows] = []
         self._new_messages: list[Rows] = []
-        self._truth = StateBuffer(_POSE)
+        self._truth = Tail()
         self._messages = np.empty(0, MESSAGE)  # those that later samples can use
         self._has_moved = False  # whether a message had a velocity
         self._next = NEVER  # next sample
@@ -100,7 +100,7 @@ class LiveAvailability:
         self._new_truth, self._new_messages = [], []
         truth = truth[usable_rows(truth["pose"])[0]]
         new = new[usable_rows(new["state"])[0] & (new["time"] != UNKNOWN)]
-        self._truth.merge(truth["stamp"], truth["pose"])
+        self._truth.add(trajectory(truth["stamp"], truth["pose"]))
         self._messages = np.concatenate([self._messages, new])
         self._has_moved |= bool(np.nan_to_num(new["state"][:, VELOCITY]).any())
         self.record(truth, new)
@@ -126,7 +126,7 @@ class LiveAvailability:
         if messages is None:
             self._forget(times >= times.max(initial=0) - self._delay_ns, last - self._delay_ns)
             return None
-        truth = trajectory(*self._truth.held)
+        truth = self._truth.trajectory()
         decided = min(int(times.max()), int(messages.stamps[-1])) - 1
         first = max(self._next, int(truth.stamps[0]))
         final = instants(first, min(last, max(decided, last - self._delay_ns)))
@@ -146,8 +146,8 @@ class LiveAvailability:
     def _forget(self, kept: Booleans, begin: int) -> None:
         """Keep some messages (N,), and groundtruth from the state before `begin` on."""
         self._messages = self._messages[kept]
-        before = int(self._truth.held[0].searchsorted(begin, side="right")) - 1
-        self._truth.drop(max(before, 0))
+        before = int(self._truth.stamps.searchsorted(begin, side="right")) - 1
+        self._truth.drop_before(max(before, 0))
 
     def _see(self, samples: AvailableSamples) -> None:
         """Take final samples, N > 0, of messages with usable receptions."""

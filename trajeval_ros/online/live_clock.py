@@ -9,12 +9,9 @@ import numpy as np
 
 from trajeval_ros.calibration.calibrate import Calibration, calibrate
 from trajeval_ros.exceptions import TrajevalError, describe_defect
-from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.online.state_buffer import StateBuffer
-from trajeval_ros.online.state_rows import POSITION, QUATERNION, WIDTH
+from trajeval_ros.online.state_buffer import Tail
 
 # Rotation and lever arm cannot be estimated together with the offset from less.
 FIRST_S = 35.0
@@ -47,7 +44,7 @@ class ClockReport:
 class OnlineClock:
     """Estimates the offset of an estimate's timestamps from the newest ten minutes.
 
-    It keeps 10 estimated and 50 groundtruth states per second, at most 36 000 states of 88 bytes.
+    It keeps 10 estimated and 50 groundtruth states per second, at most 36 000 states of 64 bytes.
     Therefore the cost of an estimation is bounded.
     """
 
@@ -57,19 +54,19 @@ class OnlineClock:
         self.report = ClockReport()  # the present estimate
         self.calibration: Calibration | None = None  # with the newest offset
         self._gauge = gauge
-        self._groundtruth, self._estimate = StateBuffer(), StateBuffer()
+        self._groundtruth, self._estimate = Tail(), Tail()
         self._first: int | None = None
         self._next_s = FIRST_S
 
-    def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
-        """Take groundtruth states: stamps (N,) in nanoseconds and rows (N, 10) of `states`."""
-        _add(self._groundtruth, stamps, rows, _GROUNDTRUTH_STEP_NS)
+    def add_groundtruth(self, block: Trajectory) -> None:
+        """Take groundtruth states."""
+        _add(self._groundtruth, block, _GROUNDTRUTH_STEP_NS)
 
-    def add_estimate(self, stamps: Stamps, rows: Floats) -> None:
-        """Take estimated states: stamps (N,) in nanoseconds and rows (N, 10) of `states`."""
-        _add(self._estimate, stamps, rows, _ESTIMATE_STEP_NS)
+    def add_estimate(self, block: Trajectory) -> None:
+        """Take estimated states."""
+        _add(self._estimate, block, _ESTIMATE_STEP_NS)
         if self._first is None and len(self._estimate):
-            self._first = int(self._estimate.held[0][0])
+            self._first = int(self._estimate.stamps[0])
 
     @property
     def span_s(self) -> float:
@@ -130,27 +127,29 @@ def _estimated(
     return report, calibration
 
 
-def _add(stream: StateBuffer, stamps: Stamps, rows: Floats, step_ns: int) -> None:
+def _add(stream: Tail, block: Trajectory, step_ns: int) -> None:
     """Append the first state of every time step that is newer than all stored; drop old ones."""
-    new = stamps > stream.newest
+    new = block.stamps > stream.newest
     if len(stream):
-        new &= stamps // step_ns > stream.newest // step_ns
-    new &= np.isfinite(rows[:, POSITION]).all(axis=1) & ~np.isinf(rows[:, QUATERNION.start])
-    stamps, rows = stamps[new], rows[new, :WIDTH]
-    kept = np.unique(stamps // step_ns, return_index=True)[1]
+        new &= block.stamps // step_ns > stream.newest // step_ns
+    rows = np.flatnonzero(new)
+    kept = rows[np.unique(block.stamps[rows] // step_ns, return_index=True)[1]]
     if not len(kept):
         return
     # The first state of every step in order of arrival.
-    stream.append(stamps[kept], rows[kept])
-    oldest = stream.newest - round(_PAST_S * NANOSECONDS)
-    stream.drop(int(stream.held[0].searchsorted(oldest)))
-
-
-def _trajectory(stream: StateBuffer) -> Trajectory:
-    """Return the stored states as a trajectory, with orientations if all states have one."""
-    stamps, rows = stream.held
-    turns = rows[:, QUATERNION]
-    known = not np.isnan(turns).any() and bool(turns[:, :3].any())
-    return Trajectory(
-        stamps.copy(), rows[:, POSITION].copy(), lie.normalized(turns) if known else None
+    turns = block.quaternions
+    stream.add(
+        Trajectory(
+            block.stamps[kept], block.positions[kept], None if turns is None else turns[kept]
+        )
     )
+    oldest = stream.newest - round(_PAST_S * NANOSECONDS)
+    stream.drop_before(int(stream.stamps.searchsorted(oldest)))
+
+
+def _trajectory(stream: Tail) -> Trajectory:
+    """Return copies of the states, with orientations if all states have one."""
+    states = stream.trajectory(np.arange(len(stream)))
+    if states.quaternions is None or not states.quaternions[:, :3].any():
+        return Trajectory(states.stamps, states.positions)
+    return states

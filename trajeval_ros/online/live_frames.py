@@ -12,25 +12,24 @@ from dataclasses import replace
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Booleans, Floats
-from trajeval_ros.geometry.frame_axes import between_own_axes
-from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.frame_axes import between_own_axes, upright
+from trajeval_ros.geometry.gauge import Gauge, Similarity
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 from trajeval_ros.metrics.alignment import Alignment
+from trajeval_ros.metrics.evaluation import on_plane
 from trajeval_ros.online.live_settings import OnlineSettings
+from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.state_rows import (
     COVARIANCE,
     POSITION,
     QUATERNION,
     VELOCITY,
     WIDTH,
-    Pairs,
-    on_plane,
-    states,
     turned_covariances,
-    upright_rows,
 )
 
 
@@ -85,9 +84,10 @@ def _poses(rows: Floats) -> Trajectory:
 
 
 class LiveFrames:
-    """Converts states (N, 10) or (N, 46) of both sides, whose frames have up axes."""
+    """Converts states of both sides, whose frames have up axes: those given, or of the blocks."""
 
     def __init__(self, settings: OnlineSettings) -> None:
+        self._given_up = settings.up
         self.groundtruth_up = self.estimate_up = Z_UP
         if settings.up is not None:
             self.groundtruth_up, self.estimate_up = map(UpAxis, settings.up)
@@ -96,30 +96,34 @@ class LiveFrames:
         self._arm = None if lever_m is None else HandEye.of(None, np.array(lever_m))
         self._rotation_frame = settings.covariances.rotation_frame
 
-    @property
-    def vertical(self) -> UpAxis:
-        """Up axis of the groundtruth in the frames of the evaluation."""
-        return Z_UP if self.gauge.turns_about_gravity_only else self.groundtruth_up
+    def of_groundtruth(self, block: Trajectory) -> Trajectory:
+        """Return groundtruth states as they are paired.
 
-    def of_point(self, rows: Floats) -> Floats:
-        """Return groundtruth states as positions only, if there is a lever arm.
-
-        They are of a point, also if messages have a constant orientation.
+        If there is a lever arm, they are of a point, also if messages have a constant orientation.
+        For gauge planar they are projected on the horizontal plane.
         """
-        return rows if self._arm is None else states(rows[:, POSITION])
+        if self._given_up is None:
+            self.groundtruth_up = block.up
+        block = _with_up(block, self.groundtruth_up)
+        if self._arm is not None:
+            block = replace(block, quaternions=None, velocities=None)
+        return in_plane(block) if self.gauge is Gauge.PLANAR else block
 
-    def in_plane(self, rows: Floats) -> Floats:
-        """Return groundtruth states projected on the horizontal plane, for gauge planar."""
-        return on_plane(rows, self.groundtruth_up) if self.gauge is Gauge.PLANAR else rows
+    def of_estimate(self, block: Trajectory) -> Trajectory:
+        """Return estimated states as they are paired.
 
-    def require_orientations(self, rows: Floats) -> None:
-        """Refuse estimated states without orientations if there is a lever arm."""
-        if self._arm is not None and np.isnan(rows[:, QUATERNION.start]).any():
+        Raises:
+            InputError: There is a lever arm, and the states have no orientations.
+        """
+        if self._given_up is None:
+            self.estimate_up = block.up
+        if self._arm is not None and block.quaternions is None and len(block):
             raise InputError(
                 "the estimate has no orientations, so no lever arm can be applied to it"
             )
+        return _with_up(block, self.estimate_up)
 
-    def of_same_point(self, pairs: Pairs) -> Pairs:
+    def of_same_point(self, pairs: PairedStates) -> PairedStates:
         """Return pairs of the pairing for the groundtruth's point, in the plane if planar.
 
         The lever arm depends on the orientation at the pair's timestamp. Therefore it is applied
@@ -127,32 +131,65 @@ class LiveFrames:
         """
         estimate = pairs.estimate
         if self._arm is not None:
-            estimate = marker_rows(estimate, self._arm, self._rotation_frame)
+            estimate = _at_marker(estimate, self._arm, self._rotation_frame)
         if self.gauge is Gauge.PLANAR:
-            estimate = on_plane(estimate, self.estimate_up)
-        return pairs._replace(estimate=estimate)
+            estimate = in_plane(estimate)
+        return PairedStates(pairs.groundtruth, estimate)
 
-    def upright(self, pairs: Pairs) -> Pairs:
+    def upright(self, pairs: PairedStates) -> PairedStates:
         """Return pairs in the frames of the evaluation, with covariances about their axes."""
+        groundtruth, estimate = pairs.groundtruth, pairs.estimate
         if self._rotation_frame == "body":
-            pairs = pairs._replace(estimate=turned_covariances(pairs.estimate))
-        if not self.gauge.turns_about_gravity_only:
-            return pairs
-        return pairs._replace(
-            groundtruth=upright_rows(pairs.groundtruth, self.groundtruth_up),
-            estimate=upright_rows(pairs.estimate, self.estimate_up),
-        )
+            estimate = _turned_covariances(estimate)
+        if self.gauge.turns_about_gravity_only:
+            groundtruth, estimate = upright(groundtruth), upright(estimate)
+        return PairedStates(groundtruth, estimate)
 
     def between_own_axes(self, alignment: Alignment) -> Alignment:
         """Return an alignment of the frames of the evaluation as one of the messages' frames."""
-        if not self.gauge.turns_about_gravity_only:
-            return alignment
         axes = self.groundtruth_up, self.estimate_up
+        if not self.gauge.turns_about_gravity_only or all(up.name == "z" for up in axes):
+            return alignment
         similarity = between_own_axes(alignment.similarity, *axes)
         return dataclasses.replace(alignment, similarity=similarity)
 
     def leaves_out_velocities_of(self, rows: Floats) -> bool:
-        """Return whether states have velocities that are not evaluated because of a lever arm."""
+        """Return whether rows have velocities that are not evaluated because of a lever arm."""
         if self._arm is None or not self._arm.lever_m.any():
             return False
         return bool(np.nan_to_num(rows[:, VELOCITY]).any())
+
+
+def _with_up(block: Trajectory, up: UpAxis) -> Trajectory:
+    return block if block.up == up else replace(block, up=up)
+
+
+def in_plane(states: Trajectory) -> Trajectory:
+    """Return states projected on the horizontal plane of their frame; covariances are kept."""
+    if states.up.name == "z":
+        return on_plane(states)
+    flat = on_plane(upright(states))
+    back = Similarity(states.up.matrix.T, np.zeros(3)).trajectory(flat)
+    return replace(
+        back, up=states.up, covariances=states.covariances, reading=states.reading.without()
+    )
+
+
+def _at_marker(estimate: Trajectory, hand_eye: HandEye, rotation_frame: str) -> Trajectory:
+    """Return estimated states with the marker's position and its covariances."""
+    if rotation_frame != "body":
+        return hand_eye.of_marker(estimate, 1.0)
+    moved = hand_eye.of_marker(_turned_covariances(estimate), 1.0)
+    return _turned_covariances(moved, to_body=True)
+
+
+def _turned_covariances(states: Trajectory, *, to_body: bool = False) -> Trajectory:
+    """Return states with rotation covariances converted from body axes to world axes."""
+    if states.covariances is None or states.quaternions is None:
+        return states
+    from trajeval_ros.geometry.covariance_frames import world_from_body_rotations
+
+    rotations = lie.to_matrix(states.quaternions)
+    if to_body:
+        rotations = rotations.swapaxes(1, 2)
+    return replace(states, covariances=world_from_body_rotations(states.covariances, rotations))

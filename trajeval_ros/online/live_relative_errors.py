@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, Indices
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.metrics.absolute_errors import lengths
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.metrics.relative_errors import PoseArrays, differences_at_ends
+from trajeval_ros.metrics.relative_errors import relative_errors
 from trajeval_ros.metrics.relative_evaluation import position_percent
 from trajeval_ros.metrics.sub_trajectories import Length, nearest_ends
-from trajeval_ros.online.state_rows import POSITION, QUATERNION
+from trajeval_ros.online.state_buffer import NEVER
 from trajeval_ros.online.window import PairStore
 
 # Units of lengths that are measured live.
@@ -48,140 +44,124 @@ class RunningErrors:
     given_up: int = 0  # number of starts that were given up before their ends arrived
 
 
+class _Sums:
+    """Sums over the sub-trajectories of one length."""
+
+    def __init__(self, next_ns: int = NEVER) -> None:
+        self.next_ns = next_ns  # no older pair is a start that is still open
+        self.count = self.given_up = 0
+        self.position_m = self.rotation_deg = 0.0
+
+    @property
+    def running(self) -> RunningErrors:
+        count = max(self.count, 1)
+        means = self.position_m / count, self.rotation_deg / count
+        return RunningErrors(self.count, *means, self.given_up)
+
+
 class RelativeTracker:
-    """Finds the ends of sub-trajectories of several lengths; every pair is used once."""
+    """Measures sub-trajectories when their ends arrive; every pair starts at most one per length.
+
+    A pair that arrives after newer pairs were starts is no start.
+    """
 
     def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
-        # One entry per length, grouped by unit.
-        chosen: list[Length] = []
-        self._by_unit: dict[str, slice] = {}
-        for unit in LIVE_UNITS:
-            begin = len(chosen)
-            chosen += [length for length in dict.fromkeys(protocol.lengths) if length.unit == unit]
-            self._by_unit[unit] = slice(begin, len(chosen))
-        total = len(chosen)
-        self._names = [str(length) for length in chosen]
-        units = np.array([NANOSECONDS if length.unit == "s" else 1 for length in chosen])
-        self._values = np.array([length.value for length in chosen]) * units
-        self._next, self._given_up, self._count = np.zeros((3, total), dtype=np.int64)
-        self._position_sum, self._rotation_sum = np.zeros((2, total))
+        lengths = dict.fromkeys(protocol.lengths)
+        # Grouped by unit.
+        self._lengths = [one for unit in LIVE_UNITS for one in lengths if one.unit == unit]
+        self._sums = {str(length): _Sums() for length in self._lengths}
 
     @property
     def running(self) -> dict[str, RunningErrors]:
         """Errors so far by length."""
-        counted = np.maximum(self._count, 1)
-        position_m, rotation_deg = self._position_sum / counted, self._rotation_sum / counted
-        columns = (self._count, position_m, rotation_deg, self._given_up)
-        rows = zip(*(column.tolist() for column in columns), strict=True)
-        return {name: RunningErrors(*row) for name, row in zip(self._names, rows, strict=True)}
+        return {name: sums.running for name, sums in self._sums.items()}
 
-    def with_lengths(self, protocol: Protocol, begin: int) -> RelativeTracker:
-        """Return a tracker of other lengths; new ones start at the pair of number `begin`."""
+    def with_lengths(self, protocol: Protocol, newest: int) -> RelativeTracker:
+        """Return a tracker of other lengths; new ones start after the newest pair's timestamp."""
         tracker = RelativeTracker(protocol)
-        tracker._next[:] = begin
-        for new, name in enumerate(tracker._names):
-            if name in self._names:
-                old = self._names.index(name)
-                for mine, yours in zip(tracker._columns, self._columns, strict=True):
-                    mine[new] = yours[old]
+        for name in tracker._sums:
+            tracker._sums[name] = self._sums.get(name) or _Sums(newest + 1)
         return tracker
-
-    @property
-    def _columns(self) -> tuple[NDArray[Any], ...]:
-        return (self._next, self._given_up, self._count, self._position_sum, self._rotation_sum)
 
     def update(
         self, store: PairStore, scale: float, *, at_end: bool = False
     ) -> tuple[RelativeEnd, ...]:
-        """Measure the sub-trajectories whose ends have arrived.
+        """Measure the sub-trajectories whose ends have arrived; return the newest by length.
 
-        `at_end`: no pair will follow, so that the last pair may be the nearest to the length.
+        `scale`: of the present alignment. `at_end`: no pair will follow, so that the last pair may
+        be the nearest to the length.
         """
-        return tuple(
-            end for unit in LIVE_UNITS for end in self._measure(store, unit, scale, at_end)
-        )
+        ends = (self._measure(store, length, scale, at_end) for length in self._lengths)
+        return tuple(end for end in ends if end is not None)
 
     def oldest_needed(self, store: PairStore) -> int:
         """Return the number of the oldest pair that can still start a sub-trajectory."""
-        oldest = int(self._next.min(initial=store.end))
-        limit = store.end - MOST_OPEN_STARTS
-        if oldest < limit:
-            self._given_up += np.maximum(limit - self._next, 0)
-            np.maximum(self._next, limit, out=self._next)
-        return max(oldest, limit)
+        stamps, oldest = store.stamps(), len(store)
+        limit = max(len(store) - MOST_OPEN_STARTS, 0)
+        for sums in self._sums.values():
+            begin = int(stamps.searchsorted(sums.next_ns))
+            if begin < limit:
+                sums.given_up += limit - begin
+                sums.next_ns, begin = int(stamps[limit]), limit
+            oldest = min(oldest, begin)
+        return store.begin + oldest
 
     def _measure(
-        self, store: PairStore, unit: str, scale: float, at_end: bool
-    ) -> Iterator[RelativeEnd]:
-        """Measure the sub-trajectories of the lengths in one unit; yield the newest per length."""
-        group = self._by_unit[unit]
-        names, values, begin = self._names[group], self._values[group], self._next[group]
-        if not names:
-            return
-        first = int(begin.min())
-        if first == store.end:
-            return
-        along = _along(store, first, unit)
+        self, store: PairStore, length: Length, scale: float, at_end: bool
+    ) -> RelativeEnd | None:
+        sums, stamps = self._sums[str(length)], store.stamps()
+        begin = int(stamps.searchsorted(sums.next_ns))
+        if begin == len(stamps):
+            return None
+        along, value = _along(store, store.begin + begin, length)
         # An end is decided when a pair is at or beyond the length.
-        decided = first + along.searchsorted(along[-1] - values, side="right")
-        if at_end:
-            decided[:] = store.end
-        count = np.maximum(decided - begin, 0)
-        if not count.any():
-            return
-        which = np.repeat(np.arange(len(names)), count)
-        starts = np.arange(len(which)) + (begin - first - np.cumsum(count) + count)[which]
-        self._next[group] += count
-        ends, accepted = nearest_ends(along, starts, values[which])
-        which, starts, ends = which[accepted], starts[accepted], ends[accepted]
-        position_m, rotation_deg = self._errors(store, starts + first, ends + first, scale)
-        count = np.bincount(which, minlength=len(names))
-        self._count[group] += count
-        self._position_sum[group] += np.bincount(which, position_m, len(names))
-        self._rotation_sum[group] += np.bincount(which, rotation_deg, len(names))
-        stamps = store.stamps(first)
-        newest = np.cumsum(count) - 1
-        for place, (ended, row) in enumerate(zip(count.tolist(), newest.tolist(), strict=True)):
-            if not ended:
-                continue
-            drift = None
-            if unit == "m":
-                largest = position_m[row + 1 - ended : row + 1].max(keepdims=True)
-                drift = float(position_percent(largest, float(values[place]))[0])
-            errors = float(position_m[row]), float(rotation_deg[row]), drift
-            yield RelativeEnd(names[place], int(stamps[ends[row]]), *errors)
-
-    def _errors(
-        self, store: PairStore, starts: Indices, ends: Indices, scale: float
-    ) -> list[Floats]:
-        """Return position errors, m, and rotation errors, deg, (K,) each, at the ends."""
-        groundtruth, other = store.groundtruth(), store.estimate()
-
-        def at_ends(s: Indices, e: Indices) -> tuple[Floats, Floats]:
-            rows = np.array([s, e]) - store.begin
-            difference, between, _ = differences_at_ends(
-                _poses(groundtruth[rows]),
-                _poses(other[rows]),
-                self._protocol.gauge,
-                scale,
-                self._protocol.re_form,
-            )
-            return lengths(difference), np.degrees(lie.angle(between))
-
-        return lie.by_blocks(at_ends, starts, ends)
+        count = len(along)
+        if not at_end:
+            count = int(along.searchsorted(along[-1] - value, side="right"))
+        if not count:
+            return None
+        following = begin + count
+        sums.next_ns = int(stamps[following]) if following < len(stamps) else store.newest + 1
+        starts = np.arange(count)
+        ends, accepted = nearest_ends(along, starts, value)
+        if not accepted.all():
+            starts, ends = starts[accepted], ends[accepted]
+        count = len(starts)
+        if not count:
+            return None
+        pairs = store.pairs(begin + np.concatenate([starts, ends]))
+        errors = relative_errors(
+            pairs.groundtruth,
+            pairs.estimate,
+            np.arange(count),
+            np.arange(count, 2 * count),
+            self._protocol.gauge,
+            scale,
+            self._protocol.re_form,
+        )
+        position_m, rotation_deg = errors.position_m, errors.rotation_deg
+        assert rotation_deg is not None
+        sums.count += count
+        sums.position_m += float(position_m.sum())
+        sums.rotation_deg += float(rotation_deg.sum())
+        drift = None
+        if length.unit == "m":
+            drift = float(position_percent(position_m.max(keepdims=True), length.value)[0])
+        newest = int(stamps[begin + int(ends[-1])])
+        return RelativeEnd(
+            str(length), newest, float(position_m[-1]), float(rotation_deg[-1]), drift
+        )
 
 
-def _poses(rows: Floats) -> PoseArrays:
-    return PoseArrays(rows[..., POSITION], rows[..., QUATERNION])
+def _along(store: PairStore, first: int, length: Length) -> tuple[Floats, float]:
+    """Return path (m), time (ns) or number of states up to the pairs from `first` on, (N,).
 
-
-def _along(store: PairStore, first: int, unit: str) -> Floats:
-    """Return path (m), time (ns) or number of states up to the pairs from `first` on, (N,)."""
-    if unit == "m":
-        return store.along(first)
+    The second value is the length in the same unit.
+    """
+    if length.unit == "m":
+        return store.along(first), length.value
     stamps = store.stamps(first)
-    if unit == "f":
-        return np.arange(len(stamps), dtype=np.float64)
-    since: Floats = (stamps - stamps[0]).astype(np.float64)
-    return since
+    if length.unit == "f":
+        return np.arange(len(stamps), dtype=np.float64), length.value
+    return (stamps - stamps[0]).astype(np.float64), length.value * NANOSECONDS

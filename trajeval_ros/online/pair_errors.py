@@ -9,24 +9,26 @@ import numpy as np
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Similarity
-from trajeval_ros.geometry.up_axis import UpAxis
-from trajeval_ros.metrics.absolute_errors import lengths
-from trajeval_ros.online.state_rows import POSITION, QUATERNION, VELOCITY, Pairs
+from trajeval_ros.metrics.absolute_errors import AbsoluteErrors, lengths
+from trajeval_ros.metrics.premises import Doubts
+from trajeval_ros.online.pairing import PairedStates
 
 
 class PairErrors:
     """Errors of N pairs under the alignment at their arrival.
 
     Vectors are groundtruth minus aligned estimate, in the groundtruth's frame unless stated
-    otherwise. A quantity that is not available is None. Quantities are computed on access.
+    otherwise. A quantity that is not available or withheld is None. Quantities are computed on
+    access.
     """
 
-    def __init__(self, pairs: Pairs, alignment: Similarity, up: UpAxis, *, rotation: bool) -> None:
-        self._pairs, self._alignment, self._up = pairs, alignment, up
-        self._has_rotation = rotation
+    def __init__(self, pairs: PairedStates, alignment: Similarity, doubts: Doubts) -> None:
+        self._groundtruth, self._estimate = pairs.groundtruth, pairs.estimate
+        self._alignment, self._up = alignment, pairs.groundtruth.up
+        self._withheld = doubts.withheld(AbsoluteErrors).keys()
         self.stamps = pairs.stamps  # (N,) timestamps of the pairs, nanoseconds
-        aligned = alignment.positions(pairs.estimate[:, POSITION])
-        self.position: Floats = pairs.groundtruth[:, POSITION] - aligned  # (N, 3), metres
+        aligned = alignment.positions(pairs.estimate.positions)
+        self.position: Floats = pairs.groundtruth.positions - aligned  # (N, 3), metres
 
     @cached_property
     def position_m(self) -> Floats:
@@ -36,10 +38,10 @@ class PairErrors:
     @cached_property
     def _between(self) -> Floats | None:
         """The rotation errors E = R R'^T, (N, 4)."""
-        if not self._has_rotation or not self._pairs.have_rotations:
+        groundtruth, estimate = self._groundtruth.quaternions, self._estimate.quaternions
+        if "rotation_deg" in self._withheld or groundtruth is None or estimate is None:
             return None
-        groundtruth = self._pairs.groundtruth[:, QUATERNION]
-        aligned = self._alignment.quaternions(self._pairs.estimate[:, QUATERNION])
+        aligned = self._alignment.quaternions(estimate)
         return lie.normalized(lie.multiply(groundtruth, lie.conjugate(aligned)))
 
     @cached_property
@@ -50,14 +52,14 @@ class PairErrors:
     @cached_property
     def yaw_deg(self) -> Floats | None:
         """Signed twists of the rotation errors about the up axis, (N,), degrees."""
-        if self._between is None:
+        if self._between is None or "yaw_deg" in self._withheld:
             return None
         return np.degrees(lie.yaw(self._up.turned(self._between)))
 
     @cached_property
     def tilt_deg(self) -> Floats | None:
         """Angles between the up axis and its image under the rotation errors, (N,), degrees."""
-        if self._between is None:
+        if self._between is None or "tilt_deg" in self._withheld:
             return None
         return np.degrees(lie.tilt(self._up.turned(self._between)))
 
@@ -73,7 +75,7 @@ class PairErrors:
         The component along the up axis is `yaw_deg`. The components perpendicular to it are the
         rotation vector of the tilt, whose length is `tilt_deg`.
         """
-        if self._between is None or self.yaw_deg is None:
+        if self._between is None or self.yaw_deg is None or "tilt_deg" in self._withheld:
             return None
         level = self._up.turned(self._between)
         tilted = lie.multiply(level, lie.conjugate(lie.heading(level)))
@@ -84,17 +86,16 @@ class PairErrors:
 
     @property
     def velocity(self) -> Floats | None:
-        """Velocity errors, (N, 3), m/s; NaN if a side has no velocity.
+        """Velocity errors, (N, 3), m/s; NaN where a side has none.
 
         A velocity of exactly zero is an unset field of a message.
         """
-        groundtruth, estimate = (
-            self._pairs.groundtruth[:, VELOCITY],
-            self._pairs.estimate[:, VELOCITY],
-        )
+        groundtruth, estimate = self._groundtruth.velocities, self._estimate.velocities
+        if "velocity_mps" in self._withheld or groundtruth is None or estimate is None:
+            return None
         error = groundtruth - self._alignment.vectors(estimate)
         error[~(groundtruth.any(axis=1) & estimate.any(axis=1))] = np.nan
-        return error if self._has_rotation and np.isfinite(error).any() else None
+        return error if np.isfinite(error).any() else None
 
     @property
     def along_cross_vertical(self) -> Floats | None:
@@ -103,8 +104,8 @@ class PairErrors:
         The heading is the rotation about the up axis nearest to the groundtruth's attitude; x is
         forward (REP-103).
         """
-        attitude = self._pairs.groundtruth[:, QUATERNION]
-        if np.isnan(attitude[0, 0]):
+        attitude = self._groundtruth.quaternions
+        if attitude is None or "horizontal_m" in self._withheld:
             return None
         upright = lie.multiply(lie.from_matrices(self._up.matrix[None]), attitude)
         return lie.rotate(lie.conjugate(lie.heading(upright)), self._up.turned(self.position))

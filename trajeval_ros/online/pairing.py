@@ -2,120 +2,187 @@
 
 One side is interpolated at the timestamps of the other, with the code of the offline association,
 so that both make the same pairs. A state of the other side waits until the interpolated side has
-states beyond it, or until the end. `DensePairing` and `SparsePairing` define which side is
-interpolated.
+states beyond it, or until the end. Both sides are kept for a while, because states can be late.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from typing import ClassVar, NamedTuple
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
-from trajeval_ros.geometry.interpolation import Bracket, bracket_stamps, mix
+from trajeval_ros.geometry.arrays import Booleans, Indices, Stamps
+from trajeval_ros.geometry.interpolation import Bracket
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.geometry.valid_poses import add_counts, count_up
-from trajeval_ros.metrics.completeness import Interpolation
-from trajeval_ros.metrics.coverage import StampedPoses
-from trajeval_ros.online.state_buffer import NEVER, BufferLimits, StateBuffer, StateCounts
-from trajeval_ros.online.state_rows import QUATERNION, WIDTH, Pairs
+from trajeval_ros.metrics.completeness import Interpolation, InterpolationMeter
+from trajeval_ros.metrics.coverage import NO_GAP_NS, StampedPoses, time_without_gaps
+from trajeval_ros.online.state_buffer import NEVER, NOTHING, BufferLimits, StateCounts, Tail
+from trajeval_ros.online.state_rows import WIDTH, Pairs, rows_of
 
 
-class Decided(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class PairedStates:
+    """N pairs in order of time: states of both sides with equal timestamps."""
+
+    groundtruth: Trajectory
+    estimate: Trajectory  # in its own frame
+
+    def __len__(self) -> int:
+        """Return the number of pairs."""
+        return len(self.estimate)
+
+    @property
+    def stamps(self) -> Stamps:
+        """Timestamps (N,), nanoseconds."""
+        return self.estimate.stamps
+
+    def part(self, rows: slice | Booleans) -> PairedStates:
+        """Return the pairs of a slice or a mask."""
+        return PairedStates(self.groundtruth[rows], self.estimate[rows])
+
+    @property
+    def rows(self) -> Pairs:
+        """The pairs as rows, with covariances of the estimate alone."""
+        groundtruth = rows_of(self.groundtruth)[:, :WIDTH]
+        return Pairs(self.stamps, groundtruth, rows_of(self.estimate))
+
+
+class _Decided(NamedTuple):
     """States whose association has been decided, in order of time."""
 
-    stamps: Stamps  # (N,) nanoseconds
-    rows: Floats  # (N, k) states
+    rows: Indices  # (N,) in the tail of their side
+    states: Trajectory  # (N,)
     bracket: Bracket  # their position between the states of the interpolated side
 
-    def until(self, count: int) -> Decided:
-        """Return the first `count` states."""
-        return Decided(self.stamps[:count], self.rows[:count], self.bracket.until(count))
+
+class DecidedStates(NamedTuple):
+    """N groundtruth states in order of time, and which of them are in a pair."""
+
+    states: StampedPoses
+    paired: Booleans  # (N,)
 
 
-class Pairing(ABC):
-    """Pairs the states of two sides in bounded memory."""
+class Pairing:
+    """Pairs the states of two sides in bounded memory.
 
-    interpolated: ClassVar[str]  # the interpolated side, `groundtruth` or `estimate`
-    waits: ClassVar[tuple[str, str]]  # name of the waiting states, singular and plural
+    Association `linear` interpolates the groundtruth, and `groundtruth-stamps` the estimate.
+    """
 
-    def __init__(self, max_gap_s: float = 0.5, limits: BufferLimits | None = None) -> None:
+    def __init__(
+        self,
+        max_gap_s: float = 0.5,
+        limits: BufferLimits | None = None,
+        *,
+        at_groundtruth: bool = False,
+    ) -> None:
+        """Create it without states; `at_groundtruth` interpolates the estimate."""
         self.max_gap_s = max_gap_s  # longest step of the interpolated side, seconds
         self.limits = limits or BufferLimits()  # limits of the memory
+        self.at_groundtruth = at_groundtruth
+        # The newest states of both sides. Column `waits`: of a state without a decision.
+        self.groundtruth, self.estimate = Tail(), Tail()
         # Besides invalid states, they count `too_late`, a state of the interpolated side whose
         # neighbours have been forgotten; and `after_use`, a state that arrived after its
         # neighbours were used without it.
         self.groundtruth_counts, self.estimate_counts = StateCounts(), StateCounts()
-        self._track, self._waiting = StateBuffer(), StateBuffer()
-        self._track_count = 0  # states of the interpolated side so far
         # In the same order as offline, whatever occurs first.
         self._unpaired = dict.fromkeys(Bracket.reasons(self.interpolated), 0)
-        self._decided: Decided | None = None  # by the last `made`, not counted yet
-        self._seen: Stamps = np.empty(0, dtype=np.int64)
+        self._decided: _Decided | None = None  # by the last `made`, not counted yet
+        self._groundtruth_decided: list[DecidedStates] = []
+        self._waits_from = NEVER  # no older state waits
         self._forgotten_until = self._paired_until = self._decided_until = NEVER
         self._is_full = False  # whether states were dropped by number, not by age
-
-    def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
-        """Take groundtruth states, (N,) and (N, 10), in any order."""
-        add = self._interpolate if self._is_groundtruth_interpolated else self._let_wait
-        add(stamps, rows)
-
-    def add_estimate(self, stamps: Stamps, rows: Floats) -> None:
-        """Take estimated states, (N,) and (N, 10) or (N, 46), in any order.
-
-        Covariances of interpolated states are dropped, as offline.
-        """
-        add = self._let_wait if self._is_groundtruth_interpolated else self._interpolate
-        add(stamps, rows)
+        self._left_time_ns, self._left_path_m = 0, 0.0  # of the groundtruth that was forgotten
+        self._left_estimate = InterpolationMeter()
+        self._is_between = False  # whether a pair lies between two estimated states
 
     @property
-    def _is_groundtruth_interpolated(self) -> bool:
-        return self.interpolated == "groundtruth"
-
-    @abstractmethod
-    def take_waypoints(self) -> StampedPoses:
-        """Return the groundtruth's waypoints since the last call, for the coverage."""
+    def interpolated(self) -> str:
+        """The side that is interpolated, `groundtruth` or `estimate`."""
+        return "estimate" if self.at_groundtruth else "groundtruth"
 
     @property
-    def newest_groundtruth(self) -> tuple[Stamps, Floats]:
-        """Copies of the newest groundtruth states that are stored, (N,) and (N, 10)."""
-        stored = self._track if self._is_groundtruth_interpolated else self._waiting
-        stamps, rows = stored.held
-        return stamps.copy(), rows.copy()
+    def _waiting_side(self) -> Tail:
+        return self.groundtruth if self.at_groundtruth else self.estimate
 
     @property
-    @abstractmethod
+    def _track(self) -> Tail:
+        """The states of the interpolated side."""
+        return self.estimate if self.at_groundtruth else self.groundtruth
+
+    @property
+    def _track_counts(self) -> StateCounts:
+        return self.estimate_counts if self.at_groundtruth else self.groundtruth_counts
+
+    @property
+    def _waiting_counts(self) -> StateCounts:
+        return self.groundtruth_counts if self.at_groundtruth else self.estimate_counts
+
+    def pair_at_groundtruth(self) -> None:
+        """Interpolate the estimate from now on; call it before the first groundtruth."""
+        self.at_groundtruth = True
+        self.estimate_counts.dropped = self.dropped
+        self._unpaired = dict.fromkeys(Bracket.reasons(self.interpolated), 0)
+        self._waits_from = NEVER
+
+    def add_groundtruth(self, block: Trajectory, dropped: Mapping[str, int] = NOTHING) -> None:
+        """Take groundtruth states in any order; `dropped`: see `StateCounts.take`."""
+        self.groundtruth_counts.take(block, dropped)
+        self._add(self.groundtruth, self.groundtruth_counts, block)
+
+    def add_estimate(self, block: Trajectory, dropped: Mapping[str, int] = NOTHING) -> None:
+        """Take estimated states in any order; covariances of interpolated ones are dropped."""
+        self.estimate_counts.take(block, dropped)
+        self._add(self.estimate, self.estimate_counts, block)
+
+    @property
     def groundtruth_count(self) -> int:
-        """Number of groundtruth states so far."""
+        """Number of groundtruth states so far, without waiting ones."""
+        return self._count(self.groundtruth)
 
     @property
-    @abstractmethod
+    def estimate_count(self) -> int:
+        """Number of estimated states so far, without waiting ones."""
+        return self._count(self.estimate)
+
+    def _count(self, side: Tail) -> int:
+        return side.dropped + len(side) - (self.waiting if side is self._waiting_side else 0)
+
+    @property
     def groundtruth_time(self) -> int:
-        """Groundtruth time that pairs can cover, nanoseconds."""
+        """Groundtruth time that pairs can cover, nanoseconds; fixes and points have no gaps."""
+        stamps = self.groundtruth.stamps[: self._groundtruth_rows]
+        return self._left_time_ns + time_without_gaps(stamps, self._groundtruth_gap_ns)
 
     @property
-    @abstractmethod
     def groundtruth_path_m(self) -> float:
         """Length of the path through the groundtruth states, metres."""
+        return self._left_path_m + _path_m(self.groundtruth, self._groundtruth_rows)
+
+    @property
+    def _groundtruth_rows(self) -> int:
+        """Number of the stored groundtruth states before those that wait."""
+        return self._first_waiting if self.at_groundtruth else len(self.groundtruth)
+
+    @property
+    def _groundtruth_gap_ns(self) -> int:
+        return NO_GAP_NS if self.at_groundtruth else round(self.max_gap_s * NANOSECONDS)
 
     @property
     def interpolation(self) -> Interpolation | None:
-        """How far interpolation of the estimate may be off; None if it isn't interpolated."""
-        return None
-
-    @property
-    @abstractmethod
-    def estimate_count(self) -> int:
-        """Number of estimated states so far, without waiting ones."""
-
-    @property
-    def _sides(self) -> tuple[StateCounts, StateCounts]:
-        """The counts of the interpolated and of the waiting side."""
-        sides = self.groundtruth_counts, self.estimate_counts
-        return sides if self._is_groundtruth_interpolated else sides[::-1]
+        """How far interpolation of the estimate may be off; None if no pair needed any."""
+        if not self._is_between:
+            return None
+        whole = deepcopy(self._left_estimate)
+        states = self.estimate.trajectory()
+        whole.add(states.stamps, states.positions)
+        return whole.found
 
     @property
     def dropped(self) -> dict[str, int]:
@@ -127,14 +194,33 @@ class Pairing(ABC):
         return add_counts(self.estimate_counts.dropped, self._unpaired)
 
     @property
+    def newest(self) -> int:
+        """The newest timestamp of both sides, nanoseconds; the least int64 without states."""
+        return max(self.groundtruth.newest, self.estimate.newest)
+
+    @property
     def waiting(self) -> int:
         """Number of states that wait for the other side."""
-        return len(self._waiting)
+        return len(self._waiting_rows(len(self._waiting_side)))
+
+    @property
+    def _first_waiting(self) -> int:
+        """Row of the first state that can wait."""
+        return int(self._waiting_side.stamps.searchsorted(self._waits_from))
+
+    def _waiting_rows(self, end: int) -> Indices:
+        """Return the rows before `end` that wait."""
+        first = self._first_waiting
+        if end <= first:
+            return np.empty(0, dtype=np.int64)
+        rows: Indices = np.flatnonzero(self._waiting_side.column("waits")[first:end])
+        return rows + first
 
     @property
     def why_forgotten(self) -> str:
         """The sentence about states that were dropped because of the limits; empty if none."""
         told = []
+        waits = ("fix or point", "fixes or points") if self.at_groundtruth else ("pose", "poses")
         late, waited = self._unpaired.get("too_late"), self._unpaired.get("waited_too_long")
         if late:
             memory = (
@@ -143,44 +229,106 @@ class Pairing(ABC):
                 else f"{self.limits.past_s:g} s (max_delay)"
             )
             told.append(
-                f"{counted(late, *self.waits)} dropped: later than the {self.interpolated} "
-                f"buffer of {memory}"
+                f"{counted(late, *waits)} dropped: later than the {self.interpolated} buffer of "
+                f"{memory}"
             )
         if waited:
             told.append(
-                f"{counted(waited, *self.waits)} dropped: more than "
-                f"{self.limits.waiting_states} were waiting for {self.interpolated}"
+                f"{counted(waited, *waits)} dropped: more than {self.limits.waiting_states} were "
+                f"waiting for {self.interpolated}"
             )
         return "; ".join(told)
 
-    def made(self, *, at_end: bool = False) -> Pairs:
-        """Return the pairs that are possible now; `settle` takes them as used."""
+    def made(self, *, at_end: bool = False) -> PairedStates | None:
+        """Return the pairs that are possible now, or None; `settle` takes them as used."""
         self._decided = None
-        track_stamps, track = self._track.held
-        waiting, rows = self._waiting.held
-        ready = len(waiting)
-        if not at_end:
-            ready = int(waiting.searchsorted(self._track.newest, side="right"))
-        if not ready:
-            return Pairs.none()
-        stamps, rows = waiting[:ready].copy(), rows[:ready].copy()
-        bracket = (
-            bracket_stamps(track_stamps, stamps, self.max_gap_s)
-            if len(track_stamps)
-            else _behind_everything(ready)
-        )
-        self._decided = Decided(stamps, rows, bracket)
-        start, end, fraction = bracket.start, bracket.end, bracket.fraction
+        side, track = self._waiting_side, self._track
+        end = len(side) if at_end else int(side.stamps.searchsorted(track.newest, side="right"))
+        rows = self._waiting_rows(end)
+        if not len(rows):
+            return None
+        states = side.trajectory(rows)
+        if not len(track):
+            self._decided = _Decided(rows, states, _behind_everything(len(rows)))
+            return None
+        # The states around the new timestamps.
+        begin = max(int(track.stamps.searchsorted(states.stamps[0], side="right")) - 1, 0)
+        beyond = int(track.stamps.searchsorted(states.stamps[-1])) + 1
+        around = track.trajectory(slice(min(begin, len(track) - 1), beyond))
+        between, bracket = around.at(states.stamps, self.max_gap_s)
+        self._decided = _Decided(rows, states, bracket)
+        if len(between) < len(states):
+            states = states[bracket.usable]
+        if not len(states):
+            return None
+        sides = (states, between) if self.at_groundtruth else (between, states)
+        return PairedStates(*sides)
+
+    def settle(self, before: int | None = None) -> None:
+        """Take the last pairs of `made` as used.
+
+        With a timestamp `before`, later pairs are not used: their states continue to wait.
+        """
+        decided, self._decided = self._decided, None
+        if decided is None:
+            return
+        stamps, count = decided.states.stamps, len(decided.rows)
+        if before is not None:
+            count = int(stamps.searchsorted(before))
+        if not count:
+            return
+        self._waits_from = int(stamps[count]) if count < len(stamps) else int(stamps[-1]) + 1
+        self._waiting_side.column("waits")[decided.rows[:count]] = False
+        stamps, bracket = stamps[:count], decided.bracket.until(count)
+        self._decided_until = max(self._decided_until, int(stamps[-1]))
         usable = bracket.usable
+        if usable.any():
+            self._paired_until = max(self._paired_until, int(stamps[usable][-1]))
         if not usable.all():
-            start, end, fraction = start[usable], end[usable], fraction[usable]
-            stamps, rows = stamps[usable], rows[usable]
-        between = mix(track, start, end, fraction)
-        if len(stamps) and not np.isnan(between[0, QUATERNION.start]):
-            quaternions = track[:, QUATERNION]
-            between[:, QUATERNION] = lie.slerp(quaternions[start], quaternions[end], fraction)
-        sides = (between, rows) if self._is_groundtruth_interpolated else (rows, between)
-        return Pairs(stamps, *sides)
+            too_late = int(np.count_nonzero(bracket.early & (stamps <= self._forgotten_until)))
+            for reason, number in bracket.dropped(self.interpolated).items():
+                self._drop(reason, number - (too_late if reason.startswith("before_") else 0))
+            self._drop("too_late", too_late)
+        if self.at_groundtruth:
+            self._is_between |= bracket.is_between
+            states = StampedPoses.of(decided.states, np.arange(count))
+            self._groundtruth_decided.append(DecidedStates(states, usable))
+
+    def take_decided(self) -> Sequence[DecidedStates]:
+        """Return the groundtruth states that were decided since the last call, for their stamps.
+
+        There are none if the groundtruth is interpolated.
+        """
+        decided, self._groundtruth_decided = self._groundtruth_decided, []
+        return decided
+
+    @property
+    def forgettable(self) -> int:
+        """Number of the oldest interpolated states that the limits do not keep."""
+        track, side = self._track, self._waiting_side
+        if not len(track):
+            return 0
+        keep_from, first = self.limits.horizon(track.newest), self._first_waiting
+        if first < len(side):
+            keep_from = min(keep_from, int(side.stamps[first]))
+        # Keep one state before the oldest relevant timestamp, for the interpolation.
+        old = int(track.stamps.searchsorted(keep_from, side="right")) - 1
+        return max(old, len(track) - self.limits.past_states, 0)
+
+    def forget(self) -> None:
+        """Drop states that are older than the limits allow."""
+        track, side, old = self._track, self._waiting_side, self.forgettable
+        if old:
+            horizon = self.limits.horizon(track.newest)
+            self._is_full |= int(track.stamps[old]) > horizon
+            self._forgotten_until = int(track.stamps[old - 1])
+            self._leave(track, old)
+        if not len(side):
+            return
+        # Of the other side, states are kept so that a repeated timestamp is detected.
+        decided = self._first_waiting - 1
+        old = int(side.stamps.searchsorted(self.limits.horizon(side.newest)))
+        self._leave(side, max(min(decided, max(old, decided - self.limits.past_states)), 0))
 
     def hand_over(self, following: Pairing) -> None:
         """Give another pairing the states that wait, and the interpolated ones around and after.
@@ -188,116 +336,75 @@ class Pairing(ABC):
         Both pairings need the two interpolated states around the border. Every other state belongs
         to one of them.
         """
-        held, rows = self._waiting.held
-        waiting, rows = held.copy(), rows.copy()
-        stamps, track = self._track.held
-        border = int(waiting[0]) if len(waiting) else self._paired_until + 1
-        begin = max(int(stamps.searchsorted(border, side="right")) - 1, 0)
-        end = min(int(stamps.searchsorted(border)), len(stamps) - 1)
-        following._interpolate(stamps[begin:].copy(), track[begin:].copy())
-        following._let_wait(waiting, rows)
-        interpolated, waited = self._sides
-        self._waiting.drop(len(waiting))
-        waited.take_back(len(waiting), self._decided_until)
-        beyond = len(stamps) - 1 - end
-        if beyond and len(stamps):
-            interpolated.take_back(beyond, int(stamps[end]))
-            self._track_count -= beyond
-            self._track.end -= beyond
+        side, track = self._waiting_side, self._track
+        rows = self._waiting_rows(len(side))
+        border = int(side.stamps[rows[0]]) if len(rows) else self._paired_until + 1
+        begin = max(int(track.stamps.searchsorted(border, side="right")) - 1, 0)
+        end = min(int(track.stamps.searchsorted(border)), len(track) - 1)
+        following._receive(following._track, track, slice(begin, None))
+        following._receive(following._waiting_side, side, rows)
+        if len(rows):
+            side.cut(int(rows[0]))
+            self._waiting_counts.take_back(len(rows), self._decided_until)
+        beyond = len(track) - 1 - end
+        if beyond > 0:
+            self._track_counts.take_back(beyond, int(track.stamps[end]))
+            track.cut(end + 1)
 
-    def settle(self, before: int | None = None) -> None:
-        """Take the last pairs of `made` as used, and drop states older than the limits allow.
+    def _receive(self, side: Tail, other: Tail, rows: slice | Indices) -> None:
+        add = self.add_groundtruth if side is self.groundtruth else self.add_estimate
+        add(other.trajectory(rows))
 
-        With a timestamp `before`, later pairs are not used: their states continue to wait.
-        """
-        decided, self._decided = self._decided, None
-        if decided is not None and before is not None:
-            decided = decided.until(int(decided.stamps.searchsorted(before)))
-        if decided is not None and len(decided.stamps):
-            self._waiting.drop(len(decided.stamps))
-            self._decided_until = int(decided.stamps[-1])
-            paired = decided.stamps[decided.bracket.usable]
-            if len(paired):
-                self._paired_until = max(self._paired_until, int(paired[-1]))
-            self._pass(decided)
-        stamps, _ = self._track.held
-        if not len(stamps):
+    def _add(self, side: Tail, counts: StateCounts, block: Trajectory) -> None:
+        if not len(block):
             return
-        keep_from = self.limits.horizon(self._track.newest)
-        waiting, _ = self._waiting.held
-        if len(waiting):
-            keep_from = min(keep_from, int(waiting[0]))
-        # Keep one state before the oldest relevant timestamp, for the interpolation.
-        old = int(stamps.searchsorted(keep_from, side="right")) - 1
-        excess = len(stamps) - self.limits.past_states
-        self._is_full |= excess > max(old, 0)
-        old = max(old, excess, 0)
-        if old:
-            self._leave(old)
-            self._forgotten_until = int(stamps[old - 1])
-            self._track.drop(old)
+        is_track, oldest = side is self._track, int(block.stamps.min())
+        if is_track and oldest <= side.newest:
+            if self._forgotten_until > NEVER and oldest < side.stamps[0]:
+                known = block.stamps >= side.stamps[0]
+                counts.drop("too_late", int(np.count_nonzero(~known)))
+                block = block[known]
+            counts.drop("after_use", int(np.count_nonzero(block.stamps <= self._paired_until)))
+        _, new = side.add(block, waits=np.ones(len(block), dtype=bool))
+        counts.drop("duplicate_stamp", len(block) - new)
+        if not is_track:
+            self._waits_from = min(self._waits_from, oldest)
+            if len(side) > self.limits.waiting_states:
+                self._drop_waiting()
 
-    def _pass(self, decided: Decided) -> None:
-        bracket = decided.bracket
-        late = bracket.early & (decided.stamps <= self._forgotten_until)
-        too_late = int(np.count_nonzero(late))
-        for reason, count in bracket.dropped(self.interpolated).items():
-            self._drop(reason, count - (too_late if reason.startswith("before_") else 0))
-        self._drop("too_late", too_late)
-
-    def _leave(self, count: int) -> None:  # noqa: B027 - optional hook
-        """Called before the `count` oldest interpolated states are dropped."""
-
-    def _interpolate(self, stamps: Stamps, rows: Floats) -> None:
-        counts = self._sides[0]
-        stamps, rows = counts.take(stamps, rows[:, :WIDTH])
-        if not len(stamps):
-            return
-        if _continue(self._track.newest, stamps):
-            self._track.append(stamps, rows)
-            self._track_count += len(stamps)
-            return
-        if self._forgotten_until > NEVER:  # states older than the oldest stored one are too late
-            old: Booleans = stamps < self._track.held[0][0]
-            counts.drop("too_late", int(np.count_nonzero(old)))
-            stamps, rows = stamps[~old], rows[~old]
-        counts.drop("after_use", int(np.count_nonzero(stamps <= self._paired_until)))
-        duplicates = self._track.merge(stamps, rows)
-        counts.drop("duplicate_stamp", duplicates)
-        self._track_count += len(stamps) - duplicates
-
-    def _let_wait(self, stamps: Stamps, rows: Floats) -> None:
-        counts = self._sides[1]
-        stamps, rows = counts.take(stamps, rows)
-        if not len(stamps):
-            return
-        if _continue(int(self._seen[-1]) if len(self._seen) else NEVER, stamps):
-            self._waiting.append(stamps, rows)
-            self._seen = np.concatenate([self._seen, stamps])
-        else:
-            # A timestamp that was seen before is a duplicate, as offline.
-            new, first = np.unique(stamps, return_index=True)
-            unseen = ~np.isin(new, self._seen)
-            self._waiting.merge(new[unseen], rows[first[unseen]])
-            self._seen = np.union1d(self._seen, new)
-            counts.drop("duplicate_stamp", len(stamps) - int(np.count_nonzero(unseen)))
-        forget = int(self._seen.searchsorted(self.limits.horizon(int(self._seen[-1]))))
-        self._seen = self._seen[max(forget, len(self._seen) - self.limits.waiting_states) :]
-        excess = len(self._waiting) - self.limits.waiting_states
+    def _drop_waiting(self) -> None:
+        side = self._waiting_side
+        rows = self._waiting_rows(len(side))
+        excess = len(rows) - self.limits.waiting_states
         if excess > 0:
-            self._waiting.drop(excess)
+            self._leave(side, int(rows[excess]))
             self._drop("waited_too_long", excess)
+
+    def _leave(self, side: Tail, count: int) -> None:
+        """Drop the oldest states of a side, and add what the sums need of them."""
+        if not count:
+            return
+        if side is self.groundtruth:
+            stamps = side.stamps[: count + 1]
+            self._left_time_ns += time_without_gaps(stamps, self._groundtruth_gap_ns)
+            self._left_path_m += _path_m(side, count + 1)
+        elif self.at_groundtruth:
+            states = side.trajectory(slice(count))
+            self._left_estimate.add(states.stamps, states.positions)
+        side.drop_before(count)
 
     def _drop(self, reason: str, count: int) -> None:
         count_up(self._unpaired, reason, count)
+
+
+def _path_m(side: Tail, count: int) -> float:
+    """Return the length of the path through the oldest states, metres."""
+    if not count or not len(side):
+        return 0.0
+    return float(travelled_distance(side.column("positions")[:count])[-1])
 
 
 def _behind_everything(count: int) -> Bracket:
     """Return the bracket of N stamps when the interpolated side has no states: all are late."""
     nowhere, never = np.zeros(count, np.int64), np.zeros(count, dtype=bool)
     return Bracket(nowhere, nowhere, np.zeros(count), never, ~never, never)
-
-
-def _continue(newest: int, stamps: Stamps) -> bool:
-    """Return whether stamps (N,), N > 0, are strictly increasing and newer than `newest`."""
-    return bool(stamps[0] > newest and (stamps[1:] > stamps[:-1]).all())

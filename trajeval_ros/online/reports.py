@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.coverage import Coverage
+from trajeval_ros.metrics.premises import Doubts
 from trajeval_ros.metrics.statistics import Statistics
 from trajeval_ros.metrics.tracking_loss import Loss
 from trajeval_ros.online.live_relative_errors import RelativeEnd, RunningErrors
@@ -55,8 +56,7 @@ def united(updates: Sequence[Update]) -> Update:
 class Snapshot:
     """The state of an evaluation; a result that is not available or not configured is None."""
 
-    # Number of pairs so far, without those out of order, which are in `dropped` and on disk.
-    pairs: int
+    pairs: int  # number of pairs so far
     stamp: int | None  # timestamp of the newest pair, nanoseconds; None without a pair
     warming_up: str  # why there is no alignment yet; empty if there is one
     alignment: Alignment | None  # the present alignment
@@ -75,6 +75,7 @@ class Snapshot:
     loss: Loss | None = None  # loss of tracking at the newest pair
     ate_before_loss_m: float | None = None  # position ATE of the run until it
     about_yaw: Remark | None = None  # warning about covariances that claim to know yaw
+    doubts: Doubts = field(default_factory=Doubts)  # about what the withheld errors rely on
 
     @property
     def nees(self) -> PerPose | None:

@@ -3,86 +3,156 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
-from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.geometry.valid_poses import LARGEST, add_counts, count_up
-from trajeval_ros.online.state_rows import POSITION, QUATERNION, VELOCITY, WIDTH, as_wide
+from trajeval_ros.geometry.arrays import Indices, Stamps
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.up_axis import Z_UP
+from trajeval_ros.geometry.valid_poses import add_counts, count_up
+from trajeval_ros.metrics.coverage import POSE, StampedPoses
 
-NEVER = int(np.iinfo(np.int64).min)
+NEVER = int(np.iinfo(np.int64).min)  # before all timestamps
+_STATE = ("positions", "quaternions", "velocities", "covariances")  # columns of a trajectory
+_ALL = slice(None)
+NOTHING: Mapping[str, int] = MappingProxyType({})  # no counts
+_FEWEST_ROWS = 1024  # of the arrays, so that a short stream is copied a few times only
 
 
-class StateBuffer:
-    """States with distinct timestamps in order, in rows as wide as the widest so far."""
+class Tail:
+    """The newest states of a stream, in order of time and with distinct timestamps.
 
-    def __init__(self, width: int = WIDTH) -> None:
-        self.stamps: Stamps = np.empty(256, dtype=np.int64)
-        self.rows: Floats = np.empty((256, width))
-        self.begin = self.end = 0
+    Each column is one contiguous array, because `take` copies strided ones. The arrays grow by
+    doubling. Rows that are dropped are freed when the arrays are copied. Rows count from the
+    oldest one that is stored.
+    """
+
+    def __init__(self) -> None:
+        self.dropped = 0  # number of the states that were dropped
+        self.up = Z_UP  # up axis of the newest block's frame
+        self._columns: dict[str, NDArray[Any]] = {"stamps": np.empty(0, dtype=np.int64)}
+        self._incomplete: set[str] = set()  # columns that some of the blocks did not have
+        self._begin = self._end = 0
 
     def __len__(self) -> int:
         """Return the number of stored states."""
-        return self.end - self.begin
+        return self._end - self._begin
 
     @property
-    def held(self) -> tuple[Stamps, Floats]:
-        """The stored states: views of stamps (N,) and rows (N, 10) or (N, 46)."""
-        return self.stamps[self.begin : self.end], self.rows[self.begin : self.end]
+    def stamps(self) -> Stamps:
+        """The timestamps (N,), nanoseconds: a view."""
+        return self._columns["stamps"][self._begin : self._end]
 
     @property
     def newest(self) -> int:
-        """The newest timestamp, nanoseconds; `NEVER` if the buffer is empty."""
-        return int(self.stamps[self.end - 1]) if self.end > self.begin else NEVER
+        """The newest timestamp, nanoseconds; `NEVER` without states."""
+        return int(self._columns["stamps"][self._end - 1]) if self._end > self._begin else NEVER
 
-    def append(self, stamps: Stamps, rows: Floats) -> None:
-        """Add states in order of time that are newer than all stored ones."""
-        self._make_room(len(stamps), rows.shape[1])
-        self.stamps[self.end : self.end + len(stamps)] = stamps
-        self.rows[self.end : self.end + len(stamps)] = as_wide(rows, self.rows.shape[1])
-        self.end += len(stamps)
+    def column(self, name: str) -> NDArray[Any]:
+        """Return a column, which some block must have had: a view of N rows."""
+        return self._columns[name][self._begin : self._end]
 
-    def merge(self, stamps: Stamps, rows: Floats) -> int:
-        """Add states in any order; returns the number of repeated timestamps."""
-        self._make_room(0, rows.shape[1])
-        held_stamps, held_rows = self.held
-        rows = as_wide(rows, held_rows.shape[1])
-        # Stored states come first, so that of equal timestamps the first that arrived is kept.
-        all_stamps = np.concatenate([held_stamps, stamps])
-        unique, first = np.unique(all_stamps, return_index=True)
-        all_rows = np.concatenate([held_rows, rows])[first]
-        self.begin = self.end = 0
-        self.append(unique, all_rows)
-        return len(all_stamps) - len(unique)
+    def trajectory(self, rows: slice | Indices = _ALL) -> Trajectory:
+        """Return some states, with the columns that all of them have.
 
-    def drop(self, count: int) -> None:
+        A slice gives views, which are valid until the next `add`. Indices give copies.
+        """
+        columns: dict[str, Any] = {}
+        for name in _STATE:
+            if name in self._columns:
+                part = self.column(name)[rows]
+                is_known = name not in self._incomplete or (
+                    part.any() if name == "covariances" else not np.isnan(part).any()
+                )
+                columns[name] = part if is_known else None
+        if not columns:
+            columns["positions"] = np.empty((0, 3))
+        return Trajectory(self.stamps[rows], up=self.up, **columns)
+
+    def poses(self, rows: slice | Indices = _ALL) -> StampedPoses:
+        """Return copies of the poses of some states."""
+        stamps = self.stamps[rows]
+        poses = np.full((len(stamps), POSE.stop), np.nan)
+        if len(stamps):
+            poses[:, :3] = self.column("positions")[rows]
+            if "quaternions" in self._columns:
+                poses[:, 3:] = self.column("quaternions")[rows]
+        return StampedPoses(stamps.copy(), poses)
+
+    def add(self, block: Trajectory, **more: NDArray[Any]) -> tuple[int, int]:
+        """Add states in any order, with more columns by name; see `add_columns`."""
+        self.up = block.up
+        known = {name: value for name in _STATE if (value := getattr(block, name)) is not None}
+        return self.add_columns(block.stamps, **known, **more)
+
+    def add_columns(self, stamps: Stamps, **given: NDArray[Any]) -> tuple[int, int]:
+        """Add N rows in any order; of equal timestamps, the first that arrived is kept.
+
+        Returns:
+            The first row behind which rows are new, and the number of new rows.
+        """
+        row, count = len(self), len(stamps)
+        if not count:
+            return row, 0
+        given = self._completed({"stamps": stamps, **given})
+        if not (stamps[0] > self.newest and (stamps[1:] > stamps[:-1]).all()):
+            row = int(self.stamps.searchsorted(stamps.min()))
+            both = np.concatenate([self.stamps[row:], stamps])
+            order = np.unique(both, return_index=True)[1]
+            count = len(order) - (len(self) - row)
+            given = {
+                name: np.concatenate([self.column(name)[row:], column])[order]
+                for name, column in given.items()
+            }
+            self.cut(row)
+        self._append(given)
+        return row, count
+
+    def drop_before(self, row: int) -> None:
         """Drop the oldest states."""
-        self.begin += count
+        self._begin += row
+        self.dropped += row
 
-    def _make_room(self, count: int, width: int) -> None:
-        if self.end + count <= len(self.stamps) and width <= self.rows.shape[1]:
-            return
-        stamps, rows = self.held
-        size = max(len(self.stamps), 2 * (len(stamps) + count))
-        width = max(width, self.rows.shape[1])
-        self.stamps, self.rows = np.empty(size, np.int64), np.empty((size, width))
-        self.begin, self.end = 0, len(stamps)
-        self.stamps[: self.end], self.rows[: self.end] = stamps, as_wide(rows, width)
+    def cut(self, row: int) -> None:
+        """Remove the states from a row on."""
+        self._end = self._begin + row
+
+    def _completed(self, given: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """Return N rows with all columns; unknown covariances are zeros, other values NaN."""
+        count = len(given["stamps"])
+        if given.keys() != self._columns.keys():
+            for name in given.keys() - self._columns.keys():
+                size = (len(self._columns["stamps"]), *given[name].shape[1:])
+                self._columns[name] = _unknown(name, size, given[name].dtype)
+                if len(self):
+                    self._incomplete.add(name)
+            for name in self._columns.keys() - given.keys():
+                column = self._columns[name]
+                given[name] = _unknown(name, (count, *column.shape[1:]), column.dtype)
+                self._incomplete.add(name)
+        return {name: given[name] for name in self._columns}
+
+    def _append(self, given: dict[str, NDArray[Any]]) -> None:
+        count = len(given["stamps"])
+        if self._end + count > len(self._columns["stamps"]):
+            size = max(_FEWEST_ROWS, 2 * (len(self) + count))
+            for name, column in self._columns.items():
+                larger = np.empty((size, *column.shape[1:]), column.dtype)
+                larger[: len(self)] = column[self._begin : self._end]
+                self._columns[name] = larger
+            self._begin, self._end = 0, len(self)
+        for name, column in given.items():
+            self._columns[name][self._end : self._end + count] = column
+        self._end += count
 
 
-def usable_rows(rows: Floats) -> tuple[Booleans, dict[str, int]]:
-    """Return which states (N, k) are usable, (N,), and the number of the others by reason."""
-    # `states` sets all four columns to infinity.
-    no_length = rows[:, QUATERNION.start] == np.inf
-    finite = np.isfinite(rows[:, POSITION]).all(axis=1)
-    usable = finite & ~no_length
-    dropped: dict[str, int] = {}
-    if not usable.all():
-        count_up(dropped, "not_finite", int(np.count_nonzero(~finite)))
-        count_up(dropped, "zero_quaternion", int(np.count_nonzero(finite & no_length)))
-    return usable, dropped
+def _unknown(name: str, shape: tuple[int, ...], kind: np.dtype[Any]) -> NDArray[Any]:
+    return np.full(shape, 0.0 if name == "covariances" else np.nan, kind)
 
 
 @dataclass
@@ -94,21 +164,11 @@ class StateCounts:
     last: int | None = None  # the latest timestamp, nanoseconds
     dropped: dict[str, int] = field(default_factory=dict)  # number of unusable states by reason
 
-    def take(self, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats]:
-        """Count states (N,), (N, k), and return the valid ones, by the same rules as the readers.
-
-        An invalid velocity is replaced by NaN.
-        """
-        wild = np.abs(rows[:, VELOCITY]) > LARGEST
-        if wild.any():
-            rows = rows.copy()
-            rows[wild.any(axis=1), VELOCITY] = np.nan
-        keep, dropped = usable_rows(rows)
+    def take(self, block: Trajectory, dropped: Mapping[str, int]) -> None:
+        """Count the states of a block, and those that were left out of it, by reason."""
         if dropped:
             self.dropped = add_counts(self.dropped, dropped)
-            stamps, rows = stamps[keep], rows[keep]
-        self.count(stamps)
-        return stamps, rows
+        self.count(block.stamps)
 
     def count(self, stamps: Stamps) -> None:
         """Count usable poses with timestamps (N,), nanoseconds."""

@@ -1,4 +1,4 @@
-"""States of a stream as rows of ten columns, or of 46 with covariances."""
+"""Rows of ten columns for decoded states, or of 46 with covariances, and their trajectory."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
+from trajeval_ros.geometry.reading import NOT_READ, Reading
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
-from trajeval_ros.geometry.valid_poses import judge_poses
+from trajeval_ros.geometry.valid_poses import LARGEST, count_up, judge_poses
 
 # Columns of a state: position, quaternion xyzw, velocity; NaN if not measured.
 POSITION, QUATERNION, VELOCITY = slice(0, 3), slice(3, 7), slice(7, 10)
@@ -78,31 +78,17 @@ def states(
     return rows
 
 
-def all_columns(rows: Floats) -> Floats:
-    """Return rows (N, 10) or (N, 46), also of positions and quaternions (N, 3) or (N, 7)."""
-    if rows.ndim == 2 and rows.shape[1] in (WIDTH, WIDTH_WITH_COVARIANCE):
-        return rows
-    if rows.ndim != 2 or rows.shape[1] not in (3, 7):
-        raise InputError(
-            f"states are rows of 3, 7, {WIDTH} or {WIDTH_WITH_COVARIANCE} columns (position, "
-            f"quaternion xyzw, velocity, covariance), not an array of shape {rows.shape}"
-        )
-    return states(rows[:, POSITION], rows[:, QUATERNION] if rows.shape[1] == 7 else None)
-
-
-def upright_rows(rows: Floats, up: UpAxis) -> Floats:
-    """Return states (N, 10) or (N, 46) in a frame with z up; see `geometry.upright`."""
-    if up.name == "z":
-        return rows
-    turned: Floats = rows.copy()
-    turned[:, POSITION] = up.turned(rows[:, POSITION])
-    turned[:, VELOCITY] = up.turned(rows[:, VELOCITY])
-    turned[:, QUATERNION] = lie.multiply(lie.from_matrices(up.matrix[None]), rows[:, QUATERNION])
-    if rows.shape[1] > WIDTH:
-        both = np.kron(np.eye(2), up.matrix)
-        covariances = both @ rows[:, COVARIANCE].reshape(-1, 6, 6) @ both.T
-        turned[:, COVARIANCE] = covariances.reshape(-1, 36)
-    return turned
+def usable_rows(rows: Floats) -> tuple[Booleans, dict[str, int]]:
+    """Return which states (N, k) are usable, (N,), and the number of the others by reason."""
+    # `states` sets all four columns to infinity.
+    no_length = rows[:, QUATERNION.start] == np.inf
+    finite = np.isfinite(rows[:, POSITION]).all(axis=1)
+    usable = finite & ~no_length
+    dropped: dict[str, int] = {}
+    if not usable.all():
+        count_up(dropped, "not_finite", int(np.count_nonzero(~finite)))
+        count_up(dropped, "zero_quaternion", int(np.count_nonzero(finite & no_length)))
+    return usable, dropped
 
 
 def turned_covariances(rows: Floats, *, to_body: bool = False) -> Floats:
@@ -132,30 +118,36 @@ def as_wide(rows: Floats, width: int) -> Floats:
     return np.pad(rows, ((0, 0), (0, width - rows.shape[1])))
 
 
-def on_plane(rows: Floats, up: UpAxis) -> Floats:
-    """Return states (N, 10) projected on the horizontal plane, for gauge planar."""
-    flat: Floats = rows.copy()
-    heights = [POSITION.start + up.index, VELOCITY.start + up.index]
-    flat[:, heights] *= 0.0  # NaN and infinity are kept
-    turned = np.isfinite(rows[:, QUATERNION]).all(axis=1)
-    headings = lie.heading(upright_rows(rows[turned], up)[:, QUATERNION])
-    if up.name != "z":
-        headings = lie.multiply(lie.from_matrices(up.matrix.T[None]), headings)
-    flat[turned, QUATERNION] = headings
-    return flat
-
-
 def trajectory(stamps: Stamps, rows: Floats, up: UpAxis = Z_UP) -> Trajectory:
-    """Return rows (N, 7 or more) as a trajectory, without quantities that are not measured."""
+    """Return rows (N, 7 or more) as a trajectory, without quantities that some of them lack.
+
+    Unusable states are dropped and counted in the trajectory's reading.
+    """
+    usable, dropped = usable_rows(rows)
+    if dropped:
+        stamps, rows = stamps[usable], rows[usable]
     quaternions, velocities = rows[:, QUATERNION], rows[:, VELOCITY]
     covariances = rows[:, COVARIANCE]
-    measured = len(rows) and not np.isnan(quaternions[0, 0])
-    moving = velocities.size and not np.isnan(velocities).any()
+    is_oriented = len(rows) and not np.isnan(quaternions[:, 0]).any()
+    is_moving = velocities.size and (np.abs(velocities) <= LARGEST).all()
     return Trajectory(
         stamps=np.array(stamps),
         positions=np.array(rows[:, POSITION]),
-        quaternions=lie.normalized(quaternions) if measured else None,
-        velocities=np.array(velocities) if moving else None,
+        quaternions=lie.normalized(quaternions) if is_oriented else None,
+        velocities=np.array(velocities) if is_moving else None,
         covariances=covariances.reshape(-1, 6, 6).copy() if covariances.any() else None,
         up=up,
+        reading=Reading(dropped=dropped) if dropped else NOT_READ,
     )
+
+
+def rows_of(source: Trajectory) -> Floats:
+    """Return states as rows (N, 10), or (N, 46) with covariances."""
+    rows = np.full((len(source), WIDTH), np.nan)
+    rows[:, POSITION] = source.positions
+    for columns, values in ((QUATERNION, source.quaternions), (VELOCITY, source.velocities)):
+        if values is not None:
+            rows[:, columns] = values
+    if source.covariances is None:
+        return rows
+    return np.hstack([rows, source.covariances.reshape(-1, 36)])

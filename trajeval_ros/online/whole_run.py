@@ -15,7 +15,8 @@ from trajeval_ros.metrics.association import Association
 from trajeval_ros.metrics.coverage import Coverage
 from trajeval_ros.metrics.evaluation import Evaluation, evaluate_pairs
 from trajeval_ros.metrics.protocol import Protocol
-from trajeval_ros.online.state_rows import QUATERNION, WIDTH, Pairs, on_plane, trajectory
+from trajeval_ros.online.live_frames import in_plane
+from trajeval_ros.online.state_rows import QUATERNION, WIDTH, Pairs, rows_of, trajectory
 
 MOST_POSES = 2000
 
@@ -98,7 +99,7 @@ class RevisedPath:
         poses = np.isfinite(states[:, : QUATERNION.stop]).all(axis=1)
         self.stamps, self.states = stamps[poses], states[poses]
         if self._gauge is Gauge.PLANAR:
-            self.states = on_plane(self.states, self._up)
+            self.states = rows_of(in_plane(trajectory(self.stamps, self.states, self._up)))
         newest = self._known[-1] if len(self._known) else np.iinfo(np.int64).min
         is_new = stamps > newest
         if not np.array_equal(stamps[~is_new], self._known):  # poses were inserted or removed

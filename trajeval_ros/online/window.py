@@ -11,17 +11,19 @@ import numpy as np
 
 from trajeval_ros.consistency.covariance_request import CovarianceRequest, IntegrityRequest
 from trajeval_ros.exceptions import SettingsError, TrajevalError
-from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.arrays import Floats, Indices, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.metrics.absolute_errors import AbsoluteErrors, absolute_errors, lengths
+from trajeval_ros.geometry.travelled import step_lengths
+from trajeval_ros.metrics.absolute_errors import AbsoluteErrors, absolute_errors
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import Association
+from trajeval_ros.metrics.coverage import StampedPoses
 from trajeval_ros.metrics.evaluation import evaluate_pairs
+from trajeval_ros.metrics.premises import Doubts
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
-from trajeval_ros.metrics.withholding import doubts_of
-from trajeval_ros.online.state_buffer import StateBuffer
-from trajeval_ros.online.state_rows import POSITION, WIDTH, WIDTH_WITH_COVARIANCE, Pairs, as_wide
+from trajeval_ros.online.pairing import PairedStates
+from trajeval_ros.online.state_buffer import Tail
 
 if TYPE_CHECKING:
     from trajeval_ros.consistency.consistency_result import Consistency
@@ -71,59 +73,75 @@ class Window:
 class PairStore:
     """The newest pairs as columns, with the groundtruth path up to every pair.
 
-    Pairs are numbered from the start of the run; `begin` is the oldest stored one. A pair takes
-    176 bytes, and 288 more with covariances. The arrays double when they are full. Allocated
-    memory is up to twice that of the pairs; resident memory is that of the pairs, and the double
-    during a reallocation.
+    Pairs are numbered in order of time from the start of the run; `begin` is the oldest stored
+    one. A late pair moves the numbers of newer ones. A pair takes 184 bytes, and 288 more with
+    covariances. The arrays double when they are full. Allocated memory is up to twice that of the
+    pairs; resident memory is that of the pairs, and the double during a reallocation.
     """
 
-    def __init__(self, *, covariances: bool = False) -> None:
-        self.begin = self.end = 0
-        # Columns: groundtruth, estimate, path. The pair before the oldest is kept, because the
-        # path continues from it.
-        self._own_width = WIDTH_WITH_COVARIANCE if covariances else WIDTH
-        self._pairs = StateBuffer(WIDTH + self._own_width + 1)
+    def __init__(self) -> None:
+        self._groundtruth, self._estimate = Tail(), Tail()
 
     def __len__(self) -> int:
         """Return the number of stored pairs."""
-        return self.end - self.begin
+        return len(self._estimate)
 
-    def append(self, pairs: Pairs) -> None:
-        """Add pairs; the path continues from the last groundtruth position."""
-        before = self._pairs.held[1][-1:]
-        path = np.concatenate([before[:, POSITION], pairs.groundtruth[:, POSITION]])
-        along = np.zeros((len(pairs.stamps), 1))
-        along[1 - len(before) :, 0] = before[:, -1].sum() + np.cumsum(
-            lengths(np.diff(path, axis=0))
-        )
-        estimate = as_wide(pairs.estimate, self._own_width)
-        self._pairs.append(pairs.stamps, np.hstack([pairs.groundtruth, estimate, along]))
-        self.end += len(pairs.stamps)
+    @property
+    def begin(self) -> int:
+        """Number of the oldest stored pair."""
+        return self._estimate.dropped
+
+    @property
+    def end(self) -> int:
+        """Number of the pair after the newest one."""
+        return self.begin + len(self)
+
+    @property
+    def newest(self) -> int:
+        """Timestamp of the newest pair, nanoseconds; the least int64 without pairs."""
+        return self._estimate.newest
+
+    def add(self, pairs: PairedStates) -> None:
+        """Add pairs in order of time, also late ones; those before the oldest are left out."""
+        if self.begin and pairs.stamps[0] < self._estimate.stamps[0]:
+            pairs = pairs.part(pairs.stamps > self._estimate.stamps[0])
+            if not len(pairs):
+                return
+        row, _ = self._groundtruth.add(pairs.groundtruth, along=np.zeros(len(pairs)))
+        self._estimate.add(pairs.estimate)
+        # The path continues from the pair before the first new one.
+        first = max(row, 1)
+        if first < len(self):
+            positions = self._groundtruth.column("positions")[first - 1 :]
+            along = self._groundtruth.column("along")[first - 1 :]
+            along[1:] = step_lengths(positions)
+            np.cumsum(along, out=along)
 
     def drop_before(self, number: int) -> None:
-        """Drop the pairs before a number."""
-        self.begin = min(max(self.begin, number), self.end)
-        self._pairs.drop(max(len(self._pairs) - len(self) - 1, 0))
-
-    def _view(self, begin: int | None) -> slice:
-        first = self.begin if begin is None else max(begin, self.begin)
-        return slice(len(self._pairs) - self.end + first, None)
+        """Drop the pairs before a number, but never the newest pair."""
+        row = max(min(number - self.begin, len(self) - 1), 0)
+        for side in (self._groundtruth, self._estimate):
+            side.drop_before(row)
 
     def stamps(self, begin: int | None = None) -> Stamps:
         """Return timestamps of the pairs from number `begin` on, (N,), nanoseconds."""
-        return self._pairs.held[0][self._view(begin)]
-
-    def groundtruth(self, begin: int | None = None) -> Floats:
-        """Return groundtruth states of the pairs from number `begin` on, (N, 10)."""
-        return self._pairs.held[1][self._view(begin), :WIDTH]
-
-    def estimate(self, begin: int | None = None) -> Floats:
-        """Return estimated states of the pairs from `begin` on, (N, 10) or (N, 46)."""
-        return self._pairs.held[1][self._view(begin), WIDTH:-1]
+        return self._estimate.stamps[self._row(begin) :]
 
     def along(self, begin: int | None = None) -> Floats:
         """Return the groundtruth path up to the pairs from `begin` on, (N,), metres."""
-        return self._pairs.held[1][self._view(begin), -1]
+        along: Floats = self._groundtruth.column("along")[self._row(begin) :]
+        return along
+
+    def pairs(self, rows: slice | Indices) -> PairedStates:
+        """Return some rows from the oldest pair on: views for a slice, copies for indices."""
+        return PairedStates(self._groundtruth.trajectory(rows), self._estimate.trajectory(rows))
+
+    def poses(self, rows: slice) -> tuple[StampedPoses, StampedPoses]:
+        """Return copies of the poses of groundtruth and estimate."""
+        return self._groundtruth.poses(rows), self._estimate.poses(rows)
+
+    def _row(self, number: int | None) -> int:
+        return 0 if number is None else max(number - self.begin, 0)
 
     def window_begin(self, window: Window) -> int:
         """Return the number of the first pair in a window."""
@@ -140,15 +158,11 @@ class PairStore:
 
 
 def window_statistics(
-    pairs: Association, alignment: Alignment, protocol: Protocol
+    pairs: Association, alignment: Alignment, doubts: Doubts
 ) -> dict[str, Statistics | None]:
     """Return statistics of the absolute errors by metric, under the alignment of the run."""
-    errors = absolute_errors(
-        pairs.groundtruth,
-        alignment.similarity.trajectory(pairs.estimate),
-        rotation=not alignment.why_withheld(protocol),
-    )
-    errors = doubts_of(pairs, alignment, protocol).without(errors)
+    aligned = alignment.similarity.trajectory(pairs.estimate)
+    errors = doubts.without(absolute_errors(pairs.groundtruth, aligned))
     return {name: statistics_of(getattr(errors, name)) for name in AbsoluteErrors.__annotations__}
 
 

@@ -17,6 +17,7 @@ from trajeval_ros.geometry.valid_poses import (
     in_words,
     reasons,
 )
+from trajeval_ros.metrics.premises import Premise
 from trajeval_ros.metrics.stream_health import FEWEST_RECENT
 from trajeval_ros.online.alarms import (
     LIMITED_QUANTITIES,
@@ -92,7 +93,7 @@ def remarks_about(
     """
     faults = list(about_clock_faults(run, estimate))
     return [
-        *_about_data(run, estimate, snapshot),
+        *_about_data(run, estimate),
         *_about_coverage(snapshot, limits["coverage"]),
         *_about_rate(estimate, limits["rate_hz"]),
         # Clocks that differ measure no delay.
@@ -128,7 +129,7 @@ def about_jump(estimate: LiveEstimate, jump: Jump) -> Remark:
     return warning("restart" if jump.declared else "jump", said, values=values)
 
 
-def _about_data(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> Iterator[Remark]:
+def _about_data(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
     for what, side in (("groundtruth", run.groundtruth), ("estimate", estimate.source)):
         silent_s = side.silent_s
         if silent_s is None:
@@ -147,13 +148,6 @@ def _about_data(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> Ite
     dropped = add_counts(estimate.status.dropped, buffer.dropped)
     used = buffer.estimate_count + buffer.waiting
     yield from _about_unusable(source, "estimate", dropped, used)
-    late = snapshot.dropped.get("out_of_order", 0)
-    if _are_many(late, snapshot.pairs):
-        said = (
-            f"{source}: {_MANY} of the poses arrive out of "
-            "order: live values exclude them, results on disk include them"
-        )
-        yield warning("data", said, "out_of_order", {"value": late})
 
 
 def _about_unusable(
@@ -261,8 +255,8 @@ def _about_run(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> Iter
         yield warning("hint", said, "covariance")
     if snapshot.about_yaw is not None:
         yield snapshot.about_yaw
-    if estimate.doubt:
-        yield warning("hint", estimate.doubt.replace("--up=", "up:="), "up")
+    if doubt := snapshot.doubts.reasons.get(Premise.UP_AXIS):
+        yield warning("hint", doubt.replace("--up=", "up:="), "up")
     stepped = estimate.source.stream.clock_steps.found is not None
     if estimate.jumps.count and snapshot.loss is None and not stepped:
         said = f"{counted(estimate.jumps.count, 'jump')}, {cause_of_jumps(estimate.jumps.count)}"

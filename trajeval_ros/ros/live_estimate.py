@@ -21,14 +21,13 @@ from trajeval_ros.io.live.pair_file import REVISED_SUFFIX, SUFFIX, PairWriter, w
 from trajeval_ros.io.live.reception_file import SUFFIX as RECEIVED_SUFFIX
 from trajeval_ros.io.live.reception_file import RecordedAvailability
 from trajeval_ros.io.writing import write_whole
-from trajeval_ros.metrics.absolute_errors import AbsoluteErrors
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH
-from trajeval_ros.metrics.premises import Doubts, Premise
 from trajeval_ros.online.alarms import Peaks, Standing
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.jump_detector import Jump, JumpDetector
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
 from trajeval_ros.online.live_settings import OnlineSettings
+from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.reports import Snapshot, Update, united
 from trajeval_ros.online.state_rows import (
     COVARIANCE,
@@ -98,7 +97,6 @@ class LiveEstimate:
         self.clock = clock  # estimate of its clock offset; none if the topic carries paths
         self.peaks, self.standing = Peaks(), Standing()  # peaks since the last status
         self.slow = SlowEvaluation()  # hints, and the errors of the newest path
-        self.doubt = ""  # why the groundtruth's up axis is probably wrong, at the newest snapshot
         self._given_up = None if settings.up is None else settings.up[1]
         self._paired_at = 0.0
         self._updates: list[Update] = []
@@ -124,8 +122,7 @@ class LiveEstimate:
 
     def share_groundtruth(self, before: LiveEstimate) -> None:
         """Copy the newest groundtruth states, of the evaluated body, from the previous run."""
-        self.evaluator.frames.groundtruth_up = before.evaluator.frames.groundtruth_up
-        self.evaluator.add_groundtruth(*before.evaluator.buffer.newest_groundtruth)
+        self.evaluator.add_groundtruth(before.evaluator.buffer.groundtruth.trajectory())
 
     def begin_to_evaluate(self, offset_s: float) -> None:
         """Use a clock offset, seconds, and the marker pose from now on."""
@@ -146,9 +143,9 @@ class LiveEstimate:
 
     def see(self, messages: DecodedMessages) -> None:
         """Use messages for what precedes the evaluation: axes, clock, and their kind."""
-        self.evaluator.frames.estimate_up = self.up
         if not messages.is_path:
-            self.clock.add_estimate(messages.states.stamps, messages.states.states)
+            states = messages.states
+            self.clock.add_estimate(trajectory(states.stamps, states.states))
         elif self.revised is None:
             self.revised = RevisedPath(self.evaluator.settings.protocol.gauge, self.up)
             reason = "paths are revised during the run, so their clock can't be estimated"
@@ -164,7 +161,7 @@ class LiveEstimate:
             self.source.stream.count_new(poses.picked(new), int(messages.times[0]))
             newest = poses.picked(poses.stamps.argsort(kind="stable")[-1:])
             self._receive(newest._replace(arrived=messages.times[: len(newest.stamps)]))
-            self.evaluator.add_estimate(poses.stamps[new], rows[new])
+            self._add(poses.stamps[new], rows[new])
             return
         if len(poses.stamps):
             self._newest = int(poses.stamps[-1]), poses.states[-1:]
@@ -177,7 +174,11 @@ class LiveEstimate:
             self._body.leaves_out_velocities_of(poses.states, is_groundtruth=False)
             or self.evaluator.frames.leaves_out_velocities_of(poses.states)
         )
-        self.evaluator.add_estimate(poses.stamps, rows)
+        self._add(poses.stamps, rows)
+
+    def _add(self, stamps: Stamps, rows: Floats) -> None:
+        block = trajectory(stamps, rows, self.up)
+        self.evaluator.add_estimate(block, block.reading.dropped)
 
     def _receive(self, poses: StateColumns) -> None:
         if self.availability is not None and poses.arrived is not None:
@@ -193,16 +194,16 @@ class LiveEstimate:
         """Evaluate the pairs that are possible now, up to a jump that ends the run."""
         if self.restarted_at is not None and not at_end:
             return  # what waits belongs to the next run, which takes it before the end
-        buffer = self.evaluator.buffer
-        pairs = self.evaluator.frames.of_same_point(buffer.made(at_end=at_end))
-        if self.ends_at_jump and len(pairs.stamps):
+        pairs = self.evaluator.made(at_end=at_end)
+        if self.ends_at_jump and pairs is not None:
             pairs = self._until_jump(pairs)
-        buffer.settle(self.restarted_at)
-        if len(pairs.stamps):
+        self.evaluator.buffer.settle(self.restarted_at)
+        if pairs is not None and len(pairs):
             self._paired_at = time.monotonic()
             # Pairs are written to disk before anything else.
-            self.pairs_file.append(*pairs)
-            narrow = pairs.without_covariances()
+            rows = pairs.rows
+            self.pairs_file.append(*rows)
+            narrow = rows.without_covariances()
             self._undigested.append(narrow)
             if self.on_pairs is not None:
                 self.on_pairs(self, narrow)
@@ -219,8 +220,8 @@ class LiveEstimate:
         updates, self._updates = self._updates, []
         return united(updates)
 
-    def _until_jump(self, pairs: Pairs) -> Pairs:
-        narrow, detector = pairs.without_covariances(), copy(self.jumps)
+    def _until_jump(self, pairs: PairedStates) -> PairedStates:
+        narrow, detector = pairs.rows.without_covariances(), copy(self.jumps)
         found = detector.update(narrow, self._scale)
         if not found:
             self.jumps = detector
@@ -229,7 +230,7 @@ class LiveEstimate:
         row = int(pairs.stamps.searchsorted(self.restarted_at))
         self._found_jumps = self.jumps.update(narrow.picked(slice(row + 1)), self._scale)
         self.jumps.count = 0  # a run contains no jump
-        return pairs.picked(slice(row))
+        return pairs.part(slice(row))
 
     @property
     def _scale(self) -> float:
@@ -237,17 +238,12 @@ class LiveEstimate:
         return 1.0 if alignment is None else alignment.similarity.scale
 
     def snapshot(self) -> Snapshot:
-        """Return the state of the evaluation, without what relies on a doubtful up axis."""
-        snapshot = self.evaluator.snapshot()
+        """Return the state of the evaluation, without what is withheld."""
         stamps, groundtruth, _ = self.thinned.columns()
         if len(stamps):
-            self.doubt = up_axis_doubt(
-                trajectory(stamps, groundtruth, self.evaluator.frames.groundtruth_up)
-            )
-        if not self.doubt:
-            return snapshot
-        absent = Doubts({Premise.UP_AXIS: self.doubt}).withheld(AbsoluteErrors)
-        return replace(snapshot, ate={**snapshot.ate, **dict.fromkeys(absent)})
+            up = self.evaluator.frames.groundtruth_up
+            self.evaluator.up_axis_doubt = up_axis_doubt(trajectory(stamps, groundtruth, up))
+        return self.evaluator.snapshot()
 
     def digest(self) -> list[Jump]:
         """Add the pairs since the last call to thinned and revision; return their jumps.

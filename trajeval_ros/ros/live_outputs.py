@@ -155,18 +155,16 @@ class Outputs(_Topics):
             for each in (topics.ALIGNED_PATH, topics.GROUNDTRUTH_PATH)
         }
 
-    def publish_update(
-        self, update: Update, frame: str, offset_ns: int, *, knows_up: bool
-    ) -> None:
+    def publish_update(self, update: Update, frame: str, offset_ns: int) -> None:
         """Publish the errors of new pairs, and of sub-trajectories that have ended."""
         for topic in topics.VECTORS:
             if not self._publishers[topic].get_subscription_count():
                 continue  # vectors without a subscriber are not computed
             for errors in update.errors:
-                found = topics.vectors_of(errors, topic, offset_ns, knows_up=knows_up)
+                found = topics.vectors_of(errors, topic, offset_ns)
                 self._publish_vectors(topic, *found, frame)
-        for name in topics.NUMBERS if update.errors else ():
-            numbers = topics.numbers_of(update.errors[-1], name, knows_up=knows_up)
+        for name, numbers_of in topics.NUMBERS.items() if update.errors else ():
+            numbers = numbers_of(update.errors[-1])
             self._publish(name, None if numbers is None else float(numbers[-1]))
         for end in update.ends:
             vector = topics.position_and_rotation(end.position_m, end.rotation_deg)
@@ -283,9 +281,7 @@ class LiveOutputs:
         assert update.stamp is not None
         self.newest[estimate.name] = update
         frame = run.groundtruth_status.frame
-        self._outputs[estimate.name].publish_update(
-            update, frame, estimate.offset_ns, knows_up=not estimate.doubt
-        )
+        self._outputs[estimate.name].publish_update(update, frame, estimate.offset_ns)
         if self._broadcaster is not None and estimate.evaluator.alignment is not None:
             self._broadcaster.publish(
                 estimate.name,

@@ -21,6 +21,7 @@ from trajeval_ros.io.requests.setting import AUTO
 from trajeval_ros.online.live_clock import OnlineClock
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.reports import Update
+from trajeval_ros.online.state_rows import rows_of, trajectory
 from trajeval_ros.pipeline.request import Request
 from trajeval_ros.ros.live_estimate import DecodedMessages, LiveEstimate
 from trajeval_ros.ros.marker_body import MarkerBody
@@ -232,7 +233,7 @@ class LiveRun:
             if len(poses.stamps):
                 self._keep_fixes(poses.stamps, poses.fixes)
         for each in self.estimates:
-            each.clock.add_groundtruth(poses.stamps, poses.states)
+            each.clock.add_groundtruth(trajectory(poses.stamps, poses.states))
         if not len(poses.stamps):
             return
         self.start.see_groundtruth(poses.states)
@@ -247,9 +248,9 @@ class LiveRun:
             self.estimates[source - 1].take(messages)
             return
         stamps, rows = messages.states.stamps, self.body.groundtruth(messages.states.states)
+        block = trajectory(stamps, rows, self.groundtruth_up)
         for each in self.estimates:
-            each.evaluator.frames.groundtruth_up = self.groundtruth_up
-            each.evaluator.add_groundtruth(stamps, rows)
+            each.evaluator.add_groundtruth(block, block.reading.dropped)
             if each.availability is not None:
                 each.availability.add_groundtruth(stamps, rows)
 
@@ -296,13 +297,15 @@ class LiveRun:
     def _describe_groundtruth_of(self, before: LiveRun) -> None:
         """Draw groundtruth that was taken from the previous run; keep its fixes and its note."""
         if self.on_groundtruth is not None:
-            stamps, rows = self.estimates[0].evaluator.buffer.newest_groundtruth
-            self.on_groundtruth(StateColumns(stamps, rows, np.arange(len(stamps))))
+            states = self.estimates[0].evaluator.buffer.groundtruth.trajectory()
+            rows = rows_of(states)
+            self.on_groundtruth(StateColumns(states.stamps.copy(), rows, np.arange(len(rows))))
         self._note_velocities(MARKERS_VELOCITIES in before.groundtruth_status.remarks)
         if before._fixes is not None:
             stamps, fixes = read_fix_rows(before.folder)
-            taken = [each.evaluator.buffer.newest_groundtruth[0] for each in self.estimates]
-            kept = np.isin(stamps, np.concatenate(taken))
+            buffers = [estimate.evaluator.buffer for estimate in self.estimates]
+            taken = np.concatenate([buffer.groundtruth.stamps for buffer in buffers])
+            kept = np.isin(stamps, taken)
             self._keep_fixes(stamps[kept], fixes[kept])
 
 

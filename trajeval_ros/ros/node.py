@@ -216,7 +216,7 @@ class EvaluatorNode:
             self._picture.update(estimate, update)
             latency_s = estimate.latency.publish(update.stamp, time.time_ns())
             estimate.peaks.see("latency_s", latency_s)
-            estimate.peaks.see_update(update, knows_up=not estimate.doubt)
+            estimate.peaks.see_update(update)
         if self._points is not None:
             for stamp, points in self._points.take():
                 self._picture.points(stamp, points)

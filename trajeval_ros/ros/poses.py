@@ -24,8 +24,8 @@ from trajeval_ros.io.bags.pose_columns import Frames, PoseColumns
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE, decode_path, decode_poses
 from trajeval_ros.io.bags.usable_poses import UsablePoses, usable_poses
 from trajeval_ros.metrics.stream_health import StreamMonitor
-from trajeval_ros.online.state_buffer import StateCounts, usable_rows
-from trajeval_ros.online.state_rows import WIDTH, as_wide, states
+from trajeval_ros.online.state_buffer import StateCounts
+from trajeval_ros.online.state_rows import WIDTH, as_wide, states, usable_rows
 from trajeval_ros.ros.clock_steps import ClockSteps
 from trajeval_ros.ros.live_fixes import LiveFixes
 from trajeval_ros.ros.timing import Arrivals

@@ -77,10 +77,9 @@ class RerunOutput:
         self, estimate: LiveEstimate, snapshot: Snapshot, revised_m: float | None
     ) -> None:
         """Show the errors of the window, the alignment, and the estimate's covariance."""
-        name, stamps = estimate.name, estimate.evaluator.store.stamps()
-        if not len(stamps):
+        name, stamp = estimate.name, snapshot.stamp
+        if stamp is None:
             return
-        stamp = int(stamps[-1])
         errors = None if estimate.availability is None else estimate.availability.newest
         self._put(lambda scene: scene.snapshot(name, stamp, snapshot, revised_m, errors))
         uncertain = estimate.uncertainty() if self._streams else None

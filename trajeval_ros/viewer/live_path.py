@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.online.state_buffer import StateBuffer
+from trajeval_ros.online.state_buffer import Tail
 from trajeval_ros.viewer import entity_data, scene_entities
 from trajeval_ros.viewer.entity_data import LineLook
 from trajeval_ros.viewer.paths import is_gap
@@ -141,7 +141,8 @@ class RowHistory:
     """Rows of a whole run by timestamp; beyond a limit every second row is dropped."""
 
     def __init__(self, width: int) -> None:
-        self._held, self._width, self._every, self._seen = StateBuffer(width), width, 1, 0
+        self._every, self._seen = 1, 0
+        self._held, self._width = Tail(), width
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -154,14 +155,16 @@ class RowHistory:
             return
         if len(self) == _MOST_ROWS:
             stamps, rows = self.columns()
-            self._held = StateBuffer(self._width)
-            self._held.append(stamps[::2], rows[::2])
+            self._held = Tail()
+            self._held.add_columns(stamps[::2], row=rows[::2])
             self._every *= 2
-        self._held.append(np.array([stamp]), row[None])
+        self._held.add_columns(np.array([stamp]), row=row[None])
 
     def columns(self) -> tuple[Stamps, Floats]:
         """Return views of stamps (N,) and rows."""
-        return self._held.held
+        if not len(self._held):
+            return self._held.stamps, np.empty((0, self._width))
+        return self._held.stamps, self._held.column("row")
 
 
 NEVER = int(np.iinfo(np.int64).min)  # before all timestamps

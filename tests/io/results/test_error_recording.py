@@ -26,7 +26,7 @@ from trajeval_ros.io.results.error_recording import write_error_recording
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states
+from trajeval_ros.online.state_rows import states, trajectory
 
 TRUTH, ODOMETRY = "/groundtruth/pose", "/vio/odometry"
 ROOT = "/evaluator/vio_odometry"
@@ -200,7 +200,7 @@ def test_live_errors_under_the_last_alignment_are_the_recorded_ones(
         (live.add_groundtruth, pair.groundtruth),
         (live.add_estimate, pair.estimate),
     ):
-        add(side.stamps, states(side.positions, side.quaternions, side.velocities))
+        add(trajectory(side.stamps, states(side.positions, side.quaternions, side.velocities)))
     [errors] = live.update(at_end=True).errors  # all at once: under the alignment of all
     for name, expected in (
         ("position", errors.position),

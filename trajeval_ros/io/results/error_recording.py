@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
@@ -28,7 +29,6 @@ from trajeval_ros.io.bags.encode_messages import (
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.evaluation import Evaluation
-from trajeval_ros.metrics.premises import Premise
 from trajeval_ros.online.error_topics import (
     ALIGNMENT,
     ALIGNMENT_TYPE,
@@ -42,7 +42,6 @@ from trajeval_ros.online.error_topics import (
     ROBOT,
     VECTOR_TYPE,
     VECTORS,
-    numbers_of,
     position_and_rotation,
     relative_error_topic,
     status_texts,
@@ -52,8 +51,8 @@ from trajeval_ros.online.error_topics import (
 )
 from trajeval_ros.online.live_relative_errors import RunningErrors
 from trajeval_ros.online.pair_errors import PairErrors
+from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.reports import Snapshot, Update
-from trajeval_ros.online.state_rows import Pairs, states
 from trajeval_ros.online.whole_run import ThinnedRun
 from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
 
@@ -114,9 +113,9 @@ class _RecordedRun:
             "groundtruth": outcome.groundtruth.source,
             "estimate": run.estimate.source,
         }
-        self._pairs, self._alignment = _as_live(run.evaluation, up, run.estimate.up)
-        rotation = not run.evaluation.withheld
-        self._errors = PairErrors(self._pairs, self._alignment, up, rotation=rotation)
+        pairs, self._alignment = _as_live(run.evaluation, up, run.estimate.up)
+        self._pairs = pairs.rows.without_covariances()
+        self._errors = PairErrors(pairs, self._alignment, run.evaluation.doubts)
         self._snapshot = _snapshot(run.evaluation)
         rule = run.evaluation.association.rule
         self._offset_ns = round(rule.time_offset_s * NANOSECONDS)
@@ -124,15 +123,13 @@ class _RecordedRun:
 
     def channels(self) -> Iterator[_Channel]:
         """Yield the topics with their messages."""
-        errors, knows_up = self._errors, Premise.UP_AXIS not in self._evaluation.doubts.reasons
         begin, whole = self._times[:1], self._times[[0, -1]]
         for topic in VECTORS:
-            stamps, vectors = vectors_of(errors, topic, self._offset_ns, knows_up=knows_up)
+            stamps, vectors = vectors_of(self._errors, topic, self._offset_ns)
             messages = _each(encode_stamped(stamps, vectors, self._frame))
             yield self._channel(topic, VECTOR_TYPE, stamps, messages)
-        for topic in NUMBERS:
-            values = numbers_of(errors, topic, knows_up=knows_up)
-            if values is not None:
+        for topic, numbers_of in NUMBERS.items():
+            if (values := numbers_of(self._errors)) is not None:
                 yield self._numbers(topic, self._times, values)
         for segment in self._evaluation.relative or ():
             found, topic = segment.errors, relative_error_topic(str(segment.length))
@@ -178,7 +175,7 @@ class _RecordedRun:
 
 def _as_live(
     evaluation: Evaluation, groundtruth_up: UpAxis, estimate_up: UpAxis
-) -> tuple[Pairs, Similarity]:
+) -> tuple[PairedStates, Similarity]:
     """Return the pairs and the alignment in the original axes of both frames.
 
     Under an upright gauge, the evaluation has turned the trajectories to z up.
@@ -191,17 +188,14 @@ def _as_live(
             _turned_back(groundtruth, groundtruth_up),
             _turned_back(estimate, estimate_up),
         )
-    return Pairs(pairs.estimate.stamps, _rows(groundtruth), _rows(estimate)), similarity
+    groundtruth = dataclasses.replace(groundtruth, up=groundtruth_up)
+    return PairedStates(groundtruth, estimate), similarity
 
 
 def _turned_back(trajectory: Trajectory, up: UpAxis) -> Trajectory:
     if up.name == "z":
         return trajectory
     return Similarity(up.matrix.T, np.zeros(3)).trajectory(trajectory)
-
-
-def _rows(trajectory: Trajectory) -> Floats:
-    return states(trajectory.positions, trajectory.quaternions, trajectory.velocities)
 
 
 def _snapshot(evaluation: Evaluation) -> Snapshot:
