@@ -6,6 +6,8 @@ import dataclasses
 import math
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from trajeval_ros.diagnosis.causes import CAUSES, DISCONTINUITIES, cause_name
 from trajeval_ros.diagnosis.findings import Diagnosis, Examined, Seen, Value
 from trajeval_ros.formatting.numbers import counted, four_digits
@@ -29,6 +31,7 @@ _OUTLIERS_FALL = {kinds.GROUNDTRUTH: 0.8, kinds.ESTIMATE: 0.5}
 _SIGMAS = 5.0  # errors: a larger outlier of the groundtruth is wrong, whatever its share is
 _NOISY = "gnss"  # kind of groundtruth whose noise hides steps
 _MOST = 3  # parts that are named
+_ROW_NS = NANOSECONDS // 10  # between poses without timestamps, as of most recordings
 # Side of a frozen pose by the finding about it.
 _FROZEN = {
     "frozen": kinds.ESTIMATE,
@@ -45,19 +48,30 @@ def with_events(
     """Return an evaluation with its discontinuities, by the groundtruth's clock, and its parts.
 
     The trajectories are in the order of their sources, without the time offset. If they are
-    `paired`, those of the pairs are used. Nothing without timestamps, and for GNSS fixes.
+    `paired`, or have no timestamps, those of the pairs are used. Nothing for GNSS fixes.
     """
     pairs, rule = evaluation.association, evaluation.association.rule
-    if rule.method == "index" or evaluation.groundtruth.kind == _NOISY:
+    if evaluation.groundtruth.kind == _NOISY:
         return evaluation
     offset_ns = round(rule.time_offset_s * NANOSECONDS)
-    if paired:
+    if paired or not _has_times(evaluation):
         groundtruth, estimate, offset_ns = pairs.groundtruth, pairs.estimate, 0
+    if not _has_times(evaluation):
+        stamps = _ROW_NS * np.arange(len(pairs))
+        groundtruth, estimate = (
+            dataclasses.replace(side, stamps=stamps) for side in (groundtruth, estimate)
+        )
     if not may_have_events(pairs, evaluation.alignment.similarity, groundtruth, estimate):
         return evaluation
     events = tuple(discontinuities(groundtruth, estimate, offset_ns))
+    if not _has_times(evaluation):
+        return dataclasses.replace(evaluation, events=events)
     parts = parts_of(pairs, events, evaluation.protocol)
     return dataclasses.replace(evaluation, events=events, parts=parts)
+
+
+def _has_times(evaluation: Evaluation) -> bool:
+    return evaluation.association.rule.method != "index"
 
 
 def has_clock_step(evaluation: Evaluation) -> bool:
@@ -79,7 +93,7 @@ def examined_discontinuities(evaluation: Evaluation, known: Diagnosis) -> Examin
 
     `known`: other findings. Most explain steps; a frozen position is not repeated.
     """
-    events = _unexplained(evaluation, known)
+    events = _unexplained(evaluation, known) if _has_times(evaluation) else []
     first_ns = int(evaluation.groundtruth.stamps.min())
     scores = {"events": float(len(evaluation.events))}
     seen = [
@@ -93,9 +107,10 @@ def examined_discontinuities(evaluation: Evaluation, known: Diagnosis) -> Examin
 def about_small_discontinuities(evaluation: Evaluation, known: Diagnosis) -> Iterator[Remark]:
     """Count the discontinuities that are no finding, in one note."""
     groups = _grouped(_unexplained(evaluation, known))
-    rest = [group for group in groups if not _is_cause(group, evaluation)]
+    has_times = _has_times(evaluation)
+    rest = [group for group in groups if not (has_times and _is_cause(group, evaluation))]
     if rest:
-        first_ns = int(evaluation.groundtruth.stamps.min())
+        first_ns = int(evaluation.groundtruth.stamps.min()) if has_times else None
         text = "; ".join(_counted(group, first_ns) for group in rest)
         if any(group[0].side == kinds.UNDECIDED for group in rest):
             text += "; compare with a second source"
@@ -181,12 +196,18 @@ def _parts_text(parts: Sequence[RunPart]) -> str:
     )
 
 
-def _counted(group: Sequence[Event], first_ns: int) -> str:
-    """Return the number of events of one kind and side, with the largest size."""
+def _counted(group: Sequence[Event], first_ns: int | None) -> str:
+    """Return the number of events of one kind and side, with the largest size.
+
+    `first_ns` is the first timestamp; None if the poses have none.
+    """
     kind, side = group[0].kind, group[0].side
     largest = max(event.m for event in group)
     size = f" of up to {largest:.2f} m" if largest else ""
-    at = f"{(group[0].end_ns - first_ns) / NANOSECONDS:.1f} s"
+    end_ns = group[0].end_ns
+    at = f"pair {round(end_ns / _ROW_NS) + 1}"
+    if first_ns is not None:
+        at = f"{(end_ns - first_ns) / NANOSECONDS:.1f} s"
     first = f"at {at}" if len(group) == 1 else f"the first at {at}"
     whose = "of an undecided side" if side == kinds.UNDECIDED else f"of the {side}"
     noun = _NOUNS.get(kind, kind.replace("_", " "))
