@@ -104,6 +104,8 @@ class Tried:
         option = f"{option} and {self.then}" if self.then else option
         after_deg = _first_known(after.rotation_deg, self.rotations_deg[1])
         is_about_rotation = rotation < _CLEARLY * position or rotation < _FALLS <= position
+        if before is not None and before.rotation_deg is None and position < _CLEARLY:
+            is_about_rotation = False  # a number that fell says more than a withheld one
         if after_deg is not None and is_about_rotation:
             assert before is not None
             size = before.rotation_deg
