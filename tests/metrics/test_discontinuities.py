@@ -239,3 +239,12 @@ def test_runs_with_flips_freezes_and_clock_steps_are_searched(number: int) -> No
     for changes in ({"quaternions": quaternions}, {"positions": positions}, {"stamps": stamps}):
         both[number] = dataclasses.replace(side, **changes)
         assert screened(*both)
+
+
+def test_a_timestamp_centuries_away_adds_no_blocks() -> None:
+    groundtruth, estimate = sides(1)
+    stamps = estimate.stamps.copy()
+    stamps[-1] += 9_000_000_000 * NANOSECONDS
+    assert isinstance(
+        discontinuities(groundtruth, dataclasses.replace(estimate, stamps=stamps)), list
+    )

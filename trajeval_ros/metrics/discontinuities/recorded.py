@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from trajeval_ros.geometry.arrays import Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.discontinuities.detector import Discontinuities
 from trajeval_ros.metrics.discontinuities.events import SIDES, Event
@@ -37,10 +38,8 @@ def discontinuities(
             columns.append(trajectory.quaternions)
         sides.append((trajectory.stamps, np.hstack(columns), received))
         blocks.append(np.maximum.accumulate(trajectory.stamps if received is None else received))
-    first, last = min(int(each[0]) for each in blocks), max(int(each[-1]) for each in blocks)
-    block_ns, rows = round(_BLOCK_S * NANOSECONDS), [0, 0]
-    ends = range(first, last + block_ns, block_ns)
-    for until in ends:
+    rows = [0, 0]
+    for until in _ends_of_blocks(np.sort(np.concatenate(blocks))):
         for number, (stamps, poses, received) in enumerate(sides):
             begin = rows[number]
             end = int(np.searchsorted(blocks[number], until, "right"))
@@ -48,3 +47,14 @@ def discontinuities(
             search.add(SIDES[number], stamps[begin:end], poses[begin:end], part)
             rows[number] = end
     return search.finish()
+
+
+def _ends_of_blocks(times: Stamps) -> list[int]:
+    """Return the ends of the blocks that have messages; `times`: (N,), sorted, nanoseconds.
+
+    There are no more blocks than messages, even if a timestamp is centuries away.
+    """
+    block_ns = round(_BLOCK_S * NANOSECONDS)
+    numbers = -((times[0] - times) // block_ns)
+    ends: list[int] = (times[0] + block_ns * numbers[np.diff(numbers, append=-1) != 0]).tolist()
+    return ends
