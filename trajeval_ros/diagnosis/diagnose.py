@@ -11,6 +11,8 @@ import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from trajeval_ros.diagnosis.causes import CAUSES
 from trajeval_ros.diagnosis.column_tests import columns_of_others
 from trajeval_ros.diagnosis.discontinuities import (
@@ -58,6 +60,8 @@ _FINAL = {
 _OTHER_PAIRS = {*_FINAL, "clock_offset", "clock_drift", "other_run"}
 # With such a finding, the errors contain no information on covariances.
 _GRAVE = 5.2  # of ranks
+# ATE by the spread of the groundtruth: paths of other runs differ by more than this.
+_AGREES = 0.3
 
 
 def diagnose(
@@ -88,6 +92,15 @@ def diagnose(
         found = Diagnosis.of([number, *_tests_of_sides(inputs)])
         return Diagnosis.of([*found.examined, examined_discontinuities(evaluation, found)])
     found, is_lost = _tested_where_tracked(losses, pairs, inputs)
+    if found.named("other_run") and _is_of_noisy_fixes(evaluation):
+        found = Diagnosis.of(
+            [
+                Examined(test.test, test.scores, why_not="fixes are noisier than short motions")
+                if any(seen.cause == "other_run" for seen in test.seen)
+                else test
+                for test in found.examined
+            ]
+        )
     examined = [number, *found.examined, examined_discontinuities(evaluation, found)]
     if is_lost:
         return Diagnosis.of(examined)
@@ -95,6 +108,15 @@ def diagnose(
     if all(finding.rank < _GRAVE for finding in found.findings):
         examined.append(covariance_blocks(evaluation))
     return Diagnosis.of(examined)
+
+
+def _is_of_noisy_fixes(evaluation: Evaluation) -> bool:
+    """Return whether the path agrees with GNSS fixes, whose noise hides short motions."""
+    position = evaluation.ate["position_m"]
+    if evaluation.groundtruth.kind != "gnss" or position is None:
+        return False
+    spread_m = float(np.sqrt(evaluation.association.groundtruth.positions.var(axis=0).sum()))
+    return position.rmse < _AGREES * spread_m
 
 
 def diagnose_inputs(
