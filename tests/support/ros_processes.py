@@ -389,7 +389,8 @@ def offline(bag: Path, folder: Path, groundtruth: str, estimates: list[str], *op
     """Return the result of `trajeval evaluate`, without what a live run can't know.
 
     Whether repeats of a stamp conflict depends on the states after it, and live the first one has
-    been used when they arrive: that warning is of recordings alone (docs/definitions.md).
+    been used when they arrive: that warning is of recordings alone (docs/definitions.md). So is
+    the note on small discontinuities, whose side the pairs of a live run do not determine.
     """
     arguments = ["evaluate", "--groundtruth", f"{bag}:{groundtruth}", "--quiet"]
     for each in estimates:
@@ -405,7 +406,7 @@ def offline(bag: Path, folder: Path, groundtruth: str, estimates: list[str], *op
         side["remarks"] = [
             remark
             for remark in side["remarks"]
-            if remark["code"] != "conflicting_states"
+            if remark["code"] not in ("conflicting_states", "discontinuities")
             and "chunks were read in part" not in remark["text"]
         ]
     return result

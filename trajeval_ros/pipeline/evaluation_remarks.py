@@ -33,10 +33,13 @@ _BACK = 0.1  # of the differences of steps, that of two steps together if poses 
 _WORSE = 1.25
 
 
-def remarks_on(evaluation: Evaluation, diagnosis: Diagnosis) -> tuple[Remark, ...]:
+def remarks_on(
+    evaluation: Evaluation, diagnosis: Diagnosis, *, paired: bool = False
+) -> tuple[Remark, ...]:
     """Return the remarks on a finished evaluation, the most severe one first.
 
-    Findings of the diagnosis precede all others.
+    Findings of the diagnosis precede all others. Small discontinuities are not stated if only the
+    pairs are known: interpolated poses do not show which side has a gap.
     """
     sides = evaluation.groundtruth, evaluation.estimate
     read = list(dict.fromkeys(remark for side in sides for remark in side.reading.remarks))
@@ -48,7 +51,7 @@ def remarks_on(evaluation: Evaluation, diagnosis: Diagnosis) -> tuple[Remark, ..
         *_about_up_axis(evaluation),
         *([] if _is_lost(diagnosis) else _about_freedom(evaluation)),
         *_about_alignment(evaluation),
-        *about_small_discontinuities(evaluation, diagnosis),
+        *([] if paired else about_small_discontinuities(evaluation, diagnosis)),
         *([] if _explains_jumps(diagnosis) else _about_mixed_publishers(evaluation)),
         *_about_rotations(evaluation),
         *about_coverage(evaluation),

@@ -293,7 +293,7 @@ def _diagnosed(
         diagnosis = diagnosis.after_hand_eye_calibration()
     diagnosis = verified(diagnosis, evaluation, reevaluate)
     require_same_body(evaluation, diagnosis)
-    remarks = (*remarks_on(evaluation, diagnosis), *evaluation.remarks)
+    remarks = (*remarks_on(evaluation, diagnosis, paired=paired), *evaluation.remarks)
     return dataclasses.replace(evaluation, remarks=remarks), diagnosis
 
 
