@@ -53,10 +53,10 @@ def with_events(
     pairs, rule = evaluation.association, evaluation.association.rule
     if evaluation.groundtruth.kind == _NOISY:
         return evaluation
-    offset_ns = round(rule.time_offset_s * NANOSECONDS)
-    if paired or not _has_times(evaluation):
+    offset_ns, has_times = round(rule.time_offset_s * NANOSECONDS), _has_times(evaluation)
+    if paired or not has_times:
         groundtruth, estimate, offset_ns = pairs.groundtruth, pairs.estimate, 0
-    if not _has_times(evaluation):
+    if not has_times:
         stamps = _ROW_NS * np.arange(len(pairs))
         groundtruth, estimate = (
             dataclasses.replace(side, stamps=stamps) for side in (groundtruth, estimate)
@@ -64,9 +64,7 @@ def with_events(
     if not may_have_events(pairs, evaluation.alignment.similarity, groundtruth, estimate):
         return evaluation
     events = tuple(discontinuities(groundtruth, estimate, offset_ns))
-    if not _has_times(evaluation):
-        return dataclasses.replace(evaluation, events=events)
-    parts = parts_of(pairs, events, evaluation.protocol)
+    parts = parts_of(pairs, events, evaluation.protocol) if has_times else ()
     return dataclasses.replace(evaluation, events=events, parts=parts)
 
 

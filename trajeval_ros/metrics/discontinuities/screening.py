@@ -15,6 +15,7 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.association import Association
 from trajeval_ros.metrics.discontinuities.relative_motion import LEAST_DEG, LEAST_M
 from trajeval_ros.metrics.discontinuities.stamp_steps import SMALLEST_S
+from trajeval_ros.metrics.statistics import median
 
 _FEW_PAIRS = 500  # the search takes no noticeable time
 _BLOCK = 240  # pairs with a common median: as many as the search remembers
@@ -68,8 +69,7 @@ def _has_repeats(positions: Floats) -> bool:
 def _roots_of_steps(stamps: Stamps) -> Floats:
     """Return the roots of the steps (N - 1,) over the usual step, 1 for steps without a gap."""
     steps = np.diff(stamps).astype(np.float64)
-    usual = max(float(np.partition(steps, len(steps) // 2)[len(steps) // 2]), 1.0)
-    ratios = steps / usual
+    ratios = steps / max(median(steps), 1.0)
     return np.sqrt(np.where(ratios > _GAP, ratios, 1.0))
 
 
@@ -77,8 +77,7 @@ def _is_unusual(changes: Floats, roots: Floats, least: float) -> bool:
     """Return whether a change (N,) exceeds the limit about it; `least`: the smallest limit."""
     for begin in range(0, len(changes), _BLOCK):
         block = changes[max(0, min(begin, len(changes) - _BLOCK)) : begin + _BLOCK]
-        middle = len(block) // 2
-        limit = max(least, _OF_MEDIAN * float(np.partition(block, middle)[middle]))
+        limit = max(least, _OF_MEDIAN * median(block))
         rows = slice(begin, begin + _BLOCK)
         if (changes[rows] > limit * roots[rows]).any():
             return True
