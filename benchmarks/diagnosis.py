@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.diagnosis_cost import cost
+from benchmarks.diagnosis_cost import cost, cost_of_mistakes
 from benchmarks.diagnosis_further import FURTHER
 from benchmarks.diagnosis_mistakes import MISTAKES, Mistake
 from benchmarks.diagnosis_runs import (
@@ -287,7 +287,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument(
-        "--only", default="matrix,further,users,alarms,combinations,strangers,thinned,cpu"
+        "--only", default="matrix,further,users,alarms,combinations,strangers,thinned,cpu,ratios"
     )
     parser.add_argument(
         "--seed", type=int, default=5000, help="of the simulated runs; 5000 chose the limits"
@@ -336,6 +336,8 @@ def main() -> None:
         thinned(real + made)
     if "cpu" in wanted:
         cost()
+    if "ratios" in wanted:
+        cost_of_mistakes({**MISTAKES, **FURTHER, **USERS}, (10_000, 100_000))
 
 
 if __name__ == "__main__":

@@ -1,26 +1,32 @@
-"""What a diagnosis costs, next to the evaluation and to the whole command."""
+"""What a diagnosis costs: next to the evaluation, and how much a mistake adds to it."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import resource
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.diagnosis_mistakes import Mistake
 from benchmarks.diagnosis_runs import Pair, simulated
 from trajeval_ros.diagnosis.diagnose import diagnose
 from trajeval_ros.diagnosis.input_pair import TimedPoses
+from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.evaluation import evaluate
 from trajeval_ros.metrics.protocol import Protocol
+from trajeval_ros.pipeline.pipeline import run
+from trajeval_ros.pipeline.request import Request
 
-_TIMES = 7
+_TIMES, _PAIRED = 7, 3
+_GOAL = 1.5  # largest ratio that users do not notice
 
 
 def cost() -> None:
@@ -38,6 +44,45 @@ def cost() -> None:
         taken = [_least_ms(each) for each in steps]
         cells = [f"{each:.1f} ms" for each in (*taken, _command_ms(pair))]
         print(f"| {count} | {' | '.join(cells)} |", flush=True)
+
+
+def cost_of_mistakes(mistakes: Mapping[str, Mistake], counts: Sequence[int]) -> None:
+    """Print the CPU time of an evaluation with a mistake, relative to the right recording.
+
+    Both are run alternately, so that other processes slow down both.
+    """
+    columns = " | ".join(f"{count} poses" for count in counts)
+    print(f"\n| evaluation with a mistake over that without | {columns} |")
+    print("|---|" + "---|" * len(counts))
+    right = simulated(1, "drone", "walk", 600.0)
+    ratios: list[list[float]] = []
+    for name, mistake in mistakes.items():
+        row = []
+        for count in counts:
+            pair = _dense(right, count)
+            if mistake.applies(pair):
+                row.append(_ratio(pair, mistake.make(pair)))
+        if row:
+            ratios.append(row)
+            print(f"| {name} | {' | '.join(f'{ratio:.2f}' for ratio in row)} |", flush=True)
+    for column, count in zip(zip(*ratios, strict=True), counts, strict=True):
+        slow = sum(ratio > _GOAL for ratio in column)
+        print(
+            f"{count} poses: median {np.median(column):.2f}, largest {max(column):.2f}, "
+            f"{slow} of {len(column)} above {_GOAL:g}"
+        )
+
+
+def _ratio(right: Pair, wrong: Pair) -> float:
+    """Return the CPU time of `run` on a wrong pair over that on the right one."""
+    taken: tuple[list[float], list[float]] = [], []
+    for _ in range(_PAIRED):
+        for pair, times in zip((right, wrong), taken, strict=True):
+            begin = time.process_time()
+            with contextlib.suppress(TrajevalError):  # some inputs can't be evaluated
+                run(pair.truth, [pair.estimate], Request(pair.protocol))
+            times.append(time.process_time() - begin)
+    return min(taken[1]) / min(taken[0])
 
 
 def _least_ms(step: Callable[[], object]) -> float:

@@ -8,7 +8,8 @@ import pytest
 
 from trajeval_ros.calibration.apply import Ate
 from trajeval_ros.diagnosis.causes import CAUSES
-from trajeval_ros.diagnosis.findings import Corrections, Diagnosis, Examined, Finding, Seen, Tried
+from trajeval_ros.diagnosis.findings import Diagnosis, Examined, Finding, Seen, Tried
+from trajeval_ros.pipeline.corrections import Corrections
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ import pytest
 from trajeval_ros import AssociationRule, Protocol, Request, Trajectory, evaluate, run, simulate
 from trajeval_ros.diagnosis.evaluation_tests import number_of_pairs
 from trajeval_ros.diagnosis.findings import Diagnosis, Finding
-from trajeval_ros.diagnosis.warnings import remarks_on
 from trajeval_ros.geometry import lie
+from trajeval_ros.pipeline.evaluation_remarks import remarks_on
 from trajeval_ros.report.verdict_lines import verdict
 
 GROUNDTRUTH = simulate(seed=3, duration_s=40.0).groundtruth
@@ -25,36 +25,49 @@ def points_of(count: int) -> Trajectory:
     return dataclasses.replace(points, quaternions=None, velocities=None)
 
 
-def test_jumps_of_positions_alone_have_no_degrees() -> None:
+def findings(groundtruth: Trajectory, estimate: Trajectory) -> dict[str, str]:
+    """Return the texts of the findings by cause."""
+    request = Request(Protocol(gauge="se3", lengths=()))
+    diagnosis = run(groundtruth, [estimate], request).runs[0].diagnosis
+    return {finding.cause: finding.text for finding in diagnosis.findings}
+
+
+@pytest.mark.parametrize("oriented", [True, False])
+def test_steps_of_an_estimate_are_named(oriented: bool) -> None:
     positions = ESTIMATE.positions.copy()
-    for row in range(100, len(positions), 100):
+    for row in (100, 250):
         positions[row:] += 2.0 * np.random.default_rng(row).normal(size=3)
-    protocol = Protocol(lengths=())
-    jumped = dataclasses.replace(ESTIMATE, positions=positions)
-    for estimate, has_turns in (
-        (jumped, True),
-        (dataclasses.replace(jumped, quaternions=None), False),
-    ):
-        found = evaluate(GROUNDTRUTH, estimate, protocol)
-        remarks = remarks_on(found, Diagnosis((), ()))
-        [said] = [each.text for each in remarks if each.code == "jumps"]
-        assert said.startswith("the estimate jumps at ")
-        assert (" deg " in said) == has_turns
+    estimate = dataclasses.replace(ESTIMATE, positions=positions)
+    if not oriented:
+        estimate = dataclasses.replace(estimate, quaternions=None)
+    text = findings(GROUNDTRUTH, estimate)["step"]
+    assert text.startswith("the estimate jumped by ")
+    assert text.endswith(": --on-restart split")
+    assert " deg" not in text
+
+
+def test_parts_that_are_too_short_to_align_are_stated() -> None:
+    positions = ESTIMATE.positions.copy()
+    for row in range(100, len(positions), 90):
+        positions[row:] += 2.0 * np.random.default_rng(row).normal(size=3)
+    text = findings(GROUNDTRUTH, dataclasses.replace(ESTIMATE, positions=positions))["step"]
+    assert "(largest of 8)" in text
+    assert text.endswith("the parts are too short for separate alignments")
 
 
 def test_wrong_samples_of_the_groundtruth_are_no_jumps_of_the_estimate() -> None:
     """As in the motion capture of the Hilti challenge, 10 m and 100 deg away."""
-    positions, turned = GROUNDTRUTH.positions.copy(), GROUNDTRUTH.quaternions
-    assert turned is not None
+    positions, quaternions = GROUNDTRUTH.positions.copy(), GROUNDTRUTH.quaternions
+    assert quaternions is not None
     rows = [1500, 2200]
     positions[rows] += [0.0, 10.0, 0.0]
-    turned = turned.copy()
-    turned[rows] = lie.multiply(turned[rows], lie.from_rotation_vector(np.array([1.8, 0.0, 0.0])))
-    wrong = dataclasses.replace(GROUNDTRUTH, positions=positions, quaternions=turned)
-    remarks = remarks_on(evaluate(wrong, ESTIMATE, Protocol(lengths=())), Diagnosis((), ()))
-    [said] = [each.text for each in remarks if each.code == "jumps"]
-    assert said.startswith("the groundtruth jumps at 4 places, first ")
-    assert said.endswith("more than the estimate: it has wrong samples there; remove them")
+    quaternions = quaternions.copy()
+    rotation = lie.from_rotation_vector(np.array([1.8, 0.0, 0.0]))
+    quaternions[rows] = lie.multiply(quaternions[rows], rotation)
+    wrong = dataclasses.replace(GROUNDTRUTH, positions=positions, quaternions=quaternions)
+    text = findings(wrong, ESTIMATE)["groundtruth_outlier"]
+    assert text.startswith("the groundtruth has an outlier of 10.00 m and 103 deg at ")
+    assert "(largest of 2)" in text
 
 
 def test_poses_of_two_publishers_in_one_file_are_named() -> None:
@@ -168,9 +181,8 @@ def test_jumps_of_motion_capture_are_not_of_the_estimate(
     recording: Callable[[str], Trajectory],
 ) -> None:
     truth, estimate = (recording(f"hilti_2021/uzh_run2_{each}.txt") for each in ("mocap", "hdl"))
-    found = run(truth, [estimate], Request(Protocol(gauge="se3", lengths=()))).runs[0].evaluation
-    [said] = [each.text for each in found.remarks if each.code == "jumps"]
-    assert said.startswith("the groundtruth jumps at 4 places, first 23.5 s after the first pair")
+    text = findings(truth, estimate)["groundtruth_outlier"]
+    assert text.startswith("the groundtruth has an outlier of 9.91 m and 98 deg at 23.72 s")
 
 
 @pytest.mark.parametrize("count", [1, 3, 40])
@@ -180,15 +192,13 @@ def test_wrong_samples_of_the_groundtruth_are_named(count: int) -> None:
     positions[rows] += [30.0, 0.0, 0.0]
     wrong = dataclasses.replace(GROUNDTRUTH, positions=positions)
     estimate = dataclasses.replace(GROUNDTRUTH, positions=GROUNDTRUTH.positions + 0.01)
-    warnings = evaluate(wrong, estimate, Protocol(gauge="se3")).warnings
-    assert any("the groundtruth jumps" in warning for warning in warnings)
-    assert not any("the estimate jumps" in warning for warning in warnings)
+    causes = findings(wrong, estimate)
+    assert "groundtruth_outlier" in causes
+    assert not {"outlier", "step", "restart"} & causes.keys()
 
 
 def test_a_frozen_estimate_is_no_jump_of_the_groundtruth() -> None:
     positions = ESTIMATE.positions.copy()
     positions[100:200] = positions[100]
-    found = evaluate(
-        GROUNDTRUTH, dataclasses.replace(ESTIMATE, positions=positions), Protocol(gauge="se3")
-    )
-    assert not any("the groundtruth jumps" in warning for warning in found.warnings)
+    causes = findings(GROUNDTRUTH, dataclasses.replace(ESTIMATE, positions=positions))
+    assert causes.keys() == {"frozen_position"}

@@ -11,6 +11,7 @@ import pytest
 from paths import ROOT
 
 from benchmarks.diagnosis import found
+from benchmarks.diagnosis_discontinuities import DISCONTINUITIES
 from benchmarks.diagnosis_further import FURTHER
 from benchmarks.diagnosis_mistakes import MISTAKES
 from benchmarks.diagnosis_runs import Pair, simulated
@@ -25,7 +26,7 @@ TEXT = PAGE.read_text("utf-8")
 DRONE = simulated(5000, "drone", "walk", 100.0)
 CAR = simulated(5004, "car", "walk", 100.0)
 ROBOT = simulated(5006, "robot", "walk", 100.0)
-ALL = {**MISTAKES, **FURTHER, **USERS}
+ALL = {**MISTAKES, **FURTHER, **USERS, **DISCONTINUITIES}
 
 
 def planar(pair: Pair) -> Pair:

@@ -23,7 +23,7 @@ def entry(run: dict[str, Any], lengths: list[str], path: str) -> float:
     assert "not met" in sentence, sentence
     value: Any = run
     for key in path.split("."):
-        if isinstance(value, dict) and "segments" in value and key != "pooled":
+        if isinstance(value, dict) and "pooled" in value and key != "pooled":
             value = value["segments"][lengths.index(key)]
         else:
             value = value[key]

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from trajeval_ros import Request, run, simulate
-from trajeval_ros.diagnosis.findings import Corrections
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.pose_conventions import Conventions
+from trajeval_ros.pipeline.corrections import Corrections
 
 FLIGHT = simulate(seed=1, duration_s=30.0)
 

@@ -34,19 +34,23 @@ LEVER = (0.3, -0.1, 0.5)
 LEVER_TEXT = ",".join(map(str, LEVER))
 
 
-def antenna() -> Trajectory:
+def antenna(lever_m: Sequence[float] = LEVER) -> Trajectory:
     """Return fixes 2.5 times a second, some of them bad by their own account."""
     groundtruth = FLIGHT.groundtruth[::80]
     assert groundtruth.rotations is not None
     rows = quality(len(groundtruth))
     rows[10:20, 2:] *= 400.0
-    positions = groundtruth.positions + groundtruth.rotations.apply(LEVER)
+    positions = groundtruth.positions + groundtruth.rotations.apply(lever_m)
     return fixes_of(groundtruth.stamps, positions, rows)
 
 
-def messages(estimate: Trajectory = FLIGHT.estimate[60:], late_s: float = 0.0) -> list[Message]:
+def messages(
+    estimate: Trajectory = FLIGHT.estimate[60:],
+    late_s: float = 0.0,
+    lever_m: Sequence[float] = LEVER,
+) -> list[Message]:
     """Return fixes and odometry as they arrive, the fixes later by a constant."""
-    both = later(fix_messages(antenna(), GROUNDTRUTH), late_s) + messages_of(
+    both = later(fix_messages(antenna(lever_m), GROUNDTRUTH), late_s) + messages_of(
         estimate, ESTIMATE, ODOM
     )
     return sorted(both, key=lambda each: each[2])
@@ -115,12 +119,13 @@ def test_live_is_offline(
 @pytest.mark.slow
 def test_the_antenna_of_a_hand_eye_transform_is_that_of_a_recording(tmp_path: Path) -> None:
     file = str(write_mounting(tmp_path))
-    body = MarkerBody(file, known_hand_eye(file))
+    mounting = known_hand_eye(file)
+    body, lever_m = MarkerBody(file, mounting), mounting.lever_m
     live = Live(tmp_path / "live", ODOM, groundtruth_kind=FIX_TYPE, body=body)
-    for message in messages(late_s=1.0):
+    for message in messages(late_s=1.0, lever_m=lever_m):
         live.feed([message])
     live.end()
-    write_messages(tmp_path / "bag", messages())
+    write_messages(tmp_path / "bag", messages(lever_m=lever_m))
     words = ("--lengths", "2,4", "--hand-eye", file, *YAW)
     expected = offline(tmp_path / "bag", tmp_path, GROUNDTRUTH, [ESTIMATE], *words)
     [run] = expected["runs"]

@@ -37,7 +37,11 @@ TYPES = {GROUNDTRUTH: POSE, ODOMETRY: ODOM}
 # What two results of the same run may differ in: where it came from.
 # How much a mistake explains is of pairs alone live, and of all groundtruth in a recording.
 # Corrections of a live run are tried on its pairs, those of a recording on all of it.
-APART = {"source", "name", "inputs", "live", "stream", "evidence", "explained", "before", "after"}
+# Events of a live run are those of its pairs, those of a recording of all poses.
+APART = {
+    "source", "name", "inputs", "live", "stream", "evidence", "explained", "before", "after",
+    "events", "segments", "ate_of_segments_m",
+}  # fmt: skip
 _TRIED = re.compile(r"(ATE )[\d.]+( \w+, with --[\w,=. -]+? )[\d.]+(?= m| deg)")
 
 Received = dict[str, list[bytes]]
@@ -385,7 +389,8 @@ def offline(bag: Path, folder: Path, groundtruth: str, estimates: list[str], *op
     """Return the result of `trajeval evaluate`, without what a live run can't know.
 
     Whether repeats of a stamp conflict depends on the states after it, and live the first one has
-    been used when they arrive: that warning is of recordings alone (docs/definitions.md).
+    been used when they arrive: that warning is of recordings alone (docs/definitions.md). So is
+    the note on small discontinuities, whose side the pairs of a live run do not determine.
     """
     arguments = ["evaluate", "--groundtruth", f"{bag}:{groundtruth}", "--quiet"]
     for each in estimates:
@@ -401,7 +406,7 @@ def offline(bag: Path, folder: Path, groundtruth: str, estimates: list[str], *op
         side["remarks"] = [
             remark
             for remark in side["remarks"]
-            if remark["code"] != "conflicting_states"
+            if remark["code"] not in ("conflicting_states", "discontinuities")
             and "chunks were read in part" not in remark["text"]
         ]
     return result

@@ -511,3 +511,22 @@ def test_utm_is_told(origin: tuple[float, float, float], is_utm: bool) -> None:
     assert len(told) == is_utm
     if told:
         assert told[0].startswith("the groundtruth is probably in UTM coordinates (easting 46")
+
+
+@pytest.mark.slow
+def test_noisy_fixes_of_a_slow_robot_are_not_of_another_run(
+    shared_data: Path, tmp_path: Path
+) -> None:
+    bag = shared_data / "gnss" / "husky_outdoor.bag"
+    found = {}
+    for name in ("fix", "shifted"):
+        source, options = f"{bag}:/fix", ["--modality", "wheel", "--lengths", "none"]
+        if name == "shifted":  # two minutes later, the robot is elsewhere
+            options += ["--time-offset", "120"]
+        file = tmp_path / f"{name}.json"
+        estimate = f"{bag}:/husky_velocity_controller/odom"
+        assert main(["evaluate", source, estimate, *options, "--json", str(file)]) == 0
+        [run] = json.loads(file.read_text())["runs"]
+        found[name] = {finding["cause"] for finding in run["diagnosis"]}
+    assert "other_run" not in found["fix"]
+    assert found["shifted"] & {"other_run", "clock_offset"}

@@ -52,16 +52,21 @@ ARRAYS = ("Booleans", "Bytes", "Floats", "Indices", "NDArray", "Stamps")
 # Dataclasses that count, or that are filled in steps.
 CHANGING = {
     "Chunk",
+    "Event",
     "McapContents",
     "MessageIndex",
+    "OpenStep",
     "PlaybackResult",
     "Progress",
     "Registry",
+    "Repeats",
     "StateCounts",
     "StreamStatus",
     "TopicReading",
     "TopicSelection",
     "WatchAlarm",
+    "_Candidate",
+    "_Followed",
     "_Kind",
     "_Leaves",
 }
@@ -87,7 +92,7 @@ IMPORTED_ONLY_IN = {
     "distributed": {"batch"},
     "fsspec": {"batch"},
     "pandas": {"metrics", "geometry", "io"},  # types of tables that users give
-    "pyarrow": {"batch", "metrics"},
+    "pyarrow": {"batch", "metrics", "io"},
     "jinja2": {"report"},
 }
 HEAVY = {

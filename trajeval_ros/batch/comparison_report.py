@@ -31,10 +31,9 @@ from trajeval_ros.batch.results_table import (
     state_of,
 )
 from trajeval_ros.batch.summary_tables import SPAN_NOTE, definition, diagnosed, matrices
-from trajeval_ros.diagnosis.warnings import LOW_COVERAGE
 from trajeval_ros.formatting.numbers import counted, three_decimals, whole_percent
 from trajeval_ros.io.writing import refused_by_disk, write_text
-from trajeval_ros.metrics.coverage import Gap
+from trajeval_ros.metrics.coverage import LOW_COVERAGE, Gap
 from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.report.comparison_figures import BoxPlot, figure_of, run_errors_svg, run_path_svg
 from trajeval_ros.report.comparison_page import Plot, ReportPages, RunPage

@@ -58,5 +58,6 @@ def _run(run: dict[str, Any]) -> dict[str, Any]:
     remarks = [
         {"level": "warning", "code": "version_0_2", "text": each} for each in run["warnings"]
     ]
-    new = {"stream": None, "as_available": None, "corrected": [], "remarks": remarks}
+    new = {"stream": None, "as_available": None, "corrected": [], "remarks": remarks,
+           "events": [], "segments": [], "ate_of_segments_m": None}  # fmt: skip
     return {**run, **new}

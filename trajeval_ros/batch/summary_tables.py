@@ -11,10 +11,10 @@ from typing import Any
 
 from trajeval_ros.batch.comparison_summary import KITTI, ComparisonSummary, Trial
 from trajeval_ros.batch.results_table import MISSING, OK, RE
-from trajeval_ros.diagnosis.warnings import LOW_COVERAGE
 from trajeval_ros.formatting.numbers import counted, three_decimals, whole_percent
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.metrics.association import AssociationRule
+from trajeval_ros.metrics.coverage import LOW_COVERAGE
 from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.report.definitions import (
     ABSOLUTE_LABELS,

@@ -95,12 +95,14 @@ def evaluate_calibrated(
     *,
     same_as: Calibrated | None = None,
     pairs: Association | None = None,
+    compares: bool = True,
 ) -> Calibrated:
     """Evaluate an estimate with the requested calibration.
 
     The groundtruth has poses or positions of a marker. The protocol's time offset is the centre of
     the search. `same_as` is the outcome of another estimate whose calibration is used: estimates
     with individual calibrations cannot be ranked. `pairs` were paired before, as in a live run.
+    Only if it `compares`, the error without the calibration is computed.
     """
     if protocol.lever_m is not None and (wanted.hand_eye or wanted.known is not None):
         raise SettingsError(
@@ -122,7 +124,8 @@ def evaluate_calibrated(
     used = found.significant()
     before = None  # if the states cannot be paired or aligned
     with contextlib.suppress(NoMatchError, DegenerateGeometryError):
-        before = Ate.of(_measure(groundtruth, estimate, protocol, pairs))
+        if compares:
+            before = Ate.of(_measure(groundtruth, estimate, protocol, pairs))
     try:
         evaluation, of_marker = _with(groundtruth, estimate, protocol, used, pairs)
     except NoMatchError as error:

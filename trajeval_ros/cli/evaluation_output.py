@@ -121,12 +121,14 @@ def _print(outcome: Outcome, output: Path | None) -> None:
 
 def _print_verdicts(terminal: Console, outcome: Outcome) -> None:
     from trajeval_ros.formatting.text_tables import BOLD
+    from trajeval_ros.metrics.discontinuities.handling import SPLIT
     from trajeval_ros.report.available_lines import available_lines, stream_line
     from trajeval_ros.report.console import WARNING
     from trajeval_ros.report.verdict_lines import diagnosis_lines, doubt, own_error_line, verdict
 
+    split = outcome.request.discontinuities.on_restart == SPLIT
     for run in outcome.runs:
-        headline, *rest = verdict(run.evaluation, run.likelihood)
+        headline, *rest = verdict(run.evaluation, run.likelihood, split=split)
         headline += doubt(run.diagnosis)
         terminal.print(headline, BOLD, soft_wrap=True)
         for line in diagnosis_lines(run):

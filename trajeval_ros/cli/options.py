@@ -127,8 +127,9 @@ def _option_of(setting: Setting) -> HelpedOption:
         [setting.option, *([setting.letter] if setting.letter else [])],
         help=setting.text,
         type=None if is_flag else _click_type(setting.kind),
-        # False would make the value optional.
+        # False would make the value optional. A flag that is not given leaves a file's value.
         **(alone if setting.value_if_alone else {"is_flag": is_flag or None}),
+        **({"default": None} if is_flag else {}),
         multiple=setting.is_repeatable,
         metavar=None if is_flag else setting.metavar or _metavar(setting),
         panel=setting.panel,

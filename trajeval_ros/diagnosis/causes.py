@@ -8,7 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from operator import attrgetter
+
+from trajeval_ros.metrics.discontinuities.events import (
+    BOTH,
+    CLOCK_STEP,
+    ESTIMATE,
+    GROUNDTRUTH,
+    UNDECIDED,
+)
+
+FLAG = "true"  # value of an option without a value
 
 
 @dataclass(frozen=True)
@@ -187,15 +196,6 @@ _TABLE = (
         "line; {percent:.0f} % of the poses are affected",
         "reduce the limit",
         {"max_gap": "0.5"},
-    ),
-    Cause(
-        "restart",
-        6.1,
-        "the estimate jumps by {jump_m:.2f} m and {jump_deg:.0f} deg at {at_s:.1f} s{where}, "
-        "while the groundtruth moves {true_m:.2f} m: a restart; separate alignments of the "
-        "parts reduce the squared error to {left_percent:.0f} %",
-        "evaluate the parts separately, such as the first part",
-        {"end": "{cut_s:.3f}"},
     ),
     Cause(
         "wxyz",
@@ -416,4 +416,55 @@ _TABLE = (
     ),
 )
 
-CAUSES: Mapping[str, Cause] = dict(zip(map(attrgetter("name"), _TABLE), _TABLE, strict=True))
+_SPLIT = "{parts}"
+_DROP = {"drop_groundtruth_outliers": FLAG}
+_AT, _DURING = "at {end_s:.2f} s{gap}{number}", "at {begin_s:.2f} s{lasting}{number}"
+_JUMPS = f"the {{side}} jumped by {{size}} {_AT}, which the {{other}} did not"
+_FLIPS = f"the {{side}} rotated by {{deg:.0f}} deg {_DURING}, which the {{other}} did not"
+_LEAVES = f"the {{side}} has an outlier of {{size}} {_DURING}"
+_HOLDS = (
+    "the position of the {side} is frozen from {begin_s:.1f} s{lasting}{number}, while the "
+    "{other} moves {m:.2f} m"
+)
+_BEFORE = "evaluate the part before it"
+_OF_GROUNDTRUTH, _OF_ESTIMATE = 6.15, 3.9  # ranks: an error of the estimate is no mistake
+_OF_DISCONTINUITIES = (
+    Cause(
+        "clock_step",
+        8.2,
+        "{owner} clock stepped by {s:+.3f} s at {end_s:.2f} s{number}{receptions}",
+        "correct the timestamps after it",
+        {"correct": CLOCK_STEP},
+        of_error="",
+    ),
+    Cause(
+        "both_clocks_step",
+        8.1,
+        "both clocks stepped by {s:+.3f} s at {end_s:.2f} s{number}: these are two runs",
+        "evaluate the time before and after it separately",
+    ),
+    Cause("groundtruth_outlier", _OF_GROUNDTRUTH, _LEAVES, "drop such poses", _DROP, of_error=""),
+    Cause("groundtruth_flip", _OF_GROUNDTRUTH, _FLIPS, "drop such poses", _DROP, of_error=""),
+    Cause("groundtruth_flip_stays", _OF_GROUNDTRUTH, _FLIPS, _BEFORE, {"end": "{begin_s:.3f}"}),
+    Cause("groundtruth_step", _OF_GROUNDTRUTH, _JUMPS, _SPLIT),
+    Cause(
+        "restart",
+        _OF_ESTIMATE,
+        f"the estimate restarted at its origin {_AT}: {{size}} that the groundtruth did not move",
+        _SPLIT,
+    ),
+    Cause("step", _OF_ESTIMATE, _JUMPS, _SPLIT),
+    Cause("outlier", _OF_ESTIMATE, _LEAVES, "check the estimator there"),
+    Cause("flip", _OF_ESTIMATE, _FLIPS, "check the estimator there"),
+    Cause("flip_stays", _OF_ESTIMATE, _FLIPS, _BEFORE, {"end": "{begin_s:.3f}"}),
+    Cause("frozen_position", _OF_ESTIMATE, _HOLDS, _BEFORE, {"end": "{begin_s:.3f}"}),
+)
+DISCONTINUITIES = frozenset(cause.name for cause in _OF_DISCONTINUITIES)
+CAUSES: Mapping[str, Cause] = {cause.name: cause for cause in (*_TABLE, *_OF_DISCONTINUITIES)}
+
+
+def cause_name(kind: str, side: str) -> str:
+    """Return the cause of discontinuities of a kind and side, or a name that is no cause."""
+    if kind == CLOCK_STEP:
+        return "both_clocks_step" if side == BOTH else kind
+    return {ESTIMATE: kind, GROUNDTRUTH: f"{GROUNDTRUTH}_{kind}"}.get(side, UNDECIDED)

@@ -16,17 +16,16 @@ import numpy as np
 from trajeval_ros.calibration.clock_offset import masked_correlation, refined_peak
 from trajeval_ros.diagnosis.input_pair import TimedPoses
 from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.metrics.statistics import quantile
 
-_CELL_S, _CELLS = (
-    0.05,
-    4000,
-)  # least cell, and number of cells of a long run, which bounds the cost
+_CELL_S, _CELLS = 0.05, 4000  # least cell, and most cells of a run, which bounds the cost
 _WINDOW_S = 0.4  # of a rate: noise matters in shorter windows
 _INDEPENDENT_S = 1.0  # after which rates are independent
 _LEAST_OVERLAP_S, _LEAST_OVERLAP = 8.0, 0.5  # with less common time, rates match at random
 _PEAK_S = 3.0  # width of a peak of the correlation
 SMALL_S = 0.25  # offsets within this are near zero: a search finds them without a prior
 _LARGEST = 0.999  # correlation, for its logarithm
+_BELOW_OUTLIERS = 0.98  # share of the rates that are used as they are; larger ones are reduced
 _PARTS, _PART_REACH_S = 3, 6.0  # parts with their own offsets, and largest change of an offset
 _SLOWEST, _FASTEST = 0.4, 2.5  # clock rates of the search
 _FIRST_SPAN_S, _COHERENT_S = 30.0, 0.7  # of the search: first part, and shift at its ends
@@ -85,7 +84,7 @@ class RatesOfMotion:
             return np.zeros_like(self.values)
         rows = []
         for row in self.values:
-            top = np.quantile(row[inside], 0.98)
+            top = quantile(np.sort(row[inside]), _BELOW_OUTLIERS)
             bounded = np.minimum(row, top)
             centred = np.where(inside, bounded - bounded[inside].mean(), 0.0)
             rows.append(centred / max(float(centred[inside].std()), 1e-9 * top, 1e-12))

@@ -11,8 +11,14 @@ import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from trajeval_ros.diagnosis.causes import CAUSES
 from trajeval_ros.diagnosis.column_tests import columns_of_others
+from trajeval_ros.diagnosis.discontinuities import (
+    changes_motions,
+    examined_discontinuities,
+)
 from trajeval_ros.diagnosis.evaluation_tests import (
     covariance_blocks,
     frame_offset,
@@ -35,25 +41,14 @@ from trajeval_ros.diagnosis.lost_tracking_tests import (
     lost_tracking,
 )
 from trajeval_ros.diagnosis.motion_tests import tests_of_motion
-from trajeval_ros.diagnosis.verification import Reevaluate, verified
-from trajeval_ros.diagnosis.warnings import (
-    about_lever_arm,
-    about_unused_rule,
-    remarks_on,
-    require_same_body,
-)
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.metrics.association import Association, associate
 from trajeval_ros.metrics.tracking_loss import FROZEN
 
 if TYPE_CHECKING:
-    from trajeval_ros.formatting.remarks import Remark
-    from trajeval_ros.geometry.fix_selection import FixRule
-    from trajeval_ros.geometry.gauge import Gauge
     from trajeval_ros.geometry.trajectory import Trajectory
     from trajeval_ros.metrics.evaluation import Evaluation
     from trajeval_ros.metrics.input_summary import InputSummary
-    from trajeval_ros.metrics.own_error import OwnError
     from trajeval_ros.metrics.protocol import Protocol
     from trajeval_ros.metrics.tracking_loss import Loss
 
@@ -65,29 +60,8 @@ _FINAL = {
 _OTHER_PAIRS = {*_FINAL, "clock_offset", "clock_drift", "other_run"}
 # With such a finding, the errors contain no information on covariances.
 _GRAVE = 5.2  # of ranks
-
-
-def diagnosed(
-    evaluation: Evaluation,
-    groundtruth: Trajectory,
-    estimate: Trajectory,
-    reevaluate: Reevaluate,
-    *,
-    paired: bool = False,
-    hand_eye_calibrated: bool = False,
-) -> tuple[Evaluation, Diagnosis]:
-    """Return an evaluation with remarks and without meaningless errors, and its diagnosis.
-
-    `reevaluate` evaluates with corrections. An alignment by orientations of another body is
-    refused.
-    """
-    diagnosis = diagnose(evaluation, groundtruth, estimate, paired=paired)
-    if hand_eye_calibrated:
-        diagnosis = diagnosis.after_hand_eye_calibration()
-    diagnosis = verified(diagnosis, evaluation, reevaluate)
-    require_same_body(evaluation, diagnosis)
-    remarks = (*remarks_on(evaluation, diagnosis), *evaluation.remarks)
-    return dataclasses.replace(evaluation, remarks=remarks), diagnosis
+# ATE by the spread of the groundtruth: paths of other runs differ by more than this.
+_AGREES = 0.3
 
 
 def diagnose(
@@ -101,7 +75,8 @@ def diagnose(
     """Search for mistakes that affect an evaluation of two trajectories.
 
     These are in the order of their sources, without the time offset. They may be `paired`: contain
-    only the pairs, row by row. `losses` of tracking are by default those in the pairs.
+    only the pairs, row by row. `losses` of tracking are by default those in the pairs. The
+    evaluation has its events, see `with_events`.
     """
     protocol, pairs = evaluation.protocol, evaluation.association
     time_offset_s = None
@@ -113,13 +88,35 @@ def diagnose(
     number = number_of_pairs(protocol, pairs, evaluation.groundtruth, evaluation.estimate)
     losses = losses_in(pairs) if losses is None else losses
     inputs = InputPair.of(groundtruth, estimate, protocol, time_offset_s=time_offset_s)
+    if changes_motions(evaluation):
+        found = Diagnosis.of([number, *_tests_of_sides(inputs)])
+        return Diagnosis.of([*found.examined, examined_discontinuities(evaluation, found)])
     found, is_lost = _tested_where_tracked(losses, pairs, inputs)
+    if found.named("other_run") and _is_of_noisy_fixes(evaluation):
+        found = Diagnosis.of(
+            [
+                Examined(test.test, test.scores, why_not="fixes are noisier than short motions")
+                if any(seen.cause == "other_run" for seen in test.seen)
+                else test
+                for test in found.examined
+            ]
+        )
+    examined = [number, *found.examined, examined_discontinuities(evaluation, found)]
     if is_lost:
-        return Diagnosis.of([number, *found.examined])
-    examined = [number, *found.examined, frame_offset(evaluation)]
+        return Diagnosis.of(examined)
+    examined.append(frame_offset(evaluation))
     if all(finding.rank < _GRAVE for finding in found.findings):
         examined.append(covariance_blocks(evaluation))
     return Diagnosis.of(examined)
+
+
+def _is_of_noisy_fixes(evaluation: Evaluation) -> bool:
+    """Return whether the path agrees with GNSS fixes, whose noise hides short motions."""
+    position = evaluation.ate["position_m"]
+    if evaluation.groundtruth.kind != "gnss" or position is None:
+        return False
+    spread_m = float(np.sqrt(evaluation.association.groundtruth.positions.var(axis=0).sum()))
+    return position.rmse < _AGREES * spread_m
 
 
 def diagnose_inputs(
@@ -202,38 +199,6 @@ def require_conventions(
         raise InputError(f"--hand-eye auto needs correct conventions, but {found.text}")
 
 
-def require_fixes(
-    groundtruth: Trajectory, estimates: Sequence[Trajectory], gauge: Gauge, rule: FixRule
-) -> None:
-    """Refuse a gauge that the groundtruth's GNSS fixes, if it has any, do not support."""
-    if groundtruth.reading.fixes is not None:
-        from trajeval_ros.diagnosis.gnss_warnings import require_fixes_fit
-
-        require_fixes_fit(groundtruth, estimates, gauge, rule)
-
-
-def fix_remarks(
-    evaluation: Evaluation,
-    rule: FixRule,
-    own: OwnError | None = None,
-    why: str = "",
-    *,
-    lever_arm_known: bool = False,
-    of: int = 1,
-) -> list[Remark]:
-    """Return remarks on groundtruth of GNSS fixes or points, or on settings of fixes without them.
-
-    `own` is the error without the noise of the fixes, or None for the reason `why`, and `of` the
-    number of evaluated estimates. The point's place may be known (`lever_arm_known`).
-    """
-    lever_arm = [] if lever_arm_known else about_lever_arm(evaluation)
-    if evaluation.groundtruth.reading.fixes is None:
-        return [*about_unused_rule(rule), *lever_arm]
-    from trajeval_ros.diagnosis.gnss_warnings import about_fixes
-
-    return [*about_fixes(evaluation, own, why, of), *lever_arm]
-
-
 def same_estimate(estimate: InputSummary, others: Sequence[InputSummary]) -> Finding | None:
     """Return the finding about an estimate with the same poses as another one; else None."""
     for other in others:
@@ -245,7 +210,14 @@ def same_estimate(estimate: InputSummary, others: Sequence[InputSummary]) -> Fin
 
 def _tested(inputs: InputPair) -> Diagnosis:
     """Apply all tests of the inputs; both sides have at least one state."""
-    examined = [
+    examined = _tests_of_sides(inputs)
+    if not _causes(examined) & _FINAL:
+        examined += tests_of_motion(inputs)
+    return Diagnosis.of(examined)
+
+
+def _tests_of_sides(inputs: InputPair) -> list[Examined]:
+    return [
         standing_still(inputs),
         rounded_stamps(inputs),
         same_positions(inputs),
@@ -253,9 +225,6 @@ def _tested(inputs: InputPair) -> Diagnosis:
         swapped_names(inputs),
         *columns_of_others(inputs),
     ]
-    if not _causes(examined) & _FINAL:
-        examined += tests_of_motion(inputs)
-    return Diagnosis.of(examined)
 
 
 def _causes(examined: list[Examined]) -> set[str]:

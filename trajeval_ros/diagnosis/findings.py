@@ -7,19 +7,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from trajeval_ros.diagnosis.causes import CAUSES
-from trajeval_ros.exceptions import InputError, require_one_of
+from trajeval_ros.diagnosis.causes import CAUSES, FLAG
 from trajeval_ros.formatting.numbers import four_digits
 from trajeval_ros.formatting.remarks import Remark, warning
-from trajeval_ros.geometry.pose_conventions import Conventions
 
 if TYPE_CHECKING:
     from trajeval_ros.calibration.apply import Ate
     from trajeval_ros.metrics.evaluation import Evaluation
 
 Value = float | str
-
-SUGGESTED = "suggested"
 
 
 @dataclass(frozen=True)
@@ -108,6 +104,8 @@ class Tried:
         option = f"{option} and {self.then}" if self.then else option
         after_deg = _first_known(after.rotation_deg, self.rotations_deg[1])
         is_about_rotation = rotation < _CLEARLY * position or rotation < _FALLS <= position
+        if before is not None and before.rotation_deg is None and position < _CLEARLY:
+            is_about_rotation = False  # a number that fell says more than a withheld one
         if after_deg is not None and is_about_rotation:
             assert before is not None
             size = before.rotation_deg
@@ -274,64 +272,11 @@ class Diagnosis:
 
 def _options(values: Mapping[str, str]) -> str:
     return " ".join(
-        f"--{name.replace('_', '-')}" + (f"={text}" if text.startswith("-") else f" {text}")
+        f"--{name.replace('_', '-')}"
+        + (f"={text}" if text.startswith("-") else f" {text}".removesuffix(f" {FLAG}"))
         for name, text in values.items()
     )
 
 
 def _ranked(findings: list[Finding]) -> tuple[Finding, ...]:
     return tuple(sorted(findings, key=lambda each: (-each.rank, -each.explained)))
-
-
-@dataclass(frozen=True)
-class Corrections:
-    """Conventions of both sides that differ from those that were read; by default none."""
-
-    groundtruth: Conventions = field(default_factory=Conventions)
-    estimate: Conventions = field(default_factory=Conventions)
-    then: Corrections | None = None  # corrections of what these leave; None for none
-
-    def changed(self, correction: Mapping[str, str]) -> Corrections:
-        """Return these corrections and then those of a finding, such as `estimate.scale`."""
-        if self.then is not None:
-            return dataclasses.replace(self, then=self.then.changed(correction))
-        sides: dict[str, dict[str, Value]] = {"groundtruth": {}, "estimate": {}}
-        for name, text in correction.items():
-            side, _, attribute = name.partition(".")
-            if attribute:
-                sides[side][attribute] = type(getattr(Conventions(), attribute))(text)
-        if not any(sides.values()):
-            return self
-        return dataclasses.replace(
-            self,
-            then=Corrections(**{side: Conventions(**of) for side, of in sides.items()}),  # type: ignore[arg-type]
-        )
-
-
-def require_correctable(cause: str) -> None:
-    """Refuse a name that is neither `suggested` nor a cause with a correction."""
-    known = [name for name, each in CAUSES.items() if each.correction]
-    require_one_of(cause, [SUGGESTED, *known], "cause to correct")
-
-
-def finding_to_correct(diagnosis: Diagnosis, cause: str, *, is_first: bool) -> Finding | None:
-    """Return the finding to correct; None for `suggested` without findings.
-
-    After the first correction, it is None if nothing is left to correct.
-    """
-    left = [each for each in diagnosis.findings if cause in (SUGGESTED, each.cause)]
-    correctable = next((each for each in left if each.correction), None)
-    if correctable is not None or not is_first:
-        return correctable
-    if cause == SUGGESTED:
-        if left:
-            raise InputError(f"no option corrects the finding: {left[0].text}; remove --correct")
-        return None
-    found = diagnosis.named(cause)
-    if found is None:
-        causes = ", ".join(each.cause for each in diagnosis.findings) or "nothing"
-        raise InputError(
-            f"{cause} not found in the recording (found: {causes}); remove --correct, or convert "
-            "the file with trajeval trajectory"
-        )
-    raise InputError(f"no option corrects {cause}: {found.text}; remove --correct")

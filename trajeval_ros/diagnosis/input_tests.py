@@ -11,7 +11,7 @@ from trajeval_ros.diagnosis.input_pair import InputPair, TimedPoses, lengths
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, extents
 from trajeval_ros.geometry.rotation_fit import best_rotations
-from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.trajectory_edits import evenly
 from trajeval_ros.metrics.statistics import median
 
@@ -29,13 +29,6 @@ _FEWEST_FITTED, _FITTED_SHARE = 10, 1e-6
 # Largest extent of a body at rest, as a fraction of the other side's, and least extent of motion,
 # in units of the source.
 _STILL_SHARE, _MOVED = 1e-5, 0.3
-_SAMPLE = 20_000  # states of a sample
-# Of steps in time: least spread, least number, and the slope of steps in space over steps in time,
-# which is 1 for sensor timestamps and 0 for arrival times.
-_JITTER = 0.15
-_FEWEST_SMOOTH = 100
-_FOLLOWS = 0.2
-_SPARSE_S = 0.12
 
 
 # The rooms of EuRoC's sequences are called "Vicon room".
@@ -289,34 +282,6 @@ def rhythm(groundtruth: TimedPoses, estimate: TimedPoses, *, is_odometry: bool) 
         cause = "frames_lost" if is_odometry else "keyframes"
         return Examined("keyframes", scores, (Seen(cause, 0.0, values),))
     return Examined("keyframes", scores)
-
-
-def stamped_at_arrival(side: Trajectory) -> bool:
-    """Return whether steps in time vary, and steps in space do not depend on them.
-
-    A body with smooth motion moves twice as far in twice the time. If the distance does not depend
-    on the timestamps, they are not the times of the poses.
-    """
-    some = slice(_SAMPLE)
-    step_s = np.diff(side.stamps[some]) / 1e9
-    is_regular = np.ptp(step_s) <= _JITTER * step_s.min() if len(step_s) else True
-    # The distance between sparse keyframes is constant.
-    if is_regular or not side.reading.stamped or (usual_s := median(step_s)) > _SPARSE_S:
-        return False
-    moved = np.diff(side.positions[some], axis=0)
-    distance = np.linalg.norm(moved, axis=1)
-    # Steps with neighbours on both sides and without lost messages. A body at rest moves by noise.
-    whole = (step_s > 0.1 * usual_s) & (step_s < 1.9 * usual_s)
-    nearby_s, nearby = (step_s[:-2] + step_s[2:]) / 2.0, (distance[:-2] + distance[2:]) / 2.0
-    smooth = np.einsum("ni,ni->n", moved[:-2], moved[2:]) > 0.9 * distance[:-2] * distance[2:]
-    counts = smooth & (nearby > 0.0) & whole[:-2] & whole[1:-1] & whole[2:]
-    if np.count_nonzero(counts) < _FEWEST_SMOOTH:
-        return False
-    longer = step_s[1:-1][counts] / nearby_s[counts] - 1.0
-    farther = distance[1:-1][counts] / nearby[counts] - 1.0
-    jitter = float(np.sqrt(np.mean(longer**2)))
-    follows = float(longer @ farther) / max(float(longer @ longer), 1e-12)
-    return jitter > _JITTER and follows < _FOLLOWS
 
 
 def is_named_groundtruth(name: str) -> bool:

@@ -19,7 +19,7 @@ from trajeval_ros.diagnosis.clock_match import (
     rates_of_both,
     search_rate,
 )
-from trajeval_ros.diagnosis.dropout_tests import groundtruth_defects, restart, without_defects
+from trajeval_ros.diagnosis.dropout_tests import groundtruth_defects, without_defects
 from trajeval_ros.diagnosis.findings import Examined, Seen
 from trajeval_ros.diagnosis.hypotheses import (
     AS_READ,
@@ -93,11 +93,9 @@ def tests_of_motion(inputs: InputPair) -> list[Examined]:
     if len(motions) < FEWEST_MOTIONS:
         return [*examined, _few_motions(clock, inputs)]
     shifted = estimate.shifted(clock.offset_s)
-    examined += [velocities(groundtruth, shifted), restart(groundtruth, shifted)]
-    if examined[-1].seen:
-        return examined
     return [
         *examined,
+        velocities(groundtruth, shifted),
         *_Comparison(inputs, groundtruth, estimate, motions, clock, gap_s).results(
             states_clock=not has_defects
         ),

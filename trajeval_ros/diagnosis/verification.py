@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, TypeAlias
 
+from trajeval_ros.diagnosis.causes import DISCONTINUITIES
 from trajeval_ros.diagnosis.findings import Diagnosis, Finding, Tried
 from trajeval_ros.exceptions import TrajevalError
 
@@ -16,7 +17,9 @@ if TYPE_CHECKING:
 Reevaluate: TypeAlias = Callable[[Sequence[Mapping[str, str]]], "Evaluation"]
 
 # These are measured directly, as repeated poses or steps, so they hold whatever the errors do.
-_MEASURED = {"flat", "gap_bridged", "restart", "frozen", "frozen_at_start", "diverged"}
+_MEASURED = {
+    "flat", "gap_bridged", "frozen", "frozen_at_start", "diverged", *DISCONTINUITIES,
+}  # fmt: skip
 
 
 def verified(diagnosis: Diagnosis, before: Evaluation | None, reevaluate: Reevaluate) -> Diagnosis:

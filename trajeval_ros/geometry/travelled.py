@@ -101,19 +101,6 @@ class StepDifferences:
         )
         return found
 
-    def groundtruth_jumps(self, typical_m: float) -> Indices:
-        """Return the indices of steps that the groundtruth alone makes.
-
-        `typical_m`: typical difference of the distances moved, metres. A step must also be long
-        for the groundtruth: one that follows a moving body, while the estimate is frozen, is not.
-        """
-        moving = self.true_m[self.true_m > 0.0]
-        usual_m = float(np.sort(moving)[len(moving) // 2]) if len(moving) else 0.0
-        least_m = max(LEAST_JUMP_M, _TIMES_TYPICAL * max(typical_m, usual_m))
-        limit_m = np.maximum(self.estimate_m, least_m)
-        found: Indices = np.flatnonzero(self.true_m - self.estimate_m > limit_m)
-        return found
-
 
 def cause_of_jumps(number: int) -> str:
     """Return the probable cause of a number of jumps, for a message."""

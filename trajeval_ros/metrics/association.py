@@ -188,7 +188,7 @@ def associate(groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRu
         unmatched = len(estimate) - _distinct(rows, len(estimate))
         dropped = {"no_groundtruth_within_max_time_difference": unmatched}
     if len(rows) == 0:
-        raise NoMatchError(explain_no_match(groundtruth, shifted, rule, dropped))
+        raise NoMatchError(_why_no_match(groundtruth, shifted, rule, dropped))
     share: float | None = _distinct(rows, len(estimate)) / len(estimate)
     completed = None
     if groundtruth.kind == "points" and groundtruth_rows is not None and not by_row:
@@ -269,7 +269,7 @@ def _at_groundtruth(
     rows = np.flatnonzero(bracket.usable)
     dropped = bracket.dropped("estimate")
     if not len(rows):
-        raise NoMatchError(explain_no_match(groundtruth, states, rule, dropped))
+        raise NoMatchError(_why_no_match(groundtruth, states, rule, dropped))
     meter = InterpolationMeter()
     meter.add(states.stamps, states.positions)
     return Association(
@@ -281,6 +281,14 @@ def _at_groundtruth(
         dropped=add_counts(estimate.reading.dropped, dropped),
         groundtruth_rows=rows,
         interpolation=meter.found if bracket.is_between else None,
+    )
+
+
+def _why_no_match(
+    groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule, dropped: dict[str, int]
+) -> str:
+    return explain_no_match(
+        groundtruth, estimate, dropped, rule.max_gap_s, rule.max_time_difference_s
     )
 
 

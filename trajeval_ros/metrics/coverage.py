@@ -31,6 +31,7 @@ _SHORT_S = 3.0
 _USUAL_STEPS = 2.0
 _STILL_M = 0.05
 _STILL_RAD = math.radians(3.0)
+LOW_COVERAGE = 0.9  # below, errors of different runs are not compared
 NO_GAP_NS = int(np.iinfo(np.int64).max)
 
 

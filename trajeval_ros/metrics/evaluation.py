@@ -49,6 +49,9 @@ if TYPE_CHECKING:
     import pandas
     import pyarrow
 
+    from trajeval_ros.metrics.discontinuities.events import Event
+    from trajeval_ros.metrics.discontinuities.parts import RunPart
+
 ATE_METRICS = tuple(each.name for each in dataclasses.fields(AbsoluteErrors))
 
 
@@ -71,6 +74,8 @@ class Evaluation:
         remarks: What is said about the validity of the numbers, added by the pipeline.
         score: Score by the protocol's table of points; None without a table.
         recall: Recall of the groundtruth's points; None without a recall rule.
+        events: Discontinuities of both sides, added by the pipeline.
+        parts: Parts of the estimate between steps and restarts, with their ATE.
 
     Example:
         >>> from trajeval_ros import evaluate, simulate
@@ -95,6 +100,8 @@ class Evaluation:
     remarks: tuple[Remark, ...]
     score: Score | None = None
     recall: Recall | None = None
+    events: tuple[Event, ...] = ()
+    parts: tuple[RunPart, ...] = ()
 
     @cached_property
     def aligned(self) -> Trajectory:

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import math
 from datetime import datetime, timezone
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from trajeval_ros.formatting.numbers import significant
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.statistics import median
-
-if TYPE_CHECKING:
-    from trajeval_ros.metrics.association import AssociationRule
 
 LATEST_CLOCK_S = 5e9  # the year 2128
 _GPS_START_S = 315_964_782  # start of GPS time since 1970, less the 18 leap seconds since 2017
@@ -43,7 +39,11 @@ def _gps_offset(
 
 
 def explain_no_match(
-    groundtruth: Trajectory, estimate: Trajectory, rule: AssociationRule, dropped: dict[str, int]
+    groundtruth: Trajectory,
+    estimate: Trajectory,
+    dropped: dict[str, int],
+    max_gap_s: float,
+    max_time_difference_s: float,
 ) -> str:
     """Return both time ranges and the likely cause, as one sentence.
 
@@ -61,12 +61,12 @@ def explain_no_match(
     if dropped.get("in_groundtruth_gap"):
         return (
             f"{text}; all common timestamps are in groundtruth gaps longer than "
-            f"{rule.max_gap_s:g} s (median step {_step_s(groundtruth):.3g} s); increase the max "
+            f"{max_gap_s:g} s (median step {_step_s(groundtruth):.3g} s); increase the max "
             "gap, or use association continuous"
         )
     if dropped.get("in_estimate_gap"):
         return (
-            f"{text}; all common timestamps are in estimate gaps longer than {rule.max_gap_s:g} "
+            f"{text}; all common timestamps are in estimate gaps longer than {max_gap_s:g} "
             f"s (median step {_step_s(estimate):.3g} s); use association linear, or increase the "
             "max gap"
         )
@@ -78,7 +78,7 @@ def explain_no_match(
             )
         return (
             f"{text}; they overlap, but all time differences exceed "
-            f"{rule.max_time_difference_s:g} s; use association linear, or increase the max "
+            f"{max_time_difference_s:g} s; use association linear, or increase the max "
             "time difference"
         )
     thousands = math.log10(max(groundtruth_s[1], 1e-9) / max(estimate_s[1], 1e-9)) / 3.0

@@ -7,7 +7,7 @@ numbers. `_evaluated` has the steps in their order.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,12 +16,10 @@ from trajeval_ros.consistency.covariance_request import CovarianceRequest
 from trajeval_ros.diagnosis.diagnose import diagnose as diagnose_evaluation
 from trajeval_ros.diagnosis.diagnose import (
     diagnose_inputs,
-    diagnosed,
-    fix_remarks,
     require_conventions,
-    same_estimate,
 )
-from trajeval_ros.diagnosis.findings import Diagnosis, Finding, Tried, finding_to_correct
+from trajeval_ros.diagnosis.discontinuities import with_events
+from trajeval_ros.diagnosis.findings import Diagnosis, Finding, Tried
 from trajeval_ros.diagnosis.verification import Reevaluate, verified
 from trajeval_ros.exceptions import InputError, TrajevalError
 from trajeval_ros.formatting.remarks import Remark, warning
@@ -36,15 +34,24 @@ from trajeval_ros.metrics.reception_clock import judged_receptions
 from trajeval_ros.metrics.states_table import states_table
 from trajeval_ros.metrics.statistics import median
 from trajeval_ros.metrics.stream_health import UNKNOWN, StreamHealth, health_of
+from trajeval_ros.pipeline.corrections import finding_to_correct
+from trajeval_ros.pipeline.evaluation_remarks import remarks_on, require_same_body
 from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
 from trajeval_ros.pipeline.preparation import (
     Inputs,
+    at_discontinuities,
     corrected_and_cut,
     in_world_axes,
     named,
     with_fixes_placed,
 )
 from trajeval_ros.pipeline.request import Request
+from trajeval_ros.pipeline.several_runs import (
+    with_bayes_factors,
+    with_own_errors,
+    with_remarks,
+    with_same_estimates_named,
+)
 
 _MOST_CORRECTIONS = 4
 # Corrections that change the pairs.
@@ -54,7 +61,6 @@ if TYPE_CHECKING:
     from trajeval_ros.calibration.apply import Calibrated
     from trajeval_ros.consistency.consistency_result import Consistency
     from trajeval_ros.consistency.integrity import Integrity
-    from trajeval_ros.geometry.fix_selection import FixRule
     from trajeval_ros.likelihood.likelihood_assessment import LikelihoodAssessment
     from trajeval_ros.metrics.association import Association
     from trajeval_ros.metrics.tracking_loss import Loss
@@ -76,7 +82,7 @@ def run(
             found = _evaluated(given, own, same_as)
             if request.correct:
                 found = _corrected(found, given, own, same_as)
-        runs.append(_with_remarks(said, found, len(found.evaluation.remarks)))
+        runs.append(with_remarks(said, found, len(found.evaluation.remarks)))
     used, inputs = runs[0].evaluation.groundtruth, corrected_and_cut(given, request)
     runs = list(with_bayes_factors(with_same_estimates_named(runs)))
     runs = with_own_errors(runs, request.fixes)
@@ -119,9 +125,9 @@ def evaluate(
     request = Request(protocol or Protocol())
     given = Inputs(groundtruth, estimate)
     inputs, _, evaluation = _measured(given, request)
-    return diagnosed(evaluation, inputs.groundtruth, inputs.estimate, _reevaluate(given, request))[
-        0
-    ]
+    return _diagnosed(
+        evaluation, inputs.groundtruth, inputs.estimate, _reevaluate(given, request)
+    )[0]
 
 
 def diagnose(
@@ -150,16 +156,26 @@ def diagnose(
         return verified(found, None, reevaluate), str(error)
     sides = inputs.groundtruth, inputs.estimate
     paired = inputs.pairs is not None
+    evaluation = with_events(evaluation, *sides, paired=paired)
     found = diagnose_evaluation(evaluation, *sides, paired=paired, losses=losses)
     return verified(found, evaluation, reevaluate), ""
 
 
 def _measured(
-    given: Inputs, request: Request, same_as: Calibrated | None = None
+    given: Inputs,
+    request: Request,
+    same_as: Calibrated | None = None,
+    *,
+    compares: bool = True,
 ) -> tuple[Inputs, Calibrated | None, Evaluation]:
-    """Correct, cut, calibrate, associate, align and compute the errors of one estimate."""
+    """Correct, cut, calibrate, associate, align and compute the errors of one estimate.
+
+    A calibration `compares` errors with those without it.
+    """
     inputs, protocol = in_world_axes(corrected_and_cut(given, request), request)
-    calibrated = _calibrated(inputs, protocol, request, same_as)
+    offset_s = protocol.association.time_offset_s
+    inputs = at_discontinuities(inputs, request.discontinuities, offset_s)
+    calibrated = _calibrated(inputs, protocol, request, same_as, compares=compares)
     if calibrated is None:
         return inputs, None, inputs.evaluated(protocol)
     evaluation = calibrated.evaluation
@@ -185,7 +201,7 @@ def _reevaluate(given: Inputs, request: Request, same_as: Calibrated | None = No
             if given.pairs is not None and correction.keys() & _TEMPORAL:
                 sides = _unpaired(given.pairs)
                 changed = _with_gaps_of(given.pairs, changed)
-        return _measured(sides, changed, same_as)[2]
+        return _measured(sides, changed, same_as, compares=False)[2]
 
     return reevaluate
 
@@ -212,7 +228,7 @@ def _evaluated(given: Inputs, request: Request, same_as: Calibrated | None = Non
         inputs, calibrated, evaluation = _measured(given, request, same_as)
     except InputError as error:
         raise _explained(error, given, request) from error
-    evaluation, diagnosis = diagnosed(
+    evaluation, diagnosis = _diagnosed(
         evaluation,
         inputs.groundtruth,
         inputs.estimate,
@@ -237,6 +253,30 @@ def _evaluated(given: Inputs, request: Request, same_as: Calibrated | None = Non
         stream=_stream(given.estimate),
         available=available,
     )
+
+
+def _diagnosed(
+    evaluation: Evaluation,
+    groundtruth: Trajectory,
+    estimate: Trajectory,
+    reevaluate: Reevaluate,
+    *,
+    paired: bool = False,
+    hand_eye_calibrated: bool = False,
+) -> tuple[Evaluation, Diagnosis]:
+    """Return an evaluation with remarks and without meaningless errors, and its diagnosis.
+
+    `reevaluate` evaluates with corrections. An alignment by orientations of another body is
+    refused.
+    """
+    evaluation = with_events(evaluation, groundtruth, estimate, paired=paired)
+    diagnosis = diagnose_evaluation(evaluation, groundtruth, estimate, paired=paired)
+    if hand_eye_calibrated:
+        diagnosis = diagnosis.after_hand_eye_calibration()
+    diagnosis = verified(diagnosis, evaluation, reevaluate)
+    require_same_body(evaluation, diagnosis)
+    remarks = (*remarks_on(evaluation, diagnosis, paired=paired), *evaluation.remarks)
+    return dataclasses.replace(evaluation, remarks=remarks), diagnosis
 
 
 def _explained(error: InputError, given: Inputs, request: Request) -> InputError:
@@ -288,7 +328,12 @@ def _available(inputs: Inputs, evaluation: Evaluation, request: Request) -> AsAv
 
 
 def _calibrated(
-    inputs: Inputs, protocol: Protocol, request: Request, same_as: Calibrated | None
+    inputs: Inputs,
+    protocol: Protocol,
+    request: Request,
+    same_as: Calibrated | None,
+    *,
+    compares: bool,
 ) -> Calibrated | None:
     """Estimate or apply the clock and the body, and evaluate; None if neither is requested."""
     groundtruth, estimate, pairs = inputs.groundtruth, inputs.estimate, inputs.pairs
@@ -299,7 +344,13 @@ def _calibrated(
     from trajeval_ros.calibration.apply import evaluate_calibrated
 
     return evaluate_calibrated(
-        groundtruth, estimate, protocol, request.calibration, same_as=same_as, pairs=pairs
+        groundtruth,
+        estimate,
+        protocol,
+        request.calibration,
+        same_as=same_as,
+        pairs=pairs,
+        compares=compares,
     )
 
 
@@ -375,57 +426,3 @@ def _corrected(
         corrected.append(dataclasses.replace(finding, tried=tried))
         found, request = after, changed
     return dataclasses.replace(found, corrected=tuple(corrected))
-
-
-def with_same_estimates_named(runs: Sequence[RunOutcome]) -> list[RunOutcome]:
-    """Return the runs with a finding for an estimate that equals a previous one."""
-    found = []
-    for number, run in enumerate(runs):
-        same = same_estimate(run.estimate, [earlier.estimate for earlier in runs[:number]])
-        if same is not None:
-            diagnosis = run.diagnosis.with_others([same])
-            run = dataclasses.replace(_with_remarks([same.remark], run), diagnosis=diagnosis)
-        found.append(run)
-    return found
-
-
-def with_bayes_factors(runs: Sequence[RunOutcome]) -> Iterator[RunOutcome]:
-    """Yield the runs with Bayes factors between their likelihoods."""
-    assessments = [run.likelihood for run in runs if run.likelihood is not None]
-    if len(assessments) < 2:
-        yield from runs
-        return
-    from trajeval_ros.likelihood.likelihood_assessment import with_bayes_factors
-
-    names = [run.estimate.name for run in runs]
-    for run, assessment in zip(runs, with_bayes_factors(names, assessments), strict=True):
-        yield dataclasses.replace(run, likelihood=assessment)
-
-
-def with_own_errors(runs: list[RunOutcome], rule: FixRule) -> list[RunOutcome]:
-    """Return the runs with errors without the noise of GNSS fixes, and warnings about fixes."""
-    evaluations = [run.evaluation for run in runs]
-    known = any(run.calibrated is not None and run.calibrated.lever_applied for run in runs)
-    if evaluations[0].groundtruth.reading.fixes is None:
-        remarks = (fix_remarks(each, rule, lever_arm_known=known) for each in evaluations)
-        both = zip(remarks, runs, strict=True)
-        return [_with_remarks(more, run, len(run.diagnosis.findings)) for more, run in both]
-    from trajeval_ros.metrics.own_error import own_errors
-
-    found = []
-    for run, (own, why) in zip(runs, own_errors(evaluations, rule.correlation_s), strict=True):
-        more = fix_remarks(run.evaluation, rule, own, why, lever_arm_known=known, of=len(runs))
-        run = _with_remarks(more, run, len(run.diagnosis.findings))
-        found.append(dataclasses.replace(run, own_error=own))
-    return found
-
-
-def _with_remarks(more: Sequence[Remark], run: RunOutcome, after: int = 0) -> RunOutcome:
-    """Return a run with more remarks, after the first ones, which are about findings."""
-    if not more:
-        return run
-    given = run.evaluation.remarks
-    remarks = (*given[:after], *more, *given[after:])
-    return dataclasses.replace(
-        run, evaluation=dataclasses.replace(run.evaluation, remarks=remarks)
-    )

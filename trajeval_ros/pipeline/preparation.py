@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 from trajeval_ros.exceptions import InputError, TrajevalError
+from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.formatting.remarks import note
 from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.frame_axes import upright
 from trajeval_ros.geometry.gauge import Gauge
@@ -16,6 +18,14 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.vertical_axis import require_up_axis
 from trajeval_ros.metrics import evaluation as metrics
+from trajeval_ros.metrics.discontinuities.events import ESTIMATE, GROUNDTRUTH
+from trajeval_ros.metrics.discontinuities.handling import (
+    DiscontinuityRule,
+    is_groundtruth_outlier,
+    without_clock_steps,
+    without_groundtruth_outliers,
+)
+from trajeval_ros.metrics.discontinuities.recorded import discontinuities
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.pipeline.request import Request
@@ -111,6 +121,32 @@ def corrected_and_cut(inputs: Inputs, request: Request) -> Inputs:
         streams = groundtruth, span.cut(streams[1], first_ns, offset_ns)
     estimate = span.cut(inputs.estimate, first_ns, offset_ns)
     return Inputs(groundtruth, estimate, streams=streams)
+
+
+def at_discontinuities(inputs: Inputs, rule: DiscontinuityRule, offset_s: float) -> Inputs:
+    """Correct clock steps and drop outliers of the groundtruth, if the rule states it.
+
+    `offset_s` is added to the estimate's timestamps. The groundtruth has a note on dropped poses.
+    """
+    if not rule.changes_inputs:
+        return inputs
+    offset_ns = round(offset_s * NANOSECONDS)
+    groundtruth, estimate = inputs.groundtruth, inputs.estimate
+    if rule.correct_clock_steps:
+        events = discontinuities(groundtruth, estimate, offset_ns)
+        groundtruth = without_clock_steps(groundtruth, events, GROUNDTRUTH)
+        estimate = without_clock_steps(estimate, events, ESTIMATE, offset_ns)
+    if rule.drop_groundtruth_outliers:
+        events = discontinuities(groundtruth, estimate, offset_ns)
+        kept = without_groundtruth_outliers(groundtruth, events)
+        number = len(groundtruth) - len(kept)
+        text = (
+            f"--drop-groundtruth-outliers: {counted(number, 'pose')} dropped in "
+            f"{counted(sum(map(is_groundtruth_outlier, events)), 'outlier')} of the groundtruth"
+        )
+        remark = note("groundtruth_outliers", text)
+        groundtruth = dataclasses.replace(kept, reading=kept.reading.remarked(remark))
+    return dataclasses.replace(inputs, groundtruth=groundtruth, estimate=estimate)
 
 
 def with_up_axes(inputs: Inputs, request: Request) -> Inputs:

@@ -14,8 +14,6 @@ import numpy as np
 
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.consistency.covariance_request import CovarianceRequest, IntegrityRequest
-from trajeval_ros.diagnosis.diagnose import require_fixes
-from trajeval_ros.diagnosis.findings import Corrections, require_correctable
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.gauge import Gauge
@@ -24,8 +22,11 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.trajectory_edits import TimeSpan
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.metrics.as_available import AvailabilityRule
+from trajeval_ros.metrics.discontinuities.events import CLOCK_STEP
+from trajeval_ros.metrics.discontinuities.handling import DiscontinuityRule
 from trajeval_ros.metrics.protocol import GROUNDTRUTH_WEIGHTS, Protocol
 from trajeval_ros.metrics.states_table import FirstStates
+from trajeval_ros.pipeline.corrections import Corrections, require_correctable
 
 CONTINUOUS = "continuous"
 
@@ -56,6 +57,7 @@ class Request:
             finding; "" for no correction.
         integrity: Alert limits and risk for protection levels; None for none.
         available: The as-available accuracy to compute, if it is asked for.
+        discontinuities: What to do at restarts, outliers and clock steps.
         watch_factor: Factor of a watchdog whose errors count as alerts; None for none.
 
     Raises:
@@ -83,6 +85,7 @@ class Request:
     integrity: IntegrityRequest | None = None
     watch_factor: float | None = None
     available: AvailabilityRule = field(default_factory=AvailabilityRule)
+    discontinuities: DiscontinuityRule = field(default_factory=DiscontinuityRule)
 
     def __post_init__(self) -> None:
         """Refuse contradictory parts and unknown axes."""
@@ -140,13 +143,20 @@ class Request:
         protocol = self.protocol
         if self.gauge_is_default and groundtruth.reading.fixes is not None:
             protocol = dataclasses.replace(protocol, gauge=Gauge.YAW)
-        require_fixes(groundtruth, estimates, protocol.gauge, self.fixes)
+        if groundtruth.reading.fixes is not None:
+            from trajeval_ros.pipeline.fix_remarks import require_fixes_fit
+
+            require_fixes_fit(groundtruth, estimates, protocol.gauge, self.fixes)
         return dataclasses.replace(self, protocol=protocol)
 
     def corrected(self, correction: Mapping[str, str]) -> Request:
         """Return the request with the correction of a finding, see `Finding.correction`."""
         protocol, calibration, rule = self.protocol, self.calibration, self.protocol.association
-        up, time_span = self.up, self.time_span
+        up, time_span, discontinuities = self.up, self.time_span, self.discontinuities
+        if correction.get("correct") == CLOCK_STEP:
+            discontinuities = dataclasses.replace(discontinuities, correct_clock_steps=True)
+        if "drop_groundtruth_outliers" in correction:
+            discontinuities = dataclasses.replace(discontinuities, drop_groundtruth_outliers=True)
         if "gauge" in correction:
             gauge = Gauge.of(correction["gauge"])
             protocol = dataclasses.replace(protocol, gauge=gauge, modality=None)
@@ -176,6 +186,7 @@ class Request:
             corrections=(self.corrections or Corrections()).changed(correction),
             up=up,
             time_span=time_span,
+            discontinuities=discontinuities,
         )
 
     @functools.cached_property

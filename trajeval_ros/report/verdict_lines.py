@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from trajeval_ros.diagnosis.causes import CAUSES
 from trajeval_ros.diagnosis.evaluation_tests import few_pairs
-from trajeval_ros.diagnosis.warnings import completeness_in_words
 from trajeval_ros.formatting.numbers import (
     NOTHING,
     counted,
@@ -17,15 +16,20 @@ from trajeval_ros.formatting.numbers import (
 )
 from trajeval_ros.geometry.up_axis import ASSUMED, UpAxis
 from trajeval_ros.geometry.valid_poses import reasons
+from trajeval_ros.metrics.discontinuities.parts import together_m
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.tracking_loss import DIVERGED, FROZEN
+from trajeval_ros.pipeline.input_remarks import completeness_in_words
 from trajeval_ros.report.definitions import METHOD_TEXTS, WEIGHT_TEXTS
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from trajeval_ros.calibration.apply import Ate
     from trajeval_ros.diagnosis.findings import Diagnosis
     from trajeval_ros.likelihood.likelihood_assessment import LikelihoodAssessment
     from trajeval_ros.likelihood.uncertain_ate import UncertainAte
+    from trajeval_ros.metrics.discontinuities.parts import RunPart
     from trajeval_ros.metrics.own_error import OwnError
     from trajeval_ros.pipeline.outcome import RunOutcome
 
@@ -35,10 +39,16 @@ _STATED = ("few_pairs", "identical")  # causes that the line or the numbers stat
 _LOST = {FROZEN: "froze", DIVERGED: "diverged"}  # errors of the estimator
 
 
-def verdict(evaluation: Evaluation, likelihood: LikelihoodAssessment | None = None) -> list[str]:
+def verdict(
+    evaluation: Evaluation,
+    likelihood: LikelihoodAssessment | None = None,
+    *,
+    split: bool = False,
+) -> list[str]:
     """Return the result lines: errors, definitions and coverage.
 
     With a `likelihood`, the first line has the ATE of poses that the groundtruth supports.
+    `split` states the ATE of the parts between restarts, which are aligned separately.
     """
     position, rotation = evaluation.ate["position_m"], evaluation.ate["rotation_deg"]
     assert position is not None
@@ -65,6 +75,9 @@ def verdict(evaluation: Evaluation, likelihood: LikelihoodAssessment | None = No
     )
     kitti = f"{evaluation.kitti_ranking}; " if evaluation.kitti_ranking else ""
     whole = f"ATE {with_unit(position.rmse, 'm')} position"
+    together = together_m(evaluation.parts) if split else None
+    if together is not None:
+        whole += f" ({counted(len(evaluation.parts), 'part')}: {with_unit(together, 'm')})"
     supported = "" if likelihood is None else _supported(likelihood.ate)
     has_gaps = likelihood is not None and likelihood.ate.supported_share < 1.0
     return [
@@ -79,10 +92,26 @@ def verdict(evaluation: Evaluation, likelihood: LikelihoodAssessment | None = No
         f"  aligned by {protocol.gauge.value} ({protocol.gauge.description}){modality}, "
         f"{how}{poses}{weights}{scale}{_spread(evaluation)}; "
         f"{METHOD_TEXTS[pairs.rule.method].format(pairs.rule)}",
+        *([_split(evaluation.parts)] if split else []),
         f"  {_covered(evaluation)}{_dropped(evaluation)}",
         *_up(evaluation.groundtruth.up, evaluation.estimate.up),
         *_score(evaluation),
     ]
+
+
+def _split(parts: Sequence[RunPart]) -> str:
+    """Return the line about the parts between restarts and steps."""
+    if not parts:
+        return "  no restart and no step: one part"
+    alignments = sum(part.ate is not None for part in parts)
+    sizes = ", ".join(
+        f"{part.duration_s:.0f} s {'-' if part.ate is None else with_unit(part.ate, 'm')}"
+        for part in parts
+    )
+    return (
+        f"  {counted(len(parts), 'part')} between restarts and steps, "
+        f"{counted(alignments, 'alignment')} (position ATE; not below 5 s or 10 pairs): {sizes}"
+    )
 
 
 def _supported(ate: UncertainAte) -> str:

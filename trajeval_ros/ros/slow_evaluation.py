@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from trajeval_ros.diagnosis.warnings import about_frames
 from trajeval_ros.formatting.remarks import Remark, warning
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.requests.request_from import in_names_of_settings
@@ -14,6 +13,7 @@ from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.tracking_loss import Loss
 from trajeval_ros.online.state_rows import Pairs
 from trajeval_ros.online.whole_run import RevisedPath, ThinnedRun, association_of, evaluate_rows
+from trajeval_ros.pipeline.input_remarks import about_frames
 from trajeval_ros.pipeline.pipeline import diagnose
 from trajeval_ros.pipeline.request import Request
 from trajeval_ros.ros.background import BackgroundTask

@@ -34,7 +34,8 @@ from trajeval_ros.pipeline.request import Request
 from trajeval_ros.ros.parameter_table import PARAMETERS
 
 # Fields that no user sets: the pipeline and the comparison do.
-INTERNAL = {"span_ns", "lengths_of_groundtruth", "gauge_is_default", "covariances.marker_lever_m"}
+INTERNAL = {"span_ns", "lengths_of_groundtruth", "gauge_is_default", "covariances.marker_lever_m",
+            "discontinuities.correct_clock_steps"}  # fmt: skip
 # Fields of parts that are None by default.
 OPTIONAL = {
     "time_span": ("start_ns", "end_ns", "absolute_start", "absolute_end"),

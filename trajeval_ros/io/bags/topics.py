@@ -204,7 +204,7 @@ def trajectory_of(bag: Bag, reader: PoseReader, remarks: tuple[Remark, ...] = ()
     if topic.type == POSE_2D:
         remarks = (*remarks, POSE_2D_TIMES)
     if reader.slides:
-        text = "the paths slide: poses of all messages, each in its newest version"
+        text = "the paths slide: poses of all messages in their newest versions"
         remarks = (*remarks, note("sliding_path", text))
     if nested is not None and not nested.stamp:
         remarks = (*remarks, note("log_times", "no timestamps in messages: log times used"))

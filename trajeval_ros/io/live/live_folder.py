@@ -50,12 +50,9 @@ from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.live_availability import received_poses
 from trajeval_ros.online.state_rows import QUATERNION, VELOCITY, usable_rows
 from trajeval_ros.pipeline.outcome import FailedRun, Outcome, RunOutcome
-from trajeval_ros.pipeline.pipeline import (
-    run_alone,
-    with_own_errors,
-    with_same_estimates_named,
-)
+from trajeval_ros.pipeline.pipeline import run_alone
 from trajeval_ros.pipeline.request import Request
+from trajeval_ros.pipeline.several_runs import with_own_errors, with_same_estimates_named
 
 
 @dataclass(frozen=True, eq=False)

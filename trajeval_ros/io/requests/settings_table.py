@@ -49,6 +49,7 @@ from trajeval_ros.io.requests.setting import (
 from trajeval_ros.metrics.as_available import RECEIVED
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH, METHODS
 from trajeval_ros.metrics.availability import HOLD, MOTIONS
+from trajeval_ros.metrics.discontinuities.handling import ON_RESTART
 from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.protocol import (
     ALIGN_WEIGHTS,
@@ -335,6 +336,15 @@ _ROWS = (
         read=lambda request: _end_of_span(request, "end"), metavar="S|@STAMP|+S", panel=INPUT,
         verbs=(EVALUATE, COMPARE, TRAJECTORY),
         help="End of the evaluated time span: as --start, or +30 for 30 s after the start."),
+    Setting(name="on_restart", target="discontinuities.on_restart", panel=ERRORS,
+        verbs=(EVALUATE,), choices=ON_RESTART, is_of_one_run=True,
+        help="At restarts and steps of the estimate: whole (default) aligns all pairs at once. "
+        "split also aligns the parts separately, and states their ATE and the ATE of all "
+        "parts together."),
+    Setting(name="drop_groundtruth_outliers", kind=bool, panel=INPUT, verbs=(EVALUATE, COMPARE),
+        target="discontinuities.drop_groundtruth_outliers",
+        help="Drops groundtruth poses that leave the path of their neighbours for a time, and "
+        "that the estimate contradicts; their number is stated."),
     Setting(name="corrections", kind=dict, target="corrections", read=_corrections,
         is_of_one_run=True,
         help="Conventions of the inputs that differ from those that were read, in Python "

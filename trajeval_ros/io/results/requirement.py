@@ -76,7 +76,7 @@ class Requirement:
 
     def _step(self, value: Any, key: str, lengths: Sequence[str]) -> Any:
         known = value
-        if isinstance(value, Mapping) and "segments" in value:
+        if isinstance(value, Mapping) and "pooled" in value:
             # A dot in a length is written as an underscore, since dots separate keys.
             names = [length.replace(".", "_") for length in lengths]
             known = {**dict(zip(names, value["segments"], strict=True)), "pooled": value["pooled"]}

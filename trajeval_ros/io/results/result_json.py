@@ -20,6 +20,7 @@ from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.requests.settings_table import settings_of
 from trajeval_ros.io.results.calibration_json import calibration_json
 from trajeval_ros.io.results.probabilistic_json import probabilistic_json
+from trajeval_ros.metrics.discontinuities.parts import together_m
 from trajeval_ros.metrics.relative_evaluation import SubTrajectoryErrors
 from trajeval_ros.metrics.statistics import Statistics
 from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
@@ -139,6 +140,9 @@ def _run(run: RunOutcome, groundtruth_up: UpAxis) -> dict[str, Any]:
         "as_available": run.available and dataclasses.asdict(run.available.numbers),
         "diagnosis": findings_json(run.diagnosis.findings),
         "corrected": findings_json(run.corrected),
+        "events": [dataclasses.asdict(event) for event in evaluation.events],
+        "segments": [dataclasses.asdict(part) for part in evaluation.parts],
+        "ate_of_segments_m": together_m(evaluation.parts),
         "live": run.live,
         "remarks": [remark_json(each) for each in evaluation.remarks],
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,13 +11,27 @@ import numpy as np
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.io.text.lines import Advance
 from trajeval_ros.io.text.stamps import WIDTH, Words
-from trajeval_ros.io.text.table import TextTable
 
 
 def read_with_arrow(
-    table: TextTable, numbers: Sequence[int], exact: Sequence[int], advance: Advance | None
+    path: Path,
+    first: int,
+    names: Sequence[str],
+    separator: str,
+    numbers: Sequence[int],
+    exact: Sequence[int],
+    advance: Advance | None,
 ) -> tuple[Floats, list[Words]] | None:
     """Return columns of numbers (N, M) and columns of text (N,), by their indices.
+
+    Args:
+        path: A file without quotes and comments.
+        first: Number of its lines above the first row.
+        names: Different names of all its columns.
+        separator: One character.
+        numbers: Indices of the columns of numbers.
+        exact: Indices of the columns of text.
+        advance: Progress callback.
 
     None if pyarrow is not installed or cannot read a row: the caller reads the table by numpy.
     """
@@ -25,14 +40,14 @@ def read_with_arrow(
         from pyarrow import csv
     except ImportError:
         return None
-    types = {str(at): pa.float64() for at in numbers} | {str(at): pa.binary() for at in exact}
-    names = [str(at) for at in range(table.columns)]
+    types = {names[at]: pa.float64() for at in numbers}
+    types |= {names[at]: pa.binary() for at in exact}
     try:
-        with table.path.open("rb") as file:
+        with path.open("rb") as file:
             content = csv.read_csv(
                 file,
-                csv.ReadOptions(use_threads=False, skip_rows=table.first, column_names=names),
-                csv.ParseOptions(delimiter=table.separator or " ", quote_char=False),
+                csv.ReadOptions(use_threads=False, skip_rows=first, column_names=list(names)),
+                csv.ParseOptions(delimiter=separator, quote_char=False),
                 csv.ConvertOptions(
                     column_types=types, include_columns=list(types), null_values=[]
                 ),
@@ -41,8 +56,8 @@ def read_with_arrow(
         return None
     values = np.empty((len(content), len(numbers)))
     for place, at in enumerate(numbers):
-        values[:, place] = content.column(str(at)).to_numpy()
-    words = [np.concatenate([_words(part) for part in content.column(str(at)).chunks])
+        values[:, place] = content.column(names[at]).to_numpy()
+    words = [np.concatenate([_words(part) for part in content.column(names[at]).chunks])
              for at in exact]  # fmt: skip
     if advance is not None:
         advance(1, 1)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.io.text.lines import Head, head_of, open_lines
 from trajeval_ros.io.text.names import IGNORED
 from trajeval_ros.io.text.table import MIXED, Lines, Records, TextTable, body_of, number, split
@@ -176,7 +177,7 @@ def _check_lines_above(
     for at, row in above:
         numbers = sum(bool(word and number(word)) for word in row)
         if len(row) > _LONGEST_COUNT and all(number(word) is not None for word in row):
-            reason = f"{len(numeric)} columns expected, found {len(row)}"
+            reason = f"{counted(len(numeric), 'column')} expected, found {len(row)}"
         elif not names and len(row) == len(numeric) and 2 * numbers > len(row):
             wrong = [word for word, is_number in zip(row, numeric, strict=True)
                      if is_number and number(word) is None]  # fmt: skip

@@ -125,7 +125,15 @@ def read_rows(table: TextTable, layout: Layout, advance: Advance | None = None) 
     if table.large and table.plain and not table.at_end:
         from trajeval_ros.io.text.arrow_rows import read_with_arrow
 
-        content = read_with_arrow(table, numbers, exact, advance)
+        content = read_with_arrow(
+            table.path,
+            table.first,
+            [str(at) for at in range(table.columns)],
+            table.separator or " ",
+            numbers,
+            exact,
+            advance,
+        )
         if content is not None:
             names = (layout.columns[at] for at in exact)
             return Rows(dict(zip(names, content[1], strict=True)), content[0], groups)

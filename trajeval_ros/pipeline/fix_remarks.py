@@ -1,4 +1,4 @@
-"""Warnings about errors that were measured with GNSS fixes."""
+"""Remarks on errors that were measured with GNSS fixes or surveyed points."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from trajeval_ros.geometry.arrays import extents
 from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.metrics.statistics import median
+from trajeval_ros.pipeline.input_remarks import about_lever_arm, about_unused_rule
 
 if TYPE_CHECKING:
     from trajeval_ros.geometry.arrays import Floats
@@ -51,10 +52,30 @@ def require_fixes_fit(
         )
 
 
+def fix_remarks(
+    evaluation: Evaluation,
+    rule: FixRule,
+    own: OwnError | None = None,
+    why: str = "",
+    *,
+    lever_arm_known: bool = False,
+    of: int = 1,
+) -> list[Remark]:
+    """Return remarks on groundtruth of GNSS fixes or points, or on settings of fixes without them.
+
+    `own` is the error without the noise of the fixes, or None for the reason `why`, and `of` the
+    number of evaluated estimates. The point's place may be known (`lever_arm_known`).
+    """
+    lever_arm = [] if lever_arm_known else about_lever_arm(evaluation)
+    if evaluation.groundtruth.reading.fixes is None:
+        return [*about_unused_rule(rule), *lever_arm]
+    return [*about_fixes(evaluation, own, why, of), *lever_arm]
+
+
 def about_fixes(
     evaluation: Evaluation, own: OwnError | None, why: str, of: int
 ) -> Iterator[Remark]:
-    """Yield warnings about an evaluation by GNSS fixes, see `diagnose.fix_remarks`."""
+    """Yield warnings about an evaluation by GNSS fixes, see `fix_remarks`."""
     pairs = evaluation.association
     fixes = pairs.groundtruth.reading.fixes
     if own is None:

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.diagnosis.gnss_warnings import about_fixes, require_fixes_fit
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.fixes import Fixes
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.geodesy import Datum
+from trajeval_ros.pipeline.fix_remarks import about_fixes, require_fixes_fit
 
 COUNT = 40
 CLEAN: Any = SimpleNamespace(jumps=0, own_jumps=0)

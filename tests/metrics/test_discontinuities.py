@@ -1,0 +1,250 @@
+"""Discontinuities of simulated streams: kind, side, time and size, live as recorded."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trajeval_ros import evaluate, read_trajectory, simulate
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.metrics.discontinuities.detector import Discontinuities
+from trajeval_ros.metrics.discontinuities.events import SIDES, Event
+from trajeval_ros.metrics.discontinuities.handling import without_clock_steps
+from trajeval_ros.metrics.discontinuities.recorded import discontinuities
+from trajeval_ros.metrics.discontinuities.screening import may_have_events
+from trajeval_ros.metrics.protocol import Protocol
+
+FIELD_CASES = Path(__file__).parents[3] / "shared/data/field_cases"
+AT_S, DURATION_S = 40.0, 80.0
+HALF_ROTATION = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def sides(seed: int) -> tuple[Trajectory, Trajectory]:
+    """Return groundtruth at 100 Hz and a drifting estimate at 20 Hz, in another frame."""
+    rng = np.random.default_rng(seed)
+    amplitudes, phases = rng.uniform(0.5, 2.0, (6, 3)), rng.uniform(0.0, 6.0, (6, 3))
+    rates = rng.uniform(0.1, 0.8, (6, 3))
+
+    def flown(stamps: Stamps) -> tuple[Floats, Floats]:
+        seconds = stamps[:, None, None] / NANOSECONDS
+        waves = (amplitudes * np.sin(rates * seconds + phases)).sum(axis=2)
+        angles = waves[:, 3:] * np.array([0.05, 0.05, 0.4])
+        half = np.linalg.norm(angles, axis=1, keepdims=True) / 2.0
+        quaternions = np.hstack([angles * np.sinc(half / np.pi) / 2.0, np.cos(half)])
+        return waves[:, :3], quaternions
+
+    stamps = np.arange(0, int(DURATION_S * 1e9), 10_000_000)
+    positions, quaternions = flown(stamps)
+    positions = positions + 0.001 * rng.normal(size=positions.shape)
+    groundtruth = Trajectory(stamps, positions, quaternions)
+    stamps = np.arange(3_700_000, int(DURATION_S * 1e9) - 50_000_000, 50_000_000)
+    positions, quaternions = flown(stamps)
+    positions = positions * 1.003 + 0.003 * rng.normal(size=positions.shape)
+    positions += np.cumsum(0.003 * rng.normal(size=positions.shape), axis=0) / 10.0
+    frame = np.array([0.0, 0.0, np.sin(0.4), np.cos(0.4)])
+    quaternions = lie.multiply(np.broadcast_to(frame, quaternions.shape), quaternions)
+    positions = lie.rotate(np.broadcast_to(frame, quaternions.shape), positions) + [3.0, -2.0, 0.5]
+    return groundtruth, Trajectory(stamps, positions, quaternions)
+
+
+def changed(
+    trajectory: Trajectory, begin_s: float, end_s: float, change: Callable[[Floats], Floats]
+) -> Trajectory:
+    """Return a trajectory with other positions within a time."""
+    rows = inside(trajectory, begin_s, end_s)
+    positions = trajectory.positions.copy()
+    positions[rows] = change(positions[rows])
+    return dataclasses.replace(trajectory, positions=positions)
+
+
+def inside(trajectory: Trajectory, begin_s: float, end_s: float) -> slice:
+    seconds = trajectory.stamps / NANOSECONDS
+    return slice(int(np.searchsorted(seconds, begin_s)), int(np.searchsorted(seconds, end_s)))
+
+
+def with_side(pair: tuple[Trajectory, Trajectory], side: str, other: Trajectory) -> list[Event]:
+    """Return the events with one side replaced."""
+    return discontinuities(*((other, pair[1]) if side == SIDES[0] else (pair[0], other)))
+
+
+def only(events: list[Event]) -> Event:
+    assert len(events) == 1, events
+    return events[0]
+
+
+@pytest.mark.parametrize("seed", [811, 812])
+def test_a_healthy_run_has_no_event(seed: int) -> None:
+    assert discontinuities(*sides(seed)) == []
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize(
+    ("size_m", "lasting_s", "kind"), [(1.0, 1e9, "step"), (0.5, 0.2, "outlier")]
+)
+def test_steps_stay_and_outliers_return(
+    side: str, size_m: float, lasting_s: float, kind: str
+) -> None:
+    pair = sides(821)
+    moved = changed(
+        pair[SIDES.index(side)],
+        AT_S,
+        AT_S + lasting_s,
+        lambda positions: positions + size_m * np.array([0.6, 0.8, 0.0]),
+    )
+    event = only(with_side(pair, side, moved))
+    assert (event.kind, event.side) == (kind, side)
+    assert event.m == pytest.approx(size_m, abs=0.1)
+    assert event.t_ns / NANOSECONDS == pytest.approx(AT_S, abs=0.1)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_a_flipping_marker_is_named(side: str) -> None:
+    pair = sides(831)
+    trajectory = pair[SIDES.index(side)]
+    assert trajectory.quaternions is not None
+    quaternions, rows = trajectory.quaternions.copy(), inside(trajectory, AT_S, AT_S + 1.0)
+    flip = np.broadcast_to(HALF_ROTATION, quaternions[rows].shape)
+    quaternions[rows] = lie.multiply(quaternions[rows], flip)
+    event = only(with_side(pair, side, dataclasses.replace(trajectory, quaternions=quaternions)))
+    assert (event.kind, event.side) == ("flip", side)
+    assert event.deg == pytest.approx(180.0, abs=5.0)
+
+
+@pytest.mark.parametrize("gap_s", [0.0, 2.0])
+def test_a_restart_is_one_of_the_estimate_also_in_a_gap(gap_s: float) -> None:
+    groundtruth, estimate = sides(841)
+    rows = inside(estimate, AT_S, np.inf)
+    estimate = changed(estimate, AT_S, np.inf, lambda each: each - each[0] + estimate.positions[0])
+    kept = np.ones(len(estimate), dtype=bool)
+    kept[inside(estimate, AT_S - gap_s, AT_S)] = False
+    event = only(discontinuities(groundtruth, estimate[kept]))
+    assert (event.kind, event.side) == ("restart", "estimate")
+    assert event.end_ns == estimate.stamps[rows.start]
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_a_position_that_holds_is_frozen_though_the_rotation_lives(side: str) -> None:
+    pair = sides(851)
+    trajectory = pair[SIDES.index(side)]
+    held = changed(trajectory, AT_S, AT_S + 5.0, lambda positions: 0.0 * positions + positions[0])
+    event = only(with_side(pair, side, held))
+    assert (event.kind, event.side) == ("frozen_position", side)
+    assert event.s == pytest.approx(5.0, abs=0.1)
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("step_s", [-10.017, -0.15, 0.417, 3.017])
+def test_a_clock_step_is_measured_by_receive_times(side: str, step_s: float) -> None:
+    rng = np.random.default_rng(861)
+    pair = []
+    for name, trajectory in zip(SIDES, sides(861), strict=True):
+        delays = rng.exponential(0.003, len(trajectory)) * NANOSECONDS
+        received = np.maximum.accumulate(trajectory.stamps + delays.astype(np.int64))
+        stamps = trajectory.stamps.copy()
+        if name == side:
+            stamps[inside(trajectory, AT_S, np.inf)] += round(step_s * NANOSECONDS)
+        reading = Reading(receptions=Receptions(received))
+        pair.append(dataclasses.replace(trajectory, stamps=stamps, reading=reading))
+    events = discontinuities(pair[0], pair[1])
+    event = only(events)
+    assert (event.kind, event.side, event.certainty) == ("clock_step", side, "sure")
+    assert event.s == pytest.approx(step_s, abs=0.01)
+    corrected = without_clock_steps(pair[SIDES.index(side)], events, side)
+    expected = sides(861)[SIDES.index(side)].stamps
+    assert np.abs(corrected.stamps - expected).max() < 0.01 * NANOSECONDS
+
+
+@pytest.mark.parametrize("batch_s", [0.07, 1.0])
+def test_events_do_not_depend_on_the_batches(batch_s: float) -> None:
+    groundtruth, estimate = sides(871)
+    estimate = changed(estimate, AT_S, np.inf, lambda positions: positions + 1.0)
+    groundtruth = changed(groundtruth, 20.0, 20.1, lambda positions: positions + 3.0)
+    recorded = discontinuities(groundtruth, estimate)
+    search = Discontinuities()
+    edges_s = np.append(np.arange(0.0, DURATION_S, batch_s), DURATION_S)
+    for begin_s, end_s in itertools.pairwise(edges_s):
+        for side, trajectory in zip(SIDES, (groundtruth, estimate), strict=True):
+            part = trajectory[inside(trajectory, begin_s, end_s)]
+            assert part.quaternions is not None
+            search.add(side, part.stamps, np.hstack([part.positions, part.quaternions]))
+    assert search.finish() == recorded
+    assert [event.kind for event in recorded] == ["outlier", "step"]
+
+
+@pytest.mark.parametrize(
+    ("groundtruth", "estimate", "kind", "side"),
+    [
+        ("attack/g_one_outlier.txt", "attack/e.txt", "outlier", "groundtruth"),
+        ("attack/g.txt", "attack/e_frozen_position.txt", "frozen_position", "estimate"),
+        ("bags/step_3.017:/mocap/pose", "bags/step_3.017:/vio/odometry", "clock_step", "estimate"),
+        ("bags/step_0.417:/mocap/pose", "bags/step_0.417:/vio/odometry", "clock_step", "estimate"),
+        ("bags/flip_one:/mocap/pose", "bags/flip_one:/ekf/odom", "flip", "groundtruth"),
+    ],
+)
+def test_inputs_that_people_report_are_named(
+    groundtruth: str, estimate: str, kind: str, side: str
+) -> None:
+    if not FIELD_CASES.exists():
+        pytest.skip("the recordings are absent")
+    pair = [read_trajectory(str(FIELD_CASES / name)) for name in (groundtruth, estimate)]
+    event = only(discontinuities(pair[0], pair[1]))
+    assert (event.kind, event.side) == (kind, side)
+
+
+def screened(groundtruth: Trajectory, estimate: Trajectory) -> bool:
+    evaluation = evaluate(groundtruth, estimate, Protocol(gauge="se3", lengths=()))
+    similarity = evaluation.alignment.similarity
+    return may_have_events(evaluation.association, similarity, groundtruth, estimate)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_healthy_runs_need_no_search(seed: int) -> None:
+    assert not screened(*sides(seed))
+    flight = simulate(seed=seed, duration_s=60.0)
+    assert not screened(flight.groundtruth, flight.estimate)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("until_s", [AT_S + 0.05, AT_S + 5.0, DURATION_S])
+@pytest.mark.parametrize("size_m", [0.2, 2.0])
+def test_runs_with_steps_and_outliers_are_searched(
+    seed: int, number: int, until_s: float, size_m: float
+) -> None:
+    both = list(sides(seed))
+    both[number] = changed(both[number], AT_S, until_s, lambda rows: rows + [size_m, 0.0, 0.0])
+    assert screened(*both)
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_runs_with_flips_freezes_and_clock_steps_are_searched(number: int) -> None:
+    both = list(sides(1))
+    rows = inside(both[number], AT_S, AT_S + 3.0)
+    side = both[number]
+    quaternions, positions, stamps = (
+        array.copy() for array in (side.quaternions, side.positions, side.stamps)
+    )
+    quaternions[rows] = lie.multiply(quaternions[rows], HALF_ROTATION[None])
+    positions[rows] = positions[rows.start]
+    stamps[rows.start :] += 1_000_000_000
+    for changes in ({"quaternions": quaternions}, {"positions": positions}, {"stamps": stamps}):
+        both[number] = dataclasses.replace(side, **changes)
+        assert screened(*both)
+
+
+def test_a_timestamp_centuries_away_adds_no_blocks() -> None:
+    groundtruth, estimate = sides(1)
+    stamps = estimate.stamps.copy()
+    stamps[-1] += 9_000_000_000 * NANOSECONDS
+    assert isinstance(
+        discontinuities(groundtruth, dataclasses.replace(estimate, stamps=stamps)), list
+    )

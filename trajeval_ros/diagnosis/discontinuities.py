@@ -1,0 +1,212 @@
+"""Findings and remarks about discontinuities of groundtruth and estimate, and their texts."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from trajeval_ros.diagnosis.causes import CAUSES, DISCONTINUITIES, cause_name
+from trajeval_ros.diagnosis.findings import Diagnosis, Examined, Seen, Value
+from trajeval_ros.formatting.numbers import counted, four_digits
+from trajeval_ros.formatting.remarks import Remark, note
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.metrics.discontinuities import events as kinds
+from trajeval_ros.metrics.discontinuities.events import Event
+from trajeval_ros.metrics.discontinuities.parts import (
+    RunPart,
+    parts_of,
+    together_m,
+    without_outliers_m,
+)
+from trajeval_ros.metrics.discontinuities.recorded import discontinuities
+from trajeval_ros.metrics.discontinuities.screening import may_have_events
+from trajeval_ros.metrics.evaluation import Evaluation
+
+_FALLS = 0.8  # of the ATE: steps that cause more of it are a finding
+# The same without outliers: a good estimate has a few, which are its errors.
+_OUTLIERS_FALL = {kinds.GROUNDTRUTH: 0.8, kinds.ESTIMATE: 0.5}
+_SIGMAS = 5.0  # errors: a larger outlier of the groundtruth is wrong, whatever its share is
+_NOISY = "gnss"  # kind of groundtruth whose noise hides steps
+_MOST = 3  # parts that are named
+_ROW_NS = NANOSECONDS // 10  # between poses without timestamps, as of most recordings
+# Side of a frozen pose by the finding about it.
+_FROZEN = {
+    "frozen": kinds.ESTIMATE,
+    "frozen_at_start": kinds.ESTIMATE,
+    "groundtruth_frozen": kinds.GROUNDTRUTH,
+    "groundtruth_held": kinds.GROUNDTRUTH,
+}
+_NOUNS = {kinds.LOST: "interval of irregular motion"}
+
+
+def with_events(
+    evaluation: Evaluation, groundtruth: Trajectory, estimate: Trajectory, *, paired: bool
+) -> Evaluation:
+    """Return an evaluation with its discontinuities, by the groundtruth's clock, and its parts.
+
+    The trajectories are in the order of their sources, without the time offset. If they are
+    `paired`, or have no timestamps, those of the pairs are used. Nothing for GNSS fixes.
+    """
+    pairs, rule = evaluation.association, evaluation.association.rule
+    if evaluation.groundtruth.kind == _NOISY:
+        return evaluation
+    offset_ns, has_times = round(rule.time_offset_s * NANOSECONDS), _has_times(evaluation)
+    if paired or not has_times:
+        groundtruth, estimate, offset_ns = pairs.groundtruth, pairs.estimate, 0
+    if not has_times:
+        stamps = _ROW_NS * np.arange(len(pairs))
+        groundtruth, estimate = (
+            dataclasses.replace(side, stamps=stamps) for side in (groundtruth, estimate)
+        )
+    if not may_have_events(pairs, evaluation.alignment.similarity, groundtruth, estimate):
+        return evaluation
+    events = tuple(discontinuities(groundtruth, estimate, offset_ns))
+    parts = parts_of(pairs, events, evaluation.protocol) if has_times else ()
+    return dataclasses.replace(evaluation, events=events, parts=parts)
+
+
+def _has_times(evaluation: Evaluation) -> bool:
+    return evaluation.association.rule.method != "index"
+
+
+def has_clock_step(evaluation: Evaluation) -> bool:
+    """Return whether a clock stepped."""
+    return any(event.kind == kinds.CLOCK_STEP for event in evaluation.events)
+
+
+def changes_motions(evaluation: Evaluation) -> bool:
+    """Return whether a clock stepped or a body flipped, which looks like most other mistakes.
+
+    Several flips that stay are the effect of wrong rotations.
+    """
+    flips = [event.certainty for event in evaluation.events if event.kind == kinds.FLIP_STAYS]
+    return flips == ["sure"] or has_clock_step(evaluation)
+
+
+def examined_discontinuities(evaluation: Evaluation, known: Diagnosis) -> Examined:
+    """Return the discontinuities that cause errors, one per kind and side.
+
+    `known`: other findings. Most explain steps; a frozen position is not repeated.
+    """
+    events = _unexplained(evaluation, known) if _has_times(evaluation) else []
+    first_ns = int(evaluation.groundtruth.stamps.min())
+    scores = {"events": float(len(evaluation.events))}
+    seen = [
+        _seen(group, evaluation.parts, first_ns)
+        for group in _grouped(events)
+        if _is_cause(group, evaluation)
+    ]
+    return Examined("discontinuities", scores, tuple(seen))
+
+
+def about_small_discontinuities(evaluation: Evaluation, known: Diagnosis) -> Iterator[Remark]:
+    """Count the discontinuities that are no finding, in one note."""
+    groups = _grouped(_unexplained(evaluation, known))
+    has_times = _has_times(evaluation)
+    rest = [group for group in groups if not (has_times and _is_cause(group, evaluation))]
+    if rest:
+        first_ns = int(evaluation.groundtruth.stamps.min()) if has_times else None
+        text = "; ".join(_counted(group, first_ns) for group in rest)
+        if any(group[0].side == kinds.UNDECIDED for group in rest):
+            text += "; compare with a second source"
+        yield note("discontinuities", text)
+
+
+def _unexplained(evaluation: Evaluation, known: Diagnosis) -> list[Event]:
+    """Return the events that no other finding explains."""
+    frozen = {_FROZEN[finding.cause] for finding in known.findings if finding.cause in _FROZEN}
+    graver = {finding.cause for finding in known.findings if finding.rank >= CAUSES["scale"].rank}
+    if graver - DISCONTINUITIES - _FROZEN.keys() - {"identical"}:
+        return []
+    return [
+        event
+        for event in evaluation.events
+        if not (event.kind == kinds.FROZEN_POSITION and event.side in frozen)
+    ]
+
+
+def _grouped(events: Sequence[Event]) -> list[list[Event]]:
+    """Return the events by kind and side."""
+    groups: dict[tuple[str, str], list[Event]] = {}
+    for event in events:
+        groups.setdefault((event.kind, event.side), []).append(event)
+    return list(groups.values())
+
+
+def _is_cause(group: Sequence[Event], evaluation: Evaluation) -> bool:
+    """Return whether discontinuities of one kind and side cause errors."""
+    kind, side = group[0].kind, group[0].side
+    whole = evaluation.ate["position_m"]
+    if cause_name(kind, side) not in DISCONTINUITIES or whole is None:
+        return False
+    if kind in kinds.PARTING:
+        together = together_m(evaluation.parts)
+        if together is not None:
+            return together < _FALLS * whole.rmse
+        # Parts too short: a step gives an ATE of at most half its size, and steps add as squares.
+        return bool(evaluation.parts) and math.hypot(*(event.m for event in group)) > whole.rmse
+    if kind == kinds.OUTLIER:
+        errors_m = evaluation.absolute.position_m
+        rest = without_outliers_m(evaluation.association, evaluation.events, errors_m)
+        largest_m = max(event.m for event in group)
+        is_wrong = side == kinds.GROUNDTRUTH and largest_m > _SIGMAS * whole.rmse
+        return is_wrong or rest < _OUTLIERS_FALL[side] * whole.rmse
+    return True
+
+
+def _seen(group: Sequence[Event], parts: Sequence[RunPart], first_ns: int) -> Seen:
+    """Return the cause of discontinuities of one kind and side: its largest one."""
+    event = max(group, key=lambda event: (event.ratio, abs(event.s)))
+    begin_s, end_s = ((ns - first_ns) / NANOSECONDS for ns in (event.t_ns, event.end_ns))
+    sizes = ((event.m, f"{event.m:.2f} m"), (event.deg, f"{event.deg:.0f} deg"))
+    values: dict[str, Value] = {
+        "side": event.side,
+        "other": kinds.SIDES[event.side == kinds.GROUNDTRUTH],
+        "m": event.m,
+        "deg": event.deg,
+        "s": event.s,
+        "begin_s": begin_s,
+        "end_s": end_s,
+        "size": " and ".join(text for value, text in sizes if value),
+        "lasting": f" for {event.s:.2f} s" if event.s else "",
+        "gap": f", in a gap of {event.gap_s:.1f} s" if event.gap_s else "",
+        "number": f" (largest of {len(group)})" if len(group) > 1 else "",
+        "receptions": "; the receive times did not" if event.certainty == "sure" else "",
+        "parts": _parts_text(parts) if event.kind in kinds.PARTING else "",
+    }
+    return Seen(cause_name(event.kind, event.side), 1.0, values)
+
+
+def _parts_text(parts: Sequence[RunPart]) -> str:
+    together = together_m(parts)
+    if together is None:
+        return "the parts are too short for separate alignments"
+    named = [part for part in parts if part.ate is not None]
+    sizes = ", ".join(
+        f"{four_digits(part.ate or 0.0)} m ({part.duration_s:.0f} s)" for part in named[:_MOST]
+    )
+    more = f" (first {_MOST} of {len(named)})" if len(named) > _MOST else ""
+    return (
+        f"ATE of the parts{more} {sizes}, together {four_digits(together)} m: --on-restart split"
+    )
+
+
+def _counted(group: Sequence[Event], first_ns: int | None) -> str:
+    """Return the number of events of one kind and side, with the largest size.
+
+    `first_ns` is the first timestamp; None if the poses have none.
+    """
+    kind, side = group[0].kind, group[0].side
+    largest = max(event.m for event in group)
+    size = f" of up to {largest:.2f} m" if largest else ""
+    end_ns = group[0].end_ns
+    at = f"pair {round(end_ns / _ROW_NS) + 1}"
+    if first_ns is not None:
+        at = f"{(end_ns - first_ns) / NANOSECONDS:.1f} s"
+    first = f"at {at}" if len(group) == 1 else f"the first at {at}"
+    whose = "of an undecided side" if side == kinds.UNDECIDED else f"of the {side}"
+    noun = _NOUNS.get(kind, kind.replace("_", " "))
+    return f"{counted(len(group), noun)} {whose}{size}, {first}"

@@ -1,0 +1,1 @@
+"""Discontinuities of groundtruth and estimate: what jumped, which side, and when."""

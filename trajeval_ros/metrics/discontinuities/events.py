@@ -1,0 +1,35 @@
+"""Discontinuities of two pose streams, as events."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+GROUNDTRUTH, ESTIMATE, BOTH, UNDECIDED = "groundtruth", "estimate", "both", "undecided"
+SIDES = GROUNDTRUTH, ESTIMATE
+
+# Kinds. An outlier and a flip return to the former path; the others of this line stay.
+OUTLIER, FLIP, STEP, RESTART, CORRECTION = "outlier", "flip", "step", "restart", "correction"
+FLIP_STAYS, FROZEN_POSITION, FROZEN_ROTATION = "flip_stays", "frozen_position", "frozen_rotation"
+CLOCK_STEP, LOST = "clock_step", "lost"
+# Kinds that end a part of the estimate that one alignment fits.
+PARTING = STEP, RESTART
+EXCURSIONS = OUTLIER, FLIP  # kinds that return to the former path
+
+
+@dataclass
+class Event:
+    """A discontinuity. A frozen part extends its event while it lasts."""
+
+    kind: str
+    side: str  # `groundtruth`, `estimate`, `both` (clocks) or `undecided`
+    t_ns: int  # timestamp of the last good pose before it
+    end_ns: int  # timestamp of the first good pose after it
+    m: float = 0.0  # what the other side did not move, metres; of a frozen part: what it moved
+    deg: float = 0.0  # what the other side did not rotate, deg
+    s: float = 0.0  # size of a clock's step, or duration, seconds
+    poses: int = 0  # number of poses outside of the path
+    certainty: str = "likely"  # `sure`, `likely` or `undecided`
+    ratio: float = 0.0  # size as a multiple of the limit of the usual differences
+    gap_s: float = 0.0  # gap of the guilty side in which it is, seconds
+    # Largest change of both sides' own velocities there, as fractions of the size.
+    innovations: tuple[float, float] = (0.0, 0.0)

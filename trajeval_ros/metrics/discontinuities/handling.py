@@ -1,0 +1,97 @@
+"""What an evaluation does at discontinuities: it corrects clocks, drops outliers, and splits."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajeval_ros.exceptions import require_one_of
+from trajeval_ros.geometry.arrays import Indices
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.travelled import step_angles, step_lengths
+from trajeval_ros.metrics.discontinuities.events import (
+    CLOCK_STEP,
+    EXCURSIONS,
+    GROUNDTRUTH,
+    Event,
+)
+
+WHOLE, SPLIT = ON_RESTART = "whole", "split"
+_SAME_NS = 1000  # rounding of an event's time
+
+
+@dataclass(frozen=True)
+class DiscontinuityRule:
+    """What an evaluation does at discontinuities; by default, it reports them.
+
+    Raises:
+        SettingsError: An unknown value of `on_restart`.
+    """
+
+    on_restart: str = WHOLE  # `split` states the ATE of the parts together, aligned separately
+    drop_groundtruth_outliers: bool = False
+    correct_clock_steps: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown value."""
+        require_one_of(self.on_restart, ON_RESTART, "rule for restarts")
+
+    @property
+    def changes_inputs(self) -> bool:
+        """Whether poses or timestamps change."""
+        return self.drop_groundtruth_outliers or self.correct_clock_steps
+
+
+def without_clock_steps(
+    trajectory: Trajectory, events: Sequence[Event], side: str, offset_ns: int = 0
+) -> Trajectory:
+    """Return one side with the timestamps of its clock before the first step, in order of time.
+
+    The steps of both clocks together are kept. `offset_ns` is that of `discontinuities`.
+    """
+    steps = [event for event in events if event.kind == CLOCK_STEP and event.side == side]
+    if not steps:
+        return trajectory
+    receptions = trajectory.reading.receptions
+    order = np.arange(len(trajectory))
+    if receptions is not None:
+        order = np.argsort(receptions.times, kind="stable")
+    stamps = trajectory.stamps[order] + offset_ns
+    corrected = stamps.copy()
+    for event in steps:
+        last = np.flatnonzero(np.abs(stamps - event.t_ns) <= _SAME_NS)
+        if len(last):
+            corrected[last[0] + 1 :] -= round(event.s * NANOSECONDS)
+    return dataclasses.replace(trajectory[order], stamps=corrected - offset_ns).in_order()
+
+
+def is_groundtruth_outlier(event: Event) -> bool:
+    """Return whether the groundtruth leaves its path for a time, and returns."""
+    return event.kind in EXCURSIONS and event.side == GROUNDTRUTH
+
+
+def without_groundtruth_outliers(groundtruth: Trajectory, events: Sequence[Event]) -> Trajectory:
+    """Return the groundtruth without the poses inside of its outliers and flips."""
+    kept = np.ones(len(groundtruth), dtype=bool)
+    for event in filter(is_groundtruth_outlier, events):
+        inside = (groundtruth.stamps >= event.t_ns) & (groundtruth.stamps <= event.end_ns)
+        rows = np.flatnonzero(inside)
+        kept[_between_edges(groundtruth[rows], rows, event)] = False
+    return groundtruth if kept.all() else groundtruth[kept]
+
+
+def _between_edges(poses: Trajectory, rows: Indices, event: Event) -> Indices:
+    """Return the rows (M,) of N poses from the good one before an outlier to the one after it.
+
+    The first and the last pose of the outlier are at steps of more than half of its size.
+    """
+    is_edge = np.zeros(max(len(rows) - 1, 0), dtype=bool)
+    if event.m:
+        is_edge |= step_lengths(poses.positions) > event.m / 2.0
+    if event.deg and poses.quaternions is not None:
+        is_edge |= np.degrees(step_angles(poses.quaternions)) > event.deg / 2.0
+    edges = np.flatnonzero(is_edge)
+    return rows[edges[0] + 1 : edges[-1] + 1] if len(edges) > 1 else rows[1:-1]

@@ -1,0 +1,86 @@
+"""Pairs of both sides at the slower side's timestamps."""
+
+from __future__ import annotations
+
+import bisect
+
+import numpy as np
+
+from trajeval_ros.metrics.discontinuities.exoneration import GAP_PERIODS
+from trajeval_ros.metrics.discontinuities.pose_stream import SidePoses
+from trajeval_ros.metrics.discontinuities.relative_motion import Pair
+
+_LEAST_POSES, _LEAST_OVERLAP_S = (10, 5), 4.0  # before the rates are known
+_LEAST_GAP_S = 0.175  # a shorter step of timestamps is interpolated at any rate
+_MEMORY_S = 70.0  # of poses: the longest excursion whose return is known, and its neighbours
+
+
+class PairSource:
+    """Pairs the poses of two streams; a corrected clock rewinds it."""
+
+    def __init__(self, streams: tuple[SidePoses, SidePoses]) -> None:
+        self.streams = streams
+        self.periods: tuple[float, float] | None = None  # seconds, of both sides; None: unknown
+        self.begin_s = 0.0
+        self.base = 1  # index of the slower side
+        self._next = 0  # row of the next pose of the slower side to pair
+
+    @property
+    def period_s(self) -> float:
+        """The slower side's period."""
+        assert self.periods is not None
+        return self.periods[self.base]
+
+    def begin(self, *, at_end: bool) -> bool:
+        """Determine the rates and the slower side; return whether they are known."""
+        groundtruth, estimate = self.streams
+        if len(groundtruth) < _LEAST_POSES[0] or len(estimate) < _LEAST_POSES[1]:
+            return False
+        begin_s = max(groundtruth.stamps[0], estimate.stamps[0])
+        overlap_s = min(groundtruth.stamps[-1], estimate.stamps[-1]) - begin_s
+        if overlap_s < _LEAST_OVERLAP_S and not at_end:
+            return False
+        until_s = begin_s + _LEAST_OVERLAP_S  # the same poses for batches of any size
+        first, second = (
+            float(np.median(np.diff(side.stamps[: max(bisect.bisect(side.stamps, until_s), 2)])))
+            for side in self.streams
+        )
+        self.periods, self.base = (first, second), 0 if first > 1.5 * second else 1
+        self.begin_s = begin_s
+        return True
+
+    def new_pairs(self) -> list[Pair]:
+        """Interpolate the faster side at the new timestamps of the slower one."""
+        assert self.periods is not None
+        base, other = self.streams[self.base], self.streams[1 - self.base]
+        if len(other) < 2:
+            return []
+        begin, end = self._next, bisect.bisect_right(base.stamps, other.stamps[-1])
+        if end <= begin:
+            return []
+        self._next = end
+        longest_s = max(GAP_PERIODS * self.periods[1 - self.base], _LEAST_GAP_S)
+        seconds = base.stamps[begin:end]
+        positions, quaternions, is_known = other.at(np.array(seconds), longest_s)
+        columns = list(map(tuple, positions.tolist())), list(map(tuple, quaternions.tolist()))
+        sides = [columns, columns]
+        sides[self.base] = base.positions[begin:end], base.quaternions[begin:end]
+        return [
+            Pair(seconds[row], *(column[row] for side in sides for column in side))
+            for row in np.flatnonzero(is_known).tolist()
+        ]
+
+    def rewind(self, after_s: float) -> None:
+        """Pair again all poses after a time."""
+        self._next = bisect.bisect_left(self.streams[self.base].stamps, after_s + 1e-9)
+
+    def drop_old(self, oldest_s: float | None) -> None:
+        """Forget poses that are not needed any more; `oldest_s`: the begin of an open step."""
+        newest = [stream.newest_s for stream in self.streams]
+        newest_s = min(newest) if oldest_s is None else min(*newest, oldest_s + _MEMORY_S)
+        newest_s = max(newest_s, max(newest) - _MEMORY_S)
+        for number, stream in enumerate(self.streams):
+            if len(stream) and newest_s - stream.stamps[0] > 1.5 * _MEMORY_S:
+                dropped = stream.drop_before(newest_s - _MEMORY_S)
+                if number == self.base:
+                    self._next = max(self._next - dropped, 0)

@@ -1,0 +1,60 @@
+"""Discontinuities of recorded trajectories, by the same search as live."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from trajeval_ros.geometry.arrays import Stamps
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.metrics.discontinuities.detector import Discontinuities
+from trajeval_ros.metrics.discontinuities.events import SIDES, Event
+
+_BLOCK_S = 1.0  # messages that are taken at a time, as a live node receives them
+
+
+def discontinuities(
+    groundtruth: Trajectory, estimate: Trajectory, offset_ns: int = 0
+) -> list[Event]:
+    """Return the events of two recorded trajectories, as a live run finds them, by time.
+
+    If both sides have receive times, their states are taken in that order; else in the given one.
+    `offset_ns` is added to the estimate's timestamps.
+    """
+    if offset_ns:
+        estimate = dataclasses.replace(estimate, stamps=estimate.stamps + offset_ns)
+    oriented = groundtruth.quaternions is not None and estimate.quaternions is not None
+    search, sides, blocks = Discontinuities(oriented=oriented), [], []
+    times = [each.reading.receptions for each in (groundtruth, estimate)]
+    has_times = all(each is not None for each in times)
+    for trajectory, receptions in zip((groundtruth, estimate), times, strict=True):
+        received = None
+        if has_times and receptions is not None:
+            order = np.argsort(receptions.times, kind="stable")
+            trajectory, received = trajectory[order], receptions.times[order]
+        columns = [trajectory.positions]
+        if oriented and trajectory.quaternions is not None:
+            columns.append(trajectory.quaternions)
+        sides.append((trajectory.stamps, np.hstack(columns), received))
+        blocks.append(np.maximum.accumulate(trajectory.stamps if received is None else received))
+    rows = [0, 0]
+    for until in _ends_of_blocks(np.sort(np.concatenate(blocks))):
+        for number, (stamps, poses, received) in enumerate(sides):
+            begin = rows[number]
+            end = int(np.searchsorted(blocks[number], until, "right"))
+            part = None if received is None else received[begin:end]
+            search.add(SIDES[number], stamps[begin:end], poses[begin:end], part)
+            rows[number] = end
+    return search.finish()
+
+
+def _ends_of_blocks(times: Stamps) -> list[int]:
+    """Return the ends of the blocks that have messages; `times`: (N,), sorted, nanoseconds.
+
+    There are no more blocks than messages, even if a timestamp is centuries away.
+    """
+    block_ns = round(_BLOCK_S * NANOSECONDS)
+    numbers = -((times[0] - times) // block_ns)
+    ends: list[int] = (times[0] + block_ns * numbers[np.diff(numbers, append=-1) != 0]).tolist()
+    return ends
