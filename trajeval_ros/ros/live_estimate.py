@@ -24,6 +24,7 @@ from trajeval_ros.io.live.state_file import (
 )
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH
+from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.alarms import Peaks, Standing
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.jump_detector import Jump, JumpDetector
@@ -182,6 +183,7 @@ class LiveEstimate:
 
     def _receive(self, poses: StateColumns) -> None:
         if self.availability is not None and poses.arrived is not None:
+            poses = poses.picked(poses.arrived != UNKNOWN)
             receptions = Receptions(poses.arrived, "node", None, poses.body_rates, poses.corrected)
             self.states_file.append_received(message_rows(poses.stamps, poses.states, receptions))
             rows = self._body.estimated(poses.states)

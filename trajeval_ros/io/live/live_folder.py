@@ -218,8 +218,9 @@ def _groundtruth(
     folder: Path, recorded: RecordedStates, counts: Mapping[str, Any], datum: object
 ) -> Trajectory:
     """Return the groundtruth of a run; its fixes are stored as in their messages."""
+    name = str(recorded.description["name"])
     if datum is None:
-        return _trajectory(recorded, counts, "groundtruth")
+        return _trajectory(recorded, counts, name)
     stamps, rows = read_fix_rows(folder)
     reading = _reading(recorded, counts)
     return trajectory_of_rows(
@@ -229,7 +230,7 @@ def _groundtruth(
         rows[:, 3:].astype(np.float64),
         reading,
         child_frame=str(counts["child_frame"]),
-        name="groundtruth",
+        name=name,
     )
 
 
@@ -279,16 +280,16 @@ def _up_axis(words: Mapping[str, str]) -> UpAxis:
 
 
 def _with_receptions(estimate: Trajectory, recorded: RecordedStates) -> Trajectory:
-    """Return an estimate with its receptions, or with the poses as received."""
+    """Return an estimate with the poses as received, where the reception is known."""
     if len(recorded.received):
         usable, _ = usable_rows(recorded.received["state"])
-        usable &= recorded.received["time"] != UNKNOWN
         received = received_poses(recorded.received[usable], estimate.up)
-        reading = dataclasses.replace(estimate.reading, as_received=received)
     else:
         usable, _ = usable_rows(recorded.states)
-        receptions = Receptions(recorded.arrived[usable], "node")
-        reading = dataclasses.replace(estimate.reading, receptions=receptions)
+        times = recorded.arrived[usable]
+        reading = Reading(receptions=Receptions(times, "node"))
+        received = dataclasses.replace(estimate, reading=reading)[times != UNKNOWN]
+    reading = dataclasses.replace(estimate.reading, as_received=received)
     return dataclasses.replace(estimate, reading=reading)
 
 
