@@ -182,9 +182,10 @@ class LiveEstimate:
         self.evaluator.add_estimate(block, block.reading.dropped)
 
     def _receive(self, poses: StateColumns) -> None:
-        if self.availability is not None and poses.arrived is not None:
-            poses = poses.picked(poses.arrived != UNKNOWN)
-            receptions = Receptions(poses.arrived, "node", None, poses.body_rates, poses.corrected)
+        times = poses.arrived
+        if self.availability is not None and times is not None:
+            poses, times = poses.picked(times != UNKNOWN), times[times != UNKNOWN]
+            receptions = Receptions(times, "node", None, poses.body_rates, poses.corrected)
             self.states_file.append_received(message_rows(poses.stamps, poses.states, receptions))
             rows = self._body.estimated(poses.states)
             self.availability.add_estimate(poses.stamps, rows, receptions)
