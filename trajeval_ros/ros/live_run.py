@@ -159,7 +159,8 @@ class LiveRun:
         if source:
             self.estimates[source - 1].see(messages)
         else:
-            self.states_file.append(messages.states.stamps, messages.states.states)
+            states = messages.states
+            self.states_file.append(states.stamps, states.states, states.arrived)
             self._see_groundtruth(messages.states)
         if self._held is None or self._held.may_pass(source, self.body):
             self._pass_on(source, messages)
