@@ -128,7 +128,7 @@ def _evaluation(
             how = "undecided"
         reasons.append(f"groundtruth {_topic(truth.source)}: {how}{more}; change it with -g")
     reasons += [
-        f"estimate {_topic(summary.source)}: a pose that is no groundtruth; change it with -e"
+        f"estimate {_topic(summary.source)}: not named as groundtruth; change it with -e"
         for summary in estimates
     ]
     if modality:
