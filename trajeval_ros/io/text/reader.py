@@ -94,7 +94,7 @@ def array_trajectory(array: NDArray[np.generic], name: str) -> Trajectory:
     if array.dtype.kind not in "fiu":
         raise InputError(f"the {name} is an array of {array.dtype}; give numbers")
     try:
-        return trajectory_of(Path(name), *rows_of(Path(name), array), None, None)
+        return trajectory_of(Path(name), *rows_of(Path(name), array), NO_HINTS, None)
     except InputError as error:
         raise InputError(NO_HINTS.in_message(str(error))) from None
 
@@ -114,13 +114,12 @@ def _read(path: Path, origin: Path, advance: Advance | None, hints: TextHints) -
         layout, rows = rows_of(path, array, named)
         if layout.time is None and hints.frame_rate_hz is None:
             layout, rows = with_times(layout, rows, origin, times)
-        return trajectory_of(path, layout, rows, hints.frame_rate_hz, origin)
+        return trajectory_of(path, layout, rows, hints, origin)
     table, layout = _recognised(path, hints.columns)
     layout = with_dates(table, layout)
     return trajectory_of(
-        path, layout, read_rows(table, layout, advance), hints.frame_rate_hz, origin,
-        table.left_out,
-    )  # fmt: skip
+        path, layout, read_rows(table, layout, advance), hints, origin, table.left_out
+    )
 
 
 def _recognised(path: Path, columns: tuple[str, ...]) -> tuple[TextTable, Layout]:
@@ -137,6 +136,8 @@ def _recognised(path: Path, columns: tuple[str, ...]) -> tuple[TextTable, Layout
     table = sniff(path, columns or (known.columns if known else ()), records, head)
     if columns:
         layout = layout_of((*columns, *(IGNORED,) * (table.columns - len(columns))))
+        if known is not None:
+            layout = dataclasses.replace(layout, up=known.up, inverse=known.inverse)
         for at in range(len(columns), table.columns):
             if layout.time is None and is_clock(table.values[:, at]):
                 named = " ".join((*columns, *(IGNORED,) * (at - len(columns))))
@@ -157,7 +158,7 @@ def trajectory_of(
     path: Path,
     layout: Layout,
     rows: Rows,
-    rate: float | None,
+    hints: TextHints,
     origin: Path | None,
     left_out: Mapping[str, int] = MappingProxyType({}),
 ) -> Trajectory:
@@ -165,7 +166,7 @@ def trajectory_of(
 
     `left_out`: numbers of records that are no rows, by reason.
     """
-    times = times_of(path, layout, rows, rate, origin)
+    times = times_of(path, layout, rows, hints.frame_rate_hz, origin)
     stamps = times.stamps
     values = rows.values if times.kept is None else rows.values[times.kept]
     groups = {name: _columns(values, at) for name, at in rows.groups.items()}
@@ -185,7 +186,13 @@ def trajectory_of(
         stamped=times.stamped,
         numbered=times.numbered or layout.time_name in (FRAME, FRAME_1),
         dropped={"not_finite": len(rows.values) - len(values), **left_out},
-        remarks=(*remarks, *times.remarks),
+        remarks=(
+            *remarks,
+            *(
+                dataclasses.replace(remark, text=hints.in_message(remark.text))
+                for remark in times.remarks
+            ),
+        ),
     )
     if layout.is_geographic:
         return fixes_of(path, stamps, groups, reading)
