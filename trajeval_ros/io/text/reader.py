@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import note, warning
-from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.reading import FORMAT, NAMED_COLUMNS, Reading
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.checks import check_stamps, judge_rotations
@@ -168,8 +166,9 @@ def trajectory_of(
     """
     times = times_of(path, layout, rows, hints.frame_rate_hz, origin)
     stamps = times.stamps
-    values = rows.values if times.kept is None else rows.values[times.kept]
-    groups = {name: _columns(values, at) for name, at in rows.groups.items()}
+    groups = rows.groups
+    if times.kept is not None:
+        groups = {name: column[times.kept] for name, column in groups.items()}
     if NANOSEC in groups and times.stamped:
         stamps = stamps + nanosecond_parts(path, groups[NANOSEC][:, 0])
     if times.stamped and len(stamps):
@@ -185,7 +184,7 @@ def trajectory_of(
         columns=layout.named(times.name),
         stamped=times.stamped,
         numbered=times.numbered or layout.time_name in (FRAME, FRAME_1),
-        dropped={"not_finite": len(rows.values) - len(values), **left_out},
+        dropped={"not_finite": rows.count - len(stamps), **left_out},
         remarks=(
             *remarks,
             *(
@@ -202,20 +201,10 @@ def trajectory_of(
         receptions = receptions_of(
             path, stamps, received if times.kept is None else received[times.kept]
         )
-    states = states_of(path, layout, groups, len(values))
-    positions, rotations = states.positions, states.quaternions
-    if layout.inverse and rotations is not None:
-        rotations = rotations * [-1.0, -1.0, -1.0, 1.0]
-        usable = np.where(
-            np.isfinite(rotations).all(axis=1, keepdims=True)
-            & rotations.any(axis=1, keepdims=True),
-            rotations,
-            [0.0, 0.0, 0.0, 1.0],
-        )
-        positions = -lie.rotate(lie.normalized(usable), positions)
-    quaternions, judgement = judge_rotations(rotations)
+    states = states_of(path, layout, groups, len(stamps))
+    quaternions, judgement = judge_rotations(states.quaternions)
     trajectory = Trajectory.from_columns(
-        stamps, positions, quaternions, velocities=states.velocities,
+        stamps, states.positions, quaternions, velocities=states.velocities,
         gyroscope_biases=groups.get("gyroscope_bias"),
         accelerometer_biases=groups.get("accelerometer_bias"),
         covariances=None if quaternions is None else states.covariances,
@@ -227,13 +216,7 @@ def trajectory_of(
     )  # fmt: skip
     if not len(trajectory):
         raise InputError(
-            f"{path}: no valid pose in {counted(len(rows.values), 'row')} (NaN, zero quaternions, "
+            f"{path}: no valid pose in {counted(rows.count, 'row')} (NaN, zero quaternions, "
             "or positions beyond the limit)"
         )
     return trajectory
-
-
-def _columns(values: Floats, at: list[int]) -> Floats:
-    if at == list(range(at[0], at[-1] + 1)):  # a slice is faster than a list
-        return np.ascontiguousarray(values[:, at[0] : at[-1] + 1])
-    return np.ascontiguousarray(values[:, at])

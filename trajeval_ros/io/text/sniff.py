@@ -91,7 +91,7 @@ def sniff(
         header=[line for line in lines[:first] if line.strip()],
         named=any(at < first for at in rows),
         sample=list(sample.values()), sample_lines=list(sample), values=values,
-        texts=~np.array(numeric), comment=signs[0] if signs else "#",
+        texts=~np.array(numeric), comment=signs[0] if signs else None,
         plain=separator != MIXED and not commas and '"' not in lines[first] and len(signs) < 2,
         large=records is None and path.stat().st_size >= _LARGE,
         at_end=at_end, commas=commas, first_line=lines[first].strip()[:80],

@@ -82,6 +82,9 @@ def states_of(path: Path, layout: Layout, groups: Mapping[str, Floats], count: i
     if layout.unit != "m":
         positions = positions * _METRES[layout.unit]
         remarks.append(note("unit", f"positions converted from {layout.unit} to m"))
+    if layout.inverse and quaternions is not None:
+        quaternions = quaternions * [-1.0, -1.0, -1.0, 1.0]
+        positions = -lie.rotate(_usable(quaternions), positions)
     velocities = groups.get("velocity")
     if velocities is None and "body_velocity" in groups and quaternions is not None:
         velocities = lie.rotate(_usable(quaternions), groups["body_velocity"])

@@ -58,7 +58,7 @@ def times_of(
 ) -> Times:
     """Return the timestamps of rows, from their column or from a file next to it, or by a rate."""
     if layout.time is None:
-        return _of_frames(layout, np.arange(len(rows.values)), rate, origin)
+        return _of_frames(layout, np.arange(rows.count), rate, origin)
     times: Any = rows.texts[layout.time_name]
     kept = None
     if layout.time_name == DATE:
@@ -301,9 +301,9 @@ def with_times(
     if times is None:
         return layout, rows
     times = np.asarray(times, dtype=np.float64)
-    if times.shape != (len(rows.values),):
+    if times.shape != (rows.count,):
         raise InputError(
-            f"{source[16:]} has shape {times.shape} for {counted(len(rows.values), 'pose')}; "
+            f"{source[16:]} has shape {times.shape} for {counted(rows.count, 'pose')}; "
             "give one time per pose, or remove it"
         )
     columns = (FRAME if is_numbered(times) else "t", *layout.columns)
