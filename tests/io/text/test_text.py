@@ -491,3 +491,23 @@ def test_named_columns_begin_at_the_first_row_of_numbers(first: str, tmp_path: P
     read = read_trajectory(path, hints=TextHints(("t", "x", "y", "z")))
     assert read.positions.tolist() == [[1.0, 2.0, float(row)] for row in range(1, 4)]
     assert sum(read.reading.dropped.values()) == (first == "0,1,2,")
+
+
+@pytest.mark.parametrize("name", ["t.txt", "t.gz", "t.xz"])
+def test_a_zero_byte_in_a_late_timestamp_is_refused(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    rows = [f"{1_700_000_000 + row}.5 {row}.25 0 0 0 0 0 1\n" for row in range(3000)]
+    path.write_text("".join(rows))
+    assert len(read_trajectory(str(path))) == 3000
+    rows[-1] = rows[-1].replace("1700002999.5", "17000029\x009.5")
+    path.write_text("".join(rows))
+    with pytest.raises(InputError, match=r"zero bytes|row 3000 has .* is not a time"):
+        read_trajectory(str(path))
+
+
+def test_a_table_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    path = tmp_path / "t.txt"
+    path.write_bytes(b"\xef\xbb\xbf" + LAYOUTS["tum"].encode())
+    plain = tmp_path / "p.txt"
+    plain.write_text(LAYOUTS["tum"])
+    assert read_trajectory(str(path)).stamps.tolist() == read_trajectory(str(plain)).stamps.tolist()

@@ -45,7 +45,7 @@ def read_with_arrow(table: TextTable, layout: Layout, advance: Advance | None) -
         for name, at in exact.items()
     }
     if advance is not None:
-        advance(1, 1)
+        advance(table.size, table.size)
     if any(words.itemsize >= WIDTH for words in texts.values()):
         return None
     columns = {

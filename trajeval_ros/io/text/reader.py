@@ -102,7 +102,7 @@ def _read(path: Path, origin: Path, advance: Advance | None, hints: TextHints) -
     if path.is_file():
         with path.open("rb") as file:
             beginning = file.read(HEAD)
-    if re.search(ANY_GGA, beginning.replace(b"\r", b"\n")):
+    if b"GGA," in beginning and re.search(ANY_GGA, beginning.replace(b"\r", b"\n")):
         return read_nmea(path)
     if beginning.startswith(b"\x93NUMPY") or (
         beginning.startswith(b"PK\x03\x04") and b".npy" in beginning
