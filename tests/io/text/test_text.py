@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import bz2
-import gzip
-import lzma
 import tempfile
 from decimal import Decimal
 from pathlib import Path
@@ -386,8 +383,9 @@ def test_a_folder_that_may_not_be_read_is_not_missing(
         read_trajectory(str(tmp_path / "t.txt"))
 
 
-@pytest.mark.parametrize("module", [gzip, bz2, lzma])
-def test_a_compressed_file_is_read(tmp_path: Path, module: Any) -> None:
+@pytest.mark.parametrize("name", ["gzip", "bz2", "lzma", "backports.zstd"])
+def test_a_compressed_file_is_read(tmp_path: Path, name: str) -> None:
+    module = pytest.importorskip(name)
     (tmp_path / "t.txt").write_text(GOOD)
     (tmp_path / "t.packed").write_bytes(module.compress(GOOD.encode()))
     plain, packed = (read_trajectory(tmp_path / name) for name in ("t.txt", "t.packed"))

@@ -127,10 +127,10 @@ def _of_angles(
             )
     angles = np.where(np.abs(angles) < _LARGEST_SUM, angles, np.nan)  # NaN: the row is dropped
     roll, pitch, yaw = angles.T if angles.shape[1] == 3 else (0.0, 0.0, angles[:, 0])
-    turns = np.zeros((3, count, 3))
+    vectors = np.zeros((3, count, 3))
     for axis, angle in enumerate((roll, pitch, yaw)):
-        turns[axis, :, axis] = angle
-    about_x, about_y, about_z = map(lie.from_rotation_vector, turns)
+        vectors[axis, :, axis] = angle
+    about_x, about_y, about_z = map(lie.from_rotation_vector, vectors)
     return lie.normalized(lie.multiply(lie.multiply(about_z, about_y), about_x))
 
 
@@ -151,8 +151,8 @@ def _covariances(
             covariances[:, rows + first, columns + first] = groups[group]
             covariances[:, columns + first, rows + first] = groups[group]
         axes = "rotation covariances rotated from the body frame (OpenVINS) to the fixed frame"
-        turned = world_from_body_rotations(covariances, lie.to_matrix(quaternions))
-        return turned, [note("covariance_axes", axes)]
+        rotated = world_from_body_rotations(covariances, lie.to_matrix(quaternions))
+        return rotated, [note("covariance_axes", axes)]
     if "covariance" in groups:
         covariances = groups["covariance"].reshape(-1, 6, 6)
     elif "covariance_upper" in groups or "covariance_lower" in groups:

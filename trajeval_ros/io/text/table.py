@@ -10,7 +10,7 @@ import contextlib
 import itertools
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -151,19 +151,23 @@ def read_rows(table: TextTable, layout: Layout, advance: Advance | None = None) 
         repaired = _repaired(table, layout, set(owner), advance)
         parts = list(_load(repaired, table, np.dtype(fields), _JOINT))
 
-    def columns(group: str, places: Sequence[int]) -> NDArray[Any]:
-        """Return the columns (N, M) of a group, in the order of its places."""
-        of_group = [run for name, run in runs if name == group]
-        blocks = [np.concatenate([part[str(run[0])] for part in parts]) for run in of_group]
-        block = blocks[0] if len(blocks) == 1 else np.hstack(blocks)
-        read = [at for run in of_group for at in run]
-        return block if read == list(places) else block[:, [read.index(at) for at in places]]
-
-    return Rows(
-        sum(map(len, parts)),
-        {name: columns(name, [at])[:, 0] for at, name in owner.items() if name in EXACT},
-        {group: columns(group, places) for group, places in layout.groups.items()},
-    )
+    count = sum(map(len, parts))
+    texts = {name: np.empty(count, f"S{WIDTH}") for name in owner.values() if name in EXACT}
+    groups = {group: np.empty((count, len(places))) for group, places in layout.groups.items()}
+    end = count
+    while parts:  # the last one first: its memory can be returned
+        part = parts.pop()
+        rows = slice(end - len(part), end)
+        end = rows.start
+        for name, run in runs:
+            if name in texts:
+                texts[name][rows] = part[str(run[0])][:, 0]
+            elif name:
+                places = [layout.groups[name].index(at) for at in run]
+                is_slice = places == list(range(places[0], places[-1] + 1))
+                at: Any = slice(places[0], places[-1] + 1) if is_slice else places
+                groups[name][rows, at] = part[str(run[0])]
+    return Rows(count, dict(texts), groups)
 
 
 def _from_first(table: TextTable, advance: Advance | None) -> Any:

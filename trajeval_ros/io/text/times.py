@@ -277,7 +277,8 @@ def _counts_frames(layout: Layout, stamps: Stamps, origin: Path | None) -> bool:
 def _read_times(path: Path) -> Stamps:
     """Return the timestamps (N,) of a file with one time per line, or of an array."""
     if path.suffix == ".npy":
-        return to_stamps(*(2 * (load(path)[0].astype(np.float64),)), NANOSECONDS)
+        times = load(path)[0].astype(np.float64)
+        return to_stamps(times, times, NANOSECONDS)
     table = sniff(path)
     if table.columns != 1:
         raise InputError(f"{path} has {table.columns} columns, expected one time per line")
