@@ -11,7 +11,7 @@ from trajeval_ros.cli.pictures import PICTURE
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.install_command import extra_command, pyarrow_command
 from trajeval_ros.io.json_file import json_text
-from trajeval_ros.io.live.pair_file import SUFFIX
+from trajeval_ros.io.live.state_file import SUFFIX
 from trajeval_ros.io.results.error_archive import ARCHIVE, TABLE, error_files
 from trajeval_ros.io.temporary import collect_leftovers, temporary_folder
 from trajeval_ros.io.writing import refused_by_disk
