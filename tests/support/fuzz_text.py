@@ -30,7 +30,8 @@ TOKENS = (
     "# q p v bg ba\n",
 )  # fmt: skip
 COLUMNS = (
-    "t x y z qx qy qz qw", "_ t _ x y", "x y z", "frame x y z qx qy qz qw", "t_ns _ x y z qw qx qy qz",
+    "t x y z qx qy qz qw", "_ t _ x y", "x y z", "frame x y z qx qy qz qw",
+    "t_ns _ x y z qw qx qy qz",
     "t latitude longitude height", "t_s nanosec x y z", "date clock x y z", "frame1 x y z",
     "t_unpadded x y z qx qy qz qw", "t x_mm y_mm z_mm", "t received x y z",
 )  # fmt: skip
@@ -40,10 +41,12 @@ HEADERS = (
     "%time,field.header.seq,field.header.stamp,field.latitude,field.longitude,field.altitude",
     "time;nsec;pose_x;pose_y;pose_z;q_w;q_x;q_y;q_z", "index,stamp,px,py,height,heading",
 )  # fmt: skip
-WORDS = {"t": "17000000{:02d}.25", "t_us": "17000000{:02d}250000", "t_s": "17000000{:02d}",
-         "frame": "{}", "text": "map", "_": "{}", "qw": "0.8", "qz": "0.6", "latitude": "47.3{:02d}",
-         "longitude": "8.5", "height": "400", "fix_status": "2", "vx": "0.3", "vy": "0.2",
-         "bwx": "0.01", "m11": "0.8", "m12": "-0.6", "m21": "0.6", "m22": "0.8", "m33": "1"}  # fmt: skip
+WORDS = {
+    "t": "17000000{:02d}.25", "t_us": "17000000{:02d}250000", "t_s": "17000000{:02d}",
+    "frame": "{}", "text": "map", "_": "{}", "qw": "0.8", "qz": "0.6", "latitude": "47.3{:02d}",
+    "longitude": "8.5", "height": "400", "fix_status": "2", "vx": "0.3", "vy": "0.2",
+    "bwx": "0.01", "m11": "0.8", "m12": "-0.6", "m21": "0.6", "m22": "0.8", "m33": "1",
+}  # fmt: skip
 
 
 @functools.cache
@@ -101,7 +104,9 @@ def make_layouts(random: Random, folder: Path) -> Changed:
         elif kind == "cut":
             text = text[:at]
         elif kind == "all":
-            text = text.replace(pick(random, list(" ,.\n01-")), pick(random, list(" ,;\t\r1-") + [""]))
+            text = text.replace(
+                pick(random, list(" ,.\n01-")), pick(random, list(" ,;\t\r1-") + [""])
+            )
         elif kind == "lines":
             random.shuffle(lines)
             text = "\n".join([*lines, *lines[: int(random.integers(3))] * 30])
@@ -131,7 +136,9 @@ def _reading(path: Path, columns: str | None = None) -> Any:
 
 def make_arrays(random: Random, folder: Path) -> Changed:
     """Change the type, the shape, the header or bytes of .npy and .npz."""
-    shape = pick(random, [(5, 8), (5, 7), (5, 3), (5, 4, 4), (5, 12), (5,), (0, 8), (5, 9), (1, 8)])
+    shape = pick(
+        random, [(5, 8), (5, 7), (5, 3), (5, 4, 4), (5, 12), (5,), (0, 8), (5, 9), (1, 8)]
+    )
     kind = pick(random, ["f8", "f4", "i8", "u1", "?", "c16", "U3", "M8[ns]", "f2", ">f8"])
     array: Any = np.zeros(shape) if kind == "M8[ns]" else random.normal(size=shape) * 3
     array = array.astype(kind, casting="unsafe")
@@ -161,7 +168,10 @@ def make_arrays(random: Random, folder: Path) -> Changed:
 
 def make_json(random: Random, folder: Path) -> Changed:
     """Change values of JSON lines or of a document, or their bytes."""
-    pose = {"position": {"x": 0.5, "y": 1, "z": 2}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}}
+    pose = {
+        "position": {"x": 0.5, "y": 1, "z": 2},
+        "orientation": {"x": 0, "y": 0, "z": 0, "w": 1},
+    }
     records: list[Any] = [{"timestamp": 1.7e9 + row, "pose": pose} for row in range(COUNT)]
     records[3] = with_other_values(random, records[3])
     if random.random() < 0.3:

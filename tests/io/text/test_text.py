@@ -5,7 +5,6 @@ from __future__ import annotations
 import tempfile
 from decimal import Decimal
 from pathlib import Path
-from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -508,4 +507,6 @@ def test_a_table_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
     path.write_bytes(b"\xef\xbb\xbf" + LAYOUTS["tum"].encode())
     plain = tmp_path / "p.txt"
     plain.write_text(LAYOUTS["tum"])
-    assert read_trajectory(str(path)).stamps.tolist() == read_trajectory(str(plain)).stamps.tolist()
+    assert (
+        read_trajectory(str(path)).stamps.tolist() == read_trajectory(str(plain)).stamps.tolist()
+    )

@@ -154,11 +154,11 @@ def read_rows(table: TextTable, layout: Layout, advance: Advance | None = None) 
     count = sum(map(len, parts))
     texts = {name: np.empty(count, f"S{WIDTH}") for name in owner.values() if name in EXACT}
     groups = {group: np.empty((count, len(places))) for group, places in layout.groups.items()}
-    end = count
+    unread = count
     while parts:  # the last one first: its memory can be returned
         part = parts.pop()
-        rows = slice(end - len(part), end)
-        end = rows.start
+        rows = slice(unread - len(part), unread)
+        unread -= len(part)
         for name, run in runs:
             if name in texts:
                 texts[name][rows] = part[str(run[0])][:, 0]
