@@ -177,17 +177,27 @@ def test_an_error_comes_before_a_warning() -> None:
     assert [each.level for each in most_severe_first(remarks)] == sorted(levels, reverse=True)
 
 
-def test_the_text_of_a_condition_keeps_the_numbers_of_its_start() -> None:
-    standing = Standing()
-    first = Remark(Level.WARNING, "alarm", "0.2 m is over 0.1 m", "position_error_m")
+def test_the_numbers_of_a_text_change_every_ten_seconds() -> None:
+    now_s = 0.0
+    standing = Standing(lambda: now_s)
+    first = Remark(Level.WARNING, "hint", "0.2 m is over 0.1 m", "rate")
     later = dataclasses.replace(first, text="0.3 m is over 0.1 m")
+    last = dataclasses.replace(first, text="-0.4 m is over 0.1 m")
     worse = dataclasses.replace(first, level=Level.ERROR, text="0.6 m is over 0.5 m")
+    other = dataclasses.replace(first, text="0.3 s is over 0.1 s")
     standing.renew([first])
-    standing.renew([later])
-    assert standing.as_told([later]) == [first]
-    assert standing.as_told([worse]) == [worse]
-    standing.renew([])
+    now_s = 9.9
+    assert standing.renew([later]) == []
+    assert standing.as_told([later, worse, other]) == [first, worse, other]
+    now_s = 10.1
+    assert standing.renew([later]) == []
     assert standing.as_told([later]) == [later]
+    now_s = 20.0
+    assert standing.as_told([last]) == [later]
+    now_s = 20.2
+    assert standing.as_told([last]) == [last]
+    standing.renew([])
+    assert standing.as_told([first]) == [first]
 
 
 @pytest.mark.parametrize(

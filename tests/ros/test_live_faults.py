@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -116,6 +118,18 @@ def test_publishers_are_mixed_when_their_names_are_known_or_stay_unknown(
         each.match()
         assert not each.mixed
     never.match()
+    for each in publishers:
+        peer.until(lambda: each.get_subscription_count() == 2, "both have subscribed")  # noqa: B023
+
+    def alternate() -> bool:
+        for each in publishers:
+            each.publish(pose(1.0, 0.0))
+        for each in (later, never):
+            each.take(None)
+        return all(each.inputs[0].senders.alternate for each in (later, never))
+
+    assert not never.mixed
+    peer.until(alternate, "messages of both")
     assert "2 publishers are mixed (unknown, unknown)" in never.mixed
     monkeypatch.setattr(subscriptions, "_publishers_of", known)
     later.match()
@@ -124,3 +138,51 @@ def test_publishers_are_mixed_when_their_names_are_known_or_stay_unknown(
         each.inputs[0].leave()
     for publisher in publishers:
         peer.node.destroy_publisher(publisher)
+
+
+_PUBLISHER = f"""
+import time
+import rclpy
+from geometry_msgs.msg import PoseStamped
+rclpy.init()
+node = rclpy.create_node("driver")
+topics = "{GROUNDTRUTH}", "{GOOD}"
+publishers = [node.create_publisher(PoseStamped, topic, 10) for topic in topics]
+while True:
+    message = PoseStamped()
+    message.header.stamp = node.get_clock().now().to_msg()
+    message.pose.position.x = time.time() % 60.0
+    message.pose.orientation.w = 1.0
+    for publisher in publishers:
+        publisher.publish(message)
+    time.sleep(0.02)
+"""
+
+
+def test_a_publisher_that_was_killed_and_started_again_is_a_restart(
+    peer: Peer, environment: dict[str, str], tmp_path: Path
+) -> None:
+    """The middleware lists a killed publisher for some seconds more."""
+    from diagnostic_msgs.msg import DiagnosticArray
+    from geometry_msgs.msg import PoseStamped
+
+    arrays = peer.hear("/diagnostics", DiagnosticArray)
+    poses = peer.hear(GOOD, PoseStamped)
+    with evaluating(tmp_path / "out", environment, lengths="none") as live:
+        for count in (250, 50):
+            driver = subprocess.Popen([sys.executable, "-c", _PUBLISHER], env=environment)
+            try:
+                live.wait_for(f"subscribed to {GOOD}")
+                poses.clear()
+                peer.until(lambda: len(poses) > count, "its poses")  # noqa: B023
+            finally:
+                driver.kill()
+                driver.wait()
+        live.wait_for(f"{GOOD}: its publisher was restarted")
+        live.end()
+    assert not [
+        status.message for array in arrays for status in array.status if "mixed" in status.message
+    ]
+    assert live.said.count("its publisher was restarted") == 2  # of both topics
+    remarks = [each for run in live.result["runs"] for each in run["remarks"]]
+    assert "mixed_publishers" not in {each["code"] for each in remarks}

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+import re
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -158,38 +160,52 @@ def about_loss(snapshot: Snapshot) -> list[Remark]:
     return [Remark(level, loss.cause, text, values=values)]
 
 
-_VARYING = {"alarm", "clock", "late", "loss", "silence", "yaw_information"}
+_SHOWN_S = 10.0  # a text stays this long before its numbers change, so that it can be read
+_NUMBERS = re.compile(r"[-+.,\d]+")
 
 
 class Standing:
-    """The active remarks. Each is reported once when it starts, gets more severe, or ends."""
+    """The active remarks. Each is reported once when it starts, gets more severe, or ends.
 
-    def __init__(self) -> None:
-        self._remarks: dict[tuple[str, str], Remark] = {}  # by code and subject
+    `clock` returns a time in seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        # Remarks and the times of their texts, by code and subject.
+        self._shown: dict[tuple[str, str], tuple[Remark, float]] = {}
 
     def renew(self, remarks: Iterable[Remark]) -> list[Remark]:
         """Take all active remarks; returns new ones, and ended ones as notes."""
-        before, now = self._remarks, {_key(each): each for each in self.as_told(remarks)}
-        self._remarks = now = {key: each for key, each in now.items() if each.level != Level.NOTE}
+        before, told = self._shown, list(self._told(remarks))
+        self._shown = {_key(each[0]): each for each in told if each[0].level != Level.NOTE}
         started = [
-            each
-            for key, each in now.items()
-            if key not in before or each.level > before[key].level
+            remark
+            for key, (remark, _) in self._shown.items()
+            if key not in before or remark.level > before[key][0].level
         ]
         ended = [
-            replace(each, level=Level.NOTE, text=f"no longer: {each.text}")
-            for key, each in before.items()
-            if key not in now
+            replace(remark, level=Level.NOTE, text=f"no longer: {remark.text}")
+            for key, (remark, _) in before.items()
+            if key not in self._shown
         ]
         return started + ended
 
     def as_told(self, remarks: Iterable[Remark]) -> list[Remark]:
-        """Return remarks; texts whose numbers vary every second keep those of the start."""
-        told = [(self._remarks.get(_key(each), each), each) for each in remarks]
-        return [
-            first if first.level == each.level and each.code in _VARYING else each
-            for first, each in told
-        ]
+        """Return remarks; if only numbers of a text change, it is kept for 10 s."""
+        return [remark for remark, _ in self._told(remarks)]
+
+    def _told(self, remarks: Iterable[Remark]) -> Iterator[tuple[Remark, float]]:
+        now_s = self._clock()
+        for remark in remarks:
+            shown, since_s = self._shown.get(_key(remark), (remark, now_s))
+            is_same = (shown.level, _words(shown)) == (remark.level, _words(remark))
+            keeps = is_same and (shown.text == remark.text or now_s < since_s + _SHOWN_S)
+            yield (shown, since_s) if keeps else (remark, now_s)
+
+
+def _words(remark: Remark) -> str:
+    return _NUMBERS.sub("", remark.text)
 
 
 def _key(remark: Remark) -> tuple[str, str]:

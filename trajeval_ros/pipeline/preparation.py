@@ -39,11 +39,11 @@ Change: TypeAlias = Callable[[Trajectory], Trajectory]
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """Groundtruth and one estimate; of a live run, only the states in pairs."""
+    """Groundtruth and one estimate; for the hints of a live run, only the states in pairs."""
 
     groundtruth: Trajectory
     estimate: Trajectory
-    pairs: Association | None = None  # recorded ones of a live run; None before the association
+    pairs: Association | None = None  # for the hints of a live run; None before the association
     # All groundtruth states, and the poses in the order of their reception; None if these are the
     # two sides.
     streams: tuple[Trajectory, Trajectory] | None = None

@@ -67,7 +67,7 @@ class Status(NamedTuple):
         peaks: Mapping[str, Peak],
         undrawn: int,
     ) -> Status:
-        """Return the present status; the text has the numbers of the start of its conditions."""
+        """Return the present status; numbers in its text change every 10 s at most."""
         told = most_severe_first(estimate.standing.as_told(remarks))
         values = _values(run, estimate, snapshot, newest)
         values |= {

@@ -64,6 +64,11 @@ class PoseSource:
     def match(self) -> list[Remark]:
         """Connect to the present publishers; return remarks."""
         told = [about_publishers(said) for each in self.inputs if (said := each.match())]
+        topic = self.inputs[0]
+        if topic.senders.restarted() and not isinstance(self.stream, TransformStream):
+            told.append(warning("restart", f"{self.source}: its publisher was restarted"))
+        if len(topic.publishers) < 2:
+            topic.senders.begin_anew()
         if isinstance(self.stream, TransformStream):
             self.stream.tell_trouble()
         if self.mixed:
@@ -115,13 +120,15 @@ class PoseSource:
 
     @property
     def mixed(self) -> str:
-        """The sentence about several publishers of the topic; empty if there is one.
+        """The sentence about alternating publishers of the topic; empty if there is one.
 
         Transforms of one topic usually have several publishers.
         """
         topic = self.inputs[0]
         count = len(topic.publishers)
         if isinstance(self.stream, TransformStream) or count < 2 or not topic.are_named:
+            return ""
+        if not topic.senders.alternate:
             return ""
         return (
             f"{self.source}: messages of {count} publishers are mixed "

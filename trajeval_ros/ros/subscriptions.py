@@ -86,6 +86,43 @@ class Losses:
         self._last[identity] = number
 
 
+class Senders:
+    """Whether the messages of a topic alternate between publishers, or one follows another.
+
+    The publisher of a message is unknown, but the numbers of a publisher increase. A single step
+    back is a restart. The middleware lists a killed publisher for some seconds more.
+    """
+
+    def __init__(self) -> None:
+        self.are_numbered = True  # False with Humble's middleware
+        self._steps_back = 0  # since there was one publisher
+        self._last: int | None = None
+        self._is_told = False  # whether the restart was reported
+
+    def see(self, info: dict[str, Any]) -> None:
+        """Process the middleware's information on a message."""
+        number = info.get("publication_sequence_number")
+        self.are_numbered = number is not None
+        if number is not None and self._last is not None and number <= self._last:
+            self._steps_back += 1
+        self._last = number
+
+    def begin_anew(self) -> None:
+        """Forget steps back, because there is one publisher."""
+        self._steps_back, self._is_told = 0, False
+
+    @property
+    def alternate(self) -> bool:
+        """Whether messages of several publishers alternate, or may alternate."""
+        return self._steps_back > 1 or not self.are_numbered
+
+    def restarted(self) -> bool:
+        """Return once whether the publisher was restarted."""
+        is_new = self._steps_back == 1 and not self._is_told
+        self._is_told |= is_new
+        return is_new
+
+
 class TopicInput:
     """Subscribes to a topic with the type and quality of service of its current publishers."""
 
@@ -106,6 +143,7 @@ class TopicInput:
         self.publishers: list[str] = []  # names of the nodes that publish it
         self.are_named = True  # whether these are all names that will be known
         self.losses = Losses()  # counts messages that were published and did not arrive
+        self.senders = Senders()
         # The node remaps names itself, so this is the name before remapping. A second remapping
         # can change a name again.
         self._node, self._name, self._types = node, topic, tuple(types)
@@ -156,6 +194,7 @@ class TopicInput:
             while (message := handle.take_message(self._class, True)) is not None:
                 payload, info = message
                 self.losses.see(info, len(self.publishers))
+                self.senders.see(info)
                 taken.payloads.append(payload)
                 taken.received.append(info["received_timestamp"])
         return taken
