@@ -13,10 +13,13 @@ from trajeval_ros.io.text.table import EXACT, Rows, TextTable, require_rows
 
 
 def read_with_arrow(table: TextTable, layout: Layout, advance: Advance | None) -> Rows | None:
-    """Read the rows of a plain table in a file without compression.
+    """Read the rows of a large plain table in a file without compression.
 
-    None if pyarrow is not installed or cannot read a row: the caller reads the table by numpy.
+    None for other tables, or if pyarrow is not installed or cannot read a row: the caller reads
+    the table by numpy.
     """
+    if not (table.is_large and table.direct and table.plain) or table.at_end:
+        return None
     try:
         import pyarrow as pa
         from pyarrow import csv

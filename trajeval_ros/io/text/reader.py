@@ -17,6 +17,7 @@ from trajeval_ros.formatting.remarks import note, warning
 from trajeval_ros.geometry.reading import FORMAT, NAMED_COLUMNS, Reading
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.checks import check_stamps, judge_rotations
+from trajeval_ros.io.text.arrow_rows import read_with_arrow
 from trajeval_ros.io.text.geographic import ANY_GGA, fixes_of, read_nmea
 from trajeval_ros.io.text.hints import NO_HINTS, TextHints
 from trajeval_ros.io.text.layouts import fits
@@ -115,9 +116,8 @@ def _read(path: Path, origin: Path, advance: Advance | None, hints: TextHints) -
         return trajectory_of(path, layout, rows, hints, origin)
     table, layout = _recognised(path, hints.columns)
     layout = with_dates(table, layout)
-    return trajectory_of(
-        path, layout, read_rows(table, layout, advance), hints, origin, table.left_out
-    )
+    rows = read_with_arrow(table, layout, advance) or read_rows(table, layout, advance)
+    return trajectory_of(path, layout, rows, hints, origin, table.left_out)
 
 
 def _recognised(path: Path, columns: tuple[str, ...]) -> tuple[TextTable, Layout]:

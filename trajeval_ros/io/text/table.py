@@ -25,7 +25,7 @@ from trajeval_ros.io.text.names import CLOCK, RECEIVED, TIMES, Layout
 from trajeval_ros.io.text.stamps import WIDTH, Words
 
 _ROWS = 1 << 13  # rows that are read at once; they fit into the cache
-_LARGE = 1 << 24  # bytes from which reading by pyarrow saves more than its import takes
+_LARGE = 1 << 24  # bytes of a file that is read by pyarrow, or by chunks
 MOST_ROWS = 10**8  # a day at 1 kHz; more need tens of gigabytes of memory
 MIXED = "mixed"  # commas, semicolons, spaces and brackets between numbers, in any number
 _JOINT = "\x1f"  # separator of repaired rows: a control character that no table has
@@ -70,6 +70,11 @@ class TextTable:
     first_line: str  # the first row as written, for messages
     # Records that are no rows, by reason; complete after the rows are read.
     left_out: Mapping[str, int]
+
+    @property
+    def is_large(self) -> bool:
+        """Whether pyarrow saves more time than its import takes."""
+        return self.size >= _LARGE
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,13 +126,6 @@ def read_rows(table: TextTable, layout: Layout, advance: Advance | None = None) 
     Raises:
         InputError: A line is no row; the message states where and why.
     """
-    is_large = table.size >= _LARGE
-    if is_large and table.direct and table.plain and not table.at_end:
-        from trajeval_ros.io.text.arrow_rows import read_with_arrow
-
-        large = read_with_arrow(table, layout, advance)
-        if large is not None:
-            return large
     owner = {at: group for group, places in layout.groups.items() for at in places}
     owner |= {at: name for at, name in enumerate(layout.columns) if name in EXACT}
     # One field per run of columns of a group; ignored columns are read as one character, since
@@ -142,7 +140,7 @@ def read_rows(table: TextTable, layout: Layout, advance: Advance | None = None) 
     if table.plain:
         end = [("end", "S1")] if table.at_end else []
         with contextlib.suppress(ValueError, UnicodeError):
-            direct = table.direct and not is_large
+            direct = table.direct and not table.is_large
             lines = None if direct else _from_first(table, advance)
             parts = list(_load(lines, table, np.dtype(fields + end)))
             if direct and advance is not None:
