@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from trajeval_ros.diagnosis.causes import CAUSES, DISCONTINUITIES, cause_name
-from trajeval_ros.diagnosis.findings import Diagnosis, Examined, Seen, Value
+from trajeval_ros.diagnosis.findings import Diagnosis, Examined, Finding, Seen, Value
 from trajeval_ros.formatting.numbers import counted, four_digits
 from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
@@ -113,6 +113,21 @@ def about_small_discontinuities(evaluation: Evaluation, known: Diagnosis) -> Ite
         if any(group[0].side == kinds.UNDECIDED for group in rest):
             text += "; compare with a second source"
         yield note("discontinuities", text)
+
+
+def sentence_about(event: Event) -> str:
+    """Return the sentence about one discontinuity, with times as in its timestamps."""
+    seen = _seen([event], (), 0)
+    if seen.cause in DISCONTINUITIES:
+        return Finding.of(seen).sentence
+    return summary_of([event])
+
+
+def summary_of(events: Sequence[Event]) -> str:
+    """Return the numbers of discontinuities by kind and side, with times as in timestamps."""
+    text = "; ".join(_counted(group, 0) for group in _grouped(events))
+    undecided = any(event.side == kinds.UNDECIDED for event in events)
+    return text + ("; compare with a second source" if undecided else "")
 
 
 def _unexplained(evaluation: Evaluation, known: Diagnosis) -> list[Event]:

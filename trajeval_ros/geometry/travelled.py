@@ -1,4 +1,4 @@
-"""Distances and angles along a path, and jumps of one path against another."""
+"""Distances and angles along a path, and steps of one path against another."""
 
 from __future__ import annotations
 
@@ -7,12 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, Indices, Stamps
-
-MOST_RESTARTS = 3  # more jumps are not restarts
-LEAST_JUMP_M = 1.0
-LEAST_JUMP_DEG = 30.0
-_TIMES_TYPICAL = 10.0
+from trajeval_ros.geometry.arrays import Floats, Stamps
 
 
 def travelled_distance(positions: Floats) -> Floats:
@@ -86,27 +81,6 @@ class StepDifferences:
             turned = step_angles(groundtruth_quaternions) - step_angles(quaternions)
             rotation_deg = np.degrees(np.abs(turned))
         return cls(true_m, estimate_m, position_m, rotation_deg)
-
-    def jumps(self, typical_m: float, typical_deg: float) -> Indices:
-        """Return the indices of steps that are not a motion of the robot.
-
-        `typical_m`: typical difference of the distances moved, metres. `typical_deg`: typical
-        difference of the rotation angles, deg.
-        """
-        # Distance and drift are large across a gap of the estimate.
-        limit_m = np.maximum(self.true_m, max(LEAST_JUMP_M, _TIMES_TYPICAL * typical_m))
-        limit_deg = max(LEAST_JUMP_DEG, _TIMES_TYPICAL * typical_deg)
-        found: Indices = np.flatnonzero(
-            (self.position_m > limit_m) | (self.rotation_deg > limit_deg)
-        )
-        return found
-
-
-def cause_of_jumps(number: int) -> str:
-    """Return the probable cause of a number of jumps, for a message."""
-    if number <= MOST_RESTARTS:
-        return "probably a restart with a new origin"
-    return "tracking was probably lost"
 
 
 def speeds(

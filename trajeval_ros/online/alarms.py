@@ -13,6 +13,7 @@ from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.numbers import with_unit
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.discontinuities.events import FREEZES
 from trajeval_ros.metrics.tracking_loss import FROZEN
 from trajeval_ros.online.reports import Snapshot, Update
 
@@ -158,7 +159,7 @@ def about_loss(snapshot: Snapshot) -> list[Remark]:
     return [Remark(level, loss.cause, text, values=values)]
 
 
-_VARYING = {"alarm", "clock", "late", "loss", "silence", "yaw_information"}
+_VARYING = {"alarm", "clock", "late", "loss", "silence", "yaw_information", *FREEZES}
 
 
 class Standing:

@@ -145,20 +145,26 @@ class LiveRun:
 
     @property
     def restarted(self) -> LiveEstimate | None:
-        """The first estimate whose jump ends the run; None if there is none."""
+        """The first estimate whose restart ends the run; None if there is none."""
         return next((each for each in self.estimates if each.restarted_at is not None), None)
 
-    def end_at_jumps(self, ends: bool) -> None:
-        """Set whether the run ends at the first jump of an estimate."""
+    def end_at_restarts(self, ends: bool) -> None:
+        """Set whether the run ends at the first restart of an estimate."""
         for each in self.estimates:
-            each.ends_at_jump = ends
+            each.ends_at_restart = ends
+
+    def examine(self, *, at_end: bool) -> None:
+        """Search the messages that were taken for discontinuities."""
+        for each in self.estimates:
+            each.examine(at_end=at_end)
 
     def take(self, source: int, messages: DecodedMessages) -> None:
         """Store and take messages of a source."""
         if source:
             self.estimates[source - 1].see(messages)
         else:
-            self.states_file.append(messages.states.stamps, messages.states.states)
+            states = messages.states
+            self.states_file.append(states.stamps, states.states, states.arrived)
             self._see_groundtruth(messages.states)
         if self._held is None or self._held.may_pass(source, self.body):
             self._pass_on(source, messages)
@@ -205,8 +211,6 @@ class LiveRun:
     def resume(self) -> None:
         """Evaluate messages again after a pause, in which the robot may have moved."""
         self.idle = ""
-        for each in self.estimates:
-            each.jumps.skip()
 
     def conclude(self) -> None:
         """Evaluate the poses that wait for groundtruth, because no further messages follow."""
@@ -248,9 +252,7 @@ class LiveRun:
         stamps, rows = messages.states.stamps, self.body.groundtruth(messages.states.states)
         block = trajectory(stamps, rows, self.groundtruth_up)
         for each in self.estimates:
-            each.evaluator.add_groundtruth(block, block.reading.dropped)
-            if each.availability is not None:
-                each.availability.add_groundtruth(stamps, rows)
+            each.take_groundtruth(block, rows, stamps, messages.states.arrived)
 
     def _one_by_one(
         self,

@@ -31,7 +31,7 @@ class NewRunRule:
     """The causes of a new run in a new folder."""
 
     on_time_jump: str = "reset"  # if timestamps step back: `reset` or `ignore`
-    on_restart: str = "ignore"  # if an estimate jumps: `reset` or `ignore`
+    on_restart: str = "ignore"  # if an estimate restarts: `reset` or `ignore`
 
     def __post_init__(self) -> None:
         for name in ("on_time_jump", "on_restart"):
@@ -80,7 +80,7 @@ class LiveRuns:
         self.current.decide()
         groundtruth, *estimates = (each.stream for each in self._sources)
         for stream in estimates:
-            stream.clock_steps.update(groundtruth.arrivals, stream.arrivals)
+            stream.clocks.update(groundtruth.arrivals, stream.arrivals)
 
     def discard(self) -> None:
         """Drop the messages that have arrived."""
@@ -124,6 +124,9 @@ class LiveRuns:
             run.decide(at_end=True)
         for _ in self.update():
             pass
+        self.current.examine(at_end=True)
+        for _ in self.update():
+            pass
         while self._ending:
             self._close_oldest()
         self.current.conclude()
@@ -148,7 +151,7 @@ class LiveRuns:
         """Pass the messages of all sources to a run, the newest one."""
         self.current = run
         self._run_of = [run for _ in self._sources]
-        run.end_at_jumps(self._rule.on_restart == "reset")
+        run.end_at_restarts(self._rule.on_restart == "reset")
         for place, source in enumerate(self._sources):
             source.stream.begin_run(run.status_of(place))
         write_states(run)
@@ -156,8 +159,8 @@ class LiveRuns:
     def _follow(self, begun: LiveRun) -> None:
         """Make a run the newest one; messages continue to go to the previous one."""
         ended, self.current = self.current, begun
-        ended.end_at_jumps(False)  # a run between this one and the next is not possible
-        begun.end_at_jumps(self._rule.on_restart == "reset")
+        ended.end_at_restarts(False)  # a run between this one and the next is not possible
+        begun.end_at_restarts(self._rule.on_restart == "reset")
         self._ending.append((ended, time.monotonic() + FOLLOWS_WITHIN_S))
         write_states(begun)
         self.on_begun(ended, begun)

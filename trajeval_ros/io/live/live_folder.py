@@ -131,8 +131,12 @@ def _of_states(
     if asked.up is not None:
         axes = zip((truth, estimate), asked.up, strict=True)
         truth, estimate = (dataclasses.replace(side, up=UpAxis(up)) for side, up in axes)
+    if state["fixes"] is None and UNKNOWN not in groundtruth.arrived:
+        truth = _received(truth, groundtruth)
     if asked.available.is_asked_for:
         estimate = _with_receptions(estimate, recorded)
+    elif UNKNOWN not in recorded.arrived:
+        estimate = _received(estimate, recorded)
     if state["until_ns"] is not None:
         truth, estimate = _until(int(state["until_ns"]), truth, estimate, asked)
     live = dict(state["live"])
@@ -286,10 +290,17 @@ def _with_receptions(estimate: Trajectory, recorded: RecordedStates) -> Trajecto
         received = received_poses(recorded.received[usable], estimate.up)
         reading = dataclasses.replace(estimate.reading, as_received=received)
     else:
-        usable, _ = usable_rows(recorded.states)
-        receptions = Receptions(recorded.arrived[usable], "node")
-        reading = dataclasses.replace(estimate.reading, receptions=receptions)
+        return _received(estimate, recorded)
     return dataclasses.replace(estimate, reading=reading)
+
+
+def _received(side: Trajectory, recorded: RecordedStates) -> Trajectory:
+    """Return recorded states with the times of their reception."""
+    usable, _ = usable_rows(recorded.states)
+    receptions = Receptions(recorded.arrived[usable], "node")
+    return dataclasses.replace(
+        side, reading=dataclasses.replace(side.reading, receptions=receptions)
+    )
 
 
 def _until(
