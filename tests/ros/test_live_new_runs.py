@@ -338,6 +338,8 @@ def test_one_clock_that_is_set_back_begins_a_run(
     assert [each["estimate"]["poses"] for each in runs] == [middle, len(stamps) - middle]
     pairs = [each["association"]["pairs"] for each in runs]
     assert pairs[1] > 0.9 * (len(stamps) - middle) * (pairs[0] / middle)
+    [told] = [each for each in runs[1]["remarks"] if each["code"] == "clock_step"]
+    assert told["text"].startswith("the estimate's clock stepped by -1.796 s")
 
 
 def test_a_path_that_begins_anew_is_a_run(tmp_path: Path) -> None:

@@ -116,7 +116,20 @@ def about_small_discontinuities(evaluation: Evaluation, known: Diagnosis) -> Ite
 
 
 def sentence_about(event: Event) -> str:
-    """Return the sentence about one discontinuity, with times as in its timestamps."""
+    """Return the sentence about one discontinuity, with times as in its timestamps.
+
+    That of a frozen part has its begin alone, since it lasts.
+    """
+    if event.kind in kinds.FREEZES:
+        part = event.kind.removeprefix("frozen_")
+        other, motion = kinds.SIDES[event.side == kinds.GROUNDTRUTH], f"moves {event.m:.2f} m"
+        if event.kind == kinds.FROZEN_ROTATION:
+            motion = f"rotates by {event.deg:.0f} deg"
+        since_s = event.t_ns / NANOSECONDS
+        return (
+            f"the {part} of the {event.side} is frozen since {since_s:.1f} s, while the {other} "
+            f"{motion}"
+        )
     seen = _seen([event], (), 0)
     if seen.cause in DISCONTINUITIES:
         return Finding.of(seen).sentence

@@ -9,6 +9,7 @@ from trajeval_ros.diagnosis.discontinuities import sentence_about
 from trajeval_ros.formatting.numbers import with_unit
 from trajeval_ros.formatting.remarks import Remark, warning
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.discontinuities.events import Event
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
 
@@ -46,17 +47,20 @@ def about_clock_offset(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]
 
 def about_clock_faults(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
     """Yield the warnings of a clock that stepped, and of clocks that have nothing in common."""
-    step = estimate.discontinuities.clock_step()
+    step = estimate.clock_step
     if step is None:
         yield from about_different_clocks(run, estimate)
-        return
-    yield warning(
-        step.kind,
+    else:
+        yield about_clock_step(step)
+
+
+def about_clock_step(step: Event) -> Remark:
+    """Return the warning of a step of one clock."""
+    said = (
         f"{sentence_about(step)}: later poses are paired with those of another time; synchronise "
-        "the clocks, then call ~/reset",
-        step.side,
-        {"step_s": step.s, "stamp_ns": step.end_ns},
+        "the clocks, then call ~/reset"
     )
+    return warning(step.kind, said, step.side, {"step_s": step.s, "stamp_ns": step.end_ns})
 
 
 def about_different_clocks(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:

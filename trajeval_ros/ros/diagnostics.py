@@ -95,10 +95,10 @@ def remarks_about(
         *_about_data(run, estimate),
         *_about_coverage(snapshot, limits["coverage"]),
         *_about_rate(estimate, limits["rate_hz"]),
-        # Clocks that differ measure no delay.
+        # Clocks that differ measure no delay, and pair poses of different times.
         *([] if faults else _about_lateness(run, estimate)),
         *([] if estimate.availability is None else estimate.availability.remarks),
-        *about_loss(snapshot),
+        *([] if faults else about_loss(snapshot)),
         *alarms(peaks, limits),
         *about_integrity(snapshot),
         *_about_start(run),

@@ -16,6 +16,8 @@ from trajeval_ros.metrics.discontinuities.events import (
     FLIP,
     FLIP_STAYS,
     FREEZES,
+    FROZEN_POSITION,
+    FROZEN_ROTATION,
     OUTLIER,
     PARTING,
     Event,
@@ -60,11 +62,15 @@ def about_steps(estimate: LiveEstimate) -> Iterator[Remark]:
 def about_frozen(estimate: LiveEstimate, snapshot: Snapshot) -> Iterator[Remark]:
     """Yield the warnings of positions and rotations that are frozen now.
 
-    A whole pose of the estimate that is repeated is a loss of tracking, with a remark of its own.
+    A whole pose of the estimate that is repeated is a loss of tracking, with another remark. Of
+    a groundtruth whose pose is repeated, the position is reported.
     """
     is_lost = snapshot.loss is not None and snapshot.loss.cause == FROZEN
-    for event in estimate.discontinuities.frozen:
-        if not (is_lost and event.side == ESTIMATE):
+    frozen = estimate.discontinuities.frozen
+    of_position = {event.side for event in frozen if event.kind == FROZEN_POSITION}
+    for event in frozen:
+        is_reported = event.kind == FROZEN_ROTATION and event.side in of_position
+        if not is_reported and not (is_lost and event.side == ESTIMATE):
             yield about_event(event)
 
 

@@ -100,6 +100,7 @@ class LiveEstimate:
         self._newest_path: StateColumns | None = None  # as in its message
         self.evaluator = OnlineEvaluator(settings)
         self.discontinuities = LiveDiscontinuities()
+        self.stepped: Event | None = None  # the step of a clock with which the run began
         self.ends_at_restart = False  # whether the run ends where the estimate restarts
         self.restarted_at: int | None = None  # timestamp of the first pair of the next run
         self._news: list[Event] = []  # events that are not published yet
@@ -258,6 +259,11 @@ class LiveEstimate:
             for event in events
             if event.kind in PARTING and event.side != GROUNDTRUTH and event.is_large
         ]
+
+    @property
+    def clock_step(self) -> Event | None:
+        """The newest step of one clock; None if the clocks agree as at the start."""
+        return self.discontinuities.clock_step() or self.stepped
 
     def _declare(self, stamp: int) -> None:
         """Take a reset that the estimator declares, by the timestamp of the first pose after."""

@@ -18,6 +18,7 @@ from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.live.fix_file import FixWriter, read_fix_rows
 from trajeval_ros.io.live.state_file import GROUNDTRUTH, StateWriter, copy_states
 from trajeval_ros.io.requests.setting import AUTO
+from trajeval_ros.metrics.discontinuities.events import Event
 from trajeval_ros.online.live_clock import OnlineClock
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.reports import Update
@@ -207,6 +208,11 @@ class LiveRun:
             else:
                 new.continue_after(old)
         self._describe_groundtruth_of(before)
+
+    def begin_with_clock_step(self, source: int, step: Event) -> None:
+        """Take the step of one source's clock with which the run began."""
+        for estimate in self.estimates[source - 1 : source] if source else self.estimates:
+            estimate.stepped = step
 
     def resume(self) -> None:
         """Evaluate messages again after a pause, in which the robot may have moved."""

@@ -12,7 +12,12 @@ from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.valid_poses import add_counts, reasons
 from trajeval_ros.io.bags.declared_resets import about_resets
 from trajeval_ros.io.requests.settings_table import settings_of
-from trajeval_ros.ros.clock_remarks import about_clock_faults, about_different_clocks, sync_risk_m
+from trajeval_ros.ros.clock_remarks import (
+    about_clock_faults,
+    about_clock_step,
+    about_different_clocks,
+    sync_risk_m,
+)
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.ros.poses import StreamStatus
@@ -82,6 +87,8 @@ def _warnings(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
                 f"{counted(source.lost, 'message')} of {source.source} lost in transport to the "
                 "live evaluator",
             )
+    if estimate.stepped is not None:  # its recorded states are those after it
+        yield about_clock_step(estimate.stepped)
     for each in about_different_clocks(run, estimate):
         yield replace(each, code=f"clock_{each.subject}")
     for code, said in (

@@ -131,11 +131,11 @@ def _of_states(
     if asked.up is not None:
         axes = zip((truth, estimate), asked.up, strict=True)
         truth, estimate = (dataclasses.replace(side, up=UpAxis(up)) for side, up in axes)
-    if state["fixes"] is None and UNKNOWN not in groundtruth.arrived:
+    if state["fixes"] is None and _is_received_in_order(groundtruth):
         truth = _received(truth, groundtruth)
     if asked.available.is_asked_for:
         estimate = _with_receptions(estimate, recorded)
-    elif UNKNOWN not in recorded.arrived:
+    elif _is_received_in_order(recorded):
         estimate = _received(estimate, recorded)
     if state["until_ns"] is not None:
         truth, estimate = _until(int(state["until_ns"]), truth, estimate, asked)
@@ -292,6 +292,11 @@ def _with_receptions(estimate: Trajectory, recorded: RecordedStates) -> Trajecto
     else:
         return _received(estimate, recorded)
     return dataclasses.replace(estimate, reading=reading)
+
+
+def _is_received_in_order(recorded: RecordedStates) -> bool:
+    """Return whether all receptions are known, by a clock that did not start again."""
+    return UNKNOWN not in recorded.arrived and bool((np.diff(recorded.arrived) >= 0).all())
 
 
 def _received(side: Trajectory, recorded: RecordedStates) -> Trajectory:

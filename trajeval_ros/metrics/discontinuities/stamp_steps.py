@@ -77,9 +77,14 @@ class StampSteps:
         if self._last is not None:
             before_s, received_before = self._last
             step_s = stamp - before_s
-            arrival_s = None
+            arrival_s, is_again = None, False
             if received is not None and received_before is not None:
                 arrival_s = received - received_before
+                is_again = arrival_s < 0.0
+            if is_again:  # simulated time started again
+                self._leads.clear()
+                self._newest.clear()
+                self._highest_lead_s = -math.inf
             if step_s > 0.0:
                 self._steps.append(step_s)
             if self._steps and (
@@ -88,7 +93,7 @@ class StampSteps:
             ):
                 self._usual_s = _median(self._steps)
                 self._rate = _rate_of(self._newest)
-            if self._candidate is None and self._usual_s is not None:
+            if self._candidate is None and self._usual_s is not None and not is_again:
                 self._candidate = self._begun(before_s, step_s, arrival_s, self._usual_s)
         self._last, self._count = (stamp, received), self._count + 1
         if self._candidate is not None:
@@ -122,8 +127,8 @@ class StampSteps:
             as_read = zip(stamps.tolist(), received.tolist(), strict=True)
             before = self._received_s, self._replayed_s
             received = np.array(self._at_rate_one(received.tolist()))
-            more = steps - np.diff(received, prepend=received_before)
-            if np.abs(more).max() > SMALLEST_S:
+            arrivals = np.diff(received, prepend=received_before)
+            if np.abs(steps - arrivals).max() > SMALLEST_S or arrivals.min() < 0.0:
                 self._received_s, self._replayed_s = before
                 return False
             self._newest.extend(as_read)
