@@ -1,8 +1,6 @@
-"""Distances and angles along a path, and steps of one path against another."""
+"""Distances and angles along a path, and speeds."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -44,43 +42,6 @@ def _accumulated(count: int, steps: Floats) -> Floats:
     sums = np.zeros(count)
     np.cumsum(steps, out=sums[1:])
     return sums
-
-
-@dataclass(frozen=True, eq=False)
-class StepDifferences:
-    """Differences of the steps of estimate and groundtruth, N steps of N + 1 pairs.
-
-    Lengths and angles of steps do not depend on the alignment or on a constant rotation between
-    the bodies.
-    """
-
-    true_m: Floats  # (N,) distances moved by the groundtruth, metres
-    estimate_m: Floats  # (N,) distances moved by the estimate, metres
-    position_m: Floats  # (N,) differences of the distances moved, metres
-    rotation_deg: Floats  # (N,) differences of the rotation angles, deg; zeros without rotations
-
-    @classmethod
-    def between(
-        cls,
-        groundtruth_positions: Floats,
-        positions: Floats,
-        groundtruth_quaternions: Floats | None,
-        quaternions: Floats | None,
-        scale: float,
-    ) -> StepDifferences:
-        """Compare the steps of pairs of states, (N + 1, 3) and (N + 1, 4) xyzw.
-
-        `groundtruth_quaternions`: of the groundtruth; None without rotations. `quaternions`: of
-        the estimate; None without rotations. `scale`: metres per unit of the estimate's positions.
-        """
-        true_m = step_lengths(groundtruth_positions)
-        estimate_m = scale * step_lengths(positions)
-        position_m = np.abs(true_m - estimate_m)
-        rotation_deg = np.zeros(len(true_m))
-        if groundtruth_quaternions is not None and quaternions is not None:
-            turned = step_angles(groundtruth_quaternions) - step_angles(quaternions)
-            rotation_deg = np.degrees(np.abs(turned))
-        return cls(true_m, estimate_m, position_m, rotation_deg)
 
 
 def speeds(

@@ -47,11 +47,14 @@ def lasts(event: Event) -> bool:
 
 
 def about_steps(estimate: LiveEstimate) -> Iterator[Remark]:
-    """Yield the warning of all steps, flips and outliers so far that matter."""
+    """Yield the warning of all discontinuities so far that matter and do not last."""
+    frozen = [id(event) for event in estimate.discontinuities.frozen]
     events = [
         event
         for event in estimate.discontinuities.events
-        if _level(event) == Level.WARNING and not lasts(event)
+        if _level(event) == Level.WARNING
+        and (event.kind != CLOCK_STEP or event.side == BOTH)
+        and id(event) not in frozen
     ]
     if events:
         said, is_parted = summary_of(events), any(event.kind in PARTING for event in events)
