@@ -109,14 +109,12 @@ def about_small_discontinuities(evaluation: Evaluation, known: Diagnosis) -> Ite
     rest = [group for group in groups if not (has_times and _is_cause(group, evaluation))]
     if rest:
         first_ns = int(evaluation.groundtruth.stamps.min()) if has_times else None
-        text = "; ".join(_counted(group, first_ns) for group in rest)
-        if any(group[0].side == kinds.UNDECIDED for group in rest):
-            text += "; compare with a second source"
-        yield note("discontinuities", text)
+        events = [event for group in rest for event in group]
+        yield note("discontinuities", summary_of(events, first_ns))
 
 
-def sentence_about(event: Event) -> str:
-    """Return the sentence about one discontinuity, with times as in its timestamps.
+def sentence_about(event: Event, first_ns: int = 0) -> str:
+    """Return the sentence about one discontinuity, with times since `first_ns`.
 
     That of a frozen part has its begin alone, since it lasts.
     """
@@ -125,20 +123,23 @@ def sentence_about(event: Event) -> str:
         other, motion = kinds.SIDES[event.side == kinds.GROUNDTRUTH], f"moves {event.m:.2f} m"
         if event.kind == kinds.FROZEN_ROTATION:
             motion = f"rotates by {event.deg:.0f} deg"
-        since_s = event.t_ns / NANOSECONDS
+        since_s = (event.t_ns - first_ns) / NANOSECONDS
         return (
             f"the {part} of the {event.side} is frozen since {since_s:.1f} s, while the {other} "
             f"{motion}"
         )
-    seen = _seen([event], (), 0)
+    seen = _seen([event], (), first_ns)
     if seen.cause in DISCONTINUITIES:
         return Finding.of(seen).sentence
-    return summary_of([event])
+    return summary_of([event], first_ns)
 
 
-def summary_of(events: Sequence[Event]) -> str:
-    """Return the numbers of discontinuities by kind and side, with times as in timestamps."""
-    text = "; ".join(_counted(group, 0) for group in _grouped(events))
+def summary_of(events: Sequence[Event], first_ns: int | None = 0) -> str:
+    """Return the numbers of discontinuities by kind and side, with times since `first_ns`.
+
+    It is None if the poses have no timestamps.
+    """
+    text = "; ".join(_counted(group, first_ns) for group in _grouped(events))
     undecided = any(event.side == kinds.UNDECIDED for event in events)
     return text + ("; compare with a second source" if undecided else "")
 
