@@ -48,7 +48,7 @@ def write_groundtruth(folder: Path) -> None:
     """Write the groundtruth's file, unless the folder has one."""
     if not (folder / GROUNDTRUTH).exists():
         stamps, truth, _ = columns()
-        writer = StateWriter(folder / GROUNDTRUTH, {"source": "/truth"})
+        writer = StateWriter(folder / GROUNDTRUTH, {"source": "/truth", "name": "truth"})
         writer.append(stamps, truth)
         writer.close()
 

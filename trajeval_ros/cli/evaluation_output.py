@@ -15,6 +15,7 @@ from trajeval_ros.cli.programs import may_break, write_json
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.escaping import visible
 from trajeval_ros.formatting.remarks import Level
+from trajeval_ros.geometry.reading import ASSUMED
 from trajeval_ros.io.results.requirement import Requirement
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import parse_source
@@ -37,11 +38,13 @@ def write_and_print(
     pictures: Pictures = _NO_PICTURES,
     mcap: Path | None = None,
     look: FigureStyle = PLAIN,
+    repeat: str = "",
 ) -> None:
     """Write and print an evaluation; exit with status 1 if a requirement is not met.
 
     `json`: file for result.json, `-` for stdout. `mcap`: file for the errors as ROS 2 messages.
-    `quiet`: whether to print only missing data and unmet requirements.
+    `quiet`: whether to print only missing data and unmet requirements. `repeat`: the command that
+    states all that was assumed.
     """
     result, runs = result_of(outcome), outcome.runs
     # A requirement with an unknown name is an error; it is raised before anything is written.
@@ -68,6 +71,8 @@ def write_and_print(
     if not quiet and json != "-":
         with may_break():
             _print(outcome, output)
+            if repeat:
+                print(f"\nrepeat: {repeat}")
         _tell("warning", failed)
     else:
         # Missing data are reported even with --quiet.
@@ -190,9 +195,13 @@ def _print_remarks(runs: Sequence[RunOutcome]) -> None:
     remarks = console(sys.stderr)
     groundtruth = runs[0].evaluation.groundtruth
     for trajectory in (groundtruth, *(run.evaluation.estimate for run in runs)):
-        notes = "; ".join(trajectory.reading.said(Level.NOTE))
-        if notes:
-            remarks.remark("note", f"{trajectory.name}: {notes}")
+        notes = [each for each in trajectory.reading.remarks if each.level is Level.NOTE]
+        said = "; ".join(each.text for each in notes if each.code != ASSUMED)
+        if said:
+            remarks.remark("note", f"{trajectory.name}: {said}")
+        for each in notes:
+            if each.code == ASSUMED:
+                remarks.remark("assumed", each.text)
     for run in runs:
         printed = {each.cause for each in run.diagnosis.findings}  # below the headline
         for remark in run.evaluation.remarks:

@@ -34,6 +34,7 @@ from trajeval_ros.metrics.discontinuities.events import (
     RESTART,
     Event,
 )
+from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.alarms import Peaks, Standing
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_availability import LiveAvailability, message_rows
@@ -208,8 +209,10 @@ class LiveEstimate:
         self.evaluator.add_estimate(block, block.reading.dropped)
 
     def _receive(self, poses: StateColumns) -> None:
-        if self.availability is not None and poses.arrived is not None:
-            receptions = Receptions(poses.arrived, "node", None, poses.body_rates, poses.corrected)
+        times = poses.arrived
+        if self.availability is not None and times is not None:
+            poses, times = poses.picked(times != UNKNOWN), times[times != UNKNOWN]
+            receptions = Receptions(times, "node", None, poses.body_rates, poses.corrected)
             self.states_file.append_received(message_rows(poses.stamps, poses.states, receptions))
             rows = self._body.estimated(poses.states)
             self.availability.add_estimate(poses.stamps, rows, receptions)

@@ -57,7 +57,8 @@ class LiveRun:
         self.idle = ""  # why messages are dropped; empty while they are evaluated
         self.groundtruth_status = StreamStatus()
         self._gauge_is_default = gauge_is_default
-        self.states_file = StateWriter(folder / GROUNDTRUTH, {"source": sources[0].source})
+        about_groundtruth = {"source": sources[0].source, "name": sources[0].name}
+        self.states_file = StateWriter(folder / GROUNDTRUTH, about_groundtruth)
         self.finisher = Finisher(folder)  # writes result.json in another process
         self.on_groundtruth: Callable[[StateColumns], object] | None = None  # draws it
         self.news: list[Remark] = []  # remarks that are not published yet

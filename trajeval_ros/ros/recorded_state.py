@@ -24,7 +24,11 @@ from trajeval_ros.ros.poses import StreamStatus
 
 
 def write_states(run: LiveRun) -> None:
-    """Write the settings and counts that `trajeval finish` needs besides the states."""
+    """Write the settings and counts that `trajeval finish` needs besides the states.
+
+    What a full disk did not accept is written, too.
+    """
+    run.states_file.write()
     for each in run.estimates:
         each.states_file.tell(_recorded_state(run, each))
 

@@ -30,6 +30,8 @@ from trajeval_ros.io.live.live_folder import evaluate_folder
 from trajeval_ros.io.live.state_file import GROUNDTRUTH, StateWriter, read_states
 from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.requests.settings_table import settings_of
+from trajeval_ros.metrics.as_available import AvailabilityRule
+from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.pipeline.request import Request
 
 POSE = HandEye.of(np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.5, 0.6]))
@@ -220,7 +222,7 @@ def test_rows_that_are_no_states_are_counted(tmp_path: Path) -> None:
     truth[3, :3], estimate[5, :3], estimate[7, :3] = np.nan, np.nan, np.nan
     truth[9, 3:7] = np.inf  # of no length
     for name, rows, description in (
-        (GROUNDTRUTH, truth, {"source": "/truth"}),
+        (GROUNDTRUTH, truth, {"source": "/truth", "name": "truth"}),
         ("vio.states", estimate, DESCRIPTION),
     ):
         writer = StateWriter(tmp_path / name, description)
@@ -236,7 +238,7 @@ def test_rows_that_are_no_states_are_counted(tmp_path: Path) -> None:
 def test_identity_rotations_are_left_out_as_from_a_bag(tmp_path: Path) -> None:
     stamps, truth, _ = columns()
     truth[:, 3:7] = [0.0, 0.0, 0.0, 1.0]
-    writer = StateWriter(tmp_path / GROUNDTRUTH, {"source": "/truth"})
+    writer = StateWriter(tmp_path / GROUNDTRUTH, {"source": "/truth", "name": "truth"})
     writer.append(stamps, truth)
     writer.close()
     write_estimate(tmp_path / "vio.states")
@@ -252,3 +254,25 @@ def test_settings_of_finish_are_used_where_it_has_some(tmp_path: Path) -> None:
     path = tmp_path / "vio.states"
     recorded = read_states(path)
     assert dataclasses.replace(recorded, later=0).state["time_offset_s"] == 0.05
+
+
+@pytest.mark.parametrize("unknown", [0, 5, COUNT])
+def test_poses_of_an_unknown_reception_are_not_available(tmp_path: Path, unknown: int) -> None:
+    write_groundtruth(tmp_path)
+    stamps, _, estimate = columns()
+    arrived = stamps + STEP_NS // 5
+    arrived[:unknown] = UNKNOWN
+    writer = StateWriter(tmp_path / "vio.states", DESCRIPTION)
+    writer.append(stamps, estimate, arrived)
+    writer.tell(STATE)
+    writer.close()
+    request = Request(available=AvailabilityRule("hold"))
+    [found] = evaluate_folder(tmp_path, request).runs
+    assert found.available is not None
+    available = found.available.numbers
+    assert len(found.evaluation.association) == COUNT
+    if unknown == COUNT:
+        assert "no times of reception" in available.why_withheld
+        return
+    assert available.latency_s is not None
+    assert available.latency_s.max == pytest.approx(STEP_NS / 5e9)

@@ -133,10 +133,10 @@ def _of_states(
         truth, estimate = (dataclasses.replace(side, up=UpAxis(up)) for side, up in axes)
     if state["fixes"] is None and _is_received_in_order(groundtruth):
         truth = _received(truth, groundtruth)
+    if _is_received_in_order(recorded):
+        estimate = _received(estimate, recorded)
     if asked.available.is_asked_for:
         estimate = _with_receptions(estimate, recorded)
-    elif _is_received_in_order(recorded):
-        estimate = _received(estimate, recorded)
     if state["until_ns"] is not None:
         truth, estimate = _until(int(state["until_ns"]), truth, estimate, asked)
     live = dict(state["live"])
@@ -222,8 +222,9 @@ def _groundtruth(
     folder: Path, recorded: RecordedStates, counts: Mapping[str, Any], datum: object
 ) -> Trajectory:
     """Return the groundtruth of a run; its fixes are stored as in their messages."""
+    name = str(recorded.description["name"])
     if datum is None:
-        return _trajectory(recorded, counts, "groundtruth")
+        return _trajectory(recorded, counts, name)
     stamps, rows = read_fix_rows(folder)
     reading = _reading(recorded, counts)
     return trajectory_of_rows(
@@ -233,7 +234,7 @@ def _groundtruth(
         rows[:, 3:].astype(np.float64),
         reading,
         child_frame=str(counts["child_frame"]),
-        name="groundtruth",
+        name=name,
     )
 
 
@@ -283,14 +284,16 @@ def _up_axis(words: Mapping[str, str]) -> UpAxis:
 
 
 def _with_receptions(estimate: Trajectory, recorded: RecordedStates) -> Trajectory:
-    """Return an estimate with its receptions, or with the poses as received."""
+    """Return an estimate with the poses as received, where the reception is known."""
     if len(recorded.received):
         usable, _ = usable_rows(recorded.received["state"])
-        usable &= recorded.received["time"] != UNKNOWN
         received = received_poses(recorded.received[usable], estimate.up)
-        reading = dataclasses.replace(estimate.reading, as_received=received)
     else:
-        return _received(estimate, recorded)
+        usable, _ = usable_rows(recorded.states)
+        times = recorded.arrived[usable]
+        reading = Reading(receptions=Receptions(times, "node"))
+        received = dataclasses.replace(estimate, reading=reading)[times != UNKNOWN]
+    reading = dataclasses.replace(estimate.reading, as_received=received)
     return dataclasses.replace(estimate, reading=reading)
 
 
