@@ -106,6 +106,7 @@ class LiveEstimate:
         self.restarted_at: int | None = None  # timestamp of the first pair of the next run
         self._news: list[Event] = []  # events that are not published yet
         self._restarts: list[int] = []  # timestamps of first pairs after restarts
+        self._has_fixes = False  # whose noise hides steps, as in a recording
         self._declared: deque[int] = deque(maxlen=_MOST_RESETS)  # those of declared resets
         self.latency, self.thinned = Latency(), ThinnedRun()
         self.revised: RevisedPath | None = None  # the newest path, if the topic carries paths
@@ -194,14 +195,13 @@ class LiveEstimate:
         self.latency.arrive(poses.stamps + self.offset_ns, messages.times)
         self._add(poses.stamps, rows, poses.arrived)
 
-    def take_groundtruth(
-        self, block: Trajectory, rows: Floats, stamps: Stamps, arrived: Stamps | None
-    ) -> None:
-        """Take groundtruth states, of the evaluated body, at the next update."""
+    def take_groundtruth(self, block: Trajectory, rows: Floats, poses: StateColumns) -> None:
+        """Take groundtruth states, as a block and rows of the evaluated body, and as decoded."""
         self.evaluator.add_groundtruth(block, block.reading.dropped)
-        self.discontinuities.add(GROUNDTRUTH, stamps, rows, arrived)
+        self.discontinuities.add(GROUNDTRUTH, poses.stamps, rows, poses.arrived)
+        self._has_fixes |= poses.fixes is not None
         if self.availability is not None:
-            self.availability.add_groundtruth(stamps, rows)
+            self.availability.add_groundtruth(poses.stamps, rows)
 
     def _add(self, stamps: Stamps, rows: Floats, arrived: Stamps | None) -> None:
         self.discontinuities.add(ESTIMATE, stamps + self.offset_ns, rows, arrived)
@@ -256,7 +256,10 @@ class LiveEstimate:
             for event in self.discontinuities.examine(at_end=at_end)
             if not any(event.t_ns < stamp <= event.end_ns for stamp in self._declared)
         ]
-        self._news += events
+        if self._has_fixes:
+            self.discontinuities.events.clear()
+        else:
+            self._news += events
         self._restarts += [
             event.end_ns
             for event in events

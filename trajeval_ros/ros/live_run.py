@@ -259,7 +259,7 @@ class LiveRun:
         stamps, rows = messages.states.stamps, self.body.groundtruth(messages.states.states)
         block = trajectory(stamps, rows, self.groundtruth_up)
         for each in self.estimates:
-            each.take_groundtruth(block, rows, stamps, messages.states.arrived)
+            each.take_groundtruth(block, rows, messages.states)
 
     def _one_by_one(
         self,
