@@ -86,7 +86,7 @@ def test_the_next_run_continues_with_what_is_learned() -> None:
     following = search.continued()
     assert search.examine(at_end=True) == []
     for name, side in (("groundtruth", TRUTH), ("estimate", estimate)):
-        side = side[side.stamps >= int(TRUTH.stamps[0]) + 15 * NANOSECONDS]
+        side = side[side.stamps >= int(TRUTH.stamps[0]) + round(15.2 * NANOSECONDS)]
         following.add(name, side.stamps, rows_of(side), None)
         search.add(name, side.stamps, rows_of(side), None)
     assert [event.kind for event in following.examine()] == ["step"]
