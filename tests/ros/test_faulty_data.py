@@ -140,7 +140,7 @@ def heard(
         "holed": {**common, "groundtruth": HOLED, "estimates": [STEADY]},
     }
     folder = tmp_path_factory.mktemp("heard")
-    done = play_without_loss(bag, peer, environment, folder, nodes, rate=8.0)
+    done = play_without_loss(bag, peer, environment, folder, nodes, rate=4.0)
     peer.until(lambda: jumped(statuses(arrays)) >= {"good: vio_restarts"}, "a jump is told")
     diagnostics += statuses(arrays)
     return done
@@ -200,8 +200,7 @@ def test_stamps_that_step_back_are_told_and_sorted(
     assert any(
         "timestamps step back by 3.9 s" in each["text"] for each in live["estimate"].pop("remarks")
     )
-    # A live run sees the clock step by the times of arrival, which the recording does not use. The
-    # onset of the divergence that the step looks like is found in the order of arrival.
+    # Its size, and the onset of the divergence that it looks like, depend on the order of arrival.
     assert any(each["code"] == "clock_step" for each in live["remarks"])
     for run in (live, expected):
         del run["remarks"], run["diagnosis"]

@@ -40,7 +40,7 @@ ROWS = {
         STEPPED, STEADY, "step", "groundtruth", 0.5, "the groundtruth jumped by 0.",
     ),
     "clock_step": (
-        GOOD, CLOCK, "clock_step", "estimate", 0.5, "the estimate's clock stepped by +0.5",
+        GOOD, CLOCK, "clock_step", "estimate", 0.5, "the estimate's clock stepped by +0.",
     ),
 }  # fmt: skip
 
