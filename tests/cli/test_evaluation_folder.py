@@ -89,7 +89,7 @@ def test_files_that_cannot_be_computed_leave_everything_as_it_was(
         (folder / "stanford.png").write_text("old")
     before = names(folder) if exists else set()
 
-    def full(path: Path, outcome: Outcome) -> None:  # noqa: ARG001
+    def full(path: Path, outcome: Outcome, columns: object) -> None:  # noqa: ARG001
         path.write_bytes(b"half")
         raise OSError(28, "No space left on device")
 
