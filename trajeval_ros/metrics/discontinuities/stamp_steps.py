@@ -104,6 +104,11 @@ class StampSteps:
         return [self._corrected(message)], None
 
     @property
+    def _smallest_s(self) -> float:
+        """The smallest step, seconds; a replay enlarges the jitter of receive times."""
+        return SMALLEST_S * max(self._rate, 1.0)
+
+    @property
     def regular_count(self) -> int:
         """The number of messages until the usual step is determined again, at least 1."""
         return max(_USUAL_EVERY - 1 - self._count % _USUAL_EVERY, 1)
@@ -128,7 +133,7 @@ class StampSteps:
             before = self._received_s, self._replayed_s
             received = np.array(self._at_rate_one(received.tolist()))
             arrivals = np.diff(received, prepend=received_before)
-            if np.abs(steps - arrivals).max() > SMALLEST_S or arrivals.min() < 0.0:
+            if np.abs(steps - arrivals).max() > self._smallest_s or arrivals.min() < 0.0:
                 self._received_s, self._replayed_s = before
                 return False
             self._newest.extend(as_read)
@@ -159,13 +164,13 @@ class StampSteps:
     ) -> _Candidate | None:
         """Return a step that may begin: the stamp is irregular and the arrival regular."""
         size_s = None
-        if step_s < -max(2.0 * usual_s, SMALLEST_S):
+        if step_s < -max(2.0 * usual_s, self._smallest_s):
             size_s = step_s - (usual_s if arrival_s is None else arrival_s)
         elif arrival_s is not None:
             more_s = step_s - arrival_s
             is_irregular = abs(step_s - usual_s) > 0.6 * abs(more_s)
             arrives = abs(arrival_s - usual_s) < 0.5 * abs(more_s)
-            if abs(more_s) > SMALLEST_S and is_irregular and arrives:
+            if abs(more_s) > self._smallest_s and is_irregular and arrives:
                 leads = list(self._leads)[-40:]
                 changes = [abs(b - a) for a, b in itertools.pairwise(leads)]
                 if len(changes) < 8 or abs(more_s) > 6.0 * _median(changes):
