@@ -197,12 +197,15 @@ audit: $(AUDIT)/.installed ## Look locked packages up in PyPI's database of know
 COMPILE = $(LOCK)/bin/uv pip compile --universal --python-version 3.10 --upgrade --quiet \
 	--no-header --no-annotate --no-emit-index-url
 
-lock: $(LOCK)/.installed ## Renew constraints.txt and constraints-ros.txt with the newest releases.
+lock: $(LOCK)/.installed ## Renew the constraints and the requirements of a release.
 	$(COMPILE) --extra dev \
 		--output-file constraints.txt pyproject.toml .ci/colcon-requirements.txt \
 		.ci/site-requirements.txt
 	$(COMPILE) --extra ros --extra plot --extra test --constraint constraints-jazzy.txt \
 		--output-file constraints-ros.txt pyproject.toml .ci/rerun-requirements.txt
+	printf 'build\nsetuptools==79.0.1\ntwine\n' | $(LOCK)/bin/uv pip compile --python-platform linux \
+		--python-version 3.11 --generate-hashes --upgrade --quiet --no-header --no-annotate \
+		--no-emit-index-url --output-file .ci/release-requirements.txt -
 	rm -rf trajeval_ros.egg-info
 
 colcon-environment: $(COLCON)/.installed

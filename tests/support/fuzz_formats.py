@@ -34,6 +34,7 @@ from fuzz_changes import (
 )
 from fuzz_hostile import make_hostile
 from fuzz_more_formats import MORE_FORMATS
+from fuzz_text import TEXT_FORMATS
 from gate_tables import made_table
 from mcap.records import Channel, Schema
 from mcap_layouts import Layout, Part, record
@@ -412,4 +413,5 @@ FORMATS: dict[str, Make] = {
     "records": make_records,
     "hostile": make_hostile,
     **MORE_FORMATS,
+    **TEXT_FORMATS,
 }
