@@ -86,6 +86,14 @@ def test_other_settings_are_refused(folder: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_split_and_whole_errors_are_not_mixed(folder: Path, tmp_path: Path) -> None:
+    truth = write_run(tmp_path / "truth.txt")
+    evaluate(truth, write_run(tmp_path / "a.txt", 1.01), tmp_path / "a", "--on-restart", "split")
+    with pytest.raises(InputError, match=r"on_restart whole, and .* with on_restart split"):
+        FinishedResults([str(folder / "vio_hall"), str(tmp_path / "a")])
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("more", "message"),
     [

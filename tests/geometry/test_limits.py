@@ -24,8 +24,6 @@ from trajeval_ros.geometry.stamp_trust import trusted_states
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.trajectory_edits import TimeSpan
 from trajeval_ros.geometry.travelled import (
-    StepDifferences,
-    cause_of_jumps,
     speeds,
     step_angles,
     step_lengths,
@@ -83,33 +81,6 @@ def test_lengths_and_angles_along_a_path() -> None:
     assert angular is not None
     np.testing.assert_allclose(angular, [0.25, 0.3, 1.5], atol=1e-12)
     assert speeds(stamps, positions, None)[1] is None
-
-
-def test_jumps_are_steps_that_only_the_estimate_has() -> None:
-    truth = np.array([[0.0, 0, 0], [1, 0, 0], [4, 0, 0], [4, 0, 0]])
-    estimate = 2.0 * np.array([[0.0, 0, 0], [0, 2.5, 0], [0, 2.5, 1], [0, 2.5, 1]])
-    turns = Rotation.from_rotvec(np.outer([0, 1, 1, 1], [0.0, 0, 0.5])).as_quat()
-    other = Rotation.from_rotvec(np.outer([0, 1, 0, 1], [0.0, 0, 0.7])).as_quat()
-    found = StepDifferences.between(truth, estimate, turns, other, 0.5)
-    np.testing.assert_allclose(found.true_m, [1, 3, 0])
-    np.testing.assert_allclose(found.position_m, [1.5, 2, 0])
-    np.testing.assert_allclose(found.rotation_deg, np.degrees([0.2, 0.7, 0.7]), atol=1e-9)
-    assert not StepDifferences.between(truth, estimate, None, other, 0.5).rotation_deg.any()
-    # Limits of position are the true step, 1 m, and ten typical differences.
-    assert found.jumps(0.0, 10.0).tolist() == [0]
-    assert found.jumps(0.149, 10.0).tolist() == [0]
-    assert found.jumps(0.151, 10.0).tolist() == []
-    # Limits of rotation are 30 deg and ten typical differences.
-    assert found.jumps(10.0, 0.0).tolist() == [1, 2]
-    assert found.jumps(10.0, 4.0).tolist() == [1, 2]
-    assert found.jumps(10.0, 4.02).tolist() == []
-    small = dataclasses.replace(
-        found, true_m=np.zeros(3), position_m=np.array([0.99, 1.0, 1.01]),
-        rotation_deg=np.array([29.0, 30.0, 30.1]),
-    )  # fmt: skip
-    assert small.jumps(0.0, 0.0).tolist() == [2]
-    assert "restart" in cause_of_jumps(3)
-    assert "tracking" in cause_of_jumps(4)
 
 
 def test_stamps_are_bracketed_by_states() -> None:

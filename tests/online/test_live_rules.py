@@ -1,4 +1,4 @@
-"""Rules of the live evaluation at their limits: jumps, counts, clocks, open starts, levers."""
+"""Rules of the live evaluation at their limits: counts, clocks, open starts, levers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ from trajeval_ros.metrics.tracking_loss import DIVERGED, FROZEN, Loss
 from trajeval_ros.online import live_relative_errors
 from trajeval_ros.online.alarms import AlarmLimits, about_loss, alarm_below
 from trajeval_ros.online.evaluator import OnlineEvaluator
-from trajeval_ros.online.jump_detector import JumpDetector
 from trajeval_ros.online.live_frames import LiveFrames, body_rows, marker_rows
 from trajeval_ros.online.live_relative_errors import RelativeTracker, RunningErrors
 from trajeval_ros.online.live_settings import OnlineSettings
@@ -37,87 +36,6 @@ from trajeval_ros.online.window import PairStore
 Array = NDArray[Any]
 SECOND = 10**9
 ARM = HandEye.of(np.array([0.3, -0.2, 0.5]), np.array([0.4, -0.1, 0.2]))
-
-
-class Walk:
-    """Steps of half a metre whose lengths in the estimate differ by given amounts."""
-
-    def __init__(self) -> None:
-        self.detector = JumpDetector()
-        self.row, self.along = 0, 0.0
-        self.step([0.0])
-
-    def step(self, differences: list[float]) -> list[int]:
-        """Take pairs after such steps; return the rows of jumps in this batch."""
-        count = len(differences)
-        truth, along = np.zeros((2, count, 3))
-        truth[:, 0] = 0.5 * (self.row + np.arange(count))
-        along[:, 0] = self.along + np.cumsum(0.5 + np.array(differences))
-        stamps = self.row + np.arange(count, dtype=np.int64)
-        found = self.detector.update(Pairs(stamps, states(truth), states(along)), 1.0)
-        jumps = [each.stamp - self.row for each in found]
-        self.row, self.along = self.row + count, along[-1, 0]
-        return jumps
-
-
-@pytest.mark.parametrize(
-    ("batches", "typical_m"),
-    [
-        ([[0.2] * 100, [0.4] * 100], 0.3),  # the mean of all
-        ([[0.1], [0.2, 0.3, 0.4, 0.5]], 0.3),
-        ([[0.4] * 400, [0.1] * 100], 0.4 - 0.3 * 100 / 300),  # 200 steps are remembered
-        ([[0.4] * 200, [0.4] * 200, [0.1] * 100], 0.4 - 0.3 * 100 / 300),
-        ([[0.4] * 150, [0.1] * 50], 0.4 - 0.3 * 50 / 200),
-    ],
-)
-def test_usual_steps_are_the_mean_of_the_newest(
-    batches: list[list[float]], typical_m: float
-) -> None:
-    for factor, jumps in ((9.99, []), (10.01, [0])):
-        walk = Walk()
-        assert [walk.step(each) for each in batches] == [[]] * len(batches)
-        assert walk.step([factor * typical_m]) == jumps
-
-
-def test_a_jump_is_not_learned() -> None:
-    walk = Walk()
-    walk.step([0.2] * 10)
-    assert walk.step([0.2, 5.0, 0.2]) == [1]
-    assert walk.step([2.02]) == [0]
-    assert walk.step([1.98]) == []
-
-
-def test_of_jumps_in_a_row_the_first_two_are_told() -> None:
-    assert Walk().step([9.0] * 4 + [0.0] + [9.0] * 2 + [0.0] * 2 + [9.0] * 3) == [
-        0,
-        1,
-        5,
-        6,
-        9,
-        10,
-    ]
-    walk = Walk()
-    assert [walk.step([9.0]) for _ in range(4)] == [[0], [0], [], []]
-    assert [walk.step([each]) for each in (0.0, 500.0, 500.0, 500.0)] == [[], [0], [0], []]
-
-
-def test_the_step_after_a_pause_is_skipped() -> None:
-    walk = Walk()
-    walk.step([0.0])
-    walk.detector.skip()
-    assert walk.step([50.0, 0.0]) == []
-    assert walk.step([50.0]) == [0]
-
-
-def test_resets_are_declared_for_the_step_that_they_end_in() -> None:
-    walk = Walk()
-    walk.detector.declare([0])  # before the first step
-    assert walk.step([0.0, 0.0]) == []
-    walk.detector.declare([4, 4, 7])
-    assert walk.step([0.0, 0.0, 0.0]) == [1]  # row 4
-    assert walk.step([0.0]) == []
-    assert walk.step([0.0, 0.0]) == [0]  # row 7
-    assert walk.step([0.0, 0.0]) == []
 
 
 def test_counts_of_events_come_after_spans_that_double_up_to_an_hour() -> None:

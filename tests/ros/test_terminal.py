@@ -1,11 +1,10 @@
-"""The status line and the causes of jumps."""
+"""The status line."""
 
 from __future__ import annotations
 
 import pytest
 
 from trajeval_ros import simulate
-from trajeval_ros.geometry.travelled import MOST_RESTARTS, cause_of_jumps
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.ros.terminal import summary
@@ -27,8 +26,3 @@ def test_an_old_error_is_not_shown_as_the_present_one(unpaired_s: float, expecte
     assert expected in line
     assert ("now" in line) == (unpaired_s < 1.0)
     assert line.startswith(f"vio: {snapshot.pairs} pairs, ATE ")
-
-
-def test_many_jumps_are_no_restarts() -> None:
-    assert "restart" in cause_of_jumps(MOST_RESTARTS)
-    assert "tracking was probably lost" in cause_of_jumps(MOST_RESTARTS + 1)

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from trajeval_ros.diagnosis.causes import CAUSES, DISCONTINUITIES, cause_name
-from trajeval_ros.diagnosis.findings import Diagnosis, Examined, Seen, Value
+from trajeval_ros.diagnosis.findings import Diagnosis, Examined, Finding, Seen, Value
 from trajeval_ros.formatting.numbers import counted, four_digits
 from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
@@ -109,10 +109,39 @@ def about_small_discontinuities(evaluation: Evaluation, known: Diagnosis) -> Ite
     rest = [group for group in groups if not (has_times and _is_cause(group, evaluation))]
     if rest:
         first_ns = int(evaluation.groundtruth.stamps.min()) if has_times else None
-        text = "; ".join(_counted(group, first_ns) for group in rest)
-        if any(group[0].side == kinds.UNDECIDED for group in rest):
-            text += "; compare with a second source"
-        yield note("discontinuities", text)
+        events = [event for group in rest for event in group]
+        yield note("discontinuities", summary_of(events, first_ns))
+
+
+def sentence_about(event: Event, first_ns: int = 0) -> str:
+    """Return the sentence about one discontinuity, with times since `first_ns`.
+
+    That of a frozen part has its begin alone, since it lasts.
+    """
+    if event.kind in kinds.FREEZES:
+        part = event.kind.removeprefix("frozen_")
+        other, motion = kinds.SIDES[event.side == kinds.GROUNDTRUTH], f"moves {event.m:.2f} m"
+        if event.kind == kinds.FROZEN_ROTATION:
+            motion = f"rotates by {event.deg:.0f} deg"
+        since_s = (event.t_ns - first_ns) / NANOSECONDS
+        return (
+            f"the {part} of the {event.side} is frozen since {since_s:.1f} s, while the {other} "
+            f"{motion}"
+        )
+    seen = _seen([event], (), first_ns)
+    if seen.cause in DISCONTINUITIES:
+        return Finding.of(seen).sentence
+    return summary_of([event], first_ns)
+
+
+def summary_of(events: Sequence[Event], first_ns: int | None = 0) -> str:
+    """Return the numbers of discontinuities by kind and side, with times since `first_ns`.
+
+    It is None if the poses have no timestamps.
+    """
+    text = "; ".join(_counted(group, first_ns) for group in _grouped(events))
+    undecided = any(event.side == kinds.UNDECIDED for event in events)
+    return text + ("; compare with a second source" if undecided else "")
 
 
 def _unexplained(evaluation: Evaluation, known: Diagnosis) -> list[Event]:

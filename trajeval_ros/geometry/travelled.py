@@ -1,18 +1,11 @@
-"""Distances and angles along a path, and jumps of one path against another."""
+"""Distances and angles along a path, and speeds."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats, Indices, Stamps
-
-MOST_RESTARTS = 3  # more jumps are not restarts
-LEAST_JUMP_M = 1.0
-LEAST_JUMP_DEG = 30.0
-_TIMES_TYPICAL = 10.0
+from trajeval_ros.geometry.arrays import Floats, Stamps
 
 
 def travelled_distance(positions: Floats) -> Floats:
@@ -49,64 +42,6 @@ def _accumulated(count: int, steps: Floats) -> Floats:
     sums = np.zeros(count)
     np.cumsum(steps, out=sums[1:])
     return sums
-
-
-@dataclass(frozen=True, eq=False)
-class StepDifferences:
-    """Differences of the steps of estimate and groundtruth, N steps of N + 1 pairs.
-
-    Lengths and angles of steps do not depend on the alignment or on a constant rotation between
-    the bodies.
-    """
-
-    true_m: Floats  # (N,) distances moved by the groundtruth, metres
-    estimate_m: Floats  # (N,) distances moved by the estimate, metres
-    position_m: Floats  # (N,) differences of the distances moved, metres
-    rotation_deg: Floats  # (N,) differences of the rotation angles, deg; zeros without rotations
-
-    @classmethod
-    def between(
-        cls,
-        groundtruth_positions: Floats,
-        positions: Floats,
-        groundtruth_quaternions: Floats | None,
-        quaternions: Floats | None,
-        scale: float,
-    ) -> StepDifferences:
-        """Compare the steps of pairs of states, (N + 1, 3) and (N + 1, 4) xyzw.
-
-        `groundtruth_quaternions`: of the groundtruth; None without rotations. `quaternions`: of
-        the estimate; None without rotations. `scale`: metres per unit of the estimate's positions.
-        """
-        true_m = step_lengths(groundtruth_positions)
-        estimate_m = scale * step_lengths(positions)
-        position_m = np.abs(true_m - estimate_m)
-        rotation_deg = np.zeros(len(true_m))
-        if groundtruth_quaternions is not None and quaternions is not None:
-            turned = step_angles(groundtruth_quaternions) - step_angles(quaternions)
-            rotation_deg = np.degrees(np.abs(turned))
-        return cls(true_m, estimate_m, position_m, rotation_deg)
-
-    def jumps(self, typical_m: float, typical_deg: float) -> Indices:
-        """Return the indices of steps that are not a motion of the robot.
-
-        `typical_m`: typical difference of the distances moved, metres. `typical_deg`: typical
-        difference of the rotation angles, deg.
-        """
-        # Distance and drift are large across a gap of the estimate.
-        limit_m = np.maximum(self.true_m, max(LEAST_JUMP_M, _TIMES_TYPICAL * typical_m))
-        limit_deg = max(LEAST_JUMP_DEG, _TIMES_TYPICAL * typical_deg)
-        found: Indices = np.flatnonzero(
-            (self.position_m > limit_m) | (self.rotation_deg > limit_deg)
-        )
-        return found
-
-
-def cause_of_jumps(number: int) -> str:
-    """Return the probable cause of a number of jumps, for a message."""
-    if number <= MOST_RESTARTS:
-        return "probably a restart with a new origin"
-    return "tracking was probably lost"
 
 
 def speeds(

@@ -15,7 +15,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Level, Remark, warning
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.travelled import StepDifferences, step_lengths
+from trajeval_ros.geometry.travelled import step_lengths
 from trajeval_ros.geometry.up_axis import ASSUMED
 from trajeval_ros.metrics.absolute_errors import AbsoluteErrors
 from trajeval_ros.metrics.moments import Moments
@@ -122,14 +122,15 @@ def _about_mixed_publishers(evaluation: Evaluation) -> Iterator[Remark]:
     groundtruth, estimate = evaluation.association.groundtruth, evaluation.association.estimate
     scale = evaluation.alignment.similarity.scale
     true, own = groundtruth.positions, estimate.positions
-    turned = groundtruth.quaternions, estimate.quaternions
-    steps = StepDifferences.between(true, own, *turned, scale)
-    if not len(steps.true_m):
+    if len(true) < 2:
         return
-    back_m, second = median(steps.position_m), (true[::2], own[::2], None, None, scale)
-    if back_m > median(steps.true_m) and (
-        median(StepDifferences.between(*second).position_m) < _BACK * back_m
-    ):
+
+    def apart_m(every: int) -> float:
+        lengths = step_lengths(true[::every]), step_lengths(own[::every])
+        return median(np.abs(lengths[0] - scale * lengths[1]))
+
+    back_m = apart_m(1)
+    if back_m > median(step_lengths(true)) and apart_m(2) < _BACK * back_m:
         yield warning(
             "mixed_publishers",
             f"every other pose of the estimate is {back_m:.2g} m away, and the next one is back: "

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from trajeval_ros.diagnosis.discontinuities import sentence_about
 from trajeval_ros.formatting.numbers import with_unit
 from trajeval_ros.formatting.remarks import Remark, warning
 from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.discontinuities.events import Event
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
 
@@ -45,24 +47,25 @@ def about_clock_offset(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]
 
 def about_clock_faults(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
     """Yield the warnings of a clock that stepped, and of clocks that have nothing in common."""
-    step = estimate.source.stream.clock_steps.found
+    step = estimate.clock_step
     if step is None:
-        yield from _about_different_clocks(run, estimate)
-        return
-    source = run.groundtruth if step.of_groundtruth else estimate.source
-    way = "forward" if step.step_s > 0.0 else "back"
-    yield warning(
-        "clock",
-        f"the clock of {source.source} stepped {way} by {abs(step.step_s):.1f} s at "
-        f"{step.stamp / NANOSECONDS:.3f} s, and the other clock did not: later poses are paired "
-        "with those of another time; synchronise the clocks, then call ~/reset",
-        "step",
-        {"step_s": step.step_s, "stamp_ns": step.stamp},
+        yield from about_different_clocks(run, estimate)
+    else:
+        yield about_clock_step(step)
+
+
+def about_clock_step(step: Event) -> Remark:
+    """Return the warning of a step of one clock."""
+    said = (
+        f"{sentence_about(step)}: later poses are paired with those of another time; synchronise "
+        "the clocks, then call ~/reset"
     )
+    return warning(step.kind, said, step.side, {"step_s": step.s, "stamp_ns": step.end_ns})
 
 
-def _about_different_clocks(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
-    apart_s = estimate.source.stream.clock_steps.apart_s
+def about_different_clocks(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
+    """Yield the warning of clocks that have nothing in common."""
+    apart_s = estimate.source.stream.clocks.apart_s
     has_clock = estimate.evaluator.pairs and estimate.clock.report.offset_s is not None
     if apart_s is None or has_clock:
         return

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from trajeval_ros.formatting.numbers import counted, whole_percent, with_unit
 from trajeval_ros.formatting.remarks import Level, Remark, most_severe_first, warning
-from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.geometry.travelled import MOST_RESTARTS, cause_of_jumps
 from trajeval_ros.geometry.valid_poses import (
     MOST_UNUSABLE,
     NO_STATE,
@@ -28,9 +26,9 @@ from trajeval_ros.online.alarms import (
     alarms,
 )
 from trajeval_ros.online.error_topics import status_values, stream_values
-from trajeval_ros.online.jump_detector import Jump
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.ros.clock_remarks import about_clock_faults, about_clock_offset, sync_risk_m
+from trajeval_ros.ros.event_remarks import SUMMARY, about_frozen, about_steps
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_outputs import LiveOutputs
 from trajeval_ros.ros.live_run import LiveRun
@@ -92,41 +90,25 @@ def remarks_about(
     Peaks are the largest values since the last status. Limits are by name of the quantity.
     """
     faults = list(about_clock_faults(run, estimate))
+    frozen = [*about_frozen(estimate, snapshot)]
     return [
         *_about_data(run, estimate),
         *_about_coverage(snapshot, limits["coverage"]),
         *_about_rate(estimate, limits["rate_hz"]),
-        # Clocks that differ measure no delay.
+        # Clocks that differ measure no delay, and pair poses of different times.
         *([] if faults else _about_lateness(run, estimate)),
         *([] if estimate.availability is None else estimate.availability.remarks),
-        *about_loss(snapshot),
+        *([] if faults else about_loss(snapshot)),
         *alarms(peaks, limits),
         *about_integrity(snapshot),
         *_about_start(run),
         *faults,
-        *about_clock_offset(run, estimate),
-        *_about_run(run, estimate, snapshot),
+        # A clock that stepped, and a frozen side, look like other mistakes.
+        *([] if faults else about_clock_offset(run, estimate)),
+        *([] if faults else about_steps(estimate)),
+        *frozen,
+        *_about_run(run, estimate, snapshot, has_hints=not (faults or frozen or snapshot.loss)),
     ]
-
-
-def about_jump(estimate: LiveEstimate, jump: Jump) -> Remark:
-    """Return the remark about a jump of an estimate."""
-    cause = cause_of_jumps(estimate.jumps.count)
-    if estimate.jumps.count <= MOST_RESTARTS:
-        cause += (
-            ", which one alignment can't fit; to start a new run, call ~/reset or set on_restart"
-        )
-    if jump.declared:
-        cause = "the estimator declares a reset; to start a new run there, set on_restart"
-    elif estimate.source.stream.clock_steps.found is not None:
-        cause = "a clock stepped, so poses are paired with those of another time"
-    said = (
-        f"{estimate.name} jumps by {jump.position_m:.2f} m and {jump.rotation_deg:.0f} deg at "
-        f"{jump.stamp / NANOSECONDS:.3f} s: {cause}"
-    )
-    steps = {"position_m": jump.position_m, "rotation_deg": jump.rotation_deg}
-    values = {"stamp_ns": jump.stamp, **steps, "declared": jump.declared}
-    return warning("restart" if jump.declared else "jump", said, values=values)
 
 
 def _about_data(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
@@ -238,15 +220,17 @@ def _about_start(run: LiveRun) -> Iterator[Remark]:
         yield warning("hint", said, "hand_eye")
 
 
-def _about_run(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> Iterator[Remark]:
+def _about_run(
+    run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot, *, has_hints: bool
+) -> Iterator[Remark]:
     if snapshot.warming_up:
         yield Remark(Level.NOTE, "alignment", "warming up")
     elif snapshot.alignment is not None and snapshot.alignment.freedom is not None:
         misleading = snapshot.alignment.freedom.misleading
         is_early = estimate.thinned.span_s < FIRST_HINTS_S  # the first errors rotate a short path
-        if misleading and snapshot.loss is None and not is_early:
+        if misleading and has_hints and not is_early:
             yield warning("hint", misleading, "alignment")
-    if not run.holds:
+    if has_hints and not run.holds:
         yield from estimate.slow.hints
     if snapshot.why_not_consistency and not snapshot.warming_up:
         why, _, advice = snapshot.why_not_consistency.partition("; ")
@@ -257,10 +241,6 @@ def _about_run(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> Iter
         yield snapshot.about_yaw
     if doubt := snapshot.doubts.reasons.get(Premise.UP_AXIS):
         yield warning("hint", doubt.replace("--up=", "up:="), "up")
-    stepped = estimate.source.stream.clock_steps.found is not None
-    if estimate.jumps.count and snapshot.loss is None and not stepped:
-        said = f"{counted(estimate.jumps.count, 'jump')}, {cause_of_jumps(estimate.jumps.count)}"
-        yield warning("jump", said, "count")
     lost = run.groundtruth.lost + estimate.source.lost
     if lost:
         yield warning("loss", f"{counted(lost, 'message')} lost")
@@ -377,8 +357,8 @@ class StatusReports:
 
         They are added to `news`, unless their text was logged.
         """
-        # Every jump was published as an event.
-        told = estimate.standing.renew(each for each in remarks if each.code != "jump")
+        # Every discontinuity was published as an event.
+        told = estimate.standing.renew(each for each in remarks if each.subject != SUMMARY)
         for each in told:
             if self._events.publish(estimate.name, each) and each.text not in logged:
                 news.setdefault((each.level, each.text), []).append(estimate.name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import replace
@@ -14,6 +15,7 @@ import numpy as np
 from trajeval_ros.consistency.s_transformation import unknown_covariances
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.vertical_axis import up_axis_doubt
 from trajeval_ros.io.live.state_file import (
@@ -24,14 +26,21 @@ from trajeval_ros.io.live.state_file import (
 )
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH
+from trajeval_ros.metrics.discontinuities.events import (
+    DECLARED,
+    ESTIMATE,
+    GROUNDTRUTH,
+    PARTING,
+    RESTART,
+    Event,
+)
 from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.alarms import Peaks, Standing
 from trajeval_ros.online.evaluator import OnlineEvaluator
-from trajeval_ros.online.jump_detector import Jump, JumpDetector
 from trajeval_ros.online.live_availability import LiveAvailability, message_rows
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
+from trajeval_ros.online.live_discontinuities import LiveDiscontinuities
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.reports import Snapshot, Update, united
 from trajeval_ros.online.state_rows import (
     COVARIANCE,
@@ -46,6 +55,8 @@ from trajeval_ros.ros.pose_source import PoseSource
 from trajeval_ros.ros.poses import StateColumns, StreamStatus
 from trajeval_ros.ros.slow_evaluation import SlowEvaluation
 from trajeval_ros.ros.timing import Latency
+
+_MOST_RESETS = 100  # newest declared resets
 
 
 class DecodedMessages(NamedTuple):
@@ -89,9 +100,14 @@ class LiveEstimate:
         self.until_ns: int | None = None  # border to the next run, by the groundtruth's clock
         self._newest_path: StateColumns | None = None  # as in its message
         self.evaluator = OnlineEvaluator(settings)
-        self.jumps, self._found_jumps = JumpDetector(), list[Jump]()
-        self.ends_at_jump = False  # whether the run ends at the first jump
-        self.restarted_at: int | None = None  # timestamp of the first pair after that jump
+        self.discontinuities = LiveDiscontinuities()
+        self.stepped: Event | None = None  # the step of a clock with which the run began
+        self.ends_at_restart = False  # whether the run ends where the estimate restarts
+        self.restarted_at: int | None = None  # timestamp of the first pair of the next run
+        self._news: list[Event] = []  # events that are not published yet
+        self._restarts: list[int] = []  # timestamps of first pairs after restarts
+        self._has_fixes = False  # whose noise hides steps, as in a recording
+        self._declared: deque[int] = deque(maxlen=_MOST_RESETS)  # those of declared resets
         self.latency, self.thinned = Latency(), ThinnedRun()
         self.revised: RevisedPath | None = None  # the newest path, if the topic carries paths
         self.on_pairs: Callable[[LiveEstimate, Pairs], object] | None = None  # draws them
@@ -114,8 +130,9 @@ class LiveEstimate:
 
     def continue_after(self, before: LiveEstimate) -> None:
         """Take what the previous run received and did not use, and what it knows."""
-        self.jumps, self.clock = before.jumps, before.clock  # the usual step size, and the offset
-        self._found_jumps, before._found_jumps = before._found_jumps, []
+        self.discontinuities, self.clock = before.discontinuities.continued(), before.clock
+        self._news, before._news = before._news, []
+        self._restarts = [stamp for stamp in before._restarts if stamp != before.restarted_at]
         self.evaluator.frames = copy(before.evaluator.frames)
         before.until_ns = self.evaluator.continue_after(before.evaluator)
         taken = self.evaluator.buffer.estimate.stamps - before.offset_ns
@@ -166,18 +183,28 @@ class LiveEstimate:
             self.source.stream.count_new(first, int(messages.times[0]))
             newest = poses.picked(poses.stamps.argsort(kind="stable")[-1:])
             self._receive(newest._replace(arrived=messages.times[: len(newest.stamps)]))
-            self._add(poses.stamps[new], rows[new])
+            self._add(poses.stamps[new], rows[new], None)
             return
         if len(poses.stamps):
             self._newest = int(poses.stamps[-1]), poses.states[-1:]
         resets, self.source.stream.resets = self.source.stream.resets, []
-        self.jumps.declare(each + self.offset_ns for each in resets)
+        for stamp in resets:
+            self._declare(stamp + self.offset_ns)
         if self.availability is not None:
             self._receive(self.source.stream.as_received(poses))
         self.latency.arrive(poses.stamps + self.offset_ns, messages.times)
-        self._add(poses.stamps, rows)
+        self._add(poses.stamps, rows, poses.arrived)
 
-    def _add(self, stamps: Stamps, rows: Floats) -> None:
+    def take_groundtruth(self, block: Trajectory, rows: Floats, poses: StateColumns) -> None:
+        """Take groundtruth states, as a block and rows of the evaluated body, and as decoded."""
+        self.evaluator.add_groundtruth(block, block.reading.dropped)
+        self.discontinuities.add(GROUNDTRUTH, poses.stamps, rows, poses.arrived)
+        self._has_fixes |= poses.fixes is not None
+        if self.availability is not None:
+            self.availability.add_groundtruth(poses.stamps, rows)
+
+    def _add(self, stamps: Stamps, rows: Floats, arrived: Stamps | None) -> None:
+        self.discontinuities.add(ESTIMATE, stamps + self.offset_ns, rows, arrived)
         block = trajectory(stamps, rows, self.up)
         self.evaluator.add_estimate(block, block.reading.dropped)
 
@@ -191,13 +218,15 @@ class LiveEstimate:
             self.availability.add_estimate(poses.stamps, rows, receptions)
 
     def evaluate(self, *, at_end: bool = False) -> None:
-        """Evaluate the pairs that are possible now, up to a jump that ends the run."""
+        """Evaluate the pairs that are possible now, up to a restart that ends the run."""
         if self.restarted_at is not None and not at_end:
             return  # what waits belongs to the next run, which takes it before the end
-        pairs = self.evaluator.made(at_end=at_end)
-        if self.ends_at_jump and pairs is not None:
-            pairs = self._until_jump(pairs)
-        self.evaluator.buffer.settle(self.restarted_at)
+        pairs, border = self.evaluator.made(at_end=at_end), None
+        if self.ends_at_restart and not at_end:
+            border = self._border()
+        if pairs is not None and border is not None:
+            pairs = pairs.part(slice(int(pairs.stamps.searchsorted(border))))
+        self.evaluator.buffer.settle(border)
         if pairs is not None and len(pairs):
             self._paired_at = time.monotonic()
             narrow = pairs.rows.without_covariances()
@@ -217,22 +246,46 @@ class LiveEstimate:
         updates, self._updates = self._updates, []
         return united(updates)
 
-    def _until_jump(self, pairs: PairedStates) -> PairedStates:
-        narrow, detector = pairs.rows.without_covariances(), copy(self.jumps)
-        found = detector.update(narrow, self._scale)
-        if not found:
-            self.jumps = detector
-            return pairs
-        self.restarted_at = found[0].stamp
-        row = int(pairs.stamps.searchsorted(self.restarted_at))
-        self._found_jumps = self.jumps.update(narrow.picked(slice(row + 1)), self._scale)
-        self.jumps.count = 0  # a run contains no jump
-        return pairs.part(slice(row))
+    def examine(self, *, at_end: bool = False) -> None:
+        """Search the states since the last call for discontinuities.
+
+        `at_end`: no states will follow.
+        """
+        events = [
+            event
+            for event in self.discontinuities.examine(at_end=at_end)
+            if not any(event.t_ns < stamp <= event.end_ns for stamp in self._declared)
+        ]
+        if self._has_fixes:
+            self.discontinuities.events.clear()
+        else:
+            self._news += events
+        self._restarts += [
+            event.end_ns
+            for event in events
+            if event.kind in PARTING and event.side != GROUNDTRUTH and event.is_large
+        ]
 
     @property
-    def _scale(self) -> float:
-        alignment = self.evaluator.alignment
-        return 1.0 if alignment is None else alignment.similarity.scale
+    def clock_step(self) -> Event | None:
+        """The newest step of one clock; None if the clocks agree as at the start."""
+        return self.discontinuities.clock_step() or self.stepped
+
+    def _declare(self, stamp: int) -> None:
+        """Take a reset that the estimator declares, by the timestamp of the first pose after."""
+        self._declared.append(stamp)
+        self._restarts.append(stamp)
+        self._news.append(Event(RESTART, ESTIMATE, stamp, stamp, certainty=DECLARED))
+
+    def _border(self) -> int:
+        """Return the timestamp up to which pairs belong to this run; it may end there."""
+        self.examine()
+        newest = self.evaluator.buffer.newest
+        settled = self.discontinuities.settled_until(newest) + 1
+        restarts = [stamp for stamp in self._restarts if stamp <= newest]
+        if restarts and min(restarts) <= settled:
+            self.restarted_at = min(restarts)
+        return settled if self.restarted_at is None else self.restarted_at
 
     def snapshot(self) -> Snapshot:
         """Return the state of the evaluation, without what is withheld."""
@@ -242,21 +295,22 @@ class LiveEstimate:
             self.evaluator.up_axis_doubt = up_axis_doubt(trajectory(stamps, groundtruth, up))
         return self.evaluator.snapshot()
 
-    def digest(self) -> list[Jump]:
-        """Add the pairs since the last call to thinned and revision; return their jumps.
+    def digest(self) -> list[Event]:
+        """Add the pairs since the last call to thinned and revision; return new events.
 
-        Jumps of an estimate that has lost track are no restarts, and are left out.
-        This is separate from `update`, since a few calls per second are enough.
+        Events of an estimate that has lost track are left out. This is separate from `update`,
+        since a few calls per second are enough.
         """
         if self._undigested:
             pairs, self._undigested = Pairs.in_order(self._undigested), []
-            if not self.ends_at_jump:
-                self._found_jumps += self.jumps.update(pairs, self._scale)
             self.thinned.add(pairs)
             if self.revised is not None:  # by the estimate's own clock
                 self.revised.record(pairs._replace(stamps=pairs.stamps - self.offset_ns))
-        found, self._found_jumps = self._found_jumps, []
-        return found if self.evaluator.tracking.present is None else []
+        self.examine()
+        news, self._news = self._news, []
+        if self.evaluator.tracking.present is None:
+            return news
+        return [event for event in news if event.side != ESTIMATE]
 
     def renew_slow(self, groundtruth_body: str) -> bool:
         """Run the slow evaluation; return whether the newest path has been evaluated.

@@ -18,6 +18,7 @@ from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.live.fix_file import FixWriter, read_fix_rows
 from trajeval_ros.io.live.state_file import GROUNDTRUTH, StateWriter, copy_states
 from trajeval_ros.io.requests.setting import AUTO
+from trajeval_ros.metrics.discontinuities.events import Event
 from trajeval_ros.online.live_clock import OnlineClock
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.reports import Update
@@ -146,13 +147,18 @@ class LiveRun:
 
     @property
     def restarted(self) -> LiveEstimate | None:
-        """The first estimate whose jump ends the run; None if there is none."""
+        """The first estimate whose restart ends the run; None if there is none."""
         return next((each for each in self.estimates if each.restarted_at is not None), None)
 
-    def end_at_jumps(self, ends: bool) -> None:
-        """Set whether the run ends at the first jump of an estimate."""
+    def end_at_restarts(self, ends: bool) -> None:
+        """Set whether the run ends at the first restart of an estimate."""
         for each in self.estimates:
-            each.ends_at_jump = ends
+            each.ends_at_restart = ends
+
+    def examine(self, *, at_end: bool) -> None:
+        """Search the messages that were taken for discontinuities."""
+        for each in self.estimates:
+            each.examine(at_end=at_end)
 
     def take(self, source: int, messages: DecodedMessages) -> None:
         """Store and take messages of a source."""
@@ -204,11 +210,14 @@ class LiveRun:
                 new.continue_after(old)
         self._describe_groundtruth_of(before)
 
+    def begin_with_clock_step(self, source: int, step: Event) -> None:
+        """Take the step of one source's clock with which the run began."""
+        for estimate in self.estimates[source - 1 : source] if source else self.estimates:
+            estimate.stepped = step
+
     def resume(self) -> None:
         """Evaluate messages again after a pause, in which the robot may have moved."""
         self.idle = ""
-        for each in self.estimates:
-            each.jumps.skip()
 
     def conclude(self) -> None:
         """Evaluate the poses that wait for groundtruth, because no further messages follow."""
@@ -250,9 +259,7 @@ class LiveRun:
         stamps, rows = messages.states.stamps, self.body.groundtruth(messages.states.states)
         block = trajectory(stamps, rows, self.groundtruth_up)
         for each in self.estimates:
-            each.evaluator.add_groundtruth(block, block.reading.dropped)
-            if each.availability is not None:
-                each.availability.add_groundtruth(stamps, rows)
+            each.take_groundtruth(block, rows, messages.states)
 
     def _one_by_one(
         self,

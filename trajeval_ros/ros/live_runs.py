@@ -14,6 +14,7 @@ from trajeval_ros.geometry.arrays import Stamps
 from trajeval_ros.geometry.stamp_trust import NEAR_NS
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE
+from trajeval_ros.metrics.discontinuities.events import CLOCK_STEP, SIDES, Event
 from trajeval_ros.online.reports import Update
 from trajeval_ros.ros.live_estimate import DecodedMessages, LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
@@ -31,7 +32,7 @@ class NewRunRule:
     """The causes of a new run in a new folder."""
 
     on_time_jump: str = "reset"  # if timestamps step back: `reset` or `ignore`
-    on_restart: str = "ignore"  # if an estimate jumps: `reset` or `ignore`
+    on_restart: str = "ignore"  # if an estimate restarts: `reset` or `ignore`
 
     def __post_init__(self) -> None:
         for name in ("on_time_jump", "on_restart"):
@@ -61,6 +62,7 @@ class LiveRuns:
         self.on_closed: Callable[[LiveRun, list[str]], object] = lambda *_: None
         self._newest: list[int | None] = [None for _ in sources]  # timestamps
         self._ending: list[tuple[LiveRun, float]] = []  # and the times at which they end at last
+        self._steps: dict[int, Event] = {}  # newest steps back of time, by source
         for each in sources:
             each.stream.begins_anew = rule.on_time_jump == "reset"
         self._enter(begin())
@@ -75,12 +77,12 @@ class LiveRuns:
             for messages in _decoded(source, time_at):
                 for part, back_ns in self._parts(place, messages.stamps):
                     if back_ns:
-                        self._step_back(place, back_ns)
+                        self._step_back(place, int(messages.stamps[part][0]), back_ns)
                     self._run_of[place].take(place, messages.part(part))
         self.current.decide()
         groundtruth, *estimates = (each.stream for each in self._sources)
         for stream in estimates:
-            stream.clock_steps.update(groundtruth.arrivals, stream.arrivals)
+            stream.clocks.update(groundtruth.arrivals, stream.arrivals)
 
     def discard(self) -> None:
         """Drop the messages that have arrived."""
@@ -124,6 +126,9 @@ class LiveRuns:
             run.decide(at_end=True)
         for _ in self.update():
             pass
+        self.current.examine(at_end=True)
+        for _ in self.update():
+            pass
         while self._ending:
             self._close_oldest()
         self.current.conclude()
@@ -148,7 +153,7 @@ class LiveRuns:
         """Pass the messages of all sources to a run, the newest one."""
         self.current = run
         self._run_of = [run for _ in self._sources]
-        run.end_at_jumps(self._rule.on_restart == "reset")
+        run.end_at_restarts(self._rule.on_restart == "reset")
         for place, source in enumerate(self._sources):
             source.stream.begin_run(run.status_of(place))
         write_states(run)
@@ -156,8 +161,8 @@ class LiveRuns:
     def _follow(self, begun: LiveRun) -> None:
         """Make a run the newest one; messages continue to go to the previous one."""
         ended, self.current = self.current, begun
-        ended.end_at_jumps(False)  # a run between this one and the next is not possible
-        begun.end_at_jumps(self._rule.on_restart == "reset")
+        ended.end_at_restarts(False)  # a run between this one and the next is not possible
+        begun.end_at_restarts(self._rule.on_restart == "reset")
         self._ending.append((ended, time.monotonic() + FOLLOWS_WITHIN_S))
         write_states(begun)
         self.on_begun(ended, begun)
@@ -174,8 +179,10 @@ class LiveRuns:
         begun.continue_after_restart(ended)
         self._close_oldest()
 
-    def _step_back(self, place: int, back_ns: int) -> None:
+    def _step_back(self, place: int, stamp: int, back_ns: int) -> None:
         """Pass a source, whose time has stepped back, to the next run."""
+        side, back_s = SIDES[bool(place)], back_ns / NANOSECONDS
+        self._steps[place] = Event(CLOCK_STEP, side, stamp + back_ns, stamp, s=-back_s)
         runs = self._open
         follower = runs.index(self._run_of[place]) + 1
         if follower == len(runs):
@@ -183,8 +190,7 @@ class LiveRuns:
                 self.current.decide(at_end=True)
                 while self.current.restarted is not None:
                     self._begin_after_restart()
-            source, back_s = self._sources[place].source, back_ns / NANOSECONDS
-            said = f"time of {source} stepped back by {back_s:.1f} s"
+            said = f"time of {self._sources[place].source} stepped back by {back_s:.1f} s"
             self._follow(self.current.following(self._new_folder(), said))
             runs = self._open
             follower = len(runs) - 1
@@ -209,10 +215,13 @@ class LiveRuns:
         If the time of the groundtruth did not step back, its newest states belong to the next run,
         too.
         """
-        (run, _), *self._ending = self._ending
+        (run, until), *self._ending = self._ending
         behind = [place for place, each in enumerate(self._run_of) if each is run]
+        stepped_back = [place for place in range(len(self._sources)) if place not in behind]
+        if behind and time.monotonic() >= until:
+            for place in stepped_back:
+                self._open[0].begin_with_clock_step(place, self._steps[place])
         if 0 in behind:
-            stepped_back = [place for place in range(len(self._sources)) if place not in behind]
             self._open[0].continue_after_silence(run, stepped_back)
         for place in behind:
             self._pass(place, self._open[0])

@@ -18,7 +18,8 @@ from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.io.live.metrics_file import write_metrics
 from trajeval_ros.io.requests.setting import AUTO
 from trajeval_ros.ros import parameters
-from trajeval_ros.ros.diagnostics import StatusReports, about_jump
+from trajeval_ros.ros.diagnostics import StatusReports
+from trajeval_ros.ros.event_remarks import about_event, lasts
 from trajeval_ros.ros.live_fixes import LiveFixes
 from trajeval_ros.ros.live_outputs import FrameBroadcaster, LiveOutputs
 from trajeval_ros.ros.live_run import LiveRun
@@ -230,15 +231,15 @@ class EvaluatorNode:
                 estimate.peaks.see("staleness_s", source.silent_s)
 
     def report(self) -> None:
-        """Match publishers, detect jumps, and publish the errors of the window."""
+        """Match publishers, report events, and publish the errors of the window."""
         self._match()
         run = self._runs.current
         for estimate in run.estimates:
-            for jump in estimate.digest():
-                remark = about_jump(estimate, jump)
-                if self._events.publish(estimate.name, remark):
-                    self._log(remark.text, remark.level)
-                self._picture.jump(estimate, jump)
+            for event in estimate.digest():
+                remark = about_event(event)
+                if not lasts(event) and self._events.publish(estimate.name, remark):
+                    self._log(f"{estimate.name}: {remark.text}", remark.level)
+                self._picture.event(event, f"{estimate.name}: {remark.text}")
         self._outputs.publish_streams(run)
         for estimate in run.estimates:
             arrival_s = estimate.status.stream.recent().arrival_p95_s

@@ -70,7 +70,7 @@ PARAMETERS = (
         "are excluded from live values.",
         choices=ON_JUMP),
     NodeParameter("on_restart", "ignore",
-        "Action when an estimate jumps, as after a restart with a new origin: reset or ignore.",
+        "Action when an estimate restarts or makes a large step: reset or ignore.",
         choices=ON_JUMP),
     NodeParameter("publish_rate", 25.0,
         "Rate of evaluation and publication of the errors of pairs, in Hz.",

@@ -26,9 +26,8 @@ from trajeval_ros.io.bags.usable_poses import UsablePoses, usable_poses
 from trajeval_ros.metrics.stream_health import StreamMonitor
 from trajeval_ros.online.state_buffer import StateCounts
 from trajeval_ros.online.state_rows import WIDTH, as_wide, states, usable_rows
-from trajeval_ros.ros.clock_steps import ClockSteps
 from trajeval_ros.ros.live_fixes import LiveFixes
-from trajeval_ros.ros.timing import Arrivals
+from trajeval_ros.ros.timing import Arrivals, ComparedClocks
 
 _MOST_REMARKS, _MOST_RESETS = 20, 100
 _STEPS_BACK = "time_steps_back"  # code of a remark
@@ -90,7 +89,7 @@ class PoseStream:
         self.fixes = fixes or LiveFixes()  # selects GNSS fixes, if the topic carries fixes
         self.status = StreamStatus()
         self.arrivals = Arrivals()  # delay of messages relative to their timestamps
-        self.clock_steps = ClockSteps()  # of an estimate, relative to the groundtruth
+        self.clocks = ComparedClocks()  # of an estimate and the groundtruth
         self.news: list[Remark] = []  # remarks that are not published yet
         self.trouble: Remark | None = None  # why messages currently contain no valid poses
         self.heard_at: float | None = None  # by `time.monotonic`
@@ -125,7 +124,7 @@ class PoseStream:
 
     def forget_clocks(self) -> None:
         """Compare clocks from now on; the previous run must be closed."""
-        self.arrivals, self.clock_steps = Arrivals(), ClockSteps()
+        self.arrivals, self.clocks = Arrivals(), ComparedClocks()
 
     @property
     def _all_trusts(self) -> Iterable[StampTrust]:

@@ -12,7 +12,12 @@ from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.valid_poses import add_counts, reasons
 from trajeval_ros.io.bags.declared_resets import about_resets
 from trajeval_ros.io.requests.settings_table import settings_of
-from trajeval_ros.ros.clock_remarks import about_clock_faults, sync_risk_m
+from trajeval_ros.ros.clock_remarks import (
+    about_clock_faults,
+    about_clock_step,
+    about_different_clocks,
+    sync_risk_m,
+)
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.ros.poses import StreamStatus
@@ -56,7 +61,6 @@ def _recorded_state(run: LiveRun, estimate: LiveEstimate) -> dict[str, Any]:
             },
             "sync_risk_m": sync_risk_m(run, estimate),
             "latency_p95_s": estimate.latency.p95_s,
-            "jumps": estimate.jumps.count,
             "began_by": run.began_by,
             **run.about,
             "clock": asdict(estimate.clock.report),
@@ -87,7 +91,9 @@ def _warnings(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
                 f"{counted(source.lost, 'message')} of {source.source} lost in transport to the "
                 "live evaluator",
             )
-    for each in about_clock_faults(run, estimate):
+    if estimate.stepped is not None:  # its recorded states are those after it
+        yield about_clock_step(estimate.stepped)
+    for each in about_different_clocks(run, estimate):
         yield replace(each, code=f"clock_{each.subject}")
     for code, said in (
         ("clock_offset", run.start.about_clocks),

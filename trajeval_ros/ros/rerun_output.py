@@ -12,7 +12,7 @@ from trajeval_ros.formatting.remarks import Remark
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.fix_selection import fixes_of_rows
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.online.jump_detector import Jump
+from trajeval_ros.metrics.discontinuities.events import Event
 from trajeval_ros.online.reports import Snapshot, Update
 from trajeval_ros.online.state_rows import Pairs
 from trajeval_ros.ros.live_estimate import LiveEstimate
@@ -68,10 +68,9 @@ class RerunOutput:
         name, at = estimate.name, stamp + estimate.offset_ns
         self._put(lambda scene: scene.points(name, at, points))
 
-    def jump(self, estimate: LiveEstimate, jump: Jump) -> None:
-        """Show a jump of an estimate."""
-        text = f"{estimate.name} jumps by {jump.position_m:.2f} m and {jump.rotation_deg:.0f} deg"
-        self._put(lambda scene: scene.event(jump.stamp, text))
+    def event(self, event: Event, text: str) -> None:
+        """Show a discontinuity."""
+        self._put(lambda scene: scene.event(event.end_ns, text))
 
     def snapshot(
         self, estimate: LiveEstimate, snapshot: Snapshot, revised_m: float | None

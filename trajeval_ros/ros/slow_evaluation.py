@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from trajeval_ros.diagnosis.causes import DISCONTINUITIES
 from trajeval_ros.formatting.remarks import Remark, warning
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.requests.request_from import in_names_of_settings
@@ -24,9 +25,9 @@ _CLOCKS = {"clock_offset", "clock_drift", "small_clock_offset"}
 # Tests that need all messages. The thinned contains only some of the pairs.
 _NOT_BY_SOME_PAIRS = {
     "few_pairs", "frames_lost", "keyframes", "stamps_rounded", "duplicated", "groundtruth_held",
-    "groundtruth_frozen", "groundtruth_bridged", "gap_bridged", "restart",
-    # The evaluator reports these from all pairs.
-    "frozen", "frozen_at_start", "diverged", "diverged_at_start",
+    "groundtruth_frozen", "groundtruth_bridged", "gap_bridged",
+    # The evaluator reports these from all pairs and messages.
+    "frozen", "frozen_at_start", "diverged", "diverged_at_start", *DISCONTINUITIES,
 }  # fmt: skip
 # From this duration on, clocks that differ by 37 s (TAI and UTC) have half of the motion in
 # common.

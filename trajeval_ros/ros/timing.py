@@ -26,6 +26,7 @@ _EVERY_NS = 50_000_000  # time of arrival between two stored messages
 _KEPT = 300  # stored messages per stream, at least 15 s
 # All streams have the same span, so that their offsets are comparable in a replay at any rate.
 _OFFSET_NS = 5 * NANOSECONDS
+_COMPARED, _FEWEST = 20, 3  # newest messages of which clocks are compared, about one second
 _CONTINUOUS_S = 1.0  # timestamps that differ by more from their times of arrival are a step
 
 
@@ -83,21 +84,6 @@ class Arrivals:
         between = own[begin] + np.round(share * (own[end] - own[begin])).astype(np.int64)
         return stamps[inside] - between, inside
 
-    def step_since(self, arrived_ns: int) -> tuple[float, int]:
-        """Return the largest step of the clock after a time of arrival, seconds, or 0.
-
-        With it comes the first timestamp after the step. Late messages without a step back are
-        none, since their delay explains them.
-        """
-        times, own = self.columns
-        steps = self._steps_s(times, own)
-        is_step = (steps > _CONTINUOUS_S) | ((steps < -_CONTINUOUS_S) & (np.diff(own) < 0))
-        rows = np.flatnonzero(is_step & (times[1:] > arrived_ns))
-        if not len(rows):
-            return 0.0, 0
-        row = rows[np.abs(steps[rows]).argmax()]
-        return float(steps[row]), int(own[row + 1])
-
     @staticmethod
     def _steps_s(arrived: Stamps, stamps: Stamps) -> Floats:
         """Return the steps of timestamps (N - 1,) beyond those of the times of arrival, s."""
@@ -106,6 +92,41 @@ class Arrivals:
         rate = float(np.median(stepped[forward] / passed[forward])) if forward.any() else 1.0
         steps: Floats = stepped - rate * passed
         return steps
+
+
+class ComparedClocks:
+    """Compares the timestamps of an estimate and of the groundtruth that arrive together."""
+
+    def __init__(self) -> None:
+        self._leads: deque[float] = deque(maxlen=_COMPARED)  # seconds
+        self._at_start_s: float | None = None
+        self._newest = 0  # newest time of arrival that was compared
+
+    @property
+    def apart_s(self) -> float | None:
+        """The estimate's clock minus the groundtruth's, seconds; None as long as it is unknown.
+
+        Clocks that agreed at the start still agree: a delay has grown, or one of them stepped.
+        """
+        if self._at_start_s is None:
+            return None
+        return min(float(np.median(self._leads)), self._at_start_s, key=abs)
+
+    def update(self, groundtruth: Arrivals, estimate: Arrivals) -> None:
+        """Compare the messages since the last call."""
+        arrived, stamps = estimate.columns
+        if not len(arrived) or arrived[-1] == self._newest:
+            return
+        if arrived[-1] < self._newest:  # simulated time started again
+            self._newest = 0
+        rows = np.flatnonzero(arrived > self._newest)
+        leads_ns, compared = groundtruth.ahead(arrived[rows], stamps[rows])
+        if not compared.any():
+            return
+        self._newest = int(arrived[rows[compared][-1]])
+        self._leads.extend((leads_ns / NANOSECONDS).tolist())
+        if self._at_start_s is None and len(self._leads) >= _FEWEST:
+            self._at_start_s = float(np.median(self._leads))
 
 
 class Latency:

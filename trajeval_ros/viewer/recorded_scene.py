@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from trajeval_ros.consistency.consistency_result import Consistency
+from trajeval_ros.diagnosis.discontinuities import sentence_about
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
@@ -270,6 +271,10 @@ def _send_events(recording: Any, evaluations: Sequence[Evaluation], names: Seque
         for row in np.flatnonzero(gaps(stamps)).tolist():
             step = int(stamps[row + 1] - stamps[row])
             _say(recording, stamps[row + 1], text_panel.gap_in_words(name, step))
+        first_ns = int(evaluation.groundtruth.stamps.min())
+        for event in evaluation.events:
+            said = f"{name}: {sentence_about(event, first_ns)}"
+            _say(recording, np.int64(event.end_ns), said)
         for each in evaluation.warnings:
             _say(recording, stamps[-1], f"{name}: {each}")
         _say(recording, stamps[0], f"{name}: first of {counted(len(stamps), 'pair')}", warn=False)

@@ -131,6 +131,10 @@ def _of_states(
     if asked.up is not None:
         axes = zip((truth, estimate), asked.up, strict=True)
         truth, estimate = (dataclasses.replace(side, up=UpAxis(up)) for side, up in axes)
+    if state["fixes"] is None and _is_received_in_order(groundtruth):
+        truth = _received(truth, groundtruth)
+    if _is_received_in_order(recorded):
+        estimate = _received(estimate, recorded)
     if asked.available.is_asked_for:
         estimate = _with_receptions(estimate, recorded)
     if state["until_ns"] is not None:
@@ -291,6 +295,20 @@ def _with_receptions(estimate: Trajectory, recorded: RecordedStates) -> Trajecto
         received = dataclasses.replace(estimate, reading=reading)[times != UNKNOWN]
     reading = dataclasses.replace(estimate.reading, as_received=received)
     return dataclasses.replace(estimate, reading=reading)
+
+
+def _is_received_in_order(recorded: RecordedStates) -> bool:
+    """Return whether all receptions are known, by a clock that did not start again."""
+    return UNKNOWN not in recorded.arrived and bool((np.diff(recorded.arrived) >= 0).all())
+
+
+def _received(side: Trajectory, recorded: RecordedStates) -> Trajectory:
+    """Return recorded states with the times of their reception."""
+    usable, _ = usable_rows(recorded.states)
+    receptions = Receptions(recorded.arrived[usable], "node")
+    return dataclasses.replace(
+        side, reading=dataclasses.replace(side.reading, receptions=receptions)
+    )
 
 
 def _until(

@@ -91,6 +91,24 @@ class Discontinuities:
         # Steps that may return: begin, end, event, and the body's rotation before them.
         self._stayed: deque[tuple[Pair, Pair, Event, BodyState]] = deque(maxlen=8)
 
+    @property
+    def frozen(self) -> list[Event]:
+        """The events of frozen parts that last."""
+        return self._frozen.present
+
+    @property
+    def settled_until_ns(self) -> int | None:
+        """Timestamp until which no later event begins; None before the first pairs are judged."""
+        newest_s = [stream.newest_s for stream in self._streams if len(stream)]
+        is_repeated = any(
+            len(stream) and stream.newest_s > stream.stamps[-1] for stream in self._streams
+        )
+        if self._open is not None:
+            return self._ns(self._open.begin.t)
+        if is_repeated and len(newest_s) == len(self._streams):
+            return self._ns(min(newest_s))
+        return None if self._previous is None else self._ns(self._previous.t)
+
     # Messages
 
     def add(

@@ -13,7 +13,12 @@ FLIP_STAYS, FROZEN_POSITION, FROZEN_ROTATION = "flip_stays", "frozen_position", 
 CLOCK_STEP, LOST = "clock_step", "lost"
 # Kinds that end a part of the estimate that one alignment fits.
 PARTING = STEP, RESTART
+DECLARED = "declared"  # certainty of a reset that the estimator states itself
 EXCURSIONS = OUTLIER, FLIP  # kinds that return to the former path
+FREEZES = FROZEN_POSITION, FROZEN_ROTATION
+# Multiple of the limit of usual differences from which on a step needs attention while a run
+# lasts, when its share of the error is not known.
+_LARGE = 6.0
 
 
 @dataclass
@@ -28,8 +33,13 @@ class Event:
     deg: float = 0.0  # what the other side did not rotate, deg
     s: float = 0.0  # size of a clock's step, or duration, seconds
     poses: int = 0  # number of poses outside of the path
-    certainty: str = "likely"  # `sure`, `likely` or `undecided`
+    certainty: str = "likely"  # `sure`, `likely` or `undecided`; live also `declared`
     ratio: float = 0.0  # size as a multiple of the limit of the usual differences
     gap_s: float = 0.0  # gap of the guilty side in which it is, seconds
     # Largest change of both sides' own velocities there, as fractions of the size.
     innovations: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def is_large(self) -> bool:
+        """Whether it is beyond all usual differences."""
+        return self.ratio >= _LARGE

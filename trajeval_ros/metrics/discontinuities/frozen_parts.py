@@ -37,6 +37,12 @@ class FrozenParts:
         self._streams = streams
         self._followed: list[tuple[int, _Followed]] = []
 
+    @property
+    def present(self) -> list[Event]:
+        """The events that last."""
+        followed = (each for _, each in self._followed)
+        return [each.event for each in followed if each.event and not each.repeats.is_over]
+
     def advance(self, scale: float, nanoseconds: Callable[[float], int]) -> list[Event]:
         """Return new events; those that last are extended.
 

@@ -22,6 +22,9 @@ _CONFIRM_S, _CONFIRM_MESSAGES, _MOST_WAITING = 1.0, 5, 200
 _USUAL_OF = 60  # newest steps of the stamps whose median is the usual one
 _USUAL_EVERY = 50  # messages between updates of the usual step
 _LEADS = 400  # newest differences of stamp and receive time
+# A recording is played at a rate: the timestamps' time over the receive times' time, over some
+# messages: more than arrive together. Rates near 1 are those of a clock's drift and of delays.
+_RATE_OVER, _RATE_OF, _NEAR_ONE = (20, 30, 40), 100, 0.2
 _SAME_SIZE = 0.3  # two measurements of one step agree to this fraction
 
 Message: TypeAlias = tuple[float, list[float], float | None]  # stamp, pose, receive time
@@ -57,19 +60,31 @@ class StampSteps:
         self._leads: deque[float] = deque(maxlen=_LEADS)
         self._highest_lead_s = -math.inf
         self._last: tuple[float, float | None] | None = None
+        self._newest: deque[tuple[float, float]] = deque(maxlen=_RATE_OF)  # as read
+        self._rate = 1.0  # of a replay
+        self._received_s = self._replayed_s = 0.0  # the newest receive time, and at rate 1
         self._highest_s = -math.inf  # corrected stamp
         self._count = 0
         self._candidate: _Candidate | None = None
 
     def add(self, message: Message) -> tuple[list[Message], StampStep | None]:
         """Take a message; return messages with corrected stamps, and a confirmed step."""
-        stamp, _, received = message
+        stamp, pose, received = message
+        if received is not None:
+            self._newest.append((stamp, received))
+            [received] = self._at_rate_one([received])
+            message = stamp, pose, received
         if self._last is not None:
             before_s, received_before = self._last
             step_s = stamp - before_s
-            arrival_s = None
+            arrival_s, is_again = None, False
             if received is not None and received_before is not None:
                 arrival_s = received - received_before
+                is_again = arrival_s < 0.0
+            if is_again:  # simulated time started again
+                self._leads.clear()
+                self._newest.clear()
+                self._highest_lead_s = -math.inf
             if step_s > 0.0:
                 self._steps.append(step_s)
             if self._steps and (
@@ -77,7 +92,8 @@ class StampSteps:
                 or (self._usual_s is None and len(self._steps) > 8)
             ):
                 self._usual_s = _median(self._steps)
-            if self._candidate is None and self._usual_s is not None:
+                self._rate = _rate_of(self._newest)
+            if self._candidate is None and self._usual_s is not None and not is_again:
                 self._candidate = self._begun(before_s, step_s, arrival_s, self._usual_s)
         self._last, self._count = (stamp, received), self._count + 1
         if self._candidate is not None:
@@ -86,6 +102,11 @@ class StampSteps:
             self._leads.append(stamp - received)
             self._highest_lead_s = max(self._highest_lead_s, stamp - received)
         return [self._corrected(message)], None
+
+    @property
+    def _smallest_s(self) -> float:
+        """The smallest step, seconds; a replay enlarges the jitter of receive times."""
+        return SMALLEST_S * max(self._rate, 1.0)
 
     @property
     def regular_count(self) -> int:
@@ -108,9 +129,14 @@ class StampSteps:
         if received is not None:
             if received_before is None:
                 return False
-            more = steps - np.diff(received, prepend=received_before)
-            if np.abs(more).max() > SMALLEST_S:
+            as_read = zip(stamps.tolist(), received.tolist(), strict=True)
+            before = self._received_s, self._replayed_s
+            received = np.array(self._at_rate_one(received.tolist()))
+            arrivals = np.diff(received, prepend=received_before)
+            if np.abs(steps - arrivals).max() > self._smallest_s or arrivals.min() < 0.0:
+                self._received_s, self._replayed_s = before
                 return False
+            self._newest.extend(as_read)
             leads = stamps - received
             self._leads.extend(leads.tolist())
             self._highest_lead_s = max(self._highest_lead_s, float(leads.max()))
@@ -119,6 +145,15 @@ class StampSteps:
         self._count += len(stamps)
         self._highest_s = max(self._highest_s, float(stamps[-1]) + self.shift_s)
         return True
+
+    def _at_rate_one(self, received: list[float]) -> list[float]:
+        """Return receive times as if the messages were not replayed at another rate."""
+        times = []
+        for time_s in received:
+            self._replayed_s += self._rate * (time_s - self._received_s)
+            self._received_s = time_s
+            times.append(self._replayed_s)
+        return times
 
     def close(self) -> tuple[list[Message], StampStep | None]:
         """Return what waits for a confirmation at the end of the stream."""
@@ -129,13 +164,13 @@ class StampSteps:
     ) -> _Candidate | None:
         """Return a step that may begin: the stamp is irregular and the arrival regular."""
         size_s = None
-        if step_s < -max(2.0 * usual_s, SMALLEST_S):
+        if step_s < -max(2.0 * usual_s, self._smallest_s):
             size_s = step_s - (usual_s if arrival_s is None else arrival_s)
         elif arrival_s is not None:
             more_s = step_s - arrival_s
             is_irregular = abs(step_s - usual_s) > 0.6 * abs(more_s)
             arrives = abs(arrival_s - usual_s) < 0.5 * abs(more_s)
-            if abs(more_s) > SMALLEST_S and is_irregular and arrives:
+            if abs(more_s) > self._smallest_s and is_irregular and arrives:
                 leads = list(self._leads)[-40:]
                 changes = [abs(b - a) for a, b in itertools.pairwise(leads)]
                 if len(changes) < 8 or abs(more_s) > 6.0 * _median(changes):
@@ -189,6 +224,19 @@ class StampSteps:
         stamp += self.shift_s
         self._highest_s = max(self._highest_s, stamp)
         return stamp, pose, received
+
+
+def _rate_of(newest: Collection[tuple[float, float]]) -> float:
+    """Return the rate of a replay, from pairs of timestamp and receive time, seconds."""
+    if len(newest) <= 2 * _RATE_OVER[0]:
+        return 1.0
+    pairs, rates = np.array(newest), []
+    for apart in _RATE_OVER:
+        stamps_s, received_s = (pairs[apart:] - pairs[:-apart]).T
+        known = (received_s > 0.0) & (stamps_s > 0.0)
+        rates += (stamps_s[known] / received_s[known]).tolist()
+    rate = _median(rates) if rates else 1.0
+    return 1.0 if abs(rate - 1.0) < _NEAR_ONE else rate
 
 
 def _median(values: Collection[float]) -> float:

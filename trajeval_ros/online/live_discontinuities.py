@@ -1,0 +1,127 @@
+"""Discontinuities of a live run, by the same search as recorded ones."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.discontinuities import events as kinds
+from trajeval_ros.metrics.discontinuities.detector import Discontinuities
+from trajeval_ros.metrics.discontinuities.events import SIDES, Event
+from trajeval_ros.metrics.stream_health import UNKNOWN
+from trajeval_ros.online.state_rows import QUATERNION
+
+# Pairs wait no longer for the decision whether a step among them stays.
+_MOST_HELD_NS = 12 * NANOSECONDS
+_MOST_WAITING = 1000  # blocks of messages before the first of the other side
+_BLOCK_NS = NANOSECONDS  # messages that are examined at a time
+
+
+class LiveDiscontinuities:
+    """Takes the states of both sides as they arrive, and examines them when asked."""
+
+    def __init__(self) -> None:
+        """Create it before the first state."""
+        self.events: list[Event] = []  # of this run, in order of detection
+        self._search: Discontinuities | None = None  # None before states of both sides
+        self._known = 0  # number of events of the search that were returned
+        # Side, timestamps, poses and receive times of states that are not examined yet.
+        self._waiting: deque[tuple[str, Stamps, Floats, Stamps | None]] = deque()
+        self._is_over = False
+
+    def continued(self) -> LiveDiscontinuities:
+        """Return the search of the next run, with what this one has learned; this one ends."""
+        following = LiveDiscontinuities()
+        following._search, following._known = self._search, self._known
+        following._waiting, following._is_over = self._waiting, self._is_over
+        self._search, self._waiting, self._is_over = None, deque(), True
+        return following
+
+    def add(self, side: str, stamps: Stamps, rows: Floats, received: Stamps | None) -> None:
+        """Take N states of a side in order of arrival.
+
+        Args:
+            side: `groundtruth` or `estimate`.
+            stamps: (N,) timestamps by the groundtruth's clock, nanoseconds.
+            rows: (N, 7 or more), positions and quaternions; NaN if not measured.
+            received: (N,) times of reception, nanoseconds, may be `UNKNOWN`; None if unknown.
+        """
+        if self._is_over or not len(stamps):
+            return
+        if received is not None and (received == UNKNOWN).any():
+            received = None
+        self._waiting.append((side, stamps, rows[:, : QUATERNION.stop], received))
+        if self._search is None and len(self._waiting) > _MOST_WAITING:
+            self._waiting.popleft()
+
+    def examine(self, *, at_end: bool = False) -> list[Event]:
+        """Examine the states since the last call; return the new events.
+
+        Frozen parts extend their event while they last. `at_end`: no states will follow.
+        """
+        if self._search is None:
+            self._begin()
+        if self._search is None or (self._is_over and not self._waiting):
+            return []
+        while self._waiting:
+            for block in self._next_block():
+                self._search.add(*block)
+        events = self._search.events
+        new = events[self._known :]
+        if at_end:
+            known = [id(event) for event in events]
+            new += [event for event in self._search.finish() if id(event) not in known]
+            self._is_over = True
+        self._known = len(events)
+        self.events += new
+        return new
+
+    @property
+    def frozen(self) -> list[Event]:
+        """The events of frozen parts that last."""
+        return [] if self._search is None else self._search.frozen
+
+    def settled_until(self, newest: int) -> int:
+        """Return the timestamp until which no later event begins.
+
+        `newest` is the newest timestamp; the result is at most some seconds older.
+        """
+        if self._is_over:
+            return newest
+        settled = None if self._search is None else self._search.settled_until_ns
+        held = newest - _MOST_HELD_NS
+        return held if settled is None else max(settled, held)
+
+    def clock_step(self) -> Event | None:
+        """Return the newest step of one clock; None if the clocks agree as at the start."""
+        steps = [event for event in self.events if event.kind == kinds.CLOCK_STEP]
+        apart_s = sum(event.s for event in steps if event.side == kinds.ESTIMATE)
+        apart_s -= sum(event.s for event in steps if event.side == kinds.GROUNDTRUTH)
+        of_one = [event for event in steps if event.side != kinds.BOTH]
+        return of_one[-1] if of_one and abs(apart_s) > 0.5 * abs(of_one[-1].s) else None
+
+    def _begin(self) -> None:
+        """Create the search when both sides have states, of which it needs to know the kind."""
+        firsts = {side: poses for side, _, poses, _ in reversed(self._waiting)}
+        if len(firsts) == len(SIDES):
+            oriented = not any(np.isnan(poses[0, QUATERNION]).any() for poses in firsts.values())
+            self._search = Discontinuities(oriented=oriented)
+
+    def _next_block(self) -> list[tuple[str, Stamps, Floats, Stamps | None]]:
+        """Return the next states that wait, joined by side."""
+        taken: dict[str, list[tuple[Stamps, Floats, Stamps | None]]] = {}
+        begin = int(self._waiting[0][1][0])
+        while self._waiting and abs(int(self._waiting[0][1][0]) - begin) < _BLOCK_NS:
+            side, stamps, poses, times = self._waiting.popleft()
+            taken.setdefault(side, []).append((stamps, poses, times))
+        blocks = []
+        for side, parts in taken.items():
+            known = [times for _, _, times in parts if times is not None]
+            received = np.concatenate(known) if len(known) == len(parts) else None
+            stamps = np.concatenate([part[0] for part in parts])
+            poses = np.concatenate([part[1] for part in parts])
+            blocks.append((side, stamps, poses, received))
+        return blocks
