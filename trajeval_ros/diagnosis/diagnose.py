@@ -18,6 +18,7 @@ from trajeval_ros.diagnosis.column_tests import columns_of_others
 from trajeval_ros.diagnosis.discontinuities import (
     changes_motions,
     examined_discontinuities,
+    with_events,
 )
 from trajeval_ros.diagnosis.evaluation_tests import (
     covariance_blocks,
@@ -58,6 +59,9 @@ _FINAL = {
     "identical", "stands_still", "stamps_rounded", "degrees", "row_numbers", "increments",
 }  # fmt: skip
 _OTHER_PAIRS = {*_FINAL, "clock_offset", "clock_drift", "other_run"}
+# These explain the motions of the whole run, as conventions do.
+_OF_WHOLE_RUNS = {*_FINAL - {"identical"}, "unit", "duplicated", "groundtruth_held"}
+_LARGE_PPM = 2e4  # of a clock rate, which is no step of a clock
 # With such a finding, the errors contain no information on covariances.
 _GRAVE = 5.2  # of ranks
 # ATE by the spread of the groundtruth: paths of other runs differ by more than this.
@@ -71,43 +75,53 @@ def diagnose(
     *,
     paired: bool = False,
     losses: Sequence[Loss] | None = None,
-) -> Diagnosis:
+) -> tuple[Evaluation, Diagnosis]:
     """Search for mistakes that affect an evaluation of two trajectories.
 
     These are in the order of their sources, without the time offset. They may be `paired`: contain
-    only the pairs, row by row. `losses` of tracking are by default those in the pairs. The
-    evaluation has its events, see `with_events`.
+    only the pairs, row by row. `losses` of tracking are by default those in the pairs.
+
+    Returns:
+        The evaluation with its discontinuities, and the diagnosis. A mistake that explains all
+        motions hides discontinuities: they are searched for after its correction.
     """
     protocol, pairs = evaluation.protocol, evaluation.association
-    time_offset_s = None
+    sides, time_offset_s = (groundtruth, estimate), None
     if paired or pairs.rule.method == "index":
-        groundtruth, estimate, time_offset_s = pairs.groundtruth, pairs.estimate, 0.0
+        sides, time_offset_s = (pairs.groundtruth, pairs.estimate), 0.0
         protocol = dataclasses.replace(protocol, association=pairs.rule)
     elif protocol.lever_m is not None:
-        groundtruth, estimate = evaluation.groundtruth, evaluation.estimate
+        sides = evaluation.groundtruth, evaluation.estimate
     number = number_of_pairs(protocol, pairs, evaluation.groundtruth, evaluation.estimate)
     losses = losses_in(pairs) if losses is None else losses
-    inputs = InputPair.of(groundtruth, estimate, protocol, time_offset_s=time_offset_s)
+    inputs = InputPair.of(*sides, protocol, time_offset_s=time_offset_s)
+    known, is_partial = _tested_where_tracked(losses, pairs, inputs)
+    if known.named("other_run") and _is_of_noisy_fixes(evaluation):
+        known = known.without("other_run", "fixes are noisier than short motions")
+    if not any(map(_explains_motions, known.findings)):
+        evaluation = with_events(evaluation, groundtruth, estimate, paired=paired)
     if changes_motions(evaluation):
-        found = Diagnosis.of([number, *_tests_of_sides(inputs)])
-        return Diagnosis.of([*found.examined, examined_discontinuities(evaluation, found)])
-    found, is_lost = _tested_where_tracked(losses, pairs, inputs)
-    if found.named("other_run") and _is_of_noisy_fixes(evaluation):
-        found = Diagnosis.of(
-            [
-                Examined(test.test, test.scores, why_not="fixes are noisier than short motions")
-                if any(seen.cause == "other_run" for seen in test.seen)
-                else test
-                for test in found.examined
-            ]
-        )
-    examined = [number, *found.examined, examined_discontinuities(evaluation, found)]
-    if is_lost:
-        return Diagnosis.of(examined)
+        known, is_partial = Diagnosis.of(_tests_of_sides(inputs)), True
+    examined = [number, *known.examined, examined_discontinuities(evaluation, known)]
+    if is_partial:
+        return evaluation, Diagnosis.of(examined)
     examined.append(frame_offset(evaluation))
-    if all(finding.rank < _GRAVE for finding in found.findings):
+    if all(finding.rank < _GRAVE for finding in known.findings):
         examined.append(covariance_blocks(evaluation))
-    return Diagnosis.of(examined)
+    return evaluation, Diagnosis.of(examined)
+
+
+def _explains_motions(finding: Finding) -> bool:
+    """Return whether a finding explains the motions of the whole run, so that none is left.
+
+    Euler angles and a large clock rate are such findings. A step of a clock looks like a small
+    rate, and a body that was flipped like rotations without a convention.
+    """
+    if finding.cause == "rotations":
+        return bool(finding.evidence["is_explained"])
+    if finding.cause == "clock_drift":
+        return abs(finding.evidence["ppm"]) > _LARGE_PPM
+    return finding.is_of_conventions or finding.cause in _OF_WHOLE_RUNS
 
 
 def _is_of_noisy_fixes(evaluation: Evaluation) -> bool:

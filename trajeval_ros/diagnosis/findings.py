@@ -239,6 +239,17 @@ class Diagnosis:
         findings = [Finding.of(seen) for each in examined for seen in each.seen]
         return cls(_ranked(findings), tuple(examined))
 
+    def without(self, cause: str, why_not: str) -> Diagnosis:
+        """Return the diagnosis without a cause, whose test is not applicable."""
+        return Diagnosis.of(
+            [
+                dataclasses.replace(test, seen=(), why_not=why_not)
+                if any(seen.cause == cause for seen in test.seen)
+                else test
+                for test in self.examined
+            ]
+        )
+
     def with_others(self, others: Sequence[Finding]) -> Diagnosis:
         """Return the diagnosis with more findings, sorted."""
         return Diagnosis(_ranked([*self.findings, *others]), self.examined)

@@ -132,7 +132,8 @@ def rotations(scores: ModelScores, detail: str = "") -> Seen:
     elif ratio > 1.0 / _OTHER_UNIT:
         how += f" (angles {ratio:.3g} times as large)"
         check = "degrees were probably read as radians"
-    return Seen(ROTATIONS, 1.0, {"how": how, "check": check, "angle_ratio": ratio})
+    values: dict[str, Value] = {"how": how, "check": check, "angle_ratio": ratio}
+    return Seen(ROTATIONS, 1.0, {**values, "is_explained": float(how != "in no convention")})
 
 
 def _axes_options(scores: ModelScores, model: Model) -> list[tuple[float, str]]:
