@@ -42,10 +42,7 @@ class Examined:
     why_not: str = ""  # reason why the test is not applicable; "" if it is
 
 
-_MEASURE = (
-    "--hand-eye auto could not determine it; measure the transformation and give it with "
-    "--hand-eye FILE"
-)
+_FITTED = "--hand-eye auto could not determine it; apply this pose, which fits short motions"
 _IMPOSSIBLE = "its correction is not possible on this data"
 _USELESS = "its correction does not reduce the ATE, of which other errors are the larger part"
 # By side of a finding, if it is not only the groundtruth or only the estimate.
@@ -264,10 +261,11 @@ class Diagnosis:
     def after_hand_eye_calibration(self) -> Diagnosis:
         """Return the diagnosis of a calibrated run, without the advice to calibrate it.
 
-        A finding about the body remains if the calibration was too uncertain to be applied.
+        A finding about the body remains if the calibration was too uncertain to be applied. It
+        requires more motion, since it assumes nothing about the size of the lever arm.
         """
         findings = (
-            dataclasses.replace(finding, advice=_MEASURE, correction={})
+            dataclasses.replace(finding, advice=_FITTED)
             if "hand_eye" in finding.correction
             else finding
             for finding in self.findings

@@ -55,6 +55,8 @@ _RATE_PRIOR = -4.0  # logarithm: other clock rates are rare
 _UNRELATED_PEAK, _UNRELATED_S = 0.8, 15.0  # correlation and common time of another run
 _NO_PEAK, _LONG_S = 0.45, 20.0  # the same, without common motions
 _AT_REST_RAD = 0.01  # median rotation of a body that does not rotate, which is noise
+# Causes that no mistake in Euler angles looks like, if they fit.
+_OF_DIRECTIONS = {AS_READ, "wxyz", "xyzw", "inverse", "mirrored", "axes_mixed"}
 _MISFIT = 2.0  # of directions relative to lengths of rotation vectors; conventions keep lengths
 _REFINED_S, _REFINED_GROWTH_S = 0.03, 0.06  # clock errors from which on motions are sampled again
 _WANDER_S = 0.005  # of healthy clocks along a run: short runs show no rate
@@ -242,7 +244,7 @@ class _Comparison:
 
     def _may_be_euler(self, scores: ModelScores, best: Model) -> bool:
         """Return whether directions of rotations fit worse than their lengths."""
-        usual = best.cause in (AS_READ, "wxyz", "xyzw", "inverse", "mirrored")
+        usual = best.cause in _OF_DIRECTIONS
         positions = scores.unrelated.positions + 2.0 * MISTAKE
         if not usual or positions > best.score:
             return True
