@@ -18,6 +18,7 @@ from trajeval_ros.diagnosis.column_tests import columns_of_others
 from trajeval_ros.diagnosis.discontinuities import (
     changes_motions,
     examined_discontinuities,
+    has_clock_step,
     with_events,
 )
 from trajeval_ros.diagnosis.evaluation_tests import (
@@ -102,7 +103,9 @@ def diagnose(
         known = known.without("other_run", "fixes are noisier than short motions")
     if not any(map(_explains_motions, known.findings)):
         evaluation = with_events(evaluation, groundtruth, estimate, paired=paired)
-    if changes_motions(evaluation):
+    # A flip changes no rate of motion, by which clocks and other runs are known.
+    is_apart = any(map(known.named, _OTHER_PAIRS)) and not has_clock_step(evaluation)
+    if changes_motions(evaluation) and not is_apart:
         known, is_partial = Diagnosis.of(_tests_of_sides(inputs)), True
     examined = [number, *known.examined, examined_discontinuities(evaluation, known)]
     if is_partial:
