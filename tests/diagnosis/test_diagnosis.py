@@ -296,7 +296,7 @@ def test_diagnose_explains_at_length(tmp_path: Path, capsys: pytest.CaptureFixtu
     _, truth, _, estimate = files(MISTAKES["mirrored"].make(DRONE), tmp_path)
     assert main(["diagnose", truth, estimate, "--gauge", "yaw"]) == 0
     shown = capsys.readouterr().out
-    assert shown.startswith("mirrored (explains ")
+    assert shown.startswith("mirrored: the axes of one side are left-handed")
     for test in (
         "rounded stamps: no mistake",
         "clocks: no mistake (offset_s",
