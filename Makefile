@@ -9,6 +9,7 @@ REAL := .venv-real
 COLCON := .venv-colcon
 EVO := .venv-evo
 CONFORMANCE := .venv-conformance
+EIGEN := /usr/include/eigen3
 ORACLES := .venv-oracles
 LOCK := .venv-lock
 ATHERIS := .venv-fuzz
@@ -113,14 +114,18 @@ parity: $(VENV)/.installed $(EVO)/.installed ## Compare with evo, number by numb
 	$(VENV)/bin/python -m benchmarks.parity --evo $(EVO)/bin/evo_ape $(if $(SEED),--seed $(SEED))
 
 # The exit status of score.py is 1, because numbers of some tools differ from the kit's definitions.
-conformance: $(VENV)/.installed $(CONFORMANCE)/.installed ## Score evo, KISS-ICP, PyPose and trajeval on the cases in conformance/.
+conformance: $(VENV)/.installed $(CONFORMANCE)/.installed ## Score evo, KISS-ICP, PyPose, Eigen and trajeval on the cases in conformance/.
 	mkdir -p conformance/results
 	$(CONFORMANCE)/bin/python conformance/independent.py > conformance/results/independent.json
 	python3 conformance/score.py --relative 1e-12 conformance/results/independent.json
 	$(VENV)/bin/python conformance/adapters/run_trajeval.py > conformance/results/trajeval.json
-	for tool in evo kiss_icp pypose; do \
+	for tool in evo kiss_icp pypose rpg; do \
 		$(CONFORMANCE)/bin/python conformance/adapters/run_$$tool.py > conformance/results/$$tool.json || exit; \
 	done
+	if test -d $(EIGEN); then \
+		g++ -O2 -I $(EIGEN) conformance/examples/umeyama.cpp -o conformance/results/umeyama && \
+		conformance/results/umeyama conformance/cases/*/ > conformance/results/eigen.json; \
+	else echo "Eigen is left out: apt install libeigen3-dev"; fi
 	-python3 conformance/score.py --table conformance/results/*.json
 
 bench-runs: $(VENV)/.installed ## Time comparisons of a thousand runs; BENCH="--runs 200".
@@ -192,12 +197,15 @@ audit: $(AUDIT)/.installed ## Look locked packages up in PyPI's database of know
 COMPILE = $(LOCK)/bin/uv pip compile --universal --python-version 3.10 --upgrade --quiet \
 	--no-header --no-annotate --no-emit-index-url
 
-lock: $(LOCK)/.installed ## Renew constraints.txt and constraints-ros.txt with the newest releases.
+lock: $(LOCK)/.installed ## Renew the constraints and the requirements of a release.
 	$(COMPILE) --extra dev \
 		--output-file constraints.txt pyproject.toml .ci/colcon-requirements.txt \
 		.ci/site-requirements.txt
 	$(COMPILE) --extra ros --extra plot --extra test --constraint constraints-jazzy.txt \
 		--output-file constraints-ros.txt pyproject.toml .ci/rerun-requirements.txt
+	printf 'build\nsetuptools==79.0.1\ntwine\n' | $(LOCK)/bin/uv pip compile --python-platform linux \
+		--python-version 3.11 --generate-hashes --upgrade --quiet --no-header --no-annotate \
+		--no-emit-index-url --output-file .ci/release-requirements.txt -
 	rm -rf trajeval_ros.egg-info
 
 colcon-environment: $(COLCON)/.installed

@@ -201,8 +201,7 @@ def car(folder: Path, rng: Random) -> None:
     p, q = p - p[0] + 0.003 * rng.normal(size=p.shape), times(turn(drift), q)
     write_kitti(folder / "car_kitti/est.txt", p, q)
     kept = np.flatnonzero((rng.random(count) > 0.03) & ~((k > 400) & (k < 425)) | (k == 0))
-    for name, rows in (("frames", kept), ("late_frames", kept[kept >= 7])):
-        write_kitti(folder / f"car_kitti/est_{name}.txt", p[rows], q[rows], rows)
+    write_kitti(folder / "car_kitti/est_frames.txt", p[kept], q[kept], kept)
     (folder / "car_kitti/times.txt").write_text("".join(f"{0.1 * each:.9f}\n" for each in k))
 
 

@@ -15,5 +15,7 @@ RUN apt-get update \
 
 RUN printf '#!/bin/sh\nset -e\n. /workspace/install/setup.sh\nexec "$@"\n' > /start \
     && chmod +x /start
+RUN useradd --create-home trajeval
+USER trajeval
 ENTRYPOINT ["/start"]
 CMD ["ros2", "run", "trajeval_ros", "evaluator", "--help"]

@@ -170,6 +170,28 @@ def test_damaged_results_are_one_sentence(folder: Path, tmp_path: Path) -> None:
         FinishedResults([str(copy)])
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("change", ["rmse", "estimate", "errors"])
+def test_changed_values_are_refused_before_anything_is_written(
+    change: str, folder: Path, tmp_path: Path
+) -> None:
+    copy, output = tmp_path / "copy", tmp_path / "output"
+    shutil.copytree(folder / "vio_hall", copy)
+    if change == "errors":
+        arrays = dict(np.load(copy / "errors.npz"))
+        name = next(name for name in arrays if name.endswith(".position_m"))
+        np.savez(copy / "errors.npz", **{**arrays, name: arrays[name].astype(str)})
+    else:
+        content = json.loads((copy / "result.json").read_text())
+        if change == "rmse":
+            content["runs"][0]["ate"]["position_m"]["rmse"] = "small"
+        else:
+            content["runs"][0]["estimate"] = [1]
+        (copy / "result.json").write_text(json.dumps(content))
+    assert main(["compare", str(folder / "slam_hall"), str(copy), "--output", str(output)]) == 2
+    assert not [path for path in output.rglob("*") if path.is_file() and "lock" not in path.name]
+
+
 def test_files_need_no_configuration(tmp_path: Path) -> None:
     truth = write_run(tmp_path / "truth.txt")
     first, second = (write_run(tmp_path / name, 1.01) for name in ("a.txt", "b.txt"))

@@ -73,9 +73,9 @@ def test_files_of_an_earlier_evaluation_are_replaced_and_others_stay(
 
 def test_the_picture_of_a_live_run_stays(outcome: Outcome, tmp_path: Path) -> None:
     (tmp_path / "run.rrd").write_text("live")
-    (tmp_path / "vio.pairs").write_text("live")
+    (tmp_path / "vio.states").write_text("live")
     write(tmp_path, outcome)
-    assert names(tmp_path) >= {"run.rrd", "vio.pairs", "result.json"}
+    assert names(tmp_path) >= {"run.rrd", "vio.states", "result.json"}
 
 
 @pytest.mark.parametrize("exists", [False, True])
@@ -89,7 +89,7 @@ def test_files_that_cannot_be_computed_leave_everything_as_it_was(
         (folder / "stanford.png").write_text("old")
     before = names(folder) if exists else set()
 
-    def full(path: Path, outcome: Outcome) -> None:  # noqa: ARG001
+    def full(path: Path, outcome: Outcome, columns: object) -> None:  # noqa: ARG001
         path.write_bytes(b"half")
         raise OSError(28, "No space left on device")
 

@@ -72,8 +72,9 @@ def test_defects_are_not_hidden() -> None:
         exit_status(raising(RuntimeError("defect"), ValueError()))
 
 
-def test_a_closed_output_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdout", None)
-    assert exit_status(lambda: print("lost")) == 0
-    assert isinstance(sys.stdout, io.TextIOBase)
-    sys.stdout.close()
+@pytest.mark.parametrize("name", ["stdout", "stderr"])
+def test_a_closed_output_is_replaced(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, name, None)
+    assert exit_status(lambda: print("lost", file=getattr(sys, name))) == 0
+    assert isinstance(getattr(sys, name), io.TextIOBase)
+    getattr(sys, name).close()

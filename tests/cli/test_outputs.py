@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
-from comparison_runs import write_runs
+from comparison_runs import write_run, write_runs
 from paths import ROOT
 from text_pairs import pair, refused, write_tum
 
@@ -320,3 +322,16 @@ def test_a_flight_of_years_is_refused(tmp_path: Path, capsys: pytest.CaptureFixt
     for more, longest_s in (([], 86400), (["--profile", "euroc"], 1800)):
         command = ["simulate", str(tmp_path / "bag"), "--duration", "1e9", *more]
         assert f"takes 5 to {longest_s} s" in refused(command, capsys)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems refuse such names")
+def test_a_file_name_that_is_not_utf_8_has_results(tmp_path: Path) -> None:
+    groundtruth = write_run(tmp_path / "g.txt")
+    estimate = tmp_path / os.fsdecode(b"e\xff.txt")
+    shutil.copy(groundtruth, estimate)
+    output = tmp_path / "output"
+    given = [str(groundtruth), str(estimate), "--lengths", "none", "--quiet"]
+    assert main(["evaluate", *given, "--output", str(output)]) == 0
+    content = json.loads((output / "result.json").read_bytes())
+    assert content["runs"][0]["estimate"]["name"] == r"e\udcff"
+    assert r"e\udcff.position_m" in np.load(output / "errors.npz").files

@@ -116,7 +116,7 @@ def test_drift_is_withheld_with_rotations() -> None:
         assert bool(found.withheld) == withheld
         assert (found.drift is None) == withheld
         assert ("rotation and drift withheld" in verdict(found)[0]) == withheld
-        assert ("; drift " in verdict(found)[0]) != withheld
+        assert (", drift " in verdict(found)[0]) != withheld
 
 
 @pytest.mark.parametrize("method", ["nearest", "evo"])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from types import SimpleNamespace
 from typing import Any
 from unittest import mock
@@ -19,11 +18,10 @@ from strategies import make_element, make_groundtruth, seeds
 from trajeval_ros import Gauge, Protocol, Trajectory, evaluate
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.metrics.alignment import Alignment
-from trajeval_ros.metrics.coverage import StampedPoses, time_without_gaps, waypoints
+from trajeval_ros.metrics.coverage import time_without_gaps
 from trajeval_ros.online import live_alignment
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_alignment import LiveAlignment
-from trajeval_ros.online.live_coverage import LiveCoverage
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import PairedStates, Pairing
 from trajeval_ros.online.state_buffer import BufferLimits
@@ -39,38 +37,6 @@ def uneven(seed: int, count: int) -> Array:
     rng = np.random.default_rng(seed)
     steps = rng.choice([10, 45, 60, 200, 499, 500, 501, 900], size=count) * 1_000_000
     return np.cumsum(steps).astype(np.int64)
-
-
-@given(
-    seed=seeds,
-    cuts=st.lists(st.integers(1, 79), max_size=8).map(sorted),
-    past_s=st.sampled_from([0.1, 2.0]),
-    silent=st.booleans(),
-)
-def test_waypoints_of_a_stream_are_those_of_the_whole(
-    seed: int, cuts: list[int], past_s: float, *, silent: bool
-) -> None:
-    """Each is recorded once, also if groundtruth is forgotten while no estimate arrives."""
-    stamps = uneven(seed, 80)
-    rows = states(stamps[:, None].astype(float) * np.ones(3))
-    pairing, found = Pairing(limits=BufferLimits(past_s)), list[StampedPoses]()
-    coverage = LiveCoverage(pairing, found.append)
-    none = StampedPoses.joined([])
-    for begin, end in itertools.pairwise([0, *cuts, 80]):
-        pairing.add_groundtruth(trajectory(stamps[begin:end], rows[begin:end]))
-        pairs = none
-        if not silent or end == 80:
-            pairing.add_estimate(trajectory(stamps[end - 1 : end], rows[end - 1 : end]))
-            if (made := pairing.made()) is not None:
-                pairs = StampedPoses.of(made.groundtruth, np.arange(len(made)))
-            pairing.settle()
-        coverage.measure(pairs, pairs)
-        pairing.forget()
-        assert pairing.groundtruth_count == end
-    joined = StampedPoses.joined(found)
-    expected = stamps[waypoints(stamps, MAX_GAP_NS)]
-    assert joined.stamps.tolist() == expected[expected < stamps[-1]].tolist()
-    assert joined.poses[:, 0].tolist() == [float(stamp) for stamp in joined.stamps]
 
 
 @settings(max_examples=12)

@@ -29,11 +29,11 @@ from trajeval_ros import Trajectory, simulate
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.geometry.receptions import Receptions
-from trajeval_ros.geometry.up_axis import Z_UP
 from trajeval_ros.io.bags.pose_messages import decode_poses, decode_transforms
-from trajeval_ros.io.live.reception_file import read_received
+from trajeval_ros.io.live.state_file import read_states
 from trajeval_ros.metrics.as_available import AvailabilityRule
 from trajeval_ros.online.alarms import AlarmLimits
+from trajeval_ros.online.live_availability import received_poses
 from trajeval_ros.ros.diagnostics import remarks_about
 
 FLIGHT = simulate(seed=5, duration_s=20.0)
@@ -147,7 +147,7 @@ def test_transforms_of_a_restart_do_not_mix_with_those_before(size: int, tmp_pat
         live.feed([*feed, *feed][begin : begin + size])
     live.end()
     _, second = (
-        read_received(folder / "vio.received", [Z_UP, Z_UP])[1] for folder in live.folders
+        received_poses(read_states(folder / "vio.states").received) for folder in live.folders
     )
     assert second.stamps[0] < FLIGHT.estimate.stamps[0] + 10**9
     steps = np.diff(np.concatenate([[0], second.stamps, FLIGHT.estimate.stamps[-1:]]))
@@ -186,7 +186,7 @@ def test_without_the_setting_nothing_is_written(tmp_path: Path) -> None:
     live.feed(feed_of(ODOM)[:400])
     assert live.run.estimates[0].availability is None
     live.end()
-    assert not list(live.folder.glob("*.received"))
+    assert not len(read_states(live.folder / "vio.states").received)
     assert live.result["runs"][0]["as_available"] is None
 
 
@@ -282,8 +282,8 @@ def test_over_dds_the_stored_receptions_give_the_numbers_of_a_recording(
         assert evaluator.end() == 0
     options = ("--gauge", "none", "--as-available", motion)
     for number, folder in enumerate(folders):
-        groundtruth, poses = read_received(folder / f"{name}.received", [Z_UP, Z_UP])
-        assert len(groundtruth) == len(truth)
+        assert len(read_states(folder / "groundtruth.states").stamps) == len(truth)
+        poses = received_poses(read_states(folder / f"{name}.states").received)
         messages, logged = as_stored(sent, poses), {payload: at for _, _, at, payload in sent}
         write_messages(tmp_path / f"bag_{number}", [*truth, *messages])
         if source == TF:

@@ -12,6 +12,7 @@ import pytest
 from fix_runs import DATUM, fix_messages, fixes_of, later, quality
 from live_runs import ESTIMATE, GROUNDTRUTH, Live
 from marker_flights import write_mounting
+from recorded_runs import pairs_of
 from ros_bags import ODOM, Message, messages_of, write_messages
 from ros_processes import assert_same, offline
 
@@ -22,7 +23,6 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.geodesy import Datum
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.pose_messages import FIX_TYPE
-from trajeval_ros.io.live.pair_file import read_pairs
 from trajeval_ros.io.requests.request_from import known_hand_eye
 from trajeval_ros.ros.live_fixes import LiveFixes
 from trajeval_ros.ros.live_runs import NewRunRule
@@ -170,7 +170,7 @@ def test_a_restart_parts_the_fixes(tmp_path: Path, batch: int) -> None:
     for begin in range(0, len(feed), batch):
         live.feed(feed[begin : begin + batch])
     live.end()
-    paired = [read_pairs(each / "vio.pairs").stamps for each in live.folders]
+    paired = [pairs_of(each).estimate.stamps for each in live.folders]
     first = int(paired[1][0])
     around = [each[2] for each in feed if each[0] == ESTIMATE]
     before, after = max(s for s in around if s <= first), min(s for s in around if s >= first)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_runs import COUNT, ESTIMATE, GROUNDTRUTH, Live, batches
 from marker_flights import MOUNTED, of_marker, write_mounting
+from recorded_runs import pairs_of
 from ros_bags import ODOM, POINT, POSE, Message, messages_of, write_messages
 from ros_processes import assert_same, offline
 from strategies import make_pair, seeds
@@ -19,10 +21,8 @@ from uncertain_runs import MESSAGE
 from uncertain_runs import OPTIONS as JUDGED
 
 from trajeval_ros import simulate
-from trajeval_ros.cli.app import main
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.live.pair_file import read_pairs
 from trajeval_ros.io.requests.request_from import known_hand_eye
 from trajeval_ros.ros import live_runs
 from trajeval_ros.ros.live_runs import NewRunRule
@@ -76,18 +76,19 @@ def test_a_marker_is_applied_as_offline(
     )
 
 
-def test_what_was_applied_live_is_not_applied_again(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_another_marker_pose_can_be_applied_after_the_run(tmp_path: Path) -> None:
     file = str(write_mounting(tmp_path))
     live = Live(tmp_path / "live", ODOM, body=MarkerBody(file, known_hand_eye(file)))
     live.feed(marker_messages(4))
     live.end()
-    for wanted in (file, "auto"):
-        assert live.finish("--hand-eye", wanted) == 2
-        assert f"the live run has applied hand_eye {file}" in capsys.readouterr().err
-    assert main(["finish", str(live.folder), "--hand-eye", "none"]) == 0
-    assert f"transformed with {file} during the run" in capsys.readouterr().out
+    own, result = live.result, tmp_path / "again.json"
+    for hand_eye in (file, "none", "auto"):
+        assert live.finish("--hand-eye", hand_eye, "--json", str(result)) == 0
+        [run], [known] = json.loads(result.read_text())["runs"], own["runs"]
+        if hand_eye == "auto":
+            assert run["calibration"] != known["calibration"]
+        else:
+            assert_same(run["ate"], known["ate"])
 
 
 @settings(max_examples=3)
@@ -128,12 +129,14 @@ def test_covariances_are_of_the_markers_position(tmp_path: Path) -> None:
     )
     live.feed(feed)
     live.end()
-    recorded = read_pairs(live.folder / "vio.pairs")
-    rows = estimate.stamps.searchsorted(recorded.stamps)
+    recorded = pairs_of(live.folder)
+    rows = estimate.stamps.searchsorted(recorded.estimate.stamps)
     expected = MOUNTED.of_marker(estimate[rows], 1.0)
     assert expected.covariances is not None
-    assert recorded.covariances is not None
-    np.testing.assert_allclose(recorded.covariances, expected.covariances, rtol=1e-9, atol=1e-12)
+    assert recorded.estimate.covariances is not None
+    np.testing.assert_allclose(
+        recorded.estimate.covariances, expected.covariances, rtol=1e-9, atol=1e-12
+    )
     newest = live.run.estimates[0].uncertainty()
     last = MOUNTED.of_marker(estimate[-1:], 1.0)
     assert newest is not None
@@ -206,13 +209,13 @@ def test_groundtruth_that_serves_two_runs_is_moved_once(
     for message in sorted([*groundtruth, *arriving], key=lambda each: each[2]):
         live.feed([message])
     live.end()
-    recorded = read_pairs(live.folders[1] / "vio.pairs")
-    rows = pair.groundtruth.stamps.searchsorted(recorded.stamps)
+    recorded = pairs_of(live.folders[1])
+    rows = pair.groundtruth.stamps.searchsorted(recorded.estimate.stamps)
     rows = rows.clip(1, len(pair.groundtruth) - 1)
     around = pair.groundtruth.positions[[rows - 1, rows]]
     reach = np.linalg.norm(around[1] - around[0], axis=1)
-    apart = np.linalg.norm(around - recorded.groundtruth[:, :3], axis=2).min(axis=0)
-    assert len(recorded.stamps) > 0.9 * (len(stamps) - COUNT // 4)
+    apart = np.linalg.norm(around - recorded.groundtruth.positions, axis=2).min(axis=0)
+    assert len(recorded.estimate.stamps) > 0.9 * (len(stamps) - COUNT // 4)
     assert (apart <= reach + 1e-9).all()
 
 

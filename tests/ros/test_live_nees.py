@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import struct
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +12,8 @@ import pytest
 from consistency_runs import with_growing_covariances
 from examined_rigs import rig
 from hypothesis import given, settings
-from live_runs import COUNT, ESTIMATE, GROUNDTRUTH, Live
+from live_runs import ESTIMATE, GROUNDTRUTH, Live
+from recorded_runs import pairs_of
 from ros_bags import (
     ODOM,
     POSE,
@@ -24,7 +23,7 @@ from ros_bags import (
     write_messages,
 )
 from ros_processes import assert_same, offline
-from strategies import make_pair, seeds
+from strategies import seeds
 from uncertain_runs import MESSAGE, OPTIONS, sides
 
 from trajeval_ros import CovarianceRequest
@@ -32,7 +31,6 @@ from trajeval_ros.calibration.groundtruth_doctor.examine import examine
 from trajeval_ros.consistency.covariance_request import IntegrityRequest
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.remarks import Level
-from trajeval_ros.io.live.pair_file import FORMAT, read_pairs
 from trajeval_ros.io.requests.request_from import protocol_from
 from trajeval_ros.io.results.result_json import integrity_json
 from trajeval_ros.online.alarms import LIMITED_QUANTITIES, AlarmLimits, Peaks, alarms
@@ -213,34 +211,11 @@ def test_a_topic_may_change_to_a_type_with_covariances(tmp_path: Path) -> None:
     live.feed(wide[middle:])
     live.end()
     assert stream.status.poses == len(estimate)
-    recorded = read_pairs(live.folder / "vio.pairs")
-    assert recorded.covariances is not None
-    said = recorded.covariances.any(axis=(1, 2))
-    paired = np.searchsorted(estimate.stamps, recorded.stamps)
+    recorded = pairs_of(live.folder)
+    assert recorded.estimate.covariances is not None
+    said = recorded.estimate.covariances.any(axis=(1, 2))
+    paired = np.searchsorted(estimate.stamps, recorded.estimate.stamps)
     np.testing.assert_array_equal(said, paired >= middle)
-
-
-def test_pair_files_of_the_version_before_are_read(tmp_path: Path) -> None:
-    live = Live(tmp_path / "live", ODOM)
-    feed = messages(8)
-    live.feed([each for each in feed if each[0] == GROUNDTRUTH])
-    live.feed(messages_of(make_pair(8, COUNT, smooth=True).estimate, ESTIMATE, ODOM))
-    live.end()
-    now = live.result
-    path = live.folder / "vio.pairs"
-    # Its rows are as they were then: nothing had a covariance.
-    with_old_text(path)
-    assert read_pairs(path).description["format"] == "trajeval-pairs/2"
-    assert_same(live.result, now)
-
-
-def with_old_text(path: Path) -> None:
-    """Let a pair file say that it is of the version before."""
-    content = path.read_bytes()
-    magic, count, length, _ = struct.unpack_from("<4sIII", content)
-    text = content[16 : 16 + length].replace(FORMAT.encode(), b"trajeval-pairs/2")
-    head = struct.pack("<4sIII", magic, count, len(text), zlib.crc32(text))
-    path.write_bytes(head + text + content[16 + length :])
 
 
 def test_alarms_have_limits_of_nees() -> None:

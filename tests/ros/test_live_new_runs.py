@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from live_runs import COUNT, ESTIMATE, GROUNDTRUTH, Live, messages, path_messages
+from recorded_runs import pairs_of
 from ros_bags import ODOM, PATH, POSE, Message, messages_of, odometry_message, write_messages
 from ros_processes import assert_same, offline
 from strategies import make_pair
@@ -20,7 +21,6 @@ from strategies import make_pair
 from trajeval_ros import simulate
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.live.pair_file import read_pairs
 from trajeval_ros.ros import live_runs
 from trajeval_ros.ros.live_runs import NewRunRule
 from trajeval_ros.ros.marker_body import MarkerBody
@@ -137,7 +137,7 @@ def test_a_restart_begins_a_run(tmp_path: Path, batch: int) -> None:
 
 
 def read_stamps(live: Live) -> list[list[int]]:
-    return [read_pairs(each / "vio.pairs").stamps.tolist() for each in live.folders]
+    return [pairs_of(each).estimate.stamps.tolist() for each in live.folders]
 
 
 @pytest.mark.slow
@@ -301,8 +301,12 @@ def test_a_restart_loses_no_pair_of_another_estimate(tmp_path: Path, batch: int)
         for begin in range(0, len(feed), batch):
             live.feed(feed[begin : begin + batch])
         live.end()
-        files = ([each / f"{name}.pairs" for each in live.folders] for name in ("vio", "other"))
-        stamps.append([np.concatenate([read_pairs(file).stamps for file in own]) for own in files])
+        stamps.append(
+            [
+                np.concatenate([pairs_of(each, name).estimate.stamps for each in live.folders])
+                for name in ("vio", "other")
+            ]
+        )
     assert len(live.folders) == 2
     for whole, parts in zip(*stamps, strict=True):
         assert parts.tolist() == whole.tolist()

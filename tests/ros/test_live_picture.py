@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from live_runs import ESTIMATE, GROUNDTRUTH, Live
+from recorded_runs import pairs_of
 from ros_bags import ODOM, POSE, Message, messages_of
 from waiting import PATIENCE_S
 
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.io.live.pair_file import read_pairs
 from trajeval_ros.online.reports import Update
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
@@ -109,8 +109,8 @@ def test_each_loop_of_a_bag_is_drawn_in_its_folder(tmp_path: Path) -> None:
     feed = feed_of(*loops[0]) + feed_of(*loops[1])
     live, pictures, published = drawn(tmp_path / "live", feed)
     for folder, picture, (groundtruth, _) in zip(live.folders, pictures, loops, strict=True):
-        pairs = read_pairs(folder / "vio.pairs")
-        assert_drawn(picture, pairs.estimate[:, :3], groundtruth.positions)
+        pairs = pairs_of(folder)
+        assert_drawn(picture, pairs.estimate.positions, groundtruth.positions)
     _, values = pictures[1].numbers("metrics/position_error/vio")
     # Messages arrive seldom and many at once: errors between two published ones are drawn, too.
     places = [values.tolist().index(each) for each in published]

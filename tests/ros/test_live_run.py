@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import errno
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_runs import COUNT, ESTIMATE, GROUNDTRUTH, Live, batches, messages, path_messages
-from ros_bags import ODOM, PATH, POSE, Message, messages_of, write_messages
+from ros_bags import ODOM, PATH, POSE, messages_of, write_messages
 from ros_processes import assert_same, offline
 from strategies import make_pair, seeds
 from waiting import until
@@ -95,17 +94,12 @@ def test_after_a_crash_the_pairs_count_and_the_missing_counts_are_told(tmp_path:
     [told] = [
         each["text"] for each in run["remarks"] if "stopped before its last counts" in each["text"]
     ]
-    assert f"{run['association']['pairs'] - _pairs_of(before, tmp_path)} pairs" in told
-    with (live.folder / "vio.pairs").open("r+b") as file:
+    later = sum(topic == ESTIMATE for topic, *_ in after)
+    assert f"{later} poses before the end" in told
+    with (live.folder / "vio.states").open("r+b") as file:
         file.truncate(file.seek(0, 2) - 5)
     [torn] = live.result["runs"]
     assert 0 < torn["association"]["pairs"] < run["association"]["pairs"]
-
-
-def _pairs_of(feed: Sequence[Message], folder: Path) -> int:
-    live = Live(folder / "alone", ODOM)
-    live.feed(feed)
-    return live.run.estimates[0].evaluator.pairs
 
 
 def test_pairs_that_a_disk_did_not_take_are_missing_with_the_reason(
@@ -121,8 +115,10 @@ def test_pairs_that_a_disk_did_not_take_are_missing_with_the_reason(
     live.feed(rest)
     live.end()
     [run] = live.result["runs"]
-    [told] = [each["text"] for each in run["remarks"] if "missing, since the disk" in each["text"]]
-    assert told.endswith("since the disk could not be written: no space left on device")
+    told = [each["text"] for each in run["remarks"] if "missing, since the disk" in each["text"]]
+    assert told
+    for each in told:
+        assert each.endswith("since the disk could not be written: no space left on device")
 
 
 def full(*_: object) -> int:
@@ -133,11 +129,11 @@ def test_an_estimate_that_fails_is_named_beside_those_that_did_not(tmp_path: Pat
     live = Live(tmp_path / "live", ODOM)
     live.feed(messages(7))
     live.end()
-    (live.folder / "broken.pairs").write_bytes(b"no pairs")
+    (live.folder / "broken.states").write_bytes(b"no states")
     result = live.result
     [failed] = result["failed"]
     assert failed["name"] == "broken"
-    assert "is not a pair file" in failed["reason"]
+    assert "is not a file of states" in failed["reason"]
     assert [each["estimate"]["name"] for each in result["runs"]] == ["vio"]
 
 
@@ -145,11 +141,14 @@ def test_an_estimate_that_fails_is_named_beside_those_that_did_not(tmp_path: Pat
     ("prepare", "complaint"),
     [
         (lambda folder: None, "no live run in"),
-        (lambda folder: (folder / "a.pairs").write_bytes(b"x"), "is not a pair file"),
+        (
+            lambda folder: (folder / "a.states").write_bytes(b"x"),
+            "groundtruth.states can't be read",
+        ),
         (lambda folder: Live(folder / "sub", ODOM).end(), "no live run in"),
         (lambda folder: folder.rmdir(), "no live run in"),
     ],
-    ids=["empty", "no pairs", "below", "missing"],
+    ids=["empty", "no states", "below", "missing"],
 )
 def test_a_folder_without_a_run_is_one_sentence(
     tmp_path: Path, prepare: Any, complaint: str, capsys: pytest.CaptureFixture[str]
@@ -274,7 +273,7 @@ def test_a_run_without_pairs_says_so(tmp_path: Path, capsys: pytest.CaptureFixtu
     live.feed([each for each in messages(8) if each[0] == GROUNDTRUTH])
     live.end()
     assert live.finish() == 2
-    assert "vio: no pairs of estimate and groundtruth" in capsys.readouterr().err
+    assert "/vio: no usable pose in vio" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 from consistency_runs import with_growing_covariances
+from recorded_runs import pairs_of
 from ros_bags import ODOM, POSE, Message, messages_of, write_messages
 from ros_processes import GROUNDTRUTH, ODOMETRY, Peer, assert_same, evaluating, offline
 from waiting import until
 
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.live.pair_file import read_pairs
 from trajeval_ros.simulation.drifting_odometry import simulate
 
 pytest.importorskip(
@@ -120,7 +120,7 @@ def test_a_restart_begins_a_run(peer: Peer, environment: dict[str, str], tmp_pat
         live.wait_for(f"vio_odometry jumped; previous results are in {folder}")
         assert live.end() == 0
     folders = [folder, tmp_path / "live_2"]
-    first = int(read_pairs(folders[1] / "vio_odometry.pairs").stamps.min())
+    first = int(pairs_of(folders[1], "vio_odometry").estimate.stamps.min())
     assert first == estimate.stamps[row]
     last_before = groundtruth.stamps[groundtruth.stamps <= first].max()
     first_after = groundtruth.stamps[groundtruth.stamps >= first].min()

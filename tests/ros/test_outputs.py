@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from live_runs import path_messages
 from recorded_errors import read_recording
+from recorded_runs import pairs_of
 from ros_bags import POSE, messages_of, write_messages
 from ros_processes import (
     GROUNDTRUTH,
@@ -27,7 +28,6 @@ from strategies import make_pair
 from waiting import until
 
 from trajeval_ros.cli.app import main
-from trajeval_ros.io.live.pair_file import read_pairs
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.ros.message_types import message_class
 
@@ -140,7 +140,7 @@ def heard(
         saved["result"] = evaluator.result
         # What is published may be heard long after the answer that all is saved.
         [run] = saved["result"]["runs"]
-        last_ns = int(read_pairs(evaluator.folder / f"{NAME}.pairs").stamps[-1])
+        last_ns = int(pairs_of(evaluator.folder, NAME).estimate.stamps[-1])
         for each in (*(f"stamped/{vector}" for vector in VECTORS), *kinds):
             peer.until(
                 lambda: messages[each] and newest_ns(messages[each][-1]) == last_ns,  # noqa: B023

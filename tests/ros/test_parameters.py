@@ -74,7 +74,7 @@ def test_odd_parameters_are_understood_and_an_existing_folder_is_left_alone(
     assert "no pairs of estimate and groundtruth" in evaluator.said
     assert [each.name for each in kept.parent.iterdir()] == ["notes.txt"]
     found = {each.name for each in (tmp_path / "out_2").iterdir()}
-    assert found == {"v.pairs", "metrics.prom"}
+    assert found == {"groundtruth.states", "v.states", "metrics.prom"}
 
 
 def test_a_node_that_only_watches_names_unknown_parameters(

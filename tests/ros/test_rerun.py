@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fix_runs import fix_messages, fixes_of
+from recorded_runs import pairs_of
 from ros_bags import ODOM, messages_of, write_messages
 from ros_processes import (
     GROUNDTRUTH,
@@ -27,7 +28,6 @@ from ros_processes import (
 from waiting import PATIENCE_S
 
 from trajeval_ros.formatting.install_command import extra_command
-from trajeval_ros.io.live.pair_file import read_pairs
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.simulation.drifting_odometry import simulate
 
@@ -124,12 +124,12 @@ def test_a_second_loop_of_a_bag_is_drawn(
         evaluator.wait_for(f"new results in {tmp_path / 'out_2'}")
         assert evaluator.end() == 0
     folder = tmp_path / "out_2"
-    picture, pairs = Rrd(folder / "run.rrd"), read_pairs(folder / f"{NAME}.pairs")
+    picture, pairs = Rrd(folder / "run.rrd"), pairs_of(folder, NAME)
     groundtruth = read_trajectory(f"{flights / 'mcap'}:{GROUNDTRUTH}")
     frame = f"world/estimate/{NAME}"
     for entity, positions in (
         ("world/groundtruth", groundtruth.positions[groundtruth.seconds < 12.0]),
-        (frame, pairs.estimate[:, :3]),
+        (frame, pairs.estimate.positions),
     ):
         stamps, poses = picture.rows(f"{entity}/pose", "Transform3D:translation")
         assert (np.diff(stamps) > 0).all()

@@ -11,7 +11,7 @@ from ros_processes import GROUNDTRUTH, ODOMETRY, Peer, evaluating
 from waiting import until
 
 from trajeval_ros.io.live.metrics_file import NAME as METRICS
-from trajeval_ros.io.live.pair_file import read_pairs
+from trajeval_ros.io.live.state_file import read_states
 from trajeval_ros.simulation.drifting_odometry import simulate
 
 pytest.importorskip(
@@ -67,7 +67,7 @@ def test_runs_start_pause_and_stop_when_asked(
         assert live.end() == 0
     result = json.loads((folder / "result.json").read_text())
     assert result["runs"][0]["association"] == first["runs"][0]["association"]
-    seconds = (read_pairs(folder / "vio_odometry.pairs").stamps - begin) / 1e9
+    seconds = (read_states(folder / "vio_odometry.states").stamps - begin) / 1e9
     assert (seconds < 10.1).any()
     assert (seconds > 19.9).any()
     assert not ((seconds > 10.1) & (seconds < 19.9)).any()
@@ -76,7 +76,7 @@ def test_runs_start_pause_and_stop_when_asked(
     assert (run["live"]["label"], run["live"]["metadata"]) == ("one", {"operator": "Ann"})
     assert run["live"]["jumps"] == 0
     assert run["live"]["streams"]["estimate"]["messages"] == run["estimate"]["poses"]
-    seconds = (read_pairs(tmp_path / "live_2" / "vio_odometry.pairs").stamps - begin) / 1e9
+    seconds = (read_states(tmp_path / "live_2" / "vio_odometry.states").stamps - begin) / 1e9
     assert seconds.min() > 29.9
     [run] = json.loads((tmp_path / "live_2" / "result.json").read_text())["runs"]
     assert run["live"]["label"] == "two"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from marker_flights import MOUNTED, of_marker
+from recorded_runs import pairs_of
 from ros_bags import (
     ODOM,
     POSE,
@@ -31,7 +32,6 @@ from ros_processes import (
 )
 
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.live.pair_file import read_pairs
 from trajeval_ros.ros.message_types import is_installed
 from trajeval_ros.simulation.drifting_odometry import simulate
 
@@ -191,7 +191,7 @@ def test_the_alignment_is_broadcast_where_it_is_asked_for(
 
         def is_of_last_pair() -> bool:  # which may still be on its way at the first save
             assert peer.ask("/evaluator/save", Trigger).success
-            last_ns = int(read_pairs(evaluator.folder / "vio_odometry.pairs").stamps[-1])
+            last_ns = int(pairs_of(evaluator.folder, "vio_odometry").estimate.stamps[-1])
             return bool(heard) and stamp_ns(heard[-1].transforms[0]) == last_ns + 300_000_000
 
         peer.until(is_of_last_pair, "the transform of the last pair is broadcast")

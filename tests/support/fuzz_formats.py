@@ -34,14 +34,15 @@ from fuzz_changes import (
 )
 from fuzz_hostile import make_hostile
 from fuzz_more_formats import MORE_FORMATS
+from fuzz_text import TEXT_FORMATS
 from gate_tables import made_table
 from mcap.records import Channel, Schema
 from mcap_layouts import Layout, Part, record
-from pair_file_contents import DESCRIPTION, STATE, columns
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
+from state_file_contents import DESCRIPTION, STATE, columns, write_groundtruth
 
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.gate import GateValues
@@ -61,7 +62,7 @@ from trajeval_ros.io.covariance_file import read_joint_covariance
 from trajeval_ros.io.hand_eye_file import read_hand_eye
 from trajeval_ros.io.json_file import json_text
 from trajeval_ros.io.live.live_folder import evaluate_folder
-from trajeval_ros.io.live.pair_file import FORMAT, write_revised
+from trajeval_ros.io.live.state_file import FORMAT, StateWriter
 from trajeval_ros.io.requests.request_from import read_protocol
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import read_trajectory
@@ -291,42 +292,33 @@ def make_npz(random: Random, folder: Path) -> Changed:
     return Changed(what, read)
 
 
-def make_pairs(random: Random, folder: Path) -> Changed:
+def make_states(random: Random, folder: Path) -> Changed:
     """Change texts and rows under valid checksums, or bytes; or the revision beside them."""
     texts: list[Any] = [{**DESCRIPTION, "format": FORMAT}, STATE]
     number = int(random.integers(2))
     if random.random() < 0.5:
         texts[number] = with_other_values(random, texts[number])
-    stamps, truth, estimate = (each.copy() for each in columns())
+    stamps, _, estimate = (each.copy() for each in columns())
     if random.random() < 0.3:
         place = tuple(random.integers(0, (len(stamps), 10)))
-        pick(random, [truth, estimate])[place] = pick(random, [np.nan, np.inf, 1e308, 0.0])
+        estimate[place] = pick(random, [np.nan, np.inf, 1e308, 0.0])
         stamps[int(random.integers(len(stamps)))] = pick(random, [0, -1, 2**63 - 1, stamps[0]])
-    rows = np.empty(len(stamps), dtype=[("s", "<i8"), ("t", "<f8", 10), ("e", "<f8", 10)])
-    rows["s"], rows["t"], rows["e"] = stamps, truth, estimate
-    passed = np.empty(5, dtype=[("s", "<i8"), ("p", "<f8", 7)])
-    passed["s"], passed["p"] = stamps[:5] + 1_000_000, truth[:5, :7]
-    if random.random() < 0.3:
-        passed["p"][int(random.integers(5)), int(random.integers(7))] = pick(
-            random, [np.nan, np.inf, 1e308, 0.0]
-        )
-        passed["s"][int(random.integers(5))] = pick(random, [0, -1, 2**63 - 1])
+    rows = np.empty(len(stamps), dtype=[("s", "<i8"), ("a", "<i8"), ("e", "<f8", 10)])
+    rows["s"], rows["a"], rows["e"] = stamps, stamps, estimate
     content = b""
-    for magic, text, own in (
-        (b"TEPC", texts[0], rows[:0]),
-        (b"TEPC", "", rows),
-        (b"TEWC", "", passed),
-        (b"TEPC", texts[1], rows[:0]),
-    ):
+    for text, own in ((texts[0], rows[:0]), ("", rows), (texts[1], rows[:0])):
         body = (json.dumps(text).encode() if text else b"") + own.tobytes()
         length = len(body) - own.nbytes
-        content += struct.pack("<4sIII", magic, len(own), length, zlib.crc32(body)) + body
+        content += struct.pack("<4sIII", b"TESN", len(own), length, zlib.crc32(body)) + body
     if random.random() < 0.2:
         content, _ = with_other_bytes(random, content)
-    (folder / "vio.pairs").write_bytes(content)
+    write_groundtruth(folder)
+    (folder / "vio.states").write_bytes(content)
     if random.random() < 0.2:
-        path = folder / "vio.revised.npz"
-        write_revised(path, stamps, estimate[:, :3], estimate[:, 3:7])
+        path = folder / "vio.revised"
+        writer = StateWriter(path, DESCRIPTION)
+        writer.append(stamps, estimate)
+        writer.close()
         path.write_bytes(with_other_bytes(random, path.read_bytes())[0])
 
     def read(strict: bool) -> None:  # noqa: ARG001
@@ -417,8 +409,9 @@ FORMATS: dict[str, Make] = {
     "text": make_text,
     "yaml": make_yaml,
     "npz": make_npz,
-    "pairs": make_pairs,
+    "states": make_states,
     "records": make_records,
     "hostile": make_hostile,
     **MORE_FORMATS,
+    **TEXT_FORMATS,
 }

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import atexit
 import functools
+import json
 import shutil
 import tempfile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from comparison_runs import write_run
 from fuzz_changes import (
     Changed,
     Make,
@@ -23,7 +26,11 @@ from nmea import PLACES, gga, sentence
 from ruamel.yaml import YAML
 from tracks_folders import PIXEL_NOISE, write_tracks_folder
 
+from trajeval_ros.batch.compare_runs import write_tables
+from trajeval_ros.batch.comparison_summary import summary_of
 from trajeval_ros.batch.config import plan_of
+from trajeval_ros.batch.finished_results import FinishedResults
+from trajeval_ros.cli.app import main
 from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise
 from trajeval_ros.io.ground_image import read_ground_image
 from trajeval_ros.io.hand_eye_file import read_similarity
@@ -121,12 +128,47 @@ def make_settings(random: Random, folder: Path) -> Changed:
     return Changed(repr(tree), lambda strict: readers[name](path) and None)
 
 
+def make_results(random: Random, folder: Path) -> Changed:
+    """Change values of result.json, or arrays or bytes of errors.npz."""
+    results = folder / "results"
+    shutil.copytree(intact() / "results", results)
+    path, archive = results / "result.json", results / "errors.npz"
+    kind, what = random.random(), "bytes"
+    if kind < 0.6:
+        tree = json.loads(path.read_text())
+        key = pick(random, [*["runs"] * 4, *(key for key in tree if key != "schema")])
+        tree[key] = with_other_values(random, tree[key])
+        path.write_text(json.dumps(tree))
+        what = "result.json"
+    elif kind < 0.8:
+        arrays = dict(np.load(archive))
+        name = pick(random, list(arrays))
+        others = [np.zeros(0), np.zeros((3, 3)), np.array("x"), np.full(300, np.nan), np.array(5)]
+        arrays[name] = pick(random, [*others, arrays[name].astype(str), np.zeros(7)])
+        np.savez(archive, **arrays)
+        what = name
+    else:
+        changed = pick(random, [path, archive])
+        changed.write_bytes(with_other_bytes(random, changed.read_bytes())[0])
+
+    def read(strict: bool) -> None:
+        output = folder / f"comparison_{strict}"
+        (output / "runs").mkdir(parents=True)
+        finished = FinishedResults([str(intact() / "results"), f"B={results}"])
+        finished.write_tables(output)
+        write_tables(output, summary_of(output), transpose=False)
+
+    return Changed(what, read)
+
+
 @functools.cache
 def intact() -> Path:
     """Return a folder with an intact input of each kind that takes long to write."""
     folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
     atexit.register(shutil.rmtree, folder)
     write_tracks_folder(folder / "flight")
+    runs = [str(write_run(folder / f"{name}.txt", 1.0 + 0.01 * name)) for name in range(2)]
+    main(["evaluate", *runs, "--lengths", "4,8", "--quiet", "--output", str(folder / "results")])
     return folder
 
 
@@ -135,4 +177,5 @@ MORE_FORMATS: dict[str, Make] = {
     "fixes": make_fixes,
     "manifest": make_manifest,
     "settings": make_settings,
+    "results": make_results,
 }

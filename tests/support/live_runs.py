@@ -113,8 +113,9 @@ class Live:
 
     def _new_run(self) -> LiveRun:
         start = StartDecision(self._body or MarkerBody(), find_offset=self._find_offset)
-        arguments = self._sources, self._settings, self._words, self.folders[-1], start
-        return LiveRun(*arguments, self._worker)
+        is_default = self._words["gauge"] is None and self._words.get("modality") is None
+        arguments = self._sources, self._settings, self.folders[-1], start, self._worker
+        return LiveRun(*arguments, gauge_is_default=is_default)
 
     def _new_folder(self) -> Path:
         folder = self.folder.with_name(f"{self.folder.name}_{len(self.folders) + 1}")

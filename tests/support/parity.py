@@ -9,7 +9,6 @@ import dataclasses
 import functools
 import json
 import math
-import re
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,10 +55,7 @@ RPG_METRICS = {
     "rel_gravity_stats": "tilt_deg",
 }
 # Where trajeval gives another number than the program, which is a defect of trajeval.
-REPAIRED = (
-    "matrices are made rotations for all but the relative errors of protocol kitti, and the tool "
-    "brings positions to the first frame by a matrix that is none"
-)
+REPAIRED = "matrices are made rotations, and evo aligns by the matrices as they are in the file"
 
 
 @dataclass(frozen=True)
@@ -134,7 +130,7 @@ class Row:
 
     Attributes:
         pair: Name of the pair of files.
-        tool: evo, rpg or kitti.
+        tool: evo or rpg.
         quantity: As the program names it; "" where it refused.
         entry: The whole reference.
         unanswered: Why trajeval isn't compared with it; None if it is.
@@ -154,23 +150,9 @@ class Row:
         return f"{self.entry['call']}: {self.quantity}"
 
     @property
-    def raw(self) -> bool:
-        """Whether matrices were used as they are in the file, without making them rotations."""
-        return "raw" in (self.entry.get("note"), self.entry.get("rotations"))
-
-    @property
     def repaired(self) -> bool:
-        """Whether the program used matrices as they are, and trajeval the nearest rotations.
-
-        The scale of sim3 is of positions, which the KITTI tool brings to the first frame.
-        """
-        assert self.setting is not None
-        as_in_file = (
-            self.tool == "kitti"
-            and self.quantity != "ate_position"
-            and self.setting.gauge != "sim3"
-        )
-        return self.raw and not as_in_file
+        """Whether evo used matrices as they are, and trajeval the nearest rotations."""
+        return bool(self.entry.get("note") == "raw")
 
     @property
     def rotational(self) -> bool:
@@ -183,8 +165,6 @@ class Row:
     def ours(self) -> Statistics | None:
         assert self.setting is not None
         evaluation = evaluated(self.pair, self.setting)
-        if self.tool == "kitti":
-            return self._ours_by_kitti(evaluation)
         if self.tool == "evo":
             return self._ours_by_evo(evaluation)
         metric = RPG_METRICS[self.quantity]
@@ -202,19 +182,6 @@ class Row:
             metric = "position_m" if self.quantity == "point_distance" else metric
             ours = evaluation.ate[metric]
         return ours if ours is None or unit == 1.0 else ours.scaled(unit)
-
-    def _ours_by_kitti(self, evaluation: Evaluation) -> Statistics | None:
-        if self.quantity == "ate_position":
-            return evaluation.ate["position_m"]
-        metric = "rotation_deg_per_m" if self.rotational else "position_percent"
-        length = re.search(r"_(\d+)m$", self.quantity)
-        if length is None:
-            ours = evaluation.pooled[metric]
-        else:
-            ours = of_length(evaluation, float(length[1])).statistics[metric]
-        if ours is not None and self.rotational:
-            return ours.scaled(100.0)  # theirs is per 100 m
-        return ours
 
     def disagreement(self, *, of_raw: bool = True) -> str | None:
         """Say how the numbers differ; None if they don't.
@@ -246,7 +213,7 @@ class Row:
             # Matrices of 9 decimals are rotations to 1e-9. That is a part of 1e-7 of positions
             # that they turn; of an angle of 1e-4 rad, from its cosine, 1e-5.
             share = max((1e-5 if self.rotational else 1e-7) * abs(value), 1e-10)
-            return max(share, 2e-9 * self._turned_m()) if self.tool == "evo" else share
+            return max(share, 2e-9 * self._turned_m())
         if self.entry.get("note") == "ulp" and not self.rotational:
             # Coordinates of 5e6 m: a float64 step is 9.3e-10 m, and a difference has three axes.
             return max(tolerance, 3e-9 * self._units_per_metre())

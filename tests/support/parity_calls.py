@@ -5,7 +5,6 @@ data/parity/README.md has the table.
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 from parity import ENTRIES, Row, Setting
@@ -19,17 +18,9 @@ EVO_SELECTION = {
 }
 RPG_GAUGES = {"none": "none", "posyaw": "yaw", "se3": "se3", "sim3": "sim3"}
 RPG_LENGTHS = "10%,20%,30%,40%,50%,8,16"
-KITTI_GAUGES = {
-    "none": {},
-    "first frame": {"gauge": "se3", "align_states": "1"},
-    "6dof": {"gauge": "se3"},
-    "7dof": {"gauge": "sim3"},
-}
 
 
 # Why a row is not compared.
-OTHER_ALIGNMENT = "trajeval has no alignment by the KITTI tool's scale alone"
-OTHER_ERROR = "trajeval has no such error: the KITTI tool's frame-to-frame RPE"
 REFUSED = "the program refused the files"
 DEFECT = "a defect of the program, which trajeval doesn't reproduce"
 TOO_FEW = "the program reports zeros of fewer than two sub-trajectories"
@@ -113,20 +104,4 @@ def _rpg(entry: dict[str, Any]) -> list[Row]:
     return _rows(entry, setting, relative=relative, unanswered=reasons.get(entry.get("note", "")))
 
 
-def _kitti(entry: dict[str, Any]) -> list[Row]:
-    if entry["alignment"] not in KITTI_GAUGES:
-        return _rows(entry, None, unanswered=OTHER_ALIGNMENT)
-    text = "base: kitti\nre_form: se3\n" if entry["rotations"] == "nearest" else None
-    setting = Setting("kitti", protocol_text=text, **KITTI_GAUGES[entry["alignment"]])
-    made = _rows(entry, setting)
-    return [dataclasses.replace(row, unanswered=_why_not_kitti(row)) for row in made]
-
-
-def _why_not_kitti(row: Row) -> str | None:
-    if row.quantity.startswith("rpe_"):
-        return OTHER_ERROR
-    # The references' note `late`: only the ATE isn't affected.
-    return DEFECT if row.entry.get("note") == "late" and row.quantity != "ate_position" else None
-
-
-_TOOLS = {"evo": _evo, "rpg": _rpg, "kitti": _kitti}
+_TOOLS = {"evo": _evo, "rpg": _rpg}

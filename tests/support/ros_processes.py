@@ -386,12 +386,7 @@ def _play(
 
 
 def offline(bag: Path, folder: Path, groundtruth: str, estimates: list[str], *options: str) -> Any:
-    """Return the result of `trajeval evaluate`, without what a live run can't know.
-
-    Whether repeats of a stamp conflict depends on the states after it, and live the first one has
-    been used when they arrive: that warning is of recordings alone (docs/definitions.md). So is
-    the note on small discontinuities, whose side the pairs of a live run do not determine.
-    """
+    """Return the result of `trajeval evaluate`, without remarks about the bag as a file."""
     arguments = ["evaluate", "--groundtruth", f"{bag}:{groundtruth}", "--quiet"]
     for each in estimates:
         arguments += ["--estimate", f"{bag}:{each}"]
@@ -406,8 +401,7 @@ def offline(bag: Path, folder: Path, groundtruth: str, estimates: list[str], *op
         side["remarks"] = [
             remark
             for remark in side["remarks"]
-            if remark["code"] not in ("conflicting_states", "discontinuities")
-            and "chunks were read in part" not in remark["text"]
+            if "chunks were read in part" not in remark["text"]
         ]
     return result
 
@@ -426,6 +420,6 @@ def assert_same(live: Any, recorded: Any, where: str = "result") -> None:
         # An error may be zero but for rounding, as that of a first state that was aligned.
         assert live == pytest.approx(recorded, rel=1e-9, abs=1e-12), where
     elif isinstance(recorded, str):
-        assert _TRIED.sub(r"\1\2", live) == _TRIED.sub(r"\1\2", recorded), where
+        assert _TRIED.sub(r"\1\2", live) == _TRIED.sub(r"\1\2", recorded), (where, live, recorded)
     else:
         assert live == recorded, where

@@ -22,7 +22,7 @@ from trajeval_ros.metrics.coverage import Coverage, CoverageSums, PairSteps
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.online.window import Window
-from trajeval_ros.report.verdict_lines import verdict
+from trajeval_ros.report.verdict_lines import definitions
 
 EUROC = ("MH_01", "MH_05", "V2_03")
 
@@ -378,7 +378,7 @@ def test_span_and_longest_gap_are_told_where_they_differ() -> None:
     for run, is_whole in ((whole, True), (cut, False)):
         evaluation = evaluate(flight.groundtruth, run)
         coverage = evaluation.association.coverage
-        [_, _, said] = verdict(evaluation)
+        said = definitions(evaluation)[1]
         assert f"{len(run)} pairs cover 100 % of the estimate's poses" in said
         assert f"and {whole_percent(coverage.covered)} of the groundtruth's time" in said
         told = f", {whole_percent(coverage.span)} from the first to the last pair, longest gap "
@@ -393,8 +393,8 @@ def test_span_and_longest_gap_are_told_where_they_differ() -> None:
             assert words in said
             assert words in warned[0]
     full = evaluate(flight.groundtruth, flight.estimate)
-    assert " pairs cover" in verdict(full)[2]
-    assert "keyframe" not in verdict(full)[2]
+    assert " pairs cover" in definitions(full)[1]
+    assert "keyframe" not in definitions(full)[1]
 
 
 def test_results_have_what_is_covered_beside_the_span_and_the_gap() -> None:

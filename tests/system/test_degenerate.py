@@ -239,16 +239,6 @@ def test_few_first_states_are_held_to_the_same(gauge: Gauge, states: int) -> Non
     assert result.alignment.states_used == states
 
 
-@pytest.mark.parametrize("gauge", [Gauge.NONE, Gauge.TRANSLATION, Gauge.YAW, Gauge.SE3])
-def test_one_state_is_enough_for_the_first_states_alignment(gauge: Gauge) -> None:
-    groundtruth = make_groundtruth(10, 1)
-    estimate = moved(groundtruth, make_element(gauge, 11))
-    result = evaluate(groundtruth, estimate, by(gauge, align_states=1))
-    assert result.ate["position_m"] is not None
-    assert result.ate["position_m"].max < 1e-9
-    assert all(each.statistics["position_m"] is None for each in result.relative or ())
-
-
 def test_more_states_asked_for_than_there_are_is_said() -> None:
     groundtruth = make_groundtruth(12, 50)
     result = evaluate(groundtruth, groundtruth, by(Gauge.SE3, align_states=80))

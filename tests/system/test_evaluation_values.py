@@ -19,7 +19,7 @@ from trajeval_ros.metrics.alignment import align
 from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.pipeline.pipeline import evaluate
-from trajeval_ros.report.verdict_lines import verdict
+from trajeval_ros.report.verdict_lines import definitions
 
 
 def test_biases_and_velocities_are_compared_where_both_have_them() -> None:
@@ -229,7 +229,7 @@ def test_one_rounding_of_coverage() -> None:
     result = evaluate(dense, make_estimate(dense, 18)[1:], BASE)
     assert 0.999 < result.association.groundtruth_coverage < 1.0
     assert "99 % of groundtruth" in repr(result)
-    assert any("99 % of the groundtruth's time" in each for each in verdict(result))
+    assert any("99 % of the groundtruth's time" in each for each in definitions(result))
 
 
 def test_a_reason_for_dropping_that_is_new_breaks_no_evaluation() -> None:

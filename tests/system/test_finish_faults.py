@@ -3,41 +3,38 @@
 from __future__ import annotations
 
 import copy
-import io
 import json
 import struct
-import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from pair_file_contents import COUNT, DESCRIPTION, STATE, columns
+from state_file_contents import DESCRIPTION, STATE, columns, write_groundtruth
 
 from trajeval_ros.cli.app import main
-from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.json_file import json_text
 from trajeval_ros.io.live.live_folder import evaluate_folder
-from trajeval_ros.io.live.pair_file import PairWriter, write_revised
-from trajeval_ros.io.results.result_json import result_of
+from trajeval_ros.io.live.state_file import FORMAT, StateWriter
 
 
 def write_run(path: Path, description: Any, state: Any) -> None:
-    """Write a pair file as the node does, with texts that it might never write."""
-    writer = PairWriter(path, DESCRIPTION)
-    writer.append(*columns())
+    """Write the files of a run as the node does, with texts that it might never write."""
+    write_groundtruth(path.parent)
+    stamps, _, estimate = columns()
+    writer = StateWriter(path, DESCRIPTION)
+    writer.append(stamps, estimate)
     writer.close()
     path.write_bytes(
-        chunk(json.dumps(description)) + path.read_bytes()[first_chunk(path) :]
+        chunk(json.dumps({"format": FORMAT, "name": path.stem, **description}))
+        + path.read_bytes()[first_chunk(path) :]
         + chunk(json.dumps(state) if not isinstance(state, str) else state)
-    )  # fmt: skip
+    )
 
 
 def chunk(text: str) -> bytes:
     body = text.encode()
-    return struct.pack("<4sIII", b"TEPC", 0, len(body), zlib.crc32(body)) + body
+    return struct.pack("<4sIII", b"TESN", 0, len(body), zlib.crc32(body)) + body
 
 
 def first_chunk(path: Path) -> int:
@@ -59,7 +56,7 @@ def with_value(value: Any, *keys: str, of: Any = STATE) -> Any:
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Return a folder with an estimate that is well."""
-    write_run(tmp_path / "good.pairs", {**DESCRIPTION, "place": 1}, STATE)
+    write_run(tmp_path / "good.states", {**DESCRIPTION, "name": "good", "place": 1}, STATE)
     return tmp_path
 
 
@@ -81,49 +78,36 @@ def test_results_are_written_into_the_folder_of_the_run(
     assert main(["finish", str(folder), "--quiet", *options]) == 0
     names = {path.name for path in folder.iterdir()}
     assert ({"result.json", "errors.npz"} <= names) == is_written
-    assert is_written or names == {"good.pairs"}
+    assert is_written or names == {"good.states", "groundtruth.states"}
 
 
+ODD = {**DESCRIPTION, "name": "odd"}
 ODD_STATES = [
     with_value(value, *keys)
     for keys in (
-        ("groundtruth", "poses"),
-        ("groundtruth", "states"),
-        ("groundtruth", "duration_s"),
-        ("groundtruth", "path_length_m"),
-        ("groundtruth", "time_without_gaps_ns"),
-        ("groundtruth", "frame"),
+        ("groundtruth",),
         ("groundtruth", "dropped"),
         ("groundtruth", "notes"),
-        ("estimate", "states"),
-        ("estimate", "child_frame"),
+        ("groundtruth", "up"),
         ("estimate", "notes"),
-        ("dropped",),
+        ("estimate", "up"),
+        ("estimate", "resets"),
         ("warnings",),
         ("live",),
         ("aligned_by",),
+        ("time_offset_s",),
+        ("until_ns",),
+        ("hand_eye",),
+        ("fixes",),
         ("settings",),
         ("settings", "gauge"),
         ("settings", "lengths"),
     )
     for value in ({"a": 1}, [{}], "x", -1, 0.5, 10**40, float("nan"), 1e300, True)
-    if (keys[-1], value) not in (("frame", "x"), ("child_frame", "x"))
 ]
-ODD_RESETS = (
-    {"a": 1},
-    [{}],
-    "x",
-    True,
-    [["1", 2.0, 3.0]],
-    [[1.5, 2.0, 3.0]],
-    [[1, 2.0]],
-    [[1, True, 0.0]],
-    [[1, -1.0, 0.0]],
-)
+ODD_STATES.append(with_value({"name": "up", "origin": "stated"}, "estimate", "up"))
 ODD_DESCRIPTIONS = [
-    with_value(value, key, of=DESCRIPTION)
-    for key in ("groundtruth", "estimate", "place")
-    for value in ({"a": 1}, [1], None, 10**400, float("nan"))
+    with_value(value, "place", of=ODD) for value in ({"a": 1}, [1], None, float("nan"))
 ]
 
 
@@ -152,29 +136,20 @@ def assert_fails_alone(folder: Path, *words: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(ODD_STATES)))
 def test_a_state_that_the_node_never_writes(number: int, folder: Path) -> None:
-    write_run(folder / "odd.pairs", DESCRIPTION, ODD_STATES[number])
+    write_run(folder / "odd.states", ODD, ODD_STATES[number])
     assert_fails_alone(folder)
-
-
-@pytest.mark.parametrize("resets", ODD_RESETS, ids=str)
-def test_resets_that_the_node_never_writes(resets: Any, folder: Path) -> None:
-    write_run(folder / "odd.pairs", DESCRIPTION, with_value(resets, "estimate", "resets"))
-    (failed,) = evaluate_folder(folder).failed
-    assert "estimate.resets can't be" in failed.reason
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(ODD_DESCRIPTIONS)))
 def test_a_description_that_the_node_never_writes(number: int, folder: Path) -> None:
-    write_run(folder / "odd.pairs", ODD_DESCRIPTIONS[number], STATE)
+    write_run(folder / "odd.states", ODD_DESCRIPTIONS[number], STATE)
     assert_fails_alone(folder)
-    write_run(folder / "other.pairs", with_value("text", "place", of=DESCRIPTION), STATE)
-    evaluate_folder(folder)
 
 
 def test_what_cannot_be_read_in_the_middle_is_told(folder: Path) -> None:
-    path = folder / "odd.pairs"
-    write_run(path, DESCRIPTION, STATE)
+    path = folder / "odd.states"
+    write_run(path, ODD, STATE)
     whole = path.read_bytes()
     path.write_bytes(whole + chunk("[no object]") + whole[first_chunk(path) :])
     outcome = evaluate_folder(folder)
@@ -183,116 +158,26 @@ def test_what_cannot_be_read_in_the_middle_is_told(folder: Path) -> None:
     assert any(f"the last {lost} bytes can't be read" in each for each in run.evaluation.warnings)
 
 
-def test_rows_that_are_no_states_are_counted(folder: Path) -> None:
-    stamps, truth, estimate = columns()
-    truth[3, 0], estimate[5, 2], estimate[7, 1] = np.nan, np.inf, 1e308
-    truth[9, 3:7] = 0.0
-    writer = PairWriter(folder / "odd.pairs", DESCRIPTION)
-    writer.append(stamps, truth, estimate, STATE)
-    writer.close()
-    runs = result_of(evaluate_folder(folder))["runs"]
-    (association,) = [run["association"] for run in runs if run["estimate"]["name"] == "odd"]
-    assert association["pairs"] == COUNT - 4
-    assert association["dropped"] == {"not_finite": 4}
-    json_text({"runs": runs})  # which refuses what is no number
-
-
-# NAME.revised.npz
-
-
-def revised(path: Path) -> bytes:
-    """Write an estimate that its estimator has revised; returns the file."""
+def revise(path: Path) -> bytes:
+    """Write the last version of a path; returns the content of its file."""
     stamps, _, states = columns()
-    write_revised(path, stamps, states[:, :3], states[:, 3:7])
+    writer = StateWriter(path, ODD)
+    writer.append(stamps, states)
+    writer.close()
     return path.read_bytes()
-
-
-def with_member(content: bytes, name: str, data: bytes | None) -> bytes:
-    """Return an archive in which a member is another, or is missing."""
-    output = io.BytesIO()
-    with (
-        zipfile.ZipFile(io.BytesIO(content)) as old,
-        zipfile.ZipFile(output, "w", zipfile.ZIP_DEFLATED) as new,
-    ):
-        for each in old.namelist():
-            if each != name:
-                new.writestr(each, old.read(each))
-        if data is not None:
-            new.writestr(name, data)
-    return output.getvalue()
-
-
-def unknown_compression(content: bytes) -> bytes:
-    data = bytearray(content)
-    data[data.find(b"PK\x01\x02") + 10] = 99
-    return bytes(data)
-
-
-def flipped(content: bytes) -> bytes:
-    place = len(content) // 4  # in the positions
-    return content[:place] + bytes([content[place] ^ 0xFF]) + content[place + 1 :]
-
-
-def npy(array: Any) -> bytes:
-    output = io.BytesIO()
-    np.save(output, array, allow_pickle=True)
-    return output.getvalue()
-
-
-def lying(content: bytes) -> bytes:
-    """Return an archive with an array that says it has terabytes."""
-    head = npy(np.zeros((COUNT, 3)))
-    return with_member(
-        content, "positions.npy", head.replace(b"(200, 3)", b"(2000000000000, 3)")[:-20]
-    )
 
 
 DAMAGES: list[Callable[[bytes], bytes]] = [
     lambda content: b"",
-    lambda content: b"no archive at all",
-    lambda content: content[: len(content) // 2],
-    flipped,
-    unknown_compression,
-    lying,
-    lambda content: with_member(content, "positions.npy", None),
-    lambda content: with_member(content, "positions.npy", b""),
-    lambda content: with_member(content, "positions.npy", npy(np.zeros((7, 3)))),
-    lambda content: with_member(content, "positions.npy", npy(np.zeros((COUNT, 3), complex))),
-    lambda content: with_member(content, "stamps.npy", npy(np.array([{}] * COUNT))),
-    lambda content: with_member(content, "stamps.npy", npy(np.array(["x"] * COUNT))),
-    lambda content: with_member(content, "quaternions.npy", npy(np.zeros((0, 4)))),
+    lambda content: b"no file of states",
+    lambda content: content[:40],
+    lambda content: content.replace(FORMAT.encode(), b"trajeval-states/9"),
 ]
 
 
-def test_a_revision_has_its_own_poses_and_duration(folder: Path) -> None:
-    write_run(folder / "odd.pairs", DESCRIPTION, STATE)
-    stamps, _, states = (each[10:60] for each in columns())
-    write_revised(folder / "odd.revised.npz", stamps, states[:, :3], states[:, 3:7])
-    runs = result_of(evaluate_folder(folder))["runs"]
-    (estimate,) = [run["estimate"] for run in runs if run["estimate"]["name"] == "odd"]
-    assert estimate["poses"] == 50
-    assert estimate["duration_s"] == pytest.approx(1e-9 * (stamps[-1] - stamps[0]), rel=1e-12)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_a_damaged_revision_fails_alone(damage: Callable[[bytes], bytes], folder: Path) -> None:
-    write_run(folder / "odd.pairs", DESCRIPTION, STATE)
-    path = folder / "odd.revised.npz"
-    path.write_bytes(damage(revised(path)))
-    assert_fails_alone(folder, "odd.revised.npz")
-
-
-@pytest.mark.parametrize("damage", DAMAGES)
-def test_a_damaged_revision_alone_is_refused(
-    damage: Callable[[bytes], bytes], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_run(tmp_path / "odd.pairs", DESCRIPTION, STATE)
-    path = tmp_path / "odd.revised.npz"
-    path.write_bytes(damage(revised(path)))
-    assert main(["finish", str(tmp_path)]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert "odd.revised.npz" in said
-    with pytest.raises(InputError):
-        evaluate_folder(tmp_path)
+    write_run(folder / "odd.states", ODD, STATE)
+    path = folder / "odd.revised"
+    path.write_bytes(damage(revise(path)))
+    assert_fails_alone(folder, "odd.revised")

@@ -513,6 +513,30 @@ def test_utm_is_told(origin: tuple[float, float, float], is_utm: bool) -> None:
         assert told[0].startswith("the groundtruth is probably in UTM coordinates (easting 46")
 
 
+@pytest.mark.parametrize(
+    ("origin", "is_centred"),
+    [
+        ((4_194_000.0, 702_000.0, 4_739_000.0), True),  # Munich
+        ((-2_700_000.0, -4_290_000.0, 3_855_000.0), True),  # San Francisco
+        ((465_000.0, 6_354_000.0, 430.0), False),  # UTM of 57.3 degrees north
+        ((0.0, 0.0, 0.0), False),
+    ],
+)
+def test_earth_centred_coordinates_have_no_up_axis(
+    origin: tuple[float, float, float], is_centred: bool
+) -> None:
+    flight = simulate(seed=8, duration_s=20.0)
+    truth = dataclasses.replace(
+        flight.groundtruth, positions=flight.groundtruth.positions + np.array(origin)
+    )
+    evaluation = evaluate(truth, flight.estimate, Protocol(gauge="se3"))
+    stated = [text for text in evaluation.warnings if "(ECEF)" in text]
+    assert bool(stated) == is_centred
+    assert (evaluation.ate["tilt_deg"] is None) == is_centred
+    assert evaluation.ate["rotation_deg"] is not None
+    assert not is_centred or not any("UTM" in text for text in evaluation.warnings)
+
+
 @pytest.mark.slow
 def test_noisy_fixes_of_a_slow_robot_are_not_of_another_run(
     shared_data: Path, tmp_path: Path

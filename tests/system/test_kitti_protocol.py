@@ -93,27 +93,6 @@ def test_relative_errors_are_the_devkits_on_sequence_00(
         assert per_metre.mean == pytest.approx(rotation, rel=1e-6)
 
 
-def test_the_score_is_the_mean_over_all_sequences_of_all_lengths(
-    recording: Callable[[str], Trajectory], devkits_00: dict[int, list[tuple[float, float]]]
-) -> None:
-    groundtruth = recording("kitti/KITTI_00_gt.txt")
-    estimate = recording("kitti/KITTI_00_ORB.txt")
-    pooled = evaluate(groundtruth, estimate, PROTOCOLS["kitti"]).pooled
-    errors = np.array(
-        [
-            (translation / length, angle / length)
-            for length, each in devkits_00.items()
-            for translation, angle in each
-        ]
-    )
-    translation, rotation = pooled["position_percent"], pooled["rotation_deg_per_m"]
-    assert translation is not None
-    assert rotation is not None
-    assert translation.count == rotation.count == len(errors)
-    assert translation.mean == pytest.approx(100.0 * errors[:, 0].mean(), rel=1e-9)
-    assert rotation.mean == pytest.approx(np.degrees(errors[:, 1].mean()), rel=1e-6)
-
-
 def test_frames_pair_by_number_and_nothing_is_aligned() -> None:
     groundtruth = dataclasses.replace(make_groundtruth(1, 60), reading=Reading(stamped=False))
     shifted = dataclasses.replace(

@@ -22,7 +22,6 @@ from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.pipeline.pipeline import run
-from trajeval_ros.pipeline.request import Request
 
 HAND_EYE = """\
 header: {frame_id: base_link}
@@ -222,24 +221,6 @@ def test_a_live_run_with_a_marker_is_evaluated_as_a_recorded_one(
     assert there["ate"]["rotation_deg"]["rmse"] < 1.0
     for block in ("alignment", "ate", "re", "calibration"):
         assert_same(here[block], there[block])
-
-
-def test_a_live_run_can_not_be_given_another_time_offset(tmp_path: Path) -> None:
-    from trajeval_ros.calibration.calibration_request import CalibrationRequest
-    from trajeval_ros.exceptions import SettingsError
-    from trajeval_ros.io.live.live_folder import evaluate_folder
-
-    live = Live(tmp_path / "live", ODOM)
-    pair = make_pair(5, 40, smooth=True)
-    live.feed(
-        [
-            *messages_of(pair.groundtruth, GROUNDTRUTH, POSE),
-            *messages_of(pair.estimate, ESTIMATE, ODOM),
-        ]
-    )
-    live.end()
-    with pytest.raises(SettingsError, match="fixed time offset"):
-        evaluate_folder(live.folder, Request(calibration=CalibrationRequest(offset=True)))
 
 
 def test_a_live_run_can_be_aligned_with_poses_afterwards(tmp_path: Path) -> None:

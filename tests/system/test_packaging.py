@@ -73,6 +73,33 @@ def test_workflows_and_forms_can_be_parsed(path: Path) -> None:
     assert _read_yaml(path)
 
 
+WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
+
+
+@pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.name)
+def test_actions_are_pinned_by_commit(path: Path) -> None:
+    uses = re.findall(r"uses: (\S+)", path.read_text())
+    assert all(re.fullmatch(r"[\w./-]+@[0-9a-f]{40}", action) for action in uses)
+
+
+def test_the_tools_of_a_release_are_pinned_by_hash() -> None:
+    release = (ROOT / ".github" / "workflows" / "release.yml").read_text()
+    requirements = (ROOT / ".ci" / "release-requirements.txt").read_text()
+    assert "--require-hashes" in release
+    assert "build --no-isolation" in release
+    assert re.search(r'requires = \["(.*)"\]', (ROOT / "pyproject.toml").read_text())[1] in (  # type: ignore[index]
+        requirements
+    )
+    pins = re.split(r"\n(?=\S)", requirements.strip())
+    assert all("==" in pin and "--hash=sha256:" in pin for pin in pins)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "docker").glob("*ockerfile")), ids=str)
+def test_images_do_not_run_as_root(path: Path) -> None:
+    lines = path.read_text().splitlines()
+    assert [line for line in lines if line.startswith("USER ")]
+
+
 def test_the_ros_package_says_where_its_developers_are() -> None:
     package = _ros_package()
     assert {url.get("type") for url in package.iter("url")} == {

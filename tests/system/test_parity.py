@@ -1,4 +1,4 @@
-"""evo, rpg_trajectory_evaluation and the KITTI rule, number by number, on data/parity."""
+"""evo and rpg_trajectory_evaluation, number by number, on data/parity."""
 
 from __future__ import annotations
 
@@ -37,20 +37,17 @@ def by(rows: list[parity.Row], *attributes: str) -> Groups:
 
 COMPARED = [row for row in ROWS if row.unanswered is None]
 BY_PAIR = by(COMPARED, "pair", "tool")
-REPAIRED = by([row for row in COMPARED if row.repaired], "tool")
+REPAIRED = [row for row in COMPARED if row.repaired]
 
 UNANSWERED = {
     ("evo", parity_calls.REFUSED): 9,
     ("rpg", parity_calls.DEFECT): 48,
     ("rpg", parity_calls.TOO_FEW): 24,
-    ("kitti", parity_calls.OTHER_ERROR): 6,
-    ("kitti", parity_calls.OTHER_ALIGNMENT): 232,
-    ("kitti", parity_calls.DEFECT): 108,
 }
 
 
 def test_every_number_is_compared_or_counted_here() -> None:
-    assert Counter(row.tool for row in COMPARED) == {"evo": 838, "rpg": 1224, "kitti": 342}
+    assert Counter(row.tool for row in COMPARED) == {"evo": 838, "rpg": 1224}
     assert Counter((row.tool, row.unanswered) for row in ROWS if row.unanswered) == UNANSWERED
 
 
@@ -95,9 +92,8 @@ def test_numbers_are_the_programs(group: tuple[str, str]) -> None:
 
 
 @pytest.mark.xfail(strict=True, raises=DisagreementError, reason=parity.REPAIRED)
-@pytest.mark.parametrize("tool", ["evo", "kitti"])
-def test_matrices_are_used_as_they_are_in_the_file(tool: str) -> None:
-    different = [text for row in REPAIRED[(tool,)] if (text := row.disagreement(of_raw=False))]
+def test_matrices_are_used_as_they_are_in_the_file() -> None:
+    different = [text for row in REPAIRED if (text := row.disagreement(of_raw=False))]
     if different:
         raise DisagreementError(*different)
 

@@ -19,7 +19,7 @@ from trajeval_ros.io.bags.bag import Bag
 from trajeval_ros.io.bags.playback import Playback
 from trajeval_ros.online.alarms import LIMITED_QUANTITIES, AlarmLimits
 from trajeval_ros.pipeline.outcome import RunOutcome
-from trajeval_ros.report.verdict_lines import verdict
+from trajeval_ros.report.verdict_lines import definitions
 from trajeval_ros.ros.diagnostics import remarks_about
 
 DATA = SHARED / "data" / "real_estimators"
@@ -121,7 +121,7 @@ def test_real_tracks(name: str, by_yaw_m: float, in_frame_m: float | None) -> No
         assert not any("cover" in each for each in found.warnings)
         assert [each.code for each in found.remarks].count("low_coverage") == 1
         # 1.4 m of path determine yaw to 1 deg.
-        assert ("standard deviation of its yaw" in verdict(found)[1]) == (gauge == "yaw")
+        assert ("standard deviation of its yaw" in definitions(found)[0]) == (gauge == "yaw")
 
 
 def test_nees_with_the_noise_of_the_groundtruth() -> None:

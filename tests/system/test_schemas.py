@@ -20,8 +20,9 @@ from trajeval_ros.batch.gate import GateValues
 from trajeval_ros.batch.results_table import ResultsTable
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.io.live import pair_file
-from trajeval_ros.io.live.pair_file import PairWriter, read_pairs
+from trajeval_ros.formatting.install_command import install_command
+from trajeval_ros.io.live import state_file
+from trajeval_ros.io.live.state_file import StateWriter, read_states
 from trajeval_ros.io.results import error_archive, result_json
 
 DATA = TESTS / "data"
@@ -34,7 +35,7 @@ def test_the_schemas_are_these() -> None:
         result_json.SCHEMA,
         error_archive.SCHEMA,
         error_archive.TABLE_SCHEMA,
-        pair_file.FORMAT,
+        state_file.FORMAT,
         results_table.SCHEMA,
         results_table.POOLED_SCHEMA,
         records.SCHEMA,
@@ -42,43 +43,23 @@ def test_the_schemas_are_these() -> None:
         "trajeval/2",
         "trajeval-errors/1",
         "trajeval-error-table/1",
-        "trajeval-pairs/4",
+        "trajeval-states/1",
         "trajeval-runs/1",
         "trajeval-pooled/1",
         "trajeval-run/2",
     }
 
 
-def test_stored_pairs_of_schema_1_are_one_sentence(
+def test_a_folder_of_version_0_3_names_what_reads_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # They lack the groundtruth between pairs, without which its path is not known.
-    path = tmp_path / "vio.pairs"
-    path.write_bytes((STORED / "vio.pairs").read_bytes())
+    (tmp_path / "vio.pairs").write_bytes((STORED / "vio.pairs").read_bytes())
     assert main(["finish", str(tmp_path), "--quiet", "--output", str(tmp_path / "out")]) == 2
     assert capsys.readouterr().err == (
-        f"trajeval: {path} has schema trajeval-pairs/1, and this version reads trajeval-pairs/4; "
-        "evaluate a recording of the run, or use the version that wrote it\n"
+        f"trajeval: {tmp_path} is of version 0.3, which recorded pairs; read it with that "
+        f"version: {install_command('trajeval-ros==0.3.*')}\n"
     )
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("schema", [2, 3])
-def test_stored_pairs_of_earlier_schemas_are_read(tmp_path: Path, schema: int) -> None:
-    # Those of schema 2 hold no covariances. The numbers are of the version that wrote them.
-    path = tmp_path / "vio.pairs"
-    path.write_bytes((DATA / f"schema_{schema}" / "vio.pairs").read_bytes())
-    assert read_pairs(path).covariances is None
-    file = tmp_path / "result.json"
-    assert main(["finish", str(tmp_path), "--quiet", "--json", str(file)]) == 0
-    [evaluated] = json.loads(file.read_text())["runs"]
-    assert evaluated["association"]["pairs"] == 19
-    assert evaluated["ate"]["position_m"]["rmse"] == pytest.approx(0.18078643878, rel=1e-9)
-    if schema == 3:  # its sentences have no level and code
-        read, lost = evaluated["estimate"]["remarks"][0], evaluated["remarks"][-1]
-        assert read["text"] == "format: nav_msgs/msg/Odometry"
-        assert (lost["level"], lost["code"]) == ("warning", "live_run")
-        assert "1 message of /vio lost" in lost["text"]
 
 
 def test_results_name_their_schema(tmp_path: Path) -> None:
@@ -113,12 +94,12 @@ def test_a_table_of_another_schema_is_one_sentence(tmp_path: Path) -> None:
     )
 
 
-def test_pairs_of_a_later_schema_are_one_sentence(
+def test_states_of_a_later_schema_are_one_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "vio.pairs"
+    path = tmp_path / "vio.states"
     with monkeypatch.context() as patch:
-        patch.setattr(pair_file, "FORMAT", "trajeval-pairs/99")
-        PairWriter(path, {}).close()
-    with pytest.raises(InputError, match="has schema trajeval-pairs/99, and this version"):
-        read_pairs(path)
+        patch.setattr(state_file, "FORMAT", "trajeval-states/99")
+        StateWriter(path, {}).close()
+    with pytest.raises(InputError, match="has schema trajeval-states/99, and this version"):
+        read_states(path)

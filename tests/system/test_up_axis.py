@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 
 import numpy as np
@@ -250,15 +251,15 @@ def test_a_live_run_of_optical_frames_is_the_recorded_one(tmp_path: Path, gauge:
     assert_same(live.result, recorded)
 
 
-def test_a_live_run_in_a_plane_keeps_its_plane(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_live_run_in_a_plane_can_be_given_another_up_axis(tmp_path: Path) -> None:
     both = [*messages_of(car(5), GROUNDTRUTH, POSE), *messages_of(erring(car(5)), ESTIMATE, POSE)]
     live = Live(tmp_path / "live", POSE, gauge="planar")
     live.feed(sorted(both, key=lambda each: each[2]))
     live.end()
-    assert live.finish("--up=-y") == 2
-    assert "evaluate a bag" in capsys.readouterr().err
+    found = live.result["runs"][0]["ate"]["position_m"]
+    result = tmp_path / "up.json"
+    assert live.finish("--up=z", "--json", str(result)) == 0
+    assert json.loads(result.read_text())["runs"][0]["ate"]["position_m"] == found
 
 
 # Files, options and pictures.

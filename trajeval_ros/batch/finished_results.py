@@ -9,17 +9,25 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from trajeval_ros.batch.comparison import Progress
 from trajeval_ros.batch.earlier_results import EARLIER, of_version_0_2
-from trajeval_ros.batch.finished_comparison import RESULT, FinishedComparison, FinishedRun
+from trajeval_ros.batch.finished_comparison import (
+    RESULT,
+    FinishedComparison,
+    FinishedRun,
+    pooled_rows,
+    rows_of_run,
+)
 from trajeval_ros.batch.plan import PlannedRun, natural
 from trajeval_ros.batch.records import RECORDS, Record, RecordStore, encode
+from trajeval_ros.batch.results_table import require_types
 from trajeval_ros.batch.worker import columns_to_draw
-from trajeval_ros.exceptions import InputError, reason_of
+from trajeval_ros.exceptions import InputError, TrajevalError, reason_of
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.json_file import mapping_in, require_schema
 from trajeval_ros.io.npz_file import read_arrays
@@ -100,14 +108,20 @@ class FinishedResults:
     def write_tables(self, output: Path) -> Progress:
         """Write the records and the Parquet tables of the comparison."""
         records = RecordStore(output / RECORDS)
-        finished = {}
+        finished, entries = {}, []
         for result, name in zip(self._results, self._names, strict=True):
             key = _key(result, name)
-            if key not in records:
-                records.add(encode(_record(result, key)))
-            estimate = result.content["runs"][0]["estimate"]["source"]
-            run = PlannedRun(*name, "", groundtruth=result.groundtruth[0], estimate=estimate)
-            finished[name] = FinishedRun(run, key, key)
+            with _damage_refused(f"{result.folder / RESULT} or its {ARCHIVE}"):
+                estimate = result.content["runs"][0]["estimate"]["source"]
+                run = PlannedRun(*name, "", groundtruth=result.groundtruth[0], estimate=estimate)
+                finished[name] = FinishedRun(run, key, key)
+                if key not in records:
+                    record = _record(result, key)
+                    require_types(rows_of_run(finished[name], record))
+                    list(pooled_rows(*name, 1, [record]))
+                    entries.append(encode(record))
+        for entry in entries:  # after all results were checked
+            records.add(entry)
         title = output.resolve().name
         comparison = FinishedComparison(title, self.settings, list(_in_order(finished)))
 
@@ -119,6 +133,17 @@ class FinishedResults:
 
         comparison.write_tables(output, record_of)
         return Progress(total=len(self._results), kept=len(self._results))
+
+
+@contextmanager
+def _damage_refused(what: str) -> Iterator[None]:
+    """Refuse a result that was changed: its values can have any type."""
+    try:
+        yield
+    except (TrajevalError, OSError):
+        raise
+    except Exception as error:
+        raise InputError(f"{what} is damaged; evaluate the run again") from error
 
 
 def _read(given: str, folder: Path) -> Iterator[_Result]:
@@ -133,16 +158,16 @@ def _read(given: str, folder: Path) -> Iterator[_Result]:
     assert content is not None
     if not (folder / ARCHIVE).is_file():
         raise InputError(f"{folder} has no {ARCHIVE}, which a comparison needs; {advice}")
-    try:
+    with _damage_refused(str(path)):
         if schema == EARLIER:
             content = of_version_0_2(content)
+        results = []
         for run in content["runs"]:
-            own = f"{given} {run['estimate']['name']}" if len(content["runs"]) > 1 else given
-            result = _Result(folder, {**content, "runs": [run], "failed": []}, given and own)
-            _ = result.name, result.settings, result.groundtruth
-            yield result
-    except (LookupError, TypeError) as error:
-        raise InputError(f"{path} is damaged; {advice}") from error
+            name = f"{given} {run['estimate']['name']}" if len(content["runs"]) > 1 else given
+            result = _Result(folder, {**content, "runs": [run], "failed": []}, given and name)
+            hash((result.name, *result.groundtruth, *map(str, result.settings)))
+            results.append(result)
+    yield from results
 
 
 def _require_same_settings(results: Sequence[_Result]) -> None:
@@ -215,21 +240,20 @@ def _record(result: _Result, key: str) -> Record:
             path, [prefix + each for each in (*_ERRORS, *of_length)]
         ).items()
     }
-    try:
-        up = UpAxis(**result.content["groundtruth"]["up"])
-        aligned, stamps = arrays["aligned_positions"], arrays["stamps"]
-        # The error is groundtruth minus aligned estimate.
-        groundtruth = aligned + arrays["position_world_m"]
-        drawn = columns_to_draw(
-            stamps,
-            arrays["position_m"],
-            arrays.get("rotation_deg"),
-            up.turned(aligned),
-            (stamps, up.turned(groundtruth)),
-            result.settings["max_gap"],
-        )
-        pooled = {name: arrays[name] for name in of_length if name in arrays}
-        span_ns = (int(stamps[0]), int(stamps[-1]))
-    except (LookupError, TypeError, ValueError) as error:
-        raise InputError(f"{path} is damaged; evaluate the run again") from error
+    if any(array.dtype.kind not in "fiu" for array in arrays.values()):
+        raise InputError(f"{path} has no numbers; evaluate the run again")
+    up = UpAxis(**result.content["groundtruth"]["up"])
+    aligned, stamps = arrays["aligned_positions"], arrays["stamps"]
+    # The error is groundtruth minus aligned estimate.
+    groundtruth = aligned + arrays["position_world_m"]
+    drawn = columns_to_draw(
+        stamps,
+        arrays["position_m"],
+        arrays.get("rotation_deg"),
+        up.turned(aligned),
+        (stamps, up.turned(groundtruth)),
+        result.settings["max_gap"],
+    )
+    pooled = {name: arrays[name] for name in of_length if name in arrays}
+    span_ns = (int(stamps[0]), int(stamps[-1]))
     return Record(key, result.content, lengths, span_ns, {**pooled, **drawn})

@@ -82,6 +82,16 @@ def write_table(
     write_whole(path, write)
 
 
+def require_types(rows: Iterable[dict[str, Any]]) -> None:
+    """Check that rows have values of the types of their columns.
+
+    Raises:
+        pyarrow.ArrowException: A value has another type.
+    """
+    arrow, _ = load_pyarrow()
+    arrow.Table.from_pylist(list(rows), schema=schema_of(_COLUMNS, SCHEMA, "", {}, ""))
+
+
 def schema_of(
     columns: Mapping[str, str], schema: str, title: str, settings: dict[str, Any], state: str
 ) -> pyarrow.Schema:

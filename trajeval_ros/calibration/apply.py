@@ -61,13 +61,12 @@ class Calibrated:
     # Whether the errors are those of the marker's position. This is so if the groundtruth has no
     # orientations, which a conversion to the body needs.
     of_marker: bool
-    # The errors without calibration; None if there were too few pairs, or if `was_live`.
+    # The errors without calibration; None if there were too few pairs.
     before: Ate | None
     after: Ate  # the errors of `evaluation`
     # The errors with all requested parameters, significant or not; None if these are the applied
     # ones, or nothing was estimated.
     if_applied: Ate | None
-    was_live: bool = False  # whether a live run applied the transform to its messages
 
     @property
     def parameters_applied(self) -> int:
@@ -154,27 +153,6 @@ def evaluate_calibrated(
     remarks = (*evaluation.remarks, *_remarks(calibrated))
     return dataclasses.replace(
         calibrated, evaluation=dataclasses.replace(evaluation, remarks=remarks)
-    )
-
-
-def moved_before(
-    evaluation: Evaluation, hand_eye: HandEye, source: str, *, of_marker: bool
-) -> Calibrated:
-    """Return the outcome for pairs whose hand-eye transform a live run has applied."""
-    return Calibrated(
-        evaluation=evaluation,
-        wanted=CalibrationRequest(known=hand_eye, source=source),
-        calibration=None,
-        estimated_from=evaluation.estimate.name,
-        offset_applied=False,
-        rotation_applied=not of_marker,
-        lever_applied=True,
-        hand_eye=hand_eye,
-        of_marker=of_marker,
-        before=None,
-        after=Ate.of(evaluation),
-        if_applied=None,
-        was_live=True,
     )
 
 

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import click
@@ -148,6 +149,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> int | None:
+    if arguments and arguments[0] not in app.commands and _is_source(arguments[0]):
+        arguments = ["evaluate", *arguments]
     has_verb = arguments and list(arguments) not in [[name] for name in _GROUPS]
     if not has_verb and _COMPLETION not in os.environ:
         _run([*arguments, "--help"])
@@ -161,6 +164,11 @@ def _run(arguments: Sequence[str]) -> int | None:
     except SystemExit as error:  # click's answer to a closed pipe
         raise BrokenPipeError from error
     return status if isinstance(status, int) else None
+
+
+def _is_source(word: str) -> bool:
+    """Return whether a word names a file or folder, or a topic of one."""
+    return any(Path(name).exists() for name in (word, word.partition(":")[0]) if name)
 
 
 def _sentence(error: click.UsageError) -> str:

@@ -14,6 +14,7 @@ from trajeval_ros.exceptions import SettingsError
 
 # Verbs with more options than this have a short help with the common ones.
 _MANY = 20
+_ARGUMENTS = "trajeval.arguments"  # key of the context
 
 
 class VerbCommand(click.Command):
@@ -28,6 +29,7 @@ class VerbCommand(click.Command):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Refuse a second value for an option of one value, of which click takes the last."""
+        ctx.meta[_ARGUMENTS] = list(args)
         _, _, order = self.make_parser(ctx).parse_args(args=list(args))
         for each in self.params:
             is_single = isinstance(each, HelpedOption) and not (each.multiple or each.is_flag)
@@ -59,6 +61,12 @@ def ros_arguments() -> list[str]:
     """Return the ROS arguments of the verb that runs."""
     arguments: list[str] = click.get_current_context().obj or []
     return arguments
+
+
+def arguments() -> list[str]:
+    """Return the words after the verb that runs."""
+    words: list[str] = click.get_current_context().meta[_ARGUMENTS]
+    return words
 
 
 def verb(

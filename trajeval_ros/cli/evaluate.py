@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from trajeval_ros.cli.chosen_sources import chosen_evaluation, recording_of, repeated, with_reasons
 from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.evaluation_output import refuse_inputs, write_and_print
 from trajeval_ros.cli.options import (
@@ -28,10 +29,11 @@ from trajeval_ros.io.text.hints import SideHints
 from trajeval_ros.pipeline.pipeline import run
 from trajeval_ros.report.figure_style import PLAIN, FigureStyle
 
+_GAUGES = ("gauge", "modality", "protocol")  # settings that state a gauge
 _PARAMETERS = (
     argument("by_position", metavar="GROUNDTRUTH ESTIMATE", count=-1, is_required=False,
         help="Groundtruth and estimates, instead of --groundtruth and --estimate. NAME=ESTIMATE "
-        "names an estimate."),
+        "names an estimate. A bag or folder alone is evaluated by its likely roles."),
     *shared_options(EVALUATE),
     *settings_options(EVALUATE),
     option("--output", kind=Path, metavar="DIR", panel=OUTPUT, is_common=True,
@@ -73,8 +75,9 @@ def evaluate(
 
         trajeval evaluate groundtruth.txt estimate.txt --modality stereo-inertial
 
-    Evaluate two topics of a bag, and write result.json and figures to a folder:
+    Evaluate a bag by the likely roles of its topics, or two of them with figures:
 
+        trajeval evaluate run.mcap
         trajeval evaluate -g run.mcap:/mocap/pose -e run.mcap:/vio/odometry \
             --output result
 
@@ -102,6 +105,12 @@ def evaluate(
         trajeval evaluate rtk.txt vio.txt --association continuous \
             --groundtruth-noise 0.01,1
     """
+    chosen, is_gauge_given = None, any(settings[name] for name in _GAUGES)
+    if recording := recording_of(by_position, groundtruth, estimate):
+        chosen = chosen_evaluation(recording, is_gauge_given=is_gauge_given)
+        by_position, groundtruth, estimate = (), chosen.groundtruth, chosen.estimates
+        if not is_gauge_given:
+            settings["modality"] = chosen.modality or None
     request = request_from(settings)
     requirements = [Requirement.parse(text) for text in require]
     pictures = Pictures(rrd=rrd, viewer=viewer)
@@ -127,6 +136,8 @@ def evaluate(
         received=request.received,
     )
     require_used(list(zip(every_hint, [reference, *estimates], strict=True)))
+    if chosen is not None:
+        reference = with_reasons(reference, chosen)
     outcome = run(reference, estimates, request)
     write_and_print(
         outcome,
@@ -137,4 +148,5 @@ def evaluate(
         pictures=pictures,
         mcap=mcap,
         look=look,
+        repeat=repeated(chosen, recording, is_gauge_given=is_gauge_given) if chosen else "",
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -11,7 +12,7 @@ from trajeval_ros.cli.pictures import PICTURE
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.install_command import extra_command, pyarrow_command
 from trajeval_ros.io.json_file import json_text
-from trajeval_ros.io.live.pair_file import SUFFIX
+from trajeval_ros.io.live.state_file import SUFFIX
 from trajeval_ros.io.results.error_archive import ARCHIVE, TABLE, error_files
 from trajeval_ros.io.temporary import collect_leftovers, temporary_folder
 from trajeval_ros.io.writing import refused_by_disk
@@ -39,41 +40,21 @@ def write_folder(
 
 
 def _write(folder: Path, result: dict[str, object], outcome: Outcome, look: FigureStyle) -> None:
-    runs = outcome.runs
     is_own = _is_own(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
     # An existing folder may be a mount point, and the only writable place.
     beside = folder if folder.is_dir() else folder.parent
     # A first run that was killed has left temporary files next to the folder.
     collect_leftovers(folder.parent)
-    with temporary_folder(folder.name, beside) as temporary:
-        for name, write in error_files(outcome).items():
-            write(temporary / name)
+    with temporary_folder(folder.name, beside) as temporary, ThreadPoolExecutor(1) as thread:
+        # For long runs, the arrays take as long as the figures.
+        writing = [
+            thread.submit(write, temporary / name) for name, write in error_files(outcome).items()
+        ]
         if _HAVE_FIGURES:
-            from trajeval_ros.report.figures import write_figures
-
-            write_figures([run.evaluation for run in runs], temporary, look)
-            for place, run in enumerate(runs, start=1):
-                named = run.estimate.name, f"_{place}" if len(runs) > 1 else ""
-                if run.consistency is not None:
-                    from trajeval_ros.report.consistency_figure import write_consistency
-
-                    write_consistency(run.evaluation, run.consistency, temporary, *named, look)
-                if run.available is not None and run.available.samples is not None:
-                    from trajeval_ros.report.available_figure import as_available_figure
-                    from trajeval_ros.report.figure_output import save_all
-
-                    draw = partial(as_available_figure, run.evaluation, run.available)
-                    save_all({f"as_available{named[1]}": draw}, temporary, look)
-                if run.integrity is not None:
-                    from trajeval_ros.report.consistency_figure import write_stanford
-
-                    write_stanford(run.integrity, temporary, *named, look)
-            likely = outcome.likelihoods
-            if likely:
-                from trajeval_ros.report.probabilistic_figures import write_probabilistic
-
-                write_probabilistic(list(likely.values()), temporary, list(likely), look)
+            _draw(temporary, outcome, look)
+        for task in writing:
+            task.result()
         (temporary / _RESULT).write_text(json_text(result, indent=2), encoding="utf-8")
         folder.mkdir(exist_ok=True)
         (folder / _RESULT).unlink(missing_ok=True)
@@ -89,6 +70,35 @@ def _write(folder: Path, result: dict[str, object], outcome: Outcome, look: Figu
         order = {ARCHIVE: 0, _RESULT: 2}
         for file in sorted(temporary.iterdir(), key=lambda file: order.get(file.name, 1)):
             file.replace(folder / file.name)
+
+
+def _draw(folder: Path, outcome: Outcome, look: FigureStyle) -> None:
+    """Write all figures."""
+    from trajeval_ros.report.figures import write_figures
+
+    runs = outcome.runs
+    write_figures([run.evaluation for run in runs], folder, look)
+    for place, run in enumerate(runs, start=1):
+        named = run.estimate.name, f"_{place}" if len(runs) > 1 else ""
+        if run.consistency is not None:
+            from trajeval_ros.report.consistency_figure import write_consistency
+
+            write_consistency(run.evaluation, run.consistency, folder, *named, look)
+        if run.available is not None and run.available.samples is not None:
+            from trajeval_ros.report.available_figure import as_available_figure
+            from trajeval_ros.report.figure_output import save_all
+
+            draw = partial(as_available_figure, run.evaluation, run.available)
+            save_all({f"as_available{named[1]}": draw}, folder, look)
+        if run.integrity is not None:
+            from trajeval_ros.report.consistency_figure import write_stanford
+
+            write_stanford(run.integrity, folder, *named, look)
+    likely = outcome.likelihoods
+    if likely:
+        from trajeval_ros.report.probabilistic_figures import write_probabilistic
+
+        write_probabilistic(list(likely.values()), folder, list(likely), look)
 
 
 def _is_own(folder: Path) -> bool:

@@ -15,6 +15,7 @@ from trajeval_ros.cli.programs import may_break, write_json
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.escaping import visible
 from trajeval_ros.formatting.remarks import Level
+from trajeval_ros.geometry.reading import ASSUMED, FORMAT
 from trajeval_ros.io.results.requirement import Requirement
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import parse_source
@@ -37,11 +38,13 @@ def write_and_print(
     pictures: Pictures = _NO_PICTURES,
     mcap: Path | None = None,
     look: FigureStyle = PLAIN,
+    repeat: str = "",
 ) -> None:
     """Write and print an evaluation; exit with status 1 if a requirement is not met.
 
     `json`: file for result.json, `-` for stdout. `mcap`: file for the errors as ROS 2 messages.
-    `quiet`: whether to print only missing data and unmet requirements.
+    `quiet`: whether to print only missing data and unmet requirements. `repeat`: the command that
+    states all that was assumed.
     """
     result, runs = result_of(outcome), outcome.runs
     # A requirement with an unknown name is an error; it is raised before anything is written.
@@ -68,6 +71,8 @@ def write_and_print(
     if not quiet and json != "-":
         with may_break():
             _print(outcome, output)
+            if repeat:
+                print(f"\nrepeat: {repeat}")
         _tell("warning", failed)
     else:
         # Missing data are reported even with --quiet.
@@ -95,9 +100,11 @@ def refuse_inputs(outputs: Sequence[Path | str | None], sources: Sequence[str]) 
 
 
 def _print(outcome: Outcome, output: Path | None) -> None:
+    from trajeval_ros.report.available_lines import stream_line
     from trajeval_ros.report.calibration_lines import calibration_lines
     from trajeval_ros.report.consistency_lines import consistency_lines
     from trajeval_ros.report.console import console
+    from trajeval_ros.report.verdict_lines import definitions
 
     terminal = console()
     _print_verdicts(terminal, outcome)
@@ -111,6 +118,12 @@ def _print(outcome: Outcome, output: Path | None) -> None:
             for line in consistency_lines(run.estimate.name, run.consistency):
                 terminal.print(line, soft_wrap=True)
     _print_integrity(terminal, outcome.runs)
+    terminal.print()
+    for run in outcome.runs:
+        for text in definitions(run.evaluation):
+            terminal.print(text, soft_wrap=True)
+        if run.stream is not None and (arrival := stream_line(run.stream)):
+            terminal.print(arrival, soft_wrap=True)
     if output is not None:
         from trajeval_ros.cli.evaluation_folder import contents
 
@@ -122,7 +135,7 @@ def _print(outcome: Outcome, output: Path | None) -> None:
 def _print_verdicts(terminal: Console, outcome: Outcome) -> None:
     from trajeval_ros.formatting.text_tables import BOLD
     from trajeval_ros.metrics.discontinuities.handling import SPLIT
-    from trajeval_ros.report.available_lines import available_lines, stream_line
+    from trajeval_ros.report.available_lines import available_lines
     from trajeval_ros.report.console import WARNING
     from trajeval_ros.report.verdict_lines import diagnosis_lines, doubt, own_error_line, verdict
 
@@ -134,8 +147,6 @@ def _print_verdicts(terminal: Console, outcome: Outcome) -> None:
         for line in diagnosis_lines(run):
             terminal.print(line, WARNING, soft_wrap=True)
         for line in rest:
-            terminal.print(line, soft_wrap=True)
-        if run.stream is not None and (line := stream_line(run.stream)):
             terminal.print(line, soft_wrap=True)
         position = run.evaluation.ate["position_m"]
         if run.available is not None and position is not None:
@@ -190,9 +201,14 @@ def _print_remarks(runs: Sequence[RunOutcome]) -> None:
     remarks = console(sys.stderr)
     groundtruth = runs[0].evaluation.groundtruth
     for trajectory in (groundtruth, *(run.evaluation.estimate for run in runs)):
-        notes = "; ".join(trajectory.reading.said(Level.NOTE))
-        if notes:
-            remarks.remark("note", f"{trajectory.name}: {notes}")
+        notes = [each for each in trajectory.reading.remarks if each.level is Level.NOTE]
+        shown = [each for each in notes if each.code not in (ASSUMED, FORMAT)]
+        said = "; ".join(each.text for each in shown)
+        if said:
+            remarks.remark("note", f"{trajectory.name}: {said}")
+        for each in notes:
+            if each.code == ASSUMED:
+                remarks.remark("assumed", each.text)
     for run in runs:
         printed = {each.cause for each in run.diagnosis.findings}  # below the headline
         for remark in run.evaluation.remarks:

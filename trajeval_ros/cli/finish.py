@@ -1,4 +1,4 @@
-"""`trajeval finish`: evaluation of the pairs that a live run has recorded."""
+"""`trajeval finish`: evaluation of the states that a live run has recorded."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def finish(
     align_with: str | None,
     **settings: Any,
 ) -> None:
-    """Evaluates the pairs that a live run has recorded, during the run or after a crash.
+    """Evaluates the poses that a live run has recorded, during the run or after a crash.
 
-    The live evaluator writes every pair to its output folder during the run. This command
+    The live evaluator writes every pose to its output folder, as it was received. This command
     evaluates them, and writes the results into the same folder. They are equal to the results of
     `trajeval evaluate` on a bag of the same topics:
 

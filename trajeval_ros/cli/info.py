@@ -226,35 +226,29 @@ def _print_others(terminal: Console, description: Description) -> None:
 
 
 def _print_next_step(terminal: Console, description: Description) -> None:
-    """Print the command that evaluates the likely estimates, with a placeholder for what lacks."""
-    usable = [each for each in description.trajectories if not each.problem]
-    references = [each for each in usable if each.could_be == "groundtruth"]
-    others = [each for each in usable if each.could_be != "groundtruth"]
-    commands: dict[str, list[str]] = {}  # estimates, by the end of their command
-    for each in others:
-        system, end = each.system, "SENSORS"
-        if system is not None:
-            topic = each.source.rpartition(":")[2]
+    """Print the commands that evaluate the likely estimates, with placeholders for what lacks."""
+    from trajeval_ros.io.roles import likely_evaluations
+
+    usable = [summary for summary in description.trajectories if not summary.problem]
+    for summary in usable:
+        system = summary.system
+        if system is not None and summary.could_be != "groundtruth":
+            topic = summary.source.rpartition(":")[2]
             terminal.print(f"{topic}: looks like {system.name}: {system.trap}", soft_wrap=True)
-            end = f"{system.modality} {system.options}".strip()
-        commands.setdefault(end, []).append(f"-e {shlex.quote(each.source)}")
+    likely = likely_evaluations(description)
+    commands = [evaluation.command("GROUNDTRUTH", "SENSORS") for evaluation in likely]
     moving = [edge for edge in description.edges if not edge.is_static]
     if moving and not usable:
         edge = moving[0]
         source = f"{description.path}:{edge.topic}:{edge.parent}.{edge.child}"
-        commands = {"SENSORS": [f"-e {shlex.quote(source)}"]}
-    reference = shlex.quote(references[0].source) if len(references) == 1 else "GROUNDTRUTH"
-    for end, estimates in commands.items():
-        terminal.print(
-            f"\ntrajeval evaluate -g {reference} {' '.join(estimates)} --modality {end}",
-            soft_wrap=True,
-        )
-    if commands and reference == "GROUNDTRUTH":
-        likely = ", ".join(each.source for each in references)
-        terminal.print(
-            f"GROUNDTRUTH: {likely or 'another file or BAG:TOPIC of the same run'}", soft_wrap=True
-        )
-    if "SENSORS" in commands:
+        commands = [
+            f"trajeval evaluate -g GROUNDTRUTH -e {shlex.quote(source)} --modality SENSORS"
+        ]
+    for command in commands:
+        terminal.print(f"\n{command}", soft_wrap=True)
+    if any("GROUNDTRUTH" in command for command in commands):
+        terminal.print("GROUNDTRUTH: another file or BAG:TOPIC of the same run", soft_wrap=True)
+    if any("SENSORS" in command for command in commands):
         terminal.print(f"SENSORS: {', '.join(MODALITIES)}", soft_wrap=True)
 
 

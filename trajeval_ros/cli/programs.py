@@ -25,8 +25,9 @@ def exit_status(work: Callable[[], int | None]) -> int:
 
     The status is 2 after an error of the input or of a file, and 130 after Ctrl-C.
     """
-    if sys.stdout is None:  # closed, as by `>&-`
-        sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - open until exit
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed, as by `>&-`
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115
     status = None
     try:
         with may_break():

@@ -9,7 +9,7 @@ from trajeval_ros.cli.options import argument, option
 from trajeval_ros.cli.pictures import PICTURE
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.live.live_folder import evaluate_folder
-from trajeval_ros.io.live.pair_file import SUFFIX
+from trajeval_ros.io.live.state_file import SUFFIX
 from trajeval_ros.io.temporary import temporary_folder
 
 _PARAMETERS = (

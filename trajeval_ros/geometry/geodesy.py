@@ -17,6 +17,9 @@ _SEMI_MAJOR_M = 6378137.0
 _FLATTENING = 1.0 / 298.257223563
 _ECCENTRICITY_SQUARED = _FLATTENING * (2.0 - _FLATTENING)
 _HIGHEST_M = 1e6
+# Distances from the centre of the Earth to its surface, with mountains; and from its equator's
+# plane, below which map coordinates with a small height can have the same distance.
+_SURFACE_M, _OFF_EQUATOR_M = (6.34e6, 6.4e6), 2e4
 _ROUNDS = 8
 
 
@@ -72,6 +75,20 @@ def east_north_up(places: Floats, datum: Datum) -> Floats:
     origin = datum.coordinates
     moved: Floats = (_earth_fixed(places) - _earth_fixed(origin)) @ _axes(origin).T
     return moved
+
+
+def is_earth_centred(positions: Floats) -> bool:
+    """Return whether positions (N, 3), metres, are probably earth-centred (ECEF).
+
+    Then no axis of their frame is vertical. Places within 20 km of the equator are not recognised.
+    """
+    distances = np.linalg.norm(positions, axis=1)
+    least, most = _SURFACE_M
+    return bool(
+        len(positions)
+        and np.all((least < distances) & (distances < most))
+        and np.all(np.abs(positions[:, 2]) > _OFF_EQUATOR_M)
+    )
 
 
 def turned_covariances(covariances: Floats, places: Floats, datum: Datum) -> Floats:

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 
 # Codes of the remark that names the format of a source, also if the user named its columns.
 FORMAT, NAMED_COLUMNS = FORMATS = "format", "named_columns"
+# Code of the warning that frame numbers start at 1, and that 0 or 1 may be the first frame.
+FRAMES_FROM_1 = "frames_from_1"
+# Code of the remarks on sources and sensors that the user did not name.
+ASSUMED = "assumed"
 # Shape of a row by name of the data by row; None for data that are no array.
 _ROWS: dict[str, tuple[int, ...] | None] = {
     "frame_numbers": (),

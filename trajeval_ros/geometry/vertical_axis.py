@@ -8,6 +8,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.geodesy import is_earth_centred
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.trajectory_edits import every_nth
 
@@ -26,7 +27,11 @@ _ENOUGH = 2000  # states
 
 def up_axis_doubt(trajectory: Trajectory) -> str:
     """Return why the up axis is wrong; "" if it is possible, or was given."""
-    if trajectory.up.is_given or trajectory.quaternions is None:
+    if trajectory.up.is_given:
+        return ""
+    if is_earth_centred(trajectory.positions):
+        return "the groundtruth is probably in earth-centred coordinates (ECEF), where z is not up"
+    if trajectory.quaternions is None:
         return ""
     axis = vertical_axis_of(trajectory.positions, trajectory.quaternions)
     if axis is None:

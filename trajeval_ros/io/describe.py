@@ -41,6 +41,8 @@ class TrajectorySummary:
     holds: tuple[str, ...] = ()  # quantities in addition to positions, such as "rotation"
     gaps: int = 0  # number of time steps longer than `LONG_GAP_S`
     longest_gap_s: float = 0.0  # longest time step, seconds
+    fixed: bool = False  # whether the positions are GNSS fixes
+    flat: bool = False  # whether all heights are equal
     could_be: str = ""  # likely role: "groundtruth", "estimate" or "estimate or groundtruth"
     # Remarks of the reader, the quality of fixes, and the number of dropped rows by reason.
     remarks: tuple[Remark, ...] = ()
@@ -205,6 +207,8 @@ def summarize(source: str, trajectory: Trajectory) -> TrajectorySummary:
         holds=holds,
         gaps=0 if unstamped else int(np.count_nonzero(steps > LONG_GAP_S)),
         longest_gap_s=0.0 if unstamped else float(steps.max(initial=0.0)),
+        fixed=reading.fixes is not None,
+        flat=float(np.ptp(ordered.positions[:, 2])) == 0.0 < float(travelled[-1]),
         could_be=_could_be(source, trajectory),
         remarks=tuple(remarks),
     )

@@ -68,5 +68,7 @@ def _parts(source: str) -> list[str]:
     folders = [part for part in path.split("/") if part] or [path]
     if topic:
         return [*folders, part_of_topic(topic, kept="-")]
+    # Bytes of a name that are not UTF-8, which no file of results can have.
+    folders = [part.encode("utf-8", "backslashreplace").decode() for part in folders]
     stem, _, ending = folders[-1].rpartition(".")
     return [*folders[:-1], stem if stem and ending.isalnum() else folders[-1]]

@@ -58,7 +58,8 @@ def write_parquet(
         table = arrow_table(columns)
         named.append(table.add_column(0, label, pyarrow.repeat(name, len(table))))
     table = pyarrow.concat_tables(named, promote_options="default")
-    parquet.write_table(table.replace_schema_metadata(metadata), path)
+    # A dictionary of measured numbers has as many entries as rows, and is given up late.
+    parquet.write_table(table.replace_schema_metadata(metadata), path, use_dictionary=[label])
 
 
 def have_pyarrow() -> bool:

@@ -19,6 +19,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
+from trajeval_ros.geometry.reading import FRAMES_FROM_1
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.statistics import Statistics, statistics_of
 
@@ -90,8 +91,11 @@ def match_frames(
             f"{estimate.name or 'the estimate'} has {len(estimate)}, which cannot be paired by "
             f"row; {advice}"
         )
-    for side in (groundtruth, estimate):
+    for side, numbers in ((groundtruth, frames), (estimate, true_frames)):
         _require_order(side)
+        doubts = [remark.text for remark in side.reading.remarks if remark.code == FRAMES_FROM_1]
+        if doubts and numbers.min(initial=1) == 0:
+            raise InputError(f"{side.name}, and the other side's at 0: {doubts[0]}")
     _, groundtruth_rows, rows = np.intersect1d(
         true_frames, frames, assume_unique=True, return_indices=True
     )

@@ -75,14 +75,26 @@ def relative_errors(
         errors = _fitted_differences(*sides, starts, ends)[0]
         return RelativeErrors(starts, ends, lengths(errors))
     groundtruth_poses, estimate_poses = PoseArrays.of(groundtruth), PoseArrays.of(estimate)
+    # Once per pair: most pairs are both a start and an end.
+    [turns] = lie.by_blocks(
+        lambda *sides: (rotation_errors(*sides),),
+        groundtruth_poses.quaternions,
+        estimate_poses.quaternions,
+    )
 
     def at_ends(s: Indices, e: Indices) -> tuple[Floats, ...]:
         rows = np.stack([s, e])
         if form == "fitted":
             difference, between, first = _fitted(groundtruth_poses, estimate_poses, s, e)
         else:
+            # `take` is faster than indexing.
             difference, between, first = differences_at_ends(
-                groundtruth_poses.at(rows), estimate_poses.at(rows), gauge, scale, form
+                groundtruth_poses.positions.take(rows, axis=0),
+                estimate_poses.positions.take(rows, axis=0),
+                turns.take(rows, axis=0),
+                gauge,
+                scale,
+                form,
             )
         angle, yaw, tilt = angle_yaw_tilt(between, groundtruth.up)
         if form == "euler":
@@ -116,37 +128,34 @@ class PoseArrays(NamedTuple):
         assert quaternions is not None
         return cls(trajectory.positions, quaternions)
 
-    def at(self, rows: Indices) -> PoseArrays:
-        """Return the poses of these rows."""
-        # `take` is faster than indexing.
-        return PoseArrays(self.positions.take(rows, axis=0), self.quaternions.take(rows, axis=0))
-
 
 def differences_at_ends(
-    groundtruth: PoseArrays,
-    other: PoseArrays,
+    groundtruth: Floats,
+    other: Floats,
+    turns: Floats,
     gauge: Gauge,
     scale: float = 1.0,
     form: str = "gauge",
 ) -> tuple[Floats, Floats, Floats]:
     """Align K sub-trajectories at their starts; return the differences at their ends.
 
-    Both sides are (2, K) poses: first the starts, then the ends. The other arguments are those of
-    `relative_errors`. Returned are position errors (K, 3), rotation errors (K, 4) and rotations of
-    the alignments (K, 4).
+    Positions of both sides (2, K, 3) and `rotation_errors` (2, K, 4): first those of the starts,
+    then those of the ends. The other arguments are those of `relative_errors`. Returned are
+    position errors (K, 3), rotation errors (K, 4) and rotations of the alignments (K, 4).
     """
-    first, last = rotation_errors(groundtruth.quaternions, other.quaternions)
+    first, last = turns
     # The alignment is eq. (19); for yaw its rotation is eq. (20).
     about_gravity = form in ("gauge", "tutorial") and gauge.turns_about_gravity_only
     alignment = lie.heading(first) if about_gravity else first
     # eq. (14) with the alignment by the first state, relative to the first position.
-    step = scale * lie.rotate(alignment, other.positions[1] - other.positions[0])
+    step = scale * lie.rotate(alignment, other[1] - other[0])
     # R (R_a R')^T; R R'^T is available for both states.
     between = lie.multiply(last, lie.conjugate(alignment))
     if form == "tutorial":
-        aligned = groundtruth.positions[0] + step
-        return groundtruth.positions[1] - lie.rotate(between, aligned), between, alignment
-    return groundtruth.positions[1] - groundtruth.positions[0] - step, between, alignment
+        difference = groundtruth[1] - lie.rotate(between, groundtruth[0] + step)
+    else:
+        difference = groundtruth[1] - groundtruth[0] - step
+    return difference, between, alignment
 
 
 def _fitted(

@@ -15,7 +15,7 @@ from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.valid_poses import LARGEST, NO_STATE
 from trajeval_ros.metrics.alignment import Alignment
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH, AUTO, Association, AssociationRule
-from trajeval_ros.metrics.coverage import Coverage, StampedPoses
+from trajeval_ros.metrics.coverage import Coverage
 from trajeval_ros.metrics.lost_tracking import LostTracking
 from trajeval_ros.metrics.moments import Moments
 from trajeval_ros.metrics.premises import Doubts
@@ -68,19 +68,17 @@ class OnlineEvaluator:
         self,
         settings: OnlineSettings | None = None,
         record: Callable[[PairedStates], object] | None = None,
-        record_waypoints: Callable[[StampedPoses], object] | None = None,
     ) -> None:
         """Create an evaluator without states.
 
         Args:
             settings: The settings; None for the defaults.
             record: Called with all new pairs, to store them outside this process.
-            record_waypoints: Called with the groundtruth's waypoints between pairs.
         """
         self.settings = settings or OnlineSettings()
         rule = self.settings.protocol.association
         self.frames = LiveFrames(self.settings)
-        self._record, self._record_waypoints = record, record_waypoints
+        self._record = record
         at_groundtruth = rule.method == AT_GROUNDTRUTH
         limits = self.settings.limits
         self._pair_by(Pairing(rule.max_gap_s, limits, at_groundtruth=at_groundtruth))
@@ -124,17 +122,20 @@ class OnlineEvaluator:
             block = dataclasses.replace(block, stamps=block.stamps + offset_ns)
         self.buffer.add_estimate(block, dropped)
 
-    def continue_after(self, before: OnlineEvaluator) -> None:
+    def continue_after(self, before: OnlineEvaluator) -> int:
         """Take the states that the evaluator of the previous run has received and not used.
 
         Call it before the first state. The settings must be the same.
+
+        Returns:
+            The timestamp, nanoseconds, from which on pairs belong to this run.
         """
         buffer = before.buffer
         self._pair_by(
             Pairing(buffer.max_gap_s, buffer.limits, at_groundtruth=buffer.at_groundtruth)
         )
         self._is_settled = before._is_settled
-        buffer.hand_over(self.buffer)
+        return buffer.hand_over(self.buffer)
 
     def update(self, *, at_end: bool = False) -> Update:
         """Evaluate the states since the last call.
@@ -340,7 +341,7 @@ class OnlineEvaluator:
         self.buffer = buffer
         self.tracking = LostTracking(of_fixes=buffer.at_groundtruth)
         of_kind = LiveCompleteness if buffer.at_groundtruth else LiveCoverage
-        self._coverage: LiveCompleteness | LiveCoverage = of_kind(buffer, self._record_waypoints)
+        self._coverage: LiveCompleteness | LiveCoverage = of_kind(buffer)
 
     def _add_covariances(self, estimate: Trajectory) -> None:
         """Test covariances of inertial estimators, in a frame with z up."""

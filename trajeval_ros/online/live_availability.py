@@ -80,16 +80,7 @@ class LiveAvailability:
 
         Those with an `UNKNOWN` time of reception are left out. Body rates may be NaN.
         """
-        new = np.empty(len(stamps), MESSAGE)
-        new["stamp"], new["time"], new["state"] = stamps, receptions.times, np.nan
-        new["corrected"] = UNKNOWN if receptions.corrected is None else receptions.corrected
-        new["state"][:, : min(rows.shape[1], WIDTH)] = rows[:, :WIDTH]
-        if receptions.body_rates is not None:
-            new["state"][:, WIDTH:] = receptions.body_rates
-        self._new_messages.append(new)
-
-    def record(self, groundtruth: Rows, messages: Rows) -> None:
-        """Receive the usable rows of `store`."""
+        self._new_messages.append(message_rows(stamps, rows, receptions))
 
     def store(self) -> None:
         """Take the usable states since the last call, all together because of the cost."""
@@ -103,7 +94,6 @@ class LiveAvailability:
         self._truth.add(trajectory(truth["stamp"], truth["pose"]))
         self._messages = np.concatenate([self._messages, new])
         self._has_moved |= bool(np.nan_to_num(new["state"][:, VELOCITY]).any())
-        self.record(truth, new)
 
     def update(self, similarity: Similarity | None, offset_ns: int = 0) -> AvailableSamples | None:
         """Return the samples that are final now, under the present alignment; None if none.
@@ -180,6 +170,17 @@ class LiveAvailability:
             "missed deadlines": self.missed,
             "reception clock": self._known.clock and self._known.clock.verdict,
         }
+
+
+def message_rows(stamps: Stamps, rows: Floats, receptions: Receptions) -> Rows:
+    """Return messages as rows of type `MESSAGE`; see `LiveAvailability.add_estimate`."""
+    messages = np.empty(len(stamps), MESSAGE)
+    messages["stamp"], messages["time"], messages["state"] = stamps, receptions.times, np.nan
+    messages["corrected"] = UNKNOWN if receptions.corrected is None else receptions.corrected
+    messages["state"][:, : min(rows.shape[1], WIDTH)] = rows[:, :WIDTH]
+    if receptions.body_rates is not None:
+        messages["state"][:, WIDTH:] = receptions.body_rates
+    return messages
 
 
 def received_poses(rows: Rows, up: UpAxis = Z_UP) -> Trajectory:

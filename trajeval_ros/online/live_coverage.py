@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Stamps
@@ -19,8 +17,6 @@ from trajeval_ros.metrics.coverage import (
 from trajeval_ros.metrics.repeated_poses import RepeatedPoses
 from trajeval_ros.online.pairing import Pairing
 
-Record = Callable[[StampedPoses], object]
-
 
 class LiveCoverage:
     """Sums the steps between pairs at a constant cost; equal to the offline coverage.
@@ -28,9 +24,9 @@ class LiveCoverage:
     Pairs and groundtruth states that arrive after newer ones were measured are left out.
     """
 
-    def __init__(self, buffer: Pairing, record: Record | None) -> None:
-        """Create it without pairs; `record` is called with the groundtruth's waypoints."""
-        self._buffer, self._record = buffer, record
+    def __init__(self, buffer: Pairing) -> None:
+        """Create it without pairs."""
+        self._buffer = buffer
         self._max_gap_ns = round(buffer.max_gap_s * NANOSECONDS)
         self._meter = StepMeter(self._max_gap_ns)
         self._sums = CoverageSums(buffer.max_gap_s)
@@ -44,8 +40,6 @@ class LiveCoverage:
             self._has_pairs = True
             self._repeats.add(groundtruth.stamps, groundtruth.poses, estimate.poses)
         passed = self._pass_by(groundtruth.stamps)
-        if self._record is not None and len(passed.stamps):
-            self._record(passed)
         self._sums.add(self._meter.measure(passed, groundtruth))
 
     def _pass_by(self, paired: Stamps) -> StampedPoses:
@@ -79,9 +73,9 @@ class LiveCoverage:
 class LiveCompleteness:
     """Counts the groundtruth states in pairs; equal to the offline completeness."""
 
-    def __init__(self, buffer: Pairing, record: Record | None) -> None:
-        """Create it without pairs; `record` is called with groundtruth states without a pair."""
-        self._buffer, self._record = buffer, record
+    def __init__(self, buffer: Pairing) -> None:
+        """Create it without pairs."""
+        self._buffer = buffer
         self._sums = CompletenessSums()
 
     def measure(self, groundtruth: StampedPoses, estimate: StampedPoses) -> None:
@@ -92,8 +86,6 @@ class LiveCompleteness:
             return
         states = StampedPoses.joined([part.states for part in decided])
         paired = np.concatenate([part.paired for part in decided])
-        if self._record is not None and not paired.all():
-            self._record(StampedPoses(states.stamps[~paired], states.poses[~paired]))
         order = np.argsort(states.stamps, kind="stable")
         self._sums.add(states.stamps[order], states.poses[order, :3], paired[order])
 

@@ -153,12 +153,6 @@ class LiveFrames:
         similarity = between_own_axes(alignment.similarity, *axes)
         return dataclasses.replace(alignment, similarity=similarity)
 
-    def leaves_out_velocities_of(self, rows: Floats) -> bool:
-        """Return whether rows have velocities that are not evaluated because of a lever arm."""
-        if self._arm is None or not self._arm.lever_m.any():
-            return False
-        return bool(np.nan_to_num(rows[:, VELOCITY]).any())
-
 
 def _with_up(block: Trajectory, up: UpAxis) -> Trajectory:
     return block if block.up == up else replace(block, up=up)

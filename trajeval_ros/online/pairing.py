@@ -8,7 +8,6 @@ states beyond it, or until the end. Both sides are kept for a while, because sta
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import deepcopy
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -20,7 +19,6 @@ from trajeval_ros.geometry.interpolation import Bracket
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.geometry.valid_poses import add_counts, count_up
-from trajeval_ros.metrics.completeness import Interpolation, InterpolationMeter
 from trajeval_ros.metrics.coverage import NO_GAP_NS, StampedPoses, time_without_gaps
 from trajeval_ros.online.state_buffer import NEVER, NOTHING, BufferLimits, StateCounts, Tail
 from trajeval_ros.online.state_rows import WIDTH, Pairs, rows_of
@@ -99,8 +97,6 @@ class Pairing:
         self._forgotten_until = self._paired_until = self._decided_until = NEVER
         self._is_full = False  # whether states were dropped by number, not by age
         self._left_time_ns, self._left_path_m = 0, 0.0  # of the groundtruth that was forgotten
-        self._left_estimate = InterpolationMeter()
-        self._is_between = False  # whether a pair lies between two estimated states
 
     @property
     def interpolated(self) -> str:
@@ -173,16 +169,6 @@ class Pairing:
     @property
     def _groundtruth_gap_ns(self) -> int:
         return NO_GAP_NS if self.at_groundtruth else round(self.max_gap_s * NANOSECONDS)
-
-    @property
-    def interpolation(self) -> Interpolation | None:
-        """How far interpolation of the estimate may be off; None if no pair needed any."""
-        if not self._is_between:
-            return None
-        whole = deepcopy(self._left_estimate)
-        states = self.estimate.trajectory()
-        whole.add(states.stamps, states.positions)
-        return whole.found
 
     @property
     def dropped(self) -> dict[str, int]:
@@ -290,7 +276,6 @@ class Pairing:
                 self._drop(reason, number - (too_late if reason.startswith("before_") else 0))
             self._drop("too_late", too_late)
         if self.at_groundtruth:
-            self._is_between |= bracket.is_between
             states = StampedPoses.of(decided.states, np.arange(count))
             self._groundtruth_decided.append(DecidedStates(states, usable))
 
@@ -330,11 +315,11 @@ class Pairing:
         old = int(side.stamps.searchsorted(self.limits.horizon(side.newest)))
         self._leave(side, max(min(decided, max(old, decided - self.limits.past_states)), 0))
 
-    def hand_over(self, following: Pairing) -> None:
+    def hand_over(self, following: Pairing) -> int:
         """Give another pairing the states that wait, and the interpolated ones around and after.
 
         Both pairings need the two interpolated states around the border. Every other state belongs
-        to one of them.
+        to one of them. Returns the border, the first timestamp of pairs of the other pairing.
         """
         side, track = self._waiting_side, self._track
         rows = self._waiting_rows(len(side))
@@ -350,6 +335,7 @@ class Pairing:
         if beyond > 0:
             self._track_counts.take_back(beyond, int(track.stamps[end]))
             track.cut(end + 1)
+        return border
 
     def _receive(self, side: Tail, other: Tail, rows: slice | Indices) -> None:
         add = self.add_groundtruth if side is self.groundtruth else self.add_estimate
@@ -388,9 +374,6 @@ class Pairing:
             stamps = side.stamps[: count + 1]
             self._left_time_ns += time_without_gaps(stamps, self._groundtruth_gap_ns)
             self._left_path_m += _path_m(side, count + 1)
-        elif self.at_groundtruth:
-            states = side.trajectory(slice(count))
-            self._left_estimate.add(states.stamps, states.positions)
         side.drop_before(count)
 
     def _drop(self, reason: str, count: int) -> None:

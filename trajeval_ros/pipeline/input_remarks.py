@@ -11,6 +11,7 @@ from trajeval_ros.diagnosis.discontinuities import has_clock_step
 from trajeval_ros.formatting.numbers import counted, percent, whole_percent
 from trajeval_ros.formatting.remarks import Level, Remark, warning
 from trajeval_ros.geometry.fix_selection import FixRule
+from trajeval_ros.geometry.geodesy import is_earth_centred
 from trajeval_ros.geometry.valid_poses import MOST_UNUSABLE, NO_STATE, reasons
 from trajeval_ros.metrics.arrival_times import stamped_at_arrival
 from trajeval_ros.metrics.coverage import LOW_COVERAGE
@@ -194,7 +195,14 @@ def about_unused_rule(rule: FixRule) -> Iterator[Remark]:
 
 
 def _about_projection(name: str, side: Trajectory) -> Iterator[Remark]:
-    """Yield a warning if a side's positions are those of a UTM zone, which is no rigid frame."""
+    """Yield a warning if a side's positions are earth-centred, or those of a UTM zone."""
+    if is_earth_centred(side.positions):
+        yield warning(
+            "earth_centred_coordinates",
+            f"the {name} is probably in earth-centred coordinates (ECEF), where z is not up; "
+            "convert it to latitude and longitude or to a local frame, or use --gauge se3",
+        )
+        return
     columns = [np.abs(column) for column in side.up.turned(side.positions)[:, :2].T]
     low, high = ([reduced(column) for column in columns] for reduced in (np.min, np.max))
     east, north = np.argsort(low)  # either may come first

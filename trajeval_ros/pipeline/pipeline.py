@@ -20,7 +20,7 @@ from trajeval_ros.diagnosis.diagnose import (
 )
 from trajeval_ros.diagnosis.findings import Diagnosis, Finding, Tried
 from trajeval_ros.diagnosis.verification import Reevaluate, verified
-from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
+from trajeval_ros.exceptions import InputError, TrajevalError
 from trajeval_ros.formatting.remarks import Remark, warning
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
@@ -102,37 +102,19 @@ def _testable(
     return own, [warning("no_consistency_test", said)]
 
 
-def run_live_pairs(
-    pairs: Association,
-    groundtruth: Trajectory,
-    estimate: Trajectory,
-    request: Request,
-    streams: tuple[Trajectory, Trajectory] | None = None,
-) -> RunOutcome:
-    """Evaluate the recorded pairs of a live run.
+def run_alone(
+    groundtruth: Trajectory, estimate: Trajectory, request: Request
+) -> tuple[InputSummary, RunOutcome]:
+    """Evaluate one of several estimates with its own request; return the groundtruth's summary.
 
-    Args:
-        pairs: States paired by the request's association.
-        groundtruth: The groundtruth states of the pairs, in place of all groundtruth.
-        estimate: The estimated states of the pairs, in place of all of them.
-        request: What to compute. Time offsets and likelihoods need more than pairs.
-        streams: All groundtruth states and poses as received, for the as-available accuracy.
-
-    Raises:
-        InputError: The pairs lack data that the request needs.
-        SettingsError: The request needs more than pairs.
+    What compares estimates follows: `with_same_estimates_named` and `with_own_errors`.
     """
-    if request.calibration.offset:
-        raise SettingsError(
-            "a live run needs a fixed time offset; set the parameter time_offset, or evaluate a "
-            "bag with --time-offset auto"
-        )
-    if request.is_continuous or request.span_ns is not None or request.time_span is not None:
-        raise SettingsError(
-            "likelihoods and time spans need the complete groundtruth, and a live run stores "
-            "only pairs; evaluate a bag"
-        )
-    return _evaluated(Inputs(groundtruth, estimate, pairs, streams), request)
+    groundtruth, [estimate], request = with_fixes_placed(groundtruth, [estimate], request)
+    with named(estimate):
+        given = Inputs.of(groundtruth, estimate)
+        outcome = _evaluated(given, request)
+    inputs = corrected_and_cut(given, request)
+    return InputSummary.of(inputs.groundtruth, outcome.evaluation.groundtruth), outcome
 
 
 def evaluate(

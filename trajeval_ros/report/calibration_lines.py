@@ -84,9 +84,7 @@ def _ate(calibrated: Calibrated) -> str:
     before, after, anyway = calibrated.before, calibrated.after, calibrated.if_applied
     of_whom = "marker" if calibrated.of_marker else "body"
     text = f"ATE of the {of_whom}: {_both(after)}"
-    if calibrated.was_live:
-        text += f", transformed with {calibrated.wanted.source} during the run"
-    elif before is None:
+    if before is None:
         text += "; before, too few pairs for an alignment"
     elif calibrated.offset_applied or calibrated.hand_eye is not None:
         text += f"; before {_both(before)}"

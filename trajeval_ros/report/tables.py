@@ -12,7 +12,7 @@ from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.relative_evaluation import SubTrajectoryErrors
 from trajeval_ros.metrics.statistics import Statistics
 from trajeval_ros.report.console import Table
-from trajeval_ros.report.definitions import ABSOLUTE_LABELS, RE_FORM_TEXTS, RELATIVE_LABELS
+from trajeval_ros.report.definitions import ABSOLUTE_LABELS, RELATIVE_LABELS
 
 if TYPE_CHECKING:
     from trajeval_ros.likelihood.likelihood_assessment import LikelihoodAssessment
@@ -41,8 +41,8 @@ _NUMBERS = (
 def absolute_table(evaluations: Sequence[Evaluation], width: int) -> Table:
     """Return the table of absolute errors, a row per estimate and metric."""
     shown = [statistic for statistic in _STATISTICS if _fits(statistic, width)]
-    form = evaluations[0].protocol.ate_form
-    title = f"Absolute trajectory error, {form} form"
+    is_tutorial = evaluations[0].protocol.ate_form == "tutorial"
+    title = "Absolute trajectory error" + is_tutorial * ", eq. (23) of the tutorial"
     table = Table(title, ["estimate", "error"], [*shown, "pairs"])
     for evaluation in evaluations:
         name = evaluation.estimate.name
@@ -123,7 +123,7 @@ def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | Non
         return None
     with_medians = width >= _WIDTH_FOR_MEDIANS
     what = "mean (median)" if with_medians else "mean"
-    title = f"Relative error, {what}: {RE_FORM_TEXTS[evaluations[0].protocol.re_form]}"
+    title = f"Relative error, {what}"
     headings = [RELATIVE_LABELS[metric] for metric in metrics]
     table = Table(title, ["estimate", "length"], [*headings, "count"])
     for evaluation in evaluations:
@@ -131,6 +131,8 @@ def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | Non
         if evaluation.relative is None and evaluation.protocol.lengths:
             table.add([name, "all", *[NOTHING] * (len(metrics) + 1)])
         for segment in evaluation.relative or ():
+            if not segment.count:
+                continue  # a remark names the lengths without sub-trajectories
             cells = [_mean(segment.statistics.get(metric), with_medians) for metric in metrics]
             count = str(segment.count)
             table.add([name, _length_text(segment), *cells, count])

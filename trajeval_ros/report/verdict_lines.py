@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from trajeval_ros.diagnosis.causes import CAUSES
 from trajeval_ros.diagnosis.evaluation_tests import few_pairs
 from trajeval_ros.formatting.numbers import (
@@ -14,13 +16,20 @@ from trajeval_ros.formatting.numbers import (
     whole_percent,
     with_unit,
 )
+from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.up_axis import ASSUMED, UpAxis
 from trajeval_ros.geometry.valid_poses import reasons
 from trajeval_ros.metrics.discontinuities.parts import together_m
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.tracking_loss import DIVERGED, FROZEN
 from trajeval_ros.pipeline.input_remarks import completeness_in_words
-from trajeval_ros.report.definitions import METHOD_TEXTS, WEIGHT_TEXTS
+from trajeval_ros.report.definitions import (
+    METHOD_TEXTS,
+    RE_FORM_TEXTS,
+    WEIGHT_TEXTS,
+    first_state_alignment_of,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,6 +43,13 @@ if TYPE_CHECKING:
     from trajeval_ros.pipeline.outcome import RunOutcome
 
 
+_FITTED = {
+    Gauge.TRANSLATION: "position",
+    Gauge.YAW: "yaw and position",
+    Gauge.PLANAR: "heading and position on a plane",
+    Gauge.SE3: "rotation and position",
+    Gauge.SIM3: "rotation, position and scale",
+}
 _MOSTLY = 1.0 / 3.0  # of the rotation ATE: a standard deviation that explains it
 _STATED = ("few_pairs", "identical")  # causes that the line or the numbers state already
 _LOST = {FROZEN: "froze", DIVERGED: "diverged"}  # errors of the estimator
@@ -45,7 +61,7 @@ def verdict(
     *,
     split: bool = False,
 ) -> list[str]:
-    """Return the result lines: errors, definitions and coverage.
+    """Return the result lines: errors, the worst place, alignment and coverage.
 
     With a `likelihood`, the first line has the ATE of poses that the groundtruth supports.
     `split` states the ATE of the parts between restarts, which are aligned separately.
@@ -53,13 +69,40 @@ def verdict(
     position, rotation = evaluation.ate["position_m"], evaluation.ate["rotation_deg"]
     assert position is not None
     name = evaluation.estimate.name or "estimate"
+    protocol, pairs = evaluation.protocol, evaluation.association
     turned = "rotation withheld"
     if rotation is not None:
-        turned = f"{with_unit(rotation.rmse, 'deg')} rotation"
-        if evaluation.association.has_headings_only:
+        turned = f"rotation {with_unit(rotation.rmse, 'deg')}"
+        if pairs.has_headings_only:
             turned += " including tilt against 2-D headings"
-    elif evaluation.relative is None and evaluation.protocol.lengths:
+    elif evaluation.relative is None and protocol.lengths:
         turned = "rotation and drift withheld"
+    kitti = f"{evaluation.kitti_ranking}; " if evaluation.kitti_ranking else ""
+    how = "without" if protocol.gauge is Gauge.NONE else "after"
+    whole = f"position error {with_unit(position.rmse, 'm')} RMSE {how} alignment (ATE)"
+    together = together_m(evaluation.parts) if split else None
+    if together is not None:
+        whole += f" ({counted(len(evaluation.parts), 'part')}: {with_unit(together, 'm')})"
+    supported = "" if likelihood is None else _supported(likelihood.ate, how)
+    has_gaps = likelihood is not None and likelihood.ate.supported_share < 1.0
+    few = few_pairs(protocol, pairs)
+    return [
+        f"{name}: {kitti}{supported or whole}, {turned}{_drift(evaluation)}"
+        + (f"; {few}" if few else ""),
+        *(
+            [f"  {whole} over all pairs, gaps of the groundtruth included"]
+            if supported and has_gaps
+            else []
+        ),
+        f"  {_worst(evaluation)}",
+        f"  {_aligned(evaluation)}; {_share(evaluation)}",
+        *([_split(evaluation.parts)] if split else []),
+        *_score(evaluation),
+    ]
+
+
+def definitions(evaluation: Evaluation) -> list[str]:
+    """Return the lines below the tables: alignment, association, pairs and axes in full."""
     protocol, pairs = evaluation.protocol, evaluation.association
     states = evaluation.alignment.states_used
     how = "first state" if states == 1 else f"first {states} states"
@@ -70,33 +113,73 @@ def verdict(
     weights = WEIGHT_TEXTS[protocol.align_weights]
     if protocol.apply == "scale":
         how += ", only its scale applied"
-    scale = (
-        f", scale {evaluation.alignment.similarity.scale:.4f}" if protocol.gauge.has_scale else ""
-    )
-    kitti = f"{evaluation.kitti_ranking}; " if evaluation.kitti_ranking else ""
-    whole = f"ATE {with_unit(position.rmse, 'm')} position"
-    together = together_m(evaluation.parts) if split else None
-    if together is not None:
-        whole += f" ({counted(len(evaluation.parts), 'part')}: {with_unit(together, 'm')})"
-    supported = "" if likelihood is None else _supported(likelihood.ate)
-    has_gaps = likelihood is not None and likelihood.ate.supported_share < 1.0
     return [
-        f"{name}: {kitti}{supported or whole}, {turned} "
-        f"(rmse{_drift(evaluation)})"
-        + (f"; {few}" if (few := few_pairs(protocol, pairs)) else ""),
-        *(
-            [f"  {whole} over all pairs, gaps of the groundtruth included"]
-            if supported and has_gaps
-            else []
-        ),
-        f"  aligned by {protocol.gauge.value} ({protocol.gauge.description}){modality}, "
-        f"{how}{poses}{weights}{scale}{_spread(evaluation)}; "
+        f"{evaluation.estimate.name or 'estimate'}: aligned by {protocol.gauge.value} "
+        f"({protocol.gauge.description}){modality}, {how}{poses}{weights}{_spread(evaluation)}; "
         f"{METHOD_TEXTS[pairs.rule.method].format(pairs.rule)}",
-        *([_split(evaluation.parts)] if split else []),
-        f"  {_covered(evaluation)}{_dropped(evaluation)}",
+        *_covered(evaluation),
+        *([f"  relative errors: {_relative_form(evaluation)}"] if evaluation.relative else []),
         *_up(evaluation.groundtruth.up, evaluation.estimate.up),
-        *_score(evaluation),
     ]
+
+
+def _relative_form(evaluation: Evaluation) -> str:
+    form = evaluation.protocol.re_form
+    if form != "gauge":
+        return RE_FORM_TEXTS[form]
+    return f"{first_state_alignment_of([evaluation])}, position difference at the end"
+
+
+def _worst(evaluation: Evaluation) -> str:
+    """Return the largest position error and the largest drift over the longest length."""
+    pairs, errors = evaluation.association, evaluation.absolute.position_m
+    row = int(np.argmax(errors))
+    travelled = pairs.groundtruth.travelled[row]
+    text = (
+        f"worst: {with_unit(errors[row], 'm')} at {_when(evaluation, row)} "
+        f"({travelled:.4g} m travelled)"
+    )
+    drift = evaluation.drift
+    part = next(
+        (part for part in evaluation.relative or () if drift and part.length_m == drift.length_m),
+        None,
+    )
+    if drift is None or part is None or evaluation.kitti_ranking:
+        return text
+    start = int(part.errors.starts[np.argmax(part.errors.position_m)])
+    most, length = significant(drift.percent.max, 3), with_unit(drift.length_m, "m")
+    return f"{text}; worst {length}: {most} % from {_when(evaluation, start)}"
+
+
+def _when(evaluation: Evaluation, row: int) -> str:
+    """Return the time of a pair since the groundtruth's begin; without timestamps its number."""
+    if evaluation.association.rule.method == "index":
+        return f"pair {row + 1}"
+    since_ns = evaluation.association.groundtruth.stamps[row] - evaluation.groundtruth.stamps.min()
+    return f"{since_ns / NANOSECONDS:.1f} s"
+
+
+def _aligned(evaluation: Evaluation) -> str:
+    """Return what the alignment fits, in words."""
+    gauge, states = evaluation.protocol.gauge, evaluation.protocol.align_states
+    if gauge is Gauge.NONE:
+        return "not aligned"
+    text = f"aligned by {_FITTED[gauge]}"
+    if gauge.has_scale:
+        text += f" {evaluation.alignment.similarity.scale:.4f}"
+    if states is not None:
+        text += f" of the first {counted(evaluation.alignment.states_used, 'pair')}"
+    return text
+
+
+def _share(evaluation: Evaluation) -> str:
+    """Return how much of the groundtruth is covered."""
+    pairs = evaluation.association
+    if pairs.estimate_coverage is None:
+        return completeness_in_words(evaluation)
+    text = f"{whole_percent(pairs.coverage.covered)} of the groundtruth covered"
+    gap = pairs.coverage.longest_gap
+    return text if gap is None else f"{text}, longest gap {gap}"
 
 
 def _split(parts: Sequence[RunPart]) -> str:
@@ -114,15 +197,18 @@ def _split(parts: Sequence[RunPart]) -> str:
     )
 
 
-def _supported(ate: UncertainAte) -> str:
+def _supported(ate: UncertainAte, how: str) -> str:
     """Return the ATE of the poses that the groundtruth supports; empty without one."""
     if ate.supported_m is None:
         return ""
-    text = f"ATE {with_unit(ate.supported_m, 'm')} position"
+    interval = ""
     if ate.interval_m is not None:
         low, high = (with_unit(limit, "m") for limit in ate.interval_m)
-        text += f" (approximate 95 % interval {low} to {high})"
-    return f"{text} over {whole_percent(ate.supported_share)} of the poses"
+        interval = f", approximate 95 % interval {low} to {high}"
+    return (
+        f"position error {with_unit(ate.supported_m, 'm')} RMSE {how} alignment (ATE{interval}) "
+        f"over {whole_percent(ate.supported_share)} of the poses"
+    )
 
 
 def _spread(evaluation: Evaluation) -> str:
@@ -134,18 +220,20 @@ def _spread(evaluation: Evaluation) -> str:
     return f", standard deviation of its {angle} {freedom.std_deg:.2g} deg"
 
 
-def _covered(evaluation: Evaluation) -> str:
-    """Return the coverage of both sides as text."""
+def _covered(evaluation: Evaluation) -> list[str]:
+    """Return the coverage of both sides, and the numbers of dropped states by reason."""
     pairs = evaluation.association
+    dropped = f"dropped: {reasons(pairs.dropped)}" if pairs.dropped else ""
     if pairs.estimate_coverage is None:
-        return completeness_in_words(evaluation)
+        return [f"  {dropped}"] if dropped else []
     coverage, path_m = pairs.coverage, f"({pairs.groundtruth.path_length_m:.1f} m)"
-    return (
-        f"{counted(len(pairs), 'pair')} cover {whole_percent(pairs.estimate_coverage)} of the "
+    return [
+        f"  {counted(len(pairs), 'pair')} cover {whole_percent(pairs.estimate_coverage)} of the "
         f"estimate's poses and {whole_percent(coverage.covered)} of the groundtruth's time "
         + path_m
         + (f", {coverage.gap_in_words}" if coverage.longest_gap else "")
-    )
+        + (f"; {dropped}" if dropped else "")
+    ]
 
 
 def _up(groundtruth: UpAxis, estimate: UpAxis) -> list[str]:
@@ -185,21 +273,13 @@ def _drift(evaluation: Evaluation) -> str:
     if drift is None or evaluation.kitti_ranking:
         return ""
     mean, length = significant(drift.percent.mean, 3), with_unit(drift.length_m, "m")
-    return f"); drift {mean} % of {length} (mean"
-
-
-def _dropped(evaluation: Evaluation) -> str:
-    """Return the numbers of dropped states by reason as text."""
-    dropped = evaluation.association.dropped
-    return f"; dropped: {reasons(dropped)}" if dropped else ""
+    return f", drift {mean} % over {length}"
 
 
 def own_error_line(own: OwnError) -> str:
     """Return the line about an estimate's own error, without the noise of fixes."""
-    worth = (
-        f"{counted(own.fixes, 'fix', 'fixes')}, equivalent to {own.effective_fixes:.2g} "
-        "independent fixes"
-    )
+    independent = significant(own.effective_fixes, 2)
+    worth = f"{counted(own.fixes, 'fix', 'fixes')}, equivalent to {independent} independent fixes"
     guess = ", from approximate covariances of the driver" if own.by_guess else ""
     low, high = own.interval_m
     if own.resolved:

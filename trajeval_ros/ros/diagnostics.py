@@ -266,8 +266,8 @@ def _about_run(run: LiveRun, estimate: LiveEstimate, snapshot: Snapshot) -> Iter
         yield warning("loss", f"{counted(lost, 'message')} lost")
     if forgotten := estimate.evaluator.buffer.why_forgotten:
         yield warning("delay", forgotten)
-    if estimate.pairs_file.trouble:
-        said = f"results can't be written to {run.folder}: {estimate.pairs_file.trouble}"
+    if trouble := run.states_file.trouble or estimate.states_file.trouble:
+        said = f"results can't be written to {run.folder}: {trouble}"
         yield Remark(Level.ERROR, "disk", said)
     elif snapshot.pairs and run.finisher.trouble:
         yield warning("result", f"no result: {run.finisher.trouble}")

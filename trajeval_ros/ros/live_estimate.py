@@ -1,4 +1,4 @@
-"""The evaluation of one estimate in one run: from decoded messages to errors and a pair file."""
+"""The evaluation of one estimate in one run: from decoded messages to errors."""
 
 from __future__ import annotations
 
@@ -13,18 +13,22 @@ import numpy as np
 
 from trajeval_ros.consistency.s_transformation import unknown_covariances
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.marker import BODYS_VELOCITIES
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.vertical_axis import up_axis_doubt
-from trajeval_ros.io.live.pair_file import REVISED_SUFFIX, SUFFIX, PairWriter, write_revised
-from trajeval_ros.io.live.reception_file import SUFFIX as RECEIVED_SUFFIX
-from trajeval_ros.io.live.reception_file import RecordedAvailability
+from trajeval_ros.io.live.state_file import (
+    REVISED_SUFFIX,
+    StateWriter,
+    copy_states,
+    file_of_estimate,
+)
 from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.association import AT_GROUNDTRUTH
+from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.alarms import Peaks, Standing
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.jump_detector import Jump, JumpDetector
+from trajeval_ros.online.live_availability import LiveAvailability, message_rows
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import PairedStates
@@ -32,7 +36,6 @@ from trajeval_ros.online.reports import Snapshot, Update, united
 from trajeval_ros.online.state_rows import (
     COVARIANCE,
     POSITION,
-    QUATERNION,
     WIDTH,
     Pairs,
     trajectory,
@@ -81,13 +84,11 @@ class LiveEstimate:
     ) -> None:
         self.source, self.name = source, source.name
         self.status = StreamStatus()
-        self._body, self._path_of = body, folder / self.name
-        self.pairs_file = PairWriter(folder / f"{self.name}{SUFFIX}", description)
-        self._state: Mapping[str, Any] = {}
-        # The evaluator has no reference to this object, so that a complete run can be freed.
-        self.evaluator = OnlineEvaluator(
-            settings, record_waypoints=self.pairs_file.append_waypoints
-        )
+        self._body, self._description = body, {"name": self.name, **description}
+        self.states_file = StateWriter(folder / file_of_estimate(self.name), self._description)
+        self.until_ns: int | None = None  # border to the next run, by the groundtruth's clock
+        self._newest_path: StateColumns | None = None  # as in its message
+        self.evaluator = OnlineEvaluator(settings)
         self.jumps, self._found_jumps = JumpDetector(), list[Jump]()
         self.ends_at_jump = False  # whether the run ends at the first jump
         self.restarted_at: int | None = None  # timestamp of the first pair after that jump
@@ -102,11 +103,10 @@ class LiveEstimate:
         self._updates: list[Update] = []
         self._newest: tuple[int, Floats] | None = None  # timestamp and state (1, k) of a message
         self._undigested: list[Pairs] = []
-        self.availability: RecordedAvailability | None = None  # as-available, if requested
+        self.availability: LiveAvailability | None = None  # as-available, if requested
         if settings.available.is_asked_for:
             source.stream.is_receiver = True
-            self.availability = RecordedAvailability(
-                folder / f"{self.name}{RECEIVED_SUFFIX}",
+            self.availability = LiveAvailability(
                 settings.available,
                 settings.protocol.association.max_gap_s,
                 settings.limits.past_s,
@@ -117,8 +117,9 @@ class LiveEstimate:
         self.jumps, self.clock = before.jumps, before.clock  # the usual step size, and the offset
         self._found_jumps, before._found_jumps = before._found_jumps, []
         self.evaluator.frames = copy(before.evaluator.frames)
-        self.evaluator.continue_after(before.evaluator)
-        self._note_velocities(BODYS_VELOCITIES in before.status.remarks)
+        before.until_ns = self.evaluator.continue_after(before.evaluator)
+        taken = self.evaluator.buffer.estimate.stamps - before.offset_ns
+        copy_states(before.states_file.path, self.states_file, taken)
 
     def share_groundtruth(self, before: LiveEstimate) -> None:
         """Copy the newest groundtruth states, of the evaluated body, from the previous run."""
@@ -142,9 +143,10 @@ class LiveEstimate:
         return self.evaluator.settings.offset_ns
 
     def see(self, messages: DecodedMessages) -> None:
-        """Use messages for what precedes the evaluation: axes, clock, and their kind."""
+        """Store messages, and use them for what precedes the evaluation: clock and kind."""
         if not messages.is_path:
             states = messages.states
+            self.states_file.append(states.stamps, states.states, states.arrived)
             self.clock.add_estimate(trajectory(states.stamps, states.states))
         elif self.revised is None:
             self.revised = RevisedPath(self.evaluator.settings.protocol.gauge, self.up)
@@ -158,7 +160,10 @@ class LiveEstimate:
         if messages.is_path:
             assert self.revised is not None
             new = self.revised.renew(poses.stamps, rows)
-            self.source.stream.count_new(poses.picked(new), int(messages.times[0]))
+            first = poses.picked(new)
+            self.states_file.append(first.stamps, first.states)
+            self._newest_path = poses
+            self.source.stream.count_new(first, int(messages.times[0]))
             newest = poses.picked(poses.stamps.argsort(kind="stable")[-1:])
             self._receive(newest._replace(arrived=messages.times[: len(newest.stamps)]))
             self._add(poses.stamps[new], rows[new])
@@ -170,10 +175,6 @@ class LiveEstimate:
         if self.availability is not None:
             self._receive(self.source.stream.as_received(poses))
         self.latency.arrive(poses.stamps + self.offset_ns, messages.times)
-        self._note_velocities(
-            self._body.leaves_out_velocities_of(poses.states, is_groundtruth=False)
-            or self.evaluator.frames.leaves_out_velocities_of(poses.states)
-        )
         self._add(poses.stamps, rows)
 
     def _add(self, stamps: Stamps, rows: Floats) -> None:
@@ -181,14 +182,13 @@ class LiveEstimate:
         self.evaluator.add_estimate(block, block.reading.dropped)
 
     def _receive(self, poses: StateColumns) -> None:
-        if self.availability is not None and poses.arrived is not None:
-            rows, rates = self._body.estimated(poses.states), poses.body_rates
-            receptions = Receptions(poses.arrived, "node", None, rates, poses.corrected)
+        times = poses.arrived
+        if self.availability is not None and times is not None:
+            poses, times = poses.picked(times != UNKNOWN), times[times != UNKNOWN]
+            receptions = Receptions(times, "node", None, poses.body_rates, poses.corrected)
+            self.states_file.append_received(message_rows(poses.stamps, poses.states, receptions))
+            rows = self._body.estimated(poses.states)
             self.availability.add_estimate(poses.stamps, rows, receptions)
-
-    def _note_velocities(self, are_left_out: bool) -> None:
-        if are_left_out:
-            self.status.note(BODYS_VELOCITIES)
 
     def evaluate(self, *, at_end: bool = False) -> None:
         """Evaluate the pairs that are possible now, up to a jump that ends the run."""
@@ -200,10 +200,7 @@ class LiveEstimate:
         self.evaluator.buffer.settle(self.restarted_at)
         if pairs is not None and len(pairs):
             self._paired_at = time.monotonic()
-            # Pairs are written to disk before anything else.
-            rows = pairs.rows
-            self.pairs_file.append(*rows)
-            narrow = rows.without_covariances()
+            narrow = pairs.rows.without_covariances()
             self._undigested.append(narrow)
             if self.on_pairs is not None:
                 self.on_pairs(self, narrow)
@@ -309,27 +306,19 @@ class LiveEstimate:
             "with fixes or points, or by a lever arm; evaluate a recording"
         )
 
-    def write_state(self, state: Mapping[str, Any]) -> None:
-        """Write what `trajeval finish` needs besides pairs (`recorded_state`), if it changed."""
-        if self.availability is not None:
-            self.availability.write()
-        if state == self._state:
-            self.pairs_file.write()
-            return
-        self._state = state
-        self.pairs_file.append(*Pairs.none(), state)
-
     def write_revised(self) -> None:
-        """Write the newest path, if there is one."""
-        path = self.revised
-        if path is None or self.why_not_revised or not len(path.stamps):
+        """Write the newest path as in its message, if there is one."""
+        newest = self._newest_path
+        if newest is None or not len(newest.stamps):
             return
-        stamps, positions = path.stamps + self.offset_ns, path.states[:, POSITION]
-        quaternions = path.states[:, QUATERNION]
-        write_whole(
-            self._path_of.with_name(self.name + REVISED_SUFFIX),
-            lambda file: write_revised(file, stamps, positions, quaternions),
-        )
+
+        def write(path: Path) -> None:
+            path.unlink(missing_ok=True)
+            file = StateWriter(path, self._description)
+            file.append(newest.stamps, newest.states)
+            file.close()
+
+        write_whole(self.states_file.path.with_suffix(REVISED_SUFFIX), write)
 
     def close(self) -> None:
         """Write everything to disk."""
@@ -337,6 +326,4 @@ class LiveEstimate:
         try:
             self.write_revised()
         finally:
-            if self.availability is not None:
-                self.availability.close()
-            self.pairs_file.close()
+            self.states_file.close()

@@ -14,9 +14,9 @@ from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.marker import MARKERS_VELOCITIES
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.live.fix_file import FixWriter, read_fix_rows
+from trajeval_ros.io.live.state_file import GROUNDTRUTH, StateWriter, copy_states
 from trajeval_ros.io.requests.setting import AUTO
 from trajeval_ros.online.live_clock import OnlineClock
 from trajeval_ros.online.live_settings import OnlineSettings
@@ -35,26 +35,29 @@ class LiveRun:
     """Passes the same groundtruth to every estimate, and stores the results on disk.
 
     Sources are numbered: 0 is the groundtruth, and 1 the first estimate.
-    The protocol values are settings by name. `began_by` is the cause of a run that the user did
-    not start. `about` has the user's label and metadata.
+    `began_by` is the cause of a run that the user did not start. `about` has the user's label and
+    metadata. With `gauge_is_default`, the gauge is yaw for GNSS fixes.
     """
 
     def __init__(
         self,
         sources: Sequence[PoseSource],
         settings: OnlineSettings,
-        protocol_values: Mapping[str, Any],
         folder: Path,
         start: StartDecision,
         worker: Executor,
         began_by: str = "",
         about: Mapping[str, Any] | None = None,
+        *,
+        gauge_is_default: bool = False,
     ) -> None:
         self.groundtruth, self.folder, self.began_by = sources[0], folder, began_by
         self.about = about or {}
         self.idle = ""  # why messages are dropped; empty while they are evaluated
         self.groundtruth_status = StreamStatus()
-        self.protocol_values = protocol_values
+        self._gauge_is_default = gauge_is_default
+        about_groundtruth = {"source": sources[0].source, "name": sources[0].name}
+        self.states_file = StateWriter(folder / GROUNDTRUTH, about_groundtruth)
         self.finisher = Finisher(folder)  # writes result.json in another process
         self.on_groundtruth: Callable[[StateColumns], object] | None = None  # draws it
         self.news: list[Remark] = []  # remarks that are not published yet
@@ -72,7 +75,7 @@ class LiveRun:
                 folder,
                 start.body,
                 OnlineClock(settings.protocol.gauge, worker),
-                {"groundtruth": sources[0].source, "estimate": source.source, "place": place},
+                {"source": source.source, "place": place},
             )
             for place, source in enumerate(sources[1:])
         ]
@@ -85,12 +88,12 @@ class LiveRun:
         return LiveRun(
             self._sources,
             self._settings,
-            self.protocol_values,
             folder,
             self.start,
             self._worker,
             began_by,
             self.about,
+            gauge_is_default=self._gauge_is_default,
         )
 
     def status_of(self, source: int) -> StreamStatus:
@@ -152,10 +155,12 @@ class LiveRun:
             each.ends_at_jump = ends
 
     def take(self, source: int, messages: DecodedMessages) -> None:
-        """Take messages of a source."""
+        """Store and take messages of a source."""
         if source:
             self.estimates[source - 1].see(messages)
         else:
+            states = messages.states
+            self.states_file.append(states.stamps, states.states, states.arrived)
             self._see_groundtruth(messages.states)
         if self._held is None or self._held.may_pass(source, self.body):
             self._pass_on(source, messages)
@@ -176,7 +181,6 @@ class LiveRun:
         offset_s = self.start.look(self.estimates[0], held_s, at_end=at_end)
         if offset_s is None or self._held is None:
             return
-        self.protocol_values = {**self.protocol_values, "time_offset": offset_s}
         self._settings = self._settings.with_offset(offset_s)
         for each in self.estimates:
             each.begin_to_evaluate(offset_s)
@@ -212,18 +216,17 @@ class LiveRun:
             each.update(at_end=True)
             each.digest()
 
-    def change(self, settings: OnlineSettings, protocol_values: Mapping[str, Any]) -> None:
+    def change(self, settings: OnlineSettings) -> None:
         """Use other lengths and another window from now on."""
-        known = {name: self.protocol_values[name] for name in ("time_offset", "gauge")}
-        self.protocol_values = {**protocol_values, **known}
         settings = settings.with_gauge(self._settings.protocol.gauge)
         self._settings = settings.with_offset(self._settings.offset_s)
         for each in self.estimates:
             each.evaluator.change(settings)
 
     def close(self) -> list[str]:
-        """Write all pairs to disk; return the reasons for missing ones."""
+        """Write all states to disk; return the reasons for missing ones."""
         files: list[Callable[[], object]] = [each.close for each in self.estimates]
+        files.append(self.states_file.close)
         files += [] if self._fixes is None else [self._fixes.close]
         return [trouble for close in files if (trouble := _trouble(close))]
 
@@ -237,9 +240,6 @@ class LiveRun:
         if not len(poses.stamps):
             return
         self.start.see_groundtruth(poses.states)
-        self._note_velocities(
-            self.body.leaves_out_velocities_of(poses.states, is_groundtruth=True)
-        )
         if self.on_groundtruth is not None:
             self.on_groundtruth(poses._replace(states=self.body.groundtruth(poses.states)))
 
@@ -274,10 +274,9 @@ class LiveRun:
 
     def _keep_upright(self) -> None:
         """Set the yaw gauge if none is set, because errors in heights of fixes cause a tilt."""
-        values = self.protocol_values
-        if values["gauge"] is not None or values["modality"] is not None:
+        if not self._gauge_is_default:
             return
-        self.protocol_values = {**values, "gauge": Gauge.YAW.value}
+        self._gauge_is_default = False
         self._settings = self._settings.with_gauge(Gauge.YAW)
         for each in self.estimates:
             each.evaluator.set_gauge(Gauge.YAW)
@@ -286,25 +285,21 @@ class LiveRun:
         self.news.append(Remark(Level.NOTE, "alignment", said))
 
     def _keep_fixes(self, stamps: Stamps, fixes: Floats) -> None:
-        """Write the original fixes to disk, because pairs do not contain their quality."""
+        """Write the original fixes to disk, because states do not contain their quality."""
         self._fixes = self._fixes or FixWriter(self.folder)
         self._fixes.append(stamps, fixes)
 
-    def _note_velocities(self, are_left_out: bool) -> None:
-        if are_left_out:
-            self.groundtruth_status.note(MARKERS_VELOCITIES)
-
     def _describe_groundtruth_of(self, before: LiveRun) -> None:
-        """Draw groundtruth that was taken from the previous run; keep its fixes and its note."""
+        """Store and draw groundtruth that was taken from the previous run."""
         if self.on_groundtruth is not None:
             states = self.estimates[0].evaluator.buffer.groundtruth.trajectory()
             rows = rows_of(states)
             self.on_groundtruth(StateColumns(states.stamps.copy(), rows, np.arange(len(rows))))
-        self._note_velocities(MARKERS_VELOCITIES in before.groundtruth_status.remarks)
+        buffers = [estimate.evaluator.buffer for estimate in self.estimates]
+        taken = np.concatenate([buffer.groundtruth.stamps for buffer in buffers])
+        copy_states(before.states_file.path, self.states_file, taken)
         if before._fixes is not None:
             stamps, fixes = read_fix_rows(before.folder)
-            buffers = [estimate.evaluator.buffer for estimate in self.estimates]
-            taken = np.concatenate([buffer.groundtruth.stamps for buffer in buffers])
             kept = np.isin(stamps, taken)
             self._keep_fixes(stamps[kept], fixes[kept])
 

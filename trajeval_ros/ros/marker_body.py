@@ -16,7 +16,6 @@ from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey, fixed_transform
 from trajeval_ros.io.hand_eye_file import hand_eye_json
 from trajeval_ros.io.requests.setting import AUTO, NONE
 from trajeval_ros.online.live_frames import body_rows, marker_rows
-from trajeval_ros.online.state_rows import VELOCITY
 from trajeval_ros.ros.message_types import require_installed
 from trajeval_ros.ros.subscriptions import TopicInput
 
@@ -150,13 +149,6 @@ class MarkerBody:
         if self.hand_eye is None:
             return groundtruth, estimate
         return self.hand_eye.names(groundtruth, estimate, of_marker=self.of_marker)
-
-    def leaves_out_velocities_of(self, rows: Floats, *, is_groundtruth: bool) -> bool:
-        """Return whether states (N, 10) of a side have velocities that a lever arm invalidates."""
-        if self.hand_eye is None or self.of_marker is is_groundtruth:
-            return False
-        velocities = rows[:, VELOCITY]
-        return bool(self.hand_eye.lever_m.any() and np.nan_to_num(velocities).any())
 
     @property
     def said(self) -> str:

@@ -137,7 +137,6 @@ class EvaluatorNode:
         return LiveRun(
             sources,
             self._settings,
-            parameters.protocol_values_of(self._values),
             self._new_folder(),
             start,
             self._worker,
@@ -145,6 +144,7 @@ class EvaluatorNode:
                 "label": self._values["label"],
                 "metadata": parameters.metadata_of(self._values),
             },
+            gauge_is_default=parameters.request_of(self._values).gauge_is_default,
         )
 
     def _begin_run(self, ended: LiveRun, begun: LiveRun) -> None:
@@ -274,7 +274,7 @@ class EvaluatorNode:
             name: {"status": int(each.level), **each.values}
             for name, each in self._statuses.newest.items()
         }
-        with suppress(InputError):  # the pair file reports a disk that can't be written
+        with suppress(InputError):  # the file of states reports a disk that can't be written
             write_metrics(run.folder, metrics)
         self._results.tell(self._values["autosave_period"])
 
@@ -371,7 +371,7 @@ class EvaluatorNode:
             return SetParametersResult(successful=False, reason=one_line(str(error)))
         self._values, self._settings, self._alarm_limits = values, settings, limits
         self._outputs.advertise_lengths(self._lengths)
-        self._runs.current.change(settings, parameters.protocol_values_of(values))
+        self._runs.current.change(settings)
         return SetParametersResult(successful=True)
 
     # Log.

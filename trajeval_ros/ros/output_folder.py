@@ -1,7 +1,7 @@
 """The output folder of a live run, and the process that evaluates it repeatedly.
 
 The evaluation of a long run would delay messages in the node. Therefore another process does it.
-It reads the pairs from disk, like `trajeval finish`.
+It reads the states from disk, like `trajeval finish`.
 """
 
 from __future__ import annotations
@@ -140,6 +140,6 @@ class Autosave:
         self._told_s = real_s
         return (
             f"result.json is written every {real_s:.0f} s instead of {period_s:g} s, to limit "
-            f"its evaluation to {100 * _MOST_SHARE:.0f} % of a core; pairs are written "
+            f"its evaluation to {100 * _MOST_SHARE:.0f} % of a core; poses are written "
             "immediately; to write results now, call ~/save"
         )

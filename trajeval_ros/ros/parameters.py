@@ -146,18 +146,6 @@ def request_of(values: dict[str, Any]) -> Request:
         raise SettingsError(in_names_of_settings(str(error), ":=")) from error
 
 
-def protocol_values_of(values: dict[str, Any]) -> dict[str, Any]:
-    """Return the settings of the protocol by name, for the state of the run."""
-    settings = _settings_of(values)
-    if settings["time_offset"] == AUTO:
-        settings["time_offset"] = None
-    return {
-        name: settings[name]
-        for name in settings
-        if SETTINGS[name].targets[0].startswith("protocol.") and name != "groundtruth_noise"
-    }
-
-
 def _settings_of(values: dict[str, Any]) -> dict[str, Any]:
     """Return the settings of a request by name; empty and 0 are no values."""
     settings = {

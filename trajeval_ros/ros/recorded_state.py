@@ -1,4 +1,4 @@
-"""The state that a live run stores next to its pairs, and the messages that it does not use."""
+"""The state that a live run stores next to its states, and the messages that it does not use."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.valid_poses import add_counts, reasons
 from trajeval_ros.io.bags.declared_resets import about_resets
 from trajeval_ros.io.requests.settings_table import settings_of
-from trajeval_ros.online.state_buffer import StateCounts
 from trajeval_ros.ros.clock_remarks import about_clock_faults, sync_risk_m
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
@@ -20,9 +19,13 @@ from trajeval_ros.ros.poses import StreamStatus
 
 
 def write_states(run: LiveRun) -> None:
-    """Write the state of all estimates that `trajeval finish` needs besides pairs."""
+    """Write the settings and counts that `trajeval finish` needs besides the states.
+
+    What a full disk did not accept is written, too.
+    """
+    run.states_file.write()
     for each in run.estimates:
-        each.write_state(_recorded_state(run, each))
+        each.states_file.tell(_recorded_state(run, each))
 
 
 def save(run: LiveRun) -> None:
@@ -34,11 +37,15 @@ def save(run: LiveRun) -> None:
 
 
 def _recorded_state(run: LiveRun, estimate: LiveEstimate) -> dict[str, Any]:
-    """Return the data that `trajeval finish` needs in addition to the pairs, as JSON values."""
+    """Return the data that `trajeval finish` needs in addition to the states, as JSON values."""
+    groundtruth, evaluator = run.groundtruth_status, estimate.evaluator
     return {
-        "settings": run.protocol_values,
-        "stated": settings_of(run.request),
-        "groundtruth": _groundtruth(run, estimate),
+        "settings": settings_of(run.request),
+        "time_offset_s": evaluator.settings.offset_s,
+        "aligned_by": evaluator.frozen_at,
+        "until_ns": estimate.until_ns,
+        "groundtruth": _side(groundtruth, run.groundtruth_up),
+        "estimate": _side(estimate.status, estimate.up),
         "live": {
             "messages_lost": estimate.source.lost,
             "groundtruth_messages_lost": run.groundtruth.lost,
@@ -55,63 +62,21 @@ def _recorded_state(run: LiveRun, estimate: LiveEstimate) -> dict[str, Any]:
             "clock": asdict(estimate.clock.report),
         },
         "hand_eye": run.body.state,
-        "fixes": _fixes(run),
+        "fixes": None if groundtruth.datum is None else groundtruth.datum.coordinates.tolist(),
         "warnings": [remark_json(each) for each in _warnings(run, estimate)],
-        **_estimate(estimate),
     }
 
 
-def _side(counts: StateCounts, status: StreamStatus, up: UpAxis) -> dict[str, Any]:
+def _side(status: StreamStatus, up: UpAxis) -> dict[str, Any]:
     told = about_resets(status.resets, status.first)
     return {
-        "poses": counts.poses,
-        "duration_s": counts.duration_s,
         "frame": status.frame,
         "child_frame": status.child_frame,
         "up": asdict(up),
+        "dropped": status.dropped,
+        "resets": status.resets,
         "notes": [remark_json(each) for each in (*status.remarks, *told)],
     }
-
-
-def _groundtruth(run: LiveRun, estimate: LiveEstimate) -> dict[str, Any]:
-    status, buffer = run.groundtruth_status, estimate.evaluator.buffer
-    return {
-        **_side(buffer.groundtruth_counts, status, run.groundtruth_up),
-        "states": buffer.groundtruth_count,
-        "path_length_m": buffer.groundtruth_path_m,
-        "time_without_gaps_ns": buffer.groundtruth_time,
-        "dropped": groundtruth_dropped(run, estimate),
-    }
-
-
-def _estimate(estimate: LiveEstimate) -> dict[str, Any]:
-    status, evaluator = estimate.status, estimate.evaluator
-    covariances, buffer = evaluator.settings.covariances, evaluator.buffer
-    between = buffer.interpolation
-    return {
-        "estimate": {
-            **_side(buffer.estimate_counts, status, estimate.up),
-            "states": buffer.estimate_count,
-            "first_stamp_ns": buffer.estimate_counts.first,
-            "resets": status.resets,
-            "interpolation": None if between is None else asdict(between),
-        },
-        "covariances": {
-            "source": covariances.source,
-            "rotation_frame": covariances.rotation_frame,
-            "groundtruth_noise": covariances.groundtruth_noise,
-        },
-        "dropped": add_counts(estimate.status.dropped, buffer.dropped),
-        "aligned_by": evaluator.frozen_at,
-    }
-
-
-def _fixes(run: LiveRun) -> dict[str, Any] | None:
-    datum = run.groundtruth_status.datum
-    if datum is None:
-        return None
-    rule = run.groundtruth.stream.fixes.rule
-    return {"datum": datum.coordinates.tolist(), "correlation_s": rule.correlation_s}
 
 
 def _warnings(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
@@ -126,18 +91,20 @@ def _warnings(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
         yield replace(each, code=f"clock_{each.subject}")
     for code, said in (
         ("clock_offset", run.start.about_clocks),
-        ("not_revised", estimate.why_not_revised),
         ("marker", run.body.said),
-        ("memory", estimate.evaluator.buffer.why_forgotten),
     ):
         if said:
             yield warning(code, said)
-    if estimate.pairs_file.lost:
-        yield warning(
-            "pairs_lost",
-            f"{counted(estimate.pairs_file.lost, 'pair')} missing, since the disk could not be "
-            f"written: {estimate.pairs_file.why_lost}",
-        )
+    for source, file in (
+        (run.groundtruth, run.states_file),
+        (estimate.source, estimate.states_file),
+    ):
+        if file.lost:
+            yield warning(
+                "states_lost",
+                f"{counted(file.lost, 'pose')} of {source.source} missing, since the disk could "
+                f"not be written: {file.why_lost}",
+            )
 
 
 def missing_source(run: LiveRun, estimate: LiveEstimate) -> str:

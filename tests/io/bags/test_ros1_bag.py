@@ -354,3 +354,21 @@ def test_a_flipped_byte_of_a_truncated_bag_loses_a_part_of_its_chunk(tmp_path: P
         assert best - CHUNK // 100 <= len(read) <= best
         # The format has no checksums: at most the flipped message differs.
         assert len(set(read) - expected) <= 1
+
+
+def test_chunks_that_the_index_omits_are_read_and_reported(tmp_path: Path) -> None:
+    path = bag(tmp_path / "x.bag")
+    content = path.read_bytes()
+    read = lambda offset, size: content[offset : offset + size]  # noqa: E731
+    head = record_at(read, 13)
+    last = record_at(read, head.number("index_pos", 8))
+    while last.end < len(content):
+        begin, last = last.end, record_at(read, last.end)
+    count = struct.pack("<I", head.number("chunk_count", 4))
+    fewer = struct.pack("<I", head.number("chunk_count", 4) - 1)
+    path.write_bytes(content[:begin].replace(b"chunk_count=" + count, b"chunk_count=" + fewer))
+    trajectory = read_trajectory(f"{path}:/a")
+    assert len(trajectory) == COUNT
+    assert "does not list all chunks" in " ".join(trajectory.reading.said(Level.ERROR))
+    with pytest.raises(InputError, match="does not list all chunks"):
+        read_trajectory(f"{path}:/a", strict=True)

@@ -1,29 +1,40 @@
-"""The folder of a live run: evaluated as its pairs are, with what the run did to its messages."""
+"""The folder of a live run: evaluated as a recording, with the settings of the run."""
 
 from __future__ import annotations
 
 import copy
+import dataclasses
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from pair_file_contents import COUNT, DESCRIPTION, STATE, STEP_NS, columns
+from state_file_contents import (
+    COUNT,
+    DESCRIPTION,
+    STATE,
+    STEP_NS,
+    columns,
+    write_estimate,
+    write_groundtruth,
+)
 
-from trajeval_ros import Protocol, Trajectory, evaluate
+from trajeval_ros import Protocol, Trajectory, evaluate, run
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
-from trajeval_ros.consistency.covariance_request import CovarianceRequest
-from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.io.hand_eye_file import hand_eye_json
-from trajeval_ros.io.live.applied_hand_eye import AppliedHandEye
-from trajeval_ros.io.live.live_folder import evaluate_folder, evaluate_pair_file
-from trajeval_ros.io.live.pair_file import PairWriter, write_revised
+from trajeval_ros.io.live.live_folder import evaluate_folder
+from trajeval_ros.io.live.state_file import GROUNDTRUTH, StateWriter, read_states
+from trajeval_ros.io.requests.request_from import request_from
+from trajeval_ros.io.requests.settings_table import settings_of
+from trajeval_ros.metrics.as_available import AvailabilityRule
+from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.pipeline.request import Request
 
 POSE = HandEye.of(np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.5, 0.6]))
-TRANSFORM = {"T_body_marker": hand_eye_json(POSE), "source": "x.yaml", "of_marker": False}
 
 
 def state_with(**changes: Any) -> dict[str, Any]:
@@ -38,164 +49,230 @@ def state_with(**changes: Any) -> dict[str, Any]:
     return state
 
 
-def write(
-    path: Path, state: dict[str, Any] | None = None, at: int = COUNT, place: int = 0
-) -> Path:
-    """Write a pair file whose counts are those after `at` pairs."""
-    stamps, truth, estimate = columns()
-    writer = PairWriter(path, {**DESCRIPTION, "place": place})
-    for rows, text in ((slice(0, at), state or STATE), (slice(at, None), None)):
-        writer.append(stamps[rows], truth[rows], estimate[rows], text)
-    writer.close()
-    return path
-
-
 def trajectories() -> list[Trajectory]:
     stamps, *sides = columns()
     return [Trajectory(stamps, each[:, :3], lie.normalized(each[:, 3:7])) for each in sides]
 
 
-def test_a_pair_file_is_evaluated_with_its_own_protocol(tmp_path: Path) -> None:
-    found = evaluate_pair_file(write(tmp_path / "vio.pairs"), Request(), None)
+def test_states_are_evaluated_with_the_settings_of_the_run(tmp_path: Path) -> None:
+    write_estimate(tmp_path / "vio.states")
+    outcome = evaluate_folder(tmp_path)
+    [found] = outcome.runs
     expected = evaluate(*trajectories(), Protocol(gauge="yaw", lengths=("2m", "4m")))
+    assert found.evaluation.protocol.lengths == expected.protocol.lengths
     for name, statistics in expected.ate.items():
-        mine = found.run.evaluation.ate[name]
+        mine = found.evaluation.ate[name]
         assert (mine is None) == (statistics is None)
         if mine is not None and statistics is not None:
             assert mine.rmse == pytest.approx(statistics.rmse, rel=1e-12)
-    relative = found.run.evaluation.relative or ()
+    relative = found.evaluation.relative or ()
     assert [each.count for each in relative] == [each.count for each in expected.relative or ()]
-    groundtruth, estimate = found.groundtruth, found.run.estimate
-    assert (groundtruth.source, groundtruth.poses, groundtruth.path_length_m) == (
-        *("/truth", COUNT, 20.0),
-    )
+    groundtruth, estimate = outcome.groundtruth, found.estimate
+    assert (groundtruth.source, groundtruth.poses) == ("/truth", COUNT)
     assert (estimate.source, estimate.name, estimate.duration_s) == ("/vio", "vio", 9.95)
     assert (groundtruth.frame, groundtruth.child_frame) == ("map", "marker")
     assert (estimate.frame, estimate.child_frame) == ("odom", "base_link")
-    assert found.run.live == STATE["live"]
-    assert [each.code for each in found.run.evaluation.remarks if "live_run" in each.code] == []
+    assert found.live == STATE["live"]
+    assert [each.code for each in found.evaluation.remarks if "live_run" in each.code] == []
 
 
 @pytest.mark.parametrize("later", [0, 1, 30])
 @pytest.mark.parametrize("torn", [0, 1, 7])
 def test_an_end_without_the_last_counts_is_told(tmp_path: Path, later: int, torn: int) -> None:
-    path = write(tmp_path / "vio.pairs", at=COUNT - later)
+    path = write_estimate(tmp_path / "vio.states", at=COUNT - later)
     path.write_bytes(path.read_bytes() + b"x" * torn)
-    found = evaluate_pair_file(path, Request(), None).run.evaluation.remarks
-    said = {each.code: each.text for each in found}
+    [found] = evaluate_folder(tmp_path).runs
+    said = {each.code: each.text for each in found.evaluation.remarks}
     assert ("live_run_stopped" in said) == bool(later or torn)
-    assert ("damaged_pairs" in said) == bool(torn)
+    assert ("damaged_states" in said) == bool(torn)
     if later or torn:
-        pairs = "1 pair" if later == 1 else f"{later} pairs"
-        assert f"are from {pairs} before the end" in said["live_run_stopped"]
+        poses = "1 pose" if later == 1 else f"{later} poses"
+        assert f"are from {poses} before the end" in said["live_run_stopped"]
     if torn:
         count = "1 byte" if torn == 1 else f"{torn} bytes"
-        assert said["damaged_pairs"] == (
-            f"vio.pairs is damaged or truncated: the last {count} can't be read"
+        assert said["damaged_states"] == (
+            f"vio.states is damaged or truncated: the last {count} can't be read"
         )
 
 
 def test_estimates_are_in_the_order_of_their_configuration(tmp_path: Path) -> None:
     for name, place in (("a", 2), ("b", 0), ("c", 1)):
-        write(tmp_path / f"{name}.pairs", place=place)
-    (tmp_path / "d.pairs").write_bytes(b"nothing")
-    PairWriter(tmp_path / "e.pairs", DESCRIPTION).close()
+        write_estimate(tmp_path / f"{name}.states", place=place)
+    (tmp_path / "d.states").write_bytes(b"nothing")
+    StateWriter(tmp_path / "e.states", {**DESCRIPTION, "name": "e"}).close()
     found = evaluate_folder(tmp_path)
     assert [each.estimate.name for each in found.runs] == ["b", "c", "a"]
     assert [each.name for each in found.failed] == ["d", "e"]
-    assert found.failed[1].reason == "e: no pairs of estimate and groundtruth"
-    other = tmp_path / "other"
-    other.mkdir()
-    with pytest.raises(InputError, match="no live run in"):
-        evaluate_folder(other)
-    (other / "d.pairs").write_bytes(b"nothing")
-    with pytest.raises(InputError, match="is not a pair file"):
-        evaluate_folder(other)
+    assert found.failed[1].reason == "e: no pose so far"
+    codes = [each.cause for each in found.runs[1].diagnosis.findings]
+    assert "same_estimate" in codes
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        (None, "no live run in"),
+        ("d.states", "is not a file of states"),
+        ("d.pairs", "is of version 0.3, which recorded pairs; read it with that version"),
+    ],
+)
+def test_what_is_no_run_is_one_sentence(tmp_path: Path, name: str | None, said: str) -> None:
+    if name is not None:
+        (tmp_path / name).write_bytes(b"nothing")
+    if name == "d.states":
+        write_groundtruth(tmp_path)
+    with pytest.raises(InputError, match=said):
+        evaluate_folder(tmp_path)
 
 
 def test_a_frozen_alignment_is_that_of_its_states(tmp_path: Path) -> None:
     for aligned_by in (None, 40):
-        path = write(tmp_path / f"{aligned_by}.pairs", state_with(aligned_by=aligned_by))
-        found = evaluate_pair_file(path, Request(), None).run.evaluation
+        folder = tmp_path / str(aligned_by)
+        folder.mkdir()
+        write_estimate(folder / "vio.states", state_with(aligned_by=aligned_by))
+        found = evaluate_folder(folder).runs[0].evaluation
         assert found.protocol.align_states == aligned_by
         assert found.alignment.states_used == (aligned_by or COUNT)
-    found = evaluate_pair_file(path, Request(), "poses").run.evaluation
-    assert found.protocol.align_with == "poses"
+    assert evaluate_folder(folder, None, "poses").runs[0].evaluation.protocol.align_with == "poses"
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"modality": "mono", "lengths": "none", "max_gap": 0.3},
+        {"align_states": "10", "align_with": "poses", "gauge": "se3"},
+        {"align_states": "1", "lengths": "2s,30f", "association": "linear"},
+        {"lever_arm": "0.1,0,0.2"},
+    ],
+    ids=str,
+)
+def test_the_settings_of_the_node_are_those_of_the_evaluation(
+    settings: dict[str, Any], tmp_path: Path
+) -> None:
+    request = request_from(settings)
+    stored = json.loads(json.dumps(settings_of(request)))
+    write_estimate(tmp_path / "vio.states", state_with(settings=stored))
+    outcome = evaluate_folder(tmp_path)
+    truth, estimate = trajectories()
+    expected = run(truth, [estimate], dataclasses.replace(request, gauge_is_default=False))
+    assert outcome.runs[0].evaluation.protocol == expected.runs[0].evaluation.protocol
+    assert outcome.settings == settings_of(request)
 
 
 def test_revised_poses_are_judged_and_the_causal_errors_kept(tmp_path: Path) -> None:
-    path = write(tmp_path / "vio.pairs")
-    causal = evaluate_pair_file(path, Request(), None).run.evaluation.ate["position_m"]
+    write_estimate(tmp_path / "vio.states")
+    causal = evaluate_folder(tmp_path).runs[0].evaluation.ate["position_m"]
     assert causal is not None
-    truth, _ = trajectories()
-    assert truth.quaternions is not None
-    write_revised(tmp_path / "vio.revised.npz", truth.stamps, truth.positions, truth.quaternions)
-    found = evaluate_pair_file(path, Request(), None).run
+    stamps, truth, _ = columns()
+    writer = StateWriter(tmp_path / "vio.revised", DESCRIPTION)
+    writer.append(stamps[10:60], truth[10:60])
+    writer.close()
+    [found] = evaluate_folder(tmp_path).runs
     revised = found.evaluation.ate["position_m"]
     assert revised is not None
     assert revised.rmse < 1e-6 < causal.rmse
     assert found.live is not None
     assert found.live["causal_ate"]["position_m"]["rmse"] == causal.rmse
     assert found.live["messages_lost"] == 0
-    assert found.estimate.duration_s == (COUNT - 1) * STEP_NS / 1e9
+    assert (found.estimate.poses, found.estimate.duration_s) == (50, 49 * STEP_NS / 1e9)
 
 
-def test_up_axes_are_those_of_the_run_or_as_requested(tmp_path: Path) -> None:
+@pytest.mark.parametrize("gauge", ["yaw", "planar"])
+def test_up_axes_are_those_of_the_run_or_as_requested(tmp_path: Path, gauge: str) -> None:
     ups = [{"name": name, "origin": "stated"} for name in ("-y", "z")]
-    state = state_with(groundtruth__up=ups[0], estimate__up=ups[1])
-    path = write(tmp_path / "vio.pairs", state)
+    state = state_with(groundtruth__up=ups[0], estimate__up=ups[1], settings__gauge=gauge)
+    write_estimate(tmp_path / "vio.states", state)
     for up, expected in ((None, ["-y", "z"]), (("x", "-z"), ["x", "-z"])):
-        found = evaluate_pair_file(path, Request(up=up), None)
-        assert [found.groundtruth.up.name, found.run.estimate.up.name] == expected
-    planar = state_with(
-        groundtruth__up=ups[0], estimate__up=ups[1], settings={"gauge": "planar", "lengths": "2"}
-    )
-    path = write(tmp_path / "flat.pairs", planar)
-    evaluate_pair_file(path, Request(up=("-y", "z")), None)
-    with pytest.raises(SettingsError, match="only the components perpendicular to -y"):
-        evaluate_pair_file(path, Request(up=("z", "z")), None)
+        found = evaluate_folder(tmp_path, Request(up=up))
+        assert [found.groundtruth.up.name, found.runs[0].estimate.up.name] == expected
+        assert found.runs[0].evaluation.protocol.gauge.value == gauge
 
 
-def test_a_transform_that_was_applied_is_described(tmp_path: Path) -> None:
-    for of_marker, names in ((False, ("body", "base_link")), (True, ("marker", "tip"))):
-        named = HandEye(POSE.rotation_xyzw, POSE.lever_m, "body", "tip")
-        recorded = {**TRANSFORM, "T_body_marker": hand_eye_json(named), "of_marker": of_marker}
-        path = write(tmp_path / f"{of_marker}.pairs", state_with(hand_eye=recorded))
-        found = evaluate_pair_file(path, Request(), None)
-        evaluation = found.run.evaluation
-        assert found.run.calibrated is not None
-        assert found.run.calibrated.was_live
-        assert found.run.calibrated.of_marker == of_marker
-        assert found.run.calibrated.wanted.source == "x.yaml"
-        sides = evaluation.groundtruth, evaluation.estimate
-        assert tuple(each.child_frame for each in sides) == names
+def test_the_transform_of_the_run_is_applied_and_can_be_replaced(tmp_path: Path) -> None:
+    body = {"T_body_marker": hand_eye_json(POSE), "source": "x.yaml"}
+    write_estimate(tmp_path / "vio.states", state_with(hand_eye=body))
+    other = CalibrationRequest(known=HandEye.of(None, np.array([1.0, 0.0, 0.0])))
+    live = CalibrationRequest(known=POSE)
+    for given, known in ((None, live), (Request(calibration=other), other)):
+        [found] = evaluate_folder(tmp_path, given).runs
+        request = Request(Protocol(gauge="yaw", lengths=("2m", "4m")), known)
+        truth, estimate = trajectories()
+        [expected] = run(truth, [estimate], request).runs
+        assert found.calibrated is not None
+        for name, statistics in expected.evaluation.ate.items():
+            mine = found.evaluation.ate[name]
+            assert (mine is None) == (statistics is None)
+            assert (
+                mine is None or statistics is None or mine.rmse == pytest.approx(statistics.rmse)
+            )
 
 
-def test_another_transform_is_refused() -> None:
-    assert AppliedHandEye.in_state({}, "x") is None
-    body = AppliedHandEye.in_state({"hand_eye": TRANSFORM}, "x")
-    marker = AppliedHandEye.in_state({"hand_eye": {**TRANSFORM, "of_marker": True}}, "x")
-    assert body is not None
-    assert marker is not None
-    assert (body.source, body.of_marker, marker.of_marker) == ("x.yaml", False, True)
-    np.testing.assert_allclose(body.hand_eye.lever_m, POSE.lever_m)
-    for calibration in (CalibrationRequest(hand_eye=True), CalibrationRequest(known=POSE)):
-        with pytest.raises(SettingsError, match=r"has applied hand_eye x\.yaml"):
-            body.require_no_other(Request(calibration=calibration), "world")
-    offset = Request(calibration=CalibrationRequest(offset=True))
-    body.require_no_other(offset, "world")
-    message = Request(covariances=CovarianceRequest("message", rotation_frame="body"))
-    for applied, request, frame, refused in (
-        (marker, message, "world", True),
-        (marker, message, "body", False),
-        (body, message, "world", False),
-        (marker, offset, "world", False),
+def test_states_of_the_next_run_are_left_out(tmp_path: Path) -> None:
+    stamps, *_ = columns()
+    offset = state_with(until_ns=int(stamps[120]) + 1)
+    write_estimate(tmp_path / "vio.states", offset)
+    found = evaluate_folder(tmp_path).runs[0].evaluation.association
+    assert found.estimate.stamps.tolist() == stamps[:121].tolist()
+    assert found.coverage.covered == pytest.approx(120 / 121)
+
+
+def test_rows_that_are_no_states_are_counted(tmp_path: Path) -> None:
+    stamps, truth, estimate = columns()
+    truth[3, :3], estimate[5, :3], estimate[7, :3] = np.nan, np.nan, np.nan
+    truth[9, 3:7] = np.inf  # of no length
+    for name, rows, description in (
+        (GROUNDTRUTH, truth, {"source": "/truth", "name": "truth"}),
+        ("vio.states", estimate, DESCRIPTION),
     ):
-        if refused:
-            with pytest.raises(SettingsError, match="to be about the world's axes"):
-                applied.require_no_other(request, frame)
-        else:
-            applied.require_no_other(request, frame)
-    asked = CovarianceRequest("message", groundtruth_noise=(0.01, 1.0))
-    assert marker.judging(asked) is asked
-    assert body.judging(asked).marker_lever_m == asked.of_moved_groundtruth(POSE).marker_lever_m
+        writer = StateWriter(tmp_path / name, description)
+        writer.append(stamps, rows)
+        writer.tell(STATE)
+        writer.close()
+    found = evaluate_folder(tmp_path).runs[0].evaluation
+    assert len(found.association) == COUNT - 2
+    assert found.estimate.reading.dropped == {"not_finite": 2}
+    assert found.groundtruth.reading.dropped == {"not_finite": 1, "zero_quaternion": 1}
+
+
+def test_identity_rotations_are_left_out_as_from_a_bag(tmp_path: Path) -> None:
+    stamps, truth, _ = columns()
+    truth[:, 3:7] = [0.0, 0.0, 0.0, 1.0]
+    writer = StateWriter(tmp_path / GROUNDTRUTH, {"source": "/truth", "name": "truth"})
+    writer.append(stamps, truth)
+    writer.close()
+    write_estimate(tmp_path / "vio.states")
+    found = evaluate_folder(tmp_path).runs[0].evaluation
+    assert found.groundtruth.quaternions is None
+    assert found.association.rule.method == "linear"
+
+
+def test_settings_of_finish_are_used_where_it_has_some(tmp_path: Path) -> None:
+    write_estimate(tmp_path / "vio.states", state_with(time_offset_s=0.05))
+    [found] = evaluate_folder(tmp_path).runs
+    assert found.evaluation.association.rule.time_offset_s == 0.05
+    path = tmp_path / "vio.states"
+    recorded = read_states(path)
+    assert dataclasses.replace(recorded, later=0).state["time_offset_s"] == 0.05
+
+
+@pytest.mark.parametrize("unknown", [0, 5, COUNT])
+def test_poses_of_an_unknown_reception_are_not_available(tmp_path: Path, unknown: int) -> None:
+    write_groundtruth(tmp_path)
+    stamps, _, estimate = columns()
+    arrived = stamps + STEP_NS // 5
+    arrived[:unknown] = UNKNOWN
+    writer = StateWriter(tmp_path / "vio.states", DESCRIPTION)
+    writer.append(stamps, estimate, arrived)
+    writer.tell(STATE)
+    writer.close()
+    request = Request(available=AvailabilityRule("hold"))
+    [found] = evaluate_folder(tmp_path, request).runs
+    assert found.available is not None
+    available = found.available.numbers
+    assert len(found.evaluation.association) == COUNT
+    if unknown == COUNT:
+        assert "no times of reception" in available.why_withheld
+        return
+    assert available.latency_s is not None
+    assert available.latency_s.max == pytest.approx(STEP_NS / 5e9)

@@ -92,6 +92,18 @@ G2O = "".join(
     f"VERTEX_SE3:QUAT {row + 1} {' '.join(map(str, [*ESTIMATE[row], *ESTIMATE_XYZW[row]]))}\n"
     for row in range(COUNT)
 )
+G2O_OF_GROUNDTRUTH = "".join(
+    f"VERTEX_SE3:QUAT {row + 1} {' '.join(map(str, [*PLACES[row], *XYZW[row]]))}\n"
+    for row in range(COUNT)
+)
+CAMERA_FROM_WORLD = Rotation.from_quat(ESTIMATE_XYZW).inv()
+IMAGES = np.hstack(
+    [CAMERA_FROM_WORLD.as_quat()[:, [3, 0, 1, 2]], -CAMERA_FROM_WORLD.apply(ESTIMATE)]
+)
+COLMAP = "#   IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n" + "".join(
+    f"{row + 7} {' '.join(map(str, IMAGES[row].tolist()))} 1 frame_{row + 1:05d}.png\n1.0 2.0 -1\n"
+    for row in range(COUNT)
+)
 MESSAGES = "---\n".join(
     f"header: \n  seq: {row}\n  stamp: \n    secs: {HALF[row, 0]}\n    nsecs: {HALF[row, 1]}\n"
     '  frame_id: "map"\npose: \n  position: \n'
@@ -217,6 +229,9 @@ def option_of(message: str) -> tuple[tuple[str, ...], float]:
         ("GPS seconds of the week", rows(GPS_S + 0.25 + TIMES, PLACES, XYZW), TUM_ESTIMATE),
         ("from zero", rows(TIMES, PLACES, XYZW), TUM_ESTIMATE),
         ("estimate from zero", TUM, rows(TIMES, ESTIMATE, XYZW)),
+        ("g2o from 1", KITTI, G2O),
+        ("groundtruth from 1", G2O_OF_GROUNDTRUTH, rows(matrices(ESTIMATE, ESTIMATE_XYZW)[:, :3])),
+        ("COLMAP from 1", KITTI, COLMAP),
     ],
 )
 def test_a_refused_pair_is_right_with_what_the_message_suggests(
@@ -259,9 +274,7 @@ def test_the_right_number_of_a_field_case_is_at_most_one_command_away(case: str)
     paths = FIELD / CASES[case][0], FIELD / CASES[case][1]
     truth, estimate = (np.loadtxt(FIELD / name)[:, 1:4] for name in ("gt.txt", "est.txt"))
     try:
-        remarks = read_trajectory(paths[1]).reading.remarks
-        columns, offset_s = option_of(" ".join(remark.text for remark in remarks))
-        ate = ate_of(*paths, *columns)
+        ate = ate_of(*paths)
     except InputError as error:
         columns, offset_s = option_of(str(error))
         ate = ate_of(*paths, *columns, offset_s=offset_s)

@@ -391,7 +391,7 @@ def test_large_files_have_the_same_bits(
     path = tmp_path / "t.txt"
     path.write_text(text)
     plain = read_trajectory(path)
-    monkeypatch.setattr("trajeval_ros.io.text.sniff._LARGE", 0)
+    monkeypatch.setattr("trajeval_ros.io.text.table._LARGE", 0)
     large = read_trajectory(path)
     assert large.reading.dropped == plain.reading.dropped
     assert large.stamps.tobytes() == plain.stamps.tobytes()

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import bz2
-import gzip
-import lzma
 import tempfile
 from decimal import Decimal
 from pathlib import Path
-from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -386,8 +382,9 @@ def test_a_folder_that_may_not_be_read_is_not_missing(
         read_trajectory(str(tmp_path / "t.txt"))
 
 
-@pytest.mark.parametrize("module", [gzip, bz2, lzma])
-def test_a_compressed_file_is_read(tmp_path: Path, module: Any) -> None:
+@pytest.mark.parametrize("name", ["gzip", "bz2", "lzma", "backports.zstd"])
+def test_a_compressed_file_is_read(tmp_path: Path, name: str) -> None:
+    module = pytest.importorskip(name)
     (tmp_path / "t.txt").write_text(GOOD)
     (tmp_path / "t.packed").write_bytes(module.compress(GOOD.encode()))
     plain, packed = (read_trajectory(tmp_path / name) for name in ("t.txt", "t.packed"))
@@ -491,3 +488,25 @@ def test_named_columns_begin_at_the_first_row_of_numbers(first: str, tmp_path: P
     read = read_trajectory(path, hints=TextHints(("t", "x", "y", "z")))
     assert read.positions.tolist() == [[1.0, 2.0, float(row)] for row in range(1, 4)]
     assert sum(read.reading.dropped.values()) == (first == "0,1,2,")
+
+
+@pytest.mark.parametrize("name", ["t.txt", "t.gz", "t.xz"])
+def test_a_zero_byte_in_a_late_timestamp_is_refused(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    rows = [f"{1_700_000_000 + row}.5 {row}.25 0 0 0 0 0 1\n" for row in range(3000)]
+    path.write_text("".join(rows))
+    assert len(read_trajectory(str(path))) == 3000
+    rows[-1] = rows[-1].replace("1700002999.5", "17000029\x009.5")
+    path.write_text("".join(rows))
+    with pytest.raises(InputError, match=r"zero bytes|row 3000 has .* is not a time"):
+        read_trajectory(str(path))
+
+
+def test_a_table_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    path = tmp_path / "t.txt"
+    path.write_bytes(b"\xef\xbb\xbf" + LAYOUTS["tum"].encode())
+    plain = tmp_path / "p.txt"
+    plain.write_text(LAYOUTS["tum"])
+    assert (
+        read_trajectory(str(path)).stamps.tolist() == read_trajectory(str(plain)).stamps.tolist()
+    )

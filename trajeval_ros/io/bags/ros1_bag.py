@@ -176,8 +176,10 @@ class Ros1Reader:
         places = [each.number("chunk_pos", 8) for each in infos]
         if len(set(places)) < len(places):
             raise DamagedError("its index lists a chunk twice")
+        ends = {}  # of the chunks with their indexes, by place
         for info, place in zip(infos, places, strict=True):
             if not (count := info.number("count", 4)):
+                ends[place] = record_at(self._read, place, CHUNK).end
                 continue
             data = self._read(info.begin, info.size)
             if len(data) != 8 * count:
@@ -186,9 +188,14 @@ class Ros1Reader:
                 counts[connection] += messages
             self._widen(info.time("start_time"), info.time("end_time"))
             try:
-                self._add(self._chunk(place, count))
+                chunk, ends[place] = self._chunk(place, count)
+                self._add(chunk)
             except DamagedError as error:
                 self._note_damage(error, place)
+        if not self.damage and [head.end, *(ends[place] for place in sorted(ends))] != [
+            *sorted(ends), head.number("index_pos", 8),
+        ]:  # fmt: skip
+            raise DamagedError("its index does not list all chunks")
         return connections, counts
 
     def _scanned(self, offset: int, why: str) -> tuple[ConnectionRecords, Counter[int]]:
@@ -260,10 +267,10 @@ class Ros1Reader:
             raise DamagedError("a chunk has an invalid size")
         return record, compression, size
 
-    def _chunk(self, place: int, connections: int) -> _Chunk:
-        """Return the chunk at a place of the file, which is followed by its index."""
+    def _chunk(self, place: int, connections: int) -> tuple[_Chunk, int]:
+        """Return the chunk at a place of the file, and the end of its index, which follows it."""
         record, compression, size = self._chunk_head(place)
-        indexes, _ = self._records(record.end, INDEX, connections)
+        indexes, end = self._records(record.end, INDEX, connections)
         ids, entries = [], []
         for each in indexes:
             data = self._read(each.begin, each.size)
@@ -276,7 +283,7 @@ class Ros1Reader:
         index = index[np.argsort(index.offsets, kind="stable")]
         if not len(index) or index.offsets[-1] >= size:
             raise DamagedError("an index points outside its chunk")
-        return _Chunk(record, compression, size, index, int(index.log_times.min()))
+        return _Chunk(record, compression, size, index, int(index.log_times.min())), end
 
     def _connection(
         self, record: BagRecord, fields: BagRecord, counts: Counter[int]

@@ -1,6 +1,6 @@
 """The file of a live run's GNSS fixes, as in their messages.
 
-`groundtruth.fixes` is next to the pair files, which have the positions of the fixes in metres. It
+`groundtruth.fixes` is next to `groundtruth.states`, which has their positions in metres. It
 is a file of chunks. A row is a timestamp, int64 nanoseconds, and 14 float64: latitude and
 longitude in degrees, height in metres, status, covariance type, and the covariance about east,
 north and up, m^2.
@@ -8,15 +8,11 @@ north and up, m^2.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.fix_selection import fixes_of_rows
-from trajeval_ros.geometry.fixes import Fixes
-from trajeval_ros.geometry.geodesy import Datum
 from trajeval_ros.io.live.chunk_file import ChunkWriter, read_tables
 
 FORMAT = "trajeval-fixes/1"
@@ -42,11 +38,3 @@ def read_fix_rows(folder: Path) -> tuple[Stamps, Floats]:
     """Return stamps (N,), nanoseconds, and rows (N, 14) of the file of fixes, as written."""
     rows = read_tables(folder / NAME, _KINDS, FORMAT, "file of fixes")[_FIXES]
     return rows["stamp"], rows["fix"]
-
-
-def read_fixes(folder: Path, datum: Datum) -> tuple[Stamps, Fixes]:
-    """Return the fixes of a live run in order of time, the first of equal timestamps."""
-    stamps, fields = read_fix_rows(folder)
-    stamps, first = np.unique(stamps, return_index=True)
-    fields = fields[first]
-    return stamps, replace(fixes_of_rows(fields[:, :3], fields[:, 3:]), datum=datum)

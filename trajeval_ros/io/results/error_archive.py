@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from trajeval_ros.io.npz_file import write_arrays
-from trajeval_ros.io.results.pair_columns import columns_of, component_columns, pair_columns
+from trajeval_ros.io.results.pair_columns import (
+    Columns,
+    columns_of,
+    component_columns,
+    pair_columns,
+)
 from trajeval_ros.metrics.columns import have_pyarrow, write_parquet
 from trajeval_ros.pipeline.outcome import Outcome
 
@@ -22,14 +27,20 @@ def error_files(outcome: Outcome) -> dict[str, Callable[[Path], None]]:
 
     Without pyarrow, errors.parquet is not among them.
     """
+    up = outcome.groundtruth.up
+    columns = [pair_columns(run, up) for run in outcome.runs]
     files = {ARCHIVE: write_errors}
     if have_pyarrow():
         files[TABLE] = write_error_table
-    return {name: partial(write, outcome=outcome) for name, write in files.items()}
+    return {
+        name: partial(write, outcome=outcome, columns=columns) for name, write in files.items()
+    }
 
 
-def write_errors(path: Path, outcome: Outcome) -> None:
+def write_errors(path: Path, outcome: Outcome, columns: Sequence[Columns]) -> None:
     """Write the errors of all pairs and sub-trajectories of all runs as an npz archive.
+
+    `columns` are the `pair_columns` of the runs.
 
     Keys of pairs are `NAME.stamps` (int64, nanoseconds), `NAME.position_m`, ... (`pair_columns`).
     Keys of sub-trajectories contain their length: `NAME.8m.starts` and `NAME.8m.ends` (indices of
@@ -42,15 +53,18 @@ def write_errors(path: Path, outcome: Outcome) -> None:
         OSError: The file can't be written.
     """
     arrays: dict[str, Any] = {"schema": SCHEMA}
-    for run in outcome.runs:
+    for run, of_pairs in zip(outcome.runs, columns, strict=True):
         name = run.estimate.name
-        columns = pair_columns(run, outcome.groundtruth.up)
-        arrays |= {f"{name}.{column}": values for column, values in columns.items()}
+        arrays |= {f"{name}.{column}": values for column, values in of_pairs.items()}
         if run.available is not None and run.available.samples is not None:
             samples = run.available.samples
-            columns = {"stamps": samples.stamps, "row": samples.rows, "age_ns": samples.age}
-            columns |= {"error_m": samples.position.sum(axis=0), "parts_m": samples.position}
-            arrays |= {f"{name}.available.{key}": each for key, each in columns.items()}
+            available: Columns = {
+                "stamps": samples.stamps,
+                "row": samples.rows,
+                "age_ns": samples.age,
+            }
+            available |= {"error_m": samples.position.sum(axis=0), "parts_m": samples.position}
+            arrays |= {f"{name}.available.{key}": each for key, each in available.items()}
         if run.likelihood is not None and run.likelihood.edges is not None:
             arrays[f"{name}.probabilistic.edges"] = run.likelihood.edges.edges
         for segment in run.evaluation.relative or ():
@@ -60,18 +74,18 @@ def write_errors(path: Path, outcome: Outcome) -> None:
     write_arrays(path, arrays, compressed=False)
 
 
-def write_error_table(path: Path, outcome: Outcome) -> None:
+def write_error_table(path: Path, outcome: Outcome, columns: Sequence[Columns]) -> None:
     """Write a Parquet table with one row per pair, of all runs.
 
-    The columns are `estimate`, the name of the run, and the components of `pair_columns`
-    (`component_columns`). A column that a run does not have is null. `trajeval.schema` in the
-    metadata is the version of this layout.
+    `columns` are the `pair_columns` of the runs. Those of the table are `estimate`, the name of
+    the run, and their components (`component_columns`). A column that a run does not have is
+    null. `trajeval.schema` in the metadata is the version of this layout.
 
     Raises:
         InputError: pyarrow can't be used.
     """
-    tables = []
-    for run in outcome.runs:
-        columns = component_columns(pair_columns(run, outcome.groundtruth.up))
-        tables.append((run.estimate.name, columns))
+    tables = [
+        (run.estimate.name, component_columns(of_pairs))
+        for run, of_pairs in zip(outcome.runs, columns, strict=True)
+    ]
     write_parquet(path, "estimate", tables, {"trajeval.schema": TABLE_SCHEMA})

@@ -16,11 +16,13 @@ from trajeval_ros.pipeline.outcome import RunOutcome
 if TYPE_CHECKING:  # the module imports scipy.stats, a slow import
     from trajeval_ros.consistency.consistency_result import Consistency
 
+Columns = dict[str, NDArray[Any]]
+
 _XYZ, _TURNS = ("x", "y", "z"), ("roll", "pitch", "yaw")
 _COMPONENTS = {3: _XYZ, 4: (*_XYZ, "w"), 6: (*_XYZ, *_TURNS)}
 
 
-def pair_columns(run: RunOutcome, up: UpAxis) -> dict[str, NDArray[Any]]:
+def pair_columns(run: RunOutcome, up: UpAxis) -> Columns:
     """Return the columns of a run with N pairs, by name.
 
     Args:
@@ -64,7 +66,7 @@ def pair_columns(run: RunOutcome, up: UpAxis) -> dict[str, NDArray[Any]]:
     }
 
 
-def columns_of(errors: Any) -> dict[str, NDArray[Any]]:
+def columns_of(errors: Any) -> Columns:
     """Return the fields of a dataclass of arrays that are not None, by name."""
     return {
         field.name: column
@@ -73,7 +75,7 @@ def columns_of(errors: Any) -> dict[str, NDArray[Any]]:
     }
 
 
-def component_columns(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+def component_columns(columns: Columns) -> Columns:
     """Return columns of shape (N,): a column of vectors is split into its components.
 
     `aligned_positions` (N, 3) becomes `aligned_positions_x`, `_y` and `_z`. Components of

@@ -2,36 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.io.text.lines import Advance
+from trajeval_ros.io.text.names import Layout
 from trajeval_ros.io.text.stamps import WIDTH, Words
+from trajeval_ros.io.text.table import EXACT, Rows, TextTable, require_rows
 
 
-def read_with_arrow(
-    path: Path,
-    first: int,
-    names: Sequence[str],
-    separator: str,
-    numbers: Sequence[int],
-    exact: Sequence[int],
-    advance: Advance | None,
-) -> tuple[Floats, list[Words]] | None:
-    """Return columns of numbers (N, M) and columns of text (N,), by their indices.
-
-    Args:
-        path: A file without quotes and comments.
-        first: Number of its lines above the first row.
-        names: Different names of all its columns.
-        separator: One character.
-        numbers: Indices of the columns of numbers.
-        exact: Indices of the columns of text.
-        advance: Progress callback.
+def read_with_arrow(table: TextTable, layout: Layout, advance: Advance | None) -> Rows | None:
+    """Read the rows of a plain table in a file without compression.
 
     None if pyarrow is not installed or cannot read a row: the caller reads the table by numpy.
     """
@@ -40,28 +22,37 @@ def read_with_arrow(
         from pyarrow import csv
     except ImportError:
         return None
-    types = {names[at]: pa.float64() for at in numbers}
-    types |= {names[at]: pa.binary() for at in exact}
+    names = [str(at) for at in range(table.columns)]
+    exact = {name: names[at] for at, name in enumerate(layout.columns) if name in EXACT}
+    groups = {group: [names[at] for at in places] for group, places in layout.groups.items()}
+    types = dict.fromkeys(exact.values(), pa.binary())
+    types |= {name: pa.float64() for of_group in groups.values() for name in of_group}
     try:
-        with path.open("rb") as file:
+        with table.path.open("rb") as file:
             content = csv.read_csv(
                 file,
-                csv.ReadOptions(use_threads=False, skip_rows=first, column_names=list(names)),
-                csv.ParseOptions(delimiter=separator, quote_char=False),
+                csv.ReadOptions(use_threads=False, skip_rows=table.first, column_names=names),
+                csv.ParseOptions(delimiter=table.separator or " ", quote_char=False),
                 csv.ConvertOptions(
                     column_types=types, include_columns=list(types), null_values=[]
                 ),
             )
     except pa.ArrowInvalid:
         return None
-    values = np.empty((len(content), len(numbers)))
-    for place, at in enumerate(numbers):
-        values[:, place] = content.column(names[at]).to_numpy()
-    words = [np.concatenate([_words(part) for part in content.column(names[at]).chunks])
-             for at in exact]  # fmt: skip
+    require_rows(table.path, len(content))
+    texts = {
+        name: np.concatenate([_words(part) for part in content.column(at).chunks])
+        for name, at in exact.items()
+    }
     if advance is not None:
-        advance(1, 1)
-    return (values, words) if all(column.itemsize < WIDTH for column in words) else None
+        advance(table.size, table.size)
+    if any(words.itemsize >= WIDTH for words in texts.values()):
+        return None
+    columns = {
+        group: np.column_stack([content.column(name).to_numpy() for name in of_group])
+        for group, of_group in groups.items()
+    }
+    return Rows(len(content), dict(texts), columns)
 
 
 def _words(part: Any) -> Words:

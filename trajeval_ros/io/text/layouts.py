@@ -25,7 +25,7 @@ from trajeval_ros.metrics.statistics import median
 _MOST = 0.85  # part of the rows that must pass a check: some may be damaged
 _LEAST_NANOSECONDS = 1e12  # time of a file with commas: larger numbers are nanoseconds
 CAMERA = UpAxis("-y", "KITTI's camera axes")
-_NED = UpAxis("-z", "TartanAir's axes: north, east, down")
+_NED = UpAxis("-z", "axes north, east and down")
 _POSE, _POSE_W, _V = "t x y z qx qy qz qw", "t x y z qw qx qy qz", "vx vy vz"
 _MATRIX = " ".join(GROUPS["matrix"])
 MATRIX_4X4 = f"{_MATRIX} _ _ _ _"

@@ -24,7 +24,7 @@ _PACKED = {
     b"\xfd7zXZ\0": "lzma",
     b"\x28\xb5\x2f\xfd": "zstd",
 }
-_UTF16 = (b"\xff\xfe", b"\xfe\xff")
+_UTF16, _BOM = (b"\xff\xfe", b"\xfe\xff"), b"\xef\xbb\xbf"
 # Beginnings of files that are no text with poses, and what to do with them.
 _REFUSED = {
     rb"\s*\Z": "empty; check that the recording has poses",
@@ -105,8 +105,16 @@ def open_lines(path: Path, advance: Advance | None = None) -> io.TextIOWrapper:
         raw.close()
         raise
     raw.zeros = first[:2] in _UTF16
-    raw.first = first.removeprefix(b"\xef\xbb\xbf")
+    raw.first = first.removeprefix(_BOM)
     return io.TextIOWrapper(raw, encoding="utf-16" if raw.zeros else "latin-1", errors="replace")  # type: ignore[arg-type]
+
+
+def is_plain(path: Path) -> bool:
+    """Return whether numpy can read the lines of a file as `open_lines` does."""
+    with path.open("rb") as file:
+        beginning = file.read(8)
+    others = (*_PACKED, *_UTF16, _BOM)
+    return path.suffix not in (".gz", ".bz2", ".xz") and not beginning.startswith(others)
 
 
 def _opened(path: Path) -> tuple[IO[bytes], IO[bytes]]:

@@ -86,15 +86,11 @@ def rows_of(path: Path, array: Any, named: Layout | None = None) -> tuple[Layout
             f"{path} has shape {array.shape}, and {{option}} names "
             f"{counted(len(layout.columns), 'column')}; name fewer"
         )
-    places_of_rows = sorted({at for places in layout.groups.values() for at in places})
-    groups = {
-        group: [places_of_rows.index(at) for at in places]
-        for group, places in layout.groups.items()
-    }
     texts = {
         name: rows[:, at] for at, name in enumerate(layout.columns) if name in (*TIMES, RECEIVED)
     }
-    return layout, Rows(texts, rows[:, places_of_rows], groups)
+    groups = {group: rows[:, list(places)] for group, places in layout.groups.items()}
+    return layout, Rows(len(rows), texts, groups)
 
 
 def _check(path: Path, layout: Layout, rows: Floats) -> None:

@@ -46,7 +46,7 @@ def rewritten(path: Path, head: Sequence[str]) -> Records | None:
     if path.is_dir():
         return _folder(path)
     text = "\n".join(head)
-    if match := _TAG.search(text):
+    if "VERTEX_SE" in text and (match := _TAG.search(text)):
         tag = match[1]
         return Records(lambda advance: _vertices(path, advance, tag), _GRAPHS[tag])
     if _COLMAP in text:

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import note, warning
-from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.reading import FORMAT, NAMED_COLUMNS, Reading
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.checks import check_stamps, judge_rotations
@@ -94,7 +92,7 @@ def array_trajectory(array: NDArray[np.generic], name: str) -> Trajectory:
     if array.dtype.kind not in "fiu":
         raise InputError(f"the {name} is an array of {array.dtype}; give numbers")
     try:
-        return trajectory_of(Path(name), *rows_of(Path(name), array), None, None)
+        return trajectory_of(Path(name), *rows_of(Path(name), array), NO_HINTS, None)
     except InputError as error:
         raise InputError(NO_HINTS.in_message(str(error))) from None
 
@@ -104,7 +102,7 @@ def _read(path: Path, origin: Path, advance: Advance | None, hints: TextHints) -
     if path.is_file():
         with path.open("rb") as file:
             beginning = file.read(HEAD)
-    if re.search(ANY_GGA, beginning.replace(b"\r", b"\n")):
+    if b"GGA," in beginning and re.search(ANY_GGA, beginning.replace(b"\r", b"\n")):
         return read_nmea(path)
     if beginning.startswith(b"\x93NUMPY") or (
         beginning.startswith(b"PK\x03\x04") and b".npy" in beginning
@@ -114,13 +112,12 @@ def _read(path: Path, origin: Path, advance: Advance | None, hints: TextHints) -
         layout, rows = rows_of(path, array, named)
         if layout.time is None and hints.frame_rate_hz is None:
             layout, rows = with_times(layout, rows, origin, times)
-        return trajectory_of(path, layout, rows, hints.frame_rate_hz, origin)
+        return trajectory_of(path, layout, rows, hints, origin)
     table, layout = _recognised(path, hints.columns)
     layout = with_dates(table, layout)
     return trajectory_of(
-        path, layout, read_rows(table, layout, advance), hints.frame_rate_hz, origin,
-        table.left_out,
-    )  # fmt: skip
+        path, layout, read_rows(table, layout, advance), hints, origin, table.left_out
+    )
 
 
 def _recognised(path: Path, columns: tuple[str, ...]) -> tuple[TextTable, Layout]:
@@ -137,6 +134,8 @@ def _recognised(path: Path, columns: tuple[str, ...]) -> tuple[TextTable, Layout
     table = sniff(path, columns or (known.columns if known else ()), records, head)
     if columns:
         layout = layout_of((*columns, *(IGNORED,) * (table.columns - len(columns))))
+        if known is not None:
+            layout = dataclasses.replace(layout, up=known.up, inverse=known.inverse)
         for at in range(len(columns), table.columns):
             if layout.time is None and is_clock(table.values[:, at]):
                 named = " ".join((*columns, *(IGNORED,) * (at - len(columns))))
@@ -157,7 +156,7 @@ def trajectory_of(
     path: Path,
     layout: Layout,
     rows: Rows,
-    rate: float | None,
+    hints: TextHints,
     origin: Path | None,
     left_out: Mapping[str, int] = MappingProxyType({}),
 ) -> Trajectory:
@@ -165,10 +164,11 @@ def trajectory_of(
 
     `left_out`: numbers of records that are no rows, by reason.
     """
-    times = times_of(path, layout, rows, rate, origin)
+    times = times_of(path, layout, rows, hints.frame_rate_hz, origin)
     stamps = times.stamps
-    values = rows.values if times.kept is None else rows.values[times.kept]
-    groups = {name: _columns(values, at) for name, at in rows.groups.items()}
+    groups = rows.groups
+    if times.kept is not None:
+        groups = {name: column[times.kept] for name, column in groups.items()}
     if NANOSEC in groups and times.stamped:
         stamps = stamps + nanosecond_parts(path, groups[NANOSEC][:, 0])
     if times.stamped and len(stamps):
@@ -184,8 +184,14 @@ def trajectory_of(
         columns=layout.named(times.name),
         stamped=times.stamped,
         numbered=times.numbered or layout.time_name in (FRAME, FRAME_1),
-        dropped={"not_finite": len(rows.values) - len(values), **left_out},
-        remarks=(*remarks, *times.remarks),
+        dropped={"not_finite": rows.count - len(stamps), **left_out},
+        remarks=(
+            *remarks,
+            *(
+                dataclasses.replace(remark, text=hints.in_message(remark.text))
+                for remark in times.remarks
+            ),
+        ),
     )
     if layout.is_geographic:
         return fixes_of(path, stamps, groups, reading)
@@ -195,20 +201,10 @@ def trajectory_of(
         receptions = receptions_of(
             path, stamps, received if times.kept is None else received[times.kept]
         )
-    states = states_of(path, layout, groups, len(values))
-    positions, rotations = states.positions, states.quaternions
-    if layout.inverse and rotations is not None:
-        rotations = rotations * [-1.0, -1.0, -1.0, 1.0]
-        usable = np.where(
-            np.isfinite(rotations).all(axis=1, keepdims=True)
-            & rotations.any(axis=1, keepdims=True),
-            rotations,
-            [0.0, 0.0, 0.0, 1.0],
-        )
-        positions = -lie.rotate(lie.normalized(usable), positions)
-    quaternions, judgement = judge_rotations(rotations)
+    states = states_of(path, layout, groups, len(stamps))
+    quaternions, judgement = judge_rotations(states.quaternions)
     trajectory = Trajectory.from_columns(
-        stamps, positions, quaternions, velocities=states.velocities,
+        stamps, states.positions, quaternions, velocities=states.velocities,
         gyroscope_biases=groups.get("gyroscope_bias"),
         accelerometer_biases=groups.get("accelerometer_bias"),
         covariances=None if quaternions is None else states.covariances,
@@ -220,13 +216,7 @@ def trajectory_of(
     )  # fmt: skip
     if not len(trajectory):
         raise InputError(
-            f"{path}: no valid pose in {counted(len(rows.values), 'row')} (NaN, zero quaternions, "
+            f"{path}: no valid pose in {counted(rows.count, 'row')} (NaN, zero quaternions, "
             "or positions beyond the limit)"
         )
     return trajectory
-
-
-def _columns(values: Floats, at: list[int]) -> Floats:
-    if at == list(range(at[0], at[-1] + 1)):  # a slice is faster than a list
-        return np.ascontiguousarray(values[:, at[0] : at[-1] + 1])
-    return np.ascontiguousarray(values[:, at])

@@ -41,10 +41,11 @@ def read_samples(path: Path, columns: str) -> tuple[Stamps, Floats]:
         message = str(error).replace(" as given with {option}", "").replace("{option}", "columns")
         message = message if str(path) in message else f"{path}: {message}"
         raise InputError(f"{message}; use the columns {columns}") from None
-    usable: Any = np.isfinite(rows.values).all(axis=1)
+    values = rows.groups["extra"]
+    usable: Any = np.isfinite(values).all(axis=1)
     if times.kept is not None:
         usable &= times.kept
     if len(usable) < 2 or not usable.all():
         where = f"row {int(np.argmin(usable)) + 1} is not finite" if len(usable) > 1 else "empty"
         raise InputError(f"{path}: {where}; use the columns {columns}")
-    return times.stamps, rows.values
+    return times.stamps, values

@@ -12,12 +12,11 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.io.text.lines import Head, head_of, open_lines
+from trajeval_ros.io.text.lines import Head, head_of, is_plain, open_lines
 from trajeval_ros.io.text.names import IGNORED
 from trajeval_ros.io.text.table import MIXED, Lines, Records, TextTable, body_of, number, split
 
 _SAMPLE = 50  # rows from which a layout is recognised
-_LARGE = 1 << 24  # bytes from which reading by pyarrow saves more than its import takes
 _LATE = 30  # last lines of the head, which are rows if the file has any
 _RECORD_LINES = 200  # lines of rewritten records in the place of a head
 _MOST_COLUMNS = 4096
@@ -65,20 +64,24 @@ def sniff(
         )
     if columns > _MOST_COLUMNS:
         raise InputError(f"{path} has {columns} columns, more than {_MOST_COLUMNS}; reduce them")
-    rows = {at: split(body, separator) for at, body in bodies.items()}
-    at_end = bool(late) and all(
-        len(row) > 1 and not row[-1] for row in list(rows.values())[-_LATE:]
-    )
+    late_rows = [split(body, separator) for body in late]
+    at_end = bool(late) and all(len(row) > 1 and not row[-1] for row in late_rows)
+
+    def row_at(at: int) -> list[str]:
+        row = split(bodies[at], separator)
+        return row[:-1] if at_end and row[-1:] == [""] else row
+
     if at_end:
-        rows = {at: row[:-1] if row[-1:] == [""] else row for at, row in rows.items()}
-    numeric = _numeric_columns(list(rows.values())[-_LATE:], columns)
+        late_rows = [row[:-1] for row in late_rows]
+    numeric = _numeric_columns(late_rows, columns)
     if names:  # only these columns are read
         numeric = [name != IGNORED for name in names] + [False] * (columns - len(names))
-    first = next((at for at, row in rows.items() if _is_row(row, numeric)), None)
+    first = next((at for at in bodies if _is_row(row_at(at), numeric)), None)
     if first is None or not any(numeric):
         raise InputError(f"{path} is text without a row of numbers; give a file with poses")
-    _check_lines_above(path, [(at, row) for at, row in rows.items() if at < first], numeric, names)
-    after = itertools.islice(((at, row) for at, row in rows.items() if at >= first), _SAMPLE)
+    above = [(at, row_at(at)) for at in bodies if at < first]
+    _check_lines_above(path, above, numeric, names)
+    after = itertools.islice(((at, row_at(at)) for at in bodies if at >= first), _SAMPLE)
     sample = dict(itertools.takewhile(lambda item: len(item[1]) == columns, after))
     values = np.array([[_or_nan(word) for word in row] for row in sample.values()])
     if names:
@@ -89,11 +92,11 @@ def sniff(
     return TextTable(
         path, opened, separator, columns, first,
         header=[line for line in lines[:first] if line.strip()],
-        named=any(at < first for at in rows),
+        named=bool(above),
         sample=list(sample.values()), sample_lines=list(sample), values=values,
-        texts=~np.array(numeric), comment=signs[0] if signs else "#",
+        texts=~np.array(numeric), comment=signs[0] if signs else None,
         plain=separator != MIXED and not commas and '"' not in lines[first] and len(signs) < 2,
-        large=records is None and path.stat().st_size >= _LARGE,
+        direct=records is None and is_plain(path), size=path.stat().st_size,
         at_end=at_end, commas=commas, first_line=lines[first].strip()[:80],
         left_out={} if records is None else records.left_out,
     )  # fmt: skip

@@ -82,6 +82,9 @@ def states_of(path: Path, layout: Layout, groups: Mapping[str, Floats], count: i
     if layout.unit != "m":
         positions = positions * _METRES[layout.unit]
         remarks.append(note("unit", f"positions converted from {layout.unit} to m"))
+    if layout.inverse and quaternions is not None:
+        quaternions = quaternions * [-1.0, -1.0, -1.0, 1.0]
+        positions = -lie.rotate(_usable(quaternions), positions)
     velocities = groups.get("velocity")
     if velocities is None and "body_velocity" in groups and quaternions is not None:
         velocities = lie.rotate(_usable(quaternions), groups["body_velocity"])
@@ -124,10 +127,10 @@ def _of_angles(
             )
     angles = np.where(np.abs(angles) < _LARGEST_SUM, angles, np.nan)  # NaN: the row is dropped
     roll, pitch, yaw = angles.T if angles.shape[1] == 3 else (0.0, 0.0, angles[:, 0])
-    turns = np.zeros((3, count, 3))
+    vectors = np.zeros((3, count, 3))
     for axis, angle in enumerate((roll, pitch, yaw)):
-        turns[axis, :, axis] = angle
-    about_x, about_y, about_z = map(lie.from_rotation_vector, turns)
+        vectors[axis, :, axis] = angle
+    about_x, about_y, about_z = map(lie.from_rotation_vector, vectors)
     return lie.normalized(lie.multiply(lie.multiply(about_z, about_y), about_x))
 
 
@@ -148,8 +151,8 @@ def _covariances(
             covariances[:, rows + first, columns + first] = groups[group]
             covariances[:, columns + first, rows + first] = groups[group]
         axes = "rotation covariances rotated from the body frame (OpenVINS) to the fixed frame"
-        turned = world_from_body_rotations(covariances, lie.to_matrix(quaternions))
-        return turned, [note("covariance_axes", axes)]
+        rotated = world_from_body_rotations(covariances, lie.to_matrix(quaternions))
+        return rotated, [note("covariance_axes", axes)]
     if "covariance" in groups:
         covariances = groups["covariance"].reshape(-1, 6, 6)
     elif "covariance_upper" in groups or "covariance_lower" in groups:

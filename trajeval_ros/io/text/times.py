@@ -15,6 +15,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Remark, note, warning
 from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.reading import FRAMES_FROM_1
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.text.names import (
@@ -57,7 +58,7 @@ def times_of(
 ) -> Times:
     """Return the timestamps of rows, from their column or from a file next to it, or by a rate."""
     if layout.time is None:
-        return _of_frames(layout, np.arange(len(rows.values)), rate, origin)
+        return _of_frames(layout, np.arange(rows.count), rate, origin)
     times: Any = rows.texts[layout.time_name]
     kept = None
     if layout.time_name == DATE:
@@ -213,7 +214,7 @@ def _of_frames(layout: Layout, frames: Any, rate: float | None, origin: Path | N
             and frames.min(initial=1) >= 1
         ):
             numbers = frames - 1
-            remarks.append(note("frames_from_1", "frame numbers start at 1"))
+            remarks.append(note("frames_counted_from_1", "frame numbers start at 1"))
         elif (
             layout.name != AS_NAMED
             and layout.time is not None
@@ -236,13 +237,11 @@ def _of_frames(layout: Layout, frames: Any, rate: float | None, origin: Path | N
         )
         remarks.append(note("times_file_ignored", counts_differ))
     if layout.time_name == FRAME and layout.name != AS_NAMED and len(frames) and frames.min() == 1:
-        remarks.append(
-            warning(
-                "frames_from_1",
-                "frame numbers start at 1 and are used as they are; if number 1 is the first, use "
-                f"--columns '{layout.named(FRAME_1)}'",
-            )
+        doubt = (
+            f"its frame numbers start at 1: if 1 is the first frame, use {{option}} "
+            f"'{layout.named(FRAME_1)}', or {{option}} '{layout.named(FRAME)}' if 0 is"
         )
+        remarks.append(warning(FRAMES_FROM_1, doubt))
     if rate is not None:
         stamps = np.round(frames * (NANOSECONDS / rate)).astype(np.int64)
         rated = note(ROW_TIMES, f"timestamps counted at {rate:g} Hz")
@@ -278,7 +277,8 @@ def _counts_frames(layout: Layout, stamps: Stamps, origin: Path | None) -> bool:
 def _read_times(path: Path) -> Stamps:
     """Return the timestamps (N,) of a file with one time per line, or of an array."""
     if path.suffix == ".npy":
-        return to_stamps(*(2 * (load(path)[0].astype(np.float64),)), NANOSECONDS)
+        times = load(path)[0].astype(np.float64)
+        return to_stamps(times, times, NANOSECONDS)
     table = sniff(path)
     if table.columns != 1:
         raise InputError(f"{path} has {table.columns} columns, expected one time per line")
@@ -302,9 +302,9 @@ def with_times(
     if times is None:
         return layout, rows
     times = np.asarray(times, dtype=np.float64)
-    if times.shape != (len(rows.values),):
+    if times.shape != (rows.count,):
         raise InputError(
-            f"{source[16:]} has shape {times.shape} for {counted(len(rows.values), 'pose')}; "
+            f"{source[16:]} has shape {times.shape} for {counted(rows.count, 'pose')}; "
             "give one time per pose, or remove it"
         )
     columns = (FRAME if is_numbered(times) else "t", *layout.columns)

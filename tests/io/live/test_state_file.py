@@ -1,4 +1,4 @@
-"""Pair files: whatever happens to a disk, what was written whole is read, and nothing else."""
+"""Files of states: whatever happens to a disk, what was written whole is read, no more."""
 
 from __future__ import annotations
 
@@ -19,35 +19,39 @@ from strategies import seeds
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.live import chunk_file
-from trajeval_ros.io.live.pair_file import PairWriter, RecordedPairs, read_pairs
+from trajeval_ros.io.live.state_file import RecordedStates, StateWriter, copy_states, read_states
+from trajeval_ros.metrics.stream_health import UNKNOWN
 
-DESCRIPTION = {"groundtruth": "/truth", "estimate": "/vio", "place": 0}
+DESCRIPTION = {"source": "/vio", "name": "vio", "place": 0}
 
 
 def chunk(seed: int, count: int) -> tuple[Any, Any, Any]:
     random = np.random.default_rng(seed)
-    rows = random.normal(size=(2, count, 10))
-    rows[:, :, 7:] = np.nan
-    return random.integers(-(2**62), 2**62, size=count), *rows
+    rows = random.normal(size=(count, 10))
+    rows[:, 7:] = np.nan
+    stamps, arrived = random.integers(-(2**62), 2**62, size=(2, count))
+    return stamps, rows, arrived
 
 
 def write(path: Path, counts: list[int], seed: int = 0) -> list[tuple[Any, Any, Any]]:
-    """Write chunks of pairs, every other one with counts of its own; returns them."""
+    """Write chunks of states, every other one followed by counts; returns them."""
     path.unlink(missing_ok=True)
-    writer = PairWriter(path, DESCRIPTION)
+    writer = StateWriter(path, DESCRIPTION)
     chunks = [chunk(seed + place, count) for place, count in enumerate(counts)]
     for place, each in enumerate(chunks):
-        writer.append(*each, {"number": place} if place % 2 else None)
+        writer.append(*each)
+        if place % 2:
+            writer.tell({"number": place})
     writer.close()
     return chunks
 
 
-def assert_prefix(read: RecordedPairs, chunks: list[tuple[Any, Any, Any]]) -> int:
+def assert_prefix(read: RecordedStates, chunks: list[tuple[Any, Any, Any]]) -> int:
     """Assert that a file holds the first chunks, each whole; returns their number."""
     ends = np.cumsum([0, *(len(each[0]) for each in chunks)])
     held = int(np.searchsorted(ends, len(read.stamps), side="left"))
     assert ends[held] == len(read.stamps)
-    for name, column in zip(("stamps", "groundtruth", "estimate"), range(3), strict=True):
+    for name, column in zip(("stamps", "states", "arrived"), range(3), strict=True):
         expected = np.concatenate([chunks[0][column][:0], *(c[column] for c in chunks[:held])])
         np.testing.assert_array_equal(getattr(read, name), expected)
     return held
@@ -57,40 +61,45 @@ def assert_prefix(read: RecordedPairs, chunks: list[tuple[Any, Any, Any]]) -> in
 def test_a_file_torn_at_any_byte_holds_the_chunks_before(
     tmp_path_factory: pytest.TempPathFactory, seed: int, counts: list[int], data: st.DataObject
 ) -> None:
-    path = tmp_path_factory.getbasetemp() / "torn.pairs"
+    path = tmp_path_factory.getbasetemp() / "torn.states"
     chunks = write(path, counts, seed % 2**31)
     content = path.read_bytes()
-    beginning = len(content) - sum(16 + 168 * count for count in counts) - 13 * (len(counts) // 2)
+    beginning = len(content) - sum(16 + 96 * count for count in counts) - 29 * (len(counts) // 2)
     cut = data.draw(st.integers(0, len(content)))
     path.write_bytes(content[:cut])
     if cut < beginning:
-        with pytest.raises(InputError, match="is not a pair file"):
-            read_pairs(path)
+        with pytest.raises(InputError, match="is not a file of states"):
+            read_states(path)
         return
-    read = read_pairs(path)
-    held = assert_prefix(read, chunks)
-    assert read.torn < 16 + 168 * 4 + 13
-    assert read.description["estimate"] == "/vio"
-    assert read.state == ({"number": (held // 2) * 2 - 1} if held >= 2 else {})
+    read = read_states(path)
+    assert_prefix(read, chunks)
+    assert read.torn < 16 + 96 * 4
+    assert read.description["source"] == "/vio"
+    end, state = beginning, {}
+    for place, count in enumerate(counts):
+        end += 16 + 96 * count + 29 * (place % 2)
+        if place % 2 and end <= cut:
+            state = {"number": place}
+    assert read.state == state
 
 
 @given(place=st.integers(0, 10_000), value=st.integers(0, 255))
 def test_a_changed_byte_ends_a_file_before_its_chunk(
     tmp_path_factory: pytest.TempPathFactory, place: int, value: int
 ) -> None:
-    path = tmp_path_factory.getbasetemp() / "changed.pairs"
+    path = tmp_path_factory.getbasetemp() / "changed.states"
     chunks = write(path, [3, 2, 4])
     content = bytearray(path.read_bytes())
-    beginning = len(content) - 3 * 16 - 9 * 168 - 13
+    beginning = len(content) - 4 * 16 - 9 * 96 - 13
     if content[place % len(content)] == value or place % len(content) >= beginning:
         content[place % len(content)] = value
         path.write_bytes(content)
-        assert_prefix(read_pairs(path), chunks)
+        assert_prefix(read_states(path), chunks)
         return
     content[place % len(content)] = value
     path.write_bytes(content)
-    with pytest.raises(InputError, match="is not a pair file"):
-        read_pairs(path)
+    with pytest.raises(InputError, match="is not a file of states"):
+        read_states(path)
 
 
 @pytest.mark.parametrize("count", [1, 2**20, 2**32 - 1])
@@ -98,22 +107,22 @@ def test_a_changed_byte_ends_a_file_before_its_chunk(
 def test_a_head_that_lies_about_sizes_takes_no_memory(
     tmp_path: Path, count: int, length: int
 ) -> None:
-    path = tmp_path / "hostile.pairs"
+    path = tmp_path / "hostile.states"
     chunks = write(path, [2])
     with path.open("ab") as file:
-        file.write(struct.pack("<4sIII", b"TEPC", count, length, 0) + b"rest")
-    read = read_pairs(path)
+        file.write(struct.pack("<4sIII", b"TESN", count, length, 0) + b"rest")
+    read = read_states(path)
     assert assert_prefix(read, chunks) == 1
     assert read.torn == 20
 
 
 @pytest.mark.parametrize("text", [b"[1]", b"nonsense", b"\xff\xfe", b'"text"'])
 def test_a_chunk_whose_text_is_no_object_is_damage(tmp_path: Path, text: bytes) -> None:
-    path = tmp_path / "odd.pairs"
+    path = tmp_path / "odd.states"
     chunks = write(path, [2])
     with path.open("ab") as file:
-        file.write(struct.pack("<4sIII", b"TEPC", 0, len(text), zlib.crc32(text)) + text)
-    assert assert_prefix(read_pairs(path), chunks) == 1
+        file.write(struct.pack("<4sIII", b"TESN", 0, len(text), zlib.crc32(text)) + text)
+    assert assert_prefix(read_states(path), chunks) == 1
 
 
 @pytest.mark.parametrize(
@@ -126,28 +135,28 @@ def test_a_chunk_whose_text_is_no_object_is_damage(tmp_path: Path, text: bytes) 
     ],
     ids=["empty", "text", "folder", "missing"],
 )
-def test_what_is_no_pair_file_is_one_sentence(
+def test_what_is_no_file_of_states_is_one_sentence(
     tmp_path: Path, make: Callable[[Path], object]
 ) -> None:
-    path = tmp_path / "x.pairs"
+    path = tmp_path / "x.states"
     make(path)
-    with pytest.raises(InputError, match=r"x\.pairs"):
-        read_pairs(path)
+    with pytest.raises(InputError, match=r"x\.states"):
+        read_states(path)
 
 
 def test_another_format_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "later.pairs"
-    text = json.dumps({"format": "trajeval-pairs/9"}).encode()
-    path.write_bytes(struct.pack("<4sIII", b"TEPC", 0, len(text), zlib.crc32(text)) + text)
-    with pytest.raises(InputError, match="trajeval-pairs/4"):
-        read_pairs(path)
+    path = tmp_path / "later.states"
+    text = json.dumps({"format": "trajeval-states/9"}).encode()
+    path.write_bytes(struct.pack("<4sIII", b"TESN", 0, len(text), zlib.crc32(text)) + text)
+    with pytest.raises(InputError, match="trajeval-states/1"):
+        read_states(path)
 
 
 def test_a_file_that_exists_is_not_written_over(tmp_path: Path) -> None:
-    path = tmp_path / "mine.pairs"
+    path = tmp_path / "mine.states"
     path.write_text("mine")
     with pytest.raises(InputError, match="file exists"):
-        PairWriter(path, DESCRIPTION)
+        StateWriter(path, DESCRIPTION)
     assert path.read_text() == "mine"
 
 
@@ -170,32 +179,32 @@ class Disk:
 def test_a_full_disk_is_written_to_again(
     tmp_path_factory: pytest.TempPathFactory, room: int
 ) -> None:
-    path = tmp_path_factory.getbasetemp() / "full.pairs"
+    path = tmp_path_factory.getbasetemp() / "full.states"
     path.unlink(missing_ok=True)
     chunks = [chunk(place, 3) for place in range(5)]
-    writer = PairWriter(path, DESCRIPTION)
+    writer = StateWriter(path, DESCRIPTION)
     disk = Disk(room)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "write", disk)
         for each in chunks[:4]:
             writer.append(*each)
-        is_full = room < 4 * (16 + 3 * 168)
+        is_full = room < 4 * (16 + 3 * 96)
         assert (writer.trouble == "no space left on device") == is_full
-        assert assert_prefix(read_pairs(path), chunks) <= 4  # never half a chunk
-        assert read_pairs(path).torn == 0
+        assert assert_prefix(read_states(path), chunks) <= 4  # never half a chunk
+        assert read_states(path).torn == 0
         disk.room = 10**6
         writer.append(*chunks[4])
         assert writer.trouble == ""
         writer.close()
-    assert assert_prefix(read_pairs(path), chunks) == 5
+    assert assert_prefix(read_states(path), chunks) == 5
     assert writer.lost == 0
 
 
 @pytest.fixture
-def on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[PairWriter, Disk]:
+def on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[StateWriter, Disk]:
     """A writer with four chunks, of which there is room for two to wait."""
-    monkeypatch.setattr(chunk_file, "_MOST_WAITING", 1200)
-    writer = PairWriter(tmp_path / "lost.pairs", DESCRIPTION)
+    monkeypatch.setattr(chunk_file, "_MOST_WAITING", 700)
+    writer = StateWriter(tmp_path / "lost.states", DESCRIPTION)
     disk = Disk(0)
     monkeypatch.setattr(os, "write", disk)
     for place in range(4):
@@ -204,7 +213,7 @@ def on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Pai
 
 
 def test_what_waits_for_a_disk_is_bounded_and_the_rest_counted(
-    on_a_full_disk: tuple[PairWriter, Disk],
+    on_a_full_disk: tuple[StateWriter, Disk],
 ) -> None:
     writer, _ = on_a_full_disk
     assert writer.lost == 6
@@ -212,8 +221,8 @@ def test_what_waits_for_a_disk_is_bounded_and_the_rest_counted(
         writer.close()
 
 
-def test_why_pairs_were_lost_is_known_when_the_disk_is_well_again(
-    on_a_full_disk: tuple[PairWriter, Disk],
+def test_why_states_were_lost_is_known_when_the_disk_is_well_again(
+    on_a_full_disk: tuple[StateWriter, Disk],
 ) -> None:
     writer, disk = on_a_full_disk
     disk.room = 10**6
@@ -228,7 +237,7 @@ def test_a_disk_that_is_full_from_the_start_is_one_sentence(
 ) -> None:
     monkeypatch.setattr(os, "write", Disk(3))
     with pytest.raises(InputError, match="no space left on device"):
-        PairWriter(tmp_path / "never.pairs", DESCRIPTION)
+        StateWriter(tmp_path / "never.states", DESCRIPTION)
 
 
 def test_64_mib_wait_for_a_disk(tmp_path: Path) -> None:
@@ -239,3 +248,27 @@ def test_64_mib_wait_for_a_disk(tmp_path: Path) -> None:
     assert writer.add(b"ROWS", half[:-100])
     assert not writer.add(b"ROWS", half[:101])
     writer.close()
+
+
+def test_covariances_and_receptions_are_kept_in_order(tmp_path: Path) -> None:
+    writer = StateWriter(tmp_path / "x.states", DESCRIPTION)
+    random = np.random.default_rng(1)
+    narrow, wide = random.normal(size=(3, 10)), random.normal(size=(2, 46))
+    writer.append(np.arange(3), narrow)
+    writer.append(np.arange(3, 5), wide, np.array([7, 9]))
+    writer.append(np.arange(5, 8), np.hstack([narrow, np.zeros((3, 36))]))
+    writer.close()
+    read = read_states(tmp_path / "x.states")
+    np.testing.assert_array_equal(read.stamps, np.arange(8))
+    np.testing.assert_array_equal(read.states, np.vstack([narrow, wide[:, :10], narrow]))
+    assert read.covariances is not None
+    np.testing.assert_array_equal(read.covariances[3:5].reshape(2, 36), wide[:, 10:])
+    assert not read.covariances[[0, 1, 2, 5, 6, 7]].any()
+    assert read.arrived.tolist() == [UNKNOWN] * 3 + [7, 9] + [UNKNOWN] * 3
+    copied = StateWriter(tmp_path / "y.states", DESCRIPTION)
+    copy_states(tmp_path / "x.states", copied, np.array([1, 4, 99]))
+    copied.close()
+    part = read_states(tmp_path / "y.states")
+    assert (part.stamps.tolist(), part.arrived.tolist()) == ([1, 4], [UNKNOWN, 9])
+    assert part.covariances is not None
+    np.testing.assert_array_equal(part.covariances, read.covariances[[1, 4]])

@@ -1,0 +1,74 @@
+"""Sources of `trajeval evaluate RECORDING`: the likely evaluation, stated, or a refusal."""
+
+from __future__ import annotations
+
+import dataclasses
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from trajeval_ros.cli.command import arguments
+from trajeval_ros.cli.progress import progress
+from trajeval_ros.exceptions import InputError
+from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.formatting.remarks import note
+from trajeval_ros.geometry.reading import ASSUMED
+from trajeval_ros.io.sources import parse_source
+
+if TYPE_CHECKING:
+    from trajeval_ros.geometry.trajectory import Trajectory
+    from trajeval_ros.io.roles import LikelyEvaluation
+
+
+def recording_of(by_position: Sequence[str], *named: object) -> str:
+    """Return the only source of a command if it is a bag or a folder; "" otherwise."""
+    if len(by_position) != 1 or any(named) or not (path := Path(by_position[0])).exists():
+        return ""
+    parts = parse_source(by_position[0])
+    return by_position[0] if path.is_dir() or (parts.is_bag and not parts.topic) else ""
+
+
+def chosen_evaluation(recording: str, *, is_gauge_given: bool) -> LikelyEvaluation:
+    """Return the likely evaluation of a recording.
+
+    Raises:
+        InputError: No groundtruth or no estimate is likely, or two evaluations are equally likely.
+    """
+    from trajeval_ros.io.roles import describe_all, likely_evaluations
+    from trajeval_ros.report.console import console
+
+    with progress(f"searching {recording}") as advance:
+        description = describe_all(Path(recording), advance)
+    likely = likely_evaluations(description, has_one_gauge=is_gauge_given)
+    if len(likely) == 1 and likely[0].groundtruth:
+        return likely[0]
+    look = f"trajeval info {shlex.quote(recording)}"
+    if not likely:
+        raise InputError(f"{recording} has no two likely sides; list its topics: {look}")
+    commands = [evaluation.command() for evaluation in likely]
+    if not likely[0].groundtruth:
+        raise InputError(f"{recording} has no likely groundtruth; name it: {commands[0]}")
+    for command in commands:
+        console().print(command, soft_wrap=True)
+    raise InputError(
+        f"{recording} has {counted(len(likely), 'likely evaluation')}, so none is calculated; "
+        "call one of these commands"
+    )
+
+
+def with_reasons(groundtruth: Trajectory, chosen: LikelyEvaluation) -> Trajectory:
+    """Return the groundtruth with a note for every choice."""
+    notes = tuple(note(ASSUMED, reason) for reason in chosen.reasons)
+    reading = groundtruth.reading
+    reading = dataclasses.replace(reading, remarks=(*reading.remarks, *notes))
+    return dataclasses.replace(groundtruth, reading=reading)
+
+
+def repeated(chosen: LikelyEvaluation, recording: str, *, is_gauge_given: bool) -> str:
+    """Return the command with sources and sensors in place of the recording."""
+    given = [word for word in arguments() if word != recording]
+    if is_gauge_given:
+        chosen = dataclasses.replace(chosen, modality="")
+    command = dataclasses.replace(chosen, options="").command()
+    return " ".join([command, *map(shlex.quote, given)])

@@ -1,0 +1,171 @@
+"""The likely evaluation of a recording: groundtruth, estimates and sensors, with reasons.
+
+Roles follow from names and types of topics, sensors from the estimator's name, its motion and the
+other topics. Nothing is certain, so every choice has a sentence with the option that changes it.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+
+from trajeval_ros.formatting.numbers import counted
+from trajeval_ros.geometry.gauge import MODALITIES
+from trajeval_ros.io.describe import Description, TrajectorySummary, describe
+from trajeval_ros.io.sources import Advance
+
+GROUNDTRUTH = "groundtruth"
+# Names of groundtruth in the order of preference: a simulator's or a dataset's, a measured one.
+_PREFERRED = re.compile(r"(?<![a-z])(gt|(ground.?)?truth)(?![a-z])", re.IGNORECASE)
+# Sensors by words in an estimate's topic; the first match applies.
+_WORDS = (
+    ("lidar-inertial", r"lio|lvi|fast_?lio"),
+    ("lidar", r"loam|kiss|lidar|icp|ndt|hdl|cartographer"),
+    ("stereo-inertial", r"vio|vins|openvins|ov_msckf|msckf|rovio|okvis|basalt|kimera"),
+    ("rgbd", r"rtabmap|rgbd"),
+    ("wheel", r"wheels?|diff_?drive|velocity_controller|ackermann|encoders?"),
+)
+_CAMERAS = {"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"}
+_IMU, _LIDAR = "sensor_msgs/msg/Imu", "sensor_msgs/msg/PointCloud2"
+
+
+@dataclass(frozen=True)
+class LikelyEvaluation:
+    """Sources of an evaluation, and why they were chosen."""
+
+    groundtruth: str  # SOURCE; "" if no topic is likely
+    estimates: tuple[str, ...]  # SOURCEs
+    modality: str  # "" if nothing tells the sensors
+    reasons: tuple[str, ...] = ()  # a sentence for each choice
+    options: str = ""  # further options for the estimator
+
+    def command(self, groundtruth: str = "GROUNDTRUTH", modality: str = "") -> str:
+        """Return the command; the arguments replace what is unknown."""
+        truth = shlex.quote(self.groundtruth) if self.groundtruth else groundtruth
+        words = ["trajeval evaluate -g", truth]
+        words += [f"-e {shlex.quote(estimate)}" for estimate in self.estimates]
+        if sensors := self.modality or modality:
+            words.append(f"--modality {sensors}")
+        return " ".join([*words, *([self.options] if self.options else [])])
+
+
+def likely_evaluations(
+    description: Description, *, has_one_gauge: bool = False
+) -> list[LikelyEvaluation]:
+    """Return all evaluations that are equally likely; none without an estimate.
+
+    Estimates of one evaluation have one gauge. Those of unknown sensors share it if it is the only
+    one. Of several groundtruths, a simulator's or a dataset's one is preferred, and fixes are used
+    only if there is no other. `has_one_gauge`: the user states the gauge.
+    """
+    usable = [summary for summary in description.trajectories if not summary.problem]
+    references = [summary for summary in usable if summary.could_be == GROUNDTRUTH]
+    estimates = [summary for summary in usable if summary.could_be != GROUNDTRUTH]
+    best = min(map(_rank, references), default=0)
+    likely: list[TrajectorySummary | None] = [
+        summary for summary in references if _rank(summary) == best
+    ]
+    if not references and len(estimates) == 2:
+        first, second = estimates
+        return [
+            _evaluation(truth, [other], description)
+            for truth, other in ((first, second), (second, first))
+        ]
+    groups: dict[object, list[TrajectorySummary]] = {}
+    for estimate in estimates:
+        gauge = MODALITIES.get(_sensors(estimate, description)[0])
+        groups.setdefault(None if has_one_gauge else gauge, []).append(estimate)
+    if len(groups) == 2 and None in groups:  # one gauge is known
+        unknown = groups.pop(None)
+        next(iter(groups.values())).extend(unknown)
+    return [
+        _evaluation(truth, group, description, others=len(references) - 1)
+        for truth in likely or [None]
+        for group in groups.values()
+    ]
+
+
+def describe_all(path: Path, advance: Advance | None = None) -> Description:
+    """Return the contents of a bag, or of all files in a folder."""
+    from trajeval_ros.io.bags.bag_folder import holds_bag
+    from trajeval_ros.io.find_sources import find_sources
+
+    if not path.is_dir() or holds_bag(path):
+        return describe(str(path), advance=advance)
+    parts = [describe(str(source.path)) for source in find_sources(path).sources]
+    return Description(
+        path,
+        tuple(summary for part in parts for summary in part.trajectories),
+        others=tuple(row for part in parts for row in part.others),
+    )
+
+
+def _rank(summary: TrajectorySummary) -> int:
+    if summary.fixed:
+        return 2
+    return 0 if _PREFERRED.search(f"{_topic(summary.source)} {summary.frame}") else 1
+
+
+def _topic(source: str) -> str:
+    """Return the topic of a SOURCE with its slash, or the name of its file."""
+    return source.rpartition(":")[2] if ":" in source else Path(source).name
+
+
+def _evaluation(
+    truth: TrajectorySummary | None,
+    estimates: list[TrajectorySummary],
+    description: Description,
+    others: int = 0,
+) -> LikelyEvaluation:
+    modality, why = _sensors(estimates[0], description)
+    reasons = []
+    if truth is not None:
+        more = f"; {counted(others, 'other topic')} can be groundtruth, too" if others > 0 else ""
+        how = "by its fixes" if truth.fixed else "by its name"
+        if truth.could_be != GROUNDTRUTH:
+            how = "undecided"
+        reasons.append(f"groundtruth {_topic(truth.source)}: {how}{more}; change it with -g")
+    reasons += [
+        f"estimate {_topic(summary.source)}: not named as groundtruth; change it with -e"
+        for summary in estimates
+    ]
+    if modality:
+        reasons.append(f"sensors {modality}: {why}; change them with --modality")
+    else:
+        reasons.append("sensors unknown; state them with --modality")
+    system = estimates[0].system
+    return LikelyEvaluation(
+        "" if truth is None else truth.source,
+        tuple(summary.source for summary in estimates),
+        modality,
+        tuple(reasons),
+        system.options if system is not None else "",
+    )
+
+
+def _sensors(estimate: TrajectorySummary, description: Description) -> tuple[str, str]:
+    """Return the modality of an estimate and what tells it; two empty texts if nothing does."""
+    topic = _topic(estimate.source)
+    if estimate.system is not None:
+        return estimate.system.modality, f"{topic} looks like {estimate.system.name}"
+    for modality, words in _WORDS:
+        if re.search(rf"(^|[^a-z])({words})([^a-z]|$)", topic, re.IGNORECASE):
+            return modality, f"by the name {topic}"
+    if estimate.flat:
+        return "wheel", f"the height of {topic} is constant"
+    sent = [(name, kind) for name, kind, count, _ in description.others if count]
+    kinds = {kind for _, kind in sent}
+    images = {name.removesuffix("/compressed") for name, kind in sent if kind in _CAMERAS}
+    cameras = {name for name in images if "depth" not in name}
+    base, why = "", ""
+    if cameras and _LIDAR not in kinds:
+        base = "rgbd" if images != cameras else "mono" if len(cameras) == 1 else "stereo"
+        why = f"the recording has {counted(len(cameras), 'camera')}"
+    elif _LIDAR in kinds and not cameras:
+        base, why = "lidar", "the recording has point clouds"
+    if _IMU in kinds:
+        # All modalities with an IMU have one gauge.
+        return f"{base or 'stereo'}-inertial", "the recording has an IMU"
+    return base, why
