@@ -27,6 +27,7 @@ from benchmarks.diagnosis_runs import (
     simulated,
     with_outliers,
 )
+from benchmarks.diagnosis_sizes import SIZES
 from benchmarks.diagnosis_users import USERS
 from trajeval_ros.diagnosis.findings import Diagnosis
 from trajeval_ros.exceptions import TrajevalError
@@ -158,20 +159,15 @@ def spoilt(pairs: list[Pair], count: int, *, lost: bool) -> Iterator[Pair]:
 
 
 def alarms(title: str, pairs: Iterable[Pair]) -> None:
-    """Print how many right recordings alarm, and the statistic of conventions."""
-    number, said, ratios = 0, [], []
+    """Print how many right recordings alarm."""
+    number, named = 0, []
     for pair in pairs:
         diagnosis = found(pair)
         number += 1
-        causes = [each.cause for each in diagnosis.findings if not _is_known(pair, each.cause)]
+        causes = [one.cause for one in diagnosis.findings if not _is_known(pair, one.cause)]
         if causes:
-            said.append(f"{pair.name} ({causes[0]})")
-        scores = next((e.scores for e in diagnosis.examined if e.test == "conventions"), {})
-        if scores.get("as_read", 0.0) > 0.004:
-            other = min(v for k, v in scores.items() if k not in ("as_read", "turn_ratio"))
-            ratios.append(other / scores["as_read"])
-    least = f"{min(ratios):.2f}" if ratios else ""
-    print(f"| {title} | {len(said)} of {number} | {least} | {', '.join(said)} |", flush=True)
+            named.append(f"{pair.name} ({causes[0]})")
+    print(f"| {title} | {len(named)} of {number} | {', '.join(named)} |", flush=True)
 
 
 def combinations(pairs: list[Pair]) -> None:
@@ -287,7 +283,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument(
-        "--only", default="matrix,further,users,alarms,combinations,strangers,thinned,cpu,ratios"
+        "--only",
+        default="matrix,further,users,sizes,alarms,combinations,strangers,thinned,cpu,ratios",
     )
     parser.add_argument(
         "--seed", type=int, default=5000, help="of the simulated runs; 5000 chose the limits"
@@ -310,9 +307,11 @@ def main() -> None:
         matrix(real + made, FURTHER)
     if "users" in wanted:
         matrix(real + made, USERS)
+    if "sizes" in wanted:
+        matrix(real, SIZES)
     if "alarms" in wanted:
         more = options.seed - 5000
-        print("\n| right recordings | alarms | least ratio of J | which |\n|---|---|---|---|")
+        print("\n| right recordings | alarms | which |\n|---|---|---|")
         alarms("first half", right(real[::2], more, options.count // 2, 1.0))
         alarms("second half", right(real[1::2], more + 1, options.count // 2, 1.0))
         alarms("drift 5 times worse", right([], more + 2, options.count, 5.0))

@@ -121,9 +121,13 @@ def test_who_has_calibrated_is_not_told_to_calibrate(duration_s: float, causes: 
     request = Request(protocol=YAW, calibration=CalibrationRequest(hand_eye=True))
     findings = run(truth, [estimate], request).runs[0].diagnosis.findings
     assert [each.cause for each in findings] == causes
-    for each in findings:
-        assert "--hand-eye auto could not determine it" in each.text
-        assert not each.correction
+    for finding in findings:
+        assert "--hand-eye auto could not determine it" in finding.text
+        assert finding.correction.keys() == {"hand_eye"}
+        assert finding.advice.endswith("apply this pose, which fits short motions")
+    if findings:
+        assert findings[0].tried is not None
+        assert findings[0].tried.after.rotation_deg == pytest.approx(0.5, abs=0.5)
     before = run(truth, [estimate], Request(protocol=YAW)).runs[0].diagnosis.findings
     (body,) = (each for each in before if each.cause == "body")
     pose = HandEye.from_text(body.correction["hand_eye"])

@@ -64,29 +64,29 @@ def test_the_rotation_error_is_stated_if_it_decreases_more(
     assert ", with X and Y " in text
 
 
-def seen_of(cause: str, explained: float = 0.5, **values: str | float) -> Seen:
+def seen_of(cause: str, **values: str | float) -> Seen:
     """Return a detected cause, with a number for all values that are not given."""
     texts = (CAUSES[cause].sentence, CAUSES[cause].advice, *CAUSES[cause].correction.values())
     names = {
         part.partition(":")[0].partition("}")[0] for text in texts for part in text.split("{")[1:]
     }
-    return Seen(cause, explained, {**dict.fromkeys(names - {"owner"}, math.pi), **values})
+    return Seen(cause, {**dict.fromkeys(names - {"owner"}, math.pi), **values})
 
 
-def test_findings_are_sorted_by_severity_and_then_by_what_they_explain() -> None:
+def test_findings_are_sorted_by_severity() -> None:
     seen = (
-        seen_of("scale", 0.9, gauge="sim3", or_feet="", or_convert=""),
-        seen_of("tilted", 0.4),
-        seen_of("wxyz", 0.3, side="estimate"),
-        seen_of("inverse", 0.6, side="groundtruth"),
+        seen_of("scale", gauge="sim3", or_feet="", or_convert=""),
+        seen_of("tilted"),
+        seen_of("wxyz", side="estimate"),
+        seen_of("groundtruth_frozen"),
     )
     diagnosis = Diagnosis.of([Examined("one", seen=seen[:2]), Examined("other", seen=seen[2:])])
     causes = [finding.cause for finding in diagnosis.findings]
-    assert causes == ["inverse", "wxyz", "tilted", "scale"]
+    assert causes == ["groundtruth_frozen", "wxyz", "tilted", "scale"]
     assert diagnosis.suggested == diagnosis.findings[0]
-    more = diagnosis.with_others([Finding.of(seen_of("identical", 1.0, where="here"))])
-    assert [finding.cause for finding in more.findings][:2] == ["identical", "inverse"]
-    assert diagnosis.of_conventions() == diagnosis.findings[0]
+    more = diagnosis.with_others([Finding.of(seen_of("identical", where="here"))])
+    assert [finding.cause for finding in more.findings][:2] == ["identical", "groundtruth_frozen"]
+    assert diagnosis.of_conventions() == diagnosis.findings[1]
     assert diagnosis.named("tilted") == diagnosis.findings[2]
     assert Diagnosis().suggested is None
 

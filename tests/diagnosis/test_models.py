@@ -216,3 +216,11 @@ def test_an_offset_whose_correction_increases_the_error_is_no_cause() -> None:
     pair = simulated(640, "car", "walk", 100.0)
     for finding in found(shifted(0.1)(pair)).findings:
         assert finding.tried is None or finding.tried.ratios[0] < 1.05
+
+
+@needs_data
+def test_wrong_pairs_do_not_look_like_a_flip() -> None:
+    """The body seems to flip between poses of 18 s apart, which changes no rate of motion."""
+    finding = found(shifted(18.0)(recorded("MH_05"))).suggested
+    assert finding is not None
+    assert finding.cause == "clock_offset"

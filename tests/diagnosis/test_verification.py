@@ -299,3 +299,34 @@ def test_a_right_recording_is_not_evaluated_again(monkeypatch: pytest.MonkeyPatc
 )
 def test_advice_states_the_error_that_falls(before: Ate | None, after: Ate, told: str) -> None:
     assert Tried(before, after).text("X") == told
+
+
+def test_discontinuities_are_searched_for_after_a_convention_is_corrected() -> None:
+    """Wrong conventions look like many discontinuities, and hide the real ones."""
+    wrong = MISTAKES["wxyz, estimate"].make(MISTAKES["restart"].make(DRONE))
+    before = run(wrong.truth, [wrong.estimate], Request(wrong.protocol)).runs[0]
+    assert [finding.cause for finding in before.diagnosis.findings] == ["wxyz"]
+    assert not before.evaluation.events
+    request = Request(wrong.protocol, correct="suggested")
+    after = run(wrong.truth, [wrong.estimate], request).runs[0]
+    assert [finding.cause for finding in after.corrected] == ["wxyz"]
+    assert [event.kind for event in after.evaluation.events] == ["restart"]
+    assert after.diagnosis.named("restart") is not None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "is_searched"),
+    [("radians as degrees", False), ("30 fps for 25", False), ("clock 1000 ppm", True)],
+)
+def test_a_mistake_of_the_whole_run_leaves_no_discontinuity(
+    name: str, *, is_searched: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    searched = []
+    monkeypatch.setattr(
+        "trajeval_ros.diagnosis.diagnose.with_events",
+        lambda evaluation, *_, **__: (searched.append(1), evaluation)[1],
+    )
+    wrong = {**MISTAKES, **USERS}[name].make(DRONE)
+    run(wrong.truth, [wrong.estimate], Request(wrong.protocol))
+    assert bool(searched) == is_searched

@@ -48,7 +48,7 @@ def test_live_and_recorded_report_the_same_loss(name: str, code: str) -> None:
     assert levels[-1] is Level.ERROR
     assert len({each.text for each in told}) == 1  # the message does not change every second
     evaluation = evaluate(pair.truth, pair.estimate, protocol)
-    (finding,) = diagnose(evaluation, pair.truth, pair.estimate).findings
+    (finding,) = diagnose(evaluation, pair.truth, pair.estimate)[1].findings
     assert finding.cause == code
     (loss,) = live.tracking.losses
     at_s = (loss.begin_ns - pair.truth.stamps[0]) / 1e9

@@ -39,7 +39,7 @@ TYPES = {GROUNDTRUTH: POSE, ODOMETRY: ODOM}
 # Corrections of a live run are tried on its pairs, those of a recording on all of it.
 # Events of a live run are those of its pairs, those of a recording of all poses.
 APART = {
-    "source", "name", "inputs", "live", "stream", "evidence", "explained", "before", "after",
+    "source", "name", "inputs", "live", "stream", "evidence", "before", "after",
     "events", "segments", "ate_of_segments_m",
 }  # fmt: skip
 _TRIED = re.compile(r"(ATE )[\d.]+( \w+, with --[\w,=. -]+? )[\d.]+(?= m| deg)")

@@ -84,11 +84,8 @@ def _print(found: Diagnosis, refused: str) -> None:
     terminal = console()
     if refused:
         terminal.print(f"evaluation not possible: {refused}", soft_wrap=True)
-    for each in found.findings:
-        terminal.print(
-            f"{each.cause} (explains {100.0 * each.explained:.0f} % of the error): {each.text}",
-            soft_wrap=True,
-        )
+    for finding in found.findings:
+        terminal.print(f"{finding.cause}: {finding.text}", soft_wrap=True)
     if not found.findings:
         terminal.print(
             "no mistake found; docs/diagnosis.md lists mistakes that recordings cannot reveal",

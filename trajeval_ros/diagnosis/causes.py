@@ -142,7 +142,7 @@ _TABLE = (
         "measure errors in the plane",
         {"gauge": "planar"},
     ),
-    Cause("few_pairs", 8.5, "{said}", "{more}"),
+    Cause("few_pairs", 8.5, "{text}", "{more}"),
     Cause(
         "clock_offset",
         8.0,
@@ -301,7 +301,7 @@ _TABLE = (
     Cause(
         "groundtruth_up_axis",
         5.8,
-        "{said}",
+        "{text}",
         "or align by all rotations",
         {"up": "{ups}", "gauge": "{gauge}"},
     ),
@@ -350,7 +350,7 @@ _TABLE = (
     ),
     Cause(
         "twist_body",
-        5.0,
+        4.95,
         "{owner} velocities are in the body frame: rotated to the world frame they differ "
         "by {turned_percent:.0f} % from the derivative of its positions, instead of "
         "{off_percent:.0f} %",

@@ -207,38 +207,23 @@ def search_rate(
     step = 2.0 * _COHERENT_S / span_s if span_s > 0.0 else 1.0
     count = int(np.log(_FASTEST / _SLOWEST) / step)
     factors = np.geomspace(_SLOWEST, _FASTEST, max(count, 2))
-    rank = _QuickLogOdds(groundtruth)
+    score = _QuickLogOdds(groundtruth)
     while True:
         half = 0.5 * span_s / total_s
         part = estimate.part(0.5 - half, 0.5 + half)
-        quick = sorted((rank(part.by_faster_clock(factor)), factor) for factor in factors)
-        matches = [
-            (match.log_odds, factor)
-            for _, factor in quick[-_REFINED - 2 :]
-            if (match := ClockMatch.between(groundtruth, part.by_faster_clock(factor)))
-        ]
-        if not matches:
-            return None
-        likeliest = [factor for _, factor in sorted(matches)]
+        ranked = sorted(factors, key=lambda factor: score(part.by_faster_clock(factor)))
         if span_s >= total_s:
             break
         span_s, width = min(4.0 * span_s, total_s), step
         step = 2.0 * _COHERENT_S / span_s
         half_count = np.ceil(width / step / 2.0)
         near = np.exp(step * np.arange(-half_count, half_count + 1.0))
-        factors = np.unique(np.outer(likeliest[-_REFINED:], near))
+        factors = np.unique(np.outer(ranked[-_REFINED:], near))
     # Fast motions correlate only within a part of the last step.
-    last = likeliest[-1] * np.exp(step * np.linspace(-0.5, 0.5, 9))
-    best = sorted(last, key=lambda factor: rank(estimate.by_faster_clock(factor)))[-3:]
-    results = [
-        (match.log_odds, float(factor), match)
-        for factor in best
-        if (match := ClockMatch.between(groundtruth, estimate.by_faster_clock(factor)))
-    ]
-    if not results:
-        return None
-    _, factor, match = max(results, key=lambda result: result[:2])
-    return factor, match
+    last = ranked[-1] * np.exp(step * np.linspace(-0.5, 0.5, 9))
+    factor = max(last, key=lambda factor: score(estimate.by_faster_clock(factor)))
+    match = ClockMatch.between(groundtruth, estimate.by_faster_clock(factor))
+    return None if match is None else (float(factor), match)
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,7 +237,9 @@ class _QuickLogOdds:
         """Return the largest logarithm of the likelihood over all offsets, per second."""
         a = estimate.standardized[: len(self.groundtruth.values)]
         b = self.groundtruth.standardized[: len(a)]
-        size = 1 << (a.shape[-1] + b.shape[-1] - 1).bit_length()
+        least = a.shape[-1] + b.shape[-1] - 1
+        # The shortest fast transform without a wrap.
+        size = min(n << max((-(-least // n) - 1).bit_length(), 0) for n in (1, 3, 5, 9))
         if size not in self.spectra:
             self.spectra[size] = np.fft.rfft(b, size), np.fft.rfft(b**2, size)
         values, squares = self.spectra[size]

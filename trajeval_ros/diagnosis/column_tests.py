@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from trajeval_ros.diagnosis.findings import Examined, Seen, Value
-from trajeval_ros.diagnosis.input_pair import InputPair, TimedPoses, lengths
+from trajeval_ros.diagnosis.findings import Examined, Seen
+from trajeval_ros.diagnosis.input_pair import FEWEST_POSES, SAMPLE, InputPair, TimedPoses, lengths
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, extents
 from trajeval_ros.geometry.gauge import Gauge
@@ -13,24 +13,27 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.geometry.trajectory_edits import every_nth
 from trajeval_ros.metrics.statistics import median
 
-_FEWEST = 12
 _NUMBERS_S = 1e7  # the largest row number; timestamps since 1970 are larger
 _SAME_SPAN = 1.5  # ratio of durations of the same run
 _METRES_PER_DEG, _FACTOR = 111_320.0, 4.0  # of latitude; of longitude it is less
 _DEGREES, _LEAST_M = 0.1, 1.0  # largest extent in degrees, least motion
 _FLAT = 0.05  # least rms height of the other side, as a fraction of its extent
-_TILTS, _ENOUGH = 1e-3, 2000  # least change of a body's vertical axis, of so many poses
+_TILTS = 1e-3  # least change of a body's vertical axis
 _STEPS_ALIKE, _STEPS_WITHIN, _SMALL, _TOGETHER = 0.8, 2.0, 0.5, 10
 
 
 def columns_of_others(inputs: InputPair) -> list[Examined]:
     """Apply the tests of this file."""
-    if min(len(inputs.groundtruth_poses), len(inputs.estimate_poses)) < _FEWEST:
+    if min(len(inputs.groundtruth_poses), len(inputs.estimate_poses)) < FEWEST_POSES:
         return []
     sides = {"estimate": inputs.estimate_poses, "groundtruth": inputs.groundtruth_poses}
     sizes = {side: extents(poses.positions) for side, poses in sides.items()}
-    found = _degrees(sides, sizes), _flat(sides, sizes, inputs.gauge)
-    return [_row_numbers(inputs), *found, _increments(inputs)]
+    return [
+        _row_numbers(inputs),
+        _degrees(sides, sizes),
+        _flat(sides, sizes, inputs.gauge),
+        _increments(inputs),
+    ]
 
 
 def _row_numbers(inputs: InputPair) -> Examined:
@@ -38,7 +41,7 @@ def _row_numbers(inputs: InputPair) -> Examined:
     is_counted = bool((np.diff(stamps) == NANOSECONDS).all()) and stamps[0] < _NUMBERS_S * 1e9
     ratio = float(np.ptp(stamps)) / max(float(np.ptp(others)), 1.0)
     apart = not 1.0 / _SAME_SPAN < ratio < _SAME_SPAN or stamps[-1] < others[0]
-    seen = (Seen("row_numbers", 1.0),) if inputs.by_time and is_counted and apart else ()
+    seen = (Seen("row_numbers"),) if inputs.by_time and is_counted and apart else ()
     return Examined("row numbers", {"span_ratio": ratio}, seen)
 
 
@@ -51,8 +54,7 @@ def _degrees(sides: dict[str, TimedPoses], sizes: dict[str, Floats]) -> Examined
         likely = 1.0 / _FACTOR < ratio < _FACTOR and extent < _DEGREES and moved > _LEAST_M
         columns = np.argsort(sizes[side])[:2]
         if likely and (np.abs(sides[side].positions[:, columns]) <= 180.0).all():
-            names: dict[str, Value] = {"side": side, "other": other, "path_m": moved}
-            seen = Seen("degrees", 1.0, {**names, "extent": extent})
+            seen = Seen.of("degrees", side=side, other=other, path_m=moved, extent=extent)
             return Examined("degrees", {"ratio": ratio}, (seen,))
     return Examined("degrees")
 
@@ -70,11 +72,11 @@ def _flat(sides: dict[str, TimedPoses], sizes: dict[str, Floats], gauge: Gauge) 
         axis, turns = constant[side].astype(np.float64), sides[side].quaternions
         tilts = 0.0
         if turns is not None:
-            vertical = lie.rotate(lie.conjugate(turns[every_nth(len(turns), _ENOUGH)]), axis)
+            vertical = lie.rotate(lie.conjugate(turns[every_nth(len(turns), SAMPLE)]), axis)
             tilts = float(np.linalg.norm(extents(vertical)))
         if gauge is not Gauge.PLANAR and (tilts > _TILTS or height > _FLAT * extent):
-            names: dict[str, Value] = {"side": side, "other": other, "axis": "xyz"[axis.argmax()]}
-            seen = Seen("flat", 1.0, {**names, "height_m": height})
+            name = "xyz"[axis.argmax()]
+            seen = Seen.of("flat", side=side, other=other, axis=name, height_m=height)
             return Examined("flat", {"height_m": height}, (seen,))
     return Examined("flat")
 
@@ -82,7 +84,7 @@ def _flat(sides: dict[str, TimedPoses], sizes: dict[str, Floats], gauge: Gauge) 
 def _increments(inputs: InputPair) -> Examined:
     """Compare the lengths of the estimate's positions with steps of the groundtruth."""
     groundtruth, estimate = inputs.in_order
-    if not inputs.by_time or min(len(groundtruth), len(estimate)) < _FEWEST:
+    if not inputs.by_time or min(len(groundtruth), len(estimate)) < FEWEST_POSES:
         return Examined("increments", why_not="no timestamps")
     if estimate.extent > _SMALL * groundtruth.extent:
         return Examined("increments")
@@ -90,13 +92,15 @@ def _increments(inputs: InputPair) -> Examined:
     both = at.known[1:] & at.known[:-1]
     steps = lengths(np.diff(at.positions, axis=0))[both]
     size = lengths(estimate.positions[1:])[both]
-    together = max(min(_TOGETHER, len(steps) // _FEWEST), 1)  # noise is large beside short steps
+    together = max(
+        min(_TOGETHER, len(steps) // FEWEST_POSES), 1
+    )  # noise is large beside short steps
     blocks = np.arange(0, len(steps), together)
-    steps, size = (np.add.reduceat(each, blocks) for each in (steps, size))
-    if len(steps) < _FEWEST or not (steps.std() > 0.0 and size.std() > 0.0):
+    steps, size = (np.add.reduceat(rows, blocks) for rows in (steps, size))
+    if len(steps) < FEWEST_POSES or not (steps.std() > 0.0 and size.std() > 0.0):
         return Examined("increments", why_not="too few common poses")
     peak = float(np.corrcoef(steps, size)[0, 1])
     ratio = median(size) / max(median(steps), 1e-12)
     is_alike = peak > _STEPS_ALIKE and 1.0 / _STEPS_WITHIN < ratio < _STEPS_WITHIN
-    seen = (Seen("increments", peak, {"peak": peak}),) if is_alike else ()
+    seen = (Seen.of("increments", peak=peak),) if is_alike else ()
     return Examined("increments", {"peak": peak, "ratio": ratio}, seen)

@@ -18,6 +18,8 @@ from trajeval_ros.diagnosis.column_tests import columns_of_others
 from trajeval_ros.diagnosis.discontinuities import (
     changes_motions,
     examined_discontinuities,
+    has_clock_step,
+    with_events,
 )
 from trajeval_ros.diagnosis.evaluation_tests import (
     covariance_blocks,
@@ -25,7 +27,7 @@ from trajeval_ros.diagnosis.evaluation_tests import (
     number_of_pairs,
 )
 from trajeval_ros.diagnosis.findings import Diagnosis, Examined, Finding, Seen
-from trajeval_ros.diagnosis.input_pair import InputPair
+from trajeval_ros.diagnosis.input_pair import FEWEST_POSES, InputPair
 from trajeval_ros.diagnosis.input_tests import (
     duplicated_rows,
     rounded_stamps,
@@ -52,12 +54,17 @@ if TYPE_CHECKING:
     from trajeval_ros.metrics.protocol import Protocol
     from trajeval_ros.metrics.tracking_loss import Loss
 
-_FEWEST = 12  # poses outside of losses
 # These findings invalidate all other tests.
 _FINAL = {
     "identical", "stands_still", "stamps_rounded", "degrees", "row_numbers", "increments",
 }  # fmt: skip
 _OTHER_PAIRS = {*_FINAL, "clock_offset", "clock_drift", "other_run"}
+# These explain the motions of the whole run, as conventions do, or all that are unusual.
+_OF_WHOLE_RUNS = {
+    *_FINAL - {"identical"}, "unit", "duplicated", "groundtruth_held", "groundtruth_bridged",
+    "gap_bridged",
+}  # fmt: skip
+_LARGE_PPM = 2e4  # of a clock rate, which is no step of a clock
 # With such a finding, the errors contain no information on covariances.
 _GRAVE = 5.2  # of ranks
 # ATE by the spread of the groundtruth: paths of other runs differ by more than this.
@@ -71,43 +78,55 @@ def diagnose(
     *,
     paired: bool = False,
     losses: Sequence[Loss] | None = None,
-) -> Diagnosis:
+) -> tuple[Evaluation, Diagnosis]:
     """Search for mistakes that affect an evaluation of two trajectories.
 
     These are in the order of their sources, without the time offset. They may be `paired`: contain
-    only the pairs, row by row. `losses` of tracking are by default those in the pairs. The
-    evaluation has its events, see `with_events`.
+    only the pairs, row by row. `losses` of tracking are by default those in the pairs.
+
+    Returns:
+        The evaluation with its discontinuities, and the diagnosis. A mistake that explains all
+        motions hides discontinuities: they are searched for after its correction.
     """
     protocol, pairs = evaluation.protocol, evaluation.association
-    time_offset_s = None
+    sides, time_offset_s = (groundtruth, estimate), None
     if paired or pairs.rule.method == "index":
-        groundtruth, estimate, time_offset_s = pairs.groundtruth, pairs.estimate, 0.0
+        sides, time_offset_s = (pairs.groundtruth, pairs.estimate), 0.0
         protocol = dataclasses.replace(protocol, association=pairs.rule)
     elif protocol.lever_m is not None:
-        groundtruth, estimate = evaluation.groundtruth, evaluation.estimate
+        sides = evaluation.groundtruth, evaluation.estimate
     number = number_of_pairs(protocol, pairs, evaluation.groundtruth, evaluation.estimate)
     losses = losses_in(pairs) if losses is None else losses
-    inputs = InputPair.of(groundtruth, estimate, protocol, time_offset_s=time_offset_s)
-    if changes_motions(evaluation):
-        found = Diagnosis.of([number, *_tests_of_sides(inputs)])
-        return Diagnosis.of([*found.examined, examined_discontinuities(evaluation, found)])
-    found, is_lost = _tested_where_tracked(losses, pairs, inputs)
-    if found.named("other_run") and _is_of_noisy_fixes(evaluation):
-        found = Diagnosis.of(
-            [
-                Examined(test.test, test.scores, why_not="fixes are noisier than short motions")
-                if any(seen.cause == "other_run" for seen in test.seen)
-                else test
-                for test in found.examined
-            ]
-        )
-    examined = [number, *found.examined, examined_discontinuities(evaluation, found)]
-    if is_lost:
-        return Diagnosis.of(examined)
+    inputs = InputPair.of(*sides, protocol, time_offset_s=time_offset_s)
+    known, is_partial = _tested_where_tracked(losses, pairs, inputs)
+    if known.named("other_run") and _is_of_noisy_fixes(evaluation):
+        known = known.without("other_run", "fixes are noisier than short motions")
+    if not any(map(_explains_motions, known.findings)):
+        evaluation = with_events(evaluation, groundtruth, estimate, paired=paired)
+    # A flip changes no rate of motion, by which clocks and other runs are known.
+    is_apart = any(map(known.named, _OTHER_PAIRS)) and not has_clock_step(evaluation)
+    if changes_motions(evaluation) and not is_apart:
+        known, is_partial = Diagnosis.of(_tests_of_sides(inputs)), True
+    examined = [number, *known.examined, examined_discontinuities(evaluation, known)]
+    if is_partial:
+        return evaluation, Diagnosis.of(examined)
     examined.append(frame_offset(evaluation))
-    if all(finding.rank < _GRAVE for finding in found.findings):
+    if all(finding.rank < _GRAVE for finding in known.findings):
         examined.append(covariance_blocks(evaluation))
-    return Diagnosis.of(examined)
+    return evaluation, Diagnosis.of(examined)
+
+
+def _explains_motions(finding: Finding) -> bool:
+    """Return whether a finding explains the motions of the whole run, so that none is left.
+
+    Euler angles and a large clock rate are such findings. A step of a clock looks like a small
+    rate, and a body that was flipped like rotations without a convention.
+    """
+    if finding.cause == "rotations":
+        return bool(finding.evidence["is_explained"])
+    if finding.cause == "clock_drift":
+        return abs(finding.evidence["ppm"]) > _LARGE_PPM
+    return finding.is_of_conventions or finding.cause in _OF_WHOLE_RUNS
 
 
 def _is_of_noisy_fixes(evaluation: Evaluation) -> bool:
@@ -131,8 +150,8 @@ def diagnose_inputs(
         return _tested(InputPair.of(groundtruth, estimate, protocol))
     number = number_of_pairs(protocol, pairs, groundtruth, estimate)
     inputs = InputPair.of(groundtruth, estimate, protocol)
-    found, _ = _tested_where_tracked(losses_in(pairs), pairs, inputs)
-    return Diagnosis.of([number, *found.examined])
+    known, _ = _tested_where_tracked(losses_in(pairs), pairs, inputs)
+    return Diagnosis.of([number, *known.examined])
 
 
 def _tested_where_tracked(
@@ -144,32 +163,31 @@ def _tested_where_tracked(
         The diagnosis, and whether the estimate was lost. A divergence that stays within the size
         of the path may be the effect of another mistake, such as clocks that differ.
     """
-    known = [each for each in losses if is_certain(each, pairs)]
-    found = _tested_without(known, inputs)
+    certain = [loss for loss in losses if is_certain(loss, pairs)]
+    diagnosis = _tested_without(certain, inputs)
     # What follows from wrong pairs is no divergence.
-    frozen = [each for each in known if each.cause == FROZEN]
-    if len(frozen) < len(known) and any(map(found.named, _OTHER_PAIRS)):
+    frozen = [loss for loss in certain if loss.cause == FROZEN]
+    if len(frozen) < len(certain) and any(map(diagnosis.named, _OTHER_PAIRS)):
         whole = _tested_without(frozen, inputs)
         if any(map(whole.named, _OTHER_PAIRS)):
-            known, found = frozen, whole
-    uncertain = [each for each in losses if each not in known and is_large(each, pairs)]
-    from_start = any(begins_at_start(each, pairs) for each in uncertain)
-    explained = any(_explains_loss(each, from_start) for each in found.findings)
+            certain, diagnosis = frozen, whole
+    uncertain = [loss for loss in losses if loss not in certain and is_large(loss, pairs)]
+    from_start = any(begins_at_start(loss, pairs) for loss in uncertain)
+    explained = any(_explains_loss(finding, from_start) for finding in diagnosis.findings)
     if uncertain and not explained:
-        known = sorted((*known, *uncertain), key=lambda each: each.begin_ns)
-        found = _tested_without(known, inputs)
-    if not known:
-        return found, False
-    first_ns = int(inputs.groundtruth.stamps.min())
-    lost = lost_tracking(known, pairs, first_ns)
+        certain = sorted((*certain, *uncertain), key=lambda loss: loss.begin_ns)
+        diagnosis = _tested_without(certain, inputs)
+    if not certain:
+        return diagnosis, False
+    lost = lost_tracking(certain, pairs, int(inputs.groundtruth.stamps.min()))
     # Lost messages look like keyframes.
-    rest = [each for each in found.examined if each.test != "keyframes"]
+    rest = [test for test in diagnosis.examined if test.test != "keyframes"]
     return Diagnosis.of([lost, *rest]), True
 
 
 def _tested_without(losses: Sequence[Loss], inputs: InputPair) -> Diagnosis:
     rest = inputs.tracked(losses) if losses else inputs
-    if losses and min(len(rest.groundtruth), len(rest.estimate)) < _FEWEST:
+    if losses and min(len(rest.groundtruth), len(rest.estimate)) < FEWEST_POSES:
         return Diagnosis()
     return _tested(rest)
 
@@ -194,9 +212,9 @@ def require_conventions(
     estimate.require_usable()
     offset_s = None if pairs is None else 0.0
     inputs = InputPair.of(groundtruth, estimate, protocol, time_offset_s=offset_s)
-    found = _tested(inputs).of_conventions()
-    if found is not None:
-        raise InputError(f"--hand-eye auto needs correct conventions, but {found.text}")
+    finding = _tested(inputs).of_conventions()
+    if finding is not None:
+        raise InputError(f"--hand-eye auto needs correct conventions, but {finding.text}")
 
 
 def same_estimate(estimate: InputSummary, others: Sequence[InputSummary]) -> Finding | None:
@@ -204,7 +222,7 @@ def same_estimate(estimate: InputSummary, others: Sequence[InputSummary]) -> Fin
     for other in others:
         if other.fingerprint == estimate.fingerprint:
             name = other.source or other.name or "another one"
-            return Finding.of(Seen("same_estimate", 1.0, {"other": name}))
+            return Finding.of(Seen.of("same_estimate", other=name))
     return None
 
 
@@ -228,4 +246,4 @@ def _tests_of_sides(inputs: InputPair) -> list[Examined]:
 
 
 def _causes(examined: list[Examined]) -> set[str]:
-    return {seen.cause for each in examined for seen in each.seen}
+    return {seen.cause for test in examined for seen in test.seen}

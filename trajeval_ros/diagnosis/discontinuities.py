@@ -206,7 +206,7 @@ def _seen(group: Sequence[Event], parts: Sequence[RunPart], first_ns: int) -> Se
         "receptions": "; the receive times did not" if event.certainty == "sure" else "",
         "parts": _parts_text(parts) if event.kind in kinds.PARTING else "",
     }
-    return Seen(cause_name(event.kind, event.side), 1.0, values)
+    return Seen(cause_name(event.kind, event.side), values)
 
 
 def _parts_text(parts: Sequence[RunPart]) -> str:

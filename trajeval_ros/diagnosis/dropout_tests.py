@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trajeval_ros.diagnosis.findings import Examined, Seen, Value
+from trajeval_ros.diagnosis.findings import Examined, Seen
 from trajeval_ros.diagnosis.input_pair import TimedPoses, lengths
 from trajeval_ros.geometry.arrays import Booleans, Floats, runs_of
 from trajeval_ros.geometry.trajectory_edits import evenly
@@ -54,7 +54,7 @@ def _constant(groundtruth: TimedPoses) -> tuple[Booleans, Booleans]:
     columns, times = np.ascontiguousarray(groundtruth.positions.T), np.diff(groundtruth.seconds)
     velocity = np.diff(columns) / times
     still = ~np.any(velocity != 0.0, axis=0)
-    speed, change = (np.sqrt((each * each).sum(axis=0)) for each in (velocity, np.diff(velocity)))
+    speed, change = (np.sqrt((rows * rows).sum(axis=0)) for rows in (velocity, np.diff(velocity)))
     alike = change < 1e-6 * speed[1:] + 2e-7 / np.minimum(times[1:], times[:-1])
     return still, np.concatenate([[False], alike & ~still[1:] & ~still[:-1]])
 
@@ -77,8 +77,8 @@ def _metres_per_unit(
 ) -> float:
     times = np.linspace(begin, end, 200)
     paths = [
-        lengths(np.diff(each.at(times).positions, axis=0)).sum()
-        for each in (groundtruth, estimate)
+        lengths(np.diff(side.at(times).positions, axis=0)).sum()
+        for side in (groundtruth, estimate)
     ]
     return float(paths[0] / max(float(paths[1]), 1e-12))
 
@@ -100,24 +100,25 @@ def _still(
     known = start.known & stop.known
     begin, long_s = begin[known], (end - begin)[known]
     moved_m = scale * lengths((stop.positions - start.positions)[known])
-    share = float(long_s.sum()) / groundtruth.span_s
     moving = moved_m > _HELD_M
     held_s = float(long_s[moving].sum())
     if np.count_nonzero(moving) >= 10 and held_s > _HELD_SHARE * groundtruth.span_s:
-        held = {"held_s": median(long_s[moving]), "rate_hz": 1.0 / usual_s}
-        return [Seen("groundtruth_held", share, held)]
+        held_s = median(long_s[moving])
+        return [Seen.of("groundtruth_held", held_s=held_s, rate_hz=1.0 / usual_s)]
     frozen = (long_s > _FROZEN_S) & (moved_m > _FROZEN_M)
     if not frozen.any():
         return []
     longest = int(np.argmax(np.where(frozen, long_s, 0.0)))
-    at_s = float(begin[longest] - groundtruth.seconds[0])
-    values: dict[str, Value] = {
-        "frozen_s": float(long_s[longest]),
-        "at_s": at_s,
-        "after_s": at_s + float(long_s[longest]),
-        "moved_m": float(moved_m[longest]),
-    }
-    return [Seen("groundtruth_frozen", share, values)]
+    at_s, frozen_s = float(begin[longest] - groundtruth.seconds[0]), float(long_s[longest])
+    return [
+        Seen.of(
+            "groundtruth_frozen",
+            frozen_s=frozen_s,
+            at_s=at_s,
+            after_s=at_s + frozen_s,
+            moved_m=float(moved_m[longest]),
+        )
+    ]
 
 
 def _gliding(
@@ -128,7 +129,7 @@ def _gliding(
     if not len(begin):
         return []
     start, middle, stop = (
-        estimate.at(each, _REACH_S) for each in (begin, (begin + end) / 2.0, end)
+        estimate.at(times, _REACH_S) for times in (begin, (begin + end) / 2.0, end)
     )
     bent_m = scale * lengths(middle.positions - (start.positions + stop.positions) / 2.0)
     long_s = end - begin
@@ -137,15 +138,17 @@ def _gliding(
     if not bridged.any():
         return []
     worst = int(np.argmax(np.where(bridged, bent_m, 0.0)))
-    at_s = float(begin[worst] - groundtruth.seconds[0])
-    values: dict[str, Value] = {
-        "bridged_s": float(long_s[worst]),
-        "at_s": at_s,
-        "after_s": at_s + float(long_s[worst]),
-        "bent_m": float(bent_m[worst]),
-        "stretches": float(np.count_nonzero(bridged)),
-    }
-    return [Seen("groundtruth_bridged", float(long_s.sum()) / groundtruth.span_s, values)]
+    at_s, bridged_s = float(begin[worst] - groundtruth.seconds[0]), float(long_s[worst])
+    return [
+        Seen.of(
+            "groundtruth_bridged",
+            bridged_s=bridged_s,
+            at_s=at_s,
+            after_s=at_s + bridged_s,
+            bent_m=float(bent_m[worst]),
+            stretches=float(np.count_nonzero(bridged)),
+        )
+    ]
 
 
 def _holes(
@@ -171,11 +174,13 @@ def _holes(
         worst_m = max(worst_m, scale * float(lengths(estimate.positions[rows] - straight).max()))
     if worst_m <= _HOLE_M:
         return []
-    values: dict[str, Value] = {
-        "max_gap_s": max_gap_s,
-        "holes": float(len(holes)),
-        "longest_s": float(steps_s[holes].max()),
-        "bent_m": worst_m,
-        "percent": 100.0 * inside / len(estimate),
-    }
-    return [Seen("gap_bridged", inside / len(estimate), values)]
+    return [
+        Seen.of(
+            "gap_bridged",
+            max_gap_s=max_gap_s,
+            holes=float(len(holes)),
+            longest_s=float(steps_s[holes].max()),
+            bent_m=worst_m,
+            percent=100.0 * inside / len(estimate),
+        )
+    ]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trajeval_ros.consistency.constant_covariances import constant_covariances
-from trajeval_ros.diagnosis.findings import Examined, Seen, Value
+from trajeval_ros.diagnosis.findings import Examined, Seen
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
@@ -60,7 +60,7 @@ def number_of_pairs(
             f"paired within {pairs.rule.max_time_difference_s:g} s: change the limit with "
             "--max-time-difference SECONDS"
         )
-    seen = Seen("few_pairs", 1.0, {"said": warning, "more": more, **scores})
+    seen = Seen("few_pairs", {"text": warning, "more": more, **scores})
     return Examined(name, scores, (seen,))
 
 
@@ -91,13 +91,11 @@ def frame_offset(evaluation: Evaluation) -> Examined:
     level = float(np.sqrt(max(length**2 - height**2, 0.0)))
     is_geoid = level < _VERTICAL * height and _GEOID_M[0] < height < _GEOID_M[1]
     kind = ": probably heights above the ellipsoid and above the geoid" if is_geoid else ""
-    values: dict[str, Value] = {
-        "offset": ", ".join(f"{each:.2f}" for each in mean),
-        "offset_m": length,
-        "percent": 100.0 * share,
-        "kind": kind,
-    }
-    return Examined(_OFFSET, scores, (Seen("frames_apart", share, values),))
+    offset = ", ".join(f"{component:.2f}" for component in mean)
+    seen = Seen.of(
+        "frames_apart", offset=offset, offset_m=length, percent=100.0 * share, kind=kind
+    )
+    return Examined(_OFFSET, scores, (seen,))
 
 
 _COVARIANCES = "covariance blocks"
@@ -133,17 +131,17 @@ def covariance_blocks(evaluation: Evaluation) -> Examined:
     if not min(*as_read, *exchanged) > 0.0:
         return Examined(_COVARIANCES, scores, why_not="the errors are zero")
     logs, others = np.log10(as_read), np.log10(exchanged)
-    explained = float(1.0 - np.ptp(others) / max(float(np.ptp(logs)), 1e-9))
     if np.ptp(logs) > _APART and np.ptp(others) < _SAME and np.abs(others).max() < _NEAR:
-        values: dict[str, Value] = {
-            "as_read": as_read[0],
-            "as_read_rotation": as_read[1],
-            "exchanged": exchanged[0],
-            "exchanged_rotation": exchanged[1],
-        }
-        return Examined(_COVARIANCES, scores, (Seen("covariance_order", explained, values),))
+        seen = Seen.of(
+            "covariance_order",
+            as_read=as_read[0],
+            as_read_rotation=as_read[1],
+            exchanged=exchanged[0],
+            exchanged_rotation=exchanged[1],
+        )
+        return Examined(_COVARIANCES, scores, (seen,))
     if abs(logs[0]) < _SAME and abs(logs[1] + _DEGREES) < _SAME:
-        seen = Seen("covariance_degrees", 1.0, {"times": 1.0 / as_read[1]})
+        seen = Seen.of("covariance_degrees", times=1.0 / as_read[1])
         return Examined(_COVARIANCES, scores, (seen,))
     return Examined(_COVARIANCES, scores)
 

@@ -23,9 +23,13 @@ class Seen:
     """A cause that a test detected."""
 
     cause: str  # its name in `CAUSES`
-    explained: float  # fraction of the mismatch that the correction removes, 0 to 1
     # Values of the format strings of the cause; numbers are evidence.
     values: Mapping[str, Value] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, cause: str, **values: Value) -> Seen:
+        """Return a detected cause with the values of its texts."""
+        return cls(cause, values)
 
 
 @dataclass(frozen=True)
@@ -38,10 +42,7 @@ class Examined:
     why_not: str = ""  # reason why the test is not applicable; "" if it is
 
 
-_MEASURE = (
-    "--hand-eye auto could not determine it; measure the transformation and give it with "
-    "--hand-eye FILE"
-)
+_FITTED = "--hand-eye auto could not determine it; apply this pose, which fits short motions"
 _IMPOSSIBLE = "its correction is not possible on this data"
 _USELESS = "its correction does not reduce the ATE, of which other errors are the larger part"
 # By side of a finding, if it is not only the groundtruth or only the estimate.
@@ -153,7 +154,6 @@ class Finding:
     # What corrects it, by option of `evaluate` or by attribute of `Corrections`; empty if neither
     # does.
     correction: Mapping[str, str]
-    explained: float  # fraction of the mismatch that the correction removes, 0 to 1
     evidence: Mapping[str, float]  # statistics by name
     tried: Tried | None = None  # None if there is no correction, or no trial of it
 
@@ -168,12 +168,11 @@ class Finding:
             cause.sentence.format(**values),
             cause.advice.format(**values),
             {
-                name.format(side=each): value
+                name.format(side=corrected): value
                 for name, text in cause.correction.items()
-                for each in _CORRECTED_SIDES.get(side, (side,))
+                for corrected in _CORRECTED_SIDES.get(side, (side,))
                 if (value := text.format(**values))
             },
-            seen.explained,
             {name: value for name, value in seen.values.items() if isinstance(value, float)},
         )
 
@@ -198,11 +197,11 @@ class Finding:
     @property
     def text(self) -> str:
         """The sentence, the advice and the option, in one line."""
-        said = f"{self.sentence}; {self.advice}"
+        text = f"{self.sentence}; {self.advice}"
         if self.tried is not None:
-            return f"{said}: {self.tried.text(self.option)}{self._file}"
+            return f"{text}: {self.tried.text(self.option)}{self._file}"
         named = not self.option or self.option.split()[0] in self.advice
-        return said if named else f"{said}: {self.option}{self._file}"
+        return text if named else f"{text}: {self.option}{self._file}"
 
     @property
     def _file(self) -> str:
@@ -235,9 +234,20 @@ class Diagnosis:
 
     @classmethod
     def of(cls, examined: list[Examined]) -> Diagnosis:
-        """Return all findings of tests, sorted by severity and by the fraction explained."""
-        findings = [Finding.of(seen) for each in examined for seen in each.seen]
+        """Return all findings of tests, sorted by severity."""
+        findings = [Finding.of(seen) for test in examined for seen in test.seen]
         return cls(_ranked(findings), tuple(examined))
+
+    def without(self, cause: str, why_not: str) -> Diagnosis:
+        """Return the diagnosis without a cause, whose test is not applicable."""
+        return Diagnosis.of(
+            [
+                dataclasses.replace(test, seen=(), why_not=why_not)
+                if any(seen.cause == cause for seen in test.seen)
+                else test
+                for test in self.examined
+            ]
+        )
 
     def with_others(self, others: Sequence[Finding]) -> Diagnosis:
         """Return the diagnosis with more findings, sorted."""
@@ -251,23 +261,24 @@ class Diagnosis:
     def after_hand_eye_calibration(self) -> Diagnosis:
         """Return the diagnosis of a calibrated run, without the advice to calibrate it.
 
-        A finding about the body remains if the calibration was too uncertain to be applied.
+        A finding about the body remains if the calibration was too uncertain to be applied. It
+        requires more motion, since it assumes nothing about the size of the lever arm.
         """
         findings = (
-            dataclasses.replace(each, advice=_MEASURE, correction={})
-            if "hand_eye" in each.correction
-            else each
-            for each in self.findings
+            dataclasses.replace(finding, advice=_FITTED)
+            if "hand_eye" in finding.correction
+            else finding
+            for finding in self.findings
         )
         return dataclasses.replace(self, findings=tuple(findings))
 
     def of_conventions(self) -> Finding | None:
         """Return the finding about a convention; None without one."""
-        return next((each for each in self.findings if each.is_of_conventions), None)
+        return next((finding for finding in self.findings if finding.is_of_conventions), None)
 
     def named(self, cause: str) -> Finding | None:
         """Return the finding of a cause; None without it."""
-        return next((each for each in self.findings if each.cause == cause), None)
+        return next((finding for finding in self.findings if finding.cause == cause), None)
 
 
 def _options(values: Mapping[str, str]) -> str:
@@ -279,4 +290,4 @@ def _options(values: Mapping[str, str]) -> str:
 
 
 def _ranked(findings: list[Finding]) -> tuple[Finding, ...]:
-    return tuple(sorted(findings, key=lambda each: (-each.rank, -each.explained)))
+    return tuple(sorted(findings, key=lambda finding: -finding.rank))

@@ -185,7 +185,7 @@ MIRRORED = int(np.flatnonzero((-np.eye(3) == PERMUTATIONS).all(axis=(1, 2)))[0])
 def _log_priors() -> tuple[Floats, Floats]:
     """Return the logarithms of priors of axes (48,), and of mirrors M = -PROPER (24,)."""
     changed = 3.0 - np.einsum("pii->p", PERMUTATIONS)
-    kept, kept_of_mirror = (np.einsum("pii->p", np.abs(each)) for each in (PERMUTATIONS, PROPER))
+    kept, kept_of_mirror = (np.einsum("pii->p", np.abs(axes)) for axes in (PERMUTATIONS, PROPER))
     axes = MISTAKE + _EXCHANGED_AXES * (kept < 3.0) + _PER_CHANGED_AXIS * changed
     mirrors = _MIRROR + _EXCHANGED_AXES * (kept_of_mirror < 3.0)
     mirrors += _MIRROR_PER_AXIS * (3.0 + np.einsum("pii->p", PROPER))

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from trajeval_ros.metrics.protocol import Protocol
     from trajeval_ros.metrics.tracking_loss import Loss
 
-_ENOUGH = 2000  # steps, for a median
+FEWEST_POSES = 12  # of a side or in common: fewer are no evidence
+SAMPLE = 2000  # rows in a statistic of columns, which bounds its cost
 _ROUNDING_S = 1e-6
 
 
@@ -94,7 +95,7 @@ class TimedPoses:
         """Median time step of poses in order, seconds."""
         if len(self) < 2:
             return 1.0
-        return median(np.diff(self.seconds)[every_nth(len(self) - 1, _ENOUGH)])
+        return median(np.diff(self.seconds)[every_nth(len(self) - 1, SAMPLE)])
 
     @cached_property
     def moved(self) -> Floats:
@@ -121,8 +122,7 @@ class TimedPoses:
 
 def lengths(vectors: Floats) -> Floats:
     """Return the lengths (...) of vectors (..., k)."""
-    found: Floats = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
-    return found
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", vectors, vectors)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,13 +172,13 @@ class InputPair:
         epoch_ns = int(self.groundtruth.stamps.min())
         times, true_times = self.estimate_poses.seconds, self.groundtruth_poses.seconds
         kept, true_kept = np.ones(len(times), dtype=bool), np.ones(len(true_times), dtype=bool)
-        for each in losses:
+        for loss in losses:
             # Timestamps as seconds are rounded.
             begin_s, end_s = (
                 (stamp - epoch_ns) / NANOSECONDS + _ROUNDING_S
-                for stamp in (each.begin_ns, each.end_ns)
+                for stamp in (loss.begin_ns, loss.end_ns)
             )
-            goes_on = each.is_over and each.cause == FROZEN
+            goes_on = loss.is_over and loss.cause == FROZEN
             kept &= (times <= begin_s) | (goes_on & (times > end_s))
             true_kept &= (true_times <= begin_s) | goes_on
         return dataclasses.replace(

@@ -1,4 +1,4 @@
-"""Tests of the columns of each side: timestamps, rows, names and velocities."""
+"""Tests of the columns of one side: timestamps, rows, names and velocities."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import re
 
 import numpy as np
 
-from trajeval_ros.diagnosis.findings import Examined, Seen, Value
-from trajeval_ros.diagnosis.input_pair import InputPair, TimedPoses, lengths
+from trajeval_ros.diagnosis.findings import Examined, Seen
+from trajeval_ros.diagnosis.input_pair import SAMPLE, InputPair, TimedPoses, lengths
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, extents
 from trajeval_ros.geometry.rotation_fit import best_rotations
@@ -16,7 +16,6 @@ from trajeval_ros.geometry.trajectory_edits import evenly
 from trajeval_ros.metrics.statistics import median
 
 _PROBES = 400
-_ENOUGH = 5000  # timestamps for the test of rounding
 _FEWEST_POSES = 30
 # Equal positions: tolerance of timestamps, least number and share of poses with a partner, share
 # of them that is equal, decimals of text files, and relative error of an interpolation.
@@ -50,7 +49,7 @@ def rounded_stamps(inputs: InputPair) -> Examined:
         ("estimate", inputs.estimate_poses, inputs.estimate),
         ("groundtruth", inputs.groundtruth_poses, inputs.groundtruth),
     ):
-        first = read.stamps[:_ENOUGH] / NANOSECONDS
+        first = read.stamps[:SAMPLE] / NANOSECONDS
         step_s = next(
             (
                 step
@@ -68,8 +67,9 @@ def rounded_stamps(inputs: InputPair) -> Examined:
         if shared >= 2.0 and moving > 0.5:
             if len(stamps) > 1:
                 step_s = max(step_s, float(np.diff(stamps).min()))
-            values: dict[str, Value] = {"side": side, "step_s": step_s, "poses_per_stamp": shared}
-            seen.append(Seen("stamps_rounded", 1.0, values))
+            seen.append(
+                Seen.of("stamps_rounded", side=side, step_s=step_s, poses_per_stamp=shared)
+            )
     return Examined("rounded stamps", seen=tuple(seen))
 
 
@@ -84,12 +84,8 @@ def duplicated_rows(inputs: InputPair) -> Examined:
         share = min(1.0, repeats / min(_PROBES, len(poses)))
         scores[f"{side} share"] = share
         if repeats >= max(10, 0.02 * _PROBES) and extent > 1e-3 * _travelled(poses.positions):
-            values: dict[str, Value] = {
-                "side": side,
-                "percent": 100.0 * share,
-                "rows_apart": float(rows_apart),
-            }
-            seen.append(Seen("duplicated", share, values))
+            apart = float(rows_apart)
+            seen.append(Seen.of("duplicated", side=side, percent=100.0 * share, rows_apart=apart))
     return Examined("duplicated rows", scores, tuple(seen))
 
 
@@ -151,8 +147,8 @@ def same_positions(inputs: InputPair) -> Examined:
     moves = bool(extents(one).any())
     if not moves or percent < _NEARLY_ALL_PERCENT:
         return Examined(test, {"percent": percent})
-    values: dict[str, Value] = {"percent": percent, "where": where}
-    return Examined(test, {"percent": percent}, (Seen("identical", 1.0, values),))
+    seen = Seen.of("identical", percent=percent, where=where)
+    return Examined(test, {"percent": percent}, (seen,))
 
 
 def _equal(one: Floats, other: Floats) -> float:
@@ -190,22 +186,22 @@ def standing_still(inputs: InputPair) -> Examined:
     # Next to an estimate that diverges by far, all groundtruth is small.
     if sizes[still] > min(_STILL_SHARE * moving, _MOVED):
         return Examined("standing still", scores)
-    values: dict[str, Value] = {"side": still, "other": _other(still), "path_m": moving}
-    return Examined("standing still", scores, (Seen("stands_still", 1.0, values),))
+    seen = Seen.of("stands_still", side=still, other=_other(still), path_m=moving)
+    return Examined("standing still", scores, (seen,))
 
 
 def swapped_names(inputs: InputPair) -> Examined:
-    """Test whether the name of the estimate says groundtruth, and the groundtruth's does not."""
+    """Test whether only the estimate has a name of groundtruth."""
     groundtruth, estimate = (
-        each.reading.source or each.name for each in (inputs.groundtruth, inputs.estimate)
+        side.reading.source or side.name for side in (inputs.groundtruth, inputs.estimate)
     )
-    own = own_name(estimate)
+    name = own_name(estimate)
     # A folder can name the groundtruth, as in `state_groundtruth_estimate0/data.csv`.
-    says_groundtruth = is_named_groundtruth(own) and not is_named_estimate(own)
-    if not says_groundtruth or not groundtruth or is_named_groundtruth(groundtruth):
+    is_groundtruth = is_named_groundtruth(name) and not is_named_estimate(name)
+    if not is_groundtruth or not groundtruth or is_named_groundtruth(groundtruth):
         return Examined("source names")
-    values: dict[str, Value] = {"groundtruth": groundtruth, "estimate": estimate}
-    return Examined("source names", seen=(Seen("swapped", 0.0, values),))
+    seen = Seen.of("swapped", groundtruth=groundtruth, estimate=estimate)
+    return Examined("source names", seen=(seen,))
 
 
 def _sides(inputs: InputPair) -> list[tuple[str, TimedPoses]]:
@@ -224,8 +220,6 @@ def _travelled(positions: Floats) -> float:
     return float(np.linalg.norm(ranked[len(some) - 1 - outliers] - ranked[outliers]))
 
 
-_RATES = 1500
-_FEWEST_STEPS = 30
 _LONGEST_S = 0.6
 _SLOW_HZ = 4.0
 
@@ -235,12 +229,12 @@ def velocities(groundtruth: TimedPoses, estimate: TimedPoses) -> Examined:
     seen: list[Seen] = []
     scores: dict[str, float] = {}
     for side, poses in (("estimate", estimate), ("groundtruth", groundtruth)):
-        if poses.velocities is None or poses.quaternions is None or len(poses) < _FEWEST_STEPS:
+        if poses.velocities is None or poses.quaternions is None or len(poses) < _FEWEST_POSES:
             continue
-        rows = evenly(len(poses) - 2, _RATES) + 1
+        rows = evenly(len(poses) - 2, SAMPLE) + 1
         time = poses.seconds[rows + 1] - poses.seconds[rows - 1]
         rows, time = rows[time < _LONGEST_S], time[time < _LONGEST_S]
-        if len(rows) < _FEWEST_STEPS:
+        if len(rows) < _FEWEST_POSES:
             continue
         moving = (poses.positions[rows + 1] - poses.positions[rows - 1]) / time[:, None]
         total = float(np.sum(moving**2))
@@ -252,12 +246,8 @@ def velocities(groundtruth: TimedPoses, estimate: TimedPoses) -> Examined:
         as_body = float(np.sum((turned - moving) ** 2)) / total
         scores |= {f"{side} as world": as_world, f"{side} as body": as_body}
         if as_world > 0.25 and as_body < 0.2 * as_world and as_body < 0.1:
-            values: dict[str, Value] = {
-                "side": side,
-                "off_percent": 100.0 * np.sqrt(as_world),
-                "turned_percent": 100.0 * np.sqrt(as_body),
-            }
-            seen.append(Seen("twist_body", 1.0 - as_body / as_world, values))
+            world, body = (100.0 * float(np.sqrt(share)) for share in (as_world, as_body))
+            seen.append(Seen.of("twist_body", side=side, off_percent=world, turned_percent=body))
     why_not = "" if scores else "no side has both velocities and orientations"
     return Examined("velocities", scores, tuple(seen), why_not)
 
@@ -278,9 +268,9 @@ def rhythm(groundtruth: TimedPoses, estimate: TimedPoses, *, is_odometry: bool) 
     spread = float(high - low) / usual_s
     scores = {"rate_hz": rate_hz, "spread": spread}
     if spread > 0.5 and usual_s > 4.0 * groundtruth.usual_step_s:
-        values: dict[str, Value] = {"rate_hz": rate_hz, "of_hz": 1.0 / float(low)}
         cause = "frames_lost" if is_odometry else "keyframes"
-        return Examined("keyframes", scores, (Seen(cause, 0.0, values),))
+        seen = Seen.of(cause, rate_hz=rate_hz, of_hz=1.0 / float(low))
+        return Examined("keyframes", scores, (seen,))
     return Examined("keyframes", scores)
 
 

@@ -39,16 +39,13 @@ def is_certain(loss: Loss, pairs: Association) -> bool:
     """
     if loss.cause == FROZEN:
         return True
-    stamps, true, own = (
-        pairs.estimate.stamps,
-        pairs.groundtruth.positions,
-        pairs.estimate.positions,
-    )
+    stamps = pairs.estimate.stamps
+    groundtruth, estimate = pairs.groundtruth.positions, pairs.estimate.positions
     before, lost = stamps <= loss.begin_ns, (stamps > loss.begin_ns) & (stamps <= loss.end_ns)
     if np.count_nonzero(before) < _FEWEST or loss.is_over:
         return False
-    unit = _size(true[before]) / max(_size(own[before]), 1e-12)
-    return unit * _size(own[lost]) > _UNBOUNDED * _size(true)
+    unit = _size(groundtruth[before]) / max(_size(estimate[before]), 1e-12)
+    return unit * _size(estimate[lost]) > _UNBOUNDED * _size(groundtruth)
 
 
 def is_large(loss: Loss, pairs: Association) -> bool:
@@ -70,11 +67,11 @@ def lost_tracking(losses: Sequence[Loss], pairs: Association, first_ns: int) -> 
     """Report losses, by times since `first_ns`, the groundtruth's first timestamp."""
     seen = []
     for kind in (DIVERGED, FROZEN):
-        some = [each for each in losses if each.cause == kind]
+        some = [loss for loss in losses if loss.cause == kind]
         if not some:
             continue
         begin = some[0]
-        longest = max(some, key=lambda each: each.duration_s)
+        longest = max(some, key=lambda loss: loss.duration_s)
         told = begin if kind == DIVERGED else longest
         at_s = (told.begin_ns - first_ns) / NANOSECONDS
         values: dict[str, Value] = {
@@ -90,5 +87,5 @@ def lost_tracking(losses: Sequence[Loss], pairs: Association, first_ns: int) -> 
         cause = kind
         if begins_at_start(told, pairs) and (told.is_over or kind == DIVERGED):
             cause = f"{kind}_at_start"
-        seen.append(Seen(cause, 1.0, values))
+        seen.append(Seen(cause, values))
     return Examined(_TEST, {"losses": float(len(losses))}, tuple(seen))

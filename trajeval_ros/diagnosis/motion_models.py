@@ -18,6 +18,7 @@ import numpy as np
 from trajeval_ros.diagnosis.hypotheses import (
     AS_READ,
     AXES_LOG_PRIORS,
+    BOTH,
     ESTIMATE,
     GROUNDTRUTH,
     HYPOTHESES,
@@ -31,7 +32,7 @@ from trajeval_ros.diagnosis.hypotheses import (
     Hypothesis,
 )
 from trajeval_ros.diagnosis.input_pair import lengths
-from trajeval_ros.diagnosis.short_motions import ShortMotions
+from trajeval_ros.diagnosis.short_motions import PoseEnds, ShortMotions
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.rotation_fit import best_rotations
@@ -118,15 +119,62 @@ def bounded(vectors: Floats) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
+class GroundtruthMotions:
+    """The groundtruth's motions in the axes of its body, and the units of the residuals."""
+
+    ends: PoseEnds
+
+    @functools.cached_property
+    def motions(self) -> tuple[Floats, Floats]:
+        """Rotation vectors and displacements (N, 3)."""
+        return self.ends.body_motions()
+
+    @functools.cached_property
+    def bounded(self) -> tuple[Floats, Floats]:
+        """The motions with limited lengths."""
+        rotations, displacements = map(bounded, self.motions)
+        return rotations, displacements
+
+    @functools.cached_property
+    def units(self) -> tuple[Floats, Floats]:
+        """Units (N,) of the residuals of rotations and displacements.
+
+        Errors have a constant part, and a part that grows with the motion.
+        """
+        rotation, displacement = map(lengths, self.motions)
+        return (
+            rotation + median(rotation) + 1e-9,
+            displacement + median(displacement) + 1e-9,
+        )
+
+    @functools.cached_property
+    def log_units(self) -> float:
+        """The logarithm of the determinant of the units."""
+        rotation, displacement = self.units
+        total = float(np.log(displacement).sum())
+        return 3.0 * (total + (self.ends.quaternions is not None) * float(np.log(rotation).sum()))
+
+    @functools.cached_property
+    def principal_axes(self) -> tuple[Floats, Floats]:
+        """Axes (3, 3) of rotations and displacements.
+
+        With these axes, no common rotation changes a likelihood.
+        """
+        one, other = (np.linalg.eigh(rows.T @ rows)[1] for rows in self.bounded)
+        return one, other
+
+
+@dataclass(frozen=True, eq=False)
 class ReadMotions:
     """The motions as a hypothesis reads them, and what all its models share."""
 
     motions: ShortMotions  # with the hypothesis applied to both sides
+    of_groundtruth: GroundtruthMotions
 
-    @functools.cached_property
+    @property
     def groundtruth(self) -> tuple[Floats, Floats]:
         """Rotation vectors and displacements (N, 3) in the axes of the groundtruth's body."""
-        return self.motions.groundtruth.body_motions()
+        return self.of_groundtruth.motions
 
     @functools.cached_property
     def rotations(self) -> Floats:
@@ -147,41 +195,13 @@ class ReadMotions:
             return np.broadcast_to(np.eye(3), (len(self.motions), 3, 3))
         return lie.to_matrix(quaternions[0])
 
-    @functools.cached_property
-    def units(self) -> tuple[Floats, Floats]:
-        """Units (N,) of the residuals of rotations and displacements.
-
-        Errors have a constant part, and a part that grows with the motion.
-        """
-        rotation, displacement = map(lengths, self.groundtruth)
-        return (
-            rotation + median(rotation) + 1e-9,
-            displacement + median(displacement) + 1e-9,
-        )
-
-    @functools.cached_property
-    def log_units(self) -> float:
-        """The logarithm of the determinant of the units."""
-        rotation, displacement = self.units
-        total = float(np.log(displacement).sum())
-        return 3.0 * (total + self.motions.has_orientations * float(np.log(rotation).sum()))
-
-    @functools.cached_property
-    def principal_axes(self) -> tuple[Floats, Floats]:
-        """Axes (3, 3) of the groundtruth's rotations and displacements.
-
-        With these axes, no common rotation changes a likelihood.
-        """
-        one, other = (np.linalg.eigh(b.T @ b)[1] for b in map(bounded, self.groundtruth))
-        return one, other
-
     def displacements(self, axes: Floats) -> Floats:
         """Return displacements (N, 3) in the estimate's body, with axes of its positions."""
         return np.asarray(np.einsum("nmb,nm->nb", self.to_world, self.steps @ axes.T))
 
     def moments(self, axes: Floats) -> Floats:
         """Return moments (P, 3, 3) of both sides' motions, by axes (P, 3, 3) of the positions."""
-        rotations, displacements = map(bounded, self.groundtruth)
+        rotations, displacements = self.of_groundtruth.bounded
         steps = bounded(self.steps)
         count = len(steps)
         products = (displacements[:, :, None] * steps[:, None, :]).reshape(count, 9)
@@ -206,6 +226,7 @@ class ModelScores:
         # The weight of a motion in the evidence.
         self.weight = min(motions.independent, MOST_INDEPENDENT) / max(len(motions), 1)
         self._read: dict[Hypothesis, ReadMotions] = {}
+        self._groundtruth: dict[str, GroundtruthMotions] = {}  # by cause
 
     @property
     def evidence(self) -> float:
@@ -215,22 +236,21 @@ class ModelScores:
     def read(self, hypothesis: Hypothesis) -> ReadMotions:
         """Return the motions as a hypothesis reads them."""
         if hypothesis not in self._read:
-            given = self.motions
-            groundtruth, later, earlier = (
-                hypothesis.applied(GROUNDTRUTH, poses)
-                for poses in (
-                    given.groundtruth, given.groundtruth_later, given.groundtruth_earlier
-                )
-            )  # fmt: skip
-            self._read[hypothesis] = ReadMotions(
-                replace(
-                    given,
-                    groundtruth=groundtruth,
-                    groundtruth_later=later,
-                    groundtruth_earlier=earlier,
-                    estimate=hypothesis.applied(ESTIMATE, given.estimate),
-                )
+            given, changed = self.motions, hypothesis.side in (GROUNDTRUTH, BOTH)
+            # Most hypotheses are about the estimate alone, and share the groundtruth's motions.
+            key = hypothesis.cause if changed else AS_READ
+            if key not in self._groundtruth:
+                ends = hypothesis.applied(GROUNDTRUTH, given.groundtruth)
+                self._groundtruth[key] = GroundtruthMotions(ends)
+            of_groundtruth = self._groundtruth[key]
+            motions = replace(
+                given,
+                groundtruth=of_groundtruth.ends,
+                groundtruth_later=hypothesis.applied(GROUNDTRUTH, given.groundtruth_later),
+                groundtruth_earlier=hypothesis.applied(GROUNDTRUTH, given.groundtruth_earlier),
+                estimate=hypothesis.applied(ESTIMATE, given.estimate),
             )
+            self._read[hypothesis] = ReadMotions(motions, of_groundtruth)
         return self._read[hypothesis]
 
     def likeliest(self, hypotheses: Sequence[Hypothesis]) -> list[Model]:
@@ -312,8 +332,8 @@ class ModelScores:
         self, read: ReadMotions, rotations: Floats, displacements: Floats
     ) -> tuple[Floats, Floats]:
         """Return residuals (N, 3) along the principal axes, relative to the motion."""
-        rotation_axes, displacement_axes = read.principal_axes
-        rotation_unit, displacement_unit = (unit[:, None] for unit in read.units)
+        rotation_axes, displacement_axes = read.of_groundtruth.principal_axes
+        rotation_unit, displacement_unit = (unit[:, None] for unit in read.of_groundtruth.units)
         return (
             rotations @ rotation_axes / rotation_unit,
             displacements @ displacement_axes / displacement_unit,
@@ -321,7 +341,7 @@ class ModelScores:
 
     def _total(self, hypothesis: Hypothesis, mean: float) -> float:
         """Return the log likelihood in the units of the motions."""
-        return self.evidence * mean - self.weight * self.read(hypothesis).log_units
+        return self.evidence * mean - self.weight * self.read(hypothesis).of_groundtruth.log_units
 
     def log_odds_of_worlds(self, model: Model, one: Floats, other: Floats) -> float:
         """Return the log odds of rotations (N, 4) from the estimate's world against others.
@@ -330,7 +350,7 @@ class ModelScores:
         """
         ends = self.motions.groundtruth.positions
         steps, read = ends[1] - ends[0], self.read(model.hypothesis)
-        unit = read.units[1][:, None] * self.size_ratio
+        unit = read.of_groundtruth.units[1][:, None] * self.size_ratio
         rows = []
         for worlds in (one, other):
             rotated = lie.rotate(worlds, read.steps @ model.axes.T)

@@ -153,7 +153,9 @@ class _GaussNewton:
     def _linearised(self) -> tuple[Floats, Floats]:
         """Return residuals (N, k) and their derivatives (N, k, 9)."""
         rotations, displacements = self.read.groundtruth
-        rotation_unit, displacement_unit = (unit[:, None] for unit in self.read.units)
+        rotation_unit, displacement_unit = (
+            unit[:, None] for unit in self.read.of_groundtruth.units
+        )
         time = (self.offset_s + self.rate * self.seconds)[:, None]
         predicted = (self.displacements + self.swing @ self.lever) @ self.body.T
         residuals = displacements + self.displacement_rates * time - self.scale * predicted

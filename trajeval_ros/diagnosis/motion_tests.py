@@ -28,7 +28,7 @@ from trajeval_ros.diagnosis.hypotheses import (
     MISTAKE,
     ROTATIONS,
 )
-from trajeval_ros.diagnosis.input_pair import InputPair, TimedPoses, lengths
+from trajeval_ros.diagnosis.input_pair import FEWEST_POSES, InputPair, TimedPoses, lengths
 from trajeval_ros.diagnosis.input_tests import is_at_rest, rhythm, velocities
 from trajeval_ros.diagnosis.motion_models import Model, ModelScores
 from trajeval_ros.diagnosis.motion_parameters import (
@@ -45,7 +45,7 @@ from trajeval_ros.diagnosis.short_motions import FEWEST_MOTIONS, ShortMotions
 from trajeval_ros.diagnosis.world_axes import vertical_axes
 from trajeval_ros.metrics.statistics import median
 
-_SHORTEST_S, _FEWEST_POSES = 8.0, 12  # of a side: less motion has no evidence
+_SHORTEST_S = 8.0  # of a side: less motion has no evidence
 _LEAST_GAP_S, _MOST_GAP_S = 0.3, 1.1  # of the groundtruth to interpolate across
 AGREE_NATS = 3.0  # per independent motion: unrelated motions reach less
 _USABLE_PEAK = 0.6  # correlation of rates from which on an offset is applied to other tests
@@ -55,6 +55,8 @@ _RATE_PRIOR = -4.0  # logarithm: other clock rates are rare
 _UNRELATED_PEAK, _UNRELATED_S = 0.8, 15.0  # correlation and common time of another run
 _NO_PEAK, _LONG_S = 0.45, 20.0  # the same, without common motions
 _AT_REST_RAD = 0.01  # median rotation of a body that does not rotate, which is noise
+# Causes that no mistake in Euler angles looks like, if they fit.
+_OF_DIRECTIONS = {AS_READ, "wxyz", "xyzw", "inverse", "mirrored", "axes_mixed"}
 _MISFIT = 2.0  # of directions relative to lengths of rotation vectors; conventions keep lengths
 _REFINED_S, _REFINED_GROWTH_S = 0.03, 0.06  # clock errors from which on motions are sampled again
 _WANDER_S = 0.005  # of healthy clocks along a run: short runs show no rate
@@ -74,7 +76,7 @@ class _Clock:
 def tests_of_motion(inputs: InputPair) -> list[Examined]:
     """Apply all tests of motions."""
     groundtruth, estimate = inputs.in_order
-    if min(groundtruth.span_s, estimate.span_s) < _SHORTEST_S or len(estimate) < _FEWEST_POSES:
+    if min(groundtruth.span_s, estimate.span_s) < _SHORTEST_S or len(estimate) < FEWEST_POSES:
         return [Examined("motions", why_not=f"a side is shorter than {_SHORTEST_S:g} s")]
     examined: list[Examined] = []
     gap_s = max(inputs.max_gap_s, 4.0 * groundtruth.usual_step_s, _LEAST_GAP_S)
@@ -117,10 +119,10 @@ def _coarse_clock(groundtruth: TimedPoses, estimate: TimedPoses, *, has_defects:
     if differs and not has_defects:
         other = search_rate(*rates)
         if other is not None:
-            factor, found = other
+            factor, faster = other
             least = (0.0 if match is None else match.log_odds) + ODDS - prior - _RATE_PRIOR
-            if found.log_odds > least and found.peak > _USABLE_PEAK:
-                return _Clock(found, found.offset_s, factor, is_stated=True)
+            if faster.log_odds > least and faster.peak > _USABLE_PEAK:
+                return _Clock(faster, faster.offset_s, factor, is_stated=True)
     if match is None or match.peak <= _USABLE_PEAK:
         return _Clock(match)
     others = max(match.log_odds_at_zero - prior, match.log_odds_of_second)
@@ -150,7 +152,7 @@ def _coarse_finding(clock: _Clock, match: ClockMatch, inputs: InputPair) -> Seen
 
 
 def _other_run(match: ClockMatch) -> Seen:
-    return Seen("other_run", 1.0, {"peak": match.peak})
+    return Seen.of("other_run", peak=match.peak)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,13 +244,13 @@ class _Comparison:
 
     def _may_be_euler(self, scores: ModelScores, best: Model) -> bool:
         """Return whether directions of rotations fit worse than their lengths."""
-        usual = best.cause in (AS_READ, "wxyz", "xyzw", "inverse", "mirrored")
+        usual = best.cause in _OF_DIRECTIONS
         positions = scores.unrelated.positions + 2.0 * MISTAKE
         if not usual or positions > best.score:
             return True
         read = scores.read(best.hypothesis)
         rotations, _ = read.groundtruth
-        unit = read.units[0]
+        unit = read.of_groundtruth.units[0]
         apart = lengths(rotations - read.rotations @ best.body.T) / unit
         sizes_apart = np.abs(lengths(rotations) - lengths(read.rotations)) / unit
         return median(apart) > _MISFIT * (median(sizes_apart) + 0.01)

@@ -65,21 +65,18 @@ def convention(scores: ModelScores, best: Model, models: Sequence[Model], as_rea
     by_cause = {best.cause: best}
     for model in sorted(ties, key=lambda model: -model.score):
         by_cause.setdefault(model.cause, model)
-    explained = 1.0 - math.exp(-max(best.score - as_read.score, 0.0))
     if len(by_cause) > 1:
         rows = [_of_model(scores, model, ties, as_read) for model in by_cause.values()]
         names = map(_written, by_cause.values())
-        findings = (Finding.of(Seen(row.cause, explained, row.values)) for row in rows)
-        options = (finding.conversion for finding in findings)
-        values: dict[str, Value] = {
-            "agreement": 100.0 * max(best.agreement, 0.0),
-            "as_read": 100.0 * max(as_read.agreement, 0.0),
-            "causes": " or ".join(dict.fromkeys(names)),
-            "options": ", or ".join(dict.fromkeys(option for option in options if option)),
-        }
-        return Seen("convention_tie", explained, values)
-    seen = _of_model(scores, best, ties, as_read)
-    return Seen(seen.cause, explained, seen.values)
+        options = (Finding.of(row).conversion for row in rows)
+        return Seen.of(
+            "convention_tie",
+            agreement=100.0 * max(best.agreement, 0.0),
+            as_read=100.0 * max(as_read.agreement, 0.0),
+            causes=" or ".join(dict.fromkeys(names)),
+            options=", or ".join(dict.fromkeys(option for option in options if option)),
+        )
+    return _of_model(scores, best, ties, as_read)
 
 
 def _written(model: Model) -> str:
@@ -109,7 +106,7 @@ def _of_model(scores: ModelScores, model: Model, ties: Sequence[Model], as_read:
         similar = [tie for tie in ties if tie.cause == cause and tie.hypothesis is hypothesis]
         options = [option for tie in (model, *similar) for option in _axes_options(scores, tie)]
         values["axes"] = min(options, key=lambda option: round(option[0] / _TILTS_APART_DEG))[1]
-    return Seen(cause, 1.0, values)
+    return Seen(cause, values)
 
 
 def rotations(scores: ModelScores, detail: str = "") -> Seen:
@@ -132,7 +129,8 @@ def rotations(scores: ModelScores, detail: str = "") -> Seen:
     elif ratio > 1.0 / _OTHER_UNIT:
         how += f" (angles {ratio:.3g} times as large)"
         check = "degrees were probably read as radians"
-    return Seen(ROTATIONS, 1.0, {"how": how, "check": check, "angle_ratio": ratio})
+    is_explained = float(how != "in no convention")
+    return Seen.of(ROTATIONS, how=how, check=check, angle_ratio=ratio, is_explained=is_explained)
 
 
 def _axes_options(scores: ModelScores, model: Model) -> list[tuple[float, str]]:
@@ -187,8 +185,8 @@ def unit_or_scale(
         for poses in (motions.groundtruth, motions.estimate)
     )
     if abs(log) > _DIVERGED:
-        moved = {"true_m": float(groundtruth.sum()), "moved_m": float(estimate.sum())}
-        return [Seen("diverged_at_start", 1.0, {"until": "", **moved})]
+        true_m, moved_m = float(groundtruth.sum()), float(estimate.sum())
+        return [Seen.of("diverged_at_start", until="", true_m=true_m, moved_m=moved_m)]
     spread = SPREADS["scale"]
     healthy = _log_density(log, variance + spread.healthy**2)
     any_scale = _log_density(log, variance + spread.mistake**2) + MISTAKE
@@ -218,13 +216,13 @@ def unit_or_scale(
     if is_unit and is_foot:
         convert = " (--gauge sim3), or convert feet: trajeval trajectory SOURCE --scale 0.3048"
         values |= {"or_feet": ", or with groundtruth in feet", "or_convert": convert, "gauge": ""}
-        return [Seen("scale", 1.0, values)]
+        return [Seen("scale", values)]
     if is_unit:
         values |= {"side": side, "unit": name, "factor": f"{_UNITS[name]:g}"}
-        return [Seen("unit", 1.0, values)]
+        return [Seen("unit", values)]
     if gauge.has_scale or abs(log) < _LEAST_LOG_SCALE or any_scale - healthy < ODDS + MISTAKE:
         return []
-    return [Seen("scale", 1.0, values)]
+    return [Seen("scale", values)]
 
 
 def _is_fast(steps: Floats) -> bool:
@@ -272,10 +270,9 @@ def body_and_lever(
     pose = _pose(matrix.T if is_rotated else np.eye(3), lever if has_lever else np.zeros(3))
     seen = []
     if is_rotated:
-        of_body: dict[str, Value] = {"angle_deg": angle_deg, "rest_deg": sigma_deg, "pose": pose}
-        seen.append(Seen("body", 1.0, of_body))
+        seen.append(Seen.of("body", angle_deg=angle_deg, rest_deg=sigma_deg, pose=pose))
     if has_lever:
-        seen.append(Seen("lever_arm", 1.0, {"lever_m": lever_m, "sigma_m": sigma_m, "pose": pose}))
+        seen.append(Seen.of("lever_arm", lever_m=lever_m, sigma_m=sigma_m, pose=pose))
     return statistics, seen
 
 
@@ -310,12 +307,10 @@ def clock(
     }
     if ppm:
         values |= {"ppm": ppm, "growth_ms": 1e3 * growth_s}
-        return Seen("clock_drift", 1.0, values)
-    explained = 1.0 - (1.0 - match.peak) / max(1.0 - match.as_stamped, 1e-9)
-    explained = min(max(explained, 0.0), 1.0)
+        return Seen("clock_drift", values)
     if abs(offset_s) < SMALL_S:
-        return Seen("small_clock_offset", explained, values)
+        return Seen("small_clock_offset", values)
     whole = round(abs(offset_s))
     leap = _LEAP_S.get(whole, "") if abs(abs(offset_s) - whole) < _LEAP_WITHIN_S else ""
     values["known_as"] = f" ({leap})" if leap else ""
-    return Seen("clock_offset", explained, values)
+    return Seen("clock_offset", values)

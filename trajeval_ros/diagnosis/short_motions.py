@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.diagnosis.input_pair import TimedPoses
+from trajeval_ros.diagnosis.input_pair import SAMPLE, TimedPoses
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.trajectory_edits import evenly
@@ -22,7 +22,6 @@ MOTION_S = 1.5  # duration: noise matters in shorter motions, and drift in longe
 DERIVATIVE_S = 0.05  # half the interval of a numerical derivative by the time offset
 # A step of so many median steps is a jump; more jumps than the second number are usual motion.
 _JUMP_STEPS, _MOST_JUMPS = 30.0, 20
-_SAMPLE = 2000  # steps in the median
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +126,7 @@ def _without_jumps(rows: Indices, estimate: TimedPoses) -> Indices:
     if not rows.size:
         return rows
     steps = estimate.moved
-    is_jump = steps > _JUMP_STEPS * median(steps[evenly(len(steps), _SAMPLE)])
+    is_jump = steps > _JUMP_STEPS * median(steps[evenly(len(steps), SAMPLE)])
     jumps_before = np.concatenate([[0], np.cumsum(is_jump)])
     if not 0 < jumps_before[-1] <= _MOST_JUMPS:
         return rows

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from trajeval_ros.diagnosis.findings import Seen, Value
+from trajeval_ros.diagnosis.findings import Seen
 from trajeval_ros.diagnosis.input_pair import InputPair
 from trajeval_ros.diagnosis.motion_models import Model, ModelScores, bounded
 from trajeval_ros.diagnosis.motion_parameters import SPREADS, log_odds
@@ -107,17 +107,17 @@ def _tilted(
             for name, up in zip(("groundtruth", "estimate"), ups, strict=True)
         ]
         named = both[side == "estimate"]
-        values: dict[str, Value] = {
-            "side": side,
-            "axis": named,
-            "axes_up": ",".join(both),
-            "off_deg": off_deg,
-            "tilt_deg": statistics["tilt_deg"],
-            "called": _CALLED.get(named, ""),
-        }
         is_tie = axis == "-z" and can_mirror
-        return Seen("up_axis_or_mirrored" if is_tie else "up_axis", 1.0, values)
-    return Seen("tilted", 1.0, {name: statistics[name] for name in ("tilt_deg", "sigma_deg")})
+        return Seen.of(
+            "up_axis_or_mirrored" if is_tie else "up_axis",
+            side=side,
+            axis=named,
+            axes_up=",".join(both),
+            off_deg=off_deg,
+            tilt_deg=statistics["tilt_deg"],
+            called=_CALLED.get(named, ""),
+        )
+    return Seen("tilted", {name: statistics[name] for name in ("tilt_deg", "sigma_deg")})
 
 
 def _vertical_of_both(
@@ -160,8 +160,7 @@ def _sideways(row: int, matrix: Floats, inputs: InputPair) -> Seen:
     direction = -matrix[row] / max(float(np.linalg.norm(matrix[row])), 1e-12)
     has_axis = float(np.abs(direction).max()) > math.cos(math.radians(_SHARED_AXIS_DEG))
     axes = f"{down},{_in_file(nearest_axis(direction), ups[1])}" if has_axis else ""
-    values: dict[str, Value] = {"said": text, "ups": axes, "gauge": "" if has_axis else "se3"}
-    return Seen("groundtruth_up_axis", 1.0, values)
+    return Seen.of("groundtruth_up_axis", text=text, ups=axes, gauge="" if has_axis else "se3")
 
 
 def _in_file(axis: str, up: UpAxis) -> str:

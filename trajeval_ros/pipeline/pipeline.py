@@ -18,7 +18,6 @@ from trajeval_ros.diagnosis.diagnose import (
     diagnose_inputs,
     require_conventions,
 )
-from trajeval_ros.diagnosis.discontinuities import with_events
 from trajeval_ros.diagnosis.findings import Diagnosis, Finding, Tried
 from trajeval_ros.diagnosis.verification import Reevaluate, verified
 from trajeval_ros.exceptions import InputError, TrajevalError
@@ -156,9 +155,8 @@ def diagnose(
         return verified(found, None, reevaluate), str(error)
     sides = inputs.groundtruth, inputs.estimate
     paired = inputs.pairs is not None
-    evaluation = with_events(evaluation, *sides, paired=paired)
-    found = diagnose_evaluation(evaluation, *sides, paired=paired, losses=losses)
-    return verified(found, evaluation, reevaluate), ""
+    evaluation, diagnosis = diagnose_evaluation(evaluation, *sides, paired=paired, losses=losses)
+    return verified(diagnosis, evaluation, reevaluate), ""
 
 
 def _measured(
@@ -269,8 +267,7 @@ def _diagnosed(
     `reevaluate` evaluates with corrections. An alignment by orientations of another body is
     refused.
     """
-    evaluation = with_events(evaluation, groundtruth, estimate, paired=paired)
-    diagnosis = diagnose_evaluation(evaluation, groundtruth, estimate, paired=paired)
+    evaluation, diagnosis = diagnose_evaluation(evaluation, groundtruth, estimate, paired=paired)
     if hand_eye_calibrated:
         diagnosis = diagnosis.after_hand_eye_calibration()
     diagnosis = verified(diagnosis, evaluation, reevaluate)

@@ -192,7 +192,6 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "sentence": finding.sentence,
         "advice": finding.advice,
         "option": finding.option or None,
-        "explained": finding.explained,
         "evidence": {
             name: value for name, value in finding.evidence.items() if math.isfinite(value)
         },
