@@ -317,7 +317,7 @@ def test_discontinuities_are_searched_for_after_a_convention_is_corrected() -> N
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "is_searched"),
-    [("radians as degrees", False), ("30 fps for 25", False), ("clock 1000 ppm", True)],
+    [("radians as degrees", False), ("30 fps for 25", True), ("clock 1000 ppm", True)],
 )
 def test_a_mistake_of_the_whole_run_leaves_no_discontinuity(
     name: str, *, is_searched: bool, monkeypatch: pytest.MonkeyPatch

@@ -64,7 +64,6 @@ _OF_WHOLE_RUNS = {
     *_FINAL - {"identical"}, "unit", "duplicated", "groundtruth_held", "groundtruth_bridged",
     "gap_bridged",
 }  # fmt: skip
-_LARGE_PPM = 2e4  # of a clock rate, which is no step of a clock
 # With such a finding, the errors contain no information on covariances.
 _GRAVE = 5.2  # of ranks
 # ATE by the spread of the groundtruth: paths of other runs differ by more than this.
@@ -119,13 +118,11 @@ def diagnose(
 def _explains_motions(finding: Finding) -> bool:
     """Return whether a finding explains the motions of the whole run, so that none is left.
 
-    Euler angles and a large clock rate are such findings. A step of a clock looks like a small
-    rate, and a body that was flipped like rotations without a convention.
+    A step of a clock looks like an offset or a rate, and a body that was flipped like rotations
+    without a convention.
     """
     if finding.cause == "rotations":
         return bool(finding.evidence["is_explained"])
-    if finding.cause == "clock_drift":
-        return abs(finding.evidence["ppm"]) > _LARGE_PPM
     return finding.is_of_conventions or finding.cause in _OF_WHOLE_RUNS
 
 
