@@ -25,9 +25,12 @@ def test_the_verdict_comes_first_then_the_tables(
 ) -> None:
     assert main([*pair, "--modality", "stereo-inertial"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("estimate: ATE 0.06")
-    assert "yaw and translation, 4-DoF) for stereo-inertial, all 400 states" in lines[1]
-    assert "100 % of the estimate's poses" in lines[2]
+    assert lines[0].startswith("estimate: position error 0.06")
+    assert lines[1].startswith("  worst: ")
+    assert lines[2].startswith("  aligned by yaw and position; ")
+    below = "\n".join(lines[3:])
+    assert "yaw and translation, 4-DoF) for stereo-inertial, all 400 states" in below
+    assert "100 % of the estimate's poses" in below
     assert any("position [m]" in line and "400" in line for line in lines)
     assert any("8 m" in line for line in lines)
 
@@ -61,7 +64,7 @@ def test_the_drift_is_of_the_longest_sub_trajectories_in_metres(
         if each.get("position_percent")
     }
     assert main([*pair, "--lengths", lengths]) == 0
-    said = re.search(r"drift (\S+) % of (\S+) m \(mean", capsys.readouterr().out)
+    said = re.search(r"drift (\S+) % over (\S+) m", capsys.readouterr().out)
     assert said is not None
     assert float(said[2]) == pytest.approx(max(drifts), rel=1e-3)
     assert float(said[1]) == pytest.approx(drifts[max(drifts)], rel=1e-2)
@@ -324,7 +327,7 @@ def test_an_estimate_has_the_given_name_everywhere(
     options = ["--output", str(output), "--figure-format", "svg", "--rrd", str(recording)]
     assert main([*named, *options]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("Ours, v2: ATE")
+    assert lines[0].startswith("Ours, v2: position error")
     assert any(re.match(r"Ours, v2 +position \[m\]", line) for line in lines)
     runs = json.loads((output / "result.json").read_text())["runs"]
     assert [run["estimate"]["name"] for run in runs] == ["Ours, v2", "second"]
@@ -350,8 +353,8 @@ def test_a_file_with_an_equals_sign_in_its_name_is_a_source(
     Path("lr=0.1.txt").write_bytes(Path(pair[-1]).read_bytes())
     assert main([*pair[:-1], "lr=0.1.txt", "-e", "half=lr=0.1.txt"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("lr=0.1: ATE")
-    assert any(line.startswith("half: ATE") for line in lines)
+    assert lines[0].startswith("lr=0.1: position error")
+    assert any(line.startswith("half: position error") for line in lines)
     assert "0.2.txt does not exist" in refused([*pair[:-1], "lr=0.2.txt"], capsys)
 
 
@@ -371,7 +374,9 @@ def test_the_kitti_protocol_begins_with_the_numbers_of_its_ranking(
     sources = [str(tmp_path / f"{name}.txt") for name in ("groundtruth", "estimate")]
     assert main(["evaluate", *sources, "--protocol", "kitti"]) == 0
     first = capsys.readouterr().out.splitlines()[0]
-    assert re.match(r"estimate: \d\.\d{3} %, \S+ deg/100 m \(KITTI, 100 to 300 m\); ATE ", first)
+    assert re.match(
+        r"estimate: \d\.\d{3} %, \S+ deg/100 m \(KITTI, 100 to 300 m\); position ", first
+    )
     assert "drift" not in first
     assert main(["evaluate", *sources, "--protocol", "kitti", "--json", "-"]) == 0
     pooled = json.loads(capsys.readouterr().out)["runs"][0]["re"]["pooled"]

@@ -113,9 +113,13 @@ def test_the_headline_is_the_ate_that_the_groundtruth_supports(
     )
     assert supported != whole
     assert headline.startswith(
-        f"best: ATE {supported} position (approximate 95 % interval {low} to {high}) over "
+        f"best: position error {supported} RMSE after alignment (ATE, approximate 95 % interval "
+        f"{low} to {high}) over "
     )
-    assert below == f"  ATE {whole} position over all pairs, gaps of the groundtruth included"
+    assert below == (
+        f"  position error {whole} RMSE after alignment (ATE) over all pairs, gaps of the "
+        "groundtruth included"
+    )
 
 
 def test_noise_is_the_users(files: Path) -> None:
