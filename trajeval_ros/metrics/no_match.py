@@ -15,6 +15,7 @@ LATEST_CLOCK_S = 5e9  # the year 2128
 _GPS_START_S = 315_964_782  # start of GPS time since 1970, less the 18 leap seconds since 2017
 _WEEK_S = 604_800
 _DAY_S = 86_400.0
+_AUTO = "--time-offset auto"
 # Wrong time zones and clocks that start at zero differ by less.
 _OTHER_RECORDING_S = 2.0 * _DAY_S
 
@@ -103,12 +104,15 @@ def explain_no_match(
     if is_from_zero:
         return (
             f"{text}; one counts from zero (simulated time), the other is a system clock; if both "
-            f"start together, set the time offset to {shift:.6f} s"
+            f"start together, set the time offset to {shift:.6f} s; otherwise, {_AUTO} searches it"
         )
     apart = max(groundtruth_s[0] - estimate_s[1], estimate_s[0] - groundtruth_s[1])
     if apart > _OTHER_RECORDING_S:
         days = f"{apart / _DAY_S:.0f} days"
-        return f"{text}, {days} apart; the estimate is probably of another recording"
+        return (
+            f"{text}, {days} apart; the estimate is probably of another recording, or a clock was "
+            f"wrong, and {_AUTO} searches the offset"
+        )
     return (
         f"{text}, {significant(apart, 6)} s apart; for a constant clock difference, set the time "
         f"offset (for a common start: {shift:.6f} s)"

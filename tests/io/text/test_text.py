@@ -514,3 +514,11 @@ def test_a_table_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
     assert (
         read_trajectory(str(path)).stamps.tolist() == read_trajectory(str(plain)).stamps.tolist()
     )
+
+
+@pytest.mark.parametrize("name", ["poses.txt", "run.mcap", "run.bag"])
+def test_a_pointer_of_git_lfs_is_named(name: str, tmp_path: Path) -> None:
+    pointer = tmp_path / name
+    pointer.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0a\nsize 12\n")
+    with pytest.raises(InputError, match=f"git lfs pull --include {name}"):
+        read_trajectory(str(pointer))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -40,6 +41,8 @@ from trajeval_ros.io.text.stamps import is_clock
 from trajeval_ros.io.text.states import states_of
 from trajeval_ros.io.text.table import Rows, TextTable, read_rows
 from trajeval_ros.io.text.times import nanosecond_parts, receptions_of, times_of, with_times
+
+_LFS = b"version https://git-lfs.github.com/"
 
 
 def read_text(
@@ -103,6 +106,11 @@ def _read(path: Path, origin: Path, advance: Advance | None, hints: TextHints) -
     if path.is_file():
         with path.open("rb") as file:
             beginning = file.read(HEAD)
+    if beginning.startswith(_LFS):
+        raise InputError(
+            f"{path} is a pointer of Git LFS without the data; get them: git lfs pull --include "
+            f"{shlex.quote(path.name)}"
+        )
     if b"GGA," in beginning and re.search(ANY_GGA, beginning.replace(b"\r", b"\n")):
         return read_nmea(path)
     if beginning.startswith(b"\x93NUMPY") or (
