@@ -30,6 +30,8 @@ TOLD = {
     "/vio/camera": ("marker", "body", "hand_eye:=auto"),
     "/vio/gps_time": ("clock +18 s", "clock_offset", "time_offset:=-18"),
 }
+# Receive times show clocks that differ by seconds, and a remark about clocks has no hint beside it.
+NOT_HINTED = {"", "clock_offset"}
 
 
 def test_a_live_run_names_the_mistakes_that_its_recording_shows(
@@ -59,7 +61,7 @@ def test_a_live_run_names_the_mistakes_that_its_recording_shows(
         peer.play(bag, dict.fromkeys((GROUNDTRUTH, *TOLD), 1), ["evaluator"], rate=3.0)
         peer.until(
             lambda: all(
-                _hints(topic, events) == {cause} - {""}
+                _hints(topic, events) == {cause} - NOT_HINTED
                 and (status := _last_of(topic, heard)) is not None
                 and option in status.message
                 for topic, (_, cause, option) in TOLD.items()
