@@ -30,7 +30,7 @@ TOLD = {
     "/vio/camera": ("marker", "body", "hand_eye:=auto"),
     "/vio/gps_time": ("clock +18 s", "clock_offset", "time_offset:=-18"),
 }
-# Receive times show clocks that differ by seconds, and a remark about clocks has no hint beside it.
+# Receive times show clocks that differ by seconds; a remark about clocks has no hint beside it.
 NOT_HINTED = {"", "clock_offset"}
 
 
