@@ -82,7 +82,6 @@ _PATHS = {
     ),
 }
 POSE_TYPES = (*_PATHS, PATH_TYPE)
-COVARIANCE_TYPES = tuple(name for name, paths in _PATHS.items() if paths.covariance)
 _OF_A_PATH = _PATHS["geometry_msgs/msg/PoseStamped"]
 _OF_TRANSFORMS = _PATHS["geometry_msgs/msg/TransformStamped"]
 

@@ -103,7 +103,6 @@ _LABEL = (
     r"|q|num|count|sats?|satellites|ns|nsat|age|status|fix|service|duration|dt|week|seconds"
     r"|v|w|a|b|d|l|marker|mean|tracking|lidar|image|file|path|frame)" + _END
 )
-_OPENVINS = r"\bq p v bg ba\b"  # one name per vector
 _COMPASS = r"(?:.*_)?(?:heading|azimuth|course|bearing|track)(?:_deg)?"
 
 
