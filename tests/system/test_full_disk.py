@@ -105,7 +105,7 @@ def test_a_live_run(disk: Path) -> None:
     fill(disk, 4096)
     said = refused(["finish", str(run), "--output", str(run), "--quiet"])
     assert said == f"trajeval: the folder {run} {FULL}"
-    assert names(run) == ["vio.pairs"]
+    assert names(run) == ["groundtruth.states", "vio.states"]
 
 
 @pytest.mark.slow

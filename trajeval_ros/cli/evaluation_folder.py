@@ -51,10 +51,12 @@ def _write(folder: Path, result: dict[str, object], outcome: Outcome, look: Figu
         writing = [
             thread.submit(write, temporary / name) for name, write in error_files(outcome).items()
         ]
-        if _HAVE_FIGURES:
-            _draw(temporary, outcome, look)
-        for task in writing:
-            task.result()
+        try:
+            if _HAVE_FIGURES:
+                _draw(temporary, outcome, look)
+        finally:  # of two errors, such as of a full disk, that of the arrays is reported
+            for task in writing:
+                task.result()
         (temporary / _RESULT).write_text(json_text(result, indent=2), encoding="utf-8")
         folder.mkdir(exist_ok=True)
         (folder / _RESULT).unlink(missing_ok=True)
