@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 # More than ten times what any event takes on a quiet machine: at the end of a live run, as many
 # processes of the lowest priority write results as there are evaluators.
-PATIENCE_S = 600.0
+PATIENCE_S = 150.0
 LOOK_EVERY_S = 0.02
 
 

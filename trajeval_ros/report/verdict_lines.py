@@ -118,7 +118,11 @@ def definitions(evaluation: Evaluation) -> list[str]:
         f"({protocol.gauge.description}){modality}, {how}{poses}{weights}{_spread(evaluation)}; "
         f"{METHOD_TEXTS[pairs.rule.method].format(pairs.rule)}",
         *_covered(evaluation),
-        *([f"  relative errors: {_relative_form(evaluation)}"] if evaluation.relative else []),
+        *(
+            [f"  relative errors: {_relative_form(evaluation)}"]
+            if any(part.count for part in evaluation.relative or ())
+            else []
+        ),
         *_up(evaluation.groundtruth.up, evaluation.estimate.up),
     ]
 
