@@ -151,7 +151,7 @@ def test_an_evaluation_imports_nothing_that_writes_folders_tables_or_styles(
         for module in (
             "cli.evaluation_folder",
             "formatting.text_tables",
-            "io.live.pair_file",
+            "io.live.state_file",
             "io.npz_file",
             "io.temporary",
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -35,6 +34,8 @@ def chosen_evaluation(recording: str, *, is_gauge_given: bool) -> LikelyEvaluati
     Raises:
         InputError: No groundtruth or no estimate is likely, or two evaluations are equally likely.
     """
+    import shlex
+
     from trajeval_ros.io.roles import describe_all, likely_evaluations
     from trajeval_ros.report.console import console
 
@@ -67,6 +68,8 @@ def with_reasons(groundtruth: Trajectory, chosen: LikelyEvaluation) -> Trajector
 
 def repeated(chosen: LikelyEvaluation, recording: str, *, is_gauge_given: bool) -> str:
     """Return the command with sources and sensors in place of the recording."""
+    import shlex
+
     given = [word for word in arguments() if word != recording]
     if is_gauge_given:
         chosen = dataclasses.replace(chosen, modality="")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -107,6 +106,8 @@ def _read(path: Path, origin: Path, advance: Advance | None, hints: TextHints) -
         with path.open("rb") as file:
             beginning = file.read(HEAD)
     if beginning.startswith(_LFS):
+        import shlex
+
         raise InputError(
             f"{path} is a pointer of Git LFS without the data; get them: git lfs pull --include "
             f"{shlex.quote(path.name)}"
