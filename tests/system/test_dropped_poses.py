@@ -127,6 +127,40 @@ def test_every_command_states_dropped_poses(
     assert lost in captured.out + captured.err
 
 
+@pytest.mark.parametrize(
+    "verb",
+    [
+        ["evaluate", "GROUNDTRUTH", "SOURCE"],
+        ["evaluate", "SOURCE", "GROUNDTRUTH"],
+        ["info", "SOURCE"],
+        ["diagnose", "GROUNDTRUTH", "SOURCE"],
+        ["explain", "GROUNDTRUTH", "SOURCE", "0.1m"],
+        ["groundtruth", "SOURCE"],
+        ["watch", "SOURCE"],
+        ["compare", "GROUNDTRUTH", "SOURCE"],
+    ],
+    ids=" ".join,
+)
+def test_every_command_states_messages_that_it_cannot_decode(
+    verb: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    if verb[0] == "compare":
+        pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+    monkeypatch.chdir(tmp_path)
+    source = str(mcap(tmp_path))
+    whole = read_trajectory(mcap_file(tmp_path / "whole.mcap", messages=payloads(COUNT)))
+    rows = np.column_stack([whole.stamps / 1e9, whole.positions, whole.quaternions])
+    np.savetxt("truth.txt", rows, fmt="%.9f")
+    names = {"GROUNDTRUTH": "truth.txt", "SOURCE": source}
+    main([names.get(word, word) for word in verb])
+    captured = capsys.readouterr()
+    texts = (f"{LOST} that can't be decoded", f"{LOST} dropped: undecodable")
+    assert any(text in captured.out + captured.err for text in texts)
+
+
 def test_evaluate_refuses_damaged_text_with_strict(
     groundtruth: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
