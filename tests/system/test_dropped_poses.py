@@ -152,6 +152,7 @@ def test_every_command_states_messages_that_it_cannot_decode(
     monkeypatch.chdir(tmp_path)
     source = str(mcap(tmp_path))
     whole = read_trajectory(mcap_file(tmp_path / "whole.mcap", messages=payloads(COUNT)))
+    assert whole.quaternions is not None
     rows = np.column_stack([whole.stamps / 1e9, whole.positions, whole.quaternions])
     np.savetxt("truth.txt", rows, fmt="%.9f")
     names = {"GROUNDTRUTH": "truth.txt", "SOURCE": source}
