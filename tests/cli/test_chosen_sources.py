@@ -14,6 +14,9 @@ from ros_bags import POSE, messages_of
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.geometry.trajectory import Trajectory
+from trajeval_ros.io.describe import Description, TrajectorySummary
+from trajeval_ros.io.known_systems import recognised
+from trajeval_ros.io.roles import likely_evaluations
 from trajeval_ros.simulation.drifting_odometry import simulate
 
 IMU, IMAGE, CLOUD = "sensor_msgs/msg/Imu", "sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2"
@@ -152,9 +155,21 @@ def test_a_folder_of_text_files_is_evaluated(
     assert "groundtruth groundtruth.txt: by its name" in capsys.readouterr().err
 
 
+def test_options_of_one_system_are_not_proposed_for_others(tmp_path: Path) -> None:
+    truth = TrajectorySummary("run:/mocap/pose", POSE, 10, could_be="groundtruth")
+    system = recognised(ODOM, "/ov_msckf/odomimu", "global", "imu")
+    openvins = TrajectorySummary("run:/ov_msckf/odomimu", ODOM, 10, system=system)
+    other = TrajectorySummary("run:/vio/odometry", ODOM, 10)
+    for estimates, has_options in (((openvins,), True), ((openvins, other), False)):
+        (likely,) = likely_evaluations(Description(tmp_path, (truth, *estimates)))
+        assert len(likely.estimates) == len(estimates)
+        assert ("--covariance message" in likely.command()) == has_options
+
+
 def test_a_gauge_of_the_user_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording = bag(tmp_path, TRUTH, ("/vio/odometry", ODOM), ("/wheel/odom", ODOM))
     assert main([str(recording), "--gauge", "se3"]) == 0
     printed = capsys.readouterr()
     assert "--modality" not in printed.out.splitlines()[-1]
     assert printed.out.splitlines()[-1].endswith("--gauge se3")
+    assert "sensors" not in printed.err

@@ -66,12 +66,10 @@ def with_reasons(groundtruth: Trajectory, chosen: LikelyEvaluation) -> Trajector
     return dataclasses.replace(groundtruth, reading=reading)
 
 
-def repeated(chosen: LikelyEvaluation, recording: str, *, is_gauge_given: bool) -> str:
+def repeated(chosen: LikelyEvaluation, recording: str) -> str:
     """Return the command with sources and sensors in place of the recording."""
     import shlex
 
     given = [word for word in arguments() if word != recording]
-    if is_gauge_given:
-        chosen = dataclasses.replace(chosen, modality="")
     command = dataclasses.replace(chosen, options="").command()
     return " ".join([command, *map(shlex.quote, given)])

@@ -105,12 +105,12 @@ def evaluate(
         trajeval evaluate rtk.txt vio.txt --association continuous \
             --groundtruth-noise 0.01,1
     """
-    chosen, is_gauge_given = None, any(settings[name] for name in _GAUGES)
+    chosen = None
     if recording := recording_of(by_position, groundtruth, estimate):
+        is_gauge_given = any(settings[name] for name in _GAUGES)
         chosen = chosen_evaluation(recording, is_gauge_given=is_gauge_given)
         by_position, groundtruth, estimate = (), chosen.groundtruth, chosen.estimates
-        if not is_gauge_given:
-            settings["modality"] = chosen.modality or None
+        settings["modality"] = chosen.modality or settings["modality"]
     request = request_from(settings)
     requirements = [Requirement.parse(text) for text in require]
     pictures = Pictures(rrd=rrd, viewer=viewer)
@@ -148,5 +148,5 @@ def evaluate(
         pictures=pictures,
         mcap=mcap,
         look=look,
-        repeat=repeated(chosen, recording, is_gauge_given=is_gauge_given) if chosen else "",
+        repeat=repeated(chosen, recording) if chosen else "",
     )

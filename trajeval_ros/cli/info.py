@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -227,7 +226,7 @@ def _print_others(terminal: Console, description: Description) -> None:
 
 def _print_next_step(terminal: Console, description: Description) -> None:
     """Print the commands that evaluate the likely estimates, with placeholders for what lacks."""
-    from trajeval_ros.io.roles import likely_evaluations
+    from trajeval_ros.io.roles import LikelyEvaluation, likely_evaluations
 
     usable = [summary for summary in description.trajectories if not summary.problem]
     for summary in usable:
@@ -236,19 +235,17 @@ def _print_next_step(terminal: Console, description: Description) -> None:
             topic = summary.source.rpartition(":")[2]
             terminal.print(f"{topic}: looks like {system.name}: {system.trap}", soft_wrap=True)
     likely = likely_evaluations(description)
-    commands = [evaluation.command("GROUNDTRUTH", "SENSORS") for evaluation in likely]
     moving = [edge for edge in description.edges if not edge.is_static]
     if moving and not usable:
         edge = moving[0]
         source = f"{description.path}:{edge.topic}:{edge.parent}.{edge.child}"
-        commands = [
-            f"trajeval evaluate -g GROUNDTRUTH -e {shlex.quote(source)} --modality SENSORS"
-        ]
-    for command in commands:
+        likely = [LikelyEvaluation("", (source,), "")]
+    for evaluation in likely:
+        command = evaluation.command("GROUNDTRUTH", "SENSORS")
         terminal.print(f"\n{command}", soft_wrap=True)
-    if any("GROUNDTRUTH" in command for command in commands):
+    if not all(evaluation.groundtruth for evaluation in likely):
         terminal.print("GROUNDTRUTH: another file or BAG:TOPIC of the same run", soft_wrap=True)
-    if any("SENSORS" in command for command in commands):
+    if not all(evaluation.modality for evaluation in likely):
         terminal.print(f"SENSORS: {', '.join(MODALITIES)}", soft_wrap=True)
 
 

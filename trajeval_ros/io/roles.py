@@ -58,7 +58,7 @@ def likely_evaluations(
 
     Estimates of one evaluation have one gauge. Those of unknown sensors share it if it is the only
     one. Of several groundtruths, a simulator's or a dataset's one is preferred, and fixes are used
-    only if there is no other. `has_one_gauge`: the user states the gauge.
+    only if there is no other. `has_one_gauge`: the user states the gauge, and no sensors follow.
     """
     usable = [summary for summary in description.trajectories if not summary.problem]
     references = [summary for summary in usable if summary.could_be == GROUNDTRUTH]
@@ -81,7 +81,13 @@ def likely_evaluations(
         unknown = groups.pop(None)
         next(iter(groups.values())).extend(unknown)
     return [
-        _evaluation(truth, group, description, others=len(references) - 1)
+        _evaluation(
+            truth,
+            group,
+            description,
+            others=len(references) - 1,
+            has_sensors=not has_one_gauge,
+        )
         for truth in likely or [None]
         for group in groups.values()
     ]
@@ -118,8 +124,10 @@ def _evaluation(
     estimates: list[TrajectorySummary],
     description: Description,
     others: int = 0,
+    *,
+    has_sensors: bool = True,
 ) -> LikelyEvaluation:
-    modality, why = _sensors(estimates[0], description)
+    modality, why = _sensors(estimates[0], description) if has_sensors else ("", "")
     reasons = []
     if truth is not None:
         more = f"; {counted(others, 'other topic')} can be groundtruth, too" if others > 0 else ""
@@ -133,15 +141,16 @@ def _evaluation(
     ]
     if modality:
         reasons.append(f"sensors {modality}: {why}; change them with --modality")
-    else:
+    elif has_sensors:
         reasons.append("sensors unknown; state them with --modality")
-    system = estimates[0].system
+    # Options are of one system; other estimates would take them, too.
+    options = {summary.system.options if summary.system else "" for summary in estimates}
     return LikelyEvaluation(
         "" if truth is None else truth.source,
         tuple(summary.source for summary in estimates),
         modality,
         tuple(reasons),
-        system.options if system is not None else "",
+        options.pop() if len(options) == 1 else "",
     )
 
 
