@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import struct
+import tracemalloc
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -128,6 +129,21 @@ def test_a_head_that_lies_about_sizes_takes_no_memory(
     read = read_states(path)
     assert assert_prefix(read, chunks) == 1
     assert read.torn == 20
+
+
+def test_ten_sparse_gigabytes_take_no_memory(tmp_path: Path) -> None:
+    """As a file system leaves a file after a crash; zeros are no chunk."""
+    path = tmp_path / "vio.states"
+    chunks = write(path, [3, 2])
+    size = path.stat().st_size
+    os.truncate(path, 10 << 30)
+    tracemalloc.start()
+    recorded = read_states(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 1 << 20
+    assert assert_prefix(recorded, chunks) == 2
+    assert recorded.torn == (10 << 30) - size
 
 
 @pytest.mark.parametrize("text", [b"[1]", b"nonsense", b"\xff\xfe", b'"text"'])
