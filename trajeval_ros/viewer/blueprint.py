@@ -169,7 +169,7 @@ def _errors(more: list[Any], *, estimates: int, tops: tuple[float | None, float 
             *more,
         ),
         name="Errors",
-        row_shares=[7, 4, 3, 3] if estimates == 1 else [5, 4, 3, 5],
+        row_shares=[7, 4, 3, 3] if estimates == 1 else [6, 4, 3, 5],
     )
 
 
