@@ -106,7 +106,8 @@ class Trajectory:
             raise TypeError(f"timestamps must be int64 nanoseconds, not {self.stamps.dtype}")
         if self.quaternions is not None:
             # A check of the mean is cheap and detects NaN, zeros and rows without normalisation.
-            excess = float(np.vdot(self.quaternions, self.quaternions)) - count
+            # The dot product of BLAS may start threads, which spin until the next call.
+            excess = float(np.einsum("ni,ni->", self.quaternions, self.quaternions)) - count
             if not abs(excess) <= _UNIT * count:
                 raise ValueError(
                     "quaternions must have length 1; use Trajectory.from_columns to normalise them"
