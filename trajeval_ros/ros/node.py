@@ -290,7 +290,7 @@ class EvaluatorNode:
         for about, remark in self._events.publish_counts():
             self._log(f"{about}: {remark.text}", remark.level)
         for news in self._picture.news():
-            self._log(f"no output in Rerun: {news}", Level.WARNING)
+            self._log(f"Rerun: {news}", Level.WARNING)
         if (line := self._line.show(parts)) is not None:
             self._log(line)
 
