@@ -497,3 +497,19 @@ def test_brackets_in_names(time: str, tmp_path: Path) -> None:
     header = f"{time},x,y,z,qx,qy,qz,qw"
     path.write_text(rows(SECONDS, PLACES, XYZW, separator=",", header=header))
     assert_right(read_trajectory(path))
+
+
+def test_covariances_named_by_axes(tmp_path: Path) -> None:
+    axes = ("x", "y", "z", "roll", "pitch", "yaw")
+    pairs = [(first, second) for first in range(6) for second in range(first, 6)]
+    names = [f"cov_{axes[first]}_{axes[second]}" for first, second in pairs]
+    values = np.arange(1.0, 22.0)
+    path = tmp_path / "t.csv"
+    header = ",".join(["time,x,y,z,qx,qy,qz,qw", *names])
+    path.write_text(
+        rows(SECONDS, PLACES, XYZW, np.tile(values, (COUNT, 1)), separator=",", header=header)
+    )
+    covariances = read_trajectory(path).covariances
+    assert covariances is not None
+    for (first, second), value in zip(pairs, values.tolist(), strict=True):
+        assert covariances[0, first, second] == covariances[0, second, first] == value
