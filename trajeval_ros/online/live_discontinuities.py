@@ -17,7 +17,8 @@ from trajeval_ros.online.state_rows import QUATERNION
 # Pairs wait no longer for the decision whether a step among them stays.
 _MOST_HELD_NS = 12 * NANOSECONDS
 _MOST_WAITING = 1000  # blocks of messages before the first of the other side
-_BLOCK_NS = NANOSECONDS  # messages that are examined at a time
+# Time of messages that are examined at a time: less costs time per message, more delays an event.
+_BLOCK_NS = NANOSECONDS // 2
 
 
 class LiveDiscontinuities:
@@ -58,7 +59,7 @@ class LiveDiscontinuities:
             self._waiting.popleft()
 
     def examine(self, *, at_end: bool = False) -> list[Event]:
-        """Examine the states since the last call; return the new events.
+        """Examine the states that have arrived, in blocks of time; return the new events.
 
         Frozen parts extend their event while they last. `at_end`: no states will follow.
         """
@@ -66,7 +67,7 @@ class LiveDiscontinuities:
             self._begin()
         if self._search is None or (self._is_over and not self._waiting):
             return []
-        while self._waiting:
+        while self._waiting and (at_end or self._has_block()):
             for block in self._next_block():
                 self._search.add(*block)
         events = self._search.events
@@ -109,6 +110,10 @@ class LiveDiscontinuities:
         if len(firsts) == len(SIDES):
             oriented = not any(np.isnan(poses[0, QUATERNION]).any() for poses in firsts.values())
             self._search = Discontinuities(oriented=oriented)
+
+    def _has_block(self) -> bool:
+        first, last = int(self._waiting[0][1][0]), int(self._waiting[-1][1][-1])
+        return abs(last - first) >= _BLOCK_NS
 
     def _next_block(self) -> list[tuple[str, Stamps, Floats, Stamps | None]]:
         """Return the next states that wait, joined by side."""

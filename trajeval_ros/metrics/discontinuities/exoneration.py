@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from trajeval_ros.metrics.discontinuities.events import ESTIMATE, GROUNDTRUTH, SIDES, UNDECIDED
 from trajeval_ros.metrics.discontinuities.pose_stream import Innovation
-from trajeval_ros.metrics.discontinuities.relative_motion import Difference
+from trajeval_ros.metrics.discontinuities.relative_motion import Size
 
 GAP_PERIODS = 4.0  # a longer step of timestamps is a gap: the motion in it is unknown
 # Innovation as a fraction of the step: a smooth side has none, a guilty one nearly all of it.
@@ -32,7 +32,7 @@ def guilty_side(
     innovations: Sequence[Innovation],
     periods_s: tuple[float, float],
     scale: float,
-    size: Difference,
+    size: Size,
     parts: tuple[bool, bool],
 ) -> SideVerdict:
     """Return the side that made a step, by exoneration.
