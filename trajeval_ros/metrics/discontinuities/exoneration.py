@@ -30,7 +30,6 @@ class SideVerdict:
 
 def guilty_side(
     innovations: Sequence[Innovation],
-    periods_s: tuple[float, float],
     scale: float,
     size: Size,
     parts: tuple[bool, bool],
@@ -43,8 +42,9 @@ def guilty_side(
     by_m, by_deg = parts
     m, deg = max(size.m, 1e-9), max(size.deg, 1e-9)
     shares, whole, odd, gaps = [], [], [], []
-    for innovation, period_s, unit in zip(innovations, periods_s, (1.0, scale), strict=True):
-        is_whole = innovation.gap_s <= max(GAP_PERIODS * period_s, 1e-3)
+    periods_s = [innovation.period_s for innovation in innovations]
+    for innovation, unit in zip(innovations, (1.0, scale), strict=True):
+        is_whole = innovation.gap_s <= max(GAP_PERIODS * innovation.period_s, 1e-3)
         moved = unit * innovation.m
         whole.append(is_whole)
         gaps.append(0.0 if is_whole or math.isinf(innovation.gap_s) else innovation.gap_s)

@@ -39,6 +39,7 @@ class Innovation:
     gap_s: float  # longest step of the timestamps; infinite if too few poses are known
     usual_m: float
     usual_deg: float
+    period_s: float  # usual step of the timestamps before it
 
 
 class SidePoses:
@@ -50,6 +51,7 @@ class SidePoses:
         self.newest_s = -math.inf  # repeated poses included
         self._oriented = oriented
         self._has_rotated = False
+        self.first: Floats = np.zeros(7)  # the first pose
         self._last: Floats | None = None  # the newest pose, also if it is repeated
         # Seconds and poses xyz xyzw, with room for more, and the rows in use.
         self._stamps: Floats = np.empty(_FEWEST_ROWS)
@@ -97,7 +99,7 @@ class SidePoses:
             stamps, rows = stamps[kept], rows[kept]
         if self._last is None and len(stamps):
             self._append(stamps[:1], rows[:1])
-            self.newest_s, self._last = float(stamps[0]), rows[0]
+            self.newest_s, self.first, self._last = float(stamps[0]), rows[0], rows[0]
             stamps, rows = stamps[1:], rows[1:]
         if self._last is None or not len(stamps):
             return
@@ -161,7 +163,7 @@ class SidePoses:
         high = min(self.row_after(end_s + max(margin_s, 1e-9)) + _AFTER, len(self))
         stamps, poses = self.stamps[low:high], self.poses[low:high]
         if len(stamps) < 4:
-            return Innovation(0.0, 0.0, math.inf, 0.0, 0.0)
+            return Innovation(0.0, 0.0, math.inf, 0.0, 0.0, 0.0)
         first = max(self.row_from(begin_s + 1e-9) - 1 - low, 0)
         last = min(self.row_from(end_s - 1e-9) - low, len(stamps) - 1)
         steps = np.diff(stamps)
@@ -173,9 +175,12 @@ class SidePoses:
         by_deg = np.degrees(_changes(rates, steps, 1))
         second = np.degrees(_changes(rates, steps, 2))
         by_deg = np.maximum(by_deg, np.where(np.isfinite(second), second, 0.0))
-        usual = [median(values[: first + 1]) if first > 3 else 0.0 for values in (by_m, by_deg)]
+        usual_m, usual_deg = (
+            median(values[: first + 1]) if first > 3 else 0.0 for values in (by_m, by_deg)
+        )
+        period_s = median(steps[:first] if first > 3 else steps)
         m, deg, gap_s = (float(values[inside].max()) for values in (by_m, by_deg, steps))
-        return Innovation(m, deg, gap_s, *usual)
+        return Innovation(m, deg, gap_s, usual_m, usual_deg, period_s)
 
     def _append(self, stamps: Floats, poses: Floats) -> None:
         if self._end + len(stamps) > len(self._stamps):

@@ -27,19 +27,18 @@ _LEAST_EARLIER_S = 4.0  # of a pair that a correction agrees with
 def kind_of_step(
     motion: RelativeMotion,
     history: MotionHistory,
-    first: Floats,
+    origin: Floats,
     between: tuple[Floats, Floats],
     size: Size,
     verdict: SideVerdict,
 ) -> str:
     """Return whether the estimate restarted, was corrected, or made another step.
 
-    `first`: the first pair of the run. `between`: the pairs before and after the step.
+    `origin`: the estimate's first position (3,). `between`: the pairs before and after the step.
     """
     begin, end = between
-    origins = first[POSITION], np.zeros(3)
-    near_m = motion.scale * min(_distance(end[POSITION], origin) for origin in origins)
-    far_m = motion.scale * _distance(begin[POSITION], first[POSITION])
+    near_m = motion.scale * min(_distance(end[POSITION], at) for at in (origin, np.zeros(3)))
+    far_m = motion.scale * _distance(begin[POSITION], origin)
     is_near = near_m < min(max(size.m / 4.0, 0.1), far_m / 3.0)
     if verdict.side == ESTIMATE and is_near:
         return RESTART

@@ -81,7 +81,6 @@ class StepSearch:
         self._ns, self._corrects_clock = nanoseconds, corrects_clock
         self._history = MotionHistory(motion, source.begin_s, source.period_s)
         self._burn_in: Floats | None = np.empty((0, PAIR_WIDTH))
-        self._first: Floats = np.empty(0)
         self._interval = 0  # number of the interval whose pairs have the same limits
         # Steps that may return: begin, end, event, and the body's rotation before them.
         self._stayed: deque[tuple[Floats, Floats, Event, BodyState]] = deque(maxlen=8)
@@ -117,7 +116,7 @@ class StepSearch:
                 self._add(kinds.STEP, verdict, step, step.pairs[-1])
 
     def _end_burn_in(self, pairs: Floats) -> None:
-        self._burn_in, self._first = None, pairs[0]
+        self._burn_in = None
         calm = np.diff(pairs[:, 0]) < _GAP * self._source.period_s
         difference = self._motion.between(pairs[:-1][calm], pairs[1:][calm])
         self._usual.add(0, difference.m, difference.deg)
@@ -261,8 +260,8 @@ class StepSearch:
         if by_deg and size.deg > _FLIP_DEG and (is_rotated or (is_rotated is None and not by_m)):
             kind = kinds.FLIP_STAYS
         elif verdict.side in (kinds.ESTIMATE, UNDECIDED):
-            history, between = self._history, (begin, end)
-            kind = kind_of_step(self._motion, history, self._first, between, size, verdict)
+            origin = self._source.streams[1].first[:3]
+            kind = kind_of_step(self._motion, self._history, origin, (begin, end), size, verdict)
         step.size = Size(size.m if by_m else 0.0, size.deg if by_deg else 0.0)
         step.limits = limits
         event = self._add(kind, verdict, step, end)
@@ -278,10 +277,12 @@ class StepSearch:
             sides = {event.side, verdict.side}
             if end[0] - start[0] > _RETURN_S or (len(sides) > 1 and UNDECIDED not in sides):
                 continue
-            rotation = before[0] if event.kind == kinds.FLIP_STAYS else None
+            flips = event.kind == kinds.FLIP_STAYS
+            rotation = before[0] if flips else None
             total = self._motion.between(begin, end[None], rotation=rotation).size(0)
-            is_known = not event.m or self._limits(begin, end)[0] < 2.0 * event.m
-            if is_known and is_back(total, Size(event.m, event.deg)):
+            size = Size(0.0 if flips else event.m, event.deg)
+            is_known = not size.m or self._limits(begin, end)[0] < 2.0 * size.m
+            if is_known and is_back(total, size):
                 is_flip = event.deg > _FLIP_DEG
                 event.kind = kinds.FLIP if is_flip else kinds.OUTLIER
                 event.end_ns, event.s = self._ns(end[0]), float(end[0] - start[0])
@@ -336,7 +337,7 @@ class StepSearch:
         self, begin: Floats, end: Floats, size: Size, parts: tuple[bool, bool]
     ) -> SideVerdict:
         innovations = [self._source.innovation(side, begin[0], end[0]) for side in (0, 1)]
-        return guilty_side(innovations, self._periods, self._motion.scale, size, parts)
+        return guilty_side(innovations, self._motion.scale, size, parts)
 
     def _add(self, kind: str, verdict: SideVerdict, step: OpenStep, end: Floats) -> Event:
         by_m, by_deg = step.by_parts
