@@ -3,7 +3,7 @@
 The folder has a file of the groundtruth and one per estimate. A file is a sequence of chunks
 (`chunk_file.py`). The first text describes the stream. Later texts have the run's settings and
 counts, which do not follow from the states. A row is a timestamp and a time of reception, int64
-nanoseconds, and ten float64 as decoded: position, quaternion xyzw, velocity; NaN if not measured.
+nanoseconds, and ten float64: position, unit quaternion xyzw, velocity; NaN if not measured.
 Other magic numbers mark other rows: states followed by the covariance, 36 float64 as in the
 message; and the poses as received, if they are not the states themselves: with the reception of
 their correction, and with the angular velocity after the velocity.
