@@ -22,9 +22,11 @@ _WORDS = {
         "evaluate --pairs",
     ),
     "--alert-limit alone requests the test": ("--integrity",),
-    "compare writes SVG without titles to figures/, of any width; convert it by rsvg-convert": (
-        "compare --figure-format", "compare --figure-width", "compare --no-title",
-        "compare --style",
+    "compare writes figures without titles in the default style; give --figure-format": (
+        "compare --figure-width", "compare --no-title", "compare --style",
+    ),
+    "Rerun's viewer has a map: trajeval view FILE.rrd": (
+        "trajectory --map", "trajectory --map-bounds", "trajectory --ros_map_yaml",
     ),
     "use --cluster with a Dask cluster": ("compare --shard", "compare --merge"),
     "name the --output of every comparison, and query their runs.parquet together, as in DuckDB": (
