@@ -55,7 +55,10 @@ def test_a_result_of_version_0_2_stands_beside_one_of_this_version(tmp_path: Pat
     before = of_version_0_2(earlier)["provenance"]["settings"]
     assert FinishedResults([*map(str, folders)]).settings == {**before, "common_time_span": False}
     out = tmp_path / "out"
-    assert main(["compare", *map(str, folders), "--output", str(out), "--quiet"]) == 0
+    assert (
+        main(["compare", "--figures", "0", *map(str, folders), "--output", str(out), "--quiet"])
+        == 0
+    )
     heading, *rows = (out / "ate_position_m.csv").read_text().splitlines()
     one, other = ([float(each) for each in row.split(",")[1:2]] for row in rows)
     assert heading.startswith("algorithm,")

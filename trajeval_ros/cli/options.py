@@ -70,7 +70,7 @@ _SHARED = (
         verbs=(EVALUATE, COMPARE, FINISH, TRAJECTORY, "watch", "groundtruth"),
         help="No output on the terminal except warnings about missing data."),
     Setting(name="figure_format", metavar="LIST", panel=FIGURES,
-        verbs=(EVALUATE, TRAJECTORY, STUDY_GAUGE),
+        verbs=(EVALUATE, COMPARE, TRAJECTORY, STUDY_GAUGE),
         help=f"Formats of figures, separated by commas: {','.join(FORMATS)}. PGF needs LaTeX."),
     Setting(name="figure_width", metavar="INCHES|PRESET", panel=FIGURES,
         verbs=(EVALUATE, TRAJECTORY, STUDY_GAUGE),

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.formatting.escaping import latex_text
+from trajeval_ros.formatting.escaping import latex_text, one_line
 from trajeval_ros.io.temporary import temporary_folder
 from trajeval_ros.io.writing import refused_by_disk
 from trajeval_ros.report.canvas import Drawing, grow
@@ -18,11 +18,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def save(figure: Figure, path: Path, file_format: str) -> Path:
-    """Write a figure; equal figures give equal bytes."""
+def save(figure: Figure, path: Path, file_format: str, title: str = "") -> Path:
+    """Write a figure; equal figures give equal bytes.
+
+    `title`: for the metadata; by default the title that is drawn.
+    """
     import matplotlib
 
-    title = " ".join(figure.get_suptitle().split())
+    title = one_line(title or " ".join(figure.get_suptitle().split()))
     metadata: dict[str, dict[str, Any]] = {
         "png": {"Software": None, "Title": title},
         "pdf": {"CreationDate": None, "Creator": None, "Producer": None, "Title": title},
