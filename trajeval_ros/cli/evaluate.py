@@ -37,8 +37,8 @@ _PARAMETERS = (
     *shared_options(EVALUATE),
     *settings_options(EVALUATE),
     option("--output", kind=Path, metavar="DIR", panel=OUTPUT, is_common=True,
-        help="Output folder for result.json, errors and aligned poses (errors.npz, "
-        "errors.parquet) and figures."),
+        help="Output folder for a page (report.html), result.json, errors and aligned poses "
+        "(errors.npz, errors.parquet) and figures."),
     option("--mcap", kind=Path, metavar="FILE", panel=OUTPUT,
         help="MCAP output file with errors, paths and statistics as ROS 2 messages, for "
         "Foxglove and PlotJuggler (docs/topics.md)."),

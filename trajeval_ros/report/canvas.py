@@ -58,6 +58,7 @@ def add_title(figure: Figure, title: str) -> None:
     letters = int(width_in() / _TITLE_LETTER_IN)
     lines = [part for line in title.splitlines() for part in textwrap.wrap(line, letters)]
     figure.suptitle("\n".join(lines))
+    figure.set_label(title)  # unwrapped, for pages
     grow(figure, len(lines))
 
 

@@ -62,7 +62,7 @@ def save_all(figures: Mapping[str, Drawing], folder: Path, style: FigureStyle) -
             for file_format in style.formats:
                 figure = draw()
                 if not style.has_titles:
-                    _hide_title(figure)
+                    hide_title(figure)
                 save(figure, made / f"{name}.{file_format}", file_format)
                 written.append(folder / f"{name}.{file_format}")
         # PGF files can have additional image files.
@@ -71,7 +71,7 @@ def save_all(figures: Mapping[str, Drawing], folder: Path, style: FigureStyle) -
     return written
 
 
-def _hide_title(figure: Figure) -> None:
+def hide_title(figure: Figure) -> None:
     """Hide the title of a figure and reduce its height; the metadata keep the title."""
     for text in figure.texts:
         if text.get_text() == figure.get_suptitle():
