@@ -17,7 +17,7 @@ from benchmarks.diagnosis import found
 from benchmarks.diagnosis_mistakes import inverse, shifted
 from benchmarks.diagnosis_runs import Pair, simulated
 from trajeval_ros import HandEye, InputError, read_trajectory
-from trajeval_ros.diagnosis.clock_match import ClockMatch, rates_of_both
+from trajeval_ros.diagnosis.clocks import ClockMatch, rates_of_both
 from trajeval_ros.diagnosis.hypotheses import HYPOTHESES, PERMUTATIONS, euler_angles_changed
 from trajeval_ros.diagnosis.input_pair import TimedPoses
 from trajeval_ros.diagnosis.motion_models import ModelScores

@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from state_rows import states, trajectory
 
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.gauge import Similarity
@@ -35,7 +36,6 @@ from trajeval_ros.online.live_relative_errors import RunningErrors
 from trajeval_ros.online.pair_errors import PairErrors
 from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.reports import Snapshot, Update, united
-from trajeval_ros.online.state_rows import states, trajectory
 
 BY_UP = {"stamped/attitude_error", "stamped/heading_error", "yaw_error", "tilt_error"}
 EMPTY = Snapshot(

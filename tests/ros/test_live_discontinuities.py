@@ -162,7 +162,8 @@ def kind_words(kind: str, sentence: str) -> str:
 def test_nothing_else_is_reported(heard: Heard) -> None:
     """Neither of the steady estimate, nor beside the fault of another one."""
     assert heard.nodes["good"].run_of(STEADY)["events"] == []
-    assert heard.warnings_of("good", "vio_steady") == []
+    warnings = heard.warnings_of("good", "vio_steady")
+    assert [text for text in warnings if " yet on " not in text] == []  # before the first message
     for name in ("small", "large", "clock"):
         told = heard.events_of("good", f"vio_{name}")
         assert {each["kind"] for each in told} <= {"step", "clock_step"}, told

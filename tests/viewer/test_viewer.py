@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from paths import ROOT
+from state_rows import as_drawn, states, trajectory
 
 from trajeval_ros import Gauge, Protocol, evaluate
 from trajeval_ros.cli.app import main
@@ -20,7 +21,6 @@ from trajeval_ros.metrics.as_available import AsAvailable, AvailabilityRule, as_
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.simulation.drifting_odometry import simulate
 from trajeval_ros.viewer import entity_data, scene_entities
 from trajeval_ros.viewer.live_scene import LiveScene
@@ -321,9 +321,7 @@ def test_another_recording_of_a_run_has_all_that_came_before_it(tmp_path: Path) 
     from rrd import Rrd
 
     flight, pairs = simulate(0, 20.0), []
-    evaluator = OnlineEvaluator(
-        OnlineSettings(Protocol(gauge=Gauge.YAW)), record=lambda each: pairs.append(each.rows)
-    )
+    evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge=Gauge.YAW)), record=pairs.append)
     columns = [
         states(each.positions, each.quaternions) for each in (flight.groundtruth, flight.estimate)
     ]
@@ -341,7 +339,7 @@ def test_another_recording_of_a_run_has_all_that_came_before_it(tmp_path: Path) 
         if not number:
             scene.groundtruth(flight.groundtruth.stamps, columns[0])
             for each in pairs:
-                scene.pairs(NAME, *each)
+                scene.pairs(NAME, *as_drawn(each))
         newest = dataclasses.replace(errors, stamps=errors.stamps + number)
         scene.snapshot(NAME, stamp + number, snapshot, None if number else 0.25, newest)
         scene.finish()
@@ -390,7 +388,7 @@ def test_live_colours_have_one_scale_and_no_line_below_them(
             evaluator.add_estimate(trajectory(flight.estimate.stamps[part], estimate[part]))
             evaluator.update()
             for each in pairs:
-                scene.pairs(name, *each.rows)
+                scene.pairs(name, *as_drawn(each))
             pairs.clear()
             newest = int(evaluator.store.stamps()[-1])
             scene.snapshot(name, newest, evaluator.snapshot(), None)

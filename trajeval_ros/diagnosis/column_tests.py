@@ -6,6 +6,7 @@ import numpy as np
 
 from trajeval_ros.diagnosis.findings import Examined, Seen
 from trajeval_ros.diagnosis.input_pair import FEWEST_POSES, SAMPLE, InputPair, TimedPoses, lengths
+from trajeval_ros.diagnosis.input_tests import other_side, sides_of
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, extents
 from trajeval_ros.geometry.gauge import Gauge
@@ -24,9 +25,9 @@ _STEPS_ALIKE, _STEPS_WITHIN, _SMALL, _TOGETHER = 0.8, 2.0, 0.5, 10
 
 def columns_of_others(inputs: InputPair) -> list[Examined]:
     """Apply the tests of this file."""
-    if min(len(inputs.groundtruth_poses), len(inputs.estimate_poses)) < FEWEST_POSES:
+    sides = sides_of(inputs)
+    if min(map(len, sides.values())) < FEWEST_POSES:
         return []
-    sides = {"estimate": inputs.estimate_poses, "groundtruth": inputs.groundtruth_poses}
     sizes = {side: extents(poses.positions) for side, poses in sides.items()}
     return [
         _row_numbers(inputs),
@@ -46,13 +47,11 @@ def _row_numbers(inputs: InputPair) -> Examined:
 
 
 def _degrees(sides: dict[str, TimedPoses], sizes: dict[str, Floats]) -> Examined:
-    for side, other in (("estimate", "groundtruth"), ("groundtruth", "estimate")):
-        small = np.sort(sizes[side])[:2]
-        moved = float(np.linalg.norm(sizes[other]))
-        extent = float(np.linalg.norm(small))
+    for side, size in sizes.items():
+        other, columns = other_side(side), np.argsort(size)[:2]
+        extent, moved = (float(np.linalg.norm(one)) for one in (size[columns], sizes[other]))
         ratio = moved / max(extent * _METRES_PER_DEG, 1e-12)
         likely = 1.0 / _FACTOR < ratio < _FACTOR and extent < _DEGREES and moved > _LEAST_M
-        columns = np.argsort(sizes[side])[:2]
         if likely and (np.abs(sides[side].positions[:, columns]) <= 180.0).all():
             seen = Seen.of("degrees", side=side, other=other, path_m=moved, extent=extent)
             return Examined("degrees", {"ratio": ratio}, (seen,))
@@ -65,42 +64,41 @@ def _flat(sides: dict[str, TimedPoses], sizes: dict[str, Floats], gauge: Gauge) 
     A side with roll and pitch is three-dimensional, and has a height that is not constant.
     """
     constant = {side: size == 0.0 for side, size in sizes.items()}
-    for side, other in (("groundtruth", "estimate"), ("estimate", "groundtruth")):
+    for side in ("groundtruth", "estimate"):
+        other = other_side(side)
         if np.count_nonzero(constant[side]) != 1 or constant[other].any():
             continue
-        height, extent = float(sides[other].positions[:, 2].std()), sides[other].extent
-        axis, turns = constant[side].astype(np.float64), sides[side].quaternions
-        tilts = 0.0
-        if turns is not None:
-            vertical = lie.rotate(lie.conjugate(turns[every_nth(len(turns), SAMPLE)]), axis)
-            tilts = float(np.linalg.norm(extents(vertical)))
-        if gauge is not Gauge.PLANAR and (tilts > _TILTS or height > _FLAT * extent):
+        height_m, axis = float(sides[other].positions[:, 2].std()), constant[side].astype(float)
+        tilts, quaternions = 0.0, sides[side].quaternions
+        if quaternions is not None:
+            some = lie.conjugate(quaternions[every_nth(len(quaternions), SAMPLE)])
+            tilts = float(np.linalg.norm(extents(lie.rotate(some, axis))))
+        is_high = height_m > _FLAT * sides[other].extent
+        if gauge is not Gauge.PLANAR and (tilts > _TILTS or is_high):
             name = "xyz"[axis.argmax()]
-            seen = Seen.of("flat", side=side, other=other, axis=name, height_m=height)
-            return Examined("flat", {"height_m": height}, (seen,))
+            seen = Seen.of("flat", side=side, other=other, axis=name, height_m=height_m)
+            return Examined("flat", {"height_m": height_m}, (seen,))
     return Examined("flat")
 
 
 def _increments(inputs: InputPair) -> Examined:
     """Compare the lengths of the estimate's positions with steps of the groundtruth."""
-    groundtruth, estimate = inputs.in_order
+    test, (groundtruth, estimate) = "increments", inputs.in_order
     if not inputs.by_time or min(len(groundtruth), len(estimate)) < FEWEST_POSES:
-        return Examined("increments", why_not="no timestamps")
+        return Examined(test, why_not="no timestamps")
     if estimate.extent > _SMALL * groundtruth.extent:
-        return Examined("increments")
+        return Examined(test)
     at = groundtruth.at(estimate.seconds, inputs.max_gap_s)
     both = at.known[1:] & at.known[:-1]
-    steps = lengths(np.diff(at.positions, axis=0))[both]
-    size = lengths(estimate.positions[1:])[both]
-    together = max(
-        min(_TOGETHER, len(steps) // FEWEST_POSES), 1
-    )  # noise is large beside short steps
-    blocks = np.arange(0, len(steps), together)
-    steps, size = (np.add.reduceat(rows, blocks) for rows in (steps, size))
-    if len(steps) < FEWEST_POSES or not (steps.std() > 0.0 and size.std() > 0.0):
-        return Examined("increments", why_not="too few common poses")
-    peak = float(np.corrcoef(steps, size)[0, 1])
-    ratio = median(size) / max(median(steps), 1e-12)
+    rows = [lengths(np.diff(at.positions, axis=0))[both], lengths(estimate.positions[1:])[both]]
+    # Noise is large in comparison with short steps, so some are added.
+    together = max(min(_TOGETHER, len(rows[0]) // FEWEST_POSES), 1)
+    blocks = np.arange(0, len(rows[0]), together)
+    steps, sizes = (np.add.reduceat(row, blocks) for row in rows)
+    if len(steps) < FEWEST_POSES or not (steps.std() > 0.0 and sizes.std() > 0.0):
+        return Examined(test, why_not="too few common poses")
+    peak = float(np.corrcoef(steps, sizes)[0, 1])
+    ratio = median(sizes) / max(median(steps), 1e-12)
     is_alike = peak > _STEPS_ALIKE and 1.0 / _STEPS_WITHIN < ratio < _STEPS_WITHIN
-    seen = (Seen.of("increments", peak=peak),) if is_alike else ()
-    return Examined("increments", {"peak": peak, "ratio": ratio}, seen)
+    seen = (Seen.of(test, peak=peak),) if is_alike else ()
+    return Examined(test, {"peak": peak, "ratio": ratio}, seen)

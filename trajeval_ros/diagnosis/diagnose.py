@@ -64,8 +64,6 @@ _OF_WHOLE_RUNS = {
     *_FINAL - {"identical"}, "unit", "duplicated", "groundtruth_held", "groundtruth_bridged",
     "gap_bridged",
 }  # fmt: skip
-# With such a finding, the errors contain no information on covariances.
-_GRAVE = 5.2  # of ranks
 # ATE by the spread of the groundtruth: paths of other runs differ by more than this.
 _AGREES = 0.3
 
@@ -103,15 +101,15 @@ def diagnose(
     if not any(map(_explains_motions, known.findings)):
         evaluation = with_events(evaluation, groundtruth, estimate, paired=paired)
     # A flip changes no rate of motion, by which clocks and other runs are known.
-    is_apart = any(map(known.named, _OTHER_PAIRS)) and not has_clock_step(evaluation)
+    is_apart = known.names_any(_OTHER_PAIRS) and not has_clock_step(evaluation)
     if changes_motions(evaluation) and not is_apart:
         known, is_partial = Diagnosis.of(_tests_of_sides(inputs)), True
     examined = [number, *known.examined, examined_discontinuities(evaluation, known)]
-    if is_partial:
-        return evaluation, Diagnosis.of(examined)
-    examined.append(frame_offset(evaluation))
-    if all(finding.rank < _GRAVE for finding in known.findings):
-        examined.append(covariance_blocks(evaluation))
+    if not is_partial:
+        examined.append(frame_offset(evaluation))
+        # With a graver finding, the errors contain no information on covariances.
+        if all(finding.rank <= CAUSES["body"].rank for finding in known.findings):
+            examined.append(covariance_blocks(evaluation))
     return evaluation, Diagnosis.of(examined)
 
 
@@ -141,12 +139,12 @@ def diagnose_inputs(
     """Search for mistakes in two trajectories that can't be evaluated."""
     groundtruth.require_usable()
     estimate.require_usable()
+    inputs = InputPair.of(groundtruth, estimate, protocol)
     try:
         pairs = associate(groundtruth, estimate, protocol.association)
     except InputError:  # no pairs: their number is not the cause
-        return _tested(InputPair.of(groundtruth, estimate, protocol))
+        return _tested(inputs)
     number = number_of_pairs(protocol, pairs, groundtruth, estimate)
-    inputs = InputPair.of(groundtruth, estimate, protocol)
     known, _ = _tested_where_tracked(losses_in(pairs), pairs, inputs)
     return Diagnosis.of([number, *known.examined])
 
@@ -161,32 +159,24 @@ def _tested_where_tracked(
         of the path may be the effect of another mistake, such as clocks that differ.
     """
     certain = [loss for loss in losses if is_certain(loss, pairs)]
-    diagnosis = _tested_without(certain, inputs)
+    diagnosis = _tested(inputs, certain)
     # What follows from wrong pairs is no divergence.
     frozen = [loss for loss in certain if loss.cause == FROZEN]
-    if len(frozen) < len(certain) and any(map(diagnosis.named, _OTHER_PAIRS)):
-        whole = _tested_without(frozen, inputs)
-        if any(map(whole.named, _OTHER_PAIRS)):
+    if len(frozen) < len(certain) and diagnosis.names_any(_OTHER_PAIRS):
+        whole = _tested(inputs, frozen)
+        if whole.names_any(_OTHER_PAIRS):
             certain, diagnosis = frozen, whole
     uncertain = [loss for loss in losses if loss not in certain and is_large(loss, pairs)]
     from_start = any(begins_at_start(loss, pairs) for loss in uncertain)
-    explained = any(_explains_loss(finding, from_start) for finding in diagnosis.findings)
-    if uncertain and not explained:
+    if uncertain and not any(_explains_loss(one, from_start) for one in diagnosis.findings):
         certain = sorted((*certain, *uncertain), key=lambda loss: loss.begin_ns)
-        diagnosis = _tested_without(certain, inputs)
+        diagnosis = _tested(inputs, certain)
     if not certain:
         return diagnosis, False
     lost = lost_tracking(certain, pairs, int(inputs.groundtruth.stamps.min()))
     # Lost messages look like keyframes.
     rest = [test for test in diagnosis.examined if test.test != "keyframes"]
     return Diagnosis.of([lost, *rest]), True
-
-
-def _tested_without(losses: Sequence[Loss], inputs: InputPair) -> Diagnosis:
-    rest = inputs.tracked(losses) if losses else inputs
-    if losses and min(len(rest.groundtruth), len(rest.estimate)) < FEWEST_POSES:
-        return Diagnosis()
-    return _tested(rest)
 
 
 def _explains_loss(finding: Finding, from_start: bool) -> bool:
@@ -209,8 +199,7 @@ def require_conventions(
     estimate.require_usable()
     offset_s = None if pairs is None else 0.0
     inputs = InputPair.of(groundtruth, estimate, protocol, time_offset_s=offset_s)
-    finding = _tested(inputs).of_conventions()
-    if finding is not None:
+    if (finding := _tested(inputs).of_conventions()) is not None:
         raise InputError(f"--hand-eye auto needs correct conventions, but {finding.text}")
 
 
@@ -223,24 +212,20 @@ def same_estimate(estimate: InputSummary, others: Sequence[InputSummary]) -> Fin
     return None
 
 
-def _tested(inputs: InputPair) -> Diagnosis:
-    """Apply all tests of the inputs; both sides have at least one state."""
-    examined = _tests_of_sides(inputs)
-    if not _causes(examined) & _FINAL:
-        examined += tests_of_motion(inputs)
-    return Diagnosis.of(examined)
+def _tested(inputs: InputPair, losses: Sequence[Loss] = ()) -> Diagnosis:
+    """Apply all tests of the inputs where the estimate is not lost; none if hardly any is left."""
+    if losses:
+        inputs = inputs.tracked(losses)
+        if min(len(inputs.groundtruth), len(inputs.estimate)) < FEWEST_POSES:
+            return Diagnosis()
+    of_sides = Diagnosis.of(_tests_of_sides(inputs))
+    if of_sides.names_any(_FINAL):
+        return of_sides
+    return Diagnosis.of([*of_sides.examined, *tests_of_motion(inputs)])
 
 
 def _tests_of_sides(inputs: InputPair) -> list[Examined]:
-    return [
-        standing_still(inputs),
-        rounded_stamps(inputs),
-        same_positions(inputs),
-        duplicated_rows(inputs),
-        swapped_names(inputs),
-        *columns_of_others(inputs),
-    ]
-
-
-def _causes(examined: list[Examined]) -> set[str]:
-    return {seen.cause for test in examined for seen in test.seen}
+    tests = (
+        standing_still, rounded_stamps, same_positions, duplicated_rows, swapped_names,
+    )  # fmt: skip
+    return [*(test(inputs) for test in tests), *columns_of_others(inputs)]

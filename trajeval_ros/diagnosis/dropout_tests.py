@@ -12,41 +12,52 @@ from trajeval_ros.diagnosis.findings import Examined, Seen
 from trajeval_ros.diagnosis.input_pair import TimedPoses, lengths
 from trajeval_ros.geometry.arrays import Booleans, Floats, runs_of
 from trajeval_ros.geometry.trajectory_edits import evenly
+from trajeval_ros.geometry.travelled import step_lengths
 from trajeval_ros.metrics.statistics import median
 
-_FEWEST = 20
+_FEWEST = 20  # poses of a side
 _STEP_S = 0.04  # 25 poses per second are sufficient
 _REACH_S = 1.0  # largest step of the estimate to interpolate
-_STRETCH_S = 0.15
-_HELD_M, _HELD_SHARE = 0.02, 0.3
-_FROZEN_S, _FROZEN_M = 1.0, 0.15
-_BRIDGED_S, _BRIDGED_M = 0.4, 0.03
-_HOLE_S, _HOLE_M, _MOST_HOLES = 1.0, 0.1, 20
+_STRETCH_S = 0.15  # least duration of an interval; shorter ones are rounding
+_HELD_M, _HELD_SHARE, _HELD_TIMES = 0.02, 0.3, 10  # motion, share of the time and number of holds
+_FROZEN_S, _FROZEN_M = 1.0, 0.15  # least duration, and motion of the estimate in it
+_BRIDGED_S, _BRIDGED_M = 0.4, 0.03  # the same of a line, and distance of the estimate from it
+_HOLE_S, _HOLE_M, _MOST_HOLES = 1.0, 0.1, 20  # the same of gaps, and number that is compared
 
 
 def groundtruth_defects(
     groundtruth: TimedPoses, estimate: TimedPoses, max_gap_s: float
 ) -> Examined:
     """Test for held poses, a frozen body, and dropouts that were filled up to `max_gap_s`."""
-    name = "groundtruth defects"
+    test = "groundtruth defects"
     begin = max(groundtruth.seconds[0], estimate.seconds[0])
     end = min(groundtruth.seconds[-1], estimate.seconds[-1])
     if len(groundtruth) < _FEWEST or len(estimate) < _FEWEST or end <= begin:
-        return Examined(name, why_not="too few common poses")
-    usual_s = groundtruth.usual_step_s
-    every = max(1, int(_STEP_S / max(usual_s, 1e-6)))
-    some = groundtruth[::every]
+        return Examined(test, why_not="too few common poses")
+    some = _thinned(groundtruth)
     still, gliding = _constant(some)
     scores = {"still_share": float(still.mean()), "straight_share": float(gliding.mean())}
     if not (still.any() or gliding.any() or max_gap_s > _HOLE_S):
-        return Examined(name, scores)
-    scale = _metres_per_unit(groundtruth, estimate, float(begin), float(end))
+        return Examined(test, scores)
+    # Metres per unit of the estimate.
+    times = np.linspace(begin, end, 200)
+    paths = [step_lengths(side.at(times).positions).sum() for side in (groundtruth, estimate)]
+    scale = float(paths[0] / max(float(paths[1]), 1e-12))
     seen = [
-        *_still(some, estimate, still, scale, usual_s),
-        *_gliding(some, estimate, gliding, scale),
+        *_still(groundtruth, estimate, _stretches(some, still), scale),
+        *_gliding(groundtruth, estimate, _stretches(some, _with_previous(gliding)), scale),
         *_holes(groundtruth, estimate, max_gap_s, scale),
     ]
-    return Examined(name, scores, tuple(seen))
+    return Examined(test, scores, tuple(seen))
+
+
+def _thinned(groundtruth: TimedPoses) -> TimedPoses:
+    return groundtruth[:: max(1, int(_STEP_S / max(groundtruth.usual_step_s, 1e-6)))]
+
+
+def _with_previous(gliding: Booleans) -> Booleans:
+    """Return flags of steps: a velocity equals that of the previous one, which is included."""
+    return np.asarray(gliding | np.append(gliding[1:], False))
 
 
 def _constant(groundtruth: TimedPoses) -> tuple[Booleans, Booleans]:
@@ -61,26 +72,13 @@ def _constant(groundtruth: TimedPoses) -> tuple[Booleans, Booleans]:
 
 def without_defects(groundtruth: TimedPoses) -> TimedPoses:
     """Return the poses outside of long intervals that are constant or linear."""
-    every = max(1, int(_STEP_S / max(groundtruth.usual_step_s, 1e-6)))
-    some = groundtruth[::every]
+    some, keep = _thinned(groundtruth), np.ones(len(groundtruth), dtype=bool)
     still, gliding = _constant(some)
-    keep = np.ones(len(groundtruth), dtype=bool)
-    for flags in (still, gliding | np.append(gliding[1:], False)):
+    for flags in (still, _with_previous(gliding)):
         for begin, end in zip(*_stretches(some, flags), strict=True):
             if end - begin > _FROZEN_S:
                 keep &= (groundtruth.seconds <= begin) | (groundtruth.seconds >= end)
     return groundtruth[keep] if np.count_nonzero(keep) > _FEWEST else groundtruth
-
-
-def _metres_per_unit(
-    groundtruth: TimedPoses, estimate: TimedPoses, begin: float, end: float
-) -> float:
-    times = np.linspace(begin, end, 200)
-    paths = [
-        lengths(np.diff(side.at(times).positions, axis=0)).sum()
-        for side in (groundtruth, estimate)
-    ]
-    return float(paths[0] / max(float(paths[1]), 1e-12))
 
 
 def _stretches(groundtruth: TimedPoses, flags: Booleans) -> tuple[Floats, Floats]:
@@ -90,44 +88,46 @@ def _stretches(groundtruth: TimedPoses, flags: Booleans) -> tuple[Floats, Floats
     return begin[long], end[long]
 
 
+def _longest(
+    groundtruth: TimedPoses, begin: Floats, long_s: Floats, sizes: Floats
+) -> tuple[dict[str, float], int]:
+    """Return when the interval of the largest size begins and ends, and its row."""
+    row = int(np.argmax(sizes))
+    at_s = float(begin[row] - groundtruth.seconds[0])
+    return {"at_s": at_s, "after_s": at_s + float(long_s[row])}, row
+
+
 def _still(
-    groundtruth: TimedPoses, estimate: TimedPoses, still: Booleans, scale: float, usual_s: float
+    groundtruth: TimedPoses,
+    estimate: TimedPoses,
+    stretches: tuple[Floats, Floats],
+    scale: float,
 ) -> list[Seen]:
-    begin, end = _stretches(groundtruth, still)
-    if not len(begin):
-        return []
-    start, stop = estimate.at(begin, _REACH_S), estimate.at(end, _REACH_S)
+    begin, end = stretches
+    start, stop = (estimate.at(times, _REACH_S) for times in stretches)
     known = start.known & stop.known
     begin, long_s = begin[known], (end - begin)[known]
     moved_m = scale * lengths((stop.positions - start.positions)[known])
     moving = moved_m > _HELD_M
     held_s = float(long_s[moving].sum())
-    if np.count_nonzero(moving) >= 10 and held_s > _HELD_SHARE * groundtruth.span_s:
-        held_s = median(long_s[moving])
-        return [Seen.of("groundtruth_held", held_s=held_s, rate_hz=1.0 / usual_s)]
+    if np.count_nonzero(moving) >= _HELD_TIMES and held_s > _HELD_SHARE * groundtruth.span_s:
+        rate_hz = 1.0 / groundtruth.usual_step_s
+        return [Seen.of("groundtruth_held", held_s=median(long_s[moving]), rate_hz=rate_hz)]
     frozen = (long_s > _FROZEN_S) & (moved_m > _FROZEN_M)
     if not frozen.any():
         return []
-    longest = int(np.argmax(np.where(frozen, long_s, 0.0)))
-    at_s, frozen_s = float(begin[longest] - groundtruth.seconds[0]), float(long_s[longest])
-    return [
-        Seen.of(
-            "groundtruth_frozen",
-            frozen_s=frozen_s,
-            at_s=at_s,
-            after_s=at_s + frozen_s,
-            moved_m=float(moved_m[longest]),
-        )
-    ]
+    when, row = _longest(groundtruth, begin, long_s, np.where(frozen, long_s, 0.0))
+    values = {"frozen_s": float(long_s[row]), "moved_m": float(moved_m[row])}
+    return [Seen("groundtruth_frozen", {**when, **values})]
 
 
 def _gliding(
-    groundtruth: TimedPoses, estimate: TimedPoses, gliding: Booleans, scale: float
+    groundtruth: TimedPoses,
+    estimate: TimedPoses,
+    stretches: tuple[Floats, Floats],
+    scale: float,
 ) -> list[Seen]:
-    # A velocity equals the velocity of the previous step, which is part of the interval.
-    begin, end = _stretches(groundtruth, gliding | np.append(gliding[1:], False))
-    if not len(begin):
-        return []
+    begin, end = stretches
     start, middle, stop = (
         estimate.at(times, _REACH_S) for times in (begin, (begin + end) / 2.0, end)
     )
@@ -137,18 +137,10 @@ def _gliding(
     bridged = known & (long_s > _BRIDGED_S) & (bent_m > _BRIDGED_M)
     if not bridged.any():
         return []
-    worst = int(np.argmax(np.where(bridged, bent_m, 0.0)))
-    at_s, bridged_s = float(begin[worst] - groundtruth.seconds[0]), float(long_s[worst])
-    return [
-        Seen.of(
-            "groundtruth_bridged",
-            bridged_s=bridged_s,
-            at_s=at_s,
-            after_s=at_s + bridged_s,
-            bent_m=float(bent_m[worst]),
-            stretches=float(np.count_nonzero(bridged)),
-        )
-    ]
+    when, row = _longest(groundtruth, begin, long_s, np.where(bridged, bent_m, 0.0))
+    values = {"bridged_s": float(long_s[row]), "bent_m": float(bent_m[row])}
+    number = float(np.count_nonzero(bridged))
+    return [Seen("groundtruth_bridged", {**when, **values, "stretches": number})]
 
 
 def _holes(
@@ -174,13 +166,6 @@ def _holes(
         worst_m = max(worst_m, scale * float(lengths(estimate.positions[rows] - straight).max()))
     if worst_m <= _HOLE_M:
         return []
-    return [
-        Seen.of(
-            "gap_bridged",
-            max_gap_s=max_gap_s,
-            holes=float(len(holes)),
-            longest_s=float(steps_s[holes].max()),
-            bent_m=worst_m,
-            percent=100.0 * inside / len(estimate),
-        )
-    ]
+    longest_s, percent = float(steps_s[holes].max()), 100.0 * inside / len(estimate)
+    values = {"longest_s": longest_s, "percent": percent, "holes": float(len(holes))}
+    return [Seen("gap_bridged", {"max_gap_s": max_gap_s, "bent_m": worst_m, **values})]

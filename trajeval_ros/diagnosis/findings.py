@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -48,6 +48,10 @@ _USELESS = "its correction does not reduce the ATE, of which other errors are th
 # By side of a finding, if it is not only the groundtruth or only the estimate.
 _OWNERS = {"both": "both sides'", "one side": "one side's"}
 _CORRECTED_SIDES = {"both": ("groundtruth", "estimate"), "one side": ("estimate",)}
+WITHHELD_DEG = 180.0  # rotations are withheld where they disagree with positions, so by much
+# Ratios of errors: a decrease beyond rounding, and an increase by the drift in both errors.
+_FALLS, _GROWS = 0.999, 1.05
+_CLEARLY = 0.5  # ratio of decreases, from which on the rotation is stated in place of the position
 
 
 @dataclass(frozen=True)
@@ -66,9 +70,10 @@ class Tried:
         """Return the errors of two evaluations, or of one if there is none before."""
         from trajeval_ros.calibration.apply import Ate
 
-        first = None if before is None else Ate.of(before)
-        rotations = None if before is None else _by_orientations(before), _by_orientations(after)
-        return cls(first, Ate.of(after), then, rotations)
+        if before is None:
+            return cls(None, Ate.of(after), then)
+        rotations = _by_orientations(before), _by_orientations(after)
+        return cls(Ate.of(before), Ate.of(after), then, rotations)
 
     def raises_errors(self, cause: str) -> bool:
         """Return whether an error that a cause is about grows by more than the drift in it.
@@ -81,48 +86,39 @@ class Tried:
         return position > _GROWS and rotation > _CLEARLY
 
     @property
-    def ratios(self) -> tuple[float, float]:
-        """Errors after over errors before, of positions and of rotations; 1 without rotations.
+    def _rotations(self) -> list[float | None]:
+        """Rotation errors before and after, deg."""
+        of_ate = [None if ate is None else ate.rotation_deg for ate in (self.before, self.after)]
+        both = zip(of_ate, self.rotations_deg, strict=True)
+        return [other if one is None else one for one, other in both]
 
-        Rotation errors are withheld where rotations and positions disagree, so they are large.
-        """
+    @property
+    def ratios(self) -> tuple[float, float]:
+        """Errors after over errors before, of positions and of rotations; 1 without rotations."""
         if self.before is None:
             return 0.0, 1.0
-        before_deg = _first_known(self.before.rotation_deg, self.rotations_deg[0])
-        after_deg = _first_known(self.after.rotation_deg, self.rotations_deg[1])
-        of_rotations = 1.0
-        if not (before_deg is None and after_deg is None):
-            of_rotations = _ratio(
-                WITHHELD_DEG if after_deg is None else after_deg,
-                WITHHELD_DEG if before_deg is None else before_deg,
-            )
-        return _ratio(self.after.position_m, self.before.position_m), of_rotations
+        position = _ratio(self.after.position_m, self.before.position_m)
+        if self._rotations == [None, None]:
+            return position, 1.0
+        before, after = (WITHHELD_DEG if deg is None else deg for deg in self._rotations)
+        return position, _ratio(after, before)
 
     def text(self, option: str) -> str:
         """Return both numbers: of the position, or of the rotation if that decreases more."""
-        position, rotation = self.ratios
-        before, after = self.before, self.after
+        (position, rotation), before, after_deg = self.ratios, self.before, self._rotations[1]
         option = f"{option} and {self.then}" if self.then else option
-        after_deg = _first_known(after.rotation_deg, self.rotations_deg[1])
-        is_about_rotation = rotation < _CLEARLY * position or rotation < _FALLS <= position
-        if before is not None and before.rotation_deg is None and position < _CLEARLY:
-            is_about_rotation = False  # a number that fell says more than a withheld one
-        if after_deg is not None and is_about_rotation:
-            assert before is not None
-            size = before.rotation_deg
-            without = "withheld" if size is None else f"{four_digits(size)} deg"
-            how = " aligned by orientations" if after.rotation_deg is None else ""
-            return f"rotation ATE {without}, with {option} {four_digits(after_deg)} deg{how}"
-        with_it = f"with {option} {four_digits(after.position_m)} m"
+        with_it = f"with {option} {four_digits(self.after.position_m)} m"
         if before is None:
             return f"ATE {with_it}"
-        return f"ATE {four_digits(before.position_m)} m, {with_it}"
-
-
-WITHHELD_DEG = 180.0
-# Ratios of errors: a decrease beyond rounding, and an increase by the drift in both errors.
-_FALLS, _GROWS = 0.999, 1.05
-_CLEARLY = 0.5  # ratio of decreases, from which on the rotation is stated in place of the position
+        is_about_rotation = rotation < _CLEARLY * position or rotation < _FALLS <= position
+        if before.rotation_deg is None and position < _CLEARLY:
+            is_about_rotation = False  # a number that fell says more than a withheld one
+        if after_deg is None or not is_about_rotation:
+            return f"ATE {four_digits(before.position_m)} m, {with_it}"
+        size = before.rotation_deg
+        without = "withheld" if size is None else f"{four_digits(size)} deg"
+        how = " aligned by orientations" if self.after.rotation_deg is None else ""
+        return f"rotation ATE {without}, with {option} {four_digits(after_deg)} deg{how}"
 
 
 def _by_orientations(evaluation: Evaluation) -> float | None:
@@ -134,10 +130,6 @@ def _by_orientations(evaluation: Evaluation) -> float | None:
     if freedom is None or freedom.orientations is None or freedom.disagrees:
         return None
     return freedom.orientations.least_deg
-
-
-def _first_known(one: float | None, other: float | None) -> float | None:
-    return other if one is None else one
 
 
 def _ratio(after: float, before: float) -> float:
@@ -160,8 +152,7 @@ class Finding:
     @classmethod
     def of(cls, seen: Seen) -> Finding:
         """Return the finding of a detected cause."""
-        cause = CAUSES[seen.cause]
-        side = str(seen.values.get("side", ""))
+        cause, side = CAUSES[seen.cause], str(seen.values.get("side", ""))
         values = {**seen.values, "owner": _OWNERS.get(side, f"the {side}'s")}
         return cls(
             cause.name,
@@ -197,16 +188,15 @@ class Finding:
     @property
     def text(self) -> str:
         """The sentence, the advice and the option, in one line."""
-        text = f"{self.sentence}; {self.advice}"
+        text, option = f"{self.sentence}; {self.advice}", self.option
         if self.tried is not None:
-            return f"{text}: {self.tried.text(self.option)}{self._file}"
-        named = not self.option or self.option.split()[0] in self.advice
-        return text if named else f"{text}: {self.option}{self._file}"
-
-    @property
-    def _file(self) -> str:
+            text = f"{text}: {self.tried.text(option)}"
+        elif not option or option.split()[0] in self.advice:
+            return text
+        else:
+            text = f"{text}: {option}"
         conversion = self.conversion
-        return conversion and f", or trajeval trajectory SOURCE {conversion}"
+        return text + (conversion and f", or trajeval trajectory SOURCE {conversion}")
 
     @property
     def remark(self) -> Remark:
@@ -233,25 +223,24 @@ class Diagnosis:
     examined: tuple[Examined, ...] = ()  # all tests with their statistics, in their order
 
     @classmethod
-    def of(cls, examined: list[Examined]) -> Diagnosis:
+    def of(cls, examined: Sequence[Examined]) -> Diagnosis:
         """Return all findings of tests, sorted by severity."""
         findings = [Finding.of(seen) for test in examined for seen in test.seen]
-        return cls(_ranked(findings), tuple(examined))
+        return cls((), tuple(examined)).with_others(findings)
 
     def without(self, cause: str, why_not: str) -> Diagnosis:
         """Return the diagnosis without a cause, whose test is not applicable."""
-        return Diagnosis.of(
-            [
-                dataclasses.replace(test, seen=(), why_not=why_not)
-                if any(seen.cause == cause for seen in test.seen)
-                else test
-                for test in self.examined
-            ]
-        )
+        gone = {
+            test.test: dataclasses.replace(test, seen=(), why_not=why_not)
+            for test in self.examined
+            if any(seen.cause == cause for seen in test.seen)
+        }
+        return Diagnosis.of([gone.get(test.test, test) for test in self.examined])
 
     def with_others(self, others: Sequence[Finding]) -> Diagnosis:
         """Return the diagnosis with more findings, sorted."""
-        return Diagnosis(_ranked([*self.findings, *others]), self.examined)
+        findings = sorted((*self.findings, *others), key=lambda finding: -finding.rank)
+        return Diagnosis(tuple(findings), self.examined)
 
     @property
     def suggested(self) -> Finding | None:
@@ -280,6 +269,10 @@ class Diagnosis:
         """Return the finding of a cause; None without it."""
         return next((finding for finding in self.findings if finding.cause == cause), None)
 
+    def names_any(self, causes: Collection[str]) -> bool:
+        """Return whether there is a finding of any of some causes."""
+        return any(finding.cause in causes for finding in self.findings)
+
 
 def _options(values: Mapping[str, str]) -> str:
     return " ".join(
@@ -287,7 +280,3 @@ def _options(values: Mapping[str, str]) -> str:
         + (f"={text}" if text.startswith("-") else f" {text}".removesuffix(f" {FLAG}"))
         for name, text in values.items()
     )
-
-
-def _ranked(findings: list[Finding]) -> tuple[Finding, ...]:
-    return tuple(sorted(findings, key=lambda finding: -finding.rank))

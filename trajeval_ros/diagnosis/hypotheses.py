@@ -9,6 +9,8 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from operator import itemgetter
 
 import numpy as np
 
@@ -17,6 +19,8 @@ from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.pose_conventions import W_FIRST, W_THIRD
 
+ODDS = 12.0  # least logarithm of odds of a statement: alarms against missed mistakes
+TIE = 3.0  # largest difference of logarithms between models that the motion can't distinguish
 # Logarithms of prior probabilities: rare mistakes need more evidence than frequent ones.
 MISTAKE = -3.0  # a mistake, such as quaternions with w first
 _OF_GROUNDTRUTH, _OF_BOTH = -0.5, -1.0  # in addition, of the groundtruth and of both sides
@@ -37,9 +41,8 @@ class Hypothesis:
     cause: str  # name in `causes.py`, or `AS_READ`
     side: str  # whose columns change: `ESTIMATE`, `GROUNDTRUTH`, `BOTH`, or "" for none
     log_prior: float
-    # Changes quaternions (..., 4) into those of this hypothesis; None for no change.
+    # Changes quaternions (..., 4) into those of this hypothesis; None if poses are inverted.
     change: Callable[[Floats], Floats] | None = None
-    inverts_poses: bool = False  # whether the positions are inverted with the rotations
     with_axes: bool = False  # whether the positions may have other axes, too
     order: str = ""  # value of --quaternion-order that corrects it
     inverse: str = ""  # value of --inverse that corrects it
@@ -50,24 +53,14 @@ class Hypothesis:
         positions, quaternions = poses.positions, poses.quaternions
         if self.side not in (side, BOTH) or quaternions is None:
             return poses
-        if self.inverts_poses:
-            inverse = lie.conjugate(quaternions)
-            return PoseEnds(-lie.rotate(inverse, positions), inverse)
-        assert self.change is not None
-        return PoseEnds(positions, self.change(quaternions))
-
-
-def _w_first(quaternions: Floats) -> Floats:
-    return quaternions[..., W_FIRST]
-
-
-def _w_last(quaternions: Floats) -> Floats:
-    """Undo the reading of x, y, z, w as w, x, y, z."""
-    return quaternions[..., W_THIRD]
+        if self.change is not None:
+            return PoseEnds(positions, self.change(quaternions))
+        inverse = lie.conjugate(quaternions)
+        return PoseEnds(-lie.rotate(inverse, positions), inverse)
 
 
 def _w_first_inverse(quaternions: Floats) -> Floats:
-    return lie.conjugate(_w_first(quaternions))
+    return lie.conjugate(quaternions[..., W_FIRST])
 
 
 def _table() -> list[Hypothesis]:
@@ -75,22 +68,15 @@ def _table() -> list[Hypothesis]:
     for side, prior in ((ESTIMATE, 0.0), (GROUNDTRUTH, _OF_GROUNDTRUTH), (BOTH, _OF_BOTH)):
         # With other axes on the groundtruth's side, worlds that differ by 90 deg match at random.
         axes, one = side == ESTIMATE, MISTAKE + prior
-        rows += [
-            Hypothesis("wxyz", side, one, _w_first, with_axes=axes, order="wxyz"),
-            Hypothesis(
-                "transposed", side, one, lie.conjugate, with_axes=axes, inverse="rotations"
-            ),
-        ]
-        if side == BOTH:
-            continue
-        rows += [
-            Hypothesis("xyzw", side, one - 0.5, _w_last, order="yzwx"),
-            Hypothesis(
-                "wxyz_transposed", side, one + MISTAKE, _w_first_inverse, with_axes=axes,
-                order="wxyz", inverse="rotations",
-            ),
-            Hypothesis("inverse", side, one, inverts_poses=True, inverse="poses"),
+        of_side = [
+            Hypothesis("wxyz", side, one, itemgetter((..., W_FIRST)), axes, order="wxyz"),
+            Hypothesis("transposed", side, one, lie.conjugate, axes, inverse="rotations"),
+            Hypothesis("xyzw", side, one - 0.5, itemgetter((..., W_THIRD)), order="yzwx"),
+            Hypothesis("wxyz_transposed", side, one + MISTAKE, _w_first_inverse, axes,
+                       order="wxyz", inverse="rotations"),
+            Hypothesis("inverse", side, one, inverse="poses"),
         ]  # fmt: skip
+        rows += of_side[:2] if side == BOTH else of_side
     return rows
 
 
@@ -98,25 +84,25 @@ HYPOTHESES = _table()
 
 
 def euler_angles_changed(
-    quaternions: Floats, read: str, written: str, factor: float = 1.0, signs: Floats | None = None
+    quaternions: Floats, read: str, written: str, factors: Floats | None = None
 ) -> Floats:
     """Return the rotations (..., 4) if Euler angles were read in another way than written.
 
-    The angles about the intrinsic axes `read`, such as "ZYX", are multiplied by a factor and by
-    signs (3,), and applied about the axes `written`.
+    The angles about the intrinsic axes `read`, such as "ZYX", are multiplied by factors (3,),
+    and applied about the axes `written`.
     """
     matrices = lie.to_matrix(quaternions)
     a, b, c = ("XYZ".index(axis) for axis in read)
     sign = -1.0 if _is_odd(read) else 1.0  # of the order of the axes
-    angles = factor * np.stack(
+    angles = np.stack(
         [
             np.arctan2(-sign * matrices[..., b, c], matrices[..., c, c]),
             np.arcsin(np.clip(sign * matrices[..., a, c], -1.0, 1.0)),
             np.arctan2(-sign * matrices[..., a, b], matrices[..., a, a]),
         ]
     )
-    if signs is not None:
-        angles *= signs.reshape(3, *[1] * (angles.ndim - 1))
+    if factors is not None:
+        angles *= factors.reshape(3, *[1] * (angles.ndim - 1))
     first, second, third = (
         lie.from_rotation_vector(angle[..., None] * np.eye(3)["XYZ".index(axis)])
         for angle, axis in zip(angles, written, strict=True)
@@ -134,32 +120,24 @@ def _euler_table() -> list[Hypothesis]:
     Even permutations of the order and two flipped signs are changes of axes.
     """
     orders = ["".join(axes) for axes in itertools.permutations("XYZ")]
+    what = "the order of the Euler angles differs"
     rows = [
-        Hypothesis(
-            ROTATIONS, ESTIMATE, 2.0 * MISTAKE, _euler(read, written), detail="the order of the "
-            "Euler angles differs",
-        )
+        _euler(2.0 * MISTAKE, what, read, written)
         for read, written in itertools.permutations(orders, 2)
         if _is_odd(read) != _is_odd(written)
-    ]  # fmt: skip
-    flips = [np.array(signs) for signs in itertools.product((1.0, -1.0), repeat=3)]
-    rows += [
-        Hypothesis(
-            ROTATIONS, ESTIMATE, MISTAKE, _euler("ZYX", "ZYX", signs=signs),
-            detail="the sign of an Euler angle differs; a compass heading is clockwise",
-        )
-        for signs in flips
-        if signs.sum() in (1.0, -3.0)
-    ]  # fmt: skip
-    radians = _euler("ZYX", "ZYX", factor=DEGREES_PER_RADIAN)
+    ]
+    what = "the sign of an Euler angle differs; a compass heading is clockwise"
+    flips = map(np.array, itertools.product((1.0, -1.0), repeat=3))
+    rows += [_euler(MISTAKE, what, signs=s) for s in flips if s.sum() in (1.0, -3.0)]
     what = "radians were probably read as degrees"
-    return [*rows, Hypothesis(ROTATIONS, ESTIMATE, MISTAKE, radians, detail=what)]
+    return [*rows, _euler(MISTAKE, what, signs=np.full(3, DEGREES_PER_RADIAN))]
 
 
 def _euler(
-    read: str, written: str, factor: float = 1.0, signs: Floats | None = None
-) -> Callable[[Floats], Floats]:
-    return lambda quaternions: euler_angles_changed(quaternions, read, written, factor, signs)
+    prior: float, detail: str, read: str = "ZYX", written: str = "ZYX", signs: Floats | None = None
+) -> Hypothesis:
+    change = partial(euler_angles_changed, read=read, written=written, factors=signs)
+    return Hypothesis(ROTATIONS, ESTIMATE, prior, change, detail=detail)
 
 
 EULER_HYPOTHESES = _euler_table()

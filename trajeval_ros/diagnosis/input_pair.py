@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
 
 FEWEST_POSES = 12  # of a side or in common: fewer are no evidence
 SAMPLE = 2000  # rows in a statistic of columns, which bounds its cost
-_ROUNDING_S = 1e-6
 
 
 class Between(NamedTuple):
@@ -62,12 +60,8 @@ class TimedPoses:
         return len(self.seconds)
 
     def __getitem__(self, rows: slice | Indices | Booleans) -> TimedPoses:
-        return TimedPoses(
-            self.seconds[rows],
-            self.positions[rows],
-            None if self.quaternions is None else self.quaternions[rows],
-            None if self.velocities is None else self.velocities[rows],
-        )
+        columns = self.seconds, self.positions, self.quaternions, self.velocities
+        return TimedPoses(*(None if one is None else one[rows] for one in columns))  # type: ignore[arg-type]
 
     def in_order(self) -> TimedPoses:
         """Return the poses sorted by time, and the first one of equal times."""
@@ -131,13 +125,8 @@ class InputPair:
 
     groundtruth: Trajectory  # as it was read
     estimate: Trajectory  # as it was read
-    groundtruth_poses: TimedPoses  # columns of the groundtruth, in the order of the source
-    # Columns of the estimate; the applied time offset is added to the timestamps.
-    estimate_poses: TimedPoses
-    gauge: Gauge
-    max_gap_s: float  # longest step of the groundtruth to interpolate across
-    time_offset_s: float  # offset that is added to the timestamps of the estimate, seconds
-    by_time: bool  # whether states are paired by timestamps; otherwise by row index
+    protocol: Protocol
+    offset_s: float  # to add to the estimate's timestamps; 0 if it is applied already
 
     @classmethod
     def of(
@@ -152,44 +141,57 @@ class InputPair:
 
         The estimate's timestamps get `time_offset_s`, by default the protocol's.
         """
-        rule = protocol.association
-        offset_s = rule.time_offset_s if time_offset_s is None else time_offset_s
-        epoch_ns = int(groundtruth.stamps.min())
-        interpolates = rule.method in INTERPOLATING
+        usual_s = protocol.association.time_offset_s
         return cls(
-            groundtruth,
-            estimate,
-            TimedPoses.of(groundtruth, epoch_ns),
-            TimedPoses.of(estimate, epoch_ns, offset_s),
-            protocol.gauge,
-            rule.max_gap_s if interpolates else 2.0 * rule.max_time_difference_s,
-            rule.time_offset_s,
-            rule.method != "index" and groundtruth.reading.stamped and estimate.reading.stamped,
+            groundtruth, estimate, protocol, usual_s if time_offset_s is None else time_offset_s
         )
 
-    def tracked(self, losses: Sequence[Loss]) -> InputPair:
-        """Return both sides until a divergence or the end, the estimate without frozen poses."""
-        epoch_ns = int(self.groundtruth.stamps.min())
-        times, true_times = self.estimate_poses.seconds, self.groundtruth_poses.seconds
-        kept, true_kept = np.ones(len(times), dtype=bool), np.ones(len(true_times), dtype=bool)
-        for loss in losses:
-            # Timestamps as seconds are rounded.
-            begin_s, end_s = (
-                (stamp - epoch_ns) / NANOSECONDS + _ROUNDING_S
-                for stamp in (loss.begin_ns, loss.end_ns)
-            )
-            goes_on = loss.is_over and loss.cause == FROZEN
-            kept &= (times <= begin_s) | (goes_on & (times > end_s))
-            true_kept &= (true_times <= begin_s) | goes_on
-        return dataclasses.replace(
-            self,
-            groundtruth=self.groundtruth[true_kept],
-            estimate=self.estimate[kept],
-            groundtruth_poses=self.groundtruth_poses[true_kept],
-            estimate_poses=self.estimate_poses[kept],
-        )
+    @cached_property
+    def groundtruth_poses(self) -> TimedPoses:
+        """Columns of the groundtruth, in the order of the source."""
+        return TimedPoses.of(self.groundtruth, int(self.groundtruth.stamps.min()))
+
+    @cached_property
+    def estimate_poses(self) -> TimedPoses:
+        """Columns of the estimate with the time offset, since the groundtruth's begin."""
+        return TimedPoses.of(self.estimate, int(self.groundtruth.stamps.min()), self.offset_s)
+
+    @property
+    def gauge(self) -> Gauge:
+        """The gauge of the alignment."""
+        return self.protocol.gauge
+
+    @property
+    def max_gap_s(self) -> float:
+        """Longest step of the groundtruth to interpolate across."""
+        rule = self.protocol.association
+        interpolates = rule.method in INTERPOLATING
+        return rule.max_gap_s if interpolates else 2.0 * rule.max_time_difference_s
+
+    @property
+    def time_offset_s(self) -> float:
+        """Offset of the protocol, which is added to the timestamps of the estimate."""
+        return self.protocol.association.time_offset_s
+
+    @property
+    def by_time(self) -> bool:
+        """Whether states are paired by timestamps; otherwise by row index."""
+        is_stamped = self.groundtruth.reading.stamped and self.estimate.reading.stamped
+        return self.protocol.association.method != "index" and is_stamped
 
     @cached_property
     def in_order(self) -> tuple[TimedPoses, TimedPoses]:
         """Groundtruth and estimate sorted by time, of equal times the first pose."""
         return self.groundtruth_poses.in_order(), self.estimate_poses.in_order()
+
+    def tracked(self, losses: Sequence[Loss]) -> InputPair:
+        """Return both sides until a divergence or the end, the estimate without frozen poses."""
+        stamps = self.estimate.stamps + round(self.offset_s * NANOSECONDS)
+        true_stamps = self.groundtruth.stamps
+        kept, true_kept = np.ones(len(stamps), dtype=bool), np.ones(len(true_stamps), dtype=bool)
+        for loss in losses:
+            goes_on = loss.is_over and loss.cause == FROZEN
+            kept &= (stamps <= loss.begin_ns) | (goes_on & (stamps > loss.end_ns))
+            true_kept &= (true_stamps <= loss.begin_ns) | goes_on
+        sides = self.groundtruth[true_kept], self.estimate[kept]
+        return InputPair(*sides, self.protocol, self.offset_s)

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from trajeval_ros.geometry.arrays import Floats
     from trajeval_ros.metrics.association import Association
 
-_TEST = "lost tracking"
 _START_S = 1.0  # a loss within this time after the first pair is one of the start
 _FEWEST = 10  # pairs before a loss, for the size of their path
 # Of the size of the groundtruth's path. Inverse poses have up to twice its size.
@@ -70,22 +69,18 @@ def lost_tracking(losses: Sequence[Loss], pairs: Association, first_ns: int) -> 
         some = [loss for loss in losses if loss.cause == kind]
         if not some:
             continue
-        begin = some[0]
         longest = max(some, key=lambda loss: loss.duration_s)
-        told = begin if kind == DIVERGED else longest
-        at_s = (told.begin_ns - first_ns) / NANOSECONDS
+        loss = some[0] if kind == DIVERGED else longest
         values: dict[str, Value] = {
-            "at_s": at_s,
-            "after_s": (told.end_ns - first_ns) / NANOSECONDS,
-            "lost_s": told.duration_s,
-            "until": f" for {told.duration_s:.1f} s" if told.is_over else "",
+            "at_s": (loss.begin_ns - first_ns) / NANOSECONDS,
+            "after_s": (loss.end_ns - first_ns) / NANOSECONDS,
+            "lost_s": loss.duration_s,
+            "until": f" for {loss.duration_s:.1f} s" if loss.is_over else "",
             "number": f" (longest of {len(some)} times)" if len(some) > 1 else "",
-            "true_m": told.true_m,
-            "true_deg": told.true_deg,
-            "moved_m": told.moved_m,
+            "true_m": loss.true_m,
+            "true_deg": loss.true_deg,
+            "moved_m": loss.moved_m,
         }
-        cause = kind
-        if begins_at_start(told, pairs) and (told.is_over or kind == DIVERGED):
-            cause = f"{kind}_at_start"
-        seen.append(Seen(cause, values))
-    return Examined(_TEST, {"losses": float(len(losses))}, tuple(seen))
+        of_start = begins_at_start(loss, pairs) and (loss.is_over or kind == DIVERGED)
+        seen.append(Seen(f"{kind}_at_start" if of_start else kind, values))
+    return Examined("lost tracking", {"losses": float(len(losses))}, tuple(seen))

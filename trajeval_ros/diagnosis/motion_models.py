@@ -10,7 +10,7 @@ as the regressor makes the scale smaller.
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -130,38 +130,35 @@ class GroundtruthMotions:
         return self.ends.body_motions()
 
     @functools.cached_property
-    def bounded(self) -> tuple[Floats, Floats]:
+    def bounded(self) -> list[Floats]:
         """The motions with limited lengths."""
-        rotations, displacements = map(bounded, self.motions)
-        return rotations, displacements
+        return [bounded(rows) for rows in self.motions]
 
     @functools.cached_property
-    def units(self) -> tuple[Floats, Floats]:
+    def units(self) -> list[Floats]:
         """Units (N,) of the residuals of rotations and displacements.
 
         Errors have a constant part, and a part that grows with the motion.
         """
-        rotation, displacement = map(lengths, self.motions)
-        return (
-            rotation + median(rotation) + 1e-9,
-            displacement + median(displacement) + 1e-9,
-        )
+        return [size + median(size) + 1e-9 for size in map(lengths, self.motions)]
 
     @functools.cached_property
     def log_units(self) -> float:
         """The logarithm of the determinant of the units."""
-        rotation, displacement = self.units
-        total = float(np.log(displacement).sum())
-        return 3.0 * (total + (self.ends.quaternions is not None) * float(np.log(rotation).sum()))
+        kinds = self.units if self.ends.quaternions is not None else self.units[1:]
+        return 3.0 * sum(float(np.log(unit).sum()) for unit in kinds)
 
     @functools.cached_property
-    def principal_axes(self) -> tuple[Floats, Floats]:
+    def principal_axes(self) -> list[Floats]:
         """Axes (3, 3) of rotations and displacements.
 
         With these axes, no common rotation changes a likelihood.
         """
-        one, other = (np.linalg.eigh(rows.T @ rows)[1] for rows in self.bounded)
-        return one, other
+        return [np.linalg.eigh(rows.T @ rows)[1] for rows in self.bounded]
+
+    def in_units(self, kind: int, residuals: Floats) -> Floats:
+        """Return residuals (N, 3) of rotations (0) or displacements (1) in their units (3, N)."""
+        return (residuals @ self.principal_axes[kind] / self.units[kind][:, None]).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,12 +179,6 @@ class ReadMotions:
         return self.motions.estimate.body_motions()[0]
 
     @functools.cached_property
-    def steps(self) -> Floats:
-        """Displacements (N, 3) of the estimate in its world."""
-        positions = self.motions.estimate.positions
-        return np.asarray(positions[1] - positions[0])
-
-    @functools.cached_property
     def to_world(self) -> Floats:
         """Rotations (N, 3, 3) of the estimate at the starts."""
         quaternions = self.motions.estimate.quaternions
@@ -197,12 +188,13 @@ class ReadMotions:
 
     def displacements(self, axes: Floats) -> Floats:
         """Return displacements (N, 3) in the estimate's body, with axes of its positions."""
-        return np.asarray(np.einsum("nmb,nm->nb", self.to_world, self.steps @ axes.T))
+        steps = self.motions.estimate.displacements
+        return np.asarray(np.einsum("nmb,nm->nb", self.to_world, steps @ axes.T))
 
     def moments(self, axes: Floats) -> Floats:
         """Return moments (P, 3, 3) of both sides' motions, by axes (P, 3, 3) of the positions."""
         rotations, displacements = self.of_groundtruth.bounded
-        steps = bounded(self.steps)
+        steps = bounded(self.motions.estimate.displacements)
         count = len(steps)
         products = (displacements[:, :, None] * steps[:, None, :]).reshape(count, 9)
         in_body = (products.T @ self.to_world.reshape(count, 9)).reshape(3, 3, 3, 3)
@@ -223,86 +215,69 @@ class ModelScores:
     def __init__(self, motions: ShortMotions) -> None:
         """Prepare motions; there is at least one."""
         self.motions = motions
-        # The weight of a motion in the evidence.
-        self.weight = min(motions.independent, MOST_INDEPENDENT) / max(len(motions), 1)
+        self.evidence = min(motions.independent, MOST_INDEPENDENT)  # independent motions
+        self.weight = self.evidence / len(motions)  # of a motion in the evidence
         self._read: dict[Hypothesis, ReadMotions] = {}
         self._groundtruth: dict[str, GroundtruthMotions] = {}  # by cause
-
-    @property
-    def evidence(self) -> float:
-        """The number of independent motions that count."""
-        return self.weight * len(self.motions)
+        # Units of the estimate per metre, equal for all models, for numbers near 1.
+        sizes = [
+            max(median(lengths(side.displacements)), 1e-12)
+            for side in (motions.estimate, motions.groundtruth)
+        ]
+        self.size_ratio = sizes[0] / sizes[1]
 
     def read(self, hypothesis: Hypothesis) -> ReadMotions:
         """Return the motions as a hypothesis reads them."""
         if hypothesis not in self._read:
-            given, changed = self.motions, hypothesis.side in (GROUNDTRUTH, BOTH)
+            changed = hypothesis.side in (GROUNDTRUTH, BOTH)
             # Most hypotheses are about the estimate alone, and share the groundtruth's motions.
             key = hypothesis.cause if changed else AS_READ
+            around = tuple(hypothesis.applied(GROUNDTRUTH, ends) for ends in self.motions.around)
             if key not in self._groundtruth:
-                ends = hypothesis.applied(GROUNDTRUTH, given.groundtruth)
-                self._groundtruth[key] = GroundtruthMotions(ends)
-            of_groundtruth = self._groundtruth[key]
-            motions = replace(
-                given,
-                groundtruth=of_groundtruth.ends,
-                groundtruth_later=hypothesis.applied(GROUNDTRUTH, given.groundtruth_later),
-                groundtruth_earlier=hypothesis.applied(GROUNDTRUTH, given.groundtruth_earlier),
-                estimate=hypothesis.applied(ESTIMATE, given.estimate),
-            )
-            self._read[hypothesis] = ReadMotions(motions, of_groundtruth)
+                self._groundtruth[key] = GroundtruthMotions(around[0])
+            estimate = hypothesis.applied(ESTIMATE, self.motions.estimate)
+            motions = replace(self.motions, around=around, estimate=estimate)
+            self._read[hypothesis] = ReadMotions(motions, self._groundtruth[key])
         return self._read[hypothesis]
 
     def likeliest(self, hypotheses: Sequence[Hypothesis]) -> list[Model]:
         """Return the best models of hypotheses and those as read, with likelihoods, unsorted."""
-        models: list[Model] = []
-        ranks: list[Floats] = []
-        for hypothesis in hypotheses:
-            for agreements, priors, bodies, rows in self._ranked(hypothesis):
-                ranks.append(
-                    priors
-                    - 3.0
-                    * self.evidence
-                    * np.log(np.maximum(1.0 - agreements, _LEAST_RESIDUAL**2))
-                )
-                models += [
-                    Model(hypothesis, PERMUTATIONS[row], body, float(prior), float(agreement))
-                    for row, body, prior, agreement in zip(
-                        rows, bodies, priors, agreements, strict=True
-                    )
-                ]
-        order = np.argsort(-np.concatenate(ranks))
+        models = [model for hypothesis in hypotheses for model in self._all_of(hypothesis)]
+        misfits = np.maximum([1.0 - model.agreement for model in models], _LEAST_RESIDUAL**2)
+        priors = np.array([model.log_prior for model in models])
+        order = np.argsort(3.0 * self.evidence * np.log(misfits) - priors)
         chosen = [models[k] for k in order[:_RANKED]]
         # As read, with equal bodies and with any rotation between them.
         plain = [m for m in models if m.hypothesis.cause == AS_READ and not m.changes_axes]
-        chosen += [model for model in plain if model not in chosen]
-        return self.with_likelihoods(chosen)
+        return self.with_likelihoods([*chosen, *(m for m in plain if m not in chosen)])
 
-    def _ranked(self, hypothesis: Hypothesis) -> list[tuple[Floats, Floats, Floats, Floats]]:
-        """Return agreements, priors, bodies and rows of the axes, by kind of body.
-
-        The kinds are equal axes, permuted axes, and any rotation.
-        """
-        read = self.read(hypothesis)
-        oriented = self.motions.has_orientations
+    def _all_of(self, hypothesis: Hypothesis) -> Iterator[Model]:
+        """Yield the models of a hypothesis: with equal and permuted axes, and any rotation."""
         rows = np.array([0, MIRRORED])
-        if oriented:
-            rows = np.arange(len(PERMUTATIONS)) if hypothesis.with_axes else np.array([0])
-        moments = read.moments(PERMUTATIONS[rows])
+        if self.motions.has_orientations:
+            rows = np.arange(len(PERMUTATIONS)) if hypothesis.with_axes else rows[:1]
+        moments = self.read(hypothesis).moments(PERMUTATIONS[rows])
         traces, rotations = best_rotations(moments)
         priors = hypothesis.log_prior + AXES_LOG_PRIORS[rows]
-        if not oriented:  # the rotation is that of the world
-            return [(traces, priors, rotations, rows)]
-        permuted = np.einsum("qab,pab->pq", PROPER, moments)
-        best = permuted[:, 1:].argmax(axis=1) + 1
-        body_priors = np.where(rows == MIRRORED, MIRROR_LOG_PRIORS[best], OTHER_BODY)
-        same = np.broadcast_to(np.eye(3), rotations.shape)
-        chosen = permuted[np.arange(len(rows)), best]
-        return [
-            (permuted[:, 0] / 2.0, priors, same, rows),
-            (chosen / 2.0, priors + body_priors, PROPER[best], rows),
-            (traces / 2.0, priors + ROTATED_BODY, rotations, rows),
-        ]
+        kinds = [(traces, priors, rotations)]  # without orientations, a rotation of the world
+        if self.motions.has_orientations:
+            permuted = np.einsum("qab,pab->pq", PROPER, moments)
+            best = permuted[:, 1:].argmax(axis=1) + 1
+            of_bodies = np.where(rows == MIRRORED, MIRROR_LOG_PRIORS[best], OTHER_BODY)
+            kinds = [
+                (permuted[:, 0] / 2.0, priors, np.broadcast_to(np.eye(3), rotations.shape)),
+                (permuted[:, 1:].max(axis=1) / 2.0, priors + of_bodies, PROPER[best]),
+                (traces / 2.0, priors + ROTATED_BODY, rotations),
+            ]
+        for agreements, log_priors, bodies in kinds:
+            for k, row in enumerate(rows):
+                yield Model(
+                    hypothesis,
+                    PERMUTATIONS[row],
+                    bodies[k],
+                    float(log_priors[k]),
+                    float(agreements[k]),
+                )
 
     def with_likelihoods(self, models: list[Model]) -> list[Model]:
         """Return models with their scales and likelihoods."""
@@ -311,16 +286,12 @@ class ModelScores:
             read = self.read(model.hypothesis)
             rotations, displacements = read.groundtruth
             rotated = read.displacements(model.axes) @ model.body.T
-            ratio = _ratio(displacements, rotated)
+            ratio, rest = self._apart(displacements, rotated)
             scales.append(1.0 / ratio)
-            of_rotations, of_displacements = self._in_units(
-                read,
-                read.rotations @ model.body.T - rotations,
-                (rotated - displacements * ratio) / self.size_ratio,
-            )
-            kinds = [of_displacements.T]
+            kinds = [read.of_groundtruth.in_units(1, rest)]
             if self.motions.has_orientations:
-                kinds.append(of_rotations.T)
+                turned = read.rotations @ model.body.T - rotations
+                kinds.append(read.of_groundtruth.in_units(0, turned))
             residuals.append(np.concatenate(kinds))
         means = t_log_likelihood(np.array(residuals))[0].sum(axis=1)
         return [
@@ -328,16 +299,18 @@ class ModelScores:
             for model, scale, mean in zip(models, scales, means, strict=True)
         ]
 
-    def _in_units(
-        self, read: ReadMotions, rotations: Floats, displacements: Floats
-    ) -> tuple[Floats, Floats]:
-        """Return residuals (N, 3) along the principal axes, relative to the motion."""
-        rotation_axes, displacement_axes = read.of_groundtruth.principal_axes
-        rotation_unit, displacement_unit = (unit[:, None] for unit in read.of_groundtruth.units)
-        return (
-            rotations @ rotation_axes / rotation_unit,
-            displacements @ displacement_axes / displacement_unit,
-        )
+    def _apart(self, groundtruth: Floats, estimate: Floats) -> tuple[float, Floats]:
+        """Return units of the estimate per metre by displacements (N, 3), and the residuals.
+
+        Noise of the estimate is no bias of the ratio.
+        """
+        squared = np.einsum("ni,ni->n", groundtruth, groundtruth)
+        large, ratio = squared > median(squared), 1.0
+        if large.any():
+            along = np.einsum("ni,ni->n", groundtruth, estimate)[large] / squared[large]
+            usual = median(lengths(estimate[large]) / np.sqrt(squared[large]))
+            ratio = max(median(along), _LEAST_RATIO * usual, 1e-9)
+        return ratio, (estimate - groundtruth * ratio) / self.size_ratio
 
     def _total(self, hypothesis: Hypothesis, mean: float) -> float:
         """Return the log likelihood in the units of the motions."""
@@ -348,60 +321,40 @@ class ModelScores:
 
         Only displacements are compared.
         """
-        ends = self.motions.groundtruth.positions
-        steps, read = ends[1] - ends[0], self.read(model.hypothesis)
-        unit = read.of_groundtruth.units[1][:, None] * self.size_ratio
-        rows = []
-        for worlds in (one, other):
-            rotated = lie.rotate(worlds, read.steps @ model.axes.T)
-            rows.append(((rotated - steps * _ratio(steps, rotated)) / unit).T)
+        read, steps = self.read(model.hypothesis), self.motions.groundtruth.displacements
+        given = self.read(model.hypothesis).motions.estimate.displacements @ model.axes.T
+        rows = [
+            (
+                self._apart(steps, lie.rotate(worlds, given))[1]
+                / read.of_groundtruth.units[1][:, None]
+            ).T
+            for worlds in (one, other)
+        ]
         likelihoods = t_log_likelihood(np.stack(rows))[0].sum(axis=1)
         return self.evidence * float(likelihoods[0] - likelihoods[1])
 
     @functools.cached_property
-    def size_ratio(self) -> float:
-        """Units of the estimate per metre, equal for all models, for numbers near 1."""
-        sizes = [
-            median(lengths(poses.positions[1] - poses.positions[0]))
-            for poses in (self.motions.estimate, self.motions.groundtruth)
-        ]
-        return max(sizes[0], 1e-12) / max(sizes[1], 1e-12)
-
-    @functools.cached_property
     def unrelated(self) -> Unrelated:
         """The likelihoods without a relation of the rotations."""
-        hypothesis = HYPOTHESES[0]
-        read = self.read(hypothesis)
-        ends = self.motions.groundtruth
-        steps = ends.positions[1] - ends.positions[0]
-        moment = bounded(steps).T @ bounded(read.steps)
+        read, ends = self.read(HYPOTHESES[0]), self.motions.groundtruth
+        steps = self.motions.estimate.displacements
+        moment = bounded(ends.displacements).T @ bounded(steps)
         traces, worlds = best_rotations(np.stack([moment, -moment]))
         is_mirrored = traces[1] > traces[0] + 1e-3
-        rotated = read.steps @ worlds[int(is_mirrored)].T * (-1.0 if is_mirrored else 1.0)
-        ratio = _ratio(steps, rotated)
-        rest = (rotated - steps * ratio) / self.size_ratio
+        rotated = steps @ worlds[int(is_mirrored)].T * (-1.0 if is_mirrored else 1.0)
+        ratio, rest = self._apart(ends.displacements, rotated)
         if ends.quaternions is not None:
             rest = lie.rotate(lie.conjugate(ends.quaternions[0]), rest)
-        in_body = read.displacements(np.eye(3)) / self.size_ratio
-        of_rotations, nothing = self._in_units(read, read.rotations, in_body)
-        _, of_positions = self._in_units(read, read.rotations, rest)
-        rows = np.stack([nothing.T, of_positions.T, of_rotations.T])
-        moving, related, turning = t_log_likelihood(rows)[0].sum(axis=1)
+        kinds = [
+            (1, read.displacements(np.eye(3)) / self.size_ratio),
+            (1, rest),
+            (0, read.rotations),
+        ]
+        rows = np.stack([read.of_groundtruth.in_units(kind, one) for kind, one in kinds])
+        moving, related, turning = map(float, t_log_likelihood(rows)[0].sum(axis=1))
         if not self.motions.has_orientations:
             turning = 0.0
-        return Unrelated(
-            self._total(hypothesis, float(moving + turning)),
-            self._total(hypothesis, float(related + turning)),
-            1.0 / ratio,
+        nothing, positions = (
+            self._total(HYPOTHESES[0], one + turning) for one in (moving, related)
         )
-
-
-def _ratio(groundtruth: Floats, estimate: Floats) -> float:
-    """Return units of the estimate per metre by displacements (N, 3); its noise is no bias."""
-    squared = np.einsum("ni,ni->n", groundtruth, groundtruth)
-    large = squared > median(squared)
-    if not large.any():
-        return 1.0
-    along = np.einsum("ni,ni->n", groundtruth, estimate)[large] / squared[large]
-    usual = median(lengths(estimate[large]) / np.sqrt(squared[large]))
-    return max(median(along), _LEAST_RATIO * usual, 1e-9)
+        return Unrelated(nothing, positions, 1.0 / ratio)

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from trajeval_ros.diagnosis.clock_match import SMALL_S, ClockMatch
 from trajeval_ros.diagnosis.findings import Finding, Seen, Value
 from trajeval_ros.diagnosis.hypotheses import (
     AS_READ,
     BOTH,
+    ESTIMATE,
     GROUNDTRUTH,
     HYPOTHESES,
     MISTAKE,
+    ODDS,
     PROPER,
     ROTATIONS,
+    TIE,
 )
 from trajeval_ros.diagnosis.input_pair import lengths
 from trajeval_ros.diagnosis.motion_models import Model, ModelScores
-from trajeval_ros.diagnosis.motion_parameters import BODY, LEVER, SPREADS, Parameters
+from trajeval_ros.diagnosis.motion_parameters import BODY, LEVER, SPREADS, Parameters, log_odds
 from trajeval_ros.diagnosis.short_motions import ShortMotions
 from trajeval_ros.diagnosis.world_axes import mean_direction, world_rotations
 from trajeval_ros.geometry import lie
@@ -29,8 +32,6 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.vertical_axis import nearest_axis
 from trajeval_ros.metrics.statistics import median
 
-ODDS = 12.0  # least logarithm of odds of a statement: alarms against missed mistakes
-TIE = 3.0  # largest difference of logarithms between models that the motion can't distinguish
 # Rotations of a body within this angle of other axes are stated as these axes.
 _EXACT_AXES_DEG = 3.0
 _TILTS_APART_DEG = 20.0  # that gravity distinguishes; less is drift
@@ -45,8 +46,6 @@ _LEAST_LOG_SCALE, _DIVERGED = 0.2, math.log(1e4)  # a scale error, and one that 
 _FAST_M = 200.0  # per motion: no body that is localised is as fast, so the unit is smaller
 # Ratios of the sums of rotation angles: of another unit, and of constant orientations.
 _OTHER_UNIT, _CONSTANT = 0.1, 1e-3
-_LEAP_S = {18: "GPS time without leap seconds", 19: "GPS against TAI", 37: "TAI against UTC"}
-_LEAP_WITHIN_S = 0.3
 _WRITTEN = {
     "wxyz": "in the order w, x, y, z but read as x, y, z, w",
     "xyzw": "in the order x, y, z, w but read as w, x, y, z",
@@ -65,18 +64,23 @@ def convention(scores: ModelScores, best: Model, models: Sequence[Model], as_rea
     by_cause = {best.cause: best}
     for model in sorted(ties, key=lambda model: -model.score):
         by_cause.setdefault(model.cause, model)
-    if len(by_cause) > 1:
-        rows = [_of_model(scores, model, ties, as_read) for model in by_cause.values()]
-        names = map(_written, by_cause.values())
-        options = (Finding.of(row).conversion for row in rows)
-        return Seen.of(
-            "convention_tie",
-            agreement=100.0 * max(best.agreement, 0.0),
-            as_read=100.0 * max(as_read.agreement, 0.0),
-            causes=" or ".join(dict.fromkeys(names)),
-            options=", or ".join(dict.fromkeys(option for option in options if option)),
-        )
-    return _of_model(scores, best, ties, as_read)
+    rows = [_of_model(scores, model, ties, as_read) for model in by_cause.values()]
+    if len(rows) == 1:
+        return rows[0]
+    options = (Finding.of(row).conversion for row in rows)
+    agreements = _agreements(best, as_read)
+    return Seen.of(
+        "convention_tie",
+        **agreements,
+        causes=" or ".join(dict.fromkeys(map(_written, by_cause.values()))),
+        options=", or ".join(dict.fromkeys(option for option in options if option)),
+    )
+
+
+def _agreements(model: Model, as_read: Model) -> dict[str, float]:
+    """Return the agreements with a model and as read, percent."""
+    pair = {"agreement": model, "as_read": as_read}
+    return {name: 100.0 * max(one.agreement, 0.0) for name, one in pair.items()}
 
 
 def _written(model: Model) -> str:
@@ -89,18 +93,17 @@ def _written(model: Model) -> str:
 def _of_model(scores: ModelScores, model: Model, ties: Sequence[Model], as_read: Model) -> Seen:
     """Return the finding of a model, with its correction."""
     hypothesis, cause = model.hypothesis, model.cause
+    if cause == ROTATIONS:
+        return rotations(scores, hypothesis.detail)
     sides = {tie.hypothesis.side for tie in ties if tie.cause == cause and tie.hypothesis.side}
     is_open = len(sides - {BOTH}) > 1 and hypothesis.side != BOTH
     values: dict[str, Value] = {
+        **_agreements(model, as_read),
         "side": "one side" if is_open else hypothesis.side or "one side",
-        "agreement": 100.0 * max(model.agreement, 0.0),
-        "as_read": 100.0 * max(as_read.agreement, 0.0),
         "order": hypothesis.order,
         "inverse": hypothesis.inverse,
         "causes": _WRITTEN.get(hypothesis.cause, ""),
     }
-    if cause == ROTATIONS:
-        return rotations(scores, hypothesis.detail)
     if model.changes_axes:
         # Of axes that short motions can't distinguish, gravity selects one.
         similar = [tie for tie in ties if tie.cause == cause and tie.hypothesis is hypothesis]
@@ -121,14 +124,12 @@ def rotations(scores: ModelScores, detail: str = "") -> Seen:
     if detail:
         how = f"only with a correction: {detail}"
     elif not _CONSTANT < ratio < 1.0 / _CONSTANT:
-        side = "estimate" if ratio < 1.0 else "groundtruth"
+        side = ESTIMATE if ratio < 1.0 else GROUNDTRUTH
         how, check = f"{how} (those of the {side} are constant)", "columns of the orientations"
-    elif ratio < _OTHER_UNIT:
+    elif not _OTHER_UNIT <= ratio <= 1.0 / _OTHER_UNIT:
         how += f" (angles {ratio:.3g} times as large)"
-        check = "radians were probably read as degrees"
-    elif ratio > 1.0 / _OTHER_UNIT:
-        how += f" (angles {ratio:.3g} times as large)"
-        check = "degrees were probably read as radians"
+        one, other = ("radians", "degrees")[:: 1 if ratio < 1.0 else -1]
+        check = f"{one} were probably read as {other}"
     is_explained = float(how != "in no convention")
     return Seen.of(ROTATIONS, how=how, check=check, angle_ratio=ratio, is_explained=is_explained)
 
@@ -145,7 +146,7 @@ def _axes_options(scores: ModelScores, model: Model) -> list[tuple[float, str]]:
         rotated = mean_direction(lie.rotate(worlds, np.broadcast_to(up, (len(worlds), 3))))
         return math.degrees(math.acos(min(max(float(rotated[2]), -1.0), 1.0)))
 
-    options = [(tilt_deg(np.array([0.0, 0.0, 1.0])), f"positions={_axes(axes)}")]
+    options = [(tilt_deg(np.eye(3)[2]), f"positions={_axes(axes)}")]
     if not model.is_mirrored:  # the rotations may have been converted
         options.append((tilt_deg(axes[:, 2]), f"rotations={_axes(axes.T)}"))
     return options
@@ -158,12 +159,10 @@ def mirror_of(scores: ModelScores, model: Model) -> Floats:
     and tilt of the world.
     """
     of_body = np.einsum("qij,ij->q", PROPER, model.body)  # traces of the remaining rotations
-    up = lie.rotate(
-        lie.conjugate(world_rotations(scores, model, model.body)),
-        np.broadcast_to([0.0, 0.0, 1.0], (len(scores.motions), 3)),
-    )
-    of_world = PROPER[:, 2] @ mean_direction(up)
-    angles = np.arccos(np.clip(np.stack([(of_body - 1.0) / 2.0, of_world]), -1.0, 1.0))
+    worlds = lie.conjugate(world_rotations(scores, model, model.body))
+    up = mean_direction(lie.rotate(worlds, np.broadcast_to(np.eye(3)[2], (len(worlds), 3))))
+    cosines = np.stack([(of_body - 1.0) / 2.0, PROPER[:, 2] @ up])
+    angles = np.arccos(np.clip(cosines, -1.0, 1.0))
     return np.asarray(-PROPER[int(angles.sum(axis=0).argmin())])
 
 
@@ -179,54 +178,50 @@ def unit_or_scale(
 
     `scale`: groundtruth metres per unit of the estimate, with the variance of its logarithm.
     """
-    log = math.log(scale)
-    groundtruth, estimate = (
-        lengths(poses.positions[1] - poses.positions[0])
-        for poses in (motions.groundtruth, motions.estimate)
-    )
+    log, spread = math.log(scale), SPREADS["scale"]
+    steps = {
+        ESTIMATE: lengths(motions.estimate.displacements),
+        GROUNDTRUTH: lengths(motions.groundtruth.displacements),
+    }
     if abs(log) > _DIVERGED:
-        true_m, moved_m = float(groundtruth.sum()), float(estimate.sum())
+        true_m, moved_m = float(steps[GROUNDTRUTH].sum()), float(steps[ESTIMATE].sum())
         return [Seen.of("diverged_at_start", until="", true_m=true_m, moved_m=moved_m)]
-    spread = SPREADS["scale"]
+    is_fast = {
+        side: median(sizes[sizes >= median(sizes)]) > _FAST_M for side, sizes in steps.items()
+    }
     healthy = _log_density(log, variance + spread.healthy**2)
     any_scale = _log_density(log, variance + spread.mistake**2) + MISTAKE
-    fast = {"estimate": _is_fast(estimate), GROUNDTRUTH: _is_fast(groundtruth)}
     densities: dict[tuple[str, str], float] = {}
-    for side, sign in (("estimate", 1.0), (GROUNDTRUTH, -1.0)):
-        for name, metres in _UNITS.items():
-            # Millimetres of a side are kilometres of the other one.
-            other = GROUNDTRUTH if side == "estimate" else "estimate"
-            impossible = {"millimetres": not fast[side], "kilometres": fast[other]}
-            if impossible.get(name, False):
-                continue
-            is_foot = (name, side) == ("feet", GROUNDTRUTH)
-            total = variance + (
-                _FOOT_SPREAD**2 if is_foot else _UNIT_SPREAD**2 + spread.healthy**2
-            )
-            density = _log_density(sign * log - math.log(metres), total)
-            densities[name, side] = density + MISTAKE - math.log(len(_UNITS))
-    name, side = max(densities, key=lambda key: densities[key])
-    values: dict[str, Value] = {"scale": scale, "or_feet": "", "or_convert": "", "gauge": "sim3"}
-    is_foot = (name, side) == ("feet", GROUNDTRUTH)
+    for (side, other), unit in itertools.product(itertools.permutations(steps), _UNITS):
+        # Millimetres of a side are kilometres of the other one.
+        if (unit == "millimetres" and not is_fast[side]) or (
+            unit == "kilometres" and is_fast[other]
+        ):
+            continue
+        spread_of_unit = _UNIT_SPREAD**2 + spread.healthy**2
+        if (unit, side) == ("feet", GROUNDTRUTH):
+            spread_of_unit = _FOOT_SPREAD**2
+        apart = (log if side == ESTIMATE else -log) - math.log(_UNITS[unit])
+        prior = MISTAKE - math.log(len(_UNITS))
+        densities[unit, side] = _log_density(apart, variance + spread_of_unit) + prior
+    unit, side = max(densities, key=lambda key: densities[key])
+    is_foot = (unit, side) == ("feet", GROUNDTRUTH)
     more_than_scale = any_scale + (_FOOT_ODDS if is_foot else 1.0)
-    is_unit = densities[name, side] > max(healthy + ODDS, more_than_scale)
+    is_unit = densities[unit, side] > max(healthy + ODDS, more_than_scale)
     # An alignment with scale hides the unit of the estimate, and that of a slow groundtruth.
     if gauge.has_scale:
-        is_unit = is_unit and side == GROUNDTRUTH and fast[GROUNDTRUTH]
-    if is_unit and is_foot:
-        convert = " (--gauge sim3), or convert feet: trajeval trajectory SOURCE --scale 0.3048"
-        values |= {"or_feet": ", or with groundtruth in feet", "or_convert": convert, "gauge": ""}
-        return [Seen("scale", values)]
-    if is_unit:
-        values |= {"side": side, "unit": name, "factor": f"{_UNITS[name]:g}"}
-        return [Seen("unit", values)]
-    if gauge.has_scale or abs(log) < _LEAST_LOG_SCALE or any_scale - healthy < ODDS + MISTAKE:
+        is_unit = is_unit and side == GROUNDTRUTH and is_fast[GROUNDTRUTH]
+    if is_unit and not is_foot:
+        factor = f"{_UNITS[unit]:g}"
+        return [Seen("unit", {"scale": scale, "side": side, "unit": unit, "factor": factor})]
+    is_scale = abs(log) >= _LEAST_LOG_SCALE and any_scale - healthy >= ODDS + MISTAKE
+    if not is_unit and (gauge.has_scale or not is_scale):
         return []
-    return [Seen("scale", values)]
-
-
-def _is_fast(steps: Floats) -> bool:
-    return median(steps[steps >= median(steps)]) > _FAST_M
+    values: dict[str, Value] = {"or_feet": "", "or_convert": "", "gauge": "sim3"}
+    if is_unit:
+        convert = " (--gauge sim3), or convert feet: trajeval trajectory SOURCE --scale 0.3048"
+        values = {"or_feet": ", or with groundtruth in feet", "or_convert": convert, "gauge": ""}
+    return [Seen("scale", {"scale": scale, **values})]
 
 
 def _log_density(value: float, variance: float) -> float:
@@ -240,38 +235,35 @@ def body_and_lever(
 
     The correction is the pose of the groundtruth's body in the estimate's, T_B_M.
     """
-    matrix = parameters.body
+    matrix, covariance = parameters.body, parameters.covariance
     if model.is_mirrored and (model.axes == -np.eye(3)).all():
         matrix = matrix @ -mirror_of(scores, model).T  # what the mirror leaves
-    rotation = lie.rotation_vector(lie.from_matrix(matrix))
-    values = parameters.values.copy()
-    values[BODY] = rotation
-    remaining = Parameters(values, parameters.covariance, matrix)
-    body_odds = remaining.log_odds("body", BODY)
-    lever_odds = remaining.log_odds("lever", LEVER)
-    lever = values[LEVER]
-    lever_m, angle_deg = float(np.linalg.norm(lever)), math.degrees(float(lengths(rotation)))
-    sigma_deg = math.degrees(_sigma_of_length(rotation, parameters.covariance[BODY, BODY]))
-    sigma_m = _sigma_of_length(lever, parameters.covariance[LEVER, LEVER])
+    rotation, lever = lie.rotation_vector(lie.from_matrix(matrix)), parameters.values[LEVER]
     statistics = {
-        "angle_deg": angle_deg,
-        "lever_m": lever_m,
-        "log_odds_of_body": body_odds,
-        "log_odds_of_lever": lever_odds,
+        "angle_deg": math.degrees(float(lengths(rotation))),
+        "lever_m": float(lengths(lever)),
+        "log_odds_of_body": log_odds(rotation, covariance[BODY, BODY], SPREADS["body"]),
+        "log_odds_of_lever": log_odds(lever, covariance[LEVER, LEVER], SPREADS["lever"]),
     }
-    is_rotated = body_odds > ODDS
-    has_lever = lever_odds > ODDS and lever_m > _LEAST_LEVER_M
-    if not (is_rotated or has_lever):
-        return statistics, []
+    angle_deg, lever_m = statistics["angle_deg"], statistics["lever_m"]
+    is_rotated = statistics["log_odds_of_body"] > ODDS
+    has_lever = statistics["log_odds_of_lever"] > ODDS and lever_m > _LEAST_LEVER_M
     nearest = PROPER[int(np.einsum("qij,ij->q", PROPER, matrix).argmax())]
     off = float(lie.angle(lie.from_matrix(matrix @ nearest.T)))
     if math.degrees(off) < _EXACT_AXES_DEG:
         matrix = nearest
-    pose = _pose(matrix.T if is_rotated else np.eye(3), lever if has_lever else np.zeros(3))
+    # x, y, z, qx, qy, qz, qw
+    numbers = [
+        *(lever if has_lever else np.zeros(3)),
+        *lie.from_matrix(matrix.T if is_rotated else np.eye(3)),
+    ]
+    pose = ",".join(f"{one + 0.0:.5g}" if abs(one) > 1e-6 else "0" for one in numbers)
     seen = []
     if is_rotated:
-        seen.append(Seen.of("body", angle_deg=angle_deg, rest_deg=sigma_deg, pose=pose))
+        rest_deg = math.degrees(_sigma_of_length(rotation, covariance[BODY, BODY]))
+        seen.append(Seen.of("body", angle_deg=angle_deg, rest_deg=rest_deg, pose=pose))
     if has_lever:
+        sigma_m = _sigma_of_length(lever, covariance[LEVER, LEVER])
         seen.append(Seen.of("lever_arm", lever_m=lever_m, sigma_m=sigma_m, pose=pose))
     return statistics, seen
 
@@ -280,37 +272,3 @@ def _sigma_of_length(vector: Floats, covariance: Floats) -> float:
     """Return the standard deviation of the length of a vector (3,) with a covariance (3, 3)."""
     along = vector / max(float(np.linalg.norm(vector)), 1e-12)
     return math.sqrt(float(along @ covariance @ along))
-
-
-def _pose(rotation: Floats, lever_m: Floats) -> str:
-    """Return a pose as the value of --hand-eye: x, y, z, qx, qy, qz, qw."""
-    numbers = [*lever_m, *lie.from_matrix(rotation)]
-    return ",".join(f"{number + 0.0:.5g}" if abs(number) > 1e-6 else "0" for number in numbers)
-
-
-def clock(
-    match: ClockMatch, offset_s: float, ppm: float, growth_s: float, applied_s: float
-) -> Seen:
-    """Return the finding about an offset, or about a rate if `ppm` is not zero.
-
-    `applied_s` is added to the estimate's timestamps already. The offset of a rate is that at the
-    estimate's first pose.
-    """
-    values: dict[str, Value] = {
-        "offset_s": offset_s,
-        "offset_ms": 1e3 * offset_s,
-        "total_s": applied_s + offset_s,
-        "peak": match.peak,
-        "as_stamped": match.as_stamped,
-        "known_as": "",
-        "more": "more " if applied_s else "",
-    }
-    if ppm:
-        values |= {"ppm": ppm, "growth_ms": 1e3 * growth_s}
-        return Seen("clock_drift", values)
-    if abs(offset_s) < SMALL_S:
-        return Seen("small_clock_offset", values)
-    whole = round(abs(offset_s))
-    leap = _LEAP_S.get(whole, "") if abs(abs(offset_s) - whole) < _LEAP_WITHIN_S else ""
-    values["known_as"] = f" ({leap})" if leap else ""
-    return Seen("clock_offset", values)

@@ -29,19 +29,23 @@ class PoseEnds:
     """Poses at the starts and the ends of N motions."""
 
     positions: Floats  # (2, N, 3)
-    quaternions: Floats | None  # (2, N, 4), xyzw; None without orientations
+    quaternions: Floats | None = None  # (2, N, 4), xyzw; None without orientations
+
+    @property
+    def displacements(self) -> Floats:
+        """Displacements (N, 3) in the world."""
+        return np.asarray(self.positions[1] - self.positions[0])
 
     def body_motions(self) -> tuple[Floats, Floats]:
         """Return rotation vectors and displacements (N, 3) in the axes of the body at the start.
 
         Without orientations, rotations are zero and displacements are in the axes of the world.
         """
-        displacements = self.positions[1] - self.positions[0]
         if self.quaternions is None:
-            return np.zeros_like(displacements), displacements
+            return np.zeros_like(self.displacements), self.displacements
         to_body = lie.conjugate(self.quaternions[0])
         rotations = lie.rotation_vector(lie.multiply(to_body, self.quaternions[1]))
-        return rotations, lie.rotate(to_body, displacements)
+        return rotations, lie.rotate(to_body, self.displacements)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,15 +53,18 @@ class ShortMotions:
     """N motions of both sides at the same times."""
 
     seconds: Floats  # (N,) from the middle of the run
-    groundtruth: PoseEnds
+    # The groundtruth now, and `DERIVATIVE_S` later and earlier for derivatives by the time offset.
+    around: tuple[PoseEnds, ...]
     estimate: PoseEnds
-    # The groundtruth `DERIVATIVE_S` later and earlier, for derivatives by the time offset.
-    groundtruth_later: PoseEnds
-    groundtruth_earlier: PoseEnds
     duration_s: float  # of a motion
 
     def __len__(self) -> int:
         return len(self.seconds)
+
+    @property
+    def groundtruth(self) -> PoseEnds:
+        """The groundtruth at the times of the estimate."""
+        return self.around[0]
 
     @property
     def has_orientations(self) -> bool:
@@ -95,30 +102,16 @@ class ShortMotions:
         start, end = start[end < last], end[end < last]
         fits = times[end] - times[start] < 2.0 * duration_s + 0.2
         rows = _without_jumps(np.stack([start[fits], end[fits]]), estimate)
-        at = mapped[rows]
-        around = np.stack([at, at + DERIVATIVE_S, at - DERIVATIVE_S])
-        poses = groundtruth.at(around.ravel(), max_gap_s)
-        known = poses.known.reshape(3, 2, -1)[0].all(axis=0)
-        positions = poses.positions.reshape(3, 2, -1, 3)[:, :, known]
-        quaternions = None
+        at = np.stack([mapped[rows] + late_s for late_s in (0.0, DERIVATIVE_S, -DERIVATIVE_S)])
+        poses = groundtruth.at(at.ravel(), max_gap_s)
+        known = poses.known.reshape(at.shape)[0].all(axis=0)
+        rows, columns, quaternions = rows[:, known], [poses.positions], None
         if poses.quaternions is not None and estimate.quaternions is not None:
-            quaternions = poses.quaternions.reshape(3, 2, -1, 4)[:, :, known]
-        now, later, earlier = (
-            PoseEnds(positions[k], None if quaternions is None else quaternions[k])
-            for k in range(3)
-        )
-        rows = rows[:, known]
-        other = None
-        if quaternions is not None and estimate.quaternions is not None:
-            other = estimate.quaternions[rows]
-        return cls(
-            times[rows].mean(axis=0) - middle_s,
-            now,
-            PoseEnds(estimate.positions[rows], other),
-            later,
-            earlier,
-            duration_s,
-        )
+            columns, quaternions = [*columns, poses.quaternions], estimate.quaternions[rows]
+        by_time = [column.reshape(*at.shape, -1)[:, :, known] for column in columns]
+        around = tuple(PoseEnds(*(column[k] for column in by_time)) for k in range(len(at)))
+        seconds = times[rows].mean(axis=0) - middle_s
+        return cls(seconds, around, PoseEnds(estimate.positions[rows], quaternions), duration_s)
 
 
 def _without_jumps(rows: Indices, estimate: TimedPoses) -> Indices:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, TypeAlias
 
 from trajeval_ros.diagnosis.causes import DISCONTINUITIES
-from trajeval_ros.diagnosis.findings import Diagnosis, Finding, Tried
+from trajeval_ros.diagnosis.findings import Diagnosis, Tried
 from trajeval_ros.exceptions import TrajevalError
 
 if TYPE_CHECKING:
@@ -32,35 +33,21 @@ def verified(diagnosis: Diagnosis, before: Evaluation | None, reevaluate: Reeval
     correctable = [finding for finding in diagnosis.findings if finding.correction]
     if not correctable:
         return diagnosis
-    first = correctable[0]
-    tried, is_possible = None, False
+    first, is_possible, checked = correctable[0], False, None
     for corrected in (correctable, correctable[:1]):
         steps = list({str(one.correction): one.correction for one in corrected}.values())
         options = dict.fromkeys(one.option for one in corrected if one.option != first.option)
-        try:
+        with contextlib.suppress(TrajevalError):
             after = reevaluate(steps)
-        except TrajevalError:
-            after = None
-        if after is not None:
-            is_possible = True
-            joint = Tried.of(before, after, " and ".join(options))
-            if not joint.raises_errors(first.cause):
-                tried = joint
+            is_possible, tried = True, Tried.of(before, after, " and ".join(options))
+            if not tried.raises_errors(first.cause):
+                checked = dataclasses.replace(first, tried=tried)
                 break
         if len(steps) == 1:
             break
-    checked = _checked(first, tried, is_possible=is_possible)
-    if checked is None:
+    if checked is None and is_possible and first.cause not in _MEASURED:
         rest = tuple(finding for finding in diagnosis.findings if finding is not first)
         return verified(dataclasses.replace(diagnosis, findings=rest), before, reevaluate)
-    findings = (checked if one is first else one for one in diagnosis.findings)
-    return dataclasses.replace(diagnosis, findings=tuple(findings))
-
-
-def _checked(finding: Finding, tried: Tried | None, *, is_possible: bool) -> Finding | None:
-    """Return a finding with its verification; None if its correction increases the errors."""
-    if tried is not None:
-        return dataclasses.replace(finding, tried=tried)
-    if is_possible and finding.cause not in _MEASURED:
-        return None
-    return finding.without_advice(is_possible=is_possible)
+    checked = checked or first.without_advice(is_possible=is_possible)
+    findings = tuple(checked if one is first else one for one in diagnosis.findings)
+    return dataclasses.replace(diagnosis, findings=findings)

@@ -195,9 +195,9 @@ class Outputs(_Topics):
         """Publish the alignment, and paths in the groundtruth's frame."""
         if not len(thinned):
             return
-        frames = frame, child_frame
-        self._alignment.publish(encode_alignment(alignment, thinned.columns()[0][-1:], frames))
-        for name, path in encode_paths(thinned, alignment, frame).items():
+        pairs, frames = thinned.pairs(), (frame, child_frame)
+        self._alignment.publish(encode_alignment(alignment, pairs.stamps[-1:], frames))
+        for name, path in encode_paths(pairs, alignment, frame).items():
             self._paths[name].publish(path)
 
 

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from mcap.writer import Writer
 from recorded_errors import Recorded, read_recording
+from state_rows import states, trajectory
 from strategies import make_pair, seeds
 
 from trajeval_ros import Protocol, Request, run
@@ -26,7 +27,6 @@ from trajeval_ros.io.results.error_recording import write_error_recording
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states, trajectory
 
 TRUTH, ODOMETRY = "/groundtruth/pose", "/vio/odometry"
 ROOT = "/evaluator/vio_odometry"

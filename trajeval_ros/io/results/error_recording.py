@@ -114,7 +114,7 @@ class _RecordedRun:
             "estimate": run.estimate.source,
         }
         pairs, self._alignment = _as_live(run.evaluation, up, run.estimate.up)
-        self._pairs = pairs.rows.without_covariances()
+        self._pairs = pairs.without_covariances()
         self._errors = PairErrors(pairs, self._alignment, run.evaluation.doubts)
         self._snapshot = _snapshot(run.evaluation)
         rule = run.evaluation.association.rule
@@ -142,7 +142,7 @@ class _RecordedRun:
         yield self._channel(ALIGNMENT, ALIGNMENT_TYPE, begin, [transform])
         thinned = ThinnedRun()
         thinned.add(self._pairs)
-        for topic, path in encode_paths(thinned, self._alignment, self._frame).items():
+        for topic, path in encode_paths(thinned.pairs(), self._alignment, self._frame).items():
             yield self._channel(topic, PATH_TYPE, begin, [path])
 
     def status(self) -> Any:

@@ -8,28 +8,35 @@ unrelated rates is -n/2 log(1 - c^2), per kind of rate.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from trajeval_ros.calibration.clock_offset import masked_correlation, refined_peak
+from trajeval_ros.diagnosis.findings import Seen
+from trajeval_ros.diagnosis.hypotheses import MISTAKE, ODDS
 from trajeval_ros.diagnosis.input_pair import TimedPoses
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.statistics import quantile
 
 _CELL_S, _CELLS = 0.05, 4000  # least cell, and most cells of a run, which bounds the cost
 _WINDOW_S = 0.4  # of a rate: noise matters in shorter windows
-_INDEPENDENT_S = 1.0  # after which rates are independent
 _LEAST_OVERLAP_S, _LEAST_OVERLAP = 8.0, 0.5  # with less common time, rates match at random
 _PEAK_S = 3.0  # width of a peak of the correlation
 SMALL_S = 0.25  # offsets within this are near zero: a search finds them without a prior
 _LARGEST = 0.999  # correlation, for its logarithm
 _BELOW_OUTLIERS = 0.98  # share of the rates that are used as they are; larger ones are reduced
 _PARTS, _PART_REACH_S = 3, 6.0  # parts with their own offsets, and largest change of an offset
-_SLOWEST, _FASTEST = 0.4, 2.5  # clock rates of the search
+_SLOWEST, _FASTEST, _RATE_PRIOR = 0.4, 2.5, -4.0  # clock rates of the search, which are rare
 _FIRST_SPAN_S, _COHERENT_S = 30.0, 0.7  # of the search: first part, and shift at its ends
 _REFINED = 4  # rates to refine with a longer part
+USABLE_PEAK = 0.6  # correlation from which on an offset is applied to other tests
+_ALIKE_PEAK, _ALIKE_RATE = 0.95, 0.985  # correlations from which on no other rate is searched
+_NEAR_S = 0.5  # largest offset with the second of these: turn rates can match at random
+_LEAP_S = {18: "GPS time without leap seconds", 19: "GPS against TAI", 37: "TAI against UTC"}
+_LEAP_WITHIN_S = 0.3  # of an offset by leap seconds: delays of messages
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,14 +70,12 @@ class RatesOfMotion:
         at, cells = np.arange(int(len(self.known) * factor)) / factor, np.arange(len(self.known))
         known = (np.interp(at, cells, self.known) > _LARGEST).astype(np.float64)
         values = np.array([np.interp(at, cells, row) for row in self.values]) / factor
-        return RatesOfMotion(self.start_s, known, values, self.cell_s)
+        return replace(self, known=known, values=values)
 
     def cells(self, first: int, end: int) -> RatesOfMotion:
         """Return the rates from one cell to another, excluded."""
-        start_s = self.start_s + first * self.cell_s
-        return RatesOfMotion(
-            start_s, self.known[first:end], self.values[:, first:end], self.cell_s
-        )
+        start_s, rows = self.start_s + first * self.cell_s, slice(first, end)
+        return RatesOfMotion(start_s, self.known[rows], self.values[:, rows], self.cell_s)
 
     def part(self, begin: float, end: float) -> RatesOfMotion:
         """Return the rates between two fractions of the time."""
@@ -108,28 +113,26 @@ class ClockMatch:
     @classmethod
     def between(cls, groundtruth: RatesOfMotion, estimate: RatesOfMotion) -> ClockMatch | None:
         """Search all offsets with enough common time; None without any."""
-        lags, correlations, common = _correlations(groundtruth, estimate)
-        cell_s = estimate.cell_s
-        overlap_s = common * cell_s
+        lags, correlations, overlap_s = _correlations(groundtruth, estimate)
         enough = overlap_s >= max(_LEAST_OVERLAP_S, _LEAST_OVERLAP * float(overlap_s.max()))
         if not enough.any():
             return None
-        shift_s = cell_s * lags + groundtruth.start_s - estimate.start_s
+        shift_s = estimate.cell_s * lags + groundtruth.start_s - estimate.start_s
         log_odds = np.where(enough, _log_odds(correlations, overlap_s), -1.0)
         best, zero = int(log_odds.argmax()), int(np.abs(shift_s).argmin())
         mean = correlations.mean(axis=0)
         others = log_odds[enough & (np.abs(shift_s - shift_s[best]) >= _PEAK_S)]
         near = (np.abs(shift_s) <= SMALL_S) & (overlap_s > _LEAST_OVERLAP_S / 2.0)
         return cls(
-            float(shift_s[best] + cell_s * refined_peak(mean, best)),
-            float(log_odds[best]),
-            float(max(log_odds[near].max(initial=0.0), 0.0)),
-            float(others.max(initial=0.0)),
-            float(mean[best]),
-            float(mean[zero]) if near.any() else 0.0,
-            float(correlations[:, best].max()),
-            float(overlap_s[best]),
-            float(np.ptp(shift_s)),
+            offset_s=float(shift_s[best] + estimate.cell_s * refined_peak(mean, best)),
+            log_odds=float(log_odds[best]),
+            log_odds_at_zero=float(max(log_odds[near].max(initial=0.0), 0.0)),
+            log_odds_of_second=float(others.max(initial=0.0)),
+            peak=float(mean[best]),
+            as_stamped=float(mean[zero]) if near.any() else 0.0,
+            highest=float(correlations[:, best].max()),
+            overlap_s=float(overlap_s[best]),
+            searched_s=float(np.ptp(shift_s)),
         )
 
 
@@ -139,31 +142,26 @@ def rates_of_both(
     """Return the rates of both sides on one grid, whose cells are longer for long runs."""
     cell_s = max(_CELL_S, max(groundtruth.span_s, estimate.span_s) / _CELLS)
     window_s = max(_WINDOW_S, 2.0 * groundtruth.usual_step_s, 2.0 * estimate.usual_step_s)
-    return (
-        RatesOfMotion.of(groundtruth, cell_s, window_s),
-        RatesOfMotion.of(estimate, cell_s, window_s),
-    )
+    one, other = (RatesOfMotion.of(side, cell_s, window_s) for side in (groundtruth, estimate))
+    return one, other
 
 
 def _correlations(
     groundtruth: RatesOfMotion, estimate: RatesOfMotion
 ) -> tuple[Floats, Floats, Floats]:
-    """Return lags (K,), correlations (kinds, K), and the number of common cells (K,)."""
+    """Return lags in cells (K,), correlations (kinds, K), and the common time (K,), seconds."""
     kinds = min(len(estimate.values), len(groundtruth.values))
     lags, correlations, common = masked_correlation(
-        estimate.standardized[:kinds],
-        estimate.known,
-        groundtruth.standardized[:kinds],
-        groundtruth.known,
-    )
-    return lags.astype(np.float64), correlations, common
+        estimate.standardized[:kinds], estimate.known,
+        groundtruth.standardized[:kinds], groundtruth.known,
+    )  # fmt: skip
+    return lags.astype(np.float64), correlations, common * estimate.cell_s
 
 
-def _log_odds(correlations: Floats, overlap_s: Floats) -> Floats:
+def _log_odds(correlations: Floats, seconds: Floats | float) -> Floats:
     """Return the sum over kinds of -n/2 log(1 - c^2) (K,) of correlations (kinds, K)."""
     bounded = np.clip(correlations, 0.0, _LARGEST)
-    total: Floats = np.sum(-0.5 * overlap_s / _INDEPENDENT_S * np.log(1.0 - bounded**2), axis=0)
-    return total
+    return np.asarray((-0.5 * seconds * np.log(1.0 - bounded**2)).sum(axis=0))
 
 
 def parts_log_odds(
@@ -173,10 +171,9 @@ def parts_log_odds(
 
     It is large if the clock rates differ, and infinite if no offset fits the whole run.
     """
-    if match.log_odds <= 0.0 or match.peak < 0.6:
-        return float("inf")
-    apart = together = 0.0
-    cell_s = estimate.cell_s
+    if match.log_odds <= 0.0 or match.peak < USABLE_PEAK:
+        return math.inf
+    gain, cell_s = 0.0, estimate.cell_s
     cells = round((match.offset_s + estimate.start_s - groundtruth.start_s) / cell_s)
     reach = int(_PART_REACH_S / cell_s)
     for number in range(_PARTS):
@@ -186,13 +183,13 @@ def parts_log_odds(
         low, high = max(first - reach, 0), min(first + count + reach, len(groundtruth.known))
         if high - low < count // 2:
             continue
-        lags, correlations, common = _correlations(groundtruth.cells(low, high), part)
-        log_odds = np.where(common > 0.7 * count, _log_odds(correlations, common * cell_s), 0.0)
+        lags, correlations, overlap_s = _correlations(groundtruth.cells(low, high), part)
+        enough = overlap_s > 0.7 * count * cell_s
+        log_odds = np.where(enough, _log_odds(correlations, overlap_s), 0.0)
         at = int(np.abs(lags - (first - low)).argmin())
-        apart += float(log_odds.max())
-        together += float(log_odds[max(at - 2, 0) : at + 3].max())
+        gain += float(log_odds.max() - log_odds[max(at - 2, 0) : at + 3].max())
     # Two more offsets, each out of this many.
-    return apart - together - 2.0 * float(np.log(2.0 * _PART_REACH_S / (4.0 * _CELL_S)))
+    return gain - 2.0 * math.log(2.0 * _PART_REACH_S / (4.0 * _CELL_S))
 
 
 def search_rate(
@@ -205,13 +202,32 @@ def search_rate(
     total_s = len(estimate.known) * estimate.cell_s
     span_s = min(_FIRST_SPAN_S, total_s)
     step = 2.0 * _COHERENT_S / span_s if span_s > 0.0 else 1.0
-    count = int(np.log(_FASTEST / _SLOWEST) / step)
-    factors = np.geomspace(_SLOWEST, _FASTEST, max(count, 2))
-    score = _QuickLogOdds(groundtruth)
+    factors = np.geomspace(_SLOWEST, _FASTEST, max(int(np.log(_FASTEST / _SLOWEST) / step), 2))
+
+    @functools.cache
+    def spectra(size: int) -> tuple[Any, Any]:
+        values = groundtruth.standardized[: len(estimate.values)]
+        return np.fft.rfft(values, size), np.fft.rfft(values**2, size)
+
+    def score(part: RatesOfMotion, factor: float) -> float:
+        """Return the largest log odds over all offsets, per second; gaps count as the mean."""
+        stretched = part.by_faster_clock(factor)
+        values = stretched.standardized[: len(groundtruth.values)]
+        least = values.shape[-1] + len(groundtruth.known) - 1
+        # The shortest fast transform without a wrap.
+        size = min(n << max((-(-least // n) - 1).bit_length(), 0) for n in (1, 3, 5, 9))
+        others, squares = spectra(size)
+        product = np.fft.irfft(np.conj(np.fft.rfft(values, size)) * others, size)
+        energy = np.fft.irfft(np.conj(np.fft.rfft(stretched.known, size)) * squares, size)
+        count = float(stretched.known.sum())
+        norm = np.sqrt(np.maximum(energy, 0.3 * count) * count + 1e-9)
+        return float(_log_odds(product / norm, 1.0).max())
+
     while True:
         half = 0.5 * span_s / total_s
-        part = estimate.part(0.5 - half, 0.5 + half)
-        ranked = sorted(factors, key=lambda factor: score(part.by_faster_clock(factor)))
+        ranked = sorted(
+            factors, key=functools.partial(score, estimate.part(0.5 - half, 0.5 + half))
+        )
         if span_s >= total_s:
             break
         span_s, width = min(4.0 * span_s, total_s), step
@@ -221,31 +237,75 @@ def search_rate(
         factors = np.unique(np.outer(ranked[-_REFINED:], near))
     # Fast motions correlate only within a part of the last step.
     last = ranked[-1] * np.exp(step * np.linspace(-0.5, 0.5, 9))
-    factor = max(last, key=lambda factor: score(estimate.by_faster_clock(factor)))
+    factor = float(max(last, key=functools.partial(score, estimate)))
     match = ClockMatch.between(groundtruth, estimate.by_faster_clock(factor))
-    return None if match is None else (float(factor), match)
+    return None if match is None else (factor, match)
 
 
 @dataclass(frozen=True, eq=False)
-class _QuickLogOdds:
-    """An approximation of the likelihood of many rates: gaps count as the mean."""
+class Clock:
+    """The coarse clock: the estimate's time t is mapped to t0 + factor (t - t0) + offset."""
 
-    groundtruth: RatesOfMotion
-    spectra: dict[int, tuple[Any, Any]] = field(default_factory=dict)  # by size
+    match: ClockMatch | None = None
+    offset_s: float = 0.0
+    factor: float = 1.0
+    is_stated: bool = False  # whether the offset or the factor is significant
 
-    def __call__(self, estimate: RatesOfMotion) -> float:
-        """Return the largest logarithm of the likelihood over all offsets, per second."""
-        a = estimate.standardized[: len(self.groundtruth.values)]
-        b = self.groundtruth.standardized[: len(a)]
-        least = a.shape[-1] + b.shape[-1] - 1
-        # The shortest fast transform without a wrap.
-        size = min(n << max((-(-least // n) - 1).bit_length(), 0) for n in (1, 3, 5, 9))
-        if size not in self.spectra:
-            self.spectra[size] = np.fft.rfft(b, size), np.fft.rfft(b**2, size)
-        values, squares = self.spectra[size]
-        product = np.fft.irfft(np.conj(np.fft.rfft(a, size)) * values, size)
-        energy = np.fft.irfft(np.conj(np.fft.rfft(estimate.known, size)) * squares, size)
-        count = float(estimate.known.sum())
-        norm = np.sqrt(np.maximum(energy, 0.3 * count) * count + 1e-9)
-        bounded = np.clip(product / norm, 0.0, _LARGEST)
-        return float((-0.5 * np.log(1.0 - bounded**2)).sum(axis=0).max())
+    @classmethod
+    def between(
+        cls, groundtruth: TimedPoses, estimate: TimedPoses, *, searches_rate: bool
+    ) -> Clock:
+        """Return the clock of poses in order, as read if their motions do not show it."""
+        rates = rates_of_both(groundtruth, estimate)
+        if not all(len(side.known) for side in rates):
+            return cls()
+        match, prior = ClockMatch.between(*rates), MISTAKE
+        if match is not None:
+            prior -= math.log(max(match.searched_s, 1.0) / SMALL_S)
+        is_alike = match is not None and (
+            match.peak > _ALIKE_PEAK
+            or (match.highest > _ALIKE_RATE and abs(match.offset_s) < _NEAR_S)
+        )
+        differs = match is None or (not is_alike and parts_log_odds(*rates, match) > ODDS)
+        other = search_rate(*rates) if differs and searches_rate else None
+        if other is not None:
+            factor, faster = other
+            least = (0.0 if match is None else match.log_odds) + ODDS - prior - _RATE_PRIOR
+            if faster.log_odds > least and faster.peak > USABLE_PEAK:
+                return cls(faster, faster.offset_s, factor, is_stated=True)
+        if match is None or match.peak <= USABLE_PEAK:
+            return cls(match)
+        is_small = abs(match.offset_s) <= SMALL_S
+        others = max(match.log_odds_at_zero - prior, match.log_odds_of_second)
+        if match.log_odds > others + ODDS:
+            return cls(match, match.offset_s, is_stated=not is_small)
+        return cls(match, match.offset_s if is_small else 0.0)
+
+    @property
+    def is_far(self) -> bool:
+        """Whether the likeliest offset is not near zero, whether it is significant or not."""
+        return self.match is not None and abs(self.match.offset_s) > SMALL_S
+
+    def seen(self, offset_s: float, rate: float, span_s: float, applied_s: float) -> Seen:
+        """Return the finding of an offset, or of a rate over a span if it is not zero.
+
+        The offset of a rate is that at the first pose. `applied_s` is added to the timestamps
+        already.
+        """
+        assert self.match is not None
+        values: dict[str, float | str] = {
+            "offset_s": offset_s,
+            "offset_ms": 1e3 * offset_s,
+            "total_s": applied_s + offset_s,
+            "peak": self.match.peak,
+            "as_stamped": self.match.as_stamped,
+            "more": "more " if applied_s else "",
+        }
+        if rate:
+            values |= {"ppm": 1e6 * rate, "growth_ms": 1e3 * rate * span_s}
+            return Seen("clock_drift", values)
+        if abs(offset_s) < SMALL_S:
+            return Seen("small_clock_offset", values)
+        whole = round(abs(offset_s))
+        leap = _LEAP_S.get(whole, "") if abs(abs(offset_s) - whole) < _LEAP_WITHIN_S else ""
+        return Seen("clock_offset", {**values, "known_as": f" ({leap})" if leap else ""})

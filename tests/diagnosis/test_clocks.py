@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.diagnosis.clock_match import (
+from trajeval_ros.diagnosis.clocks import (
     ClockMatch,
     RatesOfMotion,
     parts_log_odds,
