@@ -39,6 +39,8 @@ _PARAMETERS = (
     option("--output", kind=Path, metavar="DIR", panel=OUTPUT, is_common=True,
         help="Output folder for a page (report.html), result.json, errors and aligned poses "
         "(errors.npz, errors.parquet) and figures."),
+    option("--diagnosis", kind=bool, panel=OUTPUT,
+        help="Prints all tests of the diagnosis with their results (docs/diagnosis.md)."),
     option("--mcap", kind=Path, metavar="FILE", panel=OUTPUT,
         help="MCAP output file with errors, paths and statistics as ROS 2 messages, for "
         "Foxglove and PlotJuggler (docs/topics.md)."),
@@ -64,6 +66,7 @@ def evaluate(
     no_title: bool,
     style: Path | None,
     output: Path | None,
+    diagnosis: bool,
     mcap: Path | None,
     rrd: Path | None,
     viewer: bool,
@@ -145,6 +148,7 @@ def evaluate(
         json=json,
         output=output,
         quiet=quiet,
+        diagnosis=diagnosis,
         pictures=pictures,
         mcap=mcap,
         look=look,

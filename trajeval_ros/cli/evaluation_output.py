@@ -33,6 +33,7 @@ def write_and_print(
     json: str | None,
     output: Path | None,
     quiet: bool,
+    diagnosis: bool = False,
     pictures: Pictures = _NO_PICTURES,
     mcap: Path | None = None,
     look: FigureStyle = PLAIN,
@@ -41,8 +42,8 @@ def write_and_print(
     """Write and print an evaluation; exit with status 1 if a requirement is not met.
 
     `json`: file for result.json, `-` for stdout. `mcap`: file for the errors as ROS 2 messages.
-    `quiet`: whether to print only missing data and unmet requirements. `repeat`: the command that
-    states all that was assumed.
+    `quiet`: whether to print only missing data and unmet requirements. `diagnosis`: whether to
+    print all tests for mistakes. `repeat`: the command that states all that was assumed.
     """
     result, runs = result_of(outcome), outcome.runs
     # A requirement with an unknown name is an error; it is raised before anything is written.
@@ -68,7 +69,7 @@ def write_and_print(
     write_json(json, result)
     if not quiet and json != "-":
         with may_break():
-            _print(outcome, output)
+            _print(outcome, output, diagnosis=diagnosis)
             if repeat:
                 print(f"\nrepeat: {repeat}")
         _tell("warning", failed)
@@ -97,7 +98,7 @@ def refuse_inputs(outputs: Sequence[Path | str | None], sources: Sequence[str]) 
                     raise InputError(f"output {output} is also an input; choose another output")
 
 
-def _print(outcome: Outcome, output: Path | None) -> None:
+def _print(outcome: Outcome, output: Path | None, *, diagnosis: bool) -> None:
     from trajeval_ros.report import evaluation_text
     from trajeval_ros.report.console import console
 
@@ -106,6 +107,8 @@ def _print(outcome: Outcome, output: Path | None) -> None:
     evaluation_text.print_tables(terminal, outcome)
     terminal.print()
     evaluation_text.print_definitions(terminal, outcome)
+    if diagnosis:
+        evaluation_text.print_tests(terminal, outcome.runs)
     if output is not None:
         from trajeval_ros.cli.evaluation_folder import contents
 

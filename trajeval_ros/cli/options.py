@@ -13,7 +13,6 @@ from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.reading import NAMED_COLUMNS
 from trajeval_ros.io.requests.setting import (
     COMPARE,
-    DIAGNOSE,
     EVALUATE,
     FINISH,
     INPUT,
@@ -37,12 +36,12 @@ STUDY_GAUGE, STUDY_ASSOCIATION = "study gauge", "study association"
 # Options of several verbs that are not settings of a request.
 _SHARED = (
     Setting(name="groundtruth", letter="-g", metavar="SOURCE", panel=INPUT,
-        verbs=(EVALUATE, DIAGNOSE, STUDY_ASSOCIATION), is_common=True,
+        verbs=(EVALUATE, STUDY_ASSOCIATION), is_common=True,
         help="Groundtruth: PATH, BAG:TOPIC or BAG:/tf:PARENT.CHILD; - reads text from stdin. "
         "The format is detected from the content: text (TUM, KITTI, EuRoC, OpenVINS, VINS-Mono) "
         "or bag (MCAP, rosbag2 sqlite3, ROS 1)."),
     Setting(name="estimate", letter="-e", metavar="SOURCE", panel=INPUT,
-        verbs=(EVALUATE, DIAGNOSE, STUDY_ASSOCIATION), is_common=True, is_repeatable=True,
+        verbs=(EVALUATE, STUDY_ASSOCIATION), is_common=True, is_repeatable=True,
         help="Trajectory to evaluate. Repeat the option to evaluate several."),
     Setting(name="columns", metavar="NAMES", panel=INPUT,
         verbs=(EVALUATE, COMPARE, TRAJECTORY, "info"),
@@ -58,7 +57,7 @@ _SHARED = (
         "or if poses of a file are not finite or cannot be decoded."),
     Setting(name="json", metavar="FILE|-", panel=OUTPUT,
         verbs=(
-            EVALUATE, FINISH, DIAGNOSE, "explain", "watch", "groundtruth", STUDY_ASSOCIATION,
+            EVALUATE, FINISH, "explain", "watch", "groundtruth", STUDY_ASSOCIATION,
         ),
         is_common=True,
         help="JSON output file. With -, only the JSON is printed to stdout."),

@@ -44,6 +44,7 @@ _WORDS = {
     "formats are detected by content: trajeval evaluate GROUNDTRUTH ESTIMATE, or trajeval "
     "trajectory FILE": ("tum", "kitti", "euroc", "bag", "bag2"),
     "use trajeval evaluate, with --protocol evo for evo's numbers": ("ape", "rpe"),
+    "use trajeval evaluate GROUNDTRUTH ESTIMATE --diagnosis": ("diagnose",),
     "use trajeval trajectory": ("traj",),
     "use trajeval compare RESULT...": ("res",),
     "give a style sheet of matplotlib: --style FILE.mplstyle": ("config",),

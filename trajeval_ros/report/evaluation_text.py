@@ -17,6 +17,7 @@ from trajeval_ros.report.verdict_lines import (
     definitions,
     diagnosis_lines,
     doubt,
+    explanation,
     own_error_line,
     verdict,
 )
@@ -71,6 +72,14 @@ def print_definitions(terminal: Console, outcome: Outcome) -> None:
             terminal.print(text, soft_wrap=True)
         if run.stream is not None and (arrival := stream_line(run.stream)):
             terminal.print(arrival, soft_wrap=True)
+
+
+def print_tests(terminal: Console, runs: Sequence[RunOutcome]) -> None:
+    """Print the tests for mistakes, with their results and statistics."""
+    for run in runs:
+        terminal.print(f"\n{run.estimate.name}: tests, their results and statistics")
+        for line in explanation(run.diagnosis):
+            terminal.print(f"  {line}", soft_wrap=True)
 
 
 def _print_likelihoods(terminal: Console, outcome: Outcome) -> None:
