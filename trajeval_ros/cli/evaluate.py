@@ -20,7 +20,7 @@ from trajeval_ros.cli.options import (
 )
 from trajeval_ros.cli.pictures import Pictures
 from trajeval_ros.cli.progress import read_shown
-from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.exceptions import SettingsError, require_one_of
 from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.requests.setting import EVALUATE
 from trajeval_ros.io.results.requirement import Requirement
@@ -28,6 +28,7 @@ from trajeval_ros.io.source_names import names_with, split_name
 from trajeval_ros.io.text.hints import SideHints
 from trajeval_ros.pipeline.pipeline import run
 from trajeval_ros.report.figure_style import PLAIN, FigureStyle
+from trajeval_ros.report.tables import RELATIVE_STATISTICS
 
 _GAUGES = ("gauge", "modality", "protocol")  # settings that state a gauge
 _PARAMETERS = (
@@ -39,6 +40,9 @@ _PARAMETERS = (
     option("--output", kind=Path, metavar="DIR", panel=OUTPUT, is_common=True,
         help="Output folder for a page (report.html), result.json, errors and aligned poses "
         "(errors.npz, errors.parquet) and figures."),
+    option("--statistic", metavar="|".join(RELATIVE_STATISTICS), panel=OUTPUT,
+        help="Statistic of the relative errors on the terminal. Default: mean, for protocol evo "
+        "rmse. Files have all."),
     option("--diagnosis", kind=bool, panel=OUTPUT,
         help="Prints all tests of the diagnosis with their results (docs/diagnosis.md)."),
     option("--mcap", kind=Path, metavar="FILE", panel=OUTPUT,
@@ -66,6 +70,7 @@ def evaluate(
     no_title: bool,
     style: Path | None,
     output: Path | None,
+    statistic: str | None,
     diagnosis: bool,
     mcap: Path | None,
     rrd: Path | None,
@@ -116,6 +121,7 @@ def evaluate(
         settings["modality"] = chosen.modality or settings["modality"]
     request = request_from(settings)
     requirements = [Requirement.parse(text) for text in require]
+    require_one_of(statistic or "mean", RELATIVE_STATISTICS, "statistic")
     pictures = Pictures(rrd=rrd, viewer=viewer)
     pictures.check()
     look = FigureStyle.parse(figure_format, figure_width, style, has_titles=not no_title)
@@ -149,6 +155,7 @@ def evaluate(
         output=output,
         quiet=quiet,
         diagnosis=diagnosis,
+        statistic=statistic or "",
         pictures=pictures,
         mcap=mcap,
         look=look,

@@ -34,6 +34,7 @@ def write_and_print(
     output: Path | None,
     quiet: bool,
     diagnosis: bool = False,
+    statistic: str = "",
     pictures: Pictures = _NO_PICTURES,
     mcap: Path | None = None,
     look: FigureStyle = PLAIN,
@@ -43,7 +44,8 @@ def write_and_print(
 
     `json`: file for result.json, `-` for stdout. `mcap`: file for the errors as ROS 2 messages.
     `quiet`: whether to print only missing data and unmet requirements. `diagnosis`: whether to
-    print all tests for mistakes. `repeat`: the command that states all that was assumed.
+    print all tests for mistakes. `statistic`: of the relative errors. `repeat`: the command that
+    states all that was assumed.
     """
     result, runs = result_of(outcome), outcome.runs
     # A requirement with an unknown name is an error; it is raised before anything is written.
@@ -69,7 +71,7 @@ def write_and_print(
     write_json(json, result)
     if not quiet and json != "-":
         with may_break():
-            _print(outcome, output, diagnosis=diagnosis)
+            _print(outcome, output, statistic, diagnosis=diagnosis)
             if repeat:
                 print(f"\nrepeat: {repeat}")
         _tell("warning", failed)
@@ -98,13 +100,13 @@ def refuse_inputs(outputs: Sequence[Path | str | None], sources: Sequence[str]) 
                     raise InputError(f"output {output} is also an input; choose another output")
 
 
-def _print(outcome: Outcome, output: Path | None, *, diagnosis: bool) -> None:
+def _print(outcome: Outcome, output: Path | None, statistic: str, *, diagnosis: bool) -> None:
     from trajeval_ros.report import evaluation_text
     from trajeval_ros.report.console import console
 
     terminal = console()
     evaluation_text.print_verdicts(terminal, outcome)
-    evaluation_text.print_tables(terminal, outcome)
+    evaluation_text.print_tables(terminal, outcome, statistic)
     terminal.print()
     evaluation_text.print_definitions(terminal, outcome)
     if diagnosis:

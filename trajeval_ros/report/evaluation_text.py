@@ -51,10 +51,13 @@ def print_verdicts(terminal: Console, outcome: Outcome) -> None:
         )
 
 
-def print_tables(terminal: Console, outcome: Outcome) -> None:
-    """Print the tables of errors, and the lines on calibration and consistency."""
+def print_tables(terminal: Console, outcome: Outcome, statistic: str = "") -> None:
+    """Print the tables of errors, and the lines on calibration and consistency.
+
+    `statistic`: that of relative errors; by default that of the protocol.
+    """
     _print_likelihoods(terminal, outcome)
-    _print_errors(terminal, outcome.runs)
+    _print_errors(terminal, outcome.runs, statistic)
     for run in outcome.runs:
         if run.calibrated is not None:
             for line in calibration_lines(run.estimate.name, run.calibrated):
@@ -93,7 +96,7 @@ def _print_likelihoods(terminal: Console, outcome: Outcome) -> None:
         terminal.print(line, soft_wrap=True)
 
 
-def _print_errors(terminal: Console, runs: Sequence[RunOutcome]) -> None:
+def _print_errors(terminal: Console, runs: Sequence[RunOutcome], statistic: str) -> None:
 
     evaluations = [run.evaluation for run in runs]
     terminal.print()
@@ -104,7 +107,7 @@ def _print_errors(terminal: Console, runs: Sequence[RunOutcome]) -> None:
         show(terminal, by_states)
         for line in tables.states_remarks(runs):
             terminal.print(line, soft_wrap=True)
-    relative = tables.relative_table(evaluations, terminal.width)
+    relative = tables.relative_table(evaluations, terminal.width, statistic)
     if relative is not None:
         terminal.print()
         show(terminal, relative)
