@@ -106,6 +106,7 @@ def test_trajectory_states_what_it_does_not_save(
         (["groundtruth", "SOURCE"], f"{LOST} of {COUNT} poses dropped"),
         (["watch", "SOURCE"], f"{LOST} of {COUNT} poses dropped"),
         (["compare", "GROUNDTRUTH", "SOURCE"], f"{LOST} of {COUNT} poses dropped"),
+        (["compare", "SOURCE", "GROUNDTRUTH"], f"poses were dropped: {LOST} not finite"),
     ],
 )
 def test_every_command_states_dropped_poses(
