@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import sys
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from trajeval_ros.pipeline.pipeline import evaluate
 from trajeval_ros.report import canvas
 from trajeval_ros.report.figure_output import save_all
 from trajeval_ros.report.figure_style import FigureStyle, house_style
-from trajeval_ros.report.figures import evaluation_drawings
+from trajeval_ros.report.figures import draw, evaluation_drawings
 from trajeval_ros.report.line_thinning import MOST_POINTS, thinned
 from trajeval_ros.simulation.drifting_odometry import simulate
 
@@ -274,8 +275,8 @@ def test_names_are_neither_hidden_nor_read_as_formulas() -> None:
     for name in ("_hidden", "$run_{1$", "50%"):
         named = dataclasses.replace(evaluation.estimate, name=name)
         odd = dataclasses.replace(evaluation, estimate=named)
-        for draw in ("absolute_error", "relative_error", "top_view"):
-            assert name in _texts([odd], draw)
+        for drawing in ("absolute_error", "relative_error", "top_view"):
+            assert name in _texts([odd], drawing)
 
 
 @pytest.mark.slow
@@ -321,3 +322,13 @@ def test_a_doubted_vertical_axis_gives_no_top_view() -> None:
     assert any(each.code == "up_axis_doubted" for each in doubted.remarks)
     assert "Paths (x, y)" in _texts([doubted], "top_view")
     assert "Paths (" in _texts([doubted], "side_view")
+
+
+def test_a_notebook_shows_a_figure_without_a_backend() -> None:
+    from PIL import Image
+
+    figure = draw(_evaluation(), "top")
+    shown = Image.open(io.BytesIO(figure._repr_png_()))  # type: ignore[attr-defined]
+    assert shown.format == "PNG"
+    assert shown.size[0] > 600
+    assert np.asarray(shown.convert("L")).std() > 5.0

@@ -45,7 +45,7 @@ def width_in() -> float:
 
 def new_figure(height_in: float, title: str = "") -> Figure:
     """Return an empty figure of the style's width, independent of pyplot."""
-    from matplotlib.figure import Figure
+    from trajeval_ros.report.shown_figure import Figure
 
     figure = Figure(figsize=(width_in(), height_in), layout="constrained")
     if title:

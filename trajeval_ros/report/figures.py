@@ -45,7 +45,7 @@ def draw(
         path: File to write in addition, as PNG, PDF, SVG or PGF by its suffix; None for none.
 
     Returns:
-        The figure, independent of pyplot.
+        The figure, independent of pyplot. A notebook shows it as the result of a cell.
 
     Raises:
         SettingsError: The kind is unknown.
