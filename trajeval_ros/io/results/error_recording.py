@@ -32,7 +32,6 @@ from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.online.error_topics import (
     ALIGNMENT,
     ALIGNMENT_TYPE,
-    ATE,
     DIAGNOSTIC_LEVELS,
     DIAGNOSTICS,
     DIAGNOSTICS_TYPE,
@@ -42,7 +41,7 @@ from trajeval_ros.online.error_topics import (
     ROBOT,
     VECTOR_TYPE,
     VECTORS,
-    position_and_rotation,
+    by_part,
     relative_error_topic,
     status_texts,
     status_values,
@@ -133,10 +132,11 @@ class _RecordedRun:
                 yield self._numbers(topic, self._times, values)
         for segment in self._evaluation.relative or ():
             found, topic = segment.errors, relative_error_topic(str(segment.length))
-            vectors = position_and_rotation(found.position_m, found.rotation_deg)
-            yield self._vectors(topic, self._times[found.ends], vectors)
-        if (ate := window_ate(self._snapshot)) is not None:
-            yield self._vectors(ATE, whole, ate.repeat(2, axis=0))
+            numbers = by_part(topic, found.position_m, found.rotation_deg)
+            for name, vectors in numbers.items():
+                yield self._vectors(name, self._times[found.ends], vectors)
+        for topic, ate in window_ate(self._snapshot).items():
+            yield self._vectors(topic, whole, ate.repeat(2, axis=0))
         frames = self._frame, self._child_frame
         transform = encode_alignment(self._alignment, self._times[-1:], frames)
         yield self._channel(ALIGNMENT, ALIGNMENT_TYPE, begin, [transform])
