@@ -1,4 +1,4 @@
-"""Verbs and options of evo and of other verbs, with what replaces them here."""
+"""Verbs and options of version 0.3, of evo and of other verbs, with what replaces them here."""
 
 from __future__ import annotations
 
