@@ -266,13 +266,8 @@ def sources_of(
 
     Raises:
         SettingsError: One is missing or given twice.
-        InputError: The only argument is a log of PX4 without a simulator's groundtruth.
     """
     refuse_format(by_position, f"{verb} GROUNDTRUTH ESTIMATE")
-    if len(by_position) == 1 and (log := Path(by_position[0])).suffix == ".ulg" and log.is_file():
-        from trajeval_ros.io.ulog import simulated_sides
-
-        by_position = simulated_sides(log)
     if by_position and (groundtruth is not None or estimates):
         raise SettingsError(
             "sources are given twice; use either GROUNDTRUTH ESTIMATE... or --groundtruth and "
