@@ -186,7 +186,7 @@ def test_every_relative_error_can_be_required(
         (["--align-states", "0"], "all or a number"),
         (["--gauge", "sim3", "--align-states", "1"], "one state does not determine a scale"),
         (["--max-gap", "-1"], "must be greater than 0"),
-        (["--ate-form", "best"], "no option --ate-form; "),
+        (["--ate-form", "best"], "no such option: --ate-form"),
         (["--gage", "se3"], "--gauge"),
     ],
 )
