@@ -37,7 +37,7 @@ setuptools.setup(
         *setuptools.find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
         f"{PACKAGE}.report.templates",  # has no modules; setuptools warns if it is not listed
     ],
-    package_data={"": ["py.typed", "*.j2", "*.min.js"]},
+    package_data={"": ["py.typed", "*.j2"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),

@@ -47,7 +47,7 @@ def test_changed_ranks_are_marked_and_gates_test_the_numbers(
 ) -> None:
     pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     output = tmp_path / "out"
-    arguments = ["compare", str(config), "--output", str(output)]
+    arguments = ["compare", "--figures", "0", str(config), "--output", str(output)]
     assert main(arguments) == 0
     said = capsys.readouterr().out
     assert "As-available error [m], RMSE" in said

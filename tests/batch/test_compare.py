@@ -20,8 +20,8 @@ import pyarrow.parquet
 from trajeval_ros.batch.comparison import Progress, run_plan
 from trajeval_ros.batch.comparison_summary import ComparisonSummary, summary_of
 from trajeval_ros.batch.config import plan_of
-from trajeval_ros.batch.figure_drafts import sequence_drafts
 from trajeval_ros.batch.finished_comparison import RUNS, pooled_rows
+from trajeval_ros.batch.planned_figures import sequence_figures
 from trajeval_ros.batch.records import OWN, RECORDS, Record, RecordStore
 from trajeval_ros.batch.results_table import ResultsTable
 from trajeval_ros.batch.summary_tables import matrices
@@ -223,8 +223,8 @@ def test_the_caption_states_the_association(tmp_path: Path) -> None:
 def test_the_trial_of_a_figure_is_named(tmp_path: Path) -> None:
     config = write_runs(tmp_path, trials=3, sequences=["hall"])
     _, summary = run(config)
-    drafts = sequence_drafts(summary, RecordStore(tmp_path / "out" / RECORDS), "hall")
-    (paths,) = (each.plot.paths for each in drafts if each.name == "trajectories_hall")
+    planned = sequence_figures(summary, RecordStore(tmp_path / "out" / RECORDS), "hall")
+    (paths,) = (each.plot.paths for each in planned if each.name == "trajectories_hall")
     assert [name for name, _ in paths.values()] == ["good, trial 1", "bad, trial 1"]
 
 
@@ -259,8 +259,8 @@ def test_lengths_of_every_unit_are_in_tables_and_figures(
     assert [each.columns for each in relative] == [headings, headings]
     assert relative[0].name == f"re_position_{unit}"
     assert all(cell.value is not None for _, cells in relative[0].rows for cell in cells)
-    drafts = sequence_drafts(summary, RecordStore(out / RECORDS), "hall")
-    plots = [each.plot for each in drafts if each.name.startswith("re_")]
+    planned = sequence_figures(summary, RecordStore(out / RECORDS), "hall")
+    plots = [each.plot for each in planned if each.name.startswith("re_")]
     shown = [heading.split()[0] for heading in headings] if across else list(headings)
     assert [each.groups for each in plots] == [shown, shown]
     assert {each.axis for each in plots} == {f"length of sub-trajectory {across}".rstrip()}

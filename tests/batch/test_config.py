@@ -350,9 +350,12 @@ def test_each_file_of_runs_is_checked_and_the_command_line_names_hosts(
     config = write_runs(tmp_path)
     config.write_text(config.read_text().replace("bad: ", "bad: nosuch://bucket/"))
     out = ["--output", str(tmp_path / "out")]
-    assert main(["compare", str(config), *out]) == 2
+    assert main(["compare", "--figures", "0", str(config), *out]) == 2
     assert "add --allow-remote nosuch://bucket\n" in capsys.readouterr().err
-    assert main(["compare", str(config), *out, "--allow-remote", "nosuch://bucket"]) == 2
+    assert (
+        main(["compare", "--figures", "0", str(config), *out, "--allow-remote", "nosuch://bucket"])
+        == 2
+    )
     said = capsys.readouterr().err
     assert "--allow-remote" not in said
     assert "nosuch://bucket/" in said
@@ -403,7 +406,7 @@ def test_a_folder_s_estimates_have_columns_and_a_rate_as_well(tmp_path: Path) ->
     w_first(estimate)
     out = tmp_path / "out"
     columns = ["--columns", "t x y z qw qx qy qz", "--quiet"]
-    assert main(["compare", str(tmp_path), "--output", str(out), *columns]) == 0
+    assert main(["compare", "--figures", "0", str(tmp_path), "--output", str(out), *columns]) == 0
     (turned,) = ResultsTable(out / RUNS).select(["rmse"], kind="ate", metric="rotation_deg")
     assert turned["rmse"] == pytest.approx(0.0, abs=1e-4)
 
@@ -414,7 +417,22 @@ def test_files_without_stamps_have_a_rate(tmp_path: Path) -> None:
         path = write_run(tmp_path / name, count=300)
         np.savetxt(path, np.loadtxt(path)[:, 1:], fmt="%.9f")
     out = tmp_path / "out"
-    assert main(["compare", str(tmp_path), "--output", str(out), "--frame-rate", "2", "-q"]) == 0
+    assert (
+        main(
+            [
+                "compare",
+                "--figures",
+                "0",
+                str(tmp_path),
+                "--output",
+                str(out),
+                "--frame-rate",
+                "2",
+                "-q",
+            ]
+        )
+        == 0
+    )
     (row,) = ResultsTable(out / RUNS).select(["span_s"], kind="ate", metric="position_m")
     assert row["span_s"] == 149.5
 

@@ -49,7 +49,9 @@ def results(folder: Path) -> list[str]:
 @pytest.mark.slow
 def test_finished_results_have_their_own_numbers(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert main(["compare", *results(folder), "--output", str(out), "--quiet"]) == 0
+    assert (
+        main(["compare", "--figures", "0", *results(folder), "--output", str(out), "--quiet"]) == 0
+    )
     with (out / "ate_position_m.csv").open() as file:
         rows = {row["algorithm"]: row for row in csv.DictReader(file)}
     assert sorted(rows) == ["slam", "vio"]
@@ -110,7 +112,7 @@ def test_what_finished_results_cannot_have_is_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     given = [*results(folder), *more, "--output", str(tmp_path / "out")]
-    assert main(["compare", *given]) == 2
+    assert main(["compare", "--figures", "0", *given]) == 2
     assert message in capsys.readouterr().err
 
 
@@ -139,13 +141,13 @@ def test_results_are_named_as_estimates_are(
     robots = [str(folder / "vio_hall"), str(folder / "slam_yard")]
     assert "NAME=RESULT" in FinishedResults(robots).advice
     given = [f"Team={each}" for each in robots]
-    assert main(["compare", *given, "--output", str(tmp_path / "out")]) == 0
+    assert main(["compare", "--figures", "0", *given, "--output", str(tmp_path / "out")]) == 0
     summary = summary_of(tmp_path / "out")
     assert (summary.algorithms, summary.sequences) == (["Team"], ["hall", "yard"])
     assert [each.status for each in summary.trials] == ["ok", "ok"]
     assert "warning" not in capsys.readouterr().err
     assert not FinishedResults(results(folder)).advice
-    assert main(["compare", *robots, "--output", str(tmp_path / "apart")]) == 0
+    assert main(["compare", "--figures", "0", *robots, "--output", str(tmp_path / "apart")]) == 0
     assert capsys.readouterr().err.count("give results of one algorithm one name") == 1
 
 
@@ -155,7 +157,7 @@ def test_a_comparison_is_not_written_into_a_result(folder: Path, tmp_path: Path)
     shutil.copytree(folder / "vio_hall", copy)
     before = sorted(copy.iterdir())
     given = [str(folder / "slam_hall"), str(copy), "--output", str(copy)]
-    assert main(["compare", *given]) == 2
+    assert main(["compare", "--figures", "0", *given]) == 2
     assert sorted(copy.iterdir()) == before
 
 
@@ -196,7 +198,20 @@ def test_changed_values_are_refused_before_anything_is_written(
         else:
             content["runs"][0]["estimate"] = [1]
         (copy / "result.json").write_text(json.dumps(content))
-    assert main(["compare", str(folder / "slam_hall"), str(copy), "--output", str(output)]) == 2
+    assert (
+        main(
+            [
+                "compare",
+                "--figures",
+                "0",
+                str(folder / "slam_hall"),
+                str(copy),
+                "--output",
+                str(output),
+            ]
+        )
+        == 2
+    )
     assert not [path for path in output.rglob("*") if path.is_file() and "lock" not in path.name]
 
 
@@ -205,7 +220,7 @@ def test_files_need_no_configuration(tmp_path: Path) -> None:
     first, second = (write_run(tmp_path / name, 1.01) for name in ("a.txt", "b.txt"))
     out = tmp_path / "out"
     given = [str(truth), str(first), f"Ours={second}", "--workers", "1", "--quiet"]
-    assert main(["compare", *given, "--output", str(out)]) == 0
+    assert main(["compare", "--figures", "0", *given, "--output", str(out)]) == 0
     summary = summary_of(out)
     assert (summary.algorithms, summary.sequences) == (["a", "Ours"], ["truth"])
 
@@ -220,7 +235,7 @@ def test_a_missing_package_is_reported_before_the_evaluation(
     monkeypatch.setitem(sys.modules, package, None)
     truth = write_run(tmp_path / "truth.txt")
     out = tmp_path / "out"
-    assert main(["compare", str(truth), str(truth), "--output", str(out)]) == 2
+    assert main(["compare", "--figures", "0", str(truth), str(truth), "--output", str(out)]) == 2
     said = capsys.readouterr().err
     assert package in said.lower()
     assert "pip install" in said

@@ -158,7 +158,14 @@ def test_a_sequence_without_numbers_is_lost_and_the_rest_can_not_hide_it(
         (today / "good" / f"yard_trial{trial}.txt").write_text("nothing\n")
     shutil.rmtree(today / "old")
     old = str(yesterday / "old" / "runs.parquet")
-    arguments = ["compare", str(today / "runs.yaml"), "--output", str(today / "old")]
+    arguments = [
+        "compare",
+        "--figures",
+        "0",
+        str(today / "runs.yaml"),
+        "--output",
+        str(today / "old"),
+    ]
     gate = ["--workers", "1", "--baseline", old, "--fail-if", GATE]
     assert main([*arguments, *gate]) == 1
     printed = capsys.readouterr().out
@@ -188,7 +195,7 @@ def test_a_gate_that_cannot_fail_is_an_error(
 ) -> None:
     sequences = ["hall", "yard", "attic", "cellar"]
     config = str(write_runs(tmp_path, sequences, ["good"], trials=1))
-    common = ["compare", config, "--workers", "1", "--quiet", "--output"]
+    common = ["compare", "--figures", "0", config, "--workers", "1", "--quiet", "--output"]
     assert main([*common, str(tmp_path / "old")]) == 0
     for sequence in sequences:
         write_run(tmp_path / "good" / f"{sequence}_trial0.txt", 1.5)
@@ -230,7 +237,15 @@ def test_nothing_but_failures_is_no_mistake_of_the_user(today: Path, yesterday: 
 def test_the_table_of_the_same_folder_can_be_the_baseline(today: Path) -> None:
     for trial in range(TRIALS):
         write_run(today / "good" / f"yard_trial{trial}.txt", 1.05 + 0.001 * trial)
-    arguments = ["compare", str(today / "runs.yaml"), "--output", str(today / "old"), "-q"]
+    arguments = [
+        "compare",
+        "--figures",
+        "0",
+        str(today / "runs.yaml"),
+        "--output",
+        str(today / "old"),
+        "-q",
+    ]
     gate = ["--baseline", str(today / "old" / "runs.parquet"), "--fail-if", GATE]
     assert main([*arguments, "--workers", "1", *gate]) == 1
     assert main([*arguments, "--workers", "1", *gate]) == 0

@@ -125,57 +125,6 @@ def test_tables_sort_and_runs_unfold(euroc: Path, browser: Any) -> None:
     assert heard == []
 
 
-def test_figures_show_values_hide_lines_and_zoom(euroc: Path, browser: Any) -> None:
-    page, complaints = opened(browser, euroc)
-    figure = page.locator("figure", has=page.locator('svg[aria-label="path from above"]')).first
-    drawing = figure.locator("svg").first
-    drawing.scroll_into_view_if_needed()
-    name = figure.locator("button.key").nth(1)
-    kind = name.get_attribute("class").split()[1]
-    # The pointer on the first vertex of a line: the name of the line, and its values.
-    at = drawing.evaluate(
-        """(svg, kind) => {
-          const path = svg.querySelector("path.c." + kind);
-          const [x, y] = path.getAttribute("d").match(/-?\\d+/g).map(Number);
-          const at = new DOMPoint(x / 10, y / 10).matrixTransform(svg.getScreenCTM());
-          return [at.x, at.y];
-        }""",
-        kind,
-    )
-    page.mouse.move(at[0] - 3.0, at[1])
-    page.mouse.move(*at)
-    value = figure.locator("output.value")
-    assert value.is_visible()
-    assert name.inner_text() in value.inner_text()
-    assert len(re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", value.inner_text().split("  ")[1])) == 2
-    name.click()
-    line = drawing.locator(f"path.c.{kind}")
-    assert not line.is_visible()
-    assert name.get_attribute("aria-pressed") == "false"
-    name.click()
-    assert line.is_visible()
-    width = drawing.bounding_box()["width"]
-    page.mouse.move(*at)
-    page.mouse.wheel(0, -100)  # scrolls the page
-    assert drawing.bounding_box()["width"] == pytest.approx(width)
-    drawing.scroll_into_view_if_needed()
-    box = drawing.bounding_box()
-    page.mouse.move(box["x"] + box["width"] / 2.0, box["y"] + box["height"] / 2.0)
-    page.keyboard.down("Control")
-    page.mouse.wheel(0, -100)
-    page.keyboard.up("Control")
-    page.wait_for_function(
-        "([svg, width]) => svg.getBoundingClientRect().width > 1.1 * width",
-        arg=[drawing.element_handle(), width],
-    )
-    drawing.dblclick()
-    page.wait_for_function(
-        "([svg, width]) => Math.abs(svg.getBoundingClientRect().width - width) < 1",
-        arg=[drawing.element_handle(), width],
-    )
-    assert not complaints
-
-
 def test_names_are_text_wherever_they_come_from(tmp_path: Path, browser: Any) -> None:
     table = Matrix(
         "t", NASTY, (NASTY,), (NASTY,), ((NASTY, (Cell(1.0, NASTY),)),), ("1/1",), (1.0,)
@@ -239,7 +188,22 @@ def test_of_very_many_runs_details_are_of_those_that_stand_out(
     monkeypatch.setattr("trajeval_ros.batch.comparison_report._MOST_DETAILS", 3)
     config, out = write_runs(tmp_path, trials=3), tmp_path / "out"
     (tmp_path / "good" / "yard_trial1.txt").write_text("no trajectory\n")
-    assert main(["compare", str(config), "--workers", "1", "--output", str(out), "-q"]) == 0
+    assert (
+        main(
+            [
+                "compare",
+                str(config),
+                "--figures",
+                "0",
+                "--workers",
+                "1",
+                "--output",
+                str(out),
+                "-q",
+            ]
+        )
+        == 0
+    )
     text = (out / "report.html").read_text()
     names = re.findall(r"<summary><b>([^<]*)</b>", text)
     assert names == ["good yard, trial 1", "bad hall, trial 1", "bad hall, trial 2"]
@@ -278,7 +242,7 @@ def test_a_tie_has_two_winners(tmp_path: Path) -> None:
     config = write_runs(tmp_path, algorithms=("one", "other"), trials=1)
     config.write_text(config.read_text() + "common_time_span: true\n")
     out = tmp_path / "out"
-    assert main(["compare", str(config), "--output", str(out), "--quiet"]) == 0
+    assert main(["compare", str(config), "--figures", "0", "--output", str(out), "--quiet"]) == 0
     text = (out / "report.html").read_text()
     assert "one and other each have the smallest position ATE on 2 of 2 sequences." in text
 
@@ -289,5 +253,8 @@ def test_runs_that_are_cut_are_counted_once(
     config = write_runs(tmp_path, trials=1)
     config.write_text(config.read_text() + "common_time_span: true\n")
     for said in ("4 runs evaluated; report", "0 runs evaluated, 4 unchanged; report"):
-        assert main(["compare", str(config), "--output", str(tmp_path / "out")]) == 0
+        assert (
+            main(["compare", str(config), "--figures", "0", "--output", str(tmp_path / "out")])
+            == 0
+        )
         assert said in capsys.readouterr().out

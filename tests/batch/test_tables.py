@@ -27,6 +27,7 @@ from trajeval_ros.report.matrix import (
     to_latex,
     to_markdown,
     to_terminal,
+    with_equal_decimals,
 )
 
 VALUES = st.none() | st.just(math.inf) | st.floats(1e-6, 1e6)
@@ -155,7 +156,7 @@ def test_a_table_that_is_too_wide_for_a_column_spans_the_page_and_then_omits_spr
         values: list[float | None] = [0.1 * each for each in range(1, columns + 1)]
         table = matrix([values] * 3)
         rows = tuple(
-            (name, tuple(dataclasses.replace(each, spread="(0.05–0.32)") for each in cells))
+            (name, tuple(dataclasses.replace(each, extremes=(0.05, 0.32)) for each in cells))
             for name, cells in table.rows
         )
         return to_latex(dataclasses.replace(table, rows=rows))
@@ -209,3 +210,14 @@ def test_a_caption_names_the_applied_calibration(
     }
     text = definition({**settings, "time_offset": time_offset, "hand_eye": hand_eye})
     assert text.endswith(said)
+
+
+def test_numbers_of_a_table_have_one_number_of_decimals() -> None:
+    for values, texts in (
+        ([[0.157, 51.98], [0.0063, None]], ["0.15700", "51.98000", "0.00630", "-"]),
+        ([[1234.5, 0.5], [math.inf, 0.0]], ["1234.500", "0.500", "failed", "0.000"]),
+        ([[1e-9, 0.2], [0.1, 3.0]], ["1e-09", "0.200", "0.100", "3.000"]),
+    ):
+        rows = [(str(row), tuple(map(Cell, cells))) for row, cells in enumerate(values)]
+        shown = [cell.text for _, cells in with_equal_decimals(rows) for cell in cells]
+        assert shown == texts

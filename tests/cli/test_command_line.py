@@ -232,7 +232,8 @@ def test_an_option_of_a_verb_is_not_removed(name: str) -> None:
 
 def test_evaluate_has_few_options() -> None:
     options = [each for each in verb("evaluate").params if each.param_type_name == "option"]
-    assert len(options) <= 51  # 45, 4 of as-available accuracy and 2 of discontinuities
+    # 45, 4 of as-available accuracy, 2 of discontinuities, --diagnosis and --statistic.
+    assert len(options) <= 53
     common = [each for each in options if getattr(each, "is_common", False)]
     assert len(common) == 12
 

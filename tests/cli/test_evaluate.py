@@ -186,7 +186,7 @@ def test_every_relative_error_can_be_required(
         (["--align-states", "0"], "all or a number"),
         (["--gauge", "sim3", "--align-states", "1"], "one state does not determine a scale"),
         (["--max-gap", "-1"], "must be greater than 0"),
-        (["--ate-form", "best"], "no option --ate-form; "),
+        (["--ate-form", "best"], "no such option: --ate-form"),
         (["--gage", "se3"], "--gauge"),
     ],
 )
@@ -381,3 +381,32 @@ def test_the_kitti_protocol_begins_with_the_numbers_of_its_ranking(
     assert main(["evaluate", *sources, "--protocol", "kitti", "--json", "-"]) == 0
     pooled = json.loads(capsys.readouterr().out)["runs"][0]["re"]["pooled"]
     assert float(first.split()[1]) == pytest.approx(pooled["position_percent"]["mean"], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("options", "statistic"),
+    [
+        (["--statistic", "median"], "median"),
+        (["--statistic", "rmse"], "rmse"),
+        (["--protocol", "evo"], "rmse"),
+        (["--protocol", "evo", "--statistic", "mean"], "mean"),
+    ],
+)
+def test_the_statistic_of_relative_errors_is_chosen(
+    options: list[str],
+    statistic: str,
+    pair: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    result = tmp_path / "result.json"
+    assert main([*pair, *options, "--lengths", "8", "--json", str(result)]) == 0
+    [_, _, row] = capsys.readouterr().out.partition("Relative error, ")[2].splitlines()[:3]
+    (segment,) = json.loads(result.read_text())["runs"][0]["re"]["segments"]
+    assert float(row.split()[3]) == pytest.approx(segment["position_m"][statistic], rel=1e-3)
+
+
+def test_an_unknown_statistic_is_refused(
+    pair: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "use one of rmse, mean, median" in refused([*pair, "--statistic", "p95"], capsys)

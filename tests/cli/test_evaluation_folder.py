@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from strategies import make_groundtruth
@@ -25,6 +26,7 @@ OURS = [
     "groundtruth_uncertainty.png", "mahalanobis.png", "likelihood_by_edge.png", "consistency.png",
     "consistency_12.pdf", "uncertainty_top_1.svg", "stanford_2.png", "stanford.pgf",
     "trajectory_top-img0.png", "consistency_3-img12.png", "errors.parquet", "run.rrd",
+    "report.html",
 ]  # fmt: skip
 OTHERS = [
     "notes.txt", "trajectory_top.jpg", "trajectory_top.png.bak", "my_absolute_error.png",
@@ -42,6 +44,7 @@ def outcome() -> Outcome:
 @pytest.fixture(autouse=True)
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(evaluation_folder, "_HAVE_FIGURES", False)
+    monkeypatch.setattr(evaluation_folder, "_HAVE_PAGES", False)
 
 
 def write(folder: Path, outcome: Outcome) -> None:
@@ -129,39 +132,34 @@ def test_without_a_result_the_files_may_be_of_two_evaluations(
 
 def test_what_is_in_the_folder_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert contents(tmp_path).startswith(
-        f"result.json and errors.npz are in {tmp_path}; errors.parquet needs pyarrow, install it: "
+        f"result.json and errors.npz are in {tmp_path}; report.html needs Jinja2, install it: "
     )
+    assert "; errors.parquet needs pyarrow, install it: " in contents(tmp_path)
     assert "; figures need matplotlib, install it: " in contents(tmp_path)
     (tmp_path / "errors.parquet").write_text("")
     monkeypatch.setattr(evaluation_folder, "_HAVE_FIGURES", True)
+    monkeypatch.setattr(evaluation_folder, "_HAVE_PAGES", True)
     assert contents(tmp_path) == (
-        f"result.json, errors.npz, errors.parquet and figures are in {tmp_path}"
+        f"report.html, result.json, errors.npz, errors.parquet and figures are in {tmp_path}"
     )
 
 
 def test_figures_are_of_what_was_computed_and_numbered_if_there_are_several_runs(
-    outcome: Outcome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    outcome: Outcome,
 ) -> None:
-    pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `plot`")
-    drawn: list[tuple[str, str]] = []
-    monkeypatch.setattr(evaluation_folder, "_HAVE_FIGURES", True)
-    monkeypatch.setattr(evaluation_folder, "error_files", lambda outcome: {})
-    monkeypatch.setattr("trajeval_ros.report.figures.write_figures", lambda *_: None)
-    for name in ("consistency", "stanford"):
-        monkeypatch.setattr(
-            f"trajeval_ros.report.consistency_figure.write_{name}",
-            lambda *given, name=name: drawn.append((name, given[-2])),
-        )
+    from trajeval_ros.report.figures import outcome_drawings
+
+    usual = {"trajectory_top", "trajectory_side", "absolute_error", "relative_error"}
+    shown = SimpleNamespace(covariances=object())
     (plain,) = outcome.runs
-    tested = dataclasses.replace(plain, consistency=object())  # type: ignore[arg-type]
+    tested = dataclasses.replace(plain, consistency=shown)  # type: ignore[arg-type]
     judged = dataclasses.replace(tested, integrity=object())  # type: ignore[arg-type]
+    bands = {"consistency", "uncertainty_top"}
     for runs, expected in (
-        ([plain], []),
-        ([judged], [("consistency", ""), ("stanford", "")]),
-        ([plain, judged], [("consistency", "_2"), ("stanford", "_2")]),
-        ([tested, judged], [("consistency", "_1"), ("consistency", "_2"), ("stanford", "_2")]),
+        ([plain], set()),
+        ([judged], {*bands, "stanford"}),
+        ([plain, judged], {*(f"{name}_2" for name in bands), "stanford_2"}),
+        ([tested, judged], {*(f"{name}_{at}" for name in bands for at in (1, 2)), "stanford_2"}),
     ):
-        drawn.clear()
         several = dataclasses.replace(outcome, runs=tuple(runs))
-        write_folder(tmp_path, result_of(outcome), several, FigureStyle())
-        assert drawn == expected
+        assert set(outcome_drawings(several)) == usual | expected

@@ -43,7 +43,6 @@ ONE = ["{}/vio_odometry.txt"]
         (["evaluate", *TUM, "--gauge", "none", "--align-states", "5"], "need an alignment"),
         (["evaluate", *TUM, "--gauge", "none", "--align-states", "1,50%"], "need an alignment"),
         (["evaluate", *BAG, "--gauge", "none", "--align-weights", "covariance"], "alignment"),
-        (["diagnose", *TUM, "--time-offset", "auto"], "estimates the clock offset anyway"),
         (["info", *ONE, "--frame-rate", "10"], "--frame-rate is for text files without"),
         (["info", "{}/flight", "--frame-rate", "10"], "--frame-rate is for text files without"),
         (["info", "{}/flight:/vio/odometry", "--columns", "t x y z"], "--columns is for text"),

@@ -114,8 +114,9 @@ def test_a_converted_file_gives_the_same_numbers_as_the_correction(
         if option:
             (corrected,) = found["corrected"]
             assert corrected["option"] == f"--correct {corrected['cause']}"
-            assert main(["diagnose", given[1], given[3], "--gauge", "yaw"]) == 0
-            line = capsys.readouterr().out.splitlines()[0]
+            assert main(["evaluate", given[1], given[3], "--gauge", "yaw"]) == 0
+            lines = capsys.readouterr().out.splitlines()
+            line = next(line for line in lines if "diagnosis: " in line)
             conversion = line.partition("trajeval trajectory SOURCE ")[2]
             assert conversion
     assert ates[1] == pytest.approx(ates[0], rel=1e-6)
@@ -292,37 +293,30 @@ def test_frames_that_are_apart_are_told_where_nothing_aligns_them() -> None:
     assert "--gauge translation" in warning
 
 
-def test_diagnose_explains_at_length(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_tests_of_a_diagnosis_are_printed_on_request(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     _, truth, _, estimate = files(MISTAKES["mirrored"].make(DRONE), tmp_path)
-    assert main(["diagnose", truth, estimate, "--gauge", "yaw"]) == 0
+    command = ["evaluate", truth, estimate, "--gauge", "yaw"]
+    assert main([*command, "--diagnosis"]) == 0
     shown = capsys.readouterr().out
-    assert shown.startswith("mirrored: the axes of one side are left-handed")
-    for test in (
-        "rounded stamps: no mistake",
-        "clocks: no mistake (offset_s",
-        "models: mirrored (",
-    ):
-        assert test in shown
-    assert main(["diagnose", truth, estimate, "--gauge", "yaw", "--json", "-"]) == 0
-    read = json.loads(capsys.readouterr().out)
-    assert read["findings"][0]["cause"] == "mirrored"
-    assert {each["test"] for each in read["examined"]} >= {"clocks", "models"}
-    saved = tmp_path / "diagnosis.json"
-    assert main(["diagnose", truth, estimate, "--gauge", "yaw", "--json", str(saved)]) == 0
-    assert capsys.readouterr().out == shown
-    assert json.loads(saved.read_text()) == read
+    assert "diagnosis: the axes of one side are left-handed" in shown
+    tests = ("rounded stamps: no mistake", "clocks: no mistake (offset_s", "models: mirrored (")
+    assert all(test in shown.partition("tests, their results")[2] for test in tests)
+    assert main(command) == 0
+    assert not any(test in capsys.readouterr().out for test in tests)
 
 
-def test_diagnose_helps_where_nothing_can_be_evaluated(
+def test_the_diagnosis_helps_where_nothing_can_be_evaluated(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     later = dataclasses.replace(DRONE.estimate, stamps=DRONE.estimate.stamps + 3600 * 10**9)
     _, truth, _, estimate = files(dataclasses.replace(DRONE, estimate=later), tmp_path)
-    assert main(["diagnose", truth, estimate]) == 0
-    shown = capsys.readouterr().out
-    assert shown.startswith("evaluation not possible: ")
-    assert "clock_offset" in shown
-    assert re.search(r"--time-offset=-3600\.\d", shown) or "--time-offset=-3599.9" in shown
+    assert main(["evaluate", truth, estimate]) == 2
+    shown = capsys.readouterr().err
+    assert "(for a common start: -3600." in shown
+    assert "--time-offset auto searches it" in shown
+    assert main(["evaluate", truth, estimate, "--time-offset", "auto"]) == 0
 
 
 @pytest.mark.slow

@@ -319,8 +319,12 @@ def test_a_log_of_the_simulator_needs_no_topics(tmp_path: Path) -> None:
     write_ulog(path, [*topics, (truth, 0, local_position())])
     call = ["evaluate", str(path), "--gauge", "none", "--json", str(saved)]
     with unittest.mock.patch("pyulog.ULog", wraps=pyulog.ULog) as parser:
-        assert CliRunner().invoke(app, call).exit_code == 0
+        ran = CliRunner().invoke(app, call)
+    assert ran.exit_code == 0
     assert parser.call_count == 1
+    assert f"assumed: groundtruth {truth}: of the simulator; change it with -g" in ran.output
+    assert "assumed: estimate vehicle_odometry: odometry; change it with -e" in ran.output
+    assert f"repeat: trajeval evaluate -g {path}:{truth} -e " in ran.output
     result = json.loads(saved.read_text())
     assert result["groundtruth"]["source"] == f"{path}:{truth}"
     named = {each["estimate"]["source"].rpartition(":")[2] for each in result["runs"]}

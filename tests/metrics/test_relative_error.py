@@ -18,6 +18,7 @@ from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.protocol import Protocol, metres
 from trajeval_ros.metrics.relative_errors import relative_errors
 from trajeval_ros.pipeline.pipeline import evaluate
+from trajeval_ros.report.verdict_lines import verdict
 
 PRECISE = 1e-10
 
@@ -204,11 +205,15 @@ def test_errors_of_long_runs_are_measured_again(monkeypatch: pytest.MonkeyPatch)
     held = evaluate(truth, estimate, protocol)
     monkeypatch.setattr(relative_evaluation, "_MOST_HELD", 0)
     released = evaluate(truth, estimate, protocol)
+    assert verdict(held) == verdict(released)
     assert held.pooled == released.pooled
     for one, other in zip(held.relative or (), released.relative or (), strict=True):
         assert one.held is not None
         assert other.held is None
         assert one.statistics == other.statistics
+        worst = one.errors.starts[np.argmax(one.errors.position_m)]
+        assert one.worst_start == other.worst_start == worst
+        assert "errors" not in vars(other)  # the result lines need no second measurement
         assert other.count == len(other.errors.ends) > 0
         assert other.errors is other.errors
         for name, column in vars(one.errors).items():

@@ -27,8 +27,9 @@ from matplotlib.text import Text
 
 from trajeval_ros.report import canvas
 from trajeval_ros.report.absolute_figure import absolute_error
+from trajeval_ros.report.figure_output import save_all
 from trajeval_ros.report.figure_style import WIDTHS_IN, FigureStyle, house_style
-from trajeval_ros.report.figures import draw, write_figures
+from trajeval_ros.report.figures import draw, evaluation_drawings
 from trajeval_ros.report.relative_figure import relative_error
 from trajeval_ros.report.trajectory_figure import top_view
 
@@ -67,7 +68,7 @@ def test_figures_are_as_wide_as_asked_with_type_of_7_to_9_points(
 ) -> None:
     style = FigureStyle.parse(None, width, None, has_titles=True)
     inches = WIDTHS_IN.get(width) or float(width)
-    (path, *_) = write_figures(evaluations[:1], tmp_path, style)
+    (path, *_) = save_all(evaluation_drawings(evaluations[:1]), tmp_path, style)
     assert width_of(path) == pytest.approx(inches, abs=0.01)
     with house_style(style):
         for drawing in DRAWINGS:
@@ -150,7 +151,7 @@ def test_titles_are_left_out_and_stay_in_the_metadata(
     high = {}
     for has_titles in (True, False):
         style = FigureStyle(has_titles=has_titles)
-        path = write_figures(evaluations[:1], tmp_path, style)[0]
+        path = save_all(evaluation_drawings(evaluations[:1]), tmp_path, style)[0]
         with Image.open(path) as image:
             assert "yaw and translation" in image.info["Title"]
         high[has_titles] = len(imread(path))
@@ -196,7 +197,7 @@ def test_dark_styles_reach_everything(evaluations: list[Evaluation], tmp_path: P
     sheet = tmp_path / "dark.mplstyle"
     dark = Path(matplotlib.get_data_path()) / "stylelib" / "dark_background.mplstyle"
     sheet.write_text(dark.read_text().replace("grid.color: white", "grid.color: 333333"))
-    paths = write_figures(evaluations[:2], tmp_path, FigureStyle(file=sheet))
+    paths = save_all(evaluation_drawings(evaluations[:2]), tmp_path, FigureStyle(file=sheet))
     assert len(paths) >= 4
     for path in paths:
         pixels = imread(path)[:, :, :3]

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import sys
 from pathlib import Path
 
@@ -16,8 +17,9 @@ from trajeval_ros.metrics.protocol import Protocol, metres
 from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.pipeline.pipeline import evaluate
 from trajeval_ros.report import canvas
+from trajeval_ros.report.figure_output import save_all
 from trajeval_ros.report.figure_style import FigureStyle, house_style
-from trajeval_ros.report.figures import write_figures
+from trajeval_ros.report.figures import draw, evaluation_drawings
 from trajeval_ros.report.line_thinning import MOST_POINTS, thinned
 from trajeval_ros.simulation.drifting_odometry import simulate
 
@@ -69,7 +71,9 @@ def _colour_share(pixels: np.ndarray, colour: str) -> float:
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """The figures of `_evaluation()`."""
-    return write_figures([_evaluation()], tmp_path_factory.mktemp("figures"))
+    return save_all(
+        evaluation_drawings([_evaluation()]), tmp_path_factory.mktemp("figures"), FigureStyle()
+    )
 
 
 @pytest.mark.slow
@@ -84,7 +88,7 @@ def test_writes_every_figure_and_none_is_blank(drawn: list[Path]) -> None:
 
 @pytest.mark.slow
 def test_same_evaluation_gives_the_same_bytes(drawn: list[Path], tmp_path: Path) -> None:
-    again = write_figures([_evaluation()], tmp_path)
+    again = save_all(evaluation_drawings([_evaluation()]), tmp_path, FigureStyle())
     assert [path.read_bytes() for path in again] == [path.read_bytes() for path in drawn]
 
 
@@ -112,7 +116,7 @@ def test_what_the_user_has_set_goes_before_our_style_and_a_style_sheet_before_bo
 @pytest.mark.slow
 def test_several_estimates_have_their_own_colours_and_names(tmp_path: Path) -> None:
     evaluations = [_evaluation(0), _evaluation(0), _evaluation(0)]
-    for path in write_figures(evaluations, tmp_path):
+    for path in save_all(evaluation_drawings(evaluations), tmp_path, FigureStyle()):
         assert _pixels(path).std() > 0.05
     pixels = _pixels(tmp_path / "relative_error.png")
     with house_style():
@@ -123,7 +127,7 @@ def test_several_estimates_have_their_own_colours_and_names(tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_more_estimates_than_colours(tmp_path: Path) -> None:
-    assert len(write_figures([_evaluation()] * 8, tmp_path)) == 4
+    assert len(save_all(evaluation_drawings([_evaluation()] * 8), tmp_path, FigureStyle())) == 4
     with house_style():
         assert len({canvas.line_style(place) for place in range(20)}) == 20
 
@@ -149,7 +153,7 @@ def test_titles_state_the_definitions() -> None:
 @pytest.mark.slow
 def test_withheld_rotation_says_why(tmp_path: Path) -> None:
     without = _evaluation(quaternions=None)
-    assert len(write_figures([without], tmp_path)) == 4
+    assert len(save_all(evaluation_drawings([without]), tmp_path, FigureStyle())) == 4
     assert "no orientations in the groundtruth" in _texts([without], "absolute_error")
     assert "fitted to every" not in _texts([_evaluation()], "relative_error")
     assert "vertical error [m]" in _texts([without], "absolute_error")
@@ -169,7 +173,7 @@ def test_undetermined_rotation_says_why() -> None:
 @pytest.mark.slow
 def test_no_sub_trajectory_of_the_lengths(tmp_path: Path) -> None:
     evaluation = _evaluation(protocol=Protocol(gauge=Gauge.YAW, lengths=metres(1000)))
-    assert len(write_figures([evaluation], tmp_path)) == 4
+    assert len(save_all(evaluation_drawings([evaluation]), tmp_path, FigureStyle())) == 4
     assert "No sub-trajectories of 1000 m" in _texts([evaluation], "relative_error")
     part = _evaluation(protocol=Protocol(gauge=Gauge.YAW, lengths=metres(8, 1000)))
     assert "\n0\n" in _texts([part], "relative_error")
@@ -215,14 +219,16 @@ def test_names_are_wrapped_between_their_parts(label: str, lines: list[str]) -> 
 
 def test_what_was_not_asked_for_is_not_drawn(tmp_path: Path) -> None:
     planar = _evaluation(protocol=Protocol(gauge=Gauge.PLANAR, lengths=()))
-    names = [path.name for path in write_figures([planar], tmp_path)]
+    names = [
+        path.name for path in save_all(evaluation_drawings([planar]), tmp_path, FigureStyle())
+    ]
     assert names == ["trajectory_top.png", "absolute_error.png"]
 
 
 def test_one_state_at_rest_can_be_drawn(tmp_path: Path) -> None:
     state = simulate(0, 5.0).groundtruth[:1]
     evaluation = evaluate(state, state, Protocol(gauge=Gauge.TRANSLATION))
-    assert len(write_figures([evaluation], tmp_path)) == 4
+    assert len(save_all(evaluation_drawings([evaluation]), tmp_path, FigureStyle())) == 4
 
 
 def test_without_matplotlib_the_error_says_what_to_install(
@@ -230,7 +236,7 @@ def test_without_matplotlib_the_error_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(InputError, match="pip install"):
-        write_figures([_evaluation()], tmp_path)
+        save_all(evaluation_drawings([_evaluation()]), tmp_path, FigureStyle())
     assert not list(tmp_path.iterdir())
 
 
@@ -269,8 +275,8 @@ def test_names_are_neither_hidden_nor_read_as_formulas() -> None:
     for name in ("_hidden", "$run_{1$", "50%"):
         named = dataclasses.replace(evaluation.estimate, name=name)
         odd = dataclasses.replace(evaluation, estimate=named)
-        for draw in ("absolute_error", "relative_error", "top_view"):
-            assert name in _texts([odd], draw)
+        for drawing in ("absolute_error", "relative_error", "top_view"):
+            assert name in _texts([odd], drawing)
 
 
 @pytest.mark.slow
@@ -278,7 +284,7 @@ def test_large_coordinates_keep_the_figure_small(tmp_path: Path) -> None:
     flight = simulate(0, 20.0)
     far = flight.groundtruth.positions * [100.0, 1.0, 1.0] + [5e5, 4e6, 0.0]
     truth: Trajectory = dataclasses.replace(flight.groundtruth, positions=far)
-    paths = write_figures([evaluate(truth, truth[::10])], tmp_path)
+    paths = save_all(evaluation_drawings([evaluate(truth, truth[::10])]), tmp_path, FigureStyle())
     assert len(paths) >= 4
     for path in paths:
         assert max(_pixels(path).shape) < 2600
@@ -316,3 +322,13 @@ def test_a_doubted_vertical_axis_gives_no_top_view() -> None:
     assert any(each.code == "up_axis_doubted" for each in doubted.remarks)
     assert "Paths (x, y)" in _texts([doubted], "top_view")
     assert "Paths (" in _texts([doubted], "side_view")
+
+
+def test_a_notebook_shows_a_figure_without_a_backend() -> None:
+    from PIL import Image
+
+    figure = draw(_evaluation(), "top")
+    shown = Image.open(io.BytesIO(figure._repr_png_()))  # type: ignore[attr-defined]
+    assert shown.format == "PNG"
+    assert shown.size[0] > 600
+    assert np.asarray(shown.convert("L")).std() > 5.0

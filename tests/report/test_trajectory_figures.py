@@ -1,4 +1,4 @@
-"""The figures of `trajeval trajectory`: what is drawn, over which ground, in which colours."""
+"""The figures of `trajeval trajectory`: what is drawn, in which colours."""
 
 from __future__ import annotations
 
@@ -12,11 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from trajeval_ros.cli.app import main
-from trajeval_ros.exceptions import InputError, SettingsError
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
@@ -27,14 +25,10 @@ pytest.importorskip("matplotlib", reason="figures need the extra `plot`")
 
 from matplotlib.image import imread
 from paths import ROOT
-from PIL import Image
 
-from trajeval_ros.io.ground_image import parse_bounds, read_ground_image
 from trajeval_ros.report.figure_style import FigureStyle, house_style
 from trajeval_ros.report.motion_figures import PLOTS, Colours, motion_drawings
 from trajeval_ros.report.plane_panels import PlanePanels
-
-MAP = "image: map.pgm\nresolution: 0.5\norigin: [-3.0, 2.0, {yaw}]\nnegate: 0\n"
 
 
 def circle(count: int = 200, radius_m: float = 2.0, turns_s: float = 0.1) -> Trajectory:
@@ -48,15 +42,6 @@ def circle(count: int = 200, radius_m: float = 2.0, turns_s: float = 0.1) -> Tra
         quaternions=lie.from_rotation_vector(turn),
         name="circle",
     )
-
-
-def grey_map(folder: Path, yaw: float = 0.0) -> Path:
-    """A ROS map of 4 x 6 cells; only that in the left lower corner is occupied."""
-    pixels = np.full((4, 6), 254, dtype=np.uint8)
-    pixels[3, 0] = 0
-    Image.fromarray(pixels).save(folder / "map.pgm")
-    (folder / "map.yaml").write_text(MAP.format(yaw=yaw))
-    return folder / "map.yaml"
 
 
 @pytest.mark.slow
@@ -130,97 +115,6 @@ def test_the_path_is_coloured_by_its_error_with_a_bar() -> None:
         motion_drawings(["xy"], [reference], None, colours=Colours("error"))["path_xy"]()
 
 
-@pytest.mark.parametrize("yaw", [0.0, 0.5 * math.pi])
-def test_a_ros_map_lies_where_its_origin_says(yaw: float, tmp_path: Path) -> None:
-    ground = read_ground_image(grey_map(tmp_path, yaw))
-    # The left lower corner of the left lower cell, and the middle of it.
-    corner, middle = ground.to_world @ [0.0, 4.0, 1.0], ground.to_world @ [0.5, 3.5, 1.0]
-    np.testing.assert_allclose(corner, [-3.0, 2.0], atol=1e-12)
-    turned = [0.25, 0.25] if yaw == 0.0 else [-0.25, 0.25]
-    np.testing.assert_allclose(middle, [-3.0 + turned[0], 2.0 + turned[1]], atol=1e-12)
-    assert ground.pixels[3, 0] == 0
-    assert ground.pixels[0, 0] == 254
-
-
-def test_the_map_is_drawn_below_the_path(tmp_path: Path) -> None:
-    positions = np.array([[-3.0, 2.0, 0.0], [0.0, 4.0, 0.0]])
-    stamps = np.array([0, NANOSECONDS])
-    path = Trajectory.from_columns(stamps=stamps, positions=positions, name="path")
-    ground = read_ground_image(grey_map(tmp_path))
-    with house_style():
-        (draw,) = motion_drawings(["xy"], [path], None, ground=ground).values()
-        figure = draw()
-        figure.set_layout_engine("none")
-        figure.savefig(tmp_path / "drawn.png", dpi=100)
-    (axes,) = figure.axes
-    pixels = imread(tmp_path / "drawn.png")[:, :, :3]
-
-    def seen(x: float, y: float) -> float:
-        column, row = axes.transData.transform([x, y])
-        return float(pixels[len(pixels) - 1 - round(row), round(column)].mean())
-
-    assert seen(-2.6, 2.1) == pytest.approx(0.0, abs=0.02)
-    assert seen(-2.6, 3.7) == pytest.approx(254 / 255, abs=0.02)
-    assert seen(-1.0, 2.2) == pytest.approx(254 / 255, abs=0.02)
-
-
-def test_world_files_are_of_pixel_centres_and_bounds_of_corners(tmp_path: Path) -> None:
-    image = tmp_path / "field.png"
-    Image.fromarray(np.zeros((10, 20, 3), dtype=np.uint8)).save(image)
-    with pytest.raises(InputError, match="--map-bounds"):
-        read_ground_image(image)
-    (tmp_path / "field.pgw").write_text("0.5\n0\n0\n-0.5\n448000.25\n5411999.75\n")
-    by_file = read_ground_image(image)
-    by_bounds = read_ground_image(image, parse_bounds("448000,5411995,448010,5412000"))
-    np.testing.assert_allclose(by_file.to_world, by_bounds.to_world)
-
-
-def test_large_images_are_drawn_small_and_huge_ones_refused(tmp_path: Path) -> None:
-    image = tmp_path / "large.png"
-    Image.new("L", (3000, 2000)).save(image)
-    ground = read_ground_image(image, (0.0, 0.0, 30.0, 20.0))
-    height, width = ground.pixels.shape
-    assert height * width <= 4_010_000
-    np.testing.assert_allclose(ground.to_world @ [width, height, 1.0], [30.0, 0.0], atol=1e-9)
-    Image.new("1", (10_000, 10_000)).save(image)
-    with pytest.raises(InputError, match=r"large.png"):
-        read_ground_image(image, (0.0, 0.0, 1.0, 1.0))
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("image: map.pgm\n", "resolution"),
-        ("resolution: 1.0\n", "no field image"),
-        ("image: map.pgm\nresolution: 0\norigin: [0, 0, 0]\n", "greater than 0"),
-        ("image: map.pgm\nresolution: .nan\norigin: [0, 0, 0]\n", "resolution"),
-        (f"image: map.pgm\nresolution: {10**400}\norigin: [0, 0, 0]\n", "64 bits"),
-        ("image: map.pgm\nresolution: 1\norigin: [0, 0]\n", "origin"),
-        ("image: map.pgm\nresolution: 1\norigin: [0, 0, x]\n", "origin"),
-        ("image: [a]\nresolution: 1\norigin: [0, 0, 0]\n", "no field image"),
-        ("image: none.pgm\nresolution: 1\norigin: [0, 0, 0]\n", "none.pgm"),
-        ("image: map.yaml\nresolution: 1\norigin: [0, 0, 0]\n", "map.yaml"),
-        ("!!python/object/apply:os.system ['true']\n", "YAML"),
-    ],
-)
-def test_maps_that_are_none_are_told(text: str, said: str, tmp_path: Path) -> None:
-    path = grey_map(tmp_path)
-    path.write_text(text)
-    with pytest.raises(InputError, match=said):
-        read_ground_image(path)
-
-
-@pytest.mark.slow
-@given(st.text(max_size=30))
-def test_bounds_are_read_or_refused(text: str) -> None:
-    try:
-        x0, y0, x1, y1 = parse_bounds(text)
-    except SettingsError:
-        return
-    assert x0 < x1
-    assert y0 < y1
-
-
 @pytest.mark.slow
 def test_the_command_draws_and_replaces_its_figures_only(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -229,7 +123,7 @@ def test_the_command_draws_and_replaces_its_figures_only(
     assert main(["simulate", str(bag), "--duration", "10"]) == 0
     command = ["trajectory", f"{bag}:/vio/odometry", "--reference", f"{bag}:/groundtruth/pose"]
     command += ["--gauge", "yaw", "--output", str(out)]
-    more = ["--plot", "xy,speed", "--colour-by", "error", "--map", str(grey_map(tmp_path))]
+    more = ["--plot", "xy,speed", "--colour-by", "error"]
     assert main([*command, *more, "--figure-format", "png,svg"]) == 0
     names = ["path_xy.png", "path_xy.svg", "speed_over_time.png", "speed_over_time.svg"]
     assert sorted(each.name for each in out.iterdir()) == names
@@ -249,10 +143,6 @@ def test_the_command_draws_and_replaces_its_figures_only(
     [
         (["--plot", "zx"], "use one of xy"),
         (["--colour-by", "error"], "--plot"),
-        (["--plot", "xz", "--map", "map.yaml"], "add xy"),
-        (["--plot", "xy", "--map-bounds", "0,0,1,1"], "--map"),
-        (["--plot", "xy", "--map", "gone.png", "--map-bounds", "1,1,0,0"], "bounds"),
-        (["--plot", "xy", "--map", "gone.png", "--map-bounds", "0,0,1,1"], "gone.png"),
     ],
 )
 def test_what_cannot_be_drawn_is_told_before_anything_is_read(

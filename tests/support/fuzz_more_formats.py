@@ -32,7 +32,6 @@ from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.finished_results import FinishedResults
 from trajeval_ros.cli.app import main
 from trajeval_ros.geometry.preintegration import GRAVITY, ImuNoise
-from trajeval_ros.io.ground_image import read_ground_image
 from trajeval_ros.io.hand_eye_file import read_similarity
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.studies.keyframe_selection import select
@@ -100,13 +99,9 @@ def make_manifest(random: Random, folder: Path) -> Changed:
 
 
 def make_settings(random: Random, folder: Path) -> Changed:
-    """Change values of a file of a camera, of a map or of a transformation."""
+    """Change values of a file of a camera or of a transformation."""
     trees: dict[str, Any] = {
         "camera": YAML(typ="safe").load(intact() / "flight" / "camera.yaml"),
-        "map": {
-            "image": "map.pgm", "resolution": 0.05, "origin": [0.0, 0.0, 0.0], "negate": 0,
-            "occupied_thresh": 0.65, "free_thresh": 0.25, "mode": "trinary",
-        },
         "transform": {
             "transform": {
                 "translation": {"x": 0.1, "y": 0.2, "z": 0.3},
@@ -117,12 +112,10 @@ def make_settings(random: Random, folder: Path) -> Changed:
     }  # fmt: skip
     readers: dict[str, Any] = {
         "camera": read_camera,
-        "map": read_ground_image,
         "transform": read_similarity,
     }
     name = pick(random, list(trees))
     tree = with_other_values(random, trees[name])
-    (folder / "map.pgm").write_bytes(b"P5 2 2 255\n" + bytes([0, 100, 205, 254]))
     path = folder / "x.yaml"
     path.write_bytes(yaml_of(tree))
     return Changed(repr(tree), lambda strict: readers[name](path) and None)

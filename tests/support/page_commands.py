@@ -182,11 +182,6 @@ def make_files(folder: Path) -> None:
         "header: {frame_id: imu}\nchild_frame_id: marker\ntransform:\n"
         "  translation: {x: 0.1, y: -0.05, z: 0.2}\n  rotation: {x: 0, y: 0, z: 0, w: 1}\n"
     )
-    (folder / "map.pgm").write_bytes(b"P5 40 40 255\n" + bytes(range(40)) * 40)
-    (folder / "map.yaml").write_text(
-        "image: map.pgm\nresolution: 0.5\norigin: [-10.0, -10.0, 0.0]\nnegate: 0\n"
-        "occupied_thresh: 0.65\nfree_thresh: 0.25\n"
-    )
     rows = np.column_stack([truth.stamps * 1e-6, np.zeros(len(truth)), truth.positions[:, :2]])
     np.savetxt(folder / "odom.csv", np.column_stack([rows, np.zeros(len(truth))]), fmt="%.6f")
     matrices = np.zeros((50, 3, 4))

@@ -95,11 +95,11 @@ LEFT: dict[int, Callable[[Path], None]] = {
     11: has("coloured/*"),
     12: merged,
     15: latex,
-    16: has("over_map/*"),
+    16: has("both/trajectory_top.png"),
     20: by_axis,
     21: has("errors.mcap"),
 }
-SLOW = (6, 15, 20)
+SLOW = (6, 15, 16, 20)
 NEEDS = {**dict.fromkeys((3, 6, 9, 10, 11, 16), "matplotlib"), 15: "pyarrow", 17: "pyarrow"}
 
 
@@ -125,11 +125,6 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_bag(folder / "rover", {"/fix": (fixes, "sensor_msgs/msg/NavSatFix")})
     (recorded,) = (folder / "rover").glob("*.mcap")
     recorded.rename(folder / "rover.mcap")
-    (folder / "map.pgm").write_bytes(b"P5 40 40 255\n" + bytes(range(40)) * 40)
-    (folder / "map.yaml").write_text(
-        "image: map.pgm\nresolution: 0.5\norigin: [-10.0, -10.0, 0.0]\nnegate: 0\n"
-        "occupied_thresh: 0.65\nfree_thresh: 0.25\n"
-    )
     for name in ("gt", "vio", "slam"):
         (folder / name).mkdir()
         shutil.copy(folder / f"{name}.txt", folder / name / "hall.txt")

@@ -68,19 +68,22 @@ def test_figures_show_names_and_no_formulas(evaluation: Evaluation) -> None:
 
 
 def test_figures_of_a_comparison_show_names() -> None:
-    from trajeval_ros.report.comparison_figures import Box, BoxPlot, PathsPlot, figure_of
+    pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
+    from trajeval_ros.batch.planned_figures import PlannedFigure, draw
+    from trajeval_ros.report.comparison_figures import Box, BoxPlot, PathsPlot
 
     box, path = Box.of([1.0, 2.0]), np.zeros((2, 3))
-    boxes = figure_of(BoxPlot([NAME], [("_vio", [box]), (NAME, [box])], "", "m"))
-    paths = figure_of(PathsPlot(UpAxis(), path, {1: (NAME, path)}))
-    for figure in (boxes, paths):
-        drawn, file = figure.to_html(), figure.to_file(NAME)
-        for text in (drawn, file.rstrip("\n")):
-            assert not controls(text)
-            assert escape(SEEN) in text
-        assert ElementTree.fromstring(f"<figure>{drawn}</figure>") is not None
+    boxes = BoxPlot([NAME], [("_vio", [box]), (NAME, [box])], "", "m")
+    paths = PathsPlot(UpAxis(), path, {1: (NAME, path)})
+    for plot in (boxes, paths):
+        drawn = draw(PlannedFigure("name", NAME, "", plot), ("svg",))
+        file = drawn.files["name.svg"].decode()
         assert ElementTree.fromstring(file) is not None
-    assert "_vio" in boxes.to_html()
+        assert ElementTree.fromstring(drawn.svg) is not None
+        for text in (drawn.svg, file):
+            assert not controls(text.replace("\n", ""))
+            assert escape(SEEN, quote=False) in text or escape(SEEN) in text
+    assert "_vio" in draw(PlannedFigure("", "", "", boxes), ()).svg
 
 
 def test_the_picture_shows_names(evaluation: Evaluation, tmp_path: Path) -> None:

@@ -207,19 +207,3 @@ def test_constant_covariances_are_a_placeholder(capsys: pytest.CaptureFixture[st
     command = ["evaluate", "-g", f"{bag}:/groundtruth/pose", "-e", f"{bag}:/kiss_icp/odometry"]
     assert main([*command, "--modality", "lidar", "--covariance", "message"]) == 2
     assert "all are equal (0.1 m^2, 0.1 rad^2): a constant" in capsys.readouterr().err
-
-
-def test_diagnose_takes_the_options_of_evaluate(capsys: pytest.CaptureFixture[str]) -> None:
-    folder = DATA / "openvins_simulation"
-    sides = [
-        str(folder / each)
-        for each in ("v1_01_simulated_groundtruth.csv", "mono_fej_on_seed1_diverges.csv")
-    ]
-    modality = ["--modality", "mono-inertial"]
-    assert main(["diagnose", "-g", sides[0], "-e", sides[1], *modality]) == 0
-    by_options = capsys.readouterr().out
-    assert "diverge" in by_options
-    assert main(["diagnose", *sides, *modality]) == 0
-    assert capsys.readouterr().out == by_options
-    assert main(["diagnose", "-g", sides[0], "-e", sides[1], "-e", sides[1]]) == 2
-    assert "diagnose tests one estimate, not 2" in capsys.readouterr().err

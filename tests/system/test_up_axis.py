@@ -313,7 +313,20 @@ def test_a_comparison_has_the_same_word(tmp_path: Path) -> None:
         "groundtruth: truth_{sequence}.txt\nruns: {vio: 'vio_{sequence}.txt'}\n"
         "gauge: yaw\nup: -y\nlengths: none\n"
     )
-    assert main(["compare", str(config), "--output", str(tmp_path / "out"), "--quiet"]) == 0
+    assert (
+        main(
+            [
+                "compare",
+                "--figures",
+                "0",
+                str(config),
+                "--output",
+                str(tmp_path / "out"),
+                "--quiet",
+            ]
+        )
+        == 0
+    )
     page = (tmp_path / "out" / "report.html").read_text()
     assert "z [m]" in page
     assert "y [m]" not in page

@@ -71,13 +71,13 @@ def comparison(
 ) -> list[str]:
     """Return the texts that `compare` writes; its gates refuse withheld metrics."""
     output = folder / "compared"
-    assert main(["compare", *sides, *options, "--output", str(output)]) == 0
+    assert main(["compare", "--figures", "0", *sides, *options, "--output", str(output)]) == 0
     runs = output / "runs.parquet"
     rows = parquet.read_table(runs).to_pylist()
     assert not [row for row in rows if row["kind"] == "ate" and row["metric"] in withheld]
     for metric in withheld:
         gate = ["--baseline", str(runs), "--fail-if", f"ate.{metric}.rmse worse than 5 %"]
-        assert main(["compare", *sides, *options, *gate]) == 2
+        assert main(["compare", "--figures", "0", *sides, *options, *gate]) == 2
         assert metric in capsys.readouterr().err
     pages = [path for path in output.rglob("*") if path.suffix in {".html", ".md", ".tex", ".csv"}]
     return [path.read_text() for path in pages]

@@ -9,6 +9,7 @@ import contextlib
 import os
 import platform
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 
 from trajeval_ros.batch.comparison import run_plan
@@ -63,7 +64,7 @@ def compare(
             for the setting of the file.
         allow_remote: Hosts that URLs in the file may name, such as `s3://bucket`.
         workers: Number of processes; None for one per core.
-        report: Whether to write report.html, which needs Jinja2.
+        report: Whether to write report.html and figures, which need Jinja2 and matplotlib.
         **settings: Settings of the request, as options with `_` for `-`, such as
             modality="mono-inertial", lengths="8,16" or time_offset="auto". They override the file.
 
@@ -103,12 +104,13 @@ def compare(
         },
         allow_remote=allow_remote,
     )
+    start_pool = partial(local_pool, workers)
     with only_writer(folder, RECORDS):
-        run_plan(plan, folder, lambda: local_pool(workers))
+        run_plan(plan, folder, start_pool)
         summary = summary_of(folder)
         write_tables(folder, summary)
         if report:
-            write_report(folder, summary)
+            write_report(folder, summary, start_pool)
     return summary
 
 

@@ -5,21 +5,28 @@ from __future__ import annotations
 import contextlib
 import re
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from statistics import fmean, median
 from typing import Any
 
 from trajeval_ros import __version__
 from trajeval_ros.batch.comparison_summary import ComparisonSummary, Trial
-from trajeval_ros.batch.figure_drafts import (
+from trajeval_ros.batch.executors import Pool, results_in_order
+from trajeval_ros.batch.finished_comparison import FIGURES, PAGES, REPORT, RUNS
+from trajeval_ros.batch.planned_figures import (
+    DEFAULT_FIGURES,
     MOST_ALGORITHMS,
     MOST_SEQUENCES,
-    FigureDraft,
-    absolute_drafts,
-    sequence_drafts,
+    DrawnFigure,
+    FigureChoice,
+    PlannedFigure,
+    absolute_figures,
+    draw,
+    run_figures,
+    sequence_figures,
 )
-from trajeval_ros.batch.finished_comparison import FIGURES, PAGES, REPORT, RUNS
 from trajeval_ros.batch.records import RECORDS, RecordStore
 from trajeval_ros.batch.results_table import (
     ATE,
@@ -32,10 +39,10 @@ from trajeval_ros.batch.results_table import (
 )
 from trajeval_ros.batch.summary_tables import SPAN_NOTE, definition, diagnosed, matrices
 from trajeval_ros.formatting.numbers import counted, three_decimals, whole_percent
-from trajeval_ros.io.writing import refused_by_disk, write_text
+from trajeval_ros.io.writing import refused_by_disk, write_text, write_whole
 from trajeval_ros.metrics.coverage import LOW_COVERAGE, Gap
 from trajeval_ros.metrics.sub_trajectories import Length
-from trajeval_ros.report.comparison_figures import BoxPlot, figure_of, run_errors_svg, run_path_svg
+from trajeval_ros.report.comparison_figures import BoxPlot
 from trajeval_ros.report.comparison_page import Plot, ReportPages, RunPage
 from trajeval_ros.report.definitions import ABSOLUTE_LABELS, RELATIVE_LABELS
 
@@ -44,6 +51,7 @@ _MOST_DETAILS = 1000  # runs with figures and statistics
 _MOST_ON_A_PAGE = 100
 # Limit of details on a page and of figures on the first one; a page stays below 5 MB.
 _MOST_BYTES = 2_000_000
+_OURS = re.compile(r"(ate|re|trajectories|errors)_.*\.(png|pdf|svg|pgf)")
 _COLUMNS = (
     "key", "kind", "metric", "length", "count", *STATISTICS, "groundtruth", "estimate", "pairs",
     "estimate_coverage", "span_s", "scale", "groundtruth_span", "longest_gap_s", "longest_gap_m",
@@ -54,18 +62,22 @@ _COLUMNS = (
 def write_report(
     folder: Path,
     summary: ComparisonSummary,
+    start_pool: Callable[[], Pool],
+    choice: FigureChoice = DEFAULT_FIGURES,
     advance: Callable[[int, int], None] = lambda done, total: None,
 ) -> Path:
-    """Write the report of a comparison, and its figures as SVG files, into its folder."""
-    pages = ReportPages(summary.title, __version__, state_of(folder / RUNS))
+    """Write the report of a comparison, and its figures as files, into its folder.
+
+    `start_pool`: returns the workers that draw; called only if there are figures.
+    """
+    pages = ReportPages(summary.title, __version__, _state(folder, choice))
     records = RecordStore(folder / RECORDS)
-    shown = _shown(summary.trials)
+    shown = _standing_out(summary.trials, _MOST_DETAILS)
+    plots, svgs = _draw_all(folder / FIGURES, summary, records, start_pool, choice, advance)
     runs, details = [], []
-    for number, run in enumerate(_run_pages(folder, summary, records, shown), 1):
+    for number, run in enumerate(_run_pages(folder, shown, svgs), 1):
         details.append(pages.details(number, run))
         runs.append(run.brief())
-        advance(number, len(shown))
-    plots, drawn = _plots(folder / FIGURES, summary, records)
     parts = _parts(details)
     names = [f"runs_{number}.html" for number in range(1, len(parts) + 1)]
     on_first_page = len(parts) == 1
@@ -82,9 +94,9 @@ def write_report(
             write_text(folder / PAGES / name, pages.runs(name, names, REPORT, inside))
     text = pages.overview(
         definition(summary.settings),
-        _findings(summary, drawn),
+        _findings(summary, choice, len(svgs), plots),
         matrices(summary),
-        plots,
+        [plot for plot in plots if plot.svg],
         runs,
         links,
         details if on_first_page else (),
@@ -94,20 +106,26 @@ def write_report(
     return folder / REPORT
 
 
-def is_drawn(folder: Path) -> bool:
+def is_drawn(folder: Path, choice: FigureChoice = DEFAULT_FIGURES) -> bool:
     """Return whether the report belongs to the tables, by their hash, not by file times."""
-    state = state_of(folder / RUNS)
     try:
         with (folder / REPORT).open("rb") as file:
             begun = file.read(_HEAD_BYTES)
     except FileNotFoundError:
         return False
-    return bool(state) and state.encode() in begun and (folder / FIGURES).is_dir()
+    state = _state(folder, choice)
+    return bool(state) and f'"{state}"'.encode() in begun and (folder / FIGURES).is_dir()
 
 
-def _shown(trials: Sequence[Trial]) -> list[Trial]:
-    """Return the runs with details, in their order: all, or failed and inaccurate ones."""
-    if len(trials) <= _MOST_DETAILS:
+def _state(folder: Path, choice: FigureChoice) -> str:
+    """Return a text that identifies tables and figures; "" without tables."""
+    tables = state_of(folder / RUNS)
+    return f"{tables} {choice.mark}" if tables else ""
+
+
+def _standing_out(trials: Sequence[Trial], most: int) -> list[Trial]:
+    """Return at most some runs, in their order: all, or failed and inaccurate ones."""
+    if len(trials) <= most:
         return list(trials)
     by_sequence: dict[str, list[float]] = {}
     for each in trials:
@@ -121,41 +139,73 @@ def _shown(trials: Sequence[Trial]) -> list[Trial]:
         return each.status != OK, error / (usual.get(each.sequence) or 1.0)
 
     order = sorted(range(len(trials)), key=standing_out, reverse=True)
-    return [trials[place] for place in sorted(order[:_MOST_DETAILS])]
+    return [trials[place] for place in sorted(order[:most])]
 
 
-def _plots(
-    folder: Path, summary: ComparisonSummary, records: RecordStore
-) -> tuple[list[Plot], int]:
-    """Write the figures of all runs together; return those of the report, and their sequences."""
+def _draw_all(
+    folder: Path,
+    summary: ComparisonSummary,
+    records: RecordStore,
+    start_pool: Callable[[], Pool],
+    choice: FigureChoice,
+    advance: Callable[[int, int], None],
+) -> tuple[list[Plot], dict[str, list[str]]]:
+    """Draw all figures in workers; return those of all runs together, and by key of the run."""
     with refused_by_disk(f"the folder {folder}"):
         folder.mkdir(exist_ok=True)
-        for stem in ("ate", "re", "trajectories", "errors"):
-            for file in folder.glob(f"{stem}_*.svg"):
-                file.unlink()
-    absolute = [_drawn(draft, folder) for draft in absolute_drafts(summary)]
+        for old in folder.iterdir():
+            if _OURS.fullmatch(old.name):
+                old.unlink()
     boxes: list[Plot] = []
     paths: list[Plot] = []
-    size = count = 0
-    for sequence in summary.sequences[:MOST_SEQUENCES]:
-        drafts = list(sequence_drafts(summary, records, sequence))
-        plots = [(draft, _drawn(draft, folder)) for draft in drafts]
-        shown = [(draft, plot) for draft, plot in plots if draft.is_in_report]
-        size += sum(len(plot.svg) for _, plot in shown)
-        if size > _MOST_BYTES:
-            continue
-        count += 1
-        for draft, plot in shown:
-            (boxes if isinstance(draft.plot, BoxPlot) else paths).append(plot)
-    return [*absolute, *boxes, *paths], count
+    svgs: dict[str, list[str]] = defaultdict(list)
+    if not choice.most:
+        return [], svgs
+    planned = _planned(summary, records, choice.most)
+    drawings = results_in_order(start_pool(), partial(_draw_task, choice.formats), planned)
+    evaluated = [trial for trial in summary.trials if trial.status == OK]
+    total = 2 * min(choice.most, len(evaluated)) + 2 + 4 * len(_sequences(summary, choice.most))
+    size = 0  # of the figures of all runs together
+    for number, ((key, figure), drawn) in enumerate(drawings, 1):
+        advance(min(number, total), total)
+        for name, content in drawn.files.items():
+            write_whole(folder / name, partial(Path.write_bytes, data=content))
+        if key:
+            svgs[key].append(drawn.svg)
+        elif figure.is_in_report:
+            size += len(drawn.svg)
+            svg = drawn.svg if size < _MOST_BYTES else ""
+            plots = boxes if isinstance(figure.plot, BoxPlot) else paths
+            plots.append(Plot(figure.title, figure.caption, svg))
+    return [*boxes, *paths], svgs
 
 
-def _drawn(draft: FigureDraft, folder: Path) -> Plot:
-    """Draw a figure, write it to a file, and return it for the report."""
-    figure = figure_of(draft.plot)
-    name = re.sub(r"[^\w.-]+", "_", draft.name)
-    write_text(folder / f"{name}.svg", figure.to_file(draft.title))
-    return Plot(draft.title, draft.caption, figure.to_html() if draft.is_in_report else "")
+def _planned(
+    summary: ComparisonSummary, records: RecordStore, most: int
+) -> Iterator[tuple[str, PlannedFigure]]:
+    """Yield figures with the key of their run; "" for those of all runs together."""
+    for figure in absolute_figures(summary):
+        yield "", figure
+    for sequence in _sequences(summary, most):
+        for figure in sequence_figures(summary, records, sequence):
+            yield "", figure
+    places = {algorithm: place for place, algorithm in enumerate(summary.algorithms)}
+    evaluated = [trial for trial in summary.trials if trial.status == OK]
+    for trial in _standing_out(evaluated, most):
+        record = records.read(trial.key, with_pooled=False)
+        if record is not None:
+            for figure in run_figures(record, places[trial.algorithm]):
+                yield trial.key, figure
+
+
+def _sequences(summary: ComparisonSummary, most: int) -> Sequence[str]:
+    """Return the sequences with figures."""
+    return summary.sequences[: min(most, MOST_SEQUENCES)]
+
+
+def _draw_task(formats: tuple[str, ...], task: tuple[str, PlannedFigure]) -> DrawnFigure:
+    _, figure = task
+    return draw(figure, formats)
 
 
 def _parts(details: Sequence[str]) -> list[range]:
@@ -177,8 +227,10 @@ def _remove_pages(folder: Path) -> None:
         folder.rmdir()
 
 
-def _findings(summary: ComparisonSummary, drawn: int) -> list[str]:
-    """Return the main findings."""
+def _findings(
+    summary: ComparisonSummary, choice: FigureChoice, drawn: int, plots: Sequence[Plot]
+) -> list[str]:
+    """Return the main findings. `drawn`: number of runs with figures."""
     trials = summary.trials
     lost = [trial for trial in trials if trial.status != OK]
     findings = [
@@ -191,11 +243,21 @@ def _findings(summary: ComparisonSummary, drawn: int) -> list[str]:
             f"Details are shown for {_MOST_DETAILS} runs: failed runs first, then runs with the "
             "largest error relative to the median of their sequence. Tables include all runs."
         )
-    if len(summary.sequences) > drawn or len(summary.algorithms) > MOST_ALGORITHMS:
+    if choice.most and 0 < drawn < len(trials) - len(lost):
         findings.append(
-            f"Figures by sequence show the first {drawn} sequences and {MOST_ALGORITHMS} "
+            f"Figures are drawn for {drawn} runs: those with the largest error relative to the "
+            "median of their sequence. --figures N sets the number."
+        )
+    sequences = len(_sequences(summary, choice.most))
+    if choice.most and (
+        len(summary.sequences) > sequences or len(summary.algorithms) > MOST_ALGORITHMS
+    ):
+        findings.append(
+            f"Figures by sequence show the first {sequences} sequences and {MOST_ALGORITHMS} "
             "algorithms. Tables include all."
         )
+    if not all(plot.svg for plot in plots):
+        findings.append(f"Further figures by sequence are in the folder {FIGURES}.")
     tables = matrices(summary)
     wins = {
         name: ranks.count(1)
@@ -234,9 +296,9 @@ def _findings(summary: ComparisonSummary, drawn: int) -> list[str]:
 
 
 def _run_pages(
-    folder: Path, summary: ComparisonSummary, records: RecordStore, trials: Sequence[Trial]
+    folder: Path, trials: Sequence[Trial], svgs: Mapping[str, Sequence[str]]
 ) -> Iterator[RunPage]:
-    """Yield the details of some runs."""
+    """Yield the details of some runs. `svgs`: their figures by key."""
     statistics: dict[str, list[tuple[str, ...]]] = defaultdict(list)
     facts: dict[str, tuple[tuple[str, str], ...]] = {}
     keys = [trial.key for trial in trials if trial.status == OK]
@@ -248,7 +310,6 @@ def _run_pages(
             statistics[key].append(_statistics(row))
         else:
             facts[key] += ((f"{row['kind']}, {row['metric']}", three_decimals(row["mean"])),)
-    places = {algorithm: place for place, algorithm in enumerate(summary.algorithms)}
     for trial in trials:
         yield RunPage(
             algorithm=trial.algorithm,
@@ -264,19 +325,8 @@ def _run_pages(
             headings=("error", *STATISTICS, "count"),
             statistics=tuple(statistics.get(trial.key, ())),
             warnings=trial.warnings,
-            svgs=_figures(records, trial.key, places[trial.algorithm]) if trial.key else (),
+            svgs=tuple(svgs.get(trial.key, ())),
         )
-
-
-def _figures(records: RecordStore, key: str, place: int) -> tuple[str, ...]:
-    record = records.read(key, with_pooled=False)
-    if record is None:
-        return ()
-    columns = record.columns
-    return (
-        run_path_svg(place, record.groundtruth_up, columns["groundtruth"], columns["path"]),
-        run_errors_svg(place, columns["errors"]),
-    )
 
 
 def _statistics(row: dict[str, Any]) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ from trajeval_ros.batch.results_table import (
     read_pooled,
 )
 from trajeval_ros.formatting.numbers import whole_percent
-from trajeval_ros.geometry.valid_poses import POSES_DROPPED
+from trajeval_ros.geometry.valid_poses import GROUNDTRUTH_DROPPED, POSES_DROPPED
 
 _NAMES = ("algorithm", "sequence", "trial")
 _OF_A_RUN = (
@@ -180,13 +180,13 @@ def summary_of(folder: Path) -> ComparisonSummary:
 
 
 def dropped_poses(summary: ComparisonSummary) -> list[str]:
-    """Return one line per run whose estimate has poses that were dropped."""
-    return [
-        f"{trial.name}: {line}"
-        for trial in summary.trials
-        for line in trial.warnings
-        if POSES_DROPPED in line
+    """Return one line per run whose estimate lost poses, and per groundtruth that did."""
+    lines = [(trial, line) for trial in summary.trials for line in trial.warnings]
+    of_groundtruth = [
+        f"{trial.sequence}: {line}" for trial, line in lines if GROUNDTRUTH_DROPPED in line
     ]
+    of_estimates = [f"{trial.name}: {line}" for trial, line in lines if POSES_DROPPED in line]
+    return [*dict.fromkeys(of_groundtruth), *of_estimates]  # runs share a groundtruth
 
 
 def failures(summary: ComparisonSummary) -> list[str]:

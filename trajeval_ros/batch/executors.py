@@ -9,6 +9,7 @@ import functools
 import os
 import signal
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -21,6 +22,7 @@ from concurrent.futures import (
 )
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
+from itertools import chain
 from multiprocessing import connection, get_context, parent_process
 from typing import Any
 
@@ -118,6 +120,33 @@ def evaluate_all(
             with pool.start(1) as executor:
                 finish(task, _outcome(executor.submit(work, task)))
         suspects.clear()
+
+
+def results_in_order(
+    pool: Pool, call: Callable[[Any], Any], tasks: Iterable[Any]
+) -> Iterator[tuple[Any, Any]]:
+    """Yield tasks with their results, in the order of the tasks; no pool starts without a task.
+
+    Raises:
+        InputError: A worker was killed, or the connection to the cluster is lost.
+    """
+    waiting = iter(tasks)
+    if (first := next(waiting, None)) is None:
+        return
+    running: deque[tuple[Any, Future[Any]]] = deque()
+    with pool.start(pool.workers) as executor:
+        try:
+            for task in chain([first], waiting):
+                running.append((task, executor.submit(call, task)))
+                if len(running) > pool.workers + pool.ahead:
+                    task, future = running.popleft()
+                    yield task, future.result()
+            for task, future in running:
+                yield task, future.result()
+        except BrokenExecutor as error:
+            raise InputError(f"{_DIED}; use fewer --workers, or --figures 0") from error
+        except CancelledError as error:
+            raise InputError(_failure(error)) from error
 
 
 def _drain(

@@ -58,7 +58,7 @@ runs.parquet    a row per run x metric x length, with inputs and settings
 pooled.parquet  statistics over trials, by algorithm and sequence
 report.html, tables.*  report and tables; gates.md and gates.json with a
                        baseline
-figures/        figures of the report as SVG
+figures/        figures of the report
 runs/, inputs.json     finished runs, which are not evaluated again
 """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -11,7 +12,7 @@ from typing import Any
 
 from trajeval_ros.batch.comparison_summary import KITTI, ComparisonSummary, Trial
 from trajeval_ros.batch.results_table import MISSING, OK, RE
-from trajeval_ros.formatting.numbers import counted, three_decimals, whole_percent
+from trajeval_ros.formatting.numbers import counted, whole_percent
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.coverage import LOW_COVERAGE
@@ -22,7 +23,7 @@ from trajeval_ros.report.definitions import (
     RE_FORM_TEXTS,
     RELATIVE_LABELS,
 )
-from trajeval_ros.report.matrix import UNRANKED, Cell, Matrix
+from trajeval_ros.report.matrix import UNRANKED, Cell, Matrix, with_equal_decimals
 
 _PARTIAL, _FEW, _DIAGNOSED = "†", "‡", "§"
 _COPY = "is the groundtruth"
@@ -254,7 +255,7 @@ def _legend(
     summary: ComparisonSummary, rows: Sequence[tuple[str, Sequence[Cell]]]
 ) -> list[tuple[str, str]]:
     """Return the meanings of the marks in a table: as a clause, and the end of a sentence."""
-    used = "".join(cell.note for _, cells in rows for cell in cells)
+    used = " ".join(cell.note for _, cells in rows for cell in cells)
     meanings = (
         (_PARTIAL, f"coverage below {whole_percent(LOW_COVERAGE)}", " of the groundtruth."),
         (_FEW, f"fewer than {_enough_pairs(summary)} pairs", ", too few for an ATE."),
@@ -264,7 +265,9 @@ def _legend(
             f" ({_named_mistakes(summary)}); follow the warnings of the runs.",
         ),
     )
-    return [(f"{mark} {clause}", end) for mark, clause, end in meanings if mark in used]
+    shares = re.search(r"\d+/\d+", used)
+    listed = [(f"{shares[0]}: runs with a value, of all runs", ".")] if shares else []
+    return listed + [(f"{mark} {clause}", end) for mark, clause, end in meanings if mark in used]
 
 
 def _comparable_coverage(summary: ComparisonSummary, sequence: str) -> float:
@@ -318,9 +321,7 @@ def _cell(trials: Sequence[Trial], metric: str, enough: int, comparable: float) 
     failed = len(trials) - len(evaluated)
     instead = WITHHELD if math.isinf(value) and 2 * failed < len(trials) else ""
     notes = []
-    spread = ""
-    if len(known) > 1:
-        spread = f"({three_decimals(min(known))}–{three_decimals(max(known))})"
+    extremes = (min(known), max(known)) if len(known) > 1 else None
     if len(known) < len(trials) and len(trials) > 1:
         notes.append(f"{len(known)}/{len(trials)}")
     if evaluated and _coverage(trials) < LOW_COVERAGE:
@@ -337,7 +338,7 @@ def _cell(trials: Sequence[Trial], metric: str, enough: int, comparable: float) 
     competes = not why
     if competes and _coverage(trials) < comparable:
         why = f"covers {whole_percent(_coverage(trials))}"
-    return Cell(value, " ".join(filter(None, notes)), not why, why, competes, spread, instead)
+    return Cell(value, " ".join(filter(None, notes)), not why, why, competes, extremes, instead)
 
 
 def _median_with_last(known: Sequence[float], trials: int) -> float:
@@ -440,7 +441,7 @@ def _matrix(
         title,
         tuple(filter(None, (*notes, *marks, unranked))),
         headings,
-        tuple(rows),
+        with_equal_decimals(rows),
         tuple(runs),
         tuple(coverage),
         f"{', '.join([brief or title, *(clause for clause, _ in legend)])}. {unranked}".strip(),

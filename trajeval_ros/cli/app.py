@@ -29,7 +29,6 @@ VERBS: dict[str, str] = {
     "info": "info",
     "trajectory": "edit_trajectories",
     "evaluate": "evaluate",
-    "diagnose": "print_diagnosis",
     "explain": "print_explanation",
     "view": "view",
     "compare": "compare",

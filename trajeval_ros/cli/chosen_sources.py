@@ -21,11 +21,12 @@ if TYPE_CHECKING:
 
 
 def recording_of(by_position: Sequence[str], *named: object) -> str:
-    """Return the only source of a command if it is a bag or a folder; "" otherwise."""
+    """Return the only source of a command if it is a bag, a log or a folder; "" otherwise."""
     if len(by_position) != 1 or any(named) or not (path := Path(by_position[0])).exists():
         return ""
     parts = parse_source(by_position[0])
-    return by_position[0] if path.is_dir() or (parts.is_bag and not parts.topic) else ""
+    has_topics = path.suffix == ".ulg" or (parts.is_bag and not parts.topic)
+    return by_position[0] if path.is_dir() or has_topics else ""
 
 
 def chosen_evaluation(recording: str, *, is_gauge_given: bool) -> LikelyEvaluation:
@@ -36,9 +37,11 @@ def chosen_evaluation(recording: str, *, is_gauge_given: bool) -> LikelyEvaluati
     """
     import shlex
 
-    from trajeval_ros.io.roles import describe_all, likely_evaluations
+    from trajeval_ros.io.roles import describe_all, likely_evaluations, simulated_evaluation
     from trajeval_ros.report.console import console
 
+    if Path(recording).suffix == ".ulg":
+        return simulated_evaluation(Path(recording), has_gauge=is_gauge_given)
     with progress(f"searching {recording}") as advance:
         description = describe_all(Path(recording), advance)
     likely = likely_evaluations(description, has_one_gauge=is_gauge_given)

@@ -11,6 +11,7 @@ import click
 from trajeval_ros.cli.options import HelpedOption
 from trajeval_ros.cli.programs import split_ros_arguments
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.formatting.escaping import without_secrets
 
 # Verbs with more options than this have a short help with the common ones.
 _MANY = 20
@@ -67,6 +68,15 @@ def arguments() -> list[str]:
     """Return the words after the verb that runs."""
     words: list[str] = click.get_current_context().meta[_ARGUMENTS]
     return words
+
+
+def command_line() -> str:
+    """Return the command that runs, without secrets of its URLs."""
+    import shlex
+
+    verb = click.get_current_context().info_name or ""
+    words = ["trajeval", verb, *map(without_secrets, arguments())]
+    return " ".join(map(shlex.quote, words))
 
 
 def verb(

@@ -13,6 +13,7 @@ import click
 
 from trajeval_ros.cli.command import verb
 from trajeval_ros.cli.options import (
+    FIGURES,
     OUTPUT,
     argument,
     option,
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from trajeval_ros.batch.plan import Plan
 
 _WORK = "Work"
-
+_MOST_FIGURES = 100  # runs with figures by default
 
 _GATES = "Gates"
 _FALSE_ALARMS = 2.5  # default
@@ -87,6 +88,10 @@ _PARAMETERS = (
     option("--wait", kind=bool, panel=OUTPUT,
         help="Waiting for another comparison that writes to the same folder, instead of an "
         "error."),
+    option("--figures", kind=click.IntRange(min=0), metavar="N", default=_MOST_FIGURES,
+        panel=FIGURES,
+        help="Largest number of runs with figures, those with the largest errors first; 0 for "
+        "none."),
     option("--transpose", kind=bool, panel=OUTPUT,
         help="Rows are sequences and columns are algorithms in tables.tex."),
 )  # fmt: skip
@@ -106,6 +111,8 @@ def compare(
     paired: bool,
     output: Path,
     wait: bool,
+    figures: int,
+    figure_format: str | None,
     transpose: bool,
     **settings: Any,
 ) -> None:
@@ -141,10 +148,12 @@ def compare(
     from trajeval_ros.batch.comparison_summary import summary_of
     from trajeval_ros.batch.executors import dask_pool, local_pool
     from trajeval_ros.batch.finished_results import FinishedResults
+    from trajeval_ros.batch.planned_figures import FigureChoice
     from trajeval_ros.batch.records import RECORDS
     from trajeval_ros.batch.results_table import load_pyarrow
     from trajeval_ros.report.comparison_page import require_jinja2
     from trajeval_ros.report.console import WARNING, console
+    from trajeval_ros.report.figure_style import FigureStyle
 
     refuse_format(targets, "compare GROUNDTRUTH ESTIMATE...")
     load_pyarrow()
@@ -153,6 +162,10 @@ def compare(
         raise SettingsError(
             "--workers (this machine) and --cluster exclude each other; give one of them"
         )
+    style = FigureStyle.parse(figure_format or "svg", None, None, has_titles=False)
+    choice = FigureChoice(figures, style.formats)
+    if figures:
+        style.check()
     chosen = _comparison_of(targets, settings, allow_remote)
     start_pool = partial(dask_pool, cluster) if cluster else partial(local_pool, workers)
     # The baseline may be the table in the output folder, so it is read before anything is written.
@@ -169,9 +182,9 @@ def compare(
                 progress = run_plan(chosen, output, start_pool, tell)
         summary = summary_of(output)
         write_tables(output, summary, transpose=transpose)
-        if not is_drawn(output):
+        if not is_drawn(output, choice):
             with drawing("writing the report") as advance:
-                write_report(output, summary, advance)
+                write_report(output, summary, start_pool, choice, advance)
         if not quiet:
             _print_verdict(summary, progress, output)
             if isinstance(chosen, FinishedResults) and chosen.advice:

@@ -132,8 +132,6 @@ def trajectory(
     plot: str | None,
     colour_by: str | None,
     colour_max: float | None,
-    map_file: Path | None,
-    map_bounds: str | None,
     figure_format: str | None,
     figure_width: str | None,
     style: Path | None,
@@ -221,8 +219,6 @@ def trajectory(
         plot,
         colour_by,
         colour_max,
-        map_file,
-        map_bounds,
         FigureStyle.parse(figure_format, figure_width, style, has_titles=True),
     )
     if save_as is not None:

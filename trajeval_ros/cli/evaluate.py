@@ -20,7 +20,7 @@ from trajeval_ros.cli.options import (
 )
 from trajeval_ros.cli.pictures import Pictures
 from trajeval_ros.cli.progress import read_shown
-from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.exceptions import SettingsError, require_one_of
 from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.requests.setting import EVALUATE
 from trajeval_ros.io.results.requirement import Requirement
@@ -28,6 +28,7 @@ from trajeval_ros.io.source_names import names_with, split_name
 from trajeval_ros.io.text.hints import SideHints
 from trajeval_ros.pipeline.pipeline import run
 from trajeval_ros.report.figure_style import PLAIN, FigureStyle
+from trajeval_ros.report.tables import RELATIVE_STATISTICS
 
 _GAUGES = ("gauge", "modality", "protocol")  # settings that state a gauge
 _PARAMETERS = (
@@ -37,8 +38,13 @@ _PARAMETERS = (
     *shared_options(EVALUATE),
     *settings_options(EVALUATE),
     option("--output", kind=Path, metavar="DIR", panel=OUTPUT, is_common=True,
-        help="Output folder for result.json, errors and aligned poses (errors.npz, "
-        "errors.parquet) and figures."),
+        help="Output folder for a page (report.html), result.json, errors and aligned poses "
+        "(errors.npz, errors.parquet) and figures."),
+    option("--statistic", metavar="|".join(RELATIVE_STATISTICS), panel=OUTPUT,
+        help="Statistic of the relative errors on the terminal. Default: mean, for protocol evo "
+        "rmse. Files have all."),
+    option("--diagnosis", kind=bool, panel=OUTPUT,
+        help="Prints all tests of the diagnosis with their results (docs/diagnosis.md)."),
     option("--mcap", kind=Path, metavar="FILE", panel=OUTPUT,
         help="MCAP output file with errors, paths and statistics as ROS 2 messages, for "
         "Foxglove and PlotJuggler (docs/topics.md)."),
@@ -64,6 +70,8 @@ def evaluate(
     no_title: bool,
     style: Path | None,
     output: Path | None,
+    statistic: str | None,
+    diagnosis: bool,
     mcap: Path | None,
     rrd: Path | None,
     viewer: bool,
@@ -113,6 +121,7 @@ def evaluate(
         settings["modality"] = chosen.modality or settings["modality"]
     request = request_from(settings)
     requirements = [Requirement.parse(text) for text in require]
+    require_one_of(statistic or "mean", RELATIVE_STATISTICS, "statistic")
     pictures = Pictures(rrd=rrd, viewer=viewer)
     pictures.check()
     look = FigureStyle.parse(figure_format, figure_width, style, has_titles=not no_title)
@@ -145,6 +154,8 @@ def evaluate(
         json=json,
         output=output,
         quiet=quiet,
+        diagnosis=diagnosis,
+        statistic=statistic or "",
         pictures=pictures,
         mcap=mcap,
         look=look,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -17,29 +16,39 @@ from trajeval_ros.io.results.error_archive import ARCHIVE, TABLE, error_files
 from trajeval_ros.io.temporary import collect_leftovers, temporary_folder
 from trajeval_ros.io.writing import refused_by_disk
 from trajeval_ros.pipeline.outcome import Outcome
+from trajeval_ros.report.canvas import Drawing
+from trajeval_ros.report.figure_output import save_all
 from trajeval_ros.report.figure_style import FigureStyle
 
-_RESULT = "result.json"
+_RESULT, PAGE = "result.json", "report.html"
 _HEAD = 64  # bytes with the schema
 _OURS = re.compile(
     "(trajectory_(top|side)|(absolute|relative)_error|groundtruth_uncertainty|mahalanobis"
-    r"|likelihood_by_edge|(as_available|consistency|uncertainty_top|stanford)(_\d+)?)(-img\d+)?\.(png|pdf|svg|pgf)"
+    r"|likelihood_by_edge|(as_available|consistency|uncertainty_top|stanford)(_\d+)?)(-img\d+)?\.(png|pdf|svg|pgf)|report\.html"
 )
 _HAVE_FIGURES = find_spec("matplotlib") is not None
+_HAVE_PAGES = find_spec("jinja2") is not None
 
 
 def write_folder(
-    folder: Path, result: dict[str, object], outcome: Outcome, look: FigureStyle
+    folder: Path,
+    result: dict[str, object],
+    outcome: Outcome,
+    look: FigureStyle,
+    command: str = "",
 ) -> None:
     """Write all files under temporary names first; the folder never has partial files.
 
     result.json is removed first and written last: if it exists, all files are from one evaluation.
+    `command`: the command that the page states.
     """
     with refused_by_disk(f"the folder {folder}"):
-        _write(folder, result, outcome, look)
+        _write(folder, result, outcome, look, command)
 
 
-def _write(folder: Path, result: dict[str, object], outcome: Outcome, look: FigureStyle) -> None:
+def _write(
+    folder: Path, result: dict[str, object], outcome: Outcome, look: FigureStyle, command: str
+) -> None:
     is_own = _is_own(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
     # An existing folder may be a mount point, and the only writable place.
@@ -52,8 +61,17 @@ def _write(folder: Path, result: dict[str, object], outcome: Outcome, look: Figu
             thread.submit(write, temporary / name) for name, write in error_files(outcome).items()
         ]
         try:
+            drawings: dict[str, Drawing] = {}
             if _HAVE_FIGURES:
-                _draw(temporary, outcome, look)
+                from trajeval_ros.report.figures import outcome_drawings
+
+                drawings = outcome_drawings(outcome)
+                save_all(drawings, temporary, look)
+            if _HAVE_PAGES:
+                from trajeval_ros.report.evaluation_page import evaluation_page
+
+                page = evaluation_page(outcome, drawings, command)
+                (temporary / PAGE).write_text(page, encoding="utf-8")
         finally:  # of two errors, such as of a full disk, that of the arrays is reported
             for task in writing:
                 task.result()
@@ -72,35 +90,6 @@ def _write(folder: Path, result: dict[str, object], outcome: Outcome, look: Figu
         order = {ARCHIVE: 0, _RESULT: 2}
         for file in sorted(temporary.iterdir(), key=lambda file: order.get(file.name, 1)):
             file.replace(folder / file.name)
-
-
-def _draw(folder: Path, outcome: Outcome, look: FigureStyle) -> None:
-    """Write all figures."""
-    from trajeval_ros.report.figures import write_figures
-
-    runs = outcome.runs
-    write_figures([run.evaluation for run in runs], folder, look)
-    for place, run in enumerate(runs, start=1):
-        named = run.estimate.name, f"_{place}" if len(runs) > 1 else ""
-        if run.consistency is not None:
-            from trajeval_ros.report.consistency_figure import write_consistency
-
-            write_consistency(run.evaluation, run.consistency, folder, *named, look)
-        if run.available is not None and run.available.samples is not None:
-            from trajeval_ros.report.available_figure import as_available_figure
-            from trajeval_ros.report.figure_output import save_all
-
-            draw = partial(as_available_figure, run.evaluation, run.available)
-            save_all({f"as_available{named[1]}": draw}, folder, look)
-        if run.integrity is not None:
-            from trajeval_ros.report.consistency_figure import write_stanford
-
-            write_stanford(run.integrity, folder, *named, look)
-    likely = outcome.likelihoods
-    if likely:
-        from trajeval_ros.report.probabilistic_figures import write_probabilistic
-
-        write_probabilistic(list(likely.values()), folder, list(likely), look)
 
 
 def _is_own(folder: Path) -> bool:
@@ -131,7 +120,11 @@ def _foreign(path: Path) -> InputError:
 
 def contents(folder: Path) -> str:
     """Return the folder's contents, and which package optional contents need."""
-    files, hints = ["result.json", ARCHIVE], []
+    files, hints = [_RESULT, ARCHIVE], []
+    if _HAVE_PAGES:
+        files.insert(0, PAGE)
+    else:
+        hints.append(f"{PAGE} needs Jinja2, install it: {extra_command('plot')}")
     if (folder / TABLE).exists():
         files.append(TABLE)
     else:

@@ -10,20 +10,18 @@ from typing import TYPE_CHECKING
 
 import click
 
+from trajeval_ros.cli.command import command_line
 from trajeval_ros.cli.pictures import Pictures
 from trajeval_ros.cli.programs import may_break, write_json
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.escaping import visible
-from trajeval_ros.formatting.remarks import Level
-from trajeval_ros.geometry.reading import ASSUMED, FORMAT
 from trajeval_ros.io.results.requirement import Requirement
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.io.sources import parse_source
 from trajeval_ros.report.figure_style import PLAIN, FigureStyle
 
 if TYPE_CHECKING:
-    from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
-    from trajeval_ros.report.console import Console
+    from trajeval_ros.pipeline.outcome import Outcome
 
 _NO_PICTURES = Pictures()
 
@@ -35,6 +33,8 @@ def write_and_print(
     json: str | None,
     output: Path | None,
     quiet: bool,
+    diagnosis: bool = False,
+    statistic: str = "",
     pictures: Pictures = _NO_PICTURES,
     mcap: Path | None = None,
     look: FigureStyle = PLAIN,
@@ -43,7 +43,8 @@ def write_and_print(
     """Write and print an evaluation; exit with status 1 if a requirement is not met.
 
     `json`: file for result.json, `-` for stdout. `mcap`: file for the errors as ROS 2 messages.
-    `quiet`: whether to print only missing data and unmet requirements. `repeat`: the command that
+    `quiet`: whether to print only missing data and unmet requirements. `diagnosis`: whether to
+    print all tests for mistakes. `statistic`: of the relative errors. `repeat`: the command that
     states all that was assumed.
     """
     result, runs = result_of(outcome), outcome.runs
@@ -61,7 +62,7 @@ def write_and_print(
     if output is not None:
         from trajeval_ros.cli.evaluation_folder import write_folder
 
-        write_folder(output, result, outcome, look)
+        write_folder(output, result, outcome, look, repeat or command_line())
     pictures.write(runs)
     if mcap is not None:
         from trajeval_ros.io.results.error_recording import write_error_recording
@@ -70,7 +71,7 @@ def write_and_print(
     write_json(json, result)
     if not quiet and json != "-":
         with may_break():
-            _print(outcome, output)
+            _print(outcome, output, statistic, diagnosis=diagnosis)
             if repeat:
                 print(f"\nrepeat: {repeat}")
         _tell("warning", failed)
@@ -99,137 +100,20 @@ def refuse_inputs(outputs: Sequence[Path | str | None], sources: Sequence[str]) 
                     raise InputError(f"output {output} is also an input; choose another output")
 
 
-def _print(outcome: Outcome, output: Path | None) -> None:
-    from trajeval_ros.report.available_lines import stream_line
-    from trajeval_ros.report.calibration_lines import calibration_lines
-    from trajeval_ros.report.consistency_lines import consistency_lines
+def _print(outcome: Outcome, output: Path | None, statistic: str, *, diagnosis: bool) -> None:
+    from trajeval_ros.report import evaluation_text
     from trajeval_ros.report.console import console
-    from trajeval_ros.report.verdict_lines import definitions
 
     terminal = console()
-    _print_verdicts(terminal, outcome)
-    _print_likelihoods(terminal, outcome)
-    _print_errors(terminal, outcome.runs)
-    for run in outcome.runs:
-        if run.calibrated is not None:
-            for line in calibration_lines(run.estimate.name, run.calibrated):
-                terminal.print(line, soft_wrap=True)
-        if run.consistency is not None:
-            for line in consistency_lines(run.estimate.name, run.consistency):
-                terminal.print(line, soft_wrap=True)
-    _print_integrity(terminal, outcome.runs)
+    evaluation_text.print_verdicts(terminal, outcome)
+    evaluation_text.print_tables(terminal, outcome, statistic)
     terminal.print()
-    for run in outcome.runs:
-        for text in definitions(run.evaluation):
-            terminal.print(text, soft_wrap=True)
-        if run.stream is not None and (arrival := stream_line(run.stream)):
-            terminal.print(arrival, soft_wrap=True)
+    evaluation_text.print_definitions(terminal, outcome)
+    if diagnosis:
+        evaluation_text.print_tests(terminal, outcome.runs)
     if output is not None:
         from trajeval_ros.cli.evaluation_folder import contents
 
         terminal.print(f"\n{contents(output)}", soft_wrap=True)
     terminal.file.flush()
-    _print_remarks(outcome.runs)
-
-
-def _print_verdicts(terminal: Console, outcome: Outcome) -> None:
-    from trajeval_ros.formatting.text_tables import BOLD
-    from trajeval_ros.metrics.discontinuities.handling import SPLIT
-    from trajeval_ros.report.available_lines import available_lines
-    from trajeval_ros.report.console import WARNING
-    from trajeval_ros.report.verdict_lines import diagnosis_lines, doubt, own_error_line, verdict
-
-    split = outcome.request.discontinuities.on_restart == SPLIT
-    for run in outcome.runs:
-        headline, *rest = verdict(run.evaluation, run.likelihood, split=split)
-        headline += doubt(run.diagnosis)
-        terminal.print(headline, BOLD, soft_wrap=True)
-        for line in diagnosis_lines(run):
-            terminal.print(line, WARNING, soft_wrap=True)
-        for line in rest:
-            terminal.print(line, soft_wrap=True)
-        position = run.evaluation.ate["position_m"]
-        if run.available is not None and position is not None:
-            for line in available_lines(run.available.numbers, position.rmse):
-                terminal.print(line, soft_wrap=True)
-        if run.own_error is not None:
-            terminal.print(own_error_line(run.own_error), soft_wrap=True)
-    if outcome.request.gauge_is_default:
-        terminal.print(
-            f"  gauge {outcome.runs[0].evaluation.protocol.gauge.value} by default; set the "
-            "sensors with --modality (mono, stereo, stereo-inertial, ...)",
-            soft_wrap=True,
-        )
-
-
-def _print_likelihoods(terminal: Console, outcome: Outcome) -> None:
-    likely = outcome.likelihoods
-    if not likely:
-        return
-    from trajeval_ros.report.console import show
-    from trajeval_ros.report.tables import probabilistic_lines, probabilistic_table
-
-    terminal.print()
-    show(terminal, probabilistic_table(likely))
-    for line in probabilistic_lines(likely):
-        terminal.print(line, soft_wrap=True)
-
-
-def _print_errors(terminal: Console, runs: Sequence[RunOutcome]) -> None:
-    from trajeval_ros.report import tables
-    from trajeval_ros.report.console import show
-
-    evaluations = [run.evaluation for run in runs]
-    terminal.print()
-    show(terminal, tables.absolute_table(evaluations, terminal.width))
-    by_states = tables.states_table(runs)
-    if by_states is not None:
-        terminal.print()
-        show(terminal, by_states)
-        for line in tables.states_remarks(runs):
-            terminal.print(line, soft_wrap=True)
-    relative = tables.relative_table(evaluations, terminal.width)
-    if relative is not None:
-        terminal.print()
-        show(terminal, relative)
-
-
-def _print_remarks(runs: Sequence[RunOutcome]) -> None:
-    """Print notes about the inputs, and warnings, on stderr."""
-    from trajeval_ros.report.console import WARNING, console
-
-    remarks = console(sys.stderr)
-    groundtruth = runs[0].evaluation.groundtruth
-    for trajectory in (groundtruth, *(run.evaluation.estimate for run in runs)):
-        notes = [each for each in trajectory.reading.remarks if each.level is Level.NOTE]
-        shown = [each for each in notes if each.code not in (ASSUMED, FORMAT)]
-        said = "; ".join(each.text for each in shown)
-        if said:
-            remarks.remark("note", f"{trajectory.name}: {said}")
-        for each in notes:
-            if each.code == ASSUMED:
-                remarks.remark("assumed", each.text)
-    for run in runs:
-        printed = {each.cause for each in run.diagnosis.findings}  # below the headline
-        for remark in run.evaluation.remarks:
-            if remark.code not in printed:
-                kind = "note" if remark.level is Level.NOTE else WARNING
-                remarks.remark(kind, f"{run.estimate.name}: {remark.text}")
-
-
-def _print_integrity(terminal: Console, runs: Sequence[RunOutcome]) -> None:
-    asked = {run.estimate.name: run.integrity for run in runs if run.integrity is not None}
-    if not asked:
-        return
-    from trajeval_ros.report import consistency_lines
-    from trajeval_ros.report.console import Table, show
-
-    table = Table("", consistency_lines.INTEGRITY_WORDS, consistency_lines.INTEGRITY_NUMBERS)
-    for name, integrity in asked.items():
-        for row in consistency_lines.integrity_rows(name, integrity):
-            table.add(row)
-    terminal.print()
-    show(terminal, table)
-    for name, integrity in asked.items():
-        for line in consistency_lines.integrity_lines(name, integrity):
-            terminal.print(line, soft_wrap=True)
+    evaluation_text.print_remarks(console(sys.stderr), outcome.runs)

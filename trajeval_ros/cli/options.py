@@ -13,7 +13,6 @@ from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.geometry.reading import NAMED_COLUMNS
 from trajeval_ros.io.requests.setting import (
     COMPARE,
-    DIAGNOSE,
     EVALUATE,
     FINISH,
     INPUT,
@@ -37,12 +36,12 @@ STUDY_GAUGE, STUDY_ASSOCIATION = "study gauge", "study association"
 # Options of several verbs that are not settings of a request.
 _SHARED = (
     Setting(name="groundtruth", letter="-g", metavar="SOURCE", panel=INPUT,
-        verbs=(EVALUATE, DIAGNOSE, STUDY_ASSOCIATION), is_common=True,
+        verbs=(EVALUATE, STUDY_ASSOCIATION), is_common=True,
         help="Groundtruth: PATH, BAG:TOPIC or BAG:/tf:PARENT.CHILD; - reads text from stdin. "
         "The format is detected from the content: text (TUM, KITTI, EuRoC, OpenVINS, VINS-Mono) "
         "or bag (MCAP, rosbag2 sqlite3, ROS 1)."),
     Setting(name="estimate", letter="-e", metavar="SOURCE", panel=INPUT,
-        verbs=(EVALUATE, DIAGNOSE, STUDY_ASSOCIATION), is_common=True, is_repeatable=True,
+        verbs=(EVALUATE, STUDY_ASSOCIATION), is_common=True, is_repeatable=True,
         help="Trajectory to evaluate. Repeat the option to evaluate several."),
     Setting(name="columns", metavar="NAMES", panel=INPUT,
         verbs=(EVALUATE, COMPARE, TRAJECTORY, "info"),
@@ -58,7 +57,7 @@ _SHARED = (
         "or if poses of a file are not finite or cannot be decoded."),
     Setting(name="json", metavar="FILE|-", panel=OUTPUT,
         verbs=(
-            EVALUATE, FINISH, DIAGNOSE, "explain", "watch", "groundtruth", STUDY_ASSOCIATION,
+            EVALUATE, FINISH, "explain", "watch", "groundtruth", STUDY_ASSOCIATION,
         ),
         is_common=True,
         help="JSON output file. With -, only the JSON is printed to stdout."),
@@ -70,7 +69,7 @@ _SHARED = (
         verbs=(EVALUATE, COMPARE, FINISH, TRAJECTORY, "watch", "groundtruth"),
         help="No output on the terminal except warnings about missing data."),
     Setting(name="figure_format", metavar="LIST", panel=FIGURES,
-        verbs=(EVALUATE, TRAJECTORY, STUDY_GAUGE),
+        verbs=(EVALUATE, COMPARE, TRAJECTORY, STUDY_GAUGE),
         help=f"Formats of figures, separated by commas: {','.join(FORMATS)}. PGF needs LaTeX."),
     Setting(name="figure_width", metavar="INCHES|PRESET", panel=FIGURES,
         verbs=(EVALUATE, TRAJECTORY, STUDY_GAUGE),
@@ -267,13 +266,8 @@ def sources_of(
 
     Raises:
         SettingsError: One is missing or given twice.
-        InputError: The only argument is a log of PX4 without a simulator's groundtruth.
     """
     refuse_format(by_position, f"{verb} GROUNDTRUTH ESTIMATE")
-    if len(by_position) == 1 and (log := Path(by_position[0])).suffix == ".ulg" and log.is_file():
-        from trajeval_ros.io.ulog import simulated_sides
-
-        by_position = simulated_sides(log)
     if by_position and (groundtruth is not None or estimates):
         raise SettingsError(
             "sources are given twice; use either GROUNDTRUTH ESTIMATE... or --groundtruth and "

@@ -1,4 +1,4 @@
-"""Verbs and options of evo and of other verbs, with what replaces them here."""
+"""Verbs and options of version 0.3, of evo and of other verbs, with what replaces them here."""
 
 from __future__ import annotations
 
@@ -6,6 +6,11 @@ from typing import Final
 
 # By the end of the error message: verbs, options, and options of a verb.
 _WORDS = {
+    # Version 0.3.
+    "use trajeval evaluate GROUNDTRUTH ESTIMATE --diagnosis": ("diagnose",),
+    "Rerun's viewer has a map: trajeval view FILE.rrd": (
+        "trajectory --map", "trajectory --map-bounds", "trajectory --ros_map_yaml",
+    ),
     # evo; docs/coming_from.md has a table.
     "formats are detected by content: trajeval evaluate GROUNDTRUTH ESTIMATE, or trajeval "
     "trajectory FILE": ("tum", "kitti", "euroc", "bag", "bag2"),

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 
 NOTHING = "-"
+_SMALLEST = 1e-4  # smaller numbers do not add decimals to a table
 _ROUNDING = 1e-9  # percent; 100 * 0.29 is 28.999999999999996
 
 
@@ -54,6 +56,13 @@ def three_decimals(value: float | None) -> str:
     if size >= 0.01 or size == 0.0:
         return f"{value:.3f}"
     return f"{value:.{2 - math.floor(math.log10(size))}f}" if size >= 1e-6 else f"{value:.3g}"
+
+
+def decimals_of(values: Iterable[float | None]) -> int:
+    """Return the decimals of a table: three, or as many as three digits of the smallest need."""
+    sizes = [abs(value) for value in values if value is not None and math.isfinite(value)]
+    smallest = min((size for size in sizes if size >= _SMALLEST), default=1.0)
+    return 3 if smallest >= 0.01 else 2 - math.floor(math.log10(smallest))
 
 
 def whole_percent(share: float | None) -> str:

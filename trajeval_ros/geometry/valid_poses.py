@@ -149,6 +149,7 @@ _REASONS = {
 
 # In every text of `dropped_in_words`, and in no other.
 POSES_DROPPED = "poses dropped: "
+GROUNDTRUTH_DROPPED = "groundtruth poses were dropped: "
 
 # Reasons that are no damage of the source: repeated poses, and poses that it marks as invalid.
 _MARKED = (

@@ -28,6 +28,7 @@ _WORDS = (
     ("wheel", r"wheels?|diff_?drive|velocity_controller|ackermann|encoders?"),
 )
 _CAMERAS = {"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"}
+_NO_SENSORS = "sensors unknown; state them with --modality"
 _IMU, _LIDAR = "sensor_msgs/msg/Imu", "sensor_msgs/msg/PointCloud2"
 
 
@@ -49,6 +50,23 @@ class LikelyEvaluation:
         if sensors := self.modality or modality:
             words.append(f"--modality {sensors}")
         return " ".join([*words, *([self.options] if self.options else [])])
+
+
+def simulated_evaluation(log: Path, *, has_gauge: bool) -> LikelyEvaluation:
+    """Return the evaluation of a simulated log of PX4.
+
+    Raises:
+        InputError: The log has no groundtruth of a simulator, or no odometry.
+    """
+    from trajeval_ros.io.ulog import simulated_sides
+
+    truth, *estimates = simulated_sides(log)
+    reasons = (
+        f"groundtruth {_topic(truth)}: of the simulator; change it with -g",
+        *(f"estimate {_topic(each)}: odometry; change it with -e" for each in estimates),
+        *(() if has_gauge else (_NO_SENSORS,)),
+    )
+    return LikelyEvaluation(truth, tuple(estimates), "", reasons)
 
 
 def likely_evaluations(
@@ -142,7 +160,7 @@ def _evaluation(
     if modality:
         reasons.append(f"sensors {modality}: {why}; change them with --modality")
     elif has_sensors:
-        reasons.append("sensors unknown; state them with --modality")
+        reasons.append(_NO_SENSORS)
     # Options are of one system; other estimates would take them, too.
     options = {summary.system.options if summary.system else "" for summary in estimates}
     return LikelyEvaluation(

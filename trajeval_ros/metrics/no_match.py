@@ -115,7 +115,7 @@ def explain_no_match(
         )
     return (
         f"{text}, {significant(apart, 6)} s apart; for a constant clock difference, set the time "
-        f"offset (for a common start: {shift:.6f} s)"
+        f"offset (for a common start: {shift:.6f} s), or {_AUTO} searches it"
     )
 
 

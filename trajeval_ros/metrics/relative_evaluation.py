@@ -105,6 +105,7 @@ class SubTrajectoryErrors:
     length_m: float | None  # the length in metres; None if it is no distance
     mean_length_m: float | None  # mean true length of the sub-trajectories; None if there are none
     count: int  # K, the number of sub-trajectories
+    worst_start: int | None  # pair at the start of the largest position error; None if K is 0
     measure: Callable[[], RelativeErrors]  # function that computes the errors
     # The errors; None for long runs, where they would take most of the memory.
     held: RelativeErrors | None
@@ -185,6 +186,7 @@ def relative_evaluation(
                 if len(ends)
                 else None,
                 count=len(ends),
+                worst_start=int(starts[np.argmax(errors.position_m)]) if len(ends) else None,
                 measure=measure,
                 held=errors if len(ends) <= _MOST_HELD else None,
                 statistics=statistics,

@@ -12,7 +12,7 @@ from trajeval_ros.formatting.numbers import counted, percent, whole_percent
 from trajeval_ros.formatting.remarks import Level, Remark, warning
 from trajeval_ros.geometry.fix_selection import FixRule
 from trajeval_ros.geometry.geodesy import is_earth_centred
-from trajeval_ros.geometry.valid_poses import MOST_UNUSABLE, NO_STATE, reasons
+from trajeval_ros.geometry.valid_poses import GROUNDTRUTH_DROPPED, MOST_UNUSABLE, NO_STATE, reasons
 from trajeval_ros.metrics.arrival_times import stamped_at_arrival
 from trajeval_ros.metrics.coverage import LOW_COVERAGE
 from trajeval_ros.metrics.named_protocols import PROTOCOLS
@@ -165,7 +165,7 @@ def about_inputs(evaluation: Evaluation) -> Iterator[Remark]:
             )
     dropped = groundtruth.reading.dropped
     if dropped:
-        yield warning("groundtruth_dropped", f"groundtruth poses were dropped: {reasons(dropped)}")
+        yield warning("groundtruth_dropped", f"{GROUNDTRUTH_DROPPED}{reasons(dropped)}")
 
 
 def about_lever_arm(evaluation: Evaluation) -> Iterator[Remark]:

@@ -33,7 +33,6 @@ _MOST_LINES, _MOST_PANELS = 3, 12
 _INSIDE = 0.35  # share of the edge's colour in the fill of a box
 # Coordinates above these (metres, multiples of the extent) are shown with an offset.
 _LARGE_M, _LARGE_EXTENTS = 1000.0, 5.0
-_LONGEST, _FINEST = 1e9, 1e-6  # numbers that are written without an exponent
 
 
 def width_in() -> float:
@@ -45,7 +44,7 @@ def width_in() -> float:
 
 def new_figure(height_in: float, title: str = "") -> Figure:
     """Return an empty figure of the style's width, independent of pyplot."""
-    from matplotlib.figure import Figure
+    from trajeval_ros.report.shown_figure import Figure
 
     figure = Figure(figsize=(width_in(), height_in), layout="constrained")
     if title:
@@ -58,6 +57,7 @@ def add_title(figure: Figure, title: str) -> None:
     letters = int(width_in() / _TITLE_LETTER_IN)
     lines = [part for line in title.splitlines() for part in textwrap.wrap(line, letters)]
     figure.suptitle("\n".join(lines))
+    figure.set_label(title)  # unwrapped, for pages
     grow(figure, len(lines))
 
 
@@ -270,38 +270,6 @@ def say_instead(axes: Axes, sentence: str) -> None:
         va="center", color=soft_ink(),
     )  # fmt: skip
     text.set_in_layout(False)
-
-
-def tick_places(low: float, high: float, most: int) -> list[float]:
-    """Return round numbers within limits, 1, 2 or 5 times a power of ten apart.
-
-    They are at most `most`, or five where a larger step would leave one, which shows no scale.
-    """
-    span = high - low
-    if not (span > 0.0 and math.isfinite(span)):
-        return []
-    power = 10.0 ** math.floor(math.log10(span / most))
-    places: list[float] = []
-    for factor in (1.0, 2.0, 5.0, 10.0, 20.0):
-        step = factor * power
-        first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-        if places and first == last:
-            break
-        places = [multiple * step for multiple in range(first, last + 1)]
-        if len(places) <= most:
-            break
-    return places
-
-
-def tick_labels(places: list[float]) -> list[str]:
-    """Return round numbers as texts with equal numbers of decimals."""
-    if len(places) < 2:
-        return [f"{place:g}" for place in places]
-    step, largest = places[1] - places[0], max(map(abs, places))
-    if largest >= _LONGEST or step < _FINEST:
-        return [f"{place:.12g}" for place in places]
-    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
-    return [f"{place:.{decimals}f}".replace("-", "−") for place in places]
 
 
 def common_offset(low: float, high: float) -> float:

@@ -1,4 +1,4 @@
-"""HTML pages of a comparison: an overview, and pages of details if there are many runs."""
+"""HTML pages: of an evaluation, and of a comparison with details of its runs."""
 
 from __future__ import annotations
 
@@ -128,6 +128,25 @@ class ReportPages:
             links=links,
             details=details,
             runs_title=runs_title,
+        )
+
+    def evaluation(
+        self,
+        headline: Sequence[object],
+        plots: Sequence[Plot],
+        tables: Sequence[object],
+        definitions: Sequence[object],
+        messages: Sequence[object],
+        command: str,
+    ) -> str:
+        """Return the page of one evaluation; parts are tables, or lines with their style."""
+        return self._templates.get_template("evaluation.html.j2").render(
+            headline=headline,
+            plots=plots,
+            tables=tables,
+            definitions=definitions,
+            messages=messages,
+            command=command,
         )
 
     def runs(self, name: str, others: Sequence[str], report: str, details: Sequence[str]) -> str:

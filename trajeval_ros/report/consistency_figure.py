@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,8 +14,6 @@ from trajeval_ros.geometry.arrays import extents
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.statistics import round_below
 from trajeval_ros.report import canvas
-from trajeval_ros.report.figure_output import save_all
-from trajeval_ros.report.figure_style import PLAIN, FigureStyle
 from trajeval_ros.report.line_thinning import thinned
 from trajeval_ros.report.plane_panels import PlanePanels
 
@@ -33,27 +30,18 @@ _LABELS_IN = 0.3
 _CELLS = 60
 
 
-def write_consistency(
-    evaluation: Evaluation,
-    consistency: Consistency,
-    folder: Path,
-    name: str,
-    suffix: str = "",
-    style: FigureStyle = PLAIN,
-) -> list[Path]:
-    """Write `consistency` and `uncertainty_top`; nothing without covariances."""
+def consistency_drawings(
+    evaluation: Evaluation, consistency: Consistency, name: str, suffix: str = ""
+) -> dict[str, canvas.Drawing]:
+    """Return what draws `consistency` and `uncertainty_top`; nothing without covariances."""
     if consistency.covariances is None:
-        return []
+        return {}
     (short,) = canvas.short_names([name])
     drawings = {"consistency": bands_over_time, "uncertainty_top": ellipses_from_above}
-    return save_all(
-        {
-            f"{file}{suffix}": partial(draw, evaluation, consistency, short)
-            for file, draw in drawings.items()
-        },
-        folder,
-        style,
-    )
+    return {
+        f"{file}{suffix}": partial(draw, evaluation, consistency, short)
+        for file, draw in drawings.items()
+    }
 
 
 def bands_over_time(evaluation: Evaluation, consistency: Consistency, name: str) -> Figure:
@@ -158,14 +146,6 @@ def ellipses_from_above(evaluation: Evaluation, consistency: Consistency, name: 
         )
     )
     return panels.finish(thinned(whole, groundtruth.stamps, max_gap_s), whole, ("x", "y"))
-
-
-def write_stanford(
-    integrity: Integrity, folder: Path, name: str, suffix: str = "", style: FigureStyle = PLAIN
-) -> None:
-    """Write `stanford` to an existing folder."""
-    (short,) = canvas.short_names([name])
-    save_all({f"stanford{suffix}": lambda: stanford(integrity, short)}, folder, style)
 
 
 def stanford(integrity: Integrity, name: str) -> Figure:

@@ -58,6 +58,10 @@ class Console:
         self.file.write("".join(f"{line}\n" for line in lines))
         self.file.flush()
 
+    def show_rows(self, table: Table) -> None:
+        """Print the rows of a table."""
+        self.write(table.lines(self))
+
     def styled(self, text: str, style: str) -> str:
         """Return a text in a style, if the terminal has styles."""
         return f"{_CODES[style]}{text}{_END}" if style and text and self.is_styled else text
@@ -94,8 +98,8 @@ class Table:
         if all are empty.
         """
         self.title = one_line(title)
-        self._headings = tuple(map(one_line, (*words, *numbers))) if any(words) else ()
-        self._words, self._count = len(words), len(words) + len(numbers)
+        self.headings = tuple(map(one_line, (*words, *numbers))) if any(words) else ()
+        self.words, self._count = len(words), len(words) + len(numbers)  # columns of text, and all
         self._rows: list[list[MarkedText] | None] = []
         for row in rows:
             self.add(row)
@@ -104,17 +108,22 @@ class Table:
         """Add a row."""
         self._rows.append([_cell(each) for each in row])
 
+    @property
+    def rows(self) -> list[list[MarkedText]]:
+        """The cells of all rows, without lines between them."""
+        return [row for row in self._rows if row is not None]
+
     def add_section(self) -> None:
         """Add a line, which only a terminal shows."""
         self._rows.append(None)
 
     def widths(self, room: int) -> list[int]:
         """Return the widths of the columns in a terminal; wider than `room` if necessary."""
-        texts = [[cell.text + cell.rest for cell in row] for row in self._rows if row is not None]
+        texts = [[cell.text + cell.rest for cell in row] for row in self.rows]
         widths, narrowest = [0] * self._count, [0] * self._count
-        for row in (self._headings, *texts):
+        for row in (self.headings, *texts):
             for at, text in enumerate(row):
-                words = [text] if at < self._words else text.split()
+                words = [text] if at < self.words else text.split()
                 widths[at] = max(widths[at], _width(text))
                 narrowest[at] = max([narrowest[at], *map(_width, words)])
         while total_width(widths) > room and widths != narrowest:
@@ -127,8 +136,8 @@ class Table:
         widths = self.widths(terminal.width)
         rule = [_rule(terminal.file) * total_width(widths)] if terminal.is_terminal else []
         lines = []
-        if self._headings:
-            headings = [MarkedText(each, BOLD) for each in self._headings]
+        if self.headings:
+            headings = [MarkedText(each, BOLD) for each in self.headings]
             lines = [*self._lines_of(headings, widths, terminal, at_bottom=True), *rule]
         for row in self._rows:
             lines += rule if row is None else self._lines_of(row, widths, terminal)
@@ -151,7 +160,7 @@ class Table:
                 text = terminal.styled(part[:marked], cell.mark) + part[marked:]
                 marked = max(0, marked - len(part) - 1)  # and the blank between the lines
                 blanks = " " * (width - _width(part))
-                column.append(text + blanks if at < self._words else blanks + text)
+                column.append(text + blanks if at < self.words else blanks + text)
             columns.append(column[::-1] if at_bottom else column)
         lines = [
             _GAP.join(part or " " * width for part, width in zip(parts, widths, strict=True))
@@ -169,7 +178,7 @@ def show(terminal: Console, table: Table) -> None:
     """Print a table without cutting words or numbers, wider than the terminal if necessary."""
     if table.title:
         terminal.print(table.title, BOLD)
-    terminal.write(table.lines(terminal))
+    terminal.show_rows(table)
 
 
 def show_fitting(

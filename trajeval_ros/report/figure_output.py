@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.formatting.escaping import latex_text
+from trajeval_ros.formatting.escaping import latex_text, one_line
 from trajeval_ros.io.temporary import temporary_folder
 from trajeval_ros.io.writing import refused_by_disk
 from trajeval_ros.report.canvas import Drawing, grow
@@ -18,11 +18,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def save(figure: Figure, path: Path, file_format: str) -> Path:
-    """Write a figure; equal figures give equal bytes."""
+def save(figure: Figure, path: Path, file_format: str, title: str = "") -> Path:
+    """Write a figure; equal figures give equal bytes.
+
+    `title`: for the metadata; by default the title that is drawn.
+    """
     import matplotlib
 
-    title = " ".join(figure.get_suptitle().split())
+    title = one_line(title or " ".join(figure.get_suptitle().split()))
     metadata: dict[str, dict[str, Any]] = {
         "png": {"Software": None, "Title": title},
         "pdf": {"CreationDate": None, "Creator": None, "Producer": None, "Title": title},
@@ -59,7 +62,7 @@ def save_all(figures: Mapping[str, Drawing], folder: Path, style: FigureStyle) -
             for file_format in style.formats:
                 figure = draw()
                 if not style.has_titles:
-                    _hide_title(figure)
+                    hide_title(figure)
                 save(figure, made / f"{name}.{file_format}", file_format)
                 written.append(folder / f"{name}.{file_format}")
         # PGF files can have additional image files.
@@ -68,7 +71,7 @@ def save_all(figures: Mapping[str, Drawing], folder: Path, style: FigureStyle) -
     return written
 
 
-def _hide_title(figure: Figure) -> None:
+def hide_title(figure: Figure) -> None:
     """Hide the title of a figure and reduce its height; the metadata keep the title."""
     for text in figure.texts:
         if text.get_text() == figure.get_suptitle():

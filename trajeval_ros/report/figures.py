@@ -13,13 +13,15 @@ from trajeval_ros.io.writing import write_whole
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.report import canvas
 from trajeval_ros.report.absolute_figure import absolute_error
-from trajeval_ros.report.figure_output import save, save_all
-from trajeval_ros.report.figure_style import FORMATS, PLAIN, FigureStyle, house_style
+from trajeval_ros.report.figure_output import save
+from trajeval_ros.report.figure_style import FORMATS, house_style
 from trajeval_ros.report.relative_figure import relative_error
 from trajeval_ros.report.trajectory_figure import side_view, top_view
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from trajeval_ros.pipeline.outcome import Outcome
 
 _DRAWINGS = {
     "top": top_view,
@@ -43,7 +45,7 @@ def draw(
         path: File to write in addition, as PNG, PDF, SVG or PGF by its suffix; None for none.
 
     Returns:
-        The figure, independent of pyplot.
+        The figure, independent of pyplot. A notebook shows it as the result of a cell.
 
     Raises:
         SettingsError: The kind is unknown.
@@ -72,16 +74,42 @@ def write_figure(figure: Figure, path: Path) -> None:
     write_whole(path, lambda temporary: save(figure, temporary, suffix), follow_link=True)
 
 
-def write_figures(
-    evaluations: Sequence[Evaluation], folder: Path, style: FigureStyle = PLAIN
-) -> list[Path]:
-    """Write the figures of estimates that were evaluated against the same groundtruth.
+def outcome_drawings(outcome: Outcome) -> dict[str, canvas.Drawing]:
+    """Return the functions that draw all figures of an outcome, by file name."""
+    runs = outcome.runs
+    drawings = evaluation_drawings([run.evaluation for run in runs])
+    for place, run in enumerate(runs, start=1):
+        suffix = f"_{place}" if len(runs) > 1 else ""
+        if run.consistency is not None:
+            from trajeval_ros.report.consistency_figure import consistency_drawings
+
+            named = run.estimate.name, suffix
+            drawings |= consistency_drawings(run.evaluation, run.consistency, *named)
+        if run.available is not None and run.available.samples is not None:
+            from trajeval_ros.report.available_figure import as_available_figure
+
+            draw = partial(as_available_figure, run.evaluation, run.available)
+            drawings[f"as_available{suffix}"] = draw
+        if run.integrity is not None:
+            from trajeval_ros.report.consistency_figure import stanford
+
+            (short,) = canvas.short_names([run.estimate.name])
+            drawings[f"stanford{suffix}"] = partial(stanford, run.integrity, short)
+    likely = outcome.likelihoods
+    if likely:
+        from trajeval_ros.report.probabilistic_figures import probabilistic_drawings
+
+        drawings |= probabilistic_drawings(list(likely.values()), list(likely))
+    return drawings
+
+
+def evaluation_drawings(evaluations: Sequence[Evaluation]) -> dict[str, canvas.Drawing]:
+    """Return the functions that draw estimates of the same groundtruth, by file name.
 
     `trajectory_top` and, except for gauge planar, `trajectory_side`: aligned estimates,
     groundtruth and correspondences. `absolute_error`: over the distance travelled.
     `relative_error`: by length, if the protocol has lengths. `evaluations`: one per estimate, with
-    the same groundtruth and protocol. `folder`: existing folder; figures of the same names are
-    replaced.
+    the same groundtruth and protocol.
     """
     legend = canvas.short_names([e.estimate.name for e in evaluations])
     protocol = evaluations[0].protocol
@@ -93,4 +121,4 @@ def write_figures(
     drawings["absolute_error"] = partial(absolute_error, evaluations, legend)
     if protocol.lengths:
         drawings["relative_error"] = partial(relative_error, evaluations, legend)
-    return save_all(drawings, folder, style)
+    return drawings

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from trajeval_ros.formatting.escaping import markdown_text
-from trajeval_ros.formatting.numbers import three_decimals, whole_percent
+from trajeval_ros.formatting.numbers import decimals_of, three_decimals, whole_percent
 from trajeval_ros.formatting.text_tables import (
     BOLD,
     UNDERLINE,
@@ -36,13 +36,25 @@ class Cell:
     # Whether the ranked numbers of the column compete with it. A better unranked number competes:
     # without it, a worse number would be marked as the best.
     competes: bool = True
-    spread: str = ""  # range over the trials, such as "(0.05–0.32)"
+    extremes: tuple[float, float] | None = None  # over the trials
     instead: str = ""  # a word that is printed instead of the number: missing, withheld
+    decimals: int | None = None  # those of its table; None for those of the number
 
     @property
     def text(self) -> str:
         """The number as text."""
-        return self.instead or three_decimals(self.value)
+        return self.instead or self._printed(self.value)
+
+    @property
+    def spread(self) -> str:
+        """The range over the trials, such as "(0.05–0.32)"; "" without one."""
+        return f"({'–'.join(map(self._printed, self.extremes))})" if self.extremes else ""
+
+    def _printed(self, value: float | None) -> str:
+        if value is None or self.decimals is None or not math.isfinite(value):
+            return three_decimals(value)
+        is_seen = value == 0.0 or abs(value) >= 0.5 * 10.0**-self.decimals
+        return f"{value:.{self.decimals}f}" if is_seen else three_decimals(value)
 
     @property
     def compared(self) -> float | None:
@@ -89,6 +101,16 @@ class Matrix:
         return [_average(cells) for _, cells in self.rows]
 
 
+def with_equal_decimals(
+    rows: Sequence[tuple[str, tuple[Cell, ...]]],
+) -> tuple[tuple[str, tuple[Cell, ...]], ...]:
+    """Return rows whose numbers have one number of decimals."""
+    decimals = decimals_of(cell.value for _, cells in rows for cell in cells)
+    return tuple(
+        (name, tuple(replace(cell, decimals=decimals) for cell in cells)) for name, cells in rows
+    )
+
+
 def ranked(cells: Sequence[Cell]) -> list[int]:
     """Return the ranks of cells in a column: 1 for the best, 2 for the second, else 0.
 
@@ -115,6 +137,7 @@ def _average(cells: Sequence[Cell]) -> Cell:
         is_ranked=all(cell.is_ranked for cell in cells),
         why_unranked=next((cell.why_unranked for cell in cells if cell.why_unranked), ""),
         competes=all(cell.competes for cell in cells),
+        decimals=max(cell.decimals or 0 for cell in cells) or None,
     )
 
 

@@ -16,7 +16,6 @@ from trajeval_ros.geometry.lie import euler_angles
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.trajectory_edits import PLANES
 from trajeval_ros.geometry.travelled import speeds
-from trajeval_ros.io.ground_image import GroundImage
 from trajeval_ros.metrics.association import AssociationRule, associate
 from trajeval_ros.report import canvas
 from trajeval_ros.report.line_thinning import thinned
@@ -50,13 +49,11 @@ def motion_drawings(
     reference: Trajectory | None,
     *,
     colours: Colours | None = None,
-    ground: GroundImage | None = None,
 ) -> dict[str, canvas.Drawing]:
     """Return the functions that draw the figures, by file name.
 
     `reference`: trajectory in the background; None for none. `colours`: along paths in a plane;
-    None for one colour per trajectory. `ground`: image below the path in xy;
-    None for none.
+    None for one colour per trajectory.
     """
     for kind in kinds:
         require_one_of(kind, PLOTS, "plot")
@@ -72,10 +69,7 @@ def motion_drawings(
     drawings: dict[str, canvas.Drawing] = {}
     for kind in kinds:
         if kind in PLANES:
-            below = ground if kind == "xy" else None
-            drawings[f"path_{kind}"] = partial(
-                _plane, trajectories, reference, kind, colours, below
-            )
+            drawings[f"path_{kind}"] = partial(_plane, trajectories, reference, kind, colours)
         elif kind == "3d":
             drawings["path_3d"] = partial(_space, trajectories, reference)
         else:
@@ -88,7 +82,6 @@ def _plane(
     reference: Trajectory | None,
     plane: str,
     colours: Colours | None,
-    ground: GroundImage | None,
 ) -> Figure:
     """Draw paths in a plane, in one colour per trajectory or coloured by a quantity."""
     across, up = ("xyz".index(axis) for axis in plane)
@@ -101,9 +94,6 @@ def _plane(
         "",
         is_split=colours is not None or None,
     )
-    if ground is not None:
-        for axes in panels.panels:
-            _draw_ground(axes, ground)
     if colours is None:
         for place, (trajectory, path) in enumerate(zip(trajectories, paths, strict=True)):
             panels.draw_path(place, thinned(path, trajectory.stamps, _GAP_S))
@@ -156,29 +146,6 @@ def _pieces(path: Floats, stamps: Stamps, values: Floats) -> tuple[Floats, Float
     passed = np.concatenate([[0], np.cumsum(gap)])[rows]
     connected = np.diff(passed) == 0
     return lines[connected], largest[connected]
-
-
-def _draw_ground(axes: object, ground: GroundImage) -> None:
-    """Draw an image of the ground in the background, without a change of the limits."""
-    from matplotlib.axes import Axes
-    from matplotlib.transforms import Affine2D
-
-    assert isinstance(axes, Axes)
-    height, width = ground.pixels.shape[:2]
-    limits = axes.get_xlim(), axes.get_ylim()
-    matrix = np.vstack([ground.to_world, [0.0, 0.0, 1.0]])
-    axes.imshow(
-        ground.pixels,
-        extent=(0, width, height, 0),
-        transform=Affine2D(matrix) + axes.transData,
-        cmap="gray",
-        vmin=0,
-        vmax=255,
-        zorder=0,
-    )
-    axes.set_xlim(limits[0])
-    axes.set_ylim(limits[1])
-    axes.grid(visible=False)
 
 
 def _space(trajectories: Sequence[Trajectory], reference: Trajectory | None) -> Figure:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,8 +12,6 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.covariance_frames import world_from_body_twists
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.report import canvas
-from trajeval_ros.report.figure_output import save_all
-from trajeval_ros.report.figure_style import PLAIN, FigureStyle
 from trajeval_ros.report.line_thinning import thinned
 
 if TYPE_CHECKING:
@@ -31,21 +28,18 @@ _QUERIES = 2000
 _LABELS = ("x [m]", "y [m]", "z [m]")
 
 
-def write_probabilistic(
-    assessments: Sequence[LikelihoodAssessment],
-    folder: Path,
-    names: Sequence[str],
-    style: FigureStyle = PLAIN,
-) -> list[Path]:
-    """Write `groundtruth_uncertainty`, `mahalanobis` and `likelihood_by_edge`."""
+def probabilistic_drawings(
+    assessments: Sequence[LikelihoodAssessment], names: Sequence[str]
+) -> dict[str, canvas.Drawing]:
+    """Return what draws `groundtruth_uncertainty`, `mahalanobis` and `likelihood_by_edge`."""
     legend = canvas.short_names(names)
-    drawings = {
+    drawings: dict[str, canvas.Drawing] = {
         "groundtruth_uncertainty": partial(groundtruth_between_samples, assessments[0]),
         "mahalanobis": partial(mahalanobis_over_time, assessments, legend),
     }
     if any(assessment.edges is not None for assessment in assessments):
         drawings["likelihood_by_edge"] = partial(likelihood_by_edge, assessments, legend)
-    return save_all(drawings, folder, style)
+    return drawings
 
 
 def groundtruth_between_samples(assessment: LikelihoodAssessment) -> Figure:

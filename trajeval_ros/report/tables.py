@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from trajeval_ros.likelihood.likelihood_assessment import LikelihoodAssessment
     from trajeval_ros.pipeline.outcome import RunOutcome
 
+RELATIVE_STATISTICS = ("rmse", "mean", "median")
 _STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
 # In narrower terminals some columns are omitted; the files on disk have all.
 _WIDTH_FOR_MEDIANS = 140
@@ -108,10 +109,13 @@ def _rmse(statistics: Statistics | None) -> str:
     return NOTHING if statistics is None else four_digits(statistics.rmse)
 
 
-def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | None:
+def relative_table(
+    evaluations: Sequence[Evaluation], width: int, statistic: str = ""
+) -> Table | None:
     """Return the table of relative errors, a row per estimate and length; None if there are none.
 
-    Numbers are means and, in wide terminals, medians: few bad sub-trajectories dominate means.
+    `statistic`: of `RELATIVE_STATISTICS`. By default, numbers are RMSE for the errors of evo, else
+    means and, in wide terminals, medians: few bad sub-trajectories dominate means.
     """
     metrics = [
         metric
@@ -121,9 +125,11 @@ def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | Non
     ]
     if not metrics:
         return None
-    with_medians = width >= _WIDTH_FOR_MEDIANS
-    what = "mean (median)" if with_medians else "mean"
-    title = f"Relative error, {what}"
+    as_evo = all(evaluation.protocol.re_form == "evo" for evaluation in evaluations)
+    shown = [statistic or ("rmse" if as_evo else "mean")]
+    if not statistic and not as_evo and width >= _WIDTH_FOR_MEDIANS:
+        shown.append("median")
+    title = f"Relative error, {' ('.join(shown)}{')' * (len(shown) - 1)}"
     headings = [RELATIVE_LABELS[metric] for metric in metrics]
     table = Table(title, ["estimate", "length"], [*headings, "count"])
     for evaluation in evaluations:
@@ -133,13 +139,13 @@ def relative_table(evaluations: Sequence[Evaluation], width: int) -> Table | Non
         for segment in evaluation.relative or ():
             if not segment.count:
                 continue  # a remark names the lengths without sub-trajectories
-            cells = [_mean(segment.statistics.get(metric), with_medians) for metric in metrics]
+            cells = [_texts(segment.statistics.get(metric), shown) for metric in metrics]
             count = str(segment.count)
             table.add([name, _length_text(segment), *cells, count])
             name = ""
         pooled = evaluation.pooled["position_percent"]
         if pooled is not None and len(evaluation.relative or ()) > 1:
-            cells = [_mean(evaluation.pooled.get(metric), with_medians) for metric in metrics]
+            cells = [_texts(evaluation.pooled.get(metric), shown) for metric in metrics]
             table.add([name, "all", *cells, str(pooled.count)])
     return table
 
@@ -156,12 +162,12 @@ def _fits(column: str, width: int) -> bool:
     return width >= _WIDTH_FOR_ALL or column not in _WITHOUT_IF_NARROW
 
 
-def _mean(statistics: Statistics | None, with_median: bool) -> str:
-    """Return the mean, with the median in parentheses if wanted, as text."""
+def _texts(statistics: Statistics | None, shown: Sequence[str]) -> str:
+    """Return one statistic as text, or two, the second in parentheses."""
     if statistics is None:
         return NOTHING
-    mean = four_digits(statistics.mean)
-    return f"{mean} ({four_digits(statistics.median)})" if with_median else mean
+    first, *others = (four_digits(getattr(statistics, name)) for name in shown)
+    return f"{first} ({others[0]})" if others else first
 
 
 def probabilistic_table(assessments: Mapping[str, LikelihoodAssessment]) -> Table:

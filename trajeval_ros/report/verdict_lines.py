@@ -148,9 +148,9 @@ def _worst(evaluation: Evaluation) -> str:
         (part for part in evaluation.relative or () if drift and part.length_m == drift.length_m),
         None,
     )
-    if drift is None or part is None or evaluation.kitti_ranking:
+    start = None if part is None else part.worst_start
+    if drift is None or start is None or evaluation.kitti_ranking:
         return text
-    start = int(part.errors.starts[np.argmax(part.errors.position_m)])
     most, length = significant(drift.percent.max, 3), with_unit(drift.length_m, "m")
     return f"{text}; worst {length}: {most} % from {_when(evaluation, start)}"
 

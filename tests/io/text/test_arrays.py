@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -184,3 +185,12 @@ def test_an_exception_of_a_library_becomes_a_refusal(
     monkeypatch.setattr(reader, "_read", fail)
     with pytest.raises(InputError, match=r"a\.txt can't be read by the reader of text.*broken"):
         read_text(path)
+
+
+def test_results_of_evo_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "ape.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        for name in ("info.json", "stats.json", "error_array.npy"):
+            archive.writestr(name, "{}")
+    with pytest.raises(InputError, match="has the errors of evo, and no poses; give the traject"):
+        read_trajectory(path)

@@ -29,8 +29,8 @@ INPUT, ALIGN, PAIR, GNSS, ERRORS, CONSISTENCY, AVAILABLE = (
     "Input", "Alignment", "Association", "GNSS fixes and surveyed points", "Errors", "Consistency",
     "As-available accuracy",
 )  # fmt: skip
-EVALUATE, COMPARE, FINISH, TRAJECTORY, DIAGNOSE, NODE = (
-    "evaluate", "compare", "finish", "trajectory", "diagnose", "evaluator",
+EVALUATE, COMPARE, FINISH, TRAJECTORY, NODE = (
+    "evaluate", "compare", "finish", "trajectory", "evaluator",
 )  # fmt: skip
 WATCH_FACTORS = (0.1, 1000.0)  # range of the factor on the limits of a watch
 _LONGEST_LEVER_M = 1e3

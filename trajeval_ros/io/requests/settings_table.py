@@ -27,7 +27,6 @@ from trajeval_ros.io.requests.setting import (
     AVAILABLE,
     COMPARE,
     CONSISTENCY,
-    DIAGNOSE,
     ERRORS,
     EVALUATE,
     FINISH,
@@ -128,11 +127,11 @@ _ROWS = (
         help=f"Named set of settings: {', '.join(PROTOCOLS)}, or a YAML file "
         "(docs/protocols.md). Other options override it."),
     Setting(name="modality", target="protocol.modality", panel=ALIGN,
-        verbs=(EVALUATE, COMPARE, TRAJECTORY, DIAGNOSE, NODE), is_common=True,
+        verbs=(EVALUATE, COMPARE, TRAJECTORY, NODE), is_common=True,
         choices=tuple(MODALITIES),
         help=f"Sensors of the estimator; they determine the gauge. {_MODALITIES}."),
     Setting(name="gauge", target="protocol.gauge", panel=ALIGN,
-        verbs=(EVALUATE, COMPARE, TRAJECTORY, DIAGNOSE, NODE), is_common=True, choices=_GAUGES,
+        verbs=(EVALUATE, COMPARE, TRAJECTORY, NODE), is_common=True, choices=_GAUGES,
         node_default="",
         help=f"Transformation that the alignment fits: {', '.join(_GAUGES)} (default: "
         f"{{default}}, or yaw for GNSS fixes)."),
@@ -158,7 +157,7 @@ _ROWS = (
     Setting(name="in_order", kind=bool, target="protocol.in_order", panel=PAIR,
         help="Whether states are sorted by timestamp, and repeated timestamps dropped."),
     Setting(name="association", target="protocol.association.method", panel=PAIR,
-        verbs=(EVALUATE, COMPARE, TRAJECTORY, DIAGNOSE, NODE), is_common=True, choices=METHODS,
+        verbs=(EVALUATE, COMPARE, TRAJECTORY, NODE), is_common=True, choices=METHODS,
         node_choices=(AUTO, "linear", AT_GROUNDTRUTH),
         help="Pairing method. linear (default for poses): interpolate the groundtruth at the "
         f"estimate's timestamps. {AT_GROUNDTRUTH} (default for points and GNSS fixes): "
@@ -173,12 +172,12 @@ _ROWS = (
         verbs=(EVALUATE, TRAJECTORY),
         help="Largest time difference of a pair for nearest, in seconds. Default: {default}."),
     Setting(name="max_gap", kind=float, target="protocol.association.max_gap_s", metavar="S",
-        panel=PAIR, verbs=(EVALUATE, TRAJECTORY, DIAGNOSE, NODE), range=(0.0, 3600.0),
+        panel=PAIR, verbs=(EVALUATE, TRAJECTORY, NODE), range=(0.0, 3600.0),
         help="Longest gap to interpolate across, in seconds. Default: {default}. It also "
         "defines coverage (docs/definitions.md)."),
     Setting(name="time_offset",
         target=("protocol.association.time_offset_s", "calibration.offset"), read=_time_offset,
-        metavar="S|auto", panel=PAIR, verbs=(EVALUATE, COMPARE, DIAGNOSE, NODE), is_common=True,
+        metavar="S|auto", panel=PAIR, verbs=(EVALUATE, COMPARE, NODE), is_common=True,
         help="Offset added to the estimate's timestamps, in seconds. auto estimates it and "
         "applies it if it is statistically significant.",
         node_help=f"Offset added to the estimates' timestamps, in seconds, or {AUTO}: estimated "
@@ -320,7 +319,7 @@ _ROWS = (
         help="Correction of the receiver's clock: seconds that are added to receptions, or the "
         "latency of the fastest message, as in fastest:0.005. Default: {default}."),
     Setting(name="up", target="up", parse=parse_up, metavar="AXIS|AXIS,AXIS", panel=INPUT,
-        verbs=(EVALUATE, COMPARE, FINISH, DIAGNOSE, NODE),
+        verbs=(EVALUATE, COMPARE, FINISH, NODE),
         help=f"Vertical axis ({', '.join(UP_AXES)}) of all frames, or of the groundtruth and of "
         "the estimates, as in --up=-y,z. Default: -y for KITTI matrices and optical frames, "
         "otherwise z. It defines gauges yaw and planar, and the yaw and tilt errors.",

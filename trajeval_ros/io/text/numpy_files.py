@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ _SHAPES = {
 }  # fmt: skip
 _SAID = "(N, 4, 4), (N, 3, 4), (N, 16), (N, 12), (N, 8), (N, 7), (N, 4) and (N, 3)"
 _TIMES = ("tstamps", "timestamps", "times")
+_EVO_RESULT = {"info.json", "stats.json"}  # files in a result of evo
 _UNIT = 1e-2  # largest deviation of a quaternion's length
 
 
@@ -27,12 +29,20 @@ def load(path: Path) -> tuple[Any, Floats | None]:
     """Return the array of poses in a file, and that of times if it has one (.npz)."""
     try:
         with path.open("rb") as file:
+            if zipfile.is_zipfile(file) and set(zipfile.ZipFile(file).namelist()) >= _EVO_RESULT:
+                raise InputError(
+                    f"{path} has the errors of evo, and no poses; give the trajectories that evo "
+                    "compared, as in trajeval evaluate GROUNDTRUTH ESTIMATE --protocol evo"
+                )
+            file.seek(0)
             content = np.load(file, allow_pickle=False)
             arrays = (
                 {}
                 if isinstance(content, np.ndarray)
                 else {name: content[name] for name in content.files[:50]}
             )
+    except InputError:
+        raise
     except Exception as error:  # zipfile and zlib have types of their own
         raise InputError(f"{path} is not a readable array of numpy ({error})") from error
     if isinstance(content, np.ndarray):

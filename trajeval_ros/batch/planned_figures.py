@@ -1,27 +1,50 @@
-"""The figures of all runs together, before they are drawn for the report and as files."""
+"""The figures of a comparison: those that are planned, and how a worker draws one."""
 
 from __future__ import annotations
 
+import re
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from trajeval_ros.batch.comparison_summary import ComparisonSummary
 from trajeval_ros.batch.records import Record, RecordStore
 from trajeval_ros.metrics.sub_trajectories import Length
-from trajeval_ros.report.comparison_figures import Box, BoxPlot, ErrorsPlot, PathsPlot
+from trajeval_ros.report.comparison_figures import Box, BoxPlot, ErrorsPlot, PathsPlot, figure_of
 from trajeval_ros.report.definitions import ABSOLUTE_LABELS, RELATIVE_LABELS
+from trajeval_ros.report.figure_output import save
+from trajeval_ros.report.figure_style import FigureStyle, house_style
+from trajeval_ros.report.page_figures import page_figure
 from trajeval_ros.report.relative_figure import length_labels
 
 # With more, figures are not readable.
 MOST_SEQUENCES, MOST_ALGORITHMS = 50, 24
+_WIDTH_IN = 4.6  # of which a page shows two side by side
+
+
+@dataclass(frozen=True)
+class FigureChoice:
+    """The figures of a comparison that are requested."""
+
+    most: int = 100  # largest number of runs with figures, and of sequences
+    formats: tuple[str, ...] = ("svg",)  # of the files
+
+    @property
+    def mark(self) -> str:
+        """A text that differs if other figures are requested."""
+        return f"{self.most} {','.join(self.formats)}"
+
+
+DEFAULT_FIGURES = FigureChoice()
 
 
 @dataclass(frozen=True, eq=False)
-class FigureDraft:
+class PlannedFigure:
     """A figure before it is drawn."""
 
-    name: str  # unique name, for a file
+    name: str  # unique name, for files; "" for a figure of the report only
     title: str
     caption: str
     plot: BoxPlot | PathsPlot | ErrorsPlot
@@ -30,9 +53,49 @@ class FigureDraft:
     is_in_report: bool = True
 
 
-def sequence_drafts(
+@dataclass(frozen=True)
+class DrawnFigure:
+    """A figure as an element of a page and as files."""
+
+    svg: str  # "" if the report does not show it
+    files: dict[str, bytes]  # contents by name
+
+
+def draw(planned: PlannedFigure, formats: tuple[str, ...]) -> DrawnFigure:
+    """Draw a figure for the page and in the formats of its files; called in a worker."""
+    stem = re.sub(r"[^\w.-]+", "_", planned.name)
+    svg, files = "", {}
+    with house_style(FigureStyle(width_in=_WIDTH_IN)), tempfile.TemporaryDirectory() as folder:
+        figure = figure_of(planned.plot)
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # the layout of the first drawing is kept
+        if planned.is_in_report:
+            svg = page_figure(figure, planned.title)
+        # PGF is the last, because it escapes the texts of the figure.
+        for file_format in sorted(formats, key="pgf".__eq__) if stem else ():
+            save(figure, Path(folder) / f"{stem}.{file_format}", file_format, planned.title)
+        for path in sorted(Path(folder).iterdir()):
+            files[path.name] = path.read_bytes()
+    return DrawnFigure(svg, files)
+
+
+def run_figures(record: Record, place: int) -> Iterator[PlannedFigure]:
+    """Yield the figures of one run: path and errors over time.
+
+    `place`: position of its algorithm, which determines the colour.
+    """
+    columns = record.columns
+    paths = {place: ("estimate", columns["path"])}
+    plot = PathsPlot(record.groundtruth_up, columns["groundtruth"], paths)
+    yield PlannedFigure("", "path from above", "", plot)
+    yield PlannedFigure(
+        "", "errors over time", "", ErrorsPlot({place: ("estimate", columns["errors"])})
+    )
+
+
+def sequence_figures(
     summary: ComparisonSummary, records: RecordStore, sequence: str
-) -> Iterator[FigureDraft]:
+) -> Iterator[PlannedFigure]:
     """Yield the figures of one sequence: relative errors, trajectories and errors over time."""
     yield from _relative_plots(summary, sequence)
     medians = _median_records(summary, records, sequence)
@@ -41,7 +104,7 @@ def sequence_drafts(
         yield _errors(summary, medians, sequence)
 
 
-def absolute_drafts(summary: ComparisonSummary) -> Iterator[FigureDraft]:
+def absolute_figures(summary: ComparisonSummary) -> Iterator[PlannedFigure]:
     """Yield the figures of absolute errors on all sequences."""
     sequences = summary.sequences[:MOST_SEQUENCES]
     for metric in ("position_m", "rotation_deg"):
@@ -54,16 +117,17 @@ def absolute_drafts(summary: ComparisonSummary) -> Iterator[FigureDraft]:
                 boxes.append(Box.of(values) if values else None)
             series.append((algorithm, boxes))
         if any(box for _, boxes in series for box in boxes):
-            yield FigureDraft(
+            plot = BoxPlot(sequences, series, "", ABSOLUTE_LABELS[metric])
+            yield PlannedFigure(
                 f"ate_{metric}",
                 f"ATE over trials, {ABSOLUTE_LABELS[metric]}",
                 "Points: RMSE per trial. Boxes: median and quartiles; whiskers: minimum and "
-                "maximum. Failed runs have no point.",
-                BoxPlot(sequences, series, "", ABSOLUTE_LABELS[metric]),
+                f"maximum. Failed runs have no point.{_scale(plot)}",
+                plot,
             )
 
 
-def _relative_plots(summary: ComparisonSummary, sequence: str) -> Iterator[FigureDraft]:
+def _relative_plots(summary: ComparisonSummary, sequence: str) -> Iterator[PlannedFigure]:
     asked = [Length.parse(length) for length in summary.settings["lengths"]]
     algorithms = summary.algorithms[:MOST_ALGORITHMS]
     in_metres = all(length.in_metres for length in asked)
@@ -80,13 +144,19 @@ def _relative_plots(summary: ComparisonSummary, sequence: str) -> Iterator[Figur
             by_algorithm = zip(*(boxes[length] for length in lengths), strict=True)
             series = list(zip(algorithms, by_algorithm, strict=True))
             groups, across = length_labels(lengths)
-            yield FigureDraft(
+            plot = BoxPlot(groups, series, across, RELATIVE_LABELS[metric])
+            yield PlannedFigure(
                 f"re_{metric}_{sequence}",
                 f"Relative error on {sequence}, {RELATIVE_LABELS[metric]}",
                 "All sub-trajectories of all trials. Boxes: median and quartiles; whiskers: 5 % "
-                "to 95 %.",
-                BoxPlot(groups, series, across, RELATIVE_LABELS[metric]),
+                f"to 95 %.{_scale(plot)}",
+                plot,
             )
+
+
+def _scale(plot: BoxPlot) -> str:
+    """Return a sentence about a logarithmic axis; "" for a linear one."""
+    return " The axis is logarithmic." if plot.is_logarithmic else ""
 
 
 def _pooled_box(row: dict[str, Any] | None) -> Box | None:
@@ -97,10 +167,10 @@ def _pooled_box(row: dict[str, Any] | None) -> Box | None:
 
 def _paths(
     summary: ComparisonSummary, medians: dict[int, tuple[str, Record]], sequence: str
-) -> FigureDraft:
+) -> PlannedFigure:
     _, first = next(iter(medians.values()))
     paths = {place: (name, each.columns["path"]) for place, (name, each) in medians.items()}
-    return FigureDraft(
+    return PlannedFigure(
         f"trajectories_{sequence}",
         f"Trajectories on {sequence}",
         f"Aligned trajectories from above.{_of_several(summary, sequence)}",
@@ -110,9 +180,9 @@ def _paths(
 
 def _errors(
     summary: ComparisonSummary, medians: dict[int, tuple[str, Record]], sequence: str
-) -> FigureDraft:
+) -> PlannedFigure:
     series = {place: (name, each.columns["errors"]) for place, (name, each) in medians.items()}
-    return FigureDraft(
+    return PlannedFigure(
         f"errors_{sequence}",
         f"Errors on {sequence}",
         f"Errors of aligned poses.{_of_several(summary, sequence)}",

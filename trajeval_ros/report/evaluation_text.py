@@ -1,0 +1,149 @@
+"""The result of an evaluation as lines and tables, for a terminal or a page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from trajeval_ros.formatting.remarks import Level
+from trajeval_ros.formatting.text_tables import BOLD
+from trajeval_ros.geometry.reading import ASSUMED, FORMAT
+from trajeval_ros.metrics.discontinuities.handling import SPLIT
+from trajeval_ros.report import consistency_lines, tables
+from trajeval_ros.report.available_lines import available_lines, stream_line
+from trajeval_ros.report.calibration_lines import calibration_lines
+from trajeval_ros.report.console import WARNING, Console, Table, show
+from trajeval_ros.report.verdict_lines import (
+    definitions,
+    diagnosis_lines,
+    doubt,
+    explanation,
+    own_error_line,
+    verdict,
+)
+
+if TYPE_CHECKING:
+    from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
+
+
+def print_verdicts(terminal: Console, outcome: Outcome) -> None:
+    """Print the result lines of every estimate, and the detected mistakes."""
+    split = outcome.request.discontinuities.on_restart == SPLIT
+    for run in outcome.runs:
+        headline, *rest = verdict(run.evaluation, run.likelihood, split=split)
+        headline += doubt(run.diagnosis)
+        terminal.print(headline, BOLD, soft_wrap=True)
+        for line in diagnosis_lines(run):
+            terminal.print(line, WARNING, soft_wrap=True)
+        for line in rest:
+            terminal.print(line, soft_wrap=True)
+        position = run.evaluation.ate["position_m"]
+        if run.available is not None and position is not None:
+            for line in available_lines(run.available.numbers, position.rmse):
+                terminal.print(line, soft_wrap=True)
+        if run.own_error is not None:
+            terminal.print(own_error_line(run.own_error), soft_wrap=True)
+    if outcome.request.gauge_is_default:
+        terminal.print(
+            f"  gauge {outcome.runs[0].evaluation.protocol.gauge.value} by default; set the "
+            "sensors with --modality (mono, stereo, stereo-inertial, ...)",
+            soft_wrap=True,
+        )
+
+
+def print_tables(terminal: Console, outcome: Outcome, statistic: str = "") -> None:
+    """Print the tables of errors, and the lines on calibration and consistency.
+
+    `statistic`: that of relative errors; by default that of the protocol.
+    """
+    _print_likelihoods(terminal, outcome)
+    _print_errors(terminal, outcome.runs, statistic)
+    for run in outcome.runs:
+        if run.calibrated is not None:
+            for line in calibration_lines(run.estimate.name, run.calibrated):
+                terminal.print(line, soft_wrap=True)
+        if run.consistency is not None:
+            for line in consistency_lines.consistency_lines(run.estimate.name, run.consistency):
+                terminal.print(line, soft_wrap=True)
+    _print_integrity(terminal, outcome.runs)
+
+
+def print_definitions(terminal: Console, outcome: Outcome) -> None:
+    """Print how the numbers are defined."""
+    for run in outcome.runs:
+        for text in definitions(run.evaluation):
+            terminal.print(text, soft_wrap=True)
+        if run.stream is not None and (arrival := stream_line(run.stream)):
+            terminal.print(arrival, soft_wrap=True)
+
+
+def print_tests(terminal: Console, runs: Sequence[RunOutcome]) -> None:
+    """Print the tests for mistakes, with their results and statistics."""
+    for run in runs:
+        terminal.print(f"\n{run.estimate.name}: tests, their results and statistics")
+        for line in explanation(run.diagnosis):
+            terminal.print(f"  {line}", soft_wrap=True)
+
+
+def _print_likelihoods(terminal: Console, outcome: Outcome) -> None:
+    likely = outcome.likelihoods
+    if not likely:
+        return
+
+    terminal.print()
+    show(terminal, tables.probabilistic_table(likely))
+    for line in tables.probabilistic_lines(likely):
+        terminal.print(line, soft_wrap=True)
+
+
+def _print_errors(terminal: Console, runs: Sequence[RunOutcome], statistic: str) -> None:
+
+    evaluations = [run.evaluation for run in runs]
+    terminal.print()
+    show(terminal, tables.absolute_table(evaluations, terminal.width))
+    by_states = tables.states_table(runs)
+    if by_states is not None:
+        terminal.print()
+        show(terminal, by_states)
+        for line in tables.states_remarks(runs):
+            terminal.print(line, soft_wrap=True)
+    relative = tables.relative_table(evaluations, terminal.width, statistic)
+    if relative is not None:
+        terminal.print()
+        show(terminal, relative)
+
+
+def print_remarks(remarks: Console, runs: Sequence[RunOutcome]) -> None:
+    """Print notes about the inputs, and warnings."""
+    groundtruth = runs[0].evaluation.groundtruth
+    for trajectory in (groundtruth, *(run.evaluation.estimate for run in runs)):
+        notes = [each for each in trajectory.reading.remarks if each.level is Level.NOTE]
+        shown = [each for each in notes if each.code not in (ASSUMED, FORMAT)]
+        said = "; ".join(each.text for each in shown)
+        if said:
+            remarks.remark("note", f"{trajectory.name}: {said}")
+        for each in notes:
+            if each.code == ASSUMED:
+                remarks.remark("assumed", each.text)
+    for run in runs:
+        printed = {each.cause for each in run.diagnosis.findings}  # below the headline
+        for remark in run.evaluation.remarks:
+            if remark.code not in printed:
+                kind = "note" if remark.level is Level.NOTE else WARNING
+                remarks.remark(kind, f"{run.estimate.name}: {remark.text}")
+
+
+def _print_integrity(terminal: Console, runs: Sequence[RunOutcome]) -> None:
+    asked = {run.estimate.name: run.integrity for run in runs if run.integrity is not None}
+    if not asked:
+        return
+
+    table = Table("", consistency_lines.INTEGRITY_WORDS, consistency_lines.INTEGRITY_NUMBERS)
+    for name, integrity in asked.items():
+        for row in consistency_lines.integrity_rows(name, integrity):
+            table.add(row)
+    terminal.print()
+    show(terminal, table)
+    for name, integrity in asked.items():
+        for line in consistency_lines.integrity_lines(name, integrity):
+            terminal.print(line, soft_wrap=True)
