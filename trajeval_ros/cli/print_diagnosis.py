@@ -16,7 +16,7 @@ from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.requests.setting import AUTO, DIAGNOSE
 from trajeval_ros.io.results.result_json import findings_json
 from trajeval_ros.io.source_names import names_of
-from trajeval_ros.pipeline.pipeline import diagnose as search
+from trajeval_ros.pipeline.diagnosing import diagnose as search
 
 _TWO = 2  # groundtruth and estimate
 

@@ -14,8 +14,8 @@ from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.tracking_loss import Loss
 from trajeval_ros.online.state_rows import Pairs
 from trajeval_ros.online.whole_run import RevisedPath, ThinnedRun, association_of, evaluate_rows
+from trajeval_ros.pipeline.diagnosing import diagnose
 from trajeval_ros.pipeline.input_remarks import about_frames
-from trajeval_ros.pipeline.pipeline import diagnose
 from trajeval_ros.pipeline.request import Request
 from trajeval_ros.ros.background import BackgroundTask
 from trajeval_ros.ros.parameter_table import PARAMETERS
