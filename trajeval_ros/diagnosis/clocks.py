@@ -259,13 +259,19 @@ class Clock:
         if not all(len(side.known) for side in rates):
             return cls()
         match, prior = ClockMatch.between(*rates), MISTAKE
+        is_clear = is_alike = is_small = False
         if match is not None:
             prior -= math.log(max(match.searched_s, 1.0) / SMALL_S)
-        is_alike = match is not None and (
-            match.peak > _ALIKE_PEAK
-            or (match.highest > _ALIKE_RATE and abs(match.offset_s) < _NEAR_S)
+            others = max(match.log_odds_at_zero - prior, match.log_odds_of_second)
+            is_clear = match.log_odds > others + ODDS
+            is_small = abs(match.offset_s) <= SMALL_S
+            is_alike = match.peak > _ALIKE_PEAK or (
+                match.highest > _ALIKE_RATE and abs(match.offset_s) < _NEAR_S
+            )
+        # No offset explains the rates, or parts of the run have different ones.
+        differs = not is_alike and (
+            match is None or not (is_clear or is_small) or parts_log_odds(*rates, match) > ODDS
         )
-        differs = match is None or (not is_alike and parts_log_odds(*rates, match) > ODDS)
         other = search_rate(*rates) if differs and searches_rate else None
         if other is not None:
             factor, faster = other
@@ -274,9 +280,7 @@ class Clock:
                 return cls(faster, faster.offset_s, factor, is_stated=True)
         if match is None or match.peak <= USABLE_PEAK:
             return cls(match)
-        is_small = abs(match.offset_s) <= SMALL_S
-        others = max(match.log_odds_at_zero - prior, match.log_odds_of_second)
-        if match.log_odds > others + ODDS:
+        if is_clear:
             return cls(match, match.offset_s, is_stated=not is_small)
         return cls(match, match.offset_s if is_small else 0.0)
 

@@ -52,8 +52,9 @@ AGREE_NATS = 3.0  # per independent motion: unrelated motions reach less
 _UNRELATED_PEAK, _NO_PEAK = 0.8, 0.45  # correlation of another run, also if motions agree
 _LONG_S = 20.0  # common time from which on another run is stated
 _AT_REST_RAD = 0.01  # median rotation of a body that does not rotate, which is noise
-# Causes that no mistake in Euler angles looks like, if they fit.
-_OF_DIRECTIONS = {AS_READ, "wxyz", "xyzw", "inverse", "mirrored", "axes_mixed"}
+# Causes that no mistake in Euler angles looks like, if they fit. On a plane, a heading with the
+# other sign looks like positions in other axes.
+_OF_DIRECTIONS = {AS_READ, "wxyz", "xyzw", "inverse", "mirrored"}
 _MISFIT = 2.0  # of directions relative to lengths of rotation vectors; conventions keep lengths
 _REFINED_S = 0.03  # largest clock error from which on motions are sampled again
 _WANDER_S = 0.005  # of healthy clocks along a run: short runs show no rate
