@@ -19,14 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.online.window import Window
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
-Batch = tuple[Stamps, Floats]
 
 TRUTH_NS, ESTIMATE_NS = 1_000_000, 5_000_000
 DRAIN_TRUTH, DRAIN_ESTIMATE = 20, 4
@@ -48,8 +47,8 @@ def poses(stamps: Stamps) -> tuple[Floats, Rotation]:
     return positions, Rotation.from_euler("ZYX", np.column_stack([0.3 * t, *leaning]))
 
 
-def estimated(stamps: Stamps) -> Floats:
-    """Return states (N, 10) as an odometry that drifts and jitters has them."""
+def estimated(stamps: Stamps) -> Trajectory:
+    """Return states as an odometry that drifts and jitters has them."""
     positions, attitudes = poses(stamps)
     random = np.random.default_rng(1)
     drift = np.cumsum(random.normal(scale=1e-3, size=positions.shape), axis=0)
@@ -57,20 +56,21 @@ def estimated(stamps: Stamps) -> Floats:
     jitter = Rotation.from_rotvec(random.normal(scale=0.002, size=positions.shape))
     frame = Rotation.from_rotvec([0.0, 0.0, 1.0])
     moved = frame.apply(positions + drift + noise) + [3.0, -2.0, 1.0]
-    return states(moved, (frame * attitudes * jitter).as_quat())
+    return Trajectory(stamps, moved, (frame * attitudes * jitter).as_quat())
 
 
-def drains(messages: int) -> Iterator[tuple[Batch, Batch]]:
+def drains(messages: int) -> Iterator[tuple[Trajectory, Trajectory]]:
     """Yield the groundtruth and the estimate that each drain finds."""
     count = messages // DRAIN
     truth_stamps = np.arange(count * DRAIN_TRUTH, dtype=np.int64) * TRUTH_NS
     stamps = np.arange(count * DRAIN_ESTIMATE, dtype=np.int64) * ESTIMATE_NS + TRUTH_NS // 3
     positions, attitudes = poses(truth_stamps)
-    truth, estimate = states(positions, attitudes.as_quat()), estimated(stamps)
+    truth = Trajectory(truth_stamps, positions, attitudes.as_quat())
+    estimate = estimated(stamps)
     for drain in range(count):
         g = slice(drain * DRAIN_TRUTH, (drain + 1) * DRAIN_TRUTH)
         e = slice(drain * DRAIN_ESTIMATE, (drain + 1) * DRAIN_ESTIMATE)
-        yield (truth_stamps[g], truth[g]), (stamps[e], estimate[e])
+        yield truth[g], estimate[e]
 
 
 def seconds_by_drain(messages: int, window: str, pauses: tuple[int, ...]) -> Floats:
@@ -81,8 +81,8 @@ def seconds_by_drain(messages: int, window: str, pauses: tuple[int, ...]) -> Flo
     spent = [0.0]
     for (truth, estimate), update in zip(drains(messages), updates, strict=True):
         start = time.process_time()
-        evaluator.add_groundtruth(trajectory(*truth))
-        evaluator.add_estimate(trajectory(*estimate))
+        evaluator.add_groundtruth(truth)
+        evaluator.add_estimate(estimate)
         if update:
             evaluator.update()
         spent.append(spent[-1] + time.process_time() - start)

@@ -108,10 +108,13 @@ def parameters() -> str:
     topics = [
         *((each, error_topics.VECTOR_TYPE) for each in error_topics.VECTORS),
         *((each, error_topics.NUMBER_TYPE) for each in error_topics.NUMBERS),
-        (error_topics.ATE, error_topics.VECTOR_TYPE),
+        *((f"{error_topics.ATE}/{part}", error_topics.VECTOR_TYPE) for part in error_topics.PARTS),
         *((each, error_topics.NUMBER_TYPE) for each in error_topics.NEES_NUMBERS),
         *((each, error_topics.NUMBER_TYPE) for each in error_topics.PROTECTION_LEVELS.values()),
-        (error_topics.relative_error_topic("8m"), error_topics.VECTOR_TYPE),
+        *(
+            (f"{error_topics.relative_error_topic('8m')}/{part}", error_topics.VECTOR_TYPE)
+            for part in error_topics.PARTS
+        ),
         (error_topics.ALIGNMENT, error_topics.ALIGNMENT_TYPE),
         (error_topics.ALIGNED_PATH, "nav_msgs/msg/Path"),
         (error_topics.GROUNDTRUTH_PATH, "nav_msgs/msg/Path"),

@@ -11,7 +11,7 @@ import pytest
 from comparison_runs import write_run
 
 from trajeval_ros.cli.app import main
-from trajeval_ros.cli.programs import INTERRUPTED, exit_status
+from trajeval_ros.cli.programs import DEBUG, INTERRUPTED, exit_status
 from trajeval_ros.exceptions import InputError, SettingsError
 
 
@@ -78,3 +78,34 @@ def test_a_closed_output_is_replaced(name: str, monkeypatch: pytest.MonkeyPatch)
     assert exit_status(lambda: print("lost", file=getattr(sys, name))) == 0
     assert isinstance(getattr(sys, name), io.TextIOBase)
     getattr(sys, name).close()
+
+
+@pytest.mark.parametrize("is_joint", [False, True])
+def test_the_traceback_of_a_refusal_is_written_on_request(
+    is_joint: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.delenv(DEBUG, raising=False)
+    damaged, traceback = tmp_path / "poses.npy", tmp_path / "traceback.txt"
+    damaged.write_bytes(b"\x93NUMPY\x01\x00")
+    words = [f"--debug={traceback}"] if is_joint else ["--debug", str(traceback)]
+    assert main([*words, "evaluate", str(damaged), str(damaged)]) == 2
+    printed = capsys.readouterr().err
+    assert printed.startswith(f"trajeval: {damaged} is not a readable array of numpy")
+    assert printed.count("\n") == 1
+    text = traceback.read_text()
+    assert text.index("ValueError: EOF") < text.index(
+        "InputError: "
+    )  # the cause, then the refusal
+    monkeypatch.delenv(DEBUG)
+
+
+def test_a_traceback_that_cannot_be_written_is_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(DEBUG, raising=False)
+    assert main(["--debug", f"{tmp_path}/none/x", "info", f"{tmp_path}/absent"]) == 2
+    monkeypatch.delenv(DEBUG)
+    first, second = capsys.readouterr().err.splitlines()
+    assert first.startswith(f"trajeval: {tmp_path}/none/x can't be written")
+    assert f"{tmp_path}/absent" in second

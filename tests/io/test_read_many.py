@@ -26,7 +26,6 @@ from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags import byte_source, containers, mcap_chunks
 from trajeval_ros.io.bags.blocks import block_of, merged
-from trajeval_ros.io.bags.byte_source import LocalFile
 from trajeval_ros.io.bags.write_bag import ODOMETRY, POSE_STAMPED
 from trajeval_ros.io.sources import read_many, read_trajectory
 
@@ -406,29 +405,6 @@ def test_sqlite_scans_its_messages_once(tmp_path: Path, monkeypatch: pytest.Monk
     read_many([f"{bag}:{each}" for each in READABLE])
     scans = [each for each in asked if "FROM messages" in each and "max(id)" not in each]
     assert len(scans) == 1
-
-
-def test_ros1_reads_each_chunk_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from rosbags.rosbag1 import Reader
-
-    bag = MAKE["ros1"](tmp_path / "x")
-    with Reader(bag) as opened:
-        chunks = list(opened.chunks.values())
-    assert len(chunks) > 5
-    asked: list[int] = []
-    read_all = LocalFile.read_all
-
-    def counting(source: LocalFile, ranges: Sequence[tuple[int, int]]) -> list[bytes]:
-        asked.extend(
-            number
-            for number, chunk in enumerate(chunks)
-            if 0 <= ranges[0][0] - chunk.datapos < chunk.datasize
-        )
-        return read_all(source, ranges)
-
-    monkeypatch.setattr(LocalFile, "read_all", counting)
-    read_many([f"{bag}:{each}" for each in READABLE])
-    assert asked == list(range(len(chunks)))
 
 
 # Sources of all kinds.

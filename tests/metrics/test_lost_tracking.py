@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from state_rows import states
 from strategies import make_element
 
 from benchmarks.diagnosis_runs import DRIFTS, KINDS, simulated
@@ -18,7 +19,6 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.association import associate
 from trajeval_ros.metrics.lost_tracking import LostTracking, losses_of
 from trajeval_ros.metrics.tracking_loss import Loss
-from trajeval_ros.online.state_rows import states
 
 PAIRS = {
     kind: associate(pair.truth, pair.estimate, pair.protocol.association)

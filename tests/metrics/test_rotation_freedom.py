@@ -21,6 +21,7 @@ from rotation_runs import (
     rotation_warnings,
 )
 from scipy.spatial.transform import Rotation
+from state_rows import states, trajectory
 from strategies import along_line, make_element, make_groundtruth, moved, seeds
 
 from trajeval_ros import PROTOCOLS, Gauge, Trajectory, evaluate
@@ -29,7 +30,6 @@ from trajeval_ros.metrics.moments import Moments, OrientationSum
 from trajeval_ros.metrics.rotation_freedom import OrientationEvidence, RotationFreedom
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states, trajectory
 
 # The sums.
 

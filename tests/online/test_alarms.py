@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from state_rows import states, trajectory
 
 from trajeval_ros import Protocol, Trajectory
 from trajeval_ros.exceptions import SettingsError
@@ -22,7 +23,6 @@ from trajeval_ros.online.alarms import (
 )
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states, trajectory
 
 NONE = {each.name: AlarmLimits() for each in LIMITED_QUANTITIES}
 SECOND = 10**9

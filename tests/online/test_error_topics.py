@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from state_rows import states, trajectory
 
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.gauge import Similarity
@@ -21,9 +22,9 @@ from trajeval_ros.online.error_topics import (
     NUMBERS,
     STREAM_NUMBERS,
     VECTORS,
+    by_part,
     integrity_numbers,
     nees_numbers,
-    position_and_rotation,
     relative_error_topic,
     status_texts,
     status_values,
@@ -35,7 +36,6 @@ from trajeval_ros.online.live_relative_errors import RunningErrors
 from trajeval_ros.online.pair_errors import PairErrors
 from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.reports import Snapshot, Update, united
-from trajeval_ros.online.state_rows import states, trajectory
 
 BY_UP = {"stamped/attitude_error", "stamped/heading_error", "yaw_error", "tilt_error"}
 EMPTY = Snapshot(
@@ -111,11 +111,13 @@ def test_errors_that_are_withheld_have_no_vectors() -> None:
     assert NUMBERS["rotation_error"](errors) is None
 
 
-def test_a_vector_of_two_numbers_ends_with_zero() -> None:
-    found = position_and_rotation(np.array([1.5, 2.5]), np.array([10.0, 20.0]))
-    np.testing.assert_array_equal(found, [[1.5, 10.0, 0.0], [2.5, 20.0, 0.0]])
-    np.testing.assert_array_equal(position_and_rotation(0.5, 3.0), [[0.5, 3.0, 0.0]])
-    np.testing.assert_array_equal(position_and_rotation(0.5, None), [[0.5, np.nan, 0.0]])
+def test_metres_and_degrees_have_topics_of_their_own() -> None:
+    found = by_part("x", np.array([1.5, 2.5]), np.array([10.0, 20.0]))
+    assert list(found) == ["x/position", "x/rotation"]
+    np.testing.assert_array_equal(found["x/position"], [[1.5, 0.0, 0.0], [2.5, 0.0, 0.0]])
+    np.testing.assert_array_equal(found["x/rotation"], [[10.0, 0.0, 0.0], [20.0, 0.0, 0.0]])
+    [(topic, vectors)] = by_part("x", 0.5, None).items()
+    assert (topic, vectors.tolist()) == ("x/position", [[0.5, 0.0, 0.0]])
 
 
 @pytest.mark.parametrize(
@@ -127,15 +129,13 @@ def test_a_length_names_its_topic(length: str, topic: str) -> None:
 
 def test_the_window_s_ate_needs_an_alignment() -> None:
     rotation = statistics_of(np.array([3.0, 4.0]))
-    assert window_ate(EMPTY) is None
+    assert window_ate(EMPTY) == {}
     only = dataclasses.replace(EMPTY, window_position_rmse_m=0.25)
-    alone = window_ate(only)
-    assert alone is not None
-    np.testing.assert_array_equal(alone, [[0.25, np.nan, 0.0]])
+    [(topic, alone)] = window_ate(only).items()
+    assert (topic, alone.tolist()) == ("stamped/ate/position", [[0.25, 0.0, 0.0]])
     both = dataclasses.replace(only, ate={"rotation_deg": rotation})
-    found = window_ate(both)
-    assert found is not None
-    np.testing.assert_allclose(found, [[0.25, np.sqrt(12.5), 0.0]], rtol=1e-15)
+    found = window_ate(both)["stamped/ate/rotation"]
+    np.testing.assert_allclose(found, [[np.sqrt(12.5), 0.0, 0.0]], rtol=1e-15)
 
 
 def test_tests_that_are_not_asked_for_have_no_numbers() -> None:

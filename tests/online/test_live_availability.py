@@ -47,15 +47,13 @@ def test_live_errors_equal_recorded_ones(motion: str, every: int, corrections: i
     # Everything in the order of its reception; groundtruth arrives 3 ms after its timestamp.
     events = [(int(at) + 3_000_000, 0, row) for row, at in enumerate(truth.stamps)]
     events += [(int(at), 1, row) for row, at in enumerate(receptions.times)]
-    truth_rows = np.hstack([truth.positions, truth.quaternions])
-    rows = np.hstack([estimate.positions, estimate.quaternions])
     most = 0
     for number, (_, kind, row) in enumerate(sorted(events)):
         part = slice(row, row + 1)
         if kind:
-            live.add_estimate(estimate.stamps[part], rows[part], receptions[part])
+            live.add_estimate(estimate[part])
         else:
-            live.add_groundtruth(truth.stamps[part], truth_rows[part])
+            live.add_groundtruth(truth[part])
         if number % every == 0 and (samples := live.update(IDENTITY)) is not None:
             found.append(samples)
             assert set(live.numbers) >= {"available/age", "available/latency"}
@@ -77,26 +75,23 @@ def test_live_errors_equal_recorded_ones(motion: str, every: int, corrections: i
 
 def test_nothing_is_reported_from_impossible_clocks_or_unknown_receptions() -> None:
     truth, estimate = rough(4)
-    assert truth.quaternions is not None
-    assert estimate.quaternions is not None
-    rows = np.hstack([estimate.positions, estimate.quaternions])
     for times, verdict in (
         (estimate.stamps - 50_000_000, "impossible"),
         (np.full(len(estimate), UNKNOWN), None),
     ):
         live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
-        live.add_groundtruth(truth.stamps, np.hstack([truth.positions, truth.quaternions]))
-        live.add_estimate(estimate.stamps, rows, Receptions(times))
+        live.add_groundtruth(truth)
+        live.add_estimate(replace(estimate, reading=Reading(receptions=Receptions(times))))
         assert live.update(IDENTITY) is None
         assert live.numbers == {}
         assert live.values["reception clock"] == verdict
 
 
-def states_on(stamps: np.ndarray) -> np.ndarray:
+def states_on(stamps: np.ndarray, receptions: Receptions | None = None) -> Trajectory:
     """Return poses that move along x at 2 m/s."""
-    rows = np.zeros((len(stamps), 7))
-    rows[:, 0], rows[:, 6] = 2.0 * stamps / 1e9, 1.0
-    return rows
+    positions = np.outer(2.0 * stamps / 1e9, [1.0, 0.0, 0.0])
+    quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (len(stamps), 1))
+    return Trajectory(stamps, positions, quaternions, reading=Reading(receptions=receptions))
 
 
 def fed(step_ms: int, until_ms: int, every_ms: int, deadline_s: float = 0.1) -> LiveAvailability:
@@ -107,9 +102,9 @@ def fed(step_ms: int, until_ms: int, every_ms: int, deadline_s: float = 0.1) -> 
     for begin in range(0, until_ms, step_ms):
         edges = begin * 1_000_000, (begin + step_ms) * 1_000_000
         now = truth[(truth >= edges[0]) & (truth < edges[1])]
-        live.add_groundtruth(now, states_on(now))
+        live.add_groundtruth(states_on(now))
         now = messages[(messages + 30_000_000 >= edges[0]) & (messages + 30_000_000 < edges[1])]
-        live.add_estimate(now, states_on(now), Receptions(now + 30_000_000))
+        live.add_estimate(states_on(now, Receptions(now + 30_000_000)))
         live.update(IDENTITY)
     return live
 
@@ -117,17 +112,16 @@ def fed(step_ms: int, until_ms: int, every_ms: int, deadline_s: float = 0.1) -> 
 def test_a_twist_of_zero_is_used_once_there_was_another_one() -> None:
     """A robot at rest has one; a driver that measures none has no other."""
     stamps = np.arange(0, 8000, 5) * 1_000_000
-    rows = np.hstack([states_on(stamps), np.zeros((len(stamps), 3))])
     for moves, rate in ((False, 0.0), (True, 0.0), (True, np.nan)):
         live = LiveAvailability(AvailabilityRule("twist"), 0.5, 10.0)
         for begin in range(0, len(stamps), 200):
             part = slice(begin, begin + 200)
-            rows[part, 7] = 2.0 if moves and begin < 400 else 0.0
             times = stamps[part] + 30_000_000
-            live.add_groundtruth(stamps[part], rows[part])
-            live.add_estimate(
-                stamps[part], rows[part], Receptions(times, body_rates=np.full((200, 3), rate))
-            )
+            receptions = Receptions(times, body_rates=np.full((200, 3), rate))
+            velocities = np.zeros((200, 3))
+            velocities[:, 0] = 2.0 if moves and begin < 400 else 0.0
+            live.add_groundtruth(states_on(stamps[part]))
+            live.add_estimate(replace(states_on(stamps[part], receptions), velocities=velocities))
             live.update(IDENTITY)
         has_twist = moves and rate == 0.0
         assert bool(live.numbers) is has_twist
@@ -160,11 +154,11 @@ def test_a_deadline_is_missed_once_per_span_above_it(deadline_s: float, *, misse
 def test_samples_are_evaluated_twice_a_second() -> None:
     live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
     stamps = np.arange(0, 2000, 5) * 1_000_000
-    live.add_estimate(stamps, states_on(stamps), Receptions(stamps + 10_000_000))
+    live.add_estimate(states_on(stamps, Receptions(stamps + 10_000_000)))
     evaluated = []
     for stamp in stamps:
         one = np.array([stamp])
-        live.add_groundtruth(one, states_on(one))
+        live.add_groundtruth(states_on(one))
         if live.update(IDENTITY) is not None:
             evaluated.append(int(stamp))
     steps = np.diff(evaluated)
@@ -173,18 +167,13 @@ def test_samples_are_evaluated_twice_a_second() -> None:
     assert live.numbers == {}
 
 
-def test_states_that_are_no_poses_are_not_used() -> None:
+def test_messages_without_a_reception_are_not_used() -> None:
     live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
-    stamps = np.arange(4) * 10**9
-    rows = np.hstack([states_on(stamps), np.ones((4, 3))])
-    rows[1, 0] = np.nan
-    times = stamps + 5
-    times[2] = UNKNOWN
-    live.add_groundtruth(stamps, rows)
-    live.add_estimate(stamps, rows, Receptions(times))
+    stamps = np.arange(3) * 10**9
+    times = np.array([5, UNKNOWN, 2 * 10**9 + 5])
+    live.add_estimate(states_on(stamps, Receptions(times)))
     live.store()
-    assert live._messages["time"].tolist() == [5, 3 * 10**9 + 5]
-    assert len(live._truth) == 3
+    assert live._messages["time"].tolist() == [5, 2 * 10**9 + 5]
 
 
 def test_an_offset_moves_the_timestamps_and_not_the_receptions() -> None:
@@ -192,8 +181,8 @@ def test_an_offset_moves_the_timestamps_and_not_the_receptions() -> None:
     for offset_ns in (0, 20_000_000):
         live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
         stamps = np.arange(0, 2000, 5) * 1_000_000
-        live.add_groundtruth(stamps, states_on(stamps))
-        live.add_estimate(stamps, states_on(stamps), Receptions(stamps + 50_000_000))
+        live.add_groundtruth(states_on(stamps))
+        live.add_estimate(states_on(stamps, Receptions(stamps + 50_000_000)))
         assert live.update(IDENTITY, offset_ns) is not None
         found.append(live.numbers)
     assert found[0]["available/age"] - found[1]["available/age"] == pytest.approx(0.02)
@@ -207,17 +196,17 @@ def test_memory_is_bounded_before_the_first_alignment(*, has_messages: bool) -> 
     live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
     for second in range(60):
         stamps = (second * 100 + np.arange(100)) * 10_000_000
-        live.add_groundtruth(stamps, states_on(stamps))
+        live.add_groundtruth(states_on(stamps))
         if has_messages:
-            live.add_estimate(stamps, states_on(stamps), Receptions(stamps + 30_000_000))
+            live.add_estimate(states_on(stamps, Receptions(stamps + 30_000_000)))
         live.update(None)
     assert len(live._truth) <= 1001
     assert len(live._messages) == (1001 if has_messages else 0)
     # The errors begin with what is left.
     if has_messages:
         stamps = (6000 + np.arange(100)) * 10_000_000
-        live.add_groundtruth(stamps, states_on(stamps))
-        live.add_estimate(stamps, states_on(stamps), Receptions(stamps + 30_000_000))
+        live.add_groundtruth(states_on(stamps))
+        live.add_estimate(states_on(stamps, Receptions(stamps + 30_000_000)))
         samples = live.update(IDENTITY)
         assert samples is not None
         assert len(samples.stamps) > 900
@@ -226,8 +215,8 @@ def test_memory_is_bounded_before_the_first_alignment(*, has_messages: bool) -> 
 def test_there_is_no_error_before_the_first_message() -> None:
     live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
     truth, stamps = np.arange(0, 3000, 5) * 1_000_000, np.arange(1000, 3000, 50) * 1_000_000
-    live.add_groundtruth(truth, states_on(truth))
-    live.add_estimate(stamps, states_on(stamps), Receptions(stamps + 30_000_000))
+    live.add_groundtruth(states_on(truth))
+    live.add_estimate(states_on(stamps, Receptions(stamps + 30_000_000)))
     samples = live.update(IDENTITY)
     assert samples is not None
     assert samples.stamps[0] == 1_030_000_000

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.linalg import LinAlgError
+from state_rows import states, trajectory
 from strategies import seeds
 
 from trajeval_ros import Gauge
 from trajeval_ros.online import live_clock
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
-from trajeval_ros.online.state_rows import states, trajectory
 
 SECOND = 10**9
 

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_feeding import make_pair, rows_of
 from numpy.typing import NDArray
+from state_rows import states, trajectory
 from strategies import make_groundtruth, seeds
 
 from tests.online.test_error_topics import EMPTY
@@ -24,13 +25,12 @@ from trajeval_ros.metrics.tracking_loss import DIVERGED, FROZEN, Loss
 from trajeval_ros.online import live_relative_errors
 from trajeval_ros.online.alarms import AlarmLimits, about_loss, alarm_below
 from trajeval_ros.online.evaluator import OnlineEvaluator
-from trajeval_ros.online.live_frames import LiveFrames, body_rows, marker_rows
+from trajeval_ros.online.live_frames import LiveFrames
 from trajeval_ros.online.live_relative_errors import RelativeTracker, RunningErrors
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import PairedStates, Pairing
 from trajeval_ros.online.repeated_remarks import RepeatedRemarks
 from trajeval_ros.online.state_buffer import BufferLimits
-from trajeval_ros.online.state_rows import Pairs, states, trajectory, turned_covariances
 from trajeval_ros.online.window import PairStore
 
 Array = NDArray[Any]
@@ -114,46 +114,6 @@ def source_rows(seed: int) -> tuple[Trajectory, Array]:
     return source, rows
 
 
-@given(seed=seeds)
-def test_rows_of_a_marker_become_those_of_the_body(seed: int) -> None:
-    source, rows = source_rows(seed)
-    expected = ARM.of_body(source)
-    assert expected.quaternions is not None
-    found = body_rows(rows, ARM)
-    others = np.delete(np.arange(15), 4)
-    np.testing.assert_allclose(found[others, :3], expected.positions[others], atol=1e-13)
-    np.testing.assert_allclose(found[others, 3:7], expected.quaternions[others], atol=1e-14)
-    assert np.isnan(found[4]).all()
-    assert np.isnan(found[:, 7:]).all()
-    turn = HandEye.of(np.array([0.3, -0.2, 0.5]), None)
-    np.testing.assert_array_equal(body_rows(rows, turn)[:, 7:], rows[:, 7:])
-    np.testing.assert_array_equal(rows, source_rows(seed)[1])
-
-
-@given(seed=seeds, frame=st.sampled_from(["world", "body"]))
-def test_rows_of_a_body_become_those_of_the_marker(seed: int, frame: str) -> None:
-    source, rows = source_rows(seed)
-    halves = np.random.default_rng(seed).normal(size=(15, 6, 6))
-    wide = np.hstack([rows, (halves @ halves.swapaxes(1, 2)).reshape(15, 36)])
-    about_world = turned_covariances(wide) if frame == "body" else wide
-    covariances = about_world[:, 10:].reshape(-1, 6, 6)
-    expected = ARM.of_marker(dataclasses.replace(source, covariances=covariances), 1.0)
-    assert expected.covariances is not None
-    found = marker_rows(wide, ARM, frame)
-    others = np.delete(np.arange(15), 4)
-    np.testing.assert_allclose(found[others, :3], expected.positions[others], atol=1e-13)
-    np.testing.assert_array_equal(found[others, 3:7], rows[others, 3:7])
-    again = turned_covariances(found) if frame == "body" else found
-    np.testing.assert_allclose(
-        again[others, 10:].reshape(-1, 6, 6), expected.covariances[others], rtol=1e-11, atol=1e-11
-    )
-    assert np.isnan(found[4, :3]).all()
-    assert np.isnan(found[:, 7:10]).all()
-    narrow = marker_rows(rows, ARM, frame)
-    assert narrow.shape == (15, 10)
-    np.testing.assert_allclose(narrow[others, :3], expected.positions[others], atol=1e-13)
-
-
 def test_a_lever_arm_makes_the_groundtruth_points_and_leaves_out_velocities() -> None:
     source, _ = source_rows(1)
     with_arm = LiveFrames(OnlineSettings(Protocol(gauge="se3", lever_m=(0.1, 0.0, 0.0))))
@@ -207,7 +167,11 @@ def all_pairs(pairing: Pairing, sides: list[tuple[Array, Array]], cut: int, size
         pairing.forget()
     found.append(pairing.made(at_end=True))
     pairing.settle()
-    joined = Pairs.in_order([pairs.rows for pairs in found if pairs is not None])
+    store = PairStore()
+    for pairs in found:
+        if pairs is not None:
+            store.add(pairs)
+    joined = store.pairs(slice(None))
     runs = [first, pairing] if pairing is not first else [pairing]
     return joined, runs
 
@@ -233,8 +197,9 @@ def test_a_run_that_follows_continues_with_what_waits(
     whole, _ = all_pairs(Pairing(at_groundtruth=at_groundtruth), sides, -1, size)
     parts, runs = all_pairs(Pairing(at_groundtruth=at_groundtruth), sides, cut, size)
     np.testing.assert_array_equal(parts.stamps, whole.stamps)
-    np.testing.assert_allclose(parts.groundtruth, whole.groundtruth, atol=1e-12)
-    np.testing.assert_allclose(parts.estimate, whole.estimate, atol=1e-12)
+    for name in ("groundtruth", "estimate"):
+        found, expected = (rows_of(getattr(pairs, name)) for pairs in (parts, whole))
+        np.testing.assert_allclose(found, expected, atol=1e-12)
     waited = [each.groundtruth_counts if at_groundtruth else each.estimate_counts for each in runs]
     assert sum(each.poses for each in waited) == count
     assert [each.waiting for each in runs] == [0] * len(runs)

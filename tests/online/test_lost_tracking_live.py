@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from state_rows import states, trajectory
 
 from benchmarks.diagnosis_further import FURTHER
 from benchmarks.diagnosis_runs import simulated
@@ -16,7 +17,6 @@ from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.online.alarms import about_loss
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states, trajectory
 
 DRONE = simulated(5000, "drone", "walk", 100.0)
 

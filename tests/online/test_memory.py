@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from live_feeding import SECOND, assert_live_is_offline, feed, make_pair
 from numpy.typing import NDArray
+from state_rows import states, trajectory
 
 from trajeval_ros import Gauge, Protocol, Trajectory, evaluate
 from trajeval_ros.formatting.numbers import counted
@@ -17,7 +18,6 @@ from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import Pairing
 from trajeval_ros.online.state_buffer import BufferLimits
-from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.online.window import Window
 
 

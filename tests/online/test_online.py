@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_feeding import SECOND, assert_live_is_offline, feed, make_pair, rows_of
+from state_rows import states, trajectory
 from strategies import gauges, make_groundtruth, seeds
 
 from trajeval_ros import Gauge, Protocol, Trajectory, evaluate
@@ -22,7 +23,6 @@ from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import Pairing
 from trajeval_ros.online.state_buffer import BufferLimits
-from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.online.window import Window
 
 RECORDINGS = [

@@ -6,23 +6,22 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from state_rows import states, trajectory
 from strategies import make_pair, seeds
 
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.up_axis import Z_UP
 from trajeval_ros.metrics.association import associate
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import PairedStates
-from trajeval_ros.online.state_rows import Pairs, states, trajectory
-from trajeval_ros.online.whole_run import RevisedPath, evaluate_rows
+from trajeval_ros.online.whole_run import RevisedPath, evaluation_of
 from trajeval_ros.pipeline.pipeline import evaluate
 
 
 def rmse_m(path: RevisedPath, gauge: Gauge) -> float | None:
     protocol = Protocol(gauge=gauge, lengths=())
-    evaluation = evaluate_rows(path.pairs(), protocol, (Z_UP, Z_UP))
+    evaluation = evaluation_of(path.pairs(), protocol)
     position = None if evaluation is None else evaluation.ate["position_m"]
     return None if position is None else position.rmse
 
@@ -37,7 +36,8 @@ def test_a_pose_is_new_once(versions: list[list[int]]) -> None:
     assert len(versions) > 0
     for version in versions:
         stamps = np.array(version, dtype=np.int64)
-        rows = path.renew(stamps, states(np.zeros((len(stamps), 3)), np.ones((len(stamps), 4))))
+        poses = states(np.zeros((len(stamps), 3)), np.ones((len(stamps), 4)))
+        rows = path.renew(trajectory(stamps, poses))
         assert stamps[rows].tolist() == [each for each in version if each not in seen]
         seen.update(version)
 
@@ -57,39 +57,33 @@ def test_the_newest_version_is_judged(seed: int, gauge: Gauge) -> None:
     for end in range(10, len(stamps) + 10, 10):
         earlier = final[:end].copy()
         earlier[:, :3] += 0.3 * (end < len(stamps))  # the last version corrects the others
-        new = path.renew(stamps[:end], earlier)
+        new = path.renew(trajectory(stamps[:end], earlier))
         evaluator.add_estimate(trajectory(stamps[:end][new], earlier[new]))
     evaluator.update(at_end=True)
     for pairs in record:
-        path.record(pairs.rows)
+        path.record(pairs)
     expected = evaluation.ate["position_m"]
     assert expected is not None
     assert rmse_m(path, gauge) == pytest.approx(expected.rmse, rel=1e-9)
 
 
-def test_poses_of_the_newest_version_that_are_none_are_left_out() -> None:
+def test_poses_that_the_newest_version_lacks_are_left_out() -> None:
     pair = make_pair(1, 120, smooth=True)
-    groundtruth = associate(pair.groundtruth, pair.estimate, Protocol().association).groundtruth
+    found = associate(pair.groundtruth, pair.estimate, Protocol().association)
     path = RevisedPath(Gauge.SE3)
-    rows = states(pair.estimate.positions, pair.estimate.quaternions)
-    path.renew(pair.estimate.stamps, rows)
-    path.record(
-        Pairs(groundtruth.stamps, states(groundtruth.positions), states(groundtruth.positions))
-    )
+    path.renew(pair.estimate)
+    path.record(PairedStates(found.groundtruth, found.estimate))
     whole = rmse_m(path, Gauge.SE3)
-    broken = rows.copy()
-    broken[3, 0], broken[5, 3:7] = np.nan, np.inf
-    assert not len(path.renew(pair.estimate.stamps, broken))
-    assert len(path.stamps) == len(rows) - 2
-    assert np.isfinite(path.states[:, :7]).all()
+    assert not len(path.renew(pair.estimate[np.delete(np.arange(len(pair.estimate)), [3, 5])]))
+    assert len(path.path) == len(pair.estimate) - 2
     assert rmse_m(path, Gauge.SE3) == pytest.approx(whole, rel=0.1)
 
 
 def test_without_groundtruth_or_motion_there_is_no_number() -> None:
     path = RevisedPath(Gauge.SE3)
     stamps = np.arange(2, dtype=np.int64)
-    rows = states(np.zeros((2, 3)), np.ones((2, 4)))
-    path.renew(stamps, rows)
+    still = trajectory(stamps, states(np.zeros((2, 3)), np.ones((2, 4))))
+    path.renew(still)
     assert rmse_m(path, Gauge.SE3) is None
-    path.record(Pairs(stamps, rows, rows))
+    path.record(PairedStates(still, still))
     assert rmse_m(path, Gauge.SE3) is None

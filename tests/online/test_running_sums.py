@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_feeding import rows_of
 from numpy.typing import NDArray
+from state_rows import states, trajectory
 from strategies import make_element, make_groundtruth, seeds
 
 from trajeval_ros import Gauge, Protocol, Trajectory, evaluate
@@ -25,7 +26,6 @@ from trajeval_ros.online.live_alignment import LiveAlignment
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import PairedStates, Pairing
 from trajeval_ros.online.state_buffer import BufferLimits
-from trajeval_ros.online.state_rows import states, trajectory
 
 Array = NDArray[Any]
 SECOND = 10**9

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from state_rows import states, trajectory
 
 from trajeval_ros import OnlineEvaluator, OnlineSettings, Protocol, evaluate, simulate
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.evaluation import Evaluation, evaluate_pairs
-from trajeval_ros.online.state_rows import states, trajectory
 
 FLIGHT = simulate(seed=5, duration_s=30.0)
 LEVER = (0.3, -0.1, 0.5)

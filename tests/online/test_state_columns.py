@@ -1,4 +1,4 @@
-"""Rows of states, the buffers that hold them, and the store of pairs, against plain models."""
+"""Buffers of states and the store of pairs, against plain models."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from state_rows import states, trajectory
 from strategies import make_groundtruth, seeds
 
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.geometry.up_axis import UP_AXES, UpAxis
-from trajeval_ros.geometry.valid_poses import LARGEST
 from trajeval_ros.online.live_frames import in_plane
 from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.state_buffer import (
@@ -24,14 +24,6 @@ from trajeval_ros.online.state_buffer import (
     BufferLimits,
     StateCounts,
     Tail,
-)
-from trajeval_ros.online.state_rows import (
-    Pairs,
-    as_wide,
-    states,
-    trajectory,
-    turned_covariances,
-    usable_rows,
 )
 from trajeval_ros.online.window import PairStore, Window
 
@@ -132,15 +124,14 @@ def test_states_that_are_no_poses_are_counted_once(faults: list[tuple[bool, bool
     for row, (lost, short) in enumerate(faults):
         positions[row, row % 3] = np.nan if lost else 1.0
         quaternions[row] *= 0.0 if short else 2.0
-    rows = states(positions, quaternions)
-    usable, dropped = usable_rows(rows)
-    assert usable.tolist() == [not (lost or short) for lost, short in faults]
+    usable = np.array([not (lost or short) for lost, short in faults], dtype=bool)
     no_place, no_turn = sum(a for a, _ in faults), sum(b and not a for a, b in faults)
     expected = {"not_finite": no_place, "zero_quaternion": no_turn}
-    assert dropped == {name: number for name, number in expected.items() if number}
+    dropped = {name: number for name, number in expected.items() if number}
     counts = StateCounts()
     stamps = np.arange(count, dtype=np.int64)[::-1] * 3
-    block = trajectory(stamps, rows)
+    block = trajectory(stamps, states(positions, quaternions))
+    assert block.reading.dropped == dropped
     counts.take(block, block.reading.dropped)
     kept = block.stamps
     assert kept.tolist() == stamps[usable].tolist()
@@ -148,17 +139,6 @@ def test_states_that_are_no_poses_are_counted_once(faults: list[tuple[bool, bool
     if len(kept):
         assert (counts.first, counts.last) == (kept.min(), kept.max())
         assert counts.duration_s == (kept.max() - kept.min()) / SECOND
-
-
-@pytest.mark.parametrize(
-    ("size", "is_valid"),
-    [(LARGEST, True), (np.nextafter(LARGEST, 2e12), False), (-np.nextafter(LARGEST, 2e12), False)],
-)
-def test_a_velocity_beyond_the_largest_is_not_measured(size: float, *, is_valid: bool) -> None:
-    rows = states(np.zeros((2, 3)), None, np.array([[0.0, size, 0.0], [1.0, 2.0, 3.0]]))
-    found = trajectory(np.arange(2), rows)
-    assert len(found) == 2
-    assert (found.velocities is not None) == is_valid
 
 
 def test_counts_are_taken_back() -> None:
@@ -185,36 +165,6 @@ def test_states_are_kept_from_the_horizon_on() -> None:
     assert BufferLimits(0.25).horizon(7) == 7 - SECOND // 4
     assert BufferLimits(np.inf).horizon(7) == NEVER
     assert (BufferLimits().past_states, BufferLimits().waiting_states) == (500_000, 500_000)
-
-
-@given(seed=seeds)
-def test_rows_become_a_trajectory_and_back(seed: int) -> None:
-    source = make_groundtruth(seed, 20)
-    rows = states(source.positions, 3.0 * turns_of(source), source.velocities)
-    found = trajectory(source.stamps, rows)
-    np.testing.assert_array_equal(found.stamps, source.stamps)
-    np.testing.assert_array_equal(found.positions, source.positions)
-    np.testing.assert_allclose(turns_of(found), turns_of(source), atol=1e-15)
-    assert np.array_equal(found.velocities, source.velocities)  # type: ignore[arg-type]
-    assert found.covariances is None
-    points = trajectory(source.stamps, states(source.positions))
-    assert points.quaternions is points.velocities is None
-    wide = np.hstack([rows, np.random.default_rng(seed).normal(size=(20, 36))])
-    covariances = trajectory(source.stamps, wide).covariances
-    assert covariances is not None
-    np.testing.assert_array_equal(covariances.reshape(20, 36), wide[:, 10:])
-    assert trajectory(source.stamps, as_wide(rows, 46)).covariances is None
-
-
-def test_rows_are_widened_with_zeros_and_cut() -> None:
-    rows = np.random.default_rng(0).normal(size=(4, 46))
-    np.testing.assert_array_equal(as_wide(rows, 10), rows[:, :10])
-    np.testing.assert_array_equal(as_wide(rows, 46), rows)
-    widened = as_wide(rows[:, :10], 46)
-    np.testing.assert_array_equal(widened[:, :10], rows[:, :10])
-    assert widened.shape == (4, 46)
-    assert not widened[:, 10:].any()
-    assert np.isfinite(rows).all()
 
 
 def random_rows(seed: int, axis: str) -> tuple[Trajectory, Array]:
@@ -252,43 +202,6 @@ def test_a_state_in_the_plane_has_no_height_and_only_a_heading(seed: int, axis: 
     # What is left is a tilt: the rotation about the vertical nearest to the orientation.
     rest = rotations.inv() * Rotation.from_quat(turns_of(source))
     np.testing.assert_allclose(rest.as_quat()[:, 2], 0.0, atol=1e-13)
-
-
-@given(seed=seeds)
-def test_covariances_are_turned_by_the_orientation_and_back(seed: int) -> None:
-    source, rows = random_rows(seed, "z")
-    rows[2, 3:7] = np.nan
-    turned = turned_covariances(rows)
-    np.testing.assert_array_equal(turned[2], rows[2])
-    np.testing.assert_array_equal(turned[:, :10], rows[:, :10])
-    for row in (0, 5, 11):
-        turn = np.eye(6)
-        turn[3:, 3:] = Rotation.from_quat(turns_of(source)[row]).as_matrix()
-        expected = turn @ rows[row, 10:].reshape(6, 6) @ turn.T
-        np.testing.assert_allclose(
-            turned[row, 10:].reshape(6, 6), expected, rtol=1e-12, atol=1e-12
-        )
-    np.testing.assert_allclose(
-        turned_covariances(turned, to_body=True), rows, rtol=1e-12, atol=1e-12
-    )
-    assert turned_covariances(rows[:, :10]).shape == (12, 10)
-
-
-def test_pairs_are_picked_and_put_in_order() -> None:
-    one = Pairs(np.array([1, 5]), numbered([1, 5]), numbered([1, 5], 46, -1.0))
-    other = Pairs(np.array([3, 5]), numbered([30, 50]), numbered([3, 5], 46, -1.0))
-    assert Pairs.in_order([one]) is one
-    both = Pairs.in_order([one, other])
-    assert both.stamps.tolist() == [1, 3, 5, 5]
-    assert both.groundtruth[:, 0].tolist() == [1, 30, 5, 50]
-    assert both.estimate[:, 0].tolist() == [-1, -3, -5, -5]
-    assert both.without_covariances().estimate.shape == (4, 10)
-    assert both.picked(slice(1, None)).groundtruth[:, 4].tolist() == [30, 5, 50]
-    lacking = other.picked(np.array([0]))
-    lacking.estimate[0, 3] = np.nan
-    assert (one.have_rotations, lacking.have_rotations) == (True, False)
-    nothing = Pairs.none()
-    assert [each.shape for each in nothing] == [(0,), (0, 10), (0, 10)]
 
 
 @settings(max_examples=20)

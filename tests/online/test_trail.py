@@ -8,16 +8,17 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.online import whole_run
-from trajeval_ros.online.state_rows import WIDTH, Pairs
+from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.whole_run import ThinnedRun
 
 
-def numbered(first: int, count: int) -> Pairs:
+def numbered(first: int, count: int) -> PairedStates:
     """Return pairs whose columns all are their numbers."""
     stamps = np.arange(first, first + count, dtype=np.int64)
-    rows = np.repeat(stamps[:, None].astype(float), WIDTH, axis=1)
-    return Pairs(stamps, rows, -rows)
+    rows = np.repeat(stamps[:, None].astype(float), 3, axis=1)
+    return PairedStates(Trajectory(stamps, rows), Trajectory(stamps, -rows))
 
 
 @given(most=st.integers(2, 40), batches=st.lists(st.integers(0, 120), max_size=30))
@@ -32,7 +33,9 @@ def check(trail: ThinnedRun, most: int, batches: list[int]) -> None:
     for count in batches:
         trail.add(numbered(first, count))
         first += count
-        stamps, groundtruth, estimate = trail.columns()
+        pairs = trail.pairs()
+        stamps, groundtruth = pairs.stamps, pairs.groundtruth.positions
+        estimate = pairs.estimate.positions
         assert len(trail) <= most
         assert len(stamps) == len(groundtruth) == len(estimate) <= most + 1
         np.testing.assert_array_equal(groundtruth[:, 0], stamps)

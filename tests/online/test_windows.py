@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_feeding import SECOND, feed, make_pair, rows_of
+from state_rows import trajectory
 from strategies import seeds
 
 from trajeval_ros import Gauge, Protocol, evaluate
@@ -20,8 +21,7 @@ from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.pairing import PairedStates
-from trajeval_ros.online.state_rows import Pairs, trajectory
-from trajeval_ros.online.window import Window
+from trajeval_ros.online.window import PairStore, Window
 
 
 @pytest.mark.parametrize("window", ["5s", "4m", "37"])
@@ -35,9 +35,12 @@ def test_a_window_has_the_errors_of_its_pairs(window: str, gauge: Gauge) -> None
     )
     feed(evaluator, groundtruth, estimate)
     snapshot = evaluator.snapshot()
-    all_pairs = Pairs.in_order([pairs.rows for pairs in record])
+    store = PairStore()
+    for pairs in record:
+        store.add(pairs)
+    all_pairs = store.pairs(slice(None))
     stamps = all_pairs.stamps
-    along = trajectory(stamps, all_pairs.groundtruth).travelled
+    along = all_pairs.groundtruth.travelled
     inside = {
         "5s": stamps >= stamps[-1] - 5 * SECOND,
         "4m": along >= along[-1] - 4.0,
@@ -45,10 +48,8 @@ def test_a_window_has_the_errors_of_its_pairs(window: str, gauge: Gauge) -> None
     }[window]
     assert snapshot.window_pairs == np.count_nonzero(inside)
     assert isinstance(snapshot.alignment, Alignment)
-    aligned = snapshot.alignment.similarity.trajectory(
-        trajectory(stamps[inside], all_pairs.estimate[inside])
-    )
-    errors = absolute_errors(trajectory(stamps[inside], all_pairs.groundtruth[inside]), aligned)
+    aligned = snapshot.alignment.similarity.trajectory(all_pairs.estimate[inside])
+    errors = absolute_errors(all_pairs.groundtruth[inside], aligned)
     rmse = float(np.sqrt(np.mean(errors.position_m**2)))
     assert snapshot.window_position_rmse_m == pytest.approx(rmse, rel=1e-9)
     rotation = snapshot.ate["rotation_deg"]

@@ -56,7 +56,7 @@ def flight(flights: Path) -> Path:
 
 def poses_on_disk(evaluator: Evaluator) -> int:
     [file] = state_files(evaluator.folder)
-    return len(read_states(file).stamps)
+    return len(read_states(file).states.stamps)
 
 
 def publish(
@@ -324,7 +324,7 @@ def test_a_reset_goes_on_receiving_and_tells_of_results_that_can_t_be_written(
         assert answer.success
         publish(publishers, 1000.0, 4.0)
         [begun] = state_files(Path(answer.message.rpartition(" ")[2]))
-        until(lambda: len(read_states(begun).stamps) >= 78, "poses of the new run")
+        until(lambda: len(read_states(begun).states.stamps) >= 78, "poses of the new run")
         assert evaluator.said.count(told) == 1  # subscriptions last over all runs
         evaluator.wait_for(f"results can't be written to {evaluator.folder}: ")
         evaluator.end()

@@ -282,7 +282,7 @@ def test_over_dds_the_stored_receptions_give_the_numbers_of_a_recording(
         assert evaluator.end() == 0
     options = ("--gauge", "none", "--as-available", motion)
     for number, folder in enumerate(folders):
-        assert len(read_states(folder / "groundtruth.states").stamps) == len(truth)
+        assert len(read_states(folder / "groundtruth.states").states.stamps) == len(truth)
         poses = received_poses(read_states(folder / f"{name}.states").received)
         messages, logged = as_stored(sent, poses), {payload: at for _, _, at, payload in sent}
         write_messages(tmp_path / f"bag_{number}", [*truth, *messages])

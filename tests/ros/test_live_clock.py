@@ -14,6 +14,7 @@ from calibration_flights import Fault, fly
 from live_runs import ESTIMATE, GROUNDTRUTH, Live, path_messages
 from ros_bags import ODOM, PATH, POSE, Message, messages_of, write_messages
 from ros_processes import assert_same, offline
+from state_rows import states, trajectory
 from strategies import make_pair
 
 from trajeval_ros.calibration.calibrate import calibrate
@@ -21,9 +22,7 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.online.live_clock import FIRST_S, ClockReport, OnlineClock
 from trajeval_ros.online.state_buffer import BufferLimits
-from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.ros.live_estimate import DecodedMessages
-from trajeval_ros.ros.poses import StateColumns
 from trajeval_ros.ros.start_decision import HeldMessages
 
 
@@ -323,7 +322,7 @@ def test_an_offset_that_nobody_asked_for_is_told_and_not_applied(tmp_path: Path)
 def test_stamps_that_stand_still_are_not_held_for_ever() -> None:
     held = HeldMessages()
     stamps = np.full(1000, 10**18)
-    still = DecodedMessages(StateColumns(stamps, np.empty((1000, 10)), np.arange(1000)), stamps)
+    still = DecodedMessages(Trajectory(stamps, np.zeros((1000, 3))), stamps)
     for _ in range(300):
         held.add(1, still)
     assert held.span_s == np.inf

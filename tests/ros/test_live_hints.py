@@ -19,12 +19,12 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.geometry.up_axis import Z_UP
 from trajeval_ros.io.requests.request_from import in_names_of_settings, known_hand_eye
 from trajeval_ros.metrics.association import associate
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.online.alarms import LIMITED_QUANTITIES, AlarmLimits
-from trajeval_ros.online.state_rows import Pairs, states
+from trajeval_ros.online.pairing import PairedStates
+from trajeval_ros.online.state_buffer import NO_STATES
 from trajeval_ros.ros.background import BackgroundTask
 from trajeval_ros.ros.diagnostics import remarks_about
 from trajeval_ros.ros.slow_evaluation import PARAMETER_NAMES, hints_about
@@ -59,11 +59,8 @@ def hints_of(
 ) -> list[Remark]:
     protocol = Protocol(gauge="yaw")
     found = associate(groundtruth, estimate, protocol.association)
-    sides = [
-        states(each.positions, each.quaternions) for each in (found.groundtruth, found.estimate)
-    ]
-    pairs = Pairs(found.estimate.stamps, *sides)
-    return hints_about(pairs, protocol, (Z_UP, Z_UP), bodies, (), of_clocks=of_clocks)
+    pairs = PairedStates(found.groundtruth, found.estimate)
+    return hints_about(pairs, protocol, bodies, (), of_clocks=of_clocks)
 
 
 def test_a_sound_run_has_no_hints(flight: Simulation) -> None:
@@ -155,9 +152,8 @@ def test_mistakes_of_conventions_are_told_as_an_evaluation_tells_them(flight: Si
 
 
 def test_few_pairs_are_no_reason_for_a_hint() -> None:
-    none = np.empty((0, 10))
-    pairs = Pairs(np.empty(0, np.int64), none, none)
-    assert hints_about(pairs, Protocol(), (Z_UP, Z_UP), ("", ""), (), of_clocks=True) == []
+    pairs = PairedStates(NO_STATES, NO_STATES)
+    assert hints_about(pairs, Protocol(), ("", ""), (), of_clocks=True) == []
 
 
 @pytest.mark.parametrize(

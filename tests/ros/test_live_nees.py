@@ -23,6 +23,7 @@ from ros_bags import (
     write_messages,
 )
 from ros_processes import assert_same, offline
+from state_rows import states, trajectory
 from strategies import seeds
 from uncertain_runs import MESSAGE, OPTIONS, sides
 
@@ -37,7 +38,6 @@ from trajeval_ros.online.alarms import LIMITED_QUANTITIES, AlarmLimits, Peaks, a
 from trajeval_ros.online.error_topics import PROTECTION_LEVELS, integrity_numbers
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.ros.diagnostics import about_integrity
 
 

@@ -46,8 +46,8 @@ FLOAT, VECTOR = "std_msgs/msg/Float64", "geometry_msgs/msg/Vector3Stamped"
 NUMBERS = {
     "position_error": ("position_error", FLOAT, 4),
     "rotation_error": ("rotation_error", FLOAT, 4),
-    "ate_position": ("stamped/ate", VECTOR, 20),
-    "ate_rotation": ("stamped/ate", VECTOR, 28),
+    "ate_position": ("stamped/ate/position", VECTOR, 20),
+    "ate_rotation": ("stamped/ate/rotation", VECTOR, 20),
 }
 
 
@@ -59,7 +59,7 @@ def test_drawn_numbers_are_the_published_ones(
     flights: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
     topics = {f"/evaluator/{NAME}/{topic}": kind for topic, kind, _ in NUMBERS.values()}
-    length = f"/evaluator/{NAME}/stamped/relative_error/length_8m"
+    length = f"/evaluator/{NAME}/stamped/relative_error/length_8m/position"
     # The picture has ten errors per second of stamps at most. An update takes 0.2 s of stamps, and
     # more than 0.1 s on a machine on which the replay is slower.
     options = {"gauge": "yaw", "rerun": "file", "publish_rate": 10.0}

@@ -67,7 +67,7 @@ def test_runs_start_pause_and_stop_when_asked(
         assert live.end() == 0
     result = json.loads((folder / "result.json").read_text())
     assert result["runs"][0]["association"] == first["runs"][0]["association"]
-    seconds = (read_states(folder / "vio_odometry.states").stamps - begin) / 1e9
+    seconds = (read_states(folder / "vio_odometry.states").states.stamps - begin) / 1e9
     assert (seconds < 10.1).any()
     assert (seconds > 19.9).any()
     assert not ((seconds > 10.1) & (seconds < 19.9)).any()
@@ -76,7 +76,9 @@ def test_runs_start_pause_and_stop_when_asked(
     assert (run["live"]["label"], run["live"]["metadata"]) == ("one", {"operator": "Ann"})
     assert run["events"] == []
     assert run["live"]["streams"]["estimate"]["messages"] == run["estimate"]["poses"]
-    seconds = (read_states(tmp_path / "live_2" / "vio_odometry.states").stamps - begin) / 1e9
+    seconds = (
+        read_states(tmp_path / "live_2" / "vio_odometry.states").states.stamps - begin
+    ) / 1e9
     assert seconds.min() > 29.9
     [run] = json.loads((tmp_path / "live_2" / "result.json").read_text())["runs"]
     assert run["live"]["label"] == "two"

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
+from state_rows import states, trajectory
 
 from trajeval_ros import simulate
 from trajeval_ros.online.evaluator import OnlineEvaluator
-from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.ros.terminal import summary
 
 

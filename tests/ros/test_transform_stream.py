@@ -17,11 +17,12 @@ from ros_bags import Transform, transforms_message
 from strategies import START, seeds
 
 from trajeval_ros.formatting.remarks import Level, Remark
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.bag import Bag
 from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey
 from trajeval_ros.io.sources import read_trajectory
-from trajeval_ros.online.state_rows import POSITION, QUATERNION, states
-from trajeval_ros.ros.poses import StateColumns, StreamStatus
+from trajeval_ros.online.state_rows import POSITION, QUATERNION, rows_of
+from trajeval_ros.ros.poses import StreamStatus
 from trajeval_ros.ros.transform_stream import TransformStream
 
 SECOND = 10**9
@@ -67,7 +68,7 @@ def a_run(
     return sorted(found, key=lambda each: each.arrives)
 
 
-def feed(stream: TransformStream, batches: Iterable[Sequence[Arriving]]) -> list[StateColumns]:
+def feed(stream: TransformStream, batches: Iterable[Sequence[Arriving]]) -> list[Trajectory]:
     """Let batches arrive as the node hands them over: what is static before what moves."""
     found = []
     for batch in batches:
@@ -75,8 +76,9 @@ def feed(stream: TransformStream, batches: Iterable[Sequence[Arriving]]) -> list
         payloads = [transforms_message(each.transform) for each in batch if not each.is_static]
         if payloads:
             arrived = np.array([each.arrives for each in batch if not each.is_static])
-            found.append(stream.poses("", payloads, arrived))
-            assert (found[-1].rows == len(payloads) - 1).all()
+            states, rows = stream.poses("", payloads, arrived)
+            found.append(states)
+            assert (rows == len(payloads) - 1).all()
     return found
 
 
@@ -94,7 +96,7 @@ def offline(run: Iterable[Arriving]) -> tuple[NDArray[np.int64], NDArray[np.floa
         for key, several in by_key.items()
     }
     stamps, positions, quaternions = compose_transforms(edges, "map", "camera", "t")
-    return stamps, states(positions, quaternions)
+    return stamps, np.hstack([positions, quaternions])
 
 
 def cut(run: Sequence[Arriving], cuts: Sequence[float]) -> list[list[Arriving]]:
@@ -121,7 +123,7 @@ def test_any_batches_give_the_offline_chain(
     stamps, expected = offline(run)
     assert len(stamps) > 100
     np.testing.assert_array_equal(np.concatenate([each.stamps for each in found]), stamps)
-    live = np.concatenate([each.states for each in found])
+    live = np.concatenate([rows_of(each) for each in found])
     np.testing.assert_allclose(live, expected, rtol=1e-12, atol=1e-12)
     assert stream.trouble is None
     assert stream.status.poses == len(stamps)
@@ -148,9 +150,9 @@ def test_recorded_transforms_give_the_offline_chain(
     found = []
     for begin in range(0, len(messages), 10):
         arrived, payloads = zip(*messages[begin : begin + 10], strict=True)
-        found.append(stream.poses("", payloads, np.array(arrived)))
+        found.append(stream.poses("", payloads, np.array(arrived))[0])
     np.testing.assert_array_equal(np.concatenate([each.stamps for each in found]), expected.stamps)
-    live = np.concatenate([each.states for each in found])
+    live = np.concatenate([rows_of(each) for each in found])
     assert expected.quaternions is not None
     np.testing.assert_allclose(live[:, POSITION], expected.positions, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(live[:, QUATERNION], expected.quaternions, rtol=1e-9, atol=1e-9)

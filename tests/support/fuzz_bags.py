@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import io
 import sys
+import tempfile
 from pathlib import Path
 
 import atheris
@@ -17,7 +18,6 @@ import atheris
 with atheris.instrument_imports(include=["trajeval_ros.io"]):
     from trajeval_ros.exceptions import InputError
     from trajeval_ros.io.bags.blocks import TopicSelection, all_connections, are_of
-    from trajeval_ros.io.bags.byte_source import DamagedError
     from trajeval_ros.io.bags.cdr import CdrPlan
     from trajeval_ros.io.bags.foxglove import TYPES, FoxglovePlan
     from trajeval_ros.io.bags.mcap_bag import McapReader
@@ -41,6 +41,7 @@ PLANS = [CdrPlan(STANDARD[kind]) for kind in KINDS]
 PLANS += [CdrPlan(ros1_fields(STANDARD[kind]), is_ros1=True) for kind in KINDS]
 POSES = plan_of(None, POSE)
 ROS1_POSES = plan_of(None, POSE, is_ros1=True)
+BAG = Path(tempfile.mkdtemp()) / "x.bag"
 FOXGLOVE = [FoxglovePlan(kind, "json") for kind in TYPES]
 ROS1 = 253  # the first byte of an input that is a bag of ROS 1
 JSON = 254  # the first byte of messages in JSON
@@ -90,8 +91,9 @@ def read_file(data: bytes, *, strict: bool) -> None:
 
 def read_ros1(data: bytes) -> None:
     try:
-        reader = Ros1Reader(Memory(data))
-    except (InputError, DamagedError):
+        BAG.write_bytes(data)
+        reader = Ros1Reader(BAG, "x.bag")
+    except Exception:  # `bag._one_sentence` makes a sentence of the library's exceptions
         return
     selection = TopicSelection(frozenset(each.id for each in reader.connections))
     for block in reader.blocks([selection]):

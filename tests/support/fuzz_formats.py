@@ -43,6 +43,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 from state_file_contents import DESCRIPTION, STATE, columns, write_groundtruth
+from state_rows import trajectory
 
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.gate import GateValues
@@ -317,7 +318,7 @@ def make_states(random: Random, folder: Path) -> Changed:
     if random.random() < 0.2:
         path = folder / "vio.revised"
         writer = StateWriter(path, DESCRIPTION)
-        writer.append(stamps, estimate)
+        writer.append(trajectory(stamps, estimate))
         writer.close()
         path.write_bytes(with_other_bytes(random, path.read_bytes())[0])
 

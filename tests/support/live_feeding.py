@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from state_rows import states
 from strategies import make_estimate, make_groundtruth
 
 from trajeval_ros import Evaluation, Trajectory
 from trajeval_ros.metrics.evaluation import evaluate_pairs
 from trajeval_ros.online.evaluator import OnlineEvaluator
-from trajeval_ros.online.state_rows import states
 
 SECOND = 10**9
 

@@ -42,6 +42,7 @@ class Part:
         unindexed: Channels whose index is missing behind the chunk.
         is_listed: Whether the summary names the chunk.
         behind: More records.
+        before: Records before the messages in the chunk.
         inside: What follows the messages in the chunk.
         size: What the chunk says of its size; None is the truth.
     """
@@ -52,6 +53,7 @@ class Part:
     unindexed: frozenset[int] = frozenset()
     is_listed: bool = True
     behind: bytes = b""
+    before: bytes = b""
     inside: bytes = b""
     size: int | None = None
 
@@ -131,6 +133,7 @@ def _add(file: RecordBuilder, part: Part) -> ChunkIndex | None:
     """Add a part to a file; returns the index of its chunk."""
     offsets: dict[int, list[tuple[int, int]]] = {}
     builder = RecordBuilder() if part.is_chunk else file
+    builder.write(part.before)
     for number, (channel, time, payload) in enumerate(part.rows):
         offsets.setdefault(channel, []).append((time, builder.count))
         Message(channel, time, payload, time, number).write(builder)

@@ -18,6 +18,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from state_rows import as_drawn, states, trajectory
 from waiting import PATIENCE_S, until
 
 from trajeval_ros.geometry.gauge import Gauge
@@ -25,7 +26,6 @@ from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.simulation.drifting_odometry import simulate
 from trajeval_ros.viewer import stream as drawing
 from trajeval_ros.viewer.live_scene import LiveScene
@@ -95,7 +95,7 @@ def main(
         evaluator.add_estimate(trajectory(estimate.stamps[part], estimate_rows[part]))
         update = evaluator.update()
         for pairs in new:
-            put(lambda scene, pairs=pairs: scene.pairs(NAME, *pairs.rows))
+            put(lambda scene, pairs=pairs: scene.pairs(NAME, *as_drawn(pairs)))
         new.clear()
         if update.stamp is not None:
             put(lambda scene, update=update: scene.update(NAME, update))

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from state_rows import trajectory
 
 from trajeval_ros.io.live.state_file import GROUNDTRUTH, StateWriter
 
@@ -49,7 +50,7 @@ def write_groundtruth(folder: Path) -> None:
     if not (folder / GROUNDTRUTH).exists():
         stamps, truth, _ = columns()
         writer = StateWriter(folder / GROUNDTRUTH, {"source": "/truth", "name": "truth"})
-        writer.append(stamps, truth)
+        writer.append(trajectory(stamps, truth))
         writer.close()
 
 
@@ -64,8 +65,8 @@ def write_estimate(
     stamps, _, estimate = columns()
     description = {**DESCRIPTION, "name": path.stem, "place": place}
     writer = StateWriter(path, description)
-    writer.append(stamps[:at], estimate[:at])
+    writer.append(trajectory(stamps[:at], estimate[:at]))
     writer.tell(STATE if state is None else state)
-    writer.append(stamps[at:], estimate[at:])
+    writer.append(trajectory(stamps[at:], estimate[at:]))
     writer.close()
     return path

@@ -12,6 +12,7 @@ from coverage_runs import SECOND, at_ms, at_rest, coverage_by, flown, keyframes,
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from state_rows import states, trajectory
 from strategies import seeds
 
 from trajeval_ros import OnlineEvaluator, Protocol, Trajectory, evaluate, simulate
@@ -20,7 +21,6 @@ from trajeval_ros.formatting.numbers import whole_percent
 from trajeval_ros.io.results.result_json import result_of
 from trajeval_ros.metrics.coverage import Coverage, CoverageSums, PairSteps
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.online.window import Window
 from trajeval_ros.report.verdict_lines import definitions
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from state_file_contents import DESCRIPTION, STATE, columns, write_groundtruth
+from state_rows import trajectory
 
 from trajeval_ros.cli.app import main
 from trajeval_ros.io.live.live_folder import evaluate_folder
@@ -23,7 +24,7 @@ def write_run(path: Path, description: Any, state: Any) -> None:
     write_groundtruth(path.parent)
     stamps, _, estimate = columns()
     writer = StateWriter(path, DESCRIPTION)
-    writer.append(stamps, estimate)
+    writer.append(trajectory(stamps, estimate))
     writer.close()
     path.write_bytes(
         chunk(json.dumps({"format": FORMAT, "name": path.stem, **description}))
@@ -162,7 +163,7 @@ def revise(path: Path) -> bytes:
     """Write the last version of a path; returns the content of its file."""
     stamps, _, states = columns()
     writer = StateWriter(path, ODD)
-    writer.append(stamps, states)
+    writer.append(trajectory(stamps, states))
     writer.close()
     return path.read_bytes()
 

@@ -13,6 +13,7 @@ import scipy.sparse
 from live_runs import ESTIMATE, GROUNDTRUTH, Live
 from marker_flights import MOUNTED, of_marker, write_mounting
 from ros_bags import ODOM, POINT, POSE, messages_of
+from state_rows import states, trajectory
 from uncertain_marker_runs import uncertain_messages
 from uncertain_runs import sides
 
@@ -25,9 +26,8 @@ from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.requests.request_from import known_hand_eye
 from trajeval_ros.online.evaluator import OnlineEvaluator
-from trajeval_ros.online.live_frames import marker_rows
+from trajeval_ros.online.live_frames import at_marker
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import COVARIANCE, states, trajectory
 from trajeval_ros.ros.marker_body import MarkerBody
 
 IN_BODY = CovarianceRequest("message", rotation_frame="body", groundtruth_noise=(0.01, 0.2))
@@ -55,7 +55,8 @@ def test_a_lever_arm_couples_position_and_rotation(frame: str) -> None:
     _, estimate = sides(1)
     assert estimate.covariances is not None
     assert estimate.quaternions is not None
-    found = marker_rows(rows_of(estimate), MOUNTED, frame)[:, COVARIANCE].reshape(-1, 6, 6)
+    found = at_marker(estimate, MOUNTED, frame).covariances
+    assert found is not None
     random, step = np.random.default_rng(0), 1e-6
     for row in (0, 30, 60):
         q, covariance = estimate.quaternions[row], estimate.covariances[row]

@@ -53,7 +53,8 @@ def test_the_reference_has_every_parameter_topic_and_service(site: Any) -> None:
     services = page.partition("### Services")[2]
     assert re.findall(r"^\| `(~/\w+)` \|", services, re.MULTILINE) == list(SERVICES)
     described = (ROOT / "docs/topics.md").read_text(encoding="utf-8")
-    topics = [*error_topics.VECTORS, *error_topics.NUMBERS, error_topics.ATE]
+    topics = [*error_topics.VECTORS, *error_topics.NUMBERS]
+    topics += [f"{error_topics.ATE}/{part}" for part in error_topics.PARTS]
     topics += [*error_topics.NEES_NUMBERS, *error_topics.PROTECTION_LEVELS.values()]
     for topic in [*topics, error_topics.ALIGNMENT]:
         assert f"| `{topic}` |" in page

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 from fix_runs import DATUM, fixes_of, quality
+from state_rows import as_drawn, states, trajectory
 
 from trajeval_ros import Gauge, Protocol, evaluate, simulate
 from trajeval_ros.geometry.geodesy import east_north_up
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import Pairs, states, trajectory
+from trajeval_ros.online.pairing import PairedStates
 
 pytest.importorskip("rerun", reason="rerun-sdk is missing")
 
@@ -62,7 +63,7 @@ def test_a_map_has_fixes_and_tracks_where_they_are(tmp_path: Path) -> None:
 
 def live(path: Path, fixes: Trajectory) -> list[Any]:
     """Draw a live run by fixes into a file; returns its layouts."""
-    pairs: list[Pairs] = []
+    pairs: list[PairedStates] = []
     settings = OnlineSettings(Protocol(gauge="yaw"), window="0")
     evaluator = OnlineEvaluator(settings, record=pairs.append)
     recording = rerun.RecordingStream("trajeval", recording_id="live")
@@ -83,7 +84,7 @@ def live(path: Path, fixes: Trajectory) -> list[Any]:
         evaluator.add_estimate(trajectory(estimate.stamps[new], rows[new]))
         evaluator.update()
         for each in pairs:
-            scene.pairs("odometry", *each.rows)
+            scene.pairs("odometry", *as_drawn(each))
         pairs.clear()
         if evaluator.pairs:
             newest = int(evaluator.store.stamps()[-1])

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from state_rows import states, trajectory
 
 from trajeval_ros import Protocol, evaluate, run, simulate
 from trajeval_ros.geometry.gauge import Gauge
@@ -14,7 +15,6 @@ from trajeval_ros.metrics.named_protocols import PROTOCOLS
 from trajeval_ros.metrics.protocol import metres
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.report.verdict_lines import verdict
 from trajeval_ros.viewer.appearance import ErrorScale
 from trajeval_ros.viewer.text_panel import of_evaluations, of_snapshots

@@ -7,10 +7,13 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from paths import ROOT
+from state_rows import as_drawn, states, trajectory
 
 from trajeval_ros import Gauge, Protocol, evaluate
 from trajeval_ros.cli.app import main
@@ -18,14 +21,15 @@ from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.metrics.as_available import AsAvailable, AvailabilityRule, as_available
 from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.metrics.tracking_loss import FROZEN, Loss
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states, trajectory
 from trajeval_ros.simulation.drifting_odometry import simulate
 from trajeval_ros.viewer import entity_data, scene_entities
 from trajeval_ros.viewer.live_scene import LiveScene
 from trajeval_ros.viewer.paths import gaps
 from trajeval_ros.viewer.sdk import sdk
+from trajeval_ros.viewer.state_lanes import TRACKED, LiveLanes
 
 NAME = "vio"
 FRAME = f"world/estimate/{NAME}"
@@ -321,9 +325,7 @@ def test_another_recording_of_a_run_has_all_that_came_before_it(tmp_path: Path) 
     from rrd import Rrd
 
     flight, pairs = simulate(0, 20.0), []
-    evaluator = OnlineEvaluator(
-        OnlineSettings(Protocol(gauge=Gauge.YAW)), record=lambda each: pairs.append(each.rows)
-    )
+    evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge=Gauge.YAW)), record=pairs.append)
     columns = [
         states(each.positions, each.quaternions) for each in (flight.groundtruth, flight.estimate)
     ]
@@ -341,7 +343,7 @@ def test_another_recording_of_a_run_has_all_that_came_before_it(tmp_path: Path) 
         if not number:
             scene.groundtruth(flight.groundtruth.stamps, columns[0])
             for each in pairs:
-                scene.pairs(NAME, *each)
+                scene.pairs(NAME, *as_drawn(each))
         newest = dataclasses.replace(errors, stamps=errors.stamps + number)
         scene.snapshot(NAME, stamp + number, snapshot, None if number else 0.25, newest)
         scene.finish()
@@ -390,7 +392,7 @@ def test_live_colours_have_one_scale_and_no_line_below_them(
             evaluator.add_estimate(trajectory(flight.estimate.stamps[part], estimate[part]))
             evaluator.update()
             for each in pairs:
-                scene.pairs(name, *each.rows)
+                scene.pairs(name, *as_drawn(each))
             pairs.clear()
             newest = int(evaluator.store.stamps()[-1])
             scene.snapshot(name, newest, evaluator.snapshot(), None)
@@ -436,6 +438,26 @@ def test_live_lanes_show_status_and_alarms(tmp_path: Path) -> None:
     assert lane(f"alarm/{NAME}/position_m") == ["error", "OK"]
     said = [text for (text,) in picture.rows("events", "TextLog:text")[1]]
     assert said == [f"{NAME}: {each.text}" for each in (alarm, late)]
+
+
+def test_a_lane_shows_a_frozen_estimate_from_its_begin_on() -> None:
+    drawn: list[tuple[int, str]] = []
+    recording = SimpleNamespace(send=lambda *_: None, log=lambda time, *_: drawn.append(time))
+    lanes, second = LiveLanes(cast("Any", recording)), 1_000_000_000
+    lost = Loss.beginning(FROZEN, 5 * second)
+    lanes.tracking("tracking/a", second, lost)
+    assert drawn == []  # the lane begins with the first pair
+    lanes.change("tracking/a", second, TRACKED)
+    states = []
+    for time, loss in ((4, None), (8, lost), (9, lost), (11, None), (12, None)):
+        lanes.tracking("tracking/a", time * second, loss)
+        states.append(lanes._now["tracking/a"])
+    assert states == [
+        (second, TRACKED),
+        *2 * [(5 * second, FROZEN)],
+        *2 * [(11 * second, TRACKED)],
+    ]
+    assert drawn == [second, 5 * second, 11 * second]
 
 
 # The command line.

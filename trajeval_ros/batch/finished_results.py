@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from trajeval_ros.batch.comparison import Progress
-from trajeval_ros.batch.earlier_results import EARLIER, of_version_0_2
 from trajeval_ros.batch.finished_comparison import (
     RESULT,
     FinishedComparison,
@@ -153,14 +152,11 @@ def _read(given: str, folder: Path) -> Iterator[_Result]:
     except OSError as error:
         raise InputError(f"{path} can't be read: {reason_of(error)}") from error
     advice, schema = "evaluate the run again", (content or {}).get("schema")
-    if schema != EARLIER:
-        require_schema(path, schema, SCHEMA, "result of an evaluation", advice)
+    require_schema(path, schema, SCHEMA, "result of an evaluation", advice)
     assert content is not None
     if not (folder / ARCHIVE).is_file():
         raise InputError(f"{folder} has no {ARCHIVE}, which a comparison needs; {advice}")
     with _damage_refused(str(path)):
-        if schema == EARLIER:
-            content = of_version_0_2(content)
         results = []
         for run in content["runs"]:
             name = f"{given} {run['estimate']['name']}" if len(content["runs"]) > 1 else given

@@ -17,7 +17,7 @@ from typing import Any
 import click
 
 from trajeval_ros import __version__
-from trajeval_ros.cli.programs import INTERRUPTED, exit_status
+from trajeval_ros.cli.programs import DEBUG, INTERRUPTED, exit_status
 from trajeval_ros.cli.replaced_words import REPLACED
 from trajeval_ros.exceptions import SettingsError
 
@@ -111,6 +111,11 @@ def _print_version(ctx: click.Context, _: click.Parameter, is_set: bool) -> None
         ctx.exit()
 
 
+def _keep_traceback(_: click.Context, __: click.Parameter, path: str | None) -> None:
+    if path is not None:
+        os.environ[DEBUG] = path
+
+
 app = VerbGroup(
     name="trajeval",
     help="Measures the error of VIO and SLAM trajectories, live on the robot or from recordings.",
@@ -122,7 +127,14 @@ app = VerbGroup(
             expose_value=False,
             callback=_print_version,
             help="Prints the version.",
-        )
+        ),
+        click.Option(
+            ["--debug"],
+            metavar="FILE",
+            expose_value=False,
+            callback=_keep_traceback,
+            help="Writes the traceback of an error to FILE, for a report of a defect.",
+        ),
     ],
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -134,6 +146,7 @@ def load(arguments: Sequence[str]) -> None:
     Nothing is imported for an unknown verb, or for shell completion, which reads the options of at
     most one verb.
     """
+    arguments = _after_debug(arguments)
     first = next(iter(arguments), "--help")
     if _COMPLETION in os.environ:
         return
@@ -149,8 +162,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> int | None:
-    if arguments and arguments[0] not in app.commands and _is_source(arguments[0]):
-        arguments = ["evaluate", *arguments]
+    words = _after_debug(arguments)
+    if words and words[0] not in app.commands and _is_source(words[0]):
+        arguments = [*arguments[: len(arguments) - len(words)], "evaluate", *words]
     has_verb = arguments and list(arguments) not in [[name] for name in _GROUPS]
     if not has_verb and _COMPLETION not in os.environ:
         _run([*arguments, "--help"])
@@ -164,6 +178,14 @@ def _run(arguments: Sequence[str]) -> int | None:
     except SystemExit as error:  # click's answer to a closed pipe
         raise BrokenPipeError from error
     return status if isinstance(status, int) else None
+
+
+def _after_debug(arguments: Sequence[str]) -> Sequence[str]:
+    """Return the arguments after --debug FILE, which stands before the verb."""
+    if arguments[:1] == ["--debug"]:
+        return arguments[2:]
+    is_joint = bool(arguments) and arguments[0].startswith("--debug=")
+    return arguments[1:] if is_joint else arguments
 
 
 def _is_source(word: str) -> bool:

@@ -17,6 +17,7 @@ from typing import Any
 from trajeval_ros.exceptions import SettingsError, TrajevalError, reason_of
 
 INTERRUPTED = 130
+DEBUG = "TRAJEVAL_DEBUG"  # environment variable with the file of --debug
 _ROS_ARGUMENTS = "--ros-args"
 
 
@@ -33,8 +34,10 @@ def exit_status(work: Callable[[], int | None]) -> int:
         with may_break():
             status = work()
     except TrajevalError as error:
+        _write_traceback(error)
         return _fail(str(error))
     except OSError as error:
+        _write_traceback(error)
         where = f"{error.filename}: " if error.filename else ""
         return _fail(f"{where}{reason_of(error)}")
     except KeyboardInterrupt:
@@ -47,6 +50,26 @@ def exit_status(work: Callable[[], int | None]) -> int:
     if status == INTERRUPTED:  # also returned by `cli.app`, because click catches Ctrl-C
         print("trajeval: interrupted", file=sys.stderr)
     return status or 0
+
+
+def _write_traceback(error: Exception) -> None:
+    """Write where an error comes from, if --debug names a file; causes are included."""
+    if not (name := os.environ.get(DEBUG)):
+        return
+    import traceback
+
+    from trajeval_ros.formatting.escaping import without_secrets
+    from trajeval_ros.io.writing import write_text
+
+    cause: BaseException | None = error
+    while cause is not None:
+        cause.__suppress_context__ = False
+        cause = cause.__cause__ or cause.__context__
+    text = "".join(traceback.format_exception(error))
+    try:
+        write_text(Path(name), without_secrets(text), follow_link=True)
+    except TrajevalError as refusal:
+        _fail(str(refusal))
 
 
 def _fail(sentence: str) -> int:

@@ -1,4 +1,4 @@
-"""Verbs and options of version 0.2 and of evo, with what replaces them here."""
+"""Verbs and options of evo and of other verbs, with what replaces them here."""
 
 from __future__ import annotations
 
@@ -6,38 +6,6 @@ from typing import Final
 
 # By the end of the error message: verbs, options, and options of a verb.
 _WORDS = {
-    # Version 0.2.
-    "use trajeval study association": ("compare-association",),
-    "use trajeval study gauge": ("gauge-study",),
-    "use --correct CAUSE": ("evaluate --fix",),
-    "use --correct CAUSE, or convert the file by an option of trajeval trajectory": (
-        "evaluate --estimate-scale", "evaluate --groundtruth-scale", "evaluate --estimate-axes",
-        "evaluate --quaternion-order", "evaluate --inverse", "evaluate --clock-rate",
-    ),
-    "exchange -g and -e": ("evaluate --swap",),
-    "write it to a YAML file, and give the file as --protocol FILE.yaml": (
-        "evaluate --apply", "evaluate --ate-form", "evaluate --re-form",
-    ),
-    "write it as sub_trajectories to a YAML file, and give the file as --protocol FILE.yaml": (
-        "evaluate --pairs",
-    ),
-    "--alert-limit alone requests the test": ("--integrity",),
-    "compare writes SVG without titles to figures/, of any width; convert it by rsvg-convert": (
-        "compare --figure-format", "compare --figure-width", "compare --no-title",
-        "compare --style",
-    ),
-    "use --cluster with a Dask cluster": ("compare --shard", "compare --merge"),
-    "name the --output of every comparison, and query their runs.parquet together, as in DuckDB": (
-        "compare --dataset", "compare --label",
-    ),
-    "write it as a key to the YAML file, with _ for -: trajeval compare FILE.yaml": (
-        "compare --alert-limit", "compare --risk", "compare --rotation-covariance-frame",
-        "compare --continuous-model",
-    ),
-    "limits are fixed; watch a healthy run, and set --factor as it prints": ("watch --learn",),
-    "limits are fixed; set --factor for this robot": ("watch --limits",),
-    "limits are fixed: use --watch-factor 1": ("evaluate --watch-limits",),
-    "use trajeval evaluate to measure errors": ("watch --groundtruth", "watch -g"),
     # evo; docs/coming_from.md has a table.
     "formats are detected by content: trajeval evaluate GROUNDTRUTH ESTIMATE, or trajeval "
     "trajectory FILE": ("tum", "kitti", "euroc", "bag", "bag2"),

@@ -27,7 +27,8 @@ DIAGNOSTICS, DIAGNOSTICS_TYPE = "/diagnostics", "diagnostic_msgs/msg/DiagnosticA
 # As diagnostic_msgs/DiagnosticStatus has them.
 # STALE (3) is for aggregators, of statuses that do not arrive.
 DIAGNOSTIC_LEVELS = {Level.NOTE: 0, Level.WARNING: 1, Level.ERROR: 2}
-ATE = "stamped/ate"  # of the window
+ATE = "stamped/ate"  # of the window; see `by_part`
+PARTS = ("position", "rotation")  # m and deg
 # Of the window's newest pair, live only, by part of the pose.
 PROTECTION_LEVELS = {
     "horizontal": "protection_level",
@@ -68,26 +69,27 @@ def vectors_of(errors: PairErrors, topic: str, offset_ns: int) -> tuple[Stamps, 
     return errors.stamps[rows] - offset_ns, vectors[rows]
 
 
-def position_and_rotation(position_m: Any, rotation_deg: Any | None) -> Floats:
-    """Return vectors (N, 3) of ATE and relative errors: metres, degrees, and zero.
+def by_part(topic: str, position_m: Any, rotation_deg: Any | None) -> dict[str, Floats]:
+    """Return N ATE or relative errors as vectors (N, 3) by topic: the number is x.
 
-    An unavailable rotation (None) is NaN. The vectors are no vectors of a frame: no standard
-    message has a number and a timestamp.
+    One topic is of the position, metres, the other one of the rotation, degrees, which may be
+    unavailable (None). No standard message has just a number and a timestamp.
     """
-    position_m = np.atleast_1d(position_m)
-    vectors: Floats = np.zeros((len(position_m), 3))
-    vectors[:, 0] = position_m
-    vectors[:, 1] = np.nan if rotation_deg is None else rotation_deg
+    vectors = {}
+    for part, numbers in zip(PARTS, (position_m, rotation_deg), strict=True):
+        if numbers is not None:
+            column = np.atleast_1d(numbers)[:, None]
+            vectors[f"{topic}/{part}"] = np.pad(column, ((0, 0), (0, 2)))
     return vectors
 
 
-def window_ate(snapshot: Snapshot) -> Floats | None:
-    """Return the vector (1, 3) of the window's ATE; None without an alignment."""
+def window_ate(snapshot: Snapshot) -> dict[str, Floats]:
+    """Return vectors (1, 3) of the window's ATE by topic; empty without an alignment."""
     rotation = snapshot.ate.get("rotation_deg")
     if snapshot.window_position_rmse_m is None:
-        return None
-    return position_and_rotation(
-        snapshot.window_position_rmse_m, None if rotation is None else rotation.rmse
+        return {}
+    return by_part(
+        ATE, snapshot.window_position_rmse_m, None if rotation is None else rotation.rmse
     )
 
 

@@ -6,14 +6,13 @@ after newer ones are never in use, so nothing changes it afterwards.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.formatting.remarks import Remark
-from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
+from trajeval_ros.geometry.arrays import Booleans
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.geometry.receptions import Receptions
@@ -32,13 +31,11 @@ from trajeval_ros.metrics.availability import (
 from trajeval_ros.metrics.statistics import quantile
 from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.state_buffer import NEVER, Tail
-from trajeval_ros.online.state_rows import QUATERNION, VELOCITY, WIDTH, trajectory, usable_rows
 
-_POSE, _STATE = QUATERNION.stop, WIDTH + 3  # columns of groundtruth, and of messages with a twist
-GROUNDTRUTH = np.dtype([("stamp", "<i8"), ("pose", "<f8", _POSE)])
-MESSAGE = np.dtype(
-    [("stamp", "<i8"), ("time", "<i8"), ("corrected", "<i8"), ("state", "<f8", _STATE)]
-)
+# Columns of `state`: position, quaternion xyzw, velocity, angular velocity; NaN if not measured.
+MESSAGE = np.dtype([("stamp", "<i8"), ("time", "<i8"), ("corrected", "<i8"), ("state", "<f8", 13)])
+_PARTS = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
+_VELOCITY = _PARTS[2]
 Rows = NDArray[np.void]
 _RECENT_SAMPLES = 10 * RATE_HZ
 _AT_ONCE_NS = 50 * STEP_NS  # an evaluation has a fixed cost, whatever the number of samples
@@ -51,9 +48,7 @@ class LiveAvailability:
         """Create it without messages."""
         self._rule, self._max_gap_s = rule, max_gap_s
         self._delay_ns = round(min(max_delay_s, 3600.0) * NANOSECONDS)
-        # Since the last call of `store`.
-        self._new_truth: list[Rows] = []
-        self._new_messages: list[Rows] = []
+        self._new_messages: list[Rows] = []  # since the last call of `store`
         self._truth = Tail()
         self._messages = np.empty(0, MESSAGE)  # those that later samples can use
         self._has_moved = False  # whether a message had a velocity
@@ -68,32 +63,22 @@ class LiveAvailability:
         self.missed = 0  # number of spans with ages above the deadline so far
         self.age_p95_s: float | None = None  # 95th percentile of the ages of the newest 10 s
 
-    def add_groundtruth(self, stamps: Stamps, rows: Floats) -> None:
-        """Take groundtruth states: timestamps (N,), nanoseconds, and rows (N, 7 or more)."""
-        self._last = max(self._last, int(stamps.max(initial=NEVER)))
-        new = np.empty(len(stamps), GROUNDTRUTH)
-        new["stamp"], new["pose"] = stamps, rows[:, :_POSE]
-        self._new_truth.append(new)
+    def add_groundtruth(self, block: Trajectory) -> None:
+        """Take groundtruth states."""
+        self._last = max(self._last, int(block.stamps.max(initial=NEVER)))
+        self._truth.add(block)
 
-    def add_estimate(self, stamps: Stamps, rows: Floats, receptions: Receptions) -> None:
-        """Take messages: timestamps (N,), nanoseconds, and states (N, 7 or more).
-
-        Those with an `UNKNOWN` time of reception are left out. Body rates may be NaN.
-        """
-        self._new_messages.append(message_rows(stamps, rows, receptions))
+    def add_estimate(self, block: Trajectory) -> None:
+        """Take messages with their receptions; those with an `UNKNOWN` time are left out."""
+        self._new_messages.append(message_rows(block))
 
     def store(self) -> None:
-        """Take the usable states since the last call, all together because of the cost."""
-        if not self._new_truth and not self._new_messages:
-            return
-        truth = np.concatenate([np.empty(0, GROUNDTRUTH), *self._new_truth])
+        """Take the messages since the last call, all together because of the cost."""
         new = np.concatenate([np.empty(0, MESSAGE), *self._new_messages])
-        self._new_truth, self._new_messages = [], []
-        truth = truth[usable_rows(truth["pose"])[0]]
-        new = new[usable_rows(new["state"])[0] & (new["time"] != UNKNOWN)]
-        self._truth.add(trajectory(truth["stamp"], truth["pose"]))
+        self._new_messages = []
+        new = new[new["time"] != UNKNOWN]
         self._messages = np.concatenate([self._messages, new])
-        self._has_moved |= bool(np.nan_to_num(new["state"][:, VELOCITY]).any())
+        self._has_moved |= bool(np.nan_to_num(new["state"][:, _VELOCITY]).any())
 
     def update(self, similarity: Similarity | None, offset_ns: int = 0) -> AvailableSamples | None:
         """Return the samples that are final now, under the present alignment; None if none.
@@ -172,21 +157,29 @@ class LiveAvailability:
         }
 
 
-def message_rows(stamps: Stamps, rows: Floats, receptions: Receptions) -> Rows:
-    """Return messages as rows of type `MESSAGE`; see `LiveAvailability.add_estimate`."""
-    messages = np.empty(len(stamps), MESSAGE)
-    messages["stamp"], messages["time"], messages["state"] = stamps, receptions.times, np.nan
+def message_rows(block: Trajectory) -> Rows:
+    """Return messages with receptions as rows of type `MESSAGE`."""
+    receptions = block.reading.receptions
+    assert receptions is not None
+    messages = np.empty(len(block), MESSAGE)
+    messages["stamp"], messages["time"] = block.stamps, receptions.times
     messages["corrected"] = UNKNOWN if receptions.corrected is None else receptions.corrected
-    messages["state"][:, : min(rows.shape[1], WIDTH)] = rows[:, :WIDTH]
-    if receptions.body_rates is not None:
-        messages["state"][:, WIDTH:] = receptions.body_rates
+    columns = (block.positions, block.quaternions, block.velocities, receptions.body_rates)
+    for part, column in zip(_PARTS, columns, strict=True):
+        messages["state"][:, part] = np.nan if column is None else column
     return messages
 
 
 def received_poses(rows: Rows, up: UpAxis = Z_UP) -> Trajectory:
     """Return the messages in rows of type `MESSAGE`; without velocities if these are NaN."""
+    positions, quaternions, velocities, rates = (rows["state"][:, part] for part in _PARTS)
     corrected = None if (rows["corrected"] == UNKNOWN).any() else rows["corrected"]
-    rates = rows["state"][:, WIDTH:]
     receptions = Receptions(rows["time"], "node", body_rates=rates, corrected=corrected)
-    poses = trajectory(rows["stamp"], rows["state"][:, :WIDTH], up)
-    return replace(poses, reading=Reading(receptions=receptions))
+    return Trajectory.from_columns(
+        rows["stamp"],
+        positions,
+        None if np.isnan(quaternions).any() else quaternions,
+        velocities=None if np.isnan(velocities).any() else velocities,
+        up=up,
+        reading=Reading(receptions=receptions),
+    )

@@ -8,7 +8,7 @@ states beyond it, or until the end. Both sides are kept for a while, because sta
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +21,6 @@ from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.geometry.valid_poses import add_counts, count_up
 from trajeval_ros.metrics.coverage import NO_GAP_NS, StampedPoses, time_without_gaps
 from trajeval_ros.online.state_buffer import NEVER, NOTHING, BufferLimits, StateCounts, Tail
-from trajeval_ros.online.state_rows import WIDTH, Pairs, rows_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +43,10 @@ class PairedStates:
         """Return the pairs of a slice or a mask."""
         return PairedStates(self.groundtruth[rows], self.estimate[rows])
 
-    @property
-    def rows(self) -> Pairs:
-        """The pairs as rows, with covariances of the estimate alone."""
-        groundtruth = rows_of(self.groundtruth)[:, :WIDTH]
-        return Pairs(self.stamps, groundtruth, rows_of(self.estimate))
+    def without_covariances(self) -> PairedStates:
+        """Return the pairs without covariances."""
+        sides = (self.groundtruth, self.estimate)
+        return PairedStates(*(replace(side, covariances=None) for side in sides))
 
 
 class _Decided(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Indices, Stamps
+from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP
 from trajeval_ros.geometry.valid_poses import add_counts, count_up
@@ -22,6 +24,8 @@ _STATE = ("positions", "quaternions", "velocities", "covariances")  # columns of
 _ALL = slice(None)
 NOTHING: Mapping[str, int] = MappingProxyType({})  # no counts
 _FEWEST_ROWS = 1024  # of the arrays, so that a short stream is copied a few times only
+_NONE = np.empty(0, dtype=np.int64)
+NO_STATES = Trajectory(_NONE, np.empty((0, 3)), reading=Reading(receptions=Receptions(_NONE)))
 
 
 class Tail:
@@ -149,6 +153,23 @@ class Tail:
         for name, column in given.items():
             self._columns[name][self._end : self._end + count] = column
         self._end += count
+
+
+def joined(before: Trajectory, after: Trajectory) -> Trajectory:
+    """Return states in order of arrival followed by others, with what both have."""
+
+    def column(of: Any, other: Any, name: str) -> Any:
+        pair = getattr(of, name), getattr(other, name)
+        return None if any(part is None for part in pair) else np.concatenate(pair)
+
+    received, others = before.reading.receptions, after.reading.receptions
+    receptions = None
+    if received is not None and others is not None:
+        names = ("times", "body_rates", "corrected")
+        columns = {name: column(received, others, name) for name in names}
+        receptions = replace(others, **columns)
+    columns = {name: column(before, after, name) for name in ("stamps", *_STATE)}
+    return replace(after, **columns, reading=Reading(receptions=receptions))
 
 
 def _unknown(name: str, shape: tuple[int, ...], kind: np.dtype[Any]) -> NDArray[Any]:

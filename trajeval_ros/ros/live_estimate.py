@@ -10,10 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from trajeval_ros.consistency.s_transformation import unknown_covariances
 from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
@@ -37,22 +36,17 @@ from trajeval_ros.metrics.discontinuities.events import (
 from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.alarms import Peaks, Standing
 from trajeval_ros.online.evaluator import OnlineEvaluator
-from trajeval_ros.online.live_availability import LiveAvailability, message_rows
+from trajeval_ros.online.live_availability import LiveAvailability
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
 from trajeval_ros.online.live_discontinuities import LiveDiscontinuities
 from trajeval_ros.online.live_settings import OnlineSettings
+from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.reports import Snapshot, Update, united
-from trajeval_ros.online.state_rows import (
-    COVARIANCE,
-    POSITION,
-    WIDTH,
-    Pairs,
-    trajectory,
-)
+from trajeval_ros.online.state_rows import rows_of
 from trajeval_ros.online.whole_run import RevisedPath, ThinnedRun
 from trajeval_ros.ros.marker_body import MarkerBody
 from trajeval_ros.ros.pose_source import PoseSource
-from trajeval_ros.ros.poses import StateColumns, StreamStatus
+from trajeval_ros.ros.poses import StreamStatus, arrivals_of
 from trajeval_ros.ros.slow_evaluation import SlowEvaluation
 from trajeval_ros.ros.timing import Latency
 
@@ -65,7 +59,7 @@ class DecodedMessages(NamedTuple):
     Times (N,) are those of reception by the middleware; for a path, its time of arrival.
     """
 
-    states: StateColumns
+    states: Trajectory
     times: Stamps
     is_path: bool = False
 
@@ -78,7 +72,7 @@ class DecodedMessages(NamedTuple):
         """Return some of the messages; a path has one part."""
         if self.is_path:
             return self
-        return DecodedMessages(self.states.picked(rows), self.times[rows])
+        return DecodedMessages(self.states[rows], self.times[rows])
 
 
 class LiveEstimate:
@@ -98,7 +92,7 @@ class LiveEstimate:
         self._body, self._description = body, {"name": self.name, **description}
         self.states_file = StateWriter(folder / file_of_estimate(self.name), self._description)
         self.until_ns: int | None = None  # border to the next run, by the groundtruth's clock
-        self._newest_path: StateColumns | None = None  # as in its message
+        self._newest_path: Trajectory | None = None  # as in its message
         self.evaluator = OnlineEvaluator(settings)
         self.discontinuities = LiveDiscontinuities()
         self.stepped: Event | None = None  # the step of a clock with which the run began
@@ -110,15 +104,15 @@ class LiveEstimate:
         self._declared: deque[int] = deque(maxlen=_MOST_RESETS)  # those of declared resets
         self.latency, self.thinned = Latency(), ThinnedRun()
         self.revised: RevisedPath | None = None  # the newest path, if the topic carries paths
-        self.on_pairs: Callable[[LiveEstimate, Pairs], object] | None = None  # draws them
+        self.on_pairs: Callable[[LiveEstimate, PairedStates], object] | None = None  # draws them
         self.clock = clock  # estimate of its clock offset; none if the topic carries paths
         self.peaks, self.standing = Peaks(), Standing()  # peaks since the last status
         self.slow = SlowEvaluation()  # hints, and the errors of the newest path
         self._given_up = None if settings.up is None else settings.up[1]
         self._paired_at = 0.0
         self._updates: list[Update] = []
-        self._newest: tuple[int, Floats] | None = None  # timestamp and state (1, k) of a message
-        self._undigested: list[Pairs] = []
+        self._newest: Trajectory | None = None  # the state of the newest message
+        self._undigested: list[PairedStates] = []
         self.availability: LiveAvailability | None = None  # as-available, if requested
         if settings.available.is_asked_for:
             source.stream.is_receiver = True
@@ -162,60 +156,58 @@ class LiveEstimate:
     def see(self, messages: DecodedMessages) -> None:
         """Store messages, and use them for what precedes the evaluation: clock and kind."""
         if not messages.is_path:
-            states = messages.states
-            self.states_file.append(states.stamps, states.states, states.arrived)
-            self.clock.add_estimate(trajectory(states.stamps, states.states))
+            self.states_file.append(messages.states)
+            self.clock.add_estimate(messages.states)
         elif self.revised is None:
-            self.revised = RevisedPath(self.evaluator.settings.protocol.gauge, self.up)
+            self.revised = RevisedPath(self.evaluator.settings.protocol.gauge)
             reason = "paths are revised during the run, so their clock can't be estimated"
             self.clock.report = ClockReport(status="unobservable", reason=reason)
 
     def take(self, messages: DecodedMessages) -> None:
         """Evaluate messages that `see` has seen, at the next update."""
-        poses = messages.states
-        rows = self._body.estimated(poses.states)
+        decoded = replace(messages.states, up=self.up)
+        states = self._body.estimated(decoded)
         if messages.is_path:
             assert self.revised is not None
-            new = self.revised.renew(poses.stamps, rows)
-            first = poses.picked(new)
-            self.states_file.append(first.stamps, first.states)
-            self._newest_path = poses
+            new = self.revised.renew(states)
+            first = decoded[new]
+            self.states_file.append(first)
+            self._newest_path = decoded
             self.source.stream.count_new(first, int(messages.times[0]))
-            newest = poses.picked(poses.stamps.argsort(kind="stable")[-1:])
-            self._receive(newest._replace(arrived=messages.times[: len(newest.stamps)]))
-            self._add(poses.stamps[new], rows[new], None)
+            newest = decoded[decoded.stamps.argsort(kind="stable")[-1:]]
+            receptions = Receptions(messages.times[: len(newest)], "node")
+            self._receive(replace(newest, reading=Reading(receptions=receptions)))
+            self._add(states[new], None)
             return
-        if len(poses.stamps):
-            self._newest = int(poses.stamps[-1]), poses.states[-1:]
+        if len(decoded):
+            self._newest = decoded[-1:]
         resets, self.source.stream.resets = self.source.stream.resets, []
         for stamp in resets:
             self._declare(stamp + self.offset_ns)
         if self.availability is not None:
-            self._receive(self.source.stream.as_received(poses))
-        self.latency.arrive(poses.stamps + self.offset_ns, messages.times)
-        self._add(poses.stamps, rows, poses.arrived)
+            self._receive(self.source.stream.as_received(decoded))
+        self.latency.arrive(decoded.stamps + self.offset_ns, messages.times)
+        self._add(states, arrivals_of(states))
 
-    def take_groundtruth(self, block: Trajectory, rows: Floats, poses: StateColumns) -> None:
-        """Take groundtruth states, as a block and rows of the evaluated body, and as decoded."""
-        self.evaluator.add_groundtruth(block, block.reading.dropped)
-        self.discontinuities.add(GROUNDTRUTH, poses.stamps, rows, poses.arrived)
-        self._has_fixes |= poses.fixes is not None
+    def take_groundtruth(self, states: Trajectory) -> None:
+        """Take groundtruth states of the evaluated body."""
+        self.evaluator.add_groundtruth(states)
+        arrived = arrivals_of(states)
+        self.discontinuities.add(GROUNDTRUTH, states.stamps, rows_of(states), arrived)
+        self._has_fixes |= states.reading.fixes is not None
         if self.availability is not None:
-            self.availability.add_groundtruth(poses.stamps, rows)
+            self.availability.add_groundtruth(states)
 
-    def _add(self, stamps: Stamps, rows: Floats, arrived: Stamps | None) -> None:
-        self.discontinuities.add(ESTIMATE, stamps + self.offset_ns, rows, arrived)
-        block = trajectory(stamps, rows, self.up)
-        self.evaluator.add_estimate(block, block.reading.dropped)
+    def _add(self, states: Trajectory, arrived: Stamps | None) -> None:
+        stamps = states.stamps + self.offset_ns
+        self.discontinuities.add(ESTIMATE, stamps, rows_of(states), arrived)
+        self.evaluator.add_estimate(states)
 
-    def _receive(self, poses: StateColumns) -> None:
-        times = poses.arrived
-        if self.availability is not None and times is not None:
-            poses, times = poses.picked(times != UNKNOWN), times[times != UNKNOWN]
-            receptions = Receptions(times, "node", None, poses.body_rates, poses.corrected)
-            self.states_file.append_received(message_rows(poses.stamps, poses.states, receptions))
-            rows = self._body.estimated(poses.states)
-            self.availability.add_estimate(poses.stamps, rows, receptions)
+    def _receive(self, states: Trajectory) -> None:
+        if self.availability is not None:
+            known = states[arrivals_of(states) != UNKNOWN]
+            self.states_file.append_received(known)
+            self.availability.add_estimate(self._body.estimated(known))
 
     def evaluate(self, *, at_end: bool = False) -> None:
         """Evaluate the pairs that are possible now, up to a restart that ends the run."""
@@ -229,10 +221,9 @@ class LiveEstimate:
         self.evaluator.buffer.settle(border)
         if pairs is not None and len(pairs):
             self._paired_at = time.monotonic()
-            narrow = pairs.rows.without_covariances()
-            self._undigested.append(narrow)
+            self._undigested.append(pairs.without_covariances())
             if self.on_pairs is not None:
-                self.on_pairs(self, narrow)
+                self.on_pairs(self, pairs)
         self._updates.append(self.evaluator.evaluate(pairs, at_end=at_end))
 
     @property
@@ -289,10 +280,8 @@ class LiveEstimate:
 
     def snapshot(self) -> Snapshot:
         """Return the state of the evaluation, without what is withheld."""
-        stamps, groundtruth, _ = self.thinned.columns()
-        if len(stamps):
-            up = self.evaluator.frames.groundtruth_up
-            self.evaluator.up_axis_doubt = up_axis_doubt(trajectory(stamps, groundtruth, up))
+        if len(self.thinned):
+            self.evaluator.up_axis_doubt = up_axis_doubt(self.thinned.pairs().groundtruth)
         return self.evaluator.snapshot()
 
     def digest(self) -> list[Event]:
@@ -301,11 +290,11 @@ class LiveEstimate:
         Events of an estimate that has lost track are left out. This is separate from `update`,
         since a few calls per second are enough.
         """
-        if self._undigested:
-            pairs, self._undigested = Pairs.in_order(self._undigested), []
+        undigested, self._undigested = self._undigested, []
+        for pairs in undigested:
             self.thinned.add(pairs)
-            if self.revised is not None:  # by the estimate's own clock
-                self.revised.record(pairs._replace(stamps=pairs.stamps - self.offset_ns))
+            if self.revised is not None:
+                self.revised.record(pairs, self.offset_ns)
         self.examine()
         news, self._news = self._news, []
         if self.evaluator.tracking.present is None:
@@ -325,7 +314,6 @@ class LiveEstimate:
             self.thinned,
             None if self.why_not_revised else self.revised,
             protocol,
-            (evaluator.frames.groundtruth_up, self.up),
             self._body.renamed(groundtruth_body, self.status.child_frame),
             evaluator.tracking.losses,
             of_clocks=self.clock.report.offset_s is None,
@@ -337,16 +325,17 @@ class LiveEstimate:
         They refer to the evaluated body, with the clock offset applied, as in pairs. None without
         a message, or if its covariance is unknown.
         """
-        if self._newest is None or self._newest[1].shape[1] == WIDTH:
+        newest = self._newest
+        if newest is None or newest.covariances is None:
             return None
-        stamp, row = self._newest
         # `unknown_covariances` accepts zeros in the first covariance, so it is passed twice.
-        if unknown_covariances(row[:, COVARIANCE].reshape(1, 6, 6).repeat(2, 0)):
+        if unknown_covariances(newest.covariances.repeat(2, 0)):
             return None
-        [moved] = self._body.estimated(row)
-        if not np.isfinite(moved[POSITION]).all():
+        moved = self._body.estimated(newest)
+        if not len(moved) or moved.covariances is None:
             return None
-        return stamp + self.offset_ns, moved[POSITION], moved[COVARIANCE].reshape(6, 6)[:3, :3]
+        stamp = int(moved.stamps[0]) + self.offset_ns
+        return stamp, moved.positions[0], moved.covariances[0, :3, :3]
 
     @property
     def why_not_revised(self) -> str:
@@ -363,13 +352,13 @@ class LiveEstimate:
     def write_revised(self) -> None:
         """Write the newest path as in its message, if there is one."""
         newest = self._newest_path
-        if newest is None or not len(newest.stamps):
+        if newest is None or not len(newest):
             return
 
         def write(path: Path) -> None:
             path.unlink(missing_ok=True)
             file = StateWriter(path, self._description)
-            file.append(newest.stamps, newest.states)
+            file.append(newest)
             file.close()
 
         write_whole(self.states_file.path.with_suffix(REVISED_SUFFIX), write)

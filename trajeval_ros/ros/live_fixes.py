@@ -9,6 +9,7 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 from trajeval_ros.geometry.fix_selection import FixRule, fixes_of_rows
+from trajeval_ros.geometry.fixes import Fixes
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.geodesy import Datum
 
@@ -40,12 +41,12 @@ class LiveFixes:
 
     def placed(
         self, stamps: Stamps, places: Floats, quality: Floats
-    ) -> tuple[Booleans, Floats, dict[str, int]]:
+    ) -> tuple[Booleans, Floats, Fixes, dict[str, int]]:
         """Return the positions of the used fixes.
 
         Places (N, 3) are latitude and longitude in degrees and height in metres, with a quality
         (N, 11) as in `PoseColumns`. Returned are which fixes are used, (N,), their positions
-        (M, 3), metres, and the number of the other fixes by reason.
+        (M, 3), metres, these fixes, and the number of the others by reason.
         """
         fixes = fixes_of_rows(places, quality)
         kept, dropped = self.rule.usable(fixes, level=self._is_level)
@@ -58,10 +59,9 @@ class LiveFixes:
         if self.refused:
             dropped["no_frame"] = int(np.count_nonzero(kept))
             kept = np.zeros(len(kept), dtype=bool)
-        if not kept.any():
-            return kept, np.empty((0, 3)), dropped
         used = replace(fixes[kept], datum=self.datum)
-        return kept, used.positions(level=self._is_level), dropped
+        positions = used.positions(level=self._is_level) if kept.any() else np.empty((0, 3))
+        return kept, positions, used, dropped
 
     def mixed(self, antennas: list[str]) -> str:
         """Return a warning if fixes of several receivers alternate on the topic; else empty."""

@@ -63,6 +63,17 @@ class _Topics:
             )
         return self._publishers[name]
 
+    def advertise_parts(self, topic: str) -> None:
+        """Create the publishers of a number for the position and of one for the rotation."""
+        for part in topics.PARTS:
+            self.advertise(f"{topic}/{part}", topics.VECTOR_TYPE)
+
+    def _publish_parts(
+        self, topic: str, stamps: Stamps, position_m: float | None, rotation_deg: float | None
+    ) -> None:
+        for name, vectors in topics.by_part(topic, position_m, rotation_deg).items():
+            self._publish_vectors(name, stamps, vectors)
+
     def _publish(self, name: str, value: float | None) -> None:
         from std_msgs.msg import Float64
 
@@ -103,8 +114,7 @@ class RevisedOutputs(_Topics):
             position, rotation = statistics["position_m"], statistics["rotation_deg"]
             if position is not None:
                 rotation_deg = None if rotation is None else rotation.rmse
-                vector = topics.position_and_rotation(position.rmse, rotation_deg)
-                self._publish_vectors(topic, stamps[-1:], vector)
+                self._publish_parts(topic, stamps[-1:], position.rmse, rotation_deg)
         similarity = evaluation.alignment.similarity
         turns = evaluation.aligned.quaternions
         assert turns is not None  # of a path
@@ -147,8 +157,9 @@ class Outputs(_Topics):
         )
         for each in (*topics.NUMBERS, *by_covariances):
             self.advertise(each)
-        for each in (*topics.VECTORS, topics.ATE):
-            self.advertise(each, topics.VECTOR_TYPE)
+        for topic in topics.VECTORS:
+            self.advertise(topic, topics.VECTOR_TYPE)
+        self.advertise_parts(topics.ATE)
         self._alignment = self._latched(TransformStamped, topics.ALIGNMENT)
         self._paths = {
             each: self._latched(Path, each)
@@ -167,15 +178,14 @@ class Outputs(_Topics):
             numbers = numbers_of(update.errors[-1])
             self._publish(name, None if numbers is None else float(numbers[-1]))
         for end in update.ends:
-            vector = topics.position_and_rotation(end.position_m, end.rotation_deg)
-            stamps = np.array([end.stamp - offset_ns])
-            self._publish_vectors(topics.relative_error_topic(end.length), stamps, vector)
+            topic, stamps = topics.relative_error_topic(end.length), [end.stamp - offset_ns]
+            self._publish_parts(topic, np.array(stamps), end.position_m, end.rotation_deg)
 
     def publish_snapshot(self, snapshot: Snapshot, offset_ns: int) -> None:
         """Publish the errors of the window."""
-        ate = topics.window_ate(snapshot)
-        if ate is not None and snapshot.stamp is not None:
-            self._publish_vectors(topics.ATE, np.array([snapshot.stamp - offset_ns]), ate)
+        for topic, ate in topics.window_ate(snapshot).items():
+            assert snapshot.stamp is not None  # since there are pairs
+            self._publish_vectors(topic, np.array([snapshot.stamp - offset_ns]), ate)
         for numbers in (topics.nees_numbers, topics.integrity_numbers):
             for name, number in numbers(snapshot).items():
                 self._publish(name, number)
@@ -195,9 +205,9 @@ class Outputs(_Topics):
         """Publish the alignment, and paths in the groundtruth's frame."""
         if not len(thinned):
             return
-        frames = frame, child_frame
-        self._alignment.publish(encode_alignment(alignment, thinned.columns()[0][-1:], frames))
-        for name, path in encode_paths(thinned, alignment, frame).items():
+        pairs, frames = thinned.pairs(), (frame, child_frame)
+        self._alignment.publish(encode_alignment(alignment, pairs.stamps[-1:], frames))
+        for name, path in encode_paths(pairs, alignment, frame).items():
             self._paths[name].publish(path)
 
 
@@ -270,7 +280,7 @@ class LiveOutputs:
         """Create the publishers of relative errors for lengths of sub-trajectories."""
         for each in self._outputs.values():
             for length in lengths:
-                each.advertise(topics.relative_error_topic(length), topics.VECTOR_TYPE)
+                each.advertise_parts(topics.relative_error_topic(length))
 
     def begin_run(self) -> None:
         """Forget the errors of the previous run."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,11 @@ import numpy as np
 from trajeval_ros.calibration.calibration_request import CalibrationRequest
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.formatting.remarks import Level, Remark
-from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.arrays import Stamps
+from trajeval_ros.geometry.fix_selection import fixes_of_rows
+from trajeval_ros.geometry.fixes import Fixes
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.live.fix_file import FixWriter, read_fix_rows
 from trajeval_ros.io.live.state_file import GROUNDTRUTH, StateWriter, copy_states
@@ -22,13 +26,12 @@ from trajeval_ros.metrics.discontinuities.events import Event
 from trajeval_ros.online.live_clock import OnlineClock
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.online.reports import Update
-from trajeval_ros.online.state_rows import rows_of, trajectory
 from trajeval_ros.pipeline.request import Request
 from trajeval_ros.ros.live_estimate import DecodedMessages, LiveEstimate
 from trajeval_ros.ros.marker_body import MarkerBody
 from trajeval_ros.ros.output_folder import Finisher
 from trajeval_ros.ros.pose_source import PoseSource
-from trajeval_ros.ros.poses import StateColumns, StreamStatus
+from trajeval_ros.ros.poses import StreamStatus
 from trajeval_ros.ros.start_decision import HeldMessages, StartDecision
 
 
@@ -60,7 +63,7 @@ class LiveRun:
         about_groundtruth = {"source": sources[0].source, "name": sources[0].name}
         self.states_file = StateWriter(folder / GROUNDTRUTH, about_groundtruth)
         self.finisher = Finisher(folder)  # writes result.json in another process
-        self.on_groundtruth: Callable[[StateColumns], object] | None = None  # draws it
+        self.on_groundtruth: Callable[[Trajectory], object] | None = None  # draws it
         self.news: list[Remark] = []  # remarks that are not published yet
         # Messages, by source, of the next run: an estimate restarted before them.
         self.unused: list[tuple[int, DecodedMessages]] = []
@@ -165,12 +168,11 @@ class LiveRun:
         if source:
             self.estimates[source - 1].see(messages)
         else:
-            states = messages.states
-            self.states_file.append(states.stamps, states.states, states.arrived)
+            self.states_file.append(messages.states)
             self._see_groundtruth(messages.states)
         if self._held is None or self._held.may_pass(source, self.body):
             self._pass_on(source, messages)
-        elif len(messages.states.stamps):
+        elif len(messages.states):
             self._held.add(source, messages)
 
     def update(self) -> Iterator[tuple[LiveEstimate, Update]]:
@@ -239,27 +241,27 @@ class LiveRun:
         files += [] if self._fixes is None else [self._fixes.close]
         return [trouble for close in files if (trouble := _trouble(close))]
 
-    def _see_groundtruth(self, poses: StateColumns) -> None:
-        if poses.fixes is not None:
+    def _see_groundtruth(self, states: Trajectory) -> None:
+        fixes = states.reading.fixes
+        if fixes is not None:
             self._keep_upright()
-            if len(poses.stamps):
-                self._keep_fixes(poses.stamps, poses.fixes)
-        for each in self.estimates:
-            each.clock.add_groundtruth(trajectory(poses.stamps, poses.states))
-        if not len(poses.stamps):
+            if len(states):
+                self._keep_fixes(states.stamps, fixes)
+        for estimate in self.estimates:
+            estimate.clock.add_groundtruth(states)
+        if not len(states):
             return
-        self.start.see_groundtruth(poses.states)
+        self.start.see_groundtruth(states)
         if self.on_groundtruth is not None:
-            self.on_groundtruth(poses._replace(states=self.body.groundtruth(poses.states)))
+            self.on_groundtruth(self.body.groundtruth(states))
 
     def _pass_on(self, source: int, messages: DecodedMessages) -> None:
         if source:
             self.estimates[source - 1].take(messages)
             return
-        stamps, rows = messages.states.stamps, self.body.groundtruth(messages.states.states)
-        block = trajectory(stamps, rows, self.groundtruth_up)
-        for each in self.estimates:
-            each.take_groundtruth(block, rows, messages.states)
+        states = self.body.groundtruth(replace(messages.states, up=self.groundtruth_up))
+        for estimate in self.estimates:
+            estimate.take_groundtruth(states)
 
     def _one_by_one(
         self,
@@ -291,7 +293,7 @@ class LiveRun:
         said = f"{self.groundtruth.source}: GNSS fixes; the alignment uses gauge yaw"
         self.news.append(Remark(Level.NOTE, "alignment", said))
 
-    def _keep_fixes(self, stamps: Stamps, fixes: Floats) -> None:
+    def _keep_fixes(self, stamps: Stamps, fixes: Fixes) -> None:
         """Write the original fixes to disk, because states do not contain their quality."""
         self._fixes = self._fixes or FixWriter(self.folder)
         self._fixes.append(stamps, fixes)
@@ -299,16 +301,15 @@ class LiveRun:
     def _describe_groundtruth_of(self, before: LiveRun) -> None:
         """Store and draw groundtruth that was taken from the previous run."""
         if self.on_groundtruth is not None:
-            states = self.estimates[0].evaluator.buffer.groundtruth.trajectory()
-            rows = rows_of(states)
-            self.on_groundtruth(StateColumns(states.stamps.copy(), rows, np.arange(len(rows))))
+            known = self.estimates[0].evaluator.buffer.groundtruth
+            self.on_groundtruth(known.trajectory(np.arange(len(known))))
         buffers = [estimate.evaluator.buffer for estimate in self.estimates]
         taken = np.concatenate([buffer.groundtruth.stamps for buffer in buffers])
         copy_states(before.states_file.path, self.states_file, taken)
         if before._fixes is not None:
-            stamps, fixes = read_fix_rows(before.folder)
+            stamps, rows = read_fix_rows(before.folder)
             kept = np.isin(stamps, taken)
-            self._keep_fixes(stamps[kept], fixes[kept])
+            self._keep_fixes(stamps[kept], fixes_of_rows(rows[kept, :3], rows[kept, 3:]))
 
 
 def _trouble(write: Callable[[], object]) -> str:

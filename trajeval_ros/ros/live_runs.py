@@ -260,5 +260,5 @@ def _decoded(source: PoseSource, time_at: TimeAt | None) -> Iterator[DecodedMess
                 path = stream.path(payload)
                 yield DecodedMessages(path, each[None], is_path=True)
             continue
-        poses = stream.poses(message_type, taken.payloads, arrived)
-        yield DecodedMessages(poses, received[poses.rows])
+        poses, rows = stream.poses(message_type, taken.payloads, arrived)
+        yield DecodedMessages(poses, received[rows])

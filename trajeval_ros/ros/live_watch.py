@@ -17,14 +17,6 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE
 from trajeval_ros.io.bags.rate_messages import decode_rates
-from trajeval_ros.online.state_rows import (
-    COVARIANCE,
-    POSITION,
-    QUATERNION,
-    VELOCITY,
-    WIDTH_WITH_COVARIANCE,
-    as_wide,
-)
 from trajeval_ros.ros.poses import PoseStream
 from trajeval_ros.ros.subscriptions import ReceivedMessages
 from trajeval_ros.watchdog.engine import ARMING_S, Watchdog
@@ -208,16 +200,14 @@ def _poses(
             "a topic to watch has type nav_msgs/msg/Path, whose poses are revised; use a topic "
             "with one pose per message"
         )
-    found = stream.poses(kind, taken.payloads, arrived)
-    rows = found.states
-    usable = np.isfinite(rows[:, POSITION]).all(axis=1)
-    usable &= np.isfinite(rows[:, QUATERNION]).all(axis=1)
-    rows = as_wide(rows[usable], WIDTH_WITH_COVARIANCE)
-    covariances = rows[:, COVARIANCE].reshape(-1, 6, 6)[:, 3:, 3:]
+    states, _ = stream.poses(kind, taken.payloads, arrived)
+    if states.quaternions is None:
+        states = states[:0]
+    count, covariances = len(states), states.covariances
     return (
-        found.stamps[usable],
-        rows[:, POSITION],
-        rows[:, QUATERNION],
-        rows[:, VELOCITY],
-        covariances,
+        states.stamps,
+        states.positions,
+        states.known_quaternions,
+        np.full((count, 3), np.nan) if states.velocities is None else states.velocities,
+        np.zeros((count, 3, 3)) if covariances is None else covariances[:, 3:, 3:],
     )

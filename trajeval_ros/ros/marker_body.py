@@ -9,13 +9,13 @@ import numpy as np
 from trajeval_ros.calibration.calibrate import Calibration
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.marker import HandEye
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.pose_messages import TRANSFORM_TYPES, decode_transforms
 from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey, fixed_transform
 from trajeval_ros.io.hand_eye_file import hand_eye_json
 from trajeval_ros.io.requests.setting import AUTO, NONE
-from trajeval_ros.online.live_frames import body_rows, marker_rows
+from trajeval_ros.online.live_frames import at_marker
 from trajeval_ros.ros.message_types import require_installed
 from trajeval_ros.ros.subscriptions import TopicInput
 
@@ -132,17 +132,19 @@ class MarkerBody:
             self.hand_eye, self.of_marker = self._found, not is_oriented
             self.why_not = ""
 
-    def groundtruth(self, rows: Floats) -> Floats:
-        """Return groundtruth states (N, 10) of the evaluated body."""
+    def groundtruth(self, states: Trajectory) -> Trajectory:
+        """Return groundtruth states of the evaluated body; none without orientations."""
         if self.hand_eye is None or self.of_marker:
-            return rows
-        return body_rows(rows, self.hand_eye)
+            return states
+        return states[:0] if states.quaternions is None else self.hand_eye.of_body(states)
 
-    def estimated(self, rows: Floats) -> Floats:
-        """Return estimated states (N, 10) or (N, 46) of the evaluated body."""
+    def estimated(self, states: Trajectory) -> Trajectory:
+        """Return estimated states of the evaluated body; none without orientations."""
         if self.hand_eye is None or not self.of_marker:
-            return rows
-        return marker_rows(rows, self.hand_eye, self._rotation_frame)
+            return states
+        if states.quaternions is None:
+            return states[:0]
+        return at_marker(states, self.hand_eye, self._rotation_frame)
 
     def renamed(self, groundtruth: str, estimate: str) -> tuple[str, str]:
         """Return the names of the bodies of both sides in pairs."""

@@ -5,27 +5,25 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajeval_ros.formatting.remarks import Level, Remark, note, warning
-from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.arrays import Indices, Stamps
 from trajeval_ros.geometry.fix_selection import FRAME
 from trajeval_ros.geometry.geodesy import Datum
-from trajeval_ros.geometry.reading import FORMAT, DeclaredReset
+from trajeval_ros.geometry.reading import FORMAT, DeclaredReset, Reading
+from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.stamp_trust import LONE, NEAR_NS, StampTrust, trusted_states
-from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
-from trajeval_ros.geometry.valid_poses import add_counts, in_words
+from trajeval_ros.geometry.valid_poses import add_counts, in_words, judge_poses
 from trajeval_ros.io.bags.declared_resets import declared_resets
 from trajeval_ros.io.bags.pose_columns import Frames, PoseColumns
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE, decode_path, decode_poses
 from trajeval_ros.io.bags.usable_poses import UsablePoses, usable_poses
-from trajeval_ros.metrics.stream_health import StreamMonitor
-from trajeval_ros.online.state_buffer import StateCounts
-from trajeval_ros.online.state_rows import WIDTH, as_wide, states, usable_rows
+from trajeval_ros.metrics.stream_health import UNKNOWN, StreamMonitor
+from trajeval_ros.online.state_buffer import NO_STATES, StateCounts, joined
 from trajeval_ros.ros.live_fixes import LiveFixes
 from trajeval_ros.ros.timing import Arrivals, ComparedClocks
 
@@ -33,27 +31,6 @@ _MOST_REMARKS, _MOST_RESETS = 20, 100
 _STEPS_BACK = "time_steps_back"  # code of a remark
 _STALE_AFTER_S, _STALE_PERIODS = 5.0, 3.0
 _TROUBLE_AFTER = 10  # consecutive messages without a pose
-
-
-class StateColumns(NamedTuple):
-    """States of N messages."""
-
-    stamps: Stamps  # (N,) nanoseconds
-    states: Floats  # (N, 10) or (N, 46), in the columns of `online.state_rows`
-    rows: NDArray[np.int64]  # (N,), index of the message
-    fixes: Floats | None = None  # (N, 14), place and quality of GNSS fixes as in their messages
-    arrived: Stamps | None = None  # (N,) times of arrival, nanoseconds, may be `UNKNOWN`
-    body_rates: Floats | None = None  # (N, 3), rad/s, in the body; NaN if not measured
-    corrected: Stamps | None = None  # see `Receptions.corrected`
-
-    def picked(self, rows: NDArray[Any] | slice) -> StateColumns:
-        """Return the states of a mask, of indices, or of a slice."""
-        return StateColumns._make(None if each is None else each[rows] for each in self)
-
-    def joined(self, other: StateColumns) -> StateColumns:
-        """Return these states followed by others with the same columns."""
-        pairs = zip(self, other, strict=True)
-        return StateColumns._make(None if a is None else np.concatenate([a, b]) for a, b in pairs)
 
 
 @dataclass
@@ -101,7 +78,8 @@ class PoseStream:
         self._previous: int | None = None
         self._trust = StampTrust()
         self._newest_stamp = 0  # of the newest usable pose
-        self._batch, self._width = 0, WIDTH
+        # States whose timestamps are under test; states are numbered in order of arrival.
+        self._held, self._number = NO_STATES, 0
         self.resets: list[int] = []  # timestamps of declared resets that are not taken yet
         self._counted: PoseColumns | None = None  # the newest pose with a reset counter
         self._in_a_row: dict[str, int] = {}  # unusable messages since the last pose
@@ -120,7 +98,8 @@ class PoseStream:
 
     def begin_anew(self) -> None:
         """Forget earlier messages: their time, and the origin of fixes."""
-        self._trust, self._previous, self.fixes.datum = StampTrust(), None, None
+        self._trust, self._held = StampTrust(), NO_STATES
+        self._previous, self.fixes.datum = None, None
 
     def forget_clocks(self) -> None:
         """Compare clocks from now on; the previous run must be closed."""
@@ -143,49 +122,51 @@ class PoseStream:
 
     def poses(
         self, message_type: str, payloads: Sequence[bytes], arrived_ns: Stamps
-    ) -> StateColumns:
-        """Return the states of messages, N of them, that arrived at times (N,), nanoseconds."""
+    ) -> tuple[Trajectory, Indices]:
+        """Return the states of messages that arrived at times (N,), nanoseconds.
+
+        They have their receptions. The second value are the rows of their messages.
+        """
         self._see_type(message_type)
         columns = decode_poses(
             payloads, message_type, covariance=self._covariances, rates=self.is_receiver
         )
         if columns.fix_quality is not None:
-            found = self._fix_states(columns)
-            self.status.stream.add(found.stamps, arrived_ns[found.rows])
+            states, rows = self._fix_states(columns, arrived_ns)
+            self.status.stream.add(states.stamps, arrivals_of(states))
         else:
-            found = self._trusted(self._states(columns), arrived_ns)
-        self.arrivals.see(found.stamps, arrived_ns[found.rows])
-        self._count(found)
-        return found
+            states, rows = self._trusted(*self._states(columns, arrived_ns))
+        self.arrivals.see(states.stamps, arrived_ns[rows])
+        self._count(states.stamps)
+        return states, rows
 
-    def as_received(self, poses: StateColumns) -> StateColumns:
+    def as_received(self, poses: Trajectory) -> Trajectory:
         """Return poses, not of a path, as the as-available accuracy uses them."""
         return poses
 
-    def last_poses(self) -> StateColumns:
+    def last_poses(self) -> Trajectory:
         """Return the states whose timestamps are still under test, at the end of the run."""
-        none = np.empty(0, dtype=np.int64)
-        found = self._trusted(StateColumns(none, np.empty((0, WIDTH)), none), none, at_end=True)
-        self._count(found)
-        return found
+        states, _ = self._trusted(NO_STATES, NO_STATES.stamps, at_end=True)
+        self._count(states.stamps)
+        return states
 
-    def path(self, payload: bytes) -> StateColumns:
+    def path(self, payload: bytes) -> Trajectory:
         """Return all states of a path; `count_new` counts those that are new.
 
         States with an isolated timestamp are counted with every path that contains them.
         """
         self._see_type(PATH_TYPE)
-        found = self._states(decode_path(payload))
-        poses = np.flatnonzero(usable_rows(found.states)[0])
-        rows, trust = trusted_states(found.stamps[poses])
+        columns = decode_path(payload)
+        states, _ = self._states(columns, np.full(len(columns.stamps), UNKNOWN))
+        rows, trust = trusted_states(states.stamps)
         self._tell_lone(trust)
-        return found.picked(poses[rows]) if trust.lone else found
+        return states[rows]
 
-    def count_new(self, new: StateColumns, arrived_ns: int) -> None:
+    def count_new(self, new: Trajectory, arrived_ns: int) -> None:
         """Count the new states of a path that arrived at a time, nanoseconds."""
         self.arrivals.see(new.stamps[-1:], np.array([arrived_ns]))
-        self.status.stream.add(new.stamps[-1:], np.array([arrived_ns])[: len(new.stamps)])
-        self._count(new)
+        self.status.stream.add(new.stamps[-1:], np.array([arrived_ns])[: len(new)])
+        self._count(new.stamps)
 
     def _see_type(self, message_type: str) -> None:
         self.heard_at = time.monotonic()
@@ -208,20 +189,30 @@ class PoseStream:
             self._tell("frame_changed", "frame", said)
         return found
 
-    def _states(self, columns: PoseColumns) -> StateColumns:
-        (columns, velocities, dropped, _) = self._usable(columns)
+    def _states(self, columns: PoseColumns, arrived_ns: Stamps) -> tuple[Trajectory, Indices]:
+        """Return the valid poses, and the rows of their messages; count the others."""
+        columns, velocities, dropped, _ = self._usable(columns)
         self._see_resets(columns)
-        states_ = states(columns.positions, columns.quaternions, velocities)
-        if columns.covariances is not None:
-            states_ = np.hstack([states_, columns.covariances.reshape(-1, 36)])
-        usable, unusable = usable_rows(states_)
-        stamps = columns.stamps[usable]
+        finite, nonzero = judge_poses(columns.positions, columns.quaternions)
+        states = Trajectory.from_columns(
+            columns.stamps,
+            columns.positions,
+            columns.quaternions,
+            velocities=velocities,
+            covariances=columns.covariances,
+            reading=Reading(receptions=_received(columns, arrived_ns)),
+        )
+        if states.covariances is not None and not states.covariances.any():
+            states = replace(states, covariances=None)  # zeros mean unknown
+        for reason, number in states.reading.dropped.items():
+            self.status.drop(reason, number)
+        stamps = states.stamps
         repeated = np.diff(stamps, prepend=self._newest_stamp) == 0
         self._newest_stamp = int(stamps[-1]) if len(stamps) else self._newest_stamp
         count = int(np.count_nonzero(repeated))
-        dropped = add_counts(dropped, unusable, {"duplicate_stamp": count})
+        dropped = add_counts(dropped, states.reading.dropped, {"duplicate_stamp": count})
         self._see_trouble(len(stamps) - count, dropped)
-        return StateColumns(columns.stamps, states_, columns.rows, body_rates=columns.body_rates)
+        return states, columns.rows[finite & nonzero]
 
     def _see_resets(self, columns: PoseColumns) -> None:
         """Store the resets that poses declare, also relative to the pose before them."""
@@ -233,7 +224,7 @@ class PoseStream:
         self.status.resets = [*self.status.resets, *found][:_MOST_RESETS]
         self._counted = columns.rows_of(np.array([len(columns.stamps) - 1]))
 
-    def _fix_states(self, columns: PoseColumns) -> StateColumns:
+    def _fix_states(self, columns: PoseColumns, arrived_ns: Stamps) -> tuple[Trajectory, Indices]:
         """Return the used fixes, in metres, without those that have no timestamp."""
         status = self.status
         antennas = [antenna for _, antenna, _ in columns.frames]
@@ -241,7 +232,7 @@ class PoseStream:
         found = self._usable(replace(columns, frames=own))
         columns = found.columns
         assert columns.fix_quality is not None
-        kept, positions, dropped = self.fixes.placed(
+        kept, positions, fixes, dropped = self.fixes.placed(
             columns.stamps, columns.positions, columns.fix_quality
         )
         status.datum = self.fixes.datum
@@ -250,36 +241,35 @@ class PoseStream:
         self._see_trouble(len(positions), add_counts(found.dropped, dropped))
         if (mixed := self.fixes.mixed(antennas)) and status.note(note("frame_changed", mixed)):
             self.news.append(warning("data", f"{self._topic}: {mixed}"))
-        as_sent = np.hstack([columns.positions, columns.fix_quality])[kept]
-        return StateColumns(columns.stamps[kept], states(positions), columns.rows[kept], as_sent)
+        columns = columns.rows_of(kept)
+        reading = Reading(fixes=fixes, receptions=_received(columns, arrived_ns))
+        return Trajectory(columns.stamps, positions, reading=reading), columns.rows
 
     def _trusted(
-        self, found: StateColumns, arrived_ns: Stamps, *, at_end: bool = False
-    ) -> StateColumns:
-        """Return the states whose timestamps are trusted by now, and all invalid poses.
+        self, new: Trajectory, rows: Indices, *, at_end: bool = False
+    ) -> tuple[Trajectory, Indices]:
+        """Return the states whose timestamps are trusted by now, and the rows of their messages.
 
         States that waited get the row of the first of these messages.
         """
-        poses, before = usable_rows(found.states)[0], self._trust.lone
-        self._batch += 1
-        self._width = max(self._width, found.states.shape[1])  # types may change on the way
-        rates = found.body_rates
-        rates = np.full((len(found.stamps), 3), np.nan) if rates is None else rates
-        states_ = as_wide(found.states, self._width)
-        arrived = arrived_ns[found.rows]
-        found = found._replace(states=states_, arrived=arrived, body_rates=rates)
-        batches = np.full(len(found.stamps), self._batch)
-        columns: list[NDArray[Any]] = [found.stamps, states_, found.rows, arrived, rates, batches]
-        stamps, states_, rows, arrived, rates, batches = self._trust.take(
-            *(each[poses] for each in columns), at_end=at_end
-        )
-        self.status.stream.add(stamps, arrived)
-        rows = np.where(batches == self._batch, rows, 0)
+        before, first = self._trust.lone, self._number
+        self._number += len(new)
+        numbers, states = np.arange(first, self._number), new
+        if len(self._held):
+            states = joined(self._held, new)
+            rows = np.concatenate([np.zeros(len(self._held), np.int64), rows])
+            numbers = np.concatenate([self._trust.waiting[1], numbers])
+        _, taken = self._trust.take(new.stamps, numbers[len(states) - len(new) :], at_end=at_end)
+        held = self._trust.waiting[1] if self._trust.waiting else taken[:0]
+        self._held = states[numbers.searchsorted(held)] if len(held) else NO_STATES
+        trusted = numbers.searchsorted(taken)
+        states, rows = states[trusted], rows[trusted]
+        if len(states):
+            self.status.stream.add(states.stamps, arrivals_of(states))
         if self._trust.lone > before:
             self._tell_lone(self._trust)
             self.status.drop(LONE, self._trust.lone - before)
-        trusted = StateColumns(stamps, states_, rows, None, arrived, rates)
-        return trusted if poses.all() else trusted.joined(found.picked(~poses))
+        return states, rows
 
     def _tell_lone(self, trust: StampTrust) -> None:
         """Count isolated timestamps, and report them once."""
@@ -306,9 +296,7 @@ class PoseStream:
                 self._is_told = True
                 self.news.append(self.trouble)
 
-    def _count(self, found: StateColumns) -> None:
-        poses = usable_rows(found.states)[0]
-        stamps = found.stamps[poses]
+    def _count(self, stamps: Stamps) -> None:
         if not len(stamps):
             return
         self.status.count(stamps)
@@ -335,3 +323,14 @@ class PoseStream:
         """Store a new note, and publish it as a warning with the code of an event."""
         if self.status.note(note(code, said)):
             self.news.append(warning(event, said, values=values))
+
+
+def arrivals_of(states: Trajectory) -> Stamps:
+    """Return the times of arrival of decoded states (N,), nanoseconds; may be `UNKNOWN`."""
+    receptions = states.reading.receptions
+    assert receptions is not None
+    return receptions.times
+
+
+def _received(columns: PoseColumns, arrived_ns: Stamps) -> Receptions:
+    return Receptions(arrived_ns[columns.rows], "node", body_rates=columns.body_rates)

@@ -5,19 +5,18 @@ from __future__ import annotations
 import functools
 import uuid
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 from trajeval_ros.exceptions import TrajevalError
 from trajeval_ros.formatting.remarks import Remark
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.fix_selection import fixes_of_rows
 from trajeval_ros.geometry.gauge import Gauge
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.discontinuities.events import Event
+from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.reports import Snapshot, Update
-from trajeval_ros.online.state_rows import Pairs
+from trajeval_ros.online.state_rows import rows_of
 from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
-from trajeval_ros.ros.poses import StateColumns
 from trajeval_ros.viewer.live_scene import LiveScene
 from trajeval_ros.viewer.sinks import ServerTarget, sinks_for
 from trajeval_ros.viewer.stream import DrawingThread, give_way
@@ -95,10 +94,13 @@ class RerunOutput:
                 self._put(functools.partial(_show_status, name, stamp, now))
 
     def news(self) -> list[str]:
-        """Return the problems since the last call."""
-        troubles = [self.trouble, *(stream.trouble for stream, _ in self._streams)]
-        new = [each for each in troubles if each and each not in self._told]
-        self._told.update(new)
+        """Return the problems that are new since the last call."""
+        present = [
+            self.trouble,
+            *(stream.trouble or stream.absence for stream, _ in self._streams),
+        ]
+        new = [trouble for trouble in present if trouble and trouble not in self._told]
+        self._told = set(present)
         return new
 
     @property
@@ -123,18 +125,18 @@ class RerunOutput:
     def _stream(self, place: int) -> DrawingThread | None:
         return self._streams[place][0] if place < len(self._streams) else None
 
-    def _groundtruth(self, poses: StateColumns) -> None:
+    def _groundtruth(self, states: Trajectory) -> None:
         status, up = self._run.groundtruth_status, self._run.groundtruth_up
-        frames, datum = (status.frame, status.child_frame), status.datum
-        self._put(lambda scene: scene.groundtruth(poses.stamps, poses.states, up, *frames))
-        if poses.fixes is not None and datum is not None:
-            as_sent = fixes_of_rows(poses.fixes[:, :3], poses.fixes[:, 3:])
-            fixes = replace(as_sent, datum=datum)
-            self._put(lambda scene: scene.fixes(poses.stamps, fixes))
+        stamps, poses, fixes = states.stamps, rows_of(states), states.reading.fixes
+        frames = status.frame, status.child_frame
+        self._put(lambda scene: scene.groundtruth(stamps, poses, up, *frames))
+        if fixes is not None and fixes.datum is not None:
+            self._put(lambda scene: scene.fixes(stamps, fixes))
 
-    def _pairs(self, estimate: LiveEstimate, pairs: Pairs) -> None:
+    def _pairs(self, estimate: LiveEstimate, pairs: PairedStates) -> None:
         name, frames = estimate.name, (estimate.status.frame, estimate.status.child_frame)
-        self._put(lambda scene: scene.pairs(name, *pairs, *frames))
+        sides = rows_of(pairs.groundtruth), rows_of(pairs.estimate)
+        self._put(lambda scene: scene.pairs(name, pairs.stamps, *sides, *frames))
 
     def _put(self, draw: Callable[[LiveScene], object]) -> None:
         for stream, scene in self._streams:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.ros import parameters
-from trajeval_ros.ros.lifetime import StopSignal, ros
+from trajeval_ros.ros.lifetime import StopSignal, ros, use_one_heap
 from trajeval_ros.ros.message_types import require_ros
 from trajeval_ros.ros.status_topics import log
 from trajeval_ros.viewer.stream import give_way
@@ -56,6 +56,7 @@ class PeriodicTask:
 def evaluate_live(arguments: Sequence[str]) -> int:
     """Run the evaluator until SIGINT, SIGTERM or SIGHUP; returns the exit status."""
     require_ros()
+    use_one_heap()
     with ros(arguments) as stop:
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node

@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 
 from trajeval_ros.diagnosis.causes import DISCONTINUITIES
 from trajeval_ros.formatting.remarks import Remark, warning
-from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.io.requests.request_from import in_names_of_settings
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.tracking_loss import Loss
-from trajeval_ros.online.state_rows import Pairs
-from trajeval_ros.online.whole_run import RevisedPath, ThinnedRun, association_of, evaluate_rows
+from trajeval_ros.online.pairing import PairedStates
+from trajeval_ros.online.whole_run import RevisedPath, ThinnedRun, association_of, evaluation_of
 from trajeval_ros.pipeline.diagnosing import diagnose
 from trajeval_ros.pipeline.input_remarks import about_frames
 from trajeval_ros.pipeline.request import Request
@@ -35,9 +34,8 @@ _OTHER_RUN_FROM_S = 75.0
 
 
 def hints_about(
-    pairs: Pairs,
+    pairs: PairedStates,
     protocol: Protocol,
-    ups: tuple[UpAxis, UpAxis],
     bodies: tuple[str, str],
     losses: Sequence[Loss],
     *,
@@ -46,8 +44,8 @@ def hints_about(
     """Return the mistakes that are found in pairs without losses, and differences of frames."""
     found = [("frames", each.text) for each in about_frames(*bodies)]
     plain = replace(protocol, lengths=(), align_states=None, align_with="positions")
-    if len(pairs.stamps):
-        some = association_of(pairs, plain, ups)
+    if len(pairs):
+        some = association_of(pairs, plain)
         left_out = _NOT_BY_SOME_PAIRS if of_clocks else _NOT_BY_SOME_PAIRS | _CLOCKS
         if some.estimate.duration_s < _OTHER_RUN_FROM_S:
             left_out = left_out | {"other_run"}
@@ -88,7 +86,6 @@ class SlowEvaluation:
         thinned: ThinnedRun,
         path: RevisedPath | None,
         protocol: Protocol,
-        ups: tuple[UpAxis, UpAxis],
         bodies: tuple[str, str],
         losses: Sequence[Loss],
         *,
@@ -108,8 +105,7 @@ class SlowEvaluation:
         some = newest = None
         if thinned.span_s >= self._hints_at_s:
             self._hints_at_s = _GROWTH * thinned.span_s
-            stamps, groundtruth, estimate = thinned.columns()
-            some = Pairs(stamps.copy(), groundtruth.copy(), estimate.copy())  # since they change
+            some = thinned.pairs()
         if path is not None and path.version != self._version:
             newest, self._version = path.pairs(), path.version
 
@@ -117,8 +113,8 @@ class SlowEvaluation:
             return _Findings(
                 None
                 if some is None
-                else hints_about(some, protocol, ups, bodies, losses, of_clocks=of_clocks),
-                None if newest is None else evaluate_rows(newest, protocol, ups),
+                else hints_about(some, protocol, bodies, losses, of_clocks=of_clocks),
+                None if newest is None else evaluation_of(newest, protocol),
             )
 
         if some is not None or newest is not None:

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.online.state_rows import QUATERNION
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.ros.live_estimate import DecodedMessages, LiveEstimate
 from trajeval_ros.ros.marker_body import MarkerBody
 
@@ -86,10 +82,10 @@ class StartDecision:
         marker = f"hand_eye {self.body.source}" if self.body.is_wanted else ""
         return " and ".join(filter(None, (clocks, marker)))
 
-    def see_groundtruth(self, states: Floats) -> None:
-        """Determine from groundtruth states (N, 10), N > 0, whether they have orientations."""
+    def see_groundtruth(self, states: Trajectory) -> None:
+        """Determine from groundtruth states, N > 0, whether they have orientations."""
         if self._is_oriented is None:
-            self._is_oriented = not np.isnan(states[0, QUATERNION.start])
+            self._is_oriented = states.quaternions is not None
 
     def look(self, first: LiveEstimate, held_s: float, *, at_end: bool = False) -> float | None:
         """Return the clock offset, seconds, at the moment of the decision; otherwise None.

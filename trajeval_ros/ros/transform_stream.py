@@ -9,10 +9,11 @@ import numpy as np
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import note, warning
-from trajeval_ros.geometry.arrays import Stamps
-from trajeval_ros.geometry.reading import FORMAT
+from trajeval_ros.geometry.arrays import Indices, Stamps
+from trajeval_ros.geometry.reading import FORMAT, Reading
+from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.geometry.stamp_trust import LONE, NEAR_NS, StampTrust
-from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.bags.pose_messages import TransformColumns, decode_transforms
 from trajeval_ros.io.bags.received_transforms import (
     NO_TRANSFORMS,
@@ -32,8 +33,7 @@ from trajeval_ros.io.bags.transform_tree import (
 )
 from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.state_buffer import NEVER
-from trajeval_ros.online.state_rows import states
-from trajeval_ros.ros.poses import PoseStream, StateColumns
+from trajeval_ros.ros.poses import PoseStream
 
 _MEMORY_S = 10.0  # time span that is kept while the two frames are not connected
 _MOST_TRANSFORMS = 50_000  # transforms per edge
@@ -68,8 +68,8 @@ class TransformStream(PoseStream):
 
     def poses(
         self, message_type: str, payloads: Sequence[bytes], arrived_ns: Stamps
-    ) -> StateColumns:
-        """Return the states that new messages complete, with the index of the last message."""
+    ) -> tuple[Trajectory, Indices]:
+        """Return the states that new messages complete, with the row of the last message."""
         del message_type  # timestamps are tested per edge
         edges, undecodable = decode_transforms(payloads)
         self.status.drop("undecodable", undecodable)
@@ -81,23 +81,26 @@ class TransformStream(PoseStream):
             self._receive(key, edges[key], arrived_ns)
         return self._completed(len(payloads) - 1, arrived_ns)
 
-    def _completed(self, row: int, arrived_ns: Stamps) -> StateColumns:
-        """Return the states that are possible now, with the index and the arrival of a message."""
+    def _completed(self, row: int, arrived_ns: Stamps) -> tuple[Trajectory, Indices]:
+        """Return the states that are possible now, with the row and the arrival of a message."""
         stamps = self._new_stamps()
-        states_ = states(*compose(self._edges, self._way, stamps))
-        found = StateColumns(stamps, states_, np.full(len(stamps), row))
+        arrived = np.full(len(stamps), UNKNOWN)  # only of the newest
         if len(stamps):
             self._until = int(stamps[-1])
             self.heard_at = time.monotonic()
             self.arrivals.see(stamps[-1:], arrived_ns[-1:])
-            arrived = np.full(len(stamps), UNKNOWN)  # only of the newest
             arrived[-1] = arrived_ns[-1]
             self.status.stream.add(stamps, arrived)
+        composed = compose(self._edges, self._way, stamps)
+        reading = Reading(receptions=Receptions(np.full(len(stamps), UNKNOWN), "node"))
+        states = Trajectory.from_columns(stamps, *composed, reading=reading)
+        for reason, number in states.reading.dropped.items():
+            self.status.drop(reason, number)
         self._forget()
-        self._count(found)
-        return found
+        self._count(states.stamps)
+        return states, np.full(len(states), row)
 
-    def as_received(self, poses: StateColumns) -> StateColumns:
+    def as_received(self, poses: Trajectory) -> Trajectory:
         """Return the poses at every reception since the last call; see `ReceivedChain`.
 
         They begin when the leading edge is determined. Their times of arrival are never `UNKNOWN`.
@@ -106,23 +109,16 @@ class TransformStream(PoseStream):
             return poses
         self._chain = self._chain or ReceivedChain(self._edges, self._way, self._leading)
         found = self._chain.poses(self._received, at_end=self._is_over)
-        self._received, receptions = {}, found.reading.receptions
-        assert receptions is not None
-        return StateColumns(
-            found.stamps,
-            states(found.positions, found.quaternions),
-            np.arange(len(found)),
-            arrived=receptions.times,
-            corrected=receptions.corrected,
-        )
+        self._received = {}
+        return found
 
-    def last_poses(self) -> StateColumns:
+    def last_poses(self) -> Trajectory:
         """Return the states whose timestamps are still under test, at the end of the run."""
         self._is_over = True
         for key in self._trusts:
             none = np.empty(0, np.int64)
             self._extend(key, TransformColumns(none, np.empty((0, 7)), none))
-        return self._completed(0, np.array([UNKNOWN]))
+        return self._completed(0, np.array([UNKNOWN]))[0]
 
     def hold(self, payloads: Sequence[bytes]) -> None:
         """Add static transforms."""

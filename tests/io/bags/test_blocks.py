@@ -26,7 +26,6 @@ from trajeval_ros.io.bags.blocks import (
     blocks_of,
     gather,
     in_order,
-    logged_within,
     merged,
 )
 from trajeval_ros.io.bags.byte_source import (
@@ -90,8 +89,6 @@ def test_a_time_window_begins_with_its_begin_and_ends_before_its_end(
     assert listed(block(content).within(begin, end)) == [
         each for each in content if is_inside(each[1])
     ]
-    times = np.array([time for _, time, _ in content], dtype=np.int64)
-    assert logged_within(times, begin, end).tolist() == [is_inside(each) for each in times]
 
 
 @pytest.mark.parametrize("rows", [1, 3, 1000])

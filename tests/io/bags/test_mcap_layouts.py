@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from damaged_bags import SECOND, assert_damaged, assert_whole, definition, payloads, rows_of
+from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Schema
 from mcap_layouts import MAGIC, Layout, Part, record
 
@@ -200,3 +201,35 @@ def test_strict_has_a_sentence_for_the_command_line(
     assert f"declares {COUNT + 50} messages on /pose, but {COUNT} were read" in (
         capsys.readouterr().err
     )
+
+
+@pytest.mark.parametrize("place", ["in the chunk", "above the chunk"])
+@pytest.mark.parametrize("compression", ["", "zstd"])
+def test_a_summary_with_another_topic_than_the_data_is_reported(
+    place: str, compression: str, tmp_path: Path
+) -> None:
+    """The poses of another topic could be taken for the requested ones."""
+    rows = [(1, time * SECOND, payload) for time, payload in enumerate(payloads(60))]
+    inside = RecordBuilder()
+    Channel(1, "/pose", "cdr", {}, 1).write(inside)
+    part = Part(rows, compression=compression)
+    if place == "in the chunk":
+        part = dataclasses.replace(part, before=inside.end())
+    layout = Layout(
+        [Schema(1, definition(POSE_STAMPED), "ros2msg", POSE_STAMPED)],
+        [Channel(1, "/pose" if place == "above the chunk" else "/poze", "cdr", {}, 1)],
+        [part],
+    )
+    content = bytes(layout)
+    if place == "above the chunk":
+        at = content.rindex(b"/pose")
+        content = content[:at] + b"/poze" + content[at + 5 :]
+        content = content[:-12] + bytes(4) + content[-8:]  # no checksum of the summary
+    path = tmp_path / "x.mcap"
+    path.write_bytes(content)
+    sentence = "/poze is named '/pose' in another record"
+    read = read_trajectory(path)
+    assert len(read) == 60
+    assert any(sentence in remark.text for remark in read.reading.remarks)
+    with pytest.raises(InputError, match=sentence):
+        read_trajectory(path, strict=True)

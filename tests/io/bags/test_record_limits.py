@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -37,8 +36,6 @@ from trajeval_ros.io.bags.message_definitions import (
     recorded_fields,
     types_in,
 )
-from trajeval_ros.io.bags.ros1_records import BagRecord, ChunkIndex, fields_at, record_at
-from trajeval_ros.io.bags.ros1_records import _message_at as message_at
 
 is_damaged = partial(is_refused, error=DamagedError)
 
@@ -138,94 +135,6 @@ def test_parts_of_a_chunk_are_read_if_they_are_at_most_half_of_it(offsets: Any, 
 def test_one_message_of_a_small_chunk(size: int, *, is_worthwhile: bool) -> None:
     found = mcap_chunk_reading._runs_of(chunk(size, size, ""), index(0))
     assert found == ([(0, 4096)] if is_worthwhile else None)
-
-
-def fields(**values: bytes) -> bytes:
-    parts = [name.encode() + b"=" + value for name, value in values.items()]
-    return b"".join(struct.pack("<I", len(each)) + each for each in parts)
-
-
-def record(header: bytes, data: bytes = b"") -> bytes:
-    return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
-
-
-def read(content: bytes) -> Callable[[int, int], bytes]:
-    return Memory(content).read
-
-
-def test_a_record_of_ros1_has_its_fields_and_its_place() -> None:
-    header = fields(op=b"\x05", conn=b"\1\2\0\0", time=struct.pack("<II", 3, 4), text=b"a=b")
-    content = b"before" + record(header, b"data") + b"behind"
-    found = record_at(read(content), 6, 5)
-    assert content[found.begin : found.end] == b"data"
-    assert content[found.end :] == b"behind"
-    assert (found.number("op", 1), found.number("conn", 4)) == (5, 513)
-    assert found.time("time") == 3_000_000_004
-    assert (found.text("text"), found.text("none")) == ("a=b", "")
-    for name, size in (("op", 4), ("conn", 8), ("conn", 2), ("none", 4)):
-        assert is_damaged(found.number, name, size)
-    assert is_damaged(record_at, read(content), 6, 6)
-    for end in range(7, len(content) - 10):
-        assert is_damaged(record_at, read(content[:end]), 6)
-    assert found.number("conn", 4) == record_at(read(content[:-10]), 6).number("conn", 4)
-
-
-@pytest.mark.parametrize("text", [b"\5\0\0\0op=1", b"\3\0\0\0op=1", b"\2\0\0\0op", b"\0\0\0\0"])
-def test_fields_of_another_size_are_damage(text: bytes) -> None:
-    assert is_damaged(record_at, read(record(text)), 0)
-
-
-def test_sizes_of_records_of_ros1() -> None:
-    def header(size: int) -> bytes:
-        return fields(op=b"\2", x=bytes(size - 14))
-
-    assert len(header(1 << 16)) == 1 << 16
-    record_at(read(record(header(1 << 16))), 0)
-    assert is_damaged(record_at, read(record(header((1 << 16) + 1))), 0)
-    data = fields(topic=b"/a")
-    for size, refused in ((len(data), False), (len(data) + 1, True), ((1 << 24) + 1, True)):
-        place = BagRecord(b"", {}, 3, size)
-        assert is_damaged(fields_at, read(b"123" + data), place) == refused
-    assert fields_at(read(b"123" + data), BagRecord(b"", {}, 3, len(data))).text("topic") == "/a"
-    padded = data + fields(x=bytes((1 << 24) - len(data) - 6))
-    place = BagRecord(b"", {}, 0, len(padded))
-    assert len(padded) == 1 << 24
-    assert fields_at(read(padded), place).text("topic") == "/a"
-
-
-@pytest.mark.parametrize(("count", "is_found"), [(0, True), (15, True), (16, False)])
-def test_a_message_comes_after_at_most_15_connections(count: int, *, is_found: bool) -> None:
-    before = record(fields(op=b"\x07", conn=bytes(4)), b"data") * count
-    content = before + record(fields(op=b"\x02", conn=bytes(4)), b"message")
-    if is_found:
-        found = message_at(read(content), 0)
-        assert content[found.begin : found.end] == b"message"
-    else:
-        assert is_damaged(message_at, read(content), 0)
-    other = record(fields(op=b"\x04"), b"index") + content
-    assert is_damaged(message_at, read(other), 0)
-
-
-@given(
-    st.lists(st.tuples(st.integers(0, 4), st.integers(0, 10**9 - 1)), max_size=12),
-    st.none() | st.integers(0, 5 * 10**9),
-    st.none() | st.integers(0, 5 * 10**9),
-)
-def test_messages_of_a_chunk_of_ros1_in_a_window(
-    times: list[tuple[int, int]], begin: int | None, end: int | None
-) -> None:
-    entries = np.array([[*each, row] for row, each in enumerate(times)], dtype=np.uint32)
-    full = ChunkIndex(np.arange(len(times)), entries.reshape(-1, 3))
-    nanoseconds = [seconds * 10**9 + rest for seconds, rest in times]
-    assert full.log_times.tolist() == nanoseconds
-    assert full.within(begin, end).offsets.tolist() == [
-        row
-        for row, time in enumerate(nanoseconds)
-        if (begin is None or time >= begin) and (end is None or time < end)
-    ]
-    assert full.within(begin, None).connections.tolist() == [
-        row for row, time in enumerate(nanoseconds) if begin is None or time >= begin
-    ]
 
 
 def definition(fields: int, levels: int = 1, kind: str = "int8") -> str:

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.fix_selection import fixes_of_rows
 from trajeval_ros.io.live import chunk_file
 from trajeval_ros.io.live.chunk_file import ChunkWriter, read_chunks, read_tables
 from trajeval_ros.io.live.fix_file import FixWriter, read_fix_rows
@@ -99,8 +100,9 @@ def test_trouble_of_the_disk_at_the_end_is_told(tmp_path: Path) -> None:
 def test_fixes_are_read_as_written(tmp_path: Path) -> None:
     writer, rng = FixWriter(tmp_path), np.random.default_rng(0)
     rows = rng.normal(size=(7, 14))
+    rows[:, 3:5] = rng.integers(-1, 3, size=(7, 2))
     for part in (slice(0, 3), slice(3, 7)):
-        writer.append(np.arange(7)[part], rows[part])
+        writer.append(np.arange(7)[part], fixes_of_rows(rows[part, :3], rows[part, 3:]))
     writer.close()
     stamps, found = read_fix_rows(tmp_path)
     assert stamps.tolist() == list(range(7))

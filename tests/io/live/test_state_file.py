@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import struct
+import tracemalloc
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -15,46 +16,60 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
+from state_rows import trajectory
 from strategies import seeds
 
 from trajeval_ros.exceptions import InputError
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.live import chunk_file
 from trajeval_ros.io.live.state_file import RecordedStates, StateWriter, copy_states, read_states
 from trajeval_ros.metrics.stream_health import UNKNOWN
+from trajeval_ros.online.state_buffer import joined
 
 DESCRIPTION = {"source": "/vio", "name": "vio", "place": 0}
 
 
-def chunk(seed: int, count: int) -> tuple[Any, Any, Any]:
+def chunk(seed: int, count: int) -> Trajectory:
     random = np.random.default_rng(seed)
     rows = random.normal(size=(count, 10))
     rows[:, 7:] = np.nan
     stamps, arrived = random.integers(-(2**62), 2**62, size=(2, count))
-    return stamps, rows, arrived
+    return trajectory(stamps, rows, arrived=arrived)
 
 
-def write(path: Path, counts: list[int], seed: int = 0) -> list[tuple[Any, Any, Any]]:
+def write(path: Path, counts: list[int], seed: int = 0) -> list[Trajectory]:
     """Write chunks of states, every other one followed by counts; returns them."""
     path.unlink(missing_ok=True)
     writer = StateWriter(path, DESCRIPTION)
     chunks = [chunk(seed + place, count) for place, count in enumerate(counts)]
     for place, each in enumerate(chunks):
-        writer.append(*each)
+        writer.append(each)
         if place % 2:
             writer.tell({"number": place})
     writer.close()
     return chunks
 
 
-def assert_prefix(read: RecordedStates, chunks: list[tuple[Any, Any, Any]]) -> int:
-    """Assert that a file holds the first chunks, each whole; returns their number."""
-    ends = np.cumsum([0, *(len(each[0]) for each in chunks)])
-    held = int(np.searchsorted(ends, len(read.stamps), side="left"))
-    assert ends[held] == len(read.stamps)
-    for name, column in zip(("stamps", "states", "arrived"), range(3), strict=True):
-        expected = np.concatenate([chunks[0][column][:0], *(c[column] for c in chunks[:held])])
-        np.testing.assert_array_equal(getattr(read, name), expected)
+def assert_prefix(read: RecordedStates, chunks: list[Trajectory]) -> int:
+    """Assert that a file holds the first chunks, complete; returns their number."""
+    ends, states = np.cumsum([0, *map(len, chunks)]), read.states
+    held = int(np.searchsorted(ends, len(states), side="left"))
+    assert ends[held] == len(states)
+    assert states.velocities is None
+    if held:
+        expected = chunks[0]
+        for following in chunks[1:held]:
+            expected = joined(expected, following)
+        for name in ("stamps", "positions", "quaternions"):
+            np.testing.assert_array_equal(getattr(states, name), getattr(expected, name))
+        np.testing.assert_array_equal(times_of(states), times_of(expected))
     return held
+
+
+def times_of(states: Trajectory) -> NDArray[np.int64]:
+    assert states.reading.receptions is not None
+    return states.reading.receptions.times
 
 
 @given(seed=seeds, counts=st.lists(st.integers(1, 4), min_size=1, max_size=5), data=st.data())
@@ -114,6 +129,21 @@ def test_a_head_that_lies_about_sizes_takes_no_memory(
     read = read_states(path)
     assert assert_prefix(read, chunks) == 1
     assert read.torn == 20
+
+
+def test_ten_sparse_gigabytes_take_no_memory(tmp_path: Path) -> None:
+    """As a file system leaves a file after a crash; zeros are no chunk."""
+    path = tmp_path / "vio.states"
+    chunks = write(path, [3, 2])
+    size = path.stat().st_size
+    os.truncate(path, 10 << 30)
+    tracemalloc.start()
+    recorded = read_states(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 1 << 20
+    assert assert_prefix(recorded, chunks) == 2
+    assert recorded.torn == (10 << 30) - size
 
 
 @pytest.mark.parametrize("text", [b"[1]", b"nonsense", b"\xff\xfe", b'"text"'])
@@ -187,13 +217,13 @@ def test_a_full_disk_is_written_to_again(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "write", disk)
         for each in chunks[:4]:
-            writer.append(*each)
+            writer.append(each)
         is_full = room < 4 * (16 + 3 * 96)
         assert (writer.trouble == "no space left on device") == is_full
         assert assert_prefix(read_states(path), chunks) <= 4  # never half a chunk
         assert read_states(path).torn == 0
         disk.room = 10**6
-        writer.append(*chunks[4])
+        writer.append(chunks[4])
         assert writer.trouble == ""
         writer.close()
     assert assert_prefix(read_states(path), chunks) == 5
@@ -208,7 +238,7 @@ def on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Sta
     disk = Disk(0)
     monkeypatch.setattr(os, "write", disk)
     for place in range(4):
-        writer.append(*chunk(place, 3))
+        writer.append(chunk(place, 3))
     return writer, disk
 
 
@@ -254,21 +284,23 @@ def test_covariances_and_receptions_are_kept_in_order(tmp_path: Path) -> None:
     writer = StateWriter(tmp_path / "x.states", DESCRIPTION)
     random = np.random.default_rng(1)
     narrow, wide = random.normal(size=(3, 10)), random.normal(size=(2, 46))
-    writer.append(np.arange(3), narrow)
-    writer.append(np.arange(3, 5), wide, np.array([7, 9]))
-    writer.append(np.arange(5, 8), np.hstack([narrow, np.zeros((3, 36))]))
+    writer.append(trajectory(np.arange(3), narrow))
+    writer.append(trajectory(np.arange(3, 5), wide, arrived=np.array([7, 9])))
+    writer.append(trajectory(np.arange(5, 8), narrow))
     writer.close()
-    read = read_states(tmp_path / "x.states")
+    read = read_states(tmp_path / "x.states").states
     np.testing.assert_array_equal(read.stamps, np.arange(8))
-    np.testing.assert_array_equal(read.states, np.vstack([narrow, wide[:, :10], narrow]))
+    rows = np.vstack([narrow, wide[:, :10], narrow])
+    np.testing.assert_array_equal(read.positions, rows[:, :3])
+    np.testing.assert_array_equal(read.velocities, rows[:, 7:])
     assert read.covariances is not None
     np.testing.assert_array_equal(read.covariances[3:5].reshape(2, 36), wide[:, 10:])
     assert not read.covariances[[0, 1, 2, 5, 6, 7]].any()
-    assert read.arrived.tolist() == [UNKNOWN] * 3 + [7, 9] + [UNKNOWN] * 3
+    assert times_of(read).tolist() == [UNKNOWN] * 3 + [7, 9] + [UNKNOWN] * 3
     copied = StateWriter(tmp_path / "y.states", DESCRIPTION)
     copy_states(tmp_path / "x.states", copied, np.array([1, 4, 99]))
     copied.close()
-    part = read_states(tmp_path / "y.states")
-    assert (part.stamps.tolist(), part.arrived.tolist()) == ([1, 4], [UNKNOWN, 9])
+    part = read_states(tmp_path / "y.states").states
+    assert (part.stamps.tolist(), times_of(part).tolist()) == ([1, 4], [UNKNOWN, 9])
     assert part.covariances is not None
     np.testing.assert_array_equal(part.covariances, read.covariances[[1, 4]])

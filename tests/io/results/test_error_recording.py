@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from mcap.writer import Writer
 from recorded_errors import Recorded, read_recording
+from state_rows import states, trajectory
 from strategies import make_pair, seeds
 
 from trajeval_ros import Protocol, Request, run
@@ -26,7 +27,6 @@ from trajeval_ros.io.results.error_recording import write_error_recording
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
-from trajeval_ros.online.state_rows import states, trajectory
 
 TRUTH, ODOMETRY = "/groundtruth/pose", "/vio/odometry"
 ROOT = "/evaluator/vio_odometry"
@@ -118,27 +118,26 @@ def test_relative_errors_are_those_of_the_archive(
         ("length_2_5s", "2.5s"),
         ("length_10_percent", "10%"),
     ):
-        errors = recorded[f"{ROOT}/stamped/relative_error/{topic}"]
-        position_m = archive[f"vio_odometry.{name}.position_m"]
-        rotation_deg = archive[f"vio_odometry.{name}.rotation_deg"]
-        assert len(position_m)
-        assert errors.type == "geometry_msgs/msg/Vector3Stamped"
-        assert errors.vectors[:, 0] == pytest.approx(position_m, rel=1e-9, abs=1e-9)
-        assert errors.vectors[:, 1] == pytest.approx(rotation_deg, rel=1e-9, abs=1e-9)
-        ends = archive[f"vio_odometry.{name}.ends"]
-        stamps = archive["vio_odometry.stamps"][ends] - 1_000_000
-        assert errors.stamps == errors.times == stamps.tolist()
+        for part, metric in (("position", "position_m"), ("rotation", "rotation_deg")):
+            errors = recorded[f"{ROOT}/stamped/relative_error/{topic}/{part}"]
+            expected = archive[f"vio_odometry.{name}.{metric}"]
+            assert len(expected)
+            assert errors.type == "geometry_msgs/msg/Vector3Stamped"
+            assert errors.vectors[:, 0] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+            ends = archive[f"vio_odometry.{name}.ends"]
+            stamps = archive["vio_odometry.stamps"][ends] - 1_000_000
+            assert errors.stamps == errors.times == stamps.tolist()
 
 
 def test_statistics_are_those_of_the_result(
     recorded: dict[str, Recorded], result: dict[str, Any]
 ) -> None:
     [run_] = result["runs"]
-    ate = recorded[f"{ROOT}/stamped/ate"]
-    rmse = [run_["ate"][name]["rmse"] for name in ("position_m", "rotation_deg")]
-    assert ate.vectors.tolist() == [[*rmse, 0.0]] * 2
     times = recorded[f"{ROOT}/position_error"].times
-    assert ate.times == [times[0], times[-1]]
+    for part, metric in (("position", "position_m"), ("rotation", "rotation_deg")):
+        ate = recorded[f"{ROOT}/stamped/ate/{part}"]
+        assert ate.vectors.tolist() == [[run_["ate"][metric]["rmse"], 0.0, 0.0]] * 2
+        assert ate.times == [times[0], times[-1]]
     [message] = recorded["/diagnostics"].messages
     [status] = message.status
     values = {each.key: each.value for each in status.values}

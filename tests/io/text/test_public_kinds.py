@@ -48,6 +48,9 @@ ZEROS = np.zeros((COUNT, 36))
 WXYZ = XYZW[:, [3, 0, 1, 2]]
 BOTTOM = np.tile([0, 0, 0, 1], (COUNT, 1))
 HALF = np.hstack([STAMPS[:, None] // 10**9, STAMPS[:, None] % 10**9])
+TIMES = 0.05 * np.arange(COUNT)
+MOMENTS = (STAMPS // 1000).astype("M8[us]").astype(str)
+DATES, CLOCKS = np.array([moment.split("T") for moment in MOMENTS.tolist()]).T
 NAMES = np.full((COUNT, 1), "odom")
 INVERSE_WXYZ = TURNS.inv().as_quat()[:, [3, 0, 1, 2]]
 IMAGES = "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n" + "".join(
@@ -215,7 +218,37 @@ REFUSED: dict[str, tuple[str, int]] = {  # text, and which of the suggested opti
         0,
     ),
     "unknown names": (rows(SECONDS, PLACES, XYZW, header="a1 a2 a3 a4 a5 a6 a7 a8"), 0),
-}
+    "a quaternion without names": (
+        rows(SECONDS, PLACES, WXYZ, header="time x y z rot1 rot2 rot3 rot4"), 1,
+    ),
+    "a height without a name": (
+        rows(SECONDS, PLACES, XYZW, header="time x y vert qx qy qz qw"), 0,
+    ),
+    "two bodies": (
+        rows(SECONDS, PLACES, ZEROS[:, :3], XYZW, header="time x y z x y z qx qy qz qw"), 0,
+    ),
+    "angles without a header": (rows(SECONDS, PLACES, ANGLES), 0),
+    "dates without a header": (rows(DATES, CLOCKS, PLACES, XYZW), 0),
+    "one word of date and time": (rows(MOMENTS, PLACES, XYZW), 0),
+    "a word in a column": (rows(SECONDS, NAMES, PLACES, XYZW), 0),
+    "microseconds from the start of a clock": (
+        rows(10**13 + 50_000 * np.arange(COUNT), PLACES, XYZW), 0,
+    ),
+    "keys of GTSAM": (rows((97 << 56) + np.arange(COUNT), PLACES, XYZW), 0),
+    "words for times": (
+        rows(np.char.add("day", np.arange(COUNT).astype(str)), PLACES, XYZW,
+             header="time x y z qx qy qz qw"), 0,
+    ),
+    "Qualisys": (
+        "NO_OF_FRAMES\t60\nFrame\tTime\tX\tY\tZ\tRoll\tPitch\tYaw\tResidual\n"
+        + rows(np.arange(COUNT), SECONDS, 1e3 * PLACES, np.degrees(ANGLES), ZEROS[:, :1],
+               separator="\t"), 0,
+    ),
+}  # fmt: skip
+OTHER_TIMES = {  # their timestamps are no times since 1970
+    "unpadded nanoseconds", "microseconds from the start of a clock", "keys of GTSAM",
+    "words for times",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("side", [NO_HINTS, SideHints.of(None, None).groundtruth])
@@ -234,7 +267,35 @@ def test_the_option_that_a_refusal_suggests_works(
     found = read_trajectory(path, hints=hints.groundtruth if side.side else hints.estimate)
     if kind == "unpadded nanoseconds":
         assert found.stamps.tolist() == (STAMPS - 200_000_000).tolist()
-    assert_right(found, times=kind != "unpadded nanoseconds")
+    assert_right(found, times=kind not in OTHER_TIMES)
+
+
+@pytest.mark.parametrize(
+    ("text", "has_times"),
+    [
+        (rows(PLACES), False),
+        (rows(SECONDS, PLACES, ZEROS[:, :1] + 0.3), True),
+        (rows(SECONDS, PLACES, separator=",", header="when,where"), True),
+        (rows(SECONDS, PLACES, header="time vel_x vel_y vel_z"), True),  # if these are positions
+    ],
+)
+def test_the_option_for_a_few_columns_works(text: str, has_times: bool, tmp_path: Path) -> None:
+    path = tmp_path / "t.txt"
+    path.write_text(text)
+    with pytest.raises(InputError) as refusal:
+        read_trajectory(path)
+    [option] = re.findall(r"--columns '([^']*)'", str(refusal.value))
+    read = read_trajectory(path, hints=SideHints.of(option, None).estimate)
+    assert_right(read, rotations=False, times=has_times)
+
+
+@pytest.mark.parametrize("unit", ["10ns", "min", "h", "days"])
+def test_a_time_in_another_unit_is_refused(unit: str, tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    header = f"time [{unit}],x,y,z,qx,qy,qz,qw"
+    path.write_text(rows(TIMES, PLACES, XYZW, separator=",", header=header))
+    with pytest.raises(InputError, match=f"unit of the time, '{unit}', is unknown; convert it"):
+        read_trajectory(path)
 
 
 def test_rows_are_not_paired_by_number_while_an_unnamed_column_may_be_the_time(
@@ -400,3 +461,55 @@ def test_large_files_have_the_same_bits(
         monkeypatch.delattr(np, "loadtxt")  # pyarrow reads it
         assert len(read_trajectory(path)) == COUNT
     assert large.known_quaternions.tobytes() == plain.known_quaternions.tobytes()
+
+
+def test_lists_of_echoed_messages_are_read(tmp_path: Path) -> None:
+    """`rostopic echo` prints covariances as a list."""
+    covariance = np.diag([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    echo = MESSAGES.replace("pose:\n", f"covariance: [{', '.join(words(covariance))}]\npose:\n")
+    path = tmp_path / "t.txt"
+    path.write_text(echo)
+    covariances = read_trajectory(path).covariances
+    assert covariances is not None
+    np.testing.assert_allclose(covariances, np.tile(covariance, (COUNT, 1, 1)))
+
+
+def test_a_header_can_be_repeated(tmp_path: Path) -> None:
+    """As after two files were joined."""
+    path = tmp_path / "t.csv"
+    header = "time,x,y,z,qx,qy,qz,qw"
+    lines = rows(SECONDS, PLACES, XYZW, separator=",", header=header).splitlines()
+    path.write_text("\n".join([*lines[:30], header, *lines[30:]]))
+    assert_right(read_trajectory(path))
+
+
+def test_whole_seconds_beside_a_file_of_times_are_seconds(tmp_path: Path) -> None:
+    """Only layouts whose first column can count frames take their times from the file."""
+    (tmp_path / "times.txt").write_text("".join(f"{second}\n" for second in SECONDS))
+    path = tmp_path / "t.txt"
+    path.write_text(rows(np.arange(COUNT), PLACES))
+    assert read_trajectory(path).stamps.tolist() == (10**9 * np.arange(COUNT)).tolist()
+
+
+@pytest.mark.parametrize("time", ["stamp)", "t (s)", "time [s]"])
+def test_brackets_in_names(time: str, tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    header = f"{time},x,y,z,qx,qy,qz,qw"
+    path.write_text(rows(SECONDS, PLACES, XYZW, separator=",", header=header))
+    assert_right(read_trajectory(path))
+
+
+def test_covariances_named_by_axes(tmp_path: Path) -> None:
+    axes = ("x", "y", "z", "roll", "pitch", "yaw")
+    pairs = [(first, second) for first in range(6) for second in range(first, 6)]
+    names = [f"cov_{axes[first]}_{axes[second]}" for first, second in pairs]
+    values = np.arange(1.0, 22.0)
+    path = tmp_path / "t.csv"
+    header = ",".join(["time,x,y,z,qx,qy,qz,qw", *names])
+    path.write_text(
+        rows(SECONDS, PLACES, XYZW, np.tile(values, (COUNT, 1)), separator=",", header=header)
+    )
+    covariances = read_trajectory(path).covariances
+    assert covariances is not None
+    for (first, second), value in zip(pairs, values.tolist(), strict=True):
+        assert covariances[0, first, second] == covariances[0, second, first] == value

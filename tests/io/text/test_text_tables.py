@@ -346,7 +346,9 @@ def test_what_is_in_the_way_is_named(tmp_path: Path) -> None:
     text = "t,x,y,z,qx,qy,qz,qw\n" + rows(SECONDS, POSITIONS, XYZW) + "4,1,2,oops,0,0,0,1\n"
     with pytest.raises(InputError, match=r"line 5: 'oops' is .* in column 4 \(z\)"):
         read(tmp_path / "t.csv", text)
-    with pytest.raises(InputError, match=r"column 2: 'here' is not a number; .* --columns 't x"):
+    with pytest.raises(
+        InputError, match=r"column 2: 'here' is not a number; .* --columns 't _ x y"
+    ):
         read(tmp_path / "u.csv", "1 here 2 3\n")
     with pytest.raises(InputError, match=r"unknown layout with 5 columns, .* --columns 't x y z"):
         read(tmp_path / "v.csv", "1 2 3 4 5\n")

@@ -50,16 +50,6 @@ def are_same(values: NDArray[Any]) -> bool:
     return content == content[: values.itemsize] * len(values)
 
 
-def logged_within(log_times: Indices, begin: int | None, end: int | None) -> Booleans:
-    """Return which messages (N,) were logged at `begin` or later and before `end`, ns."""
-    wanted = np.ones(len(log_times), dtype=bool)
-    if begin is not None:
-        wanted &= log_times >= begin
-    if end is not None:
-        wanted &= log_times < end
-    return wanted
-
-
 _COLUMNS = "connections", "log_times", "begins", "sizes", "publish_times"
 
 
@@ -83,10 +73,15 @@ class Block:
         return at_rows(self, _COLUMNS, rows)
 
     def within(self, begin: int | None, end: int | None) -> Block:
-        """Return the messages logged at `begin` or later and before `end`."""
+        """Return the messages logged at `begin` or later and before `end`, ns."""
         if begin is None and end is None:
             return self
-        return self[logged_within(self.log_times, begin, end)]
+        is_within = np.ones(len(self), dtype=bool)
+        if begin is not None:
+            is_within &= self.log_times >= begin
+        if end is not None:
+            is_within &= self.log_times < end
+        return self[is_within]
 
     def decompressed(self) -> Iterator[Block]:
         """Yield the messages, decompressed if the recorder compressed them one by one.

@@ -69,10 +69,6 @@ def open_file(path: Path, folder: Path, *, strict: bool = False) -> Container:
         from trajeval_ros.io.bags.mcap_bag import McapReader
 
         return McapReader(source, strict=strict)
-    if beginning.startswith(_ROS1) and isinstance(source, LocalFile):
-        from trajeval_ros.io.bags.ros1_bag import Ros1Reader
-
-        return Ros1Reader(source)
     source.close()
     if isinstance(source, RemoteFile):
         raise InputError(f"{path} is not MCAP; copy it to this machine first")
@@ -82,6 +78,10 @@ def open_file(path: Path, folder: Path, *, strict: bool = False) -> Container:
         from trajeval_ros.io.bags.sqlite_bag import SqliteReader
 
         return SqliteReader(plain, source.name)
+    if beginning.startswith(_ROS1):
+        from trajeval_ros.io.bags.ros1_bag import Ros1Reader
+
+        return Ros1Reader(plain, source.name)
     raise InputError(f"{path} is not a bag: neither MCAP, sqlite3 nor ROS 1")
 
 

@@ -14,8 +14,7 @@ from trajeval_ros.geometry.fixes import Fixes
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.online.error_topics import ALIGNED_PATH, GROUNDTRUTH_PATH
-from trajeval_ros.online.state_rows import POSITION, QUATERNION
-from trajeval_ros.online.whole_run import ThinnedRun
+from trajeval_ros.online.pairing import PairedStates
 
 Messages = NDArray[np.uint8]
 _POSE_SIZE = 56  # bytes: position and quaternion
@@ -224,18 +223,14 @@ def encode_alignment(alignment: Similarity, stamps: Stamps, frames: tuple[str, s
     return bytes(_transforms(stamps, pose[None], frames, _MessageLayout())[0])
 
 
-def encode_paths(thinned: ThinnedRun, alignment: Similarity, frame: str) -> dict[str, bytes]:
+def encode_paths(pairs: PairedStates, alignment: Similarity, frame: str) -> dict[str, bytes]:
     """Return by topic the nav_msgs/Path of the aligned estimate and of the groundtruth."""
-    stamps, groundtruth, estimate = thinned.columns()
-    positions, turned = alignment.positions(estimate[:, POSITION]), _turned(estimate)
-    aligned = encode_path(stamps, positions, alignment.quaternions(turned), frame)
-    turned = _turned(groundtruth)
-    of_groundtruth = encode_path(stamps, groundtruth[:, POSITION], turned, frame)
-    return {ALIGNED_PATH: aligned, GROUNDTRUTH_PATH: of_groundtruth}
-
-
-def _turned(rows: Floats) -> Floats:
-    """Return the quaternions (N, 4) of states (N, 10), identities of positions alone."""
-    quaternions = np.nan_to_num(rows[:, QUATERNION])
-    quaternions[~quaternions.any(axis=1), 3] = 1.0
-    return quaternions
+    groundtruth, estimate = pairs.groundtruth, pairs.estimate
+    positions = alignment.positions(estimate.positions)
+    quaternions = alignment.quaternions(estimate.known_quaternions)
+    return {
+        ALIGNED_PATH: encode_path(pairs.stamps, positions, quaternions, frame),
+        GROUNDTRUTH_PATH: encode_path(
+            pairs.stamps, groundtruth.positions, groundtruth.known_quaternions, frame
+        ),
+    }

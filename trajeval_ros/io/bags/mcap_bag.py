@@ -64,6 +64,7 @@ class McapReader:
         self._chunks = sorted(found.chunks, key=lambda chunk: chunk.first)
         self._messages = found.messages
         self.connections: list[Connection] = found.registry.connections(found.counts, self)
+        self._unverified = dict(found.registry.channels)  # their chunks may name other topics
 
     @property
     def span(self) -> tuple[int, int] | None:
@@ -148,7 +149,8 @@ class McapReader:
         """Return the wanted messages of a chunk, or messages outside of chunks."""
         _, place = piece
         if isinstance(place, Chunk):
-            return read_chunk(self._source, place, wanted, strict=self._strict)
+            channels = self._unverified
+            return read_chunk(self._source, place, wanted, channels, strict=self._strict)
         try:
             return ChunkMessages(self._loose(place))
         except DamagedError as error:

@@ -10,6 +10,7 @@ import contextlib
 import struct
 from collections.abc import Collection
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,13 +27,19 @@ from trajeval_ros.io.bags.mcap_chunks import (
     whole,
 )
 from trajeval_ros.io.bags.mcap_records import (
+    CHANNEL,
     HEAD,
     MESSAGE,
     MESSAGE_HEAD,
     MESSAGE_INDEX,
     MessageIndex,
+    Registry,
     head_of,
+    records,
 )
+
+if TYPE_CHECKING:
+    from mcap.records import Channel
 
 _TAIL = 4096  # bytes read for the last message of a run, whose length is unknown
 _WORTHWHILE = 0.5  # of a chunk; above, the whole chunk is read and verified
@@ -48,9 +55,17 @@ class ChunkMessages:
 
 
 def read_chunk(
-    source: ByteSource, chunk: Chunk, wanted: Collection[int], *, strict: bool
+    source: ByteSource,
+    chunk: Chunk,
+    wanted: Collection[int],
+    channels: dict[int, Channel] | None = None,
+    *,
+    strict: bool,
 ) -> ChunkMessages:
-    """Return the messages of the wanted channels, all read at once."""
+    """Return the messages of the wanted channels, all read at once.
+
+    `channels`: those of the summary that no chunk has confirmed yet; this chunk's are removed.
+    """
     indexed = None
     try:
         require_size(chunk)
@@ -67,13 +82,37 @@ def read_chunk(
     if indexed is not None:
         with contextlib.suppress(DamagedError):
             found = _measured(data, indexed, len(data))
-            return ChunkMessages(block_in(data, found, chunk.first))
+            damage = _renamed(data, chunk, wanted, channels)
+            return ChunkMessages(block_in(data, found, chunk.first), damage)
     messages, is_whole = walked(data)
     found = of_channels(messages, wanted)
     is_damaged = not is_whole and not chunk.is_cut
-    return ChunkMessages(
-        block_in(data, found, chunk.first), "a chunk has incomplete records" if is_damaged else ""
-    )
+    damage = "a chunk has incomplete records" if is_damaged else ""
+    damage = damage or _renamed(data, chunk, wanted, channels)
+    return ChunkMessages(block_in(data, found, chunk.first), damage)
+
+
+def _renamed(
+    data: bytes | memoryview,
+    chunk: Chunk,
+    wanted: Collection[int],
+    channels: dict[int, Channel] | None,
+) -> str:
+    """Return which topics have another name in a chunk than in the summary, "" if none has.
+
+    The search ends when every channel has been seen, in its record or in a message.
+    """
+    channels = channels or {}
+    names = chunk.indexes.keys() & set(wanted) & channels.keys()
+    registry = Registry(channels={channel: channels.pop(channel) for channel in names})
+    for opcode, offset, length in records(data) if names else ():
+        if opcode == CHANNEL:
+            registry.add(opcode, data[offset : offset + length])
+        if opcode in (CHANNEL, MESSAGE):
+            names.discard(int.from_bytes(data[offset : offset + 2], "little"))
+        if not names:
+            break
+    return "; ".join(registry.damage)
 
 
 def _index_of(source: ByteSource, chunk: Chunk, wanted: Collection[int]) -> MessageIndex:

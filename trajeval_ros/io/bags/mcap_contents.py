@@ -147,6 +147,7 @@ class _Scan:
         unknown = sum(count for each, count in counts.items() if each not in known)
         if unknown:
             found.damage.append(f"{counted(unknown, 'message')} of undefined channels")
+        found.damage += found.registry.damage
         lost = declared.chunks - {chunk.offset for chunk in found.chunks}
         if lost:
             found.damage.append(f"{counted(len(lost), 'chunk')} of the summary not found")

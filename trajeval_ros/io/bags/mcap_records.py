@@ -25,6 +25,7 @@ HEAD = 9  # bytes of opcode and length
 FOOTER_SIZE = HEAD + 20
 MESSAGE_HEAD = 22  # bytes of a message before its payload
 PUBLISH_TIME = 8  # bytes of the publish time, the last of these
+_MOST_DAMAGE = 10  # sentences
 _HEAD = struct.Struct("<BQ")
 _LANGUAGES = {"ros2msg": "MSG", "ros1msg": "MSG", "ros2idl": "IDL"}
 _MESSAGE = struct.Struct("<HIQ")
@@ -88,6 +89,7 @@ class Registry:
 
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
+    damage: list[str] = field(default_factory=list)  # channels with two topics, a sentence each
 
     def add(self, opcode: int, content: bytes | memoryview) -> None:
         """Add a schema or channel from its record. The first record of an id is used."""
@@ -101,7 +103,10 @@ class Registry:
                 self.schemas.setdefault(schema.id, schema)
             elif opcode == CHANNEL:
                 channel = Channel.read(stream)
-                self.channels.setdefault(channel.id, channel)
+                first = self.channels.setdefault(channel.id, channel)
+                if channel.topic != first.topic and len(self.damage) < _MOST_DAMAGE:
+                    other = channel.topic[:100]
+                    self.damage.append(f"{first.topic} is named {other!r} in another record")
         except Exception as error:  # of many types, depending on the damage
             raise DamagedError("a schema or channel is damaged") from error
 

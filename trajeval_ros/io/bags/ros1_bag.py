@@ -1,90 +1,91 @@
-"""Bags of ROS 1, read by their index.
+"""Bags of ROS 1, read by rosbags: the messages of a chunk as a block.
 
-Only chunks with requested messages are read. Of a chunk that is not compressed, only the ranges of
-these messages are read. The format has no checksums: the header of every message is compared with
-the index instead. A file without a valid index is scanned from its start.
+Compressed chunks have limits here, and chunks that the index does not list are reported. A bag
+without an index, as after a killed recorder, is refused with the command that repairs it.
 """
 
 from __future__ import annotations
 
-import contextlib
+import functools
 import re
-from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterator, Sequence
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
 
-import numpy as np
+from rosbags.rosbag1.reader import Reader, decompressors
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
-from trajeval_ros.geometry.arrays import Booleans, Indices
-from trajeval_ros.io.bags.blocks import LARGEST, Block, TopicSelection, all_connections, are_of
-from trajeval_ros.io.bags.byte_source import GAP, ByteSource, ByteWindow, DamagedError, how_far
+from trajeval_ros.io.bags.blocks import (
+    LARGEST,
+    Block,
+    TopicSelection,
+    all_connections,
+    blocks_of,
+)
+from trajeval_ros.io.bags.byte_source import DamagedError
 from trajeval_ros.io.bags.compression import LARGEST_CHUNK, LARGEST_RATIO, decompress, most_of
 from trajeval_ros.io.bags.message_definitions import Connection, full_name
-from trajeval_ros.io.bags.ros1_records import (
-    BAG_HEADER,
-    CHUNK,
-    CHUNK_INFO,
-    CONNECTION,
-    ENTRY_SIZE,
-    INDEX,
-    BagRecord,
-    ChunkIndex,
-    ConnectionRecords,
-    fields_at,
-    find_messages,
-    messages_in,
-    record_at,
-)
 
-_MAGIC = b"#ROSBAG V2.0\n"
-_COMPRESSIONS = ("none", "bz2", "lz4")
-_HEADS = 1 << 12  # bytes read at once of records that are looked at
-
-
-@dataclass(frozen=True)
-class _Chunk:
-    """A chunk of the file."""
-
-    record: BagRecord
-    compression: str  # one of `_COMPRESSIONS`
-    size: int  # of its data after decompression, bytes
-    index: ChunkIndex  # its messages, in order of their offsets
-    first: int  # log time of the first one, ns
+_MAGIC = len(b"#ROSBAG V2.0\n")
+_LARGEST_HEADER = 1 << 16  # bytes of the fields of a record
+_CHUNK = b"\x04\0\0\0op=\x05"  # field of the records with messages
+_INDEX, _ENTRY = b"\x04\0\0\0op=\x04", 12  # of the records of the index; bytes of a message in it
+_MOST_MESSAGES = 20_000_000  # the reader needs 150 bytes of memory for each
+_SIZE = re.compile(rb"\x09\0\0\0size=(.{4})", re.DOTALL)
 
 
 class Ros1Reader:
     """An open bag of ROS 1."""
 
-    def __init__(self, source: ByteSource) -> None:
-        """Read the index."""
-        self.connections: list[Connection] = []  # its connections; several may have one topic
-        self.damage: list[str] = []  # what opening it found that can't be read, one sentence each
-        # First and last log time of all messages, ns; None if there is none.
-        self.span: tuple[int, int] | None = None
-        self._source = source
-        self._chunks: list[_Chunk] = []
-        self._window = ByteWindow(source, _HEADS)
-        if source.read(0, len(_MAGIC)) != _MAGIC:
-            raise DamagedError("its version is not 2.0")
-        self._compressed = 0  # bytes of the compressed chunks after decompression
-        head = record_at(self._read, len(_MAGIC), BAG_HEADER)
-        if head.text("encryptor"):
-            raise DamagedError("it is encrypted")
+    def __init__(self, path: Path, name: str) -> None:
+        """Read the index; `name` is the file's name in messages.
+
+        Raises:
+            InputError: It has no index that can be read, or states too large sizes.
+        """
+        self._name = name
+        sizes = _sizes_of_chunks(path)
+        self._reader = Reader(path)
         try:
-            connections, counts = self._indexed(head)
-        except DamagedError as error:
-            self._chunks, self.damage, self.span, self._compressed = [], [], None, 0
-            connections, counts = self._scanned(head.end, str(error))
-            if not connections:
-                raise
-        self._chunks.sort(key=lambda chunk: chunk.first)
-        self.connections = [self._connection(*each, counts) for each in connections.values()]
+            self._reader.open()
+        except Exception as error:  # of several types, depending on the damage
+            reason = str(error).rstrip(".")
+            if "supported" in reason:
+                raise InputError(f"{name} can't be read: {reason}") from error
+            is_absent = "not indexed" in reason
+            reason = "it has no index" if is_absent else "its index or a header is damaged"
+            raise InputError(
+                f"{name} can't be read: {reason}; to repair it, use `rosbag reindex {path.name}`"
+            ) from error
+        self._bound(sizes, path.stat().st_size)
+        counts: Counter[int] = Counter()
+        for info in self._reader.chunk_infos:
+            counts.update(info.connection_counts)
+        # Its connections; several may have one topic.
+        self.connections = [self._connection(each, counts) for each in self._reader.connections]
+        self._indexes = self._reader.indexes  # entries by connection, in order of their times
+        self.damage: list[str] = []  # what opening it found that can't be read
+        if unlisted := len(sizes.keys() - self._reader.chunks.keys()):
+            self.damage.append(
+                f"{name}: its index does not list {counted(unlisted, 'chunk')}; to read all, use "
+                f"`rosbag reindex {path.name}`"
+            )
+
+    @property
+    def span(self) -> tuple[int, int] | None:
+        """First and last log time of all messages, ns; None if there is none."""
+        infos = [info for info in self._reader.chunk_infos if info.connection_counts]
+        if not infos:
+            return None
+        # The end is after the last message.
+        return min(info.start_time for info in infos), max(info.end_time for info in infos) - 1
 
     def close(self) -> None:
         """Close the file."""
-        self._source.close()
+        self._reader.close()
 
     def blocks(
         self,
@@ -95,208 +96,113 @@ class Ros1Reader:
         in_order: bool = False,  # noqa: ARG002  # they always are
     ) -> Iterator[Block]:
         """Yield the messages of some connections, of all selections in one pass."""
-        lost = {each: Counter[str]() for each in selections}
+        lost = {selection: Counter[str]() for selection in selections}
         wanted = all_connections(selections)
-        for chunk in self._chunks:
-            index = chunk.index[are_of(chunk.index.connections, wanted)].within(begin, end)
-            if not len(index):
-                continue
-            block, valid, reason = self._block(chunk, index)
-            for selection in selections:
-                own = are_of(index.connections, selection.connections)
-                if count := int(np.count_nonzero(own & ~valid)):
-                    lost[selection][reason] += count
-            if valid.any():
-                yield block if valid.all() else block[valid]
+        anyone = [each for each in self._reader.connections if each.id in wanted][:1]
+        chunks = self._by_chunk(wanted, begin, end)
+        for place in sorted(chunks, key=lambda place: chunks[place][0].time):
+            # The reader stops at the first damage of what its index lists: a chunk at a time. It
+            # takes the connection of a message from the message, so all are listed under one.
+            self._reader.indexes = {anyone[0].id: chunks[place]}
+            messages: list[tuple[int, int, bytes]] = []
+            try:
+                for connection, time, payload in self._reader.messages(anyone):
+                    if connection.id in wanted:
+                        messages.append((connection.id, time, payload))
+            except Exception as error:  # of several types, depending on the damage
+                reason = str(error) if isinstance(error, DamagedError) else "a chunk is damaged"
+                read = Counter(number for number, _, _ in messages)
+                for selection in selections:
+                    listed = self._by_chunk(selection.connections, begin, end).get(place, [])
+                    lost[selection][reason] += len(listed)
+                    lost[selection][reason] -= sum(read[each] for each in selection.connections)
+            yield from blocks_of(messages)
         for selection in selections:
             selection.damage += [
-                f"{self._source.name} is damaged: {reason}, {counted(count, 'message')} lost; to "
-                "recover more, try `rosbag reindex` or `rosbag fix`"
+                f"{self._name} is damaged: {reason}, {counted(count, 'message')} lost; to recover "
+                "more, try `rosbag fix`"
                 for reason, count in lost[selection].items()
+                if count
             ]
 
-    def _block(self, chunk: _Chunk, index: ChunkIndex) -> tuple[Block, Booleans, str]:
-        """Return messages of a chunk, which of them are valid (N,), and why the others are not."""
-        nothing = np.zeros(len(index), dtype=np.int64)
-        data: bytes | memoryview = b""
-        begins, sizes, valid = nothing, nothing, nothing > 0
-        reason = "a message is not at its indexed position"
-        try:
-            data, offsets = self._data(chunk, index.offsets)
-            begins, sizes, valid = find_messages(data, offsets, index)
-        except DamagedError as error:
-            reason = str(error)
-        buffer = np.frombuffer(data, dtype=np.uint8)
-        times = index.log_times
-        block = Block(chunk.first, index.connections, times, buffer, begins, sizes, times)
-        return block, valid, reason
+    def _by_chunk(
+        self, connections: Collection[int], begin: int | None, end: int | None
+    ) -> dict[int, list[Any]]:
+        """Return the entries of some connections in a time window, by chunk, in order of time."""
+        chunks: dict[int, list[Any]] = defaultdict(list)
+        for connection in connections:
+            for entry in self._indexes.get(connection, ()):
+                if (begin is None or entry.time >= begin) and (end is None or entry.time < end):
+                    chunks[entry.chunk_pos].append(entry)
+        for entries in chunks.values():
+            entries.sort(key=attrgetter("time"))
+        return chunks
 
-    def _data(self, chunk: _Chunk, offsets: Indices) -> tuple[bytes | memoryview, Indices]:
-        """Return bytes of a chunk, and where in them the messages at some offsets are."""
-        record = chunk.record
-        if chunk.compression == "none":
-            every = chunk.index.offsets
-            nexts = np.append(every, chunk.size)[np.searchsorted(every, offsets, side="right")]
-            breaks = np.flatnonzero(offsets[1:] - nexts[:-1] > GAP) + 1
-            begins = offsets[np.append(0, breaks)]
-            sizes = nexts[np.append(breaks, len(offsets)) - 1] - begins
-            ranges = zip((record.begin + begins).tolist(), sizes.tolist(), strict=True)
-            pieces = self._source.read_all(list(ranges))
-            if [len(each) for each in pieces] != sizes.tolist():
-                raise DamagedError("a chunk is truncated")
-            runs = np.searchsorted(breaks, np.arange(len(offsets)), side="right")
-            moved = offsets - begins[runs] + (np.cumsum(sizes) - sizes)[runs]
-            return pieces[0] if len(pieces) == 1 else b"".join(pieces), moved
-        stored = self._source.read(record.begin, record.size)
-        data = decompress(chunk.compression, stored, chunk.size)
-        if len(data) != chunk.size:
-            raise DamagedError("a chunk can't be decompressed")
-        return data, offsets
-
-    def _read(self, offset: int, size: int) -> bytes:
-        return self._window.at(offset, size, self._source.size)
-
-    def _records(self, offset: int, kind: int, count: int) -> tuple[list[BagRecord], int]:
-        """Return records of one kind in a row, and where they end."""
-        records = []
-        for _ in range(count):
-            records.append(record_at(self._read, offset, kind))
-            offset = records[-1].end
-        return records, offset
-
-    def _indexed(self, head: BagRecord) -> tuple[ConnectionRecords, Counter[int]]:
-        """List the chunks of the index; return connections, and their declared messages."""
-        offset = head.number("index_pos", 8)
-        if not offset:
-            raise DamagedError("it has no index")
-        records, offset = self._records(offset, CONNECTION, head.number("conn_count", 4))
-        infos, _ = self._records(offset, CHUNK_INFO, head.number("chunk_count", 4))
-        connections = {n: (each, fields_at(self._read, each)) for n, each in enumerate(records)}
-        counts: Counter[int] = Counter()
-        places = [each.number("chunk_pos", 8) for each in infos]
-        if len(set(places)) < len(places):
-            raise DamagedError("its index lists a chunk twice")
-        ends = {}  # of the chunks with their indexes, by place
-        for info, place in zip(infos, places, strict=True):
-            if not (count := info.number("count", 4)):
-                ends[place] = record_at(self._read, place, CHUNK).end
-                continue
-            data = self._read(info.begin, info.size)
-            if len(data) != 8 * count:
-                raise DamagedError("its index is inconsistent")
-            for connection, messages in np.frombuffer(data, "<u4").reshape(-1, 2).tolist():
-                counts[connection] += messages
-            self._widen(info.time("start_time"), info.time("end_time"))
-            try:
-                chunk, ends[place] = self._chunk(place, count)
-                self._add(chunk)
-            except DamagedError as error:
-                self._note_damage(error, place)
-        if not self.damage and [head.end, *(ends[place] for place in sorted(ends))] != [
-            *sorted(ends), head.number("index_pos", 8),
-        ]:  # fmt: skip
-            raise DamagedError("its index does not list all chunks")
-        return connections, counts
-
-    def _scanned(self, offset: int, why: str) -> tuple[ConnectionRecords, Counter[int]]:
-        """List the chunks up to the first incomplete record; return connections and messages."""
-        connections: ConnectionRecords = {}
-        counts: Counter[int] = Counter()
-        in_cut = 0
-        with contextlib.suppress(DamagedError):
-            while offset < self._source.size:
-                record = record_at(self._read, offset)
-                is_cut = record.end > self._source.size
-                if record.number("op", 1) == CHUNK:
-                    try:
-                        index, is_whole = self._walk(offset, connections)
-                        counts.update(index.connections.tolist())
-                        in_cut = len(index) if is_cut else 0
-                        if not is_whole and not is_cut:
-                            raise DamagedError("a chunk has incomplete records")
-                    except DamagedError as error:
-                        self._note_damage(error, offset)
-                if is_cut:
-                    break
-                offset = record.end
-        if unknown := sum(count for each, count in counts.items() if each not in connections):
-            lost = f"{counted(unknown, 'message')} of undefined connections"
-            self.damage.append(f"{self._source.name}: {lost}")
-        far = how_far(offset, self._source.size, in_cut)
-        self.damage.insert(0, f"{self._source.name}: {why}; {far}")
-        return connections, counts
-
-    def _walk(self, place: int, connections: ConnectionRecords) -> tuple[ChunkIndex, bool]:
-        """List a chunk without using its index; return its messages, and whether it is whole."""
-        record, compression, size = self._chunk_head(place)
-        stored = self._source.read(record.begin, record.size)
-        data = decompress("" if compression == "none" else compression, stored, size)
-        index, end = messages_in(data, connections)
-        if end != size and compression != "none" and record.end <= self._source.size:
-            raise DamagedError("a chunk can't be decompressed")  # its records may be wrong
-        if len(index):
-            times = index.log_times
-            self._widen(int(times.min()), int(times.max()))
-            self._add(_Chunk(record, compression, end, index, int(times.min())))
-        return index, end == size
-
-    def _note_damage(self, error: DamagedError, place: int) -> None:
-        self.damage.append(f"{self._source.name}: {error}, in the chunk at byte {place}")
-
-    def _widen(self, begin: int, end: int) -> None:
-        first, last = self.span or (begin, end)
-        self.span = min(first, begin), max(last, end)
-
-    def _add(self, chunk: _Chunk) -> None:
-        self._chunks.append(chunk)
-        self._compressed += chunk.size if chunk.compression != "none" else 0
-        if self._compressed > most_of(self._source.size, LARGEST):
+    def _bound(self, sizes: dict[int, int], size: int) -> None:
+        """Replace the decompression of chunks by one with a limit."""
+        names = {decompressor: name for name, decompressor in decompressors.items()}
+        total = 0
+        for place, chunk in self._reader.chunks.items():
+            kind = names[chunk.decompressor]
+            if kind != "none":
+                total += sizes.get(place, 0)
+                limited = functools.partial(_decompressed, kind, sizes.get(place, 0))
+                self._reader.chunks[place] = chunk._replace(decompressor=limited)
+        if total > most_of(size, LARGEST):
             raise InputError(
-                f"{self._source.name} has a compression ratio above {LARGEST_RATIO}; if you trust "
-                "the file, decompress it with `rosbag decompress`"
+                f"{self._name} has a compression ratio above {LARGEST_RATIO}; if you trust the "
+                "file, decompress it with `rosbag decompress`"
             )
 
-    def _chunk_head(self, place: int) -> tuple[BagRecord, str, int]:
-        """Return the record of a chunk, its compression, and its size after decompression."""
-        record = record_at(self._read, place, CHUNK)
-        compression, size = record.text("compression"), record.number("size", 4)
-        if compression not in _COMPRESSIONS:
-            raise DamagedError(f"unknown compression {compression[:20]!r}")
-        limit = record.size if compression == "none" else most_of(record.size, LARGEST_CHUNK)
-        if size > min(limit, LARGEST):
-            raise DamagedError("a chunk has an invalid size")
-        return record, compression, size
-
-    def _chunk(self, place: int, connections: int) -> tuple[_Chunk, int]:
-        """Return the chunk at a place of the file, and the end of its index, which follows it."""
-        record, compression, size = self._chunk_head(place)
-        indexes, end = self._records(record.end, INDEX, connections)
-        ids, entries = [], []
-        for each in indexes:
-            data = self._read(each.begin, each.size)
-            count = each.number("count", 4)
-            if each.number("ver", 4) != 1 or not len(data) == each.size == ENTRY_SIZE * count:
-                raise DamagedError("an index is damaged")
-            ids.append(np.full(count, each.number("conn", 4)))
-            entries.append(np.frombuffer(data, "<u4").reshape(-1, 3))
-        index = ChunkIndex(np.concatenate(ids), np.concatenate(entries))
-        index = index[np.argsort(index.offsets, kind="stable")]
-        if not len(index) or index.offsets[-1] >= size:
-            raise DamagedError("an index points outside its chunk")
-        return _Chunk(record, compression, size, index, int(index.log_times.min())), end
-
-    def _connection(
-        self, record: BagRecord, fields: BagRecord, counts: Counter[int]
-    ) -> Connection:
-        number = record.number("conn", 4)
+    def _connection(self, connection: Any, counts: Counter[int]) -> Connection:
         return Connection(
-            number,
-            re.sub("/+", "/", record.text("topic")),
-            full_name(fields.text("type")),
+            connection.id,
+            connection.topic,
+            full_name(connection.msgtype),
             "MSG",
-            fields.text("message_definition"),
-            counts[number],
+            connection.msgdef.data,
+            counts[connection.id],
             "ros1",
             self,
-            is_latching=fields.text("latching") == "1",
+            is_latching=bool(connection.ext.latching),
         )
+
+
+def _decompressed(kind: str, size: int, data: bytes) -> bytes:
+    """Return the data of a compressed chunk, whose size the chunk states."""
+    if size > min(most_of(len(data), LARGEST_CHUNK), LARGEST):
+        raise DamagedError("a chunk has an invalid size")
+    plain = decompress(kind, data, size)
+    if len(plain) != size:
+        raise DamagedError("a chunk can't be decompressed")
+    return bytes(plain)
+
+
+def _sizes_of_chunks(path: Path) -> dict[int, int]:
+    """Return the sizes of all chunks after decompression, by the places of their records.
+
+    Raises:
+        InputError: The index has more messages than the memory of a computer.
+    """
+    sizes = {}
+    messages = 0
+    with path.open("rb") as file:
+        end = file.seek(0, 2)
+        place = _MAGIC
+        while place + 8 <= end:
+            file.seek(place)
+            length = int.from_bytes(file.read(4), "little")
+            if length > _LARGEST_HEADER:
+                break
+            header, data = file.read(length), file.read(4)
+            if _CHUNK in header and (match := _SIZE.search(header)):
+                sizes[place] = int.from_bytes(match[1], "little")
+            elif _INDEX in header:
+                messages += int.from_bytes(data, "little") // _ENTRY
+            place += 8 + length + int.from_bytes(data, "little")
+    if messages > _MOST_MESSAGES:
+        raise InputError(
+            f"{path} has more than {_MOST_MESSAGES} messages; copy the topics of poses with "
+            "`rosbag filter`"
+        )
+    return sizes

@@ -12,7 +12,7 @@ import struct
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,32 +108,35 @@ def read_chunks(path: Path, kinds: Kinds) -> tuple[list[Chunk], int]:
     Returns:
         The text and the rows of every chunk, and the number of bytes after the last valid chunk.
     """
+    chunks: list[Chunk] = []
     try:
-        content = path.read_bytes()
+        with path.open("rb") as file:
+            size, place = os.fstat(file.fileno()).st_size, 0
+            while (chunk := _next_chunk(file, size - place, kinds)) is not None:
+                chunks.append(chunk)
+                place = file.tell()
     except OSError as error:
         raise InputError(f"{path} can't be read: {reason_of(error)}") from error
-    chunks: list[Chunk] = []
-    place = 0
-    while (chunk := _chunk(content, place, kinds)) is not None:
-        text, rows, place = chunk
-        chunks.append((text, rows))
-    return chunks, len(content) - place
+    return chunks, size - place
 
 
-def _chunk(
-    content: bytes, place: int, kinds: Kinds
-) -> tuple[dict[str, Any], NDArray[Any], int] | None:
-    """Return text, rows and end of the chunk at `place`; None if there is no valid one."""
-    if place + _HEAD.size > len(content):
+def _next_chunk(file: BinaryIO, left: int, kinds: Kinds) -> Chunk | None:
+    """Return the text and the rows of the next chunk; None if there is no valid one.
+
+    `left`: bytes up to the end of the file. No more memory is taken than the largest chunk that
+    is written has, whatever a damaged header claims.
+    """
+    header = file.read(_HEAD.size)
+    if len(header) < _HEAD.size:
         return None
-    magic, count, length, checksum = _HEAD.unpack_from(content, place)
-    begin = place + _HEAD.size
+    magic, count, length, checksum = _HEAD.unpack(header)
     if (kind := kinds.get(magic)) is None:
         return None
-    end = begin + length + count * kind.itemsize
-    if end > len(content) or zlib.crc32(content[begin:end]) != checksum:
+    size = length + count * kind.itemsize
+    if size > min(left - _HEAD.size, _MOST_WAITING):
         return None
-    text = mapping_in(content[begin : begin + length]) if length else {}
-    if text is None:
+    body = file.read(size)
+    if len(body) < size or zlib.crc32(body) != checksum:
         return None
-    return text, np.frombuffer(content, kind, count, begin + length), end
+    text = mapping_in(body[:length]) if length else {}
+    return None if text is None else (text, np.frombuffer(body, kind, count, length))

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.fixes import Fixes
 from trajeval_ros.io.live.chunk_file import ChunkWriter, read_tables
 
 FORMAT = "trajeval-fixes/1"
@@ -28,9 +29,10 @@ class FixWriter(ChunkWriter):
     def __init__(self, folder: Path) -> None:
         super().__init__(folder / NAME, _KINDS, {"format": FORMAT})
 
-    def append(self, stamps: Stamps, fixes: Floats) -> None:
-        """Add fixes: stamps (N,), nanoseconds, and rows (N, 14) as described above."""
-        self.add(_FIXES, stamps, fixes)
+    def append(self, stamps: Stamps, fixes: Fixes) -> None:
+        """Add N fixes with their timestamps (N,), nanoseconds."""
+        kinds, covariances = fixes.covariance_types, fixes.covariances.reshape(-1, 9)
+        self.add(_FIXES, stamps, np.column_stack([fixes.places, fixes.status, kinds, covariances]))
         self.write()
 
 

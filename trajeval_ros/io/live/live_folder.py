@@ -48,7 +48,6 @@ from trajeval_ros.metrics.association import AT_GROUNDTRUTH
 from trajeval_ros.metrics.input_summary import InputSummary
 from trajeval_ros.metrics.stream_health import UNKNOWN
 from trajeval_ros.online.live_availability import received_poses
-from trajeval_ros.online.state_rows import QUATERNION, VELOCITY, usable_rows
 from trajeval_ros.pipeline.outcome import FailedRun, Outcome, RunOutcome
 from trajeval_ros.pipeline.pipeline import run_alone
 from trajeval_ros.pipeline.request import Request
@@ -131,12 +130,8 @@ def _of_states(
     if asked.up is not None:
         axes = zip((truth, estimate), asked.up, strict=True)
         truth, estimate = (dataclasses.replace(side, up=UpAxis(up)) for side, up in axes)
-    if state["fixes"] is None and _is_received_in_order(groundtruth):
-        truth = _received(truth, groundtruth)
-    if _is_received_in_order(recorded):
-        estimate = _received(estimate, recorded)
     if asked.available.is_asked_for:
-        estimate = _with_receptions(estimate, recorded)
+        estimate = _with_poses_as_received(estimate, recorded)
     if state["until_ns"] is not None:
         truth, estimate = _until(int(state["until_ns"]), truth, estimate, asked)
     live = dict(state["live"])
@@ -229,9 +224,9 @@ def _groundtruth(
     reading = _reading(recorded, counts)
     return trajectory_of_rows(
         reading.source,
-        stamps.astype(np.int64),
-        rows[:, :3].astype(np.float64),
-        rows[:, 3:].astype(np.float64),
+        stamps,
+        rows[:, :3],
+        rows[:, 3:],
         reading,
         child_frame=str(counts["child_frame"]),
         name=name,
@@ -249,18 +244,13 @@ def _reading(recorded: RecordedStates, counts: Mapping[str, Any]) -> Reading:
 
 def _trajectory(recorded: RecordedStates, counts: Mapping[str, Any], name: str) -> Trajectory:
     """Return recorded states as a trajectory, as the reader of a bag does."""
-    usable, dropped = usable_rows(recorded.states)
-    used = recorded.part(usable)
-    rotations, velocities = used.states[:, QUATERNION], used.states[:, VELOCITY]
-    given = None if np.isnan(rotations).any() else rotations
-    quaternions, remarks = judge_rotations(given)
-    is_moving = quaternions is not None and np.isfinite(velocities).any() and velocities.any()
-    covariances = used.covariances
-    reading = _reading(recorded, counts)
-    return Trajectory.from_columns(
-        used.stamps,
-        used.states[:, :3],
-        quaternions,
+    states, reading = recorded.states, _reading(recorded, counts)
+    quaternions, remarks = judge_rotations(states.quaternions)
+    velocities, covariances = states.velocities, states.covariances
+    is_moving = quaternions is not None and velocities is not None and velocities.any()
+    return dataclasses.replace(
+        states,
+        quaternions=quaternions,
         velocities=velocities if is_moving else None,
         covariances=covariances if covariances is not None and covariances.any() else None,
         frame=str(counts["frame"]),
@@ -269,11 +259,19 @@ def _trajectory(recorded: RecordedStates, counts: Mapping[str, Any], name: str) 
         name=name,
         reading=dataclasses.replace(
             reading,
-            has_identity_rotations=given is not None and quaternions is None,
-            dropped=add_counts(reading.dropped, dropped),
-            remarks=(*reading.remarks, *remarks),
+            has_identity_rotations=states.quaternions is not None and quaternions is None,
+            dropped=add_counts(reading.dropped, states.reading.dropped),
+            remarks=(*reading.remarks, *states.reading.remarks, *remarks),
+            receptions=_in_order(states.reading.receptions),
         ),
     )
+
+
+def _in_order(receptions: Receptions | None) -> Receptions | None:
+    """Return receptions if all are known, by a clock that did not start again."""
+    if receptions is None or UNKNOWN in receptions.times:
+        return None
+    return receptions if (np.diff(receptions.times) >= 0).all() else None
 
 
 def _up_axis(words: Mapping[str, str]) -> UpAxis:
@@ -283,32 +281,17 @@ def _up_axis(words: Mapping[str, str]) -> UpAxis:
         raise ValueError(str(error)) from error
 
 
-def _with_receptions(estimate: Trajectory, recorded: RecordedStates) -> Trajectory:
+def _with_poses_as_received(estimate: Trajectory, recorded: RecordedStates) -> Trajectory:
     """Return an estimate with the poses as received, where the reception is known."""
     if len(recorded.received):
-        usable, _ = usable_rows(recorded.received["state"])
-        received = received_poses(recorded.received[usable], estimate.up)
+        received = received_poses(recorded.received, estimate.up)
     else:
-        usable, _ = usable_rows(recorded.states)
-        times = recorded.arrived[usable]
-        reading = Reading(receptions=Receptions(times, "node"))
-        received = dataclasses.replace(estimate, reading=reading)[times != UNKNOWN]
+        receptions = recorded.states.reading.receptions
+        assert receptions is not None
+        received = dataclasses.replace(estimate, reading=Reading(receptions=receptions))
+        received = received[receptions.times != UNKNOWN]
     reading = dataclasses.replace(estimate.reading, as_received=received)
     return dataclasses.replace(estimate, reading=reading)
-
-
-def _is_received_in_order(recorded: RecordedStates) -> bool:
-    """Return whether all receptions are known, by a clock that did not start again."""
-    return UNKNOWN not in recorded.arrived and bool((np.diff(recorded.arrived) >= 0).all())
-
-
-def _received(side: Trajectory, recorded: RecordedStates) -> Trajectory:
-    """Return recorded states with the times of their reception."""
-    usable, _ = usable_rows(recorded.states)
-    receptions = Receptions(recorded.arrived[usable], "node")
-    return dataclasses.replace(
-        side, reading=dataclasses.replace(side.reading, receptions=receptions)
-    )
 
 
 def _until(

@@ -21,11 +21,14 @@ from numpy.typing import NDArray
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.install_command import install_command
-from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
+from trajeval_ros.geometry.arrays import Floats, Stamps
+from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.json_file import require_schema
 from trajeval_ros.io.live.chunk_file import ChunkWriter, read_chunks
 from trajeval_ros.metrics.stream_health import UNKNOWN
-from trajeval_ros.online.live_availability import MESSAGE
+from trajeval_ros.online.live_availability import MESSAGE, message_rows
 
 FORMAT = "trajeval-states/1"
 SUFFIX = ".states"
@@ -35,6 +38,7 @@ _OF_03 = ".pairs"  # files of version 0.3
 
 _ROW = np.dtype([("stamp", "<i8"), ("arrived", "<i8"), ("state", "<f8", 10)])
 _WIDE_ROW = np.dtype([*_ROW.descr, ("covariance", "<f8", 36)])
+_PARTS = slice(0, 3), slice(3, 7), slice(7, 10)  # columns of `state`
 # Types of rows by magic number.
 _KINDS = {b"TESN": _ROW, b"TESC": _WIDE_ROW, b"TESR": MESSAGE}
 _STATES, _WIDE_STATES, _AS_RECEIVED = _KINDS
@@ -49,20 +53,26 @@ class StateWriter(ChunkWriter):
         self._told: Mapping[str, Any] = {}
         super().__init__(path, _KINDS, {"format": FORMAT, **description})
 
-    def append(self, stamps: Stamps, states: Floats, arrived: Stamps | None = None) -> None:
-        """Add states (N, 10), or (N, 46) with covariances, and their receptions (N,) if known."""
-        covariances = states[:, 10:]
-        is_wide = bool(covariances.any())  # zeros mean unknown
-        times = np.full(len(stamps), UNKNOWN) if arrived is None else arrived
-        columns = [stamps, times, states[:, :10], *([covariances] if is_wide else [])]
-        if not self.add(_WIDE_STATES if is_wide else _STATES, *columns):
-            self.lost += len(stamps)
+    def append(self, states: Trajectory) -> None:
+        """Add states, with their receptions if known."""
+        receptions, covariances = states.reading.receptions, states.covariances
+        rows = np.full((len(states), 10), np.nan)
+        for part, column in zip(_PARTS, _columns(states), strict=True):
+            if column is not None:
+                rows[:, part] = column
+        times = np.full(len(states), UNKNOWN) if receptions is None else receptions.times
+        columns, magic = [states.stamps, times, rows], _STATES
+        if covariances is not None:
+            columns, magic = [*columns, covariances.reshape(-1, 36)], _WIDE_STATES
+        if not self.add(magic, *columns):
+            self.lost += len(states)
             self.why_lost = self.trouble
         self.write()
 
-    def append_received(self, messages: NDArray[np.void]) -> None:
-        """Add poses as received, rows of type `MESSAGE`."""
-        self.add(_AS_RECEIVED, *(messages[name] for name in MESSAGE.names or ()))
+    def append_received(self, messages: Trajectory) -> None:
+        """Add poses as received."""
+        rows = message_rows(messages)
+        self.add(_AS_RECEIVED, *(rows[name] for name in MESSAGE.names or ()))
 
     def tell(self, state: Mapping[str, Any]) -> None:
         """Write the newest settings and counts, if they have changed."""
@@ -80,27 +90,10 @@ class RecordedStates:
     description: dict[str, Any]  # description of the stream
     state: dict[str, Any]  # the newest settings and counts; empty if none were written
     later: int  # number of states after these counts
-    stamps: Stamps  # (N,) nanoseconds
-    arrived: Stamps  # (N,) receptions, nanoseconds; may be `UNKNOWN`
-    states: Floats  # (N, 10)
-    covariances: Floats | None  # (N, 6, 6), zeros if unknown; None if all are unknown
+    # With receptions, which may be `UNKNOWN`. Unknown covariances among known ones are zeros.
+    states: Trajectory
     received: NDArray[np.void]  # poses as received; empty if they are the states
     torn: int  # number of bytes after the last valid chunk
-
-    def part(self, rows: Booleans) -> RecordedStates:
-        """Return the states of a mask."""
-        covariances = None if self.covariances is None else self.covariances[rows]
-        columns = self.stamps[rows], self.arrived[rows], self.states[rows], covariances
-        return RecordedStates(
-            self.description, self.state, self.later, *columns, self.received, self.torn
-        )
-
-    @property
-    def wide(self) -> Floats:
-        """The states as `StateWriter.append` takes them."""
-        if self.covariances is None:
-            return self.states
-        return np.hstack([self.states, self.covariances.reshape(-1, 36)])
 
 
 def read_states(path: Path) -> RecordedStates:
@@ -116,28 +109,42 @@ def read_states(path: Path) -> RecordedStates:
     texts = [row for row, (text, _) in enumerate(chunks) if text]
     parts = [rows for _, rows in chunks if rows.dtype in (_ROW, _WIDE_ROW)]
     after = [rows for _, rows in chunks[texts[-1] + 1 :] if rows.dtype != MESSAGE]
-    covariances = None
-    if any(rows.dtype == _WIDE_ROW for rows in parts):
-        covariances = np.concatenate(
-            [
-                rows["covariance"] if rows.dtype == _WIDE_ROW else np.zeros((len(rows), 36))
-                for rows in parts
-            ]
-        ).reshape(-1, 6, 6)
     received = [rows for _, rows in chunks if rows.dtype == MESSAGE]
-    stamps, arrived, states = (
-        np.concatenate([rows[name] for rows in parts]) for name in ("stamp", "arrived", "state")
-    )
     return RecordedStates(
         description=description,
         state=chunks[texts[-1]][0] if len(texts) > 1 else {},
         later=sum(map(len, after)),
-        stamps=stamps.astype(np.int64),
-        arrived=arrived.astype(np.int64),
-        states=states.astype(np.float64),
-        covariances=None if covariances is None else covariances.astype(np.float64),
+        states=_states_of(parts),
         received=np.concatenate([np.empty(0, MESSAGE), *received]),
         torn=torn,
+    )
+
+
+def _columns(states: Trajectory) -> tuple[Floats | None, ...]:
+    return states.positions, states.quaternions, states.velocities
+
+
+def _states_of(parts: list[NDArray[np.void]]) -> Trajectory:
+    """Return the rows of chunks as a trajectory, without what some of them lack."""
+    stamps, arrived, rows = (
+        np.concatenate([part[name] for part in parts]) for name in ("stamp", "arrived", "state")
+    )
+    positions, quaternions, velocities = (rows[:, part].astype(np.float64) for part in _PARTS)
+    covariances = None
+    if any(part.dtype == _WIDE_ROW for part in parts):
+        covariances = np.concatenate(
+            [
+                part["covariance"] if part.dtype == _WIDE_ROW else np.zeros((len(part), 36))
+                for part in parts
+            ]
+        ).reshape(-1, 6, 6)
+    return Trajectory.from_columns(
+        stamps.astype(np.int64),
+        positions,
+        None if np.isnan(quaternions).any() else quaternions,
+        velocities=velocities if np.isfinite(velocities).any() else None,
+        covariances=covariances,
+        reading=Reading(receptions=Receptions(arrived.astype(np.int64), "node")),
     )
 
 
@@ -148,9 +155,8 @@ def file_of_estimate(name: str) -> str:
 
 def copy_states(before: Path, writer: StateWriter, stamps: Stamps) -> None:
     """Write the states of another file that have one of the timestamps (N,)."""
-    recorded = read_states(before)
-    taken = recorded.part(np.isin(recorded.stamps, stamps))
-    writer.append(taken.stamps, taken.wide, taken.arrived)
+    states = read_states(before).states
+    writer.append(states[np.isin(states.stamps, stamps)])
 
 
 def state_files(folder: Path) -> list[Path]:

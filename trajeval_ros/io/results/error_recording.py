@@ -32,7 +32,6 @@ from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.online.error_topics import (
     ALIGNMENT,
     ALIGNMENT_TYPE,
-    ATE,
     DIAGNOSTIC_LEVELS,
     DIAGNOSTICS,
     DIAGNOSTICS_TYPE,
@@ -42,7 +41,7 @@ from trajeval_ros.online.error_topics import (
     ROBOT,
     VECTOR_TYPE,
     VECTORS,
-    position_and_rotation,
+    by_part,
     relative_error_topic,
     status_texts,
     status_values,
@@ -114,7 +113,7 @@ class _RecordedRun:
             "estimate": run.estimate.source,
         }
         pairs, self._alignment = _as_live(run.evaluation, up, run.estimate.up)
-        self._pairs = pairs.rows.without_covariances()
+        self._pairs = pairs.without_covariances()
         self._errors = PairErrors(pairs, self._alignment, run.evaluation.doubts)
         self._snapshot = _snapshot(run.evaluation)
         rule = run.evaluation.association.rule
@@ -133,16 +132,17 @@ class _RecordedRun:
                 yield self._numbers(topic, self._times, values)
         for segment in self._evaluation.relative or ():
             found, topic = segment.errors, relative_error_topic(str(segment.length))
-            vectors = position_and_rotation(found.position_m, found.rotation_deg)
-            yield self._vectors(topic, self._times[found.ends], vectors)
-        if (ate := window_ate(self._snapshot)) is not None:
-            yield self._vectors(ATE, whole, ate.repeat(2, axis=0))
+            numbers = by_part(topic, found.position_m, found.rotation_deg)
+            for name, vectors in numbers.items():
+                yield self._vectors(name, self._times[found.ends], vectors)
+        for topic, ate in window_ate(self._snapshot).items():
+            yield self._vectors(topic, whole, ate.repeat(2, axis=0))
         frames = self._frame, self._child_frame
         transform = encode_alignment(self._alignment, self._times[-1:], frames)
         yield self._channel(ALIGNMENT, ALIGNMENT_TYPE, begin, [transform])
         thinned = ThinnedRun()
         thinned.add(self._pairs)
-        for topic, path in encode_paths(thinned, self._alignment, self._frame).items():
+        for topic, path in encode_paths(thinned.pairs(), self._alignment, self._frame).items():
             yield self._channel(topic, PATH_TYPE, begin, [path])
 
     def status(self) -> Any:

@@ -18,8 +18,9 @@ from trajeval_ros.io.text.names import (
     RECEIVED,
     ROTATIONS,
     Layout,
+    with_pose,
 )
-from trajeval_ros.io.text.stamps import is_clock
+from trajeval_ros.io.text.stamps import is_clock, may_be_time
 
 # Patterns are compiled on use, since most files have no header.
 _UNIT = r"\[([^\[\]]*)\]|\(([^()]*)\)"
@@ -160,26 +161,24 @@ def from_header(names: Sequence[str], sample: Floats, texts: Booleans) -> Layout
         named_unit
         and named_unit not in _UNITS
         and layout.time_name == "t"
-        and re.search(r"\d|s$", named_unit)
+        and re.search(r"\d|s$|\A(?:min|minutes?|h|hours?|d|days?)\Z", named_unit)
     ):
         raise InputError(
-            f"the unit of the time, {named_unit!r}, is unknown; convert it, and name the columns: "
-            f"{{option}} '{' '.join(columns)}'"
+            f"the unit of the time, {named_unit!r}, is unknown; convert it to s, ms, us or ns, "
+            "and write that unit in the header"
         )
     with np.errstate(over="ignore", invalid="ignore"):  # numbers may be of any size
         quantity = _missing(layout, unknown, sample, plain)
     if quantity:
         words = ", ".join(repr(names[at][:40]) for at in unknown[:6])
         doubt = f", and the meaning of {words} is unknown" if unknown else ""
-        example = list(columns)
-        if set(columns) <= {IGNORED}:
-            example = ["t", "x", "y", "z", "qx", "qy", "qz", "qw", *columns][: len(columns)]
-        elif quantity == "time":
-            example = [IGNORED if name == FRAME else name for name in columns]
-            example[_clock_of(layout, sample, plain) or 0] = "t"
+        options = " or ".join(
+            f"{{option}} '{' '.join(example)[:300]}'"
+            for example in _examples(quantity, layout, unknown, sample, plain, texts)
+        )
         raise InputError(
-            f"no column has a name of a {quantity} ({', '.join(names)[:200]}){doubt}; name the "
-            f"columns: {{option}} '{' '.join(example)[:300]}', with x, y, z, t, qx ... for _"
+            f"no column has a name of a {quantity} ({', '.join(names)[:200]}){doubt}; if one is "
+            f"there, name the columns: {options}"
         )
     ignored = [
         name or f"column {at + 1}"
@@ -207,12 +206,44 @@ def _missing(layout: Layout, unknown: Sequence[int], sample: Floats, plain: Sequ
     if "planar" in layout.groups and unknown:
         return "height"
     if not layout.is_geographic and set(ROTATIONS).isdisjoint(layout.groups):
-        for at in range(len(plain) - 3):
-            four = range(at, at + 4)
-            lengths = np.linalg.norm(sample[:, four], axis=1)
-            if len(lengths) and (np.abs(lengths - 1.0) < 1e-2).all():
-                return "rotation"
+        return "" if _unit_of_four(sample) is None else "rotation"
     return ""
+
+
+def _unit_of_four(sample: Floats) -> int | None:
+    """Return the first of four neighbouring columns of unit length, which may be a quaternion."""
+    for at in range(sample.shape[1] - 3):
+        lengths = np.linalg.norm(sample[:, at : at + 4], axis=1)
+        if len(lengths) and (np.abs(lengths - 1.0) < 1e-2).all():
+            return at
+    return None
+
+
+def _examples(
+    quantity: str,
+    layout: Layout,
+    unknown: Sequence[int],
+    sample: Floats,
+    plain: Sequence[str],
+    texts: Booleans,
+) -> list[list[str]]:
+    """Return names of all columns, `quantity` included, where it may be."""
+    columns = list(layout.columns)
+    if quantity == "height":
+        columns[unknown[0]] = "z"
+    elif quantity == "rotation":
+        four = _unit_of_four(sample) or 0
+        quaternions = ("qx", "qy", "qz", "qw"), ("qw", "qx", "qy", "qz")
+        return [[*columns[:four], *names, *columns[four + 4 :]] for names in quaternions]
+    elif quantity == "time":
+        columns = [IGNORED if name == FRAME else name for name in columns]
+        columns[_clock_of(layout, sample, plain) or 0] = "t"
+    else:
+        places = [at for at in np.flatnonzero(~texts).tolist() if at != layout.time]
+        if layout.time is None and places and may_be_time(sample[:, places[0]], len(columns)):
+            columns[places.pop(0)] = "t"
+        columns = with_pose(columns, places)
+    return [columns]
 
 
 def _clock_of(layout: Layout, sample: Floats, plain: Sequence[str]) -> int | None:

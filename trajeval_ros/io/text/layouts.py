@@ -17,7 +17,17 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.up_axis import UpAxis
-from trajeval_ros.io.text.names import BODY_TWISTS, FAST_LIO, GROUPS, IGNORED, TEXT, Layout
+from trajeval_ros.io.text.names import (
+    BODY_TWISTS,
+    CLOCK,
+    FAST_LIO,
+    GROUPS,
+    IGNORED,
+    TEXT,
+    Layout,
+    with_pose,
+)
+from trajeval_ros.io.text.stamps import is_date, is_time_of_day, may_be_time
 from trajeval_ros.io.text.states import ORTHONORMAL
 from trajeval_ros.io.text.table import TextTable, number
 from trajeval_ros.metrics.statistics import median
@@ -182,6 +192,24 @@ def fits(table: TextTable, layout: Layout) -> bool:
     return all(not len(rows) or rows.mean() >= _MOST for rows in passed)
 
 
+def example_for(table: TextTable) -> str:
+    """Return names for all columns of a table that no layout describes, with `_` for text."""
+    date = next((at for at, word in enumerate(table.sample[0]) if is_date(word)), None)
+    clock = None if date is None or date + 1 == table.columns else date + 1
+    if clock is not None and not is_time_of_day(table.sample[0][clock]):
+        clock = None
+    places = [at for at in np.flatnonzero(~table.texts).tolist() if at not in (date, clock)]
+    time = date
+    if date is None and places and may_be_time(table.values[:, places[0]], table.columns):
+        time = places.pop(0)
+    columns = [IGNORED] * table.columns
+    if time is not None:
+        columns[time] = "t"
+    if clock is not None:
+        columns[clock] = CLOCK
+    return " ".join(with_pose(columns, places))
+
+
 def by_rows(table: TextTable) -> Layout:
     """Return the layout that a table without a header has.
 
@@ -200,8 +228,7 @@ def by_rows(table: TextTable) -> Layout:
             for layout in fitting
         )
         raise InputError(f"several layouts fit, and {where}; name the columns: {options}")
-    names = (*_POSE.split(), *[IGNORED] * table.columns)[: min(max(table.columns, 3), 40)]
-    option = f"{{option}} '{' '.join(names)}'"
+    option = f"{{option}} '{example_for(table)}'"
     for line, row in zip(table.sample_lines, table.sample, strict=True):
         wrong = [at for at, word in enumerate(row) if number(word) is None]
         if 0 < len(wrong) <= max(1, table.columns // 4):

@@ -64,7 +64,7 @@ class _Watched(io.BufferedIOBase):
         try:
             block = self._stream.read(_BUFFER)
         except Exception as error:  # zlib.error, lzma.LZMAError and ZstdError have no common base
-            raise InputError(f"{self._path} is damaged: {error}") from None
+            raise InputError(f"{self._path} is damaged: {error}") from error
         if b"\0" in block and not self.zeros and not block.startswith(_UTF16):
             line = (
                 self._newlines_before(self._read) + block.count(b"\n", 0, block.index(b"\0")) + 1

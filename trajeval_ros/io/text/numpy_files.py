@@ -34,7 +34,7 @@ def load(path: Path) -> tuple[Any, Floats | None]:
                 else {name: content[name] for name in content.files[:50]}
             )
     except Exception as error:  # zipfile and zlib have types of their own
-        raise InputError(f"{path} is not a readable array of numpy ({error})") from None
+        raise InputError(f"{path} is not a readable array of numpy ({error})") from error
     if isinstance(content, np.ndarray):
         return _of_numbers(path, content), None
     poses = {

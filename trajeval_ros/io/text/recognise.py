@@ -7,17 +7,17 @@ import re
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.io.text.header_names import from_header, plain_of, split_header
-from trajeval_ros.io.text.layouts import OPENVINS_STATE, by_rows
+from trajeval_ros.io.text.layouts import OPENVINS_STATE, by_rows, example_for
 from trajeval_ros.io.text.names import CLOCK, DATE, IGNORED, Layout
 from trajeval_ros.io.text.stamps import DATE as DATE_PATTERN
+from trajeval_ros.io.text.stamps import is_date, is_time_of_day
 from trajeval_ros.io.text.table import TextTable
 
 _LONGEST_HEADER = 1 << 15  # characters: patterns need quadratic time for longer ones
-# Columns that systems write whose header does not say them, by a word above the rows.
-_HINTS = {
-    "NO_OF_FRAMES": "Qualisys writes mm and degrees: name them x_mm y_mm z_mm roll_deg pitch_deg "
-    "yaw_deg"
-}
+# Columns of Qualisys, whose header has no units.
+_QUALISYS = {"time": "t"}
+_QUALISYS |= {axis: f"{axis}_mm" for axis in "xyz"}
+_QUALISYS |= {angle: f"{angle}_deg" for angle in ("roll", "pitch", "yaw")}
 
 
 def layout_of_table(table: TextTable) -> Layout:
@@ -37,9 +37,12 @@ def layout_of_table(table: TextTable) -> Layout:
 def _certain(table: TextTable) -> Layout:
     clock = _has_clock(table)
     lines = table.header[::-1]
-    for word, advice in _HINTS.items():
-        if any(line.startswith(word) for line in lines):
-            raise InputError(f"{advice}, with {{option}}; its columns are {lines[0].split()}")
+    if any(line.startswith("NO_OF_FRAMES") for line in lines):
+        names = [_QUALISYS.get(name.lower(), IGNORED) for name in lines[0].split()]
+        raise InputError(
+            f"it is of Qualisys, with the columns {lines[0].split()}, usually in mm and degrees; "
+            f"name them: {{option}} '{' '.join(names[: table.columns])}'"
+        )
     for at, line in enumerate(lines):
         by_comment = line.lstrip().startswith(("#", "%"))
         if by_comment or at == 0 or not table.named:
@@ -52,12 +55,12 @@ def _certain(table: TextTable) -> Layout:
         raise InputError(
             f"line {table.first} does not name {table.columns} known columns: {above[:80]!r}, "
             f"above the first row {table.first_line!r}; name the columns, as in "
-            f"{{option}} 't x y z qx qy qz qw', with {IGNORED} for columns to ignore"
+            f"{{option}} '{example_for(table)}', with {IGNORED} for columns to ignore"
         )
     if clock:
         raise InputError(
             f"dates without a header, first row {table.first_line!r}; name the columns: "
-            "{option} 't clock x y z'"
+            f"{{option}} '{example_for(table)}'"
         )
     layout = by_rows(table)
     return _smfeval(layout, table.header) if layout.name == "smfeval" else layout
@@ -141,8 +144,7 @@ def _has_clock(table: TextTable) -> bool:
     first = table.sample[0]
     if table.separator or len(first) < 3:
         return False
-    is_date = re.fullmatch(r"\d{1,4}[-/.]\d\d?[-/.]\d{1,4}", first[0])
-    return bool(is_date and re.fullmatch(r"\d\d?:\d\d(:\d\d(\.\d+)?)?", first[1]))
+    return is_date(first[0]) and is_time_of_day(first[1])
 
 
 def with_dates(table: TextTable, layout: Layout) -> Layout:
@@ -162,7 +164,8 @@ def with_dates(table: TextTable, layout: Layout) -> Layout:
     if table.texts[at]:
         raise InputError(
             f"line {table.first + 1}: column {at + 1} has {word[:40]!r}, which is not a time; "
-            f"name the columns: {{option}} '{' '.join(layout.columns)}'"
+            f"to ignore it: {{option}} '{' '.join([*layout.columns[:at], IGNORED])}"
+            f" {' '.join(layout.columns[at + 1 :])}'"
         )
     return layout
 

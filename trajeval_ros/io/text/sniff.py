@@ -13,7 +13,7 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.io.text.lines import Head, head_of, is_plain, open_lines
-from trajeval_ros.io.text.names import IGNORED
+from trajeval_ros.io.text.names import CLOCK, DATE, IGNORED, RECEIVED, TIMES
 from trajeval_ros.io.text.table import MIXED, Lines, Records, TextTable, body_of, number, split
 
 _SAMPLE = 50  # rows from which a layout is recognised
@@ -21,6 +21,7 @@ _LATE = 30  # last lines of the head, which are rows if the file has any
 _RECORD_LINES = 200  # lines of rewritten records in the place of a head
 _MOST_COLUMNS = 4096
 _LONGEST_COUNT = 2  # numbers in a line above the rows that can be a count or a size
+_OF_ANY_KIND = (IGNORED, DATE, CLOCK, RECEIVED, *TIMES)  # names of columns that can be text
 _WITH_COMMA = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
 
 
@@ -75,7 +76,8 @@ def sniff(
         late_rows = [row[:-1] for row in late_rows]
     numeric = _numeric_columns(late_rows, columns)
     if names:  # only these columns are read
-        numeric = [name != IGNORED for name in names] + [False] * (columns - len(names))
+        numeric = [name not in _OF_ANY_KIND for name in names]
+        numeric += [False] * (columns - len(names))
     first = next((at for at in bodies if _is_row(row_at(at), numeric)), None)
     if first is None or not any(numeric):
         raise InputError(f"{path} is text without a row of numbers; give a file with poses")
