@@ -31,7 +31,8 @@ from benchmarks.diagnosis_sizes import SIZES
 from benchmarks.diagnosis_users import USERS
 from trajeval_ros.diagnosis.findings import Diagnosis
 from trajeval_ros.exceptions import TrajevalError
-from trajeval_ros.pipeline.pipeline import diagnose, run
+from trajeval_ros.pipeline.diagnosing import diagnose
+from trajeval_ros.pipeline.pipeline import run
 from trajeval_ros.pipeline.preparation import Inputs, corrected_and_cut
 from trajeval_ros.pipeline.request import Request
 

@@ -20,7 +20,8 @@ from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.reading import Reading
 from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.named_protocols import protocol_named
-from trajeval_ros.pipeline.pipeline import diagnose, evaluate
+from trajeval_ros.pipeline.diagnosing import diagnose
+from trajeval_ros.pipeline.pipeline import evaluate
 
 DRONE = simulated(5000, "drone", "walk", 60.0)
 

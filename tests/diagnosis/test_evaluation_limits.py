@@ -59,10 +59,10 @@ def offset_of(
 @pytest.mark.parametrize(
     ("length", "share", "count", "is_seen"),
     [
-        (0.501, 0.981, 10, True),
-        (0.499, 0.981, 10, False),
-        (0.501, 0.979, 10, False),
-        (0.501, 0.981, 9, False),
+        (0.501, 0.981, 12, True),
+        (0.499, 0.981, 12, False),
+        (0.501, 0.979, 12, False),
+        (0.501, 0.981, 11, False),
     ],
 )
 def test_an_offset_explains_nearly_all_of_the_error(

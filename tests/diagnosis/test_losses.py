@@ -47,10 +47,10 @@ def pairs_of(true: Any, own: Any) -> Any:
 @pytest.mark.parametrize(
     ("before", "size", "is_over", "expected"),
     [
-        (10, 3.01, False, True),
-        (9, 3.01, False, False),
-        (10, 2.99, False, False),
-        (10, 3.01, True, False),
+        (12, 3.01, False, True),
+        (11, 3.01, False, False),
+        (12, 2.99, False, False),
+        (12, 3.01, True, False),
     ],
 )
 def test_a_divergence_over_three_times_the_whole_path_is_certain(

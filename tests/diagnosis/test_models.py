@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.diagnosis import found
 from benchmarks.diagnosis_mistakes import inverse, shifted
 from benchmarks.diagnosis_runs import Pair, simulated
+from benchmarks.diagnosis_users import USERS
 from trajeval_ros import HandEye, InputError, read_trajectory
 from trajeval_ros.diagnosis.clocks import ClockMatch, rates_of_both
 from trajeval_ros.diagnosis.hypotheses import HYPOTHESES, PERMUTATIONS, euler_angles_changed
@@ -209,6 +210,22 @@ def test_inverse_poses_are_named_on_their_side(side: str, of_camera: str) -> Non
     assert first.cause == "inverse"
     owner = "groundtruth" if side == "truth" else "estimate"
     assert first.sentence.startswith(f"the {owner}'s poses")
+
+
+@pytest.mark.parametrize("mistake", ["compass heading", "roll and pitch swapped"])
+def test_angles_with_other_signs_are_no_other_axes_on_a_plane(mistake: str) -> None:
+    first = found(USERS[mistake].make(simulated(60415, "car", "walk", 100.0))).suggested
+    assert first is not None
+    assert first.cause == "rotations"
+    assert "only with a correction" in first.sentence
+
+
+def test_a_rate_is_searched_if_no_offset_is_clear() -> None:
+    """The turns of a car match at -30 s."""
+    pair = simulated(60416, "car", "heavy", 100.0)
+    first = found(USERS["30 fps for 25"].make(pair)).suggested
+    assert first is not None
+    assert first.cause == "clock_drift"
 
 
 def test_an_offset_whose_correction_increases_the_error_is_no_cause() -> None:

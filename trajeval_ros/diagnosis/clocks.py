@@ -17,13 +17,13 @@ import numpy as np
 from trajeval_ros.calibration.clock_offset import masked_correlation, refined_peak
 from trajeval_ros.diagnosis.findings import Seen
 from trajeval_ros.diagnosis.hypotheses import MISTAKE, ODDS
-from trajeval_ros.diagnosis.input_pair import TimedPoses
+from trajeval_ros.diagnosis.input_pair import SHORTEST_S, TimedPoses
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.statistics import quantile
 
 _CELL_S, _CELLS = 0.05, 4000  # least cell, and most cells of a run, which bounds the cost
 _WINDOW_S = 0.4  # of a rate: noise matters in shorter windows
-_LEAST_OVERLAP_S, _LEAST_OVERLAP = 8.0, 0.5  # with less common time, rates match at random
+_LEAST_OVERLAP = 0.5  # of the longest common time: with less, rates match at random
 _PEAK_S = 3.0  # width of a peak of the correlation
 SMALL_S = 0.25  # offsets within this are near zero: a search finds them without a prior
 _LARGEST = 0.999  # correlation, for its logarithm
@@ -36,7 +36,6 @@ USABLE_PEAK = 0.6  # correlation from which on an offset is applied to other tes
 _ALIKE_PEAK, _ALIKE_RATE = 0.95, 0.985  # correlations from which on no other rate is searched
 _NEAR_S = 0.5  # largest offset with the second of these: turn rates can match at random
 _LEAP_S = {18: "GPS time without leap seconds", 19: "GPS against TAI", 37: "TAI against UTC"}
-_LEAP_WITHIN_S = 0.3  # of an offset by leap seconds: delays of messages
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +113,7 @@ class ClockMatch:
     def between(cls, groundtruth: RatesOfMotion, estimate: RatesOfMotion) -> ClockMatch | None:
         """Search all offsets with enough common time; None without any."""
         lags, correlations, overlap_s = _correlations(groundtruth, estimate)
-        enough = overlap_s >= max(_LEAST_OVERLAP_S, _LEAST_OVERLAP * float(overlap_s.max()))
+        enough = overlap_s >= max(SHORTEST_S, _LEAST_OVERLAP * float(overlap_s.max()))
         if not enough.any():
             return None
         shift_s = estimate.cell_s * lags + groundtruth.start_s - estimate.start_s
@@ -122,7 +121,7 @@ class ClockMatch:
         best, zero = int(log_odds.argmax()), int(np.abs(shift_s).argmin())
         mean = correlations.mean(axis=0)
         others = log_odds[enough & (np.abs(shift_s - shift_s[best]) >= _PEAK_S)]
-        near = (np.abs(shift_s) <= SMALL_S) & (overlap_s > _LEAST_OVERLAP_S / 2.0)
+        near = (np.abs(shift_s) <= SMALL_S) & (overlap_s > SHORTEST_S / 2.0)
         return cls(
             offset_s=float(shift_s[best] + estimate.cell_s * refined_peak(mean, best)),
             log_odds=float(log_odds[best]),
@@ -260,13 +259,19 @@ class Clock:
         if not all(len(side.known) for side in rates):
             return cls()
         match, prior = ClockMatch.between(*rates), MISTAKE
+        is_clear = is_alike = is_small = False
         if match is not None:
             prior -= math.log(max(match.searched_s, 1.0) / SMALL_S)
-        is_alike = match is not None and (
-            match.peak > _ALIKE_PEAK
-            or (match.highest > _ALIKE_RATE and abs(match.offset_s) < _NEAR_S)
+            others = max(match.log_odds_at_zero - prior, match.log_odds_of_second)
+            is_clear = match.log_odds > others + ODDS
+            is_small = abs(match.offset_s) <= SMALL_S
+            is_alike = match.peak > _ALIKE_PEAK or (
+                match.highest > _ALIKE_RATE and abs(match.offset_s) < _NEAR_S
+            )
+        # No offset explains the rates, or parts of the run have different ones.
+        differs = not is_alike and (
+            match is None or not (is_clear or is_small) or parts_log_odds(*rates, match) > ODDS
         )
-        differs = match is None or (not is_alike and parts_log_odds(*rates, match) > ODDS)
         other = search_rate(*rates) if differs and searches_rate else None
         if other is not None:
             factor, faster = other
@@ -275,9 +280,7 @@ class Clock:
                 return cls(faster, faster.offset_s, factor, is_stated=True)
         if match is None or match.peak <= USABLE_PEAK:
             return cls(match)
-        is_small = abs(match.offset_s) <= SMALL_S
-        others = max(match.log_odds_at_zero - prior, match.log_odds_of_second)
-        if match.log_odds > others + ODDS:
+        if is_clear:
             return cls(match, match.offset_s, is_stated=not is_small)
         return cls(match, match.offset_s if is_small else 0.0)
 
@@ -307,5 +310,5 @@ class Clock:
         if abs(offset_s) < SMALL_S:
             return Seen("small_clock_offset", values)
         whole = round(abs(offset_s))
-        leap = _LEAP_S.get(whole, "") if abs(abs(offset_s) - whole) < _LEAP_WITHIN_S else ""
+        leap = _LEAP_S.get(whole, "") if abs(abs(offset_s) - whole) < SMALL_S else ""
         return Seen("clock_offset", {**values, "known_as": f" ({leap})" if leap else ""})

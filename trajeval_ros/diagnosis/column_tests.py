@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from trajeval_ros.diagnosis.findings import Examined, Seen
-from trajeval_ros.diagnosis.input_pair import FEWEST_POSES, SAMPLE, InputPair, TimedPoses, lengths
+from trajeval_ros.diagnosis.input_pair import FEWEST, SAMPLE, InputPair, TimedPoses, lengths
 from trajeval_ros.diagnosis.input_tests import other_side, sides_of
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, extents
@@ -15,18 +15,19 @@ from trajeval_ros.geometry.trajectory_edits import every_nth
 from trajeval_ros.metrics.statistics import median
 
 _NUMBERS_S = 1e7  # the largest row number; timestamps since 1970 are larger
-_SAME_SPAN = 1.5  # ratio of durations of the same run
 _METRES_PER_DEG, _FACTOR = 111_320.0, 4.0  # of latitude; of longitude it is less
 _DEGREES, _LEAST_M = 0.1, 1.0  # largest extent in degrees, least motion
 _FLAT = 0.05  # least rms height of the other side, as a fraction of its extent
 _TILTS = 1e-3  # least change of a body's vertical axis
-_STEPS_ALIKE, _STEPS_WITHIN, _SMALL, _TOGETHER = 0.8, 2.0, 0.5, 10
+_ALIKE = 2.0  # largest ratio of durations or lengths of the same run
+# Of increments: least correlation, largest extent relative to the groundtruth, and steps to add.
+_STEPS_ALIKE, _SMALL, _TOGETHER = 0.8, 0.5, 10
 
 
 def columns_of_others(inputs: InputPair) -> list[Examined]:
     """Apply the tests of this file."""
     sides = sides_of(inputs)
-    if min(map(len, sides.values())) < FEWEST_POSES:
+    if min(map(len, sides.values())) < FEWEST:
         return []
     sizes = {side: extents(poses.positions) for side, poses in sides.items()}
     return [
@@ -41,7 +42,7 @@ def _row_numbers(inputs: InputPair) -> Examined:
     stamps, others = inputs.estimate.stamps, inputs.groundtruth.stamps
     is_counted = bool((np.diff(stamps) == NANOSECONDS).all()) and stamps[0] < _NUMBERS_S * 1e9
     ratio = float(np.ptp(stamps)) / max(float(np.ptp(others)), 1.0)
-    apart = not 1.0 / _SAME_SPAN < ratio < _SAME_SPAN or stamps[-1] < others[0]
+    apart = not 1.0 / _ALIKE < ratio < _ALIKE or stamps[-1] < others[0]
     seen = (Seen("row_numbers"),) if inputs.by_time and is_counted and apart else ()
     return Examined("row numbers", {"span_ratio": ratio}, seen)
 
@@ -84,7 +85,7 @@ def _flat(sides: dict[str, TimedPoses], sizes: dict[str, Floats], gauge: Gauge) 
 def _increments(inputs: InputPair) -> Examined:
     """Compare the lengths of the estimate's positions with steps of the groundtruth."""
     test, (groundtruth, estimate) = "increments", inputs.in_order
-    if not inputs.by_time or min(len(groundtruth), len(estimate)) < FEWEST_POSES:
+    if not inputs.by_time or min(len(groundtruth), len(estimate)) < FEWEST:
         return Examined(test, why_not="no timestamps")
     if estimate.extent > _SMALL * groundtruth.extent:
         return Examined(test)
@@ -92,13 +93,13 @@ def _increments(inputs: InputPair) -> Examined:
     both = at.known[1:] & at.known[:-1]
     rows = [lengths(np.diff(at.positions, axis=0))[both], lengths(estimate.positions[1:])[both]]
     # Noise is large in comparison with short steps, so some are added.
-    together = max(min(_TOGETHER, len(rows[0]) // FEWEST_POSES), 1)
+    together = max(min(_TOGETHER, len(rows[0]) // FEWEST), 1)
     blocks = np.arange(0, len(rows[0]), together)
     steps, sizes = (np.add.reduceat(row, blocks) for row in rows)
-    if len(steps) < FEWEST_POSES or not (steps.std() > 0.0 and sizes.std() > 0.0):
+    if len(steps) < FEWEST or not (steps.std() > 0.0 and sizes.std() > 0.0):
         return Examined(test, why_not="too few common poses")
     peak = float(np.corrcoef(steps, sizes)[0, 1])
     ratio = median(sizes) / max(median(steps), 1e-12)
-    is_alike = peak > _STEPS_ALIKE and 1.0 / _STEPS_WITHIN < ratio < _STEPS_WITHIN
+    is_alike = peak > _STEPS_ALIKE and 1.0 / _ALIKE < ratio < _ALIKE
     seen = (Seen.of(test, peak=peak),) if is_alike else ()
     return Examined(test, {"peak": peak, "ratio": ratio}, seen)

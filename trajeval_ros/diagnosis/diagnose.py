@@ -27,7 +27,7 @@ from trajeval_ros.diagnosis.evaluation_tests import (
     number_of_pairs,
 )
 from trajeval_ros.diagnosis.findings import Diagnosis, Examined, Finding, Seen
-from trajeval_ros.diagnosis.input_pair import FEWEST_POSES, InputPair
+from trajeval_ros.diagnosis.input_pair import FEWEST, InputPair
 from trajeval_ros.diagnosis.input_tests import (
     duplicated_rows,
     rounded_stamps,
@@ -216,7 +216,7 @@ def _tested(inputs: InputPair, losses: Sequence[Loss] = ()) -> Diagnosis:
     """Apply all tests of the inputs where the estimate is not lost; none if hardly any is left."""
     if losses:
         inputs = inputs.tracked(losses)
-        if min(len(inputs.groundtruth), len(inputs.estimate)) < FEWEST_POSES:
+        if min(len(inputs.groundtruth), len(inputs.estimate)) < FEWEST:
             return Diagnosis()
     of_sides = Diagnosis.of(_tests_of_sides(inputs))
     if of_sides.names_any(_FINAL):

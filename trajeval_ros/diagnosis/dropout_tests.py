@@ -9,20 +9,19 @@ from __future__ import annotations
 import numpy as np
 
 from trajeval_ros.diagnosis.findings import Examined, Seen
-from trajeval_ros.diagnosis.input_pair import TimedPoses, lengths
+from trajeval_ros.diagnosis.input_pair import FEWEST, TimedPoses, lengths
 from trajeval_ros.geometry.arrays import Booleans, Floats, runs_of
 from trajeval_ros.geometry.trajectory_edits import evenly
 from trajeval_ros.geometry.travelled import step_lengths
 from trajeval_ros.metrics.statistics import median
 
-_FEWEST = 20  # poses of a side
 _STEP_S = 0.04  # 25 poses per second are sufficient
-_REACH_S = 1.0  # largest step of the estimate to interpolate
+_LONG_S = 1.0  # of gaps, frozen intervals, and steps of the estimate to interpolate
 _STRETCH_S = 0.15  # least duration of an interval; shorter ones are rounding
-_HELD_M, _HELD_SHARE, _HELD_TIMES = 0.02, 0.3, 10  # motion, share of the time and number of holds
-_FROZEN_S, _FROZEN_M = 1.0, 0.15  # least duration, and motion of the estimate in it
-_BRIDGED_S, _BRIDGED_M = 0.4, 0.03  # the same of a line, and distance of the estimate from it
-_HOLE_S, _HOLE_M, _MOST_HOLES = 1.0, 0.1, 20  # the same of gaps, and number that is compared
+_HELD_M, _HELD_SHARE = 0.02, 0.3  # motion of the estimate, and share of the time
+_FROZEN_M = 0.15  # least motion of the estimate
+_BRIDGED_S, _BRIDGED_M = 0.4, 0.03  # of a line, and distance of the estimate from it
+_HOLE_M, _MOST_HOLES = 0.1, 20  # the same of gaps, and number that is compared
 
 
 def groundtruth_defects(
@@ -32,12 +31,12 @@ def groundtruth_defects(
     test = "groundtruth defects"
     begin = max(groundtruth.seconds[0], estimate.seconds[0])
     end = min(groundtruth.seconds[-1], estimate.seconds[-1])
-    if len(groundtruth) < _FEWEST or len(estimate) < _FEWEST or end <= begin:
+    if len(groundtruth) < FEWEST or len(estimate) < FEWEST or end <= begin:
         return Examined(test, why_not="too few common poses")
     some = _thinned(groundtruth)
     still, gliding = _constant(some)
     scores = {"still_share": float(still.mean()), "straight_share": float(gliding.mean())}
-    if not (still.any() or gliding.any() or max_gap_s > _HOLE_S):
+    if not (still.any() or gliding.any() or max_gap_s > _LONG_S):
         return Examined(test, scores)
     # Metres per unit of the estimate.
     times = np.linspace(begin, end, 200)
@@ -76,9 +75,9 @@ def without_defects(groundtruth: TimedPoses) -> TimedPoses:
     still, gliding = _constant(some)
     for flags in (still, _with_previous(gliding)):
         for begin, end in zip(*_stretches(some, flags), strict=True):
-            if end - begin > _FROZEN_S:
+            if end - begin > _LONG_S:
                 keep &= (groundtruth.seconds <= begin) | (groundtruth.seconds >= end)
-    return groundtruth[keep] if np.count_nonzero(keep) > _FEWEST else groundtruth
+    return groundtruth[keep] if np.count_nonzero(keep) > FEWEST else groundtruth
 
 
 def _stretches(groundtruth: TimedPoses, flags: Booleans) -> tuple[Floats, Floats]:
@@ -104,16 +103,16 @@ def _still(
     scale: float,
 ) -> list[Seen]:
     begin, end = stretches
-    start, stop = (estimate.at(times, _REACH_S) for times in stretches)
+    start, stop = (estimate.at(times, _LONG_S) for times in stretches)
     known = start.known & stop.known
     begin, long_s = begin[known], (end - begin)[known]
     moved_m = scale * lengths((stop.positions - start.positions)[known])
     moving = moved_m > _HELD_M
     held_s = float(long_s[moving].sum())
-    if np.count_nonzero(moving) >= _HELD_TIMES and held_s > _HELD_SHARE * groundtruth.span_s:
+    if np.count_nonzero(moving) >= FEWEST and held_s > _HELD_SHARE * groundtruth.span_s:
         rate_hz = 1.0 / groundtruth.usual_step_s
         return [Seen.of("groundtruth_held", held_s=median(long_s[moving]), rate_hz=rate_hz)]
-    frozen = (long_s > _FROZEN_S) & (moved_m > _FROZEN_M)
+    frozen = (long_s > _LONG_S) & (moved_m > _FROZEN_M)
     if not frozen.any():
         return []
     when, row = _longest(groundtruth, begin, long_s, np.where(frozen, long_s, 0.0))
@@ -129,7 +128,7 @@ def _gliding(
 ) -> list[Seen]:
     begin, end = stretches
     start, middle, stop = (
-        estimate.at(times, _REACH_S) for times in (begin, (begin + end) / 2.0, end)
+        estimate.at(times, _LONG_S) for times in (begin, (begin + end) / 2.0, end)
     )
     bent_m = scale * lengths(middle.positions - (start.positions + stop.positions) / 2.0)
     long_s = end - begin
@@ -148,7 +147,7 @@ def _holes(
 ) -> list[Seen]:
     """Test the gaps that the association interpolates."""
     steps_s = np.diff(groundtruth.seconds)
-    holes = np.flatnonzero((steps_s > _HOLE_S) & (steps_s <= max_gap_s))
+    holes = np.flatnonzero((steps_s > _LONG_S) & (steps_s <= max_gap_s))
     worst_m, inside = 0.0, 0
     # A groundtruth with a low rate has no dropouts.
     if len(holes) > 0.2 * len(steps_s):
@@ -156,7 +155,7 @@ def _holes(
     for hole in holes[np.argsort(-steps_s[holes])][:_MOST_HOLES]:
         ends = groundtruth.seconds[[hole, hole + 1]]
         rows = np.flatnonzero((estimate.seconds > ends[0]) & (estimate.seconds < ends[1]))
-        chord = estimate.at(ends, _REACH_S)
+        chord = estimate.at(ends, _LONG_S)
         if len(rows) < 3 or not chord.known.all():
             continue
         inside += len(rows)

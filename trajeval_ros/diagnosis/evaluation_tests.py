@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from trajeval_ros.consistency.constant_covariances import constant_covariances
 from trajeval_ros.diagnosis.findings import Examined, Seen, Value
+from trajeval_ros.diagnosis.input_pair import FEWEST
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
@@ -19,7 +21,6 @@ if TYPE_CHECKING:
     from trajeval_ros.metrics.protocol import Protocol
 
 
-_FEWEST_PAIRS = 10  # for a frame offset
 _LEAST_OFFSET_M = 0.5  # smaller offsets are errors of the estimate
 _OFFSET_SHARE = 0.98  # of the squared error
 # Of a difference of heights: largest level part, and the geoid's distance from the ellipsoid.
@@ -28,7 +29,6 @@ _FEWEST_COVARIANCES = 50
 # Of decimal logarithms: least difference between the blocks, largest of equal ones, and largest
 # value of covariances that fit the errors.
 _APART, _SAME, _NEAR = 1.0, 0.25, 0.5
-_DEGREES = float(np.log10(180.0 / np.pi))
 
 
 def few_pairs(protocol: Protocol, pairs: Association) -> str:
@@ -83,7 +83,7 @@ def frame_offset(evaluation: Evaluation) -> Examined:
     share = float(mean @ mean) / total if total > 0.0 else 0.0
     length_m = float(np.linalg.norm(mean))
     scores = {"offset_m": length_m, "share": share}
-    if len(apart) < _FEWEST_PAIRS or length_m < _LEAST_OFFSET_M or share < _OFFSET_SHARE:
+    if len(apart) < FEWEST or length_m < _LEAST_OFFSET_M or share < _OFFSET_SHARE:
         return Examined(test, scores)
     height = abs(float(mean @ evaluation.groundtruth.up.matrix[2]))
     level = float(np.sqrt(max(length_m**2 - height**2, 0.0)))
@@ -130,6 +130,6 @@ def covariance_blocks(evaluation: Evaluation) -> Examined:
     if np.ptp(logs) > _APART and np.ptp(others) < _SAME and np.abs(others).max() < _NEAR:
         names = "as_read", "as_read_rotation", "exchanged", "exchanged_rotation"
         seen = (Seen("covariance_order", dict(zip(names, scores.values(), strict=True))),)
-    elif abs(logs[0]) < _SAME and abs(logs[1] + _DEGREES) < _SAME:
+    elif abs(logs[0]) < _SAME and abs(logs[1] + math.log10(math.degrees(1.0))) < _SAME:
         seen = (Seen.of("covariance_degrees", times=1.0 / as_read[1]),)
     return Examined(test, scores, seen)

@@ -7,6 +7,7 @@ permutations of the axes of the positions, and with rotations of the body (`moti
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -31,7 +32,6 @@ ROTATED_BODY = -9.0  # axes of the body with any rotation
 
 AS_READ, ROTATIONS = "as_read", "rotations"
 ESTIMATE, GROUNDTRUTH, BOTH = "estimate", "groundtruth", "both"
-DEGREES_PER_RADIAN = 180.0 / np.pi
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +130,7 @@ def _euler_table() -> list[Hypothesis]:
     flips = map(np.array, itertools.product((1.0, -1.0), repeat=3))
     rows += [_euler(MISTAKE, what, signs=s) for s in flips if s.sum() in (1.0, -3.0)]
     what = "radians were probably read as degrees"
-    return [*rows, _euler(MISTAKE, what, signs=np.full(3, DEGREES_PER_RADIAN))]
+    return [*rows, _euler(MISTAKE, what, signs=np.full(3, math.degrees(1.0)))]
 
 
 def _euler(
@@ -155,7 +155,7 @@ def _signed_permutations() -> Floats:
 
 
 PERMUTATIONS = _signed_permutations()  # (48, 3, 3)
-PROPER = PERMUTATIONS[np.linalg.det(PERMUTATIONS) > 0.0]  # (24, 3, 3), rotations
+PROPER = np.array([axes for axes in PERMUTATIONS if np.linalg.det(axes) > 0.0])  # (24, 3, 3)
 # M p and M R M with a mirror M is -1 times the positions, and the body rotated by -M.
 MIRRORED = int(np.flatnonzero((-np.eye(3) == PERMUTATIONS).all(axis=(1, 2)))[0])
 

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from trajeval_ros.metrics.protocol import Protocol
     from trajeval_ros.metrics.tracking_loss import Loss
 
-FEWEST_POSES = 12  # of a side or in common: fewer are no evidence
+FEWEST = 12  # poses, motions or repetitions: fewer are no evidence
+SHORTEST_S = 8.0  # of a side and in common: less motion has no evidence
 SAMPLE = 2000  # rows in a statistic of columns, which bounds its cost
 
 

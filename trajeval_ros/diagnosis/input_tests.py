@@ -8,7 +8,7 @@ import re
 import numpy as np
 
 from trajeval_ros.diagnosis.findings import Examined, Seen, Value
-from trajeval_ros.diagnosis.input_pair import SAMPLE, InputPair, TimedPoses, lengths
+from trajeval_ros.diagnosis.input_pair import FEWEST, SAMPLE, InputPair, TimedPoses, lengths
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, extents
 from trajeval_ros.geometry.rotation_fit import best_rotations
@@ -17,17 +17,13 @@ from trajeval_ros.geometry.trajectory_edits import evenly
 from trajeval_ros.metrics.statistics import median
 
 _PROBES = 400  # rows of a side that are compared, which bounds the cost
-_FEWEST_POSES = 30
-_FEWEST_REPEATS = 10  # of the probes, of a copied block
-_FEWEST_MOVING = 10  # poses of a side that moves or whose timestamps are rounded
 # Equal positions: tolerance of timestamps, least number and share of poses with a partner, share
 # of them that is equal, decimals of text files, and relative error of an interpolation.
 _SAME_S = 2e-6
 _FEWEST_EQUAL, _SHARED, _NEARLY_ALL_PERCENT = 3, 0.5, 90.0
 _DECIMALS = range(3, 10)
 _ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
-# After a rigid fit: least number of poses, and largest difference as a fraction of the extent.
-_FEWEST_FITTED, _FITTED_SHARE = 10, 1e-6
+_FITTED_SHARE = 1e-6  # largest difference after a rigid fit, as a fraction of the extent
 # Largest extent of a body at rest, as a fraction of the other side's, and least extent of motion,
 # in units of the source.
 _STILL_SHARE, _MOVED = 1e-5, 0.3
@@ -62,7 +58,7 @@ def rounded_stamps(inputs: InputPair) -> Examined:
         seconds, steps = read.stamps / NANOSECONDS, np.array([1.0, 0.5, 0.1])
         some = seconds[:SAMPLE, None] / steps
         steps = steps[(np.abs(some - np.rint(some)) < 1e-4).all(axis=0)]
-        if not len(steps) or len(read) < _FEWEST_MOVING:
+        if not len(steps) or len(read) < FEWEST:
             continue
         stamps, counts = np.unique(seconds, return_counts=True)
         shared = median(counts)
@@ -80,11 +76,11 @@ def duplicated_rows(inputs: InputPair) -> Examined:
     seen: list[Seen] = []
     scores: dict[str, float] = {}
     for side, poses in sides_of(inputs).items():
-        if len(poses) < _FEWEST_POSES:
+        if len(poses) < FEWEST:
             continue
         repeats, apart, extent = _repeats(poses)
         scores[f"{side} share"] = share = min(1.0, repeats / min(_PROBES, len(poses)))
-        if repeats >= _FEWEST_REPEATS and extent > 1e-3 * _travelled(poses.positions):
+        if repeats >= FEWEST and extent > 1e-3 * _travelled(poses.positions):
             percent = 100.0 * share
             seen.append(Seen.of("duplicated", side=side, percent=percent, rows_apart=apart))
     return Examined("duplicated rows", scores, tuple(seen))
@@ -106,7 +102,7 @@ def _repeats(poses: TimedPoses) -> tuple[int, float, float]:
     first, second = np.sort([some[order[:-1]][same], some[order[1:]][same]], axis=0)
     far = second - first > 5
     first, second = first[far], second[far]
-    if len(first) < _FEWEST_REPEATS:
+    if len(first) < FEWEST:
         return 0, 0.0, 0.0
     # A copied block repeats at one distance; a body at rest repeats at all distances.
     distances, numbers = np.unique(second - first, return_counts=True)
@@ -137,7 +133,7 @@ def same_positions(inputs: InputPair) -> Examined:
         return Examined(test, why_not=f"too few poses {where}")
     one, other = few.positions[rows], many.positions[same]
     percent = 100.0 * _equal(one, other)
-    if percent < _NEARLY_ALL_PERCENT and len(rows) >= _FEWEST_FITTED:
+    if percent < _NEARLY_ALL_PERCENT and len(rows) >= FEWEST:
         percent, where = 100.0 * _equal_when_fitted(one, other), f"{where}, after a rigid fit,"
     scores = {"percent": percent}
     if not extents(one).any() or percent < _NEARLY_ALL_PERCENT:
@@ -173,7 +169,7 @@ def standing_still(inputs: InputPair) -> Examined:
     test, sides = "standing still", sides_of(inputs)
     sizes = {side: _travelled(poses.positions) for side, poses in sides.items()}
     scores = {f"{side} path": size for side, size in sizes.items()}
-    if min(map(len, sides.values())) < _FEWEST_MOVING or is_at_rest(inputs):
+    if min(map(len, sides.values())) < FEWEST or is_at_rest(inputs):
         return Examined(test, scores, why_not="neither side moves")
     still, path_m = min(sizes, key=sizes.__getitem__), max(sizes.values())
     # Next to an estimate that diverges by far, all groundtruth is small.
@@ -196,14 +192,14 @@ def velocities(groundtruth: TimedPoses, estimate: TimedPoses) -> Examined:
     seen: list[Seen] = []
     scores: dict[str, float] = {}
     for side, poses in (("estimate", estimate), ("groundtruth", groundtruth)):
-        if poses.velocities is None or poses.quaternions is None or len(poses) < _FEWEST_POSES:
+        if poses.velocities is None or poses.quaternions is None or len(poses) < FEWEST:
             continue
         rows = evenly(len(poses) - 2, SAMPLE) + 1
         time = poses.seconds[rows + 1] - poses.seconds[rows - 1]
         rows, time = rows[time < _LONGEST_S], time[time < _LONGEST_S]
         moving = (poses.positions[rows + 1] - poses.positions[rows - 1]) / time[:, None]
         total = float(np.sum(moving**2))
-        if len(rows) < _FEWEST_POSES or not total > 0.0:
+        if len(rows) < FEWEST or not total > 0.0:
             continue
         given = poses.velocities[rows]
         as_world, as_body = (

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trajeval_ros.diagnosis.findings import Examined, Seen, Value
+from trajeval_ros.diagnosis.input_pair import FEWEST
 from trajeval_ros.geometry.arrays import extents
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.metrics.lost_tracking import losses_of
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from trajeval_ros.metrics.association import Association
 
 _START_S = 1.0  # a loss within this time after the first pair is one of the start
-_FEWEST = 10  # pairs before a loss, for the size of their path
 # Of the size of the groundtruth's path. Inverse poses have up to twice its size.
 _UNBOUNDED = 3.0
 _LARGE_PART, _LARGE = 0.2, 1.5  # of the run, and of the groundtruth's path
@@ -41,7 +41,7 @@ def is_certain(loss: Loss, pairs: Association) -> bool:
     stamps = pairs.estimate.stamps
     groundtruth, estimate = pairs.groundtruth.positions, pairs.estimate.positions
     before, lost = stamps <= loss.begin_ns, (stamps > loss.begin_ns) & (stamps <= loss.end_ns)
-    if np.count_nonzero(before) < _FEWEST or loss.is_over:
+    if np.count_nonzero(before) < FEWEST or loss.is_over:
         return False
     unit = _size(groundtruth[before]) / max(_size(estimate[before]), 1e-12)
     return unit * _size(estimate[lost]) > _UNBOUNDED * _size(groundtruth)

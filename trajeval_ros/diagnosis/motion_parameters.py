@@ -7,6 +7,7 @@ better than the spread of healthy estimates: significance alone is no mistake.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -22,7 +23,6 @@ from trajeval_ros.diagnosis.short_motions import DERIVATIVE_S
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Floats
 
-BODY, SCALE, LEVER, OFFSET, RATE = slice(0, 3), 3, slice(4, 7), 7, 8  # columns of parameters
 _ITERATIONS, _CONVERGED = 5, 1e-5  # of Gauss-Newton, and the last step in prior deviations
 _BLOCKS = 24  # of time, for the covariance: residuals within a block are correlated
 _MOST_ROTATION, _MOST_LOG_SCALE = 0.7, 1.0  # of one iteration, rad and logarithm
@@ -38,17 +38,27 @@ class Spread:
 
     healthy: float
     mistake: float
+    size: int = 1  # number of components
 
 
 # Larger healthy spreads miss small mistakes; smaller ones alarm about drift and calibrations.
 SPREADS = {
-    "body": Spread(math.radians(0.7), 1.0),  # rad
+    "body": Spread(math.radians(0.7), 1.0, 3),  # rad
     "scale": Spread(0.045, 1.5),  # of the logarithm
-    "lever": Spread(0.03, 0.6),  # m
+    "lever": Spread(0.03, 0.6, 3),  # m
     "offset": Spread(0.004, 0.3),  # s
     "rate": Spread(3e-5, 5e-3),
-    "tilt": Spread(math.radians(0.5), 0.8),  # rad, of a world
+    "tilt": Spread(math.radians(0.5), 0.8, 2),  # rad, of a world; not fitted with the others
 }
+# Columns of the fitted parameters, in their order.
+BODY, SCALE, LEVER, OFFSET, RATE, _ = (
+    slice(end - spread.size, end)
+    for end, spread in zip(
+        itertools.accumulate(spread.size for spread in SPREADS.values()),
+        SPREADS.values(),
+        strict=True,
+    )
+)
 
 
 def log_odds(values: Floats, covariance: Floats, spread: Spread) -> float:
@@ -74,17 +84,17 @@ class Parameters:
     @property
     def scale(self) -> float:
         """Groundtruth metres per unit of the estimate."""
-        return float(np.exp(self.values[SCALE]))
+        return float(np.exp(self.values[SCALE].item()))
 
     @property
     def offset_s(self) -> float:
         """Time to add to the estimate's timestamps, in the middle of the run."""
-        return float(self.values[OFFSET])
+        return self.values[OFFSET].item()
 
     @property
     def rate(self) -> float:
         """Rate to correct the estimate's clock by."""
-        return float(self.values[RATE])
+        return self.values[RATE].item()
 
 
 def fit_parameters(scores: ModelScores, model: Model) -> Parameters:
@@ -141,7 +151,7 @@ class _GaussNewton:
         step[BODY] *= min(1.0, _MOST_ROTATION / (float(np.linalg.norm(step[BODY])) + 1e-12))
         step[SCALE] = np.clip(step[SCALE], -_MOST_LOG_SCALE, _MOST_LOG_SCALE)
         self.body = lie.to_matrix(lie.from_rotation_vector(step[BODY])) @ self.body
-        self.scale *= float(np.exp(step[SCALE]))
+        self.scale *= float(np.exp(step[SCALE].item()))
         limits = np.array([*[np.inf] * 3, _MOST_OFFSET_S, _MOST_RATE])
         self.rest = np.clip(self.rest + step[LEVER.start :], -limits, limits)
         return float(np.abs(step / self.deviations).max())
@@ -153,7 +163,7 @@ class _GaussNewton:
         time = offset_s + rate * seconds
         predicted = (self.displacements + self.swing @ np.array(lever)) @ self.body.T
         of_displacements = np.zeros((len(time), 3, len(self.deviations)))
-        of_displacements[:, :, SCALE] = -displacements
+        of_displacements[:, :, SCALE] = -displacements[:, :, None]
         of_displacements[:, :, LEVER] = -self.scale * self.body @ self.swing
         kinds = [(displacements, self.scale * predicted, of_displacements)]
         if self.read.motions.has_orientations:
@@ -164,7 +174,8 @@ class _GaussNewton:
             (motion, estimated, jacobian), by_time = kinds[kind], self.rates[kind]
             unit = self.read.of_groundtruth.units[kind][:, None]
             jacobian[:, :, BODY] = so3.skew(motion)
-            jacobian[:, :, OFFSET], jacobian[:, :, RATE] = by_time, by_time * seconds
+            by_rate = by_time * seconds
+            jacobian[:, :, OFFSET], jacobian[:, :, RATE] = by_time[:, :, None], by_rate[:, :, None]
             rows.append((motion + by_time * time - estimated) / unit)
             derivatives.append(jacobian / unit[:, :, None])
         return np.concatenate(rows, axis=1), np.concatenate(derivatives, axis=1)
@@ -177,7 +188,8 @@ class _GaussNewton:
         inverse = np.linalg.inv(self.normal)
         covariance = inverse @ (sums.T @ sums) @ inverse * (_BLOCKS / (_BLOCKS - width))
         # No model of the geometry is exact; those of clocks are.
-        covariance[:OFFSET, :OFFSET] += inverse[:OFFSET, :OFFSET]
+        geometry = slice(LEVER.stop)
+        covariance[geometry, geometry] += inverse[geometry, geometry]
         covariance[LEVER] *= self.scale
         covariance[:, LEVER] *= self.scale
         rotation = lie.rotation_vector(lie.from_matrix(self.body))

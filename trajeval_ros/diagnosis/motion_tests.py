@@ -24,7 +24,13 @@ from trajeval_ros.diagnosis.hypotheses import (
     ROTATIONS,
     TIE,
 )
-from trajeval_ros.diagnosis.input_pair import FEWEST_POSES, InputPair, TimedPoses, lengths
+from trajeval_ros.diagnosis.input_pair import (
+    FEWEST,
+    SHORTEST_S,
+    InputPair,
+    TimedPoses,
+    lengths,
+)
 from trajeval_ros.diagnosis.input_tests import is_at_rest, rhythm, velocities
 from trajeval_ros.diagnosis.motion_models import Model, ModelScores
 from trajeval_ros.diagnosis.motion_parameters import (
@@ -37,20 +43,20 @@ from trajeval_ros.diagnosis.motion_parameters import (
     fit_parameters,
     log_odds,
 )
-from trajeval_ros.diagnosis.short_motions import FEWEST_MOTIONS, ShortMotions
+from trajeval_ros.diagnosis.short_motions import ShortMotions
 from trajeval_ros.diagnosis.world_axes import vertical_axes
 from trajeval_ros.metrics.statistics import median
 
-_SHORTEST_S = 8.0  # of a side: less motion has no evidence
 _LEAST_GAP_S, _MOST_GAP_S = 0.3, 1.1  # of the groundtruth to interpolate across
 AGREE_NATS = 3.0  # per independent motion: unrelated motions reach less
-_UNRELATED_PEAK, _UNRELATED_S = 0.8, 15.0  # correlation and common time of another run
-_NO_PEAK, _LONG_S = 0.45, 20.0  # the same, without common motions
+_UNRELATED_PEAK, _NO_PEAK = 0.8, 0.45  # correlation of another run, also if motions agree
+_LONG_S = 20.0  # common time from which on another run is stated
 _AT_REST_RAD = 0.01  # median rotation of a body that does not rotate, which is noise
-# Causes that no mistake in Euler angles looks like, if they fit.
-_OF_DIRECTIONS = {AS_READ, "wxyz", "xyzw", "inverse", "mirrored", "axes_mixed"}
+# Causes that no mistake in Euler angles looks like, if they fit. On a plane, a heading with the
+# other sign looks like positions in other axes.
+_OF_DIRECTIONS = {AS_READ, "wxyz", "xyzw", "inverse", "mirrored"}
 _MISFIT = 2.0  # of directions relative to lengths of rotation vectors; conventions keep lengths
-_REFINED_S, _REFINED_GROWTH_S = 0.03, 0.06  # clock errors from which on motions are sampled again
+_REFINED_S = 0.03  # largest clock error from which on motions are sampled again
 _WANDER_S = 0.005  # of healthy clocks along a run: short runs show no rate
 _STEPS_APART = 0.05  # of a step of the estimate, healthy offset of its timestamps
 
@@ -58,8 +64,8 @@ _STEPS_APART = 0.05  # of a step of the estimate, healthy offset of its timestam
 def tests_of_motion(inputs: InputPair) -> list[Examined]:
     """Apply all tests of motions."""
     groundtruth, estimate = inputs.in_order
-    if min(groundtruth.span_s, estimate.span_s) < _SHORTEST_S or len(estimate) < FEWEST_POSES:
-        return [Examined("motions", why_not=f"a side is shorter than {_SHORTEST_S:g} s")]
+    if min(groundtruth.span_s, estimate.span_s) < SHORTEST_S or len(estimate) < FEWEST:
+        return [Examined("motions", why_not=f"a side is shorter than {SHORTEST_S:g} s")]
     examined: list[Examined] = []
     gap_s = max(inputs.max_gap_s, 4.0 * groundtruth.usual_step_s, _LEAST_GAP_S)
     clock, has_defects = Clock(), False
@@ -75,7 +81,7 @@ def tests_of_motion(inputs: InputPair) -> list[Examined]:
         estimate = estimate.shifted(0.0, clock.factor - 1.0)
     motions = ShortMotions.between(groundtruth, estimate, gap_s, clock.offset_s)
     comparison = _Comparison(inputs, groundtruth, estimate, motions, clock, gap_s, has_defects)
-    if len(motions) < FEWEST_MOTIONS:
+    if len(motions) < FEWEST:
         return [*examined, comparison.of_few_motions()]
     of_velocities = velocities(groundtruth, estimate.shifted(clock.offset_s))
     return [*examined, of_velocities, *comparison.results()]
@@ -143,7 +149,7 @@ class _Comparison:
         results = [
             self._clock_result(parameters, states_rate=oriented and not conventions),
             Examined("models", statistics, conventions),
-            self._scale_result(parameters.scale, float(parameters.covariance[SCALE, SCALE])),
+            self._scale_result(parameters.scale, parameters.covariance[SCALE, SCALE].item()),
         ]
         if not (oriented and agrees):
             why_not = "rotations do not agree" if oriented else "no orientations"
@@ -179,7 +185,7 @@ class _Comparison:
             why_not = "both at rest; motions can't be compared"
             return Examined("models", statistics, why_not=why_not)
         match = self.clock.match
-        if match is None or match.overlap_s <= _UNRELATED_S:
+        if match is None or match.overlap_s <= _LONG_S:
             is_apart = False
         elif not is_apart:
             # The rates of one run correlate most without an offset, even if the estimate is bad.
@@ -192,15 +198,14 @@ class _Comparison:
         """Fit the parameters, a second time if the motions were sampled at wrong times."""
         parameters = fit_parameters(scores, model)
         offset_s, rate = parameters.offset_s, parameters.rate
-        growth_s = abs(rate) * self.estimate.span_s
-        if abs(offset_s) < _REFINED_S and growth_s < _REFINED_GROWTH_S:
+        if abs(offset_s) + abs(rate) * self.estimate.span_s / 2.0 < _REFINED_S:
             return parameters, scores
         sides, offset_s = (self.groundtruth, self.estimate), self.clock.offset_s + offset_s
         again = ShortMotions.between(*sides, self.max_gap_s, offset_s, rate)
-        if len(again) < FEWEST_MOTIONS:
+        if len(again) < FEWEST:
             return parameters, scores
         refined = fit_parameters(scores := ModelScores(again), model)
-        refined.values[OFFSET:] += parameters.values[OFFSET:]
+        refined.values[OFFSET.start :] += parameters.values[OFFSET.start :]
         return refined, scores
 
     def _clock_result(
@@ -229,8 +234,7 @@ class _Comparison:
         odds = {}
         for name, (column, value, least) in rows.items():
             spread = Spread(max(SPREADS[name].healthy, least), SPREADS[name].mistake)
-            variance = parameters.covariance[column, column].reshape(1, 1)
-            odds[name] = log_odds(np.array([value]), variance, spread)
+            odds[name] = log_odds(np.array([value]), parameters.covariance[column, column], spread)
         statistics |= {"fitted_offset_s": offset_s, "fitted_ppm": 1e6 * rate}
         statistics |= {f"log_odds_of_{name}": value for name, value in odds.items()}
         first_s = offset_s - parameters.rate * self.estimate.span_s / 2.0

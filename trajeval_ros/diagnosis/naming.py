@@ -39,7 +39,6 @@ _LEAST_LEVER_M = 0.02  # shorter lever arms have no effect worth a statement
 _UNITS = {
     "millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254, "feet": 0.3048, "kilometres": 1e3
 }  # fmt: skip
-_UNIT_SPREAD = 0.04  # of the logarithm of a scale that is a unit
 # The scale of a monocular estimate is often as near to a foot of the groundtruth.
 _FOOT_SPREAD, _FOOT_ODDS = 0.01, 2.5
 _LEAST_LOG_SCALE, _DIVERGED = 0.2, math.log(1e4)  # a scale error, and one that no unit has
@@ -198,7 +197,7 @@ def unit_or_scale(
             unit == "kilometres" and is_fast[other]
         ):
             continue
-        spread_of_unit = _UNIT_SPREAD**2 + spread.healthy**2
+        spread_of_unit = 2.0 * spread.healthy**2  # of units, and of estimates
         if (unit, side) == ("feet", GROUNDTRUTH):
             spread_of_unit = _FOOT_SPREAD**2
         apart = (log if side == ESTIMATE else -log) - math.log(_UNITS[unit])

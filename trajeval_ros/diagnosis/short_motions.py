@@ -10,14 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajeval_ros.diagnosis.input_pair import SAMPLE, TimedPoses
+from trajeval_ros.diagnosis.input_pair import FEWEST, SAMPLE, TimedPoses
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Indices
 from trajeval_ros.geometry.trajectory_edits import evenly
 from trajeval_ros.metrics.statistics import median
 
 MOTION_COUNT = 400  # largest number of motions, which bounds the cost
-FEWEST_MOTIONS = 12  # fewer motions determine no model
 MOTION_S = 1.5  # duration: noise matters in shorter motions, and drift in longer ones
 DERIVATIVE_S = 0.05  # half the interval of a numerical derivative by the time offset
 # A step of so many median steps is a jump; more jumps than the second number are usual motion.
@@ -124,4 +123,4 @@ def _without_jumps(rows: Indices, estimate: TimedPoses) -> Indices:
     if not 0 < jumps_before[-1] <= _MOST_JUMPS:
         return rows
     smooth = jumps_before[rows[0]] == jumps_before[rows[1]]
-    return rows[:, smooth] if np.count_nonzero(smooth) >= FEWEST_MOTIONS else rows
+    return rows[:, smooth] if np.count_nonzero(smooth) >= FEWEST else rows

@@ -24,7 +24,6 @@ _AXIS_DEG = 5.0  # largest angle to an axis of the frame that is named as the ve
 _SHARED_AXIS = math.cos(math.radians(12.0))  # the same, if the body rotates about it in both
 _NEAR_AXIS = math.cos(math.radians(20.0))  # the same, of an axis that the groundtruth itself shows
 _ROTATES_ABOUT = 0.9  # cosine between an axis and the axis of rotation
-_NOT_UP = 0.7  # largest cosine between the measured vertical axis and z, if z is not up
 _CALLED = {"-y": ", as in a camera's (x right, y down, z forward)", "-z": ", as in NED"}
 
 
@@ -134,8 +133,8 @@ def _vertical_of_both(
     vertical = vertical_axis_of(groundtruth.positions, groundtruth.quaternions)
     if vertical is not None:
         vertical = np.abs(groundtruth.up.turned(vertical))
-        is_axis = vertical.max() > _NEAR_AXIS and vertical[2] < _NOT_UP
-        return _sideways(int(vertical.argmax()), matrix, inputs) if is_axis else None
+        is_axis, row = vertical.max() > _NEAR_AXIS, int(vertical.argmax())
+        return _sideways(row, matrix, inputs) if is_axis and row < 2 else None
     read = scores.read(model.hypothesis)
     start = read.motions.groundtruth.quaternions
     assert start is not None

@@ -7,40 +7,31 @@ numbers. `_evaluated` has the steps in their order.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from trajeval_ros.consistency.covariance_request import CovarianceRequest
-from trajeval_ros.diagnosis.diagnose import diagnose as diagnose_evaluation
-from trajeval_ros.diagnosis.diagnose import (
-    diagnose_inputs,
-    require_conventions,
-)
-from trajeval_ros.diagnosis.findings import Diagnosis, Finding, Tried
-from trajeval_ros.diagnosis.verification import Reevaluate, verified
-from trajeval_ros.exceptions import InputError, TrajevalError
+from trajeval_ros.diagnosis.findings import Finding, Tried
+from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Remark, warning
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
-from trajeval_ros.geometry.vertical_axis import up_axis_doubt
 from trajeval_ros.metrics.as_available import AsAvailable, as_available
 from trajeval_ros.metrics.evaluation import Evaluation, of_same_point, on_plane
 from trajeval_ros.metrics.input_summary import InputSummary
 from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.reception_clock import judged_receptions
 from trajeval_ros.metrics.states_table import states_table
-from trajeval_ros.metrics.statistics import median
 from trajeval_ros.metrics.stream_health import UNKNOWN, StreamHealth, health_of
 from trajeval_ros.pipeline.corrections import finding_to_correct
-from trajeval_ros.pipeline.evaluation_remarks import remarks_on, require_same_body
+from trajeval_ros.pipeline.diagnosing import diagnosed, explained, reevaluation
+from trajeval_ros.pipeline.measurement import measured
 from trajeval_ros.pipeline.outcome import Outcome, RunOutcome
 from trajeval_ros.pipeline.preparation import (
     Inputs,
-    at_discontinuities,
     corrected_and_cut,
-    in_world_axes,
     named,
     with_fixes_placed,
 )
@@ -53,16 +44,12 @@ from trajeval_ros.pipeline.several_runs import (
 )
 
 _MOST_CORRECTIONS = 4
-# Corrections that change the pairs.
-_TEMPORAL = {"time_offset", "estimate.clock_rate", "end", "max_gap"}
 
 if TYPE_CHECKING:
     from trajeval_ros.calibration.apply import Calibrated
     from trajeval_ros.consistency.consistency_result import Consistency
     from trajeval_ros.consistency.integrity import Integrity
     from trajeval_ros.likelihood.likelihood_assessment import LikelihoodAssessment
-    from trajeval_ros.metrics.association import Association
-    from trajeval_ros.metrics.tracking_loss import Loss
 
 
 def run(
@@ -123,114 +110,23 @@ def evaluate(
     """Evaluate one estimate, as `trajeval_ros.evaluate` does."""
     request = Request(protocol or Protocol())
     given = Inputs(groundtruth, estimate)
-    inputs, _, evaluation = _measured(given, request)
-    return _diagnosed(
-        evaluation, inputs.groundtruth, inputs.estimate, _reevaluate(given, request)
+    inputs, _, evaluation = measured(given, request)
+    return diagnosed(
+        evaluation, inputs.groundtruth, inputs.estimate, reevaluation(given, request)
     )[0]
-
-
-def diagnose(
-    groundtruth: Trajectory,
-    estimate: Trajectory,
-    request: Request,
-    pairs: Association | None = None,
-    losses: Sequence[Loss] | None = None,
-) -> tuple[Diagnosis, str]:
-    """Search for mistakes, and try their corrections.
-
-    The `pairs` of a live run are given, and its `losses` of tracking if they are known.
-
-    Returns:
-        The diagnosis, and the reason if nothing can be evaluated, else "".
-    """
-    given = Inputs(groundtruth, estimate, pairs)
-    reevaluate = _reevaluate(given, request)
-    try:
-        inputs, _, evaluation = _measured(given, request)
-    except TrajevalError as error:
-        if pairs is not None:
-            return Diagnosis(), str(error)
-        inputs = corrected_and_cut(given, request)
-        found = diagnose_inputs(inputs.groundtruth, inputs.estimate, request.protocol)
-        return verified(found, None, reevaluate), str(error)
-    sides = inputs.groundtruth, inputs.estimate
-    paired = inputs.pairs is not None
-    evaluation, diagnosis = diagnose_evaluation(evaluation, *sides, paired=paired, losses=losses)
-    return verified(diagnosis, evaluation, reevaluate), ""
-
-
-def _measured(
-    given: Inputs,
-    request: Request,
-    same_as: Calibrated | None = None,
-    *,
-    compares: bool = True,
-) -> tuple[Inputs, Calibrated | None, Evaluation]:
-    """Correct, cut, calibrate, associate, align and compute the errors of one estimate.
-
-    A calibration `compares` errors with those without it.
-    """
-    inputs, protocol = in_world_axes(corrected_and_cut(given, request), request)
-    offset_s = protocol.association.time_offset_s
-    inputs = at_discontinuities(inputs, request.discontinuities, offset_s)
-    calibrated = _calibrated(inputs, protocol, request, same_as, compares=compares)
-    if calibrated is None:
-        return inputs, None, inputs.evaluated(protocol)
-    evaluation = calibrated.evaluation
-    if calibrated.hand_eye is not None:  # a side has another body now
-        streams = inputs.streams
-        if streams is not None:
-            revised = streams[1]
-            if calibrated.of_marker:
-                revised = calibrated.hand_eye.of_marker(revised, 1.0)
-            streams = evaluation.groundtruth, revised
-        inputs = Inputs(evaluation.groundtruth, evaluation.estimate, inputs.pairs, streams)
-    return inputs, calibrated, evaluation
-
-
-def _reevaluate(given: Inputs, request: Request, same_as: Calibrated | None = None) -> Reevaluate:
-    """Return what evaluates again with corrections, without relative errors."""
-
-    def reevaluate(corrections: Sequence[Mapping[str, str]]) -> Evaluation:
-        protocol = dataclasses.replace(request.protocol, lengths=())
-        changed, sides = dataclasses.replace(request, protocol=protocol), given
-        for correction in corrections:
-            changed = changed.corrected(correction)
-            if given.pairs is not None and correction.keys() & _TEMPORAL:
-                sides = _unpaired(given.pairs)
-                changed = _with_gaps_of(given.pairs, changed)
-        return _measured(sides, changed, same_as, compares=False)[2]
-
-    return reevaluate
-
-
-def _unpaired(pairs: Association) -> Inputs:
-    """Return the states of pairs with the timestamps of their own clocks."""
-    stamps = pairs.estimate.stamps - round(pairs.rule.time_offset_s * NANOSECONDS)
-    return Inputs(pairs.groundtruth, dataclasses.replace(pairs.estimate, stamps=stamps))
-
-
-def _with_gaps_of(pairs: Association, request: Request) -> Request:
-    """Return a request that interpolates between thinned pairs."""
-    steps = np.diff(pairs.groundtruth.stamps) / NANOSECONDS
-    rule = request.protocol.association
-    most_s = max(rule.max_gap_s, 3.0 * median(steps) if len(steps) else 0.0)
-    rule = dataclasses.replace(rule, max_gap_s=most_s)
-    protocol = dataclasses.replace(request.protocol, association=rule)
-    return dataclasses.replace(request, protocol=protocol)
 
 
 def _evaluated(given: Inputs, request: Request, same_as: Calibrated | None = None) -> RunOutcome:
     """Evaluate one estimate: the steps of the pipeline in their order."""
     try:
-        inputs, calibrated, evaluation = _measured(given, request, same_as)
+        inputs, calibrated, evaluation = measured(given, request, same_as)
     except InputError as error:
-        raise _explained(error, given, request) from error
-    evaluation, diagnosis = _diagnosed(
+        raise explained(error, given, request) from error
+    evaluation, diagnosis = diagnosed(
         evaluation,
         inputs.groundtruth,
         inputs.estimate,
-        _reevaluate(given, request, same_as),
+        reevaluation(given, request, same_as),
         paired=inputs.pairs is not None,
         hand_eye_calibrated=request.calibration.hand_eye,
     )
@@ -251,45 +147,6 @@ def _evaluated(given: Inputs, request: Request, same_as: Calibrated | None = Non
         stream=_stream(given.estimate),
         available=available,
     )
-
-
-def _diagnosed(
-    evaluation: Evaluation,
-    groundtruth: Trajectory,
-    estimate: Trajectory,
-    reevaluate: Reevaluate,
-    *,
-    paired: bool = False,
-    hand_eye_calibrated: bool = False,
-) -> tuple[Evaluation, Diagnosis]:
-    """Return an evaluation with remarks and without meaningless errors, and its diagnosis.
-
-    `reevaluate` evaluates with corrections. An alignment by orientations of another body is
-    refused.
-    """
-    evaluation, diagnosis = diagnose_evaluation(evaluation, groundtruth, estimate, paired=paired)
-    if hand_eye_calibrated:
-        diagnosis = diagnosis.after_hand_eye_calibration()
-    diagnosis = verified(diagnosis, evaluation, reevaluate)
-    require_same_body(evaluation, diagnosis)
-    remarks = (*remarks_on(evaluation, diagnosis, paired=paired), *evaluation.remarks)
-    return dataclasses.replace(evaluation, remarks=remarks), diagnosis
-
-
-def _explained(error: InputError, given: Inputs, request: Request) -> InputError:
-    """Return the error of an evaluation, or the wrong convention that causes a wrong up axis.
-
-    Inverse poses of the groundtruth rotate about no vertical axis.
-    """
-    inputs = corrected_and_cut(given, request)
-    gauge = request.protocol.gauge
-    if not gauge.turns_about_gravity_only or not up_axis_doubt(inputs.groundtruth):
-        return error
-    found = diagnose_inputs(inputs.groundtruth, inputs.estimate, request.protocol)
-    causes = [finding for finding in found.findings if finding.cause == "inverse"]
-    if not causes or request.calibration.hand_eye:
-        return error
-    return InputError(f"gauge {gauge.value} is not possible: {causes[0].text}")
 
 
 def _stream(estimate: Trajectory) -> StreamHealth | None:
@@ -321,33 +178,6 @@ def _available(inputs: Inputs, evaluation: Evaluation, request: Request) -> AsAv
         rule,
         association.max_gap_s,
         round(association.time_offset_s * NANOSECONDS),
-    )
-
-
-def _calibrated(
-    inputs: Inputs,
-    protocol: Protocol,
-    request: Request,
-    same_as: Calibrated | None,
-    *,
-    compares: bool,
-) -> Calibrated | None:
-    """Estimate or apply the clock and the body, and evaluate; None if neither is requested."""
-    groundtruth, estimate, pairs = inputs.groundtruth, inputs.estimate, inputs.pairs
-    if not request.calibration.anything:
-        return None
-    if request.calibration.hand_eye:
-        require_conventions(groundtruth, estimate, protocol, pairs)
-    from trajeval_ros.calibration.apply import evaluate_calibrated
-
-    return evaluate_calibrated(
-        groundtruth,
-        estimate,
-        protocol,
-        request.calibration,
-        same_as=same_as,
-        pairs=pairs,
-        compares=compares,
     )
 
 

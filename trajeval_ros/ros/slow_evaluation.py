@@ -13,8 +13,8 @@ from trajeval_ros.metrics.protocol import Protocol
 from trajeval_ros.metrics.tracking_loss import Loss
 from trajeval_ros.online.pairing import PairedStates
 from trajeval_ros.online.whole_run import RevisedPath, ThinnedRun, association_of, evaluation_of
+from trajeval_ros.pipeline.diagnosing import diagnose
 from trajeval_ros.pipeline.input_remarks import about_frames
-from trajeval_ros.pipeline.pipeline import diagnose
 from trajeval_ros.pipeline.request import Request
 from trajeval_ros.ros.background import BackgroundTask
 from trajeval_ros.ros.parameter_table import PARAMETERS

@@ -1,0 +1,132 @@
+"""The diagnosis of a request: mistakes, and evaluations with their corrections."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from trajeval_ros.diagnosis.diagnose import diagnose as diagnose_evaluation
+from trajeval_ros.diagnosis.diagnose import diagnose_inputs
+from trajeval_ros.diagnosis.findings import Diagnosis
+from trajeval_ros.diagnosis.verification import Reevaluate, verified
+from trajeval_ros.exceptions import InputError, TrajevalError
+from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
+from trajeval_ros.geometry.vertical_axis import up_axis_doubt
+from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.metrics.statistics import median
+from trajeval_ros.pipeline.evaluation_remarks import remarks_on, require_same_body
+from trajeval_ros.pipeline.measurement import measured
+from trajeval_ros.pipeline.preparation import Inputs, corrected_and_cut
+from trajeval_ros.pipeline.request import Request
+
+if TYPE_CHECKING:
+    from trajeval_ros.calibration.apply import Calibrated
+    from trajeval_ros.metrics.association import Association
+    from trajeval_ros.metrics.tracking_loss import Loss
+
+# Corrections that change the pairs.
+_TEMPORAL = {"time_offset", "estimate.clock_rate", "end", "max_gap"}
+
+
+def diagnose(
+    groundtruth: Trajectory,
+    estimate: Trajectory,
+    request: Request,
+    pairs: Association | None = None,
+    losses: Sequence[Loss] | None = None,
+) -> tuple[Diagnosis, str]:
+    """Search for mistakes, and try their corrections.
+
+    The `pairs` of a live run are given, and its `losses` of tracking if they are known.
+
+    Returns:
+        The diagnosis, and the reason if nothing can be evaluated, else "".
+    """
+    given = Inputs(groundtruth, estimate, pairs)
+    reevaluate = reevaluation(given, request)
+    try:
+        inputs, _, evaluation = measured(given, request)
+    except TrajevalError as error:
+        if pairs is not None:
+            return Diagnosis(), str(error)
+        inputs = corrected_and_cut(given, request)
+        found = diagnose_inputs(inputs.groundtruth, inputs.estimate, request.protocol)
+        return verified(found, None, reevaluate), str(error)
+    sides = inputs.groundtruth, inputs.estimate
+    paired = inputs.pairs is not None
+    evaluation, diagnosis = diagnose_evaluation(evaluation, *sides, paired=paired, losses=losses)
+    return verified(diagnosis, evaluation, reevaluate), ""
+
+
+def diagnosed(
+    evaluation: Evaluation,
+    groundtruth: Trajectory,
+    estimate: Trajectory,
+    reevaluate: Reevaluate,
+    *,
+    paired: bool = False,
+    hand_eye_calibrated: bool = False,
+) -> tuple[Evaluation, Diagnosis]:
+    """Return an evaluation with remarks and without meaningless errors, and its diagnosis.
+
+    `reevaluate` evaluates with corrections. An alignment by orientations of another body is
+    refused.
+    """
+    evaluation, diagnosis = diagnose_evaluation(evaluation, groundtruth, estimate, paired=paired)
+    if hand_eye_calibrated:
+        diagnosis = diagnosis.after_hand_eye_calibration()
+    diagnosis = verified(diagnosis, evaluation, reevaluate)
+    require_same_body(evaluation, diagnosis)
+    remarks = (*remarks_on(evaluation, diagnosis, paired=paired), *evaluation.remarks)
+    return dataclasses.replace(evaluation, remarks=remarks), diagnosis
+
+
+def reevaluation(given: Inputs, request: Request, same_as: Calibrated | None = None) -> Reevaluate:
+    """Return what evaluates again with corrections, without relative errors."""
+
+    def reevaluate(corrections: Sequence[Mapping[str, str]]) -> Evaluation:
+        protocol = dataclasses.replace(request.protocol, lengths=())
+        changed, sides = dataclasses.replace(request, protocol=protocol), given
+        for correction in corrections:
+            changed = changed.corrected(correction)
+            if given.pairs is not None and correction.keys() & _TEMPORAL:
+                sides = _by_their_clocks(given.pairs)
+                changed = _with_gaps_of(given.pairs, changed)
+        return measured(sides, changed, same_as, compares=False)[2]
+
+    return reevaluate
+
+
+def _by_their_clocks(pairs: Association) -> Inputs:
+    """Return the states of pairs with the timestamps of their own clocks."""
+    stamps = pairs.estimate.stamps - round(pairs.rule.time_offset_s * NANOSECONDS)
+    return Inputs(pairs.groundtruth, dataclasses.replace(pairs.estimate, stamps=stamps))
+
+
+def _with_gaps_of(pairs: Association, request: Request) -> Request:
+    """Return a request that interpolates between thinned pairs."""
+    steps = np.diff(pairs.groundtruth.stamps) / NANOSECONDS
+    rule = request.protocol.association
+    most_s = max(rule.max_gap_s, 3.0 * median(steps) if len(steps) else 0.0)
+    rule = dataclasses.replace(rule, max_gap_s=most_s)
+    protocol = dataclasses.replace(request.protocol, association=rule)
+    return dataclasses.replace(request, protocol=protocol)
+
+
+def explained(error: InputError, given: Inputs, request: Request) -> InputError:
+    """Return the error of an evaluation, or the wrong convention that causes a wrong up axis.
+
+    Inverse poses of the groundtruth rotate about no vertical axis.
+    """
+    inputs = corrected_and_cut(given, request)
+    gauge = request.protocol.gauge
+    if not gauge.turns_about_gravity_only or not up_axis_doubt(inputs.groundtruth):
+        return error
+    found = diagnose_inputs(inputs.groundtruth, inputs.estimate, request.protocol)
+    causes = [finding for finding in found.findings if finding.cause == "inverse"]
+    if not causes or request.calibration.hand_eye:
+        return error
+    return InputError(f"gauge {gauge.value} is not possible: {causes[0].text}")
