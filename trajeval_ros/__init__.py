@@ -14,8 +14,8 @@ Example:
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING
 
+TYPE_CHECKING = False  # of `typing`, whose import takes time: Ctrl-C meanwhile is a traceback
 if TYPE_CHECKING:
     from trajeval_ros.batch.compare_runs import compare
     from trajeval_ros.calibration.calibrate import Calibration, calibrate

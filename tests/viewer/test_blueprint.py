@@ -33,8 +33,17 @@ def range_of_rotations(rotations_deg: Floats) -> list[float] | None:
 
 
 def test_the_first_second_does_not_flatten_the_plot_of_rotation_errors() -> None:
-    settled = np.linspace(0.4, 0.6, 990)
+    settled = np.linspace(0.1, 0.2, 990)
     assert range_of_rotations(settled) is None
     low, high = range_of_rotations(np.concatenate([np.full(10, 60.0), settled])) or (1.0, 0.0)
     assert low == 0.0
-    assert 0.6 < high < 1.0
+    assert 0.2 < high < 0.3
+
+
+def test_an_axis_has_a_label_besides_0() -> None:
+    """Rerun labels 1 and 10, and not the metres between them where these are close."""
+    assert range_of_rotations(np.linspace(0.0, 3.9, 100)) is None
+    for largest, end in ((4.1, 10.4), (9.99, 10.4), (0.05, 0.104)):
+        found = range_of_rotations(np.linspace(0.0, largest, 100))
+        assert found == pytest.approx([0.0, end])
+    assert range_of_rotations(np.zeros(3)) is None

@@ -155,7 +155,7 @@ def test_memory_keeps_the_run_and_its_bounds(monkeypatch: pytest.MonkeyPatch) ->
 class Slow:
     """A sink, and what draws on it, which a test holds up."""
 
-    name, check_every_s, blueprint = "slow", 0.05, None
+    name, absence, check_every_s, blueprint = "slow", "", 0.05, None
 
     def __init__(self) -> None:
         self.free = threading.Event()

@@ -21,8 +21,11 @@ import numpy as np
 import pytest
 
 from trajeval_ros.exceptions import SettingsError
+from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.simulation.drifting_odometry import simulate
-from trajeval_ros.viewer.sinks import ServerTarget, sinks_for
+from trajeval_ros.viewer.live_scene import LiveScene
+from trajeval_ros.viewer.sinks import ServerTarget, ViewerTarget, sinks_for
+from trajeval_ros.viewer.stream import DrawingThread
 
 pytest.importorskip("rerun", reason="rerun-sdk is missing, the extra `rerun`")
 
@@ -296,6 +299,18 @@ def test_viewer_that_freezes_is_not_waited_for(mode: str, port: int, tmp_path: P
     assert report["closed"][0]
     assert report["dropped"][0] == 0
     assert_whole(tmp_path / "run.rrd", report)
+
+
+def test_a_viewer_that_does_not_listen_is_reported(port: int, tmp_path: Path) -> None:
+    scene = LiveScene("flight", ["vio"], Gauge.YAW)
+    thread = DrawingThread(ViewerTarget(url(port), "run"), scene)
+    until(lambda: thread.absence, "it has tried")
+    assert thread.absence.startswith(f"no viewer answers at {url(port)}")
+    with receiver(port, tmp_path / "seen.rrd"):
+        until(lambda: not thread.absence, "it has found one")
+    until(lambda: thread.absence, "it has lost it")
+    assert thread.trouble == ""
+    thread.close()
 
 
 @pytest.mark.slow

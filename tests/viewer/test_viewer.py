@@ -7,6 +7,8 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -19,6 +21,7 @@ from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.receptions import Receptions
 from trajeval_ros.metrics.as_available import AsAvailable, AvailabilityRule, as_available
 from trajeval_ros.metrics.evaluation import Evaluation
+from trajeval_ros.metrics.tracking_loss import FROZEN, Loss
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
 from trajeval_ros.simulation.drifting_odometry import simulate
@@ -26,6 +29,7 @@ from trajeval_ros.viewer import entity_data, scene_entities
 from trajeval_ros.viewer.live_scene import LiveScene
 from trajeval_ros.viewer.paths import gaps
 from trajeval_ros.viewer.sdk import sdk
+from trajeval_ros.viewer.state_lanes import TRACKED, LiveLanes
 
 NAME = "vio"
 FRAME = f"world/estimate/{NAME}"
@@ -434,6 +438,26 @@ def test_live_lanes_show_status_and_alarms(tmp_path: Path) -> None:
     assert lane(f"alarm/{NAME}/position_m") == ["error", "OK"]
     said = [text for (text,) in picture.rows("events", "TextLog:text")[1]]
     assert said == [f"{NAME}: {each.text}" for each in (alarm, late)]
+
+
+def test_a_lane_shows_a_frozen_estimate_from_its_begin_on() -> None:
+    drawn: list[tuple[int, str]] = []
+    recording = SimpleNamespace(send=lambda *_: None, log=lambda time, *_: drawn.append(time))
+    lanes, second = LiveLanes(cast("Any", recording)), 1_000_000_000
+    lost = Loss.beginning(FROZEN, 5 * second)
+    lanes.tracking("tracking/a", second, lost)
+    assert drawn == []  # the lane begins with the first pair
+    lanes.change("tracking/a", second, TRACKED)
+    states = []
+    for time, loss in ((4, None), (8, lost), (9, lost), (11, None), (12, None)):
+        lanes.tracking("tracking/a", time * second, loss)
+        states.append(lanes._now["tracking/a"])
+    assert states == [
+        (second, TRACKED),
+        *2 * [(5 * second, FROZEN)],
+        *2 * [(11 * second, TRACKED)],
+    ]
+    assert drawn == [second, 5 * second, 11 * second]
 
 
 # The command line.

@@ -26,6 +26,6 @@ Parameters and defaults:
 {_LIST}
 
 The node publishes errors, the alignment and aligned paths in `~/ESTIMATE/`, and `/diagnostics`.
-Its services are `~/save` and `~/reset`. It writes pairs, result.json, errors.npz and figures to
+Its services are `~/save` and `~/reset`. It writes states, result.json, errors.npz and figures to
 the output folder. Stop it with Ctrl-C. After a crash, run `trajeval finish FOLDER`.
 """

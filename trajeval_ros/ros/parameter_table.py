@@ -76,7 +76,7 @@ PARAMETERS = (
         "Rate of evaluation and publication of the errors of pairs, in Hz.",
         (1.0, 200.0), is_live=True),
     NodeParameter("output", "",
-        "Output folder for pairs, result.json and figures. Empty: trajeval_DATE-TIME in the "
+        "Output folder for states, result.json and figures. Empty: trajeval_DATE-TIME in the "
         "working directory."),
     NodeParameter("label", "",
         "Name of the next run, for result.json. Set it before ~/start or ~/reset.",

@@ -94,10 +94,13 @@ class RerunOutput:
                 self._put(functools.partial(_show_status, name, stamp, now))
 
     def news(self) -> list[str]:
-        """Return the problems since the last call."""
-        troubles = [self.trouble, *(stream.trouble for stream, _ in self._streams)]
-        new = [each for each in troubles if each and each not in self._told]
-        self._told.update(new)
+        """Return the problems that are new since the last call."""
+        present = [
+            self.trouble,
+            *(stream.trouble or stream.absence for stream, _ in self._streams),
+        ]
+        new = [trouble for trouble in present if trouble and trouble not in self._told]
+        self._told = set(present)
         return new
 
     @property

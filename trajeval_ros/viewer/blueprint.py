@@ -67,13 +67,15 @@ def blueprint(
     has_available: bool = False,
     has_map: bool = False,
     bounds: tuple[Floats, Floats] | None = None,
+    positions_m: Floats | None = None,
     rotations_deg: Floats | None = None,
 ) -> Any:
     """Return the layout.
 
     Args:
         bounds: Smallest and largest coordinates of all paths, (3,) and (3,).
-        rotations_deg: Rotation errors of all estimates (N,), for the range of their plot.
+        positions_m: Position errors of all estimates (N,), for the range of their plot.
+        rotations_deg: Rotation errors of all estimates (N,), likewise; outliers are cut off.
     """
     _, layout = sdk()
     spaces = [
@@ -81,13 +83,13 @@ def blueprint(
         for follows in (False, True)
     ]
     # A legend of several estimates would cover the plot.
-    top_deg = _top(rotations_deg)
+    tops = _top(positions_m, cuts=False), _top(rotations_deg, cuts=True)
     more = [_plot("Scale", scene_entities.SCALE)] if gauge.has_scale else []
     if is_live:
         more.append(_plot("Yaw of the alignment [deg]", scene_entities.ALIGNMENT_YAW))
     if has_available:
         more.append(_plot("Age of the received pose [s]", scene_entities.POSE_AGE))
-    errors = _errors(more, estimates=len(estimates), top_deg=top_deg)
+    errors = _errors(more, estimates=len(estimates), tops=tops)
     return with_panels(
         layout.Horizontal(
             layout.Vertical(
@@ -110,12 +112,26 @@ def _map() -> Any:
 _OUTLIERS = 98.0  # percentile: a few large errors must not flatten a plot
 
 
-def _top(errors: Floats | None) -> float | None:
-    """Return the end of the axis of errors (N,); None if all of them fit well."""
-    if errors is None or not len(errors):
+# Rerun labels multiples of a power of ten, if they are far apart. From this share of the next
+# power on, they are too close in a plot of a sixth of the window, and only 0 would have a label.
+_UNLABELLED = 0.4
+
+
+def _top(errors: Floats | None, *, cuts: bool) -> float | None:
+    """Return the end of the axis of errors (N,); None for the choice of Rerun.
+
+    `cuts`: whether a few large errors are beyond the end.
+    """
+    if errors is None or not errors.any():
         return None
-    top = 1.3 * float(np.percentile(errors, _OUTLIERS))
-    return top if 0.0 < 1.5 * top < float(errors.max()) else None
+    top = largest = float(errors.max())
+    usual = 1.3 * float(np.percentile(errors, _OUTLIERS))
+    if cuts and 0.0 < 1.5 * usual < largest:
+        top = usual
+    power = float(10.0 ** np.ceil(np.log10(top)))
+    if top >= _UNLABELLED * power:
+        return 1.04 * power
+    return top if top < largest else None
 
 
 def state_lanes(name: str) -> Any:
@@ -127,7 +143,7 @@ def state_lanes(name: str) -> Any:
     )
 
 
-def _errors(more: list[Any], *, estimates: int, top_deg: float | None) -> Any:
+def _errors(more: list[Any], *, estimates: int, tops: tuple[float | None, float | None]) -> Any:
     _, layout = sdk()
     return layout.Vertical(
         layout.TextDocumentView(origin=f"/{scene_entities.SUMMARY}", name="Summary"),
@@ -137,12 +153,13 @@ def _errors(more: list[Any], *, estimates: int, top_deg: float | None) -> Any:
             scene_entities.ATE_POSITION,
             scene_entities.REVISED_ATE_POSITION,
             scene_entities.AVAILABLE_POSITION,
+            top=tops[0],
         ),
         _plot(
             "Rotation error and RMSE [deg]",
             scene_entities.ROTATION_ERROR,
             scene_entities.ATE_ROTATION,
-            top=top_deg,
+            top=tops[1],
         ),
         layout.Tabs(
             state_lanes("Status"),
@@ -152,7 +169,7 @@ def _errors(more: list[Any], *, estimates: int, top_deg: float | None) -> Any:
             *more,
         ),
         name="Errors",
-        row_shares=[7, 4, 3, 3] if estimates == 1 else [6, 4, 3, 4],
+        row_shares=[7, 4, 3, 3] if estimates == 1 else [6, 4, 3, 5],
     )
 
 

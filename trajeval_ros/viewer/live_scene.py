@@ -167,6 +167,7 @@ class LiveScene:
         """
         each, origin = self._estimates[name], self._groundtruth.origin
         each.errors(stamp, snapshot, revised_m)
+        self._lanes.tracking(each.entities.tracking, stamp, snapshot.loss)
         if available is not None:
             each.available(available)
         if snapshot.alignment is not None and each.origin is not None:
@@ -255,6 +256,7 @@ class LiveScene:
     def _layout(self, bounds: tuple[Floats, Floats] | None = None) -> Any:
         has_map = self._map.datum is not None
         rotations = [each.rotations.columns()[1].ravel() for each in self._estimates.values()]
+        positions = [np.empty(0), *(each.position_errors for each in self._aligned)]
         return blueprint(
             self._entities,
             self._gauge,
@@ -262,6 +264,7 @@ class LiveScene:
             has_available=any(each.is_available for each in self._estimates.values()),
             has_map=has_map,
             bounds=bounds,
+            positions_m=np.concatenate(positions),
             rotations_deg=np.concatenate(rotations),
         )
 

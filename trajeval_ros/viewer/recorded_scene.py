@@ -69,6 +69,7 @@ def write_recording(
         has_available=any(samples),
         has_map=is_on_map(groundtruth.reading.fixes, groundtruth.up),
         bounds=bounds,
+        positions_m=np.concatenate([each.absolute.position_m for each in evaluations]),
         rotations_deg=_rotations(evaluations),
     )
     title = ", ".join(each.name for each in estimates)

@@ -33,7 +33,7 @@ class FileTarget:
     memory until the end, and a node may run for days.
     """
 
-    name = "file"
+    name, absence = "file", ""
     check_every_s = _FILE_FLUSH_S
 
     def __init__(self, path: Path, recording_id: str) -> None:
@@ -82,7 +82,7 @@ class FileTarget:
 class ServerTarget:
     """A server, for viewers that connect at any time."""
 
-    name = "server"
+    name, absence = "server", ""
     check_every_s = 1.0
 
     def __init__(self, address: str, port: int, recording_id: str) -> None:
@@ -137,6 +137,7 @@ class ViewerTarget:
                 f"connect:rerun+http://{LOOPBACK}:{PORT}/proxy"
             )
         self._url, self._id = url, recording_id
+        self.absence = f"no viewer answers at {url}; one that starts later gets the whole run"
         self._address = match[1].strip("[]"), int(match[2])
 
     def open(self, blueprint: Any) -> Any | None:

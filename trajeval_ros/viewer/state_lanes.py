@@ -9,6 +9,7 @@ import numpy as np
 
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.arrays import Booleans, Indices, Stamps
+from trajeval_ros.metrics.tracking_loss import DIVERGED, FROZEN, Loss
 from trajeval_ros.viewer import colours, entity_data, scene_entities
 from trajeval_ros.viewer.live_path import LiveRecording
 from trajeval_ros.viewer.sdk import sdk
@@ -23,6 +24,8 @@ _COLOURS: dict[str, colours.Colour] = {
     NO_DATA: _QUIET,
     TRACKED: _GOOD,
     GAP: (190, 52, 52),
+    FROZEN: (190, 52, 52),
+    DIVERGED: (190, 52, 52),
 }
 _OF_LEVEL = {Level.NOTE: OK, Level.WARNING: WARNING, Level.ERROR: ERROR}
 # sensor_msgs/NavSatStatus: ground-based augmentation is used by differential and RTK solutions.
@@ -90,6 +93,15 @@ class LiveLanes:
         """Draw the status of new GNSS fixes (N,)."""
         for stamp, each in zip(stamps.tolist(), status.tolist(), strict=True):
             self.change(scene_entities.FIX_STATUS, stamp, _OF_FIX.get(each, _OF_FIX[-2]))
+
+    def tracking(self, entity: str, stamp: int, loss: Loss | None) -> None:
+        """Draw a loss of tracking from its begin on, and its end, on a lane that has begun."""
+        if entity not in self._now:
+            return
+        if loss is not None:
+            self.change(entity, max(loss.begin_ns, self._now[entity][0]), loss.cause)
+        elif self._now[entity][1] in (FROZEN, DIVERGED):
+            self.change(entity, stamp, TRACKED)
 
     def gap(self, entity: str, stamp: int, step_ns: int) -> None:
         """Draw a gap that ends at a timestamp."""

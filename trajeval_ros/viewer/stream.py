@@ -38,6 +38,7 @@ class Sink(Protocol):
     """The destination of a recording."""
 
     name: str  # name for messages
+    absence: str  # the sentence about a receiver that is not there
     check_every_s: float  # period of `check`, seconds
 
     def open(self, blueprint: Any) -> Any | None:
@@ -74,7 +75,8 @@ class DrawingThread:
     def __init__(self, sink: Sink, drawing: Drawing, after: DrawingThread | None = None) -> None:
         self.name = sink.name
         self.dropped = 0  # number of jobs that did not reach the sink
-        self.trouble = ""  # why the sink receives no more data; empty while it does
+        self.trouble = ""  # why the sink receives no more data; empty while it may
+        self.absence = ""  # why the sink has no receiver now; empty if it has one
         self._sink, self._drawing = sink, drawing
         self._jobs: deque[Job] = deque()
         self._closing = threading.Event()
@@ -142,6 +144,7 @@ class DrawingThread:
                 self._drawing.begin(recording)
         elif not self._sink.check(self._recording):
             self._forget()
+        self.absence = self._sink.absence if self._recording is None else ""
 
     def _tell_dropped(self) -> None:
         """Show how much was dropped, if that has changed."""

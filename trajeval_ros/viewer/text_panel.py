@@ -83,6 +83,13 @@ def of_snapshots(
         *_scales(gauge, alignments),
         ("Drift", [_drift_so_far(each) for each in snapshots]),
         ("Estimate covered", [whole_percent(each.estimate_coverage) for each in snapshots]),
+        (
+            "Groundtruth covered",
+            [
+                NOTHING if each.coverage is None else whole_percent(each.coverage.covered)
+                for each in snapshots
+            ],
+        ),
         _aligned_by(gauge, alignments),
     ]
     remarks = [
@@ -188,7 +195,10 @@ def _text(
             ["", *(MarkedText(each, BOLD) for each in names)],
             [[label, *values] for label, values in rows],
         )
-    meaning = ["The white line is the groundtruth, from the dot on."]
+    meaning = [
+        "The white line is the groundtruth, from the dot on.",
+        "In plots, thin lines are errors, and thick pale lines the RMSE.",
+    ]
     if scale is None:
         meaning.append("The other line is the estimate in its own frame (not aligned yet).")
     else:

@@ -461,3 +461,55 @@ def test_large_files_have_the_same_bits(
         monkeypatch.delattr(np, "loadtxt")  # pyarrow reads it
         assert len(read_trajectory(path)) == COUNT
     assert large.known_quaternions.tobytes() == plain.known_quaternions.tobytes()
+
+
+def test_lists_of_echoed_messages_are_read(tmp_path: Path) -> None:
+    """`rostopic echo` prints covariances as a list."""
+    covariance = np.diag([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    echo = MESSAGES.replace("pose:\n", f"covariance: [{', '.join(words(covariance))}]\npose:\n")
+    path = tmp_path / "t.txt"
+    path.write_text(echo)
+    covariances = read_trajectory(path).covariances
+    assert covariances is not None
+    np.testing.assert_allclose(covariances, np.tile(covariance, (COUNT, 1, 1)))
+
+
+def test_a_header_can_be_repeated(tmp_path: Path) -> None:
+    """As after two files were joined."""
+    path = tmp_path / "t.csv"
+    header = "time,x,y,z,qx,qy,qz,qw"
+    lines = rows(SECONDS, PLACES, XYZW, separator=",", header=header).splitlines()
+    path.write_text("\n".join([*lines[:30], header, *lines[30:]]))
+    assert_right(read_trajectory(path))
+
+
+def test_whole_seconds_beside_a_file_of_times_are_seconds(tmp_path: Path) -> None:
+    """Only layouts whose first column can count frames take their times from the file."""
+    (tmp_path / "times.txt").write_text("".join(f"{second}\n" for second in SECONDS))
+    path = tmp_path / "t.txt"
+    path.write_text(rows(np.arange(COUNT), PLACES))
+    assert read_trajectory(path).stamps.tolist() == (10**9 * np.arange(COUNT)).tolist()
+
+
+@pytest.mark.parametrize("time", ["stamp)", "t (s)", "time [s]"])
+def test_brackets_in_names(time: str, tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    header = f"{time},x,y,z,qx,qy,qz,qw"
+    path.write_text(rows(SECONDS, PLACES, XYZW, separator=",", header=header))
+    assert_right(read_trajectory(path))
+
+
+def test_covariances_named_by_axes(tmp_path: Path) -> None:
+    axes = ("x", "y", "z", "roll", "pitch", "yaw")
+    pairs = [(first, second) for first in range(6) for second in range(first, 6)]
+    names = [f"cov_{axes[first]}_{axes[second]}" for first, second in pairs]
+    values = np.arange(1.0, 22.0)
+    path = tmp_path / "t.csv"
+    header = ",".join(["time,x,y,z,qx,qy,qz,qw", *names])
+    path.write_text(
+        rows(SECONDS, PLACES, XYZW, np.tile(values, (COUNT, 1)), separator=",", header=header)
+    )
+    covariances = read_trajectory(path).covariances
+    assert covariances is not None
+    for (first, second), value in zip(pairs, values.tolist(), strict=True):
+        assert covariances[0, first, second] == covariances[0, second, first] == value
