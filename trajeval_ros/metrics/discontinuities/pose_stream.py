@@ -16,8 +16,6 @@ _SAME = 1e-9  # largest difference of repeated numbers
 FROZEN_S = 1.0  # an estimate at 2 Hz that is published at a higher rate repeats a pose for 0.5 s
 # Poses before an interval that give the usual innovation, and that are kept to know a gap.
 _BEFORE, _AFTER = 30, 3
-_FEWEST_ROWS = 1024  # of the arrays, so that a short stream is copied a few times only
-_NO_ROTATION = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 @dataclass
@@ -54,8 +52,8 @@ class SidePoses:
         self.first: Floats = np.zeros(7)  # the first pose
         self._last: Floats | None = None  # the newest pose, also if it is repeated
         # Seconds and poses xyz xyzw, with room for more, and the rows in use.
-        self._stamps: Floats = np.empty(_FEWEST_ROWS)
-        self._poses: Floats = np.empty((_FEWEST_ROWS, 7))
+        self._stamps: Floats = np.empty(0)
+        self._poses: Floats = np.empty((0, 7))
         self._begin = self._end = 0
 
     def __len__(self) -> int:
@@ -87,7 +85,7 @@ class SidePoses:
         """
         if not len(stamps):
             return
-        positions, quaternions = poses[:, :3], np.broadcast_to(_NO_ROTATION, (len(stamps), 4))
+        positions, quaternions = poses[:, :3], np.tile([0.0, 0.0, 0.0, 1.0], (len(stamps), 1))
         kept = np.isfinite(stamps) & np.isfinite(positions).all(axis=1)
         if self._oriented:
             quaternions = lie.normalized(poses[:, 3:7])
@@ -184,7 +182,7 @@ class SidePoses:
 
     def _append(self, stamps: Floats, poses: Floats) -> None:
         if self._end + len(stamps) > len(self._stamps):
-            size = max(_FEWEST_ROWS, 2 * (len(self) + len(stamps)))
+            size = 2 * (len(self) + len(stamps))
             larger = np.empty(size), np.empty((size, 7))
             larger[0][: len(self)], larger[1][: len(self)] = self.stamps, self.poses
             self._begin, self._end = 0, len(self)

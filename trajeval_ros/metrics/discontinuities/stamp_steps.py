@@ -21,7 +21,6 @@ SMALLEST_S = 0.04
 _CONFIRM_S, _CONFIRM_MESSAGES, _MOST_WAITING = 1.0, 5, 200
 _USUAL_OF = 60  # newest steps of the stamps whose median is the usual one
 _FIRST_UPDATE, _UPDATE_EVERY = 9, 400  # messages until the usual step is determined (again)
-_SLOWLY = 50  # messages that are examined one by one if one of them is irregular
 _LEADS = 400  # newest differences of stamp and receive time
 # A recording is played at a rate: the timestamps' time over the receive times' time, over some
 # messages: more than arrive together. Rates near 1 are those of a clock's drift and of delays.
@@ -93,7 +92,7 @@ class StampSteps:
                 begin = end
                 continue
             messages: list[Message] = []
-            end = min(end, begin + _SLOWLY)
+            end = min(end, begin + _USUAL_OF)
             for row in range(begin, min(end, len(stamps))):
                 time_s = None if received is None else float(received[row])
                 corrected, step = self._add((float(stamps[row]), poses[row], time_s))

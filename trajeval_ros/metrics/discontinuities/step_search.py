@@ -37,9 +37,7 @@ from trajeval_ros.metrics.discontinuities.step_kinds import kind_of_step, rotate
 from trajeval_ros.metrics.discontinuities.usual_differences import UsualDifferences
 
 _BURN_IN_S, _BURN_IN_PAIRS = 4.0, 12  # the first pairs are judged in retrospect
-_LEAST_BURN_IN = 6  # pairs of a run that ends before
 _LEARN_S = 10.0  # time between updates of the limits of usual motion: a shorter one costs time
-_AT_A_TIME = 64  # pairs after a step that are compared at a time
 # A step stays after this time and number of calm pairs: longer delays an alarm, shorter takes
 # an outlier for a step.
 _CALM_S, _CALM_PAIRS = 1.0, 5
@@ -103,7 +101,7 @@ class StepSearch:
 
     def finish(self) -> None:
         """Judge what waits at the end of the run."""
-        if self._burn_in is not None and len(self._burn_in) >= _LEAST_BURN_IN:
+        if self._burn_in is not None and len(self._burn_in) > _CALM_PAIRS:
             pairs = self._burn_in
             self._end_burn_in(pairs)
             self._judge(pairs)
@@ -166,13 +164,12 @@ class StepSearch:
 
     def _follow(self, step: OpenStep, previous: Floats, pairs: Floats) -> tuple[Floats, bool]:
         """Take pairs until a step ends; return the pairs after it, and whether a clock stepped."""
-        end = pairs[:_AT_A_TIME]
-        begin = np.concatenate([previous[None], end[:-1]])
-        difference = self._motion.between(begin, end)
-        totals = self._motion.between(step.begin, end)
-        limits = np.column_stack(self._usual.limit(end[:, 0] - begin[:, 0])).tolist()
-        since_begin = np.column_stack(self._usual.limit(end[:, 0] - step.begin[0])).tolist()
-        for row, pair in enumerate(end):
+        begin = np.concatenate([previous[None], pairs[:-1]])
+        difference = self._motion.between(begin, pairs)
+        totals = self._motion.between(step.begin, pairs)
+        limits = np.column_stack(self._usual.limit(pairs[:, 0] - begin[:, 0])).tolist()
+        since_begin = np.column_stack(self._usual.limit(pairs[:, 0] - step.begin[0])).tolist()
+        for row, pair in enumerate(pairs):
             size = difference.size(row)
             if step.size.deg > 25.0:
                 # Inside a flip, directions in the body are those of another body.
@@ -195,7 +192,7 @@ class StepSearch:
                 self._lose(step, pair)
             if self.open is None:
                 return pairs[row + 1 :], False
-        return pairs[len(end) :], False
+        return pairs[:0], False
 
     def _tests_clock(self, step: OpenStep, pair: Floats) -> bool:
         is_long = pair[0] - step.after[0] >= _AFTER_GAP_S
