@@ -63,6 +63,14 @@ def restarted(gap_s: float) -> Trajectory:
     return changed[~rows(ESTIMATE, 30.0 - gap_s, 30.0)]
 
 
+def test_a_small_step_beside_a_restart_is_no_cause() -> None:
+    groundtruth = moved(GROUNDTRUTH, rows(GROUNDTRUTH, 45.0), 0.1)
+    result = outcome(groundtruth, restarted(0.0))
+    kinds = {(event.kind, event.side) for event in result.evaluation.events}
+    assert kinds == {("restart", "estimate"), ("step", "groundtruth")}
+    assert list(texts(result.diagnosis)) == ["restart"]
+
+
 @needs_cases
 @pytest.mark.parametrize(
     ("groundtruth", "estimate", "cause", "words"),

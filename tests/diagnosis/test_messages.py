@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -182,7 +183,7 @@ def test_jumps_of_motion_capture_are_not_of_the_estimate(
 ) -> None:
     truth, estimate = (recording(f"hilti_2021/uzh_run2_{each}.txt") for each in ("mocap", "hdl"))
     text = findings(truth, estimate)["groundtruth_outlier"]
-    assert text.startswith("the groundtruth has an outlier of 9.91 m and 98 deg at 23.72 s")
+    assert re.match(r"the groundtruth has an outlier of 9\.9\d m and 98 deg at 23\.72 s", text)
 
 
 @pytest.mark.parametrize("count", [1, 3, 40])

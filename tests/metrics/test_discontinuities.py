@@ -119,6 +119,35 @@ def test_a_flipping_marker_is_named(side: str) -> None:
     assert event.deg == pytest.approx(180.0, abs=5.0)
 
 
+@pytest.mark.parametrize("seed", [831, 832])
+@pytest.mark.parametrize("lasting_s", [8.0, 25.0])
+def test_a_flip_of_another_point_of_the_body_returns(seed: int, lasting_s: float) -> None:
+    """Its lever arm rotates, too, so that the position seems to step."""
+    groundtruth, estimate = sides(seed)
+    assert groundtruth.quaternions is not None
+    assert estimate.quaternions is not None
+    arm = lie.rotate(estimate.quaternions, np.array([0.02, 0.1, -0.05]))
+    estimate = dataclasses.replace(estimate, positions=estimate.positions + arm)
+    quaternions = groundtruth.quaternions.copy()
+    rows = inside(groundtruth, AT_S, AT_S + lasting_s)
+    quaternions[rows] = lie.multiply(quaternions[rows], HALF_ROTATION[None])
+    flipping = dataclasses.replace(groundtruth, quaternions=quaternions)
+    event = only(discontinuities(flipping, estimate))
+    assert (event.kind, event.side) == ("flip", "groundtruth")
+    assert event.t_ns / NANOSECONDS == pytest.approx(AT_S, abs=0.1)
+
+
+def test_a_groundtruth_that_is_rare_at_the_start_shows_a_restart() -> None:
+    """As a recording of a robot that rests, until it moves."""
+    groundtruth, estimate = sides(842)
+    rests = groundtruth.stamps < 12 * NANOSECONDS
+    groundtruth = groundtruth[~rests | (np.arange(len(groundtruth)) % 200 == 0)]
+    first = estimate.positions[0]
+    estimate = changed(estimate, AT_S, np.inf, lambda rows: rows - rows[0] + first)
+    event = only(discontinuities(groundtruth, estimate))
+    assert (event.kind, event.side, event.certainty) == ("restart", "estimate", "sure")
+
+
 @pytest.mark.parametrize("gap_s", [0.0, 2.0])
 def test_a_restart_is_one_of_the_estimate_also_in_a_gap(gap_s: float) -> None:
     groundtruth, estimate = sides(841)
@@ -176,8 +205,11 @@ def test_events_do_not_depend_on_the_batches(batch_s: float) -> None:
             part = trajectory[inside(trajectory, begin_s, end_s)]
             assert part.quaternions is not None
             search.add(side, part.stamps, np.hstack([part.positions, part.quaternions]))
-    assert search.finish() == recorded
     assert [event.kind for event in recorded] == ["outlier", "step"]
+    for event, same in zip(search.finish(), recorded, strict=True):
+        assert (event.kind, event.side, event.t_ns) == (same.kind, same.side, same.t_ns)
+        assert (event.end_ns, event.poses) == (same.end_ns, same.poses)
+        assert (event.m, event.ratio) == pytest.approx((same.m, same.ratio), rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -174,7 +174,7 @@ def _is_cause(group: Sequence[Event], evaluation: Evaluation) -> bool:
     if kind in kinds.PARTING:
         together = together_m(evaluation.parts)
         if together is not None:
-            return together < _FALLS * whole.rmse
+            return together < _FALLS * _without_cuts_at(group, evaluation, whole.rmse)
         # Parts too short: a step gives an ATE of at most half its size, and steps add as squares.
         return bool(evaluation.parts) and math.hypot(*(event.m for event in group)) > whole.rmse
     if kind == kinds.OUTLIER:
@@ -184,6 +184,14 @@ def _is_cause(group: Sequence[Event], evaluation: Evaluation) -> bool:
         is_wrong = side == kinds.GROUNDTRUTH and largest_m > _SIGMAS * whole.rmse
         return is_wrong or rest < _OUTLIERS_FALL[side] * whole.rmse
     return True
+
+
+def _without_cuts_at(group: Sequence[Event], evaluation: Evaluation, whole_m: float) -> float:
+    """Return the ATE of the parts that the other steps and restarts begin, metres."""
+    rest = [event for event in evaluation.events if event not in group]
+    parts = parts_of(evaluation.association, rest, evaluation.protocol)
+    together = together_m(parts)
+    return whole_m if together is None else together
 
 
 def _seen(group: Sequence[Event], parts: Sequence[RunPart], first_ns: int) -> Seen:

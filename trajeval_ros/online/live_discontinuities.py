@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Collection
+from typing import TypeAlias
 
 import numpy as np
 
@@ -16,8 +18,11 @@ from trajeval_ros.online.state_rows import QUATERNION
 
 # Pairs wait no longer for the decision whether a step among them stays.
 _MOST_HELD_NS = 12 * NANOSECONDS
-_MOST_WAITING = 1000  # blocks of messages before the first of the other side
-_BLOCK_NS = NANOSECONDS  # messages that are examined at a time
+_MOST_WAITING = 1000  # blocks of a side before the first of the other side
+# Time of messages that are examined at a time: less costs time per message, more delays an event.
+_BLOCK_NS = NANOSECONDS // 2
+
+_Block: TypeAlias = tuple[Stamps, Floats, Stamps | None]  # timestamps, poses, receive times
 
 
 class LiveDiscontinuities:
@@ -28,8 +33,8 @@ class LiveDiscontinuities:
         self.events: list[Event] = []  # of this run, in order of detection
         self._search: Discontinuities | None = None  # None before states of both sides
         self._known = 0  # number of events of the search that were returned
-        # Side, timestamps, poses and receive times of states that are not examined yet.
-        self._waiting: deque[tuple[str, Stamps, Floats, Stamps | None]] = deque()
+        # Timestamps, poses and receive times of states that are not examined yet, by side.
+        self._waiting: dict[str, deque[_Block]] = {side: deque() for side in SIDES}
         self._is_over = False
 
     def continued(self) -> LiveDiscontinuities:
@@ -37,7 +42,8 @@ class LiveDiscontinuities:
         following = LiveDiscontinuities()
         following._search, following._known = self._search, self._known
         following._waiting, following._is_over = self._waiting, self._is_over
-        self._search, self._waiting, self._is_over = None, deque(), True
+        self._search, self._is_over = None, True
+        self._waiting = {side: deque() for side in SIDES}
         return following
 
     def add(self, side: str, stamps: Stamps, rows: Floats, received: Stamps | None) -> None:
@@ -53,22 +59,24 @@ class LiveDiscontinuities:
             return
         if received is not None and (received == UNKNOWN).any():
             received = None
-        self._waiting.append((side, stamps, rows[:, : QUATERNION.stop], received))
-        if self._search is None and len(self._waiting) > _MOST_WAITING:
-            self._waiting.popleft()
+        blocks = self._waiting[side]
+        blocks.append((stamps, rows[:, : QUATERNION.stop], received))
+        if self._search is None and len(blocks) > _MOST_WAITING:
+            blocks.popleft()
 
     def examine(self, *, at_end: bool = False) -> list[Event]:
-        """Examine the states since the last call; return the new events.
+        """Examine the states that have arrived, in blocks of time; return the new events.
 
         Frozen parts extend their event while they last. `at_end`: no states will follow.
         """
         if self._search is None:
             self._begin()
-        if self._search is None or (self._is_over and not self._waiting):
+        if self._search is None or self._is_over:
             return []
-        while self._waiting:
-            for block in self._next_block():
-                self._search.add(*block)
+        for side, blocks in self._waiting.items():
+            if blocks and (at_end or abs(blocks[-1][0][-1] - blocks[0][0][0]) >= _BLOCK_NS):
+                self._search.add(side, *_joined(blocks))
+                blocks.clear()
         events = self._search.events
         new = events[self._known :]
         if at_end:
@@ -105,23 +113,14 @@ class LiveDiscontinuities:
 
     def _begin(self) -> None:
         """Create the search when both sides have states, of which it needs to know the kind."""
-        firsts = {side: poses for side, _, poses, _ in reversed(self._waiting)}
-        if len(firsts) == len(SIDES):
-            oriented = not any(np.isnan(poses[0, QUATERNION]).any() for poses in firsts.values())
-            self._search = Discontinuities(oriented=oriented)
+        if all(self._waiting.values()):
+            firsts = [blocks[0][1][0, QUATERNION] for blocks in self._waiting.values()]
+            self._search = Discontinuities(oriented=not np.isnan(firsts).any())
 
-    def _next_block(self) -> list[tuple[str, Stamps, Floats, Stamps | None]]:
-        """Return the next states that wait, joined by side."""
-        taken: dict[str, list[tuple[Stamps, Floats, Stamps | None]]] = {}
-        begin = int(self._waiting[0][1][0])
-        while self._waiting and abs(int(self._waiting[0][1][0]) - begin) < _BLOCK_NS:
-            side, stamps, poses, times = self._waiting.popleft()
-            taken.setdefault(side, []).append((stamps, poses, times))
-        blocks = []
-        for side, parts in taken.items():
-            known = [times for _, _, times in parts if times is not None]
-            received = np.concatenate(known) if len(known) == len(parts) else None
-            stamps = np.concatenate([part[0] for part in parts])
-            poses = np.concatenate([part[1] for part in parts])
-            blocks.append((side, stamps, poses, received))
-        return blocks
+
+def _joined(blocks: Collection[_Block]) -> _Block:
+    """Return blocks as one; receive times are known if those of all blocks are."""
+    stamps, poses, times = zip(*blocks, strict=True)
+    known = [received for received in times if received is not None]
+    received = np.concatenate(known) if len(known) == len(times) else None
+    return np.concatenate(stamps), np.concatenate(poses), received

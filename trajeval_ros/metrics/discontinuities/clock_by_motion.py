@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import bisect
-
 import numpy as np
 
 from trajeval_ros.metrics.discontinuities.pose_stream import SidePoses
-from trajeval_ros.metrics.discontinuities.relative_motion import (
-    Difference,
-    Pair,
-    RelativeMotion,
-)
+from trajeval_ros.metrics.discontinuities.relative_motion import RelativeMotion
+from trajeval_ros.metrics.statistics import median
 
 _MOTION_S = 3.0  # motion after the gap that is compared
 _EVERY_S = 0.2
@@ -42,43 +37,39 @@ def clock_by_motion(
         limit_m: Largest usual difference of such a motion.
     """
     stamps = stream.stamps
-    row = max(bisect.bisect_left(stamps, before_s + 1e-9) - 1, 1)
-    while row < len(stamps) and stamps[row] - stamps[row - 1] <= 2.5 * period_s:
-        row += 1
-        if stamps[row - 1] >= after_s:
-            return None
+    first = max(stream.row_from(before_s + 1e-9) - 1, 1)
+    gaps = np.flatnonzero(np.diff(stamps[first - 1 :]) > 2.5 * period_s)
+    row = first + int(gaps[0]) if len(gaps) else len(stamps)
     if row >= len(stamps) or stamps[row - 1] >= after_s:
         return None
-    rows = [at for at in range(row, len(stamps)) if stamps[at] - stamps[row] <= _MOTION_S]
+    rows = np.arange(row, stream.row_after(float(stamps[row]) + _MOTION_S))
     rows = rows[:: max(1, int(_EVERY_S / period_s))]
     if len(rows) < 4 or len(other) < 4:
         return None
+    at = np.append(row - 1, rows)
 
-    def differences(step_s: float) -> list[Difference] | None:
-        at = [row - 1, *rows]
-        times = np.array([stamps[each] - (step_s if each >= row else 0.0) for each in at])
-        positions, quaternions, is_known = other.at(times)
+    def differences(step_s: float) -> tuple[float, float, float] | None:
+        """Return the medians of the differences, metres and deg, and of the motion, metres."""
+        between, is_known = other.at(stamps[at] - np.where(at >= row, step_s, 0.0))
         if not is_known.all():
             return None
-        pairs = []
-        for index, each in enumerate(at):
-            between = tuple(positions[index].tolist()), tuple(quaternions[index].tolist())
-            tested = stream.positions[each], stream.quaternions[each]
-            sides = (between, tested) if number == 1 else (tested, between)
-            pairs.append(Pair(stamps[each], *sides[0], *sides[1]))
-        return [motion.between(pairs[0], pair) for pair in pairs[1:]]
+        sides = (between, stream.poses[at]) if number == 1 else (stream.poses[at], between)
+        pairs = np.hstack([stamps[at, None], *sides])
+        difference = motion.between(pairs[0], pairs[1:])
+        m, deg, moved_m = (median(values) for values in difference[:3])
+        return m, deg, moved_m
 
     as_read = differences(0.0)
     if as_read is None:
         return None
-    whole_m, whole_deg, _ = _medians(as_read)
-    step_s = stamps[row] - stamps[row - 1] - period_s
+    whole_m, whole_deg, _ = as_read
+    step_s = float(stamps[row] - stamps[row - 1]) - period_s
     best = None
     for size_s in step_s + period_s * np.arange(-2.0, 2.01, 0.5):
         shifted = differences(float(size_s))
         if shifted is None:
             continue
-        rest_m, rest_deg, moved_m = _medians(shifted)
+        rest_m, rest_deg, moved_m = shifted
         if best is None or rest_m < best[0]:
             best = rest_m, rest_deg, moved_m, float(size_s)
     if best is None:
@@ -88,8 +79,3 @@ def clock_by_motion(
     # Small rotations are noise.
     agrees &= rest_deg < (0.5 if whole_deg >= 3.0 else 1.5) * max(whole_deg, 1e-9)
     return (size_s, row) if agrees else None
-
-
-def _medians(differences: list[Difference]) -> tuple[float, float, float]:
-    m, deg, moved_m = np.median(np.array(differences), axis=0)
-    return float(m), float(deg), float(moved_m)

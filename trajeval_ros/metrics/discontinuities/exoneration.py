@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from trajeval_ros.metrics.discontinuities.events import ESTIMATE, GROUNDTRUTH, SIDES, UNDECIDED
 from trajeval_ros.metrics.discontinuities.pose_stream import Innovation
-from trajeval_ros.metrics.discontinuities.relative_motion import Difference
+from trajeval_ros.metrics.discontinuities.relative_motion import Size
 
 GAP_PERIODS = 4.0  # a longer step of timestamps is a gap: the motion in it is unknown
 # Innovation as a fraction of the step: a smooth side has none, a guilty one nearly all of it.
@@ -30,9 +30,8 @@ class SideVerdict:
 
 def guilty_side(
     innovations: Sequence[Innovation],
-    periods_s: tuple[float, float],
     scale: float,
-    size: Difference,
+    size: Size,
     parts: tuple[bool, bool],
 ) -> SideVerdict:
     """Return the side that made a step, by exoneration.
@@ -43,8 +42,9 @@ def guilty_side(
     by_m, by_deg = parts
     m, deg = max(size.m, 1e-9), max(size.deg, 1e-9)
     shares, whole, odd, gaps = [], [], [], []
-    for innovation, period_s, unit in zip(innovations, periods_s, (1.0, scale), strict=True):
-        is_whole = innovation.gap_s <= max(GAP_PERIODS * period_s, 1e-3)
+    periods_s = [innovation.period_s for innovation in innovations]
+    for innovation, unit in zip(innovations, (1.0, scale), strict=True):
+        is_whole = innovation.gap_s <= max(GAP_PERIODS * innovation.period_s, 1e-3)
         moved = unit * innovation.m
         whole.append(is_whole)
         gaps.append(0.0 if is_whole or math.isinf(innovation.gap_s) else innovation.gap_s)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import bisect
-import itertools
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
+from trajeval_ros.geometry import lie
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.discontinuities.events import (
     FROZEN_POSITION,
     FROZEN_ROTATION,
@@ -20,12 +21,11 @@ _MOVED_M, _MOVED_DEG = 0.15, 10.0  # motion of the other side that is no noise
 _KINDS = {"position": FROZEN_POSITION, "rotation": FROZEN_ROTATION}
 
 
-@dataclass
+@dataclass(eq=False)
 class _Followed:
     repeats: Repeats
     until_s: float  # the other side is known until here
-    position: tuple[float, ...] | None = None  # of the other side at the begin
-    quaternion: tuple[float, ...] = ()
+    pose: Floats | None = None  # of the other side at the begin
     moved: float = 0.0  # metres or deg
     event: Event | None = None
 
@@ -71,18 +71,22 @@ class FrozenParts:
     def _follow(self, number: int, followed: _Followed, scale: float) -> Event | None:
         """Measure the other side's motion; return an event that begins."""
         repeats, other = followed.repeats, self._streams[1 - number]
-        begin = bisect.bisect_left(other.stamps, followed.until_s)
-        end = bisect.bisect_right(other.stamps, repeats.end_s)
+        begin = other.row_from(followed.until_s)
+        end = other.row_after(repeats.end_s)
         if begin >= end:
             return None
-        followed.until_s = other.stamps[end - 1] + 1e-9
-        if followed.position is None:
-            followed.position = other.positions[begin]
-            followed.quaternion = other.quaternions[begin]
+        followed.until_s = float(other.stamps[end - 1]) + 1e-9
+        if followed.pose is None:
+            followed.pose = other.poses[begin].copy()
         # Of two poses in succession: one outlier of the other side is no motion.
-        moved = [self._moved(followed, other, row, scale) for row in range(max(begin - 1, 0), end)]
-        lesser = [min(pair) for pair in itertools.pairwise(moved)]
-        followed.moved = max([followed.moved, *lesser])
+        poses = other.poses[max(begin - 1, 0) : end]
+        if repeats.part == "position":
+            moved = scale * np.linalg.norm(poses[:, :3] - followed.pose[:3], axis=1)
+        else:
+            rotations = lie.multiply(lie.conjugate(followed.pose[3:]), poses[:, 3:])
+            moved = np.degrees(lie.angle(rotations))
+        lesser = np.minimum(moved[1:], moved[:-1])
+        followed.moved = float(lesser.max(initial=followed.moved))
         is_position = repeats.part == "position"
         has_moved = followed.moved >= (_MOVED_M if is_position else _MOVED_DEG)
         is_long = repeats.end_s - repeats.begin_s >= FROZEN_S
@@ -100,12 +104,3 @@ class FrozenParts:
             followed.event.m = followed.moved
         else:
             followed.event.deg = followed.moved
-
-    def _moved(self, followed: _Followed, other: SidePoses, row: int, scale: float) -> float:
-        assert followed.position is not None
-        if followed.repeats.part == "position":
-            return scale * math.dist(followed.position, other.positions[row])
-        cosine = abs(
-            sum(a * b for a, b in zip(followed.quaternion, other.quaternions[row], strict=True))
-        )
-        return math.degrees(2.0 * math.acos(min(1.0, cosine)))

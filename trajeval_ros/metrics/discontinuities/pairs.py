@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import bisect
-
 import numpy as np
 
+from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.metrics.discontinuities.exoneration import GAP_PERIODS
-from trajeval_ros.metrics.discontinuities.pose_stream import SidePoses
-from trajeval_ros.metrics.discontinuities.relative_motion import Pair
+from trajeval_ros.metrics.discontinuities.pose_stream import Innovation, SidePoses
+from trajeval_ros.metrics.discontinuities.relative_motion import PAIR_WIDTH
+from trajeval_ros.metrics.statistics import median
 
 _LEAST_POSES, _LEAST_OVERLAP_S = (10, 5), 4.0  # before the rates are known
 _LEAST_GAP_S = 0.175  # a shorter step of timestamps is interpolated at any rate
@@ -36,43 +36,38 @@ class PairSource:
         groundtruth, estimate = self.streams
         if len(groundtruth) < _LEAST_POSES[0] or len(estimate) < _LEAST_POSES[1]:
             return False
-        begin_s = max(groundtruth.stamps[0], estimate.stamps[0])
+        begin_s = float(max(groundtruth.stamps[0], estimate.stamps[0]))
         overlap_s = min(groundtruth.stamps[-1], estimate.stamps[-1]) - begin_s
         if overlap_s < _LEAST_OVERLAP_S and not at_end:
             return False
         until_s = begin_s + _LEAST_OVERLAP_S  # the same poses for batches of any size
         first, second = (
-            float(np.median(np.diff(side.stamps[: max(bisect.bisect(side.stamps, until_s), 2)])))
+            median(np.diff(side.stamps[: max(side.row_after(until_s), 2)]))
             for side in self.streams
         )
         self.periods, self.base = (first, second), 0 if first > 1.5 * second else 1
         self.begin_s = begin_s
         return True
 
-    def new_pairs(self) -> list[Pair]:
-        """Interpolate the faster side at the new timestamps of the slower one."""
+    def new_pairs(self) -> Floats:
+        """Interpolate the faster side at the new timestamps of the slower one; (N, 15)."""
         assert self.periods is not None
         base, other = self.streams[self.base], self.streams[1 - self.base]
-        if len(other) < 2:
-            return []
-        begin, end = self._next, bisect.bisect_right(base.stamps, other.stamps[-1])
+        begin = self._next
+        end = base.row_after(float(other.stamps[-1])) if len(other) > 1 else begin
         if end <= begin:
-            return []
+            return np.empty((0, PAIR_WIDTH))
         self._next = end
         longest_s = max(GAP_PERIODS * self.periods[1 - self.base], _LEAST_GAP_S)
         seconds = base.stamps[begin:end]
-        positions, quaternions, is_known = other.at(np.array(seconds), longest_s)
-        columns = list(map(tuple, positions.tolist())), list(map(tuple, quaternions.tolist()))
-        sides = [columns, columns]
-        sides[self.base] = base.positions[begin:end], base.quaternions[begin:end]
-        return [
-            Pair(seconds[row], *(column[row] for side in sides for column in side))
-            for row in np.flatnonzero(is_known).tolist()
-        ]
+        between, is_known = other.at(seconds, longest_s)
+        poses = base.poses[begin:end]
+        sides = (poses, between) if self.base == 0 else (between, poses)
+        return np.hstack([seconds[:, None], *sides])[is_known]
 
     def rewind(self, after_s: float) -> None:
         """Pair again all poses after a time."""
-        self._next = bisect.bisect_left(self.streams[self.base].stamps, after_s + 1e-9)
+        self._next = self.streams[self.base].row_from(after_s + 1e-9)
 
     def drop_old(self, oldest_s: float | None) -> None:
         """Forget poses that are not needed any more; `oldest_s`: the begin of an open step."""
@@ -84,3 +79,9 @@ class PairSource:
                 dropped = stream.drop_before(newest_s - _MEMORY_S)
                 if number == self.base:
                     self._next = max(self._next - dropped, 0)
+
+    def innovation(self, number: int, begin_s: float, end_s: float) -> Innovation:
+        """Return the largest innovation of one side between the times of two pairs."""
+        assert self.periods is not None
+        margin_s = 0.0 if number == self.base else 1.01 * self.periods[number]
+        return self.streams[number].innovation(begin_s, end_s, margin_s)

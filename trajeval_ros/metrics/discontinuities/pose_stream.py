@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import bisect
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.arrays import Booleans, Floats
-from trajeval_ros.metrics.discontinuities.relative_motion import Quaternion, Vector
-from trajeval_ros.metrics.discontinuities.stamp_steps import Message, StampSteps
+from trajeval_ros.geometry.arrays import Booleans, Floats, Indices
+from trajeval_ros.metrics.discontinuities.stamp_steps import StampSteps
+from trajeval_ros.metrics.statistics import median
 
 _SAME = 1e-9  # largest difference of repeated numbers
 FROZEN_S = 1.0  # an estimate at 2 Hz that is published at a higher rate repeats a pose for 0.5 s
 # Poses before an interval that give the usual innovation, and that are kept to know a gap.
 _BEFORE, _AFTER = 30, 3
+_FEWEST_ROWS = 1024  # of the arrays, so that a short stream is copied a few times only
+_NO_ROTATION = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 @dataclass
@@ -38,6 +39,7 @@ class Innovation:
     gap_s: float  # longest step of the timestamps; infinite if too few poses are known
     usual_m: float
     usual_deg: float
+    period_s: float  # usual step of the timestamps before it
 
 
 class SidePoses:
@@ -45,115 +47,109 @@ class SidePoses:
 
     def __init__(self, *, oriented: bool) -> None:
         self.clock = StampSteps()
-        self.stamps: list[float] = []
-        self.positions: list[Vector] = []
-        self.quaternions: list[Quaternion] = []
         self.repeats: list[Repeats] = []  # of at least `FROZEN_S`, or not over
-        self.newest_s = -math.inf
+        self.newest_s = -math.inf  # repeated poses included
         self._oriented = oriented
         self._has_rotated = False
+        self.first: Floats = np.zeros(7)  # the first pose
+        self._last: Floats | None = None  # the newest pose, also if it is repeated
+        # Seconds and poses xyz xyzw, with room for more, and the rows in use.
+        self._stamps: Floats = np.empty(_FEWEST_ROWS)
+        self._poses: Floats = np.empty((_FEWEST_ROWS, 7))
+        self._begin = self._end = 0
 
     def __len__(self) -> int:
         """Return the number of stored poses."""
-        return len(self.stamps)
+        return self._end - self._begin
 
-    def store(self, message: Message) -> None:
-        """Store a pose with a corrected timestamp; late, repeated and invalid ones are not."""
-        stamp, pose, _ = message
-        if stamp <= self.newest_s:
-            return
-        position: Vector = (pose[0], pose[1], pose[2])
-        quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
-        if self._oriented:
-            length = math.sqrt(sum(value * value for value in pose[3:7]))
-            if not math.isfinite(length) or length == 0.0:
-                return
-            x, y, z, w = (value / length for value in pose[3:7])
-            quaternion = (x, y, z, w)
-        if not math.isfinite(sum(position)):
-            return
-        if self.stamps:
-            before_s = max(self.newest_s, self.stamps[-1])
-            held = _is_same(position, self.positions[-1])
-            stands = self._oriented and _is_same(quaternion, self.quaternions[-1])
-            self._has_rotated |= self._oriented and not stands
-            # A sensor without orientation may write the identity.
-            stands &= self._has_rotated
-            self._repeat("position", before_s, stamp, is_same=held)
-            self._repeat("rotation", before_s, stamp, is_same=stands)
-            if held or stands:
-                self.newest_s = stamp
-                return
-        self.newest_s = stamp
-        self.stamps.append(stamp)
-        self.positions.append(position)
-        self.quaternions.append(quaternion)
+    @property
+    def stamps(self) -> Floats:
+        """The timestamps (N,), seconds: a view."""
+        return self._stamps[self._begin : self._end]
 
-    def store_all(self, stamps: Floats, poses: Floats) -> bool:
-        """Store poses (N, 7) with increasing stamps (N,), if all of them are valid and moving.
+    @property
+    def poses(self) -> Floats:
+        """The poses (N, 7), metres and xyzw: a view."""
+        return self._poses[self._begin : self._end]
 
-        The result is that of `store`, pose by pose; False if that is needed.
+    def row_from(self, seconds: float) -> int:
+        """Return the row of the first pose at a time or later."""
+        return int(self.stamps.searchsorted(seconds))
+
+    def row_after(self, seconds: float) -> int:
+        """Return the row of the first pose after a time."""
+        return int(self.stamps.searchsorted(seconds, "right"))
+
+    def store(self, stamps: Floats, poses: Floats) -> None:
+        """Store N poses with corrected timestamps; late, repeated and invalid ones are not.
+
+        `poses` (N, 7), or (N, 3) without orientations.
         """
-        if not self.stamps or stamps[0] <= self.newest_s:
-            return False
-        if any(not interval.is_over for interval in self.repeats):
-            return False
-        positions = poses[:, :3]
-        last = np.array(self.positions[-1])
-        moved = np.abs(np.diff(positions, axis=0, prepend=last[None])).max(axis=1)
-        if not moved.min() > _SAME or not np.isfinite(moved).all():
-            return False
-        columns = [(0.0, 0.0, 0.0, 1.0)] * len(stamps)
+        if not len(stamps):
+            return
+        positions, quaternions = poses[:, :3], np.broadcast_to(_NO_ROTATION, (len(stamps), 4))
+        kept = np.isfinite(stamps) & np.isfinite(positions).all(axis=1)
         if self._oriented:
-            lengths = np.sqrt(np.einsum("ni,ni->n", poses[:, 3:7], poses[:, 3:7]))
-            if not (np.isfinite(lengths).all() and lengths.min() > 0.0):
-                return False
-            quaternions = poses[:, 3:7] / lengths[:, None]
-            before = np.array(self.quaternions[-1])
-            turned = np.abs(np.diff(quaternions, axis=0, prepend=before[None])).max(axis=1)
-            if not turned.min() > _SAME:
-                return False
-            self._has_rotated = True
-            columns = list(map(tuple, quaternions.tolist()))
-        self.stamps += stamps.tolist()
-        self.positions += map(tuple, positions.tolist())
-        self.quaternions += columns
-        self.newest_s = self.stamps[-1]
-        return True
+            quaternions = lie.normalized(poses[:, 3:7])
+            kept &= np.isfinite(quaternions).all(axis=1)
+        newest = np.maximum.accumulate(np.where(kept, stamps, -math.inf))
+        kept &= stamps > np.maximum(np.append(-math.inf, newest[:-1]), self.newest_s)
+        rows = np.hstack([positions, quaternions])
+        if not kept.all():
+            stamps, rows = stamps[kept], rows[kept]
+        if self._last is None and len(stamps):
+            self._append(stamps[:1], rows[:1])
+            self.newest_s, self.first, self._last = float(stamps[0]), rows[0], rows[0]
+            stamps, rows = stamps[1:], rows[1:]
+        if self._last is None or not len(stamps):
+            return
+        is_same = np.abs(np.diff(rows, axis=0, prepend=self._last[None])) <= _SAME
+        held = np.logical_and.reduce(is_same[:, :3], axis=1)
+        stands = np.logical_and.reduce(is_same[:, 3:], axis=1)
+        # A sensor without orientation may write the identity.
+        rotated = np.logical_or.accumulate(~stands) | self._has_rotated
+        stands &= rotated
+        self._has_rotated = bool(rotated[-1])
+        self._repeat("position", self.newest_s, stamps, held)
+        self._repeat("rotation", self.newest_s, stamps, stands)
+        self.newest_s, self._last = float(stamps[-1]), rows[-1]
+        moved = ~(held | stands)
+        if not moved.all():
+            stamps, rows = stamps[moved], rows[moved]
+        self._append(stamps, rows)
 
-    def at(self, times: Floats, longest_s: float = math.inf) -> tuple[Floats, Floats, Booleans]:
+    def at(self, times: Floats, longest_s: float = math.inf) -> tuple[Floats, Booleans]:
         """Interpolate at N times between stored poses that are at most `longest_s` apart.
 
         Returns:
-            Positions (N, 3), quaternions (N, 4), and which rows (N,) are known.
+            Poses (N, 7), and which rows (N,) are known.
         """
-        low = max(bisect.bisect_right(self.stamps, float(times.min())) - 1, 0)
-        high = bisect.bisect_left(self.stamps, float(times.max())) + 1
-        known = np.array(self.stamps[low:high])
+        low = max(self.row_after(float(times.min())) - 1, 0)
+        high = min(self.row_after(float(times.max())) + 1, len(self))
+        known, poses = self.stamps[low:high], self.poses[low:high]
         if len(known) < 2:
-            return np.zeros((len(times), 3)), np.zeros((len(times), 4)), times < -math.inf
+            return np.zeros((len(times), 7)), times < -math.inf
         rows = np.clip(np.searchsorted(known, times, "right") - 1, 0, len(known) - 2)
         width = known[rows + 1] - known[rows]
         share = (times - known[rows]) / width
         is_known = (share >= -_SAME) & (share <= 1.0 + _SAME) & (width <= longest_s)
-        positions = np.array(self.positions[low:high])
-        quaternions = np.array(self.quaternions[low:high])
-        share, one, two = share[:, None], quaternions[rows], quaternions[rows + 1]
-        two = np.where(np.sum(one * two, axis=1, keepdims=True) < 0.0, -two, two)
-        between = positions[rows] + share * (positions[rows + 1] - positions[rows])
-        return between, lie.normalized((1.0 - share) * one + share * two), is_known
+        share, one, two = share[:, None], poses[rows], poses[rows + 1]
+        opposite = np.einsum("ni,ni->n", one[:, 3:], two[:, 3:]) < 0.0
+        two[opposite, 3:] *= -1.0
+        between = one + share * (two - one)
+        between[:, 3:] = lie.normalized(between[:, 3:])
+        return between, is_known
 
     def shift_from(self, index: int, seconds: float) -> None:
         """Subtract seconds from the timestamps from an index on."""
         self.clock.shift_s -= seconds
-        self.stamps[index:] = [stamp - seconds for stamp in self.stamps[index:]]
+        self.stamps[index:] -= seconds
         self.newest_s -= seconds
 
     def drop_before(self, stamp: float) -> int:
         """Drop poses before a time, but for some, and return their number."""
-        count = max(bisect.bisect_left(self.stamps, stamp) - _BEFORE, 0)
-        for column in (self.stamps, self.positions, self.quaternions):
-            del column[:count]
+        count = max(self.row_from(stamp) - _BEFORE, 0)
+        self._begin += count
         return count
 
     def innovation(self, begin_s: float, end_s: float, margin_s: float) -> Innovation:
@@ -163,47 +159,60 @@ class SidePoses:
         rotation by 180 deg and back is a constant rate: it is compared with the second ones, too.
         `margin_s` is zero if the times are timestamps of this side.
         """
-        low = bisect.bisect_left(self.stamps, begin_s - max(margin_s, 1e-9))
-        high = bisect.bisect_right(self.stamps, end_s + max(margin_s, 1e-9))
-        low, high = max(low - _BEFORE, 0), min(high + _AFTER, len(self))
-        stamps = np.array(self.stamps[low:high])
+        low = max(self.row_from(begin_s - max(margin_s, 1e-9)) - _BEFORE, 0)
+        high = min(self.row_after(end_s + max(margin_s, 1e-9)) + _AFTER, len(self))
+        stamps, poses = self.stamps[low:high], self.poses[low:high]
         if len(stamps) < 4:
-            return Innovation(0.0, 0.0, math.inf, 0.0, 0.0)
-        first = max(bisect.bisect_left(self.stamps, begin_s + 1e-9) - 1 - low, 0)
-        last = min(bisect.bisect_left(self.stamps, end_s - 1e-9) - low, len(stamps) - 1)
+            return Innovation(0.0, 0.0, math.inf, 0.0, 0.0, 0.0)
+        first = max(self.row_from(begin_s + 1e-9) - 1 - low, 0)
+        last = min(self.row_from(end_s - 1e-9) - low, len(stamps) - 1)
         steps = np.diff(stamps)
-        quaternions = np.array(self.quaternions[low:high])
-        turned = lie.multiply(lie.conjugate(quaternions[:-1]), quaternions[1:])
-        velocities = np.diff(np.array(self.positions[low:high]), axis=0) / steps[:, None]
-        rates = _rotation_vectors(turned) / steps[:, None]
+        turned = lie.multiply(lie.conjugate(poses[:-1, 3:]), poses[1:, 3:])
+        velocities = np.diff(poses[:, :3], axis=0) / steps[:, None]
+        rates = lie.rotation_vector(turned) / steps[:, None]
         inside = slice(first, max(last, first + 1))
         by_m = _changes(velocities, steps, 1)
         by_deg = np.degrees(_changes(rates, steps, 1))
         second = np.degrees(_changes(rates, steps, 2))
         by_deg = np.maximum(by_deg, np.where(np.isfinite(second), second, 0.0))
-        usual = [
-            float(np.median(values[: first + 1])) if first > 3 else 0.0
-            for values in (by_m, by_deg)
-        ]
+        usual_m, usual_deg = (
+            median(values[: first + 1]) if first > 3 else 0.0 for values in (by_m, by_deg)
+        )
+        period_s = median(steps[:first] if first > 3 else steps)
         m, deg, gap_s = (float(values[inside].max()) for values in (by_m, by_deg, steps))
-        return Innovation(m, deg, gap_s, *usual)
+        return Innovation(m, deg, gap_s, usual_m, usual_deg, period_s)
 
-    def _repeat(self, part: str, before_s: float, stamp: float, *, is_same: bool) -> None:
+    def _append(self, stamps: Floats, poses: Floats) -> None:
+        if self._end + len(stamps) > len(self._stamps):
+            size = max(_FEWEST_ROWS, 2 * (len(self) + len(stamps)))
+            larger = np.empty(size), np.empty((size, 7))
+            larger[0][: len(self)], larger[1][: len(self)] = self.stamps, self.poses
+            self._begin, self._end = 0, len(self)
+            self._stamps, self._poses = larger
+        rows = slice(self._end, self._end + len(stamps))
+        self._stamps[rows], self._poses[rows] = stamps, poses
+        self._end = rows.stop
+
+    def _repeat(self, part: str, before_s: float, stamps: Floats, is_same: Booleans) -> None:
+        """Begin, extend and end intervals; `before_s`: the timestamp before the first one."""
         is_open = (each for each in self.repeats if each.part == part and not each.is_over)
         interval = next(is_open, None)
-        if interval is None:
-            if is_same:
-                self.repeats.append(Repeats(part, before_s, stamp))
-        elif is_same:
-            interval.end_s = stamp
-        else:
-            interval.is_over = True
-            if interval.end_s - interval.begin_s < FROZEN_S:
-                self.repeats.remove(interval)
-
-
-def _is_same(one: Vector | Quaternion, other: Vector | Quaternion) -> bool:
-    return all(abs(a - b) <= _SAME for a, b in zip(one, other, strict=True))
+        if interval is None and not is_same.any():
+            return
+        edges: Indices = np.flatnonzero(np.diff(is_same)) + 1
+        for begin, end in zip([0, *edges], [*edges, len(is_same)], strict=True):
+            if not is_same[begin]:
+                if interval is not None:
+                    interval.is_over = True
+                    if interval.end_s - interval.begin_s < FROZEN_S:
+                        self.repeats.remove(interval)
+                interval = None
+                continue
+            if interval is None:
+                begin_s = float(stamps[begin - 1]) if begin else before_s
+                interval = Repeats(part, begin_s, begin_s)
+                self.repeats.append(interval)
+            interval.end_s = float(stamps[end - 1])
 
 
 def _changes(rates: Floats, steps: Floats, apart: int) -> Floats:
@@ -213,13 +222,3 @@ def _changes(rates: Floats, steps: Floats, apart: int) -> Floats:
     before[apart:], after[:-apart] = changes * steps[apart:], changes * steps[:-apart]
     smaller: Floats = np.minimum(before, after)
     return smaller
-
-
-def _rotation_vectors(quaternions: Floats) -> Floats:
-    """Return the rotation vectors (N, 3) of quaternions (N, 4), radians."""
-    vectors = np.where(quaternions[:, 3:] < 0.0, -1.0, 1.0) * quaternions[:, :3]
-    lengths = np.linalg.norm(vectors, axis=1)
-    angles = 2.0 * np.arctan2(lengths, np.abs(quaternions[:, 3]))
-    factors = np.where(lengths > 1e-9, angles / np.maximum(lengths, 1e-12), 2.0)
-    rotated: Floats = vectors * factors[:, None]
-    return rotated

@@ -1,146 +1,48 @@
-"""How much the motions of groundtruth and estimate differ, and how much they usually do."""
+"""How much the motions of groundtruth and estimate differ."""
 
 from __future__ import annotations
 
-import bisect
 import math
-from collections import deque
-from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
 
-Vector: TypeAlias = tuple[float, float, float]
-Quaternion: TypeAlias = tuple[float, float, float, float]
 # Rotation, its products, lever arm, and the matrix and vector of the lever arm.
 BodyState: TypeAlias = tuple[Floats | None, Floats, Floats, Floats, Floats]
 
+# Columns of pairs (..., 15): time, seconds, and the poses of both sides, metres and xyzw.
+GROUNDTRUTH_POSITION, GROUNDTRUTH_QUATERNION = slice(1, 4), slice(4, 8)
+POSITION, QUATERNION = slice(8, 11), slice(11, 15)
+PAIR_WIDTH = QUATERNION.stop
+
 CELL_S = 0.5  # time between learned pairs: shorter learns noise, longer learns late
-LAGS = (1, 2, 4, 8, 16, 32, 64)  # cells between the pairs of learned differences, up to 32 s
-_KEPT = 240  # learned differences of a lag: 2 min of cells
-# Limit: the larger of these multiples of the median and of the 95th percentile. Six medians
-# detect steps of 0.1 m of a good estimate, and report about 10 events per hour of a bad one.
-_OF_MEDIAN, _OF_TAIL = 6.0, 2.5
-LEAST_M, LEAST_DEG = 0.03, 2.0  # smallest limits: motion capture is not better
-_LEAST_SAMPLES = 6
-_FEW_SAMPLES = 60  # of the differences over one period: each of fewer changes the limit
 _MEMORY_S = 60.0  # of rotation, scale and lever arm
 _LEAST_FITS, _LEAST_PATH_M = 12, 1.0  # before rotation and scale are used
 _OUTLIER, _OUTLIER_M = 4.0, 0.25  # a displacement of 4 times the groundtruth's is not learned
 _REGULAR = 0.05  # m^2: a lever arm without rotations is zero
-_GROWTH = 1.5  # exponent of the usual difference beyond the learned lags: a random walk of speed
-
-
-class Pair(NamedTuple):
-    """Poses of both sides at one time, seconds, metres and xyzw."""
-
-    t: float
-    groundtruth_position: Vector
-    groundtruth_quaternion: Quaternion
-    position: Vector
-    quaternion: Quaternion
 
 
 class Difference(NamedTuple):
-    """What the estimate moves more or less than the groundtruth between two pairs."""
+    """What the estimate moves more or less than the groundtruth between two pairs, or N times."""
+
+    m: Floats
+    deg: Floats
+    groundtruth_m: Floats  # the groundtruth's displacement
+    lengths_m: Floats  # difference of the lengths of the displacements
+
+    def size(self, row: int) -> Size:
+        """Return the size of one of N differences."""
+        return Size(float(self.m[row]), float(self.deg[row]))
+
+
+class Size(NamedTuple):
+    """Size of one difference, metres and deg."""
 
     m: float
     deg: float
-    groundtruth_m: float  # the groundtruth's displacement
-
-
-class _Samples:
-    """The newest samples of one quantity, in order of age and of size."""
-
-    def __init__(self) -> None:
-        self._by_age: deque[float] = deque()
-        self._by_size: list[float] = []
-
-    def __len__(self) -> int:
-        return len(self._by_size)
-
-    def add(self, value: float) -> None:
-        if len(self._by_age) == _KEPT:
-            oldest = self._by_age.popleft()
-            del self._by_size[bisect.bisect_left(self._by_size, oldest)]
-        self._by_age.append(value)
-        bisect.insort(self._by_size, value)
-
-    @property
-    def limit(self) -> float:
-        ordered, count = self._by_size, len(self._by_size)
-        tail = ordered[min(count - 1, int(0.95 * count))]
-        return max(_OF_MEDIAN * ordered[count // 2], _OF_TAIL * tail)
-
-
-class UsualDifferences:
-    """Limits of the differences by the time between two pairs, from those of the last minutes."""
-
-    def __init__(self, period_s: float) -> None:
-        self._period_s = period_s
-        # By lag in cells; 0 is one period of the pairs. Metres and deg.
-        self._samples: dict[int, tuple[_Samples, _Samples]] = {}
-        # Logarithms of time and of both limits; None if they are to be computed again.
-        self._table: list[tuple[float, float, float]] | None = None
-        self.clear()
-
-    def __len__(self) -> int:
-        """Return the number of differences over one period."""
-        return len(self._samples[0][0])
-
-    def is_learned(self, lag: int) -> bool:
-        """Return whether differences over `lag` cells are longer than a period of the pairs."""
-        return lag * CELL_S > 1.5 * self._period_s
-
-    def add(self, lag: int, difference: Difference) -> None:
-        """Learn a difference over `lag` cells."""
-        both = self._samples[lag]
-        for samples, value in zip(both, difference[:2], strict=True):
-            samples.add(value)
-        # Differences over one period come often, and the other lags once per cell.
-        if lag or len(both[0]) < _FEW_SAMPLES:
-            self._table = None
-
-    def clear(self) -> None:
-        """Forget all differences."""
-        self._samples = {lag: (_Samples(), _Samples()) for lag in (0, *LAGS)}
-        self._table = None
-
-    def limit(self, seconds: float) -> tuple[float, float]:
-        """Return the largest usual difference over a time, metres and deg; infinite if unknown.
-
-        It is interpolated between lags in logarithms.
-        """
-        if self._table is None:
-            self._table = self._logarithms()
-        table = self._table
-        if not table:
-            return math.inf, math.inf
-        at = math.log(max(seconds, 1e-6))
-        upper = bisect.bisect_left(table, (at,))
-        if upper == 0:
-            _, m, deg = table[0]
-        elif upper == len(table):
-            last, m, deg = table[-1]
-            m, deg = m + _GROWTH * (at - last), deg + _GROWTH * (at - last)
-        else:
-            (begin, *low), (end, *high) = table[upper - 1], table[upper]
-            share = (at - begin) / (end - begin)
-            m, deg = (a + share * (b - a) for a, b in zip(low, high, strict=True))
-        return max(math.exp(m), LEAST_M), max(math.exp(deg), LEAST_DEG)
-
-    def _logarithms(self) -> list[tuple[float, float, float]]:
-        """Return the logarithms of time and limits, which grow with the time."""
-        table, largest = [], [1e-9, 1e-9]
-        for lag, both in self._samples.items():
-            if len(both[0]) < _LEAST_SAMPLES or (lag and not self.is_learned(lag)):
-                continue
-            largest = [max(a, b.limit) for a, b in zip(largest, both, strict=True)]
-            time_s = lag * CELL_S if lag else self._period_s
-            table.append((math.log(time_s), math.log(largest[0]), math.log(largest[1])))
-        return table
 
 
 class RelativeMotion:
@@ -159,8 +61,6 @@ class RelativeMotion:
         self._lever_matrix, self._lever_vector = np.zeros((3, 3)), np.zeros(3)
         self._lengths = self._squares = self._path_m = 0.0
         self._fits = 0
-        self._rows: list[list[float]] = []
-        self._lever: Vector = (0.0, 0.0, 0.0)
 
     @property
     def state(self) -> BodyState:
@@ -177,7 +77,6 @@ class RelativeMotion:
     def state(self, state: BodyState) -> None:
         self.rotation, self.products, self.lever_m, *lever = state
         self._lever_matrix, self._lever_vector = lever
-        self._set_scalars()
 
     def rotate(self, matrix: Floats) -> None:
         """Rotate the groundtruth's body by a matrix (3, 3)."""
@@ -196,144 +95,105 @@ class RelativeMotion:
         self.products = np.zeros((3, 3))
         self._lengths = self._squares = 0.0
 
-    def between(
-        self, begin: Pair, end: Pair, *, by_length: bool = False, rows: Floats | None = None
-    ) -> Difference:
-        """Return the difference of the motions between two pairs.
+    def between(self, begin: Floats, end: Floats, *, rotation: Floats | None = None) -> Difference:
+        """Return the differences of the motions between pairs (..., 15), which broadcast.
 
-        `by_length` compares lengths of displacements. `rows` is another rotation of the body.
+        `rotation` (3, 3) is another rotation of the body.
         """
-        _, p0, q0, r0, s0 = begin
-        _, p1, q1, r1, s1 = end
-        scale = self.scale
-        d = (p1[0] - p0[0], p1[1] - p0[1], p1[2] - p0[2])
-        e = (scale * (r1[0] - r0[0]), scale * (r1[1] - r0[1]), scale * (r1[2] - r0[2]))
-        moved_m = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-        lengths_m = abs(moved_m - math.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]))
-        matrix = self._rows if rows is None else rows.tolist()
-        is_known = self.rotation is not None or rows is not None
+        d = end[..., GROUNDTRUTH_POSITION] - begin[..., GROUNDTRUTH_POSITION]
+        e = self.scale * (end[..., POSITION] - begin[..., POSITION])
+        moved_m = _length(d)
+        lengths_m = np.abs(moved_m - _length(e))
+        rotation = self.rotation if rotation is None else rotation
         if not self.oriented:
-            if not is_known:
-                return Difference(lengths_m, 0.0, moved_m)
-            return Difference(math.dist(d, _times(matrix, e)), 0.0, moved_m)
-        turned, own = _relative(q0, q1), _relative(s0, s1)
-        if not is_known:
-            deg = math.degrees(abs(_angle(turned) - _angle(own)))
-            return Difference(lengths_m, deg, moved_m)
-        x, y, z = _times(matrix, own[:3])
-        deg = math.degrees(_angle(_relative(turned, (x, y, z, own[3]))))
-        if by_length:
-            return Difference(lengths_m, deg, moved_m)
-        lever = self._lever
+            m = lengths_m if rotation is None else _length(d - e @ rotation.T)
+            return Difference(m, np.zeros_like(m), moved_m, lengths_m)
+        turned, own_turned = _rotations(begin, end)
+        if rotation is None:
+            deg = np.degrees(np.abs(lie.angle(turned) - lie.angle(own_turned)))
+            return Difference(lengths_m, deg, moved_m, lengths_m)
+        back = lie.conjugate(turned)
+        own_turned[..., :3] = own_turned[..., :3] @ rotation.T
+        deg = np.degrees(lie.angle(lie.multiply(back, own_turned)))
         # In the body at the begin and at the end: an orientation that is wrong is at one of them.
-        forward = math.dist(
-            _apart(_unrotated(q0, d), _times(matrix, _unrotated(s0, e))),
-            _apart(_rotated(turned, lever), lever),
-        )
-        backward = math.dist(
-            _apart(_unrotated(q1, d), _times(matrix, _unrotated(s1, e))),
-            _apart(lever, _unrotated(turned, lever)),
-        )
-        return Difference(min(forward, backward), deg, moved_m)
+        levers = lie.rotate(turned, self.lever_m), lie.rotate(back, self.lever_m)
+        arms = levers[0] - self.lever_m, self.lever_m - levers[1]
+        m = np.full(moved_m.shape, np.inf)
+        for pairs, arm in zip((begin, end), arms, strict=True):
+            inside = lie.rotate(lie.conjugate(pairs[..., GROUNDTRUTH_QUATERNION]), d)
+            own = lie.rotate(lie.conjugate(pairs[..., QUATERNION]), e)
+            m = np.minimum(m, _length(inside - own @ rotation.T - arm))
+        return Difference(m, deg, moved_m, lengths_m)
 
-    def learn(self, begin: Pair, end: Pair) -> bool:
-        """Learn from a motion; return whether the rotation is known from now on."""
-        scale = self.scale
-        d = np.subtract(end.groundtruth_position, begin.groundtruth_position)
-        e = np.subtract(end.position, begin.position)
-        moved_m, own = float(np.linalg.norm(d)), float(np.linalg.norm(e))
-        if self._fits > 16 and scale * own > _OUTLIER * max(moved_m, _OUTLIER_M):
+    def size(self, begin: Floats, end: Floats) -> Size:
+        """Return the difference of the motions between two pairs (15,)."""
+        return self.between(begin, end[None]).size(0)
+
+    def learn(self, begin: Floats, end: Floats) -> bool:
+        """Learn from N motions between pairs (N, 15), in order of time.
+
+        Returns whether the rotation is known from now on.
+        """
+        d = end[:, GROUNDTRUTH_POSITION] - begin[:, GROUNDTRUTH_POSITION]
+        e = end[:, POSITION] - begin[:, POSITION]
+        moved_m, own = _length(d), _length(e)
+        if self._fits > _LEAST_FITS:
+            usable = self.scale * own <= _OUTLIER * np.maximum(moved_m, _OUTLIER_M)
+            begin, end, d, e = begin[usable], end[usable], d[usable], e[usable]
+            moved_m, own = moved_m[usable], own[usable]
+        if not len(d):
             return False
-        kept = math.exp(-CELL_S / _MEMORY_S) if moved_m > 0.05 else 1.0  # a hover keeps the fit
+        # What is left of every motion at the last one; a hover keeps the fit.
+        left = np.cumprod(np.where(moved_m > 0.05, math.exp(-CELL_S / _MEMORY_S), 1.0)[::-1])
+        kept, weights = float(left[-1]), np.append(left[-2::-1], 1.0)[:, None]
+        x, y = d, self.scale * e
+        added = np.zeros((3, 3))
         if self.oriented:
-            turned = _relative(begin.groundtruth_quaternion, end.groundtruth_quaternion)
-            own_turned = _relative(begin.quaternion, end.quaternion)
-            x = np.array(_unrotated(begin.groundtruth_quaternion, tuple(d)))
-            y = scale * np.array(_unrotated(begin.quaternion, tuple(e)))
-            vectors = _rotation_vector(turned), _rotation_vector(own_turned)
-            added = np.outer(x, y) + np.outer(*vectors)
+            turned, own_turned = _rotations(begin, end)
+            x = lie.rotate(lie.conjugate(begin[:, GROUNDTRUTH_QUATERNION]), x)
+            y = lie.rotate(lie.conjugate(begin[:, QUATERNION]), y)
+            vectors = lie.rotation_vector(turned), lie.rotation_vector(own_turned)
+            added = (weights * vectors[0]).T @ vectors[1]
             if self.rotation is not None:
-                columns = np.array([_rotated(turned, tuple(axis)) for axis in np.eye(3)]).T
-                columns -= np.eye(3)
-                right = columns.T @ (x - self.rotation @ y)
-                self._lever_matrix = kept * self._lever_matrix + columns.T @ columns
-                self._lever_vector = kept * self._lever_vector + right
-        else:
-            added = np.outer(d, scale * e)
-        self.products = kept * self.products + added
-        self._lengths = kept * self._lengths + moved_m * own
-        self._squares = kept * self._squares + own * own
-        self._path_m, self._fits = self._path_m + moved_m, self._fits + 1
+                matrices = lie.to_matrix(turned) - np.eye(3)
+                stacked = (np.sqrt(weights)[:, :, None] * matrices).reshape(-1, 3)
+                rest = (np.sqrt(weights) * (x - y @ self.rotation.T)).reshape(-1)
+                self._lever_matrix = kept * self._lever_matrix + stacked.T @ stacked
+                self._lever_vector = kept * self._lever_vector + stacked.T @ rest
+        self.products = kept * self.products + (weights * x).T @ y + added
+        self._lengths = kept * self._lengths + float(weights[:, 0] @ (moved_m * own))
+        self._squares = kept * self._squares + float(weights[:, 0] @ (own * own))
+        self._path_m, self._fits = self._path_m + float(moved_m.sum()), self._fits + len(d)
         if self._fits < _LEAST_FITS or self._path_m <= _LEAST_PATH_M or not self._squares > 0.0:
             return False
         was_known, self.scale = self.rotation is not None, self._lengths / self._squares
-        left, _, right_t = np.linalg.svd(self.products)
+        before, _, after = np.linalg.svd(self.products)
         # Mirrored axes are another mistake: without orientations, a reflection is allowed.
-        sign = np.sign(np.linalg.det(left @ right_t)) if self.oriented else 1.0
-        self.rotation = np.asarray(left @ np.diag([1.0, 1.0, sign]) @ right_t, dtype=np.float64)
+        if self.oriented and np.linalg.det(before @ after) < 0.0:
+            before[:, 2] *= -1.0
+        self.rotation = np.asarray(before @ after)
         if self.oriented:
             regular = self._lever_matrix + _REGULAR * np.eye(3)
             self.lever_m = np.asarray(np.linalg.solve(regular, self._lever_vector))
-        self._set_scalars()
         return not was_known
 
-    def _set_scalars(self) -> None:
-        self._rows = [] if self.rotation is None else self.rotation.tolist()
-        self._lever = tuple(self.lever_m.tolist())
 
-
-def rotation_beyond(motion: RelativeMotion, begin: Pair, end: Pair) -> Floats:
+def rotation_beyond(motion: RelativeMotion, begin: Floats, end: Floats) -> Floats:
     """Return the matrix (3, 3) of what the groundtruth's body did not rotate as the estimate's."""
     assert motion.rotation is not None
-    turned = _relative(begin.groundtruth_quaternion, end.groundtruth_quaternion)
-    own = _relative(begin.quaternion, end.quaternion)
-    x, y, z = _times(motion.rotation.tolist(), own[:3])
-    beyond = _relative((x, y, z, own[3]), turned)
-    return np.array([_rotated(beyond, tuple(axis)) for axis in np.eye(3)])
+    turned, own_turned = _rotations(begin, end)
+    own_turned[:3] = motion.rotation @ own_turned[:3]
+    return lie.to_matrix(lie.multiply(lie.conjugate(own_turned), turned))
 
 
-def _relative(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Return the rotation from a to b, conjugate(a) b."""
-    ax, ay, az, aw = -a[0], -a[1], -a[2], a[3]
-    bx, by, bz, bw = b
-    return (
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-        aw * bw - ax * bx - ay * by - az * bz,
-    )
+def _rotations(begin: Floats, end: Floats) -> list[Floats]:
+    """Return the rotations (..., 4) of groundtruth and estimate between pairs (..., 15)."""
+    return [
+        lie.multiply(lie.conjugate(begin[..., columns]), end[..., columns])
+        for columns in (GROUNDTRUTH_QUATERNION, QUATERNION)
+    ]
 
 
-def _angle(q: Quaternion) -> float:
-    return 2.0 * math.atan2(math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2]), abs(q[3]))
-
-
-def _rotation_vector(q: Quaternion) -> Floats:
-    length = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
-    factor = _angle(q) / length if length > 1e-9 else 2.0
-    return math.copysign(factor, q[3]) * np.array(q[:3])
-
-
-def _rotated(q: Quaternion, v: Sequence[float]) -> Vector:
-    a, b, c, w = q
-    x, y, z = v
-    tx, ty, tz = 2.0 * (b * z - c * y), 2.0 * (c * x - a * z), 2.0 * (a * y - b * x)
-    return (
-        x + w * tx + b * tz - c * ty,
-        y + w * ty + c * tx - a * tz,
-        z + w * tz + a * ty - b * tx,
-    )
-
-
-def _unrotated(q: Quaternion, v: Sequence[float]) -> Vector:
-    return _rotated((-q[0], -q[1], -q[2], q[3]), v)
-
-
-def _times(rows: Sequence[Sequence[float]], v: Sequence[float]) -> Vector:
-    (a, b, c), (d, e, f), (g, h, i) = rows
-    x, y, z = v
-    return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
-
-
-def _apart(a: Vector, b: Vector) -> Vector:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+def _length(vectors: Floats) -> Floats:
+    lengths: Floats = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
+    return lengths

@@ -13,8 +13,8 @@ from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.gauge import Similarity
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.association import Association
-from trajeval_ros.metrics.discontinuities.relative_motion import LEAST_DEG, LEAST_M
 from trajeval_ros.metrics.discontinuities.stamp_steps import SMALLEST_S
+from trajeval_ros.metrics.discontinuities.usual_differences import LEAST_DEG, LEAST_M
 from trajeval_ros.metrics.statistics import median
 
 _FEW_PAIRS = 500  # the search takes no noticeable time

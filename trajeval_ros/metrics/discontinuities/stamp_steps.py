@@ -20,14 +20,15 @@ SMALLEST_S = 0.04
 # catching up after a delay for a step.
 _CONFIRM_S, _CONFIRM_MESSAGES, _MOST_WAITING = 1.0, 5, 200
 _USUAL_OF = 60  # newest steps of the stamps whose median is the usual one
-_USUAL_EVERY = 50  # messages between updates of the usual step
+_FIRST_UPDATE, _UPDATE_EVERY = 9, 400  # messages until the usual step is determined (again)
+_SLOWLY = 50  # messages that are examined one by one if one of them is irregular
 _LEADS = 400  # newest differences of stamp and receive time
 # A recording is played at a rate: the timestamps' time over the receive times' time, over some
 # messages: more than arrive together. Rates near 1 are those of a clock's drift and of delays.
 _RATE_OVER, _RATE_OF, _NEAR_ONE = (20, 30, 40), 100, 0.2
 _SAME_SIZE = 0.3  # two measurements of one step agree to this fraction
 
-Message: TypeAlias = tuple[float, list[float], float | None]  # stamp, pose, receive time
+Message: TypeAlias = tuple[float, Floats, float | None]  # stamp, pose (K,), receive time
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,10 @@ class _Candidate:
     messages: list[Message] = field(default_factory=list)
 
 
+# Corrected stamps (N,), poses (N, K), and the steps among them.
+Corrected: TypeAlias = tuple[Floats, Floats, list[StampStep]]
+
+
 class StampSteps:
     """Detects and removes the clock steps of one side, at a constant cost per message."""
 
@@ -64,15 +69,51 @@ class StampSteps:
         self._rate = 1.0  # of a replay
         self._received_s = self._replayed_s = 0.0  # the newest receive time, and at rate 1
         self._highest_s = -math.inf  # corrected stamp
-        self._count = 0
+        self._count, self._update_at = 0, _FIRST_UPDATE
         self._candidate: _Candidate | None = None
 
-    def add(self, message: Message) -> tuple[list[Message], StampStep | None]:
+    def take(self, stamps: Floats, received: Floats | None, poses: Floats) -> Corrected:
+        """Take N messages; return those with corrected stamps, and confirmed steps.
+
+        Args:
+            stamps: (N,), seconds, in order of arrival.
+            received: (N,), times of reception, seconds; None if unknown.
+            poses: (N, K).
+        """
+        parts: list[tuple[Floats, Floats]] = []
+        steps: list[StampStep] = []
+        begin = 0
+        while begin < len(stamps):
+            if self._count >= self._update_at:
+                self._update()
+            end = begin + self._update_at - self._count
+            times = None if received is None else received[begin:end]
+            if self._is_regular(stamps[begin:end], times):
+                parts.append((stamps[begin:end] + self.shift_s, poses[begin:end]))
+                begin = end
+                continue
+            messages: list[Message] = []
+            end = min(end, begin + _SLOWLY)
+            for row in range(begin, min(end, len(stamps))):
+                time_s = None if received is None else float(received[row])
+                corrected, step = self._add((float(stamps[row]), poses[row], time_s))
+                messages += corrected
+                steps += [] if step is None else [step]
+            parts += _columns(messages)
+            begin = end
+        return _joined(parts, steps)
+
+    def close(self) -> Corrected:
+        """Return what waits for a confirmation at the end of the stream."""
+        messages, step = ([], None) if self._candidate is None else self._decided(self._candidate)
+        return _joined(_columns(messages), [] if step is None else [step])
+
+    def _add(self, message: Message) -> tuple[list[Message], StampStep | None]:
         """Take a message; return messages with corrected stamps, and a confirmed step."""
         stamp, pose, received = message
         if received is not None:
             self._newest.append((stamp, received))
-            [received] = self._at_rate_one([received])
+            received = float(self._at_rate_one(np.array([received]))[0])
             message = stamp, pose, received
         if self._last is not None:
             before_s, received_before = self._last
@@ -87,12 +128,6 @@ class StampSteps:
                 self._highest_lead_s = -math.inf
             if step_s > 0.0:
                 self._steps.append(step_s)
-            if self._steps and (
-                self._count % _USUAL_EVERY == _USUAL_EVERY - 1
-                or (self._usual_s is None and len(self._steps) > 8)
-            ):
-                self._usual_s = _median(self._steps)
-                self._rate = _rate_of(self._newest)
             if self._candidate is None and self._usual_s is not None and not is_again:
                 self._candidate = self._begun(before_s, step_s, arrival_s, self._usual_s)
         self._last, self._count = (stamp, received), self._count + 1
@@ -103,61 +138,57 @@ class StampSteps:
             self._highest_lead_s = max(self._highest_lead_s, stamp - received)
         return [self._corrected(message)], None
 
+    def _update(self) -> None:
+        """Determine the usual step of the stamps, and the rate of a replay."""
+        if self._steps:
+            self._usual_s, self._rate = _median(self._steps), _rate_of(self._newest)
+        self._update_at = self._count + min(self._count, _UPDATE_EVERY)
+
     @property
     def _smallest_s(self) -> float:
         """The smallest step, seconds; a replay enlarges the jitter of receive times."""
         return SMALLEST_S * max(self._rate, 1.0)
 
-    @property
-    def regular_count(self) -> int:
-        """The number of messages until the usual step is determined again, at least 1."""
-        return max(_USUAL_EVERY - 1 - self._count % _USUAL_EVERY, 1)
-
-    def is_regular(self, stamps: Floats, received: Floats | None) -> bool:
+    def _is_regular(self, stamps: Floats, received: Floats | None) -> bool:
         """Return whether no step can begin in messages (N,), seconds, and take them if so.
 
-        The result is that of `add`, message by message, for the most frequent case.
+        The result is that of `_add`, message by message, for the most frequent case.
         """
         if self._last is None or self._candidate is not None or self._usual_s is None:
             return False
-        if self._count % _USUAL_EVERY == _USUAL_EVERY - 1:
-            return False  # the usual step changes
         before_s, received_before = self._last
         steps = np.diff(stamps, prepend=before_s)
-        if steps.min() <= 0.0:
+        if not steps.min() > 0.0:
             return False
         if received is not None:
             if received_before is None:
                 return False
-            as_read = zip(stamps.tolist(), received.tolist(), strict=True)
             before = self._received_s, self._replayed_s
-            received = np.array(self._at_rate_one(received.tolist()))
-            arrivals = np.diff(received, prepend=received_before)
+            times = self._at_rate_one(received)
+            arrivals = np.diff(times, prepend=received_before)
             if np.abs(steps - arrivals).max() > self._smallest_s or arrivals.min() < 0.0:
                 self._received_s, self._replayed_s = before
                 return False
-            self._newest.extend(as_read)
-            leads = stamps - received
-            self._leads.extend(leads.tolist())
+            newest = slice(-_RATE_OF, None)
+            self._newest.extend(
+                zip(stamps[newest].tolist(), received[newest].tolist(), strict=True)
+            )
+            leads = stamps - times
+            self._leads.extend(leads[-_LEADS:].tolist())
             self._highest_lead_s = max(self._highest_lead_s, float(leads.max()))
-        self._steps.extend(steps.tolist())
+            received = times
+        self._steps.extend(steps[-_USUAL_OF:].tolist())
         self._last = float(stamps[-1]), None if received is None else float(received[-1])
         self._count += len(stamps)
         self._highest_s = max(self._highest_s, float(stamps[-1]) + self.shift_s)
         return True
 
-    def _at_rate_one(self, received: list[float]) -> list[float]:
-        """Return receive times as if the messages were not replayed at another rate."""
-        times = []
-        for time_s in received:
-            self._replayed_s += self._rate * (time_s - self._received_s)
-            self._received_s = time_s
-            times.append(self._replayed_s)
+    def _at_rate_one(self, received: Floats) -> Floats:
+        """Return receive times (N,) as if the messages were not replayed at another rate."""
+        steps = self._rate * np.diff(received, prepend=self._received_s)
+        times = np.cumsum(np.append(self._replayed_s, steps))[1:]
+        self._received_s, self._replayed_s = float(received[-1]), float(times[-1])
         return times
-
-    def close(self) -> tuple[list[Message], StampStep | None]:
-        """Return what waits for a confirmation at the end of the stream."""
-        return ([], None) if self._candidate is None else self._decided(self._candidate)
 
     def _begun(
         self, before_s: float, step_s: float, arrival_s: float | None, usual_s: float
@@ -224,6 +255,22 @@ class StampSteps:
         stamp += self.shift_s
         self._highest_s = max(self._highest_s, stamp)
         return stamp, pose, received
+
+
+def _columns(messages: list[Message]) -> list[tuple[Floats, Floats]]:
+    if not messages:
+        return []
+    stamps, poses, _ = zip(*messages, strict=True)
+    return [(np.array(stamps), np.array(poses))]
+
+
+def _joined(parts: list[tuple[Floats, Floats]], steps: list[StampStep]) -> Corrected:
+    if not parts:
+        return np.empty(0), np.empty((0, 7)), steps
+    if len(parts) == 1:
+        return *parts[0], steps
+    stamps, poses = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return stamps, poses, steps
 
 
 def _rate_of(newest: Collection[tuple[float, float]]) -> float:

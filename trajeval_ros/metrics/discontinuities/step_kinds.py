@@ -1,0 +1,87 @@
+"""What a step that stays is: a restart, a correction, a flip, or another step."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.metrics.discontinuities.events import CORRECTION, ESTIMATE, RESTART, STEP
+from trajeval_ros.metrics.discontinuities.exoneration import SideVerdict
+from trajeval_ros.metrics.discontinuities.motion_history import MotionHistory
+from trajeval_ros.metrics.discontinuities.open_step import OpenStep
+from trajeval_ros.metrics.discontinuities.relative_motion import (
+    GROUNDTRUTH_POSITION,
+    POSITION,
+    RelativeMotion,
+    Size,
+    rotation_beyond,
+)
+from trajeval_ros.metrics.discontinuities.usual_differences import UsualDifferences
+from trajeval_ros.metrics.statistics import median
+
+_LEAST_LATER_M = 0.09  # motion after a flip that shows whether the body is another
+_BETTER = 0.7  # of the error against earlier pairs, after a correction
+_LEAST_EARLIER_S = 4.0  # of a pair that a correction agrees with
+
+
+def kind_of_step(
+    motion: RelativeMotion,
+    history: MotionHistory,
+    origin: Floats,
+    between: tuple[Floats, Floats],
+    size: Size,
+    verdict: SideVerdict,
+) -> str:
+    """Return whether the estimate restarted, was corrected, or made another step.
+
+    `origin`: the estimate's first position (3,). `between`: the pairs before and after the step.
+    """
+    begin, end = between
+    near_m = motion.scale * min(_distance(end[POSITION], at) for at in (origin, np.zeros(3)))
+    far_m = motion.scale * _distance(begin[POSITION], origin)
+    is_near = near_m < min(max(size.m / 4.0, 0.1), far_m / 3.0)
+    if verdict.side == ESTIMATE and is_near:
+        return RESTART
+    marks = [mark for mark in history.marks if begin[0] - mark[0] > _LEAST_EARLIER_S]
+    marks = marks[: len(marks) // 2]  # a loop closure agrees with the oldest poses
+    if len(marks) > 2:
+        earlier = np.array(marks)
+        before, after = (median(motion.between(earlier, pair).m) for pair in between)
+        if after < _BETTER * before:
+            return CORRECTION
+    return STEP
+
+
+def rotates_body(
+    motion: RelativeMotion, usual: UsualDifferences, step: OpenStep, row: int
+) -> bool | None:
+    """Rotate the learned body after a flip that stays, if later motions agree with it better.
+
+    `row`: the first pair after the flip. Returns None if the later motion is too short to decide.
+    """
+    if motion.rotation is None or not motion.oriented:
+        return None
+    end, later = step.pairs[row], np.array(step.pairs[row + 1 :])
+    if not len(later):
+        return None
+    beyond = rotation_beyond(motion, step.begin, end)
+    moved = later[:, GROUNDTRUTH_POSITION] - end[GROUNDTRUTH_POSITION]
+    later = later[np.linalg.norm(moved, axis=1) > _LEAST_LATER_M][::3]
+    if len(later) < 3:
+        return False if len(later) else None
+    limit_m, limit_deg = usual.limit(later[:, 0] - end[0])
+    same, rotated = (
+        median(np.maximum(difference.m / limit_m, difference.deg / limit_deg))
+        for difference in (
+            motion.between(end, later),
+            motion.between(end, later, rotation=beyond @ motion.rotation),
+        )
+    )
+    if rotated >= same / 2.0:
+        return False
+    motion.rotate(beyond)
+    return True
+
+
+def _distance(one: Floats, other: Floats) -> float:
+    return float(np.linalg.norm(one - other))

@@ -1,0 +1,357 @@
+"""The search for steps in pairs of both sides.
+
+Pairs at the slower side's timestamps are compared by their motions (`relative_motion`). A motion
+that differs by more than usual begins a step. It returns, or it stays; the side whose own
+velocity changes little there is exonerated, and the other one is guilty.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from trajeval_ros.geometry.arrays import Floats
+from trajeval_ros.geometry.trajectory import NANOSECONDS
+from trajeval_ros.metrics.discontinuities import events as kinds
+from trajeval_ros.metrics.discontinuities.events import SIDES, UNDECIDED, Event
+from trajeval_ros.metrics.discontinuities.exoneration import SideVerdict, guilty_side
+from trajeval_ros.metrics.discontinuities.motion_history import MotionHistory
+from trajeval_ros.metrics.discontinuities.open_step import (
+    OpenStep,
+    both_edges,
+    by_parts,
+    is_back,
+    ratio_of,
+)
+from trajeval_ros.metrics.discontinuities.pairs import PairSource
+from trajeval_ros.metrics.discontinuities.relative_motion import (
+    PAIR_WIDTH,
+    BodyState,
+    Difference,
+    RelativeMotion,
+    Size,
+)
+from trajeval_ros.metrics.discontinuities.step_kinds import kind_of_step, rotates_body
+from trajeval_ros.metrics.discontinuities.usual_differences import UsualDifferences
+
+_BURN_IN_S, _BURN_IN_PAIRS = 4.0, 12  # the first pairs are judged in retrospect
+_LEAST_BURN_IN = 6  # pairs of a run that ends before
+_LEARN_S = 10.0  # time between updates of the limits of usual motion: a shorter one costs time
+_AT_A_TIME = 64  # pairs after a step that are compared at a time
+# A step stays after this time and number of calm pairs: longer delays an alarm, shorter takes
+# an outlier for a step.
+_CALM_S, _CALM_PAIRS = 1.0, 5
+_AFTER_GAP_S = 3.2  # motion after a gap that determines a clock step
+_GAP = 2.5  # periods: a longer step of timestamps is no usual motion
+_LOST_S, _LOST_PAIRS = 10.0, 5  # steps without a calm second
+# Smallest events, as multiples of the limit. Single poses of heavy-tailed noise exceed 1.5.
+_LEAST_RATIO, _LEAST_RATIO_OF_OUTLIER = 1.5, 2.5
+_RETURN_S = 60.0  # longest excursion whose return is known
+_FLIP_DEG = 60.0  # smallest rotation of a flip: corrections of a heading are smaller
+_FLIP_M = 0.3  # a marker that flips moves its centre less
+_SMOOTH = 0.34  # innovation as a fraction of a step, of a side whose position did not jump
+
+
+class StepSearch:
+    """Takes pairs in order of time, and finds steps and excursions."""
+
+    def __init__(
+        self,
+        source: PairSource,
+        motion: RelativeMotion,
+        events: list[Event],
+        nanoseconds: Callable[[float], int],
+        corrects_clock: Callable[[OpenStep, float], bool],
+    ) -> None:
+        """Create it once the rates are known.
+
+        Args:
+            source: The pairs and their streams.
+            motion: The relative motion, which it learns.
+            events: Where it appends events.
+            nanoseconds: Returns the timestamp of a time, seconds.
+            corrects_clock: Corrects a clock step in the gap of a step if there is one, given the
+                usual difference, metres; the search then continues before the gap.
+        """
+        self.open: OpenStep | None = None
+        self.previous: Floats | None = None  # the last judged pair (15,)
+        self._source, self._motion, self._events = source, motion, events
+        self._ns, self._corrects_clock = nanoseconds, corrects_clock
+        self._history = MotionHistory(motion, source.begin_s, source.period_s)
+        self._burn_in: Floats | None = np.empty((0, PAIR_WIDTH))
+        self._interval = 0  # number of the interval whose pairs have the same limits
+        # Steps that may return: begin, end, event, and the body's rotation before them.
+        self._stayed: deque[tuple[Floats, Floats, Event, BodyState]] = deque(maxlen=8)
+
+    def take(self, pairs: Floats) -> bool:
+        """Take N pairs (N, 15); return whether a clock was corrected, to pair again.
+
+        The events are equal for any N, but for rounding.
+        """
+        if self._burn_in is not None:
+            count = len(self._burn_in)
+            pairs = np.concatenate([self._burn_in, pairs])
+            is_long = pairs[:, 0] - pairs[:1, 0] >= _BURN_IN_S
+            is_long[: _BURN_IN_PAIRS - 1] = False
+            if not is_long[count:].any():
+                self._burn_in = pairs
+                return False
+            self._end_burn_in(pairs[: count + int(is_long[count:].argmax()) + 1])
+        return self._judge(pairs)
+
+    def finish(self) -> None:
+        """Judge what waits at the end of the run."""
+        if self._burn_in is not None and len(self._burn_in) >= _LEAST_BURN_IN:
+            pairs = self._burn_in
+            self._end_burn_in(pairs)
+            self._judge(pairs)
+        step = self.open
+        if step is not None and step.ratio >= _LEAST_RATIO_OF_OUTLIER:
+            verdict = self._guilty(step.begin, step.after, step.size, (True, True))
+            if verdict.side:
+                # The recording ends before it is known whether the step stays.
+                verdict = SideVerdict(verdict.side, UNDECIDED, verdict.innovations, verdict.gap_s)
+                self._add(kinds.STEP, verdict, step, step.pairs[-1])
+
+    def _end_burn_in(self, pairs: Floats) -> None:
+        self._burn_in = None
+        calm = np.diff(pairs[:, 0]) < _GAP * self._source.period_s
+        difference = self._motion.between(pairs[:-1][calm], pairs[1:][calm])
+        self._usual.add(0, difference.m, difference.deg)
+        self._history.begin_at(pairs[0], is_learned=False)
+
+    def _judge(self, pairs: Floats) -> bool:
+        while len(pairs):
+            if self.previous is None:
+                self.previous, pairs = pairs[0], pairs[1:]
+            elif self.open is None:
+                pairs = self._pass(self.previous, pairs)
+            else:
+                pairs, is_corrected = self._follow(self.open, self.previous, pairs)
+                if is_corrected:
+                    return True
+        return False
+
+    def _pass(self, previous: Floats, pairs: Floats) -> Floats:
+        """Learn pairs of usual motion until a step begins; return the pairs after it."""
+        begin_s = self._source.begin_s
+        interval = int((pairs[0, 0] - begin_s) / _LEARN_S)
+        if interval != self._interval:
+            self._history.learn()
+            self._interval = interval
+        count = max(1, int(pairs[:, 0].searchsorted(begin_s + (interval + 1) * _LEARN_S)))
+        end, begin = pairs[:count], np.concatenate([previous[None], pairs[: count - 1]])
+        seconds = end[:, 0] - begin[:, 0]
+        difference = self._motion.between(begin, end)
+        limit_m, limit_deg = self._usual.limit(seconds)
+        unusual = (difference.m > limit_m) | (difference.deg > limit_deg)
+        row = int(unusual.argmax()) if unusual.any() else count
+        if row:
+            calm = np.flatnonzero(seconds[:row] < _GAP * self._source.period_s)
+            steps = Difference(*(values[calm] for values in difference))
+            self._history.add_calm(begin[calm], end[calm], steps)
+            self._good(end[:row])
+        if row == count:
+            return pairs[count:]
+        if self._history.learn():
+            return pairs[row:]  # judge it again by all pairs before it
+        self.previous = end[row]
+        size, limits = difference.size(row), (float(limit_m[row]), float(limit_deg[row]))
+        apart_s, at_s = float(seconds[row]), float(end[row, 0])
+        step = [begin[row], end[row]]
+        self.open = OpenStep(begin[row], size, size, limits, apart_s, at_s, step)
+        return pairs[row + 1 :]
+
+    def _follow(self, step: OpenStep, previous: Floats, pairs: Floats) -> tuple[Floats, bool]:
+        """Take pairs until a step ends; return the pairs after it, and whether a clock stepped."""
+        end = pairs[:_AT_A_TIME]
+        begin = np.concatenate([previous[None], end[:-1]])
+        difference = self._motion.between(begin, end)
+        totals = self._motion.between(step.begin, end)
+        limits = np.column_stack(self._usual.limit(end[:, 0] - begin[:, 0])).tolist()
+        since_begin = np.column_stack(self._usual.limit(end[:, 0] - step.begin[0])).tolist()
+        for row, pair in enumerate(end):
+            size = difference.size(row)
+            if step.size.deg > 25.0:
+                # Inside a flip, directions in the body are those of another body.
+                size = size._replace(m=float(difference.lengths_m[row]))
+            is_unusual = size.m > limits[row][0] or size.deg > limits[row][1]
+            total = totals.size(row)
+            returns = step.is_back(total, since_begin[row]) and step.has_edge(size)
+            step.add(pair, total, is_unusual=is_unusual)
+            self.previous = pair
+            if returns:
+                self._return(step, pair)
+            elif self._tests_clock(step, pair):
+                step.clock_is_tested = True
+                if self._corrects_clock(step, float(self._usual.limit(2.0)[0])):
+                    self.previous, self.open = step.begin, None
+                    return pairs[:0], True
+            elif self._is_calm(step, pair):
+                self._stay(step)
+            elif pair[0] - step.after[0] > _LOST_S and step.unusual > _LOST_PAIRS:
+                self._lose(step, pair)
+            if self.open is None:
+                return pairs[row + 1 :], False
+        return pairs[len(end) :], False
+
+    def _tests_clock(self, step: OpenStep, pair: Floats) -> bool:
+        is_long = pair[0] - step.after[0] >= _AFTER_GAP_S
+        return self._in_gap(step) and not step.clock_is_tested and is_long
+
+    def _is_calm(self, step: OpenStep, pair: Floats) -> bool:
+        calm_s = max(_CALM_S, 4.0 * self._source.period_s)
+        is_calm = len(step.pairs) >= _CALM_PAIRS + 2 and pair[0] - step.last_s >= calm_s
+        return is_calm and (step.clock_is_tested or not self._in_gap(step))
+
+    def _in_gap(self, step: OpenStep) -> bool:
+        return step.gap_s > _GAP * min(self._periods)
+
+    # Ends of steps
+
+    def _return(self, step: OpenStep, pair: Floats) -> None:
+        """Close a step after which the poses returned to the former path."""
+        self.open = None
+        last = step.pairs[-2] if len(step.pairs) > 2 else step.after
+        parts = by_m, by_deg = step.by_parts
+        out = self._guilty(step.begin, step.after, step.size, parts)
+        back = self._guilty(last, pair, self._motion.size(last, pair), parts)
+        verdict = both_edges(out, back)
+        if verdict.side and step.ratio >= _LEAST_RATIO_OF_OUTLIER:
+            held = verdict.side in SIDES and self._moves_smoothly(verdict.side, step)
+            is_flip = by_deg and step.size.deg > _FLIP_DEG
+            is_flip &= not by_m or step.size.m < _FLIP_M or held
+            event = self._add(kinds.FLIP if is_flip else kinds.OUTLIER, verdict, step, pair)
+            event.s, event.poses = float(last[0] - step.after[0]), len(step.pairs) - 2
+        self._good(pair[None])
+
+    def _moves_smoothly(self, side: str, step: OpenStep) -> bool:
+        number = SIDES.index(side)
+        innovation = self._source.innovation(number, step.begin[0], step.after[0])
+        scale = self._motion.scale if number else 1.0
+        return scale * innovation.m < _SMOOTH * step.size.m
+
+    def _stay(self, step: OpenStep) -> None:
+        """Close a step after a calm second."""
+        self.open = None
+        row = step.end_of_motion()
+        begin, end = step.begin, step.pairs[row]
+        size, limits = self._motion.size(begin, end), self._limits(begin, end)
+        parts = by_m, by_deg = by_parts(size, limits)
+        ratio, first_ratio = ratio_of(size, limits), ratio_of(step.first, step.limits)
+        if ratio < _LEAST_RATIO and first_ratio > 2.0 * _LEAST_RATIO and row > 1:
+            rest, step.pairs = step.pairs[row:], step.pairs[: row + 1]
+            self._return(step, rest[0])  # in small steps
+            if len(rest) > 1:
+                self._good(np.array(rest[1:]))
+            return
+        verdict = self._guilty(begin, end, size, parts)
+        # If both sides move smoothly, it is a divergence and no discontinuity.
+        if ratio < _LEAST_RATIO or not verdict.side or self._ends_excursion(verdict, end):
+            self._resume(step, row)
+            return
+        before = self._motion.state
+        is_rotated = None
+        if by_deg and size.deg > 10.0:
+            is_rotated = rotates_body(self._motion, self._usual, step, row)
+        kind = kinds.STEP
+        if by_deg and size.deg > _FLIP_DEG and (is_rotated or (is_rotated is None and not by_m)):
+            kind = kinds.FLIP_STAYS
+        elif verdict.side in (kinds.ESTIMATE, UNDECIDED):
+            origin = self._source.streams[1].first[:3]
+            kind = kind_of_step(self._motion, self._history, origin, (begin, end), size, verdict)
+        step.size = Size(size.m if by_m else 0.0, size.deg if by_deg else 0.0)
+        step.limits = limits
+        event = self._add(kind, verdict, step, end)
+        event.poses = row
+        self._stayed.append((begin, end, event, before))
+        if kind != kinds.CORRECTION:
+            self._history.begin_part()
+        self._resume(step, row)
+
+    def _ends_excursion(self, verdict: SideVerdict, end: Floats) -> bool:
+        """Return whether the poses return to the path before an earlier step that stayed."""
+        for number, (begin, start, event, before) in reversed(list(enumerate(self._stayed))):
+            sides = {event.side, verdict.side}
+            if end[0] - start[0] > _RETURN_S or (len(sides) > 1 and UNDECIDED not in sides):
+                continue
+            flips = event.kind == kinds.FLIP_STAYS
+            rotation = before[0] if flips else None
+            total = self._motion.between(begin, end[None], rotation=rotation).size(0)
+            size = Size(0.0 if flips else event.m, event.deg)
+            is_known = not size.m or self._limits(begin, end)[0] < 2.0 * size.m
+            if is_known and is_back(total, size):
+                is_flip = event.deg > _FLIP_DEG
+                event.kind = kinds.FLIP if is_flip else kinds.OUTLIER
+                event.end_ns, event.s = self._ns(end[0]), float(end[0] - start[0])
+                event.poses = 0
+                event.side = verdict.side if event.side == UNDECIDED else event.side
+                if is_flip and before[0] is not None:
+                    self._motion.state = before
+                del self._stayed[number]
+                return True
+        return False
+
+    def _lose(self, step: OpenStep, pair: Floats) -> None:
+        """Close a step whose poses neither return nor calm down."""
+        self.open = None
+        verdict = self._guilty(step.begin, step.after, step.size, step.by_parts)
+        last = self._events[-1] if self._events else None
+        if (
+            last is not None
+            and last.kind == kinds.LOST
+            and (self._ns(step.begin[0]) - last.end_ns < 2 * NANOSECONDS)
+        ):
+            last.end_ns = self._ns(pair[0])
+        elif verdict.side:
+            self._add(kinds.LOST, verdict, step, pair).poses = step.unusual
+        self._history.begin_at(pair, is_learned=False)
+
+    def _resume(self, step: OpenStep, row: int) -> None:
+        """Continue with the pairs after a step."""
+        self._history.begin_at(step.pairs[row])
+        if not self._motion.oriented:
+            self._motion.forget_frame()
+        self._good(np.array(step.pairs[row:]))
+
+    def _good(self, pairs: Floats) -> None:
+        self.previous = pairs[-1]
+        self._history.add(pairs)
+
+    @property
+    def _usual(self) -> UsualDifferences:
+        return self._history.usual
+
+    @property
+    def _periods(self) -> tuple[float, float]:
+        assert self._source.periods is not None
+        return self._source.periods
+
+    def _limits(self, begin: Floats, end: Floats) -> tuple[float, float]:
+        limit_m, limit_deg = self._usual.limit(float(end[0] - begin[0]))
+        return float(limit_m), float(limit_deg)
+
+    def _guilty(
+        self, begin: Floats, end: Floats, size: Size, parts: tuple[bool, bool]
+    ) -> SideVerdict:
+        innovations = [self._source.innovation(side, begin[0], end[0]) for side in (0, 1)]
+        return guilty_side(innovations, self._motion.scale, size, parts)
+
+    def _add(self, kind: str, verdict: SideVerdict, step: OpenStep, end: Floats) -> Event:
+        by_m, by_deg = step.by_parts
+        event = Event(
+            kind,
+            verdict.side,
+            self._ns(step.begin[0]),
+            self._ns(end[0]),
+            m=step.size.m if by_m else 0.0,
+            deg=step.size.deg if by_deg else 0.0,
+            certainty=verdict.certainty,
+            ratio=step.ratio,
+            gap_s=verdict.gap_s,
+            innovations=verdict.innovations,
+        )
+        self._events.append(event)
+        return event
