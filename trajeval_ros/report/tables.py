@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from trajeval_ros.likelihood.likelihood_assessment import LikelihoodAssessment
     from trajeval_ros.pipeline.outcome import RunOutcome
 
-RELATIVE_STATISTICS = ("rmse", "mean", "median")
 _STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
 # In narrower terminals some columns are omitted; the files on disk have all.
 _WIDTH_FOR_MEDIANS = 140
@@ -114,7 +113,7 @@ def relative_table(
 ) -> Table | None:
     """Return the table of relative errors, a row per estimate and length; None if there are none.
 
-    `statistic`: of `RELATIVE_STATISTICS`. By default, numbers are RMSE for the errors of evo, else
+    `statistic`: of `RELATIVE_STATISTICS` in definitions. By default, numbers are RMSE for the errors of evo, else
     means and, in wide terminals, medians: few bad sub-trajectories dominate means.
     """
     metrics = [
