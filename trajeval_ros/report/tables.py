@@ -113,7 +113,7 @@ def relative_table(
 ) -> Table | None:
     """Return the table of relative errors, a row per estimate and length; None if there are none.
 
-    `statistic`: of `RELATIVE_STATISTICS` in definitions. By default, numbers are RMSE for the errors of evo, else
+    `statistic`: of `RELATIVE_STATISTICS`. By default, numbers are RMSE for the errors of evo, else
     means and, in wide terminals, medians: few bad sub-trajectories dominate means.
     """
     metrics = [
