@@ -27,8 +27,8 @@ from trajeval_ros.io.results.requirement import Requirement
 from trajeval_ros.io.source_names import names_with, split_name
 from trajeval_ros.io.text.hints import SideHints
 from trajeval_ros.pipeline.pipeline import run
+from trajeval_ros.report.definitions import RELATIVE_STATISTICS
 from trajeval_ros.report.figure_style import PLAIN, FigureStyle
-from trajeval_ros.report.tables import RELATIVE_STATISTICS
 
 _GAUGES = ("gauge", "modality", "protocol")  # settings that state a gauge
 _PARAMETERS = (

@@ -48,6 +48,7 @@ ABSOLUTE_LABELS = {
     "rotation_part": "rotation part",
     "full": "full pose",
 }
+RELATIVE_STATISTICS = ("rmse", "mean", "median")  # that a terminal can show
 RELATIVE_LABELS = {
     "position_m": "position [m]",
     "position_percent": "position [%]",

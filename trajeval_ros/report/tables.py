@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from trajeval_ros.likelihood.likelihood_assessment import LikelihoodAssessment
     from trajeval_ros.pipeline.outcome import RunOutcome
 
-RELATIVE_STATISTICS = ("rmse", "mean", "median")
 _STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "p95")
 # In narrower terminals some columns are omitted; the files on disk have all.
 _WIDTH_FOR_MEDIANS = 140

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,8 @@ _UNIT = 1e-2  # largest deviation of a quaternion's length
 
 def load(path: Path) -> tuple[Any, Floats | None]:
     """Return the array of poses in a file, and that of times if it has one (.npz)."""
+    import zipfile  # slow, and only for arrays
+
     try:
         with path.open("rb") as file:
             if zipfile.is_zipfile(file) and set(zipfile.ZipFile(file).namelist()) >= _EVO_RESULT:
