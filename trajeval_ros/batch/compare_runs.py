@@ -131,8 +131,8 @@ def write_tables(folder: Path, summary: ComparisonSummary, *, transpose: bool = 
     text = "\n".join([title, "", *map(tables.to_markdown, shown), *common, *listed])
     texts = {
         "tables.md": text,
-        "tables.tex": "\n".join(tables.to_latex(each, transpose=transpose) for each in made),
-        **{f"{each.name}.csv": tables.to_csv(each) for each in made},
+        "tables.tex": "\n".join(tables.to_latex(item, transpose=transpose) for item in made),
+        **{f"{item.name}.csv": tables.to_csv(item) for item in made},
     }
     for name, content in texts.items():
         if not _holds(folder / name, content):
@@ -156,9 +156,9 @@ def only_writer(
     before waiting for it; None to raise an error instead of waiting.
     """
     records = folder / subfolder
-    for each in (records, folder / FIGURES, folder / PAGES):
-        if each.is_symlink():
-            raise InputError(f"{each} is a symbolic link; remove it")
+    for item in (records, folder / FIGURES, folder / PAGES):
+        if item.is_symlink():
+            raise InputError(f"{item} is a symbolic link; remove it")
     require_own(folder)
     with refused_by_disk(f"the folder {folder}"):
         records.mkdir(parents=True, exist_ok=True)
@@ -176,8 +176,8 @@ def only_writer(
             with refused_by_disk(str(path)):
                 os.truncate(file, 0)
                 os.write(file, f"process {os.getpid()} on {platform.node()}".encode())
-            for each in (folder, records):
-                collect_leftovers(each)
+            for item in (folder, records):
+                collect_leftovers(item)
             try:
                 yield
             finally:

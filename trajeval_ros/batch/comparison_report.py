@@ -128,15 +128,15 @@ def _standing_out(trials: Sequence[Trial], most: int) -> list[Trial]:
     if len(trials) <= most:
         return list(trials)
     by_sequence: dict[str, list[float]] = {}
-    for each in trials:
-        if "position_m" in each.rmse:
-            by_sequence.setdefault(each.sequence, []).append(each.rmse["position_m"])
+    for trial in trials:
+        if "position_m" in trial.rmse:
+            by_sequence.setdefault(trial.sequence, []).append(trial.rmse["position_m"])
     usual = {sequence: median(errors) for sequence, errors in by_sequence.items()}
 
     def standing_out(place: int) -> tuple[bool, float]:
-        each = trials[place]
-        error = each.rmse.get("position_m", 0.0)
-        return each.status != OK, error / (usual.get(each.sequence) or 1.0)
+        item = trials[place]
+        error = item.rmse.get("position_m", 0.0)
+        return item.status != OK, error / (usual.get(item.sequence) or 1.0)
 
     order = sorted(range(len(trials)), key=standing_out, reverse=True)
     return [trials[place] for place in sorted(order[:most])]
@@ -211,18 +211,18 @@ def _draw_task(formats: tuple[str, ...], task: tuple[str, PlannedFigure]) -> Dra
 def _parts(details: Sequence[str]) -> list[range]:
     """Return the details of each page; a single page if they are few and small."""
     parts, first, size = [], 0, 0
-    for place, each in enumerate(details):
-        if place - first == _MOST_ON_A_PAGE or (size + len(each) > _MOST_BYTES and size):
+    for place, detail in enumerate(details):
+        if place - first == _MOST_ON_A_PAGE or (size + len(detail) > _MOST_BYTES and size):
             parts.append(range(first, place))
             first, size = place, 0
-        size += len(each)
+        size += len(detail)
     return [*parts, range(first, len(details))]
 
 
 def _remove_pages(folder: Path) -> None:
     """Remove the pages of a previous report."""
-    for each in folder.glob("runs_*.html"):
-        each.unlink()
+    for path in folder.glob("runs_*.html"):
+        path.unlink()
     with contextlib.suppress(OSError):  # it does not exist, or has other files
         folder.rmdir()
 

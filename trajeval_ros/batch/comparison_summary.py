@@ -112,12 +112,12 @@ class ComparisonSummary:
         """
         if not self.settings["common_time_span"]:
             return ""
-        by_length = sorted(self.trials, key=lambda each: each.span_s)  # failed runs have none
-        longest = {each.sequence: each for each in by_length if each.span_s}
+        by_length = sorted(self.trials, key=lambda trial: trial.span_s)  # failed runs have none
+        longest = {item.sequence: item for item in by_length if item.span_s}
         named = [
-            f"{each.span_s:.0f} s of {each.sequence} ({whole_percent(each.common_span)} of its "
+            f"{item.span_s:.0f} s of {item.sequence} ({whole_percent(item.common_span)} of its "
             "groundtruth)"
-            for each in sorted(longest.values(), key=lambda each: each.common_span)
+            for item in sorted(longest.values(), key=lambda each: each.common_span)
         ]
         return ", ".join(named) if len(named) <= _MOST_SPANS else f"{named[0]} to {named[-1]}"
 
@@ -192,5 +192,7 @@ def dropped_poses(summary: ComparisonSummary) -> list[str]:
 def failures(summary: ComparisonSummary) -> list[str]:
     """Return one line per run without numbers."""
     return [
-        f"{each.name} {each.status}: {each.reason}" for each in summary.trials if each.status != OK
+        f"{trial.name} {trial.status}: {trial.reason}"
+        for trial in summary.trials
+        if trial.status != OK
     ]

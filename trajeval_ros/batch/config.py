@@ -64,10 +64,10 @@ def plan_of_sources(sources: Sequence[str], settings: Mapping[str, Any]) -> Plan
     `sources`: the groundtruth, and estimates as SOURCE or NAME=SOURCE, of which one must exist.
     """
     groundtruth, *estimates = sources
-    named = [split_name(each) for each in estimates]
+    named = [split_name(estimate) for estimate in estimates]
     paths = [source for _, source in named]
-    for each in (groundtruth, *paths):  # names are made from them
-        require_no_password(each)
+    for item in (groundtruth, *paths):  # names are made from them
+        require_no_password(item)
     parse_source(groundtruth)
     if not any(map(is_source, paths)):
         parse_source(paths[0])
@@ -158,9 +158,9 @@ def _runs(
         str(name): Pattern.parse(_typed(patterns, name, str, target, default=""))
         for name in patterns
     }
-    for each in (groundtruth, *algorithms.values()):
-        if is_url(each.path):
-            require_allowed(each.text, hosts, str(target))
+    for item in (groundtruth, *algorithms.values()):
+        if is_url(item.path):
+            require_allowed(item.text, hosts, str(target))
     sequences = _names(config, "sequences", target)
     found = groundtruth.find(folder)
     groundtruth.require(found, folder)
@@ -192,7 +192,7 @@ def _hints(
         return dict.fromkeys(algorithms, SideHints.of(columns, frame_rate))
     given = config.get("columns", {})
     if isinstance(given, dict):
-        written = {str(name): each for name, each in given.items()}
+        written = {str(name): item for name, item in given.items()}
     else:
         written = dict.fromkeys(algorithms, _typed(config, "columns", str, target))
     require_known(written, [*algorithms, GROUNDTRUTH], f"{target}: columns")
@@ -215,8 +215,8 @@ def _settings(config: Mapping[str, Any], target: Path) -> dict[str, Any]:
     """Return the settings of a request in the form of the command line."""
     try:
         settings = {
-            name: each.of_yaml(config[name])
-            for name, each in settings_of_many_runs().items()
+            name: setting.of_yaml(config[name])
+            for name, setting in settings_of_many_runs().items()
             if name in config
         }
     except SettingsError as error:
@@ -236,7 +236,7 @@ def _request(written: Mapping[str, Any], given: Mapping[str, Any]) -> Request:
         if value is not None and name not in _OF_COMPARISONS
     }
     if "gauge" in given or "modality" in given:
-        written = {key: each for key, each in written.items() if key not in ("gauge", "modality")}
+        written = {key: item for key, item in written.items() if key not in ("gauge", "modality")}
     settings = {**written, **given}
     if settings.get("covariance", NONE) not in (NONE, MESSAGE):
         raise SettingsError(
@@ -261,12 +261,12 @@ def _names(config: Mapping[str, Any], key: str, target: Path) -> list[str]:
     value = config.get(key, [])
     if not isinstance(value, list):
         raise InputError(f"{target}: {key} must be a list of names, not {value!r}")
-    for each in value:
-        if not isinstance(each, str) and not (key == "trials" and type(each) is int):
+    for item in value:
+        if not isinstance(item, str) and not (key == "trials" and type(item) is int):
             raise InputError(
-                f"{target}: {each!r} in {key} is not text; write names such as 00 in quotes"
+                f"{target}: {item!r} in {key} is not text; write names such as 00 in quotes"
             )
-    names = [str(each) for each in value]
+    names = [str(item) for item in value]
     twice = [name for name in dict.fromkeys(names) if names.count(name) > 1]
     if twice:
         raise InputError(f"{target}: {key} lists {twice[0]} twice; remove one")

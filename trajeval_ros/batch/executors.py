@@ -171,9 +171,9 @@ def _drain(
             try:
                 outcome = future.result()
             except BrokenExecutor:
-                for each in [*running]:
-                    if each.done() and not each.cancelled() and each.exception() is None:
-                        finish(running.pop(each), each.result())
+                for item in [*running]:
+                    if item.done() and not item.cancelled() and item.exception() is None:
+                        finish(running.pop(item), item.result())
                 suspects += running.values()
                 return False
             except Exception as error:

@@ -72,7 +72,7 @@ class Fingerprints:
         if str(local.absolute()) not in self._known or not local.is_file():
             local = parse_source(source).path
             if local.is_dir():
-                files = [each for each in sorted(local.rglob("*")) if each.is_file()]
+                files = [path for path in sorted(local.rglob("*")) if path.is_file()]
                 return files or [local]
         log = local.with_name(f"{local.name}-wal")  # of an sqlite bag
         return [local, *files_of_times(local), *([log] if log.is_file() else [])]

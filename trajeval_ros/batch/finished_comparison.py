@@ -88,16 +88,16 @@ class FinishedComparison:
     @property
     def state(self) -> str:
         """Hash of all inputs of the tables; "" if a run failed that may succeed next time."""
-        if any(not each.key and not each.run.missing for each in self.runs):
+        if any(not item.key and not item.run.missing for item in self.runs):
             return ""
         digest = hashlib.sha256(
             json.dumps([hash_of_package(), self.title, self.settings]).encode()
         )
-        for each in self.runs:
-            run = each.run
+        for item in self.runs:
+            run = item.run
             part = (
                 run.algorithm, run.sequence, run.trial, run.groundtruth, run.estimate,
-                run.missing, each.planned_key,
+                run.missing, item.planned_key,
             )  # fmt: skip
             digest.update(json.dumps(part).encode())
         return digest.hexdigest()
@@ -115,18 +115,18 @@ class FinishedComparison:
         pooled: list[dict[str, Any]] = []
 
         def rows() -> Iterator[dict[str, Any]]:
-            groups = groupby(self.runs, lambda each: (each.run.algorithm, each.run.sequence))
+            groups = groupby(self.runs, lambda item: (item.run.algorithm, item.run.sequence))
             for (algorithm, sequence), group in groups:
                 found = []
                 count = 0
-                for each in group:
+                for item in group:
                     count += 1
-                    if not each.key:
-                        yield row_of_failure(each.run, each.reason)
+                    if not item.key:
+                        yield row_of_failure(item.run, item.reason)
                         continue
-                    record = record_of(each)
+                    record = record_of(item)
                     found.append(record)
-                    yield from rows_of_run(each, record)
+                    yield from rows_of_run(item, record)
                 pooled.extend(pooled_rows(algorithm, sequence, count, found))
 
         state = self.state
@@ -199,7 +199,7 @@ def rows_of_run(finished: FinishedRun, record: Record) -> Iterator[dict[str, Any
         "estimate_sha256": estimate,
         "key": record.key,
         "warnings": "\n".join(_warnings(evaluated)),
-        "diagnosis": ",".join(each["cause"] for each in evaluated["diagnosis"]),
+        "diagnosis": ",".join(diagnosi["cause"] for diagnosi in evaluated["diagnosis"]),
     }
     yield from _rows(evaluated["ate"], {**same, "kind": ATE})
     yield from _values(evaluated, same)
@@ -238,7 +238,7 @@ def _values(evaluated: dict[str, Any], same: dict[str, Any]) -> Iterator[dict[st
          offset.get("sigma_s")),
         (CALIBRATION, "rotation_deg", rotation.get("angle_deg") if rotation.get("applied") else
          None, None),
-        (CALIBRATION, "lever_arm_m", math.hypot(*(each or 0.0 for each in lever["value_m"]))
+        (CALIBRATION, "lever_arm_m", math.hypot(*(item or 0.0 for item in lever["value_m"]))
          if lever.get("applied") else None, None),
         (CALIBRATION, "parameters_applied", calibration.get("parameters_applied"), None),
         (CONSISTENCY, "joint_nees_per_dof", joint.get("nees_per_dof"), None),
@@ -297,8 +297,8 @@ def pooled_rows(
     """
     same = {"algorithm": algorithm, "sequence": sequence, "trials": trials}
     for metric in _ABSOLUTE:
-        each = [record.run["ate"][metric] for record in records]
-        values = np.array([one["rmse"] for one in each if one is not None])
+        item = [record.run["ate"][metric] for record in records]
+        values = np.array([one["rmse"] for one in item if one is not None])
         row = {**same, "kind": ATE, "metric": metric, "evaluated": len(values)}
         yield from _statistics_rows(values, row)
     for length in dict.fromkeys(length for record in records for length in record.lengths):
@@ -328,7 +328,7 @@ def _relative(
         if None in sizes:
             continue
         if len(set(sizes)) == 1:
-            yield from (_scaled(each, share, unit / sizes[0]) for each in absolute)
+            yield from (_scaled(item, share, unit / sizes[0]) for item in absolute)
         else:
             shares = [unit / size * column for size, column in known]
             yield from _statistics_rows(np.concatenate(shares), {**of_metric, "metric": share})

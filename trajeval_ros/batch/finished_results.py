@@ -87,8 +87,8 @@ class FinishedResults:
         Raises:
             InputError: A folder can't be read, or the results have different settings.
         """
-        named = [split_name(each) for each in folders]
-        self._results = [each for name, folder in named for each in _read(name, Path(folder))]
+        named = [split_name(item) for item in folders]
+        self._results = [item for name, folder in named for item in _read(name, Path(folder))]
         _require_same_settings(self._results)
         self._names = _names(self._results)
         self.settings = self._results[0].settings
@@ -97,7 +97,7 @@ class FinishedResults:
     def advice(self) -> str:
         """How to name the results if each has another algorithm and sequence; else ""."""
         count = len(self._names)
-        if count == 1 or any(len(set(each)) < count for each in zip(*self._names, strict=True)):
+        if count == 1 or any(len(set(item)) < count for item in zip(*self._names, strict=True)):
             return ""
         return (
             "every estimate has another name and another sequence; give results of one algorithm "
@@ -180,12 +180,12 @@ def _require_same_settings(results: Sequence[_Result]) -> None:
 
 def _names(results: Sequence[_Result]) -> list[tuple[str, str]]:
     """Return algorithm and sequence of every result, without repetitions."""
-    folders = names_of([str(each.folder.resolve()) for each in results])
+    folders = names_of([str(item.folder.resolve()) for item in results])
     folder_of = [name.partition("#")[0] for name in folders]
-    sources = [each.groundtruth for each in results]
+    sources = [item.groundtruth for item in results]
     plain = [names_of([source])[0] for source, _ in sources]
     hashes = Counter(
-        name for name, _ in set(zip(plain, (each for _, each in sources), strict=True))
+        name for name, _ in set(zip(plain, (item for _, item in sources), strict=True))
     )
     sequences = [
         folder if hashes[name] > 1 else name for name, folder in zip(plain, folder_of, strict=True)
@@ -233,7 +233,7 @@ def _record(result: _Result, key: str) -> Record:
     arrays = {
         name.removeprefix(prefix): array
         for name, array in read_arrays(
-            path, [prefix + each for each in (*_ERRORS, *of_length)]
+            path, [prefix + error for error in (*_ERRORS, *of_length)]
         ).items()
     }
     if any(array.dtype.kind not in "fiu" for array in arrays.values()):

@@ -87,12 +87,12 @@ class GateVerdict:
     @property
     def undecided(self) -> list[NumberVerdict]:
         """The numbers with verdict `undecided`."""
-        return [each for each in self.numbers if each.verdict == UNDECIDED]
+        return [number for number in self.numbers if number.verdict == UNDECIDED]
 
     @property
     def verdict(self) -> str:
         """`worse` or `lost` if a number or all together are; else `no worse` or `undecided`."""
-        words = [each.verdict for each in self.numbers]
+        words = [number.verdict for number in self.numbers]
         together = words if self.pooled is None else [self.pooled.verdict]
         found = {*together, *words} & {WORSE, LOST} or {*together} & {NO_WORSE}
         return WORSE if WORSE in found else found.pop() if found else UNDECIDED
@@ -134,7 +134,7 @@ class Judgement:
     @property
     def verdict(self) -> str:
         """`worse`, `lost` or `more failures`; else `no worse` (all gates) or `undecided`."""
-        words = {each.verdict for each in self.gates}
+        words = {gate.verdict for gate in self.gates}
         found = words | {self.failures.verdict}
         good = NO_WORSE if words == {NO_WORSE} else UNDECIDED
         return next((word for word in (WORSE, LOST, MORE_FAILURES) if word in found), good)
@@ -158,11 +158,11 @@ def judge(
     `paired`: whether trials of the same name have the same seed; relabellings then swap old and
     new within pairs.
     """
-    sides = [_sides(each, baseline, now, paired=paired and each.tested) for each in gates]
-    verdicts = [_by_medians(*each, paired=paired) for each in zip(gates, sides, strict=True)]
-    tested = [place for place, each in enumerate(verdicts) if each.undecided]
+    sides = [_sides(gate, baseline, now, paired=paired and gate.tested) for gate in gates]
+    verdicts = [_by_medians(*item, paired=paired) for item in zip(gates, sides, strict=True)]
+    tested = [place for place, item in enumerate(verdicts) if item.undecided]
     if tested:
-        made = _tested([verdicts[each] for each in tested], [sides[each] for each in tested],
+        made = _tested([verdicts[item] for item in tested], [sides[item] for item in tested],
                        false_alarms, paired=paired)  # fmt: skip
         for place, verdict in zip(tested, made, strict=True):
             verdicts[place] = verdict
@@ -172,7 +172,7 @@ def judge(
 def _failures(baseline: GateValues, now: GateValues, level: float) -> Failures:
     before, after = baseline.failed, now.failed
     both = [group for group in before if group in after]
-    old, new = ([np.array(side[each]) for each in both] for side in (before, after))
+    old, new = ([np.array(side[item]) for item in both] for side in (before, after))
     sums = [(int(sum(map(np.sum, side))), sum(map(len, side))) for side in (old, new)]
     p = more_failures(old, new) if both else 1.0
     verdict = MORE_FAILURES if p <= level else UNDECIDED
@@ -181,7 +181,7 @@ def _failures(baseline: GateValues, now: GateValues, level: float) -> Failures:
 
 def _sides(gate: Gate, baseline: GateValues, now: GateValues, *, paired: bool) -> Sides:
     """Return the trials of both tables by algorithm and sequence."""
-    before, after = (each.trials(gate.path, baseline) for each in (baseline, now))
+    before, after = (item.trials(gate.path, baseline) for item in (baseline, now))
     made: Sides = {}
     for group in dict.fromkeys([*before, *after]):
         old, new = (side.get(group, GateTrials()) for side in (before, after))
@@ -194,7 +194,7 @@ def _by_medians(gate: Gate, sides: Sides, *, paired: bool) -> GateVerdict:
     """Return the verdicts without a test, `undecided` if one follows."""
     numbers, copies = [], 0
     for group, (old, new) in sides.items():
-        has_old, has_new = (np.isfinite(each.values).any() for each in (old, new))
+        has_old, has_new = (np.isfinite(item.values).any() for item in (old, new))
         verdict, reason = UNDECIDED, ""
         if not has_old:
             verdict = NEW if has_new else FAILED
@@ -217,24 +217,24 @@ def _tested(
     verdicts: Sequence[GateVerdict], sides: Sequence[Sides], level: float, *, paired: bool
 ) -> Iterator[GateVerdict]:
     """Yield the verdicts of gates that share a level."""
-    groups = list(dict.fromkeys(each.group for every in verdicts for each in every.undecided))
+    groups = list(dict.fromkeys(item.group for every in verdicts for item in every.undecided))
     samples = []
     for group in groups:
         both = [own[group] for own in sides]
-        z = [each.gate.logarithms([*old.values, *new.values])
-             for each, (old, new) in zip(verdicts, both, strict=True)]  # fmt: skip
+        z = [item.gate.logarithms([*old.values, *new.values])
+             for item, (old, new) in zip(verdicts, both, strict=True)]  # fmt: skip
         old, new = np.split(np.column_stack(z), [len(both[0][0].values)])
         samples.append(Sample(old, new, paired=paired))
     for verdict in verdicts if paired else []:
-        pairs = sum(each.trials[0] for each in verdict.undecided)
+        pairs = sum(item.trials[0] for item in verdict.undecided)
         _require_enough(verdict.gate, pairs, level)
-    test = PermutationTest(samples, np.array([each.gate.margin for each in verdicts]), level)
+    test = PermutationTest(samples, np.array([item.gate.margin for item in verdicts]), level)
     common, alone = test.detectable()
     for k, verdict in enumerate(verdicts):
-        gate, sizes = verdict.gate, [each.trials for each in verdict.undecided]
+        gate, sizes = verdict.gate, [item.trials for item in verdict.undecided]
         together = _found(gate, common[k], [(side.together[k], side.level_together)
                                             for side in (test.worse, test.better)])  # fmt: skip
-        low, high = sorted(gate.change(each) for each in (test.low[k], test.high[k]))
+        low, high = sorted(gate.change(item) for item in (test.low[k], test.high[k]))
         pooled = PooledVerdict(
             count=len(sizes),
             change=gate.change(test.change[k]),
@@ -242,7 +242,7 @@ def _tested(
             more_trials=0 if paired else more_trials(sizes, level),
             **together,
         )
-        numbers = {each.group: each for each in verdict.numbers}
+        numbers = {item.group: item for item in verdict.numbers}
         for number in verdict.undecided:
             place, found = groups.index(number.group), together
             if len(sizes) > 1 and not test.asks[place]:

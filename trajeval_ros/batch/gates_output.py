@@ -53,7 +53,7 @@ def to_json(judgement: Judgement, title: str, remarks: Sequence[str]) -> str:
         "notes": list(remarks),
         "verdict": judgement.verdict,
         "false_alarms": judgement.false_alarms,
-        "gates": [_gate_json(each) for each in judgement.gates],
+        "gates": [_gate_json(gate) for gate in judgement.gates],
         "failures": _parts(failures, "verdict", "p", "level") | sides,
     }
     return json_text(content, indent=2)
@@ -86,18 +86,18 @@ def _finite(value: Any) -> Any:
 
 def to_markdown(judgement: Judgement, title: str, remarks: Sequence[str]) -> str:
     """Return the verdicts of all gates and numbers as Markdown."""
-    margins = dict.fromkeys(f"{each.gate.percent:g} %" for each in judgement.gates)
+    margins = dict.fromkeys(f"{gate.gate.percent:g} %" for gate in judgement.gates)
     head = {
         LOST: "missing values",
         MORE_FAILURES: "more failed runs",
         NO_WORSE: f"no worse than {' and '.join(margins)}",
     }.get(judgement.verdict, _TEXTS.get(judgement.verdict, judgement.verdict))
     lines, level = [f"### {markdown_text(title)}: {head}"], f"{100 * judgement.false_alarms:g} %"
-    lines += [f"**Note:** {markdown_text(each)}." for each in remarks]
-    for each in judgement.gates:
-        lines += _gate(each, judgement.false_alarms)
+    lines += [f"**Note:** {markdown_text(remark)}." for remark in remarks]
+    for gate in judgement.gates:
+        lines += _gate(gate, judgement.false_alarms)
     lines.append(_failures(judgement.failures))
-    if any(each.gate.tested for each in judgement.gates):
+    if any(gate.gate.tested for gate in judgement.gates):
         lines.append(
             f"Probability of a false alarm: at most {level} from values, and {level} from failed "
             "runs."
@@ -121,8 +121,8 @@ def _gate(verdict: GateVerdict, level: float) -> list[str]:
         )
     if verdict.copies:
         lines.append(f"Identical trials, counted once: {verdict.copies}.")
-    ranked = sorted(verdict.numbers, key=lambda each: _ORDER.index(each.verdict))
-    shown = ranked if len(ranked) <= _MOST_ROWS else [each for each in ranked if each.fails]
+    ranked = sorted(verdict.numbers, key=lambda number: _ORDER.index(number.verdict))
+    shown = ranked if len(ranked) <= _MOST_ROWS else [item for item in ranked if item.fails]
     folded = ranked[len(shown) :]
     if shown:
         lines.append(_table(shown, gate))
@@ -142,7 +142,7 @@ def _pooled(verdict: GateVerdict, pooled: PooledVerdict, level: float) -> str:
     )
     text = f"**{who}: {word} {margin}**: {change_percent(pooled.change)} ({bounds})."
     tested = (WORSE, NO_WORSE, UNDECIDED, NOT_ALONE)
-    sizes = sorted({each.trials for each in verdict.numbers if each.verdict in tested})
+    sizes = sorted({number.trials for number in verdict.numbers if number.verdict in tested})
     trials = ", ".join(map(_trials, sizes))
     if pooled.more_trials:
         use = counted(equal_trials(pooled.count, level), "trial")
@@ -152,13 +152,13 @@ def _pooled(verdict: GateVerdict, pooled: PooledVerdict, level: float) -> str:
         )
     size = f"{'' if single else 'common '}worsening of {_size(pooled.noticeable or 0.0)}"
     text += f" {'No worsening' if pooled.noticeable is None else f'A {size}'} is detected in 80 %"
-    alone = [each.noticeable for each in verdict.numbers if each.noticeable is not None]
+    alone = [number.noticeable for number in verdict.numbers if number.noticeable is not None]
     if single or not alone:
         text += " of comparisons"
     else:
         span = " to ".join(dict.fromkeys([_size(min(alone)), _size(max(alone))]))
         text += f" of comparisons; in a single value, {span}"
-    if not single and not verdict.paired and all(each.p is None for each in verdict.numbers):
+    if not single and not verdict.paired and all(number.p is None for number in verdict.numbers):
         enough = counted(equal_trials(1, level / 2.0), "trial")
         text += f". {trials}: too few to test single values; use {enough} on both sides"
     return f"{text}."
@@ -186,7 +186,7 @@ def _table(numbers: Sequence[NumberVerdict], gate: Gate) -> str:
     unit = "".join(label.partition(" [")[1:])
     values = [f"{side}{unit}" for side in ("old", "new")]
     headings = ["algorithm, sequence", *values, "change", "trials", "detectable", "verdict"]
-    return "\n".join(markdown_table(headings, [_row(each, gate) for each in numbers]))
+    return "\n".join(markdown_table(headings, [_row(number, gate) for number in numbers]))
 
 
 def _row(number: NumberVerdict, gate: Gate) -> list[TextCell]:
@@ -195,7 +195,7 @@ def _row(number: NumberVerdict, gate: Gate) -> list[TextCell]:
     scale = 100.0 if gate.is_share else 1.0
     return [
         ", ".join(number.group),
-        *(three_decimals(None if each is None else scale * each) for each in number.medians),
+        *(three_decimals(None if median is None else scale * median) for median in number.medians),
         NOTHING if number.change is None else change_percent(number.change),
         "{} / {}".format(*number.trials),
         NOTHING if number.noticeable is None else _size(number.noticeable),

@@ -153,6 +153,6 @@ def _how_far(folder: Path, pattern: str) -> str:
     fixed = (folder / f"{_fixed_parts(pattern)[0]}x").parent
     while not fixed.is_dir():
         fixed = fixed.parent
-    names = sorted(each.name for each in fixed.iterdir())[:5]
+    names = sorted(path.name for path in fixed.iterdir())[:5]
     inside = f", which contains {', '.join(names)}" if names else ", which is empty"
     return f"; the path exists up to {fixed}{inside}"

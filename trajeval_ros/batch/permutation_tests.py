@@ -95,14 +95,14 @@ def relabellings(
     random ones: the p-value (1 + hits) / (1 + most) is then valid, too.
     """
     random = random or np.random.default_rng(0)
-    total = math.prod(each.count for each in samples)
+    total = math.prod(sample.count for sample in samples)
     place = np.arange(total if total <= most else 0)
-    for each in samples:
+    for sample in samples:
         if total > most:
-            yield each.random_relabellings(most, random)
+            yield sample.random_relabellings(most, random)
         else:
-            yield each.relabellings()[place % each.count]
-            place = place // each.count
+            yield sample.relabellings()[place % sample.count]
+            place = place // sample.count
 
 
 def p_values(relabelled: Floats, observed: Floats) -> Floats:
@@ -163,13 +163,13 @@ class PermutationTest:
     ) -> None:
         """Test logarithms of errors against the logarithms of the margins, (metrics,)."""
         self._samples, self._margins, self._half = samples, margins, level / 2.0
-        self._scores = [each.scores - margins * each.units for each in samples]
-        self._judged = np.array([each.judged for each in samples])
+        self._scores = [item.scores - margins * item.units for item in samples]
+        self._judged = np.array([item.judged for item in samples])
         # Whether a sequence is tested alone, (sequences,); this depends on sizes only.
-        self.asks = np.array([can_reject(each.count, self._half) for each in samples])
+        self.asks = np.array([can_reject(item.count, self._half) for item in samples])
         self.asks &= len(samples) > 1
         pairs = list(zip(samples, self._scores, strict=True))
-        errors = np.array([each.error((scores**2).sum(0)) for each, scores in pairs])
+        errors = np.array([item.error((scores**2).sum(0)) for item, scores in pairs])
         columns = zip(errors.T, self._judged.T, strict=True)
         self._typical = np.maximum([np.median(error[own]) for error, own in columns], _TIE)
         self._weights = self._judged / (errors + self._typical)
@@ -194,7 +194,7 @@ class PermutationTest:
         # Estimated common change of logarithms, (metrics,).
         self.change = margins + sums[0] / units[0]
         low, high = (
-            [_lower_bound(*each) for each in zip(side_sums.T, units.T, side.shares, strict=True)]
+            [_lower_bound(*item) for item in zip(side_sums.T, units.T, side.shares, strict=True)]
             for side_sums, side in ((sums, self.worse), (-sums, self.better))
         )
         # Its confidence bounds at the level of the verdict, infinite for none, (metrics,).
@@ -221,7 +221,7 @@ class PermutationTest:
             return _Worse(sample, rest, units, labels[place], self._typical[k])
 
         common, alone = np.full(len(self._margins), np.inf), np.full(self._judged.shape, np.inf)
-        degrees = sum(each.degrees for each in self._samples)
+        degrees = sum(item.degrees for item in self._samples)
         for k, change in enumerate(self.change - self._margins):
             places = np.flatnonzero(self._judged[:, k]).tolist()
             runs = [worse(place, k, change, degrees) for place in places]
@@ -235,10 +235,10 @@ class PermutationTest:
             sample, scores = self._samples[place], self._scores[place][:, k]
             change = (sample.labels @ scores) / (sample.labels @ sample.units[:, k])
             single[place, k] = worse(place, k, change, sample.degrees)
-        t = np.array([each.t(0.0)[:, 0] for each in single.values()])
-        for row, ((place, k), each) in enumerate(single.items()):
+        t = np.array([item.t(0.0)[:, 0] for item in single.values()])
+        for row, ((place, k), item) in enumerate(single.items()):
             others = np.delete(t, row, axis=0).max(0, initial=-np.inf)[:, None]
-            least = _least(each.t, others, actual, self._half, self._typical[k])
+            least = _least(item.t, others, actual, self._half, self._typical[k])
             alone[place, k] = self._margins[k] + least
         return common, alone
 
@@ -285,8 +285,8 @@ class _Worse:
 
 def _weighted(runs: Sequence[_Worse], x: float) -> Floats:
     """Return the statistic of all sequences together, (relabellings, actual)."""
-    differences, squares = zip(*(each.at(x) for each in runs), strict=True)
-    errors = np.array([each.sample.error(own) for each, own in zip(runs, squares, strict=True)])
+    differences, squares = zip(*(run.at(x) for run in runs), strict=True)
+    errors = np.array([run.sample.error(own) for run, own in zip(runs, squares, strict=True)])
     weights = 1.0 / (errors + np.maximum(np.median(errors, axis=0), _TIE))
     return reduce(np.add, map(np.multiply, differences, weights))
 
@@ -323,9 +323,9 @@ def _least(
 def more_failures(before: Sequence[Booleans], now: Sequence[Booleans]) -> float:
     """Return the p-value of more failed runs, (runs,) by sequence: Mantel and Haenszel's test."""
     sides = zip(before, now, strict=True)
-    samples = [Sample(*(each[:, None].astype(np.float64) for each in side)) for side in sides]
+    samples = [Sample(*(item[:, None].astype(np.float64) for item in side)) for side in sides]
     labels = relabellings(samples, MOST)
-    sums = sum(own @ each.scores[:, 0] for own, each in zip(labels, samples, strict=True))
+    sums = sum(own @ sample.scores[:, 0] for own, sample in zip(labels, samples, strict=True))
     return float(p_values(np.asarray(sums), np.asarray(sums)[:1])[0])
 
 

@@ -83,7 +83,7 @@ def all_runs(
         names = natural(sequences)
     runs = []
     for algorithm in algorithms:
-        own = {trial for each, _, trial in estimates if each == algorithm}
+        own = {trial for item, _, trial in estimates if item == algorithm}
         expected = natural(trials) if trials and own != {""} else natural(own) or [""]
         for sequence in names:
             groundtruth = groundtruths(algorithm, sequence)

@@ -169,7 +169,7 @@ def _paths(
     summary: ComparisonSummary, medians: dict[int, tuple[str, Record]], sequence: str
 ) -> PlannedFigure:
     _, first = next(iter(medians.values()))
-    paths = {place: (name, each.columns["path"]) for place, (name, each) in medians.items()}
+    paths = {place: (name, item.columns["path"]) for place, (name, item) in medians.items()}
     return PlannedFigure(
         f"trajectories_{sequence}",
         f"Trajectories on {sequence}",
@@ -181,7 +181,7 @@ def _paths(
 def _errors(
     summary: ComparisonSummary, medians: dict[int, tuple[str, Record]], sequence: str
 ) -> PlannedFigure:
-    series = {place: (name, each.columns["errors"]) for place, (name, each) in medians.items()}
+    series = {place: (name, item.columns["errors"]) for place, (name, item) in medians.items()}
     return PlannedFigure(
         f"errors_{sequence}",
         f"Errors on {sequence}",
@@ -206,7 +206,7 @@ def _median_records(
     """Return name and record of the trial with the median error, by index of the algorithm."""
     found = {}
     for place, algorithm in enumerate(summary.algorithms[:MOST_ALGORITHMS]):
-        trials = [each for each in summary.of(algorithm, sequence) if "position_m" in each.rmse]
+        trials = [item for item in summary.of(algorithm, sequence) if "position_m" in item.rmse]
         if not trials:
             continue
         trials.sort(key=lambda trial: trial.rmse["position_m"])

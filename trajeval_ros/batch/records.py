@@ -89,7 +89,7 @@ def entry_head(data: bytes) -> EntryHead | None:
 def encode(record: Record) -> bytes:
     """Return the entry of a record."""
     drawn = {name: record.columns[name] for name in DRAWN if name in record.columns}
-    pooled = {name: each for name, each in record.columns.items() if name not in drawn}
+    pooled = {name: item for name, item in record.columns.items() if name not in drawn}
     head = {
         "schema": SCHEMA,
         "result": record.result,
@@ -99,7 +99,7 @@ def encode(record: Record) -> bytes:
         "pooled": {name: column.shape for name, column in pooled.items()},
     }
     parts = [json_text(head).encode() + _END_OF_HEAD + _bytes_of(drawn), _bytes_of(pooled)]
-    sums = [each for part in parts for each in (len(part), zlib.crc32(part))]
+    sums = [item for part in parts for item in (len(part), zlib.crc32(part))]
     return b"".join([_HEAD.pack(_MARK, record.key.encode(), *sums), *parts])
 
 
@@ -129,7 +129,7 @@ def decode(head: EntryHead, drawn: bytes, pooled: bytes | None) -> Record | None
 
 
 def _bytes_of(columns: dict[str, Floats]) -> bytes:
-    return b"".join(np.asarray(each, dtype="<f8").tobytes() for each in columns.values())
+    return b"".join(np.asarray(column, dtype="<f8").tobytes() for column in columns.values())
 
 
 def _columns(values: bytes, shapes: dict[str, list[int]]) -> dict[str, Floats]:

@@ -169,7 +169,7 @@ class ResultsTable:
 
     def _is_one_of(self, column: Any, values: Sequence[str | None]) -> Any:
         texts = arrow_array(
-            self._arrow, np.array([each for each in values if each is not None], dtype=str)
+            self._arrow, np.array([value for value in values if value is not None], dtype=str)
         )
         found = self._compute.is_in(column, texts)
         return self._compute.or_(found, column.is_null()) if None in values else found

@@ -35,7 +35,7 @@ _OF_NUMBERS = (
 
 def sources_of_numbers() -> list[Path]:
     """Return the sources that the numbers of a run depend on."""
-    places = [_PACKAGE / each for each in _OF_NUMBERS]
+    places = [_PACKAGE / of_number for of_number in _OF_NUMBERS]
     return [file for place in places for file in ([place] if place.is_file() else _below(place))]
 
 
@@ -52,7 +52,7 @@ def hash_of_package() -> str:
 
 
 def _below(folder: Path) -> list[Path]:
-    return [each for each in folder.rglob("*") if each.suffix in (".py", ".j2")]
+    return [path for path in folder.rglob("*") if path.suffix in (".py", ".j2")]
 
 
 def _hash(files: Iterable[Path]) -> str:

@@ -78,7 +78,7 @@ def matrices(summary: ComparisonSummary) -> list[Matrix]:
     """Return the tables: absolute errors by sequence, relative errors by length."""
     tables = [_absolute(summary, "position_m"), _absolute(summary, "rotation_deg")]
     if summary.settings["protocol"] == "kitti":
-        tables += [_kitti(summary, *each) for each in KITTI.items()]
+        tables += [_kitti(summary, *item) for item in KITTI.items()]
     metrics = ("position_percent", "rotation_deg_per_m")
     if not all(Length.parse(length).in_metres for length in summary.settings["lengths"]):
         metrics = ("position_m", "rotation_deg")
@@ -176,8 +176,8 @@ def _with_ranks_by_ate(
             [trial.rmse["position_m"] for trial in trials if "position_m" in trial.rmse]
             for trials in of_each
         ]
-        ates = [median(each) if each else None for each in known]
-        ranks = zip(_ranks([each.value for each in cells]), _ranks(ates), strict=True)
+        ates = [median(item) if item else None for item in known]
+        ranks = zip(_ranks([item.value for item in cells]), _ranks(ates), strict=True)
         for place, (cell, (own, by_ate)) in enumerate(zip(cells, ranks, strict=True)):
             note = f"ATE: {by_ate}" if own and by_ate and own != by_ate else ""
             marked[place].append(replace(cell, note=f"{note} {cell.note}".strip()))
@@ -186,8 +186,8 @@ def _with_ranks_by_ate(
 
 def _ranks(values: Sequence[float | None]) -> list[int | None]:
     """Return the ranks of values from 1; None for None."""
-    known = sorted(each for each in values if each is not None)
-    return [None if each is None else known.index(each) + 1 for each in values]
+    known = sorted(value for value in values if value is not None)
+    return [None if value is None else known.index(value) + 1 for value in values]
 
 
 def _absolute(summary: ComparisonSummary, metric: str) -> Matrix | None:
@@ -198,7 +198,7 @@ def _absolute(summary: ComparisonSummary, metric: str) -> Matrix | None:
 
 def _kitti(summary: ComparisonSummary, metric: str, title: str) -> Matrix | None:
     """Return an error of the table of the KITTI benchmark, by sequence."""
-    lengths = [Length.parse(each).text for each in summary.settings["lengths"]]
+    lengths = [Length.parse(length).text for length in summary.settings["lengths"]]
     what = f"KITTI: mean over the sub-trajectories of {lengths[0]} to {lengths[-1]}"
     return _by_sequence(summary, metric, f"re_{metric}", title, what)
 
@@ -208,18 +208,22 @@ def _by_sequence(
 ) -> Matrix | None:
     """Return the table of medians over trials by sequence; None without a number."""
     enough = _enough_pairs(summary)
-    comparable = {each: _comparable_coverage(summary, each) for each in summary.sequences}
+    comparable = {
+        sequence: _comparable_coverage(summary, sequence) for sequence in summary.sequences
+    }
     rows = [
         (
             algorithm,
             tuple(
-                _cell(summary.of(algorithm, each), metric, enough, comparable[each])
-                for each in summary.sequences
+                _cell(summary.of(algorithm, sequence), metric, enough, comparable[sequence])
+                for sequence in summary.sequences
             ),
         )
         for algorithm in summary.algorithms
     ]
-    several = any(len(summary.of(row, each)) > 1 for row, _ in rows for each in summary.sequences)
+    several = any(
+        len(summary.of(row, sequence)) > 1 for row, _ in rows for sequence in summary.sequences
+    )
     over = " of trials: median (minimum to maximum); trials without a value are ranked last"
     notes = (f"{what}{over if several else ''}.", *_common_notes(summary))
     brief = _brief(summary, f"{title}{statistic}{', median of trials' if several else ''}")
@@ -272,13 +276,13 @@ def _legend(
 
 def _comparable_coverage(summary: ComparisonSummary, sequence: str) -> float:
     """Return the smallest coverage of a sequence that is comparable with the largest one."""
-    covered = [_coverage(summary.of(each, sequence)) for each in summary.algorithms]
+    covered = [_coverage(summary.of(algorithm, sequence)) for algorithm in summary.algorithms]
     return LOW_COVERAGE * max(covered, default=0.0)
 
 
 def _coverage(trials: Sequence[Trial]) -> float:
     """Return the median coverage of the evaluated trials."""
-    return median([each.coverage for each in trials if each.status == OK] or [0.0])
+    return median([trial.coverage for trial in trials if trial.status == OK] or [0.0])
 
 
 def _mean_coverage(trials: Sequence[Trial]) -> float:
@@ -354,7 +358,7 @@ def _relative(summary: ComparisonSummary, metric: str) -> Matrix | None:
             pooled[row["algorithm"], row["length"]].append(row)
     rows = []
     comparable = LOW_COVERAGE * max(
-        _mean_coverage(summary.of(each)) for each in summary.algorithms
+        _mean_coverage(summary.of(item)) for item in summary.algorithms
     )
     long_enough = {
         length: {row["sequence"] for name in summary.algorithms for row in pooled[name, length]}

@@ -65,9 +65,9 @@ class VerbGroup(click.Group):
         """Create it; `before` are the words before the names of its verbs in `VERBS`."""
         super().__init__(name, **settings)
         self._before = before
-        names = [each.removeprefix(before) for each in VERBS if each.startswith(before)]
+        names = [item.removeprefix(before) for item in VERBS if item.startswith(before)]
         # click suggests names from this dictionary for a misspelt one; `get_command` imports.
-        self.commands: Any = dict.fromkeys(each.split()[0] for each in names)
+        self.commands: Any = dict.fromkeys(item.split()[0] for item in names)
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         """Return the verbs' names in the order of the help."""
@@ -101,7 +101,7 @@ class VerbGroup(click.Group):
         from trajeval_ros.cli.help_pages import help_of_group
 
         found = {name: self.get_command(ctx, name) for name in self.commands}
-        return help_of_group(self, ctx, {name: each for name, each in found.items() if each})
+        return help_of_group(self, ctx, {name: item for name, item in found.items() if item})
 
 
 def _print_version(ctx: click.Context, _: click.Parameter, is_set: bool) -> None:

@@ -22,7 +22,7 @@ class VerbCommand(click.Command):
     """A verb. Its help is drawn by rich-click, which is imported only for that."""
 
     def __init__(self, name: str, *, params: list[click.Parameter], **more: Any) -> None:
-        options = [each for each in params if isinstance(each, HelpedOption)]
+        options = [parameter for parameter in params if isinstance(parameter, HelpedOption)]
         self.has_short_help = len(options) > _MANY
         if self.has_short_help:
             params = [*params, _help_all()]
@@ -32,13 +32,15 @@ class VerbCommand(click.Command):
         """Refuse a second value for an option of one value, of which click takes the last."""
         ctx.meta[_ARGUMENTS] = list(args)
         _, _, order = self.make_parser(ctx).parse_args(args=list(args))
-        for each in self.params:
-            is_single = isinstance(each, HelpedOption) and not (each.multiple or each.is_flag)
-            if is_single and order.count(each) > 1:
+        for parameter in self.params:
+            is_single = isinstance(parameter, HelpedOption) and not (
+                parameter.multiple or parameter.is_flag
+            )
+            if is_single and order.count(parameter) > 1:
                 more = ", and for several robots list their runs for trajeval compare"
                 raise SettingsError(
-                    f"{each.opts[0]} is given {order.count(each)} times; give one per call"
-                    + (f"{more} (docs/compare.md)" if each.metavar == "SOURCE" else "")
+                    f"{parameter.opts[0]} is given {order.count(parameter)} times; give one per call"
+                    + (f"{more} (docs/compare.md)" if parameter.metavar == "SOURCE" else "")
                 )
         return super().parse_args(ctx, args)
 

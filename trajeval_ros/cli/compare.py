@@ -202,12 +202,12 @@ def _comparison_of(
     from trajeval_ros.batch.finished_comparison import RESULT
     from trajeval_ros.batch.finished_results import FinishedResults, is_result
 
-    results = [each for each in targets if is_result(each)]
+    results = [target for target in targets if is_result(target)]
     if not results:
         if len(targets) > 1:
             return plan_of_sources(targets, settings)
         return plan_of(targets[0], settings, allow_remote=allow_remote)
-    others = [each for each in targets if not is_result(each)]
+    others = [target for target in targets if not is_result(target)]
     if others:
         raise InputError(
             f"{results[0]} has finished results, and {others[0]} has none; give folders with "
@@ -324,10 +324,10 @@ def _print_verdict(summary: ComparisonSummary, progress: Progress, folder: Path)
     with may_break():
         terminal = console()
         tables = matrices(summary)
-        for each in tables:
-            show(terminal, to_terminal(each))
+        for table in tables:
+            show(terminal, to_terminal(table))
             terminal.print()
-        for note in dict.fromkeys(note for each in tables for note in each.notes):
+        for note in dict.fromkeys(note for table in tables for note in table.notes):
             terminal.print(note, style="dim")
         terminal.print()
         evaluated = sum(trial.status == OK for trial in summary.trials)

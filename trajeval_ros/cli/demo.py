@@ -68,8 +68,8 @@ def demo(folder: Path) -> None:
         draws = ["--rrd", str(recorded / PICTURE)] if has_rerun() else []
         _evaluate(bag, recorded, *draws, *(["--quiet"] if has_ros else []))
         if has_ros:
-            results = [each / "result.json" for each in (live, recorded)]
-            texts = [each.read_text(encoding="utf-8") for each in results]
+            results = [item / "result.json" for item in (live, recorded)]
+            texts = [result.read_text(encoding="utf-8") for result in results]
             print("\n".join(comparison(*map(json.loads, texts))))
         _heading("Evaluate a visual-inertial estimator: consistency of errors and covariances")
         certain = folder / "certain_flight"
@@ -95,8 +95,8 @@ def _make_way(folder: Path, bag: Path, results: list[Path]) -> None:
     """Remove the results of an earlier demo, and nothing else."""
     if folder.is_dir() and any(folder.iterdir()) and not is_simulated(bag):
         raise InputError(f"{folder} exists and is not from an earlier demo; choose another folder")
-    for each in results:
-        shutil.rmtree(each, ignore_errors=True)
+    for result in results:
+        shutil.rmtree(result, ignore_errors=True)
     (folder / "rerun.png").unlink(missing_ok=True)
     folder.mkdir(parents=True, exist_ok=True)
 
@@ -141,11 +141,11 @@ def comparison(live: dict[str, Any], recorded: dict[str, Any]) -> list[str]:
     """Return lines that compare two results of the same bag, with the reason of a difference."""
     results = (live, recorded)
     received = {
-        "groundtruth messages": [each["groundtruth"]["poses"] for each in results],
-        "odometry messages": [each["runs"][0]["estimate"]["poses"] for each in results],
+        "groundtruth messages": [result["groundtruth"]["poses"] for result in results],
+        "odometry messages": [result["runs"][0]["estimate"]["poses"] for result in results],
     }
     numbers = {
-        label: [_number(each["runs"][0], path) for each in results]
+        label: [_number(result["runs"][0], path) for result in results]
         for label, path in _COMPARED.items()
     }
     lines = [f"{'':22}{'live':>12}{'recorded':>12}"]
@@ -169,7 +169,7 @@ def comparison(live: dict[str, Any], recorded: dict[str, Any]) -> list[str]:
 
 
 def _row(label: str, values: list[float]) -> str:
-    return f"{label:22}" + "".join(f"{each:12.6g}" for each in values)
+    return f"{label:22}" + "".join(f"{value:12.6g}" for value in values)
 
 
 def _agree(one: float, other: float) -> bool:
@@ -180,8 +180,8 @@ def _agree(one: float, other: float) -> bool:
 def _number(run: dict[str, Any], path: tuple[str | int, ...]) -> float:
     """Return the number of a run at a path of keys and indices."""
     value: Any = run
-    for each in path:
-        value = value[each]
+    for item in path:
+        value = value[item]
     return float(value)
 
 

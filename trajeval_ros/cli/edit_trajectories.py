@@ -233,8 +233,8 @@ def trajectory(
             "--end or --plot"
         )
     hints = SideHints.of(columns, frame_rate)
-    split = [(name, each) for name, source in map(split_name, sources)
-             for each in each_topic(source)]  # fmt: skip
+    split = [(name, item) for name, source in map(split_name, sources)
+             for item in each_topic(source)]  # fmt: skip
     wanted = [source for _, source in split]
     if merge and len(wanted) == 1:
         raise SettingsError("--merge needs several sources; give more, or remove it")
@@ -251,7 +251,7 @@ def trajectory(
         paths = save_trajectories(output, everything, save_as, message or _MESSAGE)
     paths += plots.write(
         output,
-        [each.trajectory for each in edited],
+        [item.trajectory for item in edited],
         None if reference is None else read[-1].in_order(),
     )
     if not quiet:
@@ -271,12 +271,12 @@ def parse_motion(text: str) -> tuple[float, float]:
 def _with_references(edited: Sequence[Edited]) -> list[Trajectory]:
     """Return the trajectories to print and save, with the references of synchronised ones."""
     found: list[Trajectory] = []
-    for each in edited:
-        found.append(each.trajectory)
-        if each.reference is not None:
-            name = f"{each.trajectory.name}_reference"
-            reading = dataclasses.replace(each.reference.reading, source="")
-            found.append(dataclasses.replace(each.reference, name=name, reading=reading))
+    for item in edited:
+        found.append(item.trajectory)
+        if item.reference is not None:
+            name = f"{item.trajectory.name}_reference"
+            reading = dataclasses.replace(item.reference.reading, source="")
+            found.append(dataclasses.replace(item.reference, name=name, reading=reading))
     return found
 
 
@@ -287,7 +287,7 @@ def _print(trajectories: Sequence[Trajectory], paths: Sequence[Path]) -> None:
     numbers = ("poses", "s", "Hz", "path m", "mean m/s", "max m/s", "gaps > 0.5 s", "longest s")
     hidden_first = ("mean m/s", "longest s", "max m/s")
     show_fitting(
-        terminal, ("trajectory",), numbers, [_row(each) for each in trajectories], hidden_first
+        terminal, ("trajectory",), numbers, [_row(item) for item in trajectories], hidden_first
     )
     for path in paths:
         terminal.print(f"saved {path}", soft_wrap=True)
@@ -316,13 +316,13 @@ def _remark(read: Sequence[Trajectory], edited: Sequence[Edited], *, quiet: bool
     from trajeval_ros.report.console import WARNING, console
 
     remarks = console(sys.stderr)
-    for each in () if quiet else edited:
-        for remark in each.trajectory.reading.remarks:
+    for item in () if quiet else edited:
+        for remark in item.trajectory.reading.remarks:
             if remark.level < Level.ERROR:
                 kind = remark.level.name.lower()
-                remarks.remark(kind, f"{each.trajectory.name}: {remark.text}")
-        if each.alignment is not None and each.alignment.untrustworthy:
-            remarks.remark(WARNING, f"{each.trajectory.name}: {each.alignment.untrustworthy}")
+                remarks.remark(kind, f"{item.trajectory.name}: {remark.text}")
+        if item.alignment is not None and item.alignment.untrustworthy:
+            remarks.remark(WARNING, f"{item.trajectory.name}: {item.alignment.untrustworthy}")
     for trajectory in read:
         for line in trajectory.reading.said(Level.ERROR):
             remarks.remark(WARNING, f"{trajectory.name}: {line}")

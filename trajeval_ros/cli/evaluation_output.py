@@ -56,7 +56,7 @@ def write_and_print(
         for requirement in requirements
         if (why := requirement.unmet(run, lengths))
     ]
-    failed = [f"{each.name}: {each.reason}" for each in outcome.failed]
+    failed = [f"{item.name}: {item.reason}" for item in outcome.failed]
     if requirements:
         unmet += failed
     if output is not None:

@@ -87,7 +87,7 @@ def groundtruth(
     elif output != _HERE:
         raise SettingsError("--output needs --save-as; add it")
     Pictures(rrd).check()
-    sources = [each for each in (truth, imu) if each is not None]
+    sources = [item for item in (truth, imu) if item is not None]
     refuse_inputs([figure, rrd, json], sources)
     with progress(f"reading {', '.join(names_of([truth]))}") as advance:
         (original,) = read_many([truth], advance=advance, covariances=False)

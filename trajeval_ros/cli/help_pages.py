@@ -21,13 +21,19 @@ _EMPTY_LINES = re.compile(r"\n((\x1b\[[0-9;]*m|[ \t])*\n){2,}")
 
 def help_of_verb(command: click.Command, ctx: click.Context, *, is_short: bool) -> str:
     """Return the help of a verb, with its common options only if it is short."""
-    arguments = [each for each in command.params if isinstance(each, click.Argument)]
-    options = [each for each in command.get_params(ctx) if isinstance(each, click.Option)]
-    shown = [each for each in options if not is_short or _is_common(each)]
+    arguments = [
+        parameter for parameter in command.params if isinstance(parameter, click.Argument)
+    ]
+    options = [
+        get_parameter
+        for get_parameter in command.get_params(ctx)
+        if isinstance(get_parameter, click.Option)
+    ]
+    shown = [option for option in options if not is_short or _is_common(option)]
     panels: dict[str, list[click.Parameter]] = {}
-    for each in shown:
-        panel = _COMMON if is_short else getattr(each, "panel", "") or "Options"
-        panels.setdefault(panel, []).append(each)
+    for item in shown:
+        panel = _COMMON if is_short else getattr(item, "panel", "") or "Options"
+        panels.setdefault(panel, []).append(item)
     text = command.help or ""
     if is_short:
         text += f"\n\nAll options: `{ctx.command_path} --help-all`"
@@ -38,7 +44,7 @@ def help_of_verb(command: click.Command, ctx: click.Context, *, is_short: bool) 
         add_help_option=False,
         panels=[
             *([_panel("Arguments", arguments)] if arguments else []),
-            *(_panel(name, each) for name, each in panels.items()),
+            *(_panel(name, item) for name, item in panels.items()),
         ],
     )
     return _drawn(page, ctx)
@@ -65,10 +71,10 @@ def _is_common(option: click.Option) -> bool:
 
 def _panel(name: str, params: Sequence[click.Parameter]) -> RichOptionPanel:
     columns: list[OptionColumnType] = ["opt_all_metavar", "help"]
-    if all(isinstance(each, click.Argument) for each in params):
+    if all(isinstance(parameter, click.Argument) for parameter in params):
         columns = ["metavar", "help"]
     return RichOptionPanel(
-        name, options=[str(each.opts[0]) for each in params], column_types=columns
+        name, options=[str(parameter.opts[0]) for parameter in params], column_types=columns
     )
 
 

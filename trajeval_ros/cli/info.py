@@ -73,7 +73,7 @@ def info(source: str, columns: tuple[str, ...], frame_rate: float | None) -> Non
         return
     with progress(f"reading {source}") as advance:
         description = describe(source, advance=advance, hints=hints)
-    require_used([(hints, each) for each in description.trajectories])
+    require_used([(hints, trajectory) for trajectory in description.trajectories])
     terminal = console()
     terminal.print(f"{description.path}", soft_wrap=True)
     for remark in description.remarks:
@@ -81,7 +81,7 @@ def info(source: str, columns: tuple[str, ...], frame_rate: float | None) -> Non
     if len(description.trajectories) == 1:
         _print_table(terminal, ("", ""), _details(description.trajectories[0]))
     elif description.trajectories:
-        rows = [_row(each) for each in description.trajectories]
+        rows = [_row(trajectory) for trajectory in description.trajectories]
         show_fitting(terminal, _COLUMNS, (), rows, _HIDDEN_FIRST)
         _print_remarks(terminal, description.trajectories)
     _print_edges(terminal, description)
@@ -107,8 +107,8 @@ def _list_folder(folder: Path) -> None:
         )
     terminal = console()
     rows = [
-        (str(each.path), each.kind, each.problem or ", ".join(each.topics))
-        for each in found.sources
+        (str(source.path), source.kind, source.problem or ", ".join(source.topics))
+        for source in found.sources
     ]
     _print_table(terminal, ("source", "format", "topics with poses or transforms"), rows)
     if found.others:

@@ -111,12 +111,12 @@ def settings_options(verb: str) -> list[click.Parameter]:
     """Return the options of a verb for the settings of a request, which the table states."""
     from trajeval_ros.io.requests.settings_table import SETTINGS
 
-    return [_option_of(each) for each in SETTINGS.values() if verb in each.verbs]
+    return [_option_of(setting) for setting in SETTINGS.values() if verb in setting.verbs]
 
 
 def shared_options(verb: str) -> list[click.Parameter]:
     """Return the other options that a verb shares with others."""
-    return [_option_of(each) for each in _SHARED if verb in each.verbs]
+    return [_option_of(item) for item in _SHARED if verb in item.verbs]
 
 
 def _option_of(setting: Setting) -> HelpedOption:
@@ -215,8 +215,8 @@ def _completion(metavar: str, choices: Iterable[str]) -> Callable[..., list[Comp
     def complete(_context: Any, _parameter: Any, start: str) -> list[CompletionItem]:
         from click.shell_completion import CompletionItem
 
-        found = [CompletionItem(each) for each in choices if each.startswith(start)]
-        if not found and any(each in metavar for each in _FILES):
+        found = [CompletionItem(choice) for choice in choices if choice.startswith(start)]
+        if not found and any(file in metavar for file in _FILES):
             found = [CompletionItem(start, type="file")]
         return found
 

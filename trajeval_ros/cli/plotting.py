@@ -45,13 +45,13 @@ class Plotting:
     ) -> Plotting:
         """Parse the options."""
         more = (colour_by, colour_max)
-        if plot is None and (style != PLAIN or any(each is not None for each in more)):
+        if plot is None and (style != PLAIN or any(item is not None for item in more)):
             raise SettingsError(
                 f"the options of figures need --plot; add it, as in --plot {PLOTS[0]}"
             )
         kinds = () if plot is None else tuple(dict.fromkeys(plot.split(",")))
-        for each in kinds:
-            require_one_of(each, PLOTS, "plot")
+        for kind in kinds:
+            require_one_of(kind, PLOTS, "plot")
         if colour_by is not None:
             require_one_of(colour_by, COLOURS_BY, "colour")
         if colour_by is not None and not set(kinds) & set(PLANES):

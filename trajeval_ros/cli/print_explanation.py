@@ -107,13 +107,13 @@ def _runs(
     content = read_mapping(path, "list of runs", as_text=True)
     require_known(content, ("unit", "runs"), str(path))
     found: list[Run] = []
-    for each in content.get("runs") or ():
+    for item in content.get("runs") or ():
         keys = ("groundtruth", "estimate", "number")
-        if not isinstance(each, dict) or each.keys() != set(keys):
+        if not isinstance(item, dict) or item.keys() != set(keys):
             raise InputError(
-                f"{path}: every run needs exactly {', '.join(keys)}; correct {each!r}"
+                f"{path}: every run needs exactly {', '.join(keys)}; correct {item!r}"
             )
-        truth, estimate, numbers = (each[key] for key in keys)
+        truth, estimate, numbers = (item[key] for key in keys)
         numbers = numbers if isinstance(numbers, list) else [numbers]
         found.append((str(path.parent / truth), str(path.parent / estimate), numbers))
     return found, unit or content.get("unit")
@@ -181,12 +181,12 @@ def _json(found: Explanation, up: Axes) -> dict[str, Any]:
             "no_command": command if isinstance(command, str) else "",
         }
 
-    def match(each: Match) -> dict[str, Any]:
+    def match(item: Match) -> dict[str, Any]:
         return {
-            "probability": each.probability if found.matches else None,
-            "associations": list(each.associations),
-            "equal": list(each.others),
-            "numbers": [*map(number, each.definitions, each.values)],
+            "probability": item.probability if found.matches else None,
+            "associations": list(item.associations),
+            "equal": list(item.others),
+            "numbers": [*map(number, item.definitions, item.values)],
         }
 
     lists = {key: [*map(match, getattr(found, key))] for key in ("matches", "nearest")}

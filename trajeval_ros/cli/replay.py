@@ -133,7 +133,9 @@ def _print_notes(notes: Sequence[str]) -> None:
 
 def _print_summary(playback: Playback, played: PlaybackResult[Channel], rate: float) -> None:
     """Print a summary of the playback in one line."""
-    counts = [f"{played.counts[each]} on {visible(each.name)}" for each in playback.channels]
+    counts = [
+        f"{played.counts[channel]} on {visible(channel.name)}" for channel in playback.channels
+    ]
     bag_time = (played.reached_ns - playback.begin_ns) / NANOSECONDS
     if played.worst_lag_s > _LATE_S:
         lag = f"late by up to {played.worst_lag_s:.2f} s: use a lower --rate"

@@ -249,13 +249,13 @@ def _write_drift(
         fixes = gnss_fixes(groundtruth, gnss, seed)
         write_bag(output, topics | {FIX_TOPIC: (fixes, FIX_TYPE)}, storage=storage)
         more += f", {counted(len(fixes), 'fix', 'fixes')} of a {gnss} receiver on {FIX_TOPIC}"
-        options = f" --lever-arm {','.join(f'{each:g}' for each in ANTENNA_M)}"
+        options = f" --lever-arm {','.join(f'{item:g}' for item in ANTENNA_M)}"
         options += " --max-fix-sigma 0.05" if gnss == "rtk" else ""
         _say([output], groundtruth, estimate, more, options, FIX_TOPIC)
         return
     if marker:
         groundtruth = _marked(groundtruth)
-        lever = " ".join(f"{each:g}" for each in _LEVER_M)
+        lever = " ".join(f"{item:g}" for item in _LEVER_M)
         angle_deg = math.degrees(math.hypot(*_TURN))
         more += (
             f"; the groundtruth is the pose of a marker, {lever} m from the body and rotated by "

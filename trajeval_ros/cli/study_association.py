@@ -88,12 +88,12 @@ def study_association(
     sources = [groundtruth, *estimate]
     accurate, *estimates = read_shown(sources, names_of(sources))
     poor = degradation.of(accurate)
-    comparisons = [compare_associations(accurate, poor, each, protocol) for each in estimates]
+    comparisons = [compare_associations(accurate, poor, item, protocol) for item in estimates]
     if json != "-":
         _print(comparisons, degradation, poor)
     content: dict[str, Any] = {
         "degradation": dataclasses.asdict(degradation) | {"samples_left": len(poor)},
-        "estimates": [dataclasses.asdict(each) for each in comparisons],
+        "estimates": [dataclasses.asdict(comparison) for comparison in comparisons],
     }
     write_json(json, content)
     report_dropped([accurate, *estimates])
@@ -120,7 +120,7 @@ def _print(
     for comparison in comparisons:
         terminal.print()
         show(terminal, association_table(comparison))
-        for each in comparison.reported:
-            if each.reason:
-                terminal.print(f"  {each.association}: {each.reason}", soft_wrap=True)
+        for item in comparison.reported:
+            if item.reason:
+                terminal.print(f"  {item.association}: {item.reason}", soft_wrap=True)
     terminal.file.flush()

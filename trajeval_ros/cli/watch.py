@@ -91,7 +91,7 @@ def watch(
         write_watch(rrd, run.estimate, seen, book)
     _deliver(estimate, seen, book, json=json, figure=figure, quiet=quiet)
     report_dropped([run.estimate, *run.others.values()])
-    failing = [each for each in book.alarms if fail_on == "alarm" or book.is_error(each)]
+    failing = [alarm for alarm in book.alarms if fail_on == "alarm" or book.is_error(alarm)]
     if fail_on is not None and failing:
         raise click.exceptions.Exit(1)
 
@@ -113,10 +113,10 @@ def _named_sources(
     from trajeval_ros.io.source_names import names_of
     from trajeval_ros.watchdog.signals import pair_sources
 
-    pairs = pair_sources([part_of_topic(each) for each in names_of(partners)])
+    pairs = pair_sources([part_of_topic(item) for item in names_of(partners)])
     named = {"estimate": estimate, "imu": imu, "map": corrections}
     return {
-        **{name: each for name, each in named.items() if each is not None},
+        **{name: item for name, item in named.items() if item is not None},
         **dict(zip(pairs, partners, strict=True)),
     }
 
@@ -132,7 +132,7 @@ def _read(named: Mapping[str, str]) -> WatchedRun:
         return read_watched(
             named["estimate"],
             named.get("imu"),
-            {name: each for name, each in named.items() if name.partition(".")[0] == PAIR},
+            {name: item for name, item in named.items() if name.partition(".")[0] == PAIR},
             corrections=named.get("map"),
             advance=advance,
         )

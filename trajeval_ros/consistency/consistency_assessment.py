@@ -218,9 +218,9 @@ def assess_joint(aligned: AlignedStates, covariance: JointCovariance, source: st
     if covariance.is_dense:
         turned = carried(covariance.pose_covariance(rows), aligned.similarity)
         if aligned.noise is not None:
-            count, each = len(errors), np.arange(len(errors))
+            count, item = len(errors), np.arange(len(errors))
             blocks_of = turned.reshape(count, POSE_DOF, count, POSE_DOF)
-            blocks_of[each, :, each] += aligned.noise
+            blocks_of[item, :, item] += aligned.noise
         projected = transformation.covariance(turned)
         value = joint_nees(errors, projected, transformation.normals)
         first = aligned.first_with_nees

@@ -64,8 +64,8 @@ ALIGNMENTS: Final[dict[str, Aligning]] = {
 _MAIN = tuple(ALIGNMENTS)[:6]
 _TURNED = tuple(
     name
-    for name, each in ALIGNMENTS.items()
-    if not each.has_scale and each.gauge is not Gauge.TRANSLATION
+    for name, item in ALIGNMENTS.items()
+    if not item.has_scale and item.gauge is not Gauge.TRANSLATION
 )
 _OF_UP = ("horizontal", "vertical", "yaw", "tilt")
 LAST: Final = "last"  # the error at the end

@@ -83,8 +83,8 @@ def _associations(groundtruth: Trajectory, estimate: Trajectory) -> Iterable[Pai
         raise InputError("the groundtruth has GNSS fixes; explain needs poses, as of text files")
     found: dict[tuple[object, ...], Paired] = {}
     both, refusal = (groundtruth.reading, estimate.reading), None
-    stamped = all(each.stamped for each in both)
-    framed = all(each.frame_numbers is not None or not each.stamped for each in both)
+    stamped = all(item.stamped for item in both)
+    framed = all(item.frame_numbers is not None or not item.stamped for item in both)
     for name, (protocol, rule, _) in ASSOCIATIONS.items():
         if not (framed if rule.method == "index" else stamped):
             continue
@@ -99,7 +99,7 @@ def _associations(groundtruth: Trajectory, estimate: Trajectory) -> Iterable[Pai
         columns = pairs.groundtruth.positions.tobytes(), pairs.estimate.positions.tobytes()
         key = (name == EXCHANGED, sides[0].path_length_m, *columns)
         read = pairs.groundtruth.reading, pairs.estimate.reading
-        has_matrices = all(each.matrices is not None for each in read)
+        has_matrices = all(item.matrices is not None for item in read)
         found.setdefault(key, Paired({}, pairs, *sides)).names[name] = has_matrices
     if not found and refusal is not None:
         raise refusal
@@ -166,7 +166,7 @@ def _relative(paired: Paired, alignment: Alignment, name: str, family: str) -> I
     except TrajevalError:  # pairs that are not in order have no lengths in seconds
         return
     drift = dict.fromkeys(pooled, searched.pooled)
-    found = [(str(each.length), each.statistics, searched.metrics) for each in parts or ()]
+    found = [(str(part.length), part.statistics, searched.metrics) for part in parts or ()]
     for length, statistics, names in (*found, (POOLED, pooled, drift)):
         for metric, chosen in names.items():
             # Rotation errors do not depend on the scale.

@@ -140,14 +140,14 @@ def explain(
         'position rmse, se3'
     """
     numbers = [[PublishedNumber.parse(text, unit) for text in texts] for _, _, texts in runs]
-    counts = {len(each) for each in numbers}
+    counts = {len(number) for number in numbers}
     if len(counts) != 1 or not counts <= set(range(1, _MOST_NUMBERS + 1)):
         raise SettingsError(
             f"the runs have {', '.join(map(str, sorted(counts))) or 'no'} numbers; give every "
             f"run one number, or every run {_MOST_NUMBERS}"
         )
     candidates = _Candidates([values_of(truth, estimate) for truth, estimate, _ in runs])
-    columns = [_Column(candidates, each) for each in zip(*numbers, strict=True)]
+    columns = [_Column(candidates, item) for item in zip(*numbers, strict=True)]
     result = _explained(candidates, columns)
     if result.matches or len(runs) < _RUNS_WITH_ONE_WRONG:
         return result
@@ -191,13 +191,13 @@ class _Candidates:
             if all(definition in places for places, _ in tables):
                 key = tuple(places[definition] for places, _ in tables)
                 found.setdefault(key, []).append(definition)
-        self.names = [sorted(each, key=lambda one: -one.prior) for each in found.values()]
-        self.first = [each[0] for each in self.names]
+        self.names = [sorted(item, key=lambda one: -one.prior) for item in found.values()]
+        self.first = [name[0] for name in self.names]
         self.values: Floats = np.array(
             [[values[key[run]] for key in found] for run, (_, values) in enumerate(tables)]
         )  # (R, K), of the runs whose numbers are compared
         self.shown = self.values  # of all runs
-        self.priors = np.array([each.prior for each in self.first])
+        self.priors = np.array([item.prior for item in self.first])
 
     def without(self, run: int) -> _Candidates:
         """Return the candidates for the numbers of all runs but one."""
@@ -212,19 +212,19 @@ class _Candidates:
         """
         if len(used) == 1:
             return np.flatnonzero(used[0])[:, None]
-        alignment = np.array([each.alignment for each in self.first])
-        scaled = np.array([ALIGNMENTS[each.alignment].has_scale for each in self.first])
-        relative = np.array([bool(each.family) for each in self.first])
+        alignment = np.array([item.alignment for item in self.first])
+        scaled = np.array([ALIGNMENTS[item.alignment].has_scale for item in self.first])
+        relative = np.array([bool(item.family) for item in self.first])
         either = (relative[:, None] | relative) & (scaled[:, None] == scaled)
-        has = np.array([[name in {one.association for one in each} for name in ASSOCIATIONS]
-            for each in self.names], dtype=float)  # fmt: skip
+        has = np.array([[name in {one.association for one in item} for name in ASSOCIATIONS]
+            for item in self.names], dtype=float)  # fmt: skip
         together = (has @ has.T > 0.0) & (either | (alignment[:, None] == alignment))
         return np.argwhere(together & np.logical_and.outer(*used))
 
     def match(self, rows: Indices, probability: float) -> Match:
         """Return a group of definitions (M, C), the likeliest first."""
-        named = [tuple(self.first[each] for each in row) for row in rows]
-        texts = ["; ".join(map(str, each)) for each in named]
+        named = [tuple(self.first[item] for item in row) for row in rows]
+        texts = ["; ".join(map(str, item)) for item in named]
         associations = {one.association for row in rows for one in self.names[row[0]]}
         return Match(
             named[0],
@@ -247,8 +247,8 @@ class _Column:
 
     def __init__(self, candidates: _Candidates, numbers: Sequence[PublishedNumber]) -> None:
         unit = numbers[0].unit
-        self.used = np.array([not unit or each.unit == unit for each in candidates.first])
-        y, h = (np.array([each[field] for each in numbers])[:, None] for field in (0, 1))
+        self.used = np.array([not unit or item.unit == unit for item in candidates.first])
+        y, h = (np.array([number[field] for number in numbers])[:, None] for field in (0, 1))
         x = np.maximum(candidates.values, _TINY)
         self.hit = (np.abs(x - y) <= h * (1.0 + 1e-9)).all(axis=0)
         bounds = np.log(np.maximum([x - h, x + h], _TINY) / y)
@@ -273,24 +273,24 @@ def _explained(
 
     `prior`: probability that these runs have one definition, if any run has one.
     """
-    rows = candidates.of_row([each.used for each in columns])
+    rows = candidates.of_row([column.used for column in columns])
 
     def of_rows(values: Sequence[Floats]) -> Floats:
-        return np.array([each[row] for each, row in zip(values, rows.T, strict=True)])
+        return np.array([value[row] for value, row in zip(values, rows.T, strict=True)])
 
     weights = candidates.priors[rows].prod(axis=1)
     weights /= weights.sum()
-    hit = of_rows([each.hit for each in columns]).all(axis=0)
-    expected = float(of_rows([each.covered for each in columns]).prod(axis=0).sum())
+    hit = of_rows([column.hit for column in columns]).all(axis=0)
+    expected = float(of_rows([column.covered for column in columns]).prod(axis=0).sum())
     is_single = len(candidates.values) == len(columns) == 1
     likely = columns[0].union() if is_single else -math.expm1(-expected)
-    unrelated = _NONE_PRIOR * math.prod(each.unrelated for each in columns)
+    unrelated = _NONE_PRIOR * math.prod(column.unrelated for column in columns)
     matching = float(weights[hit].sum())
     none = unrelated / (unrelated + (1.0 - _NONE_PRIOR) * prior * matching)
     if hit.any():
         matches = _grouped(candidates, rows[hit], (1.0 - none) * weights[hit] / matching)
         return Explanation(len(rows), int(hit.sum()), expected, likely, none, matches, ())
-    far = of_rows([each.distance for each in columns]).max(axis=0)
+    far = of_rows([column.distance for column in columns]).max(axis=0)
     near = np.argsort(far - _PRIOR_WEIGHT * np.log(weights))[: 4 * _NEAREST]
     # Halved shares keep the order of the nearest definition of every group.
     nearest = _grouped(candidates, rows[near], np.power(0.5, np.arange(float(len(near)))))
@@ -301,11 +301,11 @@ def _grouped(candidates: _Candidates, rows: Indices, shares: Floats) -> tuple[Ma
     """Join matches (M, C) that differ only in the association, or have equal values."""
     groups: list[list[int]] = []
     for place in np.argsort(-shares, kind="stable").tolist():
-        same = (each for each in groups if candidates.are_one(rows[place], rows[each[0]]))
+        same = (item for item in groups if candidates.are_one(rows[place], rows[item[0]]))
         group = next(same, None)
         if group is None:
             groups.append([place])
         else:
             group.append(place)
-    found = [candidates.match(rows[each], float(shares[each].sum())) for each in groups]
-    return tuple(sorted(found, key=lambda each: -each.probability))
+    found = [candidates.match(rows[item], float(shares[item].sum())) for item in groups]
+    return tuple(sorted(found, key=lambda item: -item.probability))

@@ -88,7 +88,7 @@ def is_within(width_pt: float, rows: Sequence[TextRow], *, is_wide: bool) -> boo
     widths = []
     for place, column in enumerate(zip(*rows, strict=True)):
         cells = column[place > 0 and is_wide :]  # headings of a wide table are broken
-        texts = (each if isinstance(each, str) else each.text + each.rest for each in cells)
+        texts = (cell if isinstance(cell, str) else cell.text + cell.rest for cell in cells)
         widths.append(_CHARACTER_PT * max(map(len, texts)) + _COLUMN_GAP_PT)
     numbers = max(widths[1:]) * len(widths[1:]) if is_wide else sum(widths[1:])
     return widths[0] + numbers <= width_pt

@@ -170,16 +170,16 @@ def columns_of_frame(frame: Any) -> dict[str, Any]:
             f"the table has the columns {', '.join(map(str, frame.columns))}; name the positions "
             "x, y and z"
         )
-    places = frame[[names[each] for each in "xyz"]].to_numpy()
+    places = frame[[names[item] for item in "xyz"]].to_numpy()
     rotations = None
-    known = [names[each] for each in ("qx", "qy", "qz", "qw") if each in names]
+    known = [names[item] for item in ("qx", "qy", "qz", "qw") if item in names]
     if known:
         if len(known) < 4:
             raise InputError(
                 f"the table has only {', '.join(map(str, known))} of qx, qy, qz and qw; name all"
             )
         rotations = frame[known].to_numpy()
-    time = next((names[each] for each in _TIMES if each in names), None)
+    time = next((names[item] for item in _TIMES if item in names), None)
     times = np.asarray(frame.index if time is None else frame[time])
     given: dict[str, Any] = {"positions": places, "quaternions": rotations}
     if times.dtype.kind == "M":

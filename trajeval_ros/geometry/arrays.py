@@ -19,7 +19,7 @@ Booleans = NDArray[np.bool_]
 def at_rows(item: _T, names: Iterable[str], rows: Any, **changed: Any) -> _T:
     """Return a dataclass with some rows of its columns, those that it has, and changed values."""
     columns = {name: getattr(item, name) for name in names}
-    changed |= {name: each[rows] for name, each in columns.items() if each is not None}
+    changed |= {name: column[rows] for name, column in columns.items() if column is not None}
     found: _T = dataclasses.replace(item, **changed)  # type: ignore[type-var]
     return found
 

@@ -152,7 +152,7 @@ def _with_flat(trajectory: Trajectory, fixes: Fixes) -> tuple[Trajectory, Fixes]
     )
     joined = Fixes(places, status, types, covariances)
     reading = trajectory.reading
-    dropped = {each: count for each, count in reading.dropped.items() if each != "no_height"}
+    dropped = {item: count for item, count in reading.dropped.items() if item != "no_height"}
     states = dataclasses.replace(
         trajectory,
         stamps=stamps[order],

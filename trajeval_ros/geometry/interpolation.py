@@ -99,7 +99,7 @@ def columns_at(times: Floats, columns: Floats, at: Floats) -> Floats:
 
     Before the first time and after the last one, columns are constant.
     """
-    return np.stack([np.interp(at, times, each) for each in columns.T], axis=1)
+    return np.stack([np.interp(at, times, item) for item in columns.T], axis=1)
 
 
 def slerp(quaternions: Floats, start: Indices, end: Indices, fraction: Floats) -> Floats:

@@ -70,10 +70,10 @@ class Conventions:
 
     def _permutation(self) -> tuple[Floats, str]:
         """Return the signed permutation (3, 3), and what it applies to: the prefix."""
-        prefixes = (each for each in (_POSITIONS, _ROTATIONS) if self.axes.startswith(each))
+        prefixes = (item for item in (_POSITIONS, _ROTATIONS) if self.axes.startswith(item))
         of = next(prefixes, _ALL)
-        names = [each.strip() for each in self.axes.removeprefix(of).split(",")]
-        if sorted(each.removeprefix("-") for each in names) != ["x", "y", "z"]:
+        names = [word.strip() for word in self.axes.removeprefix(of).split(",")]
+        if sorted(item.removeprefix("-") for item in names) != ["x", "y", "z"]:
             raise SettingsError(
                 f"the axes {self.axes!r} are not valid; give x, y and z once, with a minus for a "
                 "flipped axis, as in x,-y,z"

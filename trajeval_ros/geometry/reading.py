@@ -76,7 +76,7 @@ class Reading:
     @property
     def format(self) -> str:
         """The format of the source; "" if unknown."""
-        found = (each.text for each in self.remarks if each.code in FORMATS)
+        found = (remark.text for remark in self.remarks if remark.code in FORMATS)
         return next(found, "").removeprefix("format: ")
 
     def require_rows(self, count: int) -> None:
@@ -121,7 +121,7 @@ class Reading:
 
     def said(self, level: Level) -> tuple[str, ...]:
         """Return the sentences of the remarks of a level."""
-        return tuple(each.text for each in self.remarks if each.level is level)
+        return tuple(remark.text for remark in self.remarks if remark.level is level)
 
 
 def require_column(name: str, column: object, shape: tuple[int, ...]) -> None:

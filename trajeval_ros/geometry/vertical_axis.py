@@ -40,7 +40,7 @@ def up_axis_doubt(trajectory: Trajectory) -> str:
         return ""
     name = nearest_axis(axis).lstrip("-")
     if _degrees(np.abs(axis).max()) > _NEAR_DEG:
-        direction = ", ".join(f"{each:.2f}" for each in axis)
+        direction = ", ".join(f"{item:.2f}" for item in axis)
         what = (
             f"the direction ({direction}), which is not an axis; rotate the frame to a "
             "vertical axis"

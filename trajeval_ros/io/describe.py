@@ -50,7 +50,7 @@ class TrajectorySummary:
     @property
     def said(self) -> tuple[str, ...]:
         """The sentences of the remarks, except the format."""
-        return tuple(each.text for each in self.remarks if each.code not in FORMATS)
+        return tuple(remark.text for remark in self.remarks if remark.code not in FORMATS)
 
     system: KnownSystem | None = None  # the system that probably published it
     problem: str = ""  # reason why the trajectory can't be evaluated, "" if it can
@@ -151,7 +151,7 @@ def _describe_bag(source: str, path: Path, advance: Advance | None) -> Descripti
                         TrajectorySummary(name, topic.type, topic.count, problem=str(error))
                     )
             elif topic.holds_transforms and not topic.name.endswith("_static"):
-                own = tree_of(turned[each] for each in tree_topics(bag, topic.name))
+                own = tree_of(turned[tree_topic] for tree_topic in tree_topics(bag, topic.name))
                 for key, edge in own.items():
                     rate_hz, count = _rate_hz(edge.stamps), len(edge.stamps)
                     edges[(topic.name, *key)] = EdgeSummary(
@@ -160,7 +160,7 @@ def _describe_bag(source: str, path: Path, advance: Advance | None) -> Descripti
             elif not topic.holds_transforms:
                 inside = ", ".join(place.field or "itself" for place in nested_poses(topic.fields))
                 others.append((topic.name, topic.type, topic.count, inside))
-        remarks = bag.remarks([each.reading for each in readers])
+        remarks = bag.remarks([reader.reading for reader in readers])
     tree = sorted(edges.values(), key=lambda edge: (edge.topic, edge.is_static, edge.parent))
     return Description(path, tuple(trajectories), tuple(tree), tuple(others), remarks)
 

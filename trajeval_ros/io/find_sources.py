@@ -76,11 +76,11 @@ def _walk(folder: Path, left_out: list[str]) -> Iterator[Path]:
             folders.clear()
             yield here
             continue
-        folders[:] = sorted(each for each in folders if not each.startswith("."))
+        folders[:] = sorted(item for item in folders if not item.startswith("."))
         if len(here.relative_to(folder).parts) == DEEPEST:
             too_deep += len(folders)
             folders.clear()
-        yield from (here / each for each in sorted(files) if not each.startswith("."))
+        yield from (here / file for file in sorted(files) if not file.startswith("."))
     if too_deep:
         left_out.append(f"{counted(too_deep, 'folder')} more than {DEEPEST} levels deep")
 
@@ -95,8 +95,8 @@ def _recognised(path: Path) -> FoundSource | None:
             ending = Path(path.name.removesuffix(".zstd")).suffix
             kind = "rosbag2" if path.is_dir() else _BAGS[ending]
             with Bag(path, None) as bag:
-                topics = [each.name for each in bag.topics if each.holds_poses and each.count]
-                topics += [each.name for each in bag.topics if each.holds_transforms]
+                topics = [topic.name for topic in bag.topics if topic.holds_poses and topic.count]
+                topics += [topic.name for topic in bag.topics if topic.holds_transforms]
             return FoundSource(path, kind, tuple(topics))
         if path.suffix.lower() == ".ulg":
             from trajeval_ros.io.ulog import PoseLog

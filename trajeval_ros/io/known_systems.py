@@ -78,5 +78,7 @@ _SYSTEMS: dict[str, tuple[tuple[Any, ...], ...]] = {
 
 def recognised(message_type: str, topic: str, frame: str, child: str) -> KnownSystem | None:
     """Return the system that probably publishes a topic; None if no system fits."""
-    candidates = (KnownSystem(*each) for each in _SYSTEMS.get(message_type, ()))
-    return next((each for each in candidates if each.matches(topic, frame, child)), None)
+    candidates = (KnownSystem(*item) for item in _SYSTEMS.get(message_type, ()))
+    return next(
+        (candidate for candidate in candidates if candidate.matches(topic, frame, child)), None
+    )

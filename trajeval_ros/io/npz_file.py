@@ -36,7 +36,7 @@ def read_arrays(path: Path, names: Collection[str]) -> dict[str, NDArray[Any]]:
     """Return the arrays of an archive that have one of the names; other arrays are not read."""
     try:
         with zipfile.ZipFile(path) as archive:
-            members = {each.filename.removesuffix(".npy"): each for each in archive.infolist()}
+            members = {item.filename.removesuffix(".npy"): item for item in archive.infolist()}
             return {
                 name: _array(archive, members[name], f"{path}: {name}")
                 for name in names

@@ -89,7 +89,7 @@ def run(groundtruth: Given, estimates: Sequence[Given], request: Request | None 
     """
     if not isinstance(estimates, list | tuple):
         raise InputError(f"the estimates are of type {type(estimates).__name__}; give a list")
-    found = [_trajectory(each, f"estimate {row}") for row, each in enumerate(estimates, 1)]
+    found = [_trajectory(estimate, f"estimate {row}") for row, estimate in enumerate(estimates, 1)]
     return pipeline.run(_trajectory(groundtruth, "groundtruth"), found, request)
 
 

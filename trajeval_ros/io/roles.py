@@ -63,7 +63,7 @@ def simulated_evaluation(log: Path, *, has_gauge: bool) -> LikelyEvaluation:
     truth, *estimates = simulated_sides(log)
     reasons = (
         f"groundtruth {_topic(truth)}: of the simulator; change it with -g",
-        *(f"estimate {_topic(each)}: odometry; change it with -e" for each in estimates),
+        *(f"estimate {_topic(estimate)}: odometry; change it with -e" for estimate in estimates),
         *(() if has_gauge else (_NO_SENSORS,)),
     )
     return LikelyEvaluation(truth, tuple(estimates), "", reasons)

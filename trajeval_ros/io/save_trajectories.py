@@ -50,12 +50,12 @@ def save_trajectories(
     message type in a bag, one of `MESSAGES`. The topic is the topic of the source, or the name of
     the trajectory. `tf` writes all transforms to /tf.
     """
-    paths = files_of(folder, [each.name for each in trajectories], kind)
+    paths = files_of(folder, [item.name for item in trajectories], kind)
     require_one_of(message, MESSAGES, "message")
-    for each in trajectories if message == _TF else ():
-        if each.quaternions is None:
+    for item in trajectories if message == _TF else ():
+        if item.quaternions is None:
             raise InputError(
-                f"{each.name} has no orientations, which transforms need; use another --message"
+                f"{item.name} has no orientations, which transforms need; use another --message"
             )
     for path in paths:
         if path.exists():
@@ -72,7 +72,7 @@ def save_trajectories(
     topics = {}
     if message != _TF:
         named = zip(_topics(trajectories), trajectories, strict=True)
-        topics = {topic: (each, MESSAGES[message]) for topic, each in named}
+        topics = {topic: (item, MESSAGES[message]) for topic, item in named}
     if kind == "mcap":
         write_mcap(paths[0], topics, transforms)
     else:
@@ -86,12 +86,12 @@ def _topics(trajectories: Sequence[Trajectory]) -> list[str]:
     If all trajectories were read from different topics, these topics are kept. Otherwise the
     topics are made from the names.
     """
-    sources = [each.reading.source.rpartition(":")[2] for each in trajectories]
+    sources = [trajectory.reading.source.rpartition(":")[2] for trajectory in trajectories]
     own = all(source.startswith("/") and "." not in source for source in sources)
     names = (
         sources
         if own and len(set(sources)) == len(sources)
-        else [each.name for each in trajectories]
+        else [trajectory.name for trajectory in trajectories]
     )
     words = [_NO_TOPIC.sub("_", name).strip("/") or "trajectory" for name in names]
     return [_DIGIT_FIRST.sub("/_", f"/{word}") for word in _distinct(words)]
@@ -99,12 +99,14 @@ def _topics(trajectories: Sequence[Trajectory]) -> list[str]:
 
 def _as_transforms(trajectories: Sequence[Trajectory]) -> list[Trajectory]:
     """Return the trajectories with frames; child frames differ, since a child has one parent."""
-    children = [each.child_frame for each in trajectories]
+    children = [trajectory.child_frame for trajectory in trajectories]
     if "" in children or len(set(children)) < len(children):
-        children = _distinct([_NO_TOPIC.sub("_", each.name).strip("/") for each in trajectories])
+        children = _distinct(
+            [_NO_TOPIC.sub("_", trajectory.name).strip("/") for trajectory in trajectories]
+        )
     return [
-        dataclasses.replace(each, frame=each.frame or _WORLD, child_frame=child)
-        for each, child in zip(trajectories, children, strict=True)
+        dataclasses.replace(trajectory, frame=trajectory.frame or _WORLD, child_frame=child)
+        for trajectory, child in zip(trajectories, children, strict=True)
     ]
 
 

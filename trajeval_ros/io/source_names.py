@@ -51,10 +51,10 @@ def names_of(sources: Sequence[str]) -> list[str]:
     """
     parts = [_parts(source) for source in sources]
     depth = 1
-    names = ["/".join(each[-1:]) for each in parts]
-    while len(set(names)) < len(set(sources)) and depth < max(len(each) for each in parts):
+    names = ["/".join(part[-1:]) for part in parts]
+    while len(set(names)) < len(set(sources)) and depth < max(len(part) for part in parts):
         depth += 1
-        names = ["/".join(each[-depth:]) for each in parts]
+        names = ["/".join(part[-depth:]) for part in parts]
     return [
         name if names.count(name) == 1 else f"{name}#{names[:place].count(name) + 1}"
         for place, name in enumerate(names)

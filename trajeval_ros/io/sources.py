@@ -180,7 +180,7 @@ def read_many(
                 from trajeval_ros.io.ulog import read_log
 
                 logged = read_log(
-                    first.path, [parsed[each].topic for each in numbers], strict=strict
+                    first.path, [parsed[item].topic for item in numbers], strict=strict
                 )
                 read |= zip(numbers, logged, strict=True)
                 continue
@@ -194,8 +194,8 @@ def read_many(
             from trajeval_ros.io.bags.topics import BagSource, read_bag
 
             wanted = [
-                BagSource(parsed[each].topic, parsed[each].frames, flags[each], received)
-                for each in numbers
+                BagSource(parsed[item].topic, parsed[item].frames, flags[item], received)
+                for item in numbers
             ]
             trajectories = read_bag(first.path, wanted, own, strict=strict)
             read |= zip(numbers, trajectories, strict=True)
@@ -403,8 +403,8 @@ def _parse_frames(topic: str, frames: str) -> tuple[str, str]:
 
 def require_no_password(url: str) -> None:
     """Check that a URL has no password or token, since results, tables and logs repeat the URL."""
-    for each in url.split("::"):  # a chain of URLs
-        scheme, _, rest = each.lower().partition("://")
+    for word in url.split("::"):  # a chain of URLs
+        scheme, _, rest = word.lower().partition("://")
         user, at, host = re.split(r"[/?#]", rest, maxsplit=1)[0].rpartition("@")
         if SECRET.search(rest):
             raise InputError(

@@ -77,7 +77,7 @@ def temporary_folder(name: str, parent: Path | None = None) -> Iterator[Path]:
 def collect_leftovers(folder: Path) -> None:
     """Remove the temporary files in a folder whose writers have ended."""
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
-        for name in [each.name for each in entries if _NAME.fullmatch(each.name)]:
+        for name in [entry.name for entry in entries if _NAME.fullmatch(entry.name)]:
             _remove_if_left(folder / name)
 
 

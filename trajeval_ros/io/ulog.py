@@ -74,10 +74,10 @@ class PoseLog:
             what = f"its last {cut} bytes are truncated" if cut else "unreadable parts are dropped"
             self.remarks.append(damaged(f"{path} is damaged: {what}"))
         if log.dropouts:
-            lost_s = sum(each.duration for each in log.dropouts) / 1000.0
+            lost_s = sum(dropout.duration for dropout in log.dropouts) / 1000.0
             text = f"{counted(len(log.dropouts), 'dropout')} of the logger, {lost_s:.1f} s"
             self.remarks.append(note("dropouts", text))
-        self._data = {_name(each): _columns_of(each.data) for each in log.data_list}
+        self._data = {_name(item): _columns_of(item.data) for item in log.data_list}
         self.topics = [name for name in self._data if name.partition(".")[0] in _TYPES]
 
     def count(self, name: str) -> int:
@@ -110,7 +110,9 @@ def read_log(path: Path, topics: Sequence[str], *, strict: bool = False) -> list
         InputError: The log can't be read, lacks a topic, or is damaged and `strict` is set.
     """
     log = _kept.pop(_version(path), None) or PoseLog(path)
-    if strict and (wrong := [each.text for each in log.remarks if each.level is Level.ERROR]):
+    if strict and (
+        wrong := [remark.text for remark in log.remarks if remark.level is Level.ERROR]
+    ):
         raise InputError(wrong[0])
     if "" in topics and len(log.topics) != 1:
         listed = ", ".join(log.topics)

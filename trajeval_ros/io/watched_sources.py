@@ -25,15 +25,15 @@ def read_watched(
     to the estimate's frame.
     """
     asked = (estimate, *partners.values(), corrections)
-    poses = [each for each in asked if each is not None]
+    poses = [item for item in asked if item is not None]
     # Only those of an estimate with an IMU are tested.
-    covariances = [imu is not None and each == estimate for each in poses]
+    covariances = [imu is not None and pose == estimate for pose in poses]
     found = read_many(poses, advance=advance, covariances=covariances)
     read = dict(zip(poses, found, strict=True))
     return WatchedRun(
         read[estimate],
         None if imu is None else imu_of(imu),
-        {name: read[each] for name, each in partners.items()},
+        {name: read[partner] for name, partner in partners.items()},
         None if corrections is None else read[corrections],
     )
 

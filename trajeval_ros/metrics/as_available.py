@@ -198,7 +198,7 @@ def _with_numbers(known: Availability, samples: AvailableSamples) -> Availabilit
     # After the last message, the groundtruth goes on without an estimate.
     silences = np.append(intervals, samples.stamps[-1] - messages.times[distinct][-1])
     rotation = None if samples.rotation is None else np.degrees(samples.rotation)
-    errors = [_rmse_and_share(each) for each in (samples.position, rotation) if each is not None]
+    errors = [_rmse_and_share(item) for item in (samples.position, rotation) if item is not None]
     since = None
     if messages.corrected is not None:
         since = samples.stamps - messages.corrected[samples.rows]

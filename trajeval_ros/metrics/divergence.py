@@ -216,7 +216,7 @@ def _compared(stamps: Stamps, pairs: Floats) -> Indices:
     """
     rows = np.arange(len(stamps))
     moved = np.diff(pairs, axis=0)
-    if min(_lengths(each).min(initial=1.0) for each in (moved.T[:3], moved.T[3:])) > _SAME:
+    if min(_lengths(item).min(initial=1.0) for item in (moved.T[:3], moved.T[3:])) > _SAME:
         return rows
     true, own = pairs[:, :3].tolist(), pairs[:, 3:].tolist()
     begin = 0

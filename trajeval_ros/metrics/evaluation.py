@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from trajeval_ros.metrics.discontinuities.events import Event
     from trajeval_ros.metrics.discontinuities.parts import RunPart
 
-ATE_METRICS = tuple(each.name for each in dataclasses.fields(AbsoluteErrors))
+ATE_METRICS = tuple(item.name for item in dataclasses.fields(AbsoluteErrors))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -111,7 +111,7 @@ class Evaluation:
     @property
     def warnings(self) -> tuple[str, ...]:
         """The sentences of the remarks that question numbers, the most severe one first."""
-        return tuple(each.text for each in self.remarks if each.level > Level.NOTE)
+        return tuple(remark.text for remark in self.remarks if remark.level > Level.NOTE)
 
     @property
     def error_vectors(self) -> ErrorVectors:
@@ -141,14 +141,14 @@ class Evaluation:
     @property
     def kitti_ranking(self) -> str:
         """The errors of KITTI's ranking, means over all lengths; "" for other protocols."""
-        drift, turning = (self.pooled[each] for each in ("position_percent", "rotation_deg_per_m"))
+        drift, turning = (self.pooled[name] for name in ("position_percent", "rotation_deg_per_m"))
         if self.protocol.name != "kitti" or self.drift is None or drift is None:
             return ""
         parts = [f"{significant(drift.mean, 4)} %"]
         if turning is not None:
             parts.append(f"{significant(100.0 * turning.mean, 3)} deg/100 m")
         lengths = [part.length_m for part in self.relative or () if part.count and part.length_m]
-        span = " to ".join(f"{each:g}" for each in dict.fromkeys((min(lengths), max(lengths))))
+        span = " to ".join(f"{item:g}" for item in dict.fromkeys((min(lengths), max(lengths))))
         return f"{', '.join(parts)} (KITTI, {span} m)"
 
     def to_columns(self, length: Length | float | str | None = None) -> dict[str, NDArray[Any]]:

@@ -39,12 +39,12 @@ class LostTracking:
     def losses(self) -> list[Loss]:
         """All losses so far, in order of their begin."""
         diverged = [] if self._divergence is None else self._divergence.losses
-        return sorted((*self._repeats.losses, *diverged), key=lambda each: each.begin_ns)
+        return sorted((*self._repeats.losses, *diverged), key=lambda loss: loss.begin_ns)
 
     @property
     def present(self) -> Loss | None:
         """The loss that is not over, the earlier one of two; None if there is none."""
-        return next((each for each in self.losses if not each.is_over), None)
+        return next((loss for loss in self.losses if not loss.is_over), None)
 
     @property
     def is_clear(self) -> bool:

@@ -121,7 +121,7 @@ def _fastest(seconds: Floats, latencies_s: Floats) -> tuple[float, float]:
     is_late = seconds > (seconds.min() + seconds.max()) / 2.0
     if not is_late.any():
         return float(latencies_s.min()), 0.0
-    halves = (np.flatnonzero(each) for each in (~is_late, is_late))
+    halves = (np.flatnonzero(item) for item in (~is_late, is_late))
     ends = [half[latencies_s[half].argmin()] for half in halves]
     while True:
         slope = float(np.diff(latencies_s[ends])[0] / np.diff(seconds[ends])[0])

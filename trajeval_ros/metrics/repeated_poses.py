@@ -65,7 +65,7 @@ class RepeatedPoses:
             return
         # Two carried rows precede those of the new pairs.
         columns = zip(self._series, (stamps, time_ns, groundtruth), strict=True)
-        stamps, time_ns, groundtruth = (np.concatenate(each) for each in columns)
+        stamps, time_ns, groundtruth = (np.concatenate(column) for column in columns)
         apart = np.abs(np.diff(np.concatenate([self._newest, estimate]), axis=0))
         same = np.concatenate([[False, True], ~(apart > _SAME).any(axis=1)])
         rows = np.arange(len(stamps))

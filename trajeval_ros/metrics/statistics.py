@@ -115,7 +115,7 @@ def _quantiles(values: Floats, *shares: float) -> list[float]:
     """Return quantiles of N > 0 values; partly sorts the values."""
     last = len(values) - 1
     below = [int(share * last) for share in shares]
-    values.partition(sorted({*below, *(min(each + 1, last) for each in below)}))
+    values.partition(sorted({*below, *(min(item + 1, last) for item in below)}))
     return [quantile(values, share) for share in shares]
 
 

@@ -107,13 +107,13 @@ class StreamMonitor:
         than 1 s of the other stream. Arrivals are compared at equal timestamps, since a replay at
         another rate changes all delays.
         """
-        own, theirs = (each._newest_messages() for each in (self, other))
-        own, theirs = (each[:, each[1] != UNKNOWN] for each in (own, theirs))
+        own, theirs = (item._newest_messages() for item in (self, other))
+        own, theirs = (item[:, item[1] != UNKNOWN] for item in (own, theirs))
         if min(own.shape[1], theirs.shape[1]) < FEWEST_RECENT:
             return None
         theirs = theirs[:, np.argsort(theirs[0], kind="stable")]
         (stamps, arrived), (others, expected) = (
-            (each - theirs[:, :1]) / NANOSECONDS for each in (own, theirs)
+            (item - theirs[:, :1]) / NANOSECONDS for item in (own, theirs)
         )
         if others[-1] < _LEAST_S:
             return None

@@ -51,10 +51,10 @@ class AlarmLimits(NamedTuple):
     def parse(cls, text: str, name: str) -> AlarmLimits:
         """Return the limits in a text such as 0.5,1.0; one number is the limit for errors."""
         try:
-            numbers = [float(each) for each in text.split(",")] if text else [0.0]
+            numbers = [float(word) for word in text.split(",")] if text else [0.0]
         except ValueError:
             numbers = []
-        if not 1 <= len(numbers) <= 2 or not all(0.0 <= each < math.inf for each in numbers):
+        if not 1 <= len(numbers) <= 2 or not all(0.0 <= number < math.inf for number in numbers):
             raise SettingsError(
                 f"parameter {name} must be the limits for warnings and errors, as in 0.5,1.0, not "
                 f"{text!r}"
@@ -178,7 +178,7 @@ class Standing:
     def renew(self, remarks: Iterable[Remark]) -> list[Remark]:
         """Take all active remarks; returns new ones, and ended ones as notes."""
         before, told = self._shown, list(self._told(remarks))
-        self._shown = {_key(each[0]): each for each in told if each[0].level != Level.NOTE}
+        self._shown = {_key(item[0]): item for item in told if item[0].level != Level.NOTE}
         started = [
             remark
             for key, (remark, _) in self._shown.items()

@@ -136,7 +136,7 @@ class LiveAlignment:
     def _shifted(self, similarity: Similarity, sign: float = 1.0) -> Similarity:
         """Return an alignment of the frames as one of coordinates relative to the first pair."""
         assert self._origin is not None
-        p, q = (sign * each for each in self._origin)
+        p, q = (sign * item for item in self._origin)
         translation = similarity.translation - p + similarity.linear @ q
         return Similarity(similarity.rotation, translation, similarity.scale)
 

@@ -44,7 +44,7 @@ class Corrections:
 
 def require_correctable(cause: str) -> None:
     """Refuse a name that is neither `suggested` nor a cause with a correction."""
-    known = [name for name, each in CAUSES.items() if each.correction]
+    known = [name for name, item in CAUSES.items() if item.correction]
     require_one_of(cause, [SUGGESTED, *known], "cause to correct")
 
 
@@ -53,8 +53,8 @@ def finding_to_correct(diagnosis: Diagnosis, cause: str, *, is_first: bool) -> F
 
     After the first correction, it is None if nothing is left to correct.
     """
-    left = [each for each in diagnosis.findings if cause in (SUGGESTED, each.cause)]
-    correctable = next((each for each in left if each.correction), None)
+    left = [finding for finding in diagnosis.findings if cause in (SUGGESTED, finding.cause)]
+    correctable = next((item for item in left if item.correction), None)
     if correctable is not None or not is_first:
         return correctable
     if cause == SUGGESTED:
@@ -63,7 +63,7 @@ def finding_to_correct(diagnosis: Diagnosis, cause: str, *, is_first: bool) -> F
         return None
     found = diagnosis.named(cause)
     if found is None:
-        causes = ", ".join(each.cause for each in diagnosis.findings) or "nothing"
+        causes = ", ".join(finding.cause for finding in diagnosis.findings) or "nothing"
         raise InputError(
             f"{cause} not found in the recording (found: {causes}); remove --correct, or convert "
             "the file with trajeval trajectory"

@@ -44,9 +44,9 @@ def remarks_on(
     sides = evaluation.groundtruth, evaluation.estimate
     read = list(dict.fromkeys(remark for side in sides for remark in side.reading.remarks))
     return (
-        *(each.remark for each in diagnosis.findings),
-        *(each for each in read if each.level is Level.ERROR),
-        *(each for each in read if each.level is Level.WARNING),
+        *(finding.remark for finding in diagnosis.findings),
+        *(item for item in read if item.level is Level.ERROR),
+        *(item for item in read if item.level is Level.WARNING),
         *about_rows(evaluation),
         *_about_up_axis(evaluation),
         *([] if _is_lost(diagnosis) else _about_freedom(evaluation)),
@@ -108,14 +108,14 @@ def _about_first_state(evaluation: Evaluation) -> Iterator[Remark]:
 
 def _explains_jumps(diagnosis: Diagnosis) -> bool:
     """Return whether a more severe finding explains jumps."""
-    graver = (each for each in diagnosis.findings if each.rank >= CAUSES["scale"].rank)
+    graver = (finding for finding in diagnosis.findings if finding.rank >= CAUSES["scale"].rank)
     # An estimate with most poses of the groundtruth may jump at the others.
-    return any(each.cause != "identical" for each in graver)
+    return any(item.cause != "identical" for item in graver)
 
 
 def _is_lost(diagnosis: Diagnosis) -> bool:
     """Return whether the estimate diverged, which the alignment can't fit."""
-    return any(each.cause.startswith(DIVERGED) for each in diagnosis.findings)
+    return any(finding.cause.startswith(DIVERGED) for finding in diagnosis.findings)
 
 
 def _about_mixed_publishers(evaluation: Evaluation) -> Iterator[Remark]:
@@ -158,12 +158,12 @@ def _about_rotations(evaluation: Evaluation) -> Iterator[Remark]:
 
 
 def _about_relative_errors(evaluation: Evaluation) -> Iterator[Remark]:
-    empty = [each.length for each in evaluation.relative or () if not each.count]
+    empty = [item.length for item in evaluation.relative or () if not item.count]
     path = evaluation.association.groundtruth
     whole = {"m": path.path_length_m, "s": path.duration_s}
     # A long path without a sub-trajectory has its states too far apart.
-    sparse = [each.text for each in empty if each.value < 0.5 * whole.get(each.unit, 0.0)]
-    short = [each.text for each in empty if each.text not in sparse]
+    sparse = [item.text for item in empty if item.value < 0.5 * whole.get(item.unit, 0.0)]
+    short = [item.text for item in empty if item.text not in sparse]
     timed = path.reading.stamped
     if short:
         yield warning(

@@ -43,7 +43,7 @@ def require_fixes_fit(
     assert groundtruth.reading.fixes is not None
     if not groundtruth.reading.fixes.have_heights and gauge is not Gauge.PLANAR:
         raise InputError("fixes have no height; use --gauge planar")
-    alike = all(each.reading.fixes is not None for each in estimates)
+    alike = all(estimate.reading.fixes is not None for estimate in estimates)
     if gauge is Gauge.NONE and rule.datum is None and not alike:
         raise InputError(
             "gauge none needs a common frame, and the origin of the fixes is arbitrary; give "

@@ -58,7 +58,7 @@ def about_rows(evaluation: Evaluation) -> Iterator[Remark]:
         "estimate": evaluation.estimate.reading,
     }
     without = [name for name, reading in sides.items() if not reading.stamped]
-    if len(without) == 1 and not any(each.numbered for each in sides.values()):
+    if len(without) == 1 and not any(side.numbered for side in sides.values()):
         yield warning(
             "paired_by_row",
             f"poses are paired by row, because the {without[0]} has no timestamps; give "
@@ -117,7 +117,7 @@ def _across_gaps(pairs: Association) -> str:
 
 
 def _about_unusable(pairs: Association) -> Iterator[Remark]:
-    unusable = {each: count for each, count in pairs.dropped.items() if each in NO_STATE}
+    unusable = {item: count for item, count in pairs.dropped.items() if item in NO_STATE}
     count = sum(unusable.values())
     if not count or not pairs.estimate_coverage:
         return
@@ -150,7 +150,7 @@ def about_inputs(evaluation: Evaluation) -> Iterator[Remark]:
     if not is_fix:
         # Of VINS-Fusion, the body has the name of the fixed frame, which names no body.
         bodies = (
-            each.child_frame != each.frame and each.child_frame for each in (groundtruth, estimate)
+            item.child_frame != item.frame and item.child_frame for item in (groundtruth, estimate)
         )
         yield from about_frames(*(body or "" for body in bodies))
     paired = evaluation.association.estimate

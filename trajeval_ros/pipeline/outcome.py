@@ -152,5 +152,7 @@ class Outcome:
     @property
     def damage(self) -> tuple[str, ...]:
         """Missing data: the sentences of all remarks of level ERROR."""
-        remarks = (each for run in self.runs for each in run.evaluation.remarks)
-        return tuple(dict.fromkeys(each.text for each in remarks if each.level is Level.ERROR))
+        remarks = (remark for run in self.runs for remark in run.evaluation.remarks)
+        return tuple(
+            dict.fromkeys(remark.text for remark in remarks if remark.level is Level.ERROR)
+        )

@@ -80,7 +80,7 @@ def _testable(
 ) -> tuple[Request, list[Remark]]:
     """Return the request for one of several estimates, without tests that only others allow."""
     is_possible = estimate.covariances is not None or all(
-        each.covariances is None for each in estimates
+        item.covariances is None for item in estimates
     )
     if request.covariances.source != "message" or is_possible:
         return request, []

@@ -89,7 +89,7 @@ def with_fixes_placed(
     with named(groundtruth):
         groundtruth = request.fixes.applied(groundtruth, level=level)
         request = request.for_trajectories(groundtruth, estimates)
-    placed = [_in_frame_of(groundtruth, each, level=level) for each in estimates]
+    placed = [_in_frame_of(groundtruth, estimate, level=level) for estimate in estimates]
     return groundtruth, placed, request
 
 
@@ -155,8 +155,8 @@ def with_up_axes(inputs: Inputs, request: Request) -> Inputs:
         return inputs
     groundtruth, estimate = (UpAxis(name) for name in request.up)
     return inputs.changed(
-        lambda each: dataclasses.replace(each, up=groundtruth),
-        lambda each: dataclasses.replace(each, up=estimate),
+        lambda item: dataclasses.replace(item, up=groundtruth),
+        lambda item: dataclasses.replace(item, up=estimate),
     )
 
 

@@ -45,7 +45,9 @@ def with_own_errors(runs: list[RunOutcome], rule: FixRule) -> list[RunOutcome]:
     evaluations = [run.evaluation for run in runs]
     known = any(run.calibrated is not None and run.calibrated.lever_applied for run in runs)
     if evaluations[0].groundtruth.reading.fixes is None:
-        remarks = (fix_remarks(each, rule, lever_arm_known=known) for each in evaluations)
+        remarks = (
+            fix_remarks(evaluation, rule, lever_arm_known=known) for evaluation in evaluations
+        )
         both = zip(remarks, runs, strict=True)
         return [with_remarks(more, run, len(run.diagnosis.findings)) for more, run in both]
     from trajeval_ros.metrics.own_error import own_errors

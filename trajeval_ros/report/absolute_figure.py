@@ -49,7 +49,7 @@ def absolute_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> F
         axes.set_ylim(bottom=0.0)
         rows += canvas.legend_above(axes)
     if withheld:
-        reasons = dict.fromkeys(why_no_rotation(each) for each in evaluations)
+        reasons = dict.fromkeys(why_no_rotation(item) for item in evaluations)
         canvas.say_instead(lower, f"Rotation error withheld: {'; '.join(reasons)}.")
     else:
         rows += _draw_rotation(lower, evaluations, names)
@@ -103,7 +103,9 @@ def _title(evaluations: Sequence[Evaluation]) -> str:
 
 
 def _longest(evaluations: Sequence[Evaluation]) -> float:
-    return max(1e-9, *(each.association.groundtruth.path_length_m for each in evaluations))
+    return max(
+        1e-9, *(evaluation.association.groundtruth.path_length_m for evaluation in evaluations)
+    )
 
 
 def _draw_rotation(axes: Axes, evaluations: Sequence[Evaluation], names: Sequence[str]) -> int:

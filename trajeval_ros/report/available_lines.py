@@ -15,8 +15,8 @@ def stream_line(stream: StreamHealth) -> str:
     parts = []
     if stream.arrival_p50_s is not None and stream.arrival_p95_s is not None:
         median, p95, most = (
-            significant(each or 0.0, 3)
-            for each in (stream.arrival_p50_s, stream.arrival_p95_s, stream.arrival_max_s)
+            significant(item or 0.0, 3)
+            for item in (stream.arrival_p50_s, stream.arrival_p95_s, stream.arrival_max_s)
         )
         parts.append(f"arrival after timestamp {median} s median, {p95} s p95, {most} s max")
     if stream.missed:
@@ -56,7 +56,7 @@ def available_lines(numbers: Availability, ate_m: float) -> list[str]:
     if corrected:
         lines[-1] += f"; newest correction {significant(corrected.median, 3)} s old (median)"
     if numbers.recording_s is not None:
-        median, most = (significant(each, 2) for each in numbers.recording_s)
+        median, most = (significant(item, 2) for item in numbers.recording_s)
         lines[-1] += f"; transport and recording took {median} s median, {most} s max"
     return lines
 

@@ -106,7 +106,7 @@ class Table:
 
     def add(self, row: TextRow) -> None:
         """Add a row."""
-        self._rows.append([_cell(each) for each in row])
+        self._rows.append([_cell(item) for item in row])
 
     @property
     def rows(self) -> list[list[MarkedText]]:
@@ -137,7 +137,7 @@ class Table:
         rule = [_rule(terminal.file) * total_width(widths)] if terminal.is_terminal else []
         lines = []
         if self.headings:
-            headings = [MarkedText(each, BOLD) for each in self.headings]
+            headings = [MarkedText(heading, BOLD) for heading in self.headings]
             lines = [*self._lines_of(headings, widths, terminal, at_bottom=True), *rule]
         for row in self._rows:
             lines += rule if row is None else self._lines_of(row, widths, terminal)
@@ -238,8 +238,8 @@ def _width(text: str) -> int:
     """Return the number of cells of a terminal that a text needs."""
     if text.isascii():
         return len(text)
-    wide = sum(unicodedata.east_asian_width(each) in "WF" for each in text)
-    return len(text) + wide - sum(unicodedata.combining(each) != 0 for each in text)
+    wide = sum(unicodedata.east_asian_width(item) in "WF" for item in text)
+    return len(text) + wide - sum(unicodedata.combining(item) != 0 for item in text)
 
 
 def _rule(file: IO[str]) -> str:

@@ -117,16 +117,16 @@ def print_remarks(remarks: Console, runs: Sequence[RunOutcome]) -> None:
     """Print notes about the inputs, and warnings."""
     groundtruth = runs[0].evaluation.groundtruth
     for trajectory in (groundtruth, *(run.evaluation.estimate for run in runs)):
-        notes = [each for each in trajectory.reading.remarks if each.level is Level.NOTE]
-        shown = [each for each in notes if each.code not in (ASSUMED, FORMAT)]
-        said = "; ".join(each.text for each in shown)
+        notes = [item for item in trajectory.reading.remarks if item.level is Level.NOTE]
+        shown = [note for note in notes if note.code not in (ASSUMED, FORMAT)]
+        said = "; ".join(item.text for item in shown)
         if said:
             remarks.remark("note", f"{trajectory.name}: {said}")
-        for each in notes:
-            if each.code == ASSUMED:
-                remarks.remark("assumed", each.text)
+        for note in notes:
+            if note.code == ASSUMED:
+                remarks.remark("assumed", note.text)
     for run in runs:
-        printed = {each.cause for each in run.diagnosis.findings}  # below the headline
+        printed = {finding.cause for finding in run.diagnosis.findings}  # below the headline
         for remark in run.evaluation.remarks:
             if remark.code not in printed:
                 kind = "note" if remark.level is Level.NOTE else WARNING

@@ -32,14 +32,14 @@ def print_groundtruth(
     """Print the table of causes, the findings, the notes, and the repaired groundtruth."""
     rows = [
         (
-            each.name.replace("_", " "),
-            each.verdict,
-            _shown(each.value),
-            _shown(each.half_width),
-            each.unit,
-            _shown(each.p_value, is_probability=True),
+            cause.name.replace("_", " "),
+            cause.verdict,
+            _shown(cause.value),
+            _shown(cause.half_width),
+            cause.unit,
+            _shown(cause.p_value, is_probability=True),
         )
-        for each in found.causes.values()
+        for cause in found.causes.values()
     ]
     show(terminal, Table("", _WORDS, _NUMBERS, rows))
     for line in _sentences(found):
@@ -57,10 +57,10 @@ def _shown(value: float | None, *, is_probability: bool = False) -> str:
 
 
 def _sentences(found: ExaminedGroundtruth) -> Iterator[str]:
-    yield from (each.sentence for each in found.significant)
+    yield from (item.sentence for item in found.significant)
     if not found.significant:
         yield "No cause of errors is significant."
-    yield from (f"note: {each}" for each in found.notes)
+    yield from (f"note: {note}" for note in found.notes)
     fits = found.fits
     if fits is None:
         return
@@ -96,7 +96,7 @@ def groundtruth_figure(original: Trajectory, found: ExaminedGroundtruth, fits: F
         colour, _ = canvas.line_style(0)
         shown = np.maximum(lengths[:, row], _LEAST)
         axes.plot(fits.short.seconds, shown, color=colour, linewidth=0.6)
-        jumps = [each.stamp_ns for each in fits.checks.jumps if each.kind == kind]
+        jumps = [jump.stamp_ns for jump in fits.checks.jumps if jump.kind == kind]
         for number, stamp in enumerate(jumps):
             label, second = "" if number else "jump", (stamp - first) / NANOSECONDS
             axes.axvline(second, color=canvas.ink(), linewidth=0.7, linestyle=":", label=label)

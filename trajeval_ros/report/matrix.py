@@ -143,10 +143,12 @@ def _average(cells: Sequence[Cell]) -> Cell:
 
 def with_common_notes(matrices: Sequence[Matrix]) -> tuple[list[Matrix], list[str]]:
     """Return the tables without the notes that several of them have, and these notes once."""
-    counts = Counter(note for each in matrices for note in each.notes)
+    counts = Counter(note for matrix in matrices for note in matrix.notes)
     common = [note for note, count in counts.items() if count > 1]
-    own = [tuple(note for note in each.notes if note not in common) for each in matrices]
-    return [replace(each, notes=notes) for each, notes in zip(matrices, own, strict=True)], common
+    own = [tuple(note for note in matrix.notes if note not in common) for matrix in matrices]
+    return [
+        replace(matrix, notes=notes) for matrix, notes in zip(matrices, own, strict=True)
+    ], common
 
 
 def to_terminal(matrix: Matrix) -> Table:
@@ -195,8 +197,8 @@ def _latex_rows(matrix: Matrix, *, transpose: bool, with_spread: bool) -> list[l
         ["" if transpose else "algorithm", *(name for name, _ in matrix.rows)]
     ]
     for heading, cells in zip(headings, columns, strict=True):
-        marked = [_marked(*each, with_spread=with_spread)
-                  for each in zip(cells, ranked(cells), strict=True)]  # fmt: skip
+        marked = [_marked(*item, with_spread=with_spread)
+                  for item in zip(cells, ranked(cells), strict=True)]  # fmt: skip
         table.append([heading, *marked])
     table.append(["runs", *matrix.runs])
     table.append(["coverage", *map(whole_percent, matrix.coverage)])

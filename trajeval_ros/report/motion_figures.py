@@ -101,8 +101,8 @@ def _plane(
         known = [_values(trajectory, reference, colours.by) for trajectory in trajectories]
         largest = colours.largest
         if largest is None:
-            each = np.concatenate([values for _, _, values in known])
-            largest = float(np.percentile(each, _TOP_PERCENTILE))
+            item = np.concatenate([values for _, _, values in known])
+            largest = float(np.percentile(item, _TOP_PERCENTILE))
         for place, (positions, stamps, values) in enumerate(known):
             panels.draw_coloured(
                 place, _pieces(positions[:, (across, up)], stamps, values), largest

@@ -320,9 +320,11 @@ def diagnosis_lines(run: RunOutcome) -> list[str]:
 
 def doubt(diagnosis: Diagnosis) -> str:
     """Return the end of the first result line if a mistake dominates the errors: its cause."""
-    graver = [each.cause for each in diagnosis.findings if each.rank >= CAUSES["scale"].rank]
-    shown = [each.replace("_", " ") for each in graver if each not in (*_STATED, *_LOST)]
-    lost = [_LOST[each] for each in graver if each in _LOST]
+    graver = [
+        finding.cause for finding in diagnosis.findings if finding.rank >= CAUSES["scale"].rank
+    ]
+    shown = [item.replace("_", " ") for item in graver if item not in (*_STATED, *_LOST)]
+    lost = [_LOST[item] for item in graver if item in _LOST]
     return (f"; the estimate {' and '.join(lost)}" if lost else "") + (
         f"; not an error of the estimator alone: {', '.join(shown)}" if shown else ""
     )

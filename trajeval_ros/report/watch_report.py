@@ -88,7 +88,7 @@ def factor_line(seen: Watched, book: AlarmBook) -> str:
         for name, (_, values) in seen.signals.items()
         if len(values) and name != _LOSS
     }
-    name = max(largest, key=lambda each: largest[each])
+    name = max(largest, key=lambda item: largest[item])
     needed = math.ceil(10.0 * _RESERVE * largest[name]) / 10.0
     said = f"the largest value is {largest[name]:.2g} times its limit at factor 1 ({name})"
     if needed <= book.factor:

@@ -46,11 +46,11 @@ def replay(
         import rclpy
 
         node = rclpy.create_node(NODE_NAME, start_parameter_services=False)  # nothing spins it
-        publishers = {each: _publisher(node, each) for each in playback.channels}
+        publishers = {item: _publisher(node, item) for item in playback.channels}
         set_clock = _clock(node) if with_clock else None
-        awaited = {each: publishers[each] for each in playback.awaited}
+        awaited = {item: publishers[item] for item in playback.awaited}
         begin(_without_subscriber(awaited, patience_s, stop))
-        others = {each: to for each, to in publishers.items() if each.topic.holds_transforms}
+        others = {item: to for item, to in publishers.items() if item.topic.holds_transforms}
         _without_subscriber(others, min(patience_s, _DISCOVERY_S), stop)
 
         def tick(time_ns: int) -> None:
@@ -139,7 +139,7 @@ def _without_subscriber(
     """Wait until all channels have a subscriber; return those that still have none."""
     until = time.monotonic() + patience_s
     while True:
-        alone = [each for each, to in publishers.items() if not to.get_subscription_count()]
+        alone = [item for item, to in publishers.items() if not to.get_subscription_count()]
         if not alone or time.monotonic() >= until or stop.is_asked_for:
             return alone
         time.sleep(_LOOK_EVERY_S)

@@ -74,8 +74,8 @@ def about_different_clocks(run: LiveRun, estimate: LiveEstimate) -> Iterator[Rem
     if abs(apart_s) <= max(_MOST_LATE_S, past_s if math.isfinite(past_s) else 0.0):
         return
     groundtruth, own = run.groundtruth.stream.arrivals, estimate.source.stream.arrivals
-    offsets = [each.offset_s or 0.0 for each in (own, groundtruth)]
-    first, second = (with_unit(round(each, 3), "s") for each in offsets)
+    offsets = [item.offset_s or 0.0 for item in (own, groundtruth)]
+    first, second = (with_unit(round(offset, 3), "s") for offset in offsets)
     side = "ahead of" if apart_s > 0.0 else "behind"
     yield warning(
         "clock",
@@ -121,7 +121,7 @@ def sync_risk_m(run: LiveRun, estimate: LiveEstimate) -> float | None:
     timestamps and arrivals are of different clocks, as in a replay without simulated time, and
     when the clock offset itself has been estimated.
     """
-    one, other = (each.stream.arrivals.offset_s for each in (run.groundtruth, estimate.source))
+    one, other = (item.stream.arrivals.offset_s for item in (run.groundtruth, estimate.source))
     buffer = estimate.evaluator.buffer
     if one is None or other is None or not buffer.groundtruth_time:
         return None

@@ -74,7 +74,7 @@ class Status(NamedTuple):
             if name in peaks
         }
         values["updates not drawn in Rerun"] = undrawn or None
-        text = "; ".join(each.text for each in told) or "evaluating"
+        text = "; ".join(item.text for item in told) or "evaluating"
         return cls(told[0].level if told else Level.NOTE, text, values)
 
 
@@ -191,21 +191,21 @@ def about_integrity(snapshot: Snapshot) -> list[Remark]:
     """Report the region of the Stanford diagram of the newest pair, unless it is nominal."""
     parts = () if snapshot.integrity is None else snapshot.integrity.parts
     found = []
-    for each in parts:
-        error, level, limit = float(each.errors[-1]), float(each.levels[-1]), each.alert_limit
+    for part in parts:
+        error, level, limit = float(part.errors[-1]), float(part.levels[-1]), part.alert_limit
         if max(error, level) <= limit and error <= level:
             continue
         is_hazardous = level <= limit < error
         misleading = "hazardously misleading" if is_hazardous else "misleading"
         state = "unavailable" if error <= level else misleading
         said = (
-            f"integrity, {each.part}: {state}: error {error:.3g}, protection level {level:.3g}, "
-            f"alert limit {limit:g} {each.unit}"
+            f"integrity, {part.part}: {state}: error {error:.3g}, protection level {level:.3g}, "
+            f"alert limit {limit:g} {part.unit}"
         )
         values: dict[str, float | str] = {"value": error, "level": level}
-        values |= {"limit": limit, "unit": each.unit}
+        values |= {"limit": limit, "unit": part.unit}
         severity = Level.ERROR if is_hazardous else Level.WARNING
-        found.append(Remark(severity, "alarm", said, f"integrity_{each.part}", values))
+        found.append(Remark(severity, "alarm", said, f"integrity_{part.part}", values))
     return found
 
 
@@ -257,7 +257,7 @@ def _about_twins(node: Node) -> list[Remark]:
     """Report other nodes with the same name, because their topics have equal names."""
     name = node.get_fully_qualified_name()
     everybody = node.get_node_names_and_namespaces()
-    names = [f"{namespace.rstrip('/')}/{each}" for each, namespace in everybody]
+    names = [f"{namespace.rstrip('/')}/{item}" for item, namespace in everybody]
     if names.count(name) < 2:
         return []
     said = (
@@ -340,8 +340,8 @@ class StatusReports:
             # A remark about the groundtruth concerns all estimates.
             self._log(f"{', '.join(names)}: {text}", level)
         statuses = [
-            status_message(self._node, each.level, name, each.text, each.values)
-            for name, each in self.newest.items()
+            status_message(self._node, item.level, name, item.text, item.values)
+            for name, item in self.newest.items()
         ]
         self._diagnostics.publish([*statuses, *self._watching.statuses()])
         return parts
@@ -358,8 +358,8 @@ class StatusReports:
         They are added to `news`, unless their text was logged.
         """
         # Every discontinuity was published as an event.
-        told = estimate.standing.renew(each for each in remarks if each.subject != SUMMARY)
-        for each in told:
-            if self._events.publish(estimate.name, each) and each.text not in logged:
-                news.setdefault((each.level, each.text), []).append(estimate.name)
+        told = estimate.standing.renew(remark for remark in remarks if remark.subject != SUMMARY)
+        for item in told:
+            if self._events.publish(estimate.name, item) and item.text not in logged:
+                news.setdefault((item.level, item.text), []).append(estimate.name)
         self._watching.see(told)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from trajeval_ros.ros.parameter_table import PARAMETERS
 
 _LIST = "\n".join(
-    f"* `{each.name}` ({each.default if each.default not in ('', ['']) else 'empty'}): "
-    f"{each.description}{' Can be set during the run.' if each.is_live else ''}"
-    for each in PARAMETERS
+    f"* `{parameter.name}` ({parameter.default if parameter.default not in ('', ['']) else 'empty'}): "
+    f"{parameter.description}{' Can be set during the run.' if parameter.is_live else ''}"
+    for parameter in PARAMETERS
 )
 HELP = f"""Evaluates estimates against groundtruth, live on the robot.
 

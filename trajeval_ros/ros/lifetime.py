@@ -66,9 +66,12 @@ def quoted(arguments: Sequence[str]) -> list[str]:
     """
 
     def with_quotes(found: re.Match[str]) -> str:
-        return f"{found[1]}{json.dumps([each.strip() for each in found[2].split(',')])}"
+        return f"{found[1]}{json.dumps([word.strip() for word in found[2].split(',')])}"
 
-    return [_LIST.sub(with_quotes, each) if _LIST.fullmatch(each) else each for each in arguments]
+    return [
+        _LIST.sub(with_quotes, argument) if _LIST.fullmatch(argument) else argument
+        for argument in arguments
+    ]
 
 
 @contextmanager
@@ -81,7 +84,9 @@ def ros(arguments: Sequence[str] = ()) -> Iterator[StopSignal]:
     from rclpy.signals import SignalHandlerOptions
 
     stop = StopSignal()
-    before: dict[signal.Signals, Any] = {each: signal.signal(each, stop) for each in _endings()}
+    before: dict[signal.Signals, Any] = {
+        ending: signal.signal(ending, stop) for ending in _endings()
+    }
     try:
         try:
             rclpy.init(args=quoted(arguments), signal_handler_options=SignalHandlerOptions.NO)
@@ -94,5 +99,5 @@ def ros(arguments: Sequence[str] = ()) -> Iterator[StopSignal]:
         yield stop
     finally:
         rclpy.try_shutdown()
-        for each, handler in before.items():
-            signal.signal(each, handler)
+        for item, handler in before.items():
+            signal.signal(item, handler)

@@ -65,9 +65,9 @@ class LiveFixes:
 
     def mixed(self, antennas: list[str]) -> str:
         """Return a warning if fixes of several receivers alternate on the topic; else empty."""
-        for each in antennas:
-            if not self._antennas or self._antennas[-1] != each:
-                self._antennas = [*self._antennas, each][-3:]
+        for antenna in antennas:
+            if not self._antennas or self._antennas[-1] != antenna:
+                self._antennas = [*self._antennas, antenna][-3:]
         if len(self._antennas) < 3:
             return ""
         names = ", ".join(map(repr, sorted(set(self._antennas))))

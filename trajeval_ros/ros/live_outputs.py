@@ -107,8 +107,8 @@ class RevisedOutputs(_Topics):
         stamps, positions = evaluation.aligned.stamps, evaluation.aligned.positions
         found = [(topics.ATE, evaluation.ate)]
         found += [
-            (topics.relative_error_topic(str(each.length)), each.statistics)
-            for each in evaluation.relative or ()
+            (topics.relative_error_topic(str(item.length)), item.statistics)
+            for item in evaluation.relative or ()
         ]
         for topic, statistics in found:
             position, rotation = statistics["position_m"], statistics["rotation_deg"]
@@ -132,8 +132,8 @@ class StreamOutputs(_Topics):
 
     def __init__(self, node: Node, name: str) -> None:
         super().__init__(node, f"~/stream/{name}", latched=False)
-        for each in topics.STREAM_NUMBERS:
-            self.advertise(each)
+        for stream_number in topics.STREAM_NUMBERS:
+            self.advertise(stream_number)
 
     def publish(self, health: StreamHealth) -> None:
         """Publish what is known of the newest messages."""
@@ -155,15 +155,15 @@ class Outputs(_Topics):
         by_covariances = (
             (*topics.NEES_NUMBERS, *topics.PROTECTION_LEVELS.values()) if judges else ()
         )
-        for each in (*topics.NUMBERS, *by_covariances):
-            self.advertise(each)
+        for number in (*topics.NUMBERS, *by_covariances):
+            self.advertise(number)
         for topic in topics.VECTORS:
             self.advertise(topic, topics.VECTOR_TYPE)
         self.advertise_parts(topics.ATE)
         self._alignment = self._latched(TransformStamped, topics.ALIGNMENT)
         self._paths = {
-            each: self._latched(Path, each)
-            for each in (topics.ALIGNED_PATH, topics.GROUNDTRUTH_PATH)
+            item: self._latched(Path, item)
+            for item in (topics.ALIGNED_PATH, topics.GROUNDTRUTH_PATH)
         }
 
     def publish_update(self, update: Update, frame: str, offset_ns: int) -> None:
@@ -270,7 +270,7 @@ class LiveOutputs:
         judges: bool,
     ) -> None:
         self._node, self._broadcaster = node, broadcaster
-        self._outputs = {each: Outputs(node, each, judges=judges) for each in names}
+        self._outputs = {name: Outputs(node, name, judges=judges) for name in names}
         self._revised: dict[str, RevisedOutputs] = {}
         self._streams: dict[str, StreamOutputs] = {}  # by name of the source
         self.newest: dict[str, Update] = {}  # the newest published errors by estimate
@@ -278,9 +278,9 @@ class LiveOutputs:
 
     def advertise_lengths(self, lengths: Sequence[str]) -> None:
         """Create the publishers of relative errors for lengths of sub-trajectories."""
-        for each in self._outputs.values():
+        for output in self._outputs.values():
             for length in lengths:
-                each.advertise_parts(topics.relative_error_topic(length))
+                output.advertise_parts(topics.relative_error_topic(length))
 
     def begin_run(self) -> None:
         """Forget the errors of the previous run."""
@@ -304,7 +304,9 @@ class LiveOutputs:
     def publish_streams(self, run: LiveRun) -> None:
         """Publish the health of the messages of all sources."""
         sides = [(run.groundtruth, run.groundtruth_status)]
-        for source, status in sides + [(each.source, each.status) for each in run.estimates]:
+        for source, status in sides + [
+            (estimate.source, estimate.status) for estimate in run.estimates
+        ]:
             if source.name not in self._streams:
                 self._streams[source.name] = StreamOutputs(self._node, source.name)
             self._streams[source.name].publish(status.stream.recent())

@@ -84,8 +84,8 @@ class LiveRun:
             for place, source in enumerate(sources[1:])
         ]
         if not start.holds:
-            for each in self.estimates:
-                each.begin_to_evaluate(settings.offset_s)
+            for estimate in self.estimates:
+                estimate.begin_to_evaluate(settings.offset_s)
 
     def following(self, folder: Path, began_by: str) -> LiveRun:
         """Return the run after this one, with the same settings, clock offset and body."""
@@ -151,17 +151,19 @@ class LiveRun:
     @property
     def restarted(self) -> LiveEstimate | None:
         """The first estimate whose restart ends the run; None if there is none."""
-        return next((each for each in self.estimates if each.restarted_at is not None), None)
+        return next(
+            (estimate for estimate in self.estimates if estimate.restarted_at is not None), None
+        )
 
     def end_at_restarts(self, ends: bool) -> None:
         """Set whether the run ends at the first restart of an estimate."""
-        for each in self.estimates:
-            each.ends_at_restart = ends
+        for estimate in self.estimates:
+            estimate.ends_at_restart = ends
 
     def examine(self, *, at_end: bool) -> None:
         """Search the messages that were taken for discontinuities."""
-        for each in self.estimates:
-            each.examine(at_end=at_end)
+        for estimate in self.estimates:
+            estimate.examine(at_end=at_end)
 
     def take(self, source: int, messages: DecodedMessages) -> None:
         """Store and take messages of a source."""
@@ -177,21 +179,21 @@ class LiveRun:
 
     def update(self) -> Iterator[tuple[LiveEstimate, Update]]:
         """Evaluate the messages that were taken; yield the new errors by estimate."""
-        for each in self.estimates:
-            yield each, each.update()
+        for estimate in self.estimates:
+            yield estimate, estimate.update()
 
     def decide(self, *, at_end: bool = False) -> None:
         """Evaluate the stored messages when clock offset and marker pose are decided."""
-        for each in self.estimates:
+        for estimate in self.estimates:
             # Before the start nothing is evaluated, so waiting for the clock estimate is possible.
-            each.clock.update(at_end=at_end, waits=self.holds)
+            estimate.clock.update(at_end=at_end, waits=self.holds)
         held_s = 0.0 if self._held is None else self._held.span_s
         offset_s = self.start.look(self.estimates[0], held_s, at_end=at_end)
         if offset_s is None or self._held is None:
             return
         self._settings = self._settings.with_offset(offset_s)
-        for each in self.estimates:
-            each.begin_to_evaluate(offset_s)
+        for estimate in self.estimates:
+            estimate.begin_to_evaluate(offset_s)
         held, self._held = self._held.messages, None
         self._one_by_one(held, self._pass_on)
 
@@ -223,20 +225,20 @@ class LiveRun:
 
     def conclude(self) -> None:
         """Evaluate the poses that wait for groundtruth, because no further messages follow."""
-        for each in self.estimates:
-            each.update(at_end=True)
-            each.digest()
+        for estimate in self.estimates:
+            estimate.update(at_end=True)
+            estimate.digest()
 
     def change(self, settings: OnlineSettings) -> None:
         """Use other lengths and another window from now on."""
         settings = settings.with_gauge(self._settings.protocol.gauge)
         self._settings = settings.with_offset(self._settings.offset_s)
-        for each in self.estimates:
-            each.evaluator.change(settings)
+        for estimate in self.estimates:
+            estimate.evaluator.change(settings)
 
     def close(self) -> list[str]:
         """Write all states to disk; return the reasons for missing ones."""
-        files: list[Callable[[], object]] = [each.close for each in self.estimates]
+        files: list[Callable[[], object]] = [estimate.close for estimate in self.estimates]
         files.append(self.states_file.close)
         files += [] if self._fixes is None else [self._fixes.close]
         return [trouble for close in files if (trouble := _trouble(close))]
@@ -273,8 +275,8 @@ class LiveRun:
         Groundtruth is kept until the estimates that arrived with it are paired. Messages after a
         restart are left for the next run.
         """
-        for row, (source, each) in enumerate(messages):
-            take(source, each)
+        for row, (source, item) in enumerate(messages):
+            take(source, item)
             if source:
                 self.estimates[source - 1].evaluate()
                 if self.restarted is not None:
@@ -287,9 +289,9 @@ class LiveRun:
             return
         self._gauge_is_default = False
         self._settings = self._settings.with_gauge(Gauge.YAW)
-        for each in self.estimates:
-            each.evaluator.set_gauge(Gauge.YAW)
-            each.clock = OnlineClock(Gauge.YAW, self._worker)
+        for estimate in self.estimates:
+            estimate.evaluator.set_gauge(Gauge.YAW)
+            estimate.clock = OnlineClock(Gauge.YAW, self._worker)
         said = f"{self.groundtruth.source}: GNSS fixes; the alignment uses gauge yaw"
         self.news.append(Remark(Level.NOTE, "alignment", said))
 

@@ -63,8 +63,8 @@ class LiveRuns:
         self._newest: list[int | None] = [None for _ in sources]  # timestamps
         self._ending: list[tuple[LiveRun, float]] = []  # and the times at which they end at last
         self._steps: dict[int, Event] = {}  # newest steps back of time, by source
-        for each in sources:
-            each.stream.begins_anew = rule.on_time_jump == "reset"
+        for source in sources:
+            source.stream.begins_anew = rule.on_time_jump == "reset"
         self._enter(begin())
 
     @property
@@ -80,14 +80,14 @@ class LiveRuns:
                         self._step_back(place, int(messages.stamps[part][0]), back_ns)
                     self._run_of[place].take(place, messages.part(part))
         self.current.decide()
-        groundtruth, *estimates = (each.stream for each in self._sources)
+        groundtruth, *estimates = (item.stream for item in self._sources)
         for stream in estimates:
             stream.clocks.update(groundtruth.arrivals, stream.arrivals)
 
     def discard(self) -> None:
         """Drop the messages that have arrived."""
-        for each in self._sources:
-            each.discard()
+        for source in self._sources:
+            source.discard()
 
     def update(self) -> Iterator[tuple[LiveEstimate, Update]]:
         """Evaluate the messages that were taken; yield the new errors of the newest run."""
@@ -141,13 +141,13 @@ class LiveRuns:
         begun = self._begin()
         self.conclude(time_at)
         self._newest = [None for _ in self._sources]
-        for each in self._sources:
-            each.stream.begin_anew()
+        for source in self._sources:
+            source.stream.begin_anew()
         self._follow(begun)
         self._enter(begun)
         self._close_oldest()
-        for each in self._sources:
-            each.stream.forget_clocks()
+        for source in self._sources:
+            source.stream.forget_clocks()
 
     def _enter(self, run: LiveRun) -> None:
         """Pass the messages of all sources to a run, the newest one."""
@@ -216,7 +216,7 @@ class LiveRuns:
         too.
         """
         (run, until), *self._ending = self._ending
-        behind = [place for place, each in enumerate(self._run_of) if each is run]
+        behind = [place for place, item in enumerate(self._run_of) if item is run]
         stepped_back = [place for place in range(len(self._sources)) if place not in behind]
         if behind and time.monotonic() >= until:
             for place in stepped_back:
@@ -247,7 +247,7 @@ class LiveRuns:
 
     @property
     def _received(self) -> int:
-        return sum(each.stream.status.poses for each in self._sources)
+        return sum(source.stream.status.poses for source in self._sources)
 
 
 def _decoded(source: PoseSource, time_at: TimeAt | None) -> Iterator[DecodedMessages]:
@@ -256,9 +256,9 @@ def _decoded(source: PoseSource, time_at: TimeAt | None) -> Iterator[DecodedMess
     for message_type, taken, arrived in source.take(time_at):
         received = np.array(taken.received, dtype=np.int64)
         if message_type == PATH_TYPE:
-            for payload, each in zip(taken.payloads, arrived, strict=True):
+            for payload, item in zip(taken.payloads, arrived, strict=True):
                 path = stream.path(payload)
-                yield DecodedMessages(path, each[None], is_path=True)
+                yield DecodedMessages(path, item[None], is_path=True)
             continue
         poses, rows = stream.poses(message_type, taken.payloads, arrived)
         yield DecodedMessages(poses, received[rows])

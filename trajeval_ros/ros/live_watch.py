@@ -63,7 +63,7 @@ class LiveWatch:
         has_imu: bool = False,
     ) -> None:
         self.book = AlarmBook(factor)  # the alarms
-        self.watchdog = Watchdog(pairs=[each for each in others if each != "map"])
+        self.watchdog = Watchdog(pairs=[other for other in others if other != "map"])
         self._estimate, self._others = estimate, others
         self._needs = {*others, *(["imu"] if has_imu else [])}
         self._latest: dict[str, tuple[int, float]] = {}  # second and largest value by signal
@@ -80,12 +80,12 @@ class LiveWatch:
             except InputError as error:
                 self._refused = str(error)
                 self.book.end_all()
-        passed = [each for each in begun if each.is_over]
-        standing = [self._remark(each) for each in [*self.book.standing, *passed]]
+        passed = [item for item in begun if item.is_over]
+        standing = [self._remark(item) for item in [*self.book.standing, *passed]]
         return WatchReport(
             [*self._about_state(), *standing],
-            [Remark(Level.NOTE, "watch", each) for each in self._news()],
-            [self._remark(each) for each in begun],
+            [Remark(Level.NOTE, "watch", item) for item in self._news()],
+            [self._remark(item) for item in begun],
             self._values(),
         )
 
@@ -93,11 +93,11 @@ class LiveWatch:
         restarts = self.watchdog.restarts
         parts = [self._take_imu(messages.imu)]
         parts += [
-            self.watchdog.add_source(source, *_poses(self._others[source], *each)[:3])
+            self.watchdog.add_source(source, *_poses(self._others[source], *batch)[:3])
             for source, batches in messages.others.items()
-            for each in batches
+            for batch in batches
         ]
-        parts += [self._take_estimate(*each) for each in messages.estimate]
+        parts += [self._take_estimate(*item) for item in messages.estimate]
         signals = joined(parts)
         self._keep_latest(signals)
         begun = self.book.add(signals)
@@ -142,7 +142,7 @@ class LiveWatch:
 
     def _news(self) -> list[str]:
         found = [*self.watchdog.notices, *self._unseen]
-        news = [each for each in found if each not in self._told]
+        news = [item for item in found if item not in self._told]
         self._told += news
         return news
 
@@ -157,7 +157,7 @@ class LiveWatch:
 
     def _remark(self, alarm: WatchAlarm) -> Remark:
         signal = signal_of(alarm.signal)
-        peak, limit = (with_unit(each, signal.unit) for each in (alarm.peak, alarm.limit))
+        peak, limit = (with_unit(item, signal.unit) for item in (alarm.peak, alarm.limit))
         begin_ns = self.watchdog.origin + round(alarm.begin_s * NANOSECONDS)
         return Remark(
             Level.ERROR if self.book.is_error(alarm) else Level.WARNING,

@@ -31,7 +31,7 @@ class StaticTransform:
 
     def __init__(self, node: Node, source: str) -> None:
         topic, _, frames = source.partition(":")
-        self._body, dot, self._marker = (each.strip("/ ") for each in frames.partition("."))
+        self._body, dot, self._marker = (item.strip("/ ") for item in frames.partition("."))
         if not (self._body and dot and self._marker):
             raise SettingsError(
                 f"hand_eye {source!r} has no pair of frames; write body and marker frame as in "
@@ -107,14 +107,14 @@ class MarkerBody:
             self.why_not = self.transform.trouble
         elif self.source == AUTO and calibration is not None:
             turn, lever = calibration.turn, calibration.lever
-            known = [each.value if each.is_significant else None for each in (turn, lever)]
-            is_found = any(each is not None for each in known)
+            known = [item.value if item.is_significant else None for item in (turn, lever)]
+            is_found = any(item is not None for item in known)
             self._found = HandEye.of(*known) if is_found else None
             self.why_not = f"rotation: {turn.reason}; lever arm: {lever.reason}"
             self._without = [
-                f"no {what} ({each.reason})"
-                for what, each in (("rotation", turn), ("lever arm", lever))
-                if not each.is_significant
+                f"no {what} ({item.reason})"
+                for what, item in (("rotation", turn), ("lever arm", lever))
+                if not item.is_significant
             ]
             return is_spent or not self._without
         return is_spent or self._found is not None

@@ -70,7 +70,7 @@ class EvaluatorNode:
         self._pictures = {self._runs.current: self._new_picture(self._runs.current)}
         self._outputs = LiveOutputs(
             self._node,
-            [each.name for each in self._runs.current.estimates],
+            [estimate.name for estimate in self._runs.current.estimates],
             broadcaster,
             judges=self._settings.covariances.source != "none",
         )
@@ -93,13 +93,13 @@ class EvaluatorNode:
         return written
 
     def _write(self) -> bool:
-        for each in self._picture.close():
-            self._log(each, Level.WARNING)
+        for item in self._picture.close():
+            self._log(item, Level.WARNING)
         run = self._runs.current
         write_states(run)
         troubles = run.close()
-        for each in troubles:
-            self._log(each, Level.ERROR)
+        for trouble in troubles:
+            self._log(trouble, Level.ERROR)
         if run.has_pairs:
             return self._results.conclude(run) and not troubles
         # The last loop of a bag may end soon after its start.
@@ -111,7 +111,9 @@ class EvaluatorNode:
         gauge, values = self._settings.protocol.gauge, self._values
         fixes = LiveFixes(parameters.request_of(values).fixes, gauge)
         groundtruth = PoseSource(self._node, values["groundtruth_topic"], fixes)
-        estimates = [PoseSource(self._node, each) for each in values["estimate_topics"]]
+        estimates = [
+            PoseSource(self._node, estimate_topic) for estimate_topic in values["estimate_topics"]
+        ]
         name_apart(estimates, self._node.get_namespace())
         sources = [groundtruth, *estimates]
         runs = LiveRuns(
@@ -159,8 +161,8 @@ class EvaluatorNode:
 
     def _close_run(self, run: LiveRun, troubles: list[str]) -> None:
         self._pictures.pop(run).end()
-        for each in troubles:
-            self._log(each, Level.WARNING)
+        for trouble in troubles:
+            self._log(trouble, Level.WARNING)
         self._results.finish(run)
 
     def _new_picture(self, run: LiveRun, before: RerunOutput | None = None) -> RerunOutput:
@@ -199,7 +201,7 @@ class EvaluatorNode:
 
     @property
     def _lengths(self) -> list[str]:
-        return [str(each) for each in self._settings.protocol.lengths if each.unit != "%"]
+        return [str(length) for length in self._settings.protocol.lengths if length.unit != "%"]
 
     # Periodic work.
 
@@ -223,9 +225,9 @@ class EvaluatorNode:
                 self._picture.points(stamp, points)
         run = self._runs.current
         news, run.news = run.news, []
-        for each in news:
-            self._log(each.text)
-            self._events.publish("run", each)
+        for item in news:
+            self._log(item.text)
+            self._events.publish("run", item)
         for estimate in run.estimates:
             for source in (run.groundtruth, estimate.source):
                 estimate.peaks.see("staleness_s", source.silent_s)
@@ -256,10 +258,10 @@ class EvaluatorNode:
         if self._time_at is not None:
             self._simulated_time.match()
         run = self._runs.current
-        for source in (run.groundtruth, *(each.source for each in run.estimates)):
-            for each in source.match():
-                if self._events.publish(source.name, each):
-                    self._log(each.text, each.level)
+        for source in (run.groundtruth, *(estimate.source for estimate in run.estimates)):
+            for item in source.match():
+                if self._events.publish(source.name, item):
+                    self._log(item.text, item.level)
         if self._points is not None:
             for said in self._points.match():
                 self._log(said)
@@ -272,8 +274,8 @@ class EvaluatorNode:
         run = self._runs.current
         write_states(run)
         metrics = {
-            name: {"status": int(each.level), **each.values}
-            for name, each in self._statuses.newest.items()
+            name: {"status": int(item.level), **item.values}
+            for name, item in self._statuses.newest.items()
         }
         with suppress(InputError):  # the file of states reports a disk that can't be written
             write_metrics(run.folder, metrics)
@@ -357,12 +359,12 @@ class EvaluatorNode:
     def _set(self, changes: list[Any]) -> Any:
         from rcl_interfaces.msg import SetParametersResult
 
-        known = {each.name: each for each in PARAMETERS}
+        known = {parameter.name: parameter for parameter in PARAMETERS}
         try:
             new = {
-                each.name: parameters.converted(known[each.name], each.value)
-                for each in changes
-                if each.name in known
+                change.name: parameters.converted(known[change.name], change.value)
+                for change in changes
+                if change.name in known
             }
             values = {**self._values, **new}
             settings = parameters.settings_of(values)

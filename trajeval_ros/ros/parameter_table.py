@@ -54,7 +54,7 @@ PARAMETERS = (
         "unless watch is set."),
     NodeParameter("estimate_topics", [""],
         "Topics of the estimates: poses, as above, or nav_msgs/Path. Required."),
-    *(NodeParameter.of(each) for each in SETTINGS.values() if NODE in each.verbs),
+    *(NodeParameter.of(item) for item in SETTINGS.values() if NODE in item.verbs),
     NodeParameter("window", "30s",
         "Window of the published ATE: the newest 30s, 50m or 500 (pairs); 0 is the whole run. "
         "Results on disk always cover the whole run.",

@@ -41,30 +41,32 @@ def declare(node: Node) -> dict[str, Any]:
     from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 
     values = {}
-    for each in PARAMETERS:
+    for parameter in PARAMETERS:
         # YAML reads `window: 500` as a number and `max_gap: 1` as an integer. Both are valid,
         # therefore types are dynamic.
         descriptor = ParameterDescriptor(
-            description=each.description,
-            additional_constraints=f"one of {', '.join(each.choices)}" if each.choices else "",
-            read_only=not each.is_live,
+            description=parameter.description,
+            additional_constraints=f"one of {', '.join(parameter.choices)}"
+            if parameter.choices
+            else "",
+            read_only=not parameter.is_live,
             dynamic_typing=True,
         )
-        if each.range is not None and isinstance(each.default, float):
-            low, high = each.range
+        if parameter.range is not None and isinstance(parameter.default, float):
+            low, high = parameter.range
             descriptor.floating_point_range = [
                 FloatingPointRange(from_value=low, to_value=high, step=0.0)
             ]
         try:
-            declared = node.declare_parameter(each.name, each.default, descriptor)
+            declared = node.declare_parameter(parameter.name, parameter.default, descriptor)
         except Exception as error:  # rclpy's exceptions here have no common base class
             said = " ".join(str(error).split())
-            raise SettingsError(f"parameter {each.name} is not valid: {said}") from error
-        values[each.name] = converted(each, declared.value)
+            raise SettingsError(f"parameter {parameter.name} is not valid: {said}") from error
+        values[parameter.name] = converted(parameter, declared.value)
     needed = (
         ["estimate_topics"] if values["watch_factor"] else ["groundtruth_topic", "estimate_topics"]
     )
-    if not all(values[each] for each in needed):
+    if not all(values[item] for item in needed):
         raise SettingsError(
             "the parameters groundtruth_topic and estimate_topics are required; set them, as in "
             "--ros-args -p groundtruth_topic:=/mocap/pose -p estimate_topics:=[/vio/odometry]; "
@@ -75,7 +77,7 @@ def declare(node: Node) -> dict[str, Any]:
             "parameter rerun_points needs the parameters rerun and groundtruth_topic; set them, "
             "as in rerun:=file"
         )
-    if not values["watch_factor"] and (alone := [each for each in _OF_WATCH if values[each]]):
+    if not values["watch_factor"] and (alone := [item for item in _OF_WATCH if values[item]]):
         raise SettingsError(
             f"parameter {alone[0]} needs the parameter watch_factor; set it, as in "
             "watch_factor:=1.0"
@@ -85,7 +87,7 @@ def declare(node: Node) -> dict[str, Any]:
 
 def about_unknown(node: Node) -> list[str]:
     """Return one sentence per parameter that is set but not declared, such as a typo."""
-    names = [each.name for each in PARAMETERS]
+    names = [parameter.name for parameter in PARAMETERS]
     found = []
     for name in getattr(node, "_parameter_overrides", {}):
         if node.has_parameter(name):
@@ -120,7 +122,7 @@ def converted(parameter: NodeParameter, value: Any) -> Any:
             return float(value)
         raise SettingsError(f"parameter {name} must be from {low:g} to {high:g}, not {value:g}")
     if isinstance(wanted, list) and isinstance(value, str | list):
-        return [str(each) for each in ([value] if isinstance(value, str) else value) if each]
+        return [str(item) for item in ([value] if isinstance(value, str) else value) if item]
     if isinstance(wanted, str) and isinstance(value, str | int | float):
         if isinstance(value, float):
             value = np.format_float_positional(value, trim="-")
@@ -166,18 +168,22 @@ def _settings_of(values: dict[str, Any]) -> dict[str, Any]:
 
 def alarm_limits_of(values: dict[str, Any]) -> dict[str, AlarmLimits]:
     """Return the limits for alarms by name of the quantity, or raise a SettingsError."""
-    names = [*(each.name for each in LIMITED_QUANTITIES), "rate_hz", "coverage"]
-    return {each: AlarmLimits.parse(values[f"limits_{each}"], f"limits_{each}") for each in names}
+    names = [
+        *(limited_quantity.name for limited_quantity in LIMITED_QUANTITIES),
+        "rate_hz",
+        "coverage",
+    ]
+    return {name: AlarmLimits.parse(values[f"limits_{name}"], f"limits_{name}") for name in names}
 
 
 def metadata_of(values: dict[str, Any]) -> dict[str, str]:
     """Return the facts about the run by name; a fact without one raises a SettingsError."""
     found = {}
-    for each in values["metadata"]:
-        name, equals, value = each.partition("=")
+    for item in values["metadata"]:
+        name, equals, value = item.partition("=")
         if not name.strip() or not equals:
             raise SettingsError(
-                f"parameter metadata must be facts as in operator=Ann, not {each!r}"
+                f"parameter metadata must be facts as in operator=Ann, not {item!r}"
             )
         found[name.strip()] = value.strip()
     return found

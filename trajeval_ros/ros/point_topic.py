@@ -35,7 +35,7 @@ class PointTopic:
 
     def match(self) -> list[str]:
         """Connect to the present publishers; return sentences for the log."""
-        said = [each for each in (self._input.match(), *self._news) if each]
+        said = [item for item in (self._input.match(), *self._news) if item]
         self._news.clear()
         return said
 
@@ -67,9 +67,9 @@ def points_of(cloud: Any) -> Floats | None:
     """
     order = ">" if cloud.is_bigendian else "<"
     places = {
-        each.name: (f"{order}{_NUMBERS[each.datatype]}", each.offset)
-        for each in cloud.fields
-        if each.datatype in _NUMBERS
+        field.name: (f"{order}{_NUMBERS[field.datatype]}", field.offset)
+        for field in cloud.fields
+        if field.datatype in _NUMBERS
     }
     if not places.keys() >= {*"xyz"}:
         return None

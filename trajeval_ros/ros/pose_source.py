@@ -50,20 +50,24 @@ class PoseSource:
             types = TRANSFORM_TYPES[:1]
             # As for recordings: /tf_static may be common to all robots, /tf may have a namespace.
             static = {
-                node.resolve_topic_name(each): TopicInput(node, each, types, is_static=True)
-                for each in (f"{topic}_static", "/tf_static")
+                node.resolve_topic_name(item): TopicInput(node, item, types, is_static=True)
+                for item in (f"{topic}_static", "/tf_static")
             }
             self.inputs = [TopicInput(node, topic, types), *static.values()]
         else:
             self.stream = PoseStream(self.source, covariances=fixes is None, fixes=fixes)
             points = (_POINT_TYPE, FIX_TYPE, LOCAL_POSITION, GPS)
             others = points if fixes is None else (PATH_TYPE,)
-            readable = [each for each in (*POSE_TYPES, *PX4_POSE_TYPES) if each not in others]
+            readable = [
+                pose_type
+                for pose_type in (*POSE_TYPES, *PX4_POSE_TYPES)
+                if pose_type not in others
+            ]
             self.inputs = [TopicInput(node, topic, readable)]
 
     def match(self) -> list[Remark]:
         """Connect to the present publishers; return remarks."""
-        told = [about_publishers(said) for each in self.inputs if (said := each.match())]
+        told = [about_publishers(said) for item in self.inputs if (said := item.match())]
         topic = self.inputs[0]
         if topic.senders.restarted() and not isinstance(self.stream, TransformStream):
             told.append(warning("restart", f"{self.source}: its publisher was restarted"))
@@ -81,15 +85,15 @@ class PoseSource:
     ) -> list[tuple[str, ReceivedMessages, NDArray[np.int64]]]:
         """Return type, messages and their times of arrival, by input."""
         found = []
-        for each in self.inputs:
-            taken = each.take()
-            if isinstance(self.stream, TransformStream) and each.is_static:
+        for item in self.inputs:
+            taken = item.take()
+            if isinstance(self.stream, TransformStream) and item.is_static:
                 self.stream.hold(taken.payloads)
             elif taken.payloads:
                 arrived = np.array(taken.received, dtype=np.int64)
                 if time_at is not None:
                     arrived = time_at(arrived)
-                found.append((each.type, taken, arrived))
+                found.append((item.type, taken, arrived))
         return found
 
     def discard(self) -> None:
@@ -111,12 +115,12 @@ class PoseSource:
     @property
     def lost(self) -> int:
         """Number of published messages that did not arrive."""
-        return sum(each.losses.count for each in self.inputs)
+        return sum(item.losses.count for item in self.inputs)
 
     @property
     def loss_is_exact(self) -> bool:
         """Whether all losses could be detected."""
-        return all(each.losses.is_exact for each in self.inputs)
+        return all(item.losses.is_exact for item in self.inputs)
 
     @property
     def mixed(self) -> str:
@@ -136,7 +140,7 @@ class PoseSource:
         )
 
     def _transforms(self, frames: str) -> TransformStream:
-        parent, dot, child = (each.strip("/ ") for each in frames.partition("."))
+        parent, dot, child = (item.strip("/ ") for item in frames.partition("."))
         if not (parent and dot and child) or parent == child:
             raise SettingsError(
                 f"{self.source!r} has no pair of frames; write it as in /tf:map.base_link"
@@ -154,16 +158,16 @@ def about_publishers(said: str) -> Remark:
 def name_apart(sources: list[PoseSource], namespace: str) -> None:
     """Name estimates by their topics, without the node's own namespace."""
     inside = f"{namespace.rstrip('/')}/"
-    short = [part_of_topic(each.source.removeprefix(inside)) for each in sources]
+    short = [part_of_topic(source.source.removeprefix(inside)) for source in sources]
     if len(set(short)) == len(sources):
-        for each, name in zip(sources, short, strict=True):
-            each.name = name
-    topics = [each.source for each in sources]
-    if repeated := [each for each in topics if topics.count(each) > 1]:
+        for source, name in zip(sources, short, strict=True):
+            source.name = name
+    topics = [source.source for source in sources]
+    if repeated := [topic for topic in topics if topics.count(topic) > 1]:
         raise SettingsError(f"{repeated[0]} is given twice as an estimate; remove one")
     names: set[str] = set()
-    for each in sources:  # /a/b and /a_b have the same name
-        name, number = each.name, 2
-        while each.name in names:
-            each.name, number = f"{name}_{number}", number + 1
-        names.add(each.name)
+    for source in sources:  # /a/b and /a_b have the same name
+        name, number = source.name, 2
+        while source.name in names:
+            source.name, number = f"{name}_{number}", number + 1
+        names.add(source.name)

@@ -53,7 +53,7 @@ class StreamStatus(StateCounts):
 
     def has(self, code: str) -> bool:
         """Return whether there is a remark with a code."""
-        return any(each.code == code for each in self.remarks)
+        return any(remark.code == code for remark in self.remarks)
 
 
 class PoseStream:
@@ -91,10 +91,10 @@ class PoseStream:
         status.frame, status.child_frame = before.frame, before.child_frame
         if self._frames is not None:
             _, status.frame, status.child_frame = self._frames
-        status.remarks += [each for each in before.remarks if each.code == FORMAT]
+        status.remarks += [remark for remark in before.remarks if remark.code == FORMAT]
         status.datum = self.fixes.datum
-        for each in self._all_trusts:
-            each.lone = each.farthest_ns = 0
+        for trust in self._all_trusts:
+            trust.lone = trust.farthest_ns = 0
 
     def begin_anew(self) -> None:
         """Forget earlier messages: their time, and the origin of fixes."""
@@ -184,7 +184,7 @@ class PoseStream:
                 _, self.status.frame, self.status.child_frame = columns.frames[0]
             self._frames = columns.frames[-1]
         for one, other in found.frame_changes:
-            before, now = (" of ".join(filter(None, each[:0:-1])) for each in (one, other))
+            before, now = (" of ".join(filter(None, item[:0:-1])) for item in (one, other))
             said = f"{self._topic}: the frame changes from {before} to {now}"
             self._tell("frame_changed", "frame", said)
         return found
@@ -220,7 +220,7 @@ class PoseStream:
             return
         joined = columns if self._counted is None else self._counted.joined(columns)
         found = declared_resets(joined)
-        self.resets += [each.stamp_ns for each in found]
+        self.resets += [item.stamp_ns for item in found]
         self.status.resets = [*self.status.resets, *found][:_MOST_RESETS]
         self._counted = columns.rows_of(np.array([len(columns.stamps) - 1]))
 
@@ -277,7 +277,7 @@ class PoseStream:
             return
         if not self.status.has(LONE):
             self.news.append(warning("data", f"{self._topic}: {trust.said}"))
-        others = [each for each in self.status.remarks if each.code != LONE]
+        others = [remark for remark in self.status.remarks if remark.code != LONE]
         self.status.remarks = [*others, note(LONE, trust.said)]
 
     def _see_trouble(self, poses: int, dropped: Mapping[str, int]) -> None:

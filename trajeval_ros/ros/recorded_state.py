@@ -29,15 +29,15 @@ def write_states(run: LiveRun) -> None:
     What a full disk did not accept is written, too.
     """
     run.states_file.write()
-    for each in run.estimates:
-        each.states_file.tell(_recorded_state(run, each))
+    for estimate in run.estimates:
+        estimate.states_file.tell(_recorded_state(run, estimate))
 
 
 def save(run: LiveRun) -> None:
     """Start to write result.json; requires pairs and no running process."""
     write_states(run)
-    for each in run.estimates:
-        each.write_revised()
+    for estimate in run.estimates:
+        estimate.write_revised()
     run.finisher.save()
 
 
@@ -67,7 +67,7 @@ def _recorded_state(run: LiveRun, estimate: LiveEstimate) -> dict[str, Any]:
         },
         "hand_eye": run.body.state,
         "fixes": None if groundtruth.datum is None else groundtruth.datum.coordinates.tolist(),
-        "warnings": [remark_json(each) for each in _warnings(run, estimate)],
+        "warnings": [remark_json(item) for item in _warnings(run, estimate)],
     }
 
 
@@ -79,7 +79,7 @@ def _side(status: StreamStatus, up: UpAxis) -> dict[str, Any]:
         "up": asdict(up),
         "dropped": status.dropped,
         "resets": status.resets,
-        "notes": [remark_json(each) for each in (*status.remarks, *told)],
+        "notes": [remark_json(remark) for remark in (*status.remarks, *told)],
     }
 
 
@@ -93,8 +93,8 @@ def _warnings(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
             )
     if estimate.stepped is not None:  # its recorded states are those after it
         yield about_clock_step(estimate.stepped)
-    for each in about_different_clocks(run, estimate):
-        yield replace(each, code=f"clock_{each.subject}")
+    for about_different_clock in about_different_clocks(run, estimate):
+        yield replace(about_different_clock, code=f"clock_{about_different_clock.subject}")
     for code, said in (
         ("clock_offset", run.start.about_clocks),
         ("marker", run.body.said),
@@ -116,7 +116,7 @@ def _warnings(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
 def missing_source(run: LiveRun, estimate: LiveEstimate) -> str:
     """Return a source of an estimate without any message so far; empty if there is none."""
     sources = (run.groundtruth, estimate.source)
-    return next((each.source for each in sources if each.silent_s is None), "")
+    return next((source.source for source in sources if source.silent_s is None), "")
 
 
 def groundtruth_dropped(run: LiveRun, estimate: LiveEstimate) -> dict[str, int]:
@@ -128,16 +128,18 @@ def groundtruth_dropped(run: LiveRun, estimate: LiveEstimate) -> dict[str, int]:
 def why_no_pair(run: LiveRun) -> str:
     """Return why there are no pairs: the number of poses per topic, and reasons."""
     found = [(run.groundtruth, run.groundtruth_status, groundtruth_dropped(run, run.estimates[0]))]
-    for each in run.estimates:
-        dropped = add_counts(each.status.dropped, each.evaluator.buffer.dropped)
-        found.append((each.source, each.status, dropped))
+    for item in run.estimates:
+        dropped = add_counts(item.status.dropped, item.evaluator.buffer.dropped)
+        found.append((item.source, item.status, dropped))
     counts = [
         f"{counted(status.poses, 'pose')} on {source.source}"
         + (f" ({reasons(dropped)})" if dropped else "")
         for source, status, dropped in found
     ]
     clocks = (
-        each.text for estimate in run.estimates for each in about_clock_faults(run, estimate)
+        about_clock_fault.text
+        for estimate in run.estimates
+        for about_clock_fault in about_clock_faults(run, estimate)
     )
     said = "no pairs of estimate and groundtruth, no result: " + ", ".join(counts)
     return "; ".join([said, *clocks])

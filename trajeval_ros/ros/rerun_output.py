@@ -40,7 +40,7 @@ class RerunOutput:
         self._told: set[str] = set()
         self.trouble = ""  # why there is no picture, if one was requested
         self.address = ""  # for viewers; empty if nothing is served
-        folder, names = run.folder, [each.name for each in run.estimates]
+        folder, names = run.folder, [estimate.name for estimate in run.estimates]
         try:
             for place, sink in enumerate(sinks_for(value, folder / FILE, str(uuid.uuid4()))):
                 if isinstance(sink, ServerTarget):
@@ -53,8 +53,8 @@ class RerunOutput:
         if self._streams:
             give_way()
             run.on_groundtruth = self._groundtruth
-            for each in run.estimates:
-                each.on_pairs = self._pairs
+            for estimate in run.estimates:
+                estimate.on_pairs = self._pairs
 
     def update(self, estimate: LiveEstimate, update: Update) -> None:
         """Show the errors of the newest pair."""
@@ -88,7 +88,7 @@ class RerunOutput:
         """Show the current remarks about estimates, by name."""
         for estimate in self._run.estimates:
             stamps = self._run.groundtruth_status.last, estimate.status.last
-            known = [each for each in stamps if each is not None]
+            known = [item for item in stamps if item is not None]
             if known and estimate.name in remarks:
                 name, stamp, now = estimate.name, max(known), remarks[estimate.name]
                 self._put(functools.partial(_show_status, name, stamp, now))
@@ -115,7 +115,7 @@ class RerunOutput:
         for stream, _ in self._streams:
             stream.end()
         late = [stream.name for stream, _ in self._streams if not stream.close()]
-        return [*self.news(), *(f"Rerun's {each} does not stop in time" for each in late)]
+        return [*self.news(), *(f"Rerun's {item} does not stop in time" for item in late)]
 
     def end(self) -> None:
         """Stop drawing without waiting, because the run is complete."""

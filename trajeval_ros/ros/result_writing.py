@@ -34,12 +34,12 @@ class ResultWriting:
         finisher = self._current().finisher
         if finisher.poll():
             self._wake()
-        for each in self._past:
-            if each.poll():
-                failed = f"results can't be written to {each.folder}: {each.trouble}"
-                said = failed if each.trouble else f"results of {each.folder} are complete"
-                self._log(said, _level(each.trouble))
-        self._past = [each for each in self._past if each.is_busy]
+        for item in self._past:
+            if item.poll():
+                failed = f"results can't be written to {item.folder}: {item.trouble}"
+                said = failed if item.trouble else f"results of {item.folder} are complete"
+                self._log(said, _level(item.trouble))
+        self._past = [item for item in self._past if item.is_busy]
         if self._autosaving.is_due(finisher, period_s):
             self._begin()
         if late := self._autosaving.why_late(finisher, period_s):

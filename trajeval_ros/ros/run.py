@@ -90,8 +90,8 @@ def evaluate_live(arguments: Sequence[str]) -> int:
 
 def _evaluator_or_watch(node: Node) -> EvaluatorNode | WatchNode:
     values = parameters.declare(node)
-    for each in parameters.about_unknown(node):
-        log(node, each, Level.WARNING)
+    for item in parameters.about_unknown(node):
+        log(node, item, Level.WARNING)
     if values["groundtruth_topic"]:
         from trajeval_ros.ros.node import EvaluatorNode
 
@@ -103,6 +103,6 @@ def _evaluator_or_watch(node: Node) -> EvaluatorNode | WatchNode:
 
 def _work(duties: Sequence[PeriodicTask], stop: StopSignal) -> None:
     while not stop.is_asked_for:
-        for each in duties:
-            each.do_if_due(time.monotonic())
-        time.sleep(max(0.0, min(each.next_at for each in duties) - time.monotonic()))
+        for duty in duties:
+            duty.do_if_due(time.monotonic())
+        time.sleep(max(0.0, min(duty.next_at for duty in duties) - time.monotonic()))

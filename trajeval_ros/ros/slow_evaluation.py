@@ -19,7 +19,7 @@ from trajeval_ros.pipeline.request import Request
 from trajeval_ros.ros.background import BackgroundTask
 from trajeval_ros.ros.parameter_table import PARAMETERS
 
-PARAMETER_NAMES = {each.name for each in PARAMETERS}
+PARAMETER_NAMES = {parameter.name for parameter in PARAMETERS}
 _CLOCKS = {"clock_offset", "clock_drift", "small_clock_offset"}
 # Tests that need all messages. The thinned contains only some of the pairs.
 _NOT_BY_SOME_PAIRS = {
@@ -42,7 +42,7 @@ def hints_about(
     of_clocks: bool,
 ) -> list[Remark]:
     """Return the mistakes that are found in pairs without losses, and differences of frames."""
-    found = [("frames", each.text) for each in about_frames(*bodies)]
+    found = [("frames", about_frame.text) for about_frame in about_frames(*bodies)]
     plain = replace(protocol, lengths=(), align_states=None, align_with="positions")
     if len(pairs):
         some = association_of(pairs, plain)
@@ -51,7 +51,9 @@ def hints_about(
             left_out = left_out | {"other_run"}
         diagnosis, _ = diagnose(some.groundtruth, some.estimate, Request(plain), some, losses)
         found += [
-            (each.cause, each.text) for each in diagnosis.findings if each.cause not in left_out
+            (finding.cause, finding.text)
+            for finding in diagnosis.findings
+            if finding.cause not in left_out
         ]
     return [
         warning("hint", in_names_of_settings(text, ":=", PARAMETER_NAMES), subject)

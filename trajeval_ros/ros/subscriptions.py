@@ -36,10 +36,10 @@ def matching(publishers: Sequence[Any], *, is_static: bool = False, depth: int =
     """
     from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-    offered = [each.qos_profile for each in publishers]
-    reliable = all(each.reliability == ReliabilityPolicy.RELIABLE for each in offered)
+    offered = [publisher.qos_profile for publisher in publishers]
+    reliable = all(item.reliability == ReliabilityPolicy.RELIABLE for item in offered)
     enough = any if is_static else all
-    latched = enough(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in offered)
+    latched = enough(item.durability == DurabilityPolicy.TRANSIENT_LOCAL for item in offered)
     return QoSProfile(
         depth=depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
@@ -163,7 +163,7 @@ class TopicInput:
         kind = publishers[0].topic_type
         self._remind_at = time.monotonic() + UNMATCHED_AFTER_S
         # A node's name can arrive after its publishers. That of a program without ROS never does.
-        names = sorted(each.node_name.replace(_UNNAMED, _UNKNOWN) for each in publishers)
+        names = sorted(publisher.node_name.replace(_UNNAMED, _UNKNOWN) for publisher in publishers)
         self.are_named = _UNKNOWN not in names or names == self.publishers
         self.publishers = names
         again = self._subscription is not None
@@ -250,23 +250,23 @@ def _never(message: Any) -> None:
 def _publishers_of(node: Node, name: str, types: tuple[str, ...]) -> list[Any]:
     """Return the endpoints that publish a topic with one of the types, all of one type."""
     found = [
-        each
-        for each in node.get_publishers_info_by_topic(name)
-        if each.topic_type in types and is_installed(each.topic_type)
+        item
+        for item in node.get_publishers_info_by_topic(name)
+        if item.topic_type in types and is_installed(item.topic_type)
     ]
-    return [each for each in found if each.topic_type == found[0].topic_type]
+    return [item for item in found if item.topic_type == found[0].topic_type]
 
 
 def _why_unmatched(node: Node, name: str, types: tuple[str, ...]) -> str:
     """Return why no message is received on a topic, and similar names or other types."""
     topic = node.resolve_topic_name(name)
     there = node.get_publishers_info_by_topic(name)
-    for each in there:
-        kind = each.topic_type
+    for item in there:
+        kind = item.topic_type
         if kind in types:
             return f"{topic} has type {kind}, which is not installed; {how_to_install(kind)}"
     if there:
-        kinds = ", ".join(sorted({each.topic_type for each in there}))
+        kinds = ", ".join(sorted({item.topic_type for item in there}))
         return f"{topic} has type {kinds}, not a supported type of poses ({', '.join(types)})"
     poses = [
         other

@@ -135,8 +135,8 @@ class EstimateWatch:
     def __init__(self, node: Node, values: Mapping[str, Any]) -> None:
         imu, corrections = values["imu_topic"], values["map_to_odom"]
         self._estimate = PoseSource(node, values["estimate_topics"][0])
-        partners = [PoseSource(node, each) for each in values["watch_with"]]
-        sources = pair_sources([each.name for each in partners])
+        partners = [PoseSource(node, value) for value in values["watch_with"]]
+        sources = pair_sources([partner.name for partner in partners])
         # Second estimates, and transforms from the map, by source.
         self._others = dict(zip(sources, partners, strict=True))
         if corrections:
@@ -147,7 +147,7 @@ class EstimateWatch:
         self._watch = LiveWatch(
             values["watch_factor"],
             self._estimate.stream,
-            {source: each.stream for source, each in self._others.items()},
+            {source: other.stream for source, other in self._others.items()},
             has_imu=bool(imu),
         )
         self._task: BackgroundTask[WatchReport] = BackgroundTask(_MOST_SHARE)
@@ -160,7 +160,7 @@ class EstimateWatch:
     def match(self) -> list[Remark]:
         """Connect to the current publishers; return remarks."""
         sides = [self._estimate, *self._others.values()]
-        told = [each for side in sides for each in side.match()]
+        told = [item for side in sides for item in side.match()]
         if self._imu is not None and (said := self._imu.match()):
             told.append(about_publishers(said))
         return told
@@ -198,8 +198,8 @@ class EstimateWatch:
     def _gather(self) -> None:
         if self._imu is not None:
             self._readings += self._imu.take().payloads
-        for source, each in self._others.items():
-            self._of_others[source] += each.take(None)
+        for source, other in self._others.items():
+            self._of_others[source] += other.take(None)
         self._estimates += self._estimate.take(None)
 
     def _gathered(self) -> WatchedMessages:
@@ -210,7 +210,7 @@ class EstimateWatch:
     def _forget_gathered(self) -> None:
         self._estimates: list[Any] = []
         self._readings: list[bytes] = []
-        self._of_others: dict[str, list[Any]] = {each: [] for each in self._others}
+        self._of_others: dict[str, list[Any]] = {other: [] for other in self._others}
 
     def status(self) -> Any:
         """Return the status, as `diagnostic_msgs/DiagnosticStatus`."""
@@ -220,7 +220,7 @@ class EstimateWatch:
             self._node,
             remarks[0].level if remarks else Level.NOTE,
             self.name,
-            "; ".join(each.text for each in remarks) or "no alarm",
+            "; ".join(remark.text for remark in remarks) or "no alarm",
             self._report.values,
         )
 
@@ -248,8 +248,8 @@ class Watching:
     def match(self) -> None:
         """Connect to the current publishers."""
         if self._watch is not None:
-            for each in self._watch.match():
-                self._log(f"watch: {each.text}", each.level)
+            for item in self._watch.match():
+                self._log(f"watch: {item.text}", item.level)
 
     def tick(self) -> None:
         """Process the messages that have arrived, and report alarms."""
@@ -260,8 +260,12 @@ class Watching:
 
     def see(self, remarks: Iterable[Remark]) -> None:
         """Process remarks of the evaluation: exceeded error limits request a snapshot."""
-        for each in remarks:
-            if each.code == "alarm" and each.level == Level.ERROR and self._snapshots is not None:
+        for remark in remarks:
+            if (
+                remark.code == "alarm"
+                and remark.level == Level.ERROR
+                and self._snapshots is not None
+            ):
                 self._snapshots.trigger()
 
     def conclude(self) -> None:
@@ -277,8 +281,8 @@ class Watching:
     def _tell(self, report: WatchReport) -> None:
         assert self._watch is not None
         name = self._watch.name
-        for each in [*report.news, *self._watch.standing.renew(report.remarks)]:
-            self._log(f"{name}: {each.text}", min(each.level, Level.WARNING))
-            self._events.publish(name, each)
+        for item in [*report.news, *self._watch.standing.renew(report.remarks)]:
+            self._log(f"{name}: {item.text}", min(item.level, Level.WARNING))
+            self._events.publish(name, item)
         if report.begun and self._snapshots is not None:
             self._snapshots.trigger()

@@ -233,7 +233,7 @@ def _transformed(
     with progress(f"{name}, covariances") as advance:
         for trial in range(trials):
             pair = pair_of(trial) if trial else first
-            stopped[trial], converged[trial] = (each.difference for each in pair)
+            stopped[trial], converged[trial] = (item.difference for item in pair)
             advance(trial + 1, trials)
     return first, (stopped, converged)
 

@@ -56,7 +56,7 @@ def declare_legend(recording: Any, estimates: Sequence[EstimateEntities]) -> Non
     line = np.stack([ends, np.full(_STEPS + 1, _LINE)], axis=1)
     shown = [
         ("groundtruth", colours.GROUNDTRUTH),
-        *((each.name, each.colour) for each in estimates),
+        *((estimate.name, estimate.colour) for estimate in estimates),
     ]
     beside = -(-len(shown) // rows_of(len(estimates)))
     room = (WIDTH - _NAMES_BEGIN) / beside
@@ -119,7 +119,7 @@ class ErrorScale:
         texts = ["0", f"lines x {self.factor:g}" * (self.factor > 1.0), f"{self.full_m:g} m"]
         places = [[share * _RAMP_END, _LINE + _BELOW] for share in (0.0, 0.5, 1.0)]
         shown = [place for place, text in enumerate(texts) if text]
-        return _SCALE, _texts([places[each] for each in shown], [texts[each] for each in shown])
+        return _SCALE, _texts([places[item] for item in shown], [texts[item] for item in shown])
 
 
 def shortened(name: str, letters: int) -> str:
@@ -155,23 +155,25 @@ def declare(
     declare_legend(recording, estimates)
     _declare_path(recording, GroundtruthEntities.path, GROUNDTRUTH_PATH, is_live=is_live)
     recording.log(GroundtruthEntities.pose, marker(np.zeros(3), colours.GROUNDTRUTH), static=True)
-    for each in estimates:
-        look = path_of_estimate(each.colour, len(estimates))
-        _declare_path(recording, each.path, look, is_live=is_live)
-        recording.log(each.pose, marker(np.zeros(3), each.colour), static=True)
-        for entity, width in ((each.by_error, 2.6), (each.correspondences, 0.8)):
+    for estimate in estimates:
+        look = path_of_estimate(estimate.colour, len(estimates))
+        _declare_path(recording, estimate.path, look, is_live=is_live)
+        recording.log(estimate.pose, marker(np.zeros(3), estimate.colour), static=True)
+        for entity, width in ((estimate.by_error, 2.6), (estimate.correspondences, 0.8)):
             radii = [rerun.Radius.ui_points(width)]
             recording.log(entity, rerun.LineStrips3D.from_fields(radii=radii), static=True)
-        _declare_ellipsoids(recording, each.covariance, each.colour)
-        _declare_series(recording, each)
+        _declare_ellipsoids(recording, estimate.covariance, estimate.colour)
+        _declare_series(recording, estimate)
         if gauge.has_scale:
-            _series(recording, each.metric(SCALE), f"{each.name}, scale", each.colour, 1.6)
+            _series(
+                recording, estimate.metric(SCALE), f"{estimate.name}, scale", estimate.colour, 1.6
+            )
 
 
 def declare_axes(recording: Any, estimates: Sequence[EstimateEntities], size_m: float) -> None:
     """Log the length of the axes of the newest poses, for a scene of a size, metres."""
-    for each in estimates:
-        recording.log(each.pose, pose_axes(_AXES * size_m), static=True)
+    for estimate in estimates:
+        recording.log(estimate.pose, pose_axes(_AXES * size_m), static=True)
 
 
 _AXES = 0.03  # of the size of the scene
@@ -193,7 +195,7 @@ def declare_available(recording: Any, estimate: EstimateEntities) -> None:
 def declare_length(recording: Any, estimate: EstimateEntities, length: str, place: int) -> None:
     """Log the style of the relative error of a length: longer lengths are brighter."""
     shade = 0.45 + 0.55 * min(place, 4) / 4.0
-    colour = tuple(round(shade * each) for each in estimate.colour)
+    colour = tuple(round(shade * item) for item in estimate.colour)
     _series(
         recording, estimate.metric(RELATIVE_ERROR, length), f"{estimate.name} {length}", colour
     )
@@ -233,9 +235,9 @@ def declare_map(recording: Any, estimates: Sequence[EstimateEntities]) -> None:
     rerun, _ = sdk()
     radii = [rerun.Radius.ui_points(_ON_MAP)]
     recording.log(MAP_FIXES, rerun.GeoPoints.from_fields(radii=radii), static=True)
-    for each in estimates:
-        looks = rerun.GeoLineStrings.from_fields(colors=[each.colour], radii=radii)
-        recording.log(each.on_map, looks, static=True)
+    for estimate in estimates:
+        looks = rerun.GeoLineStrings.from_fields(colors=[estimate.colour], radii=radii)
+        recording.log(estimate.on_map, looks, static=True)
 
 
 def _declare_ellipsoids(recording: Any, entity: str, colour: colours.Colour) -> None:
@@ -268,7 +270,7 @@ def _declare_series(recording: Any, estimate: EstimateEntities) -> None:
 
 
 def _pale(colour: colours.Colour) -> tuple[int, ...]:
-    return tuple((each + 255) // 2 for each in colour)
+    return tuple((item + 255) // 2 for item in colour)
 
 
 def _series(recording: Any, entity: str, label: str, colour: Any, width: float = 1.2) -> None:

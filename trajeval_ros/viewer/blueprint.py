@@ -137,7 +137,7 @@ def _top(errors: Floats | None, *, cuts: bool) -> float | None:
 def state_lanes(name: str) -> Any:
     """Return the view of states over time."""
     _, layout = sdk()
-    contents = [f"/{each}/**" for each in scene_entities.LANES]
+    contents = [f"/{lane}/**" for lane in scene_entities.LANES]
     return layout.StateTimelineView(
         origin="/", contents=contents, name=name, time_view=whole_run()
     )
@@ -176,7 +176,7 @@ def _errors(more: list[Any], *, estimates: int, tops: tuple[float | None, float 
 def _within_bands() -> Any:
     _, layout = sdk()
     names = ("x [m]", "y [m]", "z [m]", "φx [deg]", "φy [deg]", "φz [deg]")
-    plots = [_plot(*each) for each in zip(names, scene_entities.ERRORS_WITHIN, strict=True)]
+    plots = [_plot(*item) for item in zip(names, scene_entities.ERRORS_WITHIN, strict=True)]
     return layout.Vertical(
         *(layout.Horizontal(plots[axis], plots[axis + 3]) for axis in range(3)),
         _plot("NEES of poses / dof", scene_entities.NEES, scene_entities.NEES_LIMIT, legend=True),
@@ -207,15 +207,15 @@ def _space(
     _, layout = sdk()
     # Live, only the latest rows are visible: their entities are drawn again as they grow.
     growing = [] if is_live else _drawn_once(estimates)
-    overrides: dict[str, list[Any]] = {each: [until_now()] for each in growing}
+    overrides: dict[str, list[Any]] = {item: [until_now()] for item in growing}
     if is_live:
         overrides[estimates[0].points] = [until_now(_SCANS_S)]
     if len(estimates) > _MOST_COLOURED:
-        hidden = [each.by_error for each in estimates]
+        hidden = [estimate.by_error for estimate in estimates]
     else:  # live, colours are drawn later than the path
-        hidden = [] if is_live else [each.path.past for each in estimates]
-    for each in hidden:
-        overrides.setdefault(each, []).append(layout.EntityBehavior(visible=False))
+        hidden = [] if is_live else [estimate.path.past for estimate in estimates]
+    for item in hidden:
+        overrides.setdefault(item, []).append(layout.EntityBehavior(visible=False))
     at = estimates[0].pose if follows else scene_entities.WORLD
     behind = layout.EyeControls3D(
         position=_BEHIND_M, look_target=(0.0, 0.0, 0.0), eye_up=(0.0, 0.0, 1.0)
@@ -224,7 +224,7 @@ def _space(
         origin=f"/{at}",
         # Entities of other recordings are drawn, too. Named frames in them would otherwise change
         # the frame of the view.
-        contents=["/**", *(f"- /{each}/**" for each in _FLAT)],
+        contents=["/**", *(f"- /{item}/**" for item in _FLAT)],
         spatial_information=layout.SpatialInformation(target_frame=frame_of(at)),
         name="Follow" if follows else "Groundtruth and aligned estimate",
         overrides=overrides,
@@ -245,10 +245,10 @@ def _drawn_once(estimates: Sequence[scene_entities.EstimateEntities]) -> list[st
     """Return the entities of a recorded picture whose rows stay visible."""
     return [
         scene_entities.GroundtruthEntities.path.past,
-        *(each.path.past for each in estimates),
-        *(each.by_error for each in estimates),
-        *(each.correspondences for each in estimates),
-        *(each.uncertainty for each in estimates),
+        *(estimate.path.past for estimate in estimates),
+        *(estimate.by_error for estimate in estimates),
+        *(estimate.correspondences for estimate in estimates),
+        *(estimate.uncertainty for estimate in estimates),
     ]
 
 
@@ -265,7 +265,7 @@ def _plot(name: str, *quantities: str, legend: bool = False, top: float | None =
     _, layout = sdk()
     return layout.TimeSeriesView(
         origin="/metrics",
-        contents=[f"/metrics/{each}/**" for each in quantities],
+        contents=[f"/metrics/{quantity}/**" for quantity in quantities],
         name=name,
         axis_x=whole_run(),
         axis_y=None if top is None else layout.ScalarAxis(range=(0.0, top)),

@@ -17,7 +17,7 @@ POINTS: Colour = (86, 96, 118)
 GROUNDTRUTH: Colour = (222, 224, 230)
 BAND: Colour = (200, 200, 205)
 ESTIMATES: tuple[Colour, ...] = tuple(map(palette.rgb, palette.ESTIMATES_ON_DARK))
-_RAMP = np.array([palette.rgb(each) for each in palette.RAMP])
+_RAMP = np.array([palette.rgb(item) for item in palette.RAMP])
 
 
 def of_estimate(place: int) -> Colour:

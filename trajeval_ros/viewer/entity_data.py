@@ -137,7 +137,7 @@ def ellipsoid_axes(covariances: Floats) -> tuple[Floats, Floats]:
 def fixes_on_map(places: Floats, status: Indices) -> EntityData:
     """Return GNSS fixes at latitudes and longitudes (N, 2), degrees, coloured by status (N,)."""
     rerun, _ = sdk()
-    colors = [colours.of_fix(each) for each in status.tolist()]
+    colors = [colours.of_fix(item) for item in status.tolist()]
     return EntityData(rerun.GeoPoints, {"positions": places, "colors": colors})
 
 

@@ -33,7 +33,7 @@ def track_lines(stamps: Stamps, aligned: Floats, datum: Datum) -> EntityData:
     """Return aligned positions (N, 3) as lines on the map, without those across gaps."""
     places = places_at(aligned, datum)[:, :2]
     parts = np.split(places, np.flatnonzero(gaps(stamps)) + 1)
-    return entity_data.lines_on_map([each for each in parts if len(each) > 1])
+    return entity_data.lines_on_map([part for part in parts if len(part) > 1])
 
 
 def send_map(

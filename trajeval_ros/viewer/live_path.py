@@ -118,7 +118,7 @@ class LivePath:
                 strips = [strip for row in rows for strip in row]
                 rows.clear()
             if is_full and level == last:
-                rows.append([_halved(each) for each in strips])
+                rows.append([_halved(item) for item in strips])
             self._draw_level(level)
             if not is_full:
                 return

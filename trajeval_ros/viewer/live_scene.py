@@ -71,8 +71,8 @@ class LiveScene:
             self._map.draw(is_growing=True)
         self._lanes.draw_again()
         self._frames.send(recording)
-        for each in self._estimates.values():
-            each.draw_again()
+        for estimate in self._estimates.values():
+            estimate.draw_again()
         self._colour(self._groundtruth.newest, is_growing=True)
 
     def leave(self) -> None:
@@ -82,9 +82,9 @@ class LiveScene:
     def finish(self) -> None:
         """Draw all periodic entities for the last time."""
         self._colour(self._groundtruth.newest, is_growing=False)
-        for each in self._aligned:
-            times, _ = each.memory.columns()
-            self._draw_errors(each, int(times[-1]), is_growing=False)
+        for item in self._aligned:
+            times, _ = item.memory.columns()
+            self._draw_errors(item, int(times[-1]), is_growing=False)
             self._tell(int(times[-1]), is_growing=False)
         self._map.draw(is_growing=False)
         self._send_properties()
@@ -139,11 +139,11 @@ class LiveScene:
 
         `frame` and `body` are the names of the frames of its poses and of its body.
         """
-        each = self._estimates[name]
+        item = self._estimates[name]
         if len(stamps) and self._groundtruth.origin is not None:
-            each.add(stamps, groundtruth[:, :3] - self._groundtruth.origin, states)
-            self._attach(frame, each.entities.frame, each.origin)
-            self._attach(body, each.entities.pose)
+            item.add(stamps, groundtruth[:, :3] - self._groundtruth.origin, states)
+            self._attach(frame, item.entities.frame, item.origin)
+            self._attach(body, item.entities.pose)
 
     def points(self, name: str, stamp: int, points: Floats) -> None:
         """Add a scan: points (N, 3) in the body of an estimate at a timestamp."""
@@ -165,21 +165,21 @@ class LiveScene:
 
         `revised_m`: position ATE of the newest path, metres. `available`: errors, final now.
         """
-        each, origin = self._estimates[name], self._groundtruth.origin
-        each.errors(stamp, snapshot, revised_m)
-        self._lanes.tracking(each.entities.tracking, stamp, snapshot.loss)
+        item, origin = self._estimates[name], self._groundtruth.origin
+        item.errors(stamp, snapshot, revised_m)
+        self._lanes.tracking(item.entities.tracking, stamp, snapshot.loss)
         if available is not None:
-            each.available(available)
-        if snapshot.alignment is not None and each.origin is not None:
+            item.available(available)
+        if snapshot.alignment is not None and item.origin is not None:
             assert origin is not None
-            similarity = between_origins(snapshot.alignment.similarity, origin, each.origin)
-            each.align(stamp, similarity, self._gauge, self._up)
-        if stamp >= each.told_at + _WORDS_EVERY_NS:
-            each.told_at = stamp
-            if each.similarity is not None:
-                if each.has_grown:
-                    self._colour(stamp, [each], is_growing=True)
-                self._draw_errors(each, stamp)
+            similarity = between_origins(snapshot.alignment.similarity, origin, item.origin)
+            item.align(stamp, similarity, self._gauge, self._up)
+        if stamp >= item.told_at + _WORDS_EVERY_NS:
+            item.told_at = stamp
+            if item.similarity is not None:
+                if item.has_grown:
+                    self._colour(stamp, [item], is_growing=True)
+                self._draw_errors(item, stamp)
             self._tell(stamp)
 
     def uncertainty(self, name: str, stamp: int, position: Floats, covariance: Floats) -> None:
@@ -195,22 +195,22 @@ class LiveScene:
         if self._groundtruth.origin is not None:
             words = f"{counted(count, 'update')} not drawn: the machine is too slow"
             self._recording.event(self._groundtruth.newest, words)
-            for each in self._estimates.values():
-                each.interrupt()
+            for estimate in self._estimates.values():
+                estimate.interrupt()
 
     def status(self, name: str, stamp: int, remarks: Sequence[Remark]) -> None:
         """Draw the status of an estimate at a time: all remarks about it that hold."""
         self._lanes.status(self._estimates[name].entities.name, stamp, remarks)
-        new = [each for each in remarks if each.level > Level.NOTE and each.code != "jump"]
-        for each in new:
-            key = name, each.code, each.subject
+        new = [remark for remark in remarks if remark.level > Level.NOTE and remark.code != "jump"]
+        for item in new:
+            key = name, item.code, item.subject
             if key not in self._told:  # a set as large as the number of kinds of remarks
                 self._told.add(key)
-                self._recording.event(stamp, f"{name}: {each.text}")
+                self._recording.event(stamp, f"{name}: {item.text}")
 
     @property
     def _entities(self) -> list[scene_entities.EstimateEntities]:
-        return [each.entities for each in self._estimates.values()]
+        return [estimate.entities for estimate in self._estimates.values()]
 
     def _declare(self) -> None:
         declare = functools.partial(appearance.declare, is_live=True)
@@ -220,7 +220,7 @@ class LiveScene:
     def _aligned(self) -> list[EstimatePicture]:
         """The estimates with pairs and an alignment."""
         known = self._estimates.values()
-        return [each for each in known if len(each.memory) and each.similarity is not None]
+        return [item for item in known if len(item.memory) and item.similarity is not None]
 
     def _attach(self, frame: str, entity: str, origin: Floats | None = None) -> None:
         name = self._frames.attach(frame, entity, origin)
@@ -233,35 +233,37 @@ class LiveScene:
         """Colour paths by their errors; all of them if none are named or the scale changes."""
         if not self._aligned:
             return
-        errors = np.concatenate([each.position_errors for each in self._aligned])
+        errors = np.concatenate([item.position_errors for item in self._aligned])
         present = self._scale.full_m if self._scale is not None and is_growing else None
         full_m = colours.lasting_scale(errors, present)
         if self._scale is None or full_m != self._scale.full_m or not which:
             which = self._aligned
             self._scale = ErrorScale.of(full_m, self._groundtruth.size_m)
             self._recording.log(time, *self._scale.row())
-        for each in which:
-            each.colour(time, self._scale)
+        for item in which:
+            item.colour(time, self._scale)
 
-    def _draw_errors(self, each: EstimatePicture, time: int, *, is_growing: bool = True) -> None:
+    def _draw_errors(self, item: EstimatePicture, time: int, *, is_growing: bool = True) -> None:
         """Draw errors with the present alignment: lines, and the path on the map."""
         assert self._scale is not None
-        each.correspond(time, self._scale)
+        item.correspond(time, self._scale)
         assert self._groundtruth.origin is not None
-        stamps, _ = each.memory.columns()
-        aligned = each.aligned + self._groundtruth.origin
-        on_map = each.entities.on_map
+        stamps, _ = item.memory.columns()
+        aligned = item.aligned + self._groundtruth.origin
+        on_map = item.entities.on_map
         self._map.draw_track(time, on_map, stamps, aligned, is_growing=is_growing)
 
     def _layout(self, bounds: tuple[Floats, Floats] | None = None) -> Any:
         has_map = self._map.datum is not None
-        rotations = [each.rotations.columns()[1].ravel() for each in self._estimates.values()]
-        positions = [np.empty(0), *(each.position_errors for each in self._aligned)]
+        rotations = [
+            estimate.rotations.columns()[1].ravel() for estimate in self._estimates.values()
+        ]
+        positions = [np.empty(0), *(item.position_errors for item in self._aligned)]
         return blueprint(
             self._entities,
             self._gauge,
             is_live=True,
-            has_available=any(each.is_available for each in self._estimates.values()),
+            has_available=any(estimate.is_available for estimate in self._estimates.values()),
             has_map=has_map,
             bounds=bounds,
             positions_m=np.concatenate(positions),
@@ -269,18 +271,18 @@ class LiveScene:
         )
 
     def _send_properties(self) -> None:
-        told = [each for each in self._estimates.values() if each.snapshot is not None]
+        told = [estimate for estimate in self._estimates.values() if estimate.snapshot is not None]
         self._recording.send(
             send_of_snapshots,
             self._title,
             (self._gauge, self._modality),
-            [each.snapshot for each in told],
-            [each.entities.name for each in told],
+            [item.snapshot for item in told],
+            [item.entities.name for item in told],
         )
 
     def _frame(self) -> None:
         """Set the view so that a newly opened recording shows the whole run."""
-        aligned = [each.aligned for each in self._aligned]
+        aligned = [item.aligned for item in self._aligned]
         if len(self._groundtruth.corners):
             seen = self._layout(bounds_of([self._groundtruth.corners, *aligned]))
             self._recording.send(
@@ -288,11 +290,11 @@ class LiveScene:
             )
 
     def _tell(self, time: int, *, is_growing: bool = True) -> None:
-        told = [each for each in self._estimates.values() if each.snapshot is not None]
-        snapshots = [each.snapshot for each in told if each.snapshot is not None]
+        told = [estimate for estimate in self._estimates.values() if estimate.snapshot is not None]
+        snapshots = [item.snapshot for item in told if item.snapshot is not None]
         words = text_panel.of_snapshots(
             snapshots,
-            [each.entities.name for each in told],
+            [item.entities.name for item in told],
             self._gauge,
             self._scale,
             is_growing=is_growing,

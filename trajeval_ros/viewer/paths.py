@@ -31,8 +31,8 @@ def between_origins(similarity: Similarity, groundtruth: Floats, estimate: Float
 
 def bounds_of(paths: Sequence[Floats]) -> tuple[Floats, Floats]:
     """Return the smallest and largest coordinates of paths (N, 3), (3,) and (3,)."""
-    low = np.min([each.min(axis=0) for each in paths], axis=0)
-    high = np.max([each.max(axis=0) for each in paths], axis=0)
+    low = np.min([path.min(axis=0) for path in paths], axis=0)
+    high = np.max([path.max(axis=0) for path in paths], axis=0)
     return low, high
 
 

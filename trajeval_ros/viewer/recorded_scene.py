@@ -53,10 +53,11 @@ def write_recording(
 ) -> None:
     """Write a Rerun file (.rrd) with estimates evaluated against one groundtruth."""
     consistencies = [
-        None if each is None or each.covariances is None else each for each in consistencies
+        None if consistency is None or consistency.covariances is None else consistency
+        for consistency in consistencies
     ] or [None] * len(evaluations)
-    samples = [None if each is None else each.samples for each in available]
-    names = [each.estimate.name or "estimate" for each in evaluations]
+    samples = [None if item is None else item.samples for item in available]
+    names = [evaluation.estimate.name or "estimate" for evaluation in evaluations]
     estimates = [scene_entities.EstimateEntities(name, place) for place, name in enumerate(names)]
     groundtruth = evaluations[0].groundtruth
     origin = origin_for(groundtruth.positions)
@@ -69,16 +70,16 @@ def write_recording(
         has_available=any(samples),
         has_map=is_on_map(groundtruth.reading.fixes, groundtruth.up),
         bounds=bounds,
-        positions_m=np.concatenate([each.absolute.position_m for each in evaluations]),
+        positions_m=np.concatenate([evaluation.absolute.position_m for evaluation in evaluations]),
         rotations_deg=_rotations(evaluations),
     )
-    title = ", ".join(each.name for each in estimates)
+    title = ", ".join(estimate.name for estimate in estimates)
 
     def draw(recording: Any) -> None:
         _draw(recording, evaluations, consistencies, estimates, origin, size_of(bounds))
-        for each, entities in zip(samples, estimates, strict=False):
-            _send_available(recording, each, entities)
-        told = [each.name for each in estimates]
+        for sample, entities in zip(samples, estimates, strict=False):
+            _send_available(recording, sample, entities)
+        told = [estimate.name for estimate in estimates]
         send_of_evaluations(recording, title, evaluations, consistencies, told)
 
     write_whole(path, recording_writer(title, layout, draw))
@@ -86,8 +87,8 @@ def write_recording(
 
 def _rotations(evaluations: Sequence[Evaluation]) -> Floats:
     """Return the rotation errors of all estimates (N,), degrees."""
-    known = [each.absolute.rotation_deg for each in evaluations]
-    return np.concatenate([each for each in known if each is not None] or [np.empty(0)])
+    known = [evaluation.absolute.rotation_deg for evaluation in evaluations]
+    return np.concatenate([item for item in known if item is not None] or [np.empty(0)])
 
 
 def _draw(
@@ -102,7 +103,7 @@ def _draw(
     appearance.declare(
         recording, estimates, first.protocol.gauge, first.groundtruth.up, is_live=False
     )
-    full_m = colours.scale_for(np.concatenate([each.absolute.position_m for each in evaluations]))
+    full_m = colours.scale_for(np.concatenate([item.absolute.position_m for item in evaluations]))
     scale = ErrorScale.of(full_m, size_m)
     recording.log(*scale.row(), static=True)
     appearance.declare_axes(recording, estimates, size_m)
@@ -126,13 +127,13 @@ def _draw(
             its_origin = origin_for(evaluation.estimate.positions)
             _send_covariances(recording, entities.covariance, evaluation.estimate, its_origin)
         name = f"{entities.name}: " if len(estimates) > 1 else ""
-        remarks += [f"{name}{each}" for each in said]
+        remarks += [f"{name}{item}" for item in said]
     if is_on_map(groundtruth.reading.fixes, groundtruth.up):
         send_map(recording, evaluations, estimates)
     if origin.any():
         remarks.append(text_panel.origin_in_words(origin))
     entity_data.send_origin(recording, origin)
-    names = [each.name for each in estimates]
+    names = [estimate.name for estimate in estimates]
     words = text_panel.of_evaluations(evaluations, consistencies, names, scale, remarks)
     recording.log(scene_entities.SUMMARY, entity_data.summary(words), static=True)
     _send_events(recording, evaluations, names)
@@ -276,8 +277,8 @@ def _send_events(recording: Any, evaluations: Sequence[Evaluation], names: Seque
         for event in evaluation.events:
             said = f"{name}: {sentence_about(event, first_ns)}"
             _say(recording, np.int64(event.end_ns), said)
-        for each in evaluation.warnings:
-            _say(recording, stamps[-1], f"{name}: {each}")
+        for warning in evaluation.warnings:
+            _say(recording, stamps[-1], f"{name}: {warning}")
         _say(recording, stamps[0], f"{name}: first of {counted(len(stamps), 'pair')}", warn=False)
 
 
@@ -320,7 +321,7 @@ def _bounds(evaluations: Sequence[Evaluation], origin: Floats) -> tuple[Floats, 
     """Return the smallest and largest coordinates of all paths, (3,) and (3,)."""
     paths = [
         evaluations[0].groundtruth.positions,
-        *(each.aligned.positions for each in evaluations),
+        *(evaluation.aligned.positions for evaluation in evaluations),
     ]
     low, high = bounds_of(paths)
     return low - origin, high - origin

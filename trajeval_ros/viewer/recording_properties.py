@@ -26,19 +26,21 @@ def send_of_evaluations(
 ) -> None:
     """Log the numbers of recorded runs, one value per estimate."""
     protocol = evaluations[0].protocol
-    drifts = [each.drift for each in evaluations]
-    lengths_m = [None if each is None else each.length_m for each in drifts]
+    drifts = [evaluation.drift for evaluation in evaluations]
+    lengths_m = [None if drift is None else drift.length_m for drift in drifts]
     _send(
         recording,
         label,
         (protocol.gauge, protocol.modality),
         estimate=list(names),
-        ate_position_m=[rmse_of(each.ate, "position_m") for each in evaluations],
-        ate_rotation_deg=[rmse_of(each.ate, "rotation_deg") for each in evaluations],
-        re_percent=[None if each is None else each.percent.mean for each in drifts],
+        ate_position_m=[rmse_of(evaluation.ate, "position_m") for evaluation in evaluations],
+        ate_rotation_deg=[rmse_of(evaluation.ate, "rotation_deg") for evaluation in evaluations],
+        re_percent=[None if drift is None else drift.percent.mean for drift in drifts],
         re_length_m=lengths_m,
-        coverage=[each.association.groundtruth_coverage for each in evaluations],
-        verdict=["" if each is None else each.verdict for each in consistencies],
+        coverage=[evaluation.association.groundtruth_coverage for evaluation in evaluations],
+        verdict=[
+            "" if consistency is None else consistency.verdict for consistency in consistencies
+        ],
     )
 
 
@@ -53,23 +55,26 @@ def send_of_snapshots(
 
     `aligned_by` are gauge and modality.
     """
-    drifts = [longest_drift(each) for each in snapshots]
-    lengths_m = [each[0].value if each and each[0].unit == "m" else None for each in drifts]
+    drifts = [longest_drift(snapshot) for snapshot in snapshots]
+    lengths_m = [item[0].value if item and item[0].unit == "m" else None for item in drifts]
     _send(
         recording,
         label,
         aligned_by,
         estimate=list(names),
-        ate_position_m=[each.position_rmse_m for each in snapshots],
+        ate_position_m=[snapshot.position_rmse_m for snapshot in snapshots],
         re_percent=[
             100.0 * drift[1] / length_m if drift and length_m else None
             for drift, length_m in zip(drifts, lengths_m, strict=True)
         ],
         re_length_m=lengths_m,
         coverage=[
-            each.coverage.covered if each.coverage is not None else None for each in snapshots
+            snapshot.coverage.covered if snapshot.coverage is not None else None
+            for snapshot in snapshots
         ],
-        verdict=[each.consistency.verdict if each.consistency else "" for each in snapshots],
+        verdict=[
+            snapshot.consistency.verdict if snapshot.consistency else "" for snapshot in snapshots
+        ],
     )
 
 
@@ -79,7 +84,7 @@ def _send(
     """Log values of estimates; numbers that are not available are NaN."""
     rerun, _ = sdk()
     values = {
-        name: [float("nan") if each is None else each for each in column]
+        name: [float("nan") if item is None else item for item in column]
         for name, column in columns.items()
     }
     gauge, modality = aligned_by

@@ -76,7 +76,7 @@ class PathEntities:
     @classmethod
     def below(cls, entity: str) -> PathEntities:
         """Return the parts of the path of an entity."""
-        return cls(*(f"{entity}/path/{each}" for each in ("past", "recent", "newest")))
+        return cls(*(f"{entity}/path/{name}" for name in ("past", "recent", "newest")))
 
 
 class GroundtruthEntities:

@@ -45,7 +45,7 @@ def declare_lane(recording: Any, entity: str) -> None:
 def send_lane(recording: Any, entity: str, stamps: Stamps, states: Sequence[str]) -> None:
     """Log a whole lane: its state at timestamps (N,), N > 0; equal states are joined."""
     declare_lane(recording, entity)
-    changes = [row for row, each in enumerate(states) if not row or each != states[row - 1]]
+    changes = [row for row, state in enumerate(states) if not row or state != states[row - 1]]
     for row in changes:
         entity_data.log(recording, entity, int(stamps[row]), _state(states[row]))
 
@@ -60,7 +60,7 @@ def send_gaps(recording: Any, entity: str, stamps: Stamps, are_gaps: Booleans) -
 
 def send_fixes(recording: Any, stamps: Stamps, status: Indices) -> None:
     """Log the status of GNSS fixes (N,), N > 0."""
-    words = [_OF_FIX.get(each, _OF_FIX[-2]) for each in status.tolist()]
+    words = [_OF_FIX.get(item, _OF_FIX[-2]) for item in status.tolist()]
     send_lane(recording, scene_entities.FIX_STATUS, stamps, words)
 
 
@@ -91,8 +91,8 @@ class LiveLanes:
 
     def fixes(self, stamps: Stamps, status: Indices) -> None:
         """Draw the status of new GNSS fixes (N,)."""
-        for stamp, each in zip(stamps.tolist(), status.tolist(), strict=True):
-            self.change(scene_entities.FIX_STATUS, stamp, _OF_FIX.get(each, _OF_FIX[-2]))
+        for stamp, item in zip(stamps.tolist(), status.tolist(), strict=True):
+            self.change(scene_entities.FIX_STATUS, stamp, _OF_FIX.get(item, _OF_FIX[-2]))
 
     def tracking(self, entity: str, stamp: int, loss: Loss | None) -> None:
         """Draw a loss of tracking from its begin on, and its end, on a lane that has begun."""
@@ -110,17 +110,17 @@ class LiveLanes:
 
     def status(self, name: str, stamp: int, remarks: Sequence[Remark]) -> None:
         """Draw the status of an estimate, and a lane per quantity that was beyond its limit."""
-        worst = max(remarks, key=lambda each: each.level, default=Remark(Level.NOTE, "", ""))
+        worst = max(remarks, key=lambda remark: remark.level, default=Remark(Level.NOTE, "", ""))
         is_silent = worst.code == "silence" and worst.level > Level.NOTE
         state = NO_DATA if is_silent else _OF_LEVEL[worst.level]
         self.change(scene_entities.lane(scene_entities.STATUS, name), stamp, state)
         alarms: Mapping[str, Level] = {
-            scene_entities.lane(scene_entities.ALARM, name, each.subject): each.level
-            for each in remarks
-            if each.code == "alarm"
+            scene_entities.lane(scene_entities.ALARM, name, remark.subject): remark.level
+            for remark in remarks
+            if remark.code == "alarm"
         }
         known = scene_entities.lane(scene_entities.ALARM, name, "")
-        for entity in [*alarms, *(each for each in self._now if each.startswith(known))]:
+        for entity in [*alarms, *(item for item in self._now if item.startswith(known))]:
             self.change(entity, stamp, _OF_LEVEL[alarms.get(entity, Level.NOTE)])
 
     def _draw(self, entity: str, stamp: int, state: str, *, is_new: bool) -> None:

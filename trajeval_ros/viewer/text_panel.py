@@ -43,23 +43,23 @@ def of_evaluations(
 ) -> str:
     """Return the text about recorded runs."""
     gauge = evaluations[0].protocol.gauge
-    alignments = [each.alignment for each in evaluations]
-    pairs = [each.association for each in evaluations]
+    alignments = [evaluation.alignment for evaluation in evaluations]
+    pairs = [evaluation.association for evaluation in evaluations]
     rows: list[Row] = [
-        (_POSITION, [metres(rmse_of(each.ate, "position_m")) for each in evaluations]),
+        (_POSITION, [metres(rmse_of(evaluation.ate, "position_m")) for evaluation in evaluations]),
         (
             "Rotation error, RMSE",
-            [degrees(rmse_of(each.ate, "rotation_deg")) for each in evaluations],
+            [degrees(rmse_of(evaluation.ate, "rotation_deg")) for evaluation in evaluations],
         ),
         *_scales(gauge, alignments),
-        ("Drift", [_drift(each) for each in evaluations]),
-        ("Estimate covered", [whole_percent(each.estimate_coverage) for each in pairs]),
-        ("Groundtruth covered", [whole_percent(each.groundtruth_coverage) for each in pairs]),
+        ("Drift", [_drift(evaluation) for evaluation in evaluations]),
+        ("Estimate covered", [whole_percent(pair.estimate_coverage) for pair in pairs]),
+        ("Groundtruth covered", [whole_percent(pair.groundtruth_coverage) for pair in pairs]),
         _aligned_by(gauge, alignments),
     ]
     if any(consistencies):
-        rows.append(("Consistency", [_verdict(each) for each in consistencies]))
-        rows.append(("NEES / dof", [_nees(each) for each in consistencies]))
+        rows.append(("Consistency", [_verdict(consistency) for consistency in consistencies]))
+        rows.append(("NEES / dof", [_nees(consistency) for consistency in consistencies]))
     return _text(names, rows, scale, remarks)
 
 
@@ -72,37 +72,43 @@ def of_snapshots(
     is_growing: bool,
 ) -> str:
     """Return the text about live runs so far."""
-    alignments = [each.alignment for each in snapshots]
+    alignments = [snapshot.alignment for snapshot in snapshots]
     rows: list[Row] = [
-        (_POSITION, [metres(each.position_rmse_m) for each in snapshots]),
-        ("of the newest window", [metres(each.window_position_rmse_m) for each in snapshots]),
+        (_POSITION, [metres(snapshot.position_rmse_m) for snapshot in snapshots]),
+        (
+            "of the newest window",
+            [metres(snapshot.window_position_rmse_m) for snapshot in snapshots],
+        ),
         (
             "Rotation error of the window",
-            [degrees(rmse_of(each.ate, "rotation_deg")) for each in snapshots],
+            [degrees(rmse_of(snapshot.ate, "rotation_deg")) for snapshot in snapshots],
         ),
         *_scales(gauge, alignments),
-        ("Drift", [_drift_so_far(each) for each in snapshots]),
-        ("Estimate covered", [whole_percent(each.estimate_coverage) for each in snapshots]),
+        ("Drift", [_drift_so_far(snapshot) for snapshot in snapshots]),
+        (
+            "Estimate covered",
+            [whole_percent(snapshot.estimate_coverage) for snapshot in snapshots],
+        ),
         (
             "Groundtruth covered",
             [
-                NOTHING if each.coverage is None else whole_percent(each.coverage.covered)
-                for each in snapshots
+                NOTHING if snapshot.coverage is None else whole_percent(snapshot.coverage.covered)
+                for snapshot in snapshots
             ],
         ),
         _aligned_by(gauge, alignments),
     ]
     remarks = [
-        f"{name}: {each.warming_up}"
-        for name, each in zip(names, snapshots, strict=True)
-        if each.warming_up
+        f"{name}: {snapshot.warming_up}"
+        for name, snapshot in zip(names, snapshots, strict=True)
+        if snapshot.warming_up
     ]
     return _text(names, rows, scale, remarks, is_growing=is_growing)
 
 
 def origin_in_words(origin: Floats) -> str:
     """Return a sentence about the picture's origin, (3,), metres."""
-    return "origin of the drawing: (" + ", ".join(f"{each:.0f}" for each in origin) + ") m"
+    return "origin of the drawing: (" + ", ".join(f"{item:.0f}" for item in origin) + ") m"
 
 
 def gap_in_words(name: str, step_ns: int) -> str:
@@ -119,7 +125,10 @@ def rmse_of(statistics: Mapping[str, Statistics | None], metric: str) -> float |
 def _scales(gauge: Gauge, alignments: Sequence[Alignment | None]) -> list[Row]:
     if not gauge.has_scale:
         return []
-    texts = [NOTHING if each is None else f"{each.similarity.scale:.4f}" for each in alignments]
+    texts = [
+        NOTHING if alignment is None else f"{alignment.similarity.scale:.4f}"
+        for alignment in alignments
+    ]
     return [("Scale", texts)]
 
 
@@ -128,8 +137,8 @@ def _aligned_by(gauge: Gauge, alignments: Sequence[Alignment | None]) -> Row:
     if gauge is Gauge.NONE:
         return "Aligned by", ["nothing"] * len(alignments)
     texts = [
-        NOTHING if each is None else f"{gauge.value}, {each.states_used} states"
-        for each in alignments
+        NOTHING if alignment is None else f"{gauge.value}, {alignment.states_used} states"
+        for alignment in alignments
     ]
     return "Aligned by", texts
 
@@ -184,7 +193,7 @@ def _text(
     if len(names) > _MOST_COLUMNS:
         # One row per estimate, because columns of numbers are narrower than columns of names.
         table = markdown_table(
-            ["", *(_SHORT.get(each, each) for each in labels)],
+            ["", *(_SHORT.get(item, item) for item in labels)],
             [
                 [MarkedText(shortened(name, _LONGEST_NAME), BOLD), *values]
                 for name, *values in zip(names, *(values for _, values in rows), strict=True)
@@ -192,7 +201,7 @@ def _text(
         )
     else:
         table = markdown_table(
-            ["", *(MarkedText(each, BOLD) for each in names)],
+            ["", *(MarkedText(item, BOLD) for item in names)],
             [[label, *values] for label, values in rows],
         )
     meaning = [
@@ -209,5 +218,5 @@ def _text(
         meaning.append(f"{what} {scale.in_words}.")
         if is_growing and one:
             meaning.append("The colours of the newest part follow later.")
-    said = (f"* {markdown_text(each)}" for each in remarks)
+    said = (f"* {markdown_text(remark)}" for remark in remarks)
     return "\n".join([*table, "", " ".join(meaning), "", *said])

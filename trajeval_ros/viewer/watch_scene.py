@@ -48,7 +48,7 @@ def write_watch(path: Path, estimate: Trajectory, seen: Watched, book: AlarmBook
         for name, readings in seen.signals.items()
         if len(readings.values)
     }
-    kinds = [kind for kind in _KINDS if any(signal_of(each).needs == kind for each in ratios)]
+    kinds = [kind for kind in _KINDS if any(signal_of(ratio).needs == kind for ratio in ratios)]
 
     def draw(recording: Any) -> None:
         _draw_path(recording, estimate, seen, ratios)
@@ -126,7 +126,7 @@ def _tell(recording: Any, seen: Watched, book: AlarmBook) -> None:
     for alarm in book.alarms:
         unit = signal_of(alarm.signal).unit
         level = "error" if book.is_error(alarm) else "warning"
-        peak, limit = (with_unit(each, unit) for each in (alarm.peak, alarm.limit))
+        peak, limit = (with_unit(item, unit) for item in (alarm.peak, alarm.limit))
         said = f"{level}: {alarm.signal} up to {peak}, limit {limit}"
         say(alarm.begin_s, said, warn=True)
         lane = changes.setdefault(alarm.signal, [(seen.armed_s, OK)])

@@ -83,8 +83,10 @@ class Watchdog:
     def notices(self) -> list[str]:
         """Findings about the sources, one sentence each."""
         groups = [] if self._twist is None else [self._twist.notices]
-        groups += [each.notices for each in self._others.values() if isinstance(each, Comparison)]
-        found = [each for group in groups for each in group]
+        groups += [
+            other.notices for other in self._others.values() if isinstance(other, Comparison)
+        ]
+        found = [item for group in groups for item in group]
         return [*self._told, *found]
 
     @property
@@ -130,14 +132,14 @@ class Watchdog:
         if not len(back):
             return self._add_in_order(seconds, *columns)
         first = int(back[0])
-        before = self._add_in_order(seconds[:first], *(each[:first] for each in columns))
+        before = self._add_in_order(seconds[:first], *(column[:first] for column in columns))
         self.restarts += 1
         self._told.append(
             f"the estimate's timestamps step back by {latest[first] - seconds[first]:.1f} s: the "
             "estimator restarted, and the watch restarts"
         )
         self._begin()
-        after = self.add_states(stamps[first:], *(each[first:] for each in columns))
+        after = self.add_states(stamps[first:], *(column[first:] for column in columns))
         return joined([before, after])
 
     def add_covariances(self, stamps: Stamps, covariances: Floats, up: Floats) -> None:
@@ -191,9 +193,9 @@ class Watchdog:
         if np.isfinite(velocities).all() and velocities.any():
             self._twist = TwistSignals(before)
         parts = []
-        for name, each in self._waiting.items():
-            each.forget_until(oldest)
-            parts.append(self._by_source(name, each.rows))
+        for name, item in self._waiting.items():
+            item.forget_until(oldest)
+            parts.append(self._by_source(name, item.rows))
         self._waiting = {}
         return joined([*parts, self._signals(kept)])
 
@@ -205,7 +207,7 @@ class Watchdog:
             parts.append(self._pose.add(some))
             if self._twist is not None and self._twist.usable:
                 parts.append(self._twist.add(some))
-            parts += [each.add(some) for each in self._others.values()]
+            parts += [other.add(some) for other in self._others.values()]
         return self._since_armed(joined(parts))
 
     def _since_armed(self, signals: Signals) -> Signals:

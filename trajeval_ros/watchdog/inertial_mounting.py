@@ -99,7 +99,7 @@ def mounting_of(states: Floats, imu: Floats) -> Mounting:
         return lie.rotation_vector(between(start, end))
 
     def best_of(offsets: Floats, axis: Floats | None) -> float:
-        misfits = [_turn_and_bias(own, by_gyro(each), span, axis)[0] for each in offsets]
+        misfits = [_turn_and_bias(own, by_gyro(offset), span, axis)[0] for offset in offsets]
         return float(offsets[int(np.argmin(misfits))])
 
     coarse = np.arange(-FARTHEST_S, FARTHEST_S + 1e-9, _COARSE_S)
@@ -158,11 +158,11 @@ def _refined(
         steps = 0.5 * (matrices[1:] + matrices[:-1]) * np.diff(imu[:, TIME])[:, None]
         integral = np.concatenate([np.zeros((1, 9)), np.cumsum(steps, axis=0)])
         start, end = (
-            slerp_at(imu[:, TIME], track, times[each] + offset_s) for each in (begins, ends)
+            slerp_at(imu[:, TIME], track, times[item] + offset_s) for item in (begins, ends)
         )
         summed = [
-            columns_at(imu[:, TIME], integral, times[each] + offset_s).reshape(-1, 3, 3)
-            for each in (begins, ends)
+            columns_at(imu[:, TIME], integral, times[item] + offset_s).reshape(-1, 3, 3)
+            for item in (begins, ends)
         ]
         swept = np.swapaxes(lie.to_matrix(start), 1, 2) @ (summed[1] - summed[0])
         predicted = lie.multiply(

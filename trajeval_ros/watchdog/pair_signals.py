@@ -210,7 +210,7 @@ def body_difference(
     # Angles do not depend on the body difference. If they differ, one of the two is an outlier.
     off_angle = np.abs(lengths(a) - lengths(b))
     kept: Booleans = off_angle < _TRIM * np.median(off_angle) + _LEAST_RAD
-    moved_m, other_m = (float(np.median(lengths(each[kept]))) for each in (steps, other_steps))
+    moved_m, other_m = (float(np.median(lengths(item[kept]))) for item in (steps, other_steps))
     scale = moved_m / max(other_m, 1e-9)
     rotation = closest_rotation(
         np.concatenate([a[kept], steps[kept]]),

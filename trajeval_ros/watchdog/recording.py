@@ -60,15 +60,15 @@ def watched(run: WatchedRun) -> Watched:
     name = run.estimate.name or "the estimate"
     if not len(run.estimate):
         raise InputError(f"{name} has no usable pose")
-    for each in (run.estimate, *run.others.values()):
-        if not each.reading.stamped:
+    for other in (run.estimate, *run.others.values()):
+        if not other.reading.stamped:
             raise InputError(
-                f"{each.name or 'an estimate'} has no timestamps, which watch needs; give a "
+                f"{other.name or 'an estimate'} has no timestamps, which watch needs; give a "
                 "recording with timestamps"
             )
-        if each.quaternions is None:
+        if other.quaternions is None:
             raise InputError(
-                f"{each.name or 'an estimate'} has no orientations, which watch needs; give a "
+                f"{other.name or 'an estimate'} has no orientations, which watch needs; give a "
                 "topic with poses"
             )
     watchdog = Watchdog(int(run.estimate.stamps[0]), tuple(run.partners))
@@ -111,11 +111,11 @@ def _fed(watchdog: Watchdog, run: WatchedRun) -> Iterator[Signals]:
     others: dict[str, tuple[Stamps, Floats | None, Floats | None]] = {}
     if imu is not None:
         others["imu"] = imu.stamps, imu.rates, imu.accelerations
-    for name, each in run.others.items():
-        others[name] = each.stamps, each.positions, each.quaternions
+    for name, other in run.others.items():
+        others[name] = other.stamps, other.positions, other.quaternions
     sources = [estimate.stamps, *(stamps for stamps, _, _ in others.values())]
-    first = min(int(each.min()) for each in sources)
-    slices = [_slices(each, first) for each in sources]
+    first = min(int(source.min()) for source in sources)
+    slices = [_slices(source, first) for source in sources]
     empty = np.empty(0, dtype=np.int64)
     for own in itertools.zip_longest(*slices, fillvalue=empty):
         for (name, (stamps, values, more)), rows in zip(others.items(), own[1:], strict=True):
@@ -182,14 +182,14 @@ def undetected_faults(
     """
     if "twist" not in needs:
         yield "no twist: disagreement of pose and velocity is not detected"
-    kinds = {each.partition(".")[0] for each in needs}
+    kinds = {need.partition(".")[0] for need in needs}
     for kind in ("imu", PAIR):
         if kind not in kinds:
             yield f"no {source_words(kind)}: {_SEES[kind]} not detected"
-    for each in sorted(set(needs) - {"twist"} - set(there)):
-        words = source_words(each)
+    for need in sorted(set(needs) - {"twist"} - set(there)):
+        words = source_words(need)
         if not any(words in notice for notice in notices):
             yield (
                 f"no data of the {words} after arming ({ARMING_S:g} s of motion), so "
-                f"{_SEES[each.partition('.')[0]]} not detected; check its clock"
+                f"{_SEES[need.partition('.')[0]]} not detected; check its clock"
             )

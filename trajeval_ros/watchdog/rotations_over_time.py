@@ -25,7 +25,7 @@ def only_axis(turns: Floats, others: Floats) -> Floats | None:
     """
     axis: Floats = np.linalg.svd(turns, full_matrices=False)[2][0]
     turned = others @ closest_rotation(turns, others).T
-    own, other = (each - np.outer(each @ axis, axis) for each in (turns, turned))
+    own, other = (item - np.outer(item @ axis, axis) for item in (turns, turned))
     energy = float(np.sqrt(np.vdot(own, own) * np.vdot(other, other)))
     smallest = np.finfo(float).eps * float(np.vdot(turns, turns))
     if energy > smallest and float(np.vdot(own, other)) / energy >= LEAST_RELIABILITY:

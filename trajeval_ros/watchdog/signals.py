@@ -66,7 +66,7 @@ SIGNAL_NAMED = {signal.name: signal for signal in SIGNALS}
 def pair_sources(names: Sequence[str]) -> list[str]:
     """Return the sources of second estimates: `pair` for one, `pair.NAME` for several."""
     if len(set(names)) < len(names):
-        twice = next(each for each in names if names.count(each) > 1)
+        twice = next(item for item in names if names.count(item) > 1)
         raise SettingsError(f"two second estimates have the name {twice}; remove one of them")
     return [PAIR] if len(names) == 1 else [f"{PAIR}{_OF}{name}" for name in names]
 

@@ -46,7 +46,7 @@ class AlarmBook:
         for name, readings in signals.items():
             if len(readings.values):
                 self._compare(name, readings, self.limit(name))
-        self.alarms[before:] = sorted(self.alarms[before:], key=lambda each: each.begin_s)
+        self.alarms[before:] = sorted(self.alarms[before:], key=lambda alarm: alarm.begin_s)
         return self.alarms[before:]
 
     def _compare(self, name: str, readings: Readings, limit: float) -> None:
@@ -84,7 +84,9 @@ class AlarmBook:
 
     def forget(self, before_s: float) -> None:
         """Forget alarms that ended before a time, s, so that memory is bounded in a live run."""
-        self.alarms = [each for each in self.alarms if not each.is_over or each.last_s >= before_s]
+        self.alarms = [
+            alarm for alarm in self.alarms if not alarm.is_over or alarm.last_s >= before_s
+        ]
 
     def is_error(self, alarm: WatchAlarm) -> bool:
         """Return whether an alarm is an error, by the readings so far; if not, it is a warning."""
@@ -99,4 +101,4 @@ class AlarmBook:
     @property
     def standing(self) -> list[WatchAlarm]:
         """The open alarms, in descending order of peak / limit."""
-        return sorted(self._open.values(), key=lambda each: -each.peak / each.limit)
+        return sorted(self._open.values(), key=lambda item: -item.peak / item.limit)

@@ -127,7 +127,7 @@ def parameter_causes(found: HorizonFit, observable: Booleans) -> Iterator[Ground
 
 def fused_cause(short: HorizonFit, long: HorizonFit, *, disagree: bool) -> GroundtruthCause:
     """Return the verdict on a fusion with an IMU under a wrong body, from two horizons."""
-    short_deg, long_deg = (float(np.linalg.norm(each.values[BODY])) for each in (short, long))
+    short_deg, long_deg = (float(np.linalg.norm(item.values[BODY])) for item in (short, long))
     sigma_deg = float(np.degrees(np.linalg.norm(long.noise[3:])))
     sentence = (
         f"The body rotations over 0.1 s and over 2 s disagree ({short_deg:.1f} and {long_deg:.1f} "
@@ -166,10 +166,10 @@ def sample_causes(
 
 def _of_residuals(checks: ResidualChecks, origin: int) -> Iterator[_Row]:
     for kind, factor, unit in (("position", 1e3, ".0f} mm"), ("rotation", UNITS[0], ".2f} deg")):
-        jumps = [each for each in checks.jumps if each.kind == kind]
+        jumps = [jump for jump in checks.jumps if jump.kind == kind]
         sentence = ""
         if jumps:
-            largest = max(jumps, key=lambda each: each.size)
+            largest = max(jumps, key=lambda jump: jump.size)
             size = ("{:" + unit).format(factor * largest.size)
             second = (largest.stamp_ns - origin) / 1e9
             sentence = f"{counted(len(jumps), f'{kind} jump')} of up to {size}; "
@@ -185,7 +185,7 @@ def _of_residuals(checks: ResidualChecks, origin: int) -> Iterator[_Row]:
 
 def longest_of(spans: Sequence[PoseSpan], what: str, origin: int) -> str:
     """Return the number of spans and the longest one; `what` is one span, `origin` in ns."""
-    longest = max(spans, key=lambda each: each.duration_s, default=PoseSpan(origin, 0.0))
+    longest = max(spans, key=lambda span: span.duration_s, default=PoseSpan(origin, 0.0))
     second = (longest.start_ns - origin) / 1e9
     number = counted(len(spans), what)
     return f"{number}; the longest is {longest.duration_s:.2f} s at {second:.2f} s."

@@ -99,7 +99,7 @@ class ExaminedGroundtruth:
     @property
     def significant(self) -> list[GroundtruthCause]:
         """The causes that the recording shows."""
-        return [each for each in self.causes.values() if each.verdict == SIGNIFICANT]
+        return [cause for cause in self.causes.values() if cause.verdict == SIGNIFICANT]
 
 
 def examine(
@@ -133,7 +133,10 @@ def examine(
     first = int(groundtruth.stamps.min())
     if readings is None:
         checks = check_poses(groundtruth, None, first)
-        causes = {each.name: each for each in doctor_causes.sample_causes(checks, None, first)}
+        causes = {
+            sample_cause.name: sample_cause
+            for sample_cause in doctor_causes.sample_causes(checks, None, first)
+        }
         return ExaminedGroundtruth(causes, checks, None, tuple(_notes(checks)))
     return _with_imu(groundtruth, readings, imu_noise, time_offset_s)
 
@@ -156,11 +159,11 @@ def _with_imu(
         doctor_causes.fused_cause(brief, lasting, disagree=disagree),
         *doctor_causes.sample_causes(poses, residuals, int(ordered.stamps[0])),
     ]
-    by_name, scale = {each.name: each for each in causes}, 1.0
+    by_name, scale = {cause.name: cause for cause in causes}, 1.0
     (noise_m, noise_rad), chosen = short.rows.scales, long if disagree else short
     _apply(chosen, short, by_name, _noisy(case, found))
     if not case.samples.has_rotations:
-        by_name |= {each.name: each for each in doctor_causes.OF_ROTATION}
+        by_name |= {item.name: item for item in doctor_causes.OF_ROTATION}
         scale = float(np.median(np.square(found.sigmas[case.free] / brief.sigmas[case.free])))
     rig = chosen.rig
     fits = Fits(
@@ -291,7 +294,10 @@ def _apply(
 def _hand_eye_covariance(body: Floats, found: HorizonFit) -> Floats:
     """Return the covariance (6, 6) of T_I_M; along fixed directions it is that of the prior."""
     covariance = np.diag(np.square(np.roll(found.sigmas[:6] / UNITS[:6], 3)))
-    covariance[:3, :3] += sum(LEVER_M**2 * np.outer(each, each) for each in found.fixed_directions)
+    covariance[:3, :3] += sum(
+        LEVER_M**2 * np.outer(fixed_direction, fixed_direction)
+        for fixed_direction in found.fixed_directions
+    )
     covariance[3:, 3:] = body @ covariance[3:, 3:] @ body.T
     return covariance
 

@@ -210,7 +210,7 @@ class JointFit:
     def _rows_of_intervals(self, knots: Indices) -> tuple[Floats, Floats, Floats]:
         rig, others, dt = self.rig, knots + 1, self.steps.durations_s[knots, None]
         into, turned = transposed(rig.rotations[knots]), rig.rotations[others]
-        rotations, velocities, positions = (each[knots, -1] for each in self.motions)
+        rotations, velocities, positions = (motion[knots, -1] for motion in self.motions)
         turn = so3.log(transposed(rotations) @ into @ turned)
         faster = rig.velocities[others] - rig.velocities[knots] - rig.gravity * dt
         start = rig.velocities[knots] * dt + 0.5 * rig.gravity * dt**2
@@ -260,7 +260,9 @@ class JointFit:
             add_blocks(band[own], diagonal, lower)
             corner += np.tensordot(columns[..., :-1], columns, axes=_ROWS)
         prior = np.eye(3) / LEVER_M**2
-        prior += _FIXED * sum(np.outer(each, each) for each in self.fixed_directions)
+        prior += _FIXED * sum(
+            np.outer(fixed_direction, fixed_direction) for fixed_direction in self.fixed_directions
+        )
         corner[LEVER, LEVER] += prior
         corner[LEVER, -1] += prior @ self.rig.lever
         band[0, 9:, 0] += _FIRST_BIAS**-2.0

@@ -39,7 +39,7 @@ def repaired(
     later_ns = np.rint(later_s * NANOSECONDS).astype(np.int64)
     stamps = stamps + later_ns + round(rig.shift_s * NANOSECONDS)
     by_blocks, by_model = (
-        np.diag(each)[fit.free] for each in (fit.covariance_of_blocks, fit.covariance_of_model)
+        np.diag(item)[fit.free] for item in (fit.covariance_of_blocks, fit.covariance_of_model)
     )
     inflation = max(1.0, float(np.median(by_blocks / by_model)))
     covariances = fit.pose_covariances() * (scale * inflation)

@@ -73,7 +73,7 @@ def check_poses(groundtruth: Trajectory, imu: ImuSeconds | None, origin: int) ->
     usual = float(np.median(steps))
     missing = int(np.maximum(np.rint(steps / usual) - 1.0, 0.0).sum())
     shorter = steps[steps < 1.5 * usual]
-    columns = [each for each in (positions, ordered.quaternions) if each is not None]
+    columns = [item for item in (positions, ordered.quaternions) if item is not None]
     same: Booleans = np.logical_not(np.diff(np.hstack(columns), axis=0).any(axis=1))
     width = min(max(3, int(_SPEED_S / usual)), len(steps))
     speeds = np.linalg.norm(np.diff(positions, axis=0), axis=1) / steps
@@ -82,7 +82,7 @@ def check_poses(groundtruth: Trajectory, imu: ImuSeconds | None, origin: int) ->
     is_long = np.diff(seconds[runs])[:, 0] >= max(_FROZEN_S, _USUAL_STEPS * usual)
     for begin, end in runs[~is_long]:
         held[begin:end] = True
-    frozen = [imu is None or _turns(imu, *seconds[each]) for each in runs[is_long]]
+    frozen = [imu is None or _turns(imu, *seconds[run]) for run in runs[is_long]]
     fresh = np.concatenate([[True], ~same])
     rotation_noise = None
     if ordered.quaternions is not None:
@@ -143,9 +143,9 @@ def check_residuals(fit: JointFit, stamps: Stamps) -> ResidualChecks:
     jumps: list[GroundtruthJump] = []
     noisy, outliers = [], []
     jitters = [
-        _jitter(*each[1:], scale) for each, scale in zip(kinds, fit.rows.scales, strict=False)
+        _jitter(*item[1:], scale) for item, scale in zip(kinds, fit.rows.scales, strict=False)
     ]
-    squared, sigma = min(jitters, key=lambda each: each[1])
+    squared, sigma = min(jitters, key=lambda jitter: jitter[1])
     jitter_s = float(np.sqrt(max(squared, 0.0)))
     for (kind, errors, speeds), least in zip(kinds, _LEAST_JUMP, strict=False):
         timing = jitter_s * np.linalg.norm(speeds, axis=1)
@@ -223,5 +223,7 @@ def _steps(errors: Floats, least: float, timing: Floats) -> tuple[Indices, Float
     usual = np.hypot(scale, _OF_MEDIANS * timing[_HALF : len(timing) - _HALF + 1])
     large = np.flatnonzero((lengths > _JUMP_SIGMAS * usual) & (sizes > least))
     groups: Sequence[Indices] = np.split(large, np.flatnonzero(np.diff(large) > 3 * _HALF) + 1)
-    largest = np.array([each[lengths[each].argmax()] for each in groups if len(each)], dtype=int)
+    largest = np.array(
+        [group[lengths[group].argmax()] for group in groups if len(group)], dtype=int
+    )
     return largest + _HALF, sizes[largest]

@@ -176,14 +176,14 @@ def averaged(found: Predicted, rig: Rig, samples: TruthSamples) -> SampleRows:
 
     def rows(starts: Indices, ends: Indices) -> tuple[Floats | Indices, ...]:
         part = slice(starts[0], ends[-1])
-        own = Predicted._make(each[part] for each in found)
+        own = Predicted._make(item[part] for item in found)
         starts = starts - starts[0]
         knots, tau = own.knots[starts], own.since_s
         start = rig.rotations[knots]
         by_state, by_rig = np.zeros((len(knots), 6, 15)), np.zeros((len(knots), 6, 11))
         error, tau1, tau2, arm, turn, tau_turn, speed = (
-            _means(each, of_position[part], starts)
-            for each in (
+            _means(item, of_position[part], starts)
+            for item in (
                 own.position_errors, tau, tau**2, own.arms, own.turned,
                 tau[..., None] * own.turned, own.marker_velocities,
             )
@@ -197,8 +197,8 @@ def averaged(found: Predicted, rig: Rig, samples: TruthSamples) -> SampleRows:
         by_rig[:, :3, OFFSET], by_rig[:, :3, -1] = speed, error
         by_rig[:, :3, GRAVITY] = 0.5 * tau2[..., None] * tangents(rig.gravity)
         error, tau1, turn, rate = (
-            _means(each, of_rotation[part], starts)
-            for each in (own.rotation_errors, tau, own.turned, own.rates)
+            _means(item, of_rotation[part], starts)
+            for item in (own.rotation_errors, tau, own.turned, own.rates)
         )
         back = so3.inverse_left_jacobian(-error)
         into = back @ rig.body.T

@@ -164,7 +164,7 @@ def _swings(seconds: Floats, positions: Floats) -> tuple[Floats, Floats]:
     Their changes hardly depend on gravity, also if it turns slowly.
     """
     for _ in range(3):
-        before, after = (columns_at(seconds, positions, seconds + each) for each in _SWING_S)
+        before, after = (columns_at(seconds, positions, seconds + item) for item in _SWING_S)
         positions = after - before
     inside = np.minimum(seconds - seconds[0], seconds[-1] - seconds) > 3.0 * _SWING_S[1]
     return seconds[inside], positions[inside]
@@ -190,10 +190,10 @@ def _both_swings(
 
 def _require_metres(samples: TruthSamples, imu: ImuSeconds, name: str) -> None:
     """Refuse positions whose swings are clearly longer or shorter than those of the IMU."""
-    begins, ends = (samples.seconds + each for each in _SWING_S)
+    begins, ends = (samples.seconds + item for item in _SWING_S)
     theirs, ours = (
-        np.linalg.norm(columns_at(*each, ends) - columns_at(*each, begins), axis=1)
-        for each in _both_swings(samples.seconds, samples.positions, imu)
+        np.linalg.norm(columns_at(*swing, ends) - columns_at(*swing, begins), axis=1)
+        for swing in _both_swings(samples.seconds, samples.positions, imu)
     )
     if not (theirs.any() and ours.any()):
         return
@@ -216,8 +216,8 @@ def rough_orientations(seconds: Floats, positions: Floats, imu: ImuSeconds) -> F
     )
     count = max(1, int((seconds[-1] - seconds[0]) / _WINDOW_S))
     windows = np.array_split(np.arange(len(seconds)), count)
-    rotations = np.stack([robust_rotation(theirs[each], ours[each]) for each in windows])
-    of_rows = np.repeat(lie.from_matrices(rotations), [len(each) for each in windows], axis=0)
+    rotations = np.stack([robust_rotation(theirs[window], ours[window]) for window in windows])
+    of_rows = np.repeat(lie.from_matrices(rotations), [len(window) for window in windows], axis=0)
     return lie.multiply(of_rows, slerp_at(imu.seconds, by_gyro, seconds))
 
 
@@ -242,8 +242,8 @@ def first_rig(samples: TruthSamples, imu: ImuSeconds, knots: Floats) -> Rig:
     length = float(np.linalg.norm(force))
     up = force / length if length else np.array([0.0, 0.0, 1.0])
     before, positions, after = (
-        columns_at(samples.seconds, samples.positions, knots + each)
-        for each in (-_SPEED_S, 0.0, _SPEED_S)
+        columns_at(samples.seconds, samples.positions, knots + item)
+        for item in (-_SPEED_S, 0.0, _SPEED_S)
     )
     velocities = (after - before) / (2.0 * _SPEED_S)
     return Rig(

@@ -73,7 +73,9 @@ class Bag:
     def span(self) -> tuple[int, int]:
         """The first and the last log time of all messages, ns."""
         with _one_sentence(self.path):
-            spans = [span for each in self._containers if (span := each.span) is not None]
+            spans = [
+                span for container in self._containers if (span := container.span) is not None
+            ]
         if not spans:
             raise InputError(f"{self.path} is an empty bag: it has no messages")
         return min(first for first, _ in spans), max(last for _, last in spans)
@@ -87,20 +89,20 @@ class Bag:
         differs from the declared one.
         """
         done = 0
-        total = sum(each.topic.declared or 0 for each in readings)
+        total = sum(item.topic.declared or 0 for item in readings)
         with _one_sentence(self.path):
             for container in self._containers:
                 selections = {
-                    TopicSelection(ids): each
-                    for each in readings
-                    if (ids := each.topic.connections_in(container))
+                    TopicSelection(ids): item
+                    for item in readings
+                    if (ids := item.topic.connections_in(container))
                 }
                 if not selections:
                     continue
                 wanted_by: dict[int, list[TopicReading]] = {}
                 for selection, reading in selections.items():
-                    for each in selection.connections:
-                        wanted_by.setdefault(each, []).append(reading)
+                    for item in selection.connections:
+                        wanted_by.setdefault(item, []).append(reading)
                 for block in merged(container.blocks(tuple(selections))):
                     for plain in block.decompressed():
                         for connection, messages in plain.by_connection():
@@ -126,8 +128,8 @@ class Bag:
             damage += reading.damage
             if self._strict and damage:
                 raise InputError("; ".join(dict.fromkeys(damage)))
-        noted = [note("bag", each) for each in dict.fromkeys(notes)]
-        return (*noted, *(damaged(each) for each in dict.fromkeys(damage)))
+        noted = [note("bag", item) for item in dict.fromkeys(notes)]
+        return (*noted, *(damaged(item) for item in dict.fromkeys(damage)))
 
     def messages(
         self, topics: Sequence[Topic], begin: int | None = None, end: int | None = None
@@ -154,10 +156,10 @@ class Bag:
                 yield message
                 done += 1
         if begin is None and end is None:
-            damage = [each for selection in selections for each in selection.damage]
+            damage = [item for selection in selections for item in selection.damage]
             damage += self._missing(topics, done)
             self.damage = list(dict.fromkeys([*self.damage, *damage]))
-            notes = [each for selection in selections for each in selection.notes]
+            notes = [item for selection in selections for item in selection.notes]
             self.notes = list(dict.fromkeys([*self.notes, *notes]))
             if self._strict and self.damage:
                 raise InputError("; ".join(self.damage))
@@ -172,14 +174,14 @@ class Bag:
     ) -> Iterator[tuple[Topic, int, bytes]]:
         """Yield the messages that one file has of the topics, in order."""
         blocks = container.blocks([selection], begin, end, in_order=True)
-        plain = itertools.chain.from_iterable(each.decompressed() for each in blocks)
+        plain = itertools.chain.from_iterable(block.decompressed() for block in blocks)
         for connection, log_time, payload in in_order(plain):
             yield wanted[connection], log_time, payload
 
     def _missing(self, topics: Sequence[Topic], done: int) -> list[str]:
         """Return one sentence if fewer or more messages were read than the bag declares."""
         counts = [topic.declared for topic in topics]
-        total = sum(each or 0 for each in counts)
+        total = sum(count or 0 for count in counts)
         if done == total or None in counts:
             return []
         names = ", ".join(topic.name for topic in topics)

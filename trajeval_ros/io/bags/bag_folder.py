@@ -57,9 +57,9 @@ def read_metadata(path: Path) -> Metadata:
     try:
         content = found["rosbag2_bagfile_information"]
         paths = content["relative_file_paths"]
-        if not isinstance(paths, list) or not all(isinstance(each, str) for each in paths):
+        if not isinstance(paths, list) or not all(isinstance(item, str) for item in paths):
             raise TypeError("no paths")
-        files = tuple(FilePath(each) for each in paths)
+        files = tuple(FilePath(item) for item in paths)
         counts: dict[tuple[str, str], int] = {}
         for topic in content["topics_with_message_count"]:
             key = topic["topic_metadata"]["name"], topic["topic_metadata"]["type"]
@@ -74,7 +74,7 @@ def read_metadata(path: Path) -> Metadata:
 
 def holds_bag(folder: Path) -> bool:
     """Return whether a directory is a bag: it has a description, or files of one."""
-    return any(each.name == _METADATA or each.name.endswith(_ENDINGS) for each in folder.iterdir())
+    return any(path.name == _METADATA or path.name.endswith(_ENDINGS) for path in folder.iterdir())
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class BagFolder:
             key=lambda file: natural_key(file.name),
         )
         described, metadata = path / _METADATA, None
-        notes = tuple(f"{each} skipped: not a file" for each in found if each not in files)
+        notes = tuple(f"{item} skipped: not a file" for item in found if item not in files)
         damage: tuple[str, ...] = ()
         if described.is_file():
             try:
@@ -106,7 +106,7 @@ class BagFolder:
         if metadata is not None:
             said, damage = _judged(path, metadata)
             notes += said
-            listed = {each.name for each in metadata.files}
+            listed = {item.name for item in metadata.files}
             wanted = set(map(_plain, listed))
             others = [file for file in files if _plain(file.name) not in wanted]
             if len(others) < len(files):
@@ -144,21 +144,21 @@ def _series(name: str) -> str:
 def _without_copies(files: list[Path], listed: set[str]) -> list[Path]:
     """Return the files without duplicates: as listed, otherwise as recorded."""
     by_plain = {
-        _plain(each.name): each for each in sorted(files, key=lambda each: each.name in listed)
+        _plain(item.name): item for item in sorted(files, key=lambda each: each.name in listed)
     }
     return [file for file in files if by_plain[_plain(file.name)] is file]
 
 
 def _judged(folder: Path, metadata: Metadata) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return notes and damage: files that the metadata lists and the folder does not have."""
-    there = {_plain(each.name) for each in folder.iterdir() if each.is_file()}
-    missing = [each.written for each in metadata.files if _plain(each.name) not in there]
-    outside = [each.written for each in metadata.files if each.leads_out]
+    there = {_plain(path.name) for path in folder.iterdir() if path.is_file()}
+    missing = [file.written for file in metadata.files if _plain(file.name) not in there]
+    outside = [file.written for file in metadata.files if file.leads_out]
     notes = [
-        f"{folder / _METADATA} lists {each}, which is outside the bag's folder; move it into the "
+        f"{folder / _METADATA} lists {item}, which is outside the bag's folder; move it into the "
         "folder"
-        for each in outside[:1]
+        for item in outside[:1]
     ]
     return tuple(notes), tuple(
-        f"{folder / _METADATA} lists {each}, which is missing" for each in missing
+        f"{folder / _METADATA} lists {item}, which is missing" for item in missing
     )

@@ -242,7 +242,7 @@ class TopicSelection:
 
 def all_connections(selections: Sequence[TopicSelection]) -> frozenset[int]:
     """Return the ids of the connections of all selections."""
-    return frozenset().union(*(each.connections for each in selections))
+    return frozenset().union(*(selection.connections for selection in selections))
 
 
 def are_of(ids: Indices, wanted: Collection[int]) -> Booleans:

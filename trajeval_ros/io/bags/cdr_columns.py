@@ -110,7 +110,7 @@ def _texts_of_length(
     contents, which = np.unique(cells.view(f"S{length}"), return_inverse=True)
     # numpy removes zeros at the end of strings, the terminator included.
     whole = [content.ljust(length, b"\0") for content in contents.tolist()]
-    codes = np.array([_code(each, is_terminated, names) for each in whole], dtype=np.int64)
+    codes = np.array([_code(item, is_terminated, names) for item in whole], dtype=np.int64)
     return np.asarray(codes[which])
 
 

@@ -171,14 +171,14 @@ def _finished(run: _Leaves | None, wanted: frozenset[str] | None) -> list[Step]:
         return []
     names = [leaf.path for leaf in run.leaves] if wanted is None else wanted
     found = (_column(run, name) for name in names)
-    columns = sorted((each for each in found if each is not None), key=lambda each: each.offset)
+    columns = sorted((item for item in found if item is not None), key=lambda item: item.offset)
     spans: list[list[Column]] = []
     for column in columns:
         if spans and column.offset - spans[-1][-1].end <= _CLOSE:
             spans[-1].append(column)
         else:
             spans.append([column])
-    return [FixedFields(run.alignment, run.size, tuple(_span(each) for each in spans))]
+    return [FixedFields(run.alignment, run.size, tuple(_span(span) for span in spans))]
 
 
 def _column(run: _Leaves, name: str) -> Column | None:
@@ -203,15 +203,15 @@ def _span(columns: list[Column]) -> Span:
     types = {
         order: np.dtype(
             {
-                "names": [each.path for each in columns],
-                "formats": [(f"{order}{each.type}", each.shape) for each in columns],
-                "offsets": [each.offset - begin for each in columns],
-                "itemsize": max(each.end for each in columns) - begin,
+                "names": [column.path for column in columns],
+                "formats": [(f"{order}{column.type}", column.shape) for column in columns],
+                "offsets": [column.offset - begin for column in columns],
+                "itemsize": max(column.end for column in columns) - begin,
             }
         )
         for order in "<>"
     }
-    return Span(begin, tuple(each.path for each in columns), types)
+    return Span(begin, tuple(column.path for column in columns), types)
 
 
 def _found(step: Step, wanted: frozenset[str]) -> set[str]:

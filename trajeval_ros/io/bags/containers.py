@@ -101,8 +101,8 @@ class Topic:
         if self.declared is not None:
             return self.declared
         return sum(
-            each.owner.count(each.id) if each.count < 0 else each.count
-            for each in self.connections
+            connection.owner.count(connection.id) if connection.count < 0 else connection.count
+            for connection in self.connections
         )
 
     @property
@@ -135,19 +135,21 @@ class Topic:
         return (
             self.type in foxglove.TYPES
             and not self._is_readable
-            and all(each.encoding in foxglove.ENCODINGS for each in self.connections)
+            and all(connection.encoding in foxglove.ENCODINGS for connection in self.connections)
         )
 
     def connections_in(self, container: Container) -> frozenset[int]:
         """Return the ids of its connections in one file of the bag."""
-        return frozenset(each.id for each in self.connections if each.owner is container)
+        return frozenset(
+            connection.id for connection in self.connections if connection.owner is container
+        )
 
     @property
     def _is_readable(self) -> bool:
-        encodings = [each.encoding for each in self.connections]
+        encodings = [connection.encoding for connection in self.connections]
         if self.type in foxglove.TYPES:
-            return all(foxglove.is_decodable(each) for each in encodings)
-        return all(each in _ENCODINGS for each in encodings)
+            return all(foxglove.is_decodable(encoding) for encoding in encodings)
+        return all(encoding in _ENCODINGS for encoding in encodings)
 
 
 @dataclass(eq=False)

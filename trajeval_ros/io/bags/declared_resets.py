@@ -35,7 +35,7 @@ def declared_resets(columns: PoseColumns) -> tuple[DeclaredReset, ...]:
         first, last = columns.quaternions[before], columns.quaternions[after]
         turns = np.degrees(lie.angle(lie.multiply(lie.conjugate(first), last)))
     rows = columns.stamps[after], np.linalg.norm(steps, axis=1), turns
-    return tuple(map(DeclaredReset, *(each.tolist() for each in rows)))
+    return tuple(map(DeclaredReset, *(row.tolist() for row in rows)))
 
 
 def about_resets(resets: Sequence[DeclaredReset], first: int | None) -> Iterator[Remark]:
@@ -43,9 +43,9 @@ def about_resets(resets: Sequence[DeclaredReset], first: int | None) -> Iterator
     if not resets or first is None:
         return
     listed = [
-        f"at {(each.stamp_ns - first) / NANOSECONDS:.2f} s {each.position_m:.2f} m "
-        f"and {each.rotation_deg:.1f} deg"
-        for each in resets[:_MOST]
+        f"at {(reset.stamp_ns - first) / NANOSECONDS:.2f} s {reset.position_m:.2f} m "
+        f"and {reset.rotation_deg:.1f} deg"
+        for reset in resets[:_MOST]
     ]
     more = f", and {len(resets) - _MOST} more" if len(resets) > _MOST else ""
     yield note(

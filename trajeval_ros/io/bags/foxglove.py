@@ -81,7 +81,7 @@ class FoxglovePlan:
                 continue
             good.append(row)
         rows = np.array(good, dtype=np.int64)
-        owners = np.repeat(np.arange(len(good)), [len(each) for each in found])
+        owners = np.repeat(np.arange(len(good)), [len(item) for item in found])
         elements = self._columns(owners, list(chain.from_iterable(found)))
         if self._type not in TRANSFORM_TYPES:
             return replace(elements, rows=rows)
@@ -93,22 +93,22 @@ class FoxglovePlan:
             return [self._row(message, _POSE, 1)]
         if self._type == FIX_TYPE:
             covariance = tuple(message.position_covariance) or (0.0,) * 9
-            row = self._row(message, lambda each: (*_FIX(each), *covariance), 1)
+            row = self._row(message, lambda item: (*_FIX(item), *covariance), 1)
             if len(row[2]) != _FIX_NUMBERS:
                 raise ValueError("a covariance has a wrong size")
             return [row]
         several = message.transforms if self._type == TRANSFORM_TYPES[1] else [message]
-        return [self._row(each, _TRANSFORM, 2) for each in several]
+        return [self._row(item, _TRANSFORM, 2) for item in several]
 
     def _row(self, message: Any, fields: Callable[[Any], tuple[Any, ...]], frames: int) -> _Row:
         stamp, values = self._stamp(message), fields(message)
         names, numbers = values[:frames], values[frames:]
         if not (
-            all(type(each) is int for each in stamp)
+            all(type(item) is int for item in stamp)
             and stamp[0] in _SECONDS
             and stamp[1] in _NANOSECONDS
-            and all(type(each) is str for each in names)
-            and all(type(each) in (int, float) for each in numbers)
+            and all(type(name) is str for name in names)
+            and all(type(number) in (int, float) for number in numbers)
         ):
             raise ValueError("a field has a wrong type")
         return stamp, names, tuple(map(float, numbers))

@@ -51,7 +51,7 @@ class McapReader:
         self._known: tuple[int, int] | None = None
         try:
             found, self._known = read_summary(source)
-            self.damage += [f"{source.name}: {each}" for each in found.damage]
+            self.damage += [f"{source.name}: {item}" for item in found.damage]
         except DamagedError as error:
             declared = error.declared if isinstance(error, NoIndexError) else None
             found = scanned_contents(source, declared)
@@ -100,15 +100,15 @@ class McapReader:
             and (end is None or chunk.first < end)
             and (self._strict or chunk.may_hold(wanted))
         ]
-        pieces += [(int(each.log_times[0]), each) for each in self._runs(wanted)]
+        pieces += [(int(run.log_times[0]), run) for run in self._runs(wanted)]
         pieces.sort(key=lambda piece: piece[0])
-        lost = {each: Counter[str]() for each in selections}
+        lost = {item: Counter[str]() for item in selections}
         partial: Counter[TopicSelection] = Counter()
         for (_, place), found in zip(pieces, self._loaded(pieces, wanted), strict=True):
             concerned = [
-                each
-                for each in selections
-                if not isinstance(place, Chunk) or place.may_hold(each.connections)
+                item
+                for item in selections
+                if not isinstance(place, Chunk) or place.may_hold(item.connections)
             ]
             for selection in concerned:
                 # If an index lists none of the messages, the declared count shows losses.
@@ -135,7 +135,7 @@ class McapReader:
     def _loaded(self, pieces: Sequence[Piece], wanted: Collection[int]) -> Iterator[ChunkMessages]:
         """Yield the messages of the pieces, by threads if this saves time."""
         threads = _ASKED if self._source.is_far else 0
-        compressions = {each.compression for _, each in pieces if isinstance(each, Chunk)}
+        compressions = {item.compression for _, item in pieces if isinstance(item, Chunk)}
         if compressions - {""}:
             bytes(_KEPT)
         if "zstd" in compressions:  # lz4 takes less time than its threads would

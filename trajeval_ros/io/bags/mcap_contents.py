@@ -144,7 +144,7 @@ class _Scan:
         found.chunks += self.opened
         known = np.fromiter(found.registry.channels, np.int64)
         found.messages = found.messages[np.isin(found.messages.channels, known)]
-        unknown = sum(count for each, count in counts.items() if each not in known)
+        unknown = sum(count for item, count in counts.items() if item not in known)
         if unknown:
             found.damage.append(f"{counted(unknown, 'message')} of undefined channels")
         found.damage += found.registry.damage
@@ -235,7 +235,7 @@ def _parsed(data: bytes, size: int) -> tuple[McapContents, tuple[int, int] | Non
     channels = found.registry.channels
     used = {channel for channel, count in found.counts.items() if count}
     used |= {channel for chunk in found.chunks for channel in chunk.indexes}
-    schemas = {channels[each].schema_id for each in used & channels.keys()} - {0}
+    schemas = {channels[item].schema_id for item in used & channels.keys()} - {0}
     if (
         not used <= channels.keys()
         or not schemas <= found.registry.schemas.keys()

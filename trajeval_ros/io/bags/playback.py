@@ -128,14 +128,14 @@ class Playback:
     def awaited(self) -> list[Channel]:
         """The channels with poses, which evaluators read; without any transforms, else all."""
         topics = self.channels
-        posed = [each for each in topics if each.topic.count and each.topic.holds_poses]
-        return posed or [each for each in topics if each.topic.holds_transforms] or topics
+        posed = [topic for topic in topics if topic.topic.count and topic.topic.holds_poses]
+        return posed or [topic for topic in topics if topic.topic.holds_transforms] or topics
 
     def messages(self) -> Iterator[tuple[int, Channel, bytes]]:
         """Yield log time in ns, channel and CDR of all messages."""
-        channels = {(each.topic.name, each.topic.type): each for each in self.channels}
+        channels = {(item.topic.name, item.topic.type): item for item in self.channels}
         window = () if self._is_whole else (self.begin_ns, self.end_ns + 1)
-        topics = [each.topic for each in self.channels]
+        topics = [item.topic for item in self.channels]
         for topic, log_time, payload in self._bag.messages(topics, *window):
             channel = channels[topic.name, topic.type]
             try:
@@ -170,9 +170,9 @@ class Playback:
             why = f": {'; '.join(self.notes)}" if self.notes else ""
             raise InputError(f"{path} has no playable topic{why}")
         self.notes += [
-            f"{each.topic.name} is published as {each.name}, a valid ROS 2 name"
-            for each in channels
-            if each.name != each.topic.name
+            f"{item.topic.name} is published as {item.name}, a valid ROS 2 name"
+            for item in channels
+            if item.name != item.topic.name
         ]
         return channels
 
@@ -188,7 +188,7 @@ class Playback:
         kind = ros2_type(topic.type)
         if with_clock and topic.name == CLOCK_TOPIC:
             return None, f"{CLOCK_TOPIC} is generated; to play the recorded one, use --no-clock"
-        if any(each.topic.name == topic.name for each in others):
+        if any(other.topic.name == topic.name for other in others):
             return None, "another topic of this name has a different type"
         if not is_known(kind):
             return None, f"{kind} is not installed; install the ROS package {kind.split('/')[0]}"
@@ -197,7 +197,7 @@ class Playback:
             convert = converter(topic)
             if convert is None:
                 return None, f"{kind} has different fields in ROS 1 and ROS 2"
-        name = allowed_name(topic.name, {each.name for each in others})
+        name = allowed_name(topic.name, {other.name for other in others})
         return Channel(topic, name, kind, _is_latched(topic), convert), ""
 
 
@@ -217,12 +217,14 @@ def _is_latched(topic: Topic) -> bool:
     from rosbags.interfaces import QosDurability
     from rosbags.rosbag2.metadata import parse_qos
 
-    if topic.name.endswith("/tf_static") or any(each.is_latching for each in topic.connections):
+    if topic.name.endswith("/tf_static") or any(
+        connection.is_latching for connection in topic.connections
+    ):
         return True
     profiles = []
-    for each in topic.connections:
+    for connection in topic.connections:
         with contextlib.suppress(Exception):  # of many types, if it is invalid
-            profiles += parse_qos(each.qos) if each.qos else []
+            profiles += parse_qos(connection.qos) if connection.qos else []
     return bool(profiles) and all(
         profile.durability == QosDurability.TRANSIENT_LOCAL for profile in profiles
     )

@@ -70,7 +70,7 @@ class PoseColumns:
         """Return these poses followed by others with the same columns; frames are not joined."""
         pairs = {name: (getattr(self, name), getattr(other, name)) for name in COLUMNS}
         return self.replaced(
-            **{name: np.concatenate(each) for name, each in pairs.items() if each[0] is not None}
+            **{name: np.concatenate(pair) for name, pair in pairs.items() if pair[0] is not None}
         )
 
     def replaced(self, **columns: Any) -> PoseColumns:

@@ -96,7 +96,7 @@ class Px4Plan(CdrPlan):
             size: np.flatnonzero((sizes >= size) & (sizes <= size + _SLACK))
             for size in self._sizes
         }
-        size = max(found, key=lambda each: len(found[each]))
+        size = max(found, key=lambda item: len(found[item]))
         layout, end = self._sizes[size]
         rest = size - _HEAD - end
         rows = found[size]
@@ -106,7 +106,7 @@ class Px4Plan(CdrPlan):
 
 
 def _fields(layout: str) -> Fields:
-    parts = (each.replace("*", ":").split(":") for each in layout.split())
+    parts = (word.replace("*", ":").split(":") for word in layout.split())
     return tuple(
         (name, Repeated(kind, int(length[0])) if length else kind) for name, kind, *length in parts
     )
@@ -142,7 +142,7 @@ def poses_of_px4(
         found = fields.of("q", 4)
         poses = poses.replaced(quaternions=_turned(found, are_ned == _NED))
         return _usable(poses, are_ned, no_orientation=~_is_unit(found))
-    counters = [fields.codes(f"{each}reset_counter") for each in ("", "xy_", "z_", "heading_")]
+    counters = [fields.codes(f"{item}reset_counter") for item in ("", "xy_", "z_", "heading_")]
     resets = np.array([1 << 24, 1 << 16, 1 << 8, 1]) @ counters
     poses = poses.replaced(flags=np.column_stack([resets, fields.codes("quality")]))
     if message_type != LOCAL_POSITION:
@@ -175,10 +175,10 @@ class _Numbers:
                 raise InputError(
                     f"{self._where} has no field {name}; use px4_msgs of PX4 1.12 or later"
                 )
-        each = width // len(fields)
-        if any(self.has[name].size != self.count * each for name in fields):
+        item = width // len(fields)
+        if any(self.has[name].size != self.count * item for name in fields):
             raise InputError(f"{self._where} has another layout than px4_msgs 1.12 to 1.18")
-        parts = [self.has[name].reshape(self.count, each) for name in fields]
+        parts = [self.has[name].reshape(self.count, item) for name in fields]
         return np.hstack(parts).astype(np.float64)
 
     def codes(self, name: str) -> NDArray[np.int64]:

@@ -40,10 +40,10 @@ def read_rates(path: Path, name: str) -> InertialReadings:
         topic = _topic(bag, name)
         reading = TopicReading(topic)
         plans = {
-            (id(each.owner), each.id): _plan_of(
-                recorded_fields(each), is_ros1=each.encoding == "ros1"
+            (id(connection.owner), connection.id): _plan_of(
+                recorded_fields(connection), is_ros1=connection.encoding == "ros1"
             )
-            for each in topic.connections
+            for connection in topic.connections
         }
         parts, accelerations, times = [], [], []
         for _, key, block in bag.blocks([reading]):
@@ -56,13 +56,15 @@ def read_rates(path: Path, name: str) -> InertialReadings:
         raise InputError(f"{path}:{name} has no usable {topic.type}")
     order = np.argsort(np.concatenate(times), kind="stable")
     return InertialReadings(
-        np.concatenate([each.stamps for each in parts])[order],
-        np.concatenate([each.rates for each in parts])[order],
-        np.concatenate([each for each in accelerations if each is not None])[order],
+        np.concatenate([part.stamps for part in parts])[order],
+        np.concatenate([part.rates for part in parts])[order],
+        np.concatenate(
+            [acceleration for acceleration in accelerations if acceleration is not None]
+        )[order],
         parts[0].frame,
         f"{path}:{name}",
-        sum(each.undecodable for each in parts),
-        tuple(each.text for each in remarks if each.level is Level.ERROR),
+        sum(part.undecodable for part in parts),
+        tuple(remark.text for remark in remarks if remark.level is Level.ERROR),
     )
 
 
@@ -72,7 +74,7 @@ def _topic(bag: Bag, name: str) -> Topic:
     for topic in found:
         if topic.type == IMU_TYPE:
             return topic
-    others = [each.name for each in bag.topics if each.type == IMU_TYPE]
+    others = [item.name for item in bag.topics if item.type == IMU_TYPE]
     listed = f"IMU messages are on {', '.join(others)}" if others else "no other topic has them"
     raise InputError(f"{bag.path}: {name} has type {found[0].type}, not {IMU_TYPE}; {listed}")
 
@@ -89,7 +91,9 @@ def _plan_of(fields: Fields | None, *, is_ros1: bool) -> CdrPlan:
 def _readings(columns: Columns, count: int) -> InertialReadings:
     """Return decoded columns without rows that are not finite."""
     good, names = _usable(columns), columns.texts[_FRAME].names
-    rates, accelerations = (np.asarray(columns.numbers[each], float)[good] for each in _VECTORS)
+    rates, accelerations = (
+        np.asarray(columns.numbers[vector], float)[good] for vector in _VECTORS
+    )
     frame = names[0].lstrip("/") if names else ""
     dropped = count - int(np.count_nonzero(good))
     stamps = stamps_of(columns)[good]
@@ -98,6 +102,6 @@ def _readings(columns: Columns, count: int) -> InertialReadings:
 
 def _usable(columns: Columns) -> Booleans:
     good: Booleans = np.logical_and.reduce(
-        [(np.abs(columns.numbers[each]) <= LARGEST).all(axis=1) for each in _VECTORS]
+        [(np.abs(columns.numbers[vector]) <= LARGEST).all(axis=1) for vector in _VECTORS]
     )
     return good

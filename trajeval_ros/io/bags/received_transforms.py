@@ -61,9 +61,9 @@ class ReceivedChain:
         """
         for key in self._moving:
             self._add(key, new.get(key, NO_TRANSFORMS), at_end=at_end)
-        times = [each["time"] for each in self._moving.values()]
+        times = [item["time"] for item in self._moving.values()]
         events = np.unique(np.concatenate(times))
-        begin = max(each[0] if len(each) else _AFTER_ALL for each in times)
+        begin = max(time[0] if len(time) else _AFTER_ALL for time in times)
         undecided = self._trust.waiting[1]["time"][0] if self._trust.waiting else _AFTER_ALL
         events = events[(events > self._until) & (events >= begin) & (events < undecided)]
         places = np.arange(len(events)) + 1
@@ -102,7 +102,7 @@ def compose_received(
     chain: ReceivedChain, received: Mapping[EdgeKey, tuple[Transforms, Receptions]]
 ) -> Trajectory:
     """Return the poses of a recording, by moving edge with what its times are."""
-    found = chain.poses({key: each for key, (each, _) in received.items()}, at_end=True)
+    found = chain.poses({key: item for key, (item, _) in received.items()}, at_end=True)
     receptions, (_, by) = found.reading.receptions, received[chain.leading]
     assert receptions is not None
     receptions = replace(receptions, by=by.by, recording_s=by.recording_s)

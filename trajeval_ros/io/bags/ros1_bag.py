@@ -65,7 +65,9 @@ class Ros1Reader:
         for info in self._reader.chunk_infos:
             counts.update(info.connection_counts)
         # Its connections; several may have one topic.
-        self.connections = [self._connection(each, counts) for each in self._reader.connections]
+        self.connections = [
+            self._connection(connection, counts) for connection in self._reader.connections
+        ]
         self._indexes = self._reader.indexes  # entries by connection, in order of their times
         self.damage: list[str] = []  # what opening it found that can't be read
         if unlisted := len(sizes.keys() - self._reader.chunks.keys()):
@@ -98,7 +100,7 @@ class Ros1Reader:
         """Yield the messages of some connections, of all selections in one pass."""
         lost = {selection: Counter[str]() for selection in selections}
         wanted = all_connections(selections)
-        anyone = [each for each in self._reader.connections if each.id in wanted][:1]
+        anyone = [item for item in self._reader.connections if item.id in wanted][:1]
         chunks = self._by_chunk(wanted, begin, end)
         for place in sorted(chunks, key=lambda place: chunks[place][0].time):
             # The reader stops at the first damage of what its index lists: a chunk at a time. It
@@ -115,7 +117,7 @@ class Ros1Reader:
                 for selection in selections:
                     listed = self._by_chunk(selection.connections, begin, end).get(place, [])
                     lost[selection][reason] += len(listed)
-                    lost[selection][reason] -= sum(read[each] for each in selection.connections)
+                    lost[selection][reason] -= sum(read[item] for item in selection.connections)
             yield from blocks_of(messages)
         for selection in selections:
             selection.damage += [

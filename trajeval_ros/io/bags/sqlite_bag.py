@@ -153,13 +153,13 @@ class SqliteReader:
         most = self._path.stat().st_size // _SMALLEST_ROW
         if last > most:
             damage.append(f"{self._name}: ids beyond {most} ignored")
-        found = (each for key in range(1, min(last, most) + 1) for each in row(key))
+        found = (item for key in range(1, min(last, most) + 1) for item in row(key))
         places = sorted(window.place(log_time, key) for key, _, log_time, _ in found)
         yield from blocks_of(
-            each[1:]
+            item[1:]
             for place in places
             if reached is None or place > reached
-            for each in row(place[1])
+            for item in row(place[1])
         )
 
     def _list_connections(self) -> list[Connection]:

@@ -67,8 +67,8 @@ class PoseReader:
         """
         self.nested = nested
         self.reading = TopicReading(topic)  # the topic, and the damage found while it is read
-        named = [each for each in bag.topics if each.name == attitude_name(topic.name)]
-        attitudes = [each for each in named if each.type == ATTITUDE]
+        named = [item for item in bag.topics if item.name == attitude_name(topic.name)]
+        attitudes = [item for item in named if item.type == ATTITUDE]
         self.attitudes: PoseReader | None = None
         if topic.type == LOCAL_POSITION and attitudes:
             self.attitudes = PoseReader(bag, attitudes[0], covariances=False)
@@ -136,7 +136,7 @@ class TransformReader:
 
     def _in_order(self, key: EdgeKey) -> tuple[Stamps, Floats, Stamps, Stamps]:
         """Return stamps, numbers, log and publish times of an edge, in order of its log times."""
-        parts = [(each.stamps, each.numbers, *at) for each, *at in self._parts[key]]
+        parts = [(item.stamps, item.numbers, *at) for item, *at in self._parts[key]]
         stamps, numbers, logged, published = map(np.concatenate, zip(*parts, strict=True))
         order = np.argsort(logged, kind="stable")
         return stamps[order], numbers[order], logged[order], published[order]
@@ -159,16 +159,16 @@ class TransformReader:
 
 def read_topics(bag: Bag, readers: Collection[PoseReader | TransformReader]) -> None:
     """Give all messages to their readers in one pass over a bag."""
-    fed = {each.reading: each for each in readers}
-    for each in readers:
-        if isinstance(each, PoseReader) and each.attitudes is not None:
-            fed[each.attitudes.reading] = each.attitudes
+    fed = {reader.reading: reader for reader in readers}
+    for reader in readers:
+        if isinstance(reader, PoseReader) and reader.attitudes is not None:
+            fed[reader.attitudes.reading] = reader.attitudes
     for reading, key, block in bag.blocks(list(fed)):
         fed[reading].add(key, block)
     sliding = {
-        TopicReading(each.reading.topic): each
-        for each in readers
-        if isinstance(each, PoseReader) and each.slides
+        TopicReading(reader.reading.topic): reader
+        for reader in readers
+        if isinstance(reader, PoseReader) and reader.slides
     }
     if sliding:
         for reading, key, block in bag.blocks(list(sliding)):
@@ -208,8 +208,8 @@ class _Decoders:
     ) -> None:
         self.topic, self.covariances, self.nested = topic, covariances, nested
         self._plans = {
-            (id(each.owner), each.id): self._plan(each, covariances, rates)
-            for each in topic.connections
+            (id(connection.owner), connection.id): self._plan(connection, covariances, rates)
+            for connection in topic.connections
         }
 
     def _plan(

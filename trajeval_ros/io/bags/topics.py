@@ -94,13 +94,13 @@ class _Plan:
         bag, frames = self._bag, source.frames
         if frames is not None:
             found = bag.find(source.topic)
-            if not any(each.holds_transforms for each in found):
+            if not any(item.holds_transforms for item in found):
                 raise InputError(
                     f"{bag.path}: {source.topic} has type {found[0].type}, not transforms"
                 )
             tree = [
-                self._transforms.setdefault(each, TransformReader(each))
-                for each in tree_topics(bag, source.topic)
+                self._transforms.setdefault(tree_topic, TransformReader(tree_topic))
+                for tree_topic in tree_topics(bag, source.topic)
             ]
             return lambda: _transform_trajectory(bag, source, frames, tree)
         topic, nested = _choose(bag, source.topic)
@@ -124,7 +124,7 @@ def read_hand_eye_of_bag(path: Path, topic: str, frames: tuple[str, str]) -> Han
     """Return T_B_M from the static transforms of a bag."""
     body, marker = frames
     with Bag(path) as bag:
-        tree = [TransformReader(each) for each in tree_topics(bag, topic)]
+        tree = [TransformReader(tree_topic) for tree_topic in tree_topics(bag, topic)]
         read_topics(bag, tree)
         where = f"{bag.path}:{topic}:{body}.{marker}"
         lever_m, quaternion = fixed_transform(tree_of(tree), body, marker, where)
@@ -200,7 +200,7 @@ def trajectory_of(bag: Bag, reader: PoseReader, remarks: tuple[Remark, ...] = ()
     nested = reader.nested
     name = topic.name if nested is None else topic.name + nested.field
     where = f"{bag.path}:{name}"
-    why = "; ".join(each.text for each in found if each.level is Level.ERROR)
+    why = "; ".join(item.text for item in found if item.level is Level.ERROR)
     if topic.type == POSE_2D:
         remarks = (*remarks, POSE_2D_TIMES)
     if reader.slides:
@@ -270,7 +270,7 @@ def trajectory_of_columns(
         )
     resets = declared_resets(columns)
     told = about_resets(resets, int(columns.stamps.min()))
-    frames = (note("frame_changed", each) for each in changes)
+    frames = (note("frame_changed", change) for change in changes)
     everything = Trajectory.from_columns(
         columns.stamps,
         columns.positions,
@@ -328,13 +328,13 @@ def _transform_trajectory(
     """Return the trajectory of a child frame in a parent frame."""
     parent, child = frames
     where = f"{bag.path}:{source.topic}:{parent}.{child}"
-    remarks = bag.remarks([each.reading for each in tree])
+    remarks = bag.remarks([item.reading for item in tree])
     edges, wanted, received = tree_of(tree), source.received, None
     way, leading, stamps = find_chain(edges, parent, child, where)
     positions, quaternions = compose(edges, way, stamps)
     check_stamps(stamps, where)
     if wanted:
-        arrived = {key: each for reader in tree for key, each in reader.received(wanted).items()}
+        arrived = {key: item for reader in tree for key, item in reader.received(wanted).items()}
         received = compose_received(ReceivedChain(edges, way, leading), arrived)
     trajectory = Trajectory.from_columns(
         stamps,
@@ -346,8 +346,8 @@ def _transform_trajectory(
         name=f"{parent}.{child}",
         reading=Reading(
             dropped={
-                "undecodable": sum(each.undecodable for each in tree),
-                LONE: sum(each.lone for each in tree),
+                "undecodable": sum(item.undecodable for item in tree),
+                LONE: sum(item.lone for item in tree),
             },
             remarks=(note(FORMAT, "format: TF"), *remarks),
             as_received=received,

@@ -131,7 +131,7 @@ def common_span(edges: Mapping[EdgeKey, Edge], way: Way) -> tuple[int, int] | No
     moving = [edges[key].stamps for key, _ in way if not edges[key].is_static]
     if not moving:
         return None
-    return max(int(each[0]) for each in moving), min(int(each[-1]) for each in moving)
+    return max(int(item[0]) for item in moving), min(int(item[-1]) for item in moving)
 
 
 def leading_edge(edges: Mapping[EdgeKey, Edge], way: Way, span: tuple[int, int]) -> EdgeKey:

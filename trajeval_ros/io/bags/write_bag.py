@@ -58,14 +58,17 @@ def write_bag(
     if path.exists():
         raise InputError(f"{path} exists; choose another name or remove it")
     types = (ODOMETRY, POSE_STAMPED, PATH_TYPE, FIX_TYPE)
-    for topic, (each, message_type) in topics.items():
-        if message_type not in types or (message_type == FIX_TYPE and each.reading.fixes is None):
+    for topic, (item, message_type) in topics.items():
+        if message_type not in types or (message_type == FIX_TYPE and item.reading.fixes is None):
             raise InputError(
                 f"{topic} can't be written as {message_type}; use {' or '.join(types)}"
             )
     written = {topic: trajectory for topic, (trajectory, _) in topics.items()}
-    for topic, each in (*written.items(), *((TRANSFORM_TOPIC, each) for each in transforms)):
-        if len(each) and not (each.stamps.min() >= 0 and each.stamps.max() < 2**31 * NANOSECONDS):
+    for topic, item in (
+        *written.items(),
+        *((TRANSFORM_TOPIC, transform) for transform in transforms),
+    ):
+        if len(item) and not (item.stamps.min() >= 0 and item.stamps.max() < 2**31 * NANOSECONDS):
             raise InputError(
                 f"{topic} has timestamps before 1970 or after 2038, which ROS can't represent"
             )
@@ -105,7 +108,9 @@ def _write(path: Path, messages: Sequence[_Serialised], storage: Storage) -> Non
             for topic, message_type in types.items()
         }
         owners = np.repeat(np.arange(len(messages)), [len(stamps) for _, _, stamps, _ in messages])
-        times = np.concatenate([*(each[2] for each in messages), np.zeros(0, dtype=np.int64)])
+        times = np.concatenate(
+            [*(message[2] for message in messages), np.zeros(0, dtype=np.int64)]
+        )
         order = np.argsort(times, kind="stable")
         sources = [(connections[topic], iter(payloads)) for topic, _, _, payloads in messages]
         for owner, time in zip(owners[order].tolist(), times[order].tolist(), strict=True):
@@ -145,8 +150,8 @@ def _serialised(
                 (frame, trajectory.child_frame),
             )
         found.append((topic, message_type, logged, map(memoryview, rows)))
-    for each in transforms:
-        trajectory = each.in_order()
+    for transform in transforms:
+        trajectory = transform.in_order()
         rows = encode_transforms(
             trajectory.stamps, _poses(trajectory), (trajectory.frame, trajectory.child_frame)
         )

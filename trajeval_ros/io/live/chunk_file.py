@@ -97,7 +97,7 @@ def read_tables(path: Path, kinds: Kinds, schema: str, what: str) -> dict[bytes,
     require_schema(path, found, schema, what, "evaluate a recording of the run")
     tables = {}
     for magic, kind in kinds.items():
-        parts = [np.empty(0, kind), *(each for _, each in chunks if each.dtype == kind)]
+        parts = [np.empty(0, kind), *(item for _, item in chunks if item.dtype == kind)]
         tables[magic] = np.concatenate(parts).astype(kind.newbyteorder("="))
     return tables
 

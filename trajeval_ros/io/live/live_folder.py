@@ -146,7 +146,7 @@ def _of_states(
         reading = dataclasses.replace(estimate.reading, as_received=as_received)
         estimate = dataclasses.replace(estimate, reading=reading)
     summary, run, remarks = _tested(truth, estimate, asked, request.covariances)
-    remarks += [remark_of(each) for each in state["warnings"]]
+    remarks += [remark_of(item) for item in state["warnings"]]
     remarks += _about_end(path, recorded)
     evaluation = dataclasses.replace(run.evaluation, remarks=(*run.evaluation.remarks, *remarks))
     run = dataclasses.replace(run, evaluation=evaluation, live=live, stream=None)

@@ -50,7 +50,7 @@ def request_from(settings: Mapping[str, Any]) -> Request:
     time_span = TimeSpan.parse(plain.pop("start", None), plain.pop("end", None))
     table = plain.pop("align_states") if _is_table(given.get("align_states")) else None
     calibration = _calibration(offset, hand_eye)
-    of_protocol = {each: value for each, value in plain.items() if _is_of_protocol(each)}
+    of_protocol = {item: value for item, value in plain.items() if _is_of_protocol(item)}
     protocol = protocol_from(
         read_protocol(Path(name)) if is_protocol_file(name) else name,
         time_offset=None if offset == AUTO else offset,
@@ -59,8 +59,8 @@ def request_from(settings: Mapping[str, Any]) -> Request:
     _require_effect(given, protocol)
     others = {
         path: value
-        for each in plain.keys() - of_protocol.keys()
-        for path, value in _changes(each, plain[each]).items()
+        for item in plain.keys() - of_protocol.keys()
+        for path, value in _changes(item, plain[item]).items()
     }
     is_continuous = protocol.association.method == _CONTINUOUS
     noise = None if is_continuous else plain.get("groundtruth_noise")
@@ -77,10 +77,10 @@ def request_from(settings: Mapping[str, Any]) -> Request:
         states_table=() if table is None else parse_first_states(table),
         integrity=None if alert_limit is None else _integrity(alert_limit, risk),
         gauge_is_default=name == "default" and not given.keys() & {"gauge", "modality"},
-        **{each: value for each, value in others.items() if "." not in each},
+        **{item: value for item, value in others.items() if "." not in item},
     )
     changed: Request = _replaced(
-        request, {each: value for each, value in others.items() if "." in each}
+        request, {item: value for item, value in others.items() if "." in item}
     )
     return changed
 

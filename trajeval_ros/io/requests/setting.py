@@ -110,7 +110,7 @@ class Setting:
             if value is None or value == []:
                 return NONE
             parts = value if isinstance(value, list) else [value]
-            if not any(isinstance(each, (bool, dict, list)) for each in parts):
+            if not any(isinstance(part, (bool, dict, list)) for part in parts):
                 return ",".join(map(str, parts))
         elif self.kind is float and type(value) is int:
             return float(value)
@@ -151,8 +151,8 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, Mapping):
-        return {str(name): _plain(each) for name, each in value.items()}
-    return [_plain(each) for each in value] if isinstance(value, (tuple, list)) else value
+        return {str(name): _plain(item) for name, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, (tuple, list)) else value
 
 
 def parse_lever(text: str) -> tuple[float, float, float] | None:
@@ -167,7 +167,7 @@ def parse_lever(text: str) -> tuple[float, float, float] | None:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
         x = y = z = math.nan
-    if not all(abs(each) < _LONGEST_LEVER_M for each in (x, y, z)):
+    if not all(abs(item) < _LONGEST_LEVER_M for item in (x, y, z)):
         raise SettingsError(
             f"the lever arm {text!r} is not valid; give metres in the body frame, as in "
             "--lever-arm 0.4,0.2,1.0"
@@ -181,7 +181,7 @@ def parse_up(text: str) -> tuple[str, str]:
     Raises:
         SettingsError: The text is not one or two of `UP_AXES`.
     """
-    axes = [each.strip() for each in text.split(",")]
+    axes = [word.strip() for word in text.split(",")]
     if len(axes) > 2:
         raise SettingsError(
             f"the vertical axes {text!r} are not valid; give one of {', '.join(UP_AXES)}, or one "
@@ -269,7 +269,7 @@ def _dimensions(found: Mapping[str, Any]) -> int:
 def _numbers(value: Any, where: str) -> tuple[float, ...]:
     if not isinstance(value, list):
         raise SettingsError(f"{where} must be a list of numbers, not {value!r}")
-    return tuple(_number(each, where) for each in value)
+    return tuple(_number(item, where) for item in value)
 
 
 def _number(value: Any, where: str) -> float:

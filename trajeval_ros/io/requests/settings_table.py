@@ -70,7 +70,7 @@ _MODALITIES = "; ".join(
     for gauge in Gauge
     if gauge in MODALITIES.values()
 )
-_GAUGES = tuple(each.value for each in Gauge)
+_GAUGES = tuple(item.value for item in Gauge)
 
 
 def _aligned_states(request: Request) -> str | int:
@@ -103,7 +103,7 @@ def _alert_limit(request: Request) -> list[float] | None:
     limits = request.integrity
     if limits is None:
         return None
-    return [each for each in (limits.alert_limit_m, limits.alert_limit_deg) if each is not None]
+    return [item for item in (limits.alert_limit_m, limits.alert_limit_deg) if item is not None]
 
 
 def _end_of_span(request: Request, end: str) -> str | None:
@@ -353,7 +353,7 @@ _ROWS = (
         help="Mistake to correct if the diagnosis finds it; the errors before and after are "
         "printed. suggested corrects the most severe one, up to 4 times (docs/diagnosis.md)."),
 )  # fmt: skip
-SETTINGS: dict[str, Setting] = {each.name: each for each in _ROWS}
+SETTINGS: dict[str, Setting] = {row.name: row for row in _ROWS}
 
 
 def settings_of(request: Request) -> dict[str, Any]:
@@ -368,7 +368,7 @@ def settings_with(request: Request, stated: Mapping[str, Any]) -> dict[str, Any]
     """
     settings = settings_of(request)
     for name, setting in SETTINGS.items():
-        is_of_protocol = all(each.startswith("protocol.") for each in setting.targets)
+        is_of_protocol = all(target.startswith("protocol.") for target in setting.targets)
         if name in stated and not is_of_protocol and settings[name] == setting.default:
             settings[name] = stated[name]
     if stated.get("time_offset") == AUTO:
@@ -378,4 +378,4 @@ def settings_with(request: Request, stated: Mapping[str, Any]) -> dict[str, Any]
 
 def settings_of_many_runs() -> dict[str, Setting]:
     """Return the settings that a comparison accepts, by name."""
-    return {name: each for name, each in SETTINGS.items() if not each.is_of_one_run}
+    return {name: setting for name, setting in SETTINGS.items() if not setting.is_of_one_run}

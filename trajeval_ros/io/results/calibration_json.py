@@ -37,8 +37,8 @@ def calibration_json(calibrated: Calibrated) -> dict[str, Any]:
         "increments": None if calibration is None else calibration.pairs,
         "horizon_s": None if calibration is None else calibration.horizon_s,
         "ate": {
-            name: None if each is None else dataclasses.asdict(each)
-            for name, each in (
+            name: None if item is None else dataclasses.asdict(item)
+            for name, item in (
                 ("before", calibrated.before),
                 ("after", calibrated.after),
                 ("if_applied", calibrated.if_applied),
@@ -122,4 +122,4 @@ def _list(column: Floats | None) -> list[float | None] | None:
     """Return the components as a list, None for NaN; None without a column."""
     if column is None:
         return None
-    return [None if math.isnan(each) else each for each in column.tolist()]
+    return [None if math.isnan(item) else item for item in column.tolist()]

@@ -64,12 +64,12 @@ def write_errors(path: Path, outcome: Outcome, columns: Sequence[Columns]) -> No
                 "age_ns": samples.age,
             }
             available |= {"error_m": samples.position.sum(axis=0), "parts_m": samples.position}
-            arrays |= {f"{name}.available.{key}": each for key, each in available.items()}
+            arrays |= {f"{name}.available.{key}": item for key, item in available.items()}
         if run.likelihood is not None and run.likelihood.edges is not None:
             arrays[f"{name}.probabilistic.edges"] = run.likelihood.edges.edges
         for segment in run.evaluation.relative or ():
             errors = columns_of(segment.errors)
-            arrays |= {f"{name}.{segment.length}.{key}": each for key, each in errors.items()}
+            arrays |= {f"{name}.{segment.length}.{key}": error for key, error in errors.items()}
     # Not compressed: on long runs, compression takes half of the time and saves a fifth in size.
     write_arrays(path, arrays, compressed=False)
 

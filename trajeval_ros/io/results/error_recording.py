@@ -84,7 +84,7 @@ def write_error_recording(path: Path, outcome: Outcome) -> None:
         recorded = _RecordedRun(outcome, run, name)
         channels += recorded.channels()
         statuses.append(recorded.status())
-    times = np.concatenate([each.times for each in channels])
+    times = np.concatenate([channel.times for channel in channels])
     if not 0 <= times.min() <= times.max() < _LATEST_NS:
         raise InputError(f"{path} can't have timestamps before 1970 or after 2038, a limit of ROS")
     message = _diagnostics(int(times.max()), statuses)
@@ -203,11 +203,11 @@ def _snapshot(evaluation: Evaluation) -> Snapshot:
     pairs, position = evaluation.association, evaluation.ate["position_m"]
     rmse = None if position is None else position.rmse
     relative = {}
-    for each in evaluation.relative or ():
-        positions, rotations = (each.statistics[name] for name in ("position_m", "rotation_deg"))
+    for item in evaluation.relative or ():
+        positions, rotations = (item.statistics[name] for name in ("position_m", "rotation_deg"))
         if positions is not None and rotations is not None:
-            count = each.count
-            relative[str(each.length)] = RunningErrors(count, positions.mean, rotations.mean)
+            count = item.count
+            relative[str(item.length)] = RunningErrors(count, positions.mean, rotations.mean)
     return Snapshot(
         pairs=len(pairs),
         stamp=int(pairs.estimate.stamps[-1]),
@@ -246,15 +246,16 @@ def _write(path: Path, channels: Sequence[_Channel]) -> None:
         writer.start("ros2", f"trajeval_ros {__version__}")
         schemas = {
             name: writer.register_schema(name, "ros2msg", _definition(name))
-            for name in sorted({each.type for each in channels})
+            for name in sorted({channel.type for channel in channels})
         }
         numbers = [
-            writer.register_channel(each.topic, "cdr", schemas[each.type]) for each in channels
+            writer.register_channel(channel.topic, "cdr", schemas[channel.type])
+            for channel in channels
         ]
-        owners = np.repeat(np.arange(len(channels)), [len(each.times) for each in channels])
-        times = np.concatenate([each.times for each in channels])
+        owners = np.repeat(np.arange(len(channels)), [len(channel.times) for channel in channels])
+        times = np.concatenate([channel.times for channel in channels])
         order = np.argsort(times, kind="stable")
-        payloads = [iter(each.messages) for each in channels]
+        payloads = [iter(channel.messages) for channel in channels]
         counts = [itertools.count() for _ in channels]
         for owner, time in zip(owners[order].tolist(), times[order].tolist(), strict=True):
             payload = next(payloads[owner])

@@ -21,8 +21,8 @@ def groundtruth_json(
         "groundtruth": {"source": truth, "poses": len(original)},
         "imu": imu,
         "causes": [
-            {**dataclasses.asdict(each), "half_width_95": each.half_width}
-            for each in found.causes.values()
+            {**dataclasses.asdict(cause), "half_width_95": cause.half_width}
+            for cause in found.causes.values()
         ],
         "poses": dataclasses.asdict(found.poses),
         "notes": list(found.notes),

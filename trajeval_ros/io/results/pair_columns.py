@@ -89,7 +89,7 @@ def component_columns(columns: Columns) -> Columns:
             continue
         width = column.shape[1]
         names = _TURNS if width == 3 and name.startswith("rotation") else _COMPONENTS[width]
-        found |= {f"{plain}_{each}": column[:, at] for at, each in enumerate(names)}
+        found |= {f"{plain}_{item}": column[:, at] for at, item in enumerate(names)}
     return found
 
 

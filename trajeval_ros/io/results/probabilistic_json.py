@@ -73,6 +73,6 @@ def _gauge_scores(scores: GaugeScores) -> dict[str, Any]:
         "log_likelihood_yaw": scores.yaw,
         "scale": None if scale is None else math.exp(scale.values[0]),
         "scale_z": None if scale is None else scale.z[0],
-        "tilt_deg": [math.degrees(each) for each in tilt.values],
+        "tilt_deg": [math.degrees(value) for value in tilt.values],
         "tilt_z": list(tilt.z),
     }

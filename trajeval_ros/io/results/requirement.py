@@ -67,7 +67,7 @@ class Requirement:
         if isinstance(value, bool) or not isinstance(value, int | float):
             hint = ""
             if isinstance(value, Mapping):
-                keys = [key for key, each in value.items() if not isinstance(each, str)]
+                keys = [key for key, item in value.items() if not isinstance(item, str)]
                 hint = f"; add one of {', '.join(keys)}"
             raise SettingsError(f"{self.path} is not a number{hint}")
         if _COMPARISONS[self.comparison](value, self.bound):

@@ -39,7 +39,7 @@ def result_of(outcome: Outcome) -> dict[str, Any]:
     # The protocol of a live run is in its own folder.
     request = dataclasses.replace(outcome.request, protocol=runs[0].evaluation.protocol)
     inputs = {
-        each.source: each.fingerprint for each in (groundtruth, *(run.estimate for run in runs))
+        item.source: item.fingerprint for item in (groundtruth, *(run.estimate for run in runs))
     }
     return {
         "schema": SCHEMA,
@@ -53,10 +53,10 @@ def result_of(outcome: Outcome) -> dict[str, Any]:
             "up": dataclasses.asdict(groundtruth.up),
             "kind": groundtruth.kind,
             "fixes": groundtruth.fixes and dataclasses.asdict(groundtruth.fixes),
-            "remarks": [remark_json(each) for each in groundtruth.remarks],
+            "remarks": [remark_json(remark) for remark in groundtruth.remarks],
         },
         "runs": [_run(run, groundtruth.up) for run in runs],
-        "failed": [dataclasses.asdict(each) for each in outcome.failed],
+        "failed": [dataclasses.asdict(item) for item in outcome.failed],
         "provenance": {
             "version": __version__,
             "protocol": request.protocol.name,
@@ -81,8 +81,8 @@ def _run(run: RunOutcome, groundtruth_up: UpAxis) -> dict[str, Any]:
             "frame": estimate.frame,
             "child_frame": estimate.child_frame,
             "up": dataclasses.asdict(estimate.up),
-            "remarks": [remark_json(each) for each in estimate.remarks],
-            "resets": [each._asdict() for each in estimate.resets],
+            "remarks": [remark_json(remark) for remark in estimate.remarks],
+            "resets": [reset._asdict() for reset in estimate.resets],
         },
         "association": {
             "method": pairs.rule.method,
@@ -109,13 +109,13 @@ def _run(run: RunOutcome, groundtruth_up: UpAxis) -> dict[str, Any]:
         },
         "by_states": [
             {
-                "states": each.states,
-                "states_used": each.states_used,
-                "position_m": statistics_json(each.position_m),
-                "rotation_deg": statistics_json(each.rotation_deg),
-                "reason": each.reason,
+                "states": by_state.states,
+                "states_used": by_state.states_used,
+                "position_m": statistics_json(by_state.position_m),
+                "rotation_deg": statistics_json(by_state.rotation_deg),
+                "reason": by_state.reason,
             }
-            for each in run.by_states
+            for by_state in run.by_states
         ]
         or None,
         "ate": {
@@ -127,7 +127,7 @@ def _run(run: RunOutcome, groundtruth_up: UpAxis) -> dict[str, Any]:
         if evaluation.relative is None
         else {
             "form": protocol.re_form,
-            "segments": [_segment(each) for each in evaluation.relative],
+            "segments": [_segment(item) for item in evaluation.relative],
             "pooled": {name: statistics_json(value) for name, value in evaluation.pooled.items()},
         },
         "score": None if evaluation.score is None else dataclasses.asdict(evaluation.score),
@@ -144,7 +144,7 @@ def _run(run: RunOutcome, groundtruth_up: UpAxis) -> dict[str, Any]:
         "segments": [dataclasses.asdict(part) for part in evaluation.parts],
         "ate_of_segments_m": together_m(evaluation.parts),
         "live": run.live,
-        "remarks": [remark_json(each) for each in evaluation.remarks],
+        "remarks": [remark_json(remark) for remark in evaluation.remarks],
     }
 
 
@@ -182,7 +182,7 @@ def statistics_json(statistics: Statistics | None) -> dict[str, float | int] | N
 
 def findings_json(findings: Sequence[Finding]) -> list[dict[str, Any]]:
     """Return the findings about an estimate, the most severe first."""
-    return [_finding(each) for each in findings]
+    return [_finding(finding) for finding in findings]
 
 
 def _finding(finding: Finding) -> dict[str, Any]:

@@ -40,8 +40,8 @@ class FrozenParts:
     @property
     def present(self) -> list[Event]:
         """The events that last."""
-        followed = (each for _, each in self._followed)
-        return [each.event for each in followed if each.event and not each.repeats.is_over]
+        followed = (item for _, item in self._followed)
+        return [item.event for item in followed if item.event and not item.repeats.is_over]
 
     def advance(self, scale: float, nanoseconds: Callable[[float], int]) -> list[Event]:
         """Return new events; those that last are extended.
@@ -50,11 +50,11 @@ class FrozenParts:
         """
         new = []
         for number, stream in enumerate(self._streams):
-            known = [each.repeats for _, each in self._followed]
+            known = [item.repeats for _, item in self._followed]
             for repeats in stream.repeats:
-                if not any(repeats is each for each in known):
+                if not any(repeats is item for item in known):
                     self._followed.append((number, _Followed(repeats, repeats.begin_s)))
-            stream.repeats[:] = [each for each in stream.repeats if not each.is_over]
+            stream.repeats[:] = [repeat for repeat in stream.repeats if not repeat.is_over]
         for number, followed in list(self._followed):
             event = self._follow(number, followed, scale if number == 0 else 1.0)
             if event is not None:

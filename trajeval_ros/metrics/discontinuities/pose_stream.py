@@ -193,7 +193,7 @@ class SidePoses:
 
     def _repeat(self, part: str, before_s: float, stamps: Floats, is_same: Booleans) -> None:
         """Begin, extend and end intervals; `before_s`: the timestamp before the first one."""
-        is_open = (each for each in self.repeats if each.part == part and not each.is_over)
+        is_open = (repeat for repeat in self.repeats if repeat.part == part and not repeat.is_over)
         interval = next(is_open, None)
         if interval is None and not is_same.any():
             return

@@ -26,8 +26,8 @@ def discontinuities(
         estimate = dataclasses.replace(estimate, stamps=estimate.stamps + offset_ns)
     oriented = groundtruth.quaternions is not None and estimate.quaternions is not None
     search, sides, blocks = Discontinuities(oriented=oriented), [], []
-    times = [each.reading.receptions for each in (groundtruth, estimate)]
-    has_times = all(each is not None for each in times)
+    times = [item.reading.receptions for item in (groundtruth, estimate)]
+    has_times = all(time is not None for time in times)
     for trajectory, receptions in zip((groundtruth, estimate), times, strict=True):
         received = None
         if has_times and receptions is not None:

@@ -223,7 +223,7 @@ class StampSteps:
         if len(waiting) > 1 and apart_s < _SAME_SIZE * abs(candidate.size_s):
             self._candidate = None
             kept = waiting if candidate.size_s > 0.0 else waiting[1:]
-            return [self._corrected(each) for each in kept], None
+            return [self._corrected(item) for item in kept], None
         is_long = message[0] - waiting[0][0] >= _CONFIRM_S or len(waiting) >= _MOST_WAITING
         if len(waiting) >= _CONFIRM_MESSAGES and is_long:
             return self._decided(candidate)
@@ -247,7 +247,7 @@ class StampSteps:
             self._leads = deque(leads, maxlen=_LEADS)
             self._highest_lead_s = max(leads, default=-math.inf)
             step = StampStep(candidate.at_s, size_s, candidate.has_receive_times)
-        return [self._corrected(each) for each in candidate.messages], step
+        return [self._corrected(message) for message in candidate.messages], step
 
     def _corrected(self, message: Message) -> Message:
         stamp, pose, received = message
