@@ -41,7 +41,7 @@ def main() -> None:
             for estimate in flight.estimates
         ]
         for same in zip(*(one.reported for one in compared), strict=True):
-            row = [numbers(each, of.true_ate_m) for each, of in zip(same, compared, strict=True)]
+            row = [numbers(item, of.true_ate_m) for item, of in zip(same, compared, strict=True)]
             rows.setdefault(same[0].association, []).append(row)
     sizes = " | ".join(f"{100.0 * size:g} cm, of poses" for size in DRIFTS_M)
     print(f"| association | {sizes} | right order |")

@@ -212,7 +212,7 @@ def main() -> None:
     folder, scale = Path(sys.argv[1]), float(sys.argv[2])
     folder.mkdir(parents=True, exist_ok=True)
     none, zstd = CompressionType.NONE, CompressionType.ZSTD
-    poses, among, images = (round(scale * each) for each in (POSES, POSES_AMONG_IMAGES, IMAGES))
+    poses, among, images = (round(scale * item) for item in (POSES, POSES_AMONG_IMAGES, IMAGES))
     jobs: dict[str, Callable[[Path], None]] = {
         "poses.mcap": lambda path: write_mcap(path, messages(poses, 0), compression=none),
         "poses.db3": lambda path: write_sqlite(path, messages(poses, 0)),

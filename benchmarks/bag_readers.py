@@ -44,9 +44,9 @@ def read_sources(sources: Sequence[str]) -> tuple[int, float]:
 
     def read() -> tuple[int, float]:
         trajectories = read_many(sources, covariances=False)
-        assert not any(each.reading.said(Level.ERROR) for each in trajectories)
-        count = sum(len(each) for each in trajectories)
-        total = sum(float(each.positions[:, 0].sum()) for each in trajectories)
+        assert not any(trajectory.reading.said(Level.ERROR) for trajectory in trajectories)
+        count = sum(len(trajectory) for trajectory in trajectories)
+        total = sum(float(trajectory.positions[:, 0].sum()) for trajectory in trajectories)
         return count, total
 
     return timed(read)
@@ -60,7 +60,7 @@ def any_reader(path: Path) -> tuple[int, float]:
     def read() -> tuple[int, float]:
         rows = []
         with AnyReader([path]) as reader:
-            wanted = [each for each in reader.connections if each.topic in TOPICS]
+            wanted = [item for item in reader.connections if item.topic in TOPICS]
             for connection, _, payload in reader.messages(wanted):
                 message: Any = reader.deserialize(payload, connection.msgtype)
                 rows.append(row_of(message))
@@ -118,6 +118,8 @@ READERS = {OURS: ours, "rosbags AnyReader": any_reader, "mcap-ros2-support": mca
 if __name__ == "__main__":
     reader, file = sys.argv[1:]
     if reader.isdigit():
-        read_sources([f"{file}:{each}" for each in FLIGHT_SOURCES[: int(reader)]])
+        read_sources(
+            [f"{file}:{flight_source}" for flight_source in FLIGHT_SOURCES[: int(reader)]]
+        )
     else:
         READERS[reader](Path(file))

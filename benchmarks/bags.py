@@ -35,7 +35,7 @@ def compare_readers(path: Path, runs: int) -> dict[str, Figures]:
     """Return the medians of each reader's figures; all must have read the same."""
     names = [name for name in READERS if path.suffix == ".mcap" or not name.startswith("mcap")]
     figures = measure(path, names, runs)
-    sums = [each["sum_x"] for each in figures.values()]
+    sums = [figure["sum_x"] for figure in figures.values()]
     if max(sums) - min(sums) > 1e-6:
         raise SystemExit(f"{path.name}: the readers disagree")
     return figures
@@ -50,7 +50,7 @@ def measure(path: Path, names: Sequence[str], runs: int) -> dict[str, Figures]:
                 command = [sys.executable, "-m", "benchmarks.bag_readers", name, str(path)]
                 figures[name].append(json.loads(run(command, environment(Path(home))).output))
     return {
-        name: {key: median(each[key] for each in several) for key in several[0]}
+        name: {key: median(item[key] for item in several) for key in several[0]}
         for name, several in figures.items()
     }
 
@@ -86,17 +86,17 @@ def main() -> None:
 
 def add_rows(table: Table, path: Path, figures: dict[str, Figures], unit: str) -> None:
     """Lay out what the readers of a bag cost, in multiples of what one of them does."""
-    for name, each in figures.items():
-        ratio = each["cpu_s"] / figures[unit]["cpu_s"]
+    for name, figure in figures.items():
+        ratio = figure["cpu_s"] / figures[unit]["cpu_s"]
         table.add_row(
             path.name,
             name,
-            f"{each['poses']:.0f}",
-            f"{each['cpu_s']:.3f}",
+            f"{figure['poses']:.0f}",
+            f"{figure['cpu_s']:.3f}",
             "" if name == unit else f"{ratio:.2f}",
-            f"{each['read_mb']:.0f}",
-            f"{1e8 * each['read_mb'] / path.stat().st_size:.1f} %",
-            f"{each['peak_mb']:.0f}",
+            f"{figure['read_mb']:.0f}",
+            f"{1e8 * figure['read_mb'] / path.stat().st_size:.1f} %",
+            f"{figure['peak_mb']:.0f}",
         )
 
 

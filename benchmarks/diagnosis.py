@@ -49,7 +49,9 @@ def found(pair: Pair) -> Diagnosis:
 
 def verdict(pair: Pair, diagnosis: Diagnosis, causes: Iterable[str]) -> str:
     """Return what became of a mistake."""
-    first = next((each for each in diagnosis.findings if not _is_known(pair, each.cause)), None)
+    first = next(
+        (finding for finding in diagnosis.findings if not _is_known(pair, finding.cause)), None
+    )
     if first is None:
         return SILENT
     if first.cause in causes:
@@ -94,14 +96,14 @@ def matrix(pairs: list[Pair], mistakes: dict[str, Mistake]) -> None:
                     if ratio >= CORRECTED:
                         others.append(f"{pair.name} (ATE {ratio:.2f} times)")
             total += count
-            cells.append("/".join(str(count[each]) for each in (RIGHT, TIE, SILENT, WRONG)))
+            cells.append("/".join(str(count[item]) for item in (RIGHT, TIE, SILENT, WRONG)))
         total += collections.Counter({"with an option": options, "corrected": good})
         print(
             f"| {name} | {' | '.join(cells)} | {good} of {options} | {', '.join(others)} |",
             flush=True,
         )
-    everything = sum(total[each] for each in (RIGHT, TIE, SILENT, WRONG))
-    print(f"all {everything}: " + ", ".join(f"{n} {each}" for each, n in total.items()))
+    everything = sum(total[item] for item in (RIGHT, TIE, SILENT, WRONG))
+    print(f"all {everything}: " + ", ".join(f"{n} {item}" for item, n in total.items()))
 
 
 CORRECTED = 1.05
@@ -112,7 +114,7 @@ def left_by_corrections(pair: Pair, wrong: Pair) -> float:
     request = Request(wrong.protocol, correct="suggested")
     try:
         after = run(wrong.truth, [wrong.estimate], request).runs[0]
-        steps = [each.correction for each in after.corrected]
+        steps = [item.correction for item in after.corrected]
     except TrajevalError:  # nothing can be evaluated before
         advised = found(wrong).suggested
         assert advised is not None
@@ -241,7 +243,7 @@ def thinned(pairs: list[Pair]) -> None:
             if said == WRONG and diagnosis.suggested is not None:
                 print(f"  {title}: {name} on {pair.name}: {diagnosis.suggested.cause}")
             counts[said] += 1
-        print(f"{title}: mistakes " + ", ".join(f"{n} {each}" for each, n in counts.items()))
+        print(f"{title}: mistakes " + ", ".join(f"{n} {item}" for item, n in counts.items()))
 
 
 def strangers(pairs: list[Pair]) -> None:
@@ -260,7 +262,7 @@ def strangers(pairs: list[Pair]) -> None:
         if said == WRONG and diagnosis.suggested is not None:
             print(f"  {one.name} with {other.name}: {diagnosis.suggested.cause}")
         counts[said] += 1
-    print("groundtruth of another run: " + ", ".join(f"{n} {each}" for each, n in counts.items()))
+    print("groundtruth of another run: " + ", ".join(f"{n} {item}" for item, n in counts.items()))
 
 
 def _begin_together(one: Pair, other: Pair) -> bool:
@@ -323,10 +325,10 @@ def main() -> None:
             alarms(f"drift 5 times worse, tails {tail}", heavier)
         for lost in (False, True):
             alarms("series of outliers" + ", lost" * lost, spoilt(real, options.count, lost=lost))
-        positions = (_positions(each) for each in right(real, more + 3, options.count, 1.0))
+        positions = (_positions(item) for item in right(real, more + 3, options.count, 1.0))
         alarms("positions only", positions)
-        alarms("2 Hz", (_every(each, 0.5) for each in real))
-        alarms("1 Hz", (_every(each, 1.0) for each in real))
+        alarms("2 Hz", (_every(item, 0.5) for item in real))
+        alarms("1 Hz", (_every(item, 1.0) for item in real))
     if "combinations" in wanted:
         yaw = [pair for pair in real + made if pair.gauge.turns_about_gravity_only]
         combinations(yaw)

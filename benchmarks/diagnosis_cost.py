@@ -41,8 +41,8 @@ def cost() -> None:
             lambda: evaluate(pair.truth, pair.estimate, whole),  # noqa: B023
             lambda: diagnose(evaluation, pair.truth, pair.estimate),  # noqa: B023
         )
-        taken = [_least_ms(each) for each in steps]
-        cells = [f"{each:.1f} ms" for each in (*taken, _command_ms(pair))]
+        taken = [_least_ms(step) for step in steps]
+        cells = [f"{item:.1f} ms" for item in (*taken, _command_ms(pair))]
         print(f"| {count} | {' | '.join(cells)} |", flush=True)
 
 

@@ -90,17 +90,17 @@ def recorded(folder: Path) -> Iterator[Pair]:
     for name, (truth, estimate, gauge, max_gap_s) in REAL.items():
         if not (folder / truth.split(":")[0]).exists():
             continue
-        sides = [read_trajectory(str(folder / each)).in_order() for each in (truth, estimate)]
+        sides = [read_trajectory(str(folder / item)).in_order() for item in (truth, estimate)]
         if name.startswith("KITTI"):
             seconds = np.loadtxt(folder / _KITTI_TIMES)
             stamps = np.rint(1e9 * seconds).astype(np.int64)
             sides = [
                 dataclasses.replace(
-                    each,
-                    stamps=stamps[: len(each)],
-                    reading=dataclasses.replace(each.reading, stamped=True),
+                    side,
+                    stamps=stamps[: len(side)],
+                    reading=dataclasses.replace(side.reading, stamped=True),
                 )
-                for each in sides
+                for side in sides
             ]
         yield Pair(name, sides[0], sides[1], gauge, max_gap_s)
 

@@ -62,7 +62,7 @@ def compared(keyframes: int, visibility: str, track: int | None, runs: int) -> d
         times["ours"].append(ours_ms(scene, start))
         for name, ordering in orderings.items():
             times[name].append(gtsam_ms(graph, values, ordering))
-    ours, *theirs = (median(each) for each in times.values())
+    ours, *theirs = (median(item) for item in times.values())
     best = min(theirs)
     return {
         "keyframes": keyframes,

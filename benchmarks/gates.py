@@ -69,7 +69,7 @@ class Cell:
         z = self._logarithms(random, real)
         z[:, self.trials :] += np.log1p(self.common)
         z[0, self.trials :] += np.log1p(self.one)
-        samples = [Sample(*np.split(each, [self.trials])) for each in z]
+        samples = [Sample(*np.split(item, [self.trials])) for item in z]
         test = PermutationTest(samples, margins, FALSE_ALARMS, RELABELLINGS, random)
         found = test.worse
         together = (found.together <= found.level_together).any()
@@ -82,7 +82,7 @@ class Cell:
             which = np.arange(self.sequences) % len(real)
             if self.sequences < len(real):
                 which = random.integers(len(real), size=self.sequences)
-            drawn = [random.permutation(real[each])[: shape[1], : self.metrics] for each in which]
+            drawn = [random.permutation(real[item])[: shape[1], : self.metrics] for item in which]
             return np.array(drawn)
         z: Floats = random.normal(size=shape)
         if self.metrics > 1:
@@ -115,7 +115,7 @@ def real_errors(path: Path) -> Floats:
     for row in rows:
         logs.setdefault((row["algorithm"], row["sequence"]), []).append(float(np.log(row["rmse"])))
     least = min(map(len, logs.values()))
-    z = np.array([each[:least] for each in logs.values()])
+    z = np.array([log[:least] for log in logs.values()])
     made: Floats = (z - np.median(z, axis=1, keepdims=True))[:, :, None]
     return made
 
@@ -172,8 +172,8 @@ def print_false_alarms(cells: Sequence[Cell], alarms: Sequence[int]) -> None:
     for family in (None, *FAMILIES):
         found = [(cell.comparisons, count) for cell, count in zip(cells, alarms, strict=True)
                  if family in (None, cell.metrics)]  # fmt: skip
-        total, count = (sum(each) for each in zip(*found, strict=True))
-        low, high = (100.0 * each for each in interval(count, total, 0.05))
+        total, count = (sum(item) for item in zip(*found, strict=True))
+        low, high = (100.0 * item for item in interval(count, total, 0.05))
         who = "all" if family is None else f"family of {family}"
         print(f"{who}: {len(found)} cells, {total} comparisons, alarms in "
               f"{100 * count / total:.2f} % ({low:.2f} to {high:.2f} %)")  # fmt: skip
@@ -186,8 +186,8 @@ def print_false_alarms(cells: Sequence[Cell], alarms: Sequence[int]) -> None:
     for what, reduce in (("mean", np.mean), ("highest cell", np.max)):
         print(f"\nAlarms without a change, {what}, %")
         print_table("spread; trials", [
-            (spread, [f"{reduce(shares[spread, each]):.1f}" if (spread, each) in shares else "-"
-                      for each in TRIALS])
+            (spread, [f"{reduce(shares[spread, trial]):.1f}" if (spread, trial) in shares else "-"
+                      for trial in TRIALS])
             for spread in SPREADS
         ])  # fmt: skip
 
@@ -201,10 +201,10 @@ def main() -> None:
     given = parser.parse_args()
     real = None if given.real is None else real_errors(given.real)
     cells = null_cells(given.scale, given.seed, real)
-    print_false_alarms(cells, [each.alarms(real) for each in cells])
+    print_false_alarms(cells, [cell.alarms(real) for cell in cells])
     print("\nAlarms with a change, margin 5 %, %")
     print_table("change, spread, sequences; trials", (
-        (name, [f"{100 * each.alarms() / each.comparisons:.0f}" for each in row])
+        (name, [f"{100 * item.alarms() / item.comparisons:.0f}" for item in row])
         for name, row in power_cells(given.scale, given.seed).items()
     ))  # fmt: skip
 

@@ -40,7 +40,7 @@ def write_runs(
                     seed = np.random.default_rng([sequence, algorithm, trial])
                     estimate = estimate_of(seed, positions, attitudes)
                     write_tum(path, stamps + OFFSET_NS, *estimate)
-    names = [f"  a{each}: a{each}/{{sequence}}_{{trial}}.txt" for each in range(ALGORITHMS)]
+    names = [f"  a{index}: a{index}/{{sequence}}_{{trial}}.txt" for index in range(ALGORITHMS)]
     listed = ", ".join(map(str, range(trials)))
     lines = ["groundtruth: groundtruth/{sequence}.txt", *settings, "runs:", *names]
     config.write_text("\n".join([*lines, f"trials: [{listed}]", ""]))

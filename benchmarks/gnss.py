@@ -70,9 +70,9 @@ def motion(random: np.random.Generator, kind: str) -> tuple[Floats, Rotation]:
     count = int(DURATION_S[kind] * RATE_HZ)
     if kind == "drone":
         waves = ((6.0, 25.0), (6.0, 25.0), (8.0, 6.0))
-        positions = np.stack([smooth(random, count, *each) for each in waves], axis=1)
+        positions = np.stack([smooth(random, count, *wave) for wave in waves], axis=1)
         turns = ((8.0, 1.5), (1.5, 0.12), (1.5, 0.12))
-        angles = np.stack([smooth(random, count, *each) for each in turns], axis=1)
+        angles = np.stack([smooth(random, count, *turn) for turn in turns], axis=1)
         return positions, Rotation.from_euler("ZYX", angles)
     speed = np.clip(9.0 + smooth(random, count, 15.0, 3.0), 0.5, None)
     yaw = np.cumsum(smooth(random, count, 6.0, 0.12)) / RATE_HZ
@@ -88,7 +88,7 @@ def drifted(
 ) -> tuple[Floats, Rotation]:
     """Return what an odometry makes of a motion, in a frame of its own."""
     count = len(positions)
-    heading, scale, walk = (times * each for each in DRIFT)
+    heading, scale, walk = (times * item for item in DRIFT)
     yaw = np.cumsum(random.standard_normal(count)) * np.radians(heading) / np.sqrt(RATE_HZ)
     turned = Rotation.from_euler("Z", yaw[:, None])
     steps = np.diff(positions, axis=0, prepend=positions[:1])
@@ -157,16 +157,16 @@ def draws_of(
 def row_of(name: str, found: list[Draw]) -> str:
     """Return one line of the table."""
     true, here, naive, own = (
-        np.array([getattr(each, field) for each in found])
+        np.array([getattr(item, field) for item in found])
         for field in ("true_m", "true_here_m", "naive_m", "own_m")
     )
-    low, high = np.array([each.interval_m for each in found]).T
+    low, high = np.array([item.interval_m for item in found]).T
     quantiles = np.percentile(own / true, [50, 5, 95])
     return (
         f"| {name} | {np.median(true):.3g} m | {np.median(naive / true):.3g} | "
         f"{quantiles[0]:.3f} [{quantiles[1]:.2f}, {quantiles[2]:.2f}] | "
         f"{np.mean((low <= here) & (here <= high)):.2f} | {np.mean(here <= high):.2f} | "
-        f"{np.mean([each.resolved for each in found]):.2f} |"
+        f"{np.mean([item.resolved for item in found]):.2f} |"
     )
 
 

@@ -118,7 +118,7 @@ def _path(motion: str, random: np.random.Generator) -> Path:
     positions = _stop_and_go(fine, random) if motion == "stop-and-go" else _walk(fine, random)
 
     def between(times: Floats) -> Floats:
-        return np.column_stack([np.interp(times, fine, each) for each in positions.T])
+        return np.column_stack([np.interp(times, fine, item) for item in positions.T])
 
     return between
 
@@ -194,11 +194,11 @@ def main() -> None:
             columns, withheld = "", 0
             for size_m in SIZES_M:
                 seeds = range(options.first_seed, options.first_seed + options.flights)
-                found = [each for seed in seeds for each in flown(motion, noise, size_m, seed)]
-                known = [each for each in found if each.interval_m is not None]
+                found = [item for seed in seeds for item in flown(motion, noise, size_m, seed)]
+                known = [item for item in found if item.interval_m is not None]
                 withheld += len(found) - len(known)
-                covered = 100.0 * np.mean([each.covers for each in known])
-                columns += f" {covered:.0f} % | {np.median([each.width for each in known]):.2f} |"
+                covered = 100.0 * np.mean([item.covers for item in known])
+                columns += f" {covered:.0f} % | {np.median([item.width for item in known]):.2f} |"
             print(f"| {motion} | {noise} |{columns} {withheld} |", flush=True)
 
 

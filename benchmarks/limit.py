@@ -35,8 +35,10 @@ def read(path: str) -> tuple[Array, Array, Array]:
         csv.ParseOptions(delimiter=" ", quote_char=False),
     )
     columns = [
-        np.concatenate([np.frombuffer(part.buffers()[1], count=len(part)) for part in each.chunks])
-        for each in table.columns
+        np.concatenate(
+            [np.frombuffer(part.buffers()[1], count=len(part)) for part in column.chunks]
+        )
+        for column in table.columns
     ]
     return columns[0], np.stack(columns[1:4], axis=1), np.stack(columns[4:], axis=1)
 

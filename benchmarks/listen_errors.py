@@ -28,29 +28,29 @@ def main() -> None:
     rclpy.init()
     node = rclpy.create_node("listener", start_parameter_services=False)
     errors = [
-        TopicInput(node, f"/evaluator/{each}/stamped/position_error", [VECTOR_TYPE])
-        for each in names
+        TopicInput(node, f"/evaluator/{name}/stamped/position_error", [VECTOR_TYPE])
+        for name in names
     ]
-    ates = [TopicInput(node, f"/evaluator/{each}/stamped/ate", [VECTOR_TYPE]) for each in names]
+    ates = [TopicInput(node, f"/evaluator/{name}/stamped/ate", [VECTOR_TYPE]) for name in names]
     ages_s: list[float] = []
     received: list[list[int]] = [[] for _ in names]
     until = None
     while until is None or time.monotonic() < until:
-        for each in (*errors, *ates):
-            each.match()
-        for each in errors:
-            taken = each.take()
+        for error in (*errors, *ates):
+            error.match()
+        for error in errors:
+            taken = error.take()
             for payload, when in zip(taken.payloads, taken.received, strict=True):
                 sec, nanosec = STAMP.unpack_from(payload, 4)
                 ages_s.append(1e-9 * (when - sec * 10**9 - nanosec))
-        for times, each in zip(received, ates, strict=True):
-            times += each.take().received
+        for times, ate in zip(received, ates, strict=True):
+            times += ate.take().received
         if until is None and all(received):
-            ages_s, received = [], [each[-1:] for each in received]
+            ages_s, received = [], [item[-1:] for item in received]
             until = time.monotonic() + seconds
         time.sleep(0.02)
     now = time.time_ns()
-    periods_s = [1e-9 * np.diff([*each, now]).max() for each in received]
+    periods_s = [1e-9 * np.diff([*item, now]).max() for item in received]
     p50, p95, most = np.percentile(ages_s, (50, 95, 100))
     found = {"p50_ms": 1e3 * p50, "p95_ms": 1e3 * p95, "max_ms": 1e3 * most}
     print(json.dumps({**found, "errors": len(ages_s), "oldest_ate_s": max(periods_s)}))

@@ -89,7 +89,7 @@ def running(
             ],
             env=variables, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, text=True,
         )  # fmt: skip
-        numbers = [str(each) for each in (groundtruth_hz, seconds, speed)]
+        numbers = [str(item) for item in (groundtruth_hz, seconds, speed)]
         published = [f"{topic}@{hz}" for topic, hz in topics.items()]
         numbers = ["--field", *numbers] if field else numbers
         traffic = subprocess.Popen(
@@ -112,14 +112,14 @@ def measure(
     groundtruth_hz: int, odometry_hz: int, estimates: int, seconds: float, rerun: str
 ) -> dict[str, float]:
     """Return what one run of the node took: percent of a core, losses, latency, picture."""
-    topics = dict.fromkeys((f"/vio_{each}/odometry" for each in range(estimates)), odometry_hz)
+    topics = dict.fromkeys((f"/vio_{index}/odometry" for index in range(estimates)), odometry_hz)
     length_s = SETTLE_S + seconds + 1.0
     with running(groundtruth_hz, topics, length_s, rerun=rerun) as (node, traffic, output):
         time.sleep(SETTLE_S)
         before, begin = cpu_s(node.pid), time.monotonic()
         time.sleep(seconds)
         share = (cpu_s(node.pid) - before) / (time.monotonic() - begin)
-        sent = [int(each) for each in traffic.communicate()[0].split()]
+        sent = [int(word) for word in traffic.communicate()[0].split()]
         time.sleep(0.5)
         node.send_signal(signal.SIGINT)
         node.wait()
@@ -131,7 +131,7 @@ def measure(
     return {
         "cpu_percent": 100.0 * share,
         "lost": sum(sent[:2]) - received,
-        "latency_p95_ms": 1e3 * max(each["latency_p95_s"] for each in live),
+        "latency_p95_ms": 1e3 * max(item["latency_p95_s"] for item in live),
         "picture_kb_per_s": size / length_s / 1e3,
     }
 
@@ -144,16 +144,16 @@ def busy(processes: int) -> Iterator[None]:
     try:
         yield
     finally:
-        for each in running_:
-            each.kill()
-            each.wait()
+        for item in running_:
+            item.kill()
+            item.wait()
 
 
 def freshness(seconds: float) -> None:
     """Print how old published errors are, as another process receives them, and the CPU."""
     for groundtruth_hz, hz, estimates, processes, stamped_ms, ate_s in FRESHNESS:
-        topics = dict.fromkeys((f"/vio_{each}/odometry" for each in range(estimates)), hz)
-        names = [each.strip("/").replace("/", "_") for each in topics]
+        topics = dict.fromkeys((f"/vio_{index}/odometry" for index in range(estimates)), hz)
+        names = [topic.strip("/").replace("/", "_") for topic in topics]
         command = [sys.executable, "-m", "benchmarks.listen_errors", str(seconds), *names]
         with (
             busy(processes),
@@ -221,12 +221,12 @@ def soak(hours: float, speed: float) -> None:
             sizes.append(resident_mb(node.pid))
             growth = 100.0 * (sizes[-1] / sizes[0] - 1.0)
             print(f"{10 * tenth} %: {sizes[-1]:.1f} MB, {growth:+.1f} %", flush=True)
-        sent = [int(each) for each in traffic.communicate()[0].split()]
+        sent = [int(word) for word in traffic.communicate()[0].split()]
         time.sleep(2.0)
         node.send_signal(signal.SIGINT)
         node.wait()
         folders = sorted(output.parent.glob(f"{output.name}*"))
-        runs = [run for each in folders for run in result_of(each)["runs"]]
+        runs = [run for folder in folders for run in result_of(folder)["runs"]]
     print(f"groundtruth: {sent[0]} messages, {runs[0]['live']['groundtruth_messages_lost']} lost")
     for topic, count in zip(topics, sent[1:], strict=True):
         own = [run for run in runs if run["estimate"]["source"] == topic]
@@ -261,12 +261,12 @@ def main() -> None:
             measure(groundtruth_hz, odometry_hz, estimates, options.seconds, options.rerun)
             for _ in range(options.runs)
         ]
-        median = {key: statistics.median(each[key] for each in found) for key in found[0]}
+        median = {key: statistics.median(item[key] for item in found) for key in found[0]}
         allowed = f" (of {limit:g})" if limit else ""
         print(
             f"groundtruth {groundtruth_hz} Hz, {estimates} x odometry {odometry_hz} Hz: "
             f"{median['cpu_percent']:.1f} %{allowed} of a core, "
-            f"{max(each['lost'] for each in found):.0f} lost at most, "
+            f"{max(item['lost'] for item in found):.0f} lost at most, "
             f"latency p95 {median['latency_p95_ms']:.1f} ms, "
             f"picture {median['picture_kb_per_s']:.1f} kB/s",
             flush=True,

@@ -121,7 +121,7 @@ class Programs:
         """Return our errors by metric, or what we say where we refuse."""
         groundtruth, estimate = self._paths(files)
         given = CALLS[options][0]
-        in_file = [each for each in given if ": " in each]
+        in_file = [item for item in given if ": " in item]
         # Its name is the protocol's. Several calls run at a time.
         protocol = Path(tempfile.mkdtemp(dir=self.folder)) / "evo.yaml"
         gauge = given[given.index("--gauge") + 1]
@@ -130,7 +130,7 @@ class Programs:
         command = [
             *(str(TRAJEVAL), "evaluate", "-g", groundtruth, "-e", estimate, "--quiet"),
             *("--protocol", str(protocol) if in_file else "evo", "--json", "-"),
-            *(each for each in given if each not in in_file),
+            *(item for item in given if item not in in_file),
         ]
         try:
             output = run(command, self.environment).output
@@ -193,7 +193,7 @@ def compare(
             )
             for name in STATISTICS
         ),
-        key=lambda each: each.share,
+        key=lambda item: item.share,
     )
 
 
@@ -231,20 +231,22 @@ def report(
         table.add_row(pair, *(cell(found[column]) for column in COLUMNS))
     console.print("largest difference by pair and evo's options; ! too much, - withheld")
     console.print(table)
-    flat = [(pair, each) for pair, found in results.items() for each in found.values()]
-    differences = [each for _, each in flat if isinstance(each, Difference)]
+    flat = [(pair, item) for pair, found in results.items() for item in found.values()]
+    differences = [item for _, item in flat if isinstance(item, Difference)]
     refusals = [
-        f"{pair}: {each}"
-        for pair, each in flat
-        if isinstance(each, str) and each.startswith(ONE_REFUSES)
+        f"{pair}: {item}"
+        for pair, item in flat
+        if isinstance(item, str) and item.startswith(ONE_REFUSES)
     ]
-    withheld = sum(each == WITHHELD for _, each in flat)
+    withheld = sum(item == WITHHELD for _, item in flat)
     console.print(f"{len(differences)} sets of {len(STATISTICS)} statistics compared")
     console.print(f"{withheld} rotation errors withheld: on an exact line nothing determines them")
-    console.print(f"worst: {max(differences, key=lambda each: each.share)}")
-    wrong = [str(each) for each in differences if not each.share <= 1.0] + refusals
-    for each in wrong:
-        console.print(f"DIFFERS: {each}")
+    console.print(f"worst: {max(differences, key=lambda difference: difference.share)}")
+    wrong = [
+        str(difference) for difference in differences if not difference.share <= 1.0
+    ] + refusals
+    for item in wrong:
+        console.print(f"DIFFERS: {item}")
     return not wrong
 
 

@@ -202,7 +202,7 @@ def car(folder: Path, rng: Random) -> None:
     write_kitti(folder / "car_kitti/est.txt", p, q)
     kept = np.flatnonzero((rng.random(count) > 0.03) & ~((k > 400) & (k < 425)) | (k == 0))
     write_kitti(folder / "car_kitti/est_frames.txt", p[kept], q[kept], kept)
-    (folder / "car_kitti/times.txt").write_text("".join(f"{0.1 * each:.9f}\n" for each in k))
+    (folder / "car_kitti/times.txt").write_text("".join(f"{0.1 * item:.9f}\n" for item in k))
 
 
 def odd_stamps(folder: Path, rng: Random) -> None:

@@ -83,8 +83,8 @@ def environment(home: Path) -> dict[str, str]:
 def median_cost(costs: Sequence[Cost]) -> Cost:
     """Return the medians of each figure; the output is the last one's."""
     return Cost(
-        median(each.cpu_s for each in costs),
-        median(each.wall_s for each in costs),
-        median(each.peak_mib for each in costs),
+        median(cost.cpu_s for cost in costs),
+        median(cost.wall_s for cost in costs),
+        median(cost.peak_mib for cost in costs),
         costs[-1].output,
     )

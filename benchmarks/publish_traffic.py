@@ -82,19 +82,19 @@ def main() -> None:
     arguments = sys.argv[1:]
     if is_field := arguments[0] == "--field":
         del arguments[0]
-    groundtruth_hz, seconds, speed = (float(each) for each in arguments[:3])
-    topics = [each.partition("@") for each in arguments[3:] if ":" not in each]
-    pictures = [Pictures(each) for each in arguments[3:] if ":" in each]
+    groundtruth_hz, seconds, speed = (float(argument) for argument in arguments[:3])
+    topics = [argument.partition("@") for argument in arguments[3:] if ":" not in argument]
+    pictures = [Pictures(argument) for argument in arguments[3:] if ":" in argument]
     rates = [groundtruth_hz, *(float(hz) for _, _, hz in topics)]
     rclpy.init()
     node = rclpy.create_node("traffic", start_parameter_services=False)
     qos = QoSProfile(depth=1000)
     truth = node.create_publisher(PoseStamped, "/groundtruth/pose", qos)
     others = [node.create_publisher(Odometry, topic, qos) for topic, _, _ in topics]
-    for each in pictures:
-        each.advertise(node)
+    for item in pictures:
+        item.advertise(node)
     until = time.monotonic() + 30.0
-    while not all(each.get_subscription_count() for each in (truth, *others)):
+    while not all(other.get_subscription_count() for other in (truth, *others)):
         if time.monotonic() > until:
             sys.exit("no subscribers")
         time.sleep(0.05)
@@ -118,20 +118,20 @@ def main() -> None:
                 to_marker(pose.pose)
             truth.publish(serialize_message(pose))
             sent[0] += 1
-        for number, each in enumerate(others, start=1):
+        for number, other in enumerate(others, start=1):
             while sent[number] < now * rates[number]:
                 stamp = begin_ns + round(sent[number] / rates[number] * 1e9)
                 fill(odometry.pose.pose, odometry.header, stamp, begin_ns, 0.01)
                 if is_field:
                     restarts = int(sent[number] / rates[number] / RESTART_S)
                     odometry.pose.pose.position.x += RESTARTED_M * restarts
-                each.publish(serialize_message(odometry))
+                other.publish(serialize_message(odometry))
                 sent[number] += 1
         for picture in pictures:
             picture.publish_until(now)
         time.sleep(STEP_S)
-    for each in (truth, *others):
-        each.wait_for_all_acked(Duration(seconds=5))
+    for other in (truth, *others):
+        other.wait_for_all_acked(Duration(seconds=5))
     print(*sent, flush=True)
     node.destroy_node()
     rclpy.try_shutdown()

@@ -43,8 +43,8 @@ def seconds_for(groundtruth: Trajectory, estimate: Trajectory) -> float:
     for length in LENGTHS_M:
         starts, ends = select(along, length, Selection())
         errors = relative_errors(groundtruth, estimate, starts, ends, Gauge.SE3)
-        for each in (errors.position_m, errors.rotation_deg, errors.yaw_deg, errors.tilt_deg):
-            statistics_of(each)
+        for item in (errors.position_m, errors.rotation_deg, errors.yaw_deg, errors.tilt_deg):
+            statistics_of(item)
     return time.process_time() - start
 
 

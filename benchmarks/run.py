@@ -123,14 +123,14 @@ def interleave(jobs: Mapping[str, Job], runs: int, env: Environment) -> dict[str
     for _ in range(runs):
         for name, job in jobs.items():
             costs[name].append(job(env))
-    return {name: median_cost(each) for name, each in costs.items()}
+    return {name: median_cost(cost) for name, cost in costs.items()}
 
 
 def check_agreement(ours: Cost, evos: Cost) -> None:
     """Make sure that both computed the same: a fast wrong answer is worth nothing."""
     ate = json.loads(ours.output)["runs"][0]["ate"]
     our_rmse = [ate["position_m"]["rmse"], ate["rotation_deg"]["rmse"]]
-    evo_rmse = [float(each) for each in re.findall(r"^\s*rmse\s+(\S+)", evos.output, re.MULTILINE)]
+    evo_rmse = [float(item) for item in re.findall(r"^\s*rmse\s+(\S+)", evos.output, re.MULTILINE)]
     same = len(evo_rmse) == len(our_rmse) and all(
         abs(mine - theirs) <= 2e-6 for mine, theirs in zip(our_rmse, evo_rmse, strict=True)
     )

@@ -95,14 +95,14 @@ def steps_of(
 
 def left_by(folder: Path) -> dict[str, float]:
     """Return what a comparison left on disk."""
-    files = [each for each in folder.rglob("*") if each.is_file()]
-    pages = [each.stat().st_size for each in files if each.suffix == ".html"]
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    pages = [file.stat().st_size for file in files if file.suffix == ".html"]
     return {
         "files": len(files),
         "record_files": len(list((folder / "runs").iterdir())),
-        "records_mb": sum(each.stat().st_size for each in (folder / "runs").iterdir()) / 1e6,
+        "records_mb": sum(path.stat().st_size for path in (folder / "runs").iterdir()) / 1e6,
         "largest_page_mb": max(pages, default=0) / 1e6,
-        "tables_mb": sum(each.stat().st_size for each in files if each.suffix == ".parquet") / 1e6,
+        "tables_mb": sum(file.stat().st_size for file in files if file.suffix == ".parquet") / 1e6,
     }
 
 

@@ -50,7 +50,7 @@ class Health:
 
 def health_of(seen: Watched, factor: float) -> Health:
     """Return the alarms of a run."""
-    begins = sorted(each.begin_s for each in AlarmBook(factor).add(seen.signals))
+    begins = sorted(item.begin_s for item in AlarmBook(factor).add(seen.signals))
     episodes = int(np.count_nonzero(np.diff(begins) > EPISODE_S)) + bool(begins)
     largest = {
         name: float(values.max()) / signal_of(name).limit
@@ -87,15 +87,15 @@ class Healthy:
 def _part(run: WatchedRun, begin: int, end: int) -> WatchedRun:
     """Return what of a run has stamps from `begin` on and before `end`."""
 
-    def cut(each: Trajectory) -> Trajectory:
-        return each[(each.stamps >= begin) & (each.stamps < end)]
+    def cut(item: Trajectory) -> Trajectory:
+        return item[(item.stamps >= begin) & (item.stamps < end)]
 
     imu = run.imu
     if imu is not None:
         rows = (imu.stamps >= begin) & (imu.stamps < end)
         assert imu.accelerations is not None
         imu = InertialReadings(imu.stamps[rows], imu.rates[rows], imu.accelerations[rows])
-    partners = {name: cut(each) for name, each in run.partners.items()}
+    partners = {name: cut(partner) for name, partner in run.partners.items()}
     return WatchedRun(cut(run.estimate), imu, partners)
 
 
@@ -108,7 +108,7 @@ def halved(name: str, run: WatchedRun, factor: float) -> Healthy:
     watchdog = Watchdog(int(run.estimate.stamps[0]))
     feed(watchdog, _part(run, 0, middle))
     alarms = AlarmBook(factor).add(seen.signals)
-    return Healthy(name, run, middle, watchdog, frozenset(each.signal for each in alarms))
+    return Healthy(name, run, middle, watchdog, frozenset(alarm.signal for alarm in alarms))
 
 
 def _of(signals: Signals, needs: str, since_s: float) -> dict[str, Readings]:
@@ -130,7 +130,7 @@ def delays(
     signals = half.second_half(bad, end)
     since_s = (onset - half.watchdog.origin) / NANOSECONDS
     first: dict[str, float | None] = {}
-    signals = {name: each for name, each in signals.items() if name not in half.over}
+    signals = {name: signal for name, signal in signals.items() if name not in half.over}
     alone = AlarmBook(factor).add(_of(signals, "", since_s))
     for label, needs in SETS.items():
         extra = _of(signals, needs, since_s)
@@ -174,7 +174,7 @@ def detections(
 
 
 def _cell(delays_s: list[float | None]) -> str:
-    hits = [each for each in delays_s if each is not None]
+    hits = [item for item in delays_s if item is not None]
     if not delays_s:
         return "-"
     share = f"{100.0 * len(hits) / len(delays_s):.0f} %"
@@ -182,10 +182,10 @@ def _cell(delays_s: list[float | None]) -> str:
 
 
 def _health_row(name: str, found: list[Health]) -> list[str]:
-    hours, episodes = sum(each.hours for each in found), sum(each.episodes for each in found)
+    hours, episodes = sum(item.hours for item in found), sum(item.episodes for item in found)
     largest: dict[str, float] = {}
-    for each in found:
-        for signal, ratio in each.largest.items():
+    for item in found:
+        for signal, ratio in item.largest.items():
             largest[signal] = max(ratio, largest.get(signal, 0.0))
     worst = max(largest, key=lambda signal: largest[signal])
     return [name, f"{hours:.2f}", str(episodes), f"{largest[worst]:.2f} ({worst})"]

@@ -92,15 +92,15 @@ def twist_in_world(estimate: Trajectory, onset: int, _: np.random.Generator) -> 
 
 
 FAULTS: dict[str, Fault] = {
-    **{f"jump {each:g} m": partial(jump, metres=each) for each in (0.1, 0.3, 1.0)},
+    **{f"jump {item:g} m": partial(jump, metres=item) for item in (0.1, 0.3, 1.0)},
     "freeze": freeze,
     "coasting, rotation alive": partial(coast, turns=True),
     "coasting, rotation stopped": partial(coast, turns=False),
-    **{f"diverging {each:g} m/s2": partial(diverge, mps2=each) for each in (0.05, 0.2, 1.0)},
-    **{f"yaw {each:g} deg/s": partial(yaw, rate_deg=each) for each in (0.05, 0.2, 0.5, 1.0)},
-    **{f"scale +{100 * each:g} %": partial(scale, share=each) for each in (0.05, 0.2, 0.5)},
+    **{f"diverging {item:g} m/s2": partial(diverge, mps2=item) for item in (0.05, 0.2, 1.0)},
+    **{f"yaw {item:g} deg/s": partial(yaw, rate_deg=item) for item in (0.05, 0.2, 0.5, 1.0)},
+    **{f"scale +{100 * item:g} %": partial(scale, share=item) for item in (0.05, 0.2, 0.5)},
     **{f"stamps late {1e3 * s:g} ms": partial(late, delay_s=s) for s in (0.05, 0.2)},
     **{f"stamp jitter {1e3 * s:g} ms": partial(jitter, sigma_s=s) for s in (0.005, 0.02)},
-    **{f"twist x {each:g}": partial(twist_scale, factor=each) for each in (0.8, 0.95)},
+    **{f"twist x {item:g}": partial(twist_scale, factor=item) for item in (0.8, 0.95)},
     "twist in world axes": twist_in_world,
 }

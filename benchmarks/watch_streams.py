@@ -59,14 +59,14 @@ def streams(data: Path) -> dict[str, WatchedRun]:
     }
     mono = read_many([euroc / f"vio_mono/{name}.txt" for name in flights])
     vins, openvins = (
-        replace(each.in_order(), covariances=None)
-        for each in read_many(
+        replace(item.in_order(), covariances=None)
+        for item in read_many(
             [euroc / "vins_mono/MH_01.csv", euroc / "openvins/MH_01_with_covariance.csv"]
         )
     )
     found = {
-        f"vio_mono/{name}": WatchedRun(each[_SKIPPED:], imu=imus[name])
-        for name, each in zip(flights, mono, strict=True)
+        f"vio_mono/{name}": WatchedRun(item[_SKIPPED:], imu=imus[name])
+        for name, item in zip(flights, mono, strict=True)
     }
     found["vio_mono/MH_01"] = replace(found["vio_mono/MH_01"], partners={PAIR: openvins})
     found["vins_mono/MH_01"] = WatchedRun(vins, imu=imus["MH_01"], partners={PAIR: openvins})
@@ -92,7 +92,7 @@ def _of_real_estimators(folder: Path) -> dict[str, WatchedRun]:
         found[f"lidar/{own}"] = read_watched(f"{lidar}:/{own}/odometry", partners=partner)
     both = [np.load(folder / f"openvins_simulation/stereo_fej_{way}.npz") for way in ("on", "off")]
     for run, seed in enumerate(both[0]["seeds"].tolist()):
-        on, off = (_columns(each["stamps_ns"], each["estimate"][run]) for each in both)
+        on, off = (_columns(item["stamps_ns"], item["estimate"][run]) for item in both)
         imu = imu_of(_columns(both[0]["stamps_ns"], both[0]["truth"]), seed)
         found[f"openvins/simulated {seed}"] = WatchedRun(on, imu, {PAIR: off})
     return found

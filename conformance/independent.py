@@ -36,10 +36,10 @@ def load(file):
         fields = line.split("#")[0].split()
         if fields:
             stamp, p, q = int(Fraction(fields[0]) * 1000000000), fields[1:4], fields[4:]
-            q = [number(each) for each in q]
+            q = [number(item) for item in q]
             length = mpmath.sqrt(mpmath.fdot(q, q))
             if stamp not in rows:
-                rows[stamp] = [stamp, [number(each) for each in p], [c / length for c in q]]
+                rows[stamp] = [stamp, [number(item) for item in p], [c / length for c in q]]
     return [rows[stamp] for stamp in sorted(rows)]
 
 
@@ -145,7 +145,7 @@ def horn(a, b):
             [S[0][1] - S[1][0], S[2][0] + S[0][2], S[1][2] + S[2][1], S[2][2] - S[0][0] - S[1][1]],
         ]
     )
-    scale = max(abs(each) for each in N)
+    scale = max(abs(item) for item in N)
     if scale == 0:
         return [mpf(0), mpf(0), mpf(0), mpf(1)]
     values, vectors = mpmath.eigsy(N / scale)
@@ -255,7 +255,7 @@ def re(out, pairs):
         for form in ("se3", "yaw", "tutorial_se3", "tutorial_yaw"):
             errors = [at_end(pairs[s], pairs[e], form) for s, e in chosen if e is not None]
             for metric, k in (("position_m", 0), ("rotation_deg", 1)):
-                column = [each[k] for each in errors]
+                column = [error[k] for error in errors]
                 summary(out, f"relative.{metric}.{form}.{name}", column, ("rmse", "mean"))
 
 
@@ -316,7 +316,7 @@ def case(folder):
 def main():
     """Print the results as JSON, with 40 digits."""
     results = {}
-    for folder in sorted(each for each in CASES.iterdir() if each.is_dir()):
+    for folder in sorted(path for path in CASES.iterdir() if path.is_dir()):
         expected = json.loads((folder / "expected.json").read_text())["quantities"]
         results[folder.name] = {
             # No formula shows that a value is arbitrary, so these are taken from the list.

@@ -148,7 +148,7 @@ def main():
         wrong += counts[WRONG]
         if arguments.table:
             continue
-        print(f"{name_of(result)}: " + ", ".join(f"{counts[each]} {each}" for each in OUTCOMES))
+        print(f"{name_of(result)}: " + ", ".join(f"{counts[item]} {item}" for item in OUTCOMES))
         for case, quantity, outcome, text in rows:
             if outcome in (WRONG, REFUSED):
                 print(f"  {case}  {quantity}: {outcome}, {text}")

@@ -61,7 +61,7 @@ def _floats(content: bytes) -> list[float]:
     """Return the numbers of a .npy file; numpy comes with evo."""
     import numpy
 
-    return [float(each) for each in numpy.load(io.BytesIO(content)).ravel()]
+    return [float(item) for item in numpy.load(io.BytesIO(content)).ravel()]
 
 
 def _rows(content: bytes) -> int:

@@ -71,11 +71,11 @@ def _absolute(groundtruth: Trajectory, estimate: Trajectory, kind: str) -> Answe
     try:
         evaluation = evaluate(groundtruth, estimate, protocol)
     except TrajevalError:
-        answers = {f"{prefix}{each}.{s}": "undetermined" for each in names for s in STATISTICS}
+        answers = {f"{prefix}{item}.{s}": "undetermined" for item in names for s in STATISTICS}
         return {**answers, f"{prefix}scale.{name}": "undetermined"}
     answers = {
-        f"{prefix}{each}.{statistic}": _number(evaluation.ate[each.split(".")[0]], statistic)
-        for each in names
+        f"{prefix}{item}.{statistic}": _number(evaluation.ate[item.split(".")[0]], statistic)
+        for item in names
         for statistic in STATISTICS
     }
     answers[f"{prefix}pairs"] = len(evaluation.association)

@@ -36,5 +36,5 @@ alone = assess_likelihood(evaluate(slow, good, protocol))
 print("ATE of poses with known groundtruth:", alone.ate.supported_m, alone.ate.supported_share)
 
 outcome = run(slow, [good, bad], Request(protocol))
-for each in outcome.runs:
-    print(each.estimate.name, "log Bayes factor, nats:", each.likelihood.log_bayes)
+for item in outcome.runs:
+    print(item.estimate.name, "log Bayes factor, nats:", item.likelihood.log_bayes)

@@ -107,7 +107,7 @@ $ trajeval demo demo_output
 
 def draw(folder: Path) -> dict[str, bytes]:
     """Run all commands in a folder, and return the figures by their names on the page."""
-    for command in dict.fromkeys([*PREPARE, *(each.command for each in PICTURES)]):
+    for command in dict.fromkeys([*PREPARE, *(picture.command for picture in PICTURES)]):
         program, *arguments = shlex.split(command)
         assert program == "trajeval"
         done = subprocess.run(
@@ -120,12 +120,12 @@ def draw(folder: Path) -> dict[str, bytes]:
         )
         if done.returncode != 0:
             raise RuntimeError(f"{command}\n{done.stdout}{done.stderr}")
-    return {each.file: (folder / each.file).read_bytes() for each in PICTURES}
+    return {picture.file: (folder / picture.file).read_bytes() for picture in PICTURES}
 
 
 def section() -> str:
     """Return the section of docs/figures.md that shows the figures of `draw`."""
-    prepare = "\n".join(f"$ {_broken(each)}" for each in PREPARE)
+    prepare = "\n".join(f"$ {_broken(item)}" for item in PREPARE)
     lines = [
         "## Gallery",
         "",
@@ -134,10 +134,10 @@ def section() -> str:
         "",
         f"```console\n{prepare}\n```",
     ]
-    for each in PICTURES:
-        lines += ["", f"### {each.title}", "", each.text, ""]
-        lines += [f"```console\n$ {_broken(each.command)}\n```"]
-        lines += ["", f"![{each.text}](gallery/{each.file})"]
+    for picture in PICTURES:
+        lines += ["", f"### {picture.title}", "", picture.text, ""]
+        lines += [f"```console\n$ {_broken(picture.command)}\n```"]
+        lines += ["", f"![{picture.text}](gallery/{picture.file})"]
     return "\n".join([*lines, _RERUN])
 
 

@@ -23,7 +23,7 @@ class _References(HTMLParser):
         if tag == "link" and relation not in ("canonical", "next", "prev"):
             self.fetched.append(values.get("href") or "")
         elif tag != "a":
-            self.fetched += [values.get(each) or "" for each in ("src", "srcset", "data")]
+            self.fetched += [values.get(name) or "" for name in ("src", "srcset", "data")]
         self.fetched += _FOREIGN_IN_STYLE.findall(values.get("style") or "")
 
 
@@ -33,7 +33,7 @@ def fetched_from_elsewhere(name: str, text: str) -> list[str]:
         return _FOREIGN_IN_STYLE.findall(text)
     parser = _References()
     parser.feed(text)
-    found = [each for each in parser.fetched if re.match(r"(https?:)?//|url\(|@import", each)]
+    found = [item for item in parser.fetched if re.match(r"(https?:)?//|url\(|@import", item)]
     # Material asks GitHub for stars where a page names a repository.
     return found + ["api.github.com"] * ('data-md-component="source"' in text)
 
@@ -41,7 +41,7 @@ def fetched_from_elsewhere(name: str, text: str) -> list[str]:
 def foreign_references(folder: Path) -> list[str]:
     """Return what the pages and style sheets of a site fetch from other hosts."""
     return [
-        f"{path.relative_to(folder)}: {each}"
+        f"{path.relative_to(folder)}: {item}"
         for path in sorted([*folder.rglob("*.html"), *folder.rglob("*.css")])
-        for each in fetched_from_elsewhere(path.name, path.read_text(encoding="utf-8"))
+        for item in fetched_from_elsewhere(path.name, path.read_text(encoding="utf-8"))
     ]

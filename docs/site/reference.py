@@ -34,8 +34,10 @@ def command_line() -> str:
 
 def _command(name: str) -> Iterator[str]:
     command = verb(name)
-    arguments = [each for each in command.params if each.param_type_name == "argument"]
-    usage = " ".join(_value(each) for each in arguments)
+    arguments = [
+        parameter for parameter in command.params if parameter.param_type_name == "argument"
+    ]
+    usage = " ".join(_value(item) for item in arguments)
     yield f"## trajeval {name}"
     yield ""
     yield f"    trajeval {name} [OPTIONS] {usage}".rstrip()
@@ -45,9 +47,11 @@ def _command(name: str) -> Iterator[str]:
         yield ""
         yield f"* `{_value(argument)}`: {_plain(argument.help)}"
     panels: dict[str, list[Any]] = {}
-    for each in command.params:
-        if each.param_type_name == "option" and not each.hidden:
-            panels.setdefault(getattr(each, "rich_help_panel", None) or "Options", []).append(each)
+    for parameter in command.params:
+        if parameter.param_type_name == "option" and not parameter.hidden:
+            panels.setdefault(getattr(parameter, "rich_help_panel", None) or "Options", []).append(
+                parameter
+            )
     for panel, options in panels.items():
         yield ""
         title = re.sub(r" \(docs/\w+\.md\)", "", panel)
@@ -106,11 +110,14 @@ def parameters() -> str:
     """Return the section on the node's parameters, topics and services."""
     rows = "\n".join(map(_row, PARAMETERS))
     topics = [
-        *((each, error_topics.VECTOR_TYPE) for each in error_topics.VECTORS),
-        *((each, error_topics.NUMBER_TYPE) for each in error_topics.NUMBERS),
+        *((vector, error_topics.VECTOR_TYPE) for vector in error_topics.VECTORS),
+        *((number, error_topics.NUMBER_TYPE) for number in error_topics.NUMBERS),
         *((f"{error_topics.ATE}/{part}", error_topics.VECTOR_TYPE) for part in error_topics.PARTS),
-        *((each, error_topics.NUMBER_TYPE) for each in error_topics.NEES_NUMBERS),
-        *((each, error_topics.NUMBER_TYPE) for each in error_topics.PROTECTION_LEVELS.values()),
+        *((nees_number, error_topics.NUMBER_TYPE) for nees_number in error_topics.NEES_NUMBERS),
+        *(
+            (protection_level, error_topics.NUMBER_TYPE)
+            for protection_level in error_topics.PROTECTION_LEVELS.values()
+        ),
         *(
             (f"{error_topics.relative_error_topic('8m')}/{part}", error_topics.VECTOR_TYPE)
             for part in error_topics.PARTS
@@ -121,7 +128,8 @@ def parameters() -> str:
     ]
     published = "\n".join(f"| `{name}` | `{kind}` |" for name, kind in topics)
     services = "\n".join(
-        f"| `{name}` | `{SERVICE_TYPE}` | {_plain(each, '')} |" for name, each in SERVICES.items()
+        f"| `{name}` | `{SERVICE_TYPE}` | {_plain(service, '')} |"
+        for name, service in SERVICES.items()
     )
     return f"""## ROS 2 parameters and services
 
@@ -151,12 +159,12 @@ The node also publishes `/diagnostics` (`{error_topics.DIAGNOSTICS_TYPE}`) and `
 """
 
 
-def _row(each: NodeParameter) -> str:
-    default = "" if each.default in ("", [""]) else f"`{each.default}`"
-    limits = "" if each.range is None else f" Range: {each.range[0]:g} to {each.range[1]:g}."
-    live = " Can be set while the node runs." if each.is_live else ""
-    description = _plain(each.description, "").replace("|", "\\|")
-    return f"| `{each.name}` | {default} | {description}{limits}{live} |"
+def _row(item: NodeParameter) -> str:
+    default = "" if item.default in ("", [""]) else f"`{item.default}`"
+    limits = "" if item.range is None else f" Range: {item.range[0]:g} to {item.range[1]:g}."
+    live = " Can be set while the node runs." if item.is_live else ""
+    description = _plain(item.description, "").replace("|", "\\|")
+    return f"| `{item.name}` | {default} | {description}{limits}{live} |"
 
 
 def names() -> str:

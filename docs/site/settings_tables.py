@@ -48,7 +48,11 @@ _HEAD = """\
 
 def settings_table() -> str:
     """Return the table of all settings in Markdown."""
-    rows = [_row(each) for each in SETTINGS.values() if each.verbs or not each.is_of_one_run]
+    rows = [
+        _row(setting)
+        for setting in SETTINGS.values()
+        if setting.verbs or not setting.is_of_one_run
+    ]
     return "\n".join(["| setting | default | where | meaning |", "|---|---|---|---|", *rows])
 
 

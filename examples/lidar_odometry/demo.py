@@ -48,14 +48,14 @@ def run(folder: Path, estimators: Sequence[str], seconds: float, *, is_real_time
             results differ.
     """
     make_way(folder)
-    chosen = [each for each in estimators if is_there(each)]
-    for each in estimators:
-        if each not in chosen:
-            print(f"{each} is left out: it has no wheel for this machine")
+    chosen = [estimator for estimator in estimators if is_there(estimator)]
+    for estimator in estimators:
+        if estimator not in chosen:
+            print(f"{estimator} is left out: it has no wheel for this machine")
     if not chosen:
         raise InputError(f"none of {', '.join(estimators)} is installed")
     bag, live, recorded = folder / "bag", folder / "live", folder / "recorded"
-    topics = [topic_of(each) for each in chosen]
+    topics = [topic_of(item) for item in chosen]
     has_ros = find_spec("rclpy") is not None
     if has_ros:
         pace = "in real time" if is_real_time else "in lockstep"
@@ -75,7 +75,7 @@ def run(folder: Path, estimators: Sequence[str], seconds: float, *, is_real_time
         "--modality", "lidar", "--output", recorded, *more,
     )  # fmt: skip
     folders = [live, recorded] if has_ros else [recorded]
-    results = [json.loads((each / "result.json").read_text("utf-8")) for each in folders]
+    results = [json.loads((item / "result.json").read_text("utf-8")) for item in folders]
     if has_ros:
         for line in table(*results):
             print(line)
@@ -103,9 +103,9 @@ def topic_of(estimator: str) -> str:
 
 def make_way(folder: Path) -> None:
     """Remove the results of an earlier demo, and nothing else."""
-    for each in sorted(folder.iterdir()) if folder.is_dir() else ():
-        if not _EARLIER.fullmatch(each.name):
-            raise InputError(f"{folder} contains {each.name}; choose another folder")
+    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+        if not _EARLIER.fullmatch(path.name):
+            raise InputError(f"{folder} contains {path.name}; choose another folder")
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
 
@@ -114,7 +114,7 @@ def evaluate_live(
     folder: Path, estimators: Sequence[str], seconds: float, *, is_real_time: bool
 ) -> Mapping[str, int]:
     """Run lidar, estimators and evaluator, and record; return the numbers of messages."""
-    topics = [topic_of(each) for each in estimators]
+    topics = [topic_of(estimator) for estimator in estimators]
     words = [
         f"groundtruth_topic:={GROUNDTRUTH_TOPIC}",
         f"estimate_topics:=[{','.join(topics)}]",
@@ -130,9 +130,9 @@ def evaluate_live(
         # Its subscribers are the lidar, the evaluator and the recorder.
         nodes = [
             stack.enter_context(
-                process("examples.lidar_odometry.odometry", each, "--subscribers", "3")
+                process("examples.lidar_odometry.odometry", estimator, "--subscribers", "3")
             )
-            for each in estimators
+            for estimator in estimators
         ]
         pace = ["--real-time"] if is_real_time else []
         running = [*zip(estimators, nodes, strict=True), ("the evaluator", evaluator)]
@@ -143,10 +143,10 @@ def evaluate_live(
             )
         )  # fmt: skip
         counts = record(folder / "bag", topics, lidar)
-        for name, each in running:
-            each.send_signal(signal.SIGINT)
-            if each.wait(_PATIENCE_S):
-                raise InputError(f"{name} exited with status {each.returncode}")
+        for name, item in running:
+            item.send_signal(signal.SIGINT)
+            if item.wait(_PATIENCE_S):
+                raise InputError(f"{name} exited with status {item.returncode}")
     return counts
 
 
@@ -216,7 +216,8 @@ def write_without_ros(bag: Path, estimators: Sequence[str], seconds: float) -> N
 
     flight, sweeps = Flight(), sweeps_in(seconds)
     odometry = {
-        topic_of(each): (in_one_process(each, sweeps, flight), ODOMETRY) for each in estimators
+        topic_of(estimator): (in_one_process(estimator, sweeps, flight), ODOMETRY)
+        for estimator in estimators
     }
     seen = flight.groundtruth[: round(seconds * 200)]
     write_bag(bag, {GROUNDTRUTH_TOPIC: (seen, POSE_STAMPED), **odometry})
@@ -245,8 +246,8 @@ def name_of(run: dict[str, Any]) -> str:
 
 def check(result: dict[str, Any], *, is_real_time: bool) -> None:
     """Raise InputError if an error is above its limit; in real time, the load decides."""
-    for each in result["runs"]:
-        name, ate_m = name_of(each), each["ate"]["position_m"]["rmse"]
+    for item in result["runs"]:
+        name, ate_m = name_of(item), item["ate"]["position_m"]["rmse"]
         limit_m = LIMITS_M.get(name)
         if limit_m is not None and ate_m > limit_m and not is_real_time:
             raise InputError(f"{name}: position ATE {ate_m:.3f} m, more than {limit_m} m")

@@ -118,7 +118,7 @@ def in_one_process(name: str, sweeps: int, flight: Flight) -> Trajectory:
     for number in range(sweeps):
         stamp, points, after = flight.sweep(number)
         # As they are transmitted.
-        points, after = (each.astype(np.float32).astype(float) for each in (points, after))
+        points, after = (item.astype(np.float32).astype(float) for item in (points, after))
         poses.append(estimator.register(points, after).copy())
         stamps.append(stamp + end_of_sweep_ns())
     matrices = np.array(poses)

@@ -123,7 +123,7 @@ class Flight:
         begin_s = START_S + number * PERIOD_S
         after = np.arange(COLUMNS) * (PERIOD_S / COLUMNS)
         at = begin_s + after
-        positions = [np.interp(at, self._seconds, each) for each in self.groundtruth.positions.T]
+        positions = [np.interp(at, self._seconds, item) for item in self.groundtruth.positions.T]
         origins = np.repeat(np.stack(positions, axis=1), RINGS, axis=0)
         rays = np.einsum("cij,crj->cri", self._turns(at).as_matrix(), self._rays).reshape(-1, 3)
         ranges = self.hall.ranges(origins, rays)

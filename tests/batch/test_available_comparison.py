@@ -76,7 +76,7 @@ def test_requirements_of_one_run(config: Path) -> None:
 
 def test_options_need_the_accuracy(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = config.parent
-    sources = [str(folder / f"{each}_flight.csv") for each in ("truth", "prompt")]
+    sources = [str(folder / f"{name}_flight.csv") for name in ("truth", "prompt")]
     for option in (["--deadline", "0.2"], ["--received", "log"], ["--receive-clock", "1"]):
         assert main(["evaluate", *sources, *option]) == 2
         assert f"{option[0]} needs --as-available; add it" in capsys.readouterr().err

@@ -65,7 +65,9 @@ class Cluster:
             "--no-dashboard", "--nthreads", "1", "--name", name,
             "--local-directory", str(self._folder),
         )  # fmt: skip
-        self._wait_for(lambda: name in {str(each["name"]) for each in self._workers().values()})
+        self._wait_for(
+            lambda: name in {str(worker["name"]) for worker in self._workers().values()}
+        )
 
     def end(self) -> None:
         self.client.close()

@@ -159,7 +159,7 @@ def test_who_lost_runs_is_never_the_best_in_relative_errors(tmp_path: Path) -> N
     write_run(tmp_path / "good" / "yard_trial0.txt", 1.5)
     (tmp_path / "bad" / "yard_trial0.txt").unlink()
     _, summary = run(config)
-    table = next(each for each in matrices(summary) if each.name == "re_position_percent")
+    table = next(matrix for matrix in matrices(summary) if matrix.name == "re_position_percent")
     (_, good), (_, bad) = table.rows
     assert good[0].value is not None
     assert bad[0].value is not None
@@ -224,7 +224,7 @@ def test_the_trial_of_a_figure_is_named(tmp_path: Path) -> None:
     config = write_runs(tmp_path, trials=3, sequences=["hall"])
     _, summary = run(config)
     planned = sequence_figures(summary, RecordStore(tmp_path / "out" / RECORDS), "hall")
-    (paths,) = (each.plot.paths for each in planned if each.name == "trajectories_hall")
+    (paths,) = (item.plot.paths for item in planned if item.name == "trajectories_hall")
     assert [name for name, _ in paths.values()] == ["good, trial 1", "bad, trial 1"]
 
 
@@ -254,16 +254,16 @@ def test_lengths_of_every_unit_are_in_tables_and_figures(
     out = tmp_path / "out"
     run_plan(plan_of(config, {"lengths": lengths}), out, here)
     summary = summary_of(out)
-    relative = [each for each in matrices(summary) if each.name.startswith("re_")]
+    relative = [matrix for matrix in matrices(summary) if matrix.name.startswith("re_")]
     unit = "percent" if lengths == "20%" else "m"
-    assert [each.columns for each in relative] == [headings, headings]
+    assert [item.columns for item in relative] == [headings, headings]
     assert relative[0].name == f"re_position_{unit}"
     assert all(cell.value is not None for _, cells in relative[0].rows for cell in cells)
     planned = sequence_figures(summary, RecordStore(out / RECORDS), "hall")
-    plots = [each.plot for each in planned if each.name.startswith("re_")]
+    plots = [item.plot for item in planned if item.name.startswith("re_")]
     shown = [heading.split()[0] for heading in headings] if across else list(headings)
-    assert [each.groups for each in plots] == [shown, shown]
-    assert {each.axis for each in plots} == {f"length of sub-trajectory {across}".rstrip()}
+    assert [plot.groups for plot in plots] == [shown, shown]
+    assert {plot.axis for plot in plots} == {f"length of sub-trajectory {across}".rstrip()}
 
 
 def test_the_table_has_a_row_per_run_metric_and_length_with_provenance(tmp_path: Path) -> None:
@@ -280,9 +280,9 @@ def test_the_table_has_a_row_per_run_metric_and_length_with_provenance(tmp_path:
         assert row["rmse"] is not None
         assert row["count"] > 0
     names = [(row["algorithm"], row["sequence"], row["trial"]) for row in rows]
-    each = {(*name, row["kind"], row["metric"], row["length"])
+    item = {(*name, row["kind"], row["metric"], row["length"])
             for name, row in zip(names, rows, strict=True)}  # fmt: skip
-    assert len(each) == len(rows)
+    assert len(item) == len(rows)
 
 
 def test_bags_are_sources_too(flights: Path, tmp_path: Path) -> None:
@@ -314,9 +314,11 @@ def test_urls_are_sources_too(tmp_path: Path) -> None:
     _, local = run(config)
     far = tmp_path / "far"
     plan = plan_of(remote, {})
-    assert all(each.estimate.startswith("memory://") for each in plan.runs)
+    assert all(item.estimate.startswith("memory://") for item in plan.runs)
     run_plan(plan, far, here)
-    assert [each.rmse for each in summary_of(far).trials] == [each.rmse for each in local.trials]
+    assert [trial.rmse for trial in summary_of(far).trials] == [
+        trial.rmse for trial in local.trials
+    ]
     assert run_plan(plan, far, here).done == 0
     store.put(str(write_run(tmp_path / "x.txt", 1.1)), "/runs/bad/yard_trial0.txt")
     assert run_plan(plan_of(remote, {}), far, here).done == 1
@@ -345,7 +347,7 @@ def test_a_folder_that_can_not_be_written_loses_nothing(
         with pytest.raises(InputError, match="can't be written: no space left"):
             run(config)
     assert records(config) == finished
-    assert {each.name for each in (tmp_path / "out" / RECORDS).iterdir()} == {OWN}
+    assert {path.name for path in (tmp_path / "out" / RECORDS).iterdir()} == {OWN}
     progress, _ = run(config)
     assert (progress.done, progress.kept) == (1, 7)
 
@@ -406,12 +408,12 @@ def test_pooled_drift_is_each_error_over_the_length_of_its_own_trial(
         "position_m": trials[0][0].tolist() + trials[1][0].tolist(),
         "rotation_deg": trials[0][1].tolist() + trials[1][1].tolist(),
         "position_percent": [
-            100.0 * each / size
+            100.0 * error / size
             for errors, size in zip(trials, sizes, strict=True)
-            for each in errors[0]
+            for error in errors[0]
         ],
         "rotation_deg_per_m": [
-            each / size for errors, size in zip(trials, sizes, strict=True) for each in errors[1]
+            error / size for errors, size in zip(trials, sizes, strict=True) for error in errors[1]
         ],
     }
     assert rows.keys() == expected.keys()

@@ -214,9 +214,9 @@ def test_the_toolboxs_start_and_end_are_applied(tmp_path: Path) -> None:
     )
     span = TimeSpan.parse("5", "12")
     assert span is not None
-    sides = [read_trajectory(each) for each in (truth, estimate)]
+    sides = [read_trajectory(item) for item in (truth, estimate)]
     first = int(sides[0].stamps[0])
-    ate = evaluate(*(span.cut(each, first) for each in sides)).ate["position_m"]
+    ate = evaluate(*(span.cut(side, first) for side in sides)).ate["position_m"]
     assert ate is not None
     assert (row["rmse"], row["count"]) == (ate.rmse, ate.count)
     assert row["count"] == 105

@@ -25,13 +25,13 @@ def test_figures_are_written_as_files(tmp_path: Path) -> None:
         stems |= {f"re_position_percent_{sequence}", f"re_rotation_deg_{sequence}"}
         stems |= {f"trajectories_{sequence}", f"errors_{sequence}"}
     figures = out / "figures"
-    assert {each.name for each in figures.iterdir()} == {f"{stem}.svg" for stem in stems}
-    before = {each.name: each.read_bytes() for each in figures.iterdir()}
-    for each in figures.iterdir():
-        each.unlink()
+    assert {path.name for path in figures.iterdir()} == {f"{stem}.svg" for stem in stems}
+    before = {path.name: path.read_bytes() for path in figures.iterdir()}
+    for path in figures.iterdir():
+        path.unlink()
     figures.rmdir()
     assert main([*command, "--workers", "1"]) == 0
-    assert {each.name: each.read_bytes() for each in figures.iterdir()} == before
+    assert {path.name: path.read_bytes() for path in figures.iterdir()} == before
     # Figures of a sequence that is gone do not stay.
     (tmp_path / "runs.yaml").open("a").write("sequences: [hall]\n")
     assert main([*command, "--workers", "1"]) == 0
@@ -45,13 +45,13 @@ def test_the_number_of_runs_with_figures_and_their_formats_are_chosen(tmp_path: 
     config = write_runs(tmp_path, sequences=("hall",), trials=3)
     command = ["compare", str(config), "--output", str(out), "--quiet", "--workers", "1"]
     assert main([*command, "--figures", "2", "--figure-format", "pdf,png"]) == 0
-    kinds = {each.suffix for each in (out / "figures").iterdir()}
+    kinds = {path.suffix for path in (out / "figures").iterdir()}
     assert kinds == {".pdf", ".png"}
     assert (out / "figures" / "ate_position_m.pdf").read_bytes().startswith(b"%PDF")
     text = (out / "report.html").read_text()
     folded = text.split("<details ")[1:]
     # The runs with the largest errors have figures, all have numbers.
-    assert ["<svg" in each for each in folded] == [False, False, False, False, True, True]
+    assert ["<svg" in item for item in folded] == [False, False, False, False, True, True]
     assert "Figures are drawn for 2 runs: those with the largest error" in text
     # Other figures are drawn without an evaluation; none leave no figure of before.
     records = (out / "runs" / "all.records").read_bytes()

@@ -43,7 +43,7 @@ def evaluate(truth: Path, estimate: Path, output: Path, *more: str) -> None:
 
 
 def results(folder: Path) -> list[str]:
-    return [str(each.parent) for each in sorted(folder.glob("*/result.json"))]
+    return [str(path.parent) for path in sorted(folder.glob("*/result.json"))]
 
 
 @pytest.mark.slow
@@ -140,11 +140,11 @@ def test_results_are_named_as_estimates_are(
 ) -> None:
     robots = [str(folder / "vio_hall"), str(folder / "slam_yard")]
     assert "NAME=RESULT" in FinishedResults(robots).advice
-    given = [f"Team={each}" for each in robots]
+    given = [f"Team={robot}" for robot in robots]
     assert main(["compare", "--figures", "0", *given, "--output", str(tmp_path / "out")]) == 0
     summary = summary_of(tmp_path / "out")
     assert (summary.algorithms, summary.sequences) == (["Team"], ["hall", "yard"])
-    assert [each.status for each in summary.trials] == ["ok", "ok"]
+    assert [trial.status for trial in summary.trials] == ["ok", "ok"]
     assert "warning" not in capsys.readouterr().err
     assert not FinishedResults(results(folder)).advice
     assert main(["compare", "--figures", "0", *robots, "--output", str(tmp_path / "apart")]) == 0

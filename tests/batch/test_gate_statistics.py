@@ -54,14 +54,14 @@ def samples_of(case: dict[str, Any], metrics: slice = slice(None)) -> list[Sampl
     for old, new in zip(case["old"], case["new"], strict=True):
         rows = np.array([*old, *new], dtype=float).reshape(len(old) + len(new), -1)
         rows[np.isnan(rows)] = math.inf
-        z = np.column_stack([GATE.logarithms(list(each)) for each in rows.T])[:, metrics]
+        z = np.column_stack([GATE.logarithms(list(item)) for item in rows.T])[:, metrics]
         made.append(Sample(z[: len(old)], z[len(old) :], paired=case.get("paired", False)))
     return made
 
 
 def p_of(z: Sequence[Floats], old: int, **more: Any) -> Floats:
     """Return p-values of all sequences together, of logarithms (runs, metrics) by sequence."""
-    samples = [Sample(each[:old], each[old:], **more) for each in z]
+    samples = [Sample(item[:old], item[old:], **more) for item in z]
     return PermutationTest(samples, np.zeros(z[0].shape[1]), FALSE_ALARMS).worse.together
 
 
@@ -69,7 +69,7 @@ def p_of(z: Sequence[Floats], old: int, **more: Any) -> Floats:
 def test_small_cases_are_those_of_the_enumeration(name: str) -> None:
     case = CASES[name]
     samples = samples_of(case)
-    assert math.prod(each.count for each in samples) == case["relabellings"]
+    assert math.prod(sample.count for sample in samples) == case["relabellings"]
     margins = np.full(len(case["p"]), math.log1p(case.get("margin", 0.0)))
     found = PermutationTest(samples, margins, 0.05)
     assert found.worse.together == pytest.approx(case["p_max_t"], abs=1e-12)
@@ -219,7 +219,7 @@ def test_single_sequences_and_all_together_share_the_level_exactly() -> None:
 @settings(max_examples=20, deadline=None)
 def test_the_same_trials_on_both_sides_never_alarm(sequences: int, trials: int, seed: int) -> None:
     z = np.random.default_rng(seed).normal(0.0, 0.3, (sequences, trials, 1))
-    found = PermutationTest([Sample(each, each) for each in z], np.zeros(1), FALSE_ALARMS)
+    found = PermutationTest([Sample(item, item) for item in z], np.zeros(1), FALSE_ALARMS)
     assert not rejects_together(found.worse).any()
     assert not rejects_alone(found.worse).any()
     assert found.worse.together[0] >= 0.49
@@ -227,7 +227,7 @@ def test_the_same_trials_on_both_sides_never_alarm(sequences: int, trials: int, 
 
 def test_random_relabellings_have_the_sizes_of_the_sides_and_the_true_ones_first() -> None:
     drawn = list(relabellings([Sample(np.zeros((30, 1)), np.zeros((20, 1)))] * 2, 500))
-    assert all((each.sum(1) == 20).all() for each in drawn)
+    assert all((item.sum(1) == 20).all() for item in drawn)
     assert (drawn[0][0] == (np.arange(50) >= 30)).all()
     assert len(np.unique(drawn[0], axis=0)) == 501
     assert abs(drawn[0][1:].mean(0) - 0.4).max() < 0.1
@@ -242,7 +242,7 @@ def test_a_missing_sequence_and_a_missing_metric_change_no_p() -> None:
     gone = random.normal(size=(6, 1))
     gone[3:] = math.nan
     assert p_of([*z, gone], 3) == pytest.approx(p_of(z, 3), abs=0.02)  # other random relabellings
-    small = [each[[0, 1, 3, 4]] for each in z]
+    small = [item[[0, 1, 3, 4]] for item in z]
     both = PermutationTest(samples([(2, 2)] * 4, [*small, gone[[0, 1, 3, 4]]]), np.zeros(1), 0.05)
     alone = PermutationTest(samples([(2, 2)] * 3, small), np.zeros(1), 0.05)
     assert both.worse.together == pytest.approx(alone.worse.together, abs=1e-12)
@@ -266,9 +266,9 @@ def test_a_zero_counts_as_the_smallest_positive_value() -> None:
 
 def test_sizes_with_which_tests_can_reject() -> None:
     level = FALSE_ALARMS
-    assert [equal_trials(each, level) for each in (1, 2, 3, 5, 6)] == [4, 3, 2, 2, 1]
+    assert [equal_trials(item, level) for item in (1, 2, 3, 5, 6)] == [4, 3, 2, 2, 1]
     assert equal_trials(1, level / 2.0) == 5
-    assert [more_trials([(1, 1)] * each, level) for each in (1, 5, 6)] == [38, 1, 0]
+    assert [more_trials([(1, 1)] * item, level) for item in (1, 5, 6)] == [38, 1, 0]
     asked = {}
     for size in ((5, 5), (10, 3), (12, 2), (4, 4), (10, 2)):
         z = np.zeros((sum(size), 1))
@@ -328,11 +328,11 @@ def test_a_detectable_change_is_detected_in_four_of_five(
         return PermutationTest(samples([size] * sequences, z), np.zeros(1), 0.025, 499, random)
 
     detectable = [test(0.1).detectable() for _ in range(30)]
-    common = float(np.median([each[0][0] for each in detectable]))
+    common = float(np.median([item[0][0] for item in detectable]))
     found = np.mean([rejects_together(test(common).worse)[0] for _ in range(200)])
     # 80 %, the deviation of 200 comparisons, and that of the median of 30 detectable changes.
     assert 0.68 < found < 0.92
-    one = float(np.median([each[1][0, 0] for each in detectable]))
+    one = float(np.median([item[1][0, 0] for item in detectable]))
     assert math.isfinite(one) == (size == (5, 5))
     if math.isfinite(one):
         found = np.mean([rejects_alone(test(0.0, one).worse)[0, 0] for _ in range(200)])

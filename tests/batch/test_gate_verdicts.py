@@ -24,8 +24,8 @@ from trajeval_ros.exceptions import SettingsError
 def test_the_margin_is_what_may_change(tmp_path: Path) -> None:
     before, now = trials_of(11, 5), trials_of(11, 5, 1.3, seed=1)
     words = [
-        pooled_word(judged(tmp_path, before, now, f"ate.position_m.rmse worse than {each} %"))
-        for each in (0, 10, 30, 60, 100)
+        pooled_word(judged(tmp_path, before, now, f"ate.position_m.rmse worse than {item} %"))
+        for item in (0, 10, 30, 60, 100)
     ]
     assert words == ["worse", "worse", "undecided", "no worse", "no worse"]
 
@@ -44,10 +44,10 @@ def test_a_coverage_is_worse_where_it_falls(tmp_path: Path) -> None:
 
 def test_trials_that_were_not_run_again_are_no_failures(tmp_path: Path) -> None:
     before = trials_of(3, 10)
-    judgement = judged(tmp_path, before, {name: each[:3] for name, each in before.items()})
+    judgement = judged(tmp_path, before, {name: item[:3] for name, item in before.items()})
     assert not judgement.fails
-    assert {each.verdict for each in judgement.gates[0].numbers} == {"undecided"}
-    assert [each.trials for each in judgement.gates[0].numbers] == [(10, 3)] * 3
+    assert {number.verdict for number in judgement.gates[0].numbers} == {"undecided"}
+    assert [number.trials for number in judgement.gates[0].numbers] == [(10, 3)] * 3
     assert (judgement.failures.before, judgement.failures.now) == ((0, 30), (0, 9))
 
 
@@ -55,8 +55,8 @@ def test_a_failed_run_alone_is_no_alarm_and_many_are(tmp_path: Path) -> None:
     before, now = trials_of(11, 5), trials_of(11, 5, seed=1)
     now["s3"][2] = None
     assert not judged(tmp_path, before, now).fails
-    for each in range(11):
-        now[f"s{each}"][each % 5] = None
+    for index in range(11):
+        now[f"s{index}"][index % 5] = None
     judgement = judged(tmp_path, before, now)
     assert judgement.failures.verdict == "more failures"
     assert judgement.failures.now == (12, 55)  # one of s3 beside one of each
@@ -70,13 +70,13 @@ def test_a_failed_run_alone_is_no_alarm_and_many_are(tmp_path: Path) -> None:
 def test_failed_runs_have_a_verdict_of_their_own_and_no_values(tmp_path: Path) -> None:
     before = trials_of(11, 5)
     now: dict[str, list[float | None]] = {
-        name: [each[0], each[1], None, None, None] for name, each in before.items()
+        name: [item[0], item[1], None, None, None] for name, item in before.items()
     }
     judgement = judged(tmp_path, before, now)
     assert pooled_word(judgement) == "no worse"
     assert judgement.verdict == "more failures"
-    assert {each.medians[1] for each in judgement.gates[0].numbers} == {math.inf}
-    assert {each.trials for each in judgement.gates[0].numbers} == {(5, 5)}
+    assert {number.medians[1] for number in judgement.gates[0].numbers} == {math.inf}
+    assert {number.trials for number in judgement.gates[0].numbers} == {(5, 5)}
 
 
 @pytest.mark.parametrize(
@@ -86,12 +86,12 @@ def test_failed_runs_have_a_verdict_of_their_own_and_no_values(tmp_path: Path) -
 def test_too_few_trials_of_one_number_are_undecided_and_say_how_many_decide(
     trials: int, now: int, enough: int, more: int, tmp_path: Path
 ) -> None:
-    spread = [1.0 + 0.01 * each for each in range(10)]
-    new = [9.0 * each for each in spread[:now]]
+    spread = [1.0 + 0.01 * index for index in range(10)]
+    new = [9.0 * item for item in spread[:now]]
     judgement = judged(tmp_path, {"s": list(spread[:trials])}, {"s": list(new)})
     assert not judgement.fails
     assert judgement.verdict == "undecided"
-    assert [each.verdict for each in judgement.gates[0].numbers] == ["undecided"]
+    assert [number.verdict for number in judgement.gates[0].numbers] == ["undecided"]
     pooled = judgement.gates[0].pooled
     assert pooled is not None
     assert (pooled.bounds, pooled.noticeable, pooled.more_trials) == (None, None, more)
@@ -103,7 +103,7 @@ def test_too_few_trials_of_one_number_are_undecided_and_say_how_many_decide(
     reason = judgement.gates[0].why_it_cannot_fail(judgement.false_alarms)
     assert f"use {enough} trials on both sides, or {more} more per value now" in reason
     # What the sentence advises is enough.
-    new = [9.0 + 0.01 * each for each in range(now + more)]
+    new = [9.0 + 0.01 * index for index in range(now + more)]
     assert judged(tmp_path, {"s": list(spread[:trials])}, {"s": list(new)}).fails
     assert judged(tmp_path, {"s": list(spread[:enough])}, {"s": list(new[:enough])}).fails or (
         now + more < enough
@@ -123,7 +123,7 @@ def test_gates_that_can_fail_are_not_reported(tmp_path: Path) -> None:
 def test_one_trial_of_many_numbers_is_judged_together_alone(tmp_path: Path) -> None:
     judgement = judged(tmp_path, trials_of(11, 1), trials_of(11, 1, 1.5, seed=1))
     assert pooled_word(judgement) == "worse"
-    assert {each.verdict for each in judgement.gates[0].numbers} == {"not judged alone"}
+    assert {number.verdict for number in judgement.gates[0].numbers} == {"not judged alone"}
     text = to_markdown(judgement, "runs", [])
     assert (
         "1 trial on both sides: too few to test single values; use 5 trials on both sides" in text
@@ -147,9 +147,9 @@ def test_untested_medians_decide_by_the_limit_alone(tmp_path: Path) -> None:
 
 def test_a_single_number_that_is_worse_is_named_and_no_other(tmp_path: Path) -> None:
     before, now = trials_of(11, 10), trials_of(11, 10, seed=1)
-    now["s4"] = [1.5 * each for each in now["s4"] if each is not None]
-    worse = [each for each in judged(tmp_path, before, now).gates[0].numbers if each.fails]
-    assert [each.group for each in worse] == [("vio", "s4")]
+    now["s4"] = [1.5 * item for item in now["s4"] if item is not None]
+    worse = [number for number in judged(tmp_path, before, now).gates[0].numbers if number.fails]
+    assert [item.group for item in worse] == [("vio", "s4")]
     assert worse[0].noticeable is not None
     assert 0.1 < worse[0].noticeable < 0.5
 
@@ -221,7 +221,7 @@ def test_old_and_new_values_have_a_unit(tmp_path: Path) -> None:
 
 def test_json_says_what_the_markdown_says_with_all_digits(tmp_path: Path) -> None:
     before, now = trials_of(11, 10), trials_of(11, 3, seed=1)
-    now["s4"] = [2.0 * each for each in now["s4"] if each is not None]
+    now["s4"] = [2.0 * item for item in now["s4"] if item is not None]
     untested = "association.groundtruth_coverage worse than 50 % untested"
     judgement = judged(tmp_path, before, now, GATE, untested)
     found = as_json(judgement, 'a "title" | </script>', ["the groundtruth of s0 changed"])
@@ -230,7 +230,7 @@ def test_json_says_what_the_markdown_says_with_all_digits(tmp_path: Path) -> Non
     assert (found["verdict"], found["false_alarms"]) == ("worse", 0.025)
     tested, other = found["gates"]
     parts = ("path", "margin", "tested")
-    assert [tested[each] for each in parts] == ["ate.position_m.rmse", 0.05, True]
+    assert [tested[part] for part in parts] == ["ate.position_m.rmse", 0.05, True]
     assert Gate.parse(tested["gate"]) == judgement.gates[0].gate
     pooled = judgement.gates[0].pooled
     assert pooled is not None
@@ -241,17 +241,17 @@ def test_json_says_what_the_markdown_says_with_all_digits(tmp_path: Path) -> Non
         "level": pooled.level, "more_trials": 0}  # fmt: skip
     low, high = tested["together"]["bounds"]
     assert low < pooled.change < high
-    (worse,) = [each for each in tested["numbers"] if each["verdict"] == "worse"]
+    (worse,) = [number for number in tested["numbers"] if number["verdict"] == "worse"]
     medians = [float(np.median(np.array(side["s4"], float))) for side in (before, now)]
     assert worse["sequence"] == "s4"
     assert worse["before"] == {"median": pytest.approx(medians[0], rel=1e-12), "trials": 10}
     assert worse["now"] == {"median": pytest.approx(medians[1], rel=1e-12), "trials": 3}
     assert worse["change"] == pytest.approx(medians[1] / medians[0] - 1.0, rel=1e-12)
-    for each in tested["numbers"]:
-        assert (each["verdict"] == "worse") is (each["p"] <= each["level"])
-        assert 0.0 < each["level"] <= 0.025
+    for number in tested["numbers"]:
+        assert (number["verdict"] == "worse") is (number["p"] <= number["level"])
+        assert 0.0 < number["level"] <= 0.025
     assert (other["together"], other["tested"], other["verdict"]) == (None, False, "no worse")
-    assert {each["p"] for each in other["numbers"]} == {None}
+    assert {number["p"] for number in other["numbers"]} == {None}
 
 
 def test_json_has_null_for_what_is_not_known(tmp_path: Path) -> None:
@@ -262,7 +262,7 @@ def test_json_has_null_for_what_is_not_known(tmp_path: Path) -> None:
     assert (gate["together"]["p"], gate["together"]["more_trials"]) == (0.5, 38)
     before, now = trials_of(11, 1), trials_of(11, 1, 1.5, seed=1)
     (few,) = as_json(judged(tmp_path, before, now))["gates"]
-    assert {(each["p"], each["level"], each["noticeable"]) for each in few["numbers"]} == {
+    assert {(number["p"], number["level"], number["noticeable"]) for number in few["numbers"]} == {
         (None, None, None)
     }
     assert few["together"]["more_trials"] == 0
@@ -272,8 +272,8 @@ def test_json_has_null_for_what_is_not_known(tmp_path: Path) -> None:
 def test_json_says_of_failed_runs_what_the_verdict_on_them_says(tmp_path: Path) -> None:
     before, now = trials_of(11, 5), trials_of(11, 5, seed=1)
     assert as_json(judged(tmp_path, before, now))["failures"]["verdict"] == "undecided"
-    for each in range(11):
-        now[f"s{each}"] = [1.0, 1.0, None, None, None]
+    for index in range(11):
+        now[f"s{index}"] = [1.0, 1.0, None, None, None]
     found = as_json(judged(tmp_path, before, now))
     failures = found["failures"]
     assert failures["before"] == {"failed": 0, "runs": 55}
@@ -291,13 +291,13 @@ def test_json_says_of_failed_runs_what_the_verdict_on_them_says(tmp_path: Path) 
 
 
 def test_one_verdict_of_all_gates(tmp_path: Path) -> None:
-    loose, strict = (f"ate.position_m.rmse worse than {each} %" for each in (90, 1))
+    loose, strict = (f"ate.position_m.rmse worse than {item} %" for item in (90, 1))
     before, same = trials_of(11, 5), trials_of(11, 5, seed=1)
     assert judged(tmp_path, before, same, loose).verdict == "no worse"
     assert judged(tmp_path, before, same, loose, strict).verdict == "undecided"
     lost = {**same, "s0": [None] * 5}
     assert judged(tmp_path, before, lost, loose, strict).verdict == "lost"
-    worse = {name: [9.0 * each for each in own if each] for name, own in same.items()}
+    worse = {name: [9.0 * item for item in own if item] for name, own in same.items()}
     assert judged(tmp_path, before, {**worse, "s0": [None] * 5}, loose, strict).verdict == "worse"
     failing = {name: [*own[:2], None, None, own[4]] for name, own in before.items()}
     wide = "ate.position_m.rmse worse than 900 % untested"
@@ -308,7 +308,7 @@ def of_seeds(factor: float, seed: int, count: int = 6) -> dict[str, list[float |
     """Return trials of two sequences that vary by their seeds, and a little beside them."""
     noise = np.random.default_rng(seed).lognormal(0.0, 0.01, (2, count))
     shared = np.random.default_rng(0).lognormal(0.0, 0.3, (2, count))
-    return {f"s{each}": list(own) for each, own in enumerate(factor * shared * noise)}
+    return {f"s{item}": list(own) for item, own in enumerate(factor * shared * noise)}
 
 
 @pytest.mark.slow
@@ -317,7 +317,7 @@ def test_pairs_show_a_change_that_seeds_hide(tmp_path: Path) -> None:
     assert pooled_word(judged(tmp_path, before, now)) == "undecided"
     judgement = judged(tmp_path, before, now, paired=True)
     assert pooled_word(judgement) == "worse"
-    assert [each.verdict for each in judgement.gates[0].numbers] == ["worse", "worse"]
+    assert [number.verdict for number in judgement.gates[0].numbers] == ["worse", "worse"]
     text = to_markdown(judgement, "runs", [])
     assert "Paired by trial name" in text
     assert "is detected in 80 % of comparisons; in a single value, " in text
@@ -328,7 +328,7 @@ def test_pairs_show_a_change_that_seeds_hide(tmp_path: Path) -> None:
     same = judged(tmp_path, before, of_seeds(1.0, 2, 9), paired=True)
     assert pooled_word(same) == "no worse"
     few = judged(tmp_path, of_seeds(1.0, 1, 4), of_seeds(1.1, 2, 4), paired=True)
-    assert {each.verdict for each in few.gates[0].numbers} == {"not judged alone"}
+    assert {number.verdict for number in few.gates[0].numbers} == {"not judged alone"}
     assert pooled_word(few) == "worse"
 
 
@@ -355,7 +355,7 @@ def test_pairs_that_can_not_be_made_are_refused(tmp_path: Path) -> None:
         judged(tmp_path, before, less, paired=True)
     with pytest.raises(SettingsError, match="the baseline has no trial '4', '5' of vio, s1"):
         judged(tmp_path, less, before, paired=True)
-    two = [{name: own[:2] for name, own in each.items()} for each in (before, now)]
+    two = [{name: own[:2] for name, own in item.items()} for item in (before, now)]
     with pytest.raises(SettingsError, match=r"has 4 pairs .*2\^-4\); use 6 pairs"):
         judged(tmp_path, two[0], two[1], paired=True)
     # Without a test there is nothing to pair.
@@ -367,7 +367,7 @@ def test_pairs_that_can_not_be_made_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("more", ["", " untested"])
 def test_the_last_digit_is_no_regression(more: str, tmp_path: Path) -> None:
     before = trials_of(3, 10)
-    now = {name: [x * (1.0 + 4e-16) for x in each if x] for name, each in before.items()}
+    now = {name: [x * (1.0 + 4e-16) for x in item if x] for name, item in before.items()}
     equal = {name: [1.0] * 10 for name in before}
     next_digit = {name: [1.0 + 4e-16] * 10 for name in before}
     gate = f"ate.position_m.rmse worse than 0 %{more}"
@@ -380,5 +380,5 @@ def test_one_number_that_is_worse_takes_the_others_no_worse_away(tmp_path: Path)
     for factor, is_worse in ((1.0, False), (1.06, True)):
         now = {"s0": [1.0], "s1": [factor]}
         (verdict,) = judged(tmp_path, before, now, f"{GATE} untested").gates
-        assert [each.verdict == "worse" for each in verdict.numbers] == [False, is_worse]
+        assert [number.verdict == "worse" for number in verdict.numbers] == [False, is_worse]
         assert verdict.verdict == ("worse" if is_worse else "no worse")

@@ -45,11 +45,11 @@ def test_gates_are_read_and_written(text: str, gate: Gate) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        *((each, "is not valid; write it") for each in (
+        *((name, "is not valid; write it") for name in (
             "", "ate.position_m.rmse < 3", "a worse than", "a worse than 5",
             "a worse than 5 % + 5 %", "a worse than 1.2.3 %", "a worse than much",
             "a worse than . %", "a worse than .. MAD", "a worse than untested")),
-        *((f"a worse than {each}", "without an exact test, 'spread' or 'MAD'; remove it") for each
+        *((f"a worse than {name}", "without an exact test, 'spread' or 'MAD'; remove it") for name
           in ("5 % + 2 MAD", "2 MAD", "1.5MAD + 5%", "5 % spread 15 %", "5 % spread 3 %")),
         ("association.x worse than 100 %", "below 100 %"),
     ],
@@ -101,11 +101,11 @@ def today(yesterday: Path, tmp_path: Path) -> Path:
 def verdicts(today: Path, yesterday: Path, *gates: str) -> dict[tuple[str, str], str]:
     now = table(today / "old", today / "runs.yaml")
     judgement = judge(
-        [Gate.parse(each) for each in gates or (GATE,)],
+        [Gate.parse(gate) for gate in gates or (GATE,)],
         GateValues(ResultsTable(yesterday / "old" / "runs.parquet")),
         GateValues(ResultsTable(now)),
     )
-    return {each.group: each.verdict for each in judgement.gates[0].numbers}
+    return {number.group: number.verdict for number in judgement.gates[0].numbers}
 
 
 def test_the_same_runs_are_not_worse(today: Path, yesterday: Path) -> None:
@@ -291,7 +291,7 @@ def test_what_can_not_be_judged_is_refused_before_any_work(
 ) -> None:
     old = str(yesterday / "old" / "runs.parquet")
     known = {"OLD": old, "FOLDER": str(yesterday / "old")}
-    given = [known.get(each, each) for each in arguments]
+    given = [known.get(argument, argument) for argument in arguments]
     out = tmp_path / "out"
     assert main(["compare", str(yesterday / "runs.yaml"), "--output", str(out), *given]) == 2
     (line,) = capsys.readouterr().err.splitlines()
@@ -306,7 +306,7 @@ def test_other_numbers_can_be_judged(path: str, yesterday: Path) -> None:
     values = GateValues(ResultsTable(yesterday / "old" / "runs.parquet"))
     judgement = judge([Gate.parse(f"{path} worse than 1 %")], values, values)
     assert not judgement.fails
-    assert [each.trials for each in judgement.gates[0].numbers] == 4 * [(TRIALS, TRIALS)]
+    assert [number.trials for number in judgement.gates[0].numbers] == 4 * [(TRIALS, TRIALS)]
     assert f"`{path} worse" in to_markdown(judgement, "all | runs", ["the groundtruth changed"])
 
 

@@ -46,8 +46,8 @@ def compare(config: Path, *options: str) -> int:
 
 def contents(folder: Path) -> dict[str, bytes]:
     """Return the files but what is remembered of inputs, which depends on how new they are."""
-    files = [each for each in folder.iterdir() if each.is_file() and each.name != "inputs.json"]
-    return {each.name: each.read_bytes() for each in files}
+    files = [path for path in folder.iterdir() if path.is_file() and path.name != "inputs.json"]
+    return {file.name: file.read_bytes() for file in files}
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +139,7 @@ def test_a_killed_comparison_holds_nothing(config: Path) -> None:
         process.wait()
     assert (out / LOCK).exists()
     assert compare(config) == 0
-    assert not [each for each in out.rglob("*") if each.name.startswith(".")]
+    assert not [path for path in out.rglob("*") if path.name.startswith(".")]
 
 
 def test_what_was_deleted_or_changed_is_written_again(config: Path) -> None:
@@ -198,7 +198,7 @@ def test_verdicts_about_other_tables_do_not_stay(config: Path, tmp_path: Path) -
     assert compare(config, *gate) == 0
     assert compare(config) == 0
     names = ["gates.json", "gates.md"]
-    assert sorted(each.name for each in out.glob("gates.*")) == names
+    assert sorted(path.name for path in out.glob("gates.*")) == names
     run_plan(plan_of(config, {"gauge": "yaw"}), out, here)
     assert not list(out.glob("gates.*"))
 
@@ -242,14 +242,14 @@ def test_all_that_numbers_come_from_is_hashed() -> None:
         found = set()
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom) and node.module is not None:
-                names = [node.module, *(f"{node.module}.{each.name}" for each in node.names)]
+                names = [node.module, *(f"{node.module}.{item.name}" for item in node.names)]
                 found |= {ROOT / f"{name.replace('.', '/')}.py" for name in names}
-        return {each for each in found if each.is_file()}
+        return {item for item in found if item.is_file()}
 
     known, new = set[Path](), {package / "batch" / "worker.py"}
     while new:
         known |= new
-        new = {each for file in new for each in imported(file)} - known
+        new = {item for file in new for item in imported(file)} - known
     assert package / "metrics" / "absolute_errors.py" in known
     assert package / "io" / "text" / "reader.py" in known
     assert known <= set(source_hash.sources_of_numbers())

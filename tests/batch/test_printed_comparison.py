@@ -32,7 +32,7 @@ def test_a_comparison_prints_and_writes_what_it_did(
     Path("bad/hall_trial1.txt").unlink()
     assert main(["compare", "runs.yaml", "--output", "out", "--workers", "1"]) == 0
     written = ["out/tables.md", "out/tables.tex", "out/report.html"]
-    texts = [without_style(Path(each).read_text(encoding="utf-8")) for each in written]
+    texts = [without_style(Path(item).read_text(encoding="utf-8")) for item in written]
     assert_kept("comparison", "\n".join([*capsys.readouterr(), *texts]))
 
 
@@ -49,6 +49,6 @@ def test_gates_print_what_they_did(
              "percent.mean worse than 5 %", "--baseline", "old/runs.parquet"]  # fmt: skip
     assert main(["compare", *common, *gates, "--output", "new"]) == 1
     written = ["new/gates.md", "new/gates.json"]
-    texts = [Path(each).read_text(encoding="utf-8") for each in written]
+    texts = [Path(item).read_text(encoding="utf-8") for item in written]
     said = "\n".join([*capsys.readouterr(), *texts])
     assert_kept("gates", said)

@@ -85,15 +85,15 @@ def test_every_number_is_that_of_a_single_evaluation(
             protocol,
         )
         expected: dict[tuple[str, str, str | None], Any] = {
-            ("ate", metric, None): each for metric, each in single.ate.items() if each
+            ("ate", metric, None): item for metric, item in single.ate.items() if item
         }
         expected |= {
-            ("re", metric, str(segment.length)): each
+            ("re", metric, str(segment.length)): statistic
             for segment in single.relative or ()
-            for metric, each in segment.statistics.items()
-            if each
+            for metric, statistic in segment.statistics.items()
+            if statistic
         }
-        expected |= {("re.pooled", metric, None): each for metric, each in single.pooled.items()}
+        expected |= {("re.pooled", metric, None): item for metric, item in single.pooled.items()}
         assert {(row["kind"], row["metric"], row["length"]) for row in rows} == set(expected)
         for row in rows:
             assert row["pairs"] == len(single.association)
@@ -157,9 +157,9 @@ def assert_relative(
     numbers: dict[str, Any],
 ) -> None:
     lengths = {row["length_m"]: row["length"] for row in rows if row["kind"] == "re"}
-    assert sorted(lengths) == pytest.approx([float(each) for each in theirs], rel=1e-12)
+    assert sorted(lengths) == pytest.approx([float(their) for their in theirs], rel=1e-12)
     for length_m, label in lengths.items():
-        (length,) = (each for each in theirs if abs(float(each) - length_m) < 1e-9)
+        (length,) = (their for their in theirs if abs(float(their) - length_m) < 1e-9)
         expected = theirs[length]
         if (name, length) == SLIPPED:
             expected = dict(numbers["dropped_index_case"]["corrected"])

@@ -159,7 +159,7 @@ def test_details_of_many_runs_are_on_pages_of_their_own(
     config, out = write_runs(tmp_path), tmp_path / "out"
     command = ["compare", str(config), "--workers", "1", "--output", str(out), "--quiet"]
     assert main(command) == 0
-    assert {each.name for each in (out / "report").iterdir()} == {
+    assert {path.name for path in (out / "report").iterdir()} == {
         f"runs_{number}.html" for number in (1, 2, 3)
     }
     report = out / "report.html"
@@ -173,7 +173,7 @@ def test_details_of_many_runs_are_on_pages_of_their_own(
     assert tab.locator("details").count() == 3
     tab.get_by_role("link", name="Report").click()
     tab.wait_for_url("**/report.html#runs")
-    assert [each for each in heard if not each.startswith(out.as_uri())] == []
+    assert [item for item in heard if not item.startswith(out.as_uri())] == []
     # With fewer runs no page of the older report stays.
     (tmp_path / "bad" / "hall_trial0.txt").unlink()
     monkeypatch.setattr("trajeval_ros.batch.comparison_report._MOST_ON_A_PAGE", 100)
@@ -216,7 +216,7 @@ def test_a_table_that_is_too_large_for_a_page_is_cut_and_keeps_its_ranks(
 ) -> None:
     monkeypatch.setattr("trajeval_ros.report.comparison_page._MOST_CELLS", 4)
     values = ((3.0, 3.0, 3.0), (1.0, 2.0, 1.0))
-    rows = tuple((f"a{row}", tuple(map(Cell, each))) for row, each in enumerate(values))
+    rows = tuple((f"a{row}", tuple(map(Cell, value))) for row, value in enumerate(values))
     table = Matrix("ate", "ATE", (), ("x", "y", "z"), rows, ("1/1",) * 2, (1.0, 1.0))
     text = ReportPages("t", "0", "").overview("", [], [table], [], [], [], [], "All runs")
     assert re.findall(r'class="rank(\d)">([\d.]+)', text) == [

@@ -29,17 +29,17 @@ def test_distinct_rows_are_in_the_order_of_their_first_occurrence(
 ) -> None:
     runs = [*runs, *(("long", f"name{place % 97}", float(place % 7)) for place in range(unique))]
     columns = ("algorithm", "trial", "mean")
-    rows = [dict(zip(columns, each, strict=True)) for each in runs]
+    rows = [dict(zip(columns, run, strict=True)) for run in runs]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "runs.parquet"
         write_table(path, rows, "t", {"gauge": "se3", "protocol": "default"}, "state")
         found = ResultsTable(path).distinct(columns)
-    assert [tuple(each.values()) for each in found] == list(dict.fromkeys(runs))
+    assert [tuple(item.values()) for item in found] == list(dict.fromkeys(runs))
 
 
 def test_rows_are_filtered_by_texts_and_by_missing_values(tmp_path: Path) -> None:
     lengths = ["8m", None, "", "4m"]
-    rows = [{"algorithm": str(place), "length": each} for place, each in enumerate(lengths)]
+    rows = [{"algorithm": str(place), "length": length} for place, length in enumerate(lengths)]
     write_table(tmp_path / "t", rows, "t", {"gauge": "se3", "protocol": "default"}, "state")
     table = ResultsTable(tmp_path / "t")
 

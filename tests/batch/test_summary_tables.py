@@ -36,9 +36,9 @@ def summary(protocol: str = "default", cause: str = "other_run") -> ComparisonSu
         for name in ("wrong", "right")
     )  # fmt: skip
     pooled = tuple(
-        {"algorithm": each.algorithm, "sequence": "hall", "kind": RE, "metric": metric,
+        {"algorithm": trial.algorithm, "sequence": "hall", "kind": RE, "metric": metric,
          "length": length, "mean": 2.0, "count": 9, "evaluated": 1}
-        for each in trials
+        for trial in trials
         for metric in METRICS
         for length in settings["lengths"]
     )  # fmt: skip
@@ -47,8 +47,8 @@ def summary(protocol: str = "default", cause: str = "other_run") -> ComparisonSu
 
 def test_every_number_of_a_run_with_a_mistake_has_its_mark_and_footnote() -> None:
     tables = matrices(summary())
-    assert [each.name for each in tables] == [
-        "ate_position_m", "ate_rotation_deg", *(f"re_{each}" for each in METRICS), "time_offset_s",
+    assert [item.name for item in tables] == [
+        "ate_position_m", "ate_rotation_deg", *(f"re_{metric}" for metric in METRICS), "time_offset_s",
     ]  # fmt: skip
     for table in tables:
         marks = {name: {cell.note for cell in cells} for name, cells in table.rows}
@@ -60,27 +60,27 @@ def test_every_number_of_a_run_with_a_mistake_has_its_mark_and_footnote() -> Non
         wrong, right = to_csv(table).splitlines()[1:]
         assert wrong.count("§") == len(table.columns)
         assert right.endswith(",")
-    assert not any("§" in each.caption for each in matrices(summary(cause="keyframes")))
+    assert not any("§" in matrix.caption for matrix in matrices(summary(cause="keyframes")))
 
 
 def test_a_note_of_several_tables_stands_once_below_them() -> None:
     tables, common = with_common_notes(matrices(summary()))
-    noted = [*common, *(note for each in tables for note in each.notes)]
+    noted = [*common, *(note for table in tables for note in table.notes)]
     assert len(noted) == len(set(noted))
-    assert {note for each in matrices(summary()) for note in each.notes} == set(noted)
+    assert {note for matrix in matrices(summary()) for note in matrix.notes} == set(noted)
 
 
 def test_common_time_spans_are_stated_with_their_length_and_share() -> None:
     whole = summary()
-    of_hall = [replace(each, span_s=149.4, common_span=0.82) for each in whole.trials]
-    of_yard = [replace(each, sequence="yard", span_s=75.6, common_span=0.68) for each in of_hall]
+    of_hall = [replace(trial, span_s=149.4, common_span=0.82) for trial in whole.trials]
+    of_yard = [replace(item, sequence="yard", span_s=75.6, common_span=0.68) for item in of_hall]
     settings = {**whole.settings, "common_time_span": True}
     cut = replace(whole, settings=settings, trials=(*of_hall, *of_yard))
     spans = "76 s of yard (68 % of its groundtruth), 149 s of hall (82 % of its groundtruth)"
     for table in matrices(cut)[:4]:
         assert f"Only the common time span of all runs of a sequence: {spans}." in table.caption
         assert f", common time span: {spans};" in table.brief
-    assert not any("common time span" in each.caption for each in matrices(whole))
+    assert not any("common time span" in matrix.caption for matrix in matrices(whole))
 
 
 def test_a_run_without_a_file_is_missing_and_has_no_coverage() -> None:
@@ -98,9 +98,9 @@ def test_the_coverage_in_a_footnote_is_that_of_its_column() -> None:
     whole = summary(cause="keyframes")
     half = [replace(whole.trials[0], sequence=name, coverage=share) for name, share in
             (("hall", 1.0), ("yard", 1.0), ("road", 0.4))]  # fmt: skip
-    other = [replace(each, algorithm="right", coverage=1.0) for each in half]
+    other = [replace(item, algorithm="right", coverage=1.0) for item in half]
     tables = matrices(replace(whole, trials=(*half, *other)))
-    table = next(each for each in tables if each.name == "re_position_percent")
+    table = next(item for item in tables if item.name == "re_position_percent")
     assert table.coverage == pytest.approx((0.8, 1.0))
     assert "not ranked: wrong (covers 80 %)." in table.caption
 
@@ -108,7 +108,7 @@ def test_the_coverage_in_a_footnote_is_that_of_its_column() -> None:
 @pytest.mark.slow
 def test_kitti_has_the_tables_of_its_benchmark(shared_data: Path, tmp_path: Path) -> None:
     folder, out = shared_data / "kitti_odom_eval", tmp_path / "out"
-    sources = [str(folder / f"09_{each}.txt") for each in ("groundtruth", "frame_index")]
+    sources = [str(folder / f"09_{item}.txt") for item in ("groundtruth", "frame_index")]
     given = ["--protocol", "kitti", "--gauge", "sim3", "--workers", "1", "--quiet"]
     assert main(["compare", "--figures", "0", *sources, *given, "--output", str(out)]) == 0
     # By the tool of that folder, 7dof.
@@ -117,7 +117,7 @@ def test_kitti_has_the_tables_of_its_benchmark(shared_data: Path, tmp_path: Path
         assert float(row["09_groundtruth"]) == pytest.approx(expected, abs=5e-7)
     text = (out / "tables.md").read_text()
     assert "KITTI: mean over the sub-trajectories of 100 m to 800 m" in text
-    assert not any("kitti" in each.name for each in matrices(summary()))
+    assert not any("kitti" in matrix.name for matrix in matrices(summary()))
 
 
 def test_of_many_common_time_spans_the_smallest_and_the_largest_are_stated() -> None:
@@ -147,7 +147,7 @@ def test_a_trial_without_a_value_is_ranked_last(metric: str) -> None:
         *(replace(wrong, trial=str(k), rmse=partial) for k in range(2, 5)),
         *(replace(right, trial=str(k)) for k in range(5)),
     )
-    tables = {each.name: each for each in matrices(replace(whole, trials=trials))}
+    tables = {matrix.name: matrix for matrix in matrices(replace(whole, trials=trials))}
     table = tables[f"ate_{metric}"]
     assert [cells[0].text for _, cells in table.rows] == ["withheld", "1.000"]
     assert table.ranks() == [[0], [1]]
@@ -157,14 +157,18 @@ def test_a_trial_without_a_value_is_ranked_last(metric: str) -> None:
 @pytest.mark.parametrize("metric", METRICS)
 def test_relative_errors_of_fewer_trials_are_not_ranked(metric: str) -> None:
     whole = summary(cause="keyframes")
-    trials = tuple(replace(each, trial=str(k), rmse={}) for each in whole.trials for k in range(5))
+    trials = tuple(
+        replace(trial, trial=str(k), rmse={}) for trial in whole.trials for k in range(5)
+    )
     having = {"wrong": 2, "right": 5}
     pooled = tuple(
         {**row, "evaluated": having[row["algorithm"]] if row["metric"] == metric else 5}
         for row in whole.pooled
     )
-    tables = {each.name: each for each in matrices(replace(whole, trials=trials, pooled=pooled))}
-    table, [other] = tables[f"re_{metric}"], [f"re_{each}" for each in METRICS if each != metric]
+    tables = {
+        matrix.name: matrix for matrix in matrices(replace(whole, trials=trials, pooled=pooled))
+    }
+    table, [other] = tables[f"re_{metric}"], [f"re_{item}" for item in METRICS if item != metric]
     # Absolute errors that are withheld do not matter.
     assert [[cell.note for cell in cells] for _, cells in table.rows] == [["2/5"] * 2, [""] * 2]
     assert "not ranked: wrong (2 of 5 runs)." in table.caption
@@ -173,12 +177,12 @@ def test_relative_errors_of_fewer_trials_are_not_ranked(metric: str) -> None:
 
 def test_a_sequence_too_short_for_a_length_favours_no_algorithm() -> None:
     whole = summary(cause="keyframes")
-    trials = (*whole.trials, *(replace(each, sequence="yard") for each in whole.trials))
+    trials = (*whole.trials, *(replace(trial, sequence="yard") for trial in whole.trials))
     pooled = [{**row, "sequence": name} for name in ("hall", "yard") for row in whole.pooled]
     short = tuple(row for row in pooled if (row["sequence"], row["length"]) != ("yard", "16m"))
     assert len(short) < len(pooled)
     tables = matrices(replace(whole, trials=trials, pooled=short))
-    assert not any("not ranked" in each.caption for each in tables)
+    assert not any("not ranked" in table.caption for table in tables)
 
 
 def test_a_trial_without_a_likelihood_is_ranked_last() -> None:
@@ -189,6 +193,6 @@ def test_a_trial_without_a_likelihood_is_ranked_last() -> None:
         *(replace(wrong, trial=str(k), values={}) for k in (1, 2)),
         *(replace(right, trial=str(k), values={"nll_per_pose": 1.0}) for k in range(3)),
     )
-    tables = {each.name: each for each in matrices(replace(whole, trials=trials))}
+    tables = {matrix.name: matrix for matrix in matrices(replace(whole, trials=trials))}
     assert tables["nll_per_pose"].ranks() == [[0], [1]]
     assert tables["nll_per_pose"].rows[0][1][0].text == "withheld"

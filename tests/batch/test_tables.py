@@ -35,7 +35,7 @@ VALUES = st.none() | st.just(math.inf) | st.floats(1e-6, 1e6)
 
 def matrix(values: list[list[float | None]], name: str = "vio_{}") -> Matrix:
     rows = tuple(
-        (name.format(row), tuple(Cell(each) for each in cells)) for row, cells in enumerate(values)
+        (name.format(row), tuple(Cell(cell) for cell in cells)) for row, cells in enumerate(values)
     )
     columns = tuple(f"MH_0{place}" for place in range(len(values[0])))
     count = len(values)
@@ -52,8 +52,8 @@ def test_the_least_number_is_the_best_and_the_next_the_second(
 ) -> None:
     ranks = matrix(values).ranks()
     for column, cells in enumerate(zip(*values, strict=True)):
-        known = sorted({each for each in cells if each is not None and each < math.inf})
-        among = sum(each is not None for each in cells)
+        known = sorted({cell for cell in cells if cell is not None and cell < math.inf})
+        among = sum(cell is not None for cell in cells)
         for row, value in enumerate(cells):
             rank = ranks[row][column]
             if among < 2 or value is None or math.isinf(value):
@@ -140,7 +140,7 @@ def test_latex_compiles_as_pasted_and_fits_the_page(
 
 def test_eleven_sequences_take_both_columns_or_are_rows() -> None:
     table = dataclasses.replace(
-        matrix([[float(each) for each in range(11)]] * 3), has_average=True
+        matrix([[float(index) for index in range(11)]] * 3), has_average=True
     )
     wide, tall = to_latex(table), to_latex(table, transpose=True)
     assert r"\begin{table*}" in wide
@@ -153,10 +153,10 @@ def test_eleven_sequences_take_both_columns_or_are_rows() -> None:
 
 def test_a_table_that_is_too_wide_for_a_column_spans_the_page_and_then_omits_spreads() -> None:
     def to_latex_of(columns: int) -> str:
-        values: list[float | None] = [0.1 * each for each in range(1, columns + 1)]
+        values: list[float | None] = [0.1 * index for index in range(1, columns + 1)]
         table = matrix([values] * 3)
         rows = tuple(
-            (name, tuple(dataclasses.replace(each, extremes=(0.05, 0.32)) for each in cells))
+            (name, tuple(dataclasses.replace(cell, extremes=(0.05, 0.32)) for cell in cells))
             for name, cells in table.rows
         )
         return to_latex(dataclasses.replace(table, rows=rows))
@@ -177,7 +177,7 @@ def test_what_leaves_out_more_of_the_way_is_no_winner() -> None:
 
 
 def test_numbers_that_are_printed_alike_share_a_rank() -> None:
-    cells = [Cell(each) for each in (0.12312, 0.12284, 0.1251, 0.12549, 0.3)]
+    cells = [Cell(item) for item in (0.12312, 0.12284, 0.1251, 0.12549, 0.3)]
     assert [cell.text for cell in cells[:4]] == ["0.123", "0.123", "0.125", "0.125"]
     assert ranked(cells) == [1, 1, 2, 2, 0]
     unranked = Cell(0.12271, is_ranked=False, why_unranked="covers 20 %")

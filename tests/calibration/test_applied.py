@@ -104,7 +104,7 @@ def test_a_known_transform_is_not_estimated() -> None:
 )
 def test_warnings_of_a_calibration(changed: dict[str, Any], codes: list[str]) -> None:
     found = _remarks(calibrated(**changed))
-    assert [each.code for each in found] == codes
+    assert [item.code for item in found] == codes
 
 
 def test_clocks_are_compared_with_the_assumed_offset() -> None:

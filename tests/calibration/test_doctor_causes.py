@@ -39,7 +39,7 @@ def checks(**changed: Any) -> PoseChecks:
 
 
 def verdict(name: str, causes: list[GroundtruthCause]) -> tuple[bool, float | None, str]:
-    [cause] = [each for each in causes if each.name == name]
+    [cause] = [item for item in causes if item.name == name]
     return cause.verdict == "significant", cause.value, cause.sentence
 
 
@@ -128,7 +128,7 @@ def parameter_cause(
 ) -> GroundtruthCause:
     found = SimpleNamespace(values=values, sigmas=sigmas, fixed_axes=axes)
     causes = parameter_causes(found, free)  # type: ignore[arg-type]
-    return {each.name: each for each in causes}[name]
+    return {item.name: item for item in causes}[name]
 
 
 def fused(short_deg: float, long_deg: float, *, disagree: bool) -> GroundtruthCause:

@@ -245,19 +245,19 @@ def test_residuals_of_both_kinds_are_checked() -> None:
         rows=SimpleNamespace(scales=(1e-3, 1e-3)),
     )
     found = check_residuals(fit, stamps)  # type: ignore[arg-type]
-    kinds = {each.kind: each for each in found.jumps}
+    kinds = {jump.kind: jump for jump in found.jumps}
     assert len(found.jumps) == 2
     assert abs(kinds["position"].stamp_ns - int(stamps[400])) <= 40_000_000
     assert kinds["position"].size == pytest.approx(0.05, rel=0.05)
     assert abs(kinds["rotation"].stamp_ns - int(stamps[700])) <= 40_000_000
     assert kinds["rotation"].size == pytest.approx(0.03, rel=0.05)
-    assert [each.stamp_ns for each in found.jumps] == sorted(each.stamp_ns for each in found.jumps)
+    assert [jump.stamp_ns for jump in found.jumps] == sorted(jump.stamp_ns for jump in found.jumps)
     assert found.outlier_share == pytest.approx(1 / count)
     assert found.noisy_steps == ()
     assert abs(found.jitter_sigmas) < 4.0
     fit.samples.has_rotations = False
     alone = check_residuals(fit, stamps)  # type: ignore[arg-type]
-    assert [each.kind for each in alone.jumps] == ["position"]
+    assert [jump.kind for jump in alone.jumps] == ["position"]
     assert alone.outlier_share == 0.0
     # More than 20 jumps a minute are noise: at 10 s, four.
     for first in (100, 200, 300):
@@ -295,11 +295,11 @@ def test_horizons_disagree_by_size_and_by_deviations() -> None:
         more = body * Rotation.from_rotvec([0.0, turn_deg, 0.0], degrees=True)
         brief, lasting = (
             SimpleNamespace(
-                values=np.concatenate([each.as_rotvec(degrees=True), arm, np.zeros(4)]),
+                values=np.concatenate([item.as_rotvec(degrees=True), arm, np.zeros(4)]),
                 sigmas=np.full(10, sigma),
                 fixed_directions=fixed,
             )
-            for each, arm in ((body, np.zeros(3)), (more, apart))
+            for item, arm in ((body, np.zeros(3)), (more, apart))
         )
         return _difference(brief, lasting)  # type: ignore[arg-type]
 
@@ -320,4 +320,4 @@ def test_bridges_fill_gaps_of_two_seconds() -> None:
     stamps = np.array([0, 1, 2, 6, 7, 30]) * 500_000_000
     gaps = (PoseSpan(int(stamps[2]), 2.0), PoseSpan(int(stamps[4]), 11.5))
     found = _with_bridges(stamps, gaps)
-    assert found.tolist() == [each * 500_000_000 for each in (0, 1, 2, 3, 4, 5, 6, 7, 30)]
+    assert found.tolist() == [item * 500_000_000 for item in (0, 1, 2, 3, 4, 5, 6, 7, 30)]

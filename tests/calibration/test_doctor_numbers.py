@@ -143,7 +143,7 @@ def test_a_summary_has_the_larger_variance_in_its_units() -> None:
     found = fit.summary()
     assert found.values[OFFSET] == pytest.approx(520.0)
     np.testing.assert_allclose(found.values, fit.rig.values() * UNITS)
-    variances = [np.diag(each) for each in (fit.covariance_of_blocks, fit.covariance_of_model)]
+    variances = [np.diag(item) for item in (fit.covariance_of_blocks, fit.covariance_of_model)]
     np.testing.assert_allclose(found.sigmas, np.sqrt(np.maximum(*variances)) * UNITS)
     np.testing.assert_allclose(found.seconds, fit.steps.knots[:4] - 0.1, atol=1e-12)
     lengths = np.linalg.norm(fit.rows.residuals.reshape(4, 2, 3), axis=2)
@@ -171,7 +171,7 @@ def test_parameters_that_are_noise_are_not_applied(
     def fake(offset_s: float, skew: float) -> Any:
         given = dataclasses.replace(own, offset_s=offset_s, skew=skew, shift_s=0.75)
         return SimpleNamespace(
-            free=np.ones(10, dtype=bool), rig=given, solve_again=lambda *each: calls.append(each)
+            free=np.ones(10, dtype=bool), rig=given, solve_again=lambda *each: calls.append(item)
         )
 
     chosen, other = fake(0.25, 0.125), fake(0.5, 0.0625)
@@ -187,7 +187,7 @@ def test_parameters_that_are_noise_are_not_applied(
     # Clocks are those of the short fit; a noisy skew is zero.
     assert applied.offset_s == (0.25 if is_short else 0.5)
     assert applied.skew == 0.0
-    expected = np.array([False] * 3 + [not each for each in lever] + [is_short, False, True, True])
+    expected = np.array([False] * 3 + [not item for item in lever] + [is_short, False, True, True])
     np.testing.assert_array_equal(free, expected)
     # A rotation that is not noise is applied, also a small one, but not an inconclusive one.
     for verdict in ("insignificant", "inconclusive"):

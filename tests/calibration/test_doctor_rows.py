@@ -230,7 +230,7 @@ def test_a_fixed_direction_of_the_lever_arm_does_not_move(small: Small) -> None:
     across = np.array([-0.8, 0.0, 0.6])
     # Its prior draws it to zero, with a standard deviation of 0.1 mm.
     assert axis @ (small.rig.lever + step) == pytest.approx(0.0, abs=1e-3)
-    variances = [each @ fit.covariance_of_model[LEVER, LEVER] @ each for each in (axis, across)]
+    variances = [item @ fit.covariance_of_model[LEVER, LEVER] @ item for item in (axis, across)]
     assert variances[0] == pytest.approx(1e-8, rel=1e-3)
     assert variances[1] > 1e-6
 

@@ -196,7 +196,11 @@ def test_a_lever_arm_along_the_only_axis_is_not_said_to_be_known() -> None:
         assert None not in written[name][:2]
         assert written[name][2] is None
     assert written["value_m"] == pytest.approx([*LEVER_M[:2], 0.0], abs=2e-3)
-    (line,) = (each for each in calibration_lines("", found) if "lever arm" in each)
+    (line,) = (
+        calibration_line
+        for calibration_line in calibration_lines("", found)
+        if "lever arm" in calibration_line
+    )
     assert re.search(r"m \+- 0\.000\d+ 0\.000\d+ \? \(95 %\)", line)
 
 
@@ -378,8 +382,8 @@ def test_words_that_mean_nothing_are_refused(
 
 def test_the_inverse_of_what_is_needed_is_refused(pair: tuple[Trajectory, Trajectory]) -> None:
     truth, estimate = (
-        dataclasses.replace(each, child_frame=name)
-        for each, name in zip(pair, ("marker", "imu"), strict=True)
+        dataclasses.replace(item, child_frame=name)
+        for item, name in zip(pair, ("marker", "imu"), strict=True)
     )
     hand_eye = HandEye.of(None, np.array([0.1, 0.0, 0.0]))
     wrong = dataclasses.replace(hand_eye, body="marker", marker="imu")

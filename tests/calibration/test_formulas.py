@@ -90,7 +90,7 @@ def test_jacobians_of_increments_are_derivatives(oriented: bool) -> None:
         step[column] = size
         ahead, behind = (increments.linearise(at.moved(sign * step)) for sign in (1.0, -1.0))
         both = np.intersect1d(np.intersect1d(ahead.rows, behind.rows), found.rows)
-        one, other = (each.residual[np.isin(each.rows, both)] for each in (ahead, behind))
+        one, other = (item.residual[np.isin(item.rows, both)] for item in (ahead, behind))
         change = (one - other) / (2.0 * size)
         jacobian = found.jacobian[np.isin(found.rows, both), :, column]
         # By the rotation, r_R is linearised at a small residual.
@@ -111,8 +111,8 @@ def test_either_side_has_the_same_jacobian(oriented: bool) -> None:
     twin, known = increments.twin(unknowns, found.rows)
     assert known.sum() > 300
     columns = [OFFSET, SKEW, TURN, LEVER, SCALE] if oriented else [OFFSET, SKEW, SCALE]
-    for each in columns:
-        own, other = found.jacobian[known][..., each], twin[known][..., each]
+    for column in columns:
+        own, other = found.jacobian[known][..., column], twin[known][..., column]
         size = np.abs(own).max()
         # The clock's derivatives are over +-20 and +-50 ms: an error of 1e-3.
         np.testing.assert_allclose(other, own, atol=5e-3 * size)
@@ -159,8 +159,8 @@ def test_pairs_do_not_cross_gaps() -> None:
 def test_nearest_rows_are_nearest(stamps: list[int], wanted: list[int]) -> None:
     times = np.array(sorted(stamps))
     found = nearest_rows(times, np.array(wanted))
-    for row, each in zip(found.tolist(), wanted, strict=True):
-        assert abs(times[row] - each) == np.abs(times - each).min()
+    for row, item in zip(found.tolist(), wanted, strict=True):
+        assert abs(times[row] - item) == np.abs(times - item).min()
     assert whole_nanoseconds(0.1 + 0.2) == 300_000_000
 
 

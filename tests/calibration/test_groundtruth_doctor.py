@@ -86,7 +86,7 @@ def test_faults_are_significant_and_within_their_intervals(
         apart = np.linalg.norm(np.subtract(cause.components, values))
         assert apart < 2.0 * cause.half_width, name
     assert found.causes["tilted"].value == pytest.approx(1.5, abs=0.16)
-    said = " ".join(each.sentence for each in found.significant)
+    said = " ".join(item.sentence for item in found.significant)
     assert "early: add 12.0 ms" in said
     assert "ppm" in said
     assert "z axis is tilted by 1.5" in said
@@ -128,7 +128,7 @@ def test_positions_alone_have_no_verdict_on_rotations(seed: int) -> None:
         assert found.causes[name].verdict == "unobservable"
         assert found.causes[name].value is None
     assert any("errors of rotation are unobservable" in note for note in found.notes)
-    assert {each.name for each in found.significant} == {"lever_arm", "clock_offset"}
+    assert {item.name for item in found.significant} == {"lever_arm", "clock_offset"}
     for name, values in (("lever_arm", (50.0, -30.0, 20.0)), ("clock_offset", (25.0,))):
         cause = found.causes[name]
         assert cause.half_width is not None
@@ -212,9 +212,9 @@ def test_jumps_outliers_frozen_and_held_poses() -> None:
     assert set(verdicts(found).values()) == {"insignificant"}
     # The pose also jumps at the end of the frozen interval.
     [jump] = [
-        each
-        for each in fits.checks.jumps
-        if abs(each.stamp_ns - int(truth.stamps[2000])) <= 20_000_000
+        item
+        for item in fits.checks.jumps
+        if abs(item.stamp_ns - int(truth.stamps[2000])) <= 20_000_000
     ]
     # The error of lines through seven samples each is 1.1 times the noise of one, on every axis.
     assert jump.size == pytest.approx(0.02, abs=3.0 * 1.1 * 5e-4)
@@ -226,7 +226,7 @@ def test_jumps_outliers_frozen_and_held_poses() -> None:
     assert found.poses.held_share == pytest.approx(100 / len(changed), rel=0.1)
     [gap] = found.poses.gaps
     assert gap.duration_s == pytest.approx(1.21)
-    names = {each.name for each in found.significant}
+    names = {item.name for item in found.significant}
     assert {"position_jumps", "outliers", "frozen", "held", "gaps", "missing"} <= names
     # The gap is bridged.
     steps = np.diff(fits.repaired.stamps)
@@ -282,7 +282,7 @@ def test_jitter_of_timestamps() -> None:
     assert jitter.verdict == "significant"
     assert jitter.value == pytest.approx(3.0, rel=0.15)
     # What wrong timestamps explain is no other fault.
-    assert [each.name for each in found.significant] == ["jitter"]
+    assert [item.name for item in found.significant] == ["jitter"]
 
 
 def test_figure_of_a_groundtruth_without_noise_has_axes_of_a_readable_range(
@@ -410,7 +410,7 @@ def test_poses_alone() -> None:
     rough = dataclasses.replace(truth, stamps=stamps)
     found = examine(rough)
     assert found.fits is None
-    assert {each.name for each in found.significant} == {
+    assert {item.name for item in found.significant} == {
         "repeated_timestamps",
         "uneven_timestamps",
     }
@@ -433,7 +433,7 @@ def test_positions_of_real_recordings_agree_with_their_references(name: str) -> 
         apart = np.subtract(found.causes[cause].components, external.get(key, known))
         assert np.linalg.norm(apart) < half_width, cause
     # The tilt of 0.44 deg of mocap2gt is near the limit of significance.
-    calibration = {each for each in CALIBRATION if found.causes[each].verdict == "significant"}
+    calibration = {item for item in CALIBRATION if found.causes[item].verdict == "significant"}
     assert calibration - {"tilted"} == ({"lever_arm"} if name == "mocap2gt" else set())
     assert "tilted" not in calibration or name == "mocap2gt"
 
@@ -452,7 +452,7 @@ def test_real_recordings_give_the_reference(name: str) -> None:
         np.testing.assert_allclose(fit.sigmas[:8], sigmas[:8], rtol=0.1)
     assert fits.disagree == expected["disagree"]
     if name == "V1_01_original":
-        names = {each.name for each in found.significant}
+        names = {item.name for item in found.significant}
         assert {"body_rotation", "lever_arm", "fused"} == names
         for cause, key in (("body_rotation", "R_IM_deg"), ("lever_arm", "lever_mm")):
             apart = np.subtract(found.causes[cause].components, external[name][key])
@@ -471,8 +471,8 @@ def test_real_recordings_give_the_reference(name: str) -> None:
         assert set(verdicts(found).values()) == {"insignificant"}
         assert found.causes["fused"].verdict == "insignificant"
     if name == "MH_05":
-        jumps = {(each.stamp_ns - START_NS) / 1e9: 1e3 * each.size for each in fits.checks.jumps}
+        jumps = {(jump.stamp_ns - START_NS) / 1e9: 1e3 * jump.size for jump in fits.checks.jumps}
         stated = {41.60: 17, 47.99: 15, 59.06: 21, 80.75: 51, 84.09: 30, 85.64: 34}
         for second, size_mm in stated.items():
-            [size] = [each for at, each in jumps.items() if abs(at - second) < 0.03]
+            [size] = [jump for at, jump in jumps.items() if abs(at - second) < 0.03]
             assert size == pytest.approx(size_mm, rel=0.2)

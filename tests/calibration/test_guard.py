@@ -97,7 +97,11 @@ def test_nothing_is_applied_to_mirrored_axes(axis: int) -> None:
     assert found.hand_eye is None
     assert not found.offset_applied
     assert found.after == found.before
-    (line,) = (each for each in calibration_lines("", found) if "body rotation" in each)
+    (line,) = (
+        calibration_line
+        for calibration_line in calibration_lines("", found)
+        if "body rotation" in calibration_line
+    )
     assert "not significant, not applied; it reduces the rotation error" in line
 
 

@@ -35,7 +35,7 @@ Recording = Callable[[str], Trajectory]
 
 
 def hints(evaluation: Evaluation) -> list[str]:
-    return [each for each in evaluation.warnings if any(hint in each for hint in HINTS)]
+    return [warning for warning in evaluation.warnings if any(hint in warning for hint in HINTS)]
 
 
 def without_rotations(trajectory: Trajectory) -> Trajectory:
@@ -52,7 +52,7 @@ def test_a_right_pair_gets_no_hint(seed: int, kind: str) -> None:
 
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_recordings_get_no_hint(recording: Recording, name: str) -> None:
-    truth, estimate = (recording(each) for each in RECORDINGS[name])
+    truth, estimate = (recording(item) for item in RECORDINGS[name])
     for gauge in (Gauge.YAW, Gauge.SE3, Gauge.SIM3):
         assert not hints(evaluate(truth, estimate, dataclasses.replace(YAW, gauge=gauge)))
 
@@ -120,7 +120,7 @@ def test_who_has_calibrated_is_not_told_to_calibrate(duration_s: float, causes: 
     truth, estimate = fly(1, duration_s, fault=fault)
     request = Request(protocol=YAW, calibration=CalibrationRequest(hand_eye=True))
     findings = run(truth, [estimate], request).runs[0].diagnosis.findings
-    assert [each.cause for each in findings] == causes
+    assert [item.cause for item in findings] == causes
     for finding in findings:
         assert "--hand-eye auto could not determine it" in finding.text
         assert finding.correction.keys() == {"hand_eye"}
@@ -129,7 +129,7 @@ def test_who_has_calibrated_is_not_told_to_calibrate(duration_s: float, causes: 
         assert findings[0].tried is not None
         assert findings[0].tried.after.rotation_deg == pytest.approx(0.5, abs=0.5)
     before = run(truth, [estimate], Request(protocol=YAW)).runs[0].diagnosis.findings
-    (body,) = (each for each in before if each.cause == "body")
+    (body,) = (item for item in before if item.cause == "body")
     pose = HandEye.from_text(body.correction["hand_eye"])
     assert pose is not None
     apart = Rotation.from_quat(pose.rotation_xyzw).inv()
@@ -142,14 +142,14 @@ def test_another_body_is_told_beyond_healthy_differences(deg: float, hinted: boo
     turn = np.radians(deg) * np.array([0.0, 0.6, 0.8])
     found = hints(evaluate(*fly(1, 40.0, fault=Fault(0.0, 0.0, turn), drift=0.1), YAW))
     assert bool(found) is hinted
-    assert all(BODIES in each and f"rotation of {deg:.0f} deg" in each for each in found)
+    assert all(BODIES in item and f"rotation of {deg:.0f} deg" in item for item in found)
 
 
 def test_a_world_that_is_turned_is_no_other_body() -> None:
     truth, estimate = fly(1, 40.0)
     assert estimate.rotations is not None
     tilted = dataclasses.replace(estimate, positions=estimate.positions[:, [1, 0, 2]])
-    assert not [each for each in hints(evaluate(truth, tilted, YAW)) if BODIES in each]
+    assert not [hint for hint in hints(evaluate(truth, tilted, YAW)) if BODIES in hint]
 
 
 @pytest.mark.parametrize("side", ["groundtruth", "estimate"])
@@ -161,7 +161,7 @@ def test_stamps_of_arrival_are_noticed(side: str) -> None:
     delays = np.rint(1e9 * random.exponential(0.3 * step_s, len(late))).astype(np.int64)
     late = dataclasses.replace(late, stamps=np.sort(late.stamps + delays))
     pair = (late, estimate) if side == "groundtruth" else (truth, late)
-    found = [each for each in hints(evaluate(*pair, YAW)) if ARRIVAL in each]
+    found = [hint for hint in hints(evaluate(*pair, YAW)) if ARRIVAL in hint]
     assert len(found) == 1
     assert f"the {side}'s timestamps are probably arrival times" in found[0]
 

@@ -46,7 +46,7 @@ def solved(long: tuple[Trajectory, Trajectory]) -> tuple[Increments, Calibration
 
 def test_time_between_trajectories() -> None:
     def at(*seconds: float) -> Trajectory:
-        stamps = EPOCH + np.array([round(each * SECOND) for each in seconds])
+        stamps = EPOCH + np.array([round(second * SECOND) for second in seconds])
         return Trajectory(stamps, np.zeros((len(seconds), 3)))
 
     truth = at(10.0, 20.0, 15.0)
@@ -90,7 +90,7 @@ def test_systematic_errors_are_doubled_for_runs_below_a_minute(
             for sigmas in ((0.0, 0.0), (2e-3, 0.003))
         )
         for name, added in (("offset", factor * 2e-3), ("turn", 0.003), ("lever", 0.0)):
-            before, after = (getattr(each, name).sigma for each in (bare, wide))
+            before, after = (getattr(item, name).sigma for item in (bare, wide))
             np.testing.assert_allclose(after**2 - before**2, added**2, rtol=1e-6)
 
 
@@ -138,7 +138,7 @@ def test_a_skew_of_less_than_two_minutes_is_warned_of(
 ) -> None:
     truth, estimate = long
     found = calibrate(truth, estimate, with_skew=True, systematic=NONE)
-    assert [each.code for each in found.remarks] == ["short_for_clock_skew"]
+    assert [remark.code for remark in found.remarks] == ["short_for_clock_skew"]
     assert "from 69 s is unreliable; use at least 120 s" in found.remarks[0].text
 
 

@@ -103,8 +103,8 @@ def test_another_body_of_the_estimate(seed: int) -> None:
 def test_scales_of_units() -> None:
     truth, estimate = fly(5, fault=FAULT)
 
-    def in_millimetres(each: Trajectory) -> Trajectory:
-        return dataclasses.replace(each, positions=1000.0 * each.positions)
+    def in_millimetres(item: Trajectory) -> Trajectory:
+        return dataclasses.replace(item, positions=1000.0 * item.positions)
 
     metres = calibrate(truth, estimate, systematic=NONE)
     millimetres = calibrate(in_millimetres(truth), in_millimetres(estimate), systematic=NONE)
@@ -117,7 +117,7 @@ def test_scales_of_units() -> None:
 def test_identical_trajectories_need_nothing() -> None:
     truth, _ = fly(2)
     found = calibrate(truth, truth, systematic=NONE)
-    assert [each.status for each in (found.offset, found.turn, found.lever)] == 3 * [
+    assert [item.status for item in (found.offset, found.turn, found.lever)] == 3 * [
         "insignificant"
     ]
     for value in values(found):
@@ -127,8 +127,8 @@ def test_identical_trajectories_need_nothing() -> None:
 def test_same_bytes_twice() -> None:
     truth, estimate = fly(4, fault=FAULT)
     first, second = calibrate(truth, estimate), calibrate(truth, estimate)
-    assert [each.tobytes() for each in values(first)] == [
-        each.tobytes() for each in values(second)
+    assert [value.tobytes() for value in values(first)] == [
+        value.tobytes() for value in values(second)
     ]
 
 
@@ -146,5 +146,5 @@ def test_clocks_of_different_epochs(epoch_apart_s: float) -> None:
 def test_reliabilities_are_correlations() -> None:
     for kind in ("drone", "car", "straight", "translating", "static"):
         found = calibrate(*fly(7, 40.0, kind, FAULT))
-        for each in (found.offset, found.turn, found.lever):
-            assert (np.abs(each.reliability) <= 1.0).all()
+        for item in (found.offset, found.turn, found.lever):
+            assert (np.abs(item.reliability) <= 1.0).all()

@@ -128,7 +128,7 @@ def test_right_calibrations_are_left_alone_in_95_percent_of_flights(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_recordings_with_one_clock_are_left_alone(recording: Recording, name: str) -> None:
-    truth, estimate = (recording(each) for each in RECORDINGS[name])
+    truth, estimate = (recording(item) for item in RECORDINGS[name])
     found = evaluate_calibrated(
         truth, estimate, protocol_of(name), CalibrationRequest(offset=True, hand_eye=True)
     )
@@ -151,7 +151,7 @@ def test_recordings_with_one_clock_are_left_alone(recording: Recording, name: st
 def test_recordings_show_a_clock_and_a_body_that_are_put_on_them(
     recording: Recording, name: str
 ) -> None:
-    truth, estimate = (recording(each) for each in RECORDINGS[name])
+    truth, estimate = (recording(item) for item in RECORDINGS[name])
     before = calibrate(truth, estimate, protocol_of(name).gauge)
     marker = HandEye.of(np.array([0.6, -1.0, 1.5]), np.array([0.1, -0.05, 0.1]))
     moved = marker.inverse().of_body(truth)

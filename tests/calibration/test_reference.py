@@ -163,8 +163,8 @@ def test_fit(reference: Reference, name: str, away_s: float) -> None:
     if numbers["sigma"] is not None:
         names = ["offset", "skew", "xx", "xy", "xz", "lx", "ly", "lz", "c"]
         sigmas = dict(zip(names, np.sqrt(np.diag(fitted.covariance)), strict=True))
-        for each, sigma in numbers["sigma"].items():
-            assert sigmas[each] == pytest.approx(sigma, rel=0.05)
+        for item, sigma in numbers["sigma"].items():
+            assert sigmas[item] == pytest.approx(sigma, rel=0.05)
     seen = observability(increments, fitted)
     for ours, theirs in (("offset", "offset"), ("turn", "X"), ("lever", "l")):
         if theirs in numbers["reliability"]:

@@ -32,10 +32,10 @@ def without_rotations(trajectory: Trajectory) -> Trajectory:
 @pytest.mark.parametrize("kind", ["straight", "static"])
 def test_constant_motion_shows_nothing(kind: str) -> None:
     found = calibrate(*fly(1, 60.0, kind, FAULT))
-    for each in (found.offset, found.turn, found.lever):
-        assert each.status == "unobservable"
-        assert each.value is None
-        assert each.sigma is None
+    for item in (found.offset, found.turn, found.lever):
+        assert item.status == "unobservable"
+        assert item.value is None
+        assert item.sigma is None
     assert "do not correlate" in found.offset.reason
     assert "motion is too uniform" in found.offset.reason
     assert "not observable" in found.lever.reason
@@ -134,7 +134,7 @@ def test_a_short_run_has_an_offset_but_no_body() -> None:
     found = calibrate(truth, estimate)
     assert found.offset.status == "significant"
     assert found.turn.status == found.lever.status == "unobservable"
-    assert any("too short to estimate rotation" in each.text for each in found.remarks)
+    assert any("too short to estimate rotation" in remark.text for remark in found.remarks)
 
 
 @pytest.mark.parametrize("side", [0, 1])
@@ -155,7 +155,7 @@ def test_a_skew_is_found_when_asked_for() -> None:
     assert found.skew.is_significant
     assert found.skew.value == pytest.approx([5e-5], abs=1e-5)
     short = calibrate(*fly(1, 60.0, fault=FAULT), with_skew=True)
-    assert any("clock skew from" in each.text for each in short.remarks)
+    assert any("clock skew from" in remark.text for remark in short.remarks)
 
 
 def test_gaps_and_lost_poses_change_it_within_its_uncertainty() -> None:

@@ -59,7 +59,7 @@ def test_sources_by_position_are_those_by_name(
         assert main(["evaluate", *sources, "--json", "-"]) == 0
         results.append(capsys.readouterr().out)
     assert results[0] == results[1]
-    assert [each["estimate"]["name"] for each in json.loads(results[0])["runs"]] == [
+    assert [run["estimate"]["name"] for run in json.loads(results[0])["runs"]] == [
         "estimate",
         "truth#2",
     ]
@@ -92,7 +92,7 @@ def test_texts_come_through_pipes(pair: tuple[Path, Path]) -> None:
     direct = shell(f"trajeval evaluate {truth} {estimate} --json -")
     piped = shell(f"cat {estimate} | trajeval evaluate <(cat {truth}) - --json -")
     assert piped.returncode == 0, piped.stderr
-    expected, found = (json.loads(each.stdout) for each in (direct, piped))
+    expected, found = (json.loads(item.stdout) for item in (direct, piped))
     assert found["runs"][0]["ate"] == expected["runs"][0]["ate"]
     assert found["runs"][0]["estimate"]["source"] == "-"
     assert found["runs"][0]["estimate"]["name"] == "stdin"
@@ -158,8 +158,8 @@ def test_no_names_of_types_and_no_double_defaults_are_shown(
     assert main([*verb.split(), "--help"]) == 0
     text = capsys.readouterr().out
     assert "--help" in text
-    for each in ("<bool>", "BOOLEAN", "│ TEXT ", "_LOCAL_PATH", "Default: .."):
-        assert each not in text
+    for name in ("<bool>", "BOOLEAN", "│ TEXT ", "_LOCAL_PATH", "Default: .."):
+        assert name not in text
     assert not re.search(r"Default: [^│]{1,12} Default:", " ".join(text.split()))
 
 
@@ -170,7 +170,7 @@ def test_the_help_fits_a_terminal_of_80_columns(
     monkeypatch.setenv("COLUMNS", "80")
     assert main([*name.split(), "--help"]) == 0
     text = capsys.readouterr().out
-    options = [option for each in verb(name).params for option in each.opts]
+    options = [option for parameter in verb(name).params for option in parameter.opts]
     if "--help-all" in options:
         assert main([name, "--help-all"]) == 0
         assert len(text.splitlines()) <= 100
@@ -226,15 +226,17 @@ def test_a_verb_of_evo_is_answered_with_the_one_here(
 
 @pytest.mark.parametrize("name", VERBS)
 def test_an_option_of_a_verb_is_not_removed(name: str) -> None:
-    options = {option for each in verb(name).params for option in each.opts}
+    options = {option for parameter in verb(name).params for option in parameter.opts}
     assert not options & {row.removeprefix(f"{name} ") for row in REPLACED if name in row}
 
 
 def test_evaluate_has_few_options() -> None:
-    options = [each for each in verb("evaluate").params if each.param_type_name == "option"]
+    options = [
+        parameter for parameter in verb("evaluate").params if parameter.param_type_name == "option"
+    ]
     # 45, 4 of as-available accuracy, 2 of discontinuities, --diagnosis and --statistic.
     assert len(options) <= 53
-    common = [each for each in options if getattr(each, "is_common", False)]
+    common = [option for option in options if getattr(option, "is_common", False)]
     assert len(common) == 12
 
 
@@ -284,15 +286,15 @@ def test_a_folder_s_sources_are_listed(
     deep.mkdir(parents=True)
     shutil.copy(pair[0], deep / "truth.txt")
     found = find_sources(tmp_path)
-    assert [str(each.path.relative_to(tmp_path)) for each in found.sources] == [
+    assert [str(source.path.relative_to(tmp_path)) for source in found.sources] == [
         "a/cut.db3",
         "a/flight",
         "a/other.mcap",
         "estimate.txt",
         "truth.txt",
     ]
-    assert [each.topics for each in found.sources] == [(), ("/odom",), ("/vio",), (), ()]
-    assert [each.kind for each in found.sources] == [
+    assert [source.topics for source in found.sources] == [(), ("/odom",), ("/vio",), (), ()]
+    assert [source.kind for source in found.sources] == [
         "rosbag2 sqlite3",
         "rosbag2",
         "MCAP",
@@ -339,7 +341,7 @@ def test_topics_are_never_cut_by_a_terminal(
 ) -> None:
     read = read_many([str(pair[1])])[0]
     bag = tmp_path / "run.mcap"
-    write_mcap(bag, {f"/a/long/name/{each}": (read, ODOMETRY) for each in ("odometry", "pose")})
+    write_mcap(bag, {f"/a/long/name/{name}": (read, ODOMETRY) for name in ("odometry", "pose")})
     shown = io.StringIO()
     terminal = Console(shown, width, is_terminal=True)
     monkeypatch.setattr("trajeval_ros.report.console.console", lambda: terminal)

@@ -54,7 +54,7 @@ def test_names_of_trajectories_are_those_of_estimates(
     given = ["Team=gt.txt", "later.txt", "--merge", "--save-as", "tum", "--output", "out"]
     assert main(["trajectory", *given]) == 0
     assert "Team: merged from Team, later" in capsys.readouterr().err
-    assert [each.name for each in (files / "out").iterdir()] == ["Team.txt"]
+    assert [path.name for path in (files / "out").iterdir()] == ["Team.txt"]
 
 
 def test_merged_trajectories_state_what_was_dropped(

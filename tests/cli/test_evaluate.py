@@ -59,9 +59,9 @@ def test_the_drift_is_of_the_longest_sub_trajectories_in_metres(
     assert main([*pair, "--lengths", lengths, "--json", "-"]) == 0
     (run,) = json.loads(capsys.readouterr().out)["runs"]
     drifts = {
-        each["length_m"]: each["position_percent"]["mean"]
-        for each in run["re"]["segments"]
-        if each.get("position_percent")
+        segment["length_m"]: segment["position_percent"]["mean"]
+        for segment in run["re"]["segments"]
+        if segment.get("position_percent")
     }
     assert main([*pair, "--lengths", lengths]) == 0
     said = re.search(r"drift (\S+) % over (\S+) m", capsys.readouterr().out)
@@ -112,7 +112,7 @@ def test_output_folder_holds_results_errors_and_figures(pair: list[str], tmp_pat
     assert main([*pair, "--quiet", "--output", str(folder)]) == 0
     names = {file.name for file in folder.iterdir()}
     assert {"result.json", "errors.npz", "trajectory_top.png", "relative_error.png"} <= names
-    assert [each.name for each in folder.parent.iterdir()] == ["result"]
+    assert [path.name for path in folder.parent.iterdir()] == ["result"]
     result = json.loads((folder / "result.json").read_text())
     errors = np.load(folder / "errors.npz")
     rmse = np.sqrt(np.mean(errors["estimate.position_m"] ** 2))

@@ -52,7 +52,7 @@ def write(folder: Path, outcome: Outcome) -> None:
 
 
 def names(folder: Path) -> set[str]:
-    return {each.name for each in folder.iterdir()}
+    return {path.name for path in folder.iterdir()}
 
 
 def test_files_of_an_earlier_evaluation_are_replaced_and_others_stay(
@@ -68,7 +68,7 @@ def test_files_of_an_earlier_evaluation_are_replaced_and_others_stay(
     (folder / "result.json").write_text('{"schema": "trajeval/1"}')
     write(folder, outcome)
     assert names(folder) == {"result.json", "errors.npz", *OTHERS}
-    assert all((folder / each).read_text() == "old" for each in OTHERS)
+    assert all((folder / other).read_text() == "old" for other in OTHERS)
     assert json.loads((folder / "result.json").read_text()) == result_of(outcome)
     assert (folder / "errors.npz").read_bytes().startswith(b"PK")
     assert names(tmp_path / "a") == {"b"}
@@ -127,7 +127,7 @@ def test_without_a_result_the_files_may_be_of_two_evaluations(
     assert "result.json" not in names(tmp_path)
     write(tmp_path, outcome)
     assert "result.json" in names(tmp_path)
-    assert not any(each.startswith(".") for each in names(tmp_path))
+    assert not any(name.startswith(".") for name in names(tmp_path))
 
 
 def test_what_is_in_the_folder_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

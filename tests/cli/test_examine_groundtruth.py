@@ -41,7 +41,7 @@ def test_a_groundtruth_is_repaired_and_evaluated_against(
     assert "covariances are lower limits" in said
     found = json.loads((tmp_path / "g.json").read_text())
     assert found["schema"] == "trajeval-groundtruth/1"
-    by_name = {each["name"]: each for each in found["causes"]}
+    by_name = {cause["name"]: cause for cause in found["causes"]}
     assert by_name["body_rotation"]["verdict"] == "significant"
     assert by_name["clock_offset"]["value"] == pytest.approx(12.0, abs=2.2)
     assert found["clock"]["offset_s"] == pytest.approx(0.012, abs=2.2e-3)

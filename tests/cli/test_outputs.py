@@ -146,7 +146,7 @@ def test_links_in_the_folder_of_a_comparison_are_not_followed(
     common = ["compare", str(config), "-q", "--workers", "1", "--output"]
     assert main([*common, str(made)]) == 0
     links = made_links(out, made, tmp_path / "mine")
-    assert {"runs.parquet", "report.html", "tables.md"} < {each.name for each in links}
+    assert {"runs.parquet", "report.html", "tables.md"} < {link.name for link in links}
     gate = [
         "--baseline",
         str(made / "runs.parquet"),
@@ -175,12 +175,12 @@ def test_a_link_in_place_of_a_folder_of_a_comparison_is_refused(
     mine, out = tmp_path / "mine", tmp_path / "out"
     mine.mkdir()
     out.mkdir()
-    for each in ("runs_2023.html", "errors_s0.pdf"):
-        (mine / each).write_text("mine")
+    for item in ("runs_2023.html", "errors_s0.pdf"):
+        (mine / item).write_text("mine")
     (out / name).symlink_to(mine)
     assert main(["compare", str(config), "-q", "--output", str(out)]) == 2
     assert f"{out / name} is a symbolic link; remove it" in capsys.readouterr().err
-    assert {each.name: each.read_text() for each in mine.iterdir()} == {
+    assert {path.name: path.read_text() for path in mine.iterdir()} == {
         "runs_2023.html": "mine",
         "errors_s0.pdf": "mine",
     }
@@ -208,7 +208,7 @@ def test_a_comparison_replaces_only_results_of_a_comparison(
     assert main(["compare", str(config), "-q", "--output", str(path.parent)]) == 2
     said = capsys.readouterr().err
     assert f"{path} is not from a comparison, which replaces it; choose another --output" in said
-    assert [each.name for each in path.parent.iterdir()] == [name]
+    assert [item.name for item in path.parent.iterdir()] == [name]
 
 
 @pytest.mark.slow
@@ -315,7 +315,7 @@ def test_names_in_any_letters_are_drawn_without_complaint(
     pytest.importorskip("matplotlib", reason="matplotlib is missing, the extra `plot`")
     named = write_tum(tmp_path / "轨迹 $x_1$.txt", scale=1.01)
     assert main([*pair[:4], str(named), "--output", str(tmp_path / "out"), "-q"]) == 0
-    assert [str(each.message) for each in recwarn] == []
+    assert [str(item.message) for item in recwarn] == []
 
 
 def test_a_flight_of_years_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

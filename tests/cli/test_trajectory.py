@@ -146,7 +146,7 @@ def test_a_part_of_the_time_is_evaluated(
     assert results[0]["runs"][0]["association"]["groundtruth_coverage"] == pytest.approx(
         results[1]["runs"][0]["association"]["groundtruth_coverage"]
     )
-    settings = [each["provenance"]["settings"] for each in results]
+    settings = [result["provenance"]["settings"] for result in results]
     assert (settings[0]["start"], settings[0]["end"]) != (None, None)
     assert (settings[1]["start"], settings[1]["end"]) == (None, None)
 

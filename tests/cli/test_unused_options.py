@@ -89,7 +89,7 @@ ONE = ["{}/vio_odometry.txt"]
         (["study", "gauge", "--output", "{}/study", "--keyframes", "9"], "--motion or --tracks"),
         (["study", "gauge", "--output", "{}/study", "--gravity", "9.8"], "without --tracks"),
     ],
-    ids=lambda each: " ".join(each).replace("{}/", "") if isinstance(each, list) else "",
+    ids=lambda item: " ".join(item).replace("{}/", "") if isinstance(item, list) else "",
 )  # fmt: skip
 def test_an_option_without_an_effect_is_refused(
     folder: Path, command: list[str], said: str, capsys: pytest.CaptureFixture[str]
@@ -99,7 +99,7 @@ def test_an_option_without_an_effect_is_refused(
     before = sorted(folder.rglob("*"))
     # plan_of is called before the baseline is checked.
     (folder / "x.csv").write_text("algorithm,sequence,groundtruth,estimate\na,b,c,d\n")
-    words = [str(folder / each) if each == "x.csv" else each.format(folder) for each in command]
+    words = [str(folder / item) if item == "x.csv" else item.format(folder) for item in command]
     assert main(words) == 2
     shown = capsys.readouterr()
     (line,) = shown.err.splitlines()
@@ -132,7 +132,7 @@ def test_an_option_without_an_effect_is_refused(
 def test_settings_that_these_data_do_not_need_are_named_in_a_warning(
     folder: Path, command: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([each.format(folder) for each in command]) == 0
+    assert main([item.format(folder) for item in command]) == 0
     assert said in capsys.readouterr().err
 
 
@@ -152,10 +152,10 @@ def test_settings_that_these_data_do_not_need_are_named_in_a_warning(
         ["trajectory", *TUM, "--merge"],
         ["info", ROWS[0], "--frame-rate", "10"],
     ],
-    ids=lambda each: " ".join(each).replace("{}/", ""),
+    ids=lambda item: " ".join(item).replace("{}/", ""),
 )
 def test_options_with_an_effect_are_taken(
     folder: Path, command: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([each.format(folder) for each in command]) == 0
+    assert main([item.format(folder) for item in command]) == 0
     assert "no effect" not in capsys.readouterr().err

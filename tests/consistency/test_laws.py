@@ -75,15 +75,15 @@ def test_it_is_an_oblique_projector(
 ) -> None:
     truth, estimate = sides
     moved = alignment_of(gauge, states, truth, estimate).trajectory(estimate)
-    each = STransformation.of_alignment(gauge, states, truth, moved)
-    projector = _dense(each)
+    item = STransformation.of_alignment(gauge, states, truth, moved)
+    projector = _dense(item)
     np.testing.assert_allclose(projector @ projector, projector, atol=1e-12)
-    open_ = each.orbit.shape[2]
-    np.testing.assert_allclose(projector @ each.orbit.reshape(-1, open_), 0.0, atol=1e-12)
-    np.testing.assert_allclose(each.normals.reshape(-1, open_).T @ projector, 0.0, atol=1e-12)
+    open_ = item.orbit.shape[2]
+    np.testing.assert_allclose(projector @ item.orbit.reshape(-1, open_), 0.0, atol=1e-12)
+    np.testing.assert_allclose(item.normals.reshape(-1, open_).T @ projector, 0.0, atol=1e-12)
     some = np.random.default_rng(1).normal(size=projector.shape)
     some = some @ some.T
-    np.testing.assert_allclose(each.covariance(some), projector @ some @ projector.T, atol=1e-9)
+    np.testing.assert_allclose(item.covariance(some), projector @ some @ projector.T, atol=1e-9)
 
 
 @pytest.mark.parametrize(("gauge", "states"), SUBSETS)
@@ -93,7 +93,7 @@ def test_it_is_the_derivative_of_perturb_and_align_again(
     truth, estimate = sides
     similarity = alignment_of(gauge, states, truth, estimate)
     moved = similarity.trajectory(estimate)
-    each = STransformation.of_alignment(gauge, states, truth, moved)
+    item = STransformation.of_alignment(gauge, states, truth, moved)
     generator, step = np.random.default_rng(2), 1e-5
     for _ in range(5):
         direction = generator.normal(size=(len(truth), 6))
@@ -115,7 +115,7 @@ def test_it_is_the_derivative_of_perturb_and_align_again(
             ],
             axis=1,
         )
-        expected = (_dense(each) @ turned.ravel()).reshape(numeric.shape)
+        expected = (_dense(item) @ turned.ravel()).reshape(numeric.shape)
         assert np.abs(numeric - expected).max() < 1e-6 * np.abs(expected).max()
 
 
@@ -160,8 +160,8 @@ def test_joint_nees_is_the_same_in_every_gauge_of_the_group(scene: Scene, seed: 
     truth, estimate = trajectory_of(scene, scene.groundtruth), trajectory_of(scene, run.state)
     covariance = some_covariance(run.information.toarray())
     first, everywhere = (
-        joint_nees(each.errors, each.covariance, each.transformation.normals)
-        for each in (
+        joint_nees(item.errors, item.covariance, item.transformation.normals)
+        for item in (
             aligned_run(Gauge.YAW, states, truth, estimate, covariance) for states in (1, None)
         )
     )
@@ -188,7 +188,7 @@ def test_sparse_information_gives_the_nees_of_the_dense_covariance(
     information = information_of(problem, state)
     similarity = alignment_of(gauge, states, truth, estimate)
     moved = similarity.trajectory(estimate)
-    each = STransformation.of_alignment(gauge, states, truth, moved)
+    item = STransformation.of_alignment(gauge, states, truth, moved)
     noise = None
     turned = carried(poses_of(covariance), similarity)
     if noisy:  # of another marker for each state, to tell their blocks apart
@@ -197,10 +197,10 @@ def test_sparse_information_gives_the_nees_of_the_dense_covariance(
         noise = at_arms(independent, np.random.default_rng(4).normal(size=(len(truth), 3)))
         turned += scipy.linalg.block_diag(*noise)
     # What the conditions leave open to second order is no part of the comparison.
-    errors = (_dense(each) @ errors_of(truth, moved).ravel()).reshape(-1, 6)
-    dense = joint_nees(errors, each.covariance(turned), each.normals)
+    errors = (_dense(item) @ errors_of(truth, moved).ravel()).reshape(-1, 6)
+    dense = joint_nees(errors, item.covariance(turned), item.normals)
     sparse = carried_information(scipy.sparse.csr_matrix(information), similarity, 9)
-    extra = extra_directions(each)
+    extra = extra_directions(item)
     assert joint_nees_by_information(errors, sparse, extra, noise) == pytest.approx(
         dense, rel=1e-6
     )
@@ -235,13 +235,13 @@ def test_refuses_what_has_no_covariance_in_the_gauge(
     still = Trajectory(truth.stamps, np.ones_like(truth.positions), truth.quaternions)
     with pytest.raises(DegenerateGeometryError, match="do not determine"):
         STransformation.of_alignment(Gauge.SE3, None, still, still)
-    each = aligned_run(
+    item = aligned_run(
         Gauge.YAW, None, truth, estimate, some_covariance(run.information.toarray())
     )
     low_rank = np.diag(np.r_[np.ones(25), np.zeros(35)])
     with pytest.raises(InputError, match="rank is too low"):
         joint_nees(
-            each.errors, each.transformation.covariance(low_rank), each.transformation.normals
+            item.errors, item.transformation.covariance(low_rank), item.transformation.normals
         )
 
 
@@ -254,7 +254,7 @@ def test_large_coordinates_cost_no_digits(
         truth.stamps, truth.positions + [6e5, 5e6, 300.0], truth.quaternions, truth.velocities
     )
     near, away = (
-        aligned_run(Gauge.SE3, None, each, estimate, covariance) for each in (truth, far)
+        aligned_run(Gauge.SE3, None, item, estimate, covariance) for item in (truth, far)
     )
     assert frobenius(away.covariance, near.covariance) < 1e-6
 

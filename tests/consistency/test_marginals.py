@@ -163,11 +163,11 @@ def test_a_robot_in_a_plane_is_tested_in_three_degrees_of_freedom(unset: float) 
         assess_marginals(dataclasses.replace(run, gauge=gauge), from_the_start=True)
         for gauge in (Gauge.PLANAR, Gauge.YAW)
     ]
-    assert [each.exactness for each in bounds] == ["bound", "bound"]
+    assert [bound.exactness for bound in bounds] == ["bound", "bound"]
     np.testing.assert_allclose(bounds[0].nees, bounds[1].nees, rtol=1e-12)
     assert (bounds[0].nees <= found.nees + 1e-12).mean() > 0.9
     parts = integrity_of(found, IntegrityRequest(0.5, 5.0), run.estimate.stamps).parts
-    assert [each.part for each in parts] == ["horizontal", "heading"]
+    assert [part.part for part in parts] == ["horizontal", "heading"]
     with pytest.raises(InputError, match="use gauge planar or yaw"):
         assess_marginals(dataclasses.replace(run, gauge=Gauge.SE3), from_the_start=True)
 
@@ -177,8 +177,8 @@ def test_gauge_planar_uses_the_block_of_x_y_and_yaw() -> None:
     full = run.estimate.covariances + np.diag([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])
     other = dataclasses.replace(run.estimate, covariances=full)
     nees = [
-        assess_marginals(dataclasses.replace(run, estimate=each), from_the_start=True).nees
-        for each in (run.estimate, other)
+        assess_marginals(dataclasses.replace(run, estimate=item), from_the_start=True).nees
+        for item in (run.estimate, other)
     ]
     np.testing.assert_array_equal(*nees)
 
@@ -217,7 +217,7 @@ def with_prior() -> tuple[np.ndarray, np.ndarray, STransformation]:
     prior = oblique @ np.diag([1e-4, 2e-4, 1e-4, 3e-5]) @ oblique.T
     truth = trajectory_of(scene, scene.groundtruth)
     transformation = STransformation.of_alignment(Gauge.YAW, 1, truth, truth)
-    blocks = (diagonal_blocks(each, 9)[:, :6, :6] for each in (fixed + prior, fixed))
+    blocks = (diagonal_blocks(item, 9)[:, :6, :6] for item in (fixed + prior, fixed))
     return (*blocks, transformation)
 
 
@@ -246,9 +246,9 @@ def test_bound_contains_the_covariance_and_is_tight_in_the_estimators_gauge() ->
     own = STransformation.of_alignment(Gauge.YAW, 1, truth, truth)
     assert frobenius(upper_bounds(marginals, own), marginals) < 1e-6
     for gauge, states in ((Gauge.YAW, None), (Gauge.YAW, 4), (Gauge.SIM3, None)):
-        each = STransformation.of_alignment(gauge, states, truth, truth)
+        item = STransformation.of_alignment(gauge, states, truth, truth)
         exact = aligned_run(gauge, states, truth, truth, covariance).covariance
-        slack = upper_bounds(marginals, each) - diagonal_blocks(exact, 6)
+        slack = upper_bounds(marginals, item) - diagonal_blocks(exact, 6)
         units = np.sqrt(np.diagonal(slack, axis1=1, axis2=2).max(axis=0))
         assert np.linalg.eigvalsh(slack / units / units[:, None]).min() > -1e-9
     none = STransformation.of_alignment(Gauge.NONE, None, truth, truth)
@@ -257,8 +257,8 @@ def test_bound_contains_the_covariance_and_is_tight_in_the_estimators_gauge() ->
 
 @pytest.mark.parametrize("poses", [1, 2, 40, 3000])
 def test_the_largest_of_independent_poses_stays_under_its_limit_in_95_percent(poses: int) -> None:
-    each = np.append(np.ones(poses), np.nan)
-    limit = summary_of(PoseNees(each, each, each)).limit_95
+    item = np.append(np.ones(poses), np.nan)
+    limit = summary_of(PoseNees(item, item, item)).limit_95
     assert limit is not None
     # By Bonferroni's inequality, which is too careful by 0.13 % where poses are independent.
     assert 0.9499999 < chi2.cdf(6.0 * limit, 6) ** poses < 0.9513
@@ -303,8 +303,8 @@ def test_single_poses_are_exact_in_the_estimators_own_gauge_alone(
 
 def test_covariances_that_grow_or_fall_are_estimates() -> None:
     scales = np.arange(1.0, 13.0)[:, None, None]
-    for each in (scales, 1.0 / scales):
-        assert constant_covariances(np.eye(6) * each) == ""
+    for item in (scales, 1.0 / scales):
+        assert constant_covariances(np.eye(6) * item) == ""
     assert "all are equal" in constant_covariances(np.eye(6) * np.ones_like(scales))
 
 

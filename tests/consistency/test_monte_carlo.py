@@ -208,10 +208,10 @@ def test_noise_of_the_groundtruth_counts(
                 (Rotation.from_rotvec(shift[:, 3:]) * truth.rotations).as_quat(),
                 truth.velocities,
             )
-            each = aligned_run(gauge, states, measured, *run)
-            moved = each.similarity.trajectory(run.estimate)
+            item = aligned_run(gauge, states, measured, *run)
+            moved = item.similarity.trajectory(run.estimate)
             transformation = STransformation.of_alignment(gauge, states, measured, moved)
-            turned = carried(poses_of(run.covariance), each.similarity)
+            turned = carried(poses_of(run.covariance), item.similarity)
             errors = errors_of(measured, moved)
             for values, covariance in ((known, turned + noise), (ignored, turned)):
                 projected = transformation.covariance(covariance)
@@ -229,9 +229,9 @@ def test_mean_nees_of_one_run_spreads_as_its_effective_dof_say(
     truth, runs = sampled("sine", "random", "paper")
     means, covariance = [], None
     for run in runs:
-        each = aligned_run(Gauge.YAW, 1, truth, *run)
-        covariance = each.covariance
-        means.append(_per_pose(each.errors, covariance, 1).mean())
+        item = aligned_run(Gauge.YAW, 1, truth, *run)
+        covariance = item.covariance
+        means.append(_per_pose(item.errors, covariance, 1).mean())
     dof = effective_dof(covariance[6:, 6:], 6)
     assert 5.0 < dof < 15.0  # of 54
     # The variance of chi-square(f) / f is 2 / f.
@@ -291,9 +291,9 @@ def test_honest_samples_few_runs() -> None:
         for run in runs:
             covariance = some_covariance(run.information.toarray())
             estimate = trajectory_of(scene, run.state)
-            each = aligned_run(gauge, states, truth, estimate, covariance)
-            values.append(_joint(each) / each.transformation.dof)
-        low, high = band_of_mean(each.transformation.dof, count)
+            item = aligned_run(gauge, states, truth, estimate, covariance)
+            values.append(_joint(item) / item.transformation.dof)
+        low, high = band_of_mean(item.transformation.dof, count)
         assert low < np.mean(values) < high
 
 

@@ -30,7 +30,7 @@ POSES = [
     (4.0, 3.0, "misleading_unavailable"),
     (0.0, 1.0, "nominal"),
 ]
-ERRORS, LEVELS = (np.array([each[column] for each in POSES], float) for column in (0, 1))
+ERRORS, LEVELS = (np.array([pose[column] for pose in POSES], float) for column in (0, 1))
 STAMPS = np.arange(len(POSES), dtype=np.int64) * SECOND
 
 
@@ -65,7 +65,7 @@ def test_areas_and_episodes_are_counted(name: str, part: slice, unit: float) -> 
     assert found.alert_limit == limit
     np.testing.assert_allclose(found.errors, ERRORS, rtol=1e-12)
     np.testing.assert_allclose(found.levels, LEVELS, rtol=1e-8)
-    areas = [each[2] for each in POSES]
+    areas = [pose[2] for pose in POSES]
     assert found.areas == {area: areas.count(area) / 10.0 for area in found.areas}
     assert found.episodes == {
         "nominal": 3,

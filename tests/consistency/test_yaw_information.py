@@ -57,9 +57,9 @@ def runs(name: str) -> list[tuple[Stamps, Floats, Floats]]:
 def test_all_filters_without_first_estimates_are_named(cameras: str) -> None:
     found = [remark_of(stamps, full[:, 3:, 3:]) for stamps, _, full in runs(f"{cameras}_fej_off")]
     assert len(found) == 8
-    for each in found:
-        assert each is not None
-        assert each.text.startswith("the standard deviation of yaw falls from 1.13 to 0.0")
+    for item in found:
+        assert item is not None
+        assert item.text.startswith("the standard deviation of yaw falls from 1.13 to 0.0")
 
 
 @pytest.mark.parametrize("cameras", ["mono", "stereo"])

@@ -206,7 +206,9 @@ def lost_in_rounding(fitted: ContinuousTrajectory) -> float:
     if not isinstance(fitted.poses, TwoScaleGP):
         return 0.0  # an information matrix is inverted: nothing is subtracted
     fine = fitted.poses.fine
-    ratio = max(each.sigma / each.noise for each in fine.hyperparameters)
+    ratio = max(
+        hyperparameter.sigma / hyperparameter.noise for hyperparameter in fine.hyperparameters
+    )
     return math.sqrt(fine.segments.rows.shape[1]) * UNIT_ROUNDOFF * ratio**3
 
 
@@ -239,7 +241,7 @@ def test_another_world_frame_changes_nothing(model: str, seed: int) -> None:
         quaternions=(turn * motion.rotations).as_quat(),
     )
     stamps = motion.stamps[:-1] + 70_000_000
-    here, there = (fit_trajectory(each, model).at(stamps) for each in (motion, moved))
+    here, there = (fit_trajectory(item, model).at(stamps) for item in (motion, moved))
     world = se3.poses(turn.as_matrix(), shift)
     # The optimiser stops within its tolerance of the most likely hyperparameters.
     np.testing.assert_allclose(there.poses, world @ here.poses, atol=2e-5)
@@ -253,8 +255,8 @@ def test_same_hyperparameters_make_it_exactly_equivariant() -> None:
     times = np.linspace(samples.times[0], samples.times[-1], 300)
     for joint in (False, True):
         here, there = (
-            PiecewiseGP.conditioned(GPSegments.of(each, SIZE, joint=joint), CHOSEN).at(times)
-            for each in (samples, moved)
+            PiecewiseGP.conditioned(GPSegments.of(item, SIZE, joint=joint), CHOSEN).at(times)
+            for item in (samples, moved)
         )
         np.testing.assert_allclose(there.poses, world @ here.poses, atol=1e-9)
         np.testing.assert_allclose(there.covariances, here.covariances, atol=1e-9)
@@ -298,7 +300,7 @@ def test_markov_positions_are_a_dense_gaussian_process(order: int) -> None:
         scale = density / float(np.prod(np.arange(1, order))) ** 2
         return np.asarray(scale * (0.5 * until[..., 0]) * (grown @ weights))
 
-    basis, asked_basis = (np.vander(each, order) for each in (times, asked))
+    basis, asked_basis = (np.vander(item, order) for item in (times, asked))
     inverse = np.linalg.inv(covariance(times, times) + noise**2 * np.eye(9))
     known = np.linalg.inv(basis.T @ inverse @ basis)
     trend = known @ basis.T @ inverse @ positions
@@ -373,8 +375,8 @@ def test_joint_posterior_at_queries_close_to_samples_and_to_each_other(order: in
     dense = dense_covariance(joint)
     single = process.interpolator().at(asked)[1]
     blocks = dense.reshape(12, 3, 12, 3)
-    each = np.arange(12)
-    np.testing.assert_allclose(blocks[each, :, each], single, rtol=1e-5)
+    item = np.arange(12)
+    np.testing.assert_allclose(blocks[item, :, item], single, rtol=1e-5)
     # Two queries at almost the same time have the same error.
     np.testing.assert_allclose(blocks[0, :, 2], single[0], rtol=1e-3)
     np.testing.assert_allclose(blocks[6, :, 8], single[6], rtol=1e-3)
@@ -395,7 +397,7 @@ def test_positions_alone_are_enough() -> None:
     bare = dataclasses.replace(motion, quaternions=None)
     stamps = motion.stamps[:-1] + 90_000_000
     for model in MODELS:
-        whole, alone = (fit_trajectory(each, model).at(stamps) for each in (motion, bare))
+        whole, alone = (fit_trajectory(item, model).at(stamps) for item in (motion, bare))
         if model not in ("paper", "auto"):
             np.testing.assert_allclose(
                 alone.poses[:, :3, 3], whole.poses[:, :3, 3], rtol=0, atol=1e-7
@@ -411,7 +413,7 @@ def test_nearly_equal_stamps_are_merged_and_said(model: str) -> None:
     stamps[[21, 35]] += 100
     near = dataclasses.replace(motion[twice], stamps=stamps)
     fitted = fit_trajectory(near, model)
-    assert any("2 groundtruth poses merged" in each for each in fitted.statements)
+    assert any("2 groundtruth poses merged" in statement for statement in fitted.statements)
     belief = fitted.at(motion.stamps[5:-5] + 50_000_000)
     assert np.isfinite(belief.poses).all()
     assert (np.linalg.eigvalsh(belief.covariances) > 0.0).all()
@@ -424,7 +426,7 @@ def test_no_motion_is_said_and_gives_no_confident_number(model: str) -> None:
     )
     gap = still[np.r_[np.arange(0, 15), np.arange(30, 40)]]
     fitted = fit_trajectory(gap, model)
-    assert any("moves less than its noise" in each for each in fitted.statements)
+    assert any("moves less than its noise" in statement for statement in fitted.statements)
     belief = fitted.at(still.stamps[20:25])
     assert np.isfinite(belief.covariances).all()
     # Not surer than half a sample, though nothing ever moved.
@@ -438,7 +440,9 @@ def test_half_turns_in_a_gap_are_said(model: str) -> None:
     turns[20:, 2] = 3.0
     wild = dataclasses.replace(motion, quaternions=Rotation.from_rotvec(turns).as_quat())
     fitted = fit_trajectory(wild, model)
-    assert any("differ by more than 115 deg at 1 place" in each for each in fitted.statements)
+    assert any(
+        "differ by more than 115 deg at 1 place" in statement for statement in fitted.statements
+    )
     belief = fitted.at(motion.stamps[:-1] + 100_000_000)
     assert np.isfinite(belief.poses).all()
     assert np.isfinite(belief.covariances).all()
@@ -450,7 +454,9 @@ def test_half_turns_in_a_gap_are_said(model: str) -> None:
 def test_few_samples(model: str, count: int) -> None:
     motion = smooth(count)
     fitted = fit_trajectory(motion, model)
-    assert any(f"{count} groundtruth samples are too few" in each for each in fitted.statements)
+    assert any(
+        f"{count} groundtruth samples are too few" in statement for statement in fitted.statements
+    )
     stamps = motion.stamps[:-1] + 100_000_000
     positions = fitted.markov.positions.process
     joint = JointPosterior.of(positions, fitted.samples.seconds(stamps))

@@ -56,9 +56,9 @@ def test_white_noise_is_van_loans_matrix_exponential(order: int, time_s: float) 
 @settings(max_examples=8)
 def test_interpolation_is_the_conditional_gaussian(order: int, step: float, share: float) -> None:
     since = share * step
-    one = [np.array([each]) for each in (since, step - since, step)]
-    before, after, whole = (white_noise.transition(order, each)[0] for each in one)
-    own, rest, total = (white_noise.covariance(order, each)[0] for each in one)
+    one = [np.array([item]) for item in (since, step - since, step)]
+    before, after, whole = (white_noise.transition(order, item)[0] for item in one)
+    own, rest, total = (white_noise.covariance(order, item)[0] for item in one)
     np.testing.assert_allclose(after @ own @ after.T + rest, total, rtol=1e-10, atol=1e-12)
     # The joint covariance of the states at `since` and `step`, given the first one.
     gain = own @ after.T @ np.linalg.inv(total)
@@ -377,8 +377,8 @@ def test_the_search_for_hyperparameters_has_starts_and_limits(
     spread = float(targets[some].std())
     _, found = most_likely((MATERN_52,), times, targets, 0.05, 0.1)
     assert {count for count, _ in calls} == {100}
-    starts = [each for each in calls if each[1][0] == pytest.approx(spread)]
-    lengths = {round(each[1][1], 6) for each in starts}
+    starts = [call for call in calls if call[1][0] == pytest.approx(spread)]
+    lengths = {round(start[1][1], 6) for start in starts}
     assert {0.2, 0.6} <= lengths
     if sign < 0.0:
         assert found.sigma == pytest.approx(spread * math.exp(8.0), rel=1e-6)

@@ -50,7 +50,9 @@ def piecewise_process(given: Any, case: Any) -> PiecewiseGP:
     samples = Samples(0, np.array(given["t"]), np.array(given["T"]), True, noise)
     segments = GPSegments.of(samples, case["n"], joint=case["coords"] == "se3")
     kernel = KERNELS[case["kernel"]]
-    return PiecewiseGP.conditioned(segments, [(kernel, each) for each in hyperparameters])
+    return PiecewiseGP.conditioned(
+        segments, [(kernel, hyperparameter) for hyperparameter in hyperparameters]
+    )
 
 
 @pytest.mark.parametrize("place", range(4))
@@ -110,7 +112,7 @@ def test_experts_and_their_weights_by_another_blending(numbers: Any, place: int)
 def test_markov_processes(numbers: Any, group: str, order: int) -> None:
     given = numbers["state_space_gp"]
     (case,) = (
-        each for each in given["cases"] if each["group"] == group and each["order"] == order
+        item for item in given["cases"] if item["group"] == group and item["order"] == order
     )
     poses, times = np.array(given["T"]), np.array(given["t"])
     manifold, measured = {
@@ -138,8 +140,8 @@ def test_markov_processes(numbers: Any, group: str, order: int) -> None:
     dimension = len(case["Qc_diag"])
     joint = dense_covariance(JointPosterior.of(process, times))
     blocks = joint.reshape(len(times), dimension, len(times), dimension)
-    each = np.arange(len(times))
-    marginals = blocks[each, :, each]
+    item = np.arange(len(times))
+    marginals = blocks[item, :, item]
     alone = interpolator.own[:, :dimension, :dimension]
     np.testing.assert_allclose(marginals, alone, rtol=1e-6, atol=1e-12)
     if "query_cov" in case:

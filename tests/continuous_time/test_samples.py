@@ -138,7 +138,7 @@ def test_statements_have_their_limits(
     motion = of_stamps(at, np.outer(at, [step_m, 0, 0]), turns)
     found = fit_trajectory(motion, "linear", Noise(0.002, 0.002)).statements
     assert len(found) == len(said)
-    assert all(part in each for part, each in zip(said, found, strict=True))
+    assert all(part in item for part, item in zip(said, found, strict=True))
 
 
 @pytest.mark.parametrize("oriented", [True, False])
@@ -203,4 +203,4 @@ def test_held_out_samples_are_between_others(
     assert len(calls) == 3
     for kept, asked in calls:
         assert asked == held
-        assert kept == [each for each in middle if each not in held]
+        assert kept == [item for item in middle if item not in held]

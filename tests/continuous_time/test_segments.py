@@ -84,7 +84,7 @@ def test_segments_of_a_fit_have_twenty_samples() -> None:
     samples = samples_at(0.1 * np.arange(50.0))
     fitted = PiecewiseGP.fit(samples, (MATERN_32,))
     assert fitted.segments.rows.shape == (4, 20)
-    assert [each.noise for each in fitted.hyperparameters] == [0.01, 0.02]
+    assert [hyperparameter.noise for hyperparameter in fitted.hyperparameters] == [0.01, 0.02]
     assert len(PiecewiseGP.fit(dataclasses.replace(samples, oriented=False)).roots) == 1
 
 

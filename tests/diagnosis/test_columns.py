@@ -40,7 +40,7 @@ def seen_by(
         max_gap_s=max_gap_s,
         by_time=by_time,
     )
-    return {each.test: each for each in columns_of_others(inputs)}[test]
+    return {column.test: column for column in columns_of_others(inputs)}[test]
 
 
 def timed(seconds: Floats) -> TimedPoses:
@@ -66,7 +66,7 @@ def test_row_numbers_are_small_and_of_another_time(
     own = timed(counted_from + np.arange(40.0))
     true = timed(other_begin + np.linspace(0.0, other_span, 60))
     found = seen_by("row numbers", true, own)
-    assert [each.cause for each in found.seen] == ["row_numbers"] * is_seen
+    assert [item.cause for item in found.seen] == ["row_numbers"] * is_seen
     assert found.scores == pytest.approx({"span_ratio": 39.0 / other_span})
     assert not seen_by("row numbers", true, own, by_time=False).seen
     off = own.seconds.copy()
@@ -157,8 +157,8 @@ def test_a_flat_side_has_one_constant_column_while_the_other_has_heights(
     flat, full = columns.copy(), columns * [3.0, 4.0, 5.0 * height / np.sqrt(1.0 - height**2)] \
         if height < 1.0 else columns * [3.0, 4.0, 50.0]  # fmt: skip
     for name, changed in ((constant, flat), (other, full)):
-        for each in name:
-            changed[:, "xyz".index(each)] = 7.0
+        for item in name:
+            changed[:, "xyz".index(item)] = 7.0
     if len(constant) == 0:
         flat[:, 2] *= 1e-6  # not constant
     another = "groundtruth" if side == "estimate" else "estimate"
@@ -186,7 +186,7 @@ def test_a_side_with_roll_and_pitch_has_heights(roll: float, *, is_seen: bool) -
     mounted = turns * Rotation.from_rotvec([0.5, 0.2, 0.1])
     flat = TimedPoses(np.arange(40.0), columns * [1.0, 1.0, 0.0], mounted.as_quat())
     found = seen_by("flat", groundtruth=flat, estimate=TimedPoses(np.arange(40.0), columns))
-    assert [each.cause for each in found.seen] == ["flat"] * is_seen
+    assert [item.cause for item in found.seen] == ["flat"] * is_seen
 
 
 def walk(count: int, size: float = 1.0) -> tuple[TimedPoses, Floats]:
@@ -206,13 +206,13 @@ def test_increments_have_the_lengths_of_the_steps(factor: float, *, is_seen: boo
     own = TimedPoses(true.seconds, factor * steps)
     found = seen_by("increments", true, own)
     sums = [
-        np.linalg.norm(each[1:], axis=1).reshape(60, 10).sum(axis=1)
-        for each in (steps, own.positions)
+        np.linalg.norm(item[1:], axis=1).reshape(60, 10).sum(axis=1)
+        for item in (steps, own.positions)
     ]
     ratio = np.median(sums[1]) / np.median(sums[0])
     assert found.scores == pytest.approx({"peak": 1.0, "ratio": ratio})
     assert ratio == pytest.approx(factor)
-    assert [each.cause for each in found.seen] == ["increments"] * is_seen
+    assert [item.cause for item in found.seen] == ["increments"] * is_seen
     for seen in found.seen:
         assert seen.values == {"peak": found.scores["peak"]}
 
@@ -233,8 +233,8 @@ def test_the_lengths_of_increments_correlate_in_blocks(count: int, noise: float)
         np.linalg.norm(own.positions[1:], axis=1),
     )
     sums = [
-        [each[begin : begin + together].sum() for begin in range(0, count - 1, together)]
-        for each in lengths
+        [length[begin : begin + together].sum() for begin in range(0, count - 1, together)]
+        for length in lengths
     ]
     peak = float(np.corrcoef(*sums)[0, 1])
     ratio = float(np.median(sums[1]) / np.median(sums[0]))

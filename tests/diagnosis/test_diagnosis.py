@@ -111,7 +111,7 @@ def test_a_converted_file_gives_the_same_numbers_as_the_correction(
         arguments = [*given, "--gauge", "yaw", "--json", str(result), "--quiet"]
         assert main(["evaluate", *arguments, *option]) == 0
         found = json.loads(result.read_text())["runs"][0]
-        ates.append([found["ate"][each]["rmse"] for each in ("position_m", "rotation_deg")])
+        ates.append([found["ate"][item]["rmse"] for item in ("position_m", "rotation_deg")])
         if option:
             (corrected,) = found["corrected"]
             assert corrected["option"] == f"--correct {corrected['cause']}"
@@ -144,7 +144,7 @@ def test_a_correction_of_what_is_not_there_is_refused() -> None:
 
 def test_all_poses_twice_are_100_percent() -> None:
     twice = Trajectory(
-        *(np.concatenate([each, each]) for each in (DRONE.estimate.stamps,
+        *(np.concatenate([item, item]) for item in (DRONE.estimate.stamps,
                                                     DRONE.estimate.positions))
     )  # fmt: skip
     found = run(DRONE.truth, [twice], Request(DRONE.protocol)).runs[0].diagnosis
@@ -161,7 +161,7 @@ def test_many_unusable_poses_are_told(every: int, is_told: bool) -> None:
     (outcome,) = run(DRONE.truth, [estimate], Request(DRONE.protocol)).runs
     said = "33.3 % of the estimate's poses are not usable and were dropped: "
     said += f"{-(-len(positions) // 3)} not finite"
-    assert any(each.startswith(said) for each in outcome.evaluation.warnings) == is_told
+    assert any(warning.startswith(said) for warning in outcome.evaluation.warnings) == is_told
     # An estimate that is interpolated has no coverage, and its unusable poses are counted.
     rule = AssociationRule("groundtruth-stamps")
     request = Request(dataclasses.replace(DRONE.protocol, association=rule))
@@ -174,7 +174,9 @@ def test_why_a_length_has_no_sub_trajectories_is_told() -> None:
     protocol = Protocol(gauge="yaw", lengths=("0.1s", "0.01m", "1000m", "500s"))
     (outcome,) = run(DRONE.truth, [sparse], Request(protocol)).runs
     step_s = float(np.median(np.diff(sparse.seconds)))
-    said = [each for each in outcome.evaluation.warnings if each.startswith("no sub-traj")]
+    said = [
+        warning for warning in outcome.evaluation.warnings if warning.startswith("no sub-traj")
+    ]
     assert said[0].startswith("no sub-trajectories of 1000 m, 500 s: the paired path has ")
     assert said[1].startswith(
         f"no sub-trajectories of 0.1 s, 0.01 m: pairs are {step_s:.2g} s and "
@@ -197,7 +199,7 @@ def test_hand_eye_refuses_poses_that_are_read_wrongly() -> None:
 
 def test_the_same_estimate_twice_is_told_once() -> None:
     outcome = run(DRONE.truth, [DRONE.estimate, DRONE.estimate], Request(DRONE.protocol))
-    causes = [[each.cause for each in one.diagnosis.findings] for one in outcome.runs]
+    causes = [[finding.cause for finding in one.diagnosis.findings] for one in outcome.runs]
     assert causes == [[], ["same_estimate"]]
     assert "identical to" in outcome.runs[1].evaluation.warnings[0]
 
@@ -226,15 +228,15 @@ def test_swapped_sides_are_named_by_their_names(
     truth: str, estimate: str, is_swapped: bool
 ) -> None:
     sides = (
-        dataclasses.replace(each, reading=Reading(source))
-        for each, source in ((DRONE.truth, truth), (DRONE.estimate, estimate))
+        dataclasses.replace(item, reading=Reading(source))
+        for item, source in ((DRONE.truth, truth), (DRONE.estimate, estimate))
     )
     assert ("swapped" in _causes(*sides, Protocol(gauge="yaw"))) == is_swapped
 
 
 def _causes(truth: Trajectory, estimate: Trajectory, protocol: Protocol) -> list[str]:
     diagnosis = run(truth, [estimate], Request(protocol)).runs[0].diagnosis
-    return [each.cause for each in diagnosis.findings]
+    return [finding.cause for finding in diagnosis.findings]
 
 
 @pytest.mark.parametrize("decimals", [3, 6, 16])
@@ -339,19 +341,19 @@ def test_a_comparison_marks_a_run_that_shows_a_mistake(tmp_path: Path) -> None:
         "  wrong: 'wrong/{sequence}.txt'\n  copy: 'copy/{sequence}.txt'\n"
     )
     summary = compare(config, tmp_path / "out", workers=1, report=False)
-    assert {each.algorithm: each.diagnosis for each in summary.trials} == {
+    assert {trial.algorithm: trial.diagnosis for trial in summary.trials} == {
         "good": (),
         "bad": ("wxyz",),
         "wrong": ("wxyz",),
         "copy": ("identical",),
     }
-    table = next(each for each in matrices(summary) if each.name == "ate_rotation_deg")
+    table = next(matrix for matrix in matrices(summary) if matrix.name == "ate_rotation_deg")
     notes = {algorithm: cells[0].note for algorithm, cells in table.rows}
     assert notes == {"good": "", "bad": "§", "wrong": "§", "copy": "§"}
     assert "§ mistakes found (identical: copy hall; wxyz: bad hall and 1 more)" in table.caption
     assert "¶ not ranked: copy (is the groundtruth)." in table.caption
-    for each in matrices(summary):
-        ranked = {algorithm: cells[0].is_ranked for algorithm, cells in each.rows}
+    for matrix in matrices(summary):
+        ranked = {algorithm: cells[0].is_ranked for algorithm, cells in matrix.rows}
         assert ranked == {"good": True, "bad": True, "wrong": True, "copy": False}
 
 
@@ -376,7 +378,7 @@ def test_covariances_in_another_order_or_unit(
     covariances = np.linspace(1.0, 1.001, len(DRONE.estimate))[:, None, None] * np.diag(sigmas**2)
     told = dataclasses.replace(DRONE.estimate, covariances=covariances)
     found = run(DRONE.truth, [told], request).runs[0].diagnosis
-    assert [each.cause for each in found.findings] == causes
+    assert [finding.cause for finding in found.findings] == causes
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("handheld", 1), ("robot", 4)])

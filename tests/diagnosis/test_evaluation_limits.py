@@ -71,10 +71,10 @@ def test_an_offset_explains_nearly_all_of_the_error(
     mean = length * np.array([0.48, 0.64, -0.6])
     found = offset_of(mean, share, count)
     assert found.scores == pytest.approx({"offset_m": length, "share": share})
-    assert [each.cause for each in found.seen] == ["frames_apart"] * is_seen
+    assert [item.cause for item in found.seen] == ["frames_apart"] * is_seen
     for seen in found.seen:
         values = dict(seen.values)
-        assert values.pop("offset") == ", ".join(f"{each:.2f}" for each in mean)
+        assert values.pop("offset") == ", ".join(f"{item:.2f}" for item in mean)
         assert values.pop("kind") == ""
         assert values == pytest.approx({"offset_m": length, "percent": 100.0 * share})
     assert not offset_of(mean, share, count, Gauge.YAW).scores
@@ -158,7 +158,7 @@ def test_exchanged_blocks_fit_both_errors(
             "rotation_if_exchanged": exchanged[1],
         }
     )
-    assert [each.cause for each in found.seen] == ["covariance_order"] * is_exchanged
+    assert [item.cause for item in found.seen] == ["covariance_order"] * is_exchanged
     for seen in found.seen:
         assert dict(seen.values) == pytest.approx(
             {
@@ -189,7 +189,7 @@ def test_degrees_are_57_times_the_errors(
     """Up to decimal logarithms of 0.25."""
     times = 10.0**-rotation * 180.0 / np.pi
     found = blocks_of(10.0**-position, 0.1 * times)
-    assert [each.cause for each in found.seen] == ["covariance_degrees"] * is_degrees
+    assert [item.cause for item in found.seen] == ["covariance_degrees"] * is_degrees
     for seen in found.seen:
         assert seen.values == pytest.approx({"times": times})
 

@@ -43,7 +43,7 @@ def held(steps: Floats, begin: int, end: int) -> None:
 
 def seen_in(truth: Floats, own: Floats, max_gap_s: float = 0.5) -> dict[str, Seen]:
     examined = groundtruth_defects(track(truth), in_units(track(own)), max_gap_s)
-    return {each.cause: each for each in examined.seen}
+    return {item.cause: item for item in examined.seen}
 
 
 def frozen_at(intervals: list[tuple[int, int, float]], count: int = 200) -> dict[str, Seen]:
@@ -180,7 +180,7 @@ def test_an_interval_is_judged_only_where_the_estimate_has_poses(
         begin = place - gap // 2
         estimate = estimate[np.r_[0 : begin + 1, begin + gap : 201]]
         found = groundtruth_defects(track(truth), estimate, 0.5)
-        assert [each.cause for each in found.seen] == [cause] * is_known
+        assert [item.cause for item in found.seen] == [cause] * is_known
 
 
 def test_the_units_are_compared_over_the_common_time() -> None:
@@ -238,7 +238,7 @@ def test_a_velocity_is_constant_up_to_the_rounding_of_its_positions(
     for change, is_alike in ((0.98 * limit, True), (1.02 * limit, False)):
         seconds = np.concatenate([[0.0], np.cumsum(times_s)])
         velocities = np.array([speed, 0.0, 0.0]), np.array([speed, change, 0.0])
-        moves = [each * time for each, time in zip(velocities, times_s, strict=True)]
+        moves = [velocity * time for velocity, time in zip(velocities, times_s, strict=True)]
         positions = np.concatenate([np.zeros((1, 3)), np.cumsum(moves, axis=0)])
         still, gliding = _constant(TimedPoses(seconds, positions))
         assert still.tolist() == [False, False]
@@ -320,7 +320,7 @@ def test_a_gap_of_more_than_a_second_up_to_the_limit_is_interpolated(
     rows: int, bent_m: float, is_seen: bool
 ) -> None:
     found = gaps([(100, 100 + rows, bent_m)]).seen
-    assert [each.cause for each in found] == ["gap_bridged"] * is_seen
+    assert [item.cause for item in found] == ["gap_bridged"] * is_seen
 
 
 def test_gaps_are_counted_and_the_largest_deviation_in_any_is_stated() -> None:
@@ -361,14 +361,14 @@ def test_the_deviation_in_a_gap_is_of_three_poses(rows: int, is_seen: bool) -> N
 @pytest.mark.parametrize(("others", "is_seen"), [(40, True), (39, False)])
 def test_a_groundtruth_with_a_low_rate_has_no_gaps(others: int, is_seen: bool) -> None:
     """Ten gaps, and some usual steps."""
-    places = [(18 * each, 18 * each + 17, 0.4) for each in range(10)]
+    places = [(18 * index, 18 * index + 17, 0.4) for index in range(10)]
     count = places[-1][1] + others - 9
     found = gaps(places, count)
     assert bool(found.seen) == is_seen
 
 
 def test_the_twenty_longest_gaps_are_examined() -> None:
-    places = [(40 * each, 40 * each + 18 + each // 5, 0.2) for each in range(25)]
+    places = [(40 * index, 40 * index + 18 + index // 5, 0.2) for index in range(25)]
     places[2] = (80, 97, 0.9)  # the shortest one
     [seen] = gaps(places, 40 * 25).seen
     inside = sum(end - begin - 1 for begin, end, _ in places[5:])

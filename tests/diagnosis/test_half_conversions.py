@@ -122,7 +122,7 @@ KITTI = UpAxis("-y", "KITTI's camera axes")
 def test_axes_are_named_as_in_the_file(sides: tuple[str, ...], up: UpAxis, named: str) -> None:
     """KITTI's files, which are read with -y up, have z up if KISS-ICP writes them."""
     pair = simulated(5004, "car", "walk", 100.0)
-    given = {each: dataclasses.replace(getattr(pair, each), up=up) for each in sides}
+    given = {side: dataclasses.replace(getattr(pair, side), up=up) for side in sides}
     first = found(dataclasses.replace(pair, **given)).suggested
     assert first is not None
     assert named in first.text
@@ -154,7 +154,11 @@ def test_small_angles_in_another_unit_are_named(factor: float, said: str | None)
     noise = np.random.default_rng(7).normal(0.0, 0.01, truth.positions.shape)
     turns = Rotation.from_euler("xyz", factor * angles).as_quat()
     estimate = Trajectory.from_positions(truth.positions + noise, turns, stamps=truth.stamps)
-    named = [each for each in evaluate(truth, estimate).warnings if "the rotations agree" in each]
+    named = [
+        warning
+        for warning in evaluate(truth, estimate).warnings
+        if "the rotations agree" in warning
+    ]
     assert len(named) == (said is not None)
     assert said is None or said in named[0]
     assert factor or not any(unit in named[0] for unit in ("degrees", "radians", "times as large"))

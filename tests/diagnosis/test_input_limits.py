@@ -49,7 +49,7 @@ def test_positions_are_identical_if_nine_tenths_are_equal(
         own = Rotation.from_rotvec([0.4, -0.9, 0.6]).apply(own) + [5.0, 0.0, -3.0]
         is_seen = True
     found = same(true, own)
-    assert [each.cause for each in found.seen] == ["identical"] * is_seen
+    assert [item.cause for item in found.seen] == ["identical"] * is_seen
     for seen in found.seen:
         where = "at equal timestamps" + (", after a rigid fit," if fitted else "")
         assert seen.values["where"] == where
@@ -106,12 +106,12 @@ def test_a_side_stands_still_beside_the_motion_of_the_other(
 ) -> None:
     along = np.linspace(0.0, 1.0, count)
     poses = [
-        TimedPoses(along, np.outer(along, [0.6, 0.0, -0.8]) * each) for each in (moved, still)
+        TimedPoses(along, np.outer(along, [0.6, 0.0, -0.8]) * item) for item in (moved, still)
     ]
     other = "groundtruth" if side == "estimate" else "estimate"
     found = standing_still(pair_of(**{side: poses[1], other: poses[0]}))
     assert found.scores == pytest.approx({f"{side} path": still, f"{other} path": moved})
-    assert [each.cause for each in found.seen] == ["stands_still"] * is_seen
+    assert [item.cause for item in found.seen] == ["stands_still"] * is_seen
     for seen in found.seen:
         assert seen.values == {
             "side": side,
@@ -154,7 +154,7 @@ def test_velocities_of_the_body_are_told_by_their_difference_from_the_positions(
     without = TimedPoses(seconds, positions, turned.as_quat())
     for side, sides in (("estimate", (without, poses)), ("groundtruth", (poses, without))):
         found = velocities(*sides)
-        assert [each.cause for each in found.seen] == ["twist_body"] * is_seen
+        assert [item.cause for item in found.seen] == ["twist_body"] * is_seen
         angle = np.radians(angle_deg)
         as_world = (factor * np.cos(angle) - 1.0) ** 2 + (factor * np.sin(angle)) ** 2
         if found.scores:

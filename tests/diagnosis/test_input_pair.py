@@ -23,8 +23,8 @@ def test_poses_are_sorted_and_the_first_of_equal_times_is_kept() -> None:
     rows = [0.0, 2.0, 1.0, 5.0]
     assert found.quaternions is not None
     assert found.velocities is not None
-    for each in (found.positions, found.quaternions, found.velocities):
-        assert each[:, 0].tolist() == rows
+    for item in (found.positions, found.quaternions, found.velocities):
+        assert item[:, 0].tolist() == rows
     assert found.in_order() is found
     assert found.span_s == 4.0
     assert found.usual_step_s == 1.0
@@ -109,7 +109,7 @@ def test_frozen_poses_and_what_follows_a_divergence_are_left_out(
     cause: str, kept: list[int], true_kept: list[int], *, is_over: bool
 ) -> None:
     """A loss from the last good pair at 5 s to its last pair at 9 s."""
-    begin, end = (int(each * SECOND) for each in (105, 109))
+    begin, end = (int(item * SECOND) for item in (105, 109))
     loss = Loss(cause, begin, end, 4.0, 0.0, 9.0, is_error=True, is_over=is_over)
     pair = pair_of()
     found = pair.tracked([loss])
@@ -119,4 +119,4 @@ def test_frozen_poses_and_what_follows_a_divergence_are_left_out(
     assert ((found.groundtruth.stamps - 100 * SECOND) // SECOND).tolist() == true_kept
     assert pair.tracked([]).estimate_poses.seconds.tolist() == [*range(1, 21)]
     ordered = found.in_order
-    assert [len(each) for each in ordered] == [len(true_kept), len(kept)]
+    assert [len(item) for item in ordered] == [len(true_kept), len(kept)]

@@ -23,7 +23,7 @@ def test_finish_says_what_an_evaluation_of_the_bag_says(tmp_path: Path, name: st
         *messages_of(pair.truth, GROUNDTRUTH, POSE),
         *messages_of(pair.estimate, ESTIMATE, POSE),
     ]
-    feed.sort(key=lambda each: each[2])
+    feed.sort(key=lambda item: item[2])
     write_messages(tmp_path / "bag", feed)
     live = Live(tmp_path / "live", POSE)
     for first in range(0, len(feed), 200):
@@ -33,6 +33,6 @@ def test_finish_says_what_an_evaluation_of_the_bag_says(tmp_path: Path, name: st
         tmp_path / "bag", tmp_path, GROUNDTRUTH, [ESTIMATE], "--gauge", "yaw", "--lengths", "2,4"
     )
     (one,), (other,) = live.result["runs"], expected["runs"]
-    causes = [[each["cause"] for each in run["diagnosis"]] for run in (one, other)]
+    causes = [[diagnosi["cause"] for diagnosi in run["diagnosis"]] for run in (one, other)]
     assert causes[0] == causes[1]
     assert causes[0][:1] == (list(MISTAKES[name].causes[:1]) if name else [])

@@ -24,7 +24,7 @@ BEGIN = 1000 * SECOND
 
 
 def loss_of(cause: str, begin_s: float, end_s: float, **changed: Any) -> Loss:
-    begin, end = (BEGIN + round(each * SECOND) for each in (begin_s, end_s))
+    begin, end = (BEGIN + round(item * SECOND) for item in (begin_s, end_s))
     usual = Loss(cause, begin, end, 4.0, 30.0, 9.0, is_error=True, is_over=False)
     return dataclasses.replace(usual, **changed)
 
@@ -35,10 +35,10 @@ def pairs_of(true: Any, own: Any) -> Any:
     sides = (
         SimpleNamespace(
             stamps=stamps,
-            positions=np.outer(each, [0.6, 0.0, -0.8]),
+            positions=np.outer(item, [0.6, 0.0, -0.8]),
             duration_s=float(len(true) - 1),
         )
-        for each in (true, own)
+        for item in (true, own)
     )
     return SimpleNamespace(groundtruth=next(sides), estimate=next(sides))
 
@@ -97,7 +97,7 @@ def told(*losses: Loss) -> list[Any]:
     examined = lost_tracking(losses, pairs, BEGIN - 5 * SECOND)
     assert examined.test == "lost tracking"
     assert examined.scores == {"losses": float(len(losses))}
-    return [{"cause": each.cause, **each.values} for each in examined.seen]
+    return [{"cause": item.cause, **item.values} for item in examined.seen]
 
 
 def test_a_divergence_is_told_from_its_first_begin() -> None:
@@ -133,7 +133,7 @@ def test_the_longest_of_frozen_poses_is_told() -> None:
         "moved_m": 9.0,
     }
     both = told(short, loss_of(DIVERGED, 60.0, 99.0))
-    assert [each["cause"] for each in both] == ["diverged", "frozen"]
+    assert [item["cause"] for item in both] == ["diverged", "frozen"]
 
 
 @pytest.mark.parametrize(
@@ -163,4 +163,4 @@ def test_pairs_by_row_have_no_losses() -> None:
     for method, causes in (("nearest", [FROZEN]), ("index", [])):
         protocol = Protocol(association=AssociationRule(method), lengths=())
         pairs = evaluate(truth, estimate, protocol).association
-        assert [each.cause for each in losses_in(pairs)] == causes
+        assert [loss.cause for loss in losses_in(pairs)] == causes

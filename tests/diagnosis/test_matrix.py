@@ -34,7 +34,7 @@ ALL = {**MISTAKES, **FURTHER, **DISCONTINUITIES}
 
 
 def causes(diagnosis: Diagnosis) -> list[str]:
-    return [each.cause for each in diagnosis.findings]
+    return [finding.cause for finding in diagnosis.findings]
 
 
 @pytest.mark.slow
@@ -180,7 +180,7 @@ def test_sparse_estimates_are_told_by_the_same_names(step: int) -> None:
     assert not causes(found(sparse(DRONE)))
     for name in ("wxyz, estimate", "mirrored", "inverse, estimate", "marker"):
         assert causes(found(sparse(MISTAKES[name].make(DRONE))))[:1] in (
-            [[each] for each in MISTAKES[name].causes] + [[]]
+            [[cause] for cause in MISTAKES[name].causes] + [[]]
         )
 
 

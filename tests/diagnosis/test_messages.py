@@ -79,9 +79,9 @@ def test_poses_of_two_publishers_in_one_file_are_named() -> None:
     for added, is_named in ((other + 0.01 * noise, True), (2.0 * noise, False)):
         estimate = dataclasses.replace(ESTIMATE, positions=ESTIMATE.positions + added)
         remarks = remarks_on(evaluate(GROUNDTRUTH, estimate, protocol), Diagnosis((), ()))
-        said = [each.text for each in remarks if each.code == "mixed_publishers"]
+        said = [remark.text for remark in remarks if remark.code == "mixed_publishers"]
         assert len(said) == is_named
-        assert all("messages of two publishers are probably mixed" in each for each in said)
+        assert all("messages of two publishers are probably mixed" in item for item in said)
 
 
 def test_a_two_dimensional_heading_has_no_tilt() -> None:
@@ -95,7 +95,7 @@ def test_a_two_dimensional_heading_has_no_tilt() -> None:
     assert found.ate["yaw_deg"] is not None
     assert found.relative is not None
     assert found.relative[0].statistics["tilt_deg"] is None
-    [said] = [each for each in found.warnings if "2-D headings" in each]
+    [said] = [warning for warning in found.warnings if "2-D headings" in warning]
     assert said.startswith("the orientations of the estimate are 2-D headings")
     assert "including tilt against 2-D headings" in verdict(found)[0]
     assert evaluate(level, level, protocol).ate["tilt_deg"] is not None
@@ -163,25 +163,28 @@ def test_points_have_the_hint_of_a_lever_arm_until_it_is_known() -> None:
     ):
         request = Request(Protocol(lengths=(), **settings))
         remarks = run(truth, [estimate], request).runs[0].evaluation.remarks
-        said = [each.text for each in remarks if each.code == "lever_arm_not_given"]
+        said = [remark.text for remark in remarks if remark.code == "lever_arm_not_given"]
         assert len(said) == is_said
-        assert all("give the lever arm with --lever-arm" in each for each in said)
+        assert all("give the lever arm with --lever-arm" in item for item in said)
 
 
 def test_a_prism_on_a_pole_has_the_hint_of_a_lever_arm(
     recording: Callable[[str], Trajectory],
 ) -> None:
-    points, estimate = (recording(f"hilti_2021/Campus_2_{each}.txt") for each in ("prism", "hdl"))
+    points, estimate = (recording(f"hilti_2021/Campus_2_{name}.txt") for name in ("prism", "hdl"))
     for lever, is_said in ((None, True), ((-0.006, -0.007, 0.273), False)):
         request = Request(Protocol(lengths=(), lever_m=lever))
         warnings = run(points, [estimate], request).runs[0].evaluation.warnings
-        assert any("position of a point, such as a prism" in each for each in warnings) == is_said
+        assert (
+            any("position of a point, such as a prism" in warning for warning in warnings)
+            == is_said
+        )
 
 
 def test_jumps_of_motion_capture_are_not_of_the_estimate(
     recording: Callable[[str], Trajectory],
 ) -> None:
-    truth, estimate = (recording(f"hilti_2021/uzh_run2_{each}.txt") for each in ("mocap", "hdl"))
+    truth, estimate = (recording(f"hilti_2021/uzh_run2_{name}.txt") for name in ("mocap", "hdl"))
     text = findings(truth, estimate)["groundtruth_outlier"]
     assert re.match(r"the groundtruth has an outlier of 9\.9\d m and 98 deg at 23\.72 s", text)
 

@@ -85,7 +85,7 @@ def test_only_inverse_poses_may_leave_more_than_the_noise(mistake: str) -> None:
 def test_corrections_are_repeated_until_nothing_is_left() -> None:
     wrong = MISTAKES["estimate in mm"].make(MISTAKES["wxyz, estimate"].make(DRONE))
     after = run(wrong.truth, [wrong.estimate], Request(wrong.protocol, correct="suggested"))
-    steps = [each.cause for each in after.runs[0].corrected]
+    steps = [item.cause for item in after.runs[0].corrected]
     assert sorted(steps) == ["unit", "wxyz"]
     assert not after.runs[0].diagnosis.findings
 
@@ -93,7 +93,9 @@ def test_corrections_are_repeated_until_nothing_is_left() -> None:
 def test_a_frozen_groundtruth_is_no_clock_offset() -> None:
     for seed in range(5004, 5008):
         pair = simulated(seed, "car" if seed < 5006 else "robot", "walk", 100.0)
-        causes = {each.cause for each in found(MISTAKES["groundtruth frozen"].make(pair)).findings}
+        causes = {
+            finding.cause for finding in found(MISTAKES["groundtruth frozen"].make(pair)).findings
+        }
         assert causes == {"groundtruth_frozen"}
 
 
@@ -124,7 +126,7 @@ def test_a_clock_offset_is_found_beside_a_frozen_groundtruth() -> None:
     rows[3 * count // 10 : 7 * count // 10] = 3 * count // 10
     frozen = dataclasses.replace(DRONE.truth[rows], stamps=DRONE.truth.stamps)
     wrong = USERS["clock +0.35 s"].make(dataclasses.replace(DRONE, truth=frozen))
-    causes = {each.cause for each in found(wrong).findings}
+    causes = {finding.cause for finding in found(wrong).findings}
     assert causes == {"clock_offset", "groundtruth_frozen"}
 
 
@@ -136,7 +138,7 @@ def test_a_clock_offset_is_no_lever_arm() -> None:
         (CAR, USERS["clock +0.8 s"], "clock_offset"),
         (robot, FURTHER["clock +0.2 s"], "small_clock_offset"),
     ):
-        assert [each.cause for each in found(mistake.make(pair)).findings] == [cause]
+        assert [finding.cause for finding in found(mistake.make(pair)).findings] == [cause]
 
 
 def test_roll_and_pitch_of_a_vehicle_are_compared() -> None:
@@ -161,7 +163,7 @@ def test_a_constant_turn_rate_does_not_correlate_and_is_no_other_rotation() -> N
         turned = np.column_stack([zero, zero, np.sin(half), np.cos(half)])
         stamps = np.rint(1e9 * times).astype(np.int64)
         sides.append(Trajectory.from_columns(stamps, np.column_stack(path) + noise, turned))
-    causes = [each.cause for each in found(Pair("marker", sides[0], sides[1])).findings]
+    causes = [finding.cause for finding in found(Pair("marker", sides[0], sides[1])).findings]
     assert causes == ["body"]
 
 
@@ -169,7 +171,7 @@ def test_what_follows_from_wrong_pairs_is_no_divergence() -> None:
     car = simulated(9704, "car", "walk", 100.0)
     for name, cause in (("clock -37 s", "clock_offset"), ("degrees as x and y", "degrees")):
         mistakes = {**MISTAKES, **USERS}
-        assert [each.cause for each in found(mistakes[name].make(car)).findings] == [cause]
+        assert [finding.cause for finding in found(mistakes[name].make(car)).findings] == [cause]
 
 
 @pytest.mark.parametrize(("seed", "kind"), [(9705, "car"), (20276, "car"), (20278, "robot")])
@@ -210,7 +212,7 @@ def test_jumps_of_wrong_rotations_are_no_restart() -> None:
     remarks = (
         run(wrong.truth, [wrong.estimate], Request(wrong.protocol)).runs[0].evaluation.remarks
     )
-    codes = {each.code for each in remarks}
+    codes = {remark.code for remark in remarks}
     assert "rotations" in codes
     assert "jumps" not in codes
 
@@ -229,9 +231,9 @@ def test_rotations_of_a_body_that_turns_slowly_are_compared(mistake: str) -> Non
     wrong = USERS[mistake].make(CAR)
     sides = {
         side: dataclasses.replace(
-            each, stamps=each.stamps[0] + 10 * (each.stamps - each.stamps[0])
+            item, stamps=item.stamps[0] + 10 * (item.stamps - item.stamps[0])
         )
-        for side, each in (("truth", wrong.truth), ("estimate", wrong.estimate))
+        for side, item in (("truth", wrong.truth), ("estimate", wrong.estimate))
     }
     [said] = found(dataclasses.replace(wrong, **sides, max_gap_s=1.0)).findings
     assert said.cause == "rotations"
@@ -246,7 +248,7 @@ def test_a_convention_that_leaves_other_tilts_is_not_advised() -> None:
 
 
 def test_rotations_that_differ_too_much_are_no_other_body() -> None:
-    causes = {each.cause for each in found(USERS["radians as degrees"].make(DRONE)).findings}
+    causes = {finding.cause for finding in found(USERS["radians as degrees"].make(DRONE)).findings}
     assert causes == {"rotations"}
 
 
@@ -266,7 +268,7 @@ def test_beside_wrong_rotations_only_positions_are_compared(
 ) -> None:
     pair = DRONE if kind == "drone" else simulated(5006, "robot", "walk", 100.0)
     wrong = USERS[rotations].make(MISTAKES[mistake].make(pair))
-    assert [each.cause for each in found(wrong).findings] == causes
+    assert [finding.cause for finding in found(wrong).findings] == causes
 
 
 def test_a_right_recording_is_not_evaluated_again(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -42,10 +42,10 @@ def computed(command: Command, formulas: list[str], pair: str, folder: Path) -> 
     result = json.loads(saved.read_text(encoding="utf-8"))
     (run,) = result["runs"]
     lengths = [
-        f"{each['frames']}f" if "frames" in each
-        else f"{each['duration_s']:g}s" if "duration_s" in each
-        else f"{each['length_m']:g}m"
-        for each in (run["re"] or {"segments": []})["segments"]
+        f"{segment['frames']}f" if "frames" in segment
+        else f"{segment['duration_s']:g}s" if "duration_s" in segment
+        else f"{segment['length_m']:g}m"
+        for segment in (run["re"] or {"segments": []})["segments"]
     ]  # fmt: skip
     if lengths and "rpg" in options and "--lengths" not in options:
         lengths = ["10%", "20%", "30%", "40%", "50%"]
@@ -57,7 +57,9 @@ def computed(command: Command, formulas: list[str], pair: str, folder: Path) -> 
         return repr(entry(run, lengths, path))
 
     names = r"(?:ate|re|groundtruth)\.[\w.%]+"
-    return [float(eval(re.sub(names, number, each), {"sqrt": math.sqrt})) for each in formulas]
+    return [
+        float(eval(re.sub(names, number, formula), {"sqrt": math.sqrt})) for formula in formulas
+    ]
 
 
 def axes(pair: str) -> tuple[str, str]:
@@ -80,8 +82,8 @@ def assert_commands_give_values(pair: str, folder: Path, every: int) -> None:
     commands = list(commands_of(pair).items())[::every]
     assert len(commands) > 5
     for command, named in commands:
-        printed = [command_of(each, axes(pair)) for each, _ in named]
-        formulas = [each.formula for each in printed if isinstance(each, Command)]
+        printed = [command_of(item, axes(pair)) for item, _ in named]
+        formulas = [item.formula for item in printed if isinstance(item, Command)]
         got = computed(command, formulas, pair, folder)
         for (definition, value), number in zip(named, got, strict=True):
             assert value == pytest.approx(number, rel=1e-9, abs=1e-9), definition
@@ -147,7 +149,7 @@ def run_verb(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[
 def test_the_verb_prints_definition_and_command(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    pair = [str(each) for each in files("handheld_gaps")]
+    pair = [str(file) for file in files("handheld_gaps")]
     places, numbers = values("handheld_gaps")
     rmse = numbers[places[Definition("evo", "se3 by the first state", "position_m", "rmse")]]
     status, text = run_verb([*pair, f"{rmse:.5f}", "--unit", "m"], capsys)
@@ -187,7 +189,7 @@ def test_yaml_keeps_zeros_and_equals_the_options(
     options = ["--unit", "m", "--run", str(a), str(b), "0.30", "--run", str(c), str(d), "0.20"]
     by_yaml = run_verb([str(runs), "--json", "-"], capsys)
     assert by_yaml == run_verb([*options, "--json", "-"], capsys)
-    shorter = [each.replace("0.20", "0.2") for each in options]
+    shorter = [option.replace("0.20", "0.2") for option in options]
     assert by_yaml != run_verb([*shorter, "--json", "-"], capsys)
 
 

@@ -34,14 +34,25 @@ ALIGNED = {
 def evo_numbers() -> list[tuple[str, str, float]]:
     """Return pair, alignment and the position RMSE that evo_ape printed."""
     found = []
-    for each in REFERENCES["references"]:
-        call = re.sub(r"^.*?\.txt \S+", "", each["call"])
+    for reference in REFERENCES["references"]:
+        call = re.sub(r"^.*?\.txt \S+", "", reference["call"])
         options = re.sub(r" (-r \w+|--\w*results.*|--no_warnings)", "", call)
-        usual = each["pair"] in ("drone_loop", "handheld_gaps", "mono_scale", "slow_gt", "utm")
-        if each["tool"] == "evo" and "evo_ape" in each["call"] and usual and options in ALIGNED:
-            rmse = each["results"].get("trans_part", {}).get("rmse")
+        usual = reference["pair"] in (
+            "drone_loop",
+            "handheld_gaps",
+            "mono_scale",
+            "slow_gt",
+            "utm",
+        )
+        if (
+            reference["tool"] == "evo"
+            and "evo_ape" in reference["call"]
+            and usual
+            and options in ALIGNED
+        ):
+            rmse = reference["results"].get("trans_part", {}).get("rmse")
             if rmse:
-                found.append((each["pair"], ALIGNED[options], rmse))
+                found.append((reference["pair"], ALIGNED[options], rmse))
     return found
 
 
@@ -69,7 +80,7 @@ def test_a_number_without_a_definition_has_none_and_the_nearest() -> None:
     found = explain([(*sides("drone_loop"), [f"{1.00003 * rmse:.7f}"])], "m")
     assert (found.verdict, found.matches, found.matching) == ("none", (), 0)
     assert found.none_probability == 1.0
-    assert any(each.definitions[0][1:4] == ("se3", "position_m", "rmse") for each in found.nearest)
+    assert any(item.definitions[0][1:4] == ("se3", "position_m", "rmse") for item in found.nearest)
 
 
 def test_a_single_digit_is_not_named() -> None:
@@ -91,23 +102,23 @@ def test_two_numbers_of_a_row_have_one_alignment() -> None:
     both = explain([(*run, [position, f"{rotation}deg"])], "m")
     assert both.expected < alone.expected
     first = both.matches[0]
-    assert [each[1:4] for each in first.definitions] == [
+    assert [definition[1:4] for definition in first.definitions] == [
         ("yaw", "position_m", "rmse"), ("yaw", "rotation_deg", "rmse"),
     ]  # fmt: skip
-    for each in both.matches:
-        if not any(one.family for one in each.definitions):
-            assert len({one.alignment for one in each.definitions}) == 1
+    for match in both.matches:
+        if not any(one.family for one in match.definitions):
+            assert len({one.alignment for one in match.definitions}) == 1
 
 
 @pytest.mark.slow
 def test_several_runs_need_fewer_digits() -> None:
     pairs = ("drone_loop", "handheld_gaps", "slow_gt")
     definition = Definition("rpg", "yaw", "position_m", "rmse")
-    texts = [f"{values(each)[1][values(each)[0][definition]]:.2g}" for each in pairs]
+    texts = [f"{values(pair)[1][values(pair)[0][definition]]:.2g}" for pair in pairs]
     found = explain([(*sides(p), [t]) for p, t in zip(pairs, texts, strict=True)], "m")
     assert found.matches[0].definitions[0][1:4] == definition[1:4]
     single = [explain([(*sides(p), [t])], "m") for p, t in zip(pairs, texts, strict=True)]
-    assert found.expected < 0.1 * min(each.expected for each in single)
+    assert found.expected < 0.1 * min(item.expected for item in single)
 
 
 def test_unrelated_numbers_match_as_often_as_expected() -> None:
@@ -191,11 +202,11 @@ def test_states_are_sorted_where_the_protocol_sorts_them() -> None:
     mixed = [side[random.permutation(len(side))] for side in (truth, estimate)]
     places, numbers = values("handheld_gaps")
     mixed_places, mixed_numbers = values_of(mixed[0], mixed[1])
-    sorting = [each for each in places if PROTOCOLS[ASSOCIATIONS[each.association][0]].in_order]
+    sorting = [place for place in places if PROTOCOLS[ASSOCIATIONS[place.association][0]].in_order]
     assert len(sorting) > 20
-    for each in sorting:
-        expected = pytest.approx(numbers[places[each]], rel=1e-9, abs=1e-9)
-        assert mixed_numbers[mixed_places[each]] == expected, each
+    for item in sorting:
+        expected = pytest.approx(numbers[places[item]], rel=1e-9, abs=1e-9)
+        assert mixed_numbers[mixed_places[item]] == expected, item
 
 
 def test_sides_without_pairs_are_refused() -> None:
@@ -228,14 +239,14 @@ def test_two_digits_of_three_sequences_name_the_definition(
     recording: Callable[[str], Trajectory],
     reference: Callable[[str], Any],
 ) -> None:
-    pairs = [reference("rpg_toolbox")["pairs"][name.format(each)] for each in SEQUENCES]
+    pairs = [reference("rpg_toolbox")["pairs"][name.format(sequence)] for sequence in SEQUENCES]
     runs = [
         (
-            recording(each["groundtruth"]),
-            recording(each["estimate"]),
-            [f"{each['align'][key]['trans_m']['rmse']:.2g}"],
+            recording(pair["groundtruth"]),
+            recording(pair["estimate"]),
+            [f"{pair['align'][key]['trans_m']['rmse']:.2g}"],
         )
-        for each in pairs
+        for pair in pairs
     ]
     found = explain(runs, "m")
     assert found.matches[0].definitions[0][1:4] == (alignment, "position_m", "rmse")
@@ -336,8 +347,8 @@ def test_cases_of_the_reference_are_named(
     4.203 cm with all of them (here), and 4.446 cm with none.
     """
     files = {
-        key: (each["groundtruth"], each["estimate"])
-        for key, each in reference("rpg_toolbox")["pairs"].items()
+        key: (pair["groundtruth"], pair["estimate"])
+        for key, pair in reference("rpg_toolbox")["pairs"].items()
     } | {
         "tum": ("tum/fr2_desk_groundtruth.txt", "tum/fr2_desk_ORB.txt"),
         "kitti00": ("kitti/KITTI_00_gt.txt", "kitti/KITTI_00_ORB.txt"),

@@ -71,7 +71,7 @@ def test_markdown_shows_what_a_cell_holds(rows: list[tuple[str, str]]) -> None:
     assert len(lines) == 2 + len(rows)
     read = paragraphs("\n".join(lines))
     cells = [one_line(cell).strip() for row in rows for cell in row]
-    assert [each.strip() for each in read[2:]] == cells
+    assert [item.strip() for item in read[2:]] == cells
 
 
 @given(NAMES)
@@ -179,7 +179,7 @@ def test_tables_have_no_exponents(value: float, text: str) -> None:
 
 
 def test_large_numbers_have_no_exponent() -> None:
-    large = [significant(each, 3) for each in (999.4, 1234.5, -2e8, 0.0686)]
+    large = [significant(item, 3) for item in (999.4, 1234.5, -2e8, 0.0686)]
     assert large == ["999", "1234", "-200000000", "0.0686"]
     assert with_unit(12345.6, "m") == "12346 m"
 
@@ -219,7 +219,7 @@ def test_whole_percent_is_all_or_nothing_only_if_it_is(percent: int, more: float
 
 
 def test_changes_have_signs_and_sizes_none() -> None:
-    assert [change_percent(each) for each in (0.051, -0.5)] == ["+5.1 %", "-50 %"]
+    assert [change_percent(item) for item in (0.051, -0.5)] == ["+5.1 %", "-50 %"]
     assert change_percent(0.24, sign="") == "24 %"
 
 

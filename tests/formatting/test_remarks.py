@@ -17,6 +17,6 @@ def test_the_most_severe_remarks_are_first() -> None:
         damaged("a chunk"),
         note("c", "another"),
     ]
-    assert [each.text for each in most_severe_first(given)] == [
+    assert [item.text for item in most_severe_first(given)] == [
         "a chunk", "a warning", "a note", "another",
     ]  # fmt: skip

@@ -286,7 +286,7 @@ def test_merging_needs_times_and_one_vertical_axis() -> None:
     whole = merged([truth[3:], truth[:4]])
     np.testing.assert_array_equal(whole.stamps, truth.stamps)
     assert whole.reading.dropped == {"duplicate_stamp": 1}
-    assert [each.code for each in whole.reading.remarks][:2] == ["merged", "merged_duplicates"]
+    assert [remark.code for remark in whole.reading.remarks][:2] == ["merged", "merged_duplicates"]
     bare = merged([truth[:3], dataclasses.replace(truth[3:], velocities=None)])
     assert bare.velocities is None
     assert bare.quaternions is not None

@@ -85,11 +85,11 @@ def test_fixes_that_are_usable(
     changed: dict[str, Any], rule: dict[str, Any], dropped: dict[str, list[int]]
 ) -> None:
     kept, counts = FixRule(**rule).usable(fixes(**changed), level=False)
-    rows = sorted(row for each in dropped.values() for row in each)
+    rows = sorted(row for item in dropped.values() for row in item)
     assert np.flatnonzero(~kept).tolist() == rows
     assert {name: n for name, n in counts.items() if n} == {k: len(v) for k, v in dropped.items()}
     level, _ = FixRule(**rule).usable(fixes(**changed), level=True)
-    rows = sorted(row for name, each in dropped.items() if name != "no_height" for row in each)
+    rows = sorted(row for name, item in dropped.items() if name != "no_height" for row in item)
     assert np.flatnonzero(~level).tolist() == rows
 
 

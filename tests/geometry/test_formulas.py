@@ -195,7 +195,7 @@ def test_preintegrated_motion_is_a_sum_of_steps(scheme: str) -> None:
     many = preintegrate(rates, forces, np.full((1, 6), 0.1), ImuNoise(1.0, 1.0), scheme)
     np.testing.assert_array_equal(one.covariances, many.covariances)
     motions = integrated(so3.exp(rates * held[..., None]), forces, held)
-    assert [each.shape for each in motions] == [(1, 7, 3, 3), (1, 7, 3), (1, 7, 3)]
+    assert [motion.shape for motion in motions] == [(1, 7, 3, 3), (1, 7, 3), (1, 7, 3)]
 
 
 def test_a_gyroscope_of_linear_rates_turns_by_their_integral() -> None:
@@ -331,9 +331,9 @@ def test_factors_of_many_states_are_one_matrix(count: int) -> None:
     inverse = np.linalg.inv(dense).reshape(count, 2, count, 2)
     factor = Factor.of(diagonal, lower)
     own, beside = factor.inverse_blocks()
-    each = np.arange(count)
-    np.testing.assert_allclose(own, inverse[each, :, each], rtol=1e-8, atol=1e-9)
-    np.testing.assert_allclose(beside, inverse[each[:-1], :, each[1:]], rtol=1e-8, atol=1e-9)
+    item = np.arange(count)
+    np.testing.assert_allclose(own, inverse[item, :, item], rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(beside, inverse[item[:-1], :, item[1:]], rtol=1e-8, atol=1e-9)
     # Blocks are added up, with and without those below them.
     band = np.zeros((count, 2, 4))
     add_blocks(band[:7], 0.25 * diagonal[:7], lower[:6])

@@ -61,8 +61,8 @@ def exact(place: np.ndarray, datum: Datum) -> list[float]:
     (sin_f, cos_f), (sin_l, cos_l) = sine_and_cosine(origin[0]), sine_and_cosine(origin[1])
     out = cos_l * x + sin_l * y
     return [
-        float(each)
-        for each in (cos_l * y - sin_l * x, cos_f * z - sin_f * out, sin_f * z + cos_f * out)
+        float(item)
+        for item in (cos_l * y - sin_l * x, cos_f * z - sin_f * out, sin_f * z + cos_f * out)
     ]
 
 

@@ -295,7 +295,7 @@ def test_an_alignment_needs_twice_its_states(gauge: Gauge, states: int, first: i
 def test_stamps_that_stand_alone(
     seconds: list[float], trusted: list[int], farthest: float
 ) -> None:
-    stamps = np.array([round(each * SECOND) for each in seconds]) + 10**18
+    stamps = np.array([round(second * SECOND) for second in seconds]) + 10**18
     rows, trust = trusted_states(stamps)
     assert rows.tolist() == trusted
     assert trust.lone == len(seconds) - len(trusted)

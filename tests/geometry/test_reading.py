@@ -72,7 +72,7 @@ def test_remarks_have_levels() -> None:
     assert read.said(Level.WARNING) == ("one",)
     assert read.said(Level.ERROR) == ("two",)
     assert read.format == "KITTI"
-    assert [remark_of(remark_json(each)) for each in read.remarks] == list(read.remarks)
+    assert [remark_of(remark_json(remark)) for remark in read.remarks] == list(read.remarks)
 
 
 def test_results_have_the_remarks_of_inputs_and_runs(tmp_path: Path) -> None:
@@ -83,9 +83,9 @@ def test_results_have_the_remarks_of_inputs_and_runs(tmp_path: Path) -> None:
     given = ["-g", str(path), "-e", str(path), "--quiet", "--json", str(result)]
     assert main(["evaluate", *given]) == 0
     found = json.loads(result.read_text())
-    of_input = {each["code"]: each["level"] for each in found["groundtruth"]["remarks"]}
+    of_input = {remark["code"]: remark["level"] for remark in found["groundtruth"]["remarks"]}
     assert of_input["format"] == "note"
     assert of_input["conflicting_states"] == "warning"
     assert found["runs"][0]["estimate"]["remarks"][0]["text"] == "format: TUM"
-    of_run = {each["code"]: each["level"] for each in found["runs"][0]["remarks"]}
+    of_run = {remark["code"]: remark["level"] for remark in found["runs"][0]["remarks"]}
     assert of_run["conflicting_states"] == "warning"

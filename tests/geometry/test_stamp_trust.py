@@ -53,7 +53,7 @@ def kept(stamps: Sequence[int]) -> list[int]:
     ],
 )
 def test_what_stands_alone_is_dropped(stamps: list[float], lone: list[float]) -> None:
-    assert kept(stamps) == [each for each in stamps if each not in lone]
+    assert kept(stamps) == [stamp for stamp in stamps if stamp not in lone]
 
 
 @given(
@@ -74,7 +74,7 @@ def test_batches_don_t_matter(stamps: list[int], cuts: list[int]) -> None:
 def test_nothing_waits_for_ever() -> None:
     trust = StampTrust()
     stuck = np.full(10_000, 5 * SECOND)
-    passed = sum(len(trust.take(each)[0]) for each in np.split(stuck, 100))
+    passed = sum(len(trust.take(word)[0]) for word in np.split(stuck, 100))
     assert passed >= 9_000
 
 
@@ -126,11 +126,11 @@ def faulty_messages(
         (pair.groundtruth, GROUNDTRUTH, POSE, groundtruth_faults),
         (pair.estimate, ESTIMATE, ODOM, faults),
     ):
-        wrong_s = {row % len(side): each for row, each in wrong_s.items()}
+        wrong_s = {row % len(side): item for row, item in wrong_s.items()}
         written = messages_of(spoiled(side, wrong_s), topic, kind)
         for (name, of, _, payload), logged in zip(written, side.stamps.tolist(), strict=True):
             found.append((name, of, logged, payload))
-    return sorted(found, key=lambda each: each[2])
+    return sorted(found, key=lambda item: item[2])
 
 
 @pytest.mark.slow
@@ -146,13 +146,13 @@ def test_one_stamp_of_the_future_costs_one_pair_and_is_told(tmp_path: Path) -> N
         counts.append(run["association"]["pairs"])
     assert counts[0] - 3 <= counts[1] < counts[0]  # and those beside the groundtruth that is gone
     assert run["association"]["dropped"]["lone_stamp"] == 1
-    [told] = [each.text for each in live.estimate.stream.news]
+    [told] = [item.text for item in live.estimate.stream.news]
     assert told.startswith("/vio: 1 pose dropped: its timestamp differs by 7200 s")
     assert live.estimate.stream.status.duration_s < 3600.0
     write_messages(tmp_path / "bag", faulty)
     read = read_trajectory(f"{tmp_path / 'bag'}:{ESTIMATE}")
     assert read.reading.dropped["lone_stamp"] == 1
     assert any(
-        "1 pose dropped: its timestamp differs by 7200 s" in each
-        for each in read.reading.said(Level.NOTE)
+        "1 pose dropped: its timestamp differs by 7200 s" in sentence
+        for sentence in read.reading.said(Level.NOTE)
     )

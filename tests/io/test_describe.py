@@ -26,7 +26,10 @@ def test_a_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
             "/slam": (truth, ODOMETRY),
         },
     )
-    summaries = {each.source.rpartition(":")[2]: each for each in describe(str(bag)).trajectories}
+    summaries = {
+        trajectory.source.rpartition(":")[2]: trajectory
+        for trajectory in describe(str(bag)).trajectories
+    }
     vicon, vio = summaries["/vicon/pose"], summaries["/vio"]
     assert vicon.could_be == "groundtruth"
     assert vio.could_be == "estimate"
@@ -61,7 +64,7 @@ def test_what_a_command_lacks_has_a_placeholder(
     bag, truth = tmp_path / "bag", make_groundtruth(0)
     topics = ("/vicon/pose", "/mocap/pose", "/vio")
     write_bag(
-        bag, {each: (truth, ODOMETRY if each == "/vio" else POSE_STAMPED) for each in topics}
+        bag, {topic: (truth, ODOMETRY if topic == "/vio" else POSE_STAMPED) for topic in topics}
     )
     assert sorted(commands(bag)) == [
         f"trajeval evaluate -g {bag}:{truth} -e {bag}:/vio --modality stereo-inertial"

@@ -87,9 +87,9 @@ def test_info_prints_a_complete_command(tmp_path: Path) -> None:
         "/other": ("odom", "base_link"),
     }
     messages = [
-        (topic, ODOMETRY, (1000 + each) * 10**9, odometry(each, *frames))
+        (topic, ODOMETRY, (1000 + index) * 10**9, odometry(index, *frames))
         for topic, frames in topics.items()
-        for each in range(20)
+        for index in range(20)
     ]
     bag = tmp_path / "bag"
     write_messages(bag, messages)
@@ -109,6 +109,6 @@ def test_info_prints_a_complete_command(tmp_path: Path) -> None:
 @pytest.mark.skipif(not (SHARED / "data" / "px4").is_dir(), reason="the PX4 logs are not here")
 def test_of_px4() -> None:
     found = describe(str(SHARED / "data" / "px4" / "synthetic_1_16.mcap")).trajectories
-    names = {each.source.rpartition("/")[2]: each.system and each.system.name for each in found}
+    names = {item.source.rpartition("/")[2]: item.system and item.system.name for item in found}
     assert names["vehicle_odometry"] == "PX4"
     assert names["pose"] is None

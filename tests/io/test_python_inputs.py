@@ -40,11 +40,11 @@ def rmse(*sides: object) -> float:
 
 def test_matrices_of_any_form_and_both_kinds_of_times() -> None:
     assert ATE is not None
-    by_stamps = [Trajectory.from_matrices(matrices(each), stamps=each.stamps) for each in SIDES]
+    by_stamps = [Trajectory.from_matrices(matrices(side), stamps=side.stamps) for side in SIDES]
     assert rmse(*by_stamps) == pytest.approx(ATE.rmse, rel=1e-9)
     by_seconds = [
-        Trajectory.from_matrices(matrices(each)[:, :3].tolist(), seconds=each.stamps / 1e9)
-        for each in SIDES
+        Trajectory.from_matrices(matrices(side)[:, :3].tolist(), seconds=side.stamps / 1e9)
+        for side in SIDES
     ]
     assert rmse(*by_seconds) == pytest.approx(ATE.rmse, rel=1e-4)  # rounded to 0.2 us
 
@@ -52,10 +52,10 @@ def test_matrices_of_any_form_and_both_kinds_of_times() -> None:
 def test_positions_and_quaternions_in_both_orders() -> None:
     assert ATE is not None
     made = []
-    for each in SIDES:
-        assert each.quaternions is not None
-        wxyz = np.roll(each.quaternions, 1, axis=1)
-        made.append(Trajectory.from_positions(each.positions, wxyz, stamps=each.stamps, wxyz=True))
+    for side in SIDES:
+        assert side.quaternions is not None
+        wxyz = np.roll(side.quaternions, 1, axis=1)
+        made.append(Trajectory.from_positions(side.positions, wxyz, stamps=side.stamps, wxyz=True))
     assert rmse(*made) == pytest.approx(ATE.rmse, rel=1e-9)
     assert made[0].quaternions is not None
     assert SIDES[0].quaternions is not None
@@ -69,13 +69,13 @@ def test_tables_of_pandas() -> None:
     pandas = pytest.importorskip("pandas", reason="pandas is missing")
     assert ATE is not None
     frames = []
-    for each in SIDES:
-        columns = dict(zip(["x", "y", "z"], each.positions.T, strict=True))
-        assert each.quaternions is not None
-        columns |= dict(zip(["qx", "qy", "qz", "qw"], each.quaternions.T, strict=True))
-        frames.append(pandas.DataFrame({"timestamp": each.stamps, **columns}))
+    for side in SIDES:
+        columns = dict(zip(["x", "y", "z"], side.positions.T, strict=True))
+        assert side.quaternions is not None
+        columns |= dict(zip(["qx", "qy", "qz", "qw"], side.quaternions.T, strict=True))
+        frames.append(pandas.DataFrame({"timestamp": side.stamps, **columns}))
     assert rmse(*frames) == pytest.approx(ATE.rmse, rel=1e-9)
-    dates = [each.set_index(pandas.to_datetime(each.pop("timestamp"))) for each in frames]
+    dates = [frame.set_index(pandas.to_datetime(frame.pop("timestamp"))) for frame in frames]
     assert rmse(*dates) == pytest.approx(ATE.rmse, rel=1e-9)
     with pytest.raises(InputError, match="has the columns a, b; name the positions x, y and z"):
         Trajectory.from_pandas(pandas.DataFrame({"a": [1.0], "b": [2.0]}))
@@ -88,8 +88,8 @@ def test_tables_of_pandas() -> None:
 def test_paths_and_arrays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert ATE is not None
     paths = []
-    for name, each in zip(("gt", "est"), SIDES, strict=True):
-        rows = np.column_stack([each.stamps / 1e9, each.positions, each.quaternions])
+    for name, side in zip(("gt", "est"), SIDES, strict=True):
+        rows = np.column_stack([side.stamps / 1e9, side.positions, side.quaternions])
         np.savetxt(tmp_path / f"{name}.txt", rows, fmt="%.9f")
         paths.append(tmp_path / f"{name}.txt")
     assert rmse(*map(str, paths)) == pytest.approx(ATE.rmse, rel=1e-3)
@@ -104,11 +104,11 @@ def test_paths_and_arrays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_run_takes_what_evaluate_takes() -> None:
     assert ATE is not None
-    tables = [np.column_stack([each.stamps / 1e9, each.positions]) for each in SIDES]
+    tables = [np.column_stack([side.stamps / 1e9, side.positions]) for side in SIDES]
     runs = run(tables[0], [SIDES[1], tables[1]]).runs
-    assert [each.evaluation.estimate.name for each in runs] == [SIDES[1].name, "estimate 2"]
-    for each in runs:
-        found = each.evaluation.ate["position_m"]
+    assert [item.evaluation.estimate.name for item in runs] == [SIDES[1].name, "estimate 2"]
+    for item in runs:
+        found = item.evaluation.ate["position_m"]
         assert found is not None
         assert found.rmse == pytest.approx(ATE.rmse, rel=1e-3)  # rounded to 0.2 us
 
@@ -121,16 +121,18 @@ def test_pairs_by_row_are_said_and_have_no_duration() -> None:
         said = evaluate(*sides).warnings
         assert said[0].startswith(f"poses are paired by row, because the {side} has no timestamps")
         assert "in Python, with seconds=" in said[0]
-    assert not any("by row" in each for each in evaluate(*SIDES).warnings)
+    assert not any("by row" in warning for warning in evaluate(*SIDES).warnings)
     jumping = bare.positions.copy()
     jumping[len(bare) // 2] += 3.0
     both = bare, Trajectory.from_positions(jumping)
-    (remark,) = (each for each in evaluate(*both).remarks if each.code == "discontinuities")
+    (remark,) = (item for item in evaluate(*both).remarks if item.code == "discontinuities")
     assert remark.text.startswith("1 outlier of the estimate of up to ")
     row = int(remark.text.rpartition("at pair ")[2])
     assert abs(row - (len(bare) // 2 + 1)) <= 1
     short = Trajectory.from_positions(1e-3 * bare.positions, pairs.estimate.quaternions)
-    (said_of_lengths,) = (each for each in evaluate(short, short).warnings if "no sub-" in each)
+    (said_of_lengths,) = (
+        warning for warning in evaluate(short, short).warnings if "no sub-" in warning
+    )
     assert said_of_lengths.endswith(" m")
     assert " s, " not in repr(bare)
     assert " s, " in repr(timed)

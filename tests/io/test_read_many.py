@@ -65,7 +65,7 @@ def messages() -> tuple[Message, ...]:
             edges = [transform(stamp, "map", "odom", row), transform(stamp, "odom", "base", -row)]
             found.append(("/tf", TF, stamp + 2, TYPES[TF](edges)))
         if row % 50 == 0:
-            path += [pose_stamped(stamp + each, row + 0.1 * each) for each in range(20)]
+            path += [pose_stamped(stamp + index, row + 0.1 * index) for index in range(20)]
             found.append(("/path", PATH, stamp + 3, TYPES[PATH](header(stamp), list(path))))
     return tuple(
         (topic, kind, stamp, bytes(STORE.serialize_cdr(message, kind)))
@@ -121,7 +121,7 @@ def split(path: Path) -> Path:
     flown = flight()
     half = len(flown) // 2
     path.mkdir()
-    mcap(path / "x_0.mcap", [each for each in flown[:half] if each[0] != "/path"])
+    mcap(path / "x_0.mcap", [item for item in flown[:half] if item[0] != "/path"])
     mcap(path / "x_1.mcap", flown[half:], compression=CompressionType.ZSTD)
     return path
 
@@ -154,7 +154,7 @@ def assert_same(one: Trajectory, other: Trajectory) -> None:
     assert one.reading.said(Level.ERROR) == other.reading.said(Level.ERROR)
     assert one.reading.stamped == other.reading.stamped
     notes = [
-        [each for each in read.reading.said(Level.NOTE) if "read in part" not in each]
+        [sentence for sentence in read.reading.said(Level.NOTE) if "read in part" not in sentence]
         for read in (one, other)
     ]
     assert notes[0] == notes[1]
@@ -170,34 +170,34 @@ def alone(source: str, *, strict: bool = False, covariances: bool = True) -> Tra
 
 def assert_as_alone(sources: Sequence[str], *, strict: bool = False) -> list[Trajectory | str]:
     """Check that sources read together give what each gives alone, errors included."""
-    each = [alone(source, strict=strict) for source in sources]
-    refused = [found for found in each if isinstance(found, str)]
+    item = [alone(source, strict=strict) for source in sources]
+    refused = [found for found in item if isinstance(found, str)]
     if refused:
         with pytest.raises(InputError) as raised:
             read_many(sources, strict=strict)
         assert str(raised.value) in refused
-    kept = [source for source, found in zip(sources, each, strict=True) if found not in refused]
+    kept = [source for source, found in zip(sources, item, strict=True) if found not in refused]
     together = read_many(kept, strict=strict)
-    for one, other in zip(together, (e for e in each if not isinstance(e, str)), strict=True):
+    for one, other in zip(together, (e for e in item if not isinstance(e, str)), strict=True):
         assert_same(one, other)
-    return each
+    return item
 
 
 def assert_no_silent_loss(sources: Sequence[str]) -> list[Trajectory | str]:
     """Check that of two readings, alone and together, the one with fewer poses lists damage."""
-    each = [alone(source) for source in sources]
+    item = [alone(source) for source in sources]
     kept = [
         source
-        for source, found in zip(sources, each, strict=True)
+        for source, found in zip(sources, item, strict=True)
         if isinstance(found, Trajectory)
     ]
-    read = [found for found in each if isinstance(found, Trajectory)]
+    read = [found for found in item if isinstance(found, Trajectory)]
     for one, other in zip(read_many(kept), read, strict=True):
         assert len(one) >= len(other) or one.reading.said(Level.ERROR)
         assert len(other) >= len(one) or other.reading.said(Level.ERROR)
         if not one.reading.said(Level.ERROR) and not other.reading.said(Level.ERROR):
             assert_same(one, other)
-    return each
+    return item
 
 
 # The law.
@@ -208,9 +208,9 @@ def assert_no_silent_loss(sources: Sequence[str]) -> list[Trajectory | str]:
 @pytest.mark.parametrize("kind", MAKE)
 def test_sources_read_together_are_as_read_alone(kind: str, strict: bool, tmp_path: Path) -> None:
     bag = MAKE[kind](tmp_path / "x")
-    sources = [f"{bag}:{each}" for each in WANTED]
+    sources = [f"{bag}:{item}" for item in WANTED]
     found = assert_as_alone(sources, strict=strict)
-    counts = [len(each) for each in found if isinstance(each, Trajectory)]
+    counts = [len(item) for item in found if isinstance(item, Trajectory)]
     assert counts == [COUNT, COUNT // 2, 120, COUNT // 3, COUNT // 3]
     assert "are static" in str(found[-1])
 
@@ -219,11 +219,11 @@ def test_sources_read_together_are_as_read_alone(kind: str, strict: bool, tmp_pa
 @pytest.mark.parametrize("kind", MAKE)
 def test_the_law_holds_for_damaged_bags(kind: str, tmp_path: Path) -> None:
     bag = MAKE[kind](tmp_path / "x")
-    files = sorted(each for each in (bag.iterdir() if bag.is_dir() else [bag]))
-    files = [each for each in files if each.name != "metadata.yaml"]
-    contents = [each.read_bytes() for each in files]
+    files = sorted(path for path in (bag.iterdir() if bag.is_dir() else [bag]))
+    files = [item for item in files if item.name != "metadata.yaml"]
+    contents = [item.read_bytes() for item in files]
     random = np.random.default_rng(len(kind))
-    sources = [f"{bag}:{each}" for each in READABLE]
+    sources = [f"{bag}:{item}" for item in READABLE]
     damaged = 0
     for turn in range(12):
         for file, content in zip(files, contents, strict=True):
@@ -242,13 +242,13 @@ def test_the_law_holds_for_damaged_bags(kind: str, tmp_path: Path) -> None:
         else:
             found = assert_no_silent_loss(sources)
         damaged += any(
-            isinstance(each, str) or bool(each.reading.said(Level.ERROR)) for each in found
+            isinstance(item, str) or bool(item.reading.said(Level.ERROR)) for item in found
         )
     assert damaged
 
 
 def test_damage_is_told_of_the_sources_that_it_is_in(tmp_path: Path) -> None:
-    flown = [each for each in flight() if each[0] in ("/truth", "/odom")]
+    flown = [item for item in flight() if item[0] in ("/truth", "/odom")]
     flown.sort(key=lambda message: message[0] == "/truth")  # each in chunks of its own
     bag = mcap(tmp_path / "x.mcap", flown, compression=ZSTD, chunk_size=SMALL)
     content = bytearray(bag.read_bytes())
@@ -257,8 +257,8 @@ def test_damage_is_told_of_the_sources_that_it_is_in(tmp_path: Path) -> None:
     truth, odometry = read_many([f"{bag}:/truth", f"{bag}:/odom"])
     assert not truth.reading.said(Level.ERROR)
     assert len(truth) == COUNT
-    assert any("on /odom, but" in each for each in odometry.reading.said(Level.ERROR))
-    assert not any("/truth" in each for each in odometry.reading.said(Level.ERROR))
+    assert any("on /odom, but" in sentence for sentence in odometry.reading.said(Level.ERROR))
+    assert not any("/truth" in sentence for sentence in odometry.reading.said(Level.ERROR))
     assert_same(read_many([f"{bag}:/truth"], strict=True)[0], truth)
     with pytest.raises(InputError, match="messages on /odom"):
         read_many([f"{bag}:/truth", f"{bag}:/odom"], strict=True)
@@ -289,17 +289,17 @@ def test_merging_keeps_the_messages_in_order(seed: int) -> None:
     for _ in range(60):
         numbers = list(range(len(sent), len(sent) + int(random.integers(1, 400))))
         size = int(random.choice([4, 5, 300]))
-        payloads = [each.to_bytes(4, "big").ljust(size, b"x") for each in numbers]
+        payloads = [number.to_bytes(4, "big").ljust(size, b"x") for number in numbers]
         block = block_of([1] * len(numbers), numbers, payloads)
         rows = np.flatnonzero(random.random(len(numbers)) < random.random())
         given_blocks.append(block[rows])
         sent += numbers
-    kept = [int(each) for block in given_blocks for each in block.log_times]
+    kept = [int(log_time) for block in given_blocks for log_time in block.log_times]
     whole = list(merged(given_blocks))
     assert len(whole) < len(given_blocks)
-    assert [int(each) for block in whole for each in block.log_times] == kept
-    got = [bytes(each[:4]) for block in whole for each in block.payloads()]
-    assert [int.from_bytes(each, "big") for each in got] == kept
+    assert [int(log_time) for block in whole for log_time in block.log_times] == kept
+    got = [bytes(payload[:4]) for block in whole for payload in block.payloads()]
+    assert [int.from_bytes(item, "big") for item in got] == kept
 
 
 # What is read, and how often.
@@ -321,7 +321,7 @@ class Counted:
         return data
 
     def read_all(self, ranges: Sequence[tuple[int, int]]) -> list[bytes]:
-        return [self.read(*each) for each in ranges]
+        return [self.read(*item) for item in ranges]
 
     def close(self) -> None:
         self._file.close()
@@ -358,7 +358,7 @@ def test_no_byte_of_the_data_is_read_twice(
     with bag.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
-    _, opened, sizes = read_counted([f"{bag}:{each}" for each in READABLE], monkeypatch)
+    _, opened, sizes = read_counted([f"{bag}:{item}" for item in READABLE], monkeypatch)
     (counted,) = opened
     times = np.zeros(counted.size, dtype=int)
     for offset, size in counted.ranges:
@@ -380,7 +380,7 @@ def test_four_sources_take_hardly_more_bytes_than_one(
 ) -> None:
     bag = MAKE[kind](tmp_path / "x")
     few, (one,), _ = read_counted([f"{bag}:/truth"], monkeypatch)
-    many, (four,), _ = read_counted([f"{bag}:{each}" for each in READABLE[:4]], monkeypatch)
+    many, (four,), _ = read_counted([f"{bag}:{item}" for item in READABLE[:4]], monkeypatch)
     wanted = sum(len(payload) for topic, _, _, payload in flight() if topic != "/truth")
     extra = sum(size for _, size in four.ranges) - sum(size for _, size in one.ranges)
     with bag.open("rb") as file:
@@ -402,8 +402,8 @@ def test_sqlite_scans_its_messages_once(tmp_path: Path, monkeypatch: pytest.Monk
         return connection
 
     monkeypatch.setattr(sqlite3, "connect", traced)
-    read_many([f"{bag}:{each}" for each in READABLE])
-    scans = [each for each in asked if "FROM messages" in each and "max(id)" not in each]
+    read_many([f"{bag}:{item}" for item in READABLE])
+    scans = [item for item in asked if "FROM messages" in item and "max(id)" not in item]
     assert len(scans) == 1
 
 
@@ -414,7 +414,7 @@ def test_bags_and_texts_in_any_order(tmp_path: Path) -> None:
     bag, other = MAKE["mcap"](tmp_path / "x.mcap"), MAKE["ros1"](tmp_path / "y.bag")
     text = tmp_path / "z.txt"
     text.write_text("".join(f"{row} {row} 2 3 0 0 0.6 0.8\n" for row in range(1, 9)))
-    only = mcap(tmp_path / "only.mcap", [each for each in flight() if each[0] == "/odom"])
+    only = mcap(tmp_path / "only.mcap", [item for item in flight() if item[0] == "/odom"])
     sources = [
         f"{other}:/odom",
         text,
@@ -453,7 +453,7 @@ def test_covariances_are_read_for_those_that_want_them(tmp_path: Path) -> None:
 def test_progress_counts_the_messages_of_all_sources_of_a_bag(tmp_path: Path) -> None:
     bag = MAKE["images"](tmp_path / "x.mcap")
     seen: list[tuple[int, int]] = []
-    sources = [f"{bag}:{each}" for each in READABLE]
+    sources = [f"{bag}:{item}" for item in READABLE]
     read_many(sources, advance=lambda done, total: seen.append((done, total)))
     count = len(messages())
     assert seen[-1] == (count, count)

@@ -75,7 +75,7 @@ def test_columns_without_information_are_left_out() -> None:
 
 def test_a_twist_of_the_world_is_told() -> None:
     world = later(poses(frames=[(0, "world", "world")]))
-    assert [each.code for each in made(world).reading.remarks] == ["world_twist"]
+    assert [remark.code for remark in made(world).reading.remarks] == ["world_twist"]
     without = world.replaced(body_velocities=np.zeros((6, 3)))
     assert made(without).reading.remarks == ()
 
@@ -87,7 +87,7 @@ def test_an_isolated_timestamp_is_dropped_and_told() -> None:
     found = made(columns)
     assert len(found) == 11
     assert found.reading.dropped == {"lone_stamp": 1}
-    assert [each.code for each in found.reading.remarks] == ["lone_stamp"]
+    assert [remark.code for remark in found.reading.remarks] == ["lone_stamp"]
 
 
 @pytest.mark.parametrize(
@@ -136,7 +136,7 @@ def test_fixes_are_of_one_receiver(names: list[str], said: str | None) -> None:
     found = made(fixes(names))
     assert found.child_frame == names[0]
     assert found.reading.fixes is not None
-    told = [each.text for each in found.reading.remarks if each.code == "frame_changed"]
+    told = [remark.text for remark in found.reading.remarks if remark.code == "frame_changed"]
     assert told == ([] if said is None else [said])
 
 

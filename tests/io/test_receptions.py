@@ -118,7 +118,7 @@ def test_a_correction_acts_from_its_reception_whatever_its_timestamp(tmp_path: P
     rows += [moved("map", "odom", begin + 1000, begin + 10, 10.0)]
     rows += [moved("map", "odom", begin + 2000, begin + 1020, 11.0)]
     rows += [moved("map", "odom", begin + 2900, begin + 1900, 11.0)]
-    path = write_mcap(tmp_path / "run.mcap", sorted(rows, key=lambda each: each[2]))
+    path = write_mcap(tmp_path / "run.mcap", sorted(rows, key=lambda item: item[2]))
     received = read_trajectory(f"{path}:/tf:map.base", received="auto").reading.as_received
     assert received is not None
     receptions = received.reading.receptions
@@ -202,8 +202,8 @@ def test_written_receptions_are_read_back(tmp_path: Path) -> None:
 def csv_latencies(folder: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
     with (folder / f"{name}_latency.csv").open() as file:
         rows = list(csv.DictReader(file))
-    stamps = np.array([int(each["stamp_ns"]) for each in rows])
-    return stamps, np.array([int(each["published_ns"]) for each in rows])
+    stamps = np.array([int(row["stamp_ns"]) for row in rows])
+    return stamps, np.array([int(row["published_ns"]) for row in rows])
 
 
 @pytest.mark.parametrize(
@@ -275,7 +275,7 @@ def test_processing_times_change_the_order_of_two_real_estimators(
     """GTSAM's smoother is the more accurate one, and falls behind the camera (docs)."""
     bag = shared_data / "real_estimators" / "v1_01" / "bag"
     names = ("/gtsam/odometry", "/openvins/odometry")
-    sources = f"{bag}:/groundtruth/pose", *(f"{bag}:{each}" for each in names)
+    sources = f"{bag}:/groundtruth/pose", *(f"{bag}:{name}" for name in names)
     runs = evaluated(tmp_path, *sources, "--gauge", "none", "--as-available")
     ates = [run["ate"]["position_m"]["rmse"] for run in runs]
     available = [run["as_available"]["position_m"]["rmse"] for run in runs]
@@ -300,7 +300,7 @@ def test_clocks_that_can_not_be_compared_withhold_the_numbers(
     found = run["as_available"]
     assert found["clock"]["verdict"] == verdict
     assert found["position_m"] is None
-    assert [each["code"] for each in run["remarks"]].count("reception_clock") == 1
+    assert [remark["code"] for remark in run["remarks"]].count("reception_clock") == 1
     assert run["ate"]["position_m"]["rmse"] > 0.0
     assert run["stream"]["arrival_p50_s"] is None
     [again] = evaluated(tmp_path, *sources, "--gauge", "se3")
@@ -316,10 +316,10 @@ def test_all_other_numbers_are_the_same_with_and_without_the_option(tmp_path: Pa
         )
         for topic, kind, at, payload in messages_of(side, topic, ODOM)
     ]
-    path = write_mcap(tmp_path / "run.mcap", sorted(rows, key=lambda each: each[2]))
+    path = write_mcap(tmp_path / "run.mcap", sorted(rows, key=lambda row: row[2]))
     sources = f"{path}:/groundtruth", f"{path}:/vio", "--gauge", "yaw"
     [without], [with_it] = (
-        evaluated(tmp_path, *sources, *each) for each in ((), ("--as-available",))
+        evaluated(tmp_path, *sources, *item) for item in ((), ("--as-available",))
     )
     assert with_it.pop("as_available")["position_m"]["rmse"] > 0.0
     assert without.pop("as_available") is None

@@ -72,7 +72,7 @@ def test_a_square_length_beyond_two_percent_is_told(
     quaternions[2] *= math.sqrt(1.0 + sign * off)
     found, remarks = judge_rotations(quaternions)
     assert found is quaternions
-    assert [each.code for each in remarks] == (["normalised"] if told else [])
+    assert [remark.code for remark in remarks] == (["normalised"] if told else [])
 
 
 def test_the_largest_deviation_of_a_length_is_told() -> None:
@@ -127,10 +127,10 @@ def test_a_written_transform_is_read(
     path.write_text(json.dumps({**hand_eye_json(pose), "scale": scale}))
     scaled = read_similarity(path)
     assert (plain.scale, scaled.scale) == (1.0, scale)
-    for each in (plain, scaled):
-        np.testing.assert_array_equal(each.translation, lever)
+    for item in (plain, scaled):
+        np.testing.assert_array_equal(item.translation, lever)
         expected = Rotation.from_rotvec(turn).as_matrix()
-        np.testing.assert_allclose(each.rotation, expected, atol=1e-14)
+        np.testing.assert_allclose(item.rotation, expected, atol=1e-14)
 
 
 def transform(**changes: Any) -> dict[str, Any]:

@@ -29,7 +29,7 @@ def test_a_search_goes_four_levels_deep(tmp_path: Path) -> None:
     for depth in range(6):
         (folders(tmp_path, depth) / "run.txt").write_text(TUM)
     found = find_sources(tmp_path)
-    levels = [len(each.path.relative_to(tmp_path).parts) - 1 for each in found.sources]
+    levels = [len(source.path.relative_to(tmp_path).parts) - 1 for source in found.sources]
     assert sorted(levels) == [0, 1, 2, 3, 4]
     assert found.left_out == ("1 folder more than 4 levels deep",)
     (folders(tmp_path, 4) / "other").mkdir()
@@ -53,7 +53,7 @@ def test_a_search_lists_and_examines_a_limited_number(tmp_path: Path) -> None:
         assert found.others == (most == 6)
     seen: list[tuple[int, int]] = []
     with mock.patch.object(finding, "_MOST_FILES", 4):
-        found = find_sources(tmp_path, lambda *each: seen.append(each))
+        found = find_sources(tmp_path, lambda *each: seen.append(item))
     assert found.left_out == ("files after the first 4",)
     assert seen == [(row, 4) for row in range(4)]
     with mock.patch.object(finding, "_MOST_FILES", 6):
@@ -79,7 +79,7 @@ def test_kinds_of_files(tmp_path: Path, name: str, content: str, kind: str | Non
     path = tmp_path / name
     path.write_text(content)
     found = find_sources(tmp_path)
-    assert [each.kind for each in found.sources] == ([] if kind is None else [kind])
+    assert [source.kind for source in found.sources] == ([] if kind is None else [kind])
     assert found.others == (kind is None)
     if kind not in (None, "TUM"):
         assert found.sources[0].problem

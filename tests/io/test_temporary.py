@@ -54,13 +54,13 @@ def writing(folder: Path) -> Iterator[subprocess.Popen[str]]:
 
 
 def names(folder: Path) -> list[str]:
-    return sorted(each.name for each in folder.iterdir())
+    return sorted(path.name for path in folder.iterdir())
 
 
 def test_what_is_being_written_stays_and_what_was_killed_goes(tmp_path: Path) -> None:
     with writing(tmp_path) as process:
         begun = names(tmp_path)
-        assert [each.rpartition("-")[0] for each in begun] == [
+        assert [item.rpartition("-")[0] for item in begun] == [
             ".out.trajeval",
             ".result.json.trajeval",
         ]
@@ -187,7 +187,7 @@ def test_a_killed_evaluation_leaves_nothing_after_the_next(
     environment["PYTHONPATH"] = str(ROOT)
     subprocess.run(command, env=environment, check=True)
     assert names(out.parent) == ["out"]
-    assert not [each for each in names(out) if each.startswith(".")]
+    assert not [name for name in names(out) if name.startswith(".")]
 
 
 def test_a_folder_that_is_removed_before_it_is_locked_is_made_again(

@@ -51,7 +51,7 @@ def turns() -> Array:
         for order in itertools.permutations(range(3))
         for signs in itertools.product((1.0, -1.0), repeat=3)
     ]
-    cube = [each for each in cube if np.linalg.det(each) > 0.0]
+    cube = [item for item in cube if np.linalg.det(item) > 0.0]
     return np.concatenate([cube, Rotation.random(COUNT - 24, random_state=1).as_matrix()])
 
 
@@ -75,8 +75,8 @@ def odometry(**changes: Any) -> dict[str, Array]:
     } | changes
     kinds = {"pose_frame": "u1", "velocity_frame": "u1", "reset_counter": "u1", "quality": "i1"}
     return {
-        name: each if each.dtype == np.uint64 else each.astype(kinds.get(name, "f8"))
-        for name, each in full.items()
+        name: item if item.dtype == np.uint64 else item.astype(kinds.get(name, "f8"))
+        for name, item in full.items()
     }
 
 
@@ -95,12 +95,12 @@ def read(
     folder: Path, name: str, columns: dict[str, Array], **more: dict[str, Array]
 ) -> Trajectory:
     path = folder / "log.ulg"
-    write_ulog(path, [(name, 0, columns), *((other, 0, each) for other, each in more.items())])
+    write_ulog(path, [(name, 0, columns), *((other, 0, item) for other, item in more.items())])
     return read_trajectory(f"{path}:{name}")
 
 
 def said(trajectory: Trajectory) -> str:
-    return "; ".join(each.text for each in trajectory.reading.remarks)
+    return "; ".join(remark.text for remark in trajectory.reading.remarks)
 
 
 @pytest.mark.parametrize(("frame", "world"), [(NED, M), (FRD, B)])
@@ -158,7 +158,7 @@ def test_timestamps_are_of_the_measurement_if_that_is_plausible(tmp_path: Path) 
     measured[3:] += np.uint64(2_000_000)
     found = read(tmp_path, "vehicle_odometry", columns | {"timestamp_sample": measured})
     expected = [*columns["timestamp"][:3], *measured[3:]]
-    assert found.stamps.tolist() == [1000 * int(each) for each in expected]
+    assert found.stamps.tolist() == [1000 * int(item) for item in expected]
 
 
 def test_unusable_poses_are_dropped_and_counted(tmp_path: Path) -> None:
@@ -207,7 +207,7 @@ def test_variances_of_one_kind_are_kept_and_the_missing_ones_counted(tmp_path: P
     assert found.covariances is not None
     assert np.isfinite(found.covariances[:, :3, :3]).all()
     assert "30 messages without variances of the orientation" in said(found)
-    nothing = {f"{each}_variance": np.zeros((COUNT, 3)) for each in ("position", "orientation")}
+    nothing = {f"{item}_variance": np.zeros((COUNT, 3)) for item in ("position", "orientation")}
     found = read(tmp_path, "vehicle_odometry", odometry(**nothing))
     assert found.covariances is None
     assert "incomplete" not in said(found)
@@ -291,7 +291,7 @@ def test_topics_of_a_log_are_named_and_listed(tmp_path: Path) -> None:
     names = [("vehicle_odometry", 0), ("estimator_odometry", 1), ("vehicle_mocap_odometry", 0)]
     write_ulog(path, [(name, instance, odometry()) for name, instance in names])
     found = each_topic(str(path))
-    assert sorted(each.rpartition(":")[2] for each in found) == [
+    assert sorted(item.rpartition(":")[2] for item in found) == [
         "estimator_odometry.1",
         "vehicle_mocap_odometry",
         "vehicle_odometry",
@@ -304,7 +304,8 @@ def test_topics_of_a_log_are_named_and_listed(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="has no topic odometry; topics with poses: "):
         read_trajectory(f"{path}:odometry")
     roles = {
-        each.source.rpartition(":")[2]: each.could_be for each in describe(str(path)).trajectories
+        trajectory.source.rpartition(":")[2]: trajectory.could_be
+        for trajectory in describe(str(path)).trajectories
     }
     assert roles["vehicle_mocap_odometry"] == "groundtruth"
     assert roles["vehicle_odometry"] == "estimate"
@@ -327,7 +328,7 @@ def test_a_log_of_the_simulator_needs_no_topics(tmp_path: Path) -> None:
     assert f"repeat: trajeval evaluate -g {path}:{truth} -e " in ran.output
     result = json.loads(saved.read_text())
     assert result["groundtruth"]["source"] == f"{path}:{truth}"
-    named = {each["estimate"]["source"].rpartition(":")[2] for each in result["runs"]}
+    named = {run["estimate"]["source"].rpartition(":")[2] for run in result["runs"]}
     assert named == {"vehicle_odometry", "estimator_odometry.1"}
     for written, match in (
         (topics, f"has no {truth}; give two topics as in .*:TOPIC, of estimator_odometry.1, "),
@@ -430,7 +431,7 @@ def test_conversions_equal_the_reference() -> None:
             )
         for reset, step in zip(found.reading.resets, expected.get("reset_steps", []), strict=True):
             np.testing.assert_allclose(reset[1:], step, atol=1e-4)
-        stamps = [each.stamp_ns / 1e9 for each in found.reading.resets]
+        stamps = [item.stamp_ns / 1e9 for item in found.reading.resets]
         assert stamps == expected.get("resets_s", [])
         compared += 1
     assert compared == 9
@@ -450,7 +451,7 @@ def test_errors_equal_the_reference() -> None:
     for log in ("synthetic_1_13.ulg", "synthetic_1_16.ulg"):
         truth = read_trajectory(f"{DATA / log}:vehicle_local_position_groundtruth")
         known = {
-            name: each for name, each in reference[log].items() if "none" in each.get("errors", ())
+            name: item for name, item in reference[log].items() if "none" in item.get("errors", ())
         }
         assert known
         for name, expected in known.items():
@@ -483,8 +484,8 @@ def test_bags_with_and_without_definitions_equal_the_log(bag: str, log: str) -> 
         for name in ("positions", "quaternions", "velocities", "covariances"):
             np.testing.assert_array_equal(getattr(found, name), getattr(logged, name))
         assert found.reading.dropped == logged.reading.dropped
-        assert [each[1:] for each in found.reading.resets] == [
-            each[1:] for each in logged.reading.resets
+        assert [reset[1:] for reset in found.reading.resets] == [
+            reset[1:] for reset in logged.reading.resets
         ]
 
 

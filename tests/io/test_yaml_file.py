@@ -65,7 +65,7 @@ def test_any_number_is_read_or_refused_in_a_sentence(first: str, second: str) ->
 
 
 def test_numbers_of_an_anchor_are_examined_once(tmp_path: Path) -> None:
-    levels = [f"l{each}: &l{each} [{f'*l{each - 1}, ' * 9}]" for each in range(1, 30)]
+    levels = [f"l{index}: &l{index} [{f'*l{index - 1}, ' * 9}]" for index in range(1, 30)]
     path = tmp_path / "x.yaml"
     path.write_text("\n".join(["l0: &l0 [1]", *levels]))
     assert len(read_mapping(path, "numbers")) == 30

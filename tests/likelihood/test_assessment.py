@@ -63,20 +63,20 @@ def said(**changed: Any) -> list[str]:
 
 def test_remarks_have_their_limits() -> None:
     # 28 poses within 14 samples, from 1 to 14.5 s.
-    assert ["2.0 poses per groundtruth sample" in each for each in said()] == [True]
+    assert ["2.0 poses per groundtruth sample" in item for item in said()] == [True]
     # 21 poses within 14 samples are not above 1.5.
     stamps = SECOND * np.arange(1, 15)
     assert said(stamps=np.sort(np.append(stamps, stamps[:7] + 500_000_000))) == []
     found = said(stamps=np.sort(np.append(stamps, stamps[:8] + 500_000_000)))
-    assert ["1.6 poses per" in each for each in found] == [True]
+    assert ["1.6 poses per" in item for item in found] == [True]
     part = np.ones(14, dtype=bool)
     part[:7] = False
     some = UncertainAte(0.1, 0.1, part, (0.0, 0.2))
-    assert ["at 50.0 % of the poses" in each for each in said(stamps=stamps, ate=some)] == [True]
+    assert ["at 50.0 % of the poses" in item for item in said(stamps=stamps, ate=some)] == [True]
     none = UncertainAte(0.1, None, part, None)
-    assert ["no ATE of" in each for each in said(stamps=stamps, ate=none)] == [True]
+    assert ["no ATE of" in item for item in said(stamps=stamps, ate=none)] == [True]
     lone = UncertainAte(0.1, 0.1, ~(part & ~part), None)
-    assert ["no interval for" in each for each in said(stamps=stamps, ate=lone)] == [True]
+    assert ["no interval for" in item for item in said(stamps=stamps, ate=lone)] == [True]
     scores = SimpleNamespace(sim3=None, why_no_sim3="why")
     found = said(stamps=stamps, gauge_scores=scores)
     assert found == ["no likelihood in gauge sim3: why"]
@@ -87,7 +87,7 @@ def test_remarks_have_their_limits() -> None:
 def test_the_tolerance_is_added_to_variances() -> None:
     assert Noise(0.005, math.radians(0.2)) == TOLERANCE
     known = Belief(np.tile(np.eye(4), (2, 1, 1)), np.tile(np.eye(6), (2, 1, 1)))
-    whole, points = (module._with_tolerance(known, each).covariances for each in (True, False))
+    whole, points = (module._with_tolerance(known, item).covariances for item in (True, False))
     added = np.diag([25e-6] * 3 + [math.radians(0.2) ** 2] * 3)
     np.testing.assert_allclose(whole, np.eye(6) + np.tile(added, (2, 1, 1)))
     added[3:] = 0.0
@@ -106,11 +106,11 @@ def test_bayes_factors_are_differences_of_joint_likelihoods() -> None:
     scores = [
         joint_log_likelihood(
             groundtruth,
-            each.error.residuals.estimate[rows],
+            item.error.residuals.estimate[rows],
             Gauge.YAW,
-            each.error.mode.element,
+            item.error.mode.element,
         )
-        for each, rows in ((first, slice(2, 14)), (second, slice(0, 12)))
+        for item, rows in ((first, slice(2, 14)), (second, slice(0, 12)))
     ]
     assert one.log_bayes["b"] == pytest.approx(scores[0] - scores[1], abs=1e-6)
     assert other.log_bayes["a"] == pytest.approx(scores[1] - scores[0], abs=1e-6)
@@ -122,7 +122,9 @@ def test_bayes_factors_are_differences_of_joint_likelihoods() -> None:
         part = assessed(SECOND * np.arange(3, 3 + number), 3)
         both = with_bayes_factors(["a", "b"], [first, part])
         assert bool(both[0].log_bayes) == (number == 10)
-        assert any("only 9 common" in each for each in both[1].statements) == (number == 9)
+        assert any("only 9 common" in statement for statement in both[1].statements) == (
+            number == 9
+        )
 
 
 @pytest.mark.parametrize("gauge", [Gauge.SIM3, Gauge.SE3, Gauge.YAW])
@@ -138,7 +140,7 @@ def test_scale_and_tilt_are_errors_where_they_are_observed(gauge: Gauge) -> None
     )
     cases = (scores, SimpleNamespace(**{**vars(scores), "scale": None}), None)
     shown = [
-        _cells(dataclasses.replace(plain, error=known, gauge_scores=each))[-2:] for each in cases
+        _cells(dataclasses.replace(plain, error=known, gauge_scores=case))[-2:] for case in cases
     ]
     tilt = "-0.5, +2.0" if gauge is Gauge.YAW else "-"
     assert shown == [["-" if gauge is Gauge.SIM3 else "+1.2", tilt], ["-", tilt], ["-", "-"]]

@@ -165,7 +165,7 @@ def test_how_many_independent_values() -> None:
 def test_it_covers_the_true_ate_where_noise_and_motion_are_hard(
     motion: str, noise: str, size_m: float
 ) -> None:
-    found = [each for seed in range(5000, 5020) for each in flown(motion, noise, size_m, seed)]
-    known = [each.covers for each in found if each.interval_m is not None]
+    found = [item for seed in range(5000, 5020) for item in flown(motion, noise, size_m, seed)]
+    known = [item.covers for item in found if item.interval_m is not None]
     assert len(known) >= 0.5 * len(found)
     assert np.mean(known) >= 0.9

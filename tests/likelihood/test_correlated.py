@@ -89,7 +89,7 @@ def test_joint_likelihoods_without_a_gauge_are_gaussian() -> None:
     assert groundtruth.rotations is not None
     expected = groundtruth.positions.log_density(apart) + groundtruth.rotations.log_density(turned)
     # Densities are by the volume of the group of rotations.
-    expected -= sum(np.linalg.slogdet(so3.left_jacobian(each))[1] for each in turned)
+    expected -= sum(np.linalg.slogdet(so3.left_jacobian(item))[1] for item in turned)
     assert found == pytest.approx(expected, rel=1e-10)
     # Positions: over all translations, the sum of which has a Gaussian integral.
     bare = dataclasses.replace(groundtruth, rotations=None)

@@ -86,7 +86,7 @@ def test_the_measure_is_that_of_rotations() -> None:
     deltas = np.zeros((2, 6))
     deltas[:, 3:] = [[0.3, -0.5, 0.8], [0.0, 0.0, 3.0]]
     found = Chart(Gauge.SE3, np.zeros(3)).log_measure(deltas)
-    expected = [np.linalg.slogdet(so3.left_jacobian(each[3:]))[1] for each in deltas]
+    expected = [np.linalg.slogdet(so3.left_jacobian(delta[3:]))[1] for delta in deltas]
     np.testing.assert_allclose(found, expected, atol=1e-12)
     assert not Chart(Gauge.YAW, np.zeros(3)).log_measure(deltas[:, :4]).any()
     chart = Chart(Gauge.YAW, np.zeros(3))
@@ -138,8 +138,8 @@ def test_densities_have_exact_slopes(gauge: Gauge, oriented: bool) -> None:
     np.testing.assert_allclose(
         np.square(slope.whitened).sum(axis=1),
         [
-            each @ np.linalg.solve(cov[:axes, :axes], each)
-            for each, cov in zip(one.at(element), belief.covariances, strict=True)
+            item @ np.linalg.solve(cov[:axes, :axes], item)
+            for item, cov in zip(one.at(element), belief.covariances, strict=True)
         ],
         rtol=1e-9,
     )
@@ -190,7 +190,7 @@ def test_densities_of_points_are_gaussian() -> None:
     expected = sum(
         multivariate_normal.logpdf(error, cov=cov)
         for error, cov in zip(errors, belief.covariances, strict=True)
-    ) - 2.0 * sum(np.linalg.slogdet(so3.left_jacobian(each[3:]))[1] for each in errors)
+    ) - 2.0 * sum(np.linalg.slogdet(so3.left_jacobian(item[3:]))[1] for item in errors)
     [value] = oriented.log_density(np.eye(4)[None])
     assert value == pytest.approx(float(expected), rel=1e-9)
 
@@ -256,7 +256,8 @@ def test_statements_on_an_absolute_error() -> None:
 
     def said(error: marginal.AbsoluteErrorDensity, turn: float, share: float | None) -> list[str]:
         return [
-            each.split(",")[0].split(";")[0] for each in marginal._statements(error, turn, share)
+            statement.split(",")[0].split(";")[0]
+            for statement in marginal._statements(error, turn, share)
         ]
 
     assert said(one, 0.3, None) == []

@@ -50,8 +50,8 @@ def test_no_frame_matters(gauge: Gauge, seed: int) -> None:
     estimate = poses_of(1)
     moved = act(as_matrix(make_element(gauge, seed)), estimate)
     here, there = (
-        joint_log_likelihood(groundtruth, each, gauge, alignment(each, gauge))
-        for each in (estimate, moved)
+        joint_log_likelihood(groundtruth, item, gauge, alignment(item, gauge))
+        for item in (estimate, moved)
     )
     assert there == pytest.approx(here, abs=1e-5)
 
@@ -89,8 +89,8 @@ def test_positions_alone_have_a_joint_likelihood() -> None:
     groundtruth = CorrelatedGroundtruth.of(MarkovPoses(MODEL.positions, None), TIMES, Noise())
     assert groundtruth.rotations is None
     scores = [
-        joint_log_likelihood(groundtruth, each, Gauge.SE3, alignment(each, Gauge.SE3))
-        for each in map(poses_of, range(3))
+        joint_log_likelihood(groundtruth, item, Gauge.SE3, alignment(item, Gauge.SE3))
+        for item in map(poses_of, range(3))
     ]
     assert scores == sorted(scores, reverse=True)
 
@@ -123,10 +123,12 @@ def test_without_a_scale_the_reason_is_stated() -> None:
         found = assess_likelihood(evaluate(groundtruth, estimate, protocol))
         assert found.gauge_scores is not None
         assert found.gauge_scores.sim3 is None
-        [said] = [each for each in found.statements if "sim3" in each]
+        [said] = [statement for statement in found.statements if "sim3" in statement]
         assert said.startswith("no likelihood in gauge sim3: the most likely scale is zero")
         has_ate = found.ate.supported_m is not None
-        assert has_ate is not any("no ATE of supported" in each for each in found.statements)
+        assert has_ate is not any(
+            "no ATE of supported" in statement for statement in found.statements
+        )
     protocol = Protocol(gauge="sim3", association=rule, lengths=())
     with pytest.raises(DegenerateGeometryError, match="--hand-eye auto"):
         assess_likelihood(evaluate(groundtruth, estimate, protocol))

@@ -334,7 +334,7 @@ def test_an_uncertain_alignment_is_sampled_and_said() -> None:
     residuals = Residuals(belief, se3.poses(np.eye(3), estimate), Gauge.SE3, oriented=False)
     error = generalised_absolute_error(residuals)
     assert error.method == "importance"
-    assert any("has a standard deviation of" in each for each in error.statements)
+    assert any("has a standard deviation of" in statement for statement in error.statements)
     exact = position_error(truth, estimate, 0.3, Gauge.SE3)
     assert error.log_likelihood == pytest.approx(exact, abs=0.1)
     laplace_value = by_laplace(generalised_absolute_error(residuals))
@@ -370,7 +370,8 @@ def test_half_turns_and_tiny_noise_give_numbers() -> None:
     error = generalised_absolute_error(Residuals(belief, estimate, Gauge.SE3))
     assert np.isfinite(error.log_likelihood)
     assert (
-        any("a pose differs by" in each for each in error.statements) or error.chi2_per_dof > 100.0
+        any("a pose differs by" in statement for statement in error.statements)
+        or error.chi2_per_dof > 100.0
     )
     fine, close = drawn(30, 8, 1e-9)
     assert np.isfinite(score(fine, close, Gauge.SE3))

@@ -35,15 +35,15 @@ def scored(seed: int) -> tuple[Array, Array, list[UncertainAte]]:
     covariances = world_from_body_twists(belief.covariances, belief.poses[:, :3, :3])[:, :3, :3]
     times = fitted.samples.seconds(stamps)
     nearest = fit_trajectory(flight.groundtruth, "nearest").at(stamps).poses[:, :3, 3]
-    estimates = [each.positions for each in flight.estimates]
+    estimates = [estimate.positions for estimate in flight.estimates]
     return (
-        np.array([plain_ate_m(flight.truth.positions, each) for each in estimates]),
-        np.array([plain_ate_m(nearest, each) for each in estimates]),
+        np.array([plain_ate_m(flight.truth.positions, estimate) for estimate in estimates]),
+        np.array([plain_ate_m(nearest, estimate) for estimate in estimates]),
         [
             uncertain_ate(
-                times, belief.poses[:, :3, 3], covariances, each, Gauge.SE3, fitted.samples
+                times, belief.poses[:, :3, 3], covariances, estimate, Gauge.SE3, fitted.samples
             )
-            for each in estimates
+            for estimate in estimates
         ],
     )
 
@@ -51,18 +51,18 @@ def scored(seed: int) -> tuple[Array, Array, list[UncertainAte]]:
 @pytest.mark.slow
 def test_ranking_and_interval_over_forty_flights() -> None:
     flights = [scored(seed) for seed in range(40)]
-    weighted = np.array([[each.weighted_m for each in ates] for _, _, ates in flights])
-    nearest = np.array([each for _, each, _ in flights])
-    true = np.array([each for each, _, _ in flights])
+    weighted = np.array([[item.weighted_m for item in ates] for _, _, ates in flights])
+    nearest = np.array([item for _, item, _ in flights])
+    true = np.array([item for item, _, _ in flights])
     assert np.mean((np.diff(weighted, axis=1) > 0.0).all(axis=1)) >= 0.97
     assert np.mean((np.diff(nearest, axis=1) > 0.0).all(axis=1)) <= 0.80
     assert np.median(weighted / true, axis=0) == pytest.approx([1.2, 1.06, 1.03], abs=0.15)
-    supported = np.array([[each.supported_m or np.nan for each in ates] for _, _, ates in flights])
+    supported = np.array([[item.supported_m or np.nan for item in ates] for _, _, ates in flights])
     assert np.median(supported / true, axis=0) == pytest.approx([1.0, 1.0, 1.0], abs=0.1)
     covered = [
         [
-            each.interval_m is not None and each.interval_m[0] <= ate <= each.interval_m[1]
-            for ate, each in zip(flight[0], flight[2], strict=True)
+            item.interval_m is not None and item.interval_m[0] <= ate <= item.interval_m[1]
+            for ate, item in zip(flight[0], flight[2], strict=True)
         ]
         for flight in flights
     ]
@@ -72,10 +72,10 @@ def test_ranking_and_interval_over_forty_flights() -> None:
 def test_a_fair_ate_where_nearest_groundtruth_is_useless() -> None:
     true, nearest, ates = scored(0)
     assert nearest[0] > 4.0 * true[0]
-    for ate, each in zip(true, ates, strict=True):
-        assert each.supported_m == pytest.approx(ate, rel=0.2)
-        assert each.interval_m is not None
-        assert each.interval_m[0] < ate < each.interval_m[1]
+    for ate, item in zip(true, ates, strict=True):
+        assert item.supported_m == pytest.approx(ate, rel=0.2)
+        assert item.interval_m is not None
+        assert item.interval_m[0] < ate < item.interval_m[1]
     assert 0.5 < ates[2].supported_share < 1.0
     assert len(DRIFTS_M) == len(ates)
 
@@ -91,9 +91,9 @@ def bayes_factors(flight: Flight) -> tuple[float, float]:
     diagonal = np.square([0.005] * 3 + [tolerance.rotation_rad] * 3)
     belief.covariances[:] += np.diag(diagonal)
     joint, single = [], []
-    for each in flight.estimates[:2]:
-        assert each.rotations is not None
-        poses = se3.poses(each.rotations.as_matrix(), each.positions)
+    for estimate in flight.estimates[:2]:
+        assert estimate.rotations is not None
+        poses = se3.poses(estimate.rotations.as_matrix(), estimate.positions)
         error = generalised_absolute_error(Residuals(belief, poses, Gauge.SE3))
         single.append(error.log_likelihood)
         joint.append(joint_log_likelihood(groundtruth, poses, Gauge.SE3, error.mode.element))

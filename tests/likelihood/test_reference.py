@@ -31,7 +31,7 @@ def numbers(reference: Any) -> Any:
 
 def metric_case(numbers: Any, name: str) -> tuple[Belief, Any, Any]:
     given = numbers["metrics"]
-    (case,) = (each for each in given["cases"] if each["gauge"] == name)
+    (case,) = (item for item in given["cases"] if item["gauge"] == name)
     belief = Belief(np.array(given["T_gt"]), np.array(given["Sigma"]))
     return belief, np.array(case["T_est"]), case
 

@@ -137,7 +137,7 @@ def test_the_first_states_yaw_brings_the_rotations_closest(a: int, b: int) -> No
         return float(np.trace(turn @ other.as_matrix() @ truth.as_matrix().T))
 
     angle = np.arctan2(found.rotation[1, 0], found.rotation[0, 0])
-    assert all(trace(angle) >= trace(each) - 1e-12 for each in np.linspace(-np.pi, np.pi, 73))
+    assert all(trace(angle) >= trace(item) - 1e-12 for item in np.linspace(-np.pi, np.pi, 73))
     np.testing.assert_array_equal(found.rotation[2], [0.0, 0.0, 1.0])
     np.testing.assert_allclose(found.translation, np.ones(3))
 

@@ -177,7 +177,7 @@ def test_held_pose_on_a_circle_is_a_chord_behind() -> None:
     found = measured(*on_circle())
     assert found.samples is not None
     angle = TURN * found.samples.age / SECOND
-    position, rotation = (np.linalg.norm(each, axis=1) for each in errors(found))
+    position, rotation = (np.linalg.norm(error, axis=1) for error in errors(found))
     np.testing.assert_allclose(position, 2 * RADIUS * np.sin(angle / 2), atol=1e-12)
     np.testing.assert_allclose(rotation, angle, atol=1e-12)
 
@@ -187,8 +187,8 @@ def test_prediction_on_a_circle_has_no_error(motion: str) -> None:
     found = measured(*on_circle(), motion)
     assert found.samples is not None
     second = found.samples.rows > 0
-    for each in errors(found):
-        assert np.abs(each[second]).max() < 1e-12
+    for error in errors(found):
+        assert np.abs(error[second]).max() < 1e-12
 
 
 def test_velocity_without_turn_leaves_the_circle() -> None:
@@ -240,7 +240,7 @@ def test_parts_shares_and_ages_add_up(seed: int, motion: str) -> None:
         direct = states.positions - messages.positions[samples.rows]
         np.testing.assert_allclose(samples.position.sum(axis=0), direct, atol=1e-12)
     for share in ("share", "share_deg"):
-        assert sum(getattr(each, share) for each in numbers.parts.values()) == pytest.approx(1.0)
+        assert sum(getattr(part, share) for part in numbers.parts.values()) == pytest.approx(1.0)
 
 
 @pytest.mark.slow
@@ -262,7 +262,7 @@ def test_wrong_timestamps_do_not_change_the_held_error(seed: int, shift_ms: int)
     truth, estimate = rough(seed)
     wrong = dataclasses.replace(estimate, stamps=estimate.stamps - shift_ms * 10**6)
     rule = AvailabilityRule("hold")
-    one, other = (as_available(truth, each, IDENTITY, rule, 0.5) for each in (estimate, wrong))
+    one, other = (as_available(truth, item, IDENTITY, rule, 0.5) for item in (estimate, wrong))
     if other.samples is None:  # then messages were received before their timestamps
         assert other.numbers.clock is not None
         assert other.numbers.clock.verdict == "impossible"
@@ -300,7 +300,7 @@ def test_corrected_pose_acts_from_its_reception_and_keeps_the_age_of_its_pose() 
     samples = found.samples
     assert samples is not None
     error = samples.position.sum(axis=0)[:, 0]
-    at = {round(each / 10**6): row for row, each in enumerate(samples.stamps.tolist())}
+    at = {round(stamp / 10**6): row for row, stamp in enumerate(samples.stamps.tolist())}
     for ms, place in ((1_490, 1.0), (1_500, 5.0), (2_090, 5.0), (2_100, 6.0)):
         assert error[at[ms]] == pytest.approx(V * ms / 1000 - place)
     assert samples.age[at[1_500]] == 500 * 10**6
@@ -325,9 +325,9 @@ def numbers_of(numbers: Availability) -> dict[str, Any]:
         "turned_deg": found["age_error_deg"],
         "age_s": found["age_s"],
         "available_share": numbers.available_percent / 100.0,
-        "parts_rmse_m": {name: each.rmse_m for name, each in numbers.parts.items()},
-        "parts_share": {name: each.share for name, each in numbers.parts.items()},
-        "rotation_parts_share": {name: each.share_deg for name, each in numbers.parts.items()},
+        "parts_rmse_m": {name: part.rmse_m for name, part in numbers.parts.items()},
+        "parts_share": {name: part.share for name, part in numbers.parts.items()},
+        "rotation_parts_share": {name: part.share_deg for name, part in numbers.parts.items()},
     }
 
 
@@ -433,13 +433,13 @@ def test_a_figure_shows_errors_ages_and_latencies() -> None:
     figure = as_available_figure(evaluate(truth, estimate, Protocol(gauge="none")), found)
     upper, detail, lower, right = figure.axes
     assert found.samples is not None
-    _, drawn = (each.get_ydata() for each in upper.get_lines())
+    _, drawn = (get_line.get_ydata() for get_line in upper.get_lines())
     # An age error of a straight drive is its speed times the age, largest at the gap's end.
     assert np.max(drawn) == pytest.approx(V * found.samples.age.max() / SECOND, rel=1e-6)
-    shown = np.concatenate([each.get_xdata() for each in detail.get_lines()])
+    shown = np.concatenate([get_line.get_xdata() for get_line in detail.get_lines()])
     assert shown.min() <= 41.0 <= shown.max()
     assert np.ptp(shown) <= 10.0
-    age, deadline = (np.asarray(each.get_ydata()) for each in lower.get_lines())
+    age, deadline = (np.asarray(get_line.get_ydata()) for get_line in lower.get_lines())
     np.testing.assert_allclose(age, found.samples.age / SECOND)
     assert set(deadline) == {found.numbers.deadline_s}
     assert sum(bar.get_height() for bar in right.patches) == len(estimate)

@@ -112,7 +112,7 @@ def test_evo_takes_the_rows_that_evo_takes(
         truth, estimate = sorted(truth), sorted(estimate)
     rule = AssociationRule("evo", 10 / 512)
     # 1/512 s is exact in binary as well, so that the very limit and ties are those of floats.
-    groundtruth, other = (at(1000.0 * np.array(each) / 512, start=0) for each in (truth, estimate))
+    groundtruth, other = (at(1000.0 * np.array(item) / 512, start=0) for item in (truth, estimate))
     by_truth = len(truth) < len(estimate)
     short, long = (truth, estimate) if by_truth else (estimate, truth)
     expected = [
@@ -199,7 +199,7 @@ def test_interpolation_is_linear_in_position_and_slerp_in_rotation(seed: int) ->
     at_times = (truth.stamps - start) / NANOSECONDS
     for name in ("positions", "velocities", "gyroscope_biases", "accelerometer_biases"):
         column, ours = getattr(groundtruth, name), getattr(truth, name)
-        expected = np.stack([np.interp(at_times, times, each) for each in column.T], axis=1)
+        expected = np.stack([np.interp(at_times, times, item) for item in column.T], axis=1)
         np.testing.assert_allclose(ours, expected, atol=1e-9)
     expected_rotations = Slerp(times, groundtruth.rotations)(at_times)
     apart = (truth.rotations * expected_rotations.inv()).magnitude()

@@ -28,7 +28,7 @@ def _columns(
 def _expected(states: list[tuple[int, int, bool]]) -> tuple[float, float, float, float]:
     """Return share, span, and duration and reach of the longest gap; of no gap zeros."""
     stamps, _, found = _columns(states)
-    times = [int(each) // SECOND for each in stamps]
+    times = [int(stamp) // SECOND for stamp in stamps]
     places = [place for _, place, _ in states]
     edges = [0, *np.flatnonzero(found).tolist()]  # a gap begins at the first state, or at one
     best = (0, 0.0)
@@ -38,7 +38,7 @@ def _expected(states: list[tuple[int, int, bool]]) -> tuple[float, float, float,
         if between and times[end] - times[begin] > best[0]:
             reach = max(abs(places[row] - places[begin]) for row in range(begin, end + 1))
             best = (times[end] - times[begin], float(reach))
-    own = [time for time, each in zip(times, found, strict=True) if each]
+    own = [time for time, item in zip(times, found, strict=True) if item]
     whole = times[-1] - times[0]
     span = (own[-1] - own[0]) / whole if whole else 1.0
     return len(own) / len(states), span, *best

@@ -95,7 +95,7 @@ def test_steps_are_those_of_all_groundtruth_states(seed: int, pieces: int) -> No
     pairs = truth[chosen]
     found = naive_steps(truth, pairs, gap)
     meter, parts = StepMeter(gap), []
-    poses, all_poses = (StampedPoses.of(each, np.arange(len(each))) for each in (pairs, truth))
+    poses, all_poses = (StampedPoses.of(item, np.arange(len(item))) for item in (pairs, truth))
     edges = [0, *np.sort(random.integers(0, len(pairs) + 1, pieces)).tolist(), len(pairs)]
     passed = 0
     for first, end in itertools.pairwise(edges):
@@ -105,8 +105,8 @@ def test_steps_are_those_of_all_groundtruth_states(seed: int, pieces: int) -> No
         upto = int(random.integers(newest, max(newest, following) + 1))
         parts.append(
             meter.measure(
-                StampedPoses(*(each[passed:upto] for each in all_poses)),
-                StampedPoses(*(each[first:end] for each in poses)),
+                StampedPoses(*(pose[passed:upto] for pose in all_poses)),
+                StampedPoses(*(pose[first:end] for pose in poses)),
             )
         )
         passed = upto

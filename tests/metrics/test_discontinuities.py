@@ -152,7 +152,7 @@ def test_a_groundtruth_that_is_rare_at_the_start_shows_a_restart() -> None:
 def test_a_restart_is_one_of_the_estimate_also_in_a_gap(gap_s: float) -> None:
     groundtruth, estimate = sides(841)
     rows = inside(estimate, AT_S, np.inf)
-    estimate = changed(estimate, AT_S, np.inf, lambda each: each - each[0] + estimate.positions[0])
+    estimate = changed(estimate, AT_S, np.inf, lambda item: item - item[0] + estimate.positions[0])
     kept = np.ones(len(estimate), dtype=bool)
     kept[inside(estimate, AT_S - gap_s, AT_S)] = False
     event = only(discontinuities(groundtruth, estimate[kept]))

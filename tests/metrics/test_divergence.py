@@ -31,7 +31,7 @@ def _paths(speed_mps: float, odd: list[tuple[float, float]]) -> tuple[np.ndarray
     added = np.vstack([np.zeros((BEFORE, 2)), np.reshape(odd, (-1, 2))])
     true = speed_mps * STEP_S * along
     own = TURN.inv().apply(true + added[:, :1] * along + added[:, 1:] * across) / SCALE
-    return tuple(np.vstack([np.zeros(3), np.cumsum(each, axis=0)]) for each in (true, own))
+    return tuple(np.vstack([np.zeros(3), np.cumsum(item, axis=0)]) for item in (true, own))
 
 
 def _by_excess(speed_mps: float, excess: float, of_lengths: float) -> tuple[float, float]:
@@ -114,9 +114,9 @@ def test_it_ends_after_six_displacements_that_agree(step_m: float, agreeing: int
     odd = [_by_excess(1.0, 0.2, 0.18)] * 6
     true, own = _paths(1.0, [*odd, *[(0.0, 0.0)] * 12])
     steps = np.diff(true, axis=0), np.diff(own, axis=0)
-    for each in steps:
-        each[BEFORE + len(odd) :] *= step_m / 0.5
-    true, own = (np.vstack([np.zeros(3), np.cumsum(each, axis=0)]) for each in steps)
+    for step in steps:
+        step[BEFORE + len(odd) :] *= step_m / 0.5
+    true, own = (np.vstack([np.zeros(3), np.cumsum(step, axis=0)]) for step in steps)
     after = _losses(true, own)
     assert _first(after, "is_over") == len(odd) + agreeing
     assert after[-1][0].end_ns == BEGIN + (BEFORE + len(odd) + agreeing) * HALF
@@ -140,10 +140,10 @@ def test_jumps_outliers_and_drift_are_no_divergence(odd: list[tuple[float, float
 def test_a_hover_does_not_make_the_fit_forget() -> None:
     """Only motion is forgotten by time: 200 s of 0.04 m/s leave what 40 m have shown."""
     true, own = _paths(1.0, [_by_excess(1.0, 0.13, 0.12)] * 5)
-    steps, odd = [np.diff(each, axis=0) for each in (true, own)], 5
-    hovers = [np.vstack([each[:-odd], np.tile(0.04 * each[:1], (400, 1))]) for each in steps]
+    steps, odd = [np.diff(item, axis=0) for item in (true, own)], 5
+    hovers = [np.vstack([step[:-odd], np.tile(0.04 * step[:1], (400, 1))]) for step in steps]
     paths = [
-        np.vstack([np.zeros(3), np.cumsum(np.vstack([hover, each[-odd:]]), axis=0)])
-        for hover, each in zip(hovers, steps, strict=True)
+        np.vstack([np.zeros(3), np.cumsum(np.vstack([hover, step[-odd:]]), axis=0)])
+        for hover, step in zip(hovers, steps, strict=True)
     ]
     assert _first(_losses(*paths)) == 400 + 4

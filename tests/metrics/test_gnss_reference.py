@@ -59,7 +59,7 @@ def test_a_wheeled_robot(gauge: str, weights: str, recording: Recording, husky: 
     assert found.alignment.similarity.scale == pytest.approx(known["scale"], **EXACT)
     tilt_deg = np.degrees(np.arccos(np.clip(found.alignment.similarity.rotation[2, 2], -1, 1)))
     assert tilt_deg == pytest.approx(known["tilt_deg"], abs=1e-6)
-    tilts = any(f"gauge {gauge} tilts the estimate" in each for each in found.warnings)
+    tilts = any(f"gauge {gauge} tilts the estimate" in warning for warning in found.warnings)
     assert not tilts  # the pipeline's, which knows of fixes
 
 
@@ -110,7 +110,7 @@ def test_surveyed_points(
 ) -> None:
     key = f"{name}/{'prism_lever' if lever else 'no_lever'}/interpolate_0.5/{gauge}"
     known = reference("gnss")["hilti_2021"][key]
-    points, estimate = (recording(f"hilti_2021/Campus_2_{each}.txt") for each in ("prism", name))
+    points, estimate = (recording(f"hilti_2021/Campus_2_{item}.txt") for item in ("prism", name))
     found = evaluate(points, estimate, Protocol(gauge=gauge, lever_m=lever, lengths=()))
     assert found.ate["position_m"] is not None
     assert found.ate["position_m"].rmse == pytest.approx(known["error_3d"]["rmse"], **EXACT)
@@ -126,7 +126,7 @@ def test_half_an_estimate(
     name: str, recording: Recording, reference: Callable[[str], Any]
 ) -> None:
     known = reference("gnss")["hilti_2021"][f"{name}/first_half/interpolate_0.5/se3"]
-    points, estimate = (recording(f"hilti_2021/Campus_2_{each}.txt") for each in ("prism", name))
+    points, estimate = (recording(f"hilti_2021/Campus_2_{item}.txt") for item in ("prism", name))
     half = estimate[: len(estimate) // 2]
     found = evaluate(points, half, Protocol(lever_m=PRISM, lengths=()))
     assert found.association.groundtruth_coverage == pytest.approx(9 / 19)
@@ -138,7 +138,7 @@ def test_half_an_estimate(
 @pytest.mark.slow
 def test_dense_positions(recording: Recording, reference: Callable[[str], Any]) -> None:
     known = reference("gnss")["hilti_2021"]["uzh"]
-    truth, estimate = (recording(f"hilti_2021/uzh_run2_{each}.txt") for each in ("mocap", "hdl"))
+    truth, estimate = (recording(f"hilti_2021/uzh_run2_{item}.txt") for item in ("mocap", "hdl"))
     for method, name in (
         ("linear", "groundtruth_interpolated_se3"),
         ("groundtruth-stamps", "estimate_interpolated_se3"),
@@ -153,7 +153,7 @@ def test_dense_positions(recording: Recording, reference: Callable[[str], Any]) 
 def test_evo_s_numbers_stay(name: str, rmse_m: float, recording: Recording) -> None:
     from trajeval_ros.io.requests.request_from import protocol_from
 
-    points, estimate = (recording(f"hilti_2021/Campus_2_{each}.txt") for each in ("prism", name))
+    points, estimate = (recording(f"hilti_2021/Campus_2_{item}.txt") for item in ("prism", name))
     found = evaluate(points, estimate, protocol_from("evo", max_time_difference=1.0))
     assert found.ate["position_m"] is not None
     assert found.ate["position_m"].rmse == pytest.approx(rmse_m, abs=5e-7)

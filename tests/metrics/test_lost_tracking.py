@@ -79,7 +79,7 @@ def test_losses_do_not_depend_on_batches(
         "bumped": bumped(pairs.estimate, begin, count),
     }[fault]
     stamps, truth = pairs.estimate.stamps, rows(pairs.groundtruth)
-    apart, whole = (batches(stamps, truth, poses, each).losses for each in (cuts, []))
+    apart, whole = (batches(stamps, truth, poses, item).losses for item in (cuts, []))
     assert whole or fault != "diverging"
     for one, other in zip(apart, whole, strict=True):
         # Products of small and of large batches round differently: some units in the last place.
@@ -178,8 +178,8 @@ def test_frozen_time_is_not_covered(count: int) -> None:
     poses = frozen(pair.estimate, 400, 400 + count)
     estimate = Trajectory(pair.estimate.stamps, poses[:, :3], poses[:, 3:7])
     before, after = (
-        associate(pair.truth, each, pair.protocol.association).coverage.covered
-        for each in (pair.estimate, estimate)
+        associate(pair.truth, item, pair.protocol.association).coverage.covered
+        for item in (pair.estimate, estimate)
     )
     frozen_s = (count - 1) / 20.0
     assert before - after == pytest.approx(frozen_s / 60.0, abs=1.0 / 60.0)

@@ -105,7 +105,7 @@ def _dense(gauge: Gauge, aligned: np.ndarray, covariances: np.ndarray, noise: np
     return dense.reshape(3 * count, 3 * count), np.eye(3 * count) - basis @ np.linalg.pinv(basis)
 
 
-@pytest.mark.parametrize("gauge", [each for each in Gauge if each is not Gauge.NONE], ids=str)
+@pytest.mark.parametrize("gauge", [item for item in Gauge if item is not Gauge.NONE], ids=str)
 def test_the_formulas_are_those_of_dense_matrices(gauge: Gauge) -> None:
     """E|r|^2 = |Pe|^2 + tr(PC), and the variance of |r|^2 of a Gaussian: 2 tr(PCPC) + 4 e'PCPe."""
     random, count = np.random.default_rng(2), 9
@@ -129,7 +129,7 @@ def test_the_formulas_are_those_of_dense_matrices(gauge: Gauge) -> None:
     half_width = 1.959963984540054 * np.sqrt(spread) / count
     expected = np.sqrt(np.maximum(0.0, value + np.array([-half_width, half_width])))
     assert own.interval_m == pytest.approx(tuple(expected), rel=1e-5)
-    blocks = sum(float(np.square(each).sum()) for each in covariances)
+    blocks = sum(float(np.square(covariance).sum()) for covariance in covariances)
     assert own.effective == pytest.approx(count * blocks / np.square(dense).sum())
 
 
@@ -181,8 +181,8 @@ def runs_of(*estimates: np.ndarray, fixes: np.ndarray = PATH, kind: int = 2) -> 
     turned = np.tile([0.0, 0.0, 0.0, 1.0], (COUNT, 1))
     turned[:, 2], turned[:, 3] = np.sin(TIMES / 60), np.cos(TIMES / 60)
     others = [
-        Trajectory(STAMPS, each, turned, name=f"e{number}")
-        for number, each in enumerate(estimates)
+        Trajectory(STAMPS, estimate, turned, name=f"e{number}")
+        for number, estimate in enumerate(estimates)
     ]
     # The states are a second apart.
     association = AssociationRule("groundtruth-stamps", max_gap_s=2.0)
@@ -208,7 +208,7 @@ def test_nothing_is_dropped_because_it_disagrees() -> None:
     assert own.jumps == 20
     assert own.ate_m < 0.5 < own.with_jumps_m
     assert not own.resolved  # that claims no more than an upper end
-    assert any("add a second estimate" in each for each in found.evaluation.warnings)
+    assert any("add a second estimate" in warning for warning in found.evaluation.warnings)
 
 
 @pytest.mark.slow
@@ -230,11 +230,11 @@ def test_a_jump_of_all_is_the_fixes() -> None:
     multipath[60:66] += [8.0, 0.0, 0.0]
     found = runs_of(drifting(1), drifting(2), fixes=multipath)
     assert len(found) == 2
-    for each in found:
-        assert each.own_error is not None
-        assert (each.own_error.jumps, each.own_error.own_jumps) == (6, 0)
-        assert each.own_error.ate_m < 0.5 < each.own_error.with_jumps_m
-        assert any("caused by the receiver" in w for w in each.evaluation.warnings)
+    for item in found:
+        assert item.own_error is not None
+        assert (item.own_error.jumps, item.own_error.own_jumps) == (6, 0)
+        assert item.own_error.ate_m < 0.5 < item.own_error.with_jumps_m
+        assert any("caused by the receiver" in w for w in item.evaluation.warnings)
 
 
 @pytest.mark.slow

@@ -255,7 +255,7 @@ def test_positions_alone_are_no_reason_for_a_warning(roll_deg: float) -> None:
     truth, estimate = road(roll_deg)
     found = evaluate(dataclasses.replace(truth, quaternions=None), estimate, on())
     assert rotation_warnings(found) == [
-        each for each in found.warnings if "no orientations in the" in each
+        warning for warning in found.warnings if "no orientations in the" in warning
     ]
     freedom = found.alignment.freedom
     assert freedom is not None
@@ -278,7 +278,7 @@ def live(
     truth: Trajectory, estimate: Trajectory, settings: OnlineSettings, batch: int = 7
 ) -> OnlineEvaluator:
     evaluator = OnlineEvaluator(settings)
-    rows = [states(each.positions, each.quaternions) for each in (truth, estimate)]
+    rows = [states(item.positions, item.quaternions) for item in (truth, estimate)]
     for begin in range(0, len(truth), batch):
         part = slice(begin, begin + batch)
         evaluator.add_groundtruth(trajectory(truth.stamps[part], rows[0][part]))

@@ -24,7 +24,7 @@ def by_frame(way: str = "positions") -> Protocol:
 
 
 def test_a_straight_street_of_kitti(kitti: tuple[Trajectory, Trajectory]) -> None:
-    truth, estimate = (each[4200:4350] for each in kitti)
+    truth, estimate = (item[4200:4350] for item in kitti)
     found = evaluate(truth, estimate, by_frame())
     assert found.ate["rotation_deg"] is None
     assert found.alignment.freedom is not None

@@ -24,7 +24,7 @@ def monitored(stamps: np.ndarray, arrived: np.ndarray, cuts: list[int]) -> Strea
 
 
 def values(health: StreamHealth) -> list[float]:
-    return [np.nan if each is None else each for each in dataclasses.astuple(health)]
+    return [np.nan if item is None else item for item in dataclasses.astuple(health)]
 
 
 @given(
@@ -39,9 +39,9 @@ def test_health_does_not_depend_on_the_batches(
     delays = np.random.default_rng(seed).integers(-(10**8), 10**9, len(stamps))
     arrived = np.where(delays % 7 == 0, UNKNOWN, stamps + delays)
     one, other = monitored(stamps, arrived, cuts), monitored(stamps, arrived, [])
-    for each, all_at_once in ((one.whole(), other.whole()), (one.recent(), other.recent())):
+    for item, all_at_once in ((one.whole(), other.whole()), (one.recent(), other.recent())):
         # The jitter is the root of a difference of sums.
-        np.testing.assert_allclose(values(each), values(all_at_once), rtol=1e-9, atol=1e-7)
+        np.testing.assert_allclose(values(item), values(all_at_once), rtol=1e-9, atol=1e-7)
 
 
 @given(st.integers(2, 200), st.floats(1.0, 400.0), st.integers(0, 1000))

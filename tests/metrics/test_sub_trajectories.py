@@ -140,7 +140,7 @@ def test_consecutive_ones_are_those_of_all_that_follow_each_other(
 ) -> None:
     along = np.concatenate([[0.0], np.cumsum(np.array(numbers, dtype=np.float64))]) / 2.0
     if rule == "evo":  # of consecutive pairs it takes the first end at or beyond the length
-        ends = [np.flatnonzero(along >= each + length / 2.0) for each in along]
+        ends = [np.flatnonzero(along >= item + length / 2.0) for item in along]
         every = [(start, int(end[0])) for start, end in enumerate(ends) if len(end)]
     else:
         every = pairs_of(along, length / 2.0, Selection(rule))

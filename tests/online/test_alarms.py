@@ -24,7 +24,7 @@ from trajeval_ros.online.alarms import (
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
 
-NONE = {each.name: AlarmLimits() for each in LIMITED_QUANTITIES}
+NONE = {limited_quantity.name: AlarmLimits() for limited_quantity in LIMITED_QUANTITIES}
 SECOND = 10**9
 
 
@@ -67,7 +67,7 @@ def levels(
             )
         peaks.see_update(live.update())
         if (tick + 1) * every % 200 == 0:
-            seen.append({each.subject: each.level for each in alarms(peaks.take(), limits)})
+            seen.append({alarm.subject: alarm.level for alarm in alarms(peaks.take(), limits)})
     return seen
 
 
@@ -90,11 +90,11 @@ def test_all_excursions_of_a_tenth_of_a_second_are_seen(phase: float) -> None:
     seen = levels(position, turned, limits)
     assert len(seen) == seconds
     expected = {"position_error_m": Level.ERROR, "yaw_error_deg": Level.WARNING}
-    assert [each == expected for each in seen] == [
+    assert [item == expected for item in seen] == [
         bool((position[200 * second : 200 * second + 200] > 0).any()) for second in range(seconds)
     ]
-    assert sum(each == expected for each in seen) == 100
-    assert all(each in ({}, expected) for each in seen)
+    assert sum(item == expected for item in seen) == 100
+    assert all(item in ({}, expected) for item in seen)
 
 
 def test_the_largest_value_counts_once_and_says_when_it_was() -> None:
@@ -108,12 +108,12 @@ def test_the_largest_value_counts_once_and_says_when_it_was() -> None:
 @pytest.mark.parametrize("quantity", LIMITED_QUANTITIES)
 def test_every_quantity_has_two_limits(quantity: Any) -> None:
     limits = {**NONE, quantity.name: AlarmLimits.parse("1,2.0", "limits")}
-    found = [alarms({quantity.name: Peak(each, 7)}, limits) for each in (0.9, 1.0, 1.5, 2.5)]
+    found = [alarms({quantity.name: Peak(item, 7)}, limits) for item in (0.9, 1.0, 1.5, 2.5)]
     assert found[:2] == [[], []]
     [warned], [failed] = found[2:]
     assert (warned.level, failed.level) == (Level.WARNING, Level.ERROR)
     assert warned.subject == quantity.name
-    number, limit = (f"{each} {quantity.unit}".strip() for each in ("1.5", "1"))
+    number, limit = (f"{name} {quantity.unit}".strip() for name in ("1.5", "1"))
     assert warned.text == f"{quantity.words} {number} is over {limit}"
     assert failed.values == {"value": 2.5, "limit": 2.0, "unit": quantity.unit, "stamp_ns": 7}
     assert alarms({quantity.name: Peak(9.0)}, NONE) == []
@@ -173,8 +173,8 @@ def test_what_stands_is_told_when_it_begins_gets_graver_and_ends() -> None:
 
 def test_an_error_comes_before_a_warning() -> None:
     levels = [Level.NOTE, Level.ERROR, Level.WARNING]
-    remarks = [Remark(each, "a", "") for each in levels]
-    assert [each.level for each in most_severe_first(remarks)] == sorted(levels, reverse=True)
+    remarks = [Remark(level, "a", "") for level in levels]
+    assert [item.level for item in most_severe_first(remarks)] == sorted(levels, reverse=True)
 
 
 def test_the_numbers_of_a_text_change_every_ten_seconds() -> None:
@@ -223,7 +223,7 @@ def test_errors_of_pairs_reach_the_alarms() -> None:
         "rotation_error_deg": AlarmLimits(3.0),
     }
     seen = levels(position, np.where(position[:, 0] > 0.0, 5.0, 0.0), limits)
-    assert [each for each in seen if each] == [
+    assert [item for item in seen if item] == [
         {
             "position_error_m": Level.ERROR,
             "yaw_error_deg": Level.WARNING,

@@ -164,7 +164,7 @@ def test_numbers_of_the_tests_are_of_the_newest_pair_and_the_window() -> None:
 
 
 def test_the_levels_are_those_of_the_message() -> None:
-    assert [DIAGNOSTIC_LEVELS[each] for each in (Level.NOTE, Level.WARNING, Level.ERROR)] == [
+    assert [DIAGNOSTIC_LEVELS[item] for item in (Level.NOTE, Level.WARNING, Level.ERROR)] == [
         *range(3)
     ]
 

@@ -58,12 +58,12 @@ def test_live_errors_equal_recorded_ones(motion: str, every: int, corrections: i
             found.append(samples)
             assert set(live.numbers) >= {"available/age", "available/latency"}
         most = max(most, len(live._messages))
-    stamps = np.concatenate([each.stamps for each in found])
+    stamps = np.concatenate([item.stamps for item in found])
     rows_of = expected.samples.stamps.searchsorted(stamps)
     assert len(stamps) > 0.95 * len(expected.samples.stamps)
     np.testing.assert_array_equal(expected.samples.stamps[rows_of], stamps)
     for name in ("ages", "position", "rotation"):
-        parts = np.concatenate([getattr(each, name) for each in found], axis=1)
+        parts = np.concatenate([getattr(item, name) for item in found], axis=1)
         wanted = getattr(expected.samples, name)[:, rows_of]
         np.testing.assert_allclose(parts, wanted, atol=1e-12, err_msg=name)
     assert most < 100 * corrections
@@ -125,7 +125,7 @@ def test_a_twist_of_zero_is_used_once_there_was_another_one() -> None:
             live.update(IDENTITY)
         has_twist = moves and rate == 0.0
         assert bool(live.numbers) is has_twist
-        assert [each.code for each in live.remarks] == ["reception_clock"] * (not has_twist)
+        assert [remark.code for remark in live.remarks] == ["reception_clock"] * (not has_twist)
 
 
 def test_errors_of_a_held_pose_are_its_age_times_the_speed() -> None:

@@ -40,7 +40,7 @@ def test_a_clock_keeps_the_first_state_of_every_step(seed: int, step_ns: int) ->
     add(trajectory(stamps[:30], rows[:30]))  # what comes late is passed over
     held = (clock._groundtruth if step_ns == 20_000_000 else clock._estimate).trajectory()
     assert held.stamps.tolist() == expected
-    assert held.positions[:, 0].tolist() == [float(each) for each in expected]
+    assert held.positions[:, 0].tolist() == [float(item) for item in expected]
     if step_ns == 100_000_000:
         assert clock.span_s == (expected[-1] - expected[0]) / SECOND
 

@@ -43,7 +43,7 @@ def test_counts_of_events_come_after_spans_that_double_up_to_an_hour() -> None:
     for _ in range(12):
         for _ in range(5):
             repeated.may_report("vio", warning("jump", "at 3 s"), now)
-        span_s = next(each for each in range(1, 4000) if repeated.counts(now + each))
+        span_s = next(index for index in range(1, 4000) if repeated.counts(now + index))
         spans.append(span_s)
         now += span_s
     assert spans == [10, 20, 40, 80, 160, 320, 640, 1280, 2560, 3600, 3600, 3600]
@@ -69,7 +69,7 @@ def test_kinds_of_events_are_counted_apart() -> None:
         for _ in range(count):
             repeated.may_report(about, warning("jump", "at 3 s"), now)
     found = repeated.counts(11.0)
-    assert [(about, each.values["more"]) for about, each in found] == [("a", 1), ("c", 3)]
+    assert [(about, item.values["more"]) for about, item in found] == [("a", 1), ("c", 3)]
     assert [about for about, _ in repeated.counts(16.0)] == ["b"]
     assert repeated.counts(16.0) == []
 
@@ -200,15 +200,15 @@ def test_a_run_that_follows_continues_with_what_waits(
     for name in ("groundtruth", "estimate"):
         found, expected = (rows_of(getattr(pairs, name)) for pairs in (parts, whole))
         np.testing.assert_allclose(found, expected, atol=1e-12)
-    waited = [each.groundtruth_counts if at_groundtruth else each.estimate_counts for each in runs]
-    assert sum(each.poses for each in waited) == count
-    assert [each.waiting for each in runs] == [0] * len(runs)
+    waited = [run.groundtruth_counts if at_groundtruth else run.estimate_counts for run in runs]
+    assert sum(item.poses for item in waited) == count
+    assert [run.waiting for run in runs] == [0] * len(runs)
     # Of the interpolated side, both runs have the states around the border.
-    tracks = [each.estimate_counts if at_groundtruth else each.groundtruth_counts for each in runs]
-    assert 0 <= sum(each.poses for each in tracks) - count <= 2 * (len(runs) - 1)
-    for each, counts in zip(runs, tracks, strict=True):
-        held = each.estimate.stamps if at_groundtruth else each.groundtruth.stamps
-        count = each.estimate_count if at_groundtruth else each.groundtruth_count
+    tracks = [run.estimate_counts if at_groundtruth else run.groundtruth_counts for run in runs]
+    assert 0 <= sum(track.poses for track in tracks) - count <= 2 * (len(runs) - 1)
+    for run, counts in zip(runs, tracks, strict=True):
+        held = run.estimate.stamps if at_groundtruth else run.groundtruth.stamps
+        count = run.estimate_count if at_groundtruth else run.groundtruth_count
         assert count == counts.poses
         assert counts.last == (int(held[-1]) if len(held) else None)
     if len(runs) == 2 and tracks[1].first is not None and tracks[0].last is not None:

@@ -42,11 +42,11 @@ def test_live_and_recorded_report_the_same_loss(name: str, code: str) -> None:
         live.add_estimate(trajectory(pair.estimate.stamps[part], estimate[part]))
         live.update()
         told += about_loss(live.snapshot())
-    levels = [each.level for each in told]
-    assert {each.code for each in told} == {code}
+    levels = [item.level for item in told]
+    assert {item.code for item in told} == {code}
     assert levels == sorted(levels)
     assert levels[-1] is Level.ERROR
-    assert len({each.text for each in told}) == 1  # the message does not change every second
+    assert len({item.text for item in told}) == 1  # the message does not change every second
     evaluation = evaluate(pair.truth, pair.estimate, protocol)
     (finding,) = diagnose(evaluation, pair.truth, pair.estimate)[1].findings
     assert finding.cause == code

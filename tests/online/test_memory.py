@@ -53,7 +53,7 @@ def numbers_held(thing: object, seen: set[int]) -> int:
         inside = list(thing)
     elif type(thing).__module__.startswith("trajeval_ros"):
         inside = list(vars(thing).values())
-    return 1 + sum(numbers_held(each, seen) for each in inside)
+    return 1 + sum(numbers_held(item, seen) for item in inside)
 
 
 @pytest.mark.slow
@@ -136,8 +136,8 @@ def test_a_late_estimate_is_paired_within_the_delay_or_told(
     span_s = (groundtruth.stamps[-1] - groundtruth.stamps[0]) / SECOND
     stretch = int(np.ceil(40.0 / span_s))  # 40 s and more
     sides = [
-        dataclasses.replace(each, stamps=each.stamps[0] + stretch * (each.stamps - each.stamps[0]))
-        for each in (groundtruth, estimate)
+        dataclasses.replace(item, stamps=item.stamps[0] + stretch * (item.stamps - item.stamps[0]))
+        for item in (groundtruth, estimate)
     ]
     limits = BufferLimits(past_s=max_delay_s or np.inf)
     evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge="yaw"), limits=limits))

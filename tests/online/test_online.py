@@ -47,7 +47,7 @@ def test_live_is_offline_on_recordings(
     protocol = Protocol(gauge=gauge)
     evaluator = OnlineEvaluator(OnlineSettings(protocol, up=(axis, axis)))
     sides = [
-        dataclasses.replace(recording(each), up=UpAxis(axis)) for each in (groundtruth, estimate)
+        dataclasses.replace(recording(item), up=UpAxis(axis)) for item in (groundtruth, estimate)
     ]
     feed(evaluator, *sides, delay_s=delay_s, drain_s=0.25)
     offline = evaluate(*sides, protocol)
@@ -114,7 +114,7 @@ def test_frames_are_counted_live_as_offline(seed: int, frames: int) -> None:
     live = evaluator.snapshot().relative[f"{frames}f"]
     (segment,) = evaluate(groundtruth, estimate, protocol).relative or ()
     assert live.count == len(segment.errors.ends) > 0
-    position, rotation = (segment.statistics[each] for each in ("position_m", "rotation_deg"))
+    position, rotation = (segment.statistics[name] for name in ("position_m", "rotation_deg"))
     assert position is not None
     assert rotation is not None
     assert live.position_m == pytest.approx(position.mean, rel=1e-9)
@@ -436,9 +436,9 @@ def test_the_last_pair_ends_sub_trajectories_if_no_other_follows() -> None:
     evaluator.add_groundtruth(trajectory(truth.stamps, rows_of(truth)))
     evaluator.add_estimate(trajectory(truth.stamps, rows_of(truth)))
     evaluator.update()
-    counts = {key: each.count for key, each in evaluator.snapshot().relative.items()}
+    counts = {key: item.count for key, item in evaluator.snapshot().relative.items()}
     evaluator.update(at_end=True)
-    at_end = {key: each.count for key, each in evaluator.snapshot().relative.items()}
+    at_end = {key: item.count for key, item in evaluator.snapshot().relative.items()}
     offline = evaluate(truth, truth, protocol).relative or ()
-    assert at_end == {str(each.length): len(each.errors.ends) for each in offline}
+    assert at_end == {str(item.length): len(item.errors.ends) for item in offline}
     assert (counts, at_end) == ({"5m": 0, "2m": 3}, {"5m": 1, "2m": 4})

@@ -38,7 +38,7 @@ def test_a_pose_is_new_once(versions: list[list[int]]) -> None:
         stamps = np.array(version, dtype=np.int64)
         poses = states(np.zeros((len(stamps), 3)), np.ones((len(stamps), 4)))
         rows = path.renew(trajectory(stamps, poses))
-        assert stamps[rows].tolist() == [each for each in version if each not in seen]
+        assert stamps[rows].tolist() == [item for item in version if item not in seen]
         seen.update(version)
 
 

@@ -195,7 +195,7 @@ def test_late_pairs_are_evaluated() -> None:
     evaluator.evaluate(pairs.part(slice(5, 10)))
     evaluator.evaluate(pairs.part(slice(30, 35)))
     snapshot = evaluator.snapshot()
-    assert [len(each) for each in record] == [20, 5, 5]
+    assert [len(item) for item in record] == [20, 5, 5]
     assert evaluator.pairs == snapshot.pairs == snapshot.window_pairs == 30
     assert snapshot.dropped == {}
     assert snapshot.stamp == pairs.stamps[34]
@@ -226,7 +226,7 @@ def test_states_that_come_late_are_put_where_they_belong(seed: int, past: int) -
         everything -= set(range(oldest // SECOND))
     kept = sorted(everything)
     found = pairing.groundtruth.trajectory()
-    assert found.stamps.tolist() == [each * SECOND for each in kept]
+    assert found.stamps.tolist() == [item * SECOND for item in kept]
     np.testing.assert_array_equal(found.positions[:, 0], found.stamps)
     # Before something was forgotten, any state can be added.
     are_old = (stamps[batch] < oldest) & (oldest > stamps[first[0]])

@@ -72,10 +72,10 @@ def test_figures_are_as_wide_as_asked_with_type_of_7_to_9_points(
     assert width_of(path) == pytest.approx(inches, abs=0.01)
     with house_style(style):
         for drawing in DRAWINGS:
-            figure = drawing(evaluations, [each.estimate.name for each in evaluations])
+            figure = drawing(evaluations, [evaluation.estimate.name for evaluation in evaluations])
             figure.draw_without_rendering()
-            texts = [each for each in figure.findobj(Text) if each.get_text()]
-            assert {7.0 <= each.get_fontsize() <= 9.0 for each in texts} == {True}
+            texts = [item for item in figure.findobj(Text) if item.get_text()]
+            assert {7.0 <= text.get_fontsize() <= 9.0 for text in texts} == {True}
             assert figure.get_tightbbox().x1 <= inches + 0.02
 
 
@@ -84,9 +84,9 @@ def test_no_legend_covers_data(evaluations: list[Evaluation]) -> None:
     with house_style():
         for drawing in DRAWINGS:
             for some in (evaluations[:1], evaluations):
-                figure = drawing(some, [each.estimate.name for each in some])
+                figure = drawing(some, [item.estimate.name for item in some])
                 figure.draw_without_rendering()
-                legends = [*figure.legends, *(each.get_legend() for each in figure.axes)]
+                legends = [*figure.legends, *(axis.get_legend() for axis in figure.axes)]
                 inside = [
                     axes
                     for legend in filter(None, legends)
@@ -100,7 +100,7 @@ def test_no_legend_covers_data(evaluations: list[Evaluation]) -> None:
 
 
 def test_many_estimates_have_a_panel_each(evaluations: list[Evaluation]) -> None:
-    names = [each.estimate.name for each in evaluations]
+    names = [evaluation.estimate.name for evaluation in evaluations]
     with house_style():
         for drawing, panels in ((top_view, 5), (absolute_error, 10)):
             figure = drawing(evaluations, names)
@@ -108,7 +108,7 @@ def test_many_estimates_have_a_panel_each(evaluations: list[Evaluation]) -> None
             assert len(shown) == panels
             titles = [axes.get_title() + axes.get_title(loc="left") for axes in shown]
             for name in names:
-                assert sum(name in each for each in titles) == 1
+                assert sum(name in title for title in titles) == 1
         assert len(top_view(evaluations[:3], names[:3]).axes) == 1
 
 
@@ -253,9 +253,9 @@ def test_the_command_writes_all_formats_and_takes_old_ones_away(tmp_path: Path) 
     given = ["-g", f"{bag}:/groundtruth/pose", "-e", f"{bag}:/vio/odometry", "--gauge", "yaw"]
     command = ["evaluate", *given, "--output", str(out), "--quiet"]
     assert main([*command, "--figure-format", "pdf,png", "--no-title"]) == 0
-    assert {"trajectory_top.pdf", "trajectory_top.png"} <= {each.name for each in out.iterdir()}
+    assert {"trajectory_top.pdf", "trajectory_top.png"} <= {path.name for path in out.iterdir()}
     assert main([*command, "--figure-format", "svg"]) == 0
-    names = {each.name for each in out.iterdir()}
+    names = {path.name for path in out.iterdir()}
     assert "trajectory_top.svg" in names
     assert not {"trajectory_top.pdf", "trajectory_top.png"} & names
     assert main(["evaluate", *given, "--figure-format", "svg", "--quiet"]) == 2

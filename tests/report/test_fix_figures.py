@@ -44,27 +44,33 @@ def test_fixes_are_coloured_by_status_within_their_ellipses() -> None:
         "fixes of status 0 (GNSS alone), 95 %": 10,
         "fixes of status 2 (ground-based), 95 %": count - 10,
     }
-    ellipses = [each for each in axes.collections if isinstance(each, EllipseCollection)]
-    assert [len(each.get_widths()) for each in ellipses] == [10, count - 13]
+    ellipses = [
+        collection for collection in axes.collections if isinstance(collection, EllipseCollection)
+    ]
+    assert [len(ellipse.get_widths()) for ellipse in ellipses] == [10, count - 13]
     # 95 % of two dimensions lie within sqrt(-2 ln 0.05) sigma.
     scale = 2.0 * np.sqrt(-2.0 * np.log(0.05))
-    for each, sigma_m in zip(ellipses, (FLOAT_M, SIGMA_M), strict=True):
-        np.testing.assert_allclose(each.get_widths(), scale * sigma_m, rtol=1e-6)
-        np.testing.assert_allclose(each.get_heights(), scale * sigma_m, rtol=1e-6)
+    for ellipse, sigma_m in zip(ellipses, (FLOAT_M, SIGMA_M), strict=True):
+        np.testing.assert_allclose(ellipse.get_widths(), scale * sigma_m, rtol=1e-6)
+        np.testing.assert_allclose(ellipse.get_heights(), scale * sigma_m, rtol=1e-6)
 
 
 def test_heights_are_claimed_to_be_twice_as_bad() -> None:
     [axes] = draw(evaluation(), "side").axes
-    ellipses = [each for each in axes.collections if isinstance(each, EllipseCollection)]
+    ellipses = [
+        collection for collection in axes.collections if isinstance(collection, EllipseCollection)
+    ]
     assert len(ellipses) > 0
-    for each in ellipses:
-        np.testing.assert_allclose(each.get_widths(), 2.0 * np.asarray(each.get_heights()), 1e-6)
-        np.testing.assert_allclose(np.abs(each.get_angles()), 90.0, atol=1e-3)
+    for ellipse in ellipses:
+        np.testing.assert_allclose(
+            ellipse.get_widths(), 2.0 * np.asarray(ellipse.get_heights()), 1e-6
+        )
+        np.testing.assert_allclose(np.abs(ellipse.get_angles()), 90.0, atol=1e-3)
 
 
 def test_other_groundtruth_has_none() -> None:
     found = evaluate(FLIGHT.groundtruth, FLIGHT.estimate, Protocol(gauge="yaw"))
-    assert not any("fixes" in str(each.get_label()) for each in draw(found, "top").axes[0].lines)
+    assert not any("fixes" in str(line.get_label()) for line in draw(found, "top").axes[0].lines)
     points = dataclasses.replace(FLIGHT.groundtruth[::80], quaternions=None)
     found = evaluate(points, FLIGHT.estimate, Protocol(gauge="yaw"))
-    assert not any("fixes" in str(each.get_label()) for each in draw(found, "top").axes[0].lines)
+    assert not any("fixes" in str(line.get_label()) for line in draw(found, "top").axes[0].lines)

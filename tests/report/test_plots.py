@@ -56,7 +56,7 @@ def _texts(evaluations: list[Evaluation], draw: str) -> str:
 
     for module in (absolute_figure, relative_figure, trajectory_figure):
         if hasattr(module, draw):
-            names = canvas.short_names([each.estimate.name for each in evaluations])
+            names = canvas.short_names([evaluation.estimate.name for evaluation in evaluations])
             with house_style():
                 figure = getattr(module, draw)(evaluations, names)
                 figure.canvas.draw()
@@ -298,7 +298,7 @@ def test_boxes_and_whiskers_are_what_the_title_says() -> None:
     with house_style():
         figure = relative_error([evaluation], ["vio"])
     assert "boxes: median and quartiles; whiskers: 5 % to 95 %" in figure.get_suptitle()
-    (axes,) = (each for each in figure.axes if each.get_ylabel() == "position error [m]")
+    (axes,) = (axis for axis in figure.axes if axis.get_ylabel() == "position error [m]")
     # Of a whisker the ends are its percentile and the quartile.
     ends = {
         (round(float(line.get_xdata()[0])), float(end))
@@ -318,8 +318,8 @@ def test_a_doubted_vertical_axis_gives_no_top_view() -> None:
     assert "Top view (x, y)" in _texts([evaluate(*sides)], "top_view")
     # The body turns about y now: the plane of x and y is not horizontal.
     turned = Similarity(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), np.zeros(3))
-    doubted = evaluate(*(turned.trajectory(each) for each in sides))
-    assert any(each.code == "up_axis_doubted" for each in doubted.remarks)
+    doubted = evaluate(*(turned.trajectory(side) for side in sides))
+    assert any(remark.code == "up_axis_doubted" for remark in doubted.remarks)
     assert "Paths (x, y)" in _texts([doubted], "top_view")
     assert "Paths (" in _texts([doubted], "side_view")
 

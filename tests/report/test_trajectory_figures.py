@@ -86,7 +86,7 @@ def test_every_plot_shows_the_trajectory_and_its_reference() -> None:
         (legend,) = figure.legends
         assert {"reference", "circle"} <= {text.get_text() for text in legend.get_texts()}
     _, _, yaw = figures["rpy_over_time"].axes
-    (line,) = [each for each in yaw.lines if each.get_label() == "circle"]
+    (line,) = [item for item in yaw.lines if item.get_label() == "circle"]
     np.testing.assert_allclose(
         line.get_ydata(), np.degrees(2.0 * np.pi * 0.1 * line.get_xdata()), atol=1e-6
     )
@@ -126,7 +126,7 @@ def test_the_command_draws_and_replaces_its_figures_only(
     more = ["--plot", "xy,speed", "--colour-by", "error"]
     assert main([*command, *more, "--figure-format", "png,svg"]) == 0
     names = ["path_xy.png", "path_xy.svg", "speed_over_time.png", "speed_over_time.svg"]
-    assert sorted(each.name for each in out.iterdir()) == names
+    assert sorted(path.name for path in out.iterdir()) == names
     assert imread(out / "path_xy.png").std() > 0.05
     (out / "path_xy.png").write_bytes(b"older")
     assert main([*command, *more]) == 0
@@ -194,20 +194,26 @@ def test_five_paths_fill_rows_evenly_and_the_lowest_of_each_column_is_labelled(
     angle = np.linspace(0.0, 6.0, 50)
     truth = np.stack([np.cos(angle), 0.8 * np.sin(angle), 0.0 * angle], axis=1)
     with house_style(FigureStyle.parse(None, width, None, has_titles=True)):
-        names = {each: f"vio_{each}" for each in range(5)}
+        names = {index: f"vio_{index}" for index in range(5)}
         panels = PlanePanels([truth[:, :2]], names, "Trajectories on hall")
-        for each in range(5):
-            panels.draw_path(each, truth[:, :2])
+        for index in range(5):
+            panels.draw_path(index, truth[:, :2])
         figure = panels.finish(truth[:, :2], truth[:, :2], ("x", "y"))
         figure.draw_without_rendering()
         shown = [axes for axes in figure.axes if axes.get_visible()]
         boxes = [axes.get_window_extent() for axes in shown]
         heights = sorted({round(box.y0) for box in boxes}, reverse=True)
-        assert [sum(round(box.y0) == each for box in boxes) for each in heights] == rows
+        assert [sum(round(box.y0) == height for box in boxes) for height in heights] == rows
         for axes, box in zip(shown, boxes, strict=True):
             below = any(round(other.x0) == round(box.x0) and other.y0 < box.y0 for other in boxes)
             assert axes.get_xlabel() == ("" if below else "x [m]")
-            assert any(each.label1.get_visible() for each in axes.xaxis.get_major_ticks()) != below
+            assert (
+                any(
+                    get_major_tick.label1.get_visible()
+                    for get_major_tick in axes.xaxis.get_major_ticks()
+                )
+                != below
+            )
         title = figure.texts[0].get_window_extent()
         assert all(axes.title.get_window_extent().y1 <= title.y0 for axes in shown)
 
@@ -216,7 +222,7 @@ def test_angles_are_within_half_a_turn_of_the_reference(
     recording: Callable[[str], Trajectory],
 ) -> None:
     # Pitches of a forward camera come close to 90 degrees, where unwrapped angles separate.
-    truth, estimate = (recording(f"kitti/KITTI_00_{each}.txt") for each in ("gt", "ORB"))
+    truth, estimate = (recording(f"kitti/KITTI_00_{name}.txt") for name in ("gt", "ORB"))
     assert truth.quaternions is not None
     with house_style():
         figure = motion_drawings(["rpy"], [estimate], truth)["rpy_over_time"]()

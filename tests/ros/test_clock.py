@@ -24,7 +24,7 @@ def test_a_clock_is_found_and_applied(
         *messages_of(groundtruth[::4], GROUNDTRUTH, POSE),
         *messages_of(estimate, ODOMETRY, ODOM),
     ]
-    write_messages(bag, sorted(messages, key=lambda each: each[2]))
+    write_messages(bag, sorted(messages, key=lambda message: message[2]))
     nodes = {"auto": {"gauge": "yaw", "time_offset": "auto"}, "plain": {"gauge": "yaw"}}
     flown = play_without_loss(bag, peer, environment, tmp_path, nodes, rate=8.0)
 
@@ -35,7 +35,9 @@ def test_a_clock_is_found_and_applied(
     (found,) = flown["auto"].result["runs"]
     offset_s = found["association"]["time_offset_s"]
     assert offset_s == pytest.approx(0.1, abs=5e-3)
-    assert any("applied, estimated from the first" in each["text"] for each in found["remarks"])
+    assert any(
+        "applied, estimated from the first" in remark["text"] for remark in found["remarks"]
+    )
     options = ("--gauge", "yaw", "--time-offset", repr(offset_s))
     recorded = offline(bag, tmp_path, GROUNDTRUTH, [ODOMETRY], *options)["runs"][0]
     assert_same({**found, "remarks": []}, {**recorded, "remarks": []})

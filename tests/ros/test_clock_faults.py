@@ -28,7 +28,11 @@ SECOND = 10**9
 FLIGHT = simulate(8, 20.0)
 TRUTH, ESTIMATED = FLIGHT.groundtruth[::10], FLIGHT.estimate
 BEGIN = int(TRUTH.stamps[0])
-LIMITED = ("coverage", "rate_hz", *(each.name for each in LIMITED_QUANTITIES))
+LIMITED = (
+    "coverage",
+    "rate_hz",
+    *(limited_quantity.name for limited_quantity in LIMITED_QUANTITIES),
+)
 LIMITS = {name: AlarmLimits() for name in LIMITED}
 
 
@@ -64,7 +68,7 @@ def stepped(source: Trajectory, seconds: float, step_s: float) -> NDArray[np.int
 
 def fly(live: Live, *streams: list[Message]) -> None:
     for message in sorted(
-        (each for stream in streams for each in stream), key=lambda each: each[2]
+        (item for stream in streams for item in stream), key=lambda item: item[2]
     ):
         live.feed([message])
 
@@ -126,9 +130,9 @@ def test_clocks_far_apart_are_one_remark_that_keeps_its_numbers(
             ],
         )
         now = remarks(live)
-        assert not [each for each in now if each.code == "late"]
-        told += [each.text for each in standing.renew(now) if each.code == "clock"]
-        said += [each.text for each in standing.as_told(now) if each.code == "clock"]
+        assert not [item for item in now if item.code == "late"]
+        told += [item.text for item in standing.renew(now) if item.code == "clock"]
+        said += [item.text for item in standing.as_told(now) if item.code == "clock"]
     assert len(said) > 5
     assert set(said) == set(told)
     [text] = told
@@ -182,7 +186,7 @@ def test_poses_that_arrive_late_are_a_warning_with_their_delay(
     for name in ("p50", "p95", "max"):
         assert values[f"arrival after stamp, {name} [s]"] == pytest.approx(late_s, abs=1e-6)
     assert values["arrival to publication, p95 [s]"] == pytest.approx(0.1, abs=1e-6)
-    late = [each.text for each in found if each.code == "late"]
+    late = [item.text for item in found if item.code == "late"]
     assert late == (
         []
         if late_s < 1.0
@@ -206,7 +210,7 @@ def test_lateness_does_not_depend_on_the_rate_of_a_replay(
         sent(TRUTH, GROUNDTRUTH, TRUTH.stamps, rate)[: at(TRUTH, 12.0)],
         sent(ESTIMATED, ESTIMATE, ESTIMATED.stamps, rate, late_s)[: at(ESTIMATED, 12.0)],
     )
-    late = [float(each.values["value"]) for each in remarks(live) if each.code == "late"]
+    late = [float(remark.values["value"]) for remark in remarks(live) if remark.code == "late"]
     assert late == pytest.approx([late_s] if late_s else [], abs=0.01)
     live.end()
 
@@ -231,11 +235,11 @@ def test_low_coverage_names_poses_that_came_too_late_as_its_cause(
     fly(live, sent(truth, GROUNDTRUTH, truth.stamps)[: at(truth, 12.0)], messages)
     [estimate] = live.run.estimates
     [said] = [
-        each.text
-        for each in remarks_about(
+        item.text
+        for item in remarks_about(
             live.run, estimate, estimate.snapshot(), {}, LIMITS | {"coverage": AlarmLimits(0.9)}
         )
-        if each.text.startswith("only ")
+        if item.text.startswith("only ")
     ]
     share = estimate.snapshot().estimate_coverage
     assert share == pytest.approx(3.0 / 8.0, abs=0.03)
@@ -255,7 +259,7 @@ def test_a_delay_that_grows_is_no_difference_of_clocks(tmp_path: Path) -> None:
     assert lead_s is not None
     assert abs(lead_s) < 2.0
     assert clock_faults(live) == []
-    assert [each.code for each in remarks(live)].count("late") == 1
+    assert [remark.code for remark in remarks(live)].count("late") == 1
     live.end()
 
 
@@ -291,14 +295,14 @@ def test_a_step_of_one_clock_is_a_warning_until_a_reset(
         sent(source, topic, stepped(source, 8.0, by_s), rate) for source, topic, by_s in sides
     ]
     soon = BEGIN + round((8.0 + 3.0 * max(1.0, rate)) / rate * SECOND)
-    fly(live, *([each for each in feed if each[2] <= soon] for feed in feeds))
+    fly(live, *([item for item in feed if item[2] <= soon] for feed in feeds))
     [fault] = clock_faults(live)
     side = "groundtruth" if of_groundtruth else "estimate"
     assert (fault.level, fault.code, fault.subject) == (Level.WARNING, "clock_step", side)
     assert f"the {side}'s clock stepped by {step_s:+.0f}"[:-1] in fault.text
     assert fault.values["step_s"] == pytest.approx(step_s, abs=0.1)
-    told = [each for each in remarks(live) if each.level > Level.NOTE]
-    assert {each.code for each in told} <= {"clock_step"}
+    told = [remark for remark in remarks(live) if remark.level > Level.NOTE]
+    assert {item.code for item in told} <= {"clock_step"}
     live.reset()
     assert clock_faults(live) == []
     live.end()
@@ -327,7 +331,7 @@ def spoiled(kind: str, share: float) -> list[Message]:
     assert ESTIMATED.quaternions is not None
     logged = ESTIMATED.stamps.tolist()
     stamps, places, turns = (
-        each.copy() for each in (ESTIMATED.stamps, ESTIMATED.positions, ESTIMATED.quaternions)
+        item.copy() for item in (ESTIMATED.stamps, ESTIMATED.positions, ESTIMATED.quaternions)
     )
     rows = np.flatnonzero(np.random.default_rng(3).random(len(stamps)) < share)
     if kind == "nan":
@@ -339,7 +343,7 @@ def spoiled(kind: str, share: float) -> list[Message]:
     else:
         stamps[rows] = stamps[rows - 1] if share < 1.0 else stamps[0]
     columns = zip(logged, stamps.tolist(), places, turns, strict=True)
-    return [(ESTIMATE, ODOM, each, odometry_message(*rest)) for each, *rest in columns]
+    return [(ESTIMATE, ODOM, item, odometry_message(*rest)) for item, *rest in columns]
 
 
 KINDS = {
@@ -354,7 +358,7 @@ KINDS = {
 def test_a_stream_of_unusable_poses_is_an_error_at_once(tmp_path: Path, kind: str) -> None:
     live = Live(tmp_path / "live", ODOM)
     fly(live, sent(TRUTH, GROUNDTRUTH, TRUTH.stamps)[:200], spoiled(kind, 1.0)[:20])
-    [told] = [each for each in remarks(live) if "no message with a valid pose" in each.text]
+    [told] = [remark for remark in remarks(live) if "no message with a valid pose" in remark.text]
     assert told.level == Level.ERROR
     assert KINDS[kind] in told.text
     live.end()
@@ -368,12 +372,12 @@ def test_a_share_of_unusable_poses_is_a_warning_live_and_in_the_result(
 ) -> None:
     live = Live(tmp_path / "live", ODOM)
     fly(live, sent(TRUTH, GROUNDTRUTH, TRUTH.stamps), spoiled(kind, share))
-    told = [each for each in remarks(live) if each.subject == "unusable_estimate"]
+    told = [remark for remark in remarks(live) if remark.subject == "unusable_estimate"]
     live.end()
     [run] = live.result["runs"]
-    assert [each.level for each in told] == [Level.WARNING] * is_told
-    assert any(each["code"] == "unusable_poses" for each in run["remarks"]) == is_told
-    assert all(KINDS[kind] in each.text for each in told)
+    assert [item.level for item in told] == [Level.WARNING] * is_told
+    assert any(remark["code"] == "unusable_poses" for remark in run["remarks"]) == is_told
+    assert all(KINDS[kind] in item.text for item in told)
 
 
 @pytest.mark.slow
@@ -381,8 +385,8 @@ def test_states_out_of_order_are_evaluated(tmp_path: Path) -> None:
     live = Live(tmp_path / "live", ODOM)
     feed = sent(ESTIMATED, ESTIMATE, ESTIMATED.stamps)
     late = [
-        (*each[:2], each[2] + SECOND // 2 * (row % 3 == 0), each[3])
-        for row, each in enumerate(feed)
+        (*item[:2], item[2] + SECOND // 2 * (row % 3 == 0), item[3])
+        for row, item in enumerate(feed)
     ]
     fly(live, sent(TRUTH, GROUNDTRUTH, TRUTH.stamps), late)
     [estimate] = live.run.estimates

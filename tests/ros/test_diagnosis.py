@@ -45,7 +45,8 @@ def test_a_live_run_names_the_mistakes_that_its_recording_shows(
         estimate = MISTAKES[mistake].make(DRONE).estimate if mistake else DRONE.estimate
         messages = messages_of(estimate, topic, ODOM)
         feed += [
-            (*each[:2], logged, each[3]) for each, logged in zip(messages, arrived, strict=True)
+            (*message[:2], logged, message[3])
+            for message, logged in zip(messages, arrived, strict=True)
         ]
     bag, folder = tmp_path / "bag", tmp_path / "live"
     write_messages(bag, feed)
@@ -54,7 +55,7 @@ def test_a_live_run_names_the_mistakes_that_its_recording_shows(
     recorded = offline(
         bag, tmp_path, GROUNDTRUTH, list(TOLD), "--gauge", "yaw", "--lengths", "none"
     )
-    runs = {_source(each): each for each in recorded["runs"]}
+    runs = {_source(item): item for item in recorded["runs"]}
     with evaluating(
         folder, environment, estimates=TOLD, gauge="yaw", lengths="none", window="10s"
     ) as live:
@@ -86,11 +87,11 @@ def _source(run: Any) -> str:
 
 
 def _causes(run: Any) -> list[str]:
-    return [each["cause"] for each in run["diagnosis"]]
+    return [diagnosi["cause"] for diagnosi in run["diagnosis"]]
 
 
 def _values(status: Any) -> dict[str, str]:
-    return {each.key: each.value for each in status.values}
+    return {value.key: value.value for value in status.values}
 
 
 def _is_about(topic: str, status: Any) -> bool:
@@ -100,18 +101,18 @@ def _is_about(topic: str, status: Any) -> bool:
 
 def _last_of(topic: str, heard: list[Any]) -> Any:
     """Return the newest status of an estimate; None before the first."""
-    about = [each for array in heard for each in array.status if _is_about(topic, each)]
+    about = [item for array in heard for item in array.status if _is_about(topic, item)]
     return about[-1] if about else None
 
 
 def _hints(topic: str, events: list[Any]) -> set[str]:
     """Return the causes that have been told and are not over."""
     standing: set[str] = set()
-    for each in events:
-        values = _values(each)
-        if values.get("subject") not in CAUSES or not _is_about(topic, each):
+    for event in events:
+        values = _values(event)
+        if values.get("subject") not in CAUSES or not _is_about(topic, event):
             continue
-        if each.message.startswith("no longer: "):
+        if event.message.startswith("no longer: "):
             standing.discard(values["subject"])
         else:
             standing.add(values["subject"])

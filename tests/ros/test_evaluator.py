@@ -132,7 +132,7 @@ def test_live_is_offline(
     recorded = offline(flight, tmp_path, groundtruth, estimates, *OPTIONS[name])
     live = flown[name].result
     assert_same(live, recorded)
-    assert [each["estimate"]["source"] for each in live["runs"]] == estimates
+    assert [run["estimate"]["source"] for run in live["runs"]] == estimates
 
 
 def test_a_frozen_alignment_is_that_of_its_first_states(
@@ -177,8 +177,8 @@ def test_live_is_offline_on_a_recording_of_ros1_with_two_estimates(
     topics = ["/ORB-SLAM", "/S-PTAM"]
     recorded = offline(bag, tmp_path, "/groundtruth", topics, *options)
     assert len(done) == 2
-    for each in done.values():
-        assert_same(each.result, recorded)
+    for item in done.values():
+        assert_same(item.result, recorded)
 
 
 def test_live_is_offline_on_euroc(
@@ -200,5 +200,5 @@ def test_live_is_offline_on_euroc(
     done = play_without_loss(bag, peer, environment, tmp_path / "out", nodes, rate=18.0)
     recorded = offline(bag, tmp_path, GROUNDTRUTH, [ODOMETRY], "--modality", "mono-inertial")
     assert recorded["runs"][0]["association"]["pairs"] > 1700
-    for each in done.values():
-        assert_same(each.result, recorded)
+    for item in done.values():
+        assert_same(item.result, recorded)

@@ -93,12 +93,14 @@ def published(
         "estimate": peer.publisher(estimate, of or PoseStamped),
     }
     try:
-        for each in publishers.values():
-            peer.until(lambda: each.get_subscription_count() == 1, "the evaluator has subscribed")  # noqa: B023
+        for publisher in publishers.values():
+            peer.until(
+                lambda: publisher.get_subscription_count() == 1, "the evaluator has subscribed"
+            )  # noqa: B023
         yield publishers
     finally:
-        for each in publishers.values():
-            peer.node.destroy_publisher(each)
+        for publisher in publishers.values():
+            peer.node.destroy_publisher(publisher)
 
 
 @pytest.mark.parametrize(
@@ -127,8 +129,8 @@ def test_a_publisher_may_change_its_quality_of_service(
                 evaluator.wait_for(f"subscribed again to {ODOMETRY}")
             peer.until(
                 lambda: all(
-                    each.get_subscription_count() == 1
-                    for each in (groundtruth, estimate)  # noqa: B023
+                    item.get_subscription_count() == 1
+                    for item in (groundtruth, estimate)  # noqa: B023
                 ),
                 "the evaluator has subscribed",
             )
@@ -202,7 +204,7 @@ def test_a_killed_evaluator_loses_nothing_that_it_has_paired(
     pairs = run.evaluation.association
     assert len(pairs) == poses_on_disk(evaluator)
     groundtruth, estimate = (
-        read_trajectory(f"{flight}:{each}") for each in (GROUNDTRUTH, ODOMETRY)
+        read_trajectory(f"{flight}:{item}") for item in (GROUNDTRUTH, ODOMETRY)
     )
     paired = np.isin(estimate.stamps, pairs.estimate.stamps)
     assert np.count_nonzero(paired) == len(pairs)
@@ -219,16 +221,16 @@ def test_a_signal_ends_it_with_everything_written(
     with evaluating(tmp_path / "out", environment, gauge="yaw", lengths="8") as evaluator:
         replay(flight, environment, "--rate", 10)
         *others, last = endings
-        for each in others:
-            evaluator.process.send_signal(each)
+        for other in others:
+            evaluator.process.send_signal(other)
         assert evaluator.end(last) == 0
     expected = offline(
         flight, tmp_path, GROUNDTRUTH, [ODOMETRY], "--gauge", "yaw", "--lengths", "8"
     )
     assert_same(evaluator.result, expected)
-    left = {each.name for each in evaluator.folder.iterdir()}
+    left = {path.name for path in evaluator.folder.iterdir()}
     assert {"result.json", "errors.npz", "vio_odometry.states"} <= left
-    assert not {each for each in left if each.startswith(".")}
+    assert not {item for item in left if item.startswith(".")}
 
 
 @contextmanager
@@ -360,7 +362,7 @@ def test_an_estimate_without_stamps_is_told_at_once_and_in_the_end(
     ):
         publish(publishers, 1000.0, 4.0, dated=False)
         peer.until(lambda: newest() and trouble in newest().message, "diagnostics tell of it")
-        values = {each.key: each.value for each in newest().values}
+        values = {value.key: value.value for value in newest().values}
         assert newest().level == b"\x02"
         assert values["dropped"] == "80 with timestamp zero"
         assert evaluator.end() == 2
@@ -456,7 +458,7 @@ def test_a_full_disk_is_told_once_and_nothing_is_lost_when_there_is_room_again(
         flight, tmp_path, GROUNDTRUTH, [ODOMETRY], "--gauge", "yaw", "--lengths", "8"
     )
     assert_same(evaluator.result, expected)
-    assert [each.name for each in small_disk.iterdir()] == ["out"]
+    assert [path.name for path in small_disk.iterdir()] == ["out"]
 
 
 @pytest.fixture(scope="module")
@@ -491,7 +493,7 @@ def test_an_estimate_that_is_too_late_is_told(
     with evaluating(tmp_path / "out", environment, gauge="yaw") as evaluator:
         replay(late_flight, environment, "--rate", 8)
         peer.until(
-            lambda: any(said in each.message for array in heard for each in array.status),
+            lambda: any(said in item.message for array in heard for item in array.status),
             "diagnostics tell of it",
         )
         assert evaluator.end() == 0
@@ -499,4 +501,4 @@ def test_an_estimate_that_is_too_late_is_told(
     # The result is of all poses that were received.
     assert run["association"]["pairs"] > 300
     assert "too_late" not in run["association"]["dropped"]
-    assert not [each for each in run["remarks"] if said in each["text"]]
+    assert not [remark for remark in run["remarks"] if said in remark["text"]]

@@ -148,7 +148,7 @@ def heard(
 
 def jumped(found: list[Any]) -> set[str]:
     """Return the names of the statuses that tell of one restart."""
-    return {each.name for each in found if RESTARTED in each.message}
+    return {item.name for item in found if RESTARTED in item.message}
 
 
 def statuses(arrays: list[Any]) -> list[Any]:
@@ -182,9 +182,9 @@ def test_a_restart_with_a_new_origin_is_told_wherever_it_matters(
     run = heard["good"].run_of(RESTARTS)
     assert [event["kind"] for event in run["events"]] == ["restart"]
     assert heard["good"].said.count("vio_restarts: the estimate restarted at its origin") == 1
-    told = [each for each in diagnostics if RESTARTED in each.message]
+    told = [diagnostic for diagnostic in diagnostics if RESTARTED in diagnostic.message]
     assert jumped(told) == {"good: vio_restarts"}
-    assert b"\x00" not in {each.level for each in told}
+    assert b"\x00" not in {item.level for item in told}
     steady = heard["good"].run_of(STEADY)
     assert steady["events"] == []
     assert steady["ate"]["position_m"]["rmse"] < 0.3 * run["ate"]["position_m"]["rmse"]
@@ -195,13 +195,13 @@ def test_stamps_that_step_back_are_told_and_sorted(
 ) -> None:
     live, expected = heard["good"].run_of(BACKWARDS), recorded(GOOD, BACKWARDS)["runs"][0]
     assert any(
-        "timestamps step back at" in each["text"] for each in expected["estimate"].pop("remarks")
+        "timestamps step back at" in item["text"] for item in expected["estimate"].pop("remarks")
     )
     assert any(
-        "timestamps step back by 3.9 s" in each["text"] for each in live["estimate"].pop("remarks")
+        "timestamps step back by 3.9 s" in item["text"] for item in live["estimate"].pop("remarks")
     )
     # Its size, and the onset of the divergence that it looks like, depend on the order of arrival.
-    assert any(each["code"] == "clock_step" for each in live["remarks"])
+    assert any(remark["code"] == "clock_step" for remark in live["remarks"])
     for run in (live, expected):
         del run["remarks"], run["diagnosis"]
     assert_same(live, expected)
@@ -236,6 +236,7 @@ def test_groundtruth_is_never_made_up(heard: dict[str, Evaluator]) -> None:
     assert 200 < late["association"]["dropped"]["before_groundtruth"] < 250
     assert 500 < holed["association"]["dropped"]["in_groundtruth_gap"] < 620
     assert any(
-        "not finite" in each["text"] and "duplicate" in each["text"] for each in holed["remarks"]
+        "not finite" in remark["text"] and "duplicate" in remark["text"]
+        for remark in holed["remarks"]
     )
     assert holed["ate"]["position_m"]["rmse"] < 1.0

@@ -90,9 +90,9 @@ def test_a_wheeled_robot_s_bag(
         # Another gauge cannot be tried on the pairs of a live run, so it has no advice there.
         for result in (found, recorded):
             [run] = result["runs"]
-            assert {each["cause"] for each in run["diagnosis"]} <= {"flat"}
+            assert {diagnosi["cause"] for diagnosi in run["diagnosis"]} <= {"flat"}
             del run["diagnosis"]
-            run["remarks"] = [each for each in run["remarks"] if each["code"] != "flat"]
+            run["remarks"] = [remark for remark in run["remarks"] if remark["code"] != "flat"]
         assert_same(found, recorded)
         assert_same(found["groundtruth"]["fixes"], recorded["groundtruth"]["fixes"])
         [run] = found["runs"]

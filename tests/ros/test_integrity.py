@@ -35,16 +35,16 @@ def test_protection_levels_are_published_as_the_recording_has_them(
         *messages_of(flown.groundtruth[::2], GROUNDTRUTH, POSE),
         *messages_of(estimate, ODOMETRY, ODOM),
     ]
-    write_messages(bag, sorted(both, key=lambda each: each[2]))
+    write_messages(bag, sorted(both, key=lambda item: item[2]))
     asked = Request(
         Protocol(gauge="yaw", align_states=1, lengths=()),
         covariances=CovarianceRequest("message"),
         integrity=IntegrityRequest(0.5, 2.0, 0.01),
     )
-    groundtruth, told = (read_trajectory(f"{bag}:{each}") for each in (GROUNDTRUTH, ODOMETRY))
+    groundtruth, told = (read_trajectory(f"{bag}:{item}") for item in (GROUNDTRUTH, ODOMETRY))
     expected = run(groundtruth, [told], asked).runs[0].integrity
     assert expected is not None
-    newest = {PROTECTION_LEVELS[each.part]: float(each.levels[-1]) for each in expected.parts}
+    newest = {PROTECTION_LEVELS[part.part]: float(part.levels[-1]) for part in expected.parts}
     assert newest.keys() == set(PROTECTION_LEVELS.values())
     heard = {name: peer.hear(f"/evaluator/vio_odometry/{name}", Float64) for name in newest}
     values: dict[str, Any] = {
@@ -55,7 +55,7 @@ def test_protection_levels_are_published_as_the_recording_has_them(
         peer.play(bag, {GROUNDTRUTH: 1, ODOMETRY: 1}, ["evaluator"], rate=8.0)
         for name, level in newest.items():
             peer.until(
-                lambda: any(each.data == pytest.approx(level, rel=1e-9) for each in heard[name]),  # noqa: B023
-                f"the newest {name}, {level:g}, after {[each.data for each in heard[name]][-3:]}",
+                lambda: any(item.data == pytest.approx(level, rel=1e-9) for item in heard[name]),  # noqa: B023
+                f"the newest {name}, {level:g}, after {[item.data for item in heard[name]][-3:]}",
             )
         assert live.end() == 0

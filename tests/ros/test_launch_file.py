@@ -62,8 +62,10 @@ def stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
 def launched(file: Path = FILE, **given: str) -> Any:
     """Return the node, or what a file launches, with arguments."""
     entities = runpy.run_path(str(file))["generate_launch_description"]()
-    context = {each["argument"]: each["default_value"] for each in entities if "argument" in each}
-    [action] = [each for each in entities if "argument" not in each]
+    context = {
+        entity["argument"]: entity["default_value"] for entity in entities if "argument" in entity
+    }
+    [action] = [entity for entity in entities if "argument" not in entity]
     found = action["function"]({**context, **given})
     return found[0] if file == FILE else found
 
@@ -96,17 +98,19 @@ def test_status_lines_come_through_a_pipe() -> None:
 
 @pytest.mark.usefixtures("stand_ins")
 def test_arguments_are_parameters_of_the_node() -> None:
-    names = {each.name for each in PARAMETERS} | {"use_sim_time"}
+    names = {parameter.name for parameter in PARAMETERS} | {"use_sim_time"}
     assert runpy.run_path(str(FILE))["PARAMETERS"].keys() <= names
 
 
 @pytest.mark.usefixtures("stand_ins")
 def test_each_of_three_robots_has_an_evaluator_in_its_namespace() -> None:
     included = launched(FILE.with_name("three_robots.launch.py"), modality="stereo-inertial")
-    arguments = [dict(each["launch_arguments"]) for each in included]
-    assert {each["source"] for each in included} == {str(FILE)}
-    assert [each["namespace"] for each in arguments] == ["robot1", "robot2", "robot3"]
-    assert [each["output"] for each in arguments] == [f"trajeval/robot{n}" for n in (1, 2, 3)]
+    arguments = [dict(item["launch_arguments"]) for item in included]
+    assert {item["source"] for item in included} == {str(FILE)}
+    assert [argument["namespace"] for argument in arguments] == ["robot1", "robot2", "robot3"]
+    assert [argument["output"] for argument in arguments] == [
+        f"trajeval/robot{n}" for n in (1, 2, 3)
+    ]
     declared = runpy.run_path(str(FILE))["generate_launch_description"]()
-    names = {each["argument"] for each in declared if "argument" in each}
+    names = {item["argument"] for item in declared if "argument" in item}
     assert set(arguments[0]) <= names

@@ -48,7 +48,7 @@ def received(estimate: list[Message], seed: int = 0) -> list[Message]:
     random = np.random.default_rng(seed)
     delays = 30_000_000 + (random.exponential(0.03, len(estimate)) * 1e9).astype(int)
     times = [message[2] + int(delay) for message, delay in zip(estimate, delays, strict=True)]
-    return [(*each[:2], at, each[3]) for each, at in zip(estimate, times, strict=True)]
+    return [(*item[:2], at, item[3]) for item, at in zip(estimate, times, strict=True)]
 
 
 def twisting(flight: Trajectory, rate: float = 0.3) -> Trajectory:
@@ -77,12 +77,12 @@ def corrected(flight: Trajectory, topic: str, seed: int) -> list[Message]:
         transforms.append((at + 20_000_000, ("map", "odom", at + 10**9, moved, turns[row])))
     at, (*frames, stamp, moved, turn) = transforms[len(flight) // 2]
     transforms[len(flight) // 2] = at, (*frames, stamp + 10**16, moved, turn)
-    transforms = sorted(transforms, key=lambda each: each[0])
+    transforms = sorted(transforms, key=lambda transform: transform[0])
     times = sorted(
         random.integers(15_000_000, 150_000_000, len(transforms)) + [a for a, _ in transforms]
     )
     rows = zip(times, transforms, strict=True)
-    return [(topic, TRANSFORMS, int(at), transforms_message(each)) for at, (_, each) in rows]
+    return [(topic, TRANSFORMS, int(at), transforms_message(item)) for at, (_, item) in rows]
 
 
 def feed_of(kind: str) -> list[Message]:
@@ -103,7 +103,7 @@ def feed_of(kind: str) -> list[Message]:
             )
             for end in range(5, len(stamps) + 1, 5)
         ]
-    return sorted([*truth, *received(estimate)], key=lambda each: each[2])
+    return sorted([*truth, *received(estimate)], key=lambda item: item[2])
 
 
 @pytest.mark.slow
@@ -122,8 +122,8 @@ def test_finish_has_the_numbers_of_a_recording(kind: str, motion: str, tmp_path:
     feed = feed_of(kind)
     write_messages(tmp_path / "bag", feed)
     live = Live(tmp_path / "live", kind, available=AvailabilityRule(motion))
-    for each in feed:
-        live.feed([each])
+    for item in feed:
+        live.feed([item])
     live.end()
     estimate = f"{ESTIMATE}:map.base" if kind == TRANSFORMS else ESTIMATE
     expected = offline(tmp_path / "bag", tmp_path, GROUNDTRUTH, [estimate], *OPTIONS, motion)
@@ -164,7 +164,7 @@ def test_without_a_twist_one_sentence_withholds_the_numbers(kind: str, tmp_path:
     truth = messages_of(FLIGHT.groundtruth, GROUNDTRUTH, POSE)
     still = replace(FLIGHT.estimate, velocities=None)
     feed = [*truth, *received(messages_of(still, ESTIMATE, kind))]
-    live.feed(sorted(feed, key=lambda each: each[2])[:1200])
+    live.feed(sorted(feed, key=lambda item: item[2])[:1200])
     estimate = live.run.estimates[0]
     errors, alignment = estimate.availability, estimate.evaluator.alignment
     assert errors is not None
@@ -172,7 +172,7 @@ def test_without_a_twist_one_sentence_withholds_the_numbers(kind: str, tmp_path:
     assert errors.update(alignment.similarity) is None
     assert errors.numbers == {}
     now = remarks_about(live.run, estimate, estimate.snapshot(), {}, LIMITS)
-    [told] = [each for each in now if each.code == "reception_clock"]
+    [told] = [item for item in now if item.code == "reception_clock"]
     said = "the messages have no twist; use --as-available constant"
     assert told.text == f"as available: {said}"
     live.end()
@@ -198,16 +198,16 @@ def with_clock(feed: list[Message], pause_ns: int) -> list[Message]:
 
     At a simulated time the simulation pauses: /clock repeats it, and then is silent as long.
     """
-    begin, end = min(each[2] for each in feed), max(each[2] for each in feed)
+    begin, end = min(item[2] for item in feed), max(item[2] for item in feed)
     ticks = np.arange(begin, end + 2 * TICK_NS, TICK_NS).tolist()
     repeated = range(pause_ns + TICK_NS, pause_ns + PAUSE_NS, TICK_NS)
     all_of_them: list[Message] = [(CLOCK, CLOCK_TYPE, at, clock_message(at)) for at in ticks]
     all_of_them += feed  # of equal times the clock is the first
     shifted = [
-        (*each[:2], each[2] + 2 * PAUSE_NS * (each[2] > pause_ns), each[3]) for each in all_of_them
+        (*item[:2], item[2] + 2 * PAUSE_NS * (item[2] > pause_ns), item[3]) for item in all_of_them
     ]
     shifted += [(CLOCK, CLOCK_TYPE, at, clock_message(pause_ns)) for at in repeated]
-    return sorted(shifted, key=lambda each: each[2])
+    return sorted(shifted, key=lambda item: item[2])
 
 
 def clock_message(at: int) -> bytes:
@@ -265,7 +265,7 @@ def test_over_dds_the_stored_receptions_give_the_numbers_of_a_recording(
         sent = corrected(FLIGHT.estimate, topic, seed=4)
     else:
         sent = received(messages_of(twisting(FLIGHT.estimate), topic, ODOM))
-    begin = min(each[2] for each in truth)
+    begin = min(item[2] for item in truth)
     feed = with_clock([*truth, *sent], begin + 800 * TICK_NS)
     write_messages(tmp_path / "played", feed)
     below = f"/evaluator/{name}/available"
@@ -288,8 +288,10 @@ def test_over_dds_the_stored_receptions_give_the_numbers_of_a_recording(
         write_messages(tmp_path / f"bag_{number}", [*truth, *messages])
         if source == TF:
             del messages[0]  # it was received before the first correction, with which it is stored
-        after_tick = np.array([(logged[each[3]] - begin) % TICK_NS for each in messages])
-        since_tick = np.array([each[2] - logged[each[3]] for each in messages]) + after_tick
+        after_tick = np.array([(logged[message[3]] - begin) % TICK_NS for message in messages])
+        since_tick = (
+            np.array([message[2] - logged[message[3]] for message in messages]) + after_tick
+        )
         assert -1 <= since_tick.min() <= since_tick.max() <= TICK_NS + 1
         recorded: Any = offline(tmp_path / f"bag_{number}", tmp_path, TRUTH, [source], *options)
         found = json.loads((folder / "result.json").read_text())["runs"][0]["as_available"]

@@ -188,7 +188,7 @@ def messages(offset_s: float, duration_s: float) -> list[Message]:
         *messages_of(groundtruth[::4], GROUNDTRUTH, POSE),
         *messages_of(estimate, ESTIMATE, ODOM),
     ]
-    return sorted(both, key=lambda each: each[2])
+    return sorted(both, key=lambda item: item[2])
 
 
 def run(folder: Path, feed: list[Message], *, find_offset: bool) -> Live:
@@ -214,7 +214,7 @@ def test_an_offset_that_is_asked_for_is_applied_from_the_first_pair_on(
     offset_s = found["association"]["time_offset_s"]
     assert offset_s == pytest.approx(0.1, abs=5e-3)
     assert any(
-        f"time offset of {offset_s:.4f} s applied" in each["text"] for each in found["remarks"]
+        f"time offset of {offset_s:.4f} s applied" in remark["text"] for remark in found["remarks"]
     )
     assert found["live"]["clock"]["status"] == "significant"
     options = ("--time-offset", repr(offset_s), "--gauge", "yaw", "--lengths", "2,4")
@@ -228,7 +228,7 @@ def test_an_offset_that_isn_t_there_is_not_applied(tmp_path: Path) -> None:
     live.end()
     (found,) = live.result["runs"]
     assert found["association"]["time_offset_s"] == 0.0
-    assert any("no time offset applied" in each["text"] for each in found["remarks"])
+    assert any("no time offset applied" in remark["text"] for remark in found["remarks"])
 
 
 def test_a_path_is_evaluated_at_once_without_an_offset(tmp_path: Path) -> None:
@@ -237,7 +237,7 @@ def test_a_path_is_evaluated_at_once_without_an_offset(tmp_path: Path) -> None:
         *messages_of(pair.groundtruth, GROUNDTRUTH, POSE),
         *path_messages(pair.estimate, 7),
     ]
-    feed.sort(key=lambda each: each[2])
+    feed.sort(key=lambda item: item[2])
     write_messages(tmp_path / "bag", feed)
     live = Live(tmp_path / "live", PATH, find_offset=True)
     live.feed(feed[:100])
@@ -247,8 +247,8 @@ def test_a_path_is_evaluated_at_once_without_an_offset(tmp_path: Path) -> None:
     live.end()
     (found,) = live.result["runs"]
     assert any(
-        "no time offset applied (vio: paths are revised" in each["text"]
-        for each in found["remarks"]
+        "no time offset applied (vio: paths are revised" in remark["text"]
+        for remark in found["remarks"]
     )
     options = ("--gauge", "yaw", "--lengths", "2,4")
     (recorded,) = offline(tmp_path / "bag", tmp_path, GROUNDTRUTH, [ESTIMATE], *options)["runs"]
@@ -258,10 +258,10 @@ def test_a_path_is_evaluated_at_once_without_an_offset(tmp_path: Path) -> None:
 def test_groundtruth_without_an_estimate_is_not_held(tmp_path: Path) -> None:
     feed = messages(0.1, 140.0)
     later = feed[0][2] + 100 * 10**9
-    feed = [each for each in feed if each[0] == GROUNDTRUTH or each[2] > later]
+    feed = [item for item in feed if item[0] == GROUNDTRUTH or item[2] > later]
     write_messages(tmp_path / "bag", feed)
     live = Live(tmp_path / "live", ODOM, find_offset=True)
-    alone = [each for each in feed if each[2] < later]
+    alone = [item for item in feed if item[2] < later]
     for part in np.array_split(np.arange(len(alone)), 100):
         live.feed([alone[row] for row in part])
     assert live.run.holds
@@ -281,16 +281,16 @@ def test_groundtruth_without_an_estimate_is_not_held(tmp_path: Path) -> None:
 @pytest.mark.parametrize("alone", [GROUNDTRUTH, ESTIMATE])
 def test_no_side_is_waited_for_longer_than_a_minute(tmp_path: Path, alone: str) -> None:
     feed = messages(0.1, 70.0)
-    begin = next(each[2] for each in feed if each[0] == ESTIMATE) + 5 * 10**9
+    begin = next(item[2] for item in feed if item[0] == ESTIMATE) + 5 * 10**9
     live = run(
         tmp_path / "live",
-        [each for each in feed if each[0] == alone or each[2] < begin],
+        [item for item in feed if item[0] == alone or item[2] < begin],
         find_offset=True,
     )
     assert not live.run.holds
     live.end()
     (found,) = live.result["runs"]
-    assert any("no time offset applied (vio: " in each["text"] for each in found["remarks"])
+    assert any("no time offset applied (vio: " in remark["text"] for remark in found["remarks"])
 
 
 @pytest.mark.slow

@@ -99,17 +99,17 @@ class Heard:
     def warnings_of(self, node: str, name: str) -> list[str]:
         """Return the texts of the statuses of an estimate that were no OK."""
         return [
-            each.message
-            for each in self.statuses
-            if each.name == f"{node}: {name}" and each.level == b"\x01"
+            status.message
+            for status in self.statuses
+            if status.name == f"{node}: {name}" and status.level == b"\x01"
         ]
 
     def events_of(self, node: str, name: str) -> list[dict[str, str]]:
         """Return the values of the warnings about an estimate, with the sentence."""
         return [
-            {"sentence": each.message, **{pair.key: pair.value for pair in each.values}}
-            for each in self.events[node]
-            if each.level == b"\x01" and each.name.endswith(name)
+            {"sentence": event.message, **{pair.key: pair.value for pair in event.values}}
+            for event in self.events[node]
+            if event.level == b"\x01" and event.name.endswith(name)
         ]
 
 
@@ -138,13 +138,13 @@ def heard(
 def test_status_log_event_and_result_say_the_same(heard: Heard, row: str) -> None:
     groundtruth, topic, kind, side, size, sentence = ROWS[row]
     node, name = groundtruth.rsplit("/", 1)[1], topic.strip("/").replace("/", "_")
-    [event] = [each for each in heard.events_of(node, name) if each["kind"] == kind]
+    [event] = [item for item in heard.events_of(node, name) if item["kind"] == kind]
     assert event["subject"] == side
     assert event["sentence"].startswith(sentence)
     assert f"{name}: {event['sentence']}" in heard.nodes[node].said
     assert any(kind_words(kind, sentence) in text for text in heard.warnings_of(node, name))
     [recorded] = [
-        each for each in heard.nodes[node].run_of(topic)["events"] if each["kind"] == kind
+        item for item in heard.nodes[node].run_of(topic)["events"] if item["kind"] == kind
     ]
     assert recorded["side"] == side
     if size is not None:
@@ -166,7 +166,7 @@ def test_nothing_else_is_reported(heard: Heard) -> None:
     assert [text for text in warnings if " yet on " not in text] == []  # before the first message
     for name in ("small", "large", "clock"):
         told = heard.events_of("good", f"vio_{name}")
-        assert {each["kind"] for each in told} <= {"step", "clock_step"}, told
+        assert {item["kind"] for item in told} <= {"step", "clock_step"}, told
 
 
 @pytest.mark.parametrize("topic", [STEADY, HELD, SMALL, LARGE, CLOCK])
@@ -176,7 +176,7 @@ def test_results_are_those_of_the_recording(
     words = ("--gauge", "yaw", "--lengths", "8")
     [expected] = offline(bag, tmp_path, GOOD, [topic], *words)["runs"]
     live = heard.nodes["good"].run_of(topic)
-    assert [each["kind"] for each in live["events"]] == [
-        each["kind"] for each in expected["events"]
+    assert [event["kind"] for event in live["events"]] == [
+        event["kind"] for event in expected["events"]
     ]
     assert_same(live["ate"], expected["ate"])

@@ -54,10 +54,10 @@ def test_faults_of_streams_are_warnings_with_their_causes(
     events = peer.hear("/evaluator/event", DiagnosticStatus, latched=True)
     topics = f"estimate_topics:=[{GOOD},{AHEAD},{BROKEN},/tf:odom.base_link]"
     names = (GROUNDTRUTH, GOOD, GOOD, AHEAD, BROKEN)
-    publishers = [peer.publisher(each, PoseStamped) for each in names]
+    publishers = [peer.publisher(name, PoseStamped) for name in names]
     with evaluating(tmp_path / "out", environment, "-p", topics, lengths="none") as live:
-        for each in publishers:
-            peer.until(lambda: each.get_subscription_count() == 1, "it has subscribed")  # noqa: B023
+        for item in publishers:
+            peer.until(lambda: item.get_subscription_count() == 1, "it has subscribed")  # noqa: B023
 
         def publish_until_told() -> bool:
             now = peer.node.get_clock().now().nanoseconds / 1e9
@@ -75,9 +75,9 @@ def test_faults_of_streams_are_warnings_with_their_causes(
         peer.until(publish_until_told, "all faults are in diagnostics")
         peer.until(lambda: told([DiagnosticArray(status=events)]) >= set(FAULTS), "and are events")
         live.end()
-    [result] = [each for each in live.result["runs"] if each["estimate"]["name"] == "vio_odometry"]
+    [result] = [run for run in live.result["runs"] if run["estimate"]["name"] == "vio_odometry"]
     assert "mixed_publishers" in {
-        each["code"] for side in (result, result["estimate"]) for each in side["remarks"]
+        remark["code"] for side in (result, result["estimate"]) for remark in side["remarks"]
     }
 
 
@@ -106,27 +106,27 @@ def test_publishers_are_mixed_when_their_names_are_known_or_stay_unknown(
         return [
             SimpleNamespace(
                 node_name="_NODE_NAME_UNKNOWN_",
-                topic_type=each.topic_type,
-                qos_profile=each.qos_profile,
+                topic_type=item.topic_type,
+                qos_profile=item.qos_profile,
             )
-            for each in known(*arguments)
+            for item in known(*arguments)
         ]
 
     later, never = (PoseSource(peer.node, "/named_later") for _ in range(2))
     monkeypatch.setattr(subscriptions, "_publishers_of", unnamed)
-    for each in (later, never):
-        each.match()
-        assert not each.mixed
+    for item in (later, never):
+        item.match()
+        assert not item.mixed
     never.match()
-    for each in publishers:
-        peer.until(lambda: each.get_subscription_count() == 2, "both have subscribed")  # noqa: B023
+    for item in publishers:
+        peer.until(lambda: item.get_subscription_count() == 2, "both have subscribed")  # noqa: B023
 
     def alternate() -> bool:
-        for each in publishers:
-            each.publish(pose(1.0, 0.0))
-        for each in (later, never):
-            each.take(None)
-        return all(each.inputs[0].senders.alternate for each in (later, never))
+        for item in publishers:
+            item.publish(pose(1.0, 0.0))
+        for item in (later, never):
+            item.take(None)
+        return all(item.inputs[0].senders.alternate for item in (later, never))
 
     assert not never.mixed
     peer.until(alternate, "messages of both")
@@ -134,8 +134,8 @@ def test_publishers_are_mixed_when_their_names_are_known_or_stay_unknown(
     monkeypatch.setattr(subscriptions, "_publishers_of", known)
     later.match()
     assert "2 publishers are mixed (peer, peer)" in later.mixed
-    for each in (later, never):
-        each.inputs[0].leave()
+    for item in (later, never):
+        item.inputs[0].leave()
     for publisher in publishers:
         peer.node.destroy_publisher(publisher)
 
@@ -184,5 +184,5 @@ def test_a_publisher_that_was_killed_and_started_again_is_a_restart(
         status.message for array in arrays for status in array.status if "mixed" in status.message
     ]
     assert live.said.count("its publisher was restarted") == 2  # of both topics
-    remarks = [each for run in live.result["runs"] for each in run["remarks"]]
-    assert "mixed_publishers" not in {each["code"] for each in remarks}
+    remarks = [remark for run in live.result["runs"] for remark in run["remarks"]]
+    assert "mixed_publishers" not in {remark["code"] for remark in remarks}

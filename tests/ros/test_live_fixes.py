@@ -53,7 +53,7 @@ def messages(
     both = later(fix_messages(antenna(lever_m), GROUNDTRUTH), late_s) + messages_of(
         estimate, ESTIMATE, ODOM
     )
-    return sorted(both, key=lambda each: each[2])
+    return sorted(both, key=lambda item: item[2])
 
 
 def fed(folder: Path, late_s: float, rule: FixRule, **words: Any) -> Live:
@@ -111,7 +111,7 @@ def test_live_is_offline(
     assert snapshot.position_rmse_m == pytest.approx(ate["position_m"]["rmse"], rel=1e-9)
     assert coverage is not None
     assert coverage.covered == run["association"]["groundtruth_coverage"]
-    assert [each.text for each in live.run.news] == (
+    assert [item.text for item in live.run.news] == (
         [] if gauge else ["/groundtruth: GNSS fixes; the alignment uses gauge yaw"]
     )
 
@@ -132,7 +132,7 @@ def test_the_antenna_of_a_hand_eye_transform_is_that_of_a_recording(tmp_path: Pa
     run["calibration"]["ate"]["before"] = None  # live, nobody pairs the body
     assert_same(live.result, expected)
     assert run["calibration"]["errors_of"] == "marker"
-    assert not any("no lever arm is given" in each["text"] for each in run["remarks"])
+    assert not any("no lever arm is given" in remark["text"] for remark in run["remarks"])
 
 
 @pytest.mark.slow
@@ -146,8 +146,8 @@ def test_each_loop_is_a_run(tmp_path: Path, batch: int) -> None:
     live.end()
     [expected] = recorded(tmp_path / "recorded", feed, "--datum", str(DATUM), *YAW)["runs"]
     assert len(live.folders) == 2
-    for each in live.results:
-        assert_same(each["runs"], [expected])
+    for result in live.results:
+        assert_same(result["runs"], [expected])
 
 
 @pytest.mark.slow
@@ -170,15 +170,15 @@ def test_a_restart_parts_the_fixes(tmp_path: Path, batch: int) -> None:
     for begin in range(0, len(feed), batch):
         live.feed(feed[begin : begin + batch])
     live.end()
-    paired = [pairs_of(each).estimate.stamps for each in live.folders]
+    paired = [pairs_of(item).estimate.stamps for item in live.folders]
     first = int(paired[1][0])
-    around = [each[2] for each in feed if each[0] == ESTIMATE]
+    around = [item[2] for item in feed if item[0] == ESTIMATE]
     before, after = max(s for s in around if s <= first), min(s for s in around if s >= first)
     parts = [
-        [each for each in feed if each[2] <= (after if each[0] == ESTIMATE else first - 1)],
-        [each for each in feed if each[2] >= (before if each[0] == ESTIMATE else first)],
+        [item for item in feed if item[2] <= (after if item[0] == ESTIMATE else first - 1)],
+        [item for item in feed if item[2] >= (before if item[0] == ESTIMATE else first)],
     ]
-    found = [each["runs"][0] for each in live.results]
+    found = [result["runs"][0] for result in live.results]
     for number, (run, part) in enumerate(zip(found, parts, strict=True)):
         folder = tmp_path / str(number)
         [expected] = recorded(folder, part, "--datum", str(DATUM), *YAW)["runs"]
@@ -195,7 +195,7 @@ def test_fixes_without_height_are_used_as_offline(
     assert fixes.reading.fixes is not None
     fixes.reading.fixes.places[slice(None, None, 3 if missing == "some" else 1), 2] = np.nan
     feed = [*fix_messages(fixes, GROUNDTRUTH), *messages_of(FLIGHT.estimate, ESTIMATE, ODOM)]
-    feed.sort(key=lambda each: each[2])
+    feed.sort(key=lambda item: item[2])
     live = Live(
         tmp_path / "live", ODOM, groundtruth_kind=FIX_TYPE, gauge=gauge, lever_arm=LEVER_TEXT
     )
@@ -227,7 +227,7 @@ def test_a_sparse_estimate_that_bends_is_told_live_as_offline(tmp_path: Path) ->
     expected = recorded(tmp_path / "recorded", feed, *YAW)
     assert_same(live.result, expected)
     [run] = expected["runs"]
-    assert any("linear interpolation between" in each["text"] for each in run["remarks"])
+    assert any("linear interpolation between" in remark["text"] for remark in run["remarks"])
 
 
 def test_a_datum_on_another_continent_is_told(tmp_path: Path) -> None:
@@ -254,15 +254,15 @@ def test_two_receivers_on_one_topic_are_told_once(tmp_path: Path) -> None:
     for begin in range(0, len(mixed), 7):
         live.feed(mixed[begin : begin + 7])
     told = [
-        each.text
-        for each in live.groundtruth.stream.news
-        if "fixes of several receivers" in each.text
+        item.text
+        for item in live.groundtruth.stream.news
+        if "fixes of several receivers" in item.text
     ]
     assert len(told) == 1
     assert "(frame_id 'left', 'right')" in told[0]
     assert any(
-        "fixes of several receivers" in each.text
-        for each in live.groundtruth.stream.status.remarks
+        "fixes of several receivers" in remark.text
+        for remark in live.groundtruth.stream.status.remarks
     )
 
 
@@ -310,7 +310,7 @@ def test_parameters_are_the_command_line_s() -> None:
     from trajeval_ros.ros import parameters
     from trajeval_ros.ros.parameter_table import PARAMETERS
 
-    values = {each.name: each.default for each in PARAMETERS}
+    values = {parameter.name: parameter.default for parameter in PARAMETERS}
     assert parameters.request_of(values).fixes == FixRule()
     values |= {"datum": str(DATUM), "min_fix_status": 2.0, "max_fix_sigma": 0.05}
     values |= {"lever_arm": "0.3,-0.1,0.5"}

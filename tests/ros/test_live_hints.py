@@ -32,7 +32,11 @@ from trajeval_ros.simulation.drifting_odometry import Simulation
 
 LIMITS = {
     name: AlarmLimits()
-    for name in ("coverage", "rate_hz", *(each.name for each in LIMITED_QUANTITIES))
+    for name in (
+        "coverage",
+        "rate_hz",
+        *(limited_quantity.name for limited_quantity in LIMITED_QUANTITIES),
+    )
 }
 
 
@@ -68,9 +72,9 @@ def test_a_sound_run_has_no_hints(flight: Simulation) -> None:
 
 
 def test_another_body_is_told_with_the_parameter(flight: Simulation) -> None:
-    found = {each.subject: each for each in hints(flight, marker=True)}
+    found = {hint.subject: hint for hint in hints(flight, marker=True)}
     assert found.keys() == {"frames", "body"}
-    assert {each.level for each in found.values()} == {Level.WARNING}
+    assert {item.level for item in found.values()} == {Level.WARNING}
     # The same pose as in a recorded evaluation, with the names of parameters.
     assert "with hand_eye:=0,0,0," in found["body"].text
     assert "of body 'marker' and the estimate of 'base_link'" in found["frames"].text
@@ -94,7 +98,7 @@ def test_a_rotation_of_the_alignment_is_no_hint_in_the_first_seconds(
     live = Live(tmp_path / "live", ODOM)
     messages = messages_of(flight.groundtruth, GROUNDTRUTH, POSE)
     messages += messages_of(estimate, ESTIMATE, ODOM)
-    messages.sort(key=lambda each: each[2])
+    messages.sort(key=lambda message: message[2])
     last, first = int(estimate.stamps[-1]), messages[0][2]
     seen: list[tuple[float, bool, bool]] = []  # when, whether it is misleading, whether told
     for row in range(0, len(messages), 20):
@@ -106,7 +110,7 @@ def test_a_rotation_of_the_alignment_is_no_hint_in_the_first_seconds(
         snapshot = running.snapshot()
         freedom = snapshot.alignment and snapshot.alignment.freedom
         remarks = remarks_about(live.run, running, snapshot, {}, LIMITS)
-        told = any(each.subject == "alignment" and each.code == "hint" for each in remarks)
+        told = any(remark.subject == "alignment" and remark.code == "hint" for remark in remarks)
         seen.append(((part[-1][2] - first) / 1e9, bool(freedom and freedom.misleading), told))
     live.end()
     assert any(misleading for at_s, misleading, _ in seen if at_s < 2.0)
@@ -129,7 +133,7 @@ def test_far_clocks_are_no_other_run(apart_s: int, duration_s: float, told: set[
     """What clocks leave in common in the first minute can be too short to tell."""
     pair = simulated(9001, "drone", "walk", duration_s + abs(apart_s))
     late = dataclasses.replace(pair.estimate, stamps=pair.estimate.stamps + apart_s * 10**9)
-    assert {each.subject for each in hints_of(pair.truth, late)} == told
+    assert {hint.subject for hint in hints_of(pair.truth, late)} == told
 
 
 def test_another_run_is_told_in_time() -> None:
@@ -178,7 +182,7 @@ def test_nobody_waits_for_what_is_computed_beside() -> None:
     assert not task.is_due
     go_on.set()
     found: list[int] = []
-    until(lambda: found or [found.append(each) for each in [task.take()] if each], "it is found")
+    until(lambda: found or [found.append(item) for item in [task.take()] if item], "it is found")
     assert found == [7]
     assert task.take() is None
     until(lambda: task.is_due, "something else may be computed")
@@ -201,7 +205,7 @@ def test_a_bag_has_the_marker_among_its_static_transforms(tmp_path: Path) -> Non
     back = MOUNTED.inverse()
     outer = ("marker", "mount", 0, back.lever_m, back.rotation_xyzw)
     messages = [
-        ("/tf_static", TRANSFORMS, 10**9, transforms_message(each)) for each in (inner, outer)
+        ("/tf_static", TRANSFORMS, 10**9, transforms_message(item)) for item in (inner, outer)
     ]
     write_messages(tmp_path / "bag", messages)
     found = known_hand_eye(f"{tmp_path / 'bag'}:/tf_static:base_link.marker")

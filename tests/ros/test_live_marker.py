@@ -42,7 +42,7 @@ def marker_messages(seed: int, groundtruth_kind: str = POSE) -> list[Message]:
         *messages_of(of_marker(groundtruth), GROUNDTRUTH, groundtruth_kind),
         *messages_of(pair.estimate, ESTIMATE, ODOM),
     ]
-    return sorted(both, key=lambda each: each[2])
+    return sorted(both, key=lambda item: item[2])
 
 
 @pytest.mark.parametrize("groundtruth_kind", [POSE, POINT, ODOM])
@@ -60,7 +60,7 @@ def test_a_marker_is_applied_as_offline(
     write_messages(folder / "bag", feed)
     body = MarkerBody(file, known_hand_eye(file))
     live = Live(folder / "live", ODOM, body=body, groundtruth_kind=groundtruth_kind)
-    arriving = sorted(feed, key=lambda each: each[2] - (each[0] == GROUNDTRUTH) * late * 10**8)
+    arriving = sorted(feed, key=lambda item: item[2] - (item[0] == GROUNDTRUTH) * late * 10**8)
     for batch in batches(arriving, cuts):
         live.feed(batch)
     live.end()
@@ -152,7 +152,7 @@ def test_each_loop_has_the_marker_of_the_first(tmp_path: Path, groundtruth_kind:
     loops = [marker_messages(seed, groundtruth_kind) for seed in (5, 6)]
     body = MarkerBody(file, known_hand_eye(file))
     live = Live(tmp_path / "live", ODOM, body=body, groundtruth_kind=groundtruth_kind)
-    for message in (each for loop in loops for each in loop):
+    for message in (item for loop in loops for item in loop):
         live.feed([message])
     live.end()
     for number, (result, loop) in enumerate(zip(live.results, loops, strict=True)):
@@ -178,13 +178,13 @@ def test_a_restart_keeps_the_marker(tmp_path: Path) -> None:
             *messages_of(groundtruth, GROUNDTRUTH, POSE),
             *messages_of(estimate, ESTIMATE, ODOM),
         ]
-        feed = sorted(both, key=lambda each: each[2])
+        feed = sorted(both, key=lambda item: item[2])
         restarts = NewRunRule(on_restart="reset")
         live = Live(tmp_path / name, ODOM, body=body, rule=restarts)
         for batch in batches(feed, range(0, len(feed), 13)):
             live.feed(batch)
         live.end()
-        return [each["runs"][0]["ate"]["position_m"]["rmse"] for each in live.results]
+        return [result["runs"][0]["ate"]["position_m"]["rmse"] for result in live.results]
 
     of_body = ates(pair.groundtruth, "body", None)
     moved = ates(of_marker(pair.groundtruth), "marker", MarkerBody(file, known_hand_eye(file)))
@@ -203,10 +203,10 @@ def test_groundtruth_that_serves_two_runs_is_moved_once(
     stamps[COUNT // 4 :] -= 2 * 10**9  # the estimate's clock is set back
     sent = messages_of(dataclasses.replace(pair.estimate, stamps=stamps), ESTIMATE, ODOM)
     times = pair.estimate.stamps.tolist()
-    arriving = [(*each[:2], at, each[3]) for each, at in zip(sent, times, strict=True)]
+    arriving = [(*item[:2], at, item[3]) for item, at in zip(sent, times, strict=True)]
     groundtruth = messages_of(of_marker(pair.groundtruth), GROUNDTRUTH, POSE)
     live = Live(tmp_path / "live", ODOM, body=MarkerBody(file, known_hand_eye(file)))
-    for message in sorted([*groundtruth, *arriving], key=lambda each: each[2]):
+    for message in sorted([*groundtruth, *arriving], key=lambda item: item[2]):
         live.feed([message])
     live.end()
     recorded = pairs_of(live.folders[1])
@@ -227,7 +227,7 @@ def test_a_lever_arm_waits_for_the_scale(tmp_path: Path) -> None:
     live.end()
     [run] = live.result["runs"]
     assert run["calibration"] is None
-    [told] = [each["text"] for each in run["remarks"] if "not applied" in each["text"]]
+    [told] = [remark["text"] for remark in run["remarks"] if "not applied" in remark["text"]]
     assert "trajeval finish FOLDER --hand-eye FILE" in told
     assert live.finish("--hand-eye", file) == 0
 
@@ -240,7 +240,7 @@ def test_auto_estimates_the_marker_first_and_applies_it_to_all(tmp_path: Path) -
             *messages_of(of_marker(flight.groundtruth), GROUNDTRUTH, POSE),
             *messages_of(flight.estimate, ESTIMATE, ODOM),
         ],
-        key=lambda each: each[2],
+        key=lambda message: message[2],
     )
     live = Live(tmp_path / "live", ODOM, body=MarkerBody("auto"))
     for batch in batches(feed, range(0, len(feed), 200)):
@@ -256,7 +256,9 @@ def test_auto_estimates_the_marker_first_and_applies_it_to_all(tmp_path: Path) -
     assert np.degrees(lie.angle(apart)) < 1.0
     assert run["association"]["pairs"] > 0.95 * len(flight.estimate)  # the held ones included
     assert run["ate"]["rotation_deg"]["rmse"] < 3.0
-    [told] = [each["text"] for each in run["remarks"] if "marker pose: rotation 9" in each["text"]]
+    [told] = [
+        remark["text"] for remark in run["remarks"] if "marker pose: rotation 9" in remark["text"]
+    ]
     assert ("no lever arm (" in told) == (not applied.lever_m.any())
 
 
@@ -267,13 +269,13 @@ def test_a_loop_of_less_than_a_minute_tells_the_marker_of_all_loops(tmp_path: Pa
         *messages_of(of_marker(flight.groundtruth), GROUNDTRUTH, POSE),
         *messages_of(flight.estimate, ESTIMATE, ODOM),
     ]
-    loop = sorted(both, key=lambda each: each[2])
+    loop = sorted(both, key=lambda item: item[2])
     live = Live(tmp_path / "live", ODOM, body=MarkerBody("auto"))
     for batch in batches([*loop, *loop], range(0, 2 * len(loop), 200)):
         live.feed(batch)
     live.end()
     assert live.run.body.hand_eye is not None, live.run.body.why_not
-    runs = [each["runs"][0] for each in live.results]
+    runs = [result["runs"][0] for result in live.results]
     assert [run["association"]["pairs"] for run in runs] == [runs[0]["association"]["pairs"]] * 2
     assert all(run["ate"]["rotation_deg"]["rmse"] < 3.0 for run in runs)
 
@@ -289,5 +291,5 @@ def test_a_marker_that_nobody_can_see_is_told(tmp_path: Path) -> None:
     live.end()
     [run] = live.result["runs"]
     assert run["calibration"] is None
-    assert any("hand_eye auto not applied: " in each["text"] for each in run["remarks"])
+    assert any("hand_eye auto not applied: " in remark["text"] for remark in run["remarks"])
     assert np.isfinite(run["ate"]["position_m"]["rmse"])

@@ -44,7 +44,7 @@ from trajeval_ros.ros.diagnostics import about_integrity
 def messages(seed: int) -> list[Message]:
     groundtruth, estimate = sides(seed)
     both = [*messages_of(groundtruth, GROUNDTRUTH, POSE), *messages_of(estimate, ESTIMATE, ODOM)]
-    return sorted(both, key=lambda each: each[2])
+    return sorted(both, key=lambda item: item[2])
 
 
 def played(folder: Path, feed: list[Message], batch: int, **words: Any) -> Live:
@@ -90,7 +90,7 @@ def test_live_nees_against_a_repaired_groundtruth_is_that_of_the_bag(tmp_path: P
     estimate = with_growing_covariances(repaired[::5])
     estimate = dataclasses.replace(estimate, positions=estimate.positions + noise)
     both = [*messages_of(repaired, GROUNDTRUTH, ODOM), *messages_of(estimate, ESTIMATE, ODOM)]
-    feed = sorted(both, key=lambda each: each[2])
+    feed = sorted(both, key=lambda item: item[2])
     write_messages(tmp_path / "bag", feed)
     live = played(tmp_path, feed, 17, groundtruth_kind=ODOM)
     words = ("--gauge", "yaw", "--lengths", "2,4", *OPTIONS)
@@ -148,7 +148,7 @@ def test_what_comes_before_the_groundtruth_is_not_forgotten(tmp_path: Path) -> N
     """NEES is exact in the gauge of the first pose, which must have been paired."""
     late = messages(4)
     begin = late[0][2] + 10**9
-    late = [each for each in late if each[0] == ESTIMATE or each[2] >= begin]
+    late = [item for item in late if item[0] == ESTIMATE or item[2] >= begin]
     write_messages(tmp_path / "bag", late)
     live = played(tmp_path, late, 9, gauge="yaw", align_states="1")
     words = ("--gauge", "yaw", "--align-states", "1", "--lengths", "2,4", *OPTIONS)
@@ -183,14 +183,14 @@ def test_covariances_that_say_nothing_cost_nothing_but_nees(
     covariances[[row for row in range(len(estimate)) if row % 4 not in known]] = 0.0
     estimate = dataclasses.replace(estimate, covariances=covariances)
     feed = [*messages_of(groundtruth, GROUNDTRUTH, POSE), *messages_of(estimate, ESTIMATE, ODOM)]
-    live = played(tmp_path, sorted(feed, key=lambda each: each[2]), 20, gauge="yaw")
+    live = played(tmp_path, sorted(feed, key=lambda item: item[2]), 20, gauge="yaw")
     assert why in live.run.estimates[0].snapshot().why_not_consistency
     [run] = live.result["runs"]
     assert run["consistency"] is None
     assert run["ate"]["position_m"]["count"] == run["association"]["pairs"] > 50
     assert any(
-        "the consistency test is not possible" in each["text"] and why in each["text"]
-        for each in run["remarks"]
+        "the consistency test is not possible" in remark["text"] and why in remark["text"]
+        for remark in run["remarks"]
     )
 
 
@@ -202,11 +202,11 @@ def test_a_topic_may_change_to_a_type_with_covariances(tmp_path: Path) -> None:
     stream = live.estimate.stream
     assert estimate.quaternions is not None
     columns = estimate.stamps.tolist(), estimate.positions, estimate.quaternions
-    plain = [pose_message(*each) for each in zip(*columns, strict=True)]
+    plain = [pose_message(*item) for item in zip(*columns, strict=True)]
     middle = len(plain) // 2
     live.feed(messages_of(groundtruth, GROUNDTRUTH, POSE))
     live.estimate.kind = POSE
-    live.feed([(ESTIMATE, POSE, 0, each) for each in plain[:middle]])
+    live.feed([(ESTIMATE, POSE, 0, item) for item in plain[:middle]])
     live.estimate.kind = ODOM
     live.feed(wide[middle:])
     live.end()
@@ -224,7 +224,7 @@ def test_alarms_have_limits_of_nees() -> None:
     assert snapshot.nees is not None
     peaks = Peaks()
     peaks.see_snapshot(snapshot)
-    limits = {each.name: AlarmLimits() for each in LIMITED_QUANTITIES}
+    limits = {limited_quantity.name: AlarmLimits() for limited_quantity in LIMITED_QUANTITIES}
     limits["nees"] = AlarmLimits(snapshot.nees.mean / 2)
     [alarm] = alarms(peaks.take(), limits)
     assert (alarm.level, alarm.subject) == (Level.WARNING, "nees")

@@ -47,7 +47,7 @@ def assert_runs(live: Live, expected: Sequence[Any]) -> None:
 
 def late(feed: Sequence[Message], messages_late: int) -> list[Message]:
     """Return messages of which those of the estimate arrive later by so many."""
-    keys = [row + (each[0] == ESTIMATE) * messages_late for row, each in enumerate(feed)]
+    keys = [row + (item[0] == ESTIMATE) * messages_late for row, item in enumerate(feed)]
     return [feed[row] for row in np.argsort(keys, kind="stable")]
 
 
@@ -57,14 +57,14 @@ def late(feed: Sequence[Message], messages_late: int) -> list[Message]:
 def test_each_loop_of_a_bag_is_a_run(tmp_path: Path, messages_late: int, batch: int) -> None:
     loops = [messages(seed)[: 200 - seed] for seed in (21, 22, 23)]
     live = Live(tmp_path / "live", ODOM)
-    feed = late([each for loop in loops for each in loop], messages_late)
+    feed = late([item for loop in loops for item in loop], messages_late)
     for begin in range(0, len(feed), batch):
         live.feed(feed[begin : begin + batch])
     live.end()
     expected = [expected_of(tmp_path / str(n), loop) for n, loop in enumerate(loops)]
     assert_runs(live, expected)
     first = "/vio" if messages_late < 0 and batch < 1000 else "/groundtruth"
-    assert all(each.startswith(f"time of {first} stepped back by") for each in live.begun)
+    assert all(item.startswith(f"time of {first} stepped back by") for item in live.begun)
     assert live.closed == live.folders[:2]
 
 
@@ -73,16 +73,16 @@ def test_dropped_messages_are_those_of_the_loop(tmp_path: Path, messages_late: i
     """Also if the next loop begins before the previous one is complete."""
     loops = [messages(seed) for seed in (21, 22)]
     for loop, count in zip(loops, (1, 3), strict=True):
-        rows = [row for row, each in enumerate(loop) if each[0] == ESTIMATE][5 : 5 + count]
+        rows = [row for row, item in enumerate(loop) if item[0] == ESTIMATE][5 : 5 + count]
         for row in rows:
             topic, kind, stamp, _ = loop[row]
             unset = odometry_message(0, [0.0] * 3, [0.0, 0.0, 0.0, 1.0])
             loop[row] = (topic, kind, stamp, unset)
     live = Live(tmp_path / "live", ODOM)
-    for each in late([each for loop in loops for each in loop], messages_late):
-        live.feed([each])
+    for item in late([each for loop in loops for each in loop], messages_late):
+        live.feed([item])
     live.end()
-    runs = [each["runs"][0] for each in live.results]
+    runs = [result["runs"][0] for result in live.results]
     dropped = [run["association"]["dropped"]["zero_stamp"] for run in runs]
     assert dropped == [1, 3]
 
@@ -90,7 +90,7 @@ def test_dropped_messages_are_those_of_the_loop(tmp_path: Path, messages_late: i
 def test_what_is_published_goes_on_after_a_loop(tmp_path: Path) -> None:
     live = Live(tmp_path / "live", ODOM)
     loops = [messages(24)] * 2
-    counts = [sum(each.pairs for part in loop for each in live.feed([part])) for loop in loops]
+    counts = [sum(item.pairs for part in loop for item in live.feed([part])) for loop in loops]
     assert counts[0] == counts[1] > 50
     live.end()
 
@@ -111,33 +111,33 @@ def test_a_restart_begins_a_run(tmp_path: Path, batch: int) -> None:
         *messages_of(groundtruth, GROUNDTRUTH, POSE),
         *messages_of(estimate, ESTIMATE, ODOM),
     ]
-    feed = sorted(written, key=lambda each: each[2])
+    feed = sorted(written, key=lambda item: item[2])
     live = Live(tmp_path / "live", ODOM, rule=NewRunRule(on_restart="reset"))
     for begin in range(0, len(feed), batch):
         live.feed(feed[begin : begin + batch])
     live.end()
     paired = read_stamps(live)
-    first = min(each for each in paired[1] if each >= stamp)  # the first that has groundtruth
+    first = min(item for item in paired[1] if item >= stamp)  # the first that has groundtruth
     last_before = groundtruth.stamps[groundtruth.stamps <= first].max()
     first_after = groundtruth.stamps[groundtruth.stamps >= first].min()
     parts = [
         [
-            each
-            for each in feed
-            if each[2] <= (first_after if each[0] == GROUNDTRUTH else first - 1)
+            item
+            for item in feed
+            if item[2] <= (first_after if item[0] == GROUNDTRUTH else first - 1)
         ],
-        [each for each in feed if each[2] >= (last_before if each[0] == GROUNDTRUTH else first)],
+        [item for item in feed if item[2] >= (last_before if item[0] == GROUNDTRUTH else first)],
     ]
     expected = [expected_of(tmp_path / str(n), part) for n, part in enumerate(parts)]
     assert live.begun == ["vio jumped"]
     assert_runs(live, expected)
     whole = expected_of(tmp_path / "whole", feed)
-    worst = max(each["ate"]["position_m"]["rmse"] for each in expected)
+    worst = max(item["ate"]["position_m"]["rmse"] for item in expected)
     assert worst < 0.5 * whole["ate"]["position_m"]["rmse"]
 
 
 def read_stamps(live: Live) -> list[list[int]]:
-    return [pairs_of(each).estimate.stamps.tolist() for each in live.folders]
+    return [pairs_of(folder).estimate.stamps.tolist() for folder in live.folders]
 
 
 @pytest.mark.slow
@@ -159,7 +159,7 @@ def test_restarts_while_the_groundtruth_is_held_begin_runs(
         *messages_of(groundtruth, GROUNDTRUTH, POSE),
         *messages_of(estimate, ESTIMATE, ODOM),
     ]
-    feed = sorted(written, key=lambda each: each[2])
+    feed = sorted(written, key=lambda item: item[2])
     restarts = NewRunRule(on_restart="reset")
     live = Live(tmp_path / "live", ODOM, body=NeverKnown(), rule=restarts)
     for begin in range(0, len(feed), batch):
@@ -168,16 +168,16 @@ def test_restarts_while_the_groundtruth_is_held_begin_runs(
     live.end()
     assert live.begun == ["vio jumped"] * 2
     found = read_stamps(live)
-    assert [each[0] for each in found[1:]] == stamps[rows].tolist()
+    assert [item[0] for item in found[1:]] == stamps[rows].tolist()
     ends = [0, *stamps[rows].tolist(), feed[-1][2] + 1]
     runs = zip(live.results, itertools.pairwise(ends), strict=True)
     for number, (result, (first, end)) in enumerate(runs):
         begin = groundtruth.stamps[groundtruth.stamps <= max(first, groundtruth.stamps[0])].max()
         until = groundtruth.stamps[groundtruth.stamps >= min(end, groundtruth.stamps[-1])].min()
         part = [
-            each
-            for each in feed
-            if (begin <= each[2] <= until if each[0] == GROUNDTRUTH else first <= each[2] < end)
+            item
+            for item in feed
+            if (begin <= item[2] <= until if item[0] == GROUNDTRUTH else first <= item[2] < end)
         ]
         [run] = result["runs"]
         run["remarks"] = []
@@ -201,7 +201,7 @@ def test_a_run_that_is_complete_takes_no_memory(tmp_path: Path) -> None:
         *messages_of(groundtruth, GROUNDTRUTH, POSE),
         *messages_of(estimate, ESTIMATE, ODOM),
     ]
-    feed = sorted(written, key=lambda each: each[2])
+    feed = sorted(written, key=lambda item: item[2])
     live = Live(tmp_path / "live", ODOM, rule=NewRunRule(on_restart="reset"))
     first = weakref.ref(live.run.estimates[0])
     store = weakref.ref(live.run.estimates[0].evaluator.store)
@@ -225,7 +225,7 @@ def test_millimetres_are_no_restarts(tmp_path: Path, batch: int) -> None:
         *messages_of(pair.groundtruth, GROUNDTRUTH, POSE),
         *messages_of(estimate, ESTIMATE, ODOM),
     ]
-    feed = sorted(written, key=lambda each: each[2])
+    feed = sorted(written, key=lambda item: item[2])
     live = Live(tmp_path / "live", ODOM, rule=NewRunRule(on_restart="reset"))
     for begin in range(0, len(feed), batch):
         live.feed(feed[begin : begin + batch])
@@ -240,7 +240,7 @@ def test_nothing_is_split_that_nobody_wants_split(tmp_path: Path) -> None:
         *messages_of(estimate, ESTIMATE, ODOM),
     ]
     live = Live(tmp_path / "live", ODOM, rule=NewRunRule("ignore", "ignore"))
-    feed = sorted(written, key=lambda each: each[2])
+    feed = sorted(written, key=lambda item: item[2])
     for part in (feed, feed):
         for message in part:
             live.feed([message])
@@ -256,7 +256,7 @@ def test_an_end_soon_after_a_step_of_time_leaves_the_results_before(tmp_path: Pa
     for message in loops[0]:
         live.feed([message])
     assert live.run.has_pairs
-    live.feed([each for each in loops[1] if each[0] == GROUNDTRUTH][:20])
+    live.feed([loop for loop in loops[1] if loop[0] == GROUNDTRUTH][:20])
     assert live.run.folder == live.folders[1]
     assert live.closed == []
     live.end()
@@ -293,7 +293,7 @@ def two_estimates(seed: int) -> tuple[list[Message], list[Message]]:
 @pytest.mark.parametrize("batch", [1, 23])
 def test_a_restart_loses_no_pair_of_another_estimate(tmp_path: Path, batch: int) -> None:
     common, restarts = two_estimates(33)
-    feed = late(sorted([*common, *restarts], key=lambda each: each[2]), 11)
+    feed = late(sorted([*common, *restarts], key=lambda restart: restart[2]), 11)
     stamps = []
     for name, rule in (("whole", NewRunRule()), ("parts", NewRunRule(on_restart="reset"))):
         live = Live(tmp_path / name, ODOM, rule=rule, others=(OTHER,))
@@ -302,7 +302,7 @@ def test_a_restart_loses_no_pair_of_another_estimate(tmp_path: Path, batch: int)
         live.end()
         stamps.append(
             [
-                np.concatenate([pairs_of(each, name).estimate.stamps for each in live.folders])
+                np.concatenate([pairs_of(folder, name).estimate.stamps for folder in live.folders])
                 for name in ("vio", "other")
             ]
         )
@@ -329,16 +329,16 @@ def test_one_clock_that_is_set_back_begins_a_run(
     ]
     live = Live(tmp_path / "live", ODOM)
     feed = sorted(
-        [*messages_of(pair.groundtruth, GROUNDTRUTH, POSE), *written], key=lambda each: each[2]
+        [*messages_of(pair.groundtruth, GROUNDTRUTH, POSE), *written], key=lambda item: item[2]
     )
     for message in feed:
         live.feed([message])
     live.end()
-    runs = [each["runs"][0] for each in live.results]
-    assert [each["estimate"]["poses"] for each in runs] == [middle, len(stamps) - middle]
-    pairs = [each["association"]["pairs"] for each in runs]
+    runs = [result["runs"][0] for result in live.results]
+    assert [run["estimate"]["poses"] for run in runs] == [middle, len(stamps) - middle]
+    pairs = [run["association"]["pairs"] for run in runs]
     assert pairs[1] > 0.9 * (len(stamps) - middle) * (pairs[0] / middle)
-    [told] = [each for each in runs[1]["remarks"] if each["code"] == "clock_step"]
+    [told] = [remark for remark in runs[1]["remarks"] if remark["code"] == "clock_step"]
     assert told["text"].startswith("the estimate's clock stepped by -1.796 s")
 
 
@@ -350,12 +350,12 @@ def test_a_path_that_begins_anew_is_a_run(tmp_path: Path) -> None:
             *messages_of(pair.groundtruth, GROUNDTRUTH, POSE),
             *path_messages(pair.estimate, 7),
         ]
-        loops.append(sorted(drawn, key=lambda each: each[2]))
+        loops.append(sorted(drawn, key=lambda item: item[2]))
     live = Live(tmp_path / "live", PATH)
-    for message in (each for loop in loops for each in loop):
+    for message in (item for loop in loops for item in loop):
         live.feed([message])
     live.end()
-    runs = [each["runs"][0] for each in live.results]
+    runs = [result["runs"][0] for result in live.results]
     for number, (run, loop) in enumerate(zip(runs, loops, strict=True)):
         other = expected_of(tmp_path / str(number), loop)
         assert_same(run["ate"], other["ate"])

@@ -50,7 +50,7 @@ def loop(seed: int, until_s: float = LOOP_S) -> tuple[Trajectory, Trajectory]:
 
 def feed_of(groundtruth: Trajectory, estimate: Trajectory) -> list[Message]:
     both = [*messages_of(groundtruth, GROUNDTRUTH, POSE), *messages_of(estimate, ESTIMATE, ODOM)]
-    return sorted(both, key=lambda each: each[2])
+    return sorted(both, key=lambda item: item[2])
 
 
 def drawn(
@@ -84,7 +84,7 @@ def drawn(
     assert picture.close() == []
     assert picture.dropped == 0
     live.end()
-    return live, [Rrd(each / "run.rrd") for each in live.folders], published
+    return live, [Rrd(item / "run.rrd") for item in live.folders], published
 
 
 def assert_drawn(picture: Rrd, estimate: Floats, groundtruth: Floats | None = None) -> None:
@@ -113,7 +113,7 @@ def test_each_loop_of_a_bag_is_drawn_in_its_folder(tmp_path: Path) -> None:
         assert_drawn(picture, pairs.estimate.positions, groundtruth.positions)
     _, values = pictures[1].numbers("metrics/position_error/vio")
     # Messages arrive seldom and many at once: errors between two published ones are drawn, too.
-    places = [values.tolist().index(each) for each in published]
+    places = [values.tolist().index(item) for item in published]
     assert places == sorted(places)
     assert len(values) > 3 * len(published)
 

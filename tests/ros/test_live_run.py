@@ -36,7 +36,7 @@ def test_any_batches_of_bytes_give_the_offline_result(
     feed = messages(seed)
     write_messages(folder / "bag", feed)
     live = Live(folder / "live", ODOM)
-    arriving = sorted(feed, key=lambda each: each[2] + (each[0] == ESTIMATE) * late * 10**8)
+    arriving = sorted(feed, key=lambda item: item[2] + (item[0] == ESTIMATE) * late * 10**8)
     for batch in batches(arriving, cuts):
         live.feed(batch)
     live.end()
@@ -50,7 +50,7 @@ def test_a_path_has_its_revised_error_and_the_causal_one_beside_it(tmp_path: Pat
     pair = make_pair(3, COUNT, smooth=True)
     drawn = path_messages(pair.estimate, 7)
     feed = sorted(
-        [*messages_of(pair.groundtruth, GROUNDTRUTH, POSE), *drawn], key=lambda each: each[2]
+        [*messages_of(pair.groundtruth, GROUNDTRUTH, POSE), *drawn], key=lambda item: item[2]
     )
     write_messages(tmp_path / "bag", feed)
     live = Live(tmp_path / "live", PATH)
@@ -92,7 +92,9 @@ def test_after_a_crash_the_pairs_count_and_the_missing_counts_are_told(tmp_path:
     [run] = live.result["runs"]
     assert run["association"]["pairs"] == live.run.estimates[0].evaluator.pairs
     [told] = [
-        each["text"] for each in run["remarks"] if "stopped before its last counts" in each["text"]
+        remark["text"]
+        for remark in run["remarks"]
+        if "stopped before its last counts" in remark["text"]
     ]
     later = sum(topic == ESTIMATE for topic, *_ in after)
     assert f"{later} poses before the end" in told
@@ -115,10 +117,12 @@ def test_pairs_that_a_disk_did_not_take_are_missing_with_the_reason(
     live.feed(rest)
     live.end()
     [run] = live.result["runs"]
-    told = [each["text"] for each in run["remarks"] if "missing, since the disk" in each["text"]]
+    told = [
+        remark["text"] for remark in run["remarks"] if "missing, since the disk" in remark["text"]
+    ]
     assert told
-    for each in told:
-        assert each.endswith("since the disk could not be written: no space left on device")
+    for item in told:
+        assert item.endswith("since the disk could not be written: no space left on device")
 
 
 def full(*_: object) -> int:
@@ -134,7 +138,7 @@ def test_an_estimate_that_fails_is_named_beside_those_that_did_not(tmp_path: Pat
     [failed] = result["failed"]
     assert failed["name"] == "broken"
     assert "is not a file of states" in failed["reason"]
-    assert [each["estimate"]["name"] for each in result["runs"]] == ["vio"]
+    assert [run["estimate"]["name"] for run in result["runs"]] == ["vio"]
 
 
 @pytest.mark.parametrize(
@@ -176,7 +180,7 @@ def test_poses_without_stamps_are_told(tmp_path: Path) -> None:
     live.feed(feed[9:10])
     assert stream.trouble.text == "/vio: no message with a valid pose (with timestamp zero)"
     live.feed(feed[10:])
-    assert [each.text for each in stream.news] == [
+    assert [item.text for item in stream.news] == [
         "/vio: no message with a valid pose (with timestamp zero)"
     ]
     assert why_no_pair(live.run).endswith(
@@ -212,7 +216,7 @@ def test_what_is_being_written_is_given_up_when_all_is_to_be_written(
         finisher.finish_alone()
         assert finisher.is_busy
         until(finisher.poll, "all is written, or not")
-    assert [each.name for each in folder.iterdir()] == [".other.json.1.part"]
+    assert [path.name for path in folder.iterdir()] == [".other.json.1.part"]
     assert finisher.trouble == "full"
 
 
@@ -259,8 +263,8 @@ def test_an_autosave_that_is_late_says_so(tmp_path: Path, monkeypatch: pytest.Mo
         told.append(autosave.why_late(finisher, 30.0))
     # Evaluations of 1, 2, 4 and 8 s, and 5 % of a core.
     assert np.diff(written)[:3] == pytest.approx([30.0, 40.0, 80.0], abs=6.0)
-    said = [each for each in told if each]
-    assert [each.partition(" instead of 30 s")[0] for each in said] == [
+    said = [item for item in told if item]
+    assert [item.partition(" instead of 30 s")[0] for item in said] == [
         "result.json is written every 40 s",
         "result.json is written every 80 s",
         "result.json is written every 160 s",
@@ -270,7 +274,7 @@ def test_an_autosave_that_is_late_says_so(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_a_run_without_pairs_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     live = Live(tmp_path / "live", ODOM)
-    live.feed([each for each in messages(8) if each[0] == GROUNDTRUTH])
+    live.feed([message for message in messages(8) if message[0] == GROUNDTRUTH])
     live.end()
     assert live.finish() == 2
     assert "/vio: no usable pose in vio" in capsys.readouterr().err
@@ -288,7 +292,7 @@ def test_finish_holds_a_run_against_bounds(tmp_path: Path) -> None:
     picture.touch()
     assert live.finish("--output", str(live.folder)) == 0
     assert picture.exists()
-    assert {"result.json", "errors.npz"} <= {each.name for each in (tmp_path / "out").iterdir()}
+    assert {"result.json", "errors.npz"} <= {path.name for path in (tmp_path / "out").iterdir()}
 
 
 @pytest.mark.parametrize("kind", [ODOM, PATH])
@@ -307,7 +311,9 @@ def test_keyframes_cover_what_they_cover_in_a_bag(tmp_path: Path, kind: str) -> 
         culled = kept[np.arange(len(kept)) % 5 != 2]
         drawn = [*path_messages(kept, 7)[:-1], path_messages(culled, len(culled))[0]]
         drawn[-1] = (*drawn[-1][:2], int(kept.stamps[-1]), drawn[-1][3])
-    feed = sorted([*messages_of(groundtruth, GROUNDTRUTH, POSE), *drawn], key=lambda each: each[2])
+    feed = sorted(
+        [*messages_of(groundtruth, GROUNDTRUTH, POSE), *drawn], key=lambda message: message[2]
+    )
     write_messages(tmp_path / "bag", feed)
     # A path with several new poses comes after a loss that is longer than groundtruth is held.
     live = Live(tmp_path / "live", kind, limits=BufferLimits(past_s=60.0))

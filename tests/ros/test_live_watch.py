@@ -57,11 +57,11 @@ def live_watch() -> LiveWatch:
 
 
 def batch_of(messages: Sequence[tuple[str, str, int, bytes]], topic: str) -> Any:
-    some = [each for each in messages if each[0] == topic]
+    some = [message for message in messages if message[0] == topic]
     if not some:
         return []
-    times = [each[2] for each in some]
-    taken = ReceivedMessages([each[3] for each in some], times)
+    times = [item[2] for item in some]
+    taken = ReceivedMessages([item[3] for item in some], times)
     return [(some[0][1], taken, np.array(times))]
 
 
@@ -73,12 +73,12 @@ def looks(
 ) -> None:
     """Hand over messages tick by tick."""
     begin, time = 0, messages[0][2]
-    times = [each[2] for each in messages]
+    times = [message[2] for message in messages]
     while begin < len(messages):
         time += int(tick_s() * SECOND)
         end = int(np.searchsorted(times, time, side="right"))
         some = messages[begin:end]
-        imu = [each[3] for each in some if each[0] == "/imu"]
+        imu = [item[3] for item in some if item[0] == "/imu"]
         others = {source: batch_of(some, topic) for source, topic in PAIRS.items()}
         others["map"] = batch_of(some, "/tf")
         seen(watch.look(WatchedMessages(batch_of(some, "/odom"), others, imu)))
@@ -100,26 +100,26 @@ def test_alarms_of_any_ticks_are_those_of_the_recording(
 
     def see(report: WatchReport) -> None:
         begun.extend(report.begun)
-        alarms.update({id(each): each for each in watch.book.alarms})
+        alarms.update({id(alarm): alarm for alarm in watch.book.alarms})
 
     turn = iter(range(10**9))
     looks(watch, messages, lambda: ticks[next(turn) % len(ticks)], see)
     origin = watch.watchdog.origin
     found = sorted(
-        (each.signal, origin + round(each.begin_s * SECOND), each.is_over, each.peak)
-        for each in alarms.values()
+        (alarm.signal, origin + round(alarm.begin_s * SECOND), alarm.is_over, alarm.peak)
+        for alarm in alarms.values()
     )
     expected = sorted(
-        (each["signal"], each["begin_ns"], each["is_over"], each["peak"])
-        for each in offline["alarms"]
+        (alarm["signal"], alarm["begin_ns"], alarm["is_over"], alarm["peak"])
+        for alarm in offline["alarms"]
     )
-    assert {"map_correction_m_1s"} <= {each[0] for each in expected}
-    assert [each[0] for each in found] == [each[0] for each in expected]
-    assert [each[2] for each in found] == [each[2] for each in expected]
-    begins, peaks = (np.array([each[column] for each in found]) for column in (1, 3))
-    np.testing.assert_allclose(begins, [each[1] for each in expected], rtol=0.0, atol=1)
-    np.testing.assert_allclose(peaks, [each[3] for each in expected], rtol=1e-9)
-    assert sorted(each.subject for each in begun) == [each[0] for each in expected]
+    assert {"map_correction_m_1s"} <= {item[0] for item in expected}
+    assert [item[0] for item in found] == [item[0] for item in expected]
+    assert [item[2] for item in found] == [item[2] for item in expected]
+    begins, peaks = (np.array([item[column] for item in found]) for column in (1, 3))
+    np.testing.assert_allclose(begins, [item[1] for item in expected], rtol=0.0, atol=1)
+    np.testing.assert_allclose(peaks, [item[3] for item in expected], rtol=1e-9)
+    assert sorted(item.subject for item in begun) == [item[0] for item in expected]
 
 
 @pytest.mark.slow
@@ -127,14 +127,14 @@ def test_an_alarm_is_told_in_the_tick_of_its_message_with_its_factor(
     runs: list[tuple[Any, Any]],
 ) -> None:
     messages, offline = runs[0]
-    first = min(offline["alarms"], key=lambda each: each["begin_ns"])
+    first = min(offline["alarms"], key=lambda alarm: alarm["begin_ns"])
     watch = live_watch()
     tick_ns, now = SECOND // 20, [messages[0][2]]
     told: list[tuple[int, Remark]] = []
 
     def see(report: WatchReport) -> None:
         now[0] += tick_ns
-        told.extend((now[0], each) for each in report.begun)
+        told.extend((now[0], item) for item in report.begun)
 
     looks(watch, messages, lambda: 0.05, see)
     time, remark = told[0]
@@ -143,8 +143,8 @@ def test_an_alarm_is_told_in_the_tick_of_its_message_with_its_factor(
     assert remark.values["limit"] == pytest.approx(first["limit"])
     assert remark.values["factor"] == 1.0
     report = watch.look(WatchedMessages())
-    assert {each.subject for each in report.remarks} == {
-        each["signal"] for each in offline["alarms"] if not each["is_over"]
+    assert {item.subject for item in report.remarks} == {
+        alarm["signal"] for alarm in offline["alarms"] if not alarm["is_over"]
     }
 
 
@@ -164,10 +164,10 @@ def test_before_the_arming_it_says_for_how_long_the_robot_has_moved(
 @pytest.mark.slow
 def test_a_source_without_data_is_told_once(tmp_path: Path) -> None:
     messages = recorded(watched_bag(tmp_path, "long", 6, duration_s=100.0))
-    alone = [each for each in messages if each[0] != "/imu"]
+    alone = [message for message in messages if message[0] != "/imu"]
     watch = live_watch()
     reports: list[WatchReport] = []
     looks(watch, alone, partial(float, 1.0), reports.append)
-    told = [each.text for report in reports for each in report.news]
-    assert len([each for each in told if "no data of the IMU" in each]) == 1
+    told = [item.text for report in reports for item in report.news]
+    assert len([item for item in told if "no data of the IMU" in item]) == 1
     assert not any(report.begun for report in reports)

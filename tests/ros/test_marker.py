@@ -39,7 +39,7 @@ def test_a_marker_is_told_of_in_time_and_applied_from_a_file(
     done = play_without_loss(bag, peer, environment, tmp_path, nodes, rate=3.0)
 
     def statuses(node: str) -> list[DiagnosticStatus]:
-        return [each for array in heard for each in array.status if node in each.name]
+        return [item for array in heard for item in array.status if node in item.name]
 
     def warns_of_body(status: DiagnosticStatus) -> bool:
         return status.level == DiagnosticStatus.WARN and "hand_eye:=auto" in status.message
@@ -47,7 +47,7 @@ def test_a_marker_is_told_of_in_time_and_applied_from_a_file(
     peer.until(lambda: any(map(warns_of_body, statuses("plain"))), "the marker is told of")
     rate = len(flight.estimate) / flight.estimate.duration_s
     first = next(filter(warns_of_body, statuses("plain")))
-    [pairs] = [int(each.value) for each in first.values if each.key == "pairs"]
+    [pairs] = [int(value.value) for value in first.values if value.key == "pairs"]
     assert pairs <= WITHIN_S * rate
     assert not any(map(warns_of_body, statuses("mounted")))
 
@@ -56,8 +56,8 @@ def test_a_marker_is_told_of_in_time_and_applied_from_a_file(
     recorded["runs"][0]["calibration"]["ate"]["before"] = None  # live, nobody pairs the marker
     assert_same(done["mounted"].result, recorded)
     [told] = [
-        each["text"]
-        for each in done["plain"].result["runs"][0]["remarks"]
-        if "--hand-eye" in each["text"]
+        remark["text"]
+        for remark in done["plain"].result["runs"][0]["remarks"]
+        if "--hand-eye" in remark["text"]
     ]
     assert "is probably of another body" in told

@@ -26,8 +26,8 @@ def test_names_are_those_of_the_namespace_and_twins_are_told_of(
     heard = peer.hear("/diagnostics", DiagnosticArray)
 
     def told(text: str) -> bool:
-        statuses = [each for array in heard for each in array.status]
-        return any(each.name == name and text in each.message for each in statuses)
+        statuses = [item for array in heard for item in array.status]
+        return any(status.name == name and text in status.message for status in statuses)
 
     name = "drone1/evaluator: vio_odometry"
     arguments = ["-r", "__ns:=/drone1"]
@@ -40,7 +40,7 @@ def test_names_are_those_of_the_namespace_and_twins_are_told_of(
         topics = dict(peer.node.get_topic_names_and_types())
         assert "/drone1/evaluator/vio_odometry/position_error" in topics
         assert "/drone1/evaluator/other_odometry/position_error" in topics
-        assert not any("drone1_" in each for each in topics)
+        assert not any("drone1_" in topic for topic in topics)
         first.wait_for(
             f"vio_odometry: no messages yet on {GROUNDTRUTH}  |  other_odometry: no messages yet"
         )

@@ -29,7 +29,7 @@ HOUR = 3600 * 10**9
 
 def written(groundtruth: Trajectory, estimate: Trajectory) -> list[Message]:
     both = [*messages_of(groundtruth, GROUNDTRUTH, POSE), *messages_of(estimate, ODOMETRY, ODOM)]
-    return sorted(both, key=lambda each: each[2])
+    return sorted(both, key=lambda item: item[2])
 
 
 def with_wrong_stamps(side: Trajectory, topic: str, kind: str, rows: list[int]) -> list[Message]:
@@ -38,7 +38,7 @@ def with_wrong_stamps(side: Trajectory, topic: str, kind: str, rows: list[int]) 
     stamps[rows] += HOUR
     wrong = messages_of(dataclasses.replace(side, stamps=stamps), topic, kind)
     times = side.stamps.tolist()
-    return [(*each[:2], logged, each[3]) for each, logged in zip(wrong, times, strict=True)]
+    return [(*item[:2], logged, item[3]) for item, logged in zip(wrong, times, strict=True)]
 
 
 def test_a_loop_with_covariances_and_stamps_of_the_future(
@@ -51,7 +51,7 @@ def test_a_loop_with_covariances_and_stamps_of_the_future(
         *with_wrong_stamps(flown.groundtruth[::2], GROUNDTRUTH, POSE, [300, 700]),
         *with_wrong_stamps(estimate, ODOMETRY, ODOM, [50, 200]),
     ]
-    write_messages(bag, sorted(feed, key=lambda each: each[2]))
+    write_messages(bag, sorted(feed, key=lambda item: item[2]))
     with evaluating(
         tmp_path / "live", environment, gauge="yaw", lengths="2,4", covariance="message"
     ) as live:
@@ -81,7 +81,7 @@ def test_a_reset_soon_after_a_reset_by_time(
     feed = written(flown.groundtruth[::2], flown.estimate)
     bag, beginning = tmp_path / "bag", tmp_path / "beginning"
     write_messages(bag, feed)
-    write_messages(beginning, [each for each in feed if each[0] == GROUNDTRUTH][:50])
+    write_messages(beginning, [item for item in feed if item[0] == GROUNDTRUTH][:50])
     with evaluating(tmp_path / "live", environment, gauge="yaw", lengths="2,4") as live:
         peer.play(bag, SUBSCRIBERS, ["evaluator"], rate=8.0)
         peer.play(beginning, {GROUNDTRUTH: 1}, ["evaluator"], rate=8.0)
@@ -126,14 +126,14 @@ def test_a_restart_begins_a_run(peer: Peer, environment: dict[str, str], tmp_pat
     first_after = groundtruth.stamps[groundtruth.stamps >= first].min()
     parts = [
         [
-            each
-            for each in feed
-            if each[2] <= (first_after if each[0] == GROUNDTRUTH else first - 1)
+            item
+            for item in feed
+            if item[2] <= (first_after if item[0] == GROUNDTRUTH else first - 1)
         ],
-        [each for each in feed if each[2] >= (last_before if each[0] == GROUNDTRUTH else first)],
+        [item for item in feed if item[2] >= (last_before if item[0] == GROUNDTRUTH else first)],
     ]
-    for number, (each, part) in enumerate(zip(folders, parts, strict=True)):
-        [run] = result_in(each)["runs"]
+    for number, (item, part) in enumerate(zip(folders, parts, strict=True)):
+        [run] = result_in(item)["runs"]
         of_part = tmp_path / str(number)
         of_part.mkdir()
         write_messages(of_part / "bag", part)

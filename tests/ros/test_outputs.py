@@ -69,11 +69,11 @@ class Heard:
 
 
 def values_of(status: Any) -> dict[str, str]:
-    return {each.key: each.value for each in status.values}
+    return {value.key: value.value for value in status.values}
 
 
 def kinds_of(events: list[Any]) -> list[str]:
-    return [values_of(each)["kind"] for each in events]
+    return [values_of(event)["kind"] for event in events]
 
 
 def newest_ns(message: Any) -> int:
@@ -97,26 +97,26 @@ def heard(
     from std_srvs.srv import Trigger
 
     bag, folder = flights / "mcap", tmp_path_factory.mktemp("heard")
-    floats = {each: peer.hear(f"/judge/{NAME}/{each}", Float64) for each in (*NUMBERS, *ANGLES)}
-    streams = [f"stream/{side}/{each}" for side in (NAME, "groundtruth_pose") for each in STREAM]
-    floats |= {each: peer.hear(f"/judge/{each}", Float64) for each in streams}
+    floats = {item: peer.hear(f"/judge/{NAME}/{item}", Float64) for item in (*NUMBERS, *ANGLES)}
+    streams = [f"stream/{side}/{item}" for side in (NAME, "groundtruth_pose") for item in STREAM]
+    floats |= {stream: peer.hear(f"/judge/{stream}", Float64) for stream in streams}
     kinds = {
         "alignment": TransformStamped,
         "aligned_path": PathMessage,
         "groundtruth_path": PathMessage,
     }
     messages = {
-        each: peer.hear(f"/judge/{NAME}/{each}", kind, latched=True)
-        for each, kind in kinds.items()
+        item: peer.hear(f"/judge/{NAME}/{item}", kind, latched=True)
+        for item, kind in kinds.items()
     }
     lengths = [
         f"{RELATIVE}/length_{length}/{part}"
         for length in ("8m", "2_5s")
         for part in ("position", "rotation")
     ]
-    errors = (f"stamped/{each}" for each in (*VECTORS, "velocity_error"))
-    for each in (*errors, ATE, ATE_ROTATION, *lengths):
-        messages[each] = peer.hear(f"/judge/{NAME}/{each}", Vector3Stamped)
+    errors = (f"stamped/{item}" for item in (*VECTORS, "velocity_error"))
+    for error in (*errors, ATE, ATE_ROTATION, *lengths):
+        messages[error] = peer.hear(f"/judge/{NAME}/{error}", Vector3Stamped)
     messages["diagnostics"] = peer.hear("/diagnostics", DiagnosticArray)
     file = folder / "judge.yaml"
     file.write_text(
@@ -145,10 +145,10 @@ def heard(
         # What is published may be heard long after the answer that all is saved.
         [run] = saved["result"]["runs"]
         last_ns = int(pairs_of(evaluator.folder, NAME).estimate.stamps[-1])
-        for each in (*(f"stamped/{vector}" for vector in VECTORS), *kinds):
+        for item in (*(f"stamped/{vector}" for vector in VECTORS), *kinds):
             peer.until(
-                lambda: messages[each] and newest_ns(messages[each][-1]) == last_ns,  # noqa: B023
-                f"{each} of the last pair",
+                lambda: messages[item] and newest_ns(messages[item][-1]) == last_ns,  # noqa: B023
+                f"{item} of the last pair",
             )
         rmse_m = run["ate"]["position_m"]["rmse"]
         peer.until(
@@ -171,8 +171,8 @@ def heard(
             for topic, types in peer.node.get_topic_names_and_types()
             if topic.startswith(f"/judge/{NAME}/")
         }
-        first = {each: [number.data for number in of] for each, of in floats.items()}
-        messages = {each: list(of) for each, of in messages.items()}
+        first = {item: [number.data for number in of] for item, of in floats.items()}
+        messages = {item: list(of) for item, of in messages.items()}
         # Who comes late hears what has been.
         messages["event"] = peer.hear("/judge/event", DiagnosticStatus, latched=True)
         peer.until(lambda: "alarm" in kinds_of(messages["event"]), "an alarm is an event")
@@ -192,7 +192,7 @@ def test_the_last_published_ate_is_that_of_the_result(heard: Heard) -> None:
     assert rotation == pytest.approx(run["ate"]["rotation_deg"]["rmse"], rel=1e-9)
     assert newest_ns(ate) == newest_ns(heard.messages["stamped/position_error"][-1])
     assert newest_ns(heard.messages[ATE][0]) < newest_ns(ate)
-    assert all(np.isfinite(heard.numbers[each]).all() for each in NUMBERS)
+    assert all(np.isfinite(heard.numbers[number]).all() for number in NUMBERS)
     # The alignment at the time was of fewer states, so errors differ, but not by their size.
     assert 0.0 < np.median(heard.numbers["position_error"]) < run["ate"]["position_m"]["max"]
     assert len(heard.numbers["position_error"]) > 20
@@ -205,7 +205,7 @@ def test_the_health_of_both_streams_is_published_and_in_the_result(heard: Heard)
         (NAME, "estimate", read_trajectory(f"{heard.bag}:{ODOMETRY}")),
         ("groundtruth_pose", "groundtruth", groundtruth),
     ):
-        published = {each: heard.numbers[f"stream/{name}/{each}"] for each in STREAM}
+        published = {item: heard.numbers[f"stream/{name}/{item}"] for item in STREAM}
         stream, steps_s = run["live"]["streams"][side], np.diff(trajectory.stamps) * 1e-9
         assert stream["messages"] == len(trajectory.stamps)
         assert stream["rate_hz"] == pytest.approx(1.0 / steps_s.mean(), rel=1e-6)
@@ -244,7 +244,7 @@ def test_the_alignment_moves_the_estimate_onto_the_groundtruth(heard: Heard) -> 
 def test_paths_lie_on_each_other(heard: Heard) -> None:
     [run] = heard.saved["result"]["runs"]
     aligned, groundtruth = (
-        heard.messages[each][-1] for each in ("aligned_path", "groundtruth_path")
+        heard.messages[name][-1] for name in ("aligned_path", "groundtruth_path")
     )
     assert aligned.header.frame_id == groundtruth.header.frame_id
     assert 100 < len(aligned.poses) == len(groundtruth.poses) <= 2001
@@ -255,17 +255,19 @@ def test_paths_lie_on_each_other(heard: Heard) -> None:
     errors = np.linalg.norm(places[0] - places[1], axis=1)
     assert errors.max() < 2.0 * run["ate"]["position_m"]["max"]
     stamps = [
-        each.header.stamp.sec * 10**9 + each.header.stamp.nanosec for each in groundtruth.poses
+        pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec for pose in groundtruth.poses
     ]
     assert stamps == sorted(stamps)
 
 
 def test_diagnostics_tell_how_it_goes(heard: Heard) -> None:
-    statuses = [each.status[0] for each in heard.messages["diagnostics"] if each.status]
-    assert {each.name for each in statuses} == {f"judge: {NAME}"}
-    assert {each.hardware_id for each in statuses} == {"robot"}
+    statuses = [
+        diagnostic.status[0] for diagnostic in heard.messages["diagnostics"] if diagnostic.status
+    ]
+    assert {status.name for status in statuses} == {f"judge: {NAME}"}
+    assert {status.hardware_id for status in statuses} == {"robot"}
     last = statuses[-1]
-    values = {each.key: each.value for each in last.values}
+    values = {value.key: value.value for value in last.values}
     [run] = heard.saved["result"]["runs"]
     assert int(values["pairs"]) == run["association"]["pairs"]
     assert values["messages lost"] == values["groundtruth messages lost"] == "0"
@@ -273,7 +275,7 @@ def test_diagnostics_tell_how_it_goes(heard: Heard) -> None:
     assert float(values["ATE position, whole run [m]"]) == pytest.approx(
         run["ate"]["position_m"]["rmse"], rel=1e-5
     )
-    alarms = {each.message for each in statuses if "is over 0.001 m" in each.message}
+    alarms = {status.message for status in statuses if "is over 0.001 m" in status.message}
     assert alarms
     assert len(alarms) <= 3  # not another text every second
     # In simulated time arrival and stamp are of one clock, which is why there is a risk to tell.
@@ -282,7 +284,9 @@ def test_diagnostics_tell_how_it_goes(heard: Heard) -> None:
 
 
 def test_an_alarm_is_an_event_with_its_numbers(heard: Heard) -> None:
-    [alarm, *_] = [each for each in heard.messages["event"] if values_of(each)["kind"] == "alarm"]
+    [alarm, *_] = [
+        message for message in heard.messages["event"] if values_of(message)["kind"] == "alarm"
+    ]
     values = values_of(alarm)
     assert alarm.name == f"judge: {NAME}"
     assert alarm.level == b"\x01"
@@ -297,16 +301,16 @@ def test_every_pair_has_an_error_with_the_stamp_of_its_estimate(heard: Heard) ->
     [run] = heard.saved["result"]["runs"]
     stamps_in_bag = read_trajectory(f"{heard.bag}:{ODOMETRY}").stamps.tolist()
     vectors = {}
-    for each in VECTORS:
-        messages = heard.messages[f"stamped/{each}"]
+    for vector in VECTORS:
+        messages = heard.messages[f"stamped/{vector}"]
         stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages]
         assert 0.9 * run["association"]["pairs"] < len(stamps) <= run["association"]["pairs"]
         assert stamps == sorted(set(stamps) & set(stamps_in_bag))
         assert {m.header.frame_id for m in messages} == {
             heard.saved["result"]["groundtruth"]["frame"]
         }
-        vectors[each] = np.array([[m.vector.x, m.vector.y, m.vector.z] for m in messages])
-    lengths = {each: np.linalg.norm(vectors[each], axis=1) for each in VECTORS}
+        vectors[vector] = np.array([[m.vector.x, m.vector.y, m.vector.z] for m in messages])
+    lengths = {vector: np.linalg.norm(vectors[vector], axis=1) for vector in VECTORS}
     attitude = vectors["attitude_error"]
     # The plain numbers are those of the newest pair of each tick.
     for name, of_pairs in (
@@ -325,7 +329,7 @@ def test_every_pair_has_an_error_with_the_stamp_of_its_estimate(heard: Heard) ->
 
 
 def test_harmless_parameters_can_be_set_and_others_cannot(heard: Heard) -> None:
-    assert all(each.successful for each in heard.set["live"])
+    assert all(item.successful for item in heard.set["live"])
     assert heard.set["integer"][0].successful
     assert not heard.set["read-only"][0].successful
     assert "read-only" in heard.set["read-only"][0].reason
@@ -381,8 +385,10 @@ def test_a_recording_of_errors_has_the_topics_and_types_of_the_node(
     last = recorded[f"/evaluator/{NAME}/{ATE}"].vectors[-1]
     assert heard.messages[ATE][-1].vector.x == pytest.approx(last[0], rel=1e-9)
     [told] = recorded["/diagnostics"].messages
-    live = [each.status[0] for each in heard.messages["diagnostics"] if each.status][-1]
-    assert {each.key for each in told.status[0].values} <= set(values_of(live))
+    live = [
+        diagnostic.status[0] for diagnostic in heard.messages["diagnostics"] if diagnostic.status
+    ][-1]
+    assert {value.key for value in told.status[0].values} <= set(values_of(live))
 
 
 def plain(message: Any) -> Any:
@@ -393,10 +399,10 @@ def plain(message: Any) -> Any:
     if hasattr(message, "get_fields_and_field_types"):
         names = list(message.get_fields_and_field_types())
     elif dataclasses.is_dataclass(message):  # with the type's constants
-        names = [each.name for each in dataclasses.fields(message) if each.name.islower()]
+        names = [field.name for field in dataclasses.fields(message) if field.name.islower()]
     if names:
-        return {each: plain(getattr(message, each)) for each in names if each[0] != "_"}
-    return [plain(each) for each in message] if isinstance(message, list) else message
+        return {name: plain(getattr(message, name)) for name in names if name[0] != "_"}
+    return [plain(item) for item in message] if isinstance(message, list) else message
 
 
 def test_the_newest_path_is_published_as_it_is_evaluated(
@@ -412,7 +418,7 @@ def test_the_newest_path_is_published_as_it_is_evaluated(
     base = "/evaluator/vio/revised"
     lengths = (f"{RELATIVE}/length_2m/position", f"{RELATIVE}/length_2m/rotation")
     topics = (ATE, ATE_ROTATION, *lengths)
-    vectors = {each: peer.hear(f"{base}/{each}", Vector3Stamped, latched=True) for each in topics}
+    vectors = {item: peer.hear(f"{base}/{item}", Vector3Stamped, latched=True) for item in topics}
     paths = peer.hear(f"{base}/aligned_path", PathMessage, latched=True)
     alignments = peer.hear(f"{base}/alignment", TransformStamped, latched=True)
     options = {"estimates": ["/vio"], "gauge": "yaw", "lengths": "2,4"}

@@ -72,8 +72,8 @@ def test_odd_parameters_are_understood_and_an_existing_folder_is_left_alone(
         evaluator.wait_for(f"output folder: {tmp_path / 'out_2'}")
         assert evaluator.end() == 2
     assert "no pairs of estimate and groundtruth" in evaluator.said
-    assert [each.name for each in kept.parent.iterdir()] == ["notes.txt"]
-    found = {each.name for each in (tmp_path / "out_2").iterdir()}
+    assert [path.name for path in kept.parent.iterdir()] == ["notes.txt"]
+    found = {path.name for path in (tmp_path / "out_2").iterdir()}
     assert found == {"groundtruth.states", "v.states", "metrics.prom"}
 
 
@@ -116,7 +116,7 @@ def test_the_log_and_diagnostics_show_control_characters(
     folder, shown = tmp_path / "out\x1b[31m\u202e", rf"{tmp_path}/out\x1b[31m\u202e"
     with evaluating(folder, environment, groundtruth="/groundtruth") as evaluator:
         evaluator.wait_for(f"output folder: {shown}")
-        peer.until(lambda: any(each.status for each in heard), "diagnostics")
+        peer.until(lambda: any(item.status for item in heard), "diagnostics")
         answer = peer.ask("/evaluator/reset", Trigger).message
         [refused] = peer.set("/evaluator", window="\x1b[31m")
         assert evaluator.end() == 2

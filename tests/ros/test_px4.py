@@ -45,7 +45,7 @@ def test_live_results_are_those_of_the_bag(
     assert len(other["estimate"]["resets"]) == 2
     assert_same(run["estimate"]["resets"], other["estimate"]["resets"], "resets")
     (told,), (also_told,) = (
-        [each for each in side["estimate"]["remarks"] if each["code"] == "declared_resets"]
+        [remark for remark in side["estimate"]["remarks"] if remark["code"] == "declared_resets"]
         for side in (run, other)
     )
     assert told == also_told

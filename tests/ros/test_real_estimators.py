@@ -52,4 +52,4 @@ def estimates(path: Path) -> list[str]:
     from trajeval_ros.io.bags.bag import Bag
 
     with Bag(path) as opened:
-        return sorted(each.name for each in opened.topics if each.type.endswith("Odometry"))
+        return sorted(topic.name for topic in opened.topics if topic.type.endswith("Odometry"))

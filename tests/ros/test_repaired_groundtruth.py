@@ -39,16 +39,16 @@ def test_nees_against_a_repaired_groundtruth_is_published_as_the_recording_has_i
     drawn = np.random.default_rng(0).normal(0.0, 0.03, (len(estimate), 3))
     estimate = dataclasses.replace(estimate, positions=estimate.positions + drawn)
     bag, sides = tmp_path / "bag", ((repaired, GROUNDTRUTH), (estimate, ODOMETRY))
-    both = [each for side, topic in sides for each in messages_of(side, topic, ODOM)]
-    write_messages(bag, sorted(both, key=lambda each: each[2]))
+    both = [message for side, topic in sides for message in messages_of(side, topic, ODOM)]
+    write_messages(bag, sorted(both, key=lambda item: item[2]))
     words = ("--gauge", "yaw", "--lengths", "none", "--covariance", "message")
     exact, expected = (
         offline(bag, tmp_path, GROUNDTRUTH, [ODOMETRY], *words, *more)
         for more in ((), ("--groundtruth-noise", noise))
     )
     [means, of_exact] = (
-        [each["mean"], each["position"]["mean"], each["rotation"]["mean"]]
-        for each in (one["runs"][0]["consistency"]["per_pose"] for one in (expected, exact))
+        [item["mean"], item["position"]["mean"], item["rotation"]["mean"]]
+        for item in (one["runs"][0]["consistency"]["per_pose"] for one in (expected, exact))
     )
     assert (np.less(means, of_exact)).all()  # the noise counts
     heard = [peer.hear(f"/evaluator/vio_odometry/{name}", Float64) for name in NEES_NUMBERS]
@@ -60,8 +60,8 @@ def test_nees_against_a_repaired_groundtruth_is_published_as_the_recording_has_i
         peer.play(bag, {GROUNDTRUTH: 1, ODOMETRY: 1}, ["evaluator"], rate=8.0)
         for name, messages, mean in zip(NEES_NUMBERS, heard, means, strict=True):
             peer.until(
-                lambda: any(each.data == pytest.approx(mean, rel=1e-9) for each in messages),  # noqa: B023
-                f"{name} {mean:g} of the whole run, after {[each.data for each in messages][-3:]}",
+                lambda: any(message.data == pytest.approx(mean, rel=1e-9) for message in messages),  # noqa: B023
+                f"{name} {mean:g} of the whole run, after {[message.data for message in messages][-3:]}",
             )
         assert live.end() == 0
     assert_same(live.result, expected)

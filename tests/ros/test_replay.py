@@ -50,14 +50,14 @@ def assert_same(received: list[bytes], sent: list[bytes]) -> None:
 
 def clock_ns(payloads: list[bytes]) -> list[int]:
     clocks: list[Any] = [
-        STORE.deserialize_cdr(each, "rosgraph_msgs/msg/Clock").clock for each in payloads
+        STORE.deserialize_cdr(payload, "rosgraph_msgs/msg/Clock").clock for payload in payloads
     ]
-    return [each.sec * 10**9 + each.nanosec for each in clocks]
+    return [clock.sec * 10**9 + clock.nanosec for clock in clocks]
 
 
 def stamps_ns(payloads: list[bytes], kind: str) -> list[int]:
-    headers: list[Any] = [STORE.deserialize_cdr(each, kind).header for each in payloads]  # type: ignore[attr-defined]
-    return [each.stamp.sec * 10**9 + each.stamp.nanosec for each in headers]
+    headers: list[Any] = [STORE.deserialize_cdr(payload, kind).header for payload in payloads]  # type: ignore[attr-defined]
+    return [header.stamp.sec * 10**9 + header.stamp.nanosec for header in headers]
 
 
 @pytest.mark.parametrize("rate", [5, 20])
@@ -96,7 +96,7 @@ def test_a_part_of_one_topic_under_another_name(
     sent = recorded(flight)
     first = min(messages[0][0] for messages in sent.values())
     window = range(first + 5 * 10**9, first + round(12.5 * 10**9) + 1)
-    assert_same(received["/renamed"], [each for time, each in sent[ODOMETRY] if time in window])
+    assert_same(received["/renamed"], [item for time, item in sent[ODOMETRY] if time in window])
     assert received["/clock"] == []
     assert GROUNDTRUTH not in said
 
@@ -119,10 +119,10 @@ def test_a_bag_of_ros1_is_encoded_anew(
                 for _, _, payload in reader.messages(connections, stop=end)
             ]
             found: list[Any] = [
-                STORE.deserialize_cdr(each, pose) for each in received[name.replace("-", "_")]
+                STORE.deserialize_cdr(item, pose) for item in received[name.replace("-", "_")]
             ]
             assert len(expected) > 100
-            assert [_essence(each) for each in found] == [_essence(each) for each in expected]
+            assert [_essence(item) for item in found] == [_essence(item) for item in expected]
 
 
 def _essence(message: Any) -> tuple[object, ...]:
@@ -179,7 +179,7 @@ def test_a_signal_ends_it_in_order(
     counts = re.search(rf"stopped after .* (\d+) on {GROUNDTRUTH}, (\d+) on {ODOMETRY}", said)
     assert counts is not None
     assert [len(received[GROUNDTRUTH]), len(received[ODOMETRY])] == [
-        int(each) for each in counts.groups()
+        int(group) for group in counts.groups()
     ]
     assert 0 < len(received[GROUNDTRUTH]) < len(recorded(flight)[GROUNDTRUTH])
 

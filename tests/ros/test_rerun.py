@@ -71,8 +71,8 @@ def test_drawn_numbers_are_the_published_ones(
         assert evaluator.end() == 0
         assert "Rerun" not in evaluator.said
     picture = Rrd(tmp_path / "out" / "run.rrd")
-    for each, (topic, _, byte) in NUMBERS.items():
-        _, drawn = picture.numbers(f"metrics/{each}/{NAME}")
+    for item, (topic, _, byte) in NUMBERS.items():
+        _, drawn = picture.numbers(f"metrics/{item}/{NAME}")
         payloads = received[f"/evaluator/{NAME}/{topic}"]
         published = [value_of(payload, byte) for payload in payloads]
         assert len(published) > 10
@@ -82,7 +82,7 @@ def test_drawn_numbers_are_the_published_ones(
         assert len(places) > 0.8 * len(published)
         assert places == sorted(places)
         assert (
-            each.endswith("rotation") or each == "rotation_error" or len(places) == len(published)
+            item.endswith("rotation") or item == "rotation_error" or len(places) == len(published)
         )
         assert places[0] < 0.5 * len(drawn)
     # Of relative errors the picture has five a second at most.
@@ -93,7 +93,7 @@ def test_drawn_numbers_are_the_published_ones(
     assert heard[missed:].all()
     assert missed < 0.5 * len(drawn)
     _, half_axes = picture.rows(f"world/estimate/{NAME}/covariance", "Ellipsoids3D:half_sizes")
-    assert all(np.isfinite(each).all() for each in half_axes)
+    assert all(np.isfinite(half_axis).all() for half_axis in half_axes)
 
 
 def test_fixes_are_on_the_map(peer: Peer, environment: dict[str, str], tmp_path: Path) -> None:
@@ -223,9 +223,9 @@ def test_reset_begins_another_picture(
         assert peer.ask("/evaluator/reset", Trigger).success
         replay(flights / "mcap", environment, "--rate", 9)
         assert evaluator.end() == 0
-    first, second = (tmp_path / each / "run.rrd" for each in ("out", "out_2"))
-    for each in (first, second):
-        stamps, _ = Rrd(each).numbers(f"metrics/position_error/{NAME}")
+    first, second = (tmp_path / name / "run.rrd" for name in ("out", "out_2"))
+    for item in (first, second):
+        stamps, _ = Rrd(item).numbers(f"metrics/position_error/{NAME}")
         assert len(stamps) > 10
 
 

@@ -65,17 +65,17 @@ def a_run(
                 arrivals.tolist(), stamps.tolist(), numbers.tolist(), strict=True
             )
         ]
-    return sorted(found, key=lambda each: each.arrives)
+    return sorted(found, key=lambda item: item.arrives)
 
 
 def feed(stream: TransformStream, batches: Iterable[Sequence[Arriving]]) -> list[Trajectory]:
     """Let batches arrive as the node hands them over: what is static before what moves."""
     found = []
     for batch in batches:
-        stream.hold([transforms_message(each.transform) for each in batch if each.is_static])
-        payloads = [transforms_message(each.transform) for each in batch if not each.is_static]
+        stream.hold([transforms_message(item.transform) for item in batch if item.is_static])
+        payloads = [transforms_message(item.transform) for item in batch if not item.is_static]
         if payloads:
-            arrived = np.array([each.arrives for each in batch if not each.is_static])
+            arrived = np.array([item.arrives for item in batch if not item.is_static])
             states, rows = stream.poses("", payloads, arrived)
             found.append(states)
             assert (rows == len(payloads) - 1).all()
@@ -85,12 +85,12 @@ def feed(stream: TransformStream, batches: Iterable[Sequence[Arriving]]) -> list
 def offline(run: Iterable[Arriving]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return stamps and states of the chain of all transforms."""
     by_key: dict[EdgeKey, list[Arriving]] = {}
-    for each in run:
-        by_key.setdefault(each.transform[:2], []).append(each)
+    for item in run:
+        by_key.setdefault(item.transform[:2], []).append(item)
     edges = {
         key: Edge.from_columns(
-            np.array([each.transform[2] for each in several]),
-            np.array([[*each.transform[3], *each.transform[4]] for each in several]),
+            np.array([item.transform[2] for item in several]),
+            np.array([[*item.transform[3], *item.transform[4]] for item in several]),
             several[0].is_static,
         )
         for key, several in by_key.items()
@@ -122,8 +122,8 @@ def test_any_batches_give_the_offline_chain(
     found = feed(stream, cut(run, cuts))
     stamps, expected = offline(run)
     assert len(stamps) > 100
-    np.testing.assert_array_equal(np.concatenate([each.stamps for each in found]), stamps)
-    live = np.concatenate([rows_of(each) for each in found])
+    np.testing.assert_array_equal(np.concatenate([item.stamps for item in found]), stamps)
+    live = np.concatenate([rows_of(item) for item in found])
     np.testing.assert_allclose(live, expected, rtol=1e-12, atol=1e-12)
     assert stream.trouble is None
     assert stream.status.poses == len(stamps)
@@ -151,8 +151,8 @@ def test_recorded_transforms_give_the_offline_chain(
     for begin in range(0, len(messages), 10):
         arrived, payloads = zip(*messages[begin : begin + 10], strict=True)
         found.append(stream.poses("", payloads, np.array(arrived))[0])
-    np.testing.assert_array_equal(np.concatenate([each.stamps for each in found]), expected.stamps)
-    live = np.concatenate([rows_of(each) for each in found])
+    np.testing.assert_array_equal(np.concatenate([item.stamps for item in found]), expected.stamps)
+    live = np.concatenate([rows_of(item) for item in found])
     assert expected.quaternions is not None
     np.testing.assert_allclose(live[:, POSITION], expected.positions, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(live[:, QUATERNION], expected.quaternions, rtol=1e-9, atol=1e-9)
@@ -196,9 +196,9 @@ def test_an_edge_waits_for_the_others_as_far_back_as_it_may(
     stream = TransformStream(SOURCE, "map", "camera")
     feed(stream, [[STATIC], *seconds_of((MAP, ODOM), 0, 5)])
     assert stream.status.poses == 50
-    assert not any(len(each.stamps) for each in feed(stream, seconds_of((MAP,), 5, 60)))
+    assert not any(len(item.stamps) for item in feed(stream, seconds_of((MAP,), 5, 60)))
     after = [START + 60 * SECOND, START + 60 * SECOND + SECOND // 10]
-    [found] = feed(stream, [[moving(ODOM, each) for each in after]])
+    [found] = feed(stream, [[moving(ODOM, item) for item in after]])
     # Of 55 s without its fellow, what is held has a pose; never anything beyond the newest.
     newest = START + 60 * SECOND - SECOND // 10
     assert found.stamps.tolist() == [newest - row * SECOND // 10 for row in range(99, -1, -1)]

@@ -112,7 +112,7 @@ def evaluate_live(
             window="0",
             **values,
         ) as evaluator:
-            sources = {each.partition(":")[0] for each in (groundtruth, estimate)}
+            sources = {item.partition(":")[0] for item in (groundtruth, estimate)}
             played = {*sources, *static}
             topics = [word for topic in played for word in ("--topic", topic)]
             replay(bag, environment, "--rate", rate, *topics)
@@ -241,7 +241,7 @@ def test_a_latched_static_transform_is_received_beside_one_that_is_not_latched(
     from tf2_msgs.msg import TFMessage
 
     mounted = transforms_message(("base", "camera", 0, (0.1, 0.0, 0.05), (0.5, -0.5, 0.5, 0.5)))
-    publishers = [peer.publisher("/tf_static", TFMessage, latched=each) for each in (True, False)]
+    publishers = [peer.publisher("/tf_static", TFMessage, latched=item) for item in (True, False)]
     publishers[0].publish(deserialize_message(mounted, TFMessage))
     with evaluating(
         tmp_path / "out", environment, estimates=[ESTIMATE], gauge="yaw", lengths="none"
@@ -249,8 +249,8 @@ def test_a_latched_static_transform_is_received_beside_one_that_is_not_latched(
         peer.until(publishers[0].get_subscription_count, "a reader of latched static transforms")
         replay(flight, environment, "--rate", 8, "--topic", GROUNDTRUTH, "--topic", "/tf")
         assert evaluator.end() == 0
-    for each in publishers:
-        peer.node.destroy_publisher(each)
+    for publisher in publishers:
+        peer.node.destroy_publisher(publisher)
     assert evaluator.run_of(ESTIMATE)["association"]["pairs"] > 500
 
 

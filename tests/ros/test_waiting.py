@@ -35,7 +35,7 @@ def test_four_estimates_go_on_while_clocks_and_hints_are_looked_for(
         feed += messages_of(flown.estimate, topic, ODOM)
     write_messages(tmp_path / "bag", feed)
     kind, name = Vector3Stamped, "stamped/position_error"
-    errors = {each: peer.hear(f"/evaluator{each}/{name}", kind) for each in ESTIMATES}
+    errors = {estimate: peer.hear(f"/evaluator{estimate}/{name}", kind) for estimate in ESTIMATES}
     statuses = peer.hear("/diagnostics", DiagnosticArray)
     with evaluating(
         tmp_path / "live",
@@ -48,8 +48,8 @@ def test_four_estimates_go_on_while_clocks_and_hints_are_looked_for(
         subscribers = dict.fromkeys((GROUNDTRUTH, *ESTIMATES), 1)
         peer.play(tmp_path / "bag", subscribers, ["evaluator"], rate=4.0)
         # A clock is estimated from 35 s on, a hint looked for from 5 s on; both wait.
-        for each in ("calibrate", "hints_about"):
-            peer.until((tmp_path / each).exists, f"{each} is asked for")
+        for item in ("calibrate", "hints_about"):
+            peer.until((tmp_path / item).exists, f"{item} is asked for")
         last = int(flown.groundtruth[::4].stamps[-1])
         for topic, heard in errors.items():
             peer.until(lambda heard=heard: heard and newest_ns(heard) > last - 100_000_000, topic)

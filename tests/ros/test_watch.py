@@ -43,15 +43,15 @@ def offline(diverging: Path) -> Any:
 
 
 def values_of(status: Any) -> dict[str, str]:
-    return {each.key: each.value for each in status.values}
+    return {value.key: value.value for value in status.values}
 
 
 def alarms_of(events: list[Any]) -> dict[str, int]:
     """Return when each signal's first alarm began, by the events."""
     found: dict[str, int] = {}
-    for each in events:
-        values = values_of(each)
-        if values["kind"] == "alarm" and each.level != b"\0":
+    for event in events:
+        values = values_of(event)
+        if values["kind"] == "alarm" and event.level != b"\0":
             found.setdefault(values["subject"], int(values["stamp_ns"]))
     return found
 
@@ -66,8 +66,8 @@ def test_an_injected_fault_is_the_alarm_that_the_recording_has(
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
     expected: dict[str, int] = {}
-    for each in sorted(offline["alarms"], key=lambda each: each["begin_ns"]):
-        expected.setdefault(each["signal"], each["begin_ns"])
+    for alarm in sorted(offline["alarms"], key=lambda each: each["begin_ns"]):
+        expected.setdefault(alarm["signal"], alarm["begin_ns"])
     assert {
         "pair_percent_5s.vio",
         "pair_percent_5s.wheel",
@@ -81,9 +81,9 @@ def test_an_injected_fault_is_the_alarm_that_the_recording_has(
         peer.until(lambda: alarms_of(events).keys() >= expected.keys(), "all alarms")
         peer.until(
             lambda: any(
-                each.name == "evaluator: odom watch" and each.level == b"\2"
+                item.name == "evaluator: odom watch" and item.level == b"\2"
                 for array in diagnostics
-                for each in array.status
+                for item in array.status
             ),
             "diagnostics have the error",
         )
@@ -92,11 +92,11 @@ def test_an_injected_fault_is_the_alarm_that_the_recording_has(
     found = alarms_of(events)
     assert found.keys() == expected.keys()
     np.testing.assert_allclose(
-        [found[each] for each in expected], list(expected.values()), rtol=0.0, atol=1
+        [found[item] for item in expected], list(expected.values()), rtol=0.0, atol=1
     )
-    [first, *_] = [each for each in events if values_of(each)["kind"] == "alarm"]
+    [first, *_] = [event for event in events if values_of(event)["kind"] == "alarm"]
     assert float(values_of(first)["factor"]) == 1.0
-    status = [each for array in diagnostics for each in array.status][-1]
+    status = [item for array in diagnostics for item in array.status][-1]
     assert "pair_percent_5s" in status.message
     assert float(values_of(status)["factor"]) == 1.0
 
@@ -116,7 +116,7 @@ def test_it_watches_beside_an_evaluation(
         )
         peer.until(
             lambda: any(
-                {each.name for each in array.status}
+                {item.name for item in array.status}
                 >= {"evaluator: odom", "evaluator: odom watch"}
                 for array in diagnostics
             ),

@@ -45,7 +45,7 @@ def test_errors_are_left_after_yaw_and_position_of_the_first_keyframe() -> None:
         yaw.apply(velocities + off_velocity),
     )
     found = _errors(state_of(positions, rotations, velocities), own)
-    expected = [np.sqrt(np.mean(np.sum(each**2, axis=1))) for each in (off, off_velocity)]
+    expected = [np.sqrt(np.mean(np.sum(item**2, axis=1))) for item in (off, off_velocity)]
     assert found == pytest.approx((expected[0], np.sqrt(np.mean(angles**2)), expected[1]))
 
 
@@ -107,7 +107,9 @@ def test_progress_counts_trials_and_weights(monkeypatch: pytest.MonkeyPatch) -> 
     assert told.parts == [(1, 3), (2, 3), (3, 3)]
     told.parts.clear()
     _swept("sine", nothing, 3, told)
-    assert told.parts == [(each, len(SWEEP_WEIGHTS)) for each in range(1, len(SWEEP_WEIGHTS) + 1)]
+    assert told.parts == [
+        (index, len(SWEEP_WEIGHTS)) for index in range(1, len(SWEEP_WEIGHTS) + 1)
+    ]
     told.parts.clear()
     made: list[tuple[int, bool]] = []
 
@@ -119,8 +121,8 @@ def test_progress_counts_trials_and_weights(monkeypatch: pytest.MonkeyPatch) -> 
     first, (stopped, converged) = _transformed("sine", nothing, 3, told)
     assert told.parts == [(1, 3), (2, 3), (3, 3)]
     assert told.titles == ["sine, 3 trials", "sine, prior weights", "sine, covariances"]
-    assert made == [(trial, each) for trial in range(3) for each in (False, True)]
-    assert [each.difference for each in first] == [0.0, 0.5]
+    assert made == [(trial, item) for trial in range(3) for item in (False, True)]
+    assert [item.difference for item in first] == [0.0, 0.5]
     assert (stopped.tolist(), converged.tolist()) == ([0.0, 1.0, 2.0], [0.5, 1.5, 2.5])
 
 
@@ -168,7 +170,7 @@ def test_a_study_is_written_with_its_conditions() -> None:
     assert table.endswith("|\n")
     both = {**study.sweeps, "arc of V1": study.sweeps["sine plane"]}
     figures = dataclasses.replace(study, sweeps=both).figures()
-    titles = [each.args[-1] for name, each in figures.items() if name.startswith("prior_")]
+    titles = [figure.args[-1] for name, figure in figures.items() if name.startswith("prior_")]
     assert titles == [
         "sine plane, one trial, profile paper",
         "sine plane, profile paper, 2 trials",

@@ -57,8 +57,8 @@ def test_writes_tables_numbers_and_figures(
         assert imread(folder / name).std() > 0.03
     numbers = json.loads((folder / "study.json").read_text())
     assert len(numbers["configurations"]) == 6
-    for each in numbers["configurations"].values():
-        fixed, free = each["fixation"], each["free"]
+    for configuration in numbers["configurations"].values():
+        fixed, free = configuration["fixation"], configuration["free"]
         # Table II: the gauges agree to a percent or so, and the errors have its size.
         np.testing.assert_allclose(free["position_m"], fixed["position_m"], rtol=0.15)
         assert 0.003 < np.mean(free["position_m"]) < 0.1

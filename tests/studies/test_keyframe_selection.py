@@ -122,7 +122,7 @@ def test_kept_observations_leave_landmarks_with_three_views(recording: SensorRec
     rows = np.flatnonzero(found.landmark_of == lost)
     wanted[rows[: len(rows) - 2]] = False  # two views of it are left
     part, left = found.kept(wanted)
-    assert left.tolist() == [each for each in range(found.landmarks) if each != lost]
+    assert left.tolist() == [index for index in range(found.landmarks) if index != lost]
     assert part.landmarks == found.landmarks - 1
     others = found.landmark_of != lost
     np.testing.assert_array_equal(part.pixels, found.pixels[others])

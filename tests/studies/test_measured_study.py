@@ -79,7 +79,7 @@ def test_the_papers_table_three_has_its_row(examined: Examination) -> None:
 @pytest.mark.slow
 def test_the_sweep_peaks_between_both_ends(examined: Examination) -> None:
     weights = [1.0, 7.0, 10.0, 100.0, 1e3, 1e5, 1e8]
-    iterations = [each.iterations.mean() for each in sweep(examined.scene, 5, _nothing, weights)]
+    iterations = [item.iterations.mean() for item in sweep(examined.scene, 5, _nothing, weights)]
     peak = int(np.argmax(iterations))
     assert 7.0 <= weights[peak] <= 2000.0
     assert iterations[peak] > 2.0 * max(iterations[0], iterations[-1])

@@ -88,8 +88,8 @@ def test_the_papers_argument(files: Path, capsys: pytest.CaptureFixture[str]) ->
     weighted = []
     for place, estimate in enumerate(content["estimates"]):
         ratios = {
-            each["association"]: each["ate_m"] / estimate["true_ate_m"]
-            for each in estimate["reported"]
+            item["association"]: item["ate_m"] / estimate["true_ate_m"]
+            for item in estimate["reported"]
         }
         assert ratios["matern, supported"] == pytest.approx(1.0, abs=0.2)
         assert ratios["matern, weighted"] < ratios["matern, plain"]

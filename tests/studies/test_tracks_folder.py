@@ -176,8 +176,8 @@ def test_stamps_that_differ_by_nanoseconds_are_joined(folder: Path) -> None:
     (folder / "tracks.csv").write_text(text)
     joined = _examined(folder)
     assert joined.notes[0].endswith("merged into one image: 1")
-    for each in (moved, joined):
-        assert each.rejection.rounds == plain.rejection.rounds
+    for item in (moved, joined):
+        assert item.rejection.rounds == plain.rejection.rounds
 
 
 def test_velocity_and_biases_that_are_missing_are_said(folder: Path) -> None:
@@ -219,7 +219,7 @@ def test_what_the_lens_cannot_show_is_left_out_and_counted(folder: Path) -> None
 def _without(path: str, line: str) -> Callable[[Path], None]:
     return lambda folder: _edit(
         folder / path,
-        lambda text: "".join(each for each in text.splitlines(True) if line not in each),
+        lambda text: "".join(item for item in text.splitlines(True) if line not in item),
     )
 
 

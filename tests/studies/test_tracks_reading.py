@@ -55,8 +55,8 @@ def test_the_order_of_rows_and_a_header_change_nothing(
     np.testing.assert_array_equal(found.groundtruth.stamps, recording.groundtruth.stamps)
     np.testing.assert_array_equal(found.image_stamps, recording.image_stamps)
     tables = []
-    for each in (found, recording):
-        table = np.column_stack([each.image_of, each.track_of, each.pixels])
+    for item in (found, recording):
+        table = np.column_stack([item.image_of, item.track_of, item.pixels])
         tables.append(table[np.lexsort(table.T[1::-1])])
     np.testing.assert_array_equal(*tables)
 

@@ -106,11 +106,11 @@ def _jacobian(problem: Problem, state: State, root: float) -> np.ndarray:
     visual[rows, :, count + problem.visibility.keyframe_of] = by_turn
     visual[rows, :, 3 * count + problem.visibility.landmark_of] = by_point
     moved = np.zeros((count - 1, 9, 3 * count + problem.landmarks, 3))
-    each = np.arange(count - 1)
+    item = np.arange(count - 1)
     for part in range(3):
         columns = slice(3 * part, 3 * part + 3)
-        moved[each, :, part * count + each] = inertial.by_before[:, :, columns]
-        moved[each, :, part * count + each + 1] = inertial.by_after[:, :, columns]
+        moved[item, :, part * count + item] = inertial.by_before[:, :, columns]
+        moved[item, :, part * count + item + 1] = inertial.by_after[:, :, columns]
     prior = np.zeros((4, 3 * count + problem.landmarks, 3))
     prior[[0, 1, 2], 0, [0, 1, 2]] = prior[3, count, 2] = root
     parts = (

@@ -164,8 +164,8 @@ class Campaign:
             companion.wait()
         self.statuses[f"{how}: {status}"] += 1
         said = log.read_text(errors="replace")
-        is_started = OWN_LINES in said or not any(each in said for each in STARTS_UP)
-        if is_started and any(each in said for each in COMPLAINTS):
+        is_started = OWN_LINES in said or not any(item in said for item in STARTS_UP)
+        if is_started and any(complaint in said for complaint in COMPLAINTS):
             self._fault(f"{ending.name} after {moment:.2f} s: {said[-600:]}")
 
     def _look(self, folder: Path, wholes: list[Listing]) -> None:
@@ -186,7 +186,7 @@ class Campaign:
         found = self._results(folder)
         if self.verb.then is None and not _same(found, whole):
             names = {
-                each for each in found.keys() | whole.keys() if found.get(each) != whole.get(each)
+                item for item in found.keys() | whole.keys() if found.get(item) != whole.get(item)
             }
             self._fault(f"the next start leaves other results: {sorted(names - OWN)}")
         limit = time.monotonic() + _LAST_WRITING_S
@@ -198,21 +198,21 @@ class Campaign:
 
     def _left(self, folder: Path) -> list[str]:
         return [
-            str(each.relative_to(self.work))
+            str(path.relative_to(self.work))
             for place in (folder, self.scratch)
-            for each in place.rglob("*")
-            if ".trajeval-" in each.name or each.name == ".compare.lock"
+            for path in place.rglob("*")
+            if ".trajeval-" in path.name or path.name == ".compare.lock"
         ]
 
     def _results(self, folder: Path) -> Listing:
         output = folder / self.verb.output
         return {
-            str(each.relative_to(output)): hashlib.sha256(each.read_bytes()).hexdigest()
-            for each in output.rglob("*")
-            if each.is_file()
-            and ".trajeval-" not in str(each.relative_to(output))
-            and each.name != ".compare.lock"
-            and not (self.verb.kept and each.match(self.verb.kept))
+            str(path.relative_to(output)): hashlib.sha256(path.read_bytes()).hexdigest()
+            for path in output.rglob("*")
+            if path.is_file()
+            and ".trajeval-" not in str(path.relative_to(output))
+            and path.name != ".compare.lock"
+            and not (self.verb.kept and path.match(self.verb.kept))
         }
 
     def _fault(self, text: str) -> None:

@@ -49,7 +49,7 @@ def write_runs(
             for trial in range(trials):
                 path = folder / algorithm / f"{sequence}_trial{trial}.txt"
                 write_run(path, 1.0 + error * (1.0 + 0.1 * trial + 0.01 * place))
-    runs = "".join(f"  {each}: {each}/{{sequence}}_trial{{trial}}.txt\n" for each in algorithms)
+    runs = "".join(f"  {item}: {item}/{{sequence}}_trial{{trial}}.txt\n" for item in algorithms)
     config = folder / "runs.yaml"
     text = f"groundtruth: groundtruth/{{sequence}}.txt\nruns:\n{runs}lengths: [4, 8]\n"
     config.write_text(text)

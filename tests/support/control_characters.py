@@ -10,7 +10,7 @@ def controls(text: str) -> list[str]:
     obeyed = {"Cc", "Cs", "Zl", "Zp"}
     bidi = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
     return [
-        each
-        for each in text
-        if unicodedata.category(each) in obeyed or unicodedata.bidirectional(each) in bidi
+        item
+        for item in text
+        if unicodedata.category(item) in obeyed or unicodedata.bidirectional(item) in bidi
     ]

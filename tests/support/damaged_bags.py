@@ -35,7 +35,7 @@ def definition(kind: str, store: Any = STORE) -> bytes:
 @functools.cache
 def _all_payloads() -> tuple[bytes, ...]:
     poses = (pose_stamped((row + 1) * SECOND, float(row)) for row in range(COUNT))
-    return tuple(bytes(STORE.serialize_cdr(each, POSE_STAMPED)) for each in poses)
+    return tuple(bytes(STORE.serialize_cdr(pose, POSE_STAMPED)) for pose in poses)
 
 
 def payloads(count: int = COUNT) -> list[bytes]:
@@ -96,7 +96,7 @@ def among_images(path: Path) -> Path:
 
 
 def rows_of(read: Trajectory) -> list[int]:
-    return [int(each) for each in read.positions[:, 0]]
+    return [int(position) for position in read.positions[:, 0]]
 
 
 def assert_whole(source: Path | str, count: int = COUNT) -> Trajectory:

@@ -15,8 +15,8 @@ def dense_covariance(joint: JointPosterior) -> NDArray[np.float64]:
     everything = joint.factor.solve(units).reshape(knots, width, knots, width)
     near = everything[joint.rows][:, :, joint.rows]
     covariance = np.einsum("adi,aibj,bej->adbe", joint.by_knot, near, joint.by_knot)
-    each = np.arange(len(joint.rows))
-    covariance[each, :, each] += joint.motion
+    item = np.arange(len(joint.rows))
+    covariance[item, :, item] += joint.motion
     dimension = joint.motion.shape[-1]
-    dense: NDArray[np.float64] = covariance.reshape(len(each) * dimension, -1)
+    dense: NDArray[np.float64] = covariance.reshape(len(item) * dimension, -1)
     return dense

@@ -51,4 +51,4 @@ def fix_messages(fixes: Trajectory, topic: str, antenna: str = "gps") -> list[Me
 
 def later(messages: list[Message], late_s: float) -> list[Message]:
     """Return messages that arrive so much later."""
-    return [(*each[:2], each[2] + round(late_s * 1e9), each[3]) for each in messages]
+    return [(*message[:2], message[2] + round(late_s * 1e9), message[3]) for message in messages]

@@ -60,8 +60,8 @@ def one_input(data: bytes) -> None:
         read_ros1(data[1:])
         return
     if data[0] == JSON:
-        for each in FOXGLOVE:
-            each.decode([data[1:]])
+        for item in FOXGLOVE:
+            item.decode([data[1:]])
         return
     size = data[1] or 1
     payloads = [data[place : place + size] for place in range(2, len(data), size)]
@@ -80,8 +80,8 @@ def read_file(data: bytes, *, strict: bool) -> None:
     channels = [frozenset([connection.id]) for connection in reader.connections]
     channels.append(frozenset().union(*channels))
     assert reader.span is None or len(reader.span) == 2
-    together = [TopicSelection(each) for each in channels]
-    for selections in (*([each] for each in together), together):
+    together = [TopicSelection(channel) for channel in channels]
+    for selections in (*([item] for item in together), together):
         for block in reader.blocks(selections):
             assert are_of(block.connections, all_connections(selections)).all()
             columns = POSES.decode_at(block.buffer, block.begins, block.sizes)
@@ -95,7 +95,7 @@ def read_ros1(data: bytes) -> None:
         reader = Ros1Reader(BAG, "x.bag")
     except Exception:  # `bag._one_sentence` makes a sentence of the library's exceptions
         return
-    selection = TopicSelection(frozenset(each.id for each in reader.connections))
+    selection = TopicSelection(frozenset(connection.id for connection in reader.connections))
     for block in reader.blocks([selection]):
         assert (block.begins + block.sizes <= len(block.buffer)).all()
         ROS1_POSES.decode_at(block.buffer, block.begins, block.sizes)

@@ -110,9 +110,9 @@ def make_mcap(random: Random, folder: Path) -> Changed:
     """Lay a file out at random, and lie in it, or change its bytes."""
     cuts = sorted({0, COUNT, *random.integers(0, COUNT, 4).tolist()})
     rows = [
-        (each, time * SECOND, payload if each == 1 else b"other")
+        (item, time * SECOND, payload if item == 1 else b"other")
         for time, payload in enumerate(payloads(COUNT))
-        for each in (1, 2)
+        for item in (1, 2)
     ]
     parts = [
         Part(
@@ -247,7 +247,7 @@ def make_yaml(random: Random, folder: Path) -> Changed:
     read: Any = {
         "hand_eye.yaml": read_hand_eye,
         "protocol.yaml": read_protocol,
-        "compare.yaml": lambda each: plan_of(each, {}),
+        "compare.yaml": lambda item: plan_of(item, {}),
     }[name]
     return Changed(name, lambda strict: read(path) and None)
 
@@ -299,7 +299,7 @@ def make_states(random: Random, folder: Path) -> Changed:
     number = int(random.integers(2))
     if random.random() < 0.5:
         texts[number] = with_other_values(random, texts[number])
-    stamps, _, estimate = (each.copy() for each in columns())
+    stamps, _, estimate = (column.copy() for column in columns())
     if random.random() < 0.3:
         place = tuple(random.integers(0, (len(stamps), 10)))
         estimate[place] = pick(random, [np.nan, np.inf, 1e308, 0.0])

@@ -102,7 +102,7 @@ def campaign(names: list[str], seed: int, numbers: range) -> int:
                 continue
             taken[verdict] += 1
             slowest = max(slowest, seconds)
-        counts = [taken[each] for each in ("refused", "read", "read, with a word")]
+        counts = [taken[item] for item in ("refused", "read", "read, with a word")]
         print(f"{name:8} {len(numbers):6} {counts[0]:8} {counts[1]:6} {counts[2]:12} "
               f"{slowest:6.2f} s {failed:9}", flush=True)  # fmt: skip
         failures += failed

@@ -42,7 +42,7 @@ def made_table(
             row |= {"rmse": value, "own_groundtruth_coverage": value}
             row |= {"status": "failed", "reason": "tracking was lost", "span_s": None}
             if value is not None:
-                own = (hashes or {}).get(sequence) or [f"{value!r} {each}" for each in range(99)]
+                own = (hashes or {}).get(sequence) or [f"{value!r} {index}" for index in range(99)]
                 row |= {"status": "ok", "reason": None, "kind": "ate", "metric": "position_m"}
                 row |= {"groundtruth_sha256": "g", "estimate_sha256": own[trial], "span_s": 60.0}
             rows.append(row)
@@ -58,8 +58,8 @@ def trials_of(
 ) -> dict[str, list[float | None]]:
     generator = np.random.default_rng(seed)
     return {
-        f"s{each}": list(factor * generator.lognormal(0.0, spread, count))
-        for each in range(sequences)
+        f"s{index}": list(factor * generator.lognormal(0.0, spread, count))
+        for index in range(sequences)
     }
 
 
@@ -71,7 +71,7 @@ def judged(
     paired: bool = False,
 ) -> Judgement:
     tables = (made_table(folder / "old.parquet", before), made_table(folder / "new.parquet", now))
-    return judge([Gate.parse(each) for each in gates or (GATE,)], *tables, paired=paired)
+    return judge([Gate.parse(gate) for gate in gates or (GATE,)], *tables, paired=paired)
 
 
 def pooled_word(judgement: Judgement) -> str:

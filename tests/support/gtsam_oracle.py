@@ -122,7 +122,7 @@ class GtsamProblem:
         measured, keys = problem.preintegrated, self.keys
         duration_s = measured.durations_s[place]
         turned, gained, moved = (
-            each[place] for each in (measured.rotations, measured.velocities, measured.positions)
+            item[place] for item in (measured.rotations, measured.velocities, measured.positions)
         )
 
         def errors(values: list[Any]) -> np.ndarray:

@@ -82,7 +82,7 @@ def described(figure: Figure) -> str:
         f"figure {_short(figure.get_size_inches())}",
         *_artists(figure.texts, has_places=False),
     ]
-    lines += [_legend(each) for each in figure.legends]
+    lines += [_legend(legend) for legend in figure.legends]
     for axes in figure.axes:
         lines += ["", f"axes {'shown' if axes.get_visible() else 'hidden'} {axes.get_aspect()}"]
         lines.append(f"titles {axes.get_title('left')!r} {axes.get_title()!r}")
@@ -90,7 +90,7 @@ def described(figure: Figure) -> str:
             lines.append(
                 f"{axis.axis_name}-axis {axis.get_label_text()!r} {axis.get_scale()} "
                 f"{_short(axis.get_view_interval())} grid {axis._major_tick_kw.get('gridOn')} "
-                f"{[each.get_text() for each in axis.get_ticklabels() if each.get_visible()]}"
+                f"{[get_ticklabel.get_text() for get_ticklabel in axis.get_ticklabels() if get_ticklabel.get_visible()]}"
             )
         lines += [_legend(axes.get_legend())] if axes.get_legend() else []
         drawn = (axes.lines, axes.collections, axes.patches, axes.images, axes.texts)
@@ -99,7 +99,7 @@ def described(figure: Figure) -> str:
 
 
 def _legend(legend: Any) -> str:
-    return f"legend {[each.get_text() for each in legend.get_texts()]} in {legend._ncols}"
+    return f"legend {[get_text.get_text() for get_text in legend.get_texts()]} in {legend._ncols}"
 
 
 def _artists(artists: Iterable[Any], *, has_places: bool = True) -> Iterator[str]:
@@ -142,4 +142,4 @@ def shortened(value: Any) -> str:
 
 
 def _short(numbers: Any) -> str:
-    return f"[{' '.join(f'{each:.4g}' for each in np.ravel(numbers))}]"
+    return f"[{' '.join(f'{item:.4g}' for item in np.ravel(numbers))}]"

@@ -92,8 +92,8 @@ def printed(typed: str, runs: Path, folder: Path, capsys: pytest.CaptureFixture[
     """Run a command in a folder that has links to the runs, and return what it printed."""
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        for each in runs.iterdir():
-            Path(each.name).symlink_to(each)
+        for path in runs.iterdir():
+            Path(path.name).symlink_to(path)
         status = main(typed.split())
     said = capsys.readouterr()
     parts = (f"$ trajeval {typed}\nstatus {status}\n", said.err, said.out)
@@ -113,7 +113,7 @@ def told(source: str) -> str:
         read = read_trajectory(source)
     except InputError as error:
         return str(error)
-    said = [f"{each.level.name} {each.text}" for each in read.reading.remarks]
+    said = [f"{remark.level.name} {remark.text}" for remark in read.reading.remarks]
     said += [f"dropped: {count}, {why}" for why, count in read.reading.dropped.items()]
     places = shortened(read.positions.sum(axis=0))
     return f"{len(read)} poses, sum {places}, last {read.stamps[-1]} ns; {'; '.join(said)}"

@@ -201,9 +201,9 @@ def main() -> int:
         print(f"skipped: {platform.system()} on {platform.machine()} can't run x86-64's kernels")
         return 0
     own = probe({**os.environ, "NPY_DISABLE_CPU_FEATURES": ""})
-    chosen = [each for each in MACHINES if each.core in (arguments.machines or names)]
+    chosen = [item for item in MACHINES if item.core in (arguments.machines or names)]
     options, is_named = given[cut + 1 :], bool(arguments.machines)
-    ends = {each.core: run_as(each, own, options, is_named=is_named) for each in chosen}
+    ends = {item.core: run_as(item, own, options, is_named=is_named) for item in chosen}
     print("\n=== kernels ===")
     for core, end in ends.items():
         print(f"{core:10}{end}")

@@ -39,10 +39,10 @@ def feed(
 ) -> None:
     """Play both streams in order of their stamps, in batches, the estimate later by a delay."""
     arrivals = (groundtruth.stamps, estimate.stamps + round(delay_s * SECOND))
-    begin = min(int(each.min()) for each in arrivals)
-    end = max(int(each.max()) for each in arrivals)
+    begin = min(int(arrival.min()) for arrival in arrivals)
+    end = max(int(arrival.max()) for arrival in arrivals)
     ticks = np.arange(begin, end + 2 * round(drain_s * SECOND), round(drain_s * SECOND))
-    cuts = [np.searchsorted(np.maximum.accumulate(each), ticks) for each in arrivals]
+    cuts = [np.searchsorted(np.maximum.accumulate(arrival), ticks) for arrival in arrivals]
     for before, after in zip(range(len(ticks) - 1), range(1, len(ticks)), strict=True):
         g, e = (slice(int(cut[before]), int(cut[after])) for cut in cuts)
         if g.start < g.stop:

@@ -87,7 +87,7 @@ class Live:
             QueueSource(GROUNDTRUTH, groundtruth_kind),
             QueueSource(ESTIMATE, kind),
         )
-        others_ = {each: QueueSource(each, kind) for each in others}
+        others_ = {other: QueueSource(other, kind) for other in others}
         self._by_topic = {GROUNDTRUTH: self.groundtruth, ESTIMATE: self.estimate, **others_}
         words = {**WORDS, "gauge": "yaw", "lengths": "2,4", **words}
         self.folders = [folder]
@@ -109,7 +109,7 @@ class Live:
 
     @property
     def _sources(self) -> list[PoseSource]:
-        return [cast("PoseSource", each) for each in self._by_topic.values()]
+        return [cast("PoseSource", item) for item in self._by_topic.values()]
 
     def _new_run(self) -> LiveRun:
         start = StartDecision(self._body or MarkerBody(), find_offset=self._find_offset)
@@ -186,7 +186,7 @@ def messages(seed: int, kind: str = ODOM) -> list[Message]:
         *messages_of(pair.groundtruth, GROUNDTRUTH, POSE),
         *messages_of(pair.estimate, ESTIMATE, kind),
     ]
-    return sorted(both, key=lambda each: each[2])
+    return sorted(both, key=lambda item: item[2])
 
 
 def batches(feed: list[Message], cuts: Sequence[int]) -> list[list[Message]]:

@@ -104,8 +104,8 @@ class Layout:
         return data + head + struct.pack("<I", checksum) + MAGIC
 
     def _describe(self, file: RecordBuilder) -> None:
-        for each in [*self.schemas, *self.channels]:
-            each.write(file)
+        for schema in [*self.schemas, *self.channels]:
+            schema.write(file)
 
     def _statistics(self, chunks: int) -> Statistics:
         rows = [row for part in self.parts for row in part.rows]

@@ -20,7 +20,7 @@ class Memory:
         return self.content[max(0, offset) : max(0, offset) + max(0, size)]
 
     def read_all(self, ranges: Sequence[tuple[int, int]]) -> list[bytes]:
-        return [self.read(*each) for each in ranges]
+        return [self.read(*item) for item in ranges]
 
     def close(self) -> None:
         """Nothing is open."""

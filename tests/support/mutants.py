@@ -124,8 +124,8 @@ def tests_of(file: Path) -> list[str]:
     while not (Path("tests") / folder).is_dir():
         folder = folder.parent
     module = re.compile(rf"\b{'.'.join(file.with_suffix('').parts)}\b".replace(".", r"\."))
-    found = [each for each in Path("tests").rglob("test_*.py") if module.search(each.read_text())]
-    near = sorted(found, key=lambda each: (each.parent != Path("tests") / folder, each))
+    found = [path for path in Path("tests").rglob("test_*.py") if module.search(path.read_text())]
+    near = sorted(found, key=lambda item: (item.parent != Path("tests") / folder, item))
     own = Path("tests") / (folder if folder.parts else "system")
     of_all = Path("tests/system/test_package.py")  # it reads every file
     # To collect everything that uses the file takes minutes.
@@ -168,7 +168,11 @@ def main() -> int:
         outcome(["--collect-only", "tests"], None)  # keeps the bytecode of rewritten tests
         sys.dont_write_bytecode = True
         everything = asked.subpackage == "all"
-        tests = [] if everything else [f"tests/{each}" for each in SUBPACKAGES[asked.subpackage]]
+        tests = (
+            []
+            if everything
+            else [f"tests/{subpackage}" for subpackage in SUBPACKAGES[asked.subpackage]]
+        )
         only = asked.only.split(",") if asked.only else []
         package = Path("trajeval_ros")
         found = package.rglob("*.py") if everything else (package / asked.subpackage).glob("*.py")
@@ -193,7 +197,7 @@ def main() -> int:
             counts[become] += 1
             print(f"{number:3} {file}: {become}", flush=True)
             if become != "killed":
-                lines = (each.splitlines() for each in (before, after))
+                lines = (item.splitlines() for item in (before, after))
                 changed = difflib.unified_diff(*lines, str(file), str(file), n=0, lineterm="")
                 print(*list(changed)[2:], sep="\n", flush=True)
     print(f"changes of {asked.subpackage}, seed {asked.seed}: {dict(counts)}")

@@ -69,8 +69,8 @@ def outputs(text: str) -> Iterator[tuple[list[str], list[str]]]:
 
 def _commands_of(block: str) -> list[str]:
     lines = block.replace("\\\n", " ").splitlines()
-    typed = [each.strip()[2:] for each in lines if each.strip().startswith("$ ")]
-    return [" ".join(each.split()) for each in typed]
+    typed = [line.strip()[2:] for line in lines if line.strip().startswith("$ ")]
+    return [" ".join(item.split()) for item in typed]
 
 
 def why_not_run(command: str) -> str | None:
@@ -113,8 +113,8 @@ def _saved(folder: Path, trajectory: Trajectory, name: str, kind: str) -> None:
     """Save a trajectory under a name that says nothing of its format."""
     apart = folder / "apart"
     apart.mkdir()
-    for each in save_trajectories(apart, [trajectory], kind):
-        each.rename(folder / name)
+    for save_trajectory in save_trajectories(apart, [trajectory], kind):
+        save_trajectory.rename(folder / name)
     apart.rmdir()
 
 
@@ -171,7 +171,7 @@ def make_files(folder: Path) -> None:
     )
     listed = ["algorithm,sequence,groundtruth,estimate"]
     listed += [
-        f"{each},MH_01,groundtruth/MH_01.txt,{each}/MH_01_0.txt" for each in ("ours", "baseline")
+        f"{item},MH_01,groundtruth/MH_01.txt,{item}/MH_01_0.txt" for item in ("ours", "baseline")
     ]
     (folder / "runs.csv").write_text("\n".join(listed))
     made = folder / "made"

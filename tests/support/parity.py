@@ -121,7 +121,7 @@ def evaluated(pair: str, setting: Setting) -> Evaluation:
 
 def of_length(evaluation: Evaluation, length_m: float) -> SubTrajectoryErrors:
     assert evaluation.relative is not None
-    return next(each for each in evaluation.relative if each.length_m == length_m)
+    return next(item for item in evaluation.relative if item.length_m == length_m)
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,7 +43,7 @@ def sentences(text: str) -> list[str]:
     found = []
     for paragraph in paragraphs(text):
         plain = _UNIT.sub("CODE", _LINK.sub(r"\1", paragraph))
-        found += [each.strip() for each in _END.split(plain) if each and each.strip()]
+        found += [word.strip() for word in _END.split(plain) if word and word.strip()]
     return found
 
 

@@ -43,11 +43,11 @@ def draw(folder: Path) -> None:
 
 def difference(one: Path, other: Path) -> float:
     """Return the largest difference of two pictures over blocks of pixels, 0 to 255."""
-    pictures = [Image.open(each).convert("RGB") for each in (one, other)]
+    pictures = [Image.open(item).convert("RGB") for item in (one, other)]
     if pictures[0].size != pictures[1].size:
         return 255.0
     size = (pictures[0].width // _BLOCK, pictures[0].height // _BLOCK)
-    means = [np.asarray(each.resize(size, Image.Resampling.BOX), float) for each in pictures]
+    means = [np.asarray(picture.resize(size, Image.Resampling.BOX), float) for picture in pictures]
     return float(np.abs(means[0] - means[1]).max())
 
 

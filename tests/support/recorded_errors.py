@@ -34,8 +34,8 @@ class Recorded:
     @property
     def stamps(self) -> list[int]:
         return [
-            each.header.stamp.sec * NANOSECONDS + each.header.stamp.nanosec
-            for each in self.messages
+            message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec
+            for message in self.messages
         ]
 
     @property
@@ -44,7 +44,7 @@ class Recorded:
 
     @property
     def numbers(self) -> np.ndarray[Any, Any]:
-        return np.array([each.data for each in self.messages])
+        return np.array([message.data for message in self.messages])
 
 
 def read_recording(path: Path) -> dict[str, Recorded]:

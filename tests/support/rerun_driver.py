@@ -46,8 +46,8 @@ def flight_at(place: np.ndarray, seconds: float) -> tuple[Trajectory, Trajectory
     """Return groundtruth and estimate of a flight somewhere."""
     flight = simulate(0, seconds)
     groundtruth, estimate = (
-        dataclasses.replace(each, positions=each.positions + place)
-        for each in (flight.groundtruth, flight.estimate)
+        dataclasses.replace(item, positions=item.positions + place)
+        for item in (flight.groundtruth, flight.estimate)
     )
     return groundtruth, estimate
 
@@ -56,7 +56,7 @@ def main(
     value: str, folder: Path, seconds: float, speed: float, place: str = "0,0,0", pauses: str = ""
 ) -> None:
     groundtruth, estimate = flight_at(
-        np.array([float(each) for each in place.split(",")]), seconds
+        np.array([float(word) for word in place.split(",")]), seconds
     )
     groundtruth_rows, estimate_rows = rows(groundtruth), rows(estimate)
     evaluator = OnlineEvaluator(
@@ -71,7 +71,7 @@ def main(
         scene = LiveScene("flight", [NAME], Gauge.YAW)
         streams.append((DrawingThread(sink, scene), scene))
     handed: dict = {"position_error": [], "ate_position": [], "alignment": []}
-    pause_at = {round(float(each) / TICK_S): each for each in pauses.split(",") if each}
+    pause_at = {round(float(word) / TICK_S): word for word in pauses.split(",") if word}
 
     def put(draw) -> None:
         for stream, scene in streams:

@@ -42,7 +42,7 @@ def path_message(
     frame: str = "map",
 ) -> bytes:
     poses = [
-        _pose_stamped(*each, frame) for each in zip(stamps, positions, quaternions, strict=True)
+        _pose_stamped(*item, frame) for item in zip(stamps, positions, quaternions, strict=True)
     ]
     return _serialised(PATH, STORE.types[PATH](_header(stamps[-1], frame), poses))
 
@@ -126,8 +126,8 @@ def messages_of(source: Trajectory, topic: str, kind: str, frame: str = "world")
     if receptions is not None and receptions.body_rates is not None:
         rates = receptions.body_rates
     return [
-        (topic, kind, each[0], odometry_message(*each))
-        for each in zip(*columns, velocities, covariances, rates, strict=True)
+        (topic, kind, item[0], odometry_message(*item))
+        for item in zip(*columns, velocities, covariances, rates, strict=True)
     ]
 
 
@@ -135,7 +135,7 @@ def write_messages(path: Path, messages: Sequence[Message]) -> None:
     """Write a bag of messages in any order."""
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connections: dict[str, Any] = {}
-        for topic, kind, log_time, payload in sorted(messages, key=lambda each: each[2]):
+        for topic, kind, log_time, payload in sorted(messages, key=lambda message: message[2]):
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, kind, typestore=STORE)
             writer.write(connections[topic], log_time, payload)

@@ -92,7 +92,7 @@ def replay_command(bag: Path, *options: object) -> list[str]:
 def _without_imu(bag: Path) -> list[str]:
     """Return options that leave out the IMU of a simulated flight, which nobody waits for."""
     with Bag(bag) as opened:
-        names = [each.name for each in opened.topics]
+        names = [topic.name for topic in opened.topics]
     if IMU not in names:
         return []
     return [word for name in names if name != IMU for word in ("--topic", name)]
@@ -177,7 +177,7 @@ class Evaluator:
 
     def run_of(self, topic: str) -> Any:
         """Return the run of an estimate topic in the result."""
-        [run] = [each for each in self.result["runs"] if each["estimate"]["source"] == topic]
+        [run] = [item for item in self.result["runs"] if item["estimate"]["source"] == topic]
         return run
 
 
@@ -276,12 +276,12 @@ class Peer:
 
         with Bag(bag) as opened:
             topics = [
-                each.name for each in opened.topics if allowed_name(each.name) in subscribers
+                topic.name for topic in opened.topics if allowed_name(topic.name) in subscribers
             ]
             playback = Playback(opened, lambda _: True, topics, with_clock=False)
             publishers = {
-                each: self.publisher(each.name, message_class(each.type))
-                for each in playback.channels
+                item: self.publisher(item.name, message_class(item.type))
+                for item in playback.channels
             }
             for channel, publisher in publishers.items():
                 count = subscribers[channel.name]
@@ -304,8 +304,8 @@ class Peer:
                 tick=lambda _: self._executor.spin_once(timeout_sec=0.0),
                 is_stopped=lambda: False,
             )
-            for each in publishers.values():
-                assert each.wait_for_all_acked(Duration(seconds=PATIENCE_S))
+            for item in publishers.values():
+                assert item.wait_for_all_acked(Duration(seconds=PATIENCE_S))
         for publisher in publishers.values():
             self.node.destroy_publisher(publisher)
 
@@ -340,7 +340,7 @@ def play_without_loss(
     """
     while True:
         done = _play(bag, peer, environment, folder / f"rate_{rate:g}", nodes, rate)
-        lost = [_lost(run) for each in done.values() for run in each.result["runs"]]
+        lost = [_lost(run) for item in done.values() for run in item.result["runs"]]
         if not any(lost):
             return done
         assert rate > 1.0, f"messages are lost at rate {rate}: {lost}"
@@ -377,19 +377,19 @@ def _play(
             )
         )
         peer.play(bag, topics, nodes, rate)
-        for each in running.values():
-            each.process.send_signal(signal.SIGINT)
-        for each in running.values():
-            assert each.process.wait(PATIENCE_S) == 0, each.said
-            assert "Traceback" not in each.said, each.said
+        for item in running.values():
+            item.process.send_signal(signal.SIGINT)
+        for item in running.values():
+            assert item.process.wait(PATIENCE_S) == 0, item.said
+            assert "Traceback" not in item.said, item.said
     return running
 
 
 def offline(bag: Path, folder: Path, groundtruth: str, estimates: list[str], *options: str) -> Any:
     """Return the result of `trajeval evaluate`, without remarks about the bag as a file."""
     arguments = ["evaluate", "--groundtruth", f"{bag}:{groundtruth}", "--quiet"]
-    for each in estimates:
-        arguments += ["--estimate", f"{bag}:{each}"]
+    for estimate in estimates:
+        arguments += ["--estimate", f"{bag}:{estimate}"]
     file = folder / "offline.json"
     assert main([*arguments, *options, "--json", str(file)]) == 0
     result = json.loads(file.read_text())

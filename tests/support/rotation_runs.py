@@ -67,7 +67,7 @@ def freedom_numbers(alignment: Alignment) -> list[float]:
 
 def rotation_warnings(found: Evaluation) -> list[str]:
     words = ("constant rotation", "do not determine", "withheld", "another body")
-    return [each for each in found.warnings if any(word in each for word in words)]
+    return [warning for warning in found.warnings if any(word in warning for word in words)]
 
 
 def rmse(found: Evaluation, metric: str) -> float:

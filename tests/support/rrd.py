@@ -24,8 +24,8 @@ class Rrd:
         with warnings.catch_warnings():  # a file that was cut off has no footer
             warnings.simplefilter("ignore")
             self._chunks = [
-                (each.entity_path, each.is_static, each.to_record_batch())
-                for each in RrdReader(str(path)).stream()
+                (item.entity_path, item.is_static, item.to_record_batch())
+                for item in RrdReader(str(path)).stream()
             ]
 
     @property
@@ -37,7 +37,7 @@ class Rrd:
     def clocks(self) -> set[str]:
         """The types of the timeline."""
         schemas = [batch.schema for _, is_static, batch in self._chunks if not is_static]
-        return {str(each.field(TIMELINE).type) for each in schemas if TIMELINE in each.names}
+        return {str(schema.field(TIMELINE).type) for schema in schemas if TIMELINE in schema.names}
 
     @property
     def entities(self) -> set[str]:
@@ -56,11 +56,11 @@ class Rrd:
             stamps, rows = self.rows(entity, component)
             if component == "RecordingInfo:start_time":  # of the recording, not of the run
                 continue
-            values: Any = [each for row in rows for each in row]
+            values: Any = [item for row in rows for item in row]
             if component.endswith(":colors"):
-                values = [*dict.fromkeys(f"#{each:08x}" for each in values)][:_FEW_COLOURS]
+                values = [*dict.fromkeys(f"#{value:08x}" for value in values)][:_FEW_COLOURS]
             elif not isinstance(values[0], str):
-                values = np.concatenate([np.atleast_2d(each) for each in values])
+                values = np.concatenate([np.atleast_2d(value) for value in values])
             times = shortened((stamps - stamps[0]) / 1e9)
             lines.append(f"{entity} {component}: {len(rows)} at {times}: {shortened(values)}")
         return "\n".join(lines) + "\n"
@@ -76,13 +76,13 @@ class Rrd:
                 if column[row].is_valid:
                     stamp = 0 if is_static else batch.column(TIMELINE)[row].value
                     found.append((stamp, _values(column[row].values)))
-        found.sort(key=lambda each: each[0])
-        return np.array([each[0] for each in found], np.int64), [each[1] for each in found]
+        found.sort(key=lambda item: item[0])
+        return np.array([item[0] for item in found], np.int64), [item[1] for item in found]
 
     def numbers(self, entity: str) -> tuple[np.ndarray, np.ndarray]:
         """Return stamps and values without the NaN that end the lines of a plot."""
         stamps, rows = self.rows(entity, "Scalars:scalars")
-        values = np.array([each[0] for each in rows], np.float64)
+        values = np.array([row[0] for row in rows], np.float64)
         known = np.isfinite(values)
         return stamps[known], values[known]
 
@@ -93,7 +93,7 @@ class Rrd:
         """Return the strips of a live path that are in sight at a time, coloured ones included."""
         found = []
         shown = f"{entity}/path/", f"{entity}/by_error"
-        for part in sorted(each for each in self.entities if each.startswith(shown)):
+        for part in sorted(item for item in self.entities if item.startswith(shown)):
             stamps, rows = self.strips(part)
             until = int(np.searchsorted(stamps, now, side="right"))
             found += [strip for row in rows[max(until - 1, 0) : until] for strip in row]
@@ -113,15 +113,15 @@ class Rrd:
 def described_layout(part: Any, indent: str = "") -> str:
     """Return a line for every container and view of a blueprint, and for its properties."""
     lines = [f"{indent}{type(part).__name__}: {_attributes(part, _LAYOUT)}"]
-    for name, each in sorted(getattr(part, "properties", {}).items()):
+    for name, item in sorted(getattr(part, "properties", {}).items()):
         lines.append(
-            f"{indent}  {name}: {_attributes(each, [own.name for own in each.__attrs_attrs__])}"
+            f"{indent}  {name}: {_attributes(item, [own.name for own in item.__attrs_attrs__])}"
         )
-    for path, each in sorted(getattr(part, "overrides", {}).items()):
-        lines.append(f"{indent}  {path}: {each}")
+    for path, item in sorted(getattr(part, "overrides", {}).items()):
+        lines.append(f"{indent}  {path}: {item}")
     contents = getattr(part, "contents", [])
-    inner = [each for each in contents if not isinstance(each, str)]
-    return "\n".join([*lines, *(described_layout(each, f"{indent}  ") for each in inner)])
+    inner = [content for content in contents if not isinstance(content, str)]
+    return "\n".join([*lines, *(described_layout(item, f"{indent}  ") for item in inner)])
 
 
 _LAYOUT = ("name", "origin", "contents", "row_shares", "column_shares", "active_tab")
@@ -130,9 +130,9 @@ _LAYOUT = ("name", "origin", "contents", "row_shares", "column_shares", "active_
 def _attributes(thing: Any, names: Iterable[str]) -> str:
     found = {name: getattr(thing, name, None) for name in names}
     return ", ".join(
-        f"{name} {each.as_arrow_array().to_pylist() if hasattr(each, 'as_arrow_array') else each}"
-        for name, each in found.items()
-        if each is not None and not (name == "contents" and not isinstance(each[0], str))
+        f"{name} {item.as_arrow_array().to_pylist() if hasattr(item, 'as_arrow_array') else item}"
+        for name, item in found.items()
+        if item is not None and not (name == "contents" and not isinstance(item[0], str))
     )
 
 
@@ -140,7 +140,7 @@ def _values(values: pyarrow.Array) -> Any:
     kind = values.type
     if pyarrow.types.is_list(kind):
         width = kind.value_type.list_size
-        return [np.array(each.values.flatten()).reshape(-1, width) for each in values]
+        return [np.array(value.values.flatten()).reshape(-1, width) for value in values]
     if pyarrow.types.is_fixed_size_list(kind):
         return np.array(values.flatten()).reshape(len(values), kind.list_size)
     return values.to_pylist()

@@ -151,7 +151,7 @@ def all_statistics(evaluation: Evaluation) -> dict[str, Statistics | None]:
     for segments in evaluation.relative or ():
         for metric, statistics in segments.statistics.items():
             named[f"{segments.length}: {metric}"] = statistics
-    named.update({f"all lengths: {name}": each for name, each in evaluation.pooled.items()})
+    named.update({f"all lengths: {name}": item for name, item in evaluation.pooled.items()})
     return named
 
 

@@ -18,14 +18,16 @@ def write_ulog(path: Path, topics: Sequence[tuple[str, int, Mapping[str, Column]
     parts = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0), _message("B", bytes(40))]
     rows: list[tuple[int, int, bytes]] = []
     for name, columns in {name: columns for name, _, columns in topics}.items():
-        fields = "".join(f"{_kind(each)} {field};" for field, each in columns.items())
+        fields = "".join(f"{_kind(column)} {field};" for field, column in columns.items())
         parts.append(_message("F", f"{name}:{fields}".encode()))
     for number, (name, instance, columns) in enumerate(topics):
         parts.append(_message("A", struct.pack("<BH", instance, number) + name.encode()))
-        kind = np.dtype([(field, each.dtype, each.shape[1:]) for field, each in columns.items()])
+        kind = np.dtype(
+            [(field, column.dtype, column.shape[1:]) for field, column in columns.items()]
+        )
         table = np.zeros(len(columns["timestamp"]), kind)
-        for field, each in columns.items():
-            table[field] = each
+        for field, column in columns.items():
+            table[field] = column
         rows += [(int(row["timestamp"]), number, row.tobytes()) for row in table]
     parts += [_message("D", struct.pack("<H", at) + row) for _, at, row in sorted(rows)]
     path.write_bytes(b"".join(parts))

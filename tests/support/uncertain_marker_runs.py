@@ -16,4 +16,4 @@ def uncertain_messages(seed: int, groundtruth_kind: str) -> tuple[list[Message],
         *messages_of(of_marker(groundtruth), GROUNDTRUTH, groundtruth_kind),
         *messages_of(estimate, ESTIMATE, ODOM),
     ]
-    return sorted(both, key=lambda each: each[2]), estimate
+    return sorted(both, key=lambda item: item[2]), estimate

@@ -94,7 +94,7 @@ def job(tmp_path: Path) -> Job:
 def test_inputs_never_stand_in_a_command() -> None:
     assert "${{" not in STEP["run"]
     assert "${{" not in SCRIPT.read_text()
-    assert set(STEP["env"].values()) == {f"${{{{ inputs.{each} }}}}" for each in ACTION["inputs"]}
+    assert set(STEP["env"].values()) == {f"${{{{ inputs.{item} }}}}" for item in ACTION["inputs"]}
     used = set(re.findall(r"TRAJEVAL_\w+", SCRIPT.read_text()))
     assert used == set(STEP["env"])
 
@@ -102,7 +102,7 @@ def test_inputs_never_stand_in_a_command() -> None:
 def test_outputs_are_those_of_the_step() -> None:
     written = re.search(r"printf '(.*)\\n'", SCRIPT.read_text())
     assert written is not None
-    names = [each.split("=")[0] for each in written[1].split("\\n")]
+    names = [word.split("=")[0] for word in written[1].split("\\n")]
     assert names == list(ACTION["outputs"])
     for name in names:
         value = ACTION["outputs"][name]["value"]

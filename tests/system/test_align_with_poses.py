@@ -117,7 +117,7 @@ def test_weights_hold_for_orientations_too() -> None:
     p, q = truth.positions, estimate.positions
     a, b = truth.quaternions, estimate.quaternions
     one = align("se3", p, q, times.astype(float), (a, b), align_with="poses")
-    p, q, a, b = (np.repeat(each, times, axis=0) for each in (p, q, a, b))
+    p, q, a, b = (np.repeat(item, times, axis=0) for item in (p, q, a, b))
     two = align("se3", p, q, orientations=(a, b), align_with="poses")
     np.testing.assert_allclose(one.similarity.rotation, two.similarity.rotation, atol=1e-11)
     assert (one.states_used, two.states_used) == (60, int(times.sum()))
@@ -142,7 +142,7 @@ def test_poses_of_another_body_are_refused_and_taken_once_it_is_known() -> None:
 def test_a_body_that_calibration_leaves_open_is_refused() -> None:
     truth, estimate = road(0.0, error_m=0.05)
     level = np.tile([0.0, 0.0, 0.0, 1.0], (301, 1))
-    truth, estimate = (dataclasses.replace(each, quaternions=level) for each in (truth, estimate))
+    truth, estimate = (dataclasses.replace(item, quaternions=level) for item in (truth, estimate))
     with pytest.raises(InputError, match=r"can't estimate the rotation between"):
         run(truth, [estimate], Request(on(way="poses"), CalibrationRequest(hand_eye=True)))
 
@@ -156,9 +156,9 @@ def test_positions_that_get_much_worse_are_said(turned_deg: float, is_said: bool
     found = evaluate(marked, still, on(way="poses"))
     before, after = rmse(evaluate(marked, still, on()), "position_m"), rmse(found, "position_m")
     assert (after > 1.25 * before) is is_said
-    said = [each for each in found.warnings if "increases the position ATE" in each]
+    said = [warning for warning in found.warnings if "increases the position ATE" in warning]
     assert len(said) == is_said
-    assert all(f"from {before:.4g} m to {after:.4g} m" in each for each in said)
+    assert all(f"from {before:.4g} m to {after:.4g} m" in item for item in said)
 
 
 def test_poses_need_orientations_and_something_to_turn() -> None:
@@ -181,8 +181,8 @@ def test_poses_need_orientations_and_something_to_turn() -> None:
 def test_the_command_aligns_with_poses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     truth, estimate = road(20.0)
     marked = of_marker(flight(7, 600)[0])
-    for name, each in (("g", truth), ("e", estimate), ("m", marked), ("f", flight(7, 600)[1])):
-        write_tum(tmp_path / f"{name}.txt", each)
+    for name, item in (("g", truth), ("e", estimate), ("m", marked), ("f", flight(7, 600)[1])):
+        write_tum(tmp_path / f"{name}.txt", item)
     words = ["evaluate", "--lengths", "none", "--align-with", "poses"]
     files = ["-g", str(tmp_path / "g.txt"), "-e", str(tmp_path / "e.txt")]
     result = tmp_path / "result.json"

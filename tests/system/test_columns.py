@@ -40,8 +40,8 @@ def test_reprs_are_short_and_without_arrays() -> None:
     outcome = dataclasses.replace(outcome, failed=(FailedRun("slam", "slam.txt", "it is empty"),))
     evaluation = outcome.runs[0].evaluation
     assert evaluation.relative is not None
-    for each in (outcome, outcome.runs[0], evaluation, evaluation.relative[0]):
-        text = repr(each)
+    for item in (outcome, outcome.runs[0], evaluation, evaluation.relative[0]):
+        text = repr(item)
         assert len(text.splitlines()) <= 8
         assert len(text) < 500
         assert "array(" not in text
@@ -66,8 +66,8 @@ def test_damage_is_what_remarks_of_missing_data_say_once() -> None:
 @pytest.mark.parametrize("name", ["vio", HOSTILE])
 def test_html_is_well_formed_and_shows_names_as_they_are(name: str) -> None:
     outcome = outcome_of(name)
-    for each in (outcome, outcome.runs[0].evaluation):
-        html = each._repr_html_()
+    for item in (outcome, outcome.runs[0].evaluation):
+        html = item._repr_html_()
         assert "<script" not in html
         tree = ElementTree.fromstring(html)
         assert name in " ".join(tree.itertext())
@@ -82,10 +82,10 @@ def test_columns_are_the_errors_themselves() -> None:
     np.testing.assert_array_equal(columns["position_m"], evaluation.absolute.position_m)
     assert columns["stamps"].dtype == np.int64
     assert evaluation.relative is not None
-    for each, spelled in zip(evaluation.relative, (2.0, "1s"), strict=True):
+    for item, spelled in zip(evaluation.relative, (2.0, "1s"), strict=True):
         relative = evaluation.to_columns(spelled)
-        assert {len(column) for column in relative.values()} == {len(each.errors.ends)}
-        np.testing.assert_array_equal(relative["position_m"], each.errors.position_m)
+        assert {len(column) for column in relative.values()} == {len(item.errors.ends)}
+        np.testing.assert_array_equal(relative["position_m"], item.errors.position_m)
 
 
 def test_a_length_that_was_not_computed_is_refused() -> None:
@@ -136,8 +136,8 @@ def test_live_states_may_lack_columns(columns: int) -> None:
     live.update(at_end=True)
     found = live.snapshot().ate
     sides = [
-        each if columns == 7 else dataclasses.replace(each, quaternions=None)
-        for each in (pair.groundtruth, pair.estimate)
+        item if columns == 7 else dataclasses.replace(item, quaternions=None)
+        for item in (pair.groundtruth, pair.estimate)
     ]
     expected = evaluate(*sides).ate
     assert expected["position_m"] is not None

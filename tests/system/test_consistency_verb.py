@@ -142,8 +142,8 @@ def test_runs_differ_in_noise_and_share_the_flight(
     assert main([*given, "--storage", "sqlite3"]) == 0
     assert "sampled" in capsys.readouterr().out
     bags = [tmp_path / f"many_{number}" for number in range(3)]
-    truths = [read_trajectory(f"{each}:/groundtruth/pose") for each in bags]
-    estimates = [read_trajectory(f"{each}:/vio/odometry") for each in bags]
+    truths = [read_trajectory(f"{item}:/groundtruth/pose") for item in bags]
+    estimates = [read_trajectory(f"{item}:/vio/odometry") for item in bags]
     np.testing.assert_array_equal(truths[0].positions, truths[2].positions)
     assert not np.array_equal(estimates[0].positions, estimates[1].positions)
     # The same seed gives the same bytes.
@@ -152,8 +152,8 @@ def test_runs_differ_in_noise_and_share_the_flight(
     assert (tmp_path / "many_1.npz").read_bytes() == first[0]
     again = read_trajectory(f"{bags[1]}:/vio/odometry")
     np.testing.assert_array_equal(again.positions, first[1])
-    for each in bags[:1]:
-        result = _evaluate(each, "--gauge", "yaw", "--covariance", f"{each}.npz")
+    for item in bags[:1]:
+        result = _evaluate(item, "--gauge", "yaw", "--covariance", f"{item}.npz")
         assert result["verdict"] in ("consistent", "overconfident", "conservative")
         assert result["joint"]["nees_per_dof"] == pytest.approx(1.0, abs=0.2)
 
@@ -249,7 +249,7 @@ def test_right_perturbations_are_turned(honest: Path, tmp_path: Path) -> None:
     no_information = dict.fromkeys(("info_data", "info_indices", "info_indptr"))
     np.savez(file, **_changed(source, cov=covariance, perturbation="right", **no_information))
     result, expected = (
-        _evaluate(honest, "--gauge", "se3", "--covariance", str(each)) for each in (file, source)
+        _evaluate(honest, "--gauge", "se3", "--covariance", str(item)) for item in (file, source)
     )
     assert result["joint"]["nees"] == pytest.approx(expected["joint"]["nees"], rel=1e-6)
 
@@ -346,7 +346,7 @@ def test_an_estimate_without_covariances_does_not_prevent_the_test_of_others(
     assert without["consistency"] is without["integrity"] is None
     assert tested["consistency"] is not None
     assert tested["integrity"] is not None
-    [said] = [each for each in without["remarks"] if each["code"] == "no_consistency_test"]
+    [said] = [remark for remark in without["remarks"] if remark["code"] == "no_consistency_test"]
     assert said["level"] == "warning"
     capsys.readouterr()
     assert main(["evaluate", *sides, "--covariance", "message"]) == 2  # nothing to test

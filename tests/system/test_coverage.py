@@ -37,7 +37,7 @@ def live_coverage(
         (run, live.add_estimate, SECOND // 2),
     )
     end = int(max(truth.stamps[-1], run.stamps[-1])) + SECOND
-    edges = [int(truth.stamps[0]), *sorted(int(truth.stamps[0]) + each for each in cuts), end]
+    edges = [int(truth.stamps[0]), *sorted(int(truth.stamps[0]) + cut for cut in cuts), end]
     for begin, until in itertools.pairwise(edges):
         for side, add, delay in sides:
             come = (side.stamps + delay >= begin) & (side.stamps + delay < until)
@@ -54,7 +54,7 @@ def assert_same(one: Coverage | None, other: Coverage) -> None:
     assert (one.covered, one.span, one.keyframes) == (other.covered, other.span, other.keyframes)
     assert (one.longest_gap is None) == (other.longest_gap is None)
     if one.longest_gap is not None and other.longest_gap is not None:
-        gap, expected = (dataclasses.asdict(each) for each in (one.longest_gap, other.longest_gap))
+        gap, expected = (dataclasses.asdict(item) for item in (one.longest_gap, other.longest_gap))
         assert (gap["turn_deg"] is None) == (expected["turn_deg"] is None)
         for name in gap:
             if gap[name] is not None:
@@ -327,7 +327,7 @@ def test_live_is_offline(
 )
 def test_live_is_offline_on_recordings(recording: Callable[[str], Trajectory], run: str) -> None:
     sequence = run.split("/")[1][:5]
-    truth, estimate = (recording(f"euroc/{each}.txt") for each in (f"groundtruth/{sequence}", run))
+    truth, estimate = (recording(f"euroc/{item}.txt") for item in (f"groundtruth/{sequence}", run))
     cuts = list(range(0, 200 * SECOND, SECOND // 5))
     assert_same(live_coverage(truth, estimate, "30s", cuts), coverage_by(truth, estimate))
 
@@ -358,7 +358,7 @@ def test_losses_of_a_full_rate_run_are_seen(
     run = recording(f"euroc/vio_mono/{sequence}.txt")
     begin_s += run.stamps[0] / 1e9
     whole, cut = (
-        coverage_by(truth, each) for each in (run, without(run, begin_s, begin_s + 10.0))
+        coverage_by(truth, item) for item in (run, without(run, begin_s, begin_s + 10.0))
     )
     assert not whole.keyframes
     assert not cut.keyframes
@@ -383,7 +383,7 @@ def test_span_and_longest_gap_are_told_where_they_differ() -> None:
         assert f"and {whole_percent(coverage.covered)} of the groundtruth's time" in said
         told = f", {whole_percent(coverage.span)} from the first to the last pair, longest gap "
         assert (told in said) != is_whole
-        warned = [each for each in evaluation.warnings if "pairs cover" in each]
+        warned = [warning for warning in evaluation.warnings if "pairs cover" in warning]
         assert len(warned) == (not is_whole)
         if not is_whole:
             gap = coverage.longest_gap

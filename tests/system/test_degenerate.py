@@ -173,8 +173,8 @@ def test_a_robot_at_rest_is_of_no_other_run() -> None:
     noise = np.random.default_rng(2).normal(scale=3e-3, size=(2000, 3))
     estimate = dataclasses.replace(resting, positions=resting.positions + noise)
     result = evaluate(resting, estimate, by(Gauge.YAW))
-    assert not [each for each in result.remarks if each.code == "other_run"]
-    assert not [each for each in result.warnings if "another run" in each]
+    assert not [remark for remark in result.remarks if remark.code == "other_run"]
+    assert not [warning for warning in result.warnings if "another run" in warning]
 
 
 @pytest.mark.parametrize("gauge", TURNING)
@@ -195,7 +195,7 @@ def test_no_motion_is_measured_where_nothing_turns(gauge: Gauge) -> None:
     assert result.ate["position_m"] is not None
     assert result.ate["position_m"].max == 0.0
     assert result.relative is not None
-    assert [len(each.errors.ends) > 0 for each in result.relative] == [False, True, False]
+    assert [len(item.errors.ends) > 0 for item in result.relative] == [False, True, False]
     assert any("no sub-trajectories" in warning for warning in result.warnings)
 
 
@@ -303,7 +303,7 @@ def test_positions_alone_have_position_errors_alone(gauge: Gauge, side: str) -> 
         assert result.ate[metric] is None
     if gauge in (Gauge.YAW, Gauge.PLANAR):  # what is fitted needs no orientation
         assert result.relative
-        assert all(each.errors.rotation_deg is None for each in result.relative)
+        assert all(item.errors.rotation_deg is None for item in result.relative)
     else:
         assert result.relative is None
     assert any(f"no orientations in the {side}" in warning for warning in result.warnings)

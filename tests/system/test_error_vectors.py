@@ -36,10 +36,10 @@ def test_vectors_are_as_long_as_the_errors(seed: int, gauge: str, form: str) -> 
     found = evaluate(pair.groundtruth, pair.estimate, Protocol(gauge=gauge, ate_form=form))
     assume(not found.withheld)  # the rotation errors of one seed, which positions determine poorly
     vectors, absolute = found.error_vectors, found.absolute
-    for each in (vectors.position_world_m, vectors.position_body_m):
-        np.testing.assert_allclose(np.linalg.norm(each, axis=1), absolute.position_m, atol=1e-12)
-    for each in (vectors.rotation_world_deg, vectors.rotation_body_deg):
-        np.testing.assert_allclose(np.linalg.norm(each, axis=1), absolute.rotation_deg, atol=1e-9)
+    for item in (vectors.position_world_m, vectors.position_body_m):
+        np.testing.assert_allclose(np.linalg.norm(item, axis=1), absolute.position_m, atol=1e-12)
+    for item in (vectors.rotation_world_deg, vectors.rotation_body_deg):
+        np.testing.assert_allclose(np.linalg.norm(item, axis=1), absolute.rotation_deg, atol=1e-9)
 
 
 def test_the_tutorials_form_has_vectors_of_its_own() -> None:
@@ -62,8 +62,8 @@ def test_aligned_poses_and_errors_give_the_groundtruth(seed: int) -> None:
     assert aligned.rotations is not None
     world = Rotation.from_rotvec(vectors.rotation_world_deg, degrees=True) * aligned.rotations
     body = aligned.rotations * Rotation.from_rotvec(vectors.rotation_body_deg, degrees=True)
-    for each in (world, body):
-        assert (each * truth.rotations.inv()).magnitude().max() < 1e-12
+    for item in (world, body):
+        assert (item * truth.rotations.inv()).magnitude().max() < 1e-12
     np.testing.assert_allclose(
         truth.rotations.apply(vectors.position_body_m), vectors.position_world_m, atol=1e-12
     )
@@ -145,10 +145,10 @@ def test_the_table_has_a_row_for_each_pair(outcome: Outcome, tmp_path: Path) -> 
     assert table.schema.metadata[b"trajeval.schema"] == b"trajeval-error-table/1"
     names = np.array(table["estimate"].to_pylist())
     with np.load(tmp_path / "errors.npz") as archive:
-        for each in outcome.runs:
-            name = each.estimate.name
+        for item in outcome.runs:
+            name = item.estimate.name
             rows = table.filter(names == name)
-            assert len(rows) == len(each.evaluation.association)
+            assert len(rows) == len(item.evaluation.association)
             for column, parts in (
                 ("stamps", ("stamps",)),
                 ("position_m", ("position_m",)),
@@ -176,8 +176,8 @@ def test_without_pyarrow_there_is_no_table_and_a_hint(
 ) -> None:
     pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
     flight = simulate(seed=1, duration_s=20.0)
-    for name, each in (("g", flight.groundtruth), ("e", flight.estimate)):
-        rows = np.column_stack([each.stamps / 1e9, each.positions, each.quaternions])
+    for name, item in (("g", flight.groundtruth), ("e", flight.estimate)):
+        rows = np.column_stack([item.stamps / 1e9, item.positions, item.quaternions])
         np.savetxt(tmp_path / f"{name}.txt", rows, fmt="%.9f")
     folder = tmp_path / "out"
     sources = ["-g", str(tmp_path / "g.txt"), "-e", str(tmp_path / "e.txt")]
@@ -199,4 +199,4 @@ def test_a_missing_pyarrow_is_noticed(
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     write_result(outcome, tmp_path)
-    assert sorted(each.name for each in tmp_path.iterdir()) == ["errors.npz", "result.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["errors.npz", "result.json"]

@@ -48,7 +48,7 @@ def test_no_metric_sees_the_gauge(gauge: Gauge, states: int | None, pair: Pair, 
     if states is None:
         assert before.ate["rotation_deg"] is not None
         assert before.relative is not None
-        assert all(len(each.errors.ends) for each in before.relative)
+        assert all(len(item.errors.ends) for item in before.relative)
 
 
 @pytest.mark.parametrize("gauge", list(Gauge))
@@ -184,7 +184,7 @@ def test_evaluating_twice_gives_the_same_bytes(gauge: Gauge, pair: Pair) -> None
     def as_bytes() -> bytes:
         result = evaluate(pair.groundtruth, pair.estimate, dataclasses.replace(BASE, gauge=gauge))
         columns = dataclasses.asdict(result.absolute)
-        segments = [dataclasses.asdict(each.errors) for each in result.relative or ()]
+        segments = [dataclasses.asdict(item.errors) for item in result.relative or ()]
         return pickle.dumps((all_statistics(result), columns, segments, result.warnings))
 
     assert as_bytes() == as_bytes()
@@ -218,8 +218,12 @@ def test_a_perfect_estimate_has_no_error(gauge: Gauge, states: int | None, seed:
     expected = set(ATE_METRICS) - flat
     # Thirty states of a slow motion may be too straight for their rotation to be trusted.
     if states != 30:
-        assert {name for name, each in result.ate.items() if each is not None} == expected
-    errors = {name: each for name, each in all_statistics(result).items() if each is not None}
+        assert {name for name, item in result.ate.items() if item is not None} == expected
+    errors = {
+        name: statistic
+        for name, statistic in all_statistics(result).items()
+        if statistic is not None
+    }
     assert errors
     for name, statistics in errors.items():
         assert statistics.max < 1e-8, name
@@ -236,13 +240,13 @@ def test_every_metric_has_as_many_errors_as_there_are_pairs(pair: Pair) -> None:
         _assert_ordered(statistics)
     for segments in result.relative or ():
         for name in ("position_m", "rotation_deg", "yaw_deg", "tilt_deg", "velocity_mps"):
-            each = segments.statistics[name]
-            assert each is not None
-            assert each.count == len(segments.errors.ends)
-            _assert_ordered(each)
+            item = segments.statistics[name]
+            assert item is not None
+            assert item.count == len(segments.errors.ends)
+            _assert_ordered(item)
 
 
-def _assert_ordered(each: Statistics) -> None:
-    assert 0.0 <= each.min <= each.median <= each.p95 <= each.max
-    assert each.min <= each.mean <= each.rmse <= each.max * (1.0 + 1e-12)
-    assert each.rmse**2 == pytest.approx(each.mean**2 + each.std**2)
+def _assert_ordered(item: Statistics) -> None:
+    assert 0.0 <= item.min <= item.median <= item.p95 <= item.max
+    assert item.min <= item.mean <= item.rmse <= item.max * (1.0 + 1e-12)
+    assert item.rmse**2 == pytest.approx(item.mean**2 + item.std**2)

@@ -154,7 +154,7 @@ def test_planar_errors_are_two_dimensional() -> None:
     assert result.ate["position_m"] is not None
     assert result.ate["position_m"].max < 1e-9
     assert result.ate["tilt_deg"] is None
-    assert all(each.statistics["tilt_deg"] is None for each in result.relative or ())
+    assert all(item.statistics["tilt_deg"] is None for item in result.relative or ())
 
 
 def test_yaw_and_tilt_are_the_errors_about_gravity_and_level_axes() -> None:
@@ -204,7 +204,7 @@ def test_a_low_coverage_is_said() -> None:
     result = evaluate(groundtruth, lost, BASE)
     assert result.association.groundtruth_coverage == pytest.approx(60 / 199, abs=0.02)
     # From the first to the last pair nothing is lost, so this is a note.
-    [said] = [each for each in result.remarks if "groundtruth's time" in each.text]
+    [said] = [remark for remark in result.remarks if "groundtruth's time" in remark.text]
     assert said.level is Level.NOTE
 
 
@@ -213,12 +213,12 @@ def test_groundtruth_that_is_slow_is_said_with_the_options_that_help() -> None:
     dense = make_groundtruth(17, 400)
     seconds = np.round(dense.seconds - dense.seconds[0], 6)
     result = evaluate(dense[seconds % 2.0 <= 0.3], make_estimate(dense, 18), BASE)
-    [said] = [each.text for each in result.remarks if each.code == "low_coverage"]
+    [said] = [remark.text for remark in result.remarks if remark.code == "low_coverage"]
     assert "--association groundtruth-stamps or a larger --max-gap" in said
     [few] = [
-        each.text
-        for each in evaluate(dense[:200], make_estimate(dense, 18), BASE).remarks
-        if each.code == "low_coverage"
+        remark.text
+        for remark in evaluate(dense[:200], make_estimate(dense, 18), BASE).remarks
+        if remark.code == "low_coverage"
     ]
     assert "--max-gap" not in few
 
@@ -229,7 +229,9 @@ def test_one_rounding_of_coverage() -> None:
     result = evaluate(dense, make_estimate(dense, 18)[1:], BASE)
     assert 0.999 < result.association.groundtruth_coverage < 1.0
     assert "99 % of groundtruth" in repr(result)
-    assert any("99 % of the groundtruth's time" in each for each in definitions(result))
+    assert any(
+        "99 % of the groundtruth's time" in definition for definition in definitions(result)
+    )
 
 
 def test_a_reason_for_dropping_that_is_new_breaks_no_evaluation() -> None:
@@ -287,7 +289,7 @@ def test_many_states_are_evaluated_at_all_lengths() -> None:
     assert len(result.association) == count - 1
     assert result.relative is not None
     assert len(result.relative) == 5
-    assert all(len(each.errors.ends) > 0.98 * count for each in result.relative)
+    assert all(len(item.errors.ends) > 0.98 * count for item in result.relative)
 
 
 def test_sim3_by_one_state_is_refused_with_the_reason() -> None:

@@ -182,6 +182,6 @@ def test_what_the_commands_say_differs(
     gauges = [runs[number]["alignment"]["gauge"] for number in (1, 2)]  # type: ignore[index]
     assert gauges == ["se3", "yaw"]
     every, few = (runs[number]["re"]["segments"] for number in (4, 5))  # type: ignore[index]
-    assert [each.get("length_m") for each in every] == [1.0]
-    assert [(each.get("frames"), each.get("turn_deg")) for each in few] == [(1, None), (None, 5.0)]
+    assert [item.get("length_m") for item in every] == [1.0]
+    assert [(item.get("frames"), item.get("turn_deg")) for item in few] == [(1, None), (None, 5.0)]
     assert runs[22]["consistency"]["per_pose"]["poses"] > 700  # type: ignore[index]

@@ -39,7 +39,7 @@ def assert_evos(
     result = evaluate(groundtruth, estimate, protocol)
     for relation, metric in METRICS.items():
         wanted = f"evo_ape {command} {flags}-r {relation}"
-        (theirs,) = [each for each in numbers["results"] if each["cmd"] == wanted]
+        (theirs,) = [item for item in numbers["results"] if item["cmd"] == wanted]
         ours = result.ate[metric]
         assert ours is not None
         assert ours.count == len(result.association) == theirs["n"]
@@ -64,7 +64,7 @@ def test_absolute_errors_of_topics_in_a_bag_are_evos(
     topic: str, flags: str, recording: Recording, reference: Reference
 ) -> None:
     groundtruth, estimate = (
-        recording(f"bags/ROS_example.bag:{each}") for each in ("groundtruth", topic)
+        recording(f"bags/ROS_example.bag:{item}") for item in ("groundtruth", topic)
     )
     command = f"bag ROS_example.bag groundtruth {topic}"
     assert_evos(groundtruth, estimate, command, flags, reference("evo"))
@@ -73,7 +73,7 @@ def test_absolute_errors_of_topics_in_a_bag_are_evos(
 def test_of_repeated_stamps_evo_takes_the_last(recording: Recording) -> None:
     # `evo_ape tum -a`. The first ones are outliers of 10 m, which give 0.57 m.
     groundtruth, estimate = (
-        recording(f"hilti_2021/uzh_run2_{each}.txt") for each in ("mocap", "hdl")
+        recording(f"hilti_2021/uzh_run2_{name}.txt") for name in ("mocap", "hdl")
     )
     ours = evaluate(groundtruth, estimate, PROTOCOLS["evo"]).ate["position_m"]
     assert ours is not None
@@ -83,7 +83,7 @@ def test_of_repeated_stamps_evo_takes_the_last(recording: Recording) -> None:
 
 def test_default_warns_of_repeated_stamps_that_conflict(recording: Recording) -> None:
     groundtruth, estimate = (
-        recording(f"hilti_2021/uzh_run2_{each}.txt") for each in ("mocap", "hdl")
+        recording(f"hilti_2021/uzh_run2_{name}.txt") for name in ("mocap", "hdl")
     )
     begin = "uzh_run2_mocap has 2 repeated timestamps (of 1787) with different positions"
     (text,) = (text for text in evaluate(groundtruth, estimate).warnings if text.startswith(begin))

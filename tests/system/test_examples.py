@@ -52,8 +52,8 @@ def test_a_sweep_is_distorted_by_the_motion_and_repeatable(flight: Flight) -> No
     step = np.linalg.inv(poses[0]) @ poses[1]
     still = moved(undistorted(points, after, step), poses[1])
     undone, rough = (
-        float(np.percentile(distances(flight.hall, each), 90))
-        for each in (still, moved(points, poses[1]))
+        float(np.percentile(distances(flight.hall, item), 90))
+        for item in (still, moved(points, poses[1]))
     )
     assert undone < 3.0 * RANGE_SIGMA_M
     assert rough > 3.0 * undone

@@ -82,7 +82,7 @@ def test_tables_mark_what_is_from_few_pairs_and_do_not_rank_it(tmp_path: Path) -
     config = write_runs(tmp_path, trials=1)
     write_run(tmp_path / "good" / "hall_trial0.txt", 1.01, count=5)
     summary = compare(config, tmp_path / "out", workers=1, report=False)
-    table = next(each for each in matrices(summary) if each.name == "ate_position_m")
+    table = next(matrix for matrix in matrices(summary) if matrix.name == "ate_position_m")
     (good, bad) = (dict(zip(table.columns, cells, strict=True)) for _, cells in table.rows)
     assert "‡" in good["hall"].note
     assert not good["hall"].is_ranked
@@ -93,7 +93,7 @@ def test_tables_mark_what_is_from_few_pairs_and_do_not_rank_it(tmp_path: Path) -
 
 @pytest.mark.slow
 def test_surveyed_points_of_a_campus(recording: Callable[[str], Trajectory]) -> None:
-    points, estimate = (recording(f"hilti_2021/Campus_2_{each}.txt") for each in ("prism", "svo2"))
+    points, estimate = (recording(f"hilti_2021/Campus_2_{name}.txt") for name in ("prism", "svo2"))
     assert len(evaluate(points, estimate, Protocol(lengths=())).association) == 19
     found = evaluate(points, estimate, Protocol(lengths=(), association="linear"))
     assert len(found.association) == 3

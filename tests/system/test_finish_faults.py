@@ -75,7 +75,7 @@ def test_results_are_written_into_the_folder_of_the_run(
     folder: Path, tmp_path_factory: pytest.TempPathFactory, options: list[str], is_written: bool
 ) -> None:
     elsewhere = tmp_path_factory.mktemp("elsewhere")
-    options = [each.format(elsewhere) for each in options]
+    options = [option.format(elsewhere) for option in options]
     assert main(["finish", str(folder), "--quiet", *options]) == 0
     names = {path.name for path in folder.iterdir()}
     assert ({"result.json", "errors.npz"} <= names) == is_written
@@ -154,9 +154,11 @@ def test_what_cannot_be_read_in_the_middle_is_told(folder: Path) -> None:
     whole = path.read_bytes()
     path.write_bytes(whole + chunk("[no object]") + whole[first_chunk(path) :])
     outcome = evaluate_folder(folder)
-    (run,) = [each for each in outcome.runs if each.estimate.name == "odd"]
+    (run,) = [item for item in outcome.runs if item.estimate.name == "odd"]
     lost = 16 + 11 + len(whole) - first_chunk(path)
-    assert any(f"the last {lost} bytes can't be read" in each for each in run.evaluation.warnings)
+    assert any(
+        f"the last {lost} bytes can't be read" in warning for warning in run.evaluation.warnings
+    )
 
 
 def revise(path: Path) -> bytes:

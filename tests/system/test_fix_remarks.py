@@ -21,7 +21,7 @@ CLEAN: Any = SimpleNamespace(jumps=0, own_jumps=0)
 
 
 def fixes_of(sigma_m: Any = 1.0, sigma_up_m: Any = 1.0, count: int = COUNT) -> Fixes:
-    level, up = (np.broadcast_to(each, count) for each in (sigma_m, sigma_up_m))
+    level, up = (np.broadcast_to(item, count) for item in (sigma_m, sigma_up_m))
     covariances = np.zeros((count, 3, 3))
     covariances[:, 0, 0], covariances[:, 1, 1] = level**2, (0.5 * level) ** 2
     covariances[:, 2, 2] = up**2
@@ -43,7 +43,7 @@ def said(
     }  # fmt: skip
     fixes = fixes or fixes_of()
     along = np.linspace(-0.4, 0.6, len(fixes))
-    truth = np.column_stack([along * each for each in (*given["extents"], 20.0)])
+    truth = np.column_stack([along * extent for extent in (*given["extents"], 20.0)])
     rotation = Rotation.from_euler("zx", [50.0, given["tilt_deg"]], degrees=True).as_matrix()
     rmse = given["rmse"]
     evaluation: Any = SimpleNamespace(
@@ -60,7 +60,10 @@ def said(
         ),
         ate={"position_m": None if rmse is None else SimpleNamespace(rmse=rmse)},
     )
-    return {each.code: each.text for each in about_fixes(evaluation, own, "no covariance", of)}
+    return {
+        about_fix.code: about_fix.text
+        for about_fix in about_fixes(evaluation, own, "no covariance", of)
+    }
 
 
 def test_a_right_evaluation_has_no_warning() -> None:
@@ -138,7 +141,7 @@ def test_the_curvature_is_told_from_five_kilometres_on(
     assert np.hypot(5000.0, 6_371_000.0) - 6_371_000.0 == pytest.approx(2.0, rel=0.02)
     found = said(extents=extents, gauge=gauge)
     assert found.keys() == ({"curvature_of_the_earth"} if is_told else set())
-    assert all(" 5.0 km, where" in each for each in found.values())
+    assert all(" 5.0 km, where" in item for item in found.values())
 
 
 @pytest.mark.parametrize(
@@ -166,7 +169,7 @@ def test_an_alignment_is_tilted_by_uncertain_heights_or_by_much(
     found = said(fixes_of(sigma_up_m=sigma_up), gauge=gauge, tilt_deg=tilt_deg)
     assert found.keys() == ({"tilted_by_heights"} if is_told else set())
     start = f"gauge {gauge.value} tilts the estimate by {tilt_deg:.1f} deg to fit"
-    assert all(each.startswith(start) for each in found.values())
+    assert all(item.startswith(start) for item in found.values())
 
 
 def heights_with_step(
@@ -235,7 +238,7 @@ def test_interpolation_of_a_tenth_of_the_ate_is_told(
     interpolation = SimpleNamespace(off_m=off_m, step_s=0.5)
     found = said(interpolation=interpolation, scale=scale, rmse=rmse)
     assert found.keys() == ({"interpolated_estimate"} if is_told else set())
-    assert all("0.5 s apart, adds an error of up to 0.05 m to" in each for each in found.values())
+    assert all("0.5 s apart, adds an error of up to 0.05 m to" in item for item in found.values())
 
 
 def test_fixes_need_heights_or_a_plane_and_a_common_frame_or_a_gauge() -> None:
@@ -243,7 +246,7 @@ def test_fixes_need_heights_or_a_plane_and_a_common_frame_or_a_gauge() -> None:
     flat.places[:, 2] = np.nan
     plain: Any = SimpleNamespace(reading=SimpleNamespace(fixes=None))
     sides: list[Any] = [
-        SimpleNamespace(reading=SimpleNamespace(fixes=each)) for each in (flat, full)
+        SimpleNamespace(reading=SimpleNamespace(fixes=item)) for item in (flat, full)
     ]
     datum = FixRule(datum=Datum(47.0, 8.0, 400.0))
     require_fixes_fit(sides[0], [plain], Gauge.PLANAR, FixRule())

@@ -97,8 +97,8 @@ def test_the_picture_shows_names(evaluation: Evaluation, tmp_path: Path) -> None
     write_recording(file, [warned])
     written = Rrd(file)
     _, lines = written.rows("events", "TextLog:text")
-    assert f"{SEEN}: {SEEN}" in [str(each[0]) for each in lines]
-    assert not controls("".join(str(each[0]) for each in lines))
+    assert f"{SEEN}: {SEEN}" in [str(line[0]) for line in lines]
+    assert not controls("".join(str(line[0]) for line in lines))
     assert not controls("".join(written.entities))
     _, [words] = written.rows("summary", "TextDocument:text")
     assert not controls(str(words[0]).replace("\n", ""))

@@ -52,7 +52,7 @@ def fill(disk: Path, left: int) -> None:
 
 
 def names(folder: Path) -> list[str]:
-    return sorted(each.name for each in folder.iterdir())
+    return sorted(path.name for path in folder.iterdir())
 
 
 @pytest.mark.slow
@@ -119,4 +119,4 @@ def test_a_simulation_and_a_comparison(disk: Path, tmp_path: Path) -> None:
     said = refused(["compare", config, "--workers", "1", "--quiet", "--output", str(out)])
     assert said.startswith(f"trajeval: {out}/")
     assert said.endswith(FULL)
-    assert not [each for each in out.rglob("*") if each.name.startswith(".")]
+    assert not [path for path in out.rglob("*") if path.name.startswith(".")]

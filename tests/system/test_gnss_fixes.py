@@ -168,8 +168,8 @@ def test_fixes_without_heights_are_for_the_plane() -> None:
     with pytest.raises(InputError, match="fixes have no height; use --gauge planar"):
         run(flat, [FLIGHT.estimate], Request(Protocol(gauge="yaw")))
     planar = Protocol(gauge="planar", lever_m=LEVER)
-    found, whole = (run(each, [FLIGHT.estimate], Request(planar)) for each in (flat, fixes))
-    ate = [each.runs[0].evaluation.ate["position_m"] for each in (found, whole)]
+    found, whole = (run(item, [FLIGHT.estimate], Request(planar)) for item in (flat, fixes))
+    ate = [item.runs[0].evaluation.ate["position_m"] for item in (found, whole)]
     assert ate[0] is not None
     assert ate[1] is not None
     assert ate[0].rmse == pytest.approx(ate[1].rmse, abs=1e-4)
@@ -393,11 +393,11 @@ def test_relative_errors_need_no_orientation_where_gravity_is_known() -> None:
     found = evaluate(antenna(40), FLIGHT.estimate, Protocol(gauge="yaw", lengths=(8, 16)))
     assert found.protocol.re_form == "fitted"
     assert found.relative is not None
-    for each in found.relative:
-        assert len(each.errors.ends) > 20
-        assert each.errors.rotation_deg is None
-        assert each.statistics["rotation_deg"] is None
-        assert each.statistics["position_percent"] is not None
+    for item in found.relative:
+        assert len(item.errors.ends) > 20
+        assert item.errors.rotation_deg is None
+        assert item.statistics["rotation_deg"] is None
+        assert item.statistics["position_percent"] is not None
     assert evaluate(antenna(40), FLIGHT.estimate, Protocol(gauge="se3")).relative is None
 
 
@@ -408,7 +408,7 @@ def test_the_ate_is_the_same_in_any_level_frame(turn: float, shift: float) -> No
     rotation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     moved = Trajectory(fixes.stamps, fixes.positions @ rotation.T + shift)
     protocol = Protocol(gauge="yaw", lengths=())
-    one, other = (evaluate(each, FLIGHT.estimate, protocol) for each in (fixes, moved))
+    one, other = (evaluate(item, FLIGHT.estimate, protocol) for item in (fixes, moved))
     np.testing.assert_allclose(one.absolute.position_m, other.absolute.position_m, atol=1e-9)
 
 
@@ -507,7 +507,7 @@ def test_utm_is_told(origin: tuple[float, float, float], is_utm: bool) -> None:
         flight.groundtruth, positions=flight.groundtruth.positions + np.array(origin)
     )
     found = evaluate(truth, flight.estimate, Protocol(gauge="yaw"))
-    told = [each for each in found.warnings if "UTM" in each]
+    told = [warning for warning in found.warnings if "UTM" in warning]
     assert len(told) == is_utm
     if told:
         assert told[0].startswith("the groundtruth is probably in UTM coordinates (easting 46")

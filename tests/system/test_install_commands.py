@@ -52,7 +52,7 @@ def test_every_extra_that_is_named_exists() -> None:
     table = described.partition("[project.optional-dependencies]")[2].partition("\n[tool")[0]
     extras = set(re.findall(r"^(\w+) = \[", table, re.MULTILINE))
     sources = [path.read_text("utf-8") for path in (ROOT / "trajeval_ros").rglob("*.py")]
-    named = {each for text in sources for each in re.findall(r"extra_command\(['\"](\w+)", text)}
+    named = {item for text in sources for item in re.findall(r"extra_command\(['\"](\w+)", text)}
     assert {"plot", "compare", "cluster", "remote", "rerun"} <= named <= extras
     assert "foxglove" in extras
 
@@ -104,7 +104,7 @@ def test_the_command_works_as_it_is_printed(way: str, tmp_path: Path) -> None:
         shutil.copytree(ROOT / name, checkout / name)
     for name in ("setup.py", "setup.cfg", "pyproject.toml", "README.md", "package.xml"):
         shutil.copy(ROOT / name, checkout)
-    needed = {re.split("[<>=;[ ]", each)[0] for each in requires("trajeval-ros") or ()}
+    needed = {re.split("[<>=;[ ]", require)[0] for require in requires("trajeval-ros") or ()}
     for name in {*needed, "matplotlib"}:
         make_wheel(index, name, "99.0")
     run(f"{sys.executable} -m venv {environment}", tmp_path)

@@ -74,8 +74,8 @@ def test_what_runs_in_the_background_may_ignore_ctrl_c() -> None:
 
 def test_all_programs_begin_where_ctrl_c_is_heard() -> None:
     programs = distribution("trajeval-ros").entry_points.select(group="console_scripts")
-    assert {each.name for each in programs} == {"trajeval", "evaluator", "replay"}
-    assert {each.module for each in programs} == {"trajeval_ros.__main__"}
+    assert {program.name for program in programs} == {"trajeval", "evaluator", "replay"}
+    assert {program.module for program in programs} == {"trajeval_ros.__main__"}
 
 
 def test_a_missing_package_is_one_sentence() -> None:

@@ -75,7 +75,7 @@ def test_relative_errors_are_the_devkits_on_sequence_00(
     estimate = recording("kitti/KITTI_00_ORB.txt")
     result = evaluate(groundtruth, estimate, PROTOCOLS["kitti"])
     assert result.relative is not None
-    assert [each.length_m for each in result.relative] == list(LENGTHS)
+    assert [item.length_m for item in result.relative] == list(LENGTHS)
     for segments in result.relative:
         assert segments.length_m is not None
         theirs = np.array(devkits_00[int(segments.length_m)])
@@ -114,7 +114,7 @@ KITTI_ODOM_EVAL = "kitti_odom_eval/09_{}.txt"  # and what that tool says of them
 
 def test_frames_with_gaps_give_the_tools_numbers(recording: Callable[[str], Trajectory]) -> None:
     groundtruth, estimate = (
-        recording(KITTI_ODOM_EVAL.format(each)) for each in ("groundtruth", "frame_index")
+        recording(KITTI_ODOM_EVAL.format(name)) for name in ("groundtruth", "frame_index")
     )
     protocol = dataclasses.replace(PROTOCOLS["kitti"], gauge=Gauge.SIM3)
     result = evaluate(groundtruth, estimate, protocol)
@@ -178,7 +178,7 @@ def test_frames_pair_by_their_numbers_with_times_beside_them_or_not(
     expected = [
         (start, end)
         for start in range(0, 60, 10)
-        if (end := next((each for each in range(60) if far(truth, start, each)), 0)) in frames
+        if (end := next((index for index in range(60) if far(truth, start, index)), 0)) in frames
         and start in frames
     ]
     assert list(zip(starts.tolist(), ends.tolist(), strict=True)) == expected != []
@@ -196,7 +196,7 @@ def test_frames_without_groundtruth_are_counted(pose_rows: list[str], tmp_path: 
     sides = [read_trajectory(str(path)) for path in (groundtruth, estimate)]
     result = evaluate(*sides, PROTOCOLS["kitti"])
     assert result.association.dropped == {"no_groundtruth_of_this_frame": 10}
-    assert any("10 in frames without groundtruth" in each for each in result.warnings)
+    assert any("10 in frames without groundtruth" in warning for warning in result.warnings)
 
 
 def test_rows_that_are_no_poses_move_no_other_row(pose_rows: list[str], tmp_path: Path) -> None:

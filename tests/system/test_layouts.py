@@ -36,8 +36,8 @@ def panels() -> dict[str, Any]:
 
 
 def number_at(message: Any, fields: list[str]) -> float:
-    for each in fields:
-        message = getattr(message, each)
+    for field in fields:
+        message = getattr(message, field)
     assert isinstance(message, float)
     return message
 
@@ -52,12 +52,12 @@ def test_foxglove_plots_what_is_there(
 ) -> None:
     drawn = list(foxglove_paths(panels))
     assert len(drawn) == 10
-    for each in drawn:
-        topic, *fields = each["value"].split(".")
+    for item in drawn:
+        topic, *fields = item["value"].split(".")
         message = recorded[topic].messages[0]
         number_at(message, fields)
         # The time axis is that of the stamps where there are any.
-        assert (each["timestampMethod"] == "headerStamp") == hasattr(message, "header")
+        assert (item["timestampMethod"] == "headerStamp") == hasattr(message, "header")
 
 
 def test_foxglove_s_other_panels_show_what_is_there(
@@ -67,7 +67,7 @@ def test_foxglove_s_other_panels_show_what_is_there(
         assert recorded[topic].type == "nav_msgs/msg/Path"
     status = panels["DiagnosticStatusPanel!status"]
     [message] = recorded[status["topicToRender"]].messages
-    [shown] = [each for each in message.status if each.name == status["selectedName"]]
+    [shown] = [item for item in message.status if item.name == status["selectedName"]]
     assert shown.hardware_id == status["selectedHardwareId"]
 
 
@@ -84,10 +84,10 @@ def test_every_panel_of_foxglove_has_its_place_once(panels: dict[str, Any]) -> N
 
 
 def test_plotjuggler_plots_what_is_there(recorded: dict[str, Recorded]) -> None:
-    curves = [each.attrib["name"] for each in ElementTree.parse(PLOTJUGGLER).iter("curve")]
+    curves = [item.attrib["name"] for item in ElementTree.parse(PLOTJUGGLER).iter("curve")]
     assert len(curves) == 10
     for curve in curves:
-        [topic] = [each for each in recorded if curve.startswith(f"{each}/")]
+        [topic] = [item for item in recorded if curve.startswith(f"{item}/")]
         fields = curve.removeprefix(f"{topic}/").split("/")
         number_at(recorded[topic].messages[0], fields)
 
@@ -95,21 +95,29 @@ def test_plotjuggler_plots_what_is_there(recorded: dict[str, Recorded]) -> None:
 def test_splitters_of_plotjuggler_count_their_parts() -> None:
     splitters = list(ElementTree.parse(PLOTJUGGLER).iter("DockSplitter"))
     assert splitters
-    for each in splitters:
-        assert int(each.attrib["count"]) == len(each) == len(each.attrib["sizes"].split(";"))
+    for splitter in splitters:
+        assert (
+            int(splitter.attrib["count"])
+            == len(splitter)
+            == len(splitter.attrib["sizes"].split(";"))
+        )
 
 
 def test_rviz_shows_paths_that_are_there_in_their_frame(recorded: dict[str, Recorded]) -> None:
     manager = read_mapping(RVIZ, "layout")["Visualization Manager"]
     frame = manager["Global Options"]["Fixed Frame"]
-    paths = [each for each in manager["Displays"] if each["Class"] == "rviz_default_plugins/Path"]
-    topics = [each["Topic"]["Value"] for each in paths]
+    paths = [
+        Display
+        for Display in manager["Displays"]
+        if Display["Class"] == "rviz_default_plugins/Path"
+    ]
+    topics = [path["Topic"]["Value"] for path in paths]
     # Estimates that revise their past are seen live alone.
     assert topics.pop() == "/evaluator/vio_odometry/revised/aligned_path"
     assert len(topics) == 2
     for topic in topics:
         assert recorded[topic].type == "nav_msgs/msg/Path"
-        assert {each.header.frame_id for each in recorded[topic].messages} == {frame}
+        assert {message.header.frame_id for message in recorded[topic].messages} == {frame}
 
 
 @pytest.mark.parametrize("layout", [FOXGLOVE, PLOTJUGGLER, RVIZ], ids=lambda path: path.name)

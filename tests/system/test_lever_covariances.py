@@ -75,7 +75,7 @@ def test_bodies_axes_know_no_up() -> None:
     """The same flight in a world with -y up, offline and live, has the same NEES."""
     truth, estimate = sides(3)
     up = UpAxis("-y")
-    other = [of_world(each, up) for each in (truth, estimate)]
+    other = [of_world(item, up) for item in (truth, estimate)]
     protocol = Protocol(gauge="yaw", lengths=())
     means = []
     for pair in ((truth, estimate), other):
@@ -216,7 +216,7 @@ def test_finish_and_the_node_take_the_noise_at_the_marker(tmp_path: Path) -> Non
     body = MarkerBody(file, known_hand_eye(file))
     live = Live(tmp_path / "live", ODOM, body=body, covariances=request, gauge="none")
     feed = [*messages_of(sides[0], GROUNDTRUTH, POSE), *messages_of(sides[1], ESTIMATE, ODOM)]
-    live.feed(sorted(feed, key=lambda each: each[2]))
+    live.feed(sorted(feed, key=lambda item: item[2]))
     live.end()
     seen = live.run.estimates[0].snapshot().nees
     assert seen is not None

@@ -99,11 +99,11 @@ class Text:
 
 def _docstrings(tree: ast.Module) -> set[int]:
     return {
-        id(each.value)
+        id(item.value)
         for node in ast.walk(tree)
         if isinstance(body := getattr(node, "body", None), list)
-        for each in body
-        if isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant)
+        for item in body
+        if isinstance(item, ast.Expr) and isinstance(item.value, ast.Constant)
     }
 
 
@@ -112,7 +112,7 @@ def _literal(node: ast.AST) -> str | None:
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return re.sub(r"\{[a-z_0-9.]*(:[^{}]*)?\}", HOLE, node.value)  # of `format`
     if isinstance(node, ast.JoinedStr):
-        return "".join(_literal(each) or HOLE for each in node.values)
+        return "".join(_literal(value) or HOLE for value in node.values)
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
         return (_literal(node.left) or HOLE) + (_literal(node.right) or HOLE)
     return None
@@ -142,9 +142,9 @@ def _texts_of(path: Path) -> Iterator[Text]:
     nodes = list(ast.walk(tree))
     for node in nodes:
         if isinstance(node, ast.JoinedStr):
-            inside |= {id(each) for each in ast.walk(node)} - {id(node)}
+            inside |= {id(item) for item in ast.walk(node)} - {id(node)}
         if isinstance(node, ast.Call) and _name(node.func).endswith("Error"):
-            raised |= {id(each) for argument in node.args for each in _ends(argument)}
+            raised |= {id(end) for argument in node.args for end in _ends(argument)}
     for node in nodes:
         if isinstance(node, ast.JoinedStr | ast.Constant) and id(node) not in inside:
             text = _literal(node)
@@ -176,19 +176,19 @@ def _name(node: ast.AST) -> str:
 def catalogue() -> tuple[Text, ...]:
     """Return all texts that are sentences, or parts of some: three words at least."""
     return tuple(
-        each
+        text
         for path in sorted(PACKAGE.rglob("*.py"))
         if path.relative_to(PACKAGE).as_posix() not in _EXEMPT
-        for each in _texts_of(path)
-        if len(re.findall(r"[A-Za-z']{2,}", each.text)) >= 3
-        and " " in each.text.strip()
-        and each.text not in _KEEP
+        for text in _texts_of(path)
+        if len(re.findall(r"[A-Za-z']{2,}", text.text)) >= 3
+        and " " in text.text.strip()
+        and text.text not in _KEEP
     )
 
 
 def raised() -> tuple[Text, ...]:
     """Return the messages of exceptions."""
-    return tuple(each for each in catalogue() if each.raised)
+    return tuple(item for item in catalogue() if item.raised)
 
 
 def sentences(text: str) -> list[str]:
@@ -211,18 +211,18 @@ def test_there_is_a_catalogue() -> None:
 def test_words_to_avoid(avoided: str) -> None:
     pattern = re.compile(avoided, re.IGNORECASE)
     found = [
-        f"{each}  <- write: {AVOIDED[avoided]}"
-        for each in catalogue()
-        if pattern.search(each.text)
+        f"{item}  <- write: {AVOIDED[avoided]}"
+        for item in catalogue()
+        if pattern.search(item.text)
     ]
     assert not found, listed(found)
 
 
 def test_sentences_are_short() -> None:
     found = [
-        f"{len(sentence.split())} words: {each}"
-        for each in catalogue()
-        for sentence in sentences(each.text)
+        f"{len(sentence.split())} words: {item}"
+        for item in catalogue()
+        for sentence in sentences(item.text)
         if len(sentence.split()) > MOST_WORDS
     ]
     assert not found, listed(found)
@@ -230,25 +230,25 @@ def test_sentences_are_short() -> None:
 
 def test_errors_are_short() -> None:
     found = [
-        f"{len(plain)} characters: {each}"
-        for each in raised()
-        if len(plain := each.text.replace(HOLE, "")) > LONGEST_ERROR
+        f"{len(plain)} characters: {item}"
+        for item in raised()
+        if len(plain := item.text.replace(HOLE, "")) > LONGEST_ERROR
     ]
     assert not found, listed(found)
 
 
 def test_errors_are_one_sentence_without_a_stop() -> None:
-    found = [str(each) for each in raised() if re.search(r"[.?!]$|\?|!$|[^.]\. [A-Z]", each.text)]
+    found = [str(item) for item in raised() if re.search(r"[.?!]$|\?|!$|[^.]\. [A-Z]", item.text)]
     assert not found, listed(found)
 
 
 def test_errors_start_small() -> None:
     """A message follows a name or the program's: only names and options start otherwise."""
     found = [
-        str(each)
-        for each in raised()
-        if re.match(r"[A-Z][a-z]", each.text)
-        and not re.match(r"(Rerun|Dask|La[Tt]e[Xx])", each.text)
+        str(item)
+        for item in raised()
+        if re.match(r"[A-Z][a-z]", item.text)
+        and not re.match(r"(Rerun|Dask|La[Tt]e[Xx])", item.text)
     ]
     assert not found, listed(found)
 
@@ -260,20 +260,20 @@ def test_examples_of_the_style_guide_are_messages_of_the_program() -> None:
     parts = [part for example in examples for part in example.split("; ")]
     known = [
         re.escape(part).replace(HOLE, ".+")
-        for each in catalogue()
-        for part in each.text.split("; ")
+        for item in catalogue()
+        for part in item.text.split("; ")
         if len(re.findall(r"[A-Za-z']{2,}", part)) >= 3
     ]
     install = re.escape("install it: ")
     unknown = [
-        part for part in parts if not any(re.search(each, part) for each in [*known, install])
+        part for part in parts if not any(re.search(item, part) for item in [*known, install])
     ]
     assert len(examples) > 3
     assert not unknown, listed(unknown)
 
 
 def test_numbers_and_nouns_agree() -> None:
-    found = [str(each) for each in catalogue() if each.number]
+    found = [str(item) for item in catalogue() if item.number]
     assert not found, listed(found)
 
 

@@ -46,8 +46,8 @@ def test_notebooks_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     shown = [
         output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs
     ]
-    assert not [each for each in shown if each.get("name") == "stderr"]  # warnings
-    kinds = [kind for each in shown for kind in each.get("data", {})]
+    assert not [item for item in shown if item.get("name") == "stderr"]  # warnings
+    kinds = [kind for item in shown for kind in item.get("data", {})]
     assert kinds.count("image/png") == 3
     assert kinds.count("text/html") == 4  # an evaluation, an outcome, two data frames
 

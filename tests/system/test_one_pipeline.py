@@ -176,7 +176,7 @@ def test_comparison_tabulates_what_was_asked_for(
         assert np.isfinite(values[metric])
         if expected is not None:
             assert values[metric] == pytest.approx(expected, abs=0.01)
-    table = next(each for each in metrics if each != "parameters_applied")
+    table = next(item for item in metrics if item != "parameters_applied")
     assert (out / f"{table}.csv").is_file()
 
 
@@ -202,7 +202,7 @@ def test_a_live_run_with_a_marker_is_evaluated_as_a_recorded_one(
         quaternions=lie.multiply(quaternions, turn),
     )
     feed = [*messages_of(moved, GROUNDTRUTH, POSE), *messages_of(estimate, ESTIMATE, ODOM)]
-    feed.sort(key=lambda each: each[2])
+    feed.sort(key=lambda item: item[2])
     write_messages(tmp_path / "bag", feed)
     (tmp_path / "marker.yaml").write_text(HAND_EYE)
     asked = str(tmp_path / "marker.yaml") if hand_eye == "FILE" else hand_eye
@@ -216,7 +216,7 @@ def test_a_live_run_with_a_marker_is_evaluated_as_a_recorded_one(
     assert main(["evaluate", *sides, "--gauge", "yaw",
                  "--lengths", "2,4", "--hand-eye", asked, "--quiet", "--json", str(by_bag)]
                 ) == 0  # fmt: skip
-    here, there = (json.loads(each.read_text())["runs"][0] for each in (by_live, by_bag))
+    here, there = (json.loads(item.read_text())["runs"][0] for item in (by_live, by_bag))
     assert there["calibration"]["T_body_marker"] is not None
     assert there["ate"]["rotation_deg"]["rmse"] < 1.0
     for block in ("alignment", "ate", "re", "calibration"):
@@ -230,7 +230,7 @@ def test_a_live_run_can_be_aligned_with_poses_afterwards(tmp_path: Path) -> None
         *messages_of(pair.groundtruth, GROUNDTRUTH, POSE),
         *messages_of(pair.estimate, ESTIMATE, ODOM),
     ]
-    feed.sort(key=lambda each: each[2])
+    feed.sort(key=lambda item: item[2])
     write_messages(tmp_path / "bag", feed)
     live.feed(feed)
     live.end()
@@ -241,7 +241,7 @@ def test_a_live_run_can_be_aligned_with_poses_afterwards(tmp_path: Path) -> None
     assert main(["evaluate", *sides, "--gauge", "yaw",
                  "--lengths", "2,4", "--align-with", "poses", "--quiet", "--json", str(by_bag)]
                 ) == 0  # fmt: skip
-    here, there = (json.loads(each.read_text()) for each in (by_live, by_bag))
+    here, there = (json.loads(item.read_text()) for item in (by_live, by_bag))
     assert here["provenance"]["settings"]["align_with"] == "poses"
     for block in ("alignment", "ate", "re"):
         assert_same(here["runs"][0][block], there["runs"][0][block])

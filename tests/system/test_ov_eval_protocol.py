@@ -169,5 +169,5 @@ def test_the_command_line_prints_what_ov_eval_prints(
     orientation, position = (3.0 * per_pose[name]["mean"] for name in ("rotation", "position"))
     assert f"mean_ori = {orientation:.3f} | mean_pos = {position:.3f}" in printed
     assert "NEES / 3 of orientations" in printed
-    expected = [each.mean() for each in by_definition(truth, estimate)]
+    expected = [item.mean() for item in by_definition(truth, estimate)]
     assert [orientation, position] == pytest.approx(expected, rel=1e-3)

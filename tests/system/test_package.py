@@ -186,7 +186,7 @@ def test_dataclasses_do_not_change_and_arrays_are_not_compared() -> None:
                 assert isinstance(node, ast.ClassDef)
                 if "frozen=True" not in written:
                     changing.add(node.name)
-                kinds = [each.annotation for each in node.body if isinstance(each, ast.AnnAssign)]
+                kinds = [item.annotation for item in node.body if isinstance(item, ast.AnnAssign)]
                 if re.search(rf"\b({'|'.join(ARRAYS)})\b", " ".join(map(ast.unparse, kinds))):
                     assert "eq=False" in written, node.name
     assert changing == CHANGING

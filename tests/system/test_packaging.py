@@ -59,8 +59,8 @@ def _recipe() -> Any:
 def test_the_recipe_requires_what_pip_does() -> None:
     described = (ROOT / "pyproject.toml").read_text()
     table = described.partition("\ndependencies = [")[2].partition("\n]")[0]
-    by_pip = {each.replace("mcap", "python-mcap") for each in re.findall(r'"(.+?)"', table)}
-    by_conda = {each.replace(" ", "") for each in _recipe()["requirements"]["run"]}
+    by_pip = {item.replace("mcap", "python-mcap") for item in re.findall(r'"(.+?)"', table)}
+    by_conda = {requirement.replace(" ", "") for requirement in _recipe()["requirements"]["run"]}
     assert by_conda == {"python>=3.10,<3.15", *by_pip}
 
 
@@ -182,7 +182,7 @@ def archives(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_archives_are_what_an_index_accepts(archives: Path) -> None:
     files = sorted(archives.iterdir())
-    assert [re.sub(r".*?(-py3-none-any\.whl|\.tar\.gz)$", r"\1", each.name) for each in files] == [
+    assert [re.sub(r".*?(-py3-none-any\.whl|\.tar\.gz)$", r"\1", file.name) for file in files] == [
         "-py3-none-any.whl",
         ".tar.gz",
     ]
@@ -194,7 +194,7 @@ def test_archives_are_what_an_index_accepts(archives: Path) -> None:
 def test_a_wheel_is_built_to_the_same_bytes(archives: Path, tmp_path: Path) -> None:
     _build(tmp_path)
     (again,), (first,) = tmp_path.glob("*.whl"), archives.glob("*.whl")
-    digests = [hashlib.sha256(each.read_bytes()).hexdigest() for each in (again, first)]
+    digests = [hashlib.sha256(item.read_bytes()).hexdigest() for item in (again, first)]
     assert digests[0] == digests[1]
 
 

@@ -30,7 +30,7 @@ PAGES = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for
 SOURCES = ("flight", "run")  # of commands without a verb
 TYPED = {name: list(commands(text)) for name, text in PAGES.items()}
 RUN = {
-    name: [each for each in typed if why_not_run(each) is None] for name, typed in TYPED.items()
+    name: [item for item in typed if why_not_run(item) is None] for name, typed in TYPED.items()
 }
 
 
@@ -40,8 +40,8 @@ def test_readme_is_short() -> None:
 
 @pytest.mark.parametrize("name", PAGES)
 def test_sentences_are_short(name: str) -> None:
-    lengths = {each: length(each) for each in sentences(PAGES[name])}
-    assert not {each: number for each, number in lengths.items() if number > LONGEST}
+    lengths = {sentence: length(sentence) for sentence in sentences(PAGES[name])}
+    assert not {item: number for item, number in lengths.items() if number > LONGEST}
     # Fragments of one or two words, such as labels, would make the median look better.
     assert statistics.median(number for number in lengths.values() if number > 2) <= MEDIAN
 
@@ -53,7 +53,7 @@ def test_a_sentence_is_counted_as_a_reader_would() -> None:
         "```console\n$ no prose.\n```\n"
     )
     found = sentences(text)
-    assert [length(each) for each in found] == [8, 4, 7]
+    assert [length(item) for item in found] == [8, 4, 7]
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -115,13 +115,13 @@ def test_lists_and_tables_are_seen_by_the_site(name: str) -> None:
 
 def _anchors(path: Path) -> set[str]:
     headings = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", each.lower()).replace(" ", "-") for each in headings}
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 def test_every_page_is_on_the_site() -> None:
     listed = set(re.findall(r": ([\w/]+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE))
     written = {name.removeprefix("docs/") for name in PAGES if name != "README.md"}
-    assert {each for each in listed if not each.startswith("generated/")} == written
+    assert {item for item in listed if not item.startswith("generated/")} == written
 
 
 @pytest.mark.parametrize("name", [name for name, typed in TYPED.items() if typed])
@@ -150,8 +150,8 @@ def test_an_output_belongs_to_the_commands_before_it() -> None:
 
 
 def test_reasons_are_of_commands_that_stand_somewhere() -> None:
-    typed = [each for found in TYPED.values() for each in found]
-    assert not [begin for begin in NOT_RUN if not any(each.startswith(begin) for each in typed)]
+    typed = [item for found in TYPED.values() for item in found]
+    assert not [begin for begin in NOT_RUN if not any(item.startswith(begin) for item in typed)]
 
 
 @pytest.fixture(scope="module")
@@ -177,7 +177,7 @@ def test_commands_run_as_they_stand(name: str, files: Path, tmp_path: Path) -> N
     printed = {}
     assert len(RUN[name]) > 0
     for command in RUN[name]:
-        allowed = next((each for word, each in STATUS.items() if word in command), (0,))
+        allowed = next((item for word, item in STATUS.items() if word in command), (0,))
         printed[command] = typed(command, folder, environment, allowed)
     for shown_after, lines in outputs(PAGES[name]):
         found = "".join(printed.get(command, "") for command in shown_after)

@@ -31,7 +31,7 @@ class DisagreementError(Exception):
 def by(rows: list[parity.Row], *attributes: str) -> Groups:
     groups: Groups = defaultdict(list)
     for row in rows:
-        groups[tuple(getattr(row, each) for each in attributes)].append(row)
+        groups[tuple(getattr(row, attribute) for attribute in attributes)].append(row)
     return groups
 
 

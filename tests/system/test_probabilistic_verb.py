@@ -65,7 +65,7 @@ def test_three_estimates_are_ranked_and_measured_fairly(files: Path, flight: Fli
         assert block["nll_per_pose"] * run["association"]["pairs"] == pytest.approx(
             -block["log_likelihood"]
         )
-        assert any("share its error" in each for each in block["statements"])
+        assert any("share its error" in statement for statement in block["statements"])
     weighted = [run["probabilistic"]["ate"]["weighted_m"] for run in runs]
     assert weighted == sorted(weighted)
     surprise = [run["probabilistic"]["nll_per_pose"] for run in runs]
@@ -84,7 +84,7 @@ def test_every_model_gives_a_whole_result(files: Path, model: str) -> None:
     assert run["association"]["model"] == model
     assert block["model"] == model or model == "auto"
     assert np.isfinite(block["log_likelihood"])
-    blamed = any("are too low there" in each for each in block["statements"])
+    blamed = any("are too low there" in statement for statement in block["statements"])
     assert blamed == (model in ("linear", "nearest"))
 
 
@@ -164,7 +164,8 @@ def test_estimates_without_common_stamps_have_no_bayes_factor(files: Path, fligh
     for run in runs:
         assert run["probabilistic"]["log_bayes_factors"] == {}
         assert any(
-            "only 0 common timestamps" in each for each in run["probabilistic"]["statements"]
+            "only 0 common timestamps" in statement
+            for statement in run["probabilistic"]["statements"]
         )
 
 

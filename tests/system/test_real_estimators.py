@@ -82,11 +82,11 @@ def test_nees_orders_first_estimates(cameras: str) -> None:
     for kind in ("on", "off"):
         name = f"{cameras}_fej_{kind}"
         found = [outcome(*pair, "none") for pair in simulated(name)]
-        values[kind] = np.array([mean_nees(each) for each in found])
+        values[kind] = np.array([mean_nees(item) for item in found])
         np.testing.assert_allclose(values[kind], NEES[name], rtol=5e-3)
         diverged = [
-            any(cause.cause.startswith("diverged") for cause in each.diagnosis.findings)
-            for each in found
+            any(cause.cause.startswith("diverged") for cause in item.diagnosis.findings)
+            for item in found
         ]
         assert diverged == [value > 1000.0 for value in NEES[name]]
         by_yaw = outcome(*simulated(name)[1], "yaw").evaluation
@@ -118,8 +118,8 @@ def test_real_tracks(name: str, by_yaw_m: float, in_frame_m: float | None) -> No
         assert position is not None
         assert position.rmse == pytest.approx(expected, rel=0.01)
         # The recording is longer than the run, and nothing was lost within it.
-        assert not any("cover" in each for each in found.warnings)
-        assert [each.code for each in found.remarks].count("low_coverage") == 1
+        assert not any("cover" in warning for warning in found.warnings)
+        assert [remark.code for remark in found.remarks].count("low_coverage") == 1
         # 1.4 m of path determine yaw to 1 deg.
         assert ("standard deviation of its yaw" in definitions(found)[0]) == (gauge == "yaw")
 
@@ -135,7 +135,7 @@ def test_nees_with_the_noise_of_the_groundtruth() -> None:
 def said_of(folder: str, capsys: pytest.CaptureFixture[str], *options: str) -> str:
     bag = DATA / "lidar" / folder / "bag"
     names = ["small_gicp"] if folder == "real_time" else ["kiss_icp", "rko_lio", "small_gicp"]
-    estimates = [word for each in names for word in ("-e", f"{bag}:/{each}/odometry")]
+    estimates = [word for name in names for word in ("-e", f"{bag}:/{name}/odometry")]
     command = ["evaluate", "-g", f"{bag}:/groundtruth/pose", *estimates, "--modality", "lidar"]
     assert main([*command, *options]) == 0
     captured = capsys.readouterr()
@@ -165,12 +165,17 @@ def test_overload_is_lateness_live(folder: str, estimator: str, tmp_path: Path) 
     live = Live(tmp_path / "live", ODOM, gauge="se3")
     said: dict[str, str] = {}
     limits = dict.fromkeys(
-        ("coverage", "rate_hz", *(each.name for each in LIMITED_QUANTITIES)), AlarmLimits()
+        (
+            "coverage",
+            "rate_hz",
+            *(limited_quantity.name for limited_quantity in LIMITED_QUANTITIES),
+        ),
+        AlarmLimits(),
     )
     with Bag(DATA / "lidar" / folder / "bag") as opened:
         playback = Playback(opened, lambda _: True, list(names), with_clock=False)
         # Messages of a tenth of a second arrive together.
-        tenths = groupby(playback.messages(), lambda each: each[0] // 10**8)
+        tenths = groupby(playback.messages(), lambda item: item[0] // 10**8)
         for count, (_, together) in enumerate(tenths):
             live.feed(
                 [
@@ -181,9 +186,9 @@ def test_overload_is_lateness_live(folder: str, estimator: str, tmp_path: Path) 
             if count % 10 == 0:
                 [estimate] = live.run.estimates
                 found = remarks_about(live.run, estimate, estimate.snapshot(), {}, limits)
-                said.update({each.code: each.text for each in found})
+                said.update({item.code: item.text for item in found})
     live.end()
-    said.update({each["code"]: each["text"] for each in live.result["runs"][0]["remarks"]})
+    said.update({remark["code"]: remark["text"] for remark in live.result["runs"][0]["remarks"]})
     for word in ("keyframe", "square degrees", "restart", "clock"):
         assert word not in " ".join(said.values())
     assert ("late" in said) == (folder == "overload")

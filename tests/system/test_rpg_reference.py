@@ -79,7 +79,7 @@ def test_relative_errors_are_the_toolboxs(
     pair = numbers["pairs"][name]
     result = run(pair, recording, gauge, None)
     assert result.relative is not None
-    assert [each.length_m for each in result.relative] == pytest.approx(
+    assert [item.length_m for item in result.relative] == pytest.approx(
         pair["subtraj_lengths_m"], rel=1e-12
     )
     for segments, (length, theirs) in zip(
@@ -88,7 +88,7 @@ def test_relative_errors_are_the_toolboxs(
         if (name, length) == SLIPPED:
             theirs = numbers["dropped_index_case"]["corrected"]
             if gauge is Gauge.SIM3:  # its positions are given for scale 1
-                theirs = {key: each for key, each in theirs.items() if key != "trans_m"}
+                theirs = {key: their for key, their in theirs.items() if key != "trans_m"}
         else:
             assert theirs.keys() == METRICS.keys()
         for metric, expected in theirs.items():

@@ -52,7 +52,7 @@ def test_two_knots_are_the_area_under_the_curve_of_recall(errors: list[float]) -
 def test_known_scores(
     name: str, recording: Callable[[str], Trajectory], reference: Callable[[str], Any]
 ) -> None:
-    points, whole = (recording(f"hilti_2021/Campus_2_{each}.txt") for each in ("prism", name))
+    points, whole = (recording(f"hilti_2021/Campus_2_{item}.txt") for item in ("prism", name))
     hilti = PROTOCOLS["hilti-2022"].score
     assert hilti is not None
     for key, estimate in (
@@ -68,7 +68,7 @@ def test_known_scores(
         assert found.score is not None
         assert found.score.value == pytest.approx(known["score"]["lamaria_2d"], rel=1e-9)
         assert found.recall is not None
-        expected = [known["recall_percent"][each]["2d"] for each in ("1m", "5m")]
+        expected = [known["recall_percent"][item]["2d"] for item in ("1m", "5m")]
         assert found.recall.percent == pytest.approx(expected)
         steps = hilti.score(found.absolute.position_m, len(points))
         assert steps.value == pytest.approx(known["score"]["hilti-2022"])

@@ -41,7 +41,7 @@ def test_same_seed_gives_the_same_arrays_and_another_seed_others(flight: Simulat
     again, other = simulate(3), simulate(4)
     for side in ("groundtruth", "estimate"):
         for first, second, third in zip(
-            *(_columns(getattr(each, side)) for each in (flight, again, other)), strict=True
+            *(_columns(getattr(item, side)) for item in (flight, again, other)), strict=True
         ):
             np.testing.assert_array_equal(first, second)
             assert first.shape != third.shape or not np.array_equal(first, third)

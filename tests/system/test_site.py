@@ -35,9 +35,9 @@ def test_the_reference_has_every_command_and_option(site: Any) -> None:
     shown = {
         option
         for name in VERBS
-        for each in verb(name).params
-        if each.param_type_name == "option" and not each.hidden
-        for option in each.opts
+        for parameter in verb(name).params
+        if parameter.param_type_name == "option" and not parameter.hidden
+        for option in parameter.opts
     }
     assert not [option for option in shown if f"{option}" not in page]
     assert "docs/" not in page
@@ -46,9 +46,11 @@ def test_the_reference_has_every_command_and_option(site: Any) -> None:
 def test_the_reference_has_every_parameter_topic_and_service(site: Any) -> None:
     page = site("reference").parameters()
     table = page.partition("### Topics")[0]
-    assert re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE) == [each.name for each in PARAMETERS]
+    assert re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE) == [
+        parameter.name for parameter in PARAMETERS
+    ]
     assert table.count("Can be set while the node runs.") == sum(
-        each.is_live for each in PARAMETERS
+        parameter.is_live for parameter in PARAMETERS
     )
     services = page.partition("### Services")[2]
     assert re.findall(r"^\| `(~/\w+)` \|", services, re.MULTILINE) == list(SERVICES)
@@ -68,11 +70,11 @@ def test_the_reference_names_the_public_names_at_their_homes(site: Any) -> None:
 
 def test_commands_of_the_gallery_exist(site: Any) -> None:
     gallery = site("gallery")
-    for command in (*gallery.PREPARE, *(each.command for each in gallery.PICTURES)):
+    for command in (*gallery.PREPARE, *(picture.command for picture in gallery.PICTURES)):
         program, name, *arguments = shlex.split(command)
         assert program == "trajeval"
         assert verb(name).make_context(name, arguments).params
-    assert all(each.file in gallery.section() for each in gallery.PICTURES)
+    assert all(picture.file in gallery.section() for picture in gallery.PICTURES)
 
 
 @pytest.mark.slow
@@ -80,7 +82,7 @@ def test_the_gallery_draws_its_pictures(site: Any, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     gallery = site("gallery")
     figures = gallery.draw(tmp_path)
-    assert figures.keys() == {each.file for each in gallery.PICTURES}
+    assert figures.keys() == {picture.file for picture in gallery.PICTURES}
     assert all(content.startswith(b"\x89PNG") for content in figures.values())
 
 

@@ -55,13 +55,13 @@ def test_a_plain_evaluation_never_imports_scipy(
     elif files == "kitti":
         truth, estimate = pair.groundtruth[1:-1:2], pair.estimate
         sources = [
-            str(write_kitti(tmp_path / f"{name}.txt", each))
-            for name, each in (("truth", truth), ("estimate", estimate))
+            str(write_kitti(tmp_path / f"{name}.txt", item))
+            for name, item in (("truth", truth), ("estimate", estimate))
         ]
     else:
         sources = [
-            str(write_tum(tmp_path / f"{name}.txt", each))
-            for name, each in (("truth", pair.groundtruth), ("estimate", pair.estimate))
+            str(write_tum(tmp_path / f"{name}.txt", item))
+            for name, item in (("truth", pair.groundtruth), ("estimate", pair.estimate))
         ]
     arguments = ["evaluate", "-g", sources[0], "-e", sources[1], *options]
     arguments += ["--json", str(tmp_path / "result.json")]
@@ -208,7 +208,7 @@ def test_a_verb_imports_none_of_the_others(name: str) -> None:
 @pytest.mark.parametrize("name", ["evaluate", "finish", "info", "trajectory", "view"])
 def test_verbs_that_evaluate_nothing_live_do_without_ros_and_simulation(name: str) -> None:
     _, loaded = _loaded(MAIN.format(arguments=[name, "--nope"]))
-    subpackages = {".".join(each.split(".")[:2]) for each in loaded}
+    subpackages = {".".join(item.split(".")[:2]) for item in loaded}
     unwanted = {
         f"trajeval_ros.{name}"
         for name in ("ros", "batch", "visual_inertial", "simulation", "studies", "viewer")

@@ -52,7 +52,7 @@ def test_turning_is_a_rotation_that_brings_the_axis_to_z(axis: str) -> None:
     np.testing.assert_array_equal(up.matrix @ direction(axis), [0.0, 0.0, 1.0])
     vectors = np.random.default_rng(0).normal(size=(5, 3))
     np.testing.assert_array_equal(up.turned(vectors), vectors @ up.matrix.T)
-    across, onward = (np.eye(3)[each] for each in up.level)
+    across, onward = (np.eye(3)[item] for item in up.level)
     np.testing.assert_array_equal(np.cross(across, onward), direction(axis))
 
 
@@ -162,7 +162,7 @@ def test_the_result_aligns_the_files_own_axes(gauge: Gauge, association: str) ->
 @pytest.mark.slow
 def test_other_gauges_keep_every_digit_but_yaw_and_tilt() -> None:
     truth, estimate = standing(car(4), "-y"), standing(erring(car(4)), "-y")
-    plain = [dataclasses.replace(each, up=UpAxis("z")) for each in (truth, estimate)]
+    plain = [dataclasses.replace(item, up=UpAxis("z")) for item in (truth, estimate)]
     for gauge in ("none", "se3", "sim3"):
         protocol = Protocol(gauge=gauge)
         found, before = evaluate(truth, estimate, protocol), evaluate(*plain, protocol)
@@ -178,12 +178,12 @@ def test_frames_that_a_gauge_must_not_turn_are_told_apart() -> None:
     other = dataclasses.replace(estimate, up=UpAxis("z"))
     protocol = Protocol(gauge="none")
     assert not any(
-        "can't align them" in each for each in evaluate(truth, estimate, protocol).warnings
+        "can't align them" in warning for warning in evaluate(truth, estimate, protocol).warnings
     )
     said = evaluate(truth, other, protocol).warnings
     assert any(
-        "the vertical axes differ, groundtruth -y (given)" in each and "can't align them" in each
-        for each in said
+        "the vertical axes differ, groundtruth -y (given)" in item and "can't align them" in item
+        for item in said
     )
 
 
@@ -239,7 +239,7 @@ def test_a_live_run_of_optical_frames_is_the_recorded_one(tmp_path: Path, gauge:
         *messages_of(truth, GROUNDTRUTH, POSE, "odom_optical"),
         *messages_of(erring(truth), ESTIMATE, POSE, "camera_optical_frame"),
     ]
-    both.sort(key=lambda each: each[2])
+    both.sort(key=lambda item: item[2])
     write_messages(tmp_path / "bag", both)
     live = Live(tmp_path / "live", POSE, gauge=gauge)
     live.feed(both)
@@ -254,7 +254,7 @@ def test_a_live_run_of_optical_frames_is_the_recorded_one(tmp_path: Path, gauge:
 def test_a_live_run_in_a_plane_can_be_given_another_up_axis(tmp_path: Path) -> None:
     both = [*messages_of(car(5), GROUNDTRUTH, POSE), *messages_of(erring(car(5)), ESTIMATE, POSE)]
     live = Live(tmp_path / "live", POSE, gauge="planar")
-    live.feed(sorted(both, key=lambda each: each[2]))
+    live.feed(sorted(both, key=lambda item: item[2]))
     live.end()
     found = live.result["runs"][0]["ate"]["position_m"]
     result = tmp_path / "up.json"
@@ -271,7 +271,7 @@ def test_matrices_of_kitti_are_of_a_camera(tmp_path: Path) -> None:
     write_tum(tmp_path / "tum.txt", car(1))
     assert read_trajectory(tmp_path / "truth.txt").up == UpAxis("-y", "KITTI's camera axes")
     assert read_trajectory(tmp_path / "tum.txt").up == Z_UP
-    kitti = [read_trajectory(tmp_path / f"{each}.txt") for each in ("truth", "estimate")]
+    kitti = [read_trajectory(tmp_path / f"{item}.txt") for item in ("truth", "estimate")]
     protocol = dataclasses.replace(PROTOCOLS["kitti"], lengths=(10.0,))
     found = all_statistics(evaluate(kitti[0], kitti[1], protocol))
     level = dataclasses.replace(protocol, re_form="se3")
@@ -340,13 +340,13 @@ def test_pictures_look_down() -> None:
     found = evaluate(truth, estimate, Protocol(lengths=()))
     [axes] = top_view([found], ["vio"]).axes
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [m]", "z [m]")
-    line = next(each for each in axes.lines if each.get_label() == "groundtruth")
+    line = next(item for item in axes.lines if item.get_label() == "groundtruth")
     drawn = np.asarray(line.get_xydata())
     np.testing.assert_allclose(drawn[0], truth.positions[0, [0, 2]])
     np.testing.assert_allclose(np.ptp(drawn, axis=0), np.ptp(truth.positions, axis=0)[[0, 2]])
     [axes] = side_view([found], ["vio"]).axes
     assert axes.get_ylabel() == "-y [m]"
-    line = next(each for each in axes.lines if each.get_label() == "groundtruth")
+    line = next(item for item in axes.lines if item.get_label() == "groundtruth")
     np.testing.assert_allclose(np.asarray(line.get_xydata())[0, 1], -truth.positions[0, 1])
 
 

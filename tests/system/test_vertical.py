@@ -63,8 +63,8 @@ def test_flights_walls_lines_and_sheer_positions_are_believed(seed: int) -> None
     flight = simulate(seed=seed, duration_s=40.0)
     straight = along_line(np.linspace(0.0, 80.0, 400), [1.0, 0.4, 0.0], noise_m=0.02)
     sideways = standing(car(seed, count=30), "-y", said=False)  # it has hardly turned
-    for each in (flight.groundtruth, on_a_wall(seed), straight, sideways):
-        assert up_axis_doubt(each) == ""
+    for item in (flight.groundtruth, on_a_wall(seed), straight, sideways):
+        assert up_axis_doubt(item) == ""
     assert (
         up_axis_doubt(dataclasses.replace(standing(car(seed), "x", said=False), quaternions=None))
         == ""
@@ -147,9 +147,10 @@ def test_yaw_and_tilt_are_withheld_and_nothing_else(protocol: str) -> None:
     doubted = evaluate(truth, erring(truth), rule)
     believed = evaluate(dataclasses.replace(truth, up=UpAxis("z")), erring(truth), rule)
     assert any(
-        "horizontal, vertical, yaw and tilt errors withheld" in each for each in doubted.warnings
+        "horizontal, vertical, yaw and tilt errors withheld" in warning
+        for warning in doubted.warnings
     )
-    assert not any("withheld" in each for each in believed.warnings)
+    assert not any("withheld" in warning for warning in believed.warnings)
     for name, statistics in all_statistics(believed).items():
         of_vertical = name.endswith(OF_VERTICAL)
         printed_by_the_toolbox = protocol == "rpg" and ": " in name
@@ -178,7 +179,7 @@ def test_no_alignment_about_what_is_not_up(gauge: str) -> None:
 def test_a_live_run_doubts_as_well(tmp_path: Path) -> None:
     truth = standing(car(5), "-y", said=False)
     both = [*messages_of(truth, GROUNDTRUTH, POSE), *messages_of(erring(truth), ESTIMATE, POSE)]
-    both.sort(key=lambda each: each[2])
+    both.sort(key=lambda item: item[2])
     live = Live(tmp_path / "live", POSE, gauge="se3")
     live.feed(both[:20])
     [estimate] = live.run.estimates

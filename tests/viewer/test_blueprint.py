@@ -17,17 +17,17 @@ pytest.importorskip("rerun", reason="rerun-sdk is missing, the extra `rerun`")
 
 
 def views(part: Any) -> Iterator[Any]:
-    for each in getattr(part, "contents", ()):
-        if hasattr(each, "class_identifier"):
-            yield each
+    for item in getattr(part, "contents", ()):
+        if hasattr(item, "class_identifier"):
+            yield item
         else:
-            yield from views(each)
+            yield from views(item)
 
 
 def range_of_rotations(rotations_deg: Floats) -> list[float] | None:
     estimate = scene_entities.EstimateEntities("vio", 0)
     layout = blueprint([estimate], Gauge.YAW, is_live=True, rotations_deg=rotations_deg)
-    [plot] = [each for each in views(layout.root_container) if "Rotation error" in each.name]
+    [plot] = [view for view in views(layout.root_container) if "Rotation error" in view.name]
     axis = plot.properties.get("ScalarAxis")
     return None if axis is None else axis.range.as_arrow_array().to_pylist()[0]
 

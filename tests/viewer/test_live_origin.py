@@ -47,7 +47,7 @@ def test_an_origin_far_away_is_told_and_one_nearby_is_zero() -> None:
     assert drawn.origin is not None
     [(stamp, words, warn)] = told
     assert stamp == 5 * SECOND
-    numbers = ", ".join(f"{each:.0f}" for each in drawn.origin)
+    numbers = ", ".join(f"{item:.0f}" for item in drawn.origin)
     assert words == f"origin of the drawing: ({numbers}) m"
     assert not warn
     drawn.add(np.arange(5, 8) * SECOND, far)

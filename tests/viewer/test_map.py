@@ -46,7 +46,7 @@ def test_a_map_has_fixes_and_tracks_where_they_are(tmp_path: Path) -> None:
     _, [colours] = picture.rows("map/fixes", "GeoPoints:colors")
     assert len(set(colours)) == 2
     _, [lines] = picture.rows("map/estimate/odometry", "GeoLineStrings:line_strings")
-    track = np.concatenate([np.array(each) for each in lines])
+    track = np.concatenate([np.array(line) for line in lines])
     places = np.column_stack([track, np.full(len(track), DATUM.height_m)])
     datum = fixes.reading.fixes.datum
     assert datum is not None
@@ -83,8 +83,8 @@ def live(path: Path, fixes: Trajectory) -> list[Any]:
         new = (estimate.stamps > stamp - 400_000_000) & (estimate.stamps <= stamp)
         evaluator.add_estimate(trajectory(estimate.stamps[new], rows[new]))
         evaluator.update()
-        for each in pairs:
-            scene.pairs("odometry", *as_drawn(each))
+        for pair in pairs:
+            scene.pairs("odometry", *as_drawn(pair))
         pairs.clear()
         if evaluator.pairs:
             newest = int(evaluator.store.stamps()[-1])
@@ -110,8 +110,8 @@ def test_the_live_map_is_the_recorded_one(tmp_path: Path, monkeypatch: pytest.Mo
     evaluation = evaluate(fixes, FLIGHT.estimate, Protocol(gauge="yaw"))
     write_recording(tmp_path / "run.rrd", [evaluation])
     drawn, recorded = Rrd(tmp_path / "live.rrd"), Rrd(tmp_path / "run.rrd")
-    assert {each for each in drawn.entities if each.startswith("map")} == {
-        each for each in recorded.entities if each.startswith("map")
+    assert {entity for entity in drawn.entities if entity.startswith("map")} == {
+        entity for entity in recorded.entities if entity.startswith("map")
     }
     for component in ("GeoPoints:positions", "GeoPoints:colors", "GeoPoints:radii"):
         [expected] = recorded.rows("map/fixes", component)[1]
@@ -122,10 +122,10 @@ def test_the_live_map_is_the_recorded_one(tmp_path: Path, monkeypatch: pytest.Mo
     assert np.diff(stamps[:-1]).min() >= 2_000_000_000
     assert np.diff(stamps).max() <= 2_000_000_000 + np.diff(fixes.stamps).max()
     _, tracks = drawn.rows("map/estimate/odometry", "GeoLineStrings:line_strings")
-    assert max(sum(map(len, each)) for each in tracks[:-1]) <= 20
+    assert max(sum(map(len, track)) for track in tracks[:-1]) <= 20
     [lines] = recorded.rows("map/estimate/odometry", "GeoLineStrings:line_strings")[1]
-    known = np.concatenate([np.array(each) for each in lines])
-    seen = np.concatenate([np.array(each) for each in tracks[-1]])
+    known = np.concatenate([np.array(line) for line in lines])
+    seen = np.concatenate([np.array(track) for track in tracks[-1]])
     # Of the estimate, the live map has the states at the fixes.
     apart_m = 111e3 * np.abs(seen[:, None] - known).max(axis=2).min(axis=1)
     assert len(seen) > 90
@@ -138,4 +138,6 @@ def test_other_groundtruth_has_no_map(tmp_path: Path) -> None:
 
     evaluation = evaluate(FLIGHT.groundtruth, FLIGHT.estimate, Protocol(gauge="yaw"))
     write_recording(tmp_path / "run.rrd", [evaluation])
-    assert not [each for each in Rrd(tmp_path / "run.rrd").entities if each.startswith("map")]
+    assert not [
+        entity for entity in Rrd(tmp_path / "run.rrd").entities if entity.startswith("map")
+    ]

@@ -25,7 +25,7 @@ from trajeval_ros.viewer.stream import DrawingThread
 )
 def test_pieces_draw_every_step_once_but_the_gaps(count: int, cuts: list[int], most: int) -> None:
     is_gap = np.zeros(max(count - 1, 0), dtype=bool)
-    is_gap[[each for each in cuts if each < len(is_gap)]] = True
+    is_gap[[cut for cut in cuts if cut < len(is_gap)]] = True
     rows = pieces(count, is_gap, most)
     assert len(rows) <= most
     steps = [(a, b) for piece in rows.tolist() for a, b in pairwise(piece) if a != b]
@@ -76,7 +76,7 @@ class DrawnPath:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         class Strips(list):
             def row(self) -> list[np.ndarray]:
-                return [np.asarray(each) for each in self]
+                return [np.asarray(item) for item in self]
 
         monkeypatch.setattr(entity_data, "lines", lambda strips, look=None: Strips(strips))
         self.rows: list[tuple[int, str, list[np.ndarray]]] = []
@@ -88,7 +88,7 @@ class DrawnPath:
     def shown(self, now: int) -> list[np.ndarray]:
         """Return the strips in sight at a time."""
         newest = {entity: strips for stamp, entity, strips in self.rows if stamp <= now}
-        return [each for strips in newest.values() for each in strips]
+        return [strip for strips in newest.values() for strip in strips]
 
 
 def is_of(strips: list[np.ndarray], points: np.ndarray) -> bool:
@@ -112,7 +112,7 @@ def test_growing_path_is_whole_at_every_time(piece: int, monkeypatch: pytest.Mon
         shown = drawn.shown(int(stamps[now]))
         assert is_of(shown, points[: now + 1])
         for strip in shown:
-            ends = [np.flatnonzero((points == each).all(axis=1))[0] for each in strip]
+            ends = [np.flatnonzero((points == item).all(axis=1))[0] for item in strip]
             assert not (min(ends) < 600 <= max(ends))
     # Another recording has the same.
     drawn.rows.clear()
@@ -131,7 +131,7 @@ def test_a_path_of_days_is_drawn_with_few_poses(monkeypatch: pytest.MonkeyPatch)
     assert sum(map(len, shown)) < 40_000
     assert max(map(len, shown)) <= 2 * 10 + 1
     # The newest poses are all there, and the first pose, and no line leads past a dropped piece.
-    assert {*map(tuple, points[-500:-20])} <= {tuple(each) for strip in shown for each in strip}
+    assert {*map(tuple, points[-500:-20])} <= {tuple(item) for strip in shown for item in strip}
     ends = {tuple(strip[0]) for strip in shown} ^ {tuple(strip[-1]) for strip in shown}
     assert tuple(points[0]) in ends
     assert len(ends) <= 4
@@ -142,8 +142,8 @@ def test_a_path_of_days_is_drawn_with_few_poses(monkeypatch: pytest.MonkeyPatch)
 def test_memory_keeps_the_run_and_its_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live_path, "_MOST_ROWS", 100)
     memory = RowHistory(1)
-    for each in range(12_345):
-        memory.add(each, np.array([float(each)]))
+    for index in range(12_345):
+        memory.add(index, np.array([float(index)]))
     stamps, rows = memory.columns()
     assert 50 <= len(stamps) <= 100
     assert (np.diff(stamps) > 0).all()
@@ -194,8 +194,8 @@ def test_who_hands_over_never_waits_and_drops_are_counted_and_told(
     sink, drawn = Slow(), []
     stream = DrawingThread(sink, sink)
     stream.put(lambda: sink.free.wait(PATIENCE_S))
-    for each in range(5000):
-        stream.put(lambda each=each: drawn.append(each))
+    for index in range(5000):
+        stream.put(lambda item=item: drawn.append(item))
     assert stream.dropped > 2000
     monkeypatch.setattr("trajeval_ros.viewer.stream._PATIENCE_S", 0.2)
     assert not stream.close()
@@ -229,7 +229,7 @@ def test_a_sparse_stream_is_a_line_and_not_gaps(monkeypatch: pytest.MonkeyPatch)
     )
     seconds = [*np.arange(0.0, 20.0), *np.arange(40.0, 60.0), *np.arange(60.0, 70.0, 0.1)]
     seconds += [*np.arange(70.0, 90.0)]
-    gaps_s = [path.add(round(1e9 * each), np.zeros(3)) / 1e9 for each in seconds]
+    gaps_s = [path.add(round(1e9 * second), np.zeros(3)) / 1e9 for second in seconds]
     told = {round(at, 1): gap for at, gap in zip(seconds, gaps_s, strict=True) if gap}
     # Fixes once a second have one gap. Where a faster stream becomes so sparse, it soon is a line.
     assert told[40.0] == 21.0

@@ -50,7 +50,7 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     assert main(["simulate", str(bag), "--profile", "euroc", "--duration", "20"]) == 0
     assert main(["simulate", str(drifting), "--duration", "20"]) == 0
     sources = ["-g", f"{bag}:/groundtruth/pose", "-e", f"{bag}:/vio/odometry", "--gauge", "yaw"]
-    made = {each: folder / f"{each}.rrd" for each in ("certain", "two")}
+    made = {name: folder / f"{name}.rrd" for name in ("certain", "two")}
     more = ["--covariance", f"{bag}.npz", "--rrd", str(made["certain"]), "--quiet"]
     assert main(["evaluate", *sources, *more]) == 0
     sources = ["-g", f"{drifting}:/groundtruth/pose"]
@@ -91,7 +91,10 @@ def test_views_have_nothing_to_report_at_three_times(
 
     seen = [100]
     with headless_viewer(pictures[kind]) as url, ViewerClient.connect(url) as viewer:
-        until(lambda: any(each.timelines for each in viewer.get_state().recordings), "it is read")
+        until(
+            lambda: any(recording.timelines for recording in viewer.get_state().recordings),
+            "it is read",
+        )
         (line,) = viewer.get_state().recordings[0].timelines
         assert line.name == "ros_time"
         for share in (0.25, 0.6, 1.0):
@@ -102,8 +105,8 @@ def test_views_have_nothing_to_report_at_three_times(
             state = viewer.get_state()
             assert len(state.views) >= 6
             assert [report for view in state.views for report in view.reports] == []
-        told = [each for each in viewer.get_logs() if each.level in ("WARN", "ERROR")]
-    assert [each.message for each in told if "oftware rasterizer" not in each.message] == []
+        told = [get_log for get_log in viewer.get_logs() if get_log.level in ("WARN", "ERROR")]
+    assert [item.message for item in told if "oftware rasterizer" not in item.message] == []
     assert seen == sorted(seen)
 
 
@@ -141,8 +144,8 @@ def test_what_was_started_ends_with_the_page(
     assert children
     process.send_signal(ending)
     assert process.wait(PATIENCE_S) in (0, 128 + ending)
-    for each in children:
-        until(lambda: not Path(f"/proc/{each}").exists(), "Rerun's program ends")  # noqa: B023
+    for child in children:
+        until(lambda: not Path(f"/proc/{child}").exists(), "Rerun's program ends")  # noqa: B023
 
 
 @pytest.mark.skipif(BROWSER is None, reason="there is no chromium")
@@ -177,7 +180,7 @@ def test_page_shows_the_picture_in_a_browser(page: tuple[str, Any], tmp_path: Pa
 
         until(lambda: drawn() >= 500, "the page shows the picture")
         browser.close()
-    assert any(each.endswith(".wasm") for each in asked_for)
+    assert any(item.endswith(".wasm") for item in asked_for)
     # Ctrl-C ends it, and what it has started.
     process.send_signal(signal.SIGINT)
     assert process.wait(PATIENCE_S) == 0

@@ -208,7 +208,7 @@ def test_whole_past_stands_at_the_last_alignment_at_every_time(
     estimate = simulate(0, 30.0).estimate
     handed = report["handed"]["alignment"]
     stamps, transforms = picture.transforms(FRAME)
-    assert stamps.tolist() == [each[0] for each in handed]
+    assert stamps.tolist() == [item[0] for item in handed]
     for share in np.linspace(0.05, 1.0, 20):
         now = int(stamps[0] + share * (stamps[-1] - stamps[0]))
         row = int(np.searchsorted(stamps, now, side="right")) - 1

@@ -26,7 +26,7 @@ def test_runs_without_covariances_have_no_verdict() -> None:
     other: Any = SimpleNamespace(verdict="overconfident", per_pose=None)
     text = of_evaluations([evaluation] * 2, [None, other], ["a", "b"], ErrorScale.of(1.0, 9.0), [])
     lines = [line.split("|") for line in text.splitlines() if "|" in line]
-    cells = {line[1].strip(): [each.strip() for each in line[2:-1]] for line in lines}
+    cells = {line[1].strip(): [item.strip() for item in line[2:-1]] for line in lines}
     assert cells["Consistency"] == ["-", "overconfident"]
     assert cells["NEES / dof"] == ["-", "-"]
 

@@ -131,7 +131,7 @@ def test_drawn_numbers_are_the_evaluations(drawn) -> None:
 def test_gap_is_told_and_not_drawn_across(drawn) -> None:
     evaluation, picture = drawn
     said = [text for (text,) in picture.rows("events", "TextLog:text")[1]]
-    assert any("no pairs for 2.0 s" in each for each in said)
+    assert any("no pairs for 2.0 s" in item for item in said)
     longest = max(
         np.linalg.norm(np.diff(row[0], axis=0), axis=1).max()
         for row in picture.strips(f"{FRAME}/path/past")[1]
@@ -145,7 +145,7 @@ def test_gap_is_told_and_not_drawn_across(drawn) -> None:
 def test_gaps_are_a_lane_and_end_the_lines_of_plots(drawn) -> None:
     evaluation, picture = drawn
     _, states = picture.rows(f"tracking/{NAME}", "StateChange:state")
-    assert [each for (each,) in states] == ["tracked", "gap", "tracked"]
+    assert [item for (item,) in states] == ["tracked", "gap", "tracked"]
     _, values = picture.rows(f"metrics/position_error/{NAME}", "Scalars:scalars")
     across = int(gaps(evaluation.association.estimate.stamps).sum())
     assert int(np.isnan(np.concatenate(values)).sum()) == across == 1
@@ -168,8 +168,8 @@ def test_run_without_gaps_has_no_empty_chunk_and_its_ellipsoids(tmp_path: Path) 
     assert picture.least_rows > 0
     _, half_axes = picture.rows(f"{FRAME}/covariance", "Ellipsoids3D:half_sizes")
     assert len(half_axes) > 10
-    for each in half_axes:
-        np.testing.assert_allclose(np.sort(each[0]), 3.0 * np.sqrt(variances[:3]), rtol=1e-6)
+    for half_axis in half_axes:
+        np.testing.assert_allclose(np.sort(half_axis[0]), 3.0 * np.sqrt(variances[:3]), rtol=1e-6)
 
 
 @needs_rerun
@@ -208,9 +208,9 @@ def test_frames_of_ros_are_attached_once(tmp_path: Path) -> None:
     write_recording(tmp_path / "run.rrd", runs)
     picture = Rrd(tmp_path / "run.rrd")
     parents = {
-        each.removeprefix("frames/"): picture.rows(each, "Transform3D:parent_frame")[1]
-        for each in picture.entities
-        if each.startswith("frames/")
+        entity.removeprefix("frames/"): picture.rows(entity, "Transform3D:parent_frame")[1]
+        for entity in picture.entities
+        if entity.startswith("frames/")
     }
     assert parents == {
         "map": [["tf#/world"]],
@@ -277,9 +277,9 @@ def test_several_estimates_are_told_apart(tmp_path: Path) -> None:
     write_recording(tmp_path / "run.rrd", both)
     entities = Rrd(tmp_path / "run.rrd").entities
     frames = {
-        each.split("/path/")[0]
-        for each in entities
-        if "world/estimate" in each and "/path/" in each
+        entity.split("/path/")[0]
+        for entity in entities
+        if "world/estimate" in entity and "/path/" in entity
     }
     assert len(frames) == 2
 
@@ -299,7 +299,7 @@ def test_errors_are_drawn_within_their_bands(covariance: str, tmp_path: Path) ->
     assert main(["evaluate", *arguments, "--quiet"]) == 0
     with np.load(tmp_path / "out" / "errors.npz") as file:
         errors, sigmas, nees = (
-            file[f"vio_odometry.consistency.{each}"] for each in ("errors", "sigmas", "nees")
+            file[f"vio_odometry.consistency.{name}"] for name in ("errors", "sigmas", "nees")
         )
     picture = Rrd(tmp_path / "out" / "run.rrd")
     units = np.repeat([1.0, 180.0 / np.pi], 3)
@@ -315,7 +315,7 @@ def test_errors_are_drawn_within_their_bands(covariance: str, tmp_path: Path) ->
     ((text,),) = picture.rows("summary", "TextDocument:text")[1]
     factor = float(text.split("3 sigma, enlarged ")[1].split(" times")[0])
     _, half_axes = picture.rows("world/uncertainty/vio_odometry", "Ellipsoids3D:half_sizes")
-    largest = max(float(each.max()) for each in half_axes)
+    largest = max(float(half_axis.max()) for half_axis in half_axes)
     assert largest >= 0.99 * factor * 3.0 * sigmas[-1, :3].max()
 
 
@@ -327,7 +327,7 @@ def test_another_recording_of_a_run_has_all_that_came_before_it(tmp_path: Path) 
     flight, pairs = simulate(0, 20.0), []
     evaluator = OnlineEvaluator(OnlineSettings(Protocol(gauge=Gauge.YAW)), record=pairs.append)
     columns = [
-        states(each.positions, each.quaternions) for each in (flight.groundtruth, flight.estimate)
+        states(item.positions, item.quaternions) for item in (flight.groundtruth, flight.estimate)
     ]
     evaluator.add_groundtruth(trajectory(flight.groundtruth.stamps, columns[0]))
     evaluator.add_estimate(trajectory(flight.estimate.stamps, columns[1]))
@@ -342,8 +342,8 @@ def test_another_recording_of_a_run_has_all_that_came_before_it(tmp_path: Path) 
         scene.begin(recording)
         if not number:
             scene.groundtruth(flight.groundtruth.stamps, columns[0])
-            for each in pairs:
-                scene.pairs(NAME, *as_drawn(each))
+            for pair in pairs:
+                scene.pairs(NAME, *as_drawn(pair))
         newest = dataclasses.replace(errors, stamps=errors.stamps + number)
         scene.snapshot(NAME, stamp + number, snapshot, None if number else 0.25, newest)
         scene.finish()
@@ -391,8 +391,8 @@ def test_live_colours_have_one_scale_and_no_line_below_them(
         for part in np.array_split(np.arange(len(estimate)), 8):
             evaluator.add_estimate(trajectory(flight.estimate.stamps[part], estimate[part]))
             evaluator.update()
-            for each in pairs:
-                scene.pairs(name, *as_drawn(each))
+            for pair in pairs:
+                scene.pairs(name, *as_drawn(pair))
             pairs.clear()
             newest = int(evaluator.store.stamps()[-1])
             scene.snapshot(name, newest, evaluator.snapshot(), None)
@@ -432,12 +432,12 @@ def test_live_lanes_show_status_and_alarms(tmp_path: Path) -> None:
     picture = Rrd(tmp_path / "run.rrd")
 
     def lane(entity: str) -> list[str]:
-        return [each for (each,) in picture.rows(entity, "StateChange:state")[1]]
+        return [item for (item,) in picture.rows(entity, "StateChange:state")[1]]
 
     assert lane(f"status/{NAME}") == ["OK", "error", "warning", "OK"]
     assert lane(f"alarm/{NAME}/position_m") == ["error", "OK"]
     said = [text for (text,) in picture.rows("events", "TextLog:text")[1]]
-    assert said == [f"{NAME}: {each.text}" for each in (alarm, late)]
+    assert said == [f"{NAME}: {item.text}" for item in (alarm, late)]
 
 
 def test_a_lane_shows_a_frozen_estimate_from_its_begin_on() -> None:
@@ -499,7 +499,7 @@ def test_evaluate_writes_the_picture(sources: list[str], tmp_path: Path) -> None
     for path in (tmp_path / "a.rrd", tmp_path / "out" / "run.rrd"):
         assert main(["evaluate", *sources, "--rrd", str(path), *output]) == 0
         assert "world/groundtruth/path/past" in Rrd(path).entities
-    assert {each.name for each in tmp_path.iterdir()} == {"a.rrd", "out"}
+    assert {item.name for item in tmp_path.iterdir()} == {"a.rrd", "out"}
     # One that was not asked for is not written, and none of an earlier evaluation stays.
     assert main(["evaluate", *sources, *output]) == 0
     assert not (tmp_path / "out" / "run.rrd").exists()
@@ -525,8 +525,8 @@ def test_view_says_what_is_wrong(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for each in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(each, raising=False)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
     (tmp_path / "run.rrd").write_bytes(content)
     assert main(["view", str(tmp_path)]) == 2
     assert said in capsys.readouterr().err
@@ -540,7 +540,7 @@ def test_screenshot_says_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFix
     assert "is not a Rerun file" in capsys.readouterr().err
     assert main(["view", str(tmp_path), *wanted, "--web"]) == 2
     assert "exclude each other" in capsys.readouterr().err
-    assert {each.name for each in tmp_path.iterdir()} == {"run.rrd"}
+    assert {path.name for path in tmp_path.iterdir()} == {"run.rrd"}
 
 
 @pytest.mark.parametrize(("name", "said"), [("nothing", "does not exist"), ("", "no run.rrd in")])

@@ -93,13 +93,13 @@ def test_a_motion_matrix_is_the_dense_one(track: int, width: int, scales: np.nda
     visibility = _banded(track, keyframes)
     matrix = MotionMatrix(visibility, width)
     expected = np.zeros((keyframes, width, keyframes, width))
-    each = np.arange(keyframes)
+    item = np.arange(keyframes)
     diagonal = generator.normal(size=(keyframes, width, width)) * scales[1]
     diagonal = diagonal + diagonal.swapaxes(1, 2)
     below = generator.normal(size=(keyframes - 1, width, width)) * scales[2]
-    expected[each, :, each] = diagonal
-    expected[each[1:], :, each[:-1]] = below
-    expected[each[:-1], :, each[1:]] = below.swapaxes(1, 2)
+    expected[item, :, item] = diagonal
+    expected[item[1:], :, item[:-1]] = below
+    expected[item[:-1], :, item[1:]] = below.swapaxes(1, 2)
     matrix.blocks(0)[:] = diagonal
     matrix.blocks(1)[:] = below
     for window in visibility.windows:
@@ -135,7 +135,7 @@ def test_elimination_is_that_of_dense_matrices(track: int | None, is_banded: boo
     assert relative(normal.diagonal, normal.diagonal.swapaxes(1, 2)) < 1e-12
     damping = np.linspace(1.0, 2.0, 9 * 40), np.linspace(1.0, 2.0, 180).reshape(60, 3)
     reduced = reduce_landmarks(normal, *damping)
-    hessian = dense_hessian(normal) + np.diag(np.concatenate([each.ravel() for each in damping]))
+    hessian = dense_hessian(normal) + np.diag(np.concatenate([item.ravel() for item in damping]))
     own, cross, rest = hessian[360:, 360:], hessian[:360, 360:], hessian[:360, :360]
     expected = rest - cross @ np.linalg.solve(own, cross.T)
     assert relative(reduced.matrix.dense(), expected) < 1e-10

@@ -112,8 +112,8 @@ def test_samples_that_hold_for_no_time_change_nothing() -> None:
     steps[1, 5:] = steps[2, 3:] = 0.0
     together = preintegrate(rates, forces, steps, noise)
     for interval, count in enumerate((7, 5, 3)):
-        each = slice(interval, interval + 1)
-        alone = preintegrate(rates[each, :count], forces[each, :count], steps[each, :count], noise)
+        item = slice(interval, interval + 1)
+        alone = preintegrate(rates[item, :count], forces[item, :count], steps[item, :count], noise)
         assert vars(alone)
         for name, column in vars(alone).items():
             np.testing.assert_allclose(

@@ -85,7 +85,7 @@ def test_minimum_and_covariances_are_those_of_gtsam(gtsam: Any, name: str, layou
         landmarks=theirs.landmarks,
     )
     covariance = to_left(prior_covariance(problem, state, weight), state)
-    each = np.arange(problem.keyframes)
-    marginals = covariance.reshape(problem.keyframes, 9, problem.keyframes, 9)[each, :, each]
+    item = np.arange(problem.keyframes)
+    marginals = covariance.reshape(problem.keyframes, 9, problem.keyframes, 9)[item, :, item]
     assert relative(marginals[:, :6, :6], theirs.marginals[:, :6, :6]) < 1e-9
     assert relative(marginals[:, 6:, 6:], theirs.marginals[:, 6:, 6:]) < 1e-9

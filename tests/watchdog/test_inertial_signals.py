@@ -30,7 +30,7 @@ def readings() -> Floats:
     times, step = clock - OFFSET_S, 1e-3
     before, after = turned(times - step), turned(times + step)
     rates = (before.inv() * after).as_rotvec() / (2.0 * step)
-    ahead, here, behind = (places(times + each) for each in (step, 0.0, -step))
+    ahead, here, behind = (places(times + item) for item in (step, 0.0, -step))
     force = (ahead - 2.0 * here + behind) / step**2 + [0.0, 0.0, GRAVITY]
     body = turned(times).inv().apply(force)
     return OrderedFeed().rows(clock, MOUNTED.inv().apply(rates) + BIAS, MOUNTED.inv().apply(body))

@@ -47,7 +47,7 @@ def test_the_body_of_a_partner_is_found_exactly(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(pair_signals, "body_difference", kept)
     signals = signals_of(turned(TIMES), places(TIMES), "pair.wheel")
     assert sorted(signals) == sorted(
-        f"pair_{each}s.wheel" for each in ("percent_5", "percent_20", "deg_5", "deg_20")
+        f"pair_{name}s.wheel" for name in ("percent_5", "percent_20", "deg_5", "deg_20")
     )
     assert all(values.max() < 1e-3 for _, values in signals.values())
     [(body, options, count)] = found

@@ -115,7 +115,7 @@ def test_rotations_over_time() -> None:
 def test_limits_are_those_of_the_table_in_the_documentation() -> None:
     rows = re.findall(r"^\| `(\w+)` \|.*\| ([\d.]+) ?([^|]*?) \|$", PAGE.read_text(), re.M)
     assert {name: (float(limit), unit) for name, limit, unit in rows} == {
-        each.name: (each.limit, each.unit) for each in SIGNALS
+        signal.name: (signal.limit, signal.unit) for signal in SIGNALS
     }
     assert AlarmBook(2.0).limit("jump_m") == pytest.approx(0.24)
     assert AlarmBook().limit("pair_deg_5s.wheel") == 3.0
@@ -140,7 +140,7 @@ def test_names_of_signals_and_sources() -> None:
     ]
     found = joined(parts)
     assert list(found) == ["gap", "smooth"]
-    assert [each.tolist() for each in found["gap"]] == [[0.0, 1.0], [1.0, 2.0]]
+    assert [item.tolist() for item in found["gap"]] == [[0.0, 1.0], [1.0, 2.0]]
 
 
 def one_second(**values: float) -> dict[str, Readings]:
@@ -172,8 +172,8 @@ def test_alarms_of_two_sources_at_a_time_are_errors() -> None:
         for place, name in enumerate(names):
             value = np.array([1.2 * book.limit(name)])
             book.add({name: Readings(np.array([10.0 + place * gap_s]), value)})
-        assert [book.is_error(each) for each in book.alarms] == [is_error, is_error]
-        assert [each.signal for each in book.standing] == list(names)
+        assert [book.is_error(alarm) for alarm in book.alarms] == [is_error, is_error]
+        assert [item.signal for item in book.standing] == list(names)
 
 
 def test_an_alarm_of_five_seconds_or_far_beyond_its_limit_is_an_error() -> None:
@@ -207,7 +207,7 @@ def test_what_is_not_detected_is_said_once() -> None:
     assert list(undetected_faults(["imu", "pair.a"], ["pair.a"], ["the IMU is odd"])) == [
         "no twist: disagreement of pose and velocity is not detected"
     ]
-    assert [each.partition(":")[0] for each in undetected_faults([], [], [])] == [
+    assert [undetected_fault.partition(":")[0] for undetected_fault in undetected_faults([], [], [])] == [
         "no twist", "no IMU", "no second estimate",
     ]  # fmt: skip
     (said,) = undetected_faults(["twist", "imu", "pair", "map"], ["imu", "pair"], [])
@@ -220,10 +220,10 @@ def test_remarks_about_an_imu_need_a_difference_that_matters() -> None:
         return Mounting(turn, np.zeros(3), offset_s, axis, 0.1, np.eye(6)).remarks()
 
     assert said(4.9, 0.049) == said(-4.9, -0.049) == []
-    assert [each[:37] for each in said(5.1, 0.0)] == ["the IMU frame is rotated by 5.1 deg f"]
+    assert [item[:37] for item in said(5.1, 0.0)] == ["the IMU frame is rotated by 5.1 deg f"]
     assert said(0.0, 0.051) == ["the estimate's clock is 0.051 s behind the IMU's (applied)"]
     assert said(0.0, -0.051) == ["the estimate's clock is 0.051 s ahead of the IMU's (applied)"]
-    assert [each[:40] for each in said(9.0, 0.0, np.ones(3))] == [
+    assert [item[:40] for item in said(9.0, 0.0, np.ones(3))] == [
         "the robot rotated about only one axis: t"
     ]
     related = Mounting(UPRIGHT, np.zeros(3), 0.0, None, 0.499, np.eye(6))
@@ -267,7 +267,7 @@ def test_map_corrections_move_the_robot_where_it_is() -> None:
     times = np.arange(0.0, 30.0, 0.1)
     assert signals.add_other(poses(np.array([0.0]), np.zeros((1, 3)))) == {}
     first = signals.add(poses(times, along_x(times)))
-    assert {name: len(each.values) for name, each in first.items()} == {
+    assert {name: len(item.values) for name, item in first.items()} == {
         "map_correction_m_1s": 0, "map_correction_deg_1s": 0,
     }  # fmt: skip
     turn = lie.from_rotation_vector(np.array([0.0, 0.0, np.radians(2.0)]))

@@ -38,7 +38,7 @@ def halves() -> tuple[Healthy, ...]:
 
 def test_the_wrong_turn_of_v2_03_is_found() -> None:
     seen = watched(runs()["vio_mono/V2_03"])
-    begins = {each.signal: each.begin_s for each in AlarmBook().add(seen.signals)}
+    begins = {item.signal: item.begin_s for item in AlarmBook().add(seen.signals)}
     assert 73.0 <= begins["gyro_deg_1s"] <= 76.0
 
 
@@ -59,8 +59,8 @@ def test_healthy_motions_have_no_alarm(motion: str) -> None:
 
 def test_the_late_twist_of_the_husky_is_told_and_corrected() -> None:
     seen = watched(runs()["husky/odom"])
-    assert any("the twist is 0.50 s later than the pose" in each for each in seen.notices)
-    assert any("0.100 s behind the IMU's" in each for each in seen.notices)
+    assert any("the twist is 0.50 s later than the pose" in notice for notice in seen.notices)
+    assert any("0.100 s behind the IMU's" in notice for notice in seen.notices)
     assert seen.signals["twist_m_5s"].values.max() < 0.1
 
 
@@ -87,7 +87,7 @@ def test_the_table_of_faults() -> None:
     found = detections(list(halves()), 1.0, onsets=2)
 
     def share_and_delay(fault: str, label: str) -> tuple[float, float]:
-        delays = [np.inf if each is None else each for each in found[fault][label]]
+        delays = [np.inf if item is None else item for item in found[fault][label]]
         hits = np.isfinite(delays)
         return float(np.mean(hits)), float(np.median(np.array(delays)[hits]))
 
@@ -97,7 +97,7 @@ def test_the_table_of_faults() -> None:
         assert delay_s <= most_s
     for fault in ("twist x 0.8", "twist x 0.95", "twist in world axes"):
         assert share_and_delay(fault, "+ twist")[0] == 1.0
-        assert np.mean([each is not None for each in found[fault]["+ IMU"]]) <= 0.1
+        assert np.mean([item is not None for item in found[fault]["+ IMU"]]) <= 0.1
     for fault in ("freeze", "coasting, rotation alive", "coasting, rotation stopped"):
         for label in found[fault]:
             share, delay_s = share_and_delay(fault, label)
@@ -120,5 +120,5 @@ def test_an_injected_relocalisation_is_found_among_corrections_of_amcl() -> None
     moved = dataclasses.replace(run.corrections, positions=positions)
     seen = watched(dataclasses.replace(run, corrections=moved))
     alarms = AlarmBook().add(seen.signals)
-    [begin_s] = [each.begin_s for each in alarms if each.signal == "map_correction_m_1s"]
+    [begin_s] = [alarm.begin_s for alarm in alarms if alarm.signal == "map_correction_m_1s"]
     assert 0.0 <= begin_s - (onset - seen.origin) / 1e9 < 0.5

@@ -98,7 +98,7 @@ def test_alarms_of_several_pairs_tell_which_estimate_is_wrong() -> None:
     def accused(**changed: object) -> set[str]:
         bad = dataclasses.replace(run, **{"partners": both, **changed})  # type: ignore[arg-type]
         alarms = AlarmBook().add(watched(bad).signals)
-        return {source_of(each.signal) for each in alarms} & both.keys()
+        return {source_of(alarm.signal) for alarm in alarms} & both.keys()
 
     fault = FAULTS["diverging 1 m/s2"]
     assert accused() == set()
@@ -134,7 +134,7 @@ def test_a_wrong_correction_is_an_alarm_of_the_map_alone(tmp_path: Path) -> None
         assert alarm["signal"] == "map_correction_m_1s"
         assert alarm["peak"] == pytest.approx(0.4, abs=0.01)
         assert 0 <= alarm["begin_ns"] - 1_700_000_060 * SECOND < SECOND // 5
-        names = {each["name"] for each in found["signals"]}
+        names = {signal["name"] for signal in found["signals"]}
         assert {"pair_deg_5s.vio", "pair_deg_5s.wheel", "map_correction_deg_1s"} <= names
 
 

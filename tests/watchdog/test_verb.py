@@ -143,7 +143,7 @@ def test_the_picture_has_the_path_the_signals_and_the_alarms(tmp_path: Path) -> 
     command = ["watch", *watched_sources(bad), "--quiet"]
     assert main([*command, "--rrd", str(picture), "--json", str(output)]) == 0
     drawn, found = Rrd(picture), json.loads(output.read_text())
-    signals = {each["name"]: each for each in found["signals"]}
+    signals = {item["name"]: item for item in found["signals"]}
     assert {f"watch/pair/{name}" for name in signals if name.startswith("pair")} <= drawn.entities
     stamps, ratios = drawn.numbers("watch/pair/pair_percent_5s")
     signal = signals["pair_percent_5s"]
@@ -155,7 +155,7 @@ def test_the_picture_has_the_path_the_signals_and_the_alarms(tmp_path: Path) -> 
     _, levels = drawn.rows("events", "TextLog:level")
     for [text], [level] in zip(said, levels, strict=True):
         assert (level == "WARN") is text.startswith(("error: ", "warning: "))
-    told = dict(zip([str(each[0]) for each in said], times.tolist(), strict=True))
+    told = dict(zip([str(item[0]) for item in said], times.tolist(), strict=True))
     for alarm in found["alarms"]:
         [time] = [
             at for text, at in told.items() if f"{alarm['level']}: {alarm['signal']} " in text
@@ -181,13 +181,13 @@ def test_faults_of_simulated_flights_are_alarms(
     judged = ["--fail-on", "alarm", "--json", str(output), "--quiet"]
     for seed in ("1", "2"):
         assert main([*flown(f"healthy{seed}", "--seed", seed), *judged]) == 1
-        assert {each["signal"] for each in json.loads(output.read_text())["alarms"]} == {"gap"}
+        assert {alarm["signal"] for alarm in json.loads(output.read_text())["alarms"]} == {"gap"}
     for fault in FAULTS:
         command = flown(fault, "--seed", "2", "--fault", fault)
         assert "; from 60 s on" in capsys.readouterr().out
         assert main([*command, *judged]) == 1
         alarms = json.loads(output.read_text())["alarms"]
-        begins = [each["begin_ns"] for each in alarms if each["signal"] != "gap"]
+        begins = [alarm["begin_ns"] for alarm in alarms if alarm["signal"] != "gap"]
         onset = read_trajectory(f"{tmp_path}/healthy1:/vio/odometry").stamps[0] + 60 * SECOND
         assert 0 <= min(begins) - onset < 10 * SECOND
     assert main(["simulate", str(tmp_path / "no"), "--fault", "flood"]) == 2

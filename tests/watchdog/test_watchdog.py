@@ -72,7 +72,7 @@ def fed_in_portions(run: WatchedRun, ends: dict[str, list[int]]) -> Signals:
         for source, (add, arrays) in columns.items():
             if turn < len(ends[source]):
                 rows = slice(starts[source], ends[source][turn])
-                parts.append(add(*(each[rows] for each in arrays)))  # type: ignore[operator]
+                parts.append(add(*(array[rows] for array in arrays)))  # type: ignore[operator]
                 starts[source] = ends[source][turn]
     return joined(parts)
 
@@ -272,7 +272,7 @@ def test_late_messages_are_dropped_and_counted() -> None:
     order = np.arange(len(estimate))
     order[[500, 501]] = [501, 500]
     found = watched(WatchedRun(estimate[order]))
-    assert any("1 state of" in each for each in found.notices)
+    assert any("1 state of" in notice for notice in found.notices)
 
 
 def test_nothing_is_compared_across_a_gap() -> None:
@@ -303,7 +303,7 @@ def imu_in(axes: Floats, late_ns: int = 0) -> InertialReadings:
 def test_an_imu_in_other_axes_is_found_and_said() -> None:
     axes = so3.exp(np.array([0.5, 1.0, -1.2]))
     found = watched(WatchedRun(flight().estimate, imu=imu_in(axes)))
-    (said,) = [each for each in found.notices if "IMU frame is rotated" in each]
+    (said,) = [notice for notice in found.notices if "IMU frame is rotated" in notice]
     told_deg = float(said.split(" deg")[0].split()[-1])
     assert told_deg == pytest.approx(np.degrees(np.linalg.norm([0.5, 1.0, -1.2])), abs=0.3)
     for name in ("gyro_deg_1s", "gyro_deg_20s", "gravity_mps2_5s"):
@@ -314,7 +314,7 @@ def test_an_imu_in_other_axes_is_found_and_said() -> None:
 
 def test_a_clock_offset_of_the_imu_is_found_and_said() -> None:
     found = watched(WatchedRun(flight().estimate, imu=imu_in(np.eye(3), 200_000_000)))
-    assert any("0.200 s behind the IMU's" in each for each in found.notices)
+    assert any("0.200 s behind the IMU's" in notice for notice in found.notices)
     assert found.signals["gyro_deg_1s"].values.max() < 0.3
 
 
@@ -324,7 +324,7 @@ def test_an_imu_of_another_robot_is_not_compared() -> None:
     smooth = [np.convolve(column, np.ones(200) / 200.0, "same") for column in noise.T]
     other = dataclasses.replace(other, rates=np.stack(smooth, axis=1))
     found = watched(WatchedRun(flight().estimate, imu=other))
-    assert any("rotations of IMU and estimate do not agree" in each for each in found.notices)
+    assert any("rotations of IMU and estimate do not agree" in notice for notice in found.notices)
     assert "gyro_deg_1s" not in found.signals
 
 
@@ -335,7 +335,7 @@ def test_sources_of_another_clock_are_said() -> None:
     imu = imu_in(np.eye(3), -3600 * SECOND)
     found = watched(WatchedRun(run.estimate, imu=imu, partners={"pair": early}))
     for words in ("no data of the IMU", "no data of the second estimate"):
-        assert any(words in each for each in found.notices)
+        assert any(words in notice for notice in found.notices)
     assert not any(name.startswith(("pair", "gyro")) for name in found.signals)
 
 
@@ -355,7 +355,7 @@ def test_the_lag_of_a_twist_is_found_and_used() -> None:
     late = np.concatenate([np.tile(body[:1], (6, 1)), body[:-6]])
     slow = dataclasses.replace(estimate, velocities=lie.rotate(estimate.quaternions, late))
     found = watched(WatchedRun(slow))
-    assert any("the twist is 0.30 s later" in each for each in found.notices)
+    assert any("the twist is 0.30 s later" in notice for notice in found.notices)
     assert found.signals["twist_m_5s"].values.max() < 0.05
 
 
@@ -363,7 +363,7 @@ def test_a_twist_in_the_worlds_axes_is_said_and_not_judged() -> None:
     estimate = flight().estimate
     wrong = FAULTS["twist in world axes"](estimate, 0, np.random.default_rng(0))
     found = watched(WatchedRun(wrong))
-    assert any("world frame" in each for each in found.notices)
+    assert any("world frame" in notice for notice in found.notices)
     assert "twist_m_5s" not in found.signals
 
 
@@ -383,12 +383,12 @@ def test_an_alarm_ends_when_its_signal_is_calm() -> None:
     values[150] = 3.0
     values[230] = 0.9  # below the limit: none
     book = book_of(values)
-    assert [(each.begin_s, each.last_s, each.peak) for each in book.alarms] == [
+    assert [(alarm.begin_s, alarm.last_s, alarm.peak) for alarm in book.alarms] == [
         (5.0, 7.0, 1.4),
         (15.0, 15.0, 3.0),
     ]
-    assert all(each.is_over for each in book.alarms)
-    assert [book.is_error(each) for each in book.alarms] == [False, True]
+    assert all(alarm.is_over for alarm in book.alarms)
+    assert [book.is_error(alarm) for alarm in book.alarms] == [False, True]
     assert not book.standing
 
 

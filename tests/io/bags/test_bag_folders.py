@@ -60,7 +60,7 @@ def test_one_file_of_several_that_is_no_bag(tmp_path: Path) -> None:
     (bag / "a_10.mcap").write_bytes(b"no bag at all")
     read = read_trajectory(str(bag))
     assert rows_of(read) == list(range(100))
-    assert any("a_10.mcap skipped" in each for each in read.reading.said(Level.ERROR))
+    assert any("a_10.mcap skipped" in sentence for sentence in read.reading.said(Level.ERROR))
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
@@ -84,6 +84,6 @@ def test_a_wrong_count_in_the_metadata(tmp_path: Path) -> None:
     read = read_trajectory(str(bag))
     assert len(read) == 50
     assert any(
-        "declares 60 messages on /pose, but 50 were read" in each
-        for each in read.reading.said(Level.ERROR)
+        "declares 60 messages on /pose, but 50 were read" in sentence
+        for sentence in read.reading.said(Level.ERROR)
     )

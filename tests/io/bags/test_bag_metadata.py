@@ -68,8 +68,8 @@ def information(version: int, paths: list[str], compression: str = "") -> dict[s
         topic["offered_qos_profiles"] = dumped([QOS]) if version < 9 else [QOS_BY_NAME]
     if version >= 5:
         found["files"] = [
-            {"path": each, "starting_time": start, "duration": duration, "message_count": COUNT}
-            for each in paths
+            {"path": path, "starting_time": start, "duration": duration, "message_count": COUNT}
+            for path in paths
         ]
     if version >= 6:
         found["custom_data"] = None if version == 6 else {"robot": "r2"}
@@ -85,7 +85,7 @@ def rewrite(bag: Path, content: Any) -> None:
 
 
 def names_in(bag: Path) -> list[str]:
-    return sorted(each.name for each in bag.iterdir() if each.name.startswith("split_"))
+    return sorted(path.name for path in bag.iterdir() if path.name.startswith("split_"))
 
 
 def split(folder: Path, storage: Any, compression: CompressionMode) -> Path:
@@ -95,7 +95,7 @@ def split(folder: Path, storage: Any, compression: CompressionMode) -> Path:
     for number in range(2):
         stamps = [row * NANOSECONDS for row in range(number * COUNT, (number + 1) * COUNT)]
         messages = [
-            ("/pose", POSE_STAMPED, each, pose_stamped(each, each / 1e9)) for each in stamps
+            ("/pose", POSE_STAMPED, stamp, pose_stamped(stamp, stamp / 1e9)) for stamp in stamps
         ]
         part = folder / f"part_{number}"
         write(part, messages, storage=storage, compression=compression)
@@ -126,7 +126,7 @@ def assert_whole(bag: Path) -> list[str]:
     assert read.positions[:, 0].tolist() == list(range(2 * COUNT))
     assert not read.reading.said(Level.ERROR)
     assert not read.reading.dropped
-    return [each for each in read.reading.said(Level.NOTE) if str(bag) in each]
+    return [sentence for sentence in read.reading.said(Level.NOTE) if str(bag) in sentence]
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +152,7 @@ def test_every_version(
     if storage == SQLITE3 and mode != CompressionMode.FILE:
         for name in names:
             make_older(bag / name, version)
-    paths = [f"split/{each}" for each in names] if version < 4 else names
+    paths = [f"split/{item}" for item in names] if version < 4 else names
     word = {CompressionMode.FILE: "FILE", CompressionMode.MESSAGE: "MESSAGE"}.get(mode, "")
     content = information(version, paths, word)
     rewrite(bag, content)
@@ -185,7 +185,7 @@ def test_nothing_outside_of_the_folder_is_read(
         other.mkdir(exist_ok=True)
         for name in names:
             (other / name).write_text("mine")
-    written = [path.replace("NAME", each) for each in names]
+    written = [path.replace("NAME", item) for item in names]
     rewrite(bag, information(9, written))
     [note] = assert_whole(bag)
     assert note == (
@@ -270,7 +270,7 @@ def test_a_decompressed_copy_is_not_read_twice(
     (bag / "metadata.yaml").unlink()
     names = names_in(plain)
     assert assert_whole(bag) == [
-        f"{bag / each} skipped, since {each}.zstd has the same data" for each in names
+        f"{bag / item} skipped, since {item}.zstd has the same data" for item in names
     ]
     # Decompressed by hand, and the compressed ones removed.
     for name in compressed:
@@ -290,5 +290,5 @@ def test_a_remote_path_in_the_metadata_is_not_fetched(
     monkeypatch.setattr(upath, "UPath", fetch)
     bag = tmp_path / "bag"
     shutil.copytree(bags[MCAP, CompressionMode.NONE], bag)
-    rewrite(bag, information(9, [f"https://host.net/{each}" for each in names_in(bag)]))
+    rewrite(bag, information(9, [f"https://host.net/{name}" for name in names_in(bag)]))
     assert_whole(bag)

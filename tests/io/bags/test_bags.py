@@ -240,7 +240,7 @@ def plain_messages(path: Path, topic: str) -> Iterator[Any]:
     from rosbags.highlevel import AnyReader
 
     with AnyReader([path]) as reader:
-        wanted = [each for each in reader.connections if each.topic == topic]
+        wanted = [item for item in reader.connections if item.topic == topic]
         for connection, _, payload in reader.messages(wanted):
             yield reader.deserialize(payload, connection.msgtype)
 
@@ -252,18 +252,22 @@ def test_columns_equal_plain_deserialisation(bag: str, topic: str, shared_data: 
     path = shared_data / "bags" / bag
     read = read_trajectory(f"{path}:{topic}")
     messages = list(plain_messages(path, topic))
-    stamps = [each.header.stamp.sec * 10**9 + each.header.stamp.nanosec for each in messages]
-    poses = [each.pose.pose if hasattr(each, "twist") else each.pose for each in messages]
+    stamps = [
+        message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in messages
+    ]
+    poses = [
+        message.pose.pose if hasattr(message, "twist") else message.pose for message in messages
+    ]
     assert read.stamps.tolist() == stamps
-    expected = [[each.position.x, each.position.y, each.position.z] for each in poses]
+    expected = [[item.position.x, item.position.y, item.position.z] for item in poses]
     np.testing.assert_array_equal(read.positions, expected)
-    q = [each.orientation for each in poses]
-    rotations = Rotation.from_quat([[each.x, each.y, each.z, each.w] for each in q])
+    q = [item.orientation for item in poses]
+    rotations = Rotation.from_quat([[item.x, item.y, item.z, item.w] for item in q])
     assert read.rotations is not None
     assert (read.rotations * rotations.inv()).magnitude().max() <= SAME_ROTATION_RAD
     if hasattr(messages[0], "twist"):
-        twists = [each.twist.twist.linear for each in messages]
-        expected = rotations.apply([[each.x, each.y, each.z] for each in twists])
+        twists = [message.twist.twist.linear for message in messages]
+        expected = rotations.apply([[twist.x, twist.y, twist.z] for twist in twists])
         np.testing.assert_allclose(read.velocities, expected, atol=1e-15)
 
 

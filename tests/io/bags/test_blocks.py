@@ -51,8 +51,8 @@ def listed(block: Block) -> list[Message]:
 
 def block(content: list[Message], padding: int = 0) -> Block:
     """Return messages as a block, with other bytes before each."""
-    connections, times, payloads = [[each[at] for each in content] for at in range(3)]
-    plain = block_of(connections, times, [b"#" * padding + each for each in payloads])
+    connections, times, payloads = [[item[at] for item in content] for at in range(3)]
+    plain = block_of(connections, times, [b"#" * padding + payload for payload in payloads])
     return dataclasses.replace(
         plain,
         begins=plain.begins + padding,
@@ -74,8 +74,8 @@ def test_a_block_is_a_list_of_messages(content: list[Message], padding: int) -> 
     assert len(small.buffer) == (used if 2 * used < len(found.buffer) else len(found.buffer))
     by_connection = [(which, listed(part)) for which, part in found.by_connection()]
     assert by_connection == [
-        (which, [each for each in content if each[0] == which])
-        for which in sorted({each[0] for each in content})
+        (which, [item for item in content if item[0] == which])
+        for which in sorted({item[0] for item in content})
     ]
 
 
@@ -87,7 +87,7 @@ def test_a_time_window_begins_with_its_begin_and_ends_before_its_end(
         return (begin is None or time >= begin) and (end is None or time < end)
 
     assert listed(block(content).within(begin, end)) == [
-        each for each in content if is_inside(each[1])
+        item for item in content if is_inside(item[1])
     ]
 
 
@@ -99,10 +99,10 @@ def test_messages_are_grouped_in_blocks_of_bounded_size(
 ) -> None:
     with mock.patch.multiple(blocks, ROWS=rows, BYTES=size):
         found = list(blocks_of(content))
-        again = list(merged(map(block, [[each] for each in content])))
-    assert [each for part in again for each in listed(part)] == content
+        again = list(merged(map(block, [[item] for item in content])))
+    assert [item for part in again for item in listed(part)] == content
     groups = [[(c, t, bytes(p)) for c, t, p in _rows(part)] for part in found]
-    assert [each for group in groups for each in group] == content
+    assert [item for group in groups for item in group] == content
     for group, part in zip(groups, again, strict=True):
         assert len(group) == len(part)
     for group in groups:
@@ -118,9 +118,9 @@ def _rows(part: Block) -> Iterator[Any]:
 
 def test_the_sizes_of_blocks() -> None:
     assert (ROWS, BYTES, blocks.LARGEST) == (8192, 1 << 20, 1 << 30)
-    assert [len(each) for each in blocks_of([(0, 0, b"")] * (ROWS + 1))] == [ROWS, 1]
+    assert [len(item) for item in blocks_of([(0, 0, b"")] * (ROWS + 1))] == [ROWS, 1]
     half = bytes(BYTES // 2)
-    assert [len(each) for each in blocks_of([(0, 0, half)] * 5)] == [2, 2, 1]
+    assert [len(item) for item in blocks_of([(0, 0, half)] * 5)] == [2, 2, 1]
 
 
 @given(st.lists(messages, max_size=5))
@@ -134,7 +134,7 @@ def test_messages_come_in_order_of_their_log_times(groups: list[list[Message]]) 
         dataclasses.replace(block(group), earliest=floor)
         for group, floor in zip(groups, floors, strict=True)
     ]
-    expected = sorted((each for group in groups for each in group), key=lambda each: each[1])
+    expected = sorted((item for group in groups for item in group), key=lambda item: item[1])
     assert list(in_order(parts)) == expected
 
 
@@ -168,11 +168,11 @@ def test_messages_compressed_one_by_one_are_decompressed(rows: list[tuple[int, b
         payload if kind == 0 and payload else marks[kind] + payload.lstrip(b"\xfd")
         for kind, payload in rows
     ]
-    content = [(row % 2, row, each) for row, each in enumerate(stored)]
+    content = [(row % 2, row, item) for row, item in enumerate(stored)]
     source = dataclasses.replace(block(content), earliest=-7)
     found = list(source.decompressed())
-    assert [each for part in found for each in listed(part)] == [
-        (row % 2, row, each) for row, each in enumerate(plain)
+    assert [item for part in found for item in listed(part)] == [
+        (row % 2, row, item) for row, item in enumerate(plain)
     ]
     assert all(part.earliest == -7 for part in found)
 
@@ -197,11 +197,11 @@ def test_values_are_gathered_from_any_places(content: bytes, places: list[int]) 
     buffer = np.frombuffer(content, dtype=np.uint8)
     for kind in ("<u2", ">i4", "<f8", "u1"):
         dtype = np.dtype(kind)
-        usable = [each for each in places if each + dtype.itemsize <= len(content)]
+        usable = [place for place in places if place + dtype.itemsize <= len(content)]
         usable.append(len(content) - dtype.itemsize)  # the last one
-        expected = [np.frombuffer(content, dtype, 1, each)[0].tobytes() for each in usable]
+        expected = [np.frombuffer(content, dtype, 1, item)[0].tobytes() for item in usable]
         found = gather(buffer, np.array(usable), dtype)
-        assert [each.tobytes() for each in found] == expected
+        assert [item.tobytes() for item in found] == expected
         assert gather(buffer, np.array([], dtype=np.int64), dtype).dtype == dtype
 
 
@@ -210,7 +210,7 @@ def test_ids_of_connections() -> None:
     assert are_of(ids, {3}).tolist() == [True, False, True, False]
     assert are_of(ids, {1, 2}).tolist() == [False, True, False, True]
     assert are_of(ids, set()).tolist() == [False] * 4
-    selections = [blocks.TopicSelection(frozenset(each)) for each in ({1, 2}, {2, 5})]
+    selections = [blocks.TopicSelection(frozenset(item)) for item in ({1, 2}, {2, 5})]
     assert all_connections(selections) == {1, 2, 5}
     assert are_same(ids[[0, 2]])
     assert are_same(ids[:1])
@@ -249,7 +249,7 @@ def test_a_window_reads_once_what_is_near() -> None:
     source.read = read
     window = ByteWindow(source, 16)
     places = [(0, 4), (12, 4), (13, 4), (13, 16), (12, 1), (40, 30), (90, 4)]
-    assert [window.at(*each, 100) for each in places] == [
+    assert [window.at(*place, 100) for place in places] == [
         content[offset : offset + size] for offset, size in places
     ]
     # In the window, at its end, one beyond, at the end, before it, larger, at the file's end.
@@ -268,7 +268,7 @@ def test_a_file_gives_the_slices_of_its_content(
     source = LocalFile(path)
     assert (source.size, source.name) == (len(content), str(path))
     expected = [content[offset : offset + size] for offset, size in ranges]
-    assert [source.read(*each) for each in ranges] == expected
+    assert [source.read(*item) for item in ranges] == expected
     assert source.read_all(ranges) == expected
     source.close()
 

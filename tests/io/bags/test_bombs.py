@@ -34,7 +34,7 @@ MIB = 1 << 20
 def test_messages_that_become_much_are_taken_one_by_one(tmp_path: Path) -> None:
     compressor = zstandard.ZstdCompressor()
     zeros = compressor.compress(bytes(64 * MIB))
-    poses = [compressor.compress(each) for each in payloads(20)]
+    poses = [compressor.compress(payload) for payload in payloads(20)]
     path = mcap_file(
         tmp_path / "x.mcap", messages=[*poses, *[zeros] * 16], compression=CompressionType.NONE
     )

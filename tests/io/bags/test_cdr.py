@@ -107,16 +107,16 @@ def assert_holds(columns: Columns, messages: Sequence[Any]) -> None:
     """Check every field of every message."""
     assert len(columns.rows) == len(messages)
     for path, numbers in columns.numbers.items():
-        expected = np.array([field(each, path) for each in messages]).reshape(numbers.shape)
+        expected = np.array([field(message, path) for message in messages]).reshape(numbers.shape)
         np.testing.assert_array_equal(numbers, expected, err_msg=path)
     for path, texts in columns.texts.items():
         names = [texts.names[code] for code in texts.codes]
-        assert names == [field(each, path) for each in messages], path
+        assert names == [field(message, path) for message in messages], path
     for path, sequence in columns.sequences.items():
-        lists = [field(each, path) for each in messages]
-        rows = np.repeat(np.arange(len(lists)), [len(each) for each in lists])
+        lists = [field(message, path) for message in messages]
+        rows = np.repeat(np.arange(len(lists)), [len(item) for item in lists])
         np.testing.assert_array_equal(sequence.rows, rows, err_msg=path)
-        assert_holds(sequence, [element for each in lists for element in each])
+        assert_holds(sequence, [element for item in lists for element in item])
 
 
 def serialised(store: Any, message: Any, message_type: str, random: Random) -> bytes:
@@ -131,7 +131,7 @@ def test_every_field_of_random_messages(message_type: str) -> None:
     random = np.random.default_rng(1)
     count = 2000 if message_type in TYPES else 100
     messages = [random_message(STORE, message_type, random) for _ in range(count)]
-    payloads = [serialised(STORE, each, message_type, random) for each in messages]
+    payloads = [serialised(STORE, message, message_type, random) for message in messages]
     columns = CdrPlan(fields_of(STORE.fielddefs, message_type)).decode(payloads)
     assert_holds(columns, messages)
     assert columns.numbers or columns.sequences
@@ -146,10 +146,10 @@ def test_every_field_of_random_messages_of_ros1(message_type: str) -> None:
         store.register(get_types_from_msg(text, message_type))
     random = np.random.default_rng(2)
     messages = [random_message(store, message_type, random) for _ in range(300)]
-    payloads = [bytes(store.serialize_ros1(each, message_type)) for each in messages]
+    payloads = [bytes(store.serialize_ros1(message, message_type)) for message in messages]
     plan = CdrPlan(fields_of(store.fielddefs, message_type), is_ros1=True)
     assert_holds(plan.decode(payloads), messages)
-    too_long = plan.decode([each + b"\0" for each in payloads])
+    too_long = plan.decode([item + b"\0" for item in payloads])
     assert not len(too_long.rows)
 
 
@@ -187,9 +187,9 @@ def test_every_field_of_any_layout(text: str, seed: int, ros1: bool) -> None:
     random = np.random.default_rng(seed)
     messages = [random_message(store, "p/msg/Top", random) for _ in range(20)]
     if ros1:
-        payloads = [bytes(store.serialize_ros1(each, "p/msg/Top")) for each in messages]
+        payloads = [bytes(store.serialize_ros1(message, "p/msg/Top")) for message in messages]
     else:
-        payloads = [serialised(store, each, "p/msg/Top", random) for each in messages]
+        payloads = [serialised(store, message, "p/msg/Top", random) for message in messages]
     assert_holds(
         CdrPlan(fields_of(store.fielddefs, "p/msg/Top"), is_ros1=ros1).decode(payloads), messages
     )
@@ -202,7 +202,7 @@ def test_equal_size_is_not_equal_layout() -> None:
         message = random_message(STORE, "nav_msgs/msg/Odometry", random)
         message.header.frame_id, message.child_frame_id = frame, child
         messages += [message, random_message(STORE, "nav_msgs/msg/Odometry", random)]
-    payloads = [bytes(STORE.serialize_cdr(each, "nav_msgs/msg/Odometry")) for each in messages]
+    payloads = [bytes(STORE.serialize_cdr(item, "nav_msgs/msg/Odometry")) for item in messages]
     assert_holds(CdrPlan(STANDARD["nav_msgs/msg/Odometry"]).decode(payloads), messages)
 
 
@@ -214,8 +214,8 @@ def test_plain_xcdr2_aligns_to_four_bytes() -> None:
         return kind + b"\0\0" + head + struct.pack(f"{order}7d", 1, 2, 3, 0, 0, 0, 1)
 
     frames = ["", "ma", "map", "odom"]
-    payloads = [payload("<", b"\0\7", each) for each in frames]
-    payloads += [payload(">", b"\0\6", each) for each in frames]
+    payloads = [payload("<", b"\0\7", item) for item in frames]
+    payloads += [payload(">", b"\0\6", item) for item in frames]
     poses = decode_poses(payloads, "geometry_msgs/msg/PoseStamped")
     assert poses.undecodable == 0
     assert poses.stamps.tolist() == [5_000_000_006] * 8
@@ -236,7 +236,9 @@ def test_only_what_is_wanted_is_decoded() -> None:
     fields = STANDARD["nav_msgs/msg/Odometry"]
     random = np.random.default_rng(4)
     messages = [random_message(STORE, "nav_msgs/msg/Odometry", random) for _ in range(5)]
-    payloads = [bytes(STORE.serialize_cdr(each, "nav_msgs/msg/Odometry")) for each in messages]
+    payloads = [
+        bytes(STORE.serialize_cdr(message, "nav_msgs/msg/Odometry")) for message in messages
+    ]
     columns = CdrPlan(fields, ["pose.pose", "twist.twist.linear.y"]).decode(payloads)
     assert columns.numbers.keys() == {"pose.pose", "twist.twist.linear.y"}
     assert columns.numbers["pose.pose"].shape == (5, 7)
@@ -290,7 +292,7 @@ def test_damaged_messages_are_judged_as_rosbags_judges_them(message_type: str) -
 @given(payloads=st.lists(st.binary(max_size=200), max_size=5), kind=st.sampled_from([*STANDARD]))
 def test_random_bytes_raise_nothing(payloads: list[bytes], kind: str) -> None:
     for beginning in (b"", b"\0\1\0\0", b"\0\0\0\0", b"\0\7\0\0"):
-        given_ = [beginning + each for each in payloads]
+        given_ = [beginning + item for item in payloads]
         rows = CdrPlan(STANDARD[kind]).decode(given_).rows
         assert len(rows) <= len(payloads)
 
@@ -312,16 +314,20 @@ def test_standard_types_are_those_of_ros() -> None:
             assert fields_of(get_typestore(store).fielddefs, message_type) == fields
 
 
-@pytest.mark.parametrize("message_type", [each for each in POSE_TYPES if each != PATH_TYPE])
+@pytest.mark.parametrize(
+    "message_type", [pose_type for pose_type in POSE_TYPES if pose_type != PATH_TYPE]
+)
 def test_rows_of_poses_name_their_payloads(message_type: str) -> None:
     random = np.random.default_rng(6)
     messages = [random_message(STORE, message_type, random) for _ in range(6)]
-    payloads = [bytes(STORE.serialize_cdr(each, message_type)) for each in messages]
+    payloads = [bytes(STORE.serialize_cdr(message, message_type)) for message in messages]
     payloads[2] = payloads[2][:-9]
     poses = decode_poses(payloads, message_type)
     assert poses.rows.tolist() == [0, 1, 3, 4, 5]
     assert poses.undecodable == 1
-    stamps = [each.header.stamp.sec * 10**9 + each.header.stamp.nanosec for each in messages]
+    stamps = [
+        message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in messages
+    ]
     assert poses.stamps.tolist() == [stamps[row] for row in poses.rows]
     assert poses.covariances is None
     with_covariance = decode_poses(payloads, message_type, covariance=True)
@@ -365,8 +371,8 @@ def test_poses_of_a_path_may_be_in_any_frames() -> None:
         message.poses[row].header.frame_id = "map"
     path = decode_path(bytes(STORE.serialize_cdr(message, PATH_TYPE)))
     expected = [
-        [each.pose.position.x, each.pose.position.y, each.pose.position.z]
-        for each in message.poses
+        [pose.pose.position.x, pose.pose.position.y, pose.pose.position.z]
+        for pose in message.poses
     ]
     assert path.positions.tolist() == expected
 
@@ -375,15 +381,15 @@ def test_transforms_by_edge() -> None:
     random = np.random.default_rng(9)
     kind = "tf2_msgs/msg/TFMessage"
     messages: list[Any] = [random_message(STORE, kind, random) for _ in range(50)]
-    payloads = [bytes(STORE.serialize_cdr(each, kind)) for each in messages]
+    payloads = [bytes(STORE.serialize_cdr(item, kind)) for item in messages]
     payloads[7] = b"\0\1\0\0\1"
     edges, undecodable = decode_transforms(payloads)
     assert undecodable == 1
     expected: dict[tuple[str, str], list[tuple[int, float]]] = {}
     for row, message in enumerate(messages):
-        for each in message.transforms if row != 7 else []:
-            key = each.header.frame_id, each.child_frame_id
-            expected.setdefault(key, []).append((row, each.transform.rotation.w))
+        for transform in message.transforms if row != 7 else []:
+            key = transform.header.frame_id, transform.child_frame_id
+            expected.setdefault(key, []).append((row, transform.transform.rotation.w))
     found = {
         key: list(zip(edge.rows.tolist(), edge.numbers[:, 6].tolist(), strict=True))
         for key, edge in edges.items()
@@ -392,7 +398,7 @@ def test_transforms_by_edge() -> None:
 
 
 def real_bags(folder: Path) -> list[Path]:
-    bags = [each for each in folder.rglob("*") if each.suffix in (".mcap", ".db3", ".bag")]
+    bags = [path for path in folder.rglob("*") if path.suffix in (".mcap", ".db3", ".bag")]
     assert len(bags) >= 5
     return bags
 
@@ -409,7 +415,7 @@ def test_every_field_of_every_message_of_real_bags(shared_data: Path) -> None:
                     continue
                 payloads = [payload for _, _, payload in bag.messages([topic])]
                 plan = CdrPlan(fields, is_ros1=topic.connections[0].encoding == "ros1")
-                assert_holds(plan.decode(payloads), [plain(each) for each in payloads])
+                assert_holds(plan.decode(payloads), [plain(item) for item in payloads])
                 checked += len(payloads)
     assert checked > 30_000
 

@@ -46,7 +46,7 @@ def test_what_is_decompressed_ends_at_the_limit(kind: str, content: bytes, limit
     assert bytes(found) == content[:limit]
 
 
-@pytest.mark.parametrize("kind", [each for each in COMPRESS if each])
+@pytest.mark.parametrize("kind", [item for item in COMPRESS if item])
 def test_the_readable_part_of_damaged_data_is_kept(kind: str) -> None:
     size = 400_000 if kind == "bz2" else 9 * MIB  # several pieces
     content = np.random.default_rng(0).bytes(size)

@@ -161,12 +161,12 @@ def test_chunks_that_were_not_verified_are_counted(tmp_path: Path) -> None:
 
     def notes() -> list[str]:
         remarks = json.loads(result.read_text())["runs"][0]["estimate"]["remarks"]
-        return [each["text"] for each in remarks]
+        return [remark["text"] for remark in remarks]
 
     assert main(given) == 0
-    assert any(re.match(r"\d+ of \d+ chunks were read in part", each) for each in notes())
+    assert any(re.match(r"\d+ of \d+ chunks were read in part", note) for note in notes())
     assert main([*given, "--strict"]) == 0
-    assert not any("in part" in each for each in notes())
+    assert not any("in part" in note for note in notes())
     content[len(content) // 2] ^= 1  # in an image, which is none of our business
     path.write_bytes(content)
     assert main(given) == 0
@@ -183,7 +183,8 @@ def test_a_message_that_is_not_what_its_index_says(place: int, name: str, tmp_pa
     path.write_bytes(content)
     read = read_trajectory(f"{path}:/pose")
     assert any(
-        "a chunk does not match its checksum" in each for each in read.reading.said(Level.ERROR)
+        "a chunk does not match its checksum" in sentence
+        for sentence in read.reading.said(Level.ERROR)
     ), name
     assert 0.9 * COUNT < len(read) < COUNT
 
@@ -258,7 +259,9 @@ def test_damage_is_told_and_refused(tmp_path: Path, capsys: pytest.CaptureFixtur
         assert main([*given, *quiet, "--json", str(result)]) == 0
         assert "warning: " in capsys.readouterr().err
         warnings = json.loads(result.read_text())["runs"][0]["remarks"]
-        assert any("truncated" in each["text"] for each in warnings if each["level"] == "error")
+        assert any(
+            "truncated" in warning["text"] for warning in warnings if warning["level"] == "error"
+        )
     assert main([*given, "--strict"]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1

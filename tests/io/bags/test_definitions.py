@@ -61,7 +61,7 @@ def test_no_line_can_be_changed_unnoticed(kind: str) -> None:
     for row in fields:
         type_name, name = lines[row].split()
         others = [f"int8 {name}", f"float32[2] {name}", f"{type_name} {name}_"]
-        for changed in ([], ["int8 more", lines[row]], *([each] for each in others)):
+        for changed in ([], ["int8 more", lines[row]], *([item] for item in others)):
             other = "\n".join([*lines[:row], *changed, *lines[row + 1 :]])
             assert not is_standard(other, kind)
             assert parsed(other, kind) != STANDARD[kind]

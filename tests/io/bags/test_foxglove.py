@@ -74,15 +74,16 @@ def with_stamps(value: Any, seconds: str, nanoseconds: str) -> Any:
     if isinstance(value, tuple):
         return {seconds: value[0], nanoseconds: value[1]}
     if isinstance(value, list):
-        return [with_stamps(each, seconds, nanoseconds) for each in value]
+        return [with_stamps(item, seconds, nanoseconds) for item in value]
     if isinstance(value, dict):
-        return {key: with_stamps(each, seconds, nanoseconds) for key, each in value.items()}
+        return {key: with_stamps(item, seconds, nanoseconds) for key, item in value.items()}
     return value
 
 
 def bag(path: Path, encoding: str, kind: str, topic: str, messages: list[Any]) -> Path:
     payloads = [
-        each if isinstance(each, bytes) else serialised(each, kind, encoding) for each in messages
+        message if isinstance(message, bytes) else serialised(message, kind, encoding)
+        for message in messages
     ]
     schemas = {"json": "jsonschema", "protobuf": "protobuf"}
     with path.open("wb") as file:
@@ -123,7 +124,7 @@ def test_transforms(encoding: str, several: bool, tmp_path: Path) -> None:
     third = read_trajectory(f"{path}:/transforms:base.camera2")
     np.testing.assert_array_equal(third.positions, POSITIONS[2::3])
     counts = {edge.child: edge.count for edge in describe(str(path)).edges}
-    assert counts == {"base": COUNT, **{f"camera{each}": COUNT // 3 for each in range(3)}}
+    assert counts == {"base": COUNT, **{f"camera{index}": COUNT // 3 for index in range(3)}}
     with pytest.raises(InputError, match=r"/transforms:PARENT\.CHILD"):
         read_trajectory(f"{path}:/transforms")
 

@@ -125,8 +125,8 @@ def shared_pages(path: Path, interior: int, *, is_deep: bool = False) -> None:
     for number in np.flatnonzero(pages[:, 0] == 5):
         page = pages[number]
         begins = page[12 : 12 + 2 * (256 * int(page[3]) + int(page[4]))].view(">u2").astype(int)
-        others = [each + 1 for each in np.flatnonzero(pages[:, 0] == 5) if each + 1 != root]
-        after = [each for each in others if each > number + 1] if is_deep else []
+        others = [item + 1 for item in np.flatnonzero(pages[:, 0] == 5) if item + 1 != root]
+        after = [other for other in others if other > number + 1] if is_deep else []
         child = (others[0] if is_deep else others[-1]) if number + 1 == root else [*after, leaf][0]
         for begin in (8, *begins):
             page[begin : begin + 4] = list(int(child).to_bytes(4, "big"))
@@ -141,9 +141,9 @@ def test_pages_that_are_linked_many_times_end_with_the_size_of_the_file(
     shared_pages(path, 3)
     reader = SqliteReader(path, path.name)
     selection = TopicSelection(frozenset({1}))
-    read = sum(int(each.sizes.sum()) for each in reader.blocks([selection], in_order=in_order))
+    read = sum(int(block.sizes.sum()) for block in reader.blocks([selection], in_order=in_order))
     assert read <= path.stat().st_size
-    assert any("damaged" in each for each in selection.damage)
+    assert any("damaged" in item for item in selection.damage)
     assert reader.count(1) >= 0
     reader.close()
 
@@ -166,7 +166,7 @@ def test_rows_of_different_length_are_read_in_bounded_groups(tmp_path: Path) -> 
     reader = SqliteReader(path, path.name)
     tracemalloc.start()
     blocks = reader.blocks([TopicSelection(frozenset({1}))])
-    total = sum(len(each) for each in blocks)
+    total = sum(len(block) for block in blocks)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     reader.close()
@@ -272,7 +272,7 @@ def test_a_record_that_is_missing_before_the_summary_is_damage(
         size = 9 + int.from_bytes(content[place + 1 : place + 9], "little")
         records.append((content[place], place, size))
         place += size
-    _, begin, size = [each for each in records if each[0] == opcode][3]
+    _, begin, size = [record for record in records if record[0] == opcode][3]
     # Without a checksum of the summary, as rosbag2's fastest preset writes it.
     changed = content[:begin] + content[begin + size :]
     path.write_bytes(changed[:-12] + bytes(4) + changed[-8:])
@@ -345,7 +345,7 @@ def test_a_pipe_in_a_bag_is_skipped(
     mcap_file(folder / "x.mcap", compression=CompressionType.NONE)
     make(folder / name)
     found = BagFolder.of(folder)
-    assert [each.name for each in found.files] == ["x.mcap"]
+    assert [file.name for file in found.files] == ["x.mcap"]
     assert ("skipped: not a file" in " ".join(found.notes)) == (name != "metadata.yaml")
     assert len(read_trajectory(str(folder))) == COUNT
 
@@ -354,7 +354,7 @@ def test_a_pipe_that_the_metadata_lists_is_missing(tmp_path: Path) -> None:
     from made_bags import simple
 
     bag = simple(tmp_path / "bag")
-    (file,) = (each for each in bag.iterdir() if each.suffix in (".db3", ".mcap"))
+    (file,) = (path for path in bag.iterdir() if path.suffix in (".db3", ".mcap"))
     file.unlink()
     os.mkfifo(file)
     assert f"lists {file.name}, which is missing" in refusal(bag)
@@ -379,5 +379,5 @@ def test_a_number_of_messages_that_is_none_is_refused(number: str, tmp_path: Pat
 def test_names_with_digits_that_are_no_numbers_are_sorted(tmp_path: Path) -> None:
     for name in ("x1²2.mcap", "x10.mcap", "x9.mcap", "x٣.mcap"):
         mcap_file(tmp_path / name)
-    names = [each.name for each in BagFolder.of(tmp_path).files]
+    names = [file.name for file in BagFolder.of(tmp_path).files]
     assert names == ["x1²2.mcap", "x9.mcap", "x10.mcap", "x٣.mcap"]

@@ -35,7 +35,7 @@ from trajeval_ros.io.sources import read_trajectory
 
 Message = tuple[int, int, bytes]
 POSE, IMAGE, OTHER = 1, 2, 3
-CHANNELS = [Channel(each, f"/{each}", "x", {}, 0) for each in (POSE, IMAGE, OTHER)]
+CHANNELS = [Channel(item, f"/{item}", "x", {}, 0) for item in (POSE, IMAGE, OTHER)]
 
 
 class Counting(Memory):
@@ -68,7 +68,7 @@ def test_only_what_the_index_lists_is_read_of_a_chunk(image: int, pose: int) -> 
     [chunk] = read_summary(Counting(content))[0].chunks  # type: ignore[arg-type]
     source: Any = Counting(content)
     found = read_chunk(source, chunk, {POSE}, strict=False)
-    assert rows_of([found.block]) == [each for each in rows if each[0] == POSE]
+    assert rows_of([found.block]) == [row for row in rows if row[0] == POSE]
     assert found.damage == ""
     # Messages nearer than 64 KiB are read with what is between them.
     is_sparse = image + pose + 62 > GAP
@@ -109,12 +109,12 @@ def test_a_damaged_index_costs_bytes_and_no_message(field: str, channel: int) ->
         assert not found.is_partial
         assert found.damage == ""
         assert found.block is not None
-        assert rows_of([found.block]) == [each for each in rows if each[0] in wanted]
+        assert rows_of([found.block]) == [row for row in rows if row[0] in wanted]
     cut = content[: place + 10]
     assert found.block is not None
     short = read_chunk(Counting(cut), chunk, {channel}, strict=False)  # type: ignore[arg-type]
     assert short.block is not None
-    assert rows_of([short.block]) == [each for each in rows if each[0] == channel]
+    assert rows_of([short.block]) == [row for row in rows if row[0] == channel]
 
 
 def test_a_damaged_message_of_a_part_is_found_by_its_head() -> None:
@@ -175,14 +175,14 @@ def test_messages_of_any_window_are_read_in_order_of_the_pieces(
     earliest = [block.earliest for block in blocks]
     assert earliest == sorted(earliest)
     assert all(block.earliest <= block.log_times.min() for block in blocks)
-    assert [each.damage for each in selections] == [[], []]
+    assert [selection.damage for selection in selections] == [[], []]
     times = [time for part in parts for _, time, _ in part.rows]
     assert reader.span == ((min(times), max(times)) if times else None)
     assert mcap_bag._IN_FLIGHT == 1 << 28
 
 
 def test_the_checksum_of_messages_outside_of_chunks_is_verified_if_strict(tmp_path: Path) -> None:
-    rows = [(POSE, row, each) for row, each in enumerate(payloads(20))]
+    rows = [(POSE, row, payload) for row, payload in enumerate(payloads(20))]
     content = bytearray(
         bytes(
             Layout(
@@ -246,7 +246,7 @@ def test_a_fix_of_foxglove_without_covariance_has_zeros() -> None:
     plan = FoxglovePlan(FIX_TYPE, "json")
     full = {**message, "position_covariance": [*range(9)], "position_covariance_type": 3}
     short = {**message, "position_covariance": [1.0] * 8}
-    found = plan.decode([json.dumps(each).encode() for each in (message, short, full)])
+    found = plan.decode([json.dumps(item).encode() for item in (message, short, full)])
     assert found.rows.tolist() == [0, 2]
     np.testing.assert_array_equal(found.numbers["position_covariance"], [[0] * 9, range(9)])
     assert found.numbers["position_covariance_type"].tolist() == [0, 3]

@@ -85,7 +85,7 @@ def test_odd_topics_beside_the_poses(others: Register, tmp_path: Path) -> None:
 
 def test_service_events_beside_the_topics(shared_data: Path) -> None:
     folder = shared_data / "bags" / "rosbag2_fixtures"
-    bags = [each for each in folder.rglob("*.mcap") if "service" in each.name]
+    bags = [path for path in folder.rglob("*.mcap") if "service" in path.name]
     assert bags
     for bag in bags:
         assert "no topic with poses, only" in refusal(bag)
@@ -108,7 +108,7 @@ def test_a_definition_that_is_no_help(text: bytes, tmp_path: Path) -> None:
     ],
 )
 def test_encapsulations(beginning: bytes, good: bool, tmp_path: Path) -> None:
-    messages = [beginning + each[4:] for each in payloads()]
+    messages = [beginning + payload[4:] for payload in payloads()]
     path = mcap_file(tmp_path / "x.mcap", messages=messages)
     if good:
         assert_whole(path)

@@ -186,9 +186,9 @@ def test_a_summary_that_contradicts_itself_is_not_used(tmp_path: Path) -> None:
         path.write_bytes(content[:place] + wrong + content[place + 8 : -12] + bytes(4) + MAGIC)
         read = read_trajectory(str(path))
         assert rows_of(read) == list(range(COUNT))
-        assert any("is inconsistent" in each for each in read.reading.said(Level.ERROR)) == (
-            wrong != twice
-        )
+        assert any(
+            "is inconsistent" in sentence for sentence in read.reading.said(Level.ERROR)
+        ) == (wrong != twice)
 
 
 def test_strict_has_a_sentence_for_the_command_line(

@@ -150,12 +150,12 @@ def test_what_cannot_be_published_is_noted_or_refused(tmp_path: Path) -> None:
     bag = write(tmp_path / "bag", ("/a", 0), ("/clock", 1))
     with Bag(bag) as opened:
         playback = Playback(opened, everything)
-        assert [each.name for each in playback.channels] == ["/a"]
+        assert [channel.name for channel in playback.channels] == ["/a"]
         assert playback.notes == [
             "/clock not played: /clock is generated; to play the recorded one, use --no-clock"
         ]
         both = Playback(opened, everything, with_clock=False)
-        assert [each.name for each in both.channels] == ["/a", "/clock"]
+        assert [channel.name for channel in both.channels] == ["/a", "/clock"]
         with pytest.raises(InputError, match=r"no playable topic: .* install the ROS pac"):
             Playback(opened, lambda kind: False)
         with pytest.raises(
@@ -202,7 +202,7 @@ def _range() -> Any:
 def test_recorded_transforms_of_ros1_are_ros2s(shared_data: Path) -> None:
     with Bag(shared_data / "bags" / "tf_example.bag") as opened:
         playback = Playback(opened, everything)
-        assert [(each.name, each.is_latched) for each in playback.channels] == [
+        assert [(item.name, item.is_latched) for item in playback.channels] == [
             ("/tf", False),
             ("/tf_static", True),
         ]
@@ -321,4 +321,4 @@ def test_the_replay_waits_for_readers_of_poses_only(tmp_path: Path) -> None:
     with Bag(path) as bag:
         for chosen, awaited in ((), "/vio"), (("/tf", "/imu"), "/tf"), (("/imu",), "/imu"):
             played = Playback(bag, lambda _: True, chosen)
-            assert [each.name for each in played.awaited] == [awaited]
+            assert [item.name for item in played.awaited] == [awaited]

@@ -70,7 +70,7 @@ def test_poses_are_joined_by_column() -> None:
     first, second = poses(3), poses(4)
     found = first.joined(second)
     for name in ("stamps", "positions", "quaternions", "body_velocities", "rows"):
-        expected = np.concatenate([getattr(each, name) for each in (first, second)])
+        expected = np.concatenate([getattr(item, name) for item in (first, second)])
         np.testing.assert_array_equal(getattr(found, name), expected)
     assert found.covariances is found.flags is None
     assert found.frames == first.frames
@@ -105,8 +105,8 @@ def test_a_twist_is_turned_from_the_body_unless_the_body_is_the_world() -> None:
     assert columns.body_velocities is not None
     expected = Rotation.from_quat(columns.quaternions).apply(columns.body_velocities)
     long = columns.replaced(quaternions=columns.quaternions * 3.0)
-    for each in (columns, long):
-        found = usable_poses(each, timed).velocities
+    for item in (columns, long):
+        found = usable_poses(item, timed).velocities
         assert found is not None
         np.testing.assert_allclose(found, expected, atol=1e-14)
     for frames, is_of_world in (
@@ -152,14 +152,14 @@ def test_a_reset_is_the_step_beyond_the_motion() -> None:
         quaternions=Rotation.from_rotvec(np.outer(headings, [0.0, 0.0, 1.0])).as_quat(),
     )
     found = declared_resets(columns)
-    assert [each.stamp_ns for each in found] == [2 * SECOND, 5 * SECOND, 7 * SECOND]
-    np.testing.assert_allclose([each.position_m for each in found], [3.0, 0.0, 0.5], atol=1e-14)
+    assert [item.stamp_ns for item in found] == [2 * SECOND, 5 * SECOND, 7 * SECOND]
+    np.testing.assert_allclose([item.position_m for item in found], [3.0, 0.0, 0.5], atol=1e-14)
     np.testing.assert_allclose(
-        [each.rotation_deg for each in found], [30.0, 45.0, 0.0], atol=1e-12
+        [item.rotation_deg for item in found], [30.0, 45.0, 0.0], atol=1e-12
     )
     without = declared_resets(columns.replaced(velocities=None, quaternions=None))
-    np.testing.assert_allclose([each.position_m for each in without], [5.0, 2.0, 2.5])
-    assert [each.rotation_deg for each in without] == [0.0] * 3
+    np.testing.assert_allclose([item.position_m for item in without], [5.0, 2.0, 2.5])
+    assert [item.rotation_deg for item in without] == [0.0] * 3
     assert declared_resets(columns.replaced(flags=None)) == ()
     unknown = columns.replaced(velocities=np.full((8, 3), np.nan))
     assert declared_resets(unknown)[0].position_m == 5.0
@@ -174,7 +174,7 @@ def test_five_resets_are_listed(count: int) -> None:
         positions=np.zeros((count + 1, 3)),
     )
     resets = declared_resets(columns)
-    told = [each.text for each in about_resets(resets, SECOND // 2)]
+    told = [about_reset.text for about_reset in about_resets(resets, SECOND // 2)]
     assert list(about_resets(resets, None)) == []
     if not count:
         assert told == []
@@ -242,7 +242,7 @@ def test_the_first_two_seconds_decide_which_edge_leads(place: int, leads: str) -
     assert leading_edge(edges, way, span)[1] == leads
     stamps, *_ = compose_transforms(edges, "a", "b", "t")
     expected = edges["a", "fast"] if leads == "fast" else edges["fast", "slow"]
-    assert stamps.tolist() == [each for each in expected.stamps.tolist() if each <= 4 * SECOND]
+    assert stamps.tolist() == [stamp for stamp in expected.stamps.tolist() if stamp <= 4 * SECOND]
 
 
 def test_edges_that_meet_in_one_instant_have_one_pose() -> None:

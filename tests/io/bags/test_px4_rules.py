@@ -64,8 +64,8 @@ def test_a_quaternion_of_px4_is_a_hundredth_from_unit_at_most(
     fields = odometry()
     fields["q"][3] *= length / np.linalg.norm(fields["q"][3])
     attitude = {"timestamp": fields["timestamp"], "q": fields["q"]}
-    for each, kind in ((fields, ODOMETRY), (attitude, ATTITUDE)):
-        dropped = poses_of_px4(columns_of(each), kind, 0).dropped
+    for item, kind in ((fields, ODOMETRY), (attitude, ATTITUDE)):
+        dropped = poses_of_px4(columns_of(item), kind, 0).dropped
         assert dropped["no_orientation"] == (0 if is_unit else 1)
 
 
@@ -103,7 +103,7 @@ def test_the_more_frequent_frame_of_px4_is_kept(frd: int, kept: str) -> None:
     assert {frame for _, frame, _ in found.frames} == {kept}
     count = COUNT - frd if kept == "map_enu" else frd
     assert (len(found.stamps), found.dropped["other_frame"]) == (count, COUNT - count)
-    said = "; ".join(each.text for each in about_px4(found))
+    said = "; ".join(item.text for item in about_px4(found))
     assert f"converted from {'NED' if kept == 'map_enu' else 'FRD'}" in said
 
 
@@ -112,7 +112,7 @@ def test_a_failed_quality_is_counted(quality: int, *, failed: bool) -> None:
     fields = odometry()
     fields["quality"][2:4] = quality
     said = "; ".join(
-        each.text for each in about_px4(poses_of_px4(columns_of(fields), ODOMETRY, 0))
+        item.text for item in about_px4(poses_of_px4(columns_of(fields), ODOMETRY, 0))
     )
     assert ("2 messages with quality -1 (failed)" in said) == failed
 
@@ -140,7 +140,7 @@ def test_attitudes_are_interpolated_over_a_tenth_of_a_second(
     times = np.array([1_000_000, 1_000_000 + gap_us], dtype=np.uint64)
     fields = {"timestamp": times, "q": np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))}
     attitudes = poses_of_px4(columns_of(fields), ATTITUDE, 0)
-    local = {name: each[:1] for name, each in local_position().items()}
+    local = {name: item[:1] for name, item in local_position().items()}
     local["timestamp"] = np.array([1_050_000], dtype=np.uint64)
     positions = poses_of_px4(columns_of(local), LOCAL_POSITION, 0)
     found = with_attitudes(positions, attitudes)
@@ -200,7 +200,7 @@ def test_resets_of_any_part_of_a_local_position_are_declared() -> None:
         counter[row:] = 255
         local[f"{name}_reset_counter"] = counter
     found = declared_resets(poses_of_px4(columns_of(local), LOCAL_POSITION, 0))
-    assert [each.stamp_ns for each in found] == [
+    assert [item.stamp_ns for item in found] == [
         int(local["timestamp"][row]) * 1000 for row in (5, 9, 14)
     ]
     # Counters that change in opposite directions at once are a reset, too.

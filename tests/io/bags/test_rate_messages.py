@@ -31,7 +31,7 @@ def readings(count: int = 9, first_s: int = 5) -> InertialReadings:
 def payloads(source: InertialReadings) -> list[bytes]:
     assert source.accelerations is not None
     rows = encode_imu(source.stamps, source.rates, source.accelerations, f"/{source.frame}")
-    return [each.tobytes() for each in rows]
+    return [row.tobytes() for row in rows]
 
 
 def assert_same(found: InertialReadings, expected: InertialReadings, rows: Any = ...) -> None:
@@ -70,7 +70,7 @@ def test_readings_that_are_no_numbers_are_counted(
 
 def test_messages_of_another_type_are_counted() -> None:
     vectors = encode_stamped(np.arange(4), np.zeros((4, 3)), "x")
-    assert decode_rates([each.tobytes() for each in vectors]).undecodable == 4
+    assert decode_rates([vector.tobytes() for vector in vectors]).undecodable == 4
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +143,7 @@ def test_a_watch_reads_covariances_only_of_an_estimate_with_an_imu(bag: Path) ->
     alone = read_watched(estimate, None, {"slam": partner}, corrections=partner)
     assert len(alone.estimate) == 20
     assert alone.imu is None
-    assert {name: len(each) for name, each in alone.partners.items()} == {"slam": 10}
+    assert {name: len(item) for name, item in alone.partners.items()} == {"slam": 10}
     assert alone.corrections is not None
     assert len(alone.corrections) == 10
     with_imu = read_watched(estimate, f"{bag}:/imu")

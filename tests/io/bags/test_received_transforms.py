@@ -69,7 +69,7 @@ def test_a_pose_is_of_the_newest_transforms_that_were_received(
         edges[key] = Edge.from_columns(dated, numbers, is_static=False)
     fixed = rng.normal(size=(1, 7))
     edges[FIXED] = Edge.from_columns(np.zeros(1, dtype=np.int64), fixed, is_static=True)
-    by = {key: (each, Receptions(each["time"])) for key, each in received.items()}
+    by = {key: (item, Receptions(item["time"])) for key, item in received.items()}
     way, leading, _ = find_chain(edges, "map", "tool", "t")
     assert leading == ODOM
     found = compose_received(ReceivedChain(edges, way, leading), by)
@@ -81,8 +81,8 @@ def test_a_pose_is_of_the_newest_transforms_that_were_received(
     is_newer = np.diff(np.maximum.accumulate(odometry["stamp"]), prepend=0) > 0
     used = [received[MAP]["time"], received[ARM]["time"], odometry["time"][is_newer]]
     events = sorted({int(at) for times in used for at in times})
-    first = max(int(each["time"].min()) for each in received.values())
-    events = [each for each in events if each >= first]
+    first = max(int(item["time"].min()) for item in received.values())
+    events = [event for event in events if event >= first]
     assert receptions.times.tolist() == events
     for row, now in enumerate(events):
         product, corrected = np.eye(4), 0
@@ -91,15 +91,15 @@ def test_a_pose_is_of_the_newest_transforms_that_were_received(
                 numbers = np.hstack([edges[FIXED].translations, edges[FIXED].quaternions])[0]
                 product = product @ as_matrix(numbers)
                 continue
-            each = received[key]
-            known = np.flatnonzero(each["time"] <= now)
+            item = received[key]
+            known = np.flatnonzero(item["time"] <= now)
             newest = known[-1]
             if key == ODOM:
-                newest = known[int(each["stamp"][known].argmax())]
-                assert found.stamps[row] == each["stamp"][newest]
+                newest = known[int(item["stamp"][known].argmax())]
+                assert found.stamps[row] == item["stamp"][newest]
             else:
-                corrected = max(corrected, int(each["time"][newest]))
-            product = product @ np.linalg.matrix_power(as_matrix(each["numbers"][newest]), power)
+                corrected = max(corrected, int(item["time"][newest]))
+            product = product @ np.linalg.matrix_power(as_matrix(item["numbers"][newest]), power)
         assert receptions.corrected[row] == corrected
         np.testing.assert_allclose(found.positions[row], product[:3, 3], atol=1e-12)
         turned = Rotation.from_quat(found.quaternions[row]).as_matrix()
@@ -132,12 +132,12 @@ def test_poses_do_not_depend_on_the_batches_of_transforms(
     edges = 10**15 + np.sort(rng.integers(0, seconds * 10**9, size=parts))
     for begin, end in zip([0, *edges], [*edges, 10**16], strict=True):
         new = {
-            key: each[(each["time"] >= begin) & (each["time"] < end)]
-            for key, each in received.items()
+            key: item[(item["time"] >= begin) & (item["time"] < end)]
+            for key, item in received.items()
         }
         found.append(chain.poses(new, at_end=end == 10**16))
     for name, column in columns_of(wanted).items():
-        joined = np.concatenate([columns_of(each)[name] for each in found])
+        joined = np.concatenate([columns_of(item)[name] for item in found])
         np.testing.assert_allclose(joined, column, atol=1e-14, err_msg=name)
 
 

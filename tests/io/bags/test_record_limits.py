@@ -55,7 +55,7 @@ def test_a_chunk_is_described_by_its_header(kind: str) -> None:
     assert found.data_offset == len(content)
     assert found.may_hold({1})
     found.channels = frozenset({2, 3})
-    assert [found.may_hold(each) for each in ({1}, {1, 3}, set())] == [False, True, False]
+    assert [found.may_hold(item) for item in ({1}, {1, 3}, set())] == [False, True, False]
 
 
 def test_a_chunk_without_a_whole_header_is_damaged() -> None:
@@ -70,7 +70,7 @@ def message(channel: int, time: int, payload: bytes) -> bytes:
 
 @given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 99), st.binary(max_size=20))))
 def test_records_are_walked_up_to_the_first_incomplete_one(rows: Any) -> None:
-    content = b"".join(message(*each) for each in rows)
+    content = b"".join(message(*item) for item in rows)
     found, is_whole = walked(content)
     assert is_whole
     assert found.channels.tolist() == [channel for channel, *_ in rows]

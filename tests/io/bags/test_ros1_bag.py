@@ -36,7 +36,7 @@ def bag(path: Path, compression: Any = None, image: bytes = b"", chunk_size: int
     if compression is not None:
         writer.set_compression(compression)
     with writer:
-        first, second = (writer.add_connection(each, POSE, typestore=STORE) for each in "ab")
+        first, second = (writer.add_connection(item, POSE, typestore=STORE) for item in "ab")
         images = writer.add_connection("c", "sensor_msgs/msg/Image", typestore=STORE)
         for row in range(COUNT):
             writer.write(first, row * SECOND, pose(row))
@@ -48,14 +48,14 @@ def bag(path: Path, compression: Any = None, image: bytes = b"", chunk_size: int
 
 def messages_of(path: Path, *window: int) -> list[tuple[str, int, bytes]]:
     with Bag(path) as opened:
-        return [(each.name, *rest) for each, *rest in opened.messages(opened.topics, *window)]
+        return [(item.name, *rest) for item, *rest in opened.messages(opened.topics, *window)]
 
 
 def expected_of(path: Path, *window: int) -> list[tuple[str, int, bytes]]:
     with Reader(path) as reader:
         return [
-            (f"/{each.topic.lstrip('/')}", time, bytes(data))
-            for each, time, data in reader.messages((), *window)
+            (f"/{item.topic.lstrip('/')}", time, bytes(data))
+            for item, time, data in reader.messages((), *window)
         ]
 
 
@@ -86,8 +86,8 @@ def test_messages_equal_those_of_rosbags(compression: Any, image: bytes, tmp_pat
         assert messages_of(path, *window) == expected_of(path, *window)
     with Bag(path) as opened, Reader(path) as reader:
         assert opened.span == (reader.start_time, reader.end_time - 1)
-        counts = {f"/{each.topic}": each.msgcount for each in reader.connections}
-        assert {each.name: each.declared for each in opened.topics} == counts
+        counts = {f"/{connection.topic}": connection.msgcount for connection in reader.connections}
+        assert {topic.name: topic.declared for topic in opened.topics} == counts
 
 
 @pytest.mark.slow

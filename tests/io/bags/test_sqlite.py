@@ -85,7 +85,7 @@ def test_old_files_without_definitions(version: int, tmp_path: Path) -> None:
     more = ", ''" if version == 2 else ""
     database.execute(f"INSERT INTO topics VALUES (1, '/pose', '{POSE_STAMPED}', 'cdr'{more})")
     database.execute(f"INSERT INTO topics VALUES (2, '/x', 'my_msgs/msg/Custom', 'cdr'{more})")
-    rows = ((1, row, each) for row, each in enumerate(payloads()))
+    rows = ((1, row, payload) for row, payload in enumerate(payloads()))
     database.executemany("INSERT INTO messages VALUES (NULL, ?, ?, ?)", rows)
     database.commit()
     database.close()
@@ -94,8 +94,8 @@ def test_old_files_without_definitions(version: int, tmp_path: Path) -> None:
 
 def changed_by(path: Path, *statements: str) -> Path:
     with sqlite3.connect(path) as database:
-        for each in statements:
-            database.execute(each)
+        for statement in statements:
+            database.execute(statement)
     database.close()
     return path
 

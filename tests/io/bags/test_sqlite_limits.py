@@ -39,7 +39,7 @@ def test_rows_are_fetched_in_groups_of_bounded_size(
     rows = [(place, bytes(length)) for place, length in enumerate(sizes)]
     with mock.patch.multiple(sqlite_bag, ROWS=most, _FETCHED=size):
         groups = list(sqlite_bag._groups(rows))
-    assert [each for group in groups for each in group] == rows
+    assert [item for group in groups for item in group] == rows
     for group in groups:
         assert 0 < len(group) <= most
         assert sum(len(payload) for _, payload in group[:-1]) < size
@@ -51,21 +51,21 @@ def test_rows_are_fetched_in_groups_of_bounded_size(
 def test_windows_and_orders_of_rows(tmp_path: Path) -> None:
     rows = [(1 + row % 3, (7 * row) % 50, bytes([row])) for row in range(60)]
     path = bag(tmp_path / "x.db3", rows)
-    wanted = [each for each in rows if each[0] != 3]
+    wanted = [item for item in rows if item[0] != 3]
     assert read(path) == (wanted, [])
     for begin, end in ((None, 20), (20, None), (13, 27), (14, 14), (0, 50)):
         inside = [
-            each
-            for each in wanted
-            if (begin is None or each[1] >= begin) and (end is None or each[1] < end)
+            item
+            for item in wanted
+            if (begin is None or item[1] >= begin) and (end is None or item[1] < end)
         ]
         assert read(path, begin, end) == (inside, [])
-        ordered = sorted(inside, key=lambda each: each[1])
+        ordered = sorted(inside, key=lambda item: item[1])
         assert read(path, begin, end, in_order=True) == (ordered, [])
     reader = SqliteReader(path, "x")
     assert reader.span == (0, 49)
     assert [reader.count(topic) for topic in (1, 2, 3, 4)] == [20, 20, 20, 0]
-    assert [each.count for each in reader.connections] == [-1] * 3
+    assert [connection.count for connection in reader.connections] == [-1] * 3
     reader.close()
     empty = SqliteReader(bag(tmp_path / "empty.db3", []), "empty")
     assert empty.span is None
@@ -186,8 +186,16 @@ def test_topics_and_definitions_of_a_file(tmp_path: Path) -> None:
     database.close()
     reader = SqliteReader(tmp_path / "x.db3", "x")
     assert [
-        (each.id, each.topic, each.type, each.language, each.definition, each.encoding, each.qos)
-        for each in reader.connections
+        (
+            connection.id,
+            connection.topic,
+            connection.type,
+            connection.language,
+            connection.definition,
+            connection.encoding,
+            connection.qos,
+        )
+        for connection in reader.connections
     ] == [
         (1, "/1", "a/msg/B", "MSG", "int8 x", "cdr", ""),
         (2, "/2", "b/msg/C", "IDL", "module", "cdr", "qos"),
@@ -211,6 +219,6 @@ def test_messages_larger_than_the_file_end_the_reading(tmp_path: Path) -> None:
     with mock.patch.object(SqliteReader, "_found", found):
         blocks = list(reader.blocks([selection]))
     reader.close()
-    assert [len(each.buffer) for each in blocks] == [size // 2, size - size // 2]
+    assert [len(block.buffer) for block in blocks] == [size // 2, size - size // 2]
     assert taken == [0, 1, 2]
     assert selection.damage == ["x is damaged: messages overlap, the rest was not read"]

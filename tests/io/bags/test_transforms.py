@@ -60,7 +60,7 @@ def test_a_chain_is_the_product_of_its_edges(seed: int) -> None:
         edge.stamps[(edge.stamps >= stamps[0]) & (edge.stamps <= stamps[-1])]
         for edge in (first, second)
     ]
-    assert len(stamps) >= max(len(each) for each in inside)
+    assert len(stamps) >= max(len(item) for item in inside)
     expected = (
         interpolated(first, stamps)
         @ interpolated(second, stamps)

@@ -52,7 +52,7 @@ def state_with(**changes: Any) -> dict[str, Any]:
 
 def trajectories() -> list[Trajectory]:
     stamps, *sides = columns()
-    return [Trajectory(stamps, each[:, :3], lie.normalized(each[:, 3:7])) for each in sides]
+    return [Trajectory(stamps, side[:, :3], lie.normalized(side[:, 3:7])) for side in sides]
 
 
 def test_states_are_evaluated_with_the_settings_of_the_run(tmp_path: Path) -> None:
@@ -67,14 +67,14 @@ def test_states_are_evaluated_with_the_settings_of_the_run(tmp_path: Path) -> No
         if mine is not None and statistics is not None:
             assert mine.rmse == pytest.approx(statistics.rmse, rel=1e-12)
     relative = found.evaluation.relative or ()
-    assert [each.count for each in relative] == [each.count for each in expected.relative or ()]
+    assert [item.count for item in relative] == [item.count for item in expected.relative or ()]
     groundtruth, estimate = outcome.groundtruth, found.estimate
     assert (groundtruth.source, groundtruth.poses) == ("/truth", COUNT)
     assert (estimate.source, estimate.name, estimate.duration_s) == ("/vio", "vio", 9.95)
     assert (groundtruth.frame, groundtruth.child_frame) == ("map", "marker")
     assert (estimate.frame, estimate.child_frame) == ("odom", "base_link")
     assert found.live == STATE["live"]
-    assert [each.code for each in found.evaluation.remarks if "live_run" in each.code] == []
+    assert [remark.code for remark in found.evaluation.remarks if "live_run" in remark.code] == []
 
 
 @pytest.mark.parametrize("later", [0, 1, 30])
@@ -83,7 +83,7 @@ def test_an_end_without_the_last_counts_is_told(tmp_path: Path, later: int, torn
     path = write_estimate(tmp_path / "vio.states", at=COUNT - later)
     path.write_bytes(path.read_bytes() + b"x" * torn)
     [found] = evaluate_folder(tmp_path).runs
-    said = {each.code: each.text for each in found.evaluation.remarks}
+    said = {remark.code: remark.text for remark in found.evaluation.remarks}
     assert ("live_run_stopped" in said) == bool(later or torn)
     assert ("damaged_states" in said) == bool(torn)
     if later or torn:
@@ -102,10 +102,10 @@ def test_estimates_are_in_the_order_of_their_configuration(tmp_path: Path) -> No
     (tmp_path / "d.states").write_bytes(b"nothing")
     StateWriter(tmp_path / "e.states", {**DESCRIPTION, "name": "e"}).close()
     found = evaluate_folder(tmp_path)
-    assert [each.estimate.name for each in found.runs] == ["b", "c", "a"]
-    assert [each.name for each in found.failed] == ["d", "e"]
+    assert [item.estimate.name for item in found.runs] == ["b", "c", "a"]
+    assert [item.name for item in found.failed] == ["d", "e"]
     assert found.failed[1].reason == "e: no pose so far"
-    codes = [each.cause for each in found.runs[1].diagnosis.findings]
+    codes = [finding.cause for finding in found.runs[1].diagnosis.findings]
     assert "same_estimate" in codes
 
 

@@ -51,4 +51,4 @@ def test_the_file_is_replaced(tmp_path: Path) -> None:
     write_metrics(tmp_path, {"vio": {"pairs": 2}})
     assert (tmp_path / NAME).stat().st_ino != before
     assert 'trajeval_pairs{estimate="vio"} 2.0\n' in (tmp_path / NAME).read_text()
-    assert [each.name for each in tmp_path.iterdir()] == [NAME]
+    assert [path.name for path in tmp_path.iterdir()] == [NAME]

@@ -43,8 +43,8 @@ def write(path: Path, counts: list[int], seed: int = 0) -> list[Trajectory]:
     path.unlink(missing_ok=True)
     writer = StateWriter(path, DESCRIPTION)
     chunks = [chunk(seed + place, count) for place, count in enumerate(counts)]
-    for place, each in enumerate(chunks):
-        writer.append(each)
+    for place, item in enumerate(chunks):
+        writer.append(item)
         if place % 2:
             writer.tell({"number": place})
     writer.close()
@@ -216,8 +216,8 @@ def test_a_full_disk_is_written_to_again(
     disk = Disk(room)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "write", disk)
-        for each in chunks[:4]:
-            writer.append(each)
+        for item in chunks[:4]:
+            writer.append(item)
         is_full = room < 4 * (16 + 3 * 96)
         assert (writer.trouble == "no space left on device") == is_full
         assert assert_prefix(read_states(path), chunks) <= 4  # never half a chunk

@@ -46,10 +46,10 @@ def npy(array: Any) -> bytes:
 def replaced(path: Path, name: str, data: bytes) -> None:
     """Have another array in an archive."""
     with zipfile.ZipFile(path) as old:
-        members = {each: old.read(each) for each in old.namelist()} | {f"{name}.npy": data}
+        members = {item: old.read(item) for item in old.namelist()} | {f"{name}.npy": data}
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as new:
-        for each, content in members.items():
-            new.writestr(each, content)
+        for item, content in members.items():
+            new.writestr(item, content)
 
 
 def flip_in_the_covariance(path: Path) -> None:

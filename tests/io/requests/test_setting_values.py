@@ -187,7 +187,7 @@ def test_alert_limits_are_metres_and_degrees(text: str, limits: Any) -> None:
 def test_settings_of_a_live_run_fill_in_defaults_that_are_not_of_the_protocol() -> None:
     request = request_from({"gauge": "yaw", "covariance": "message"})
     plain = settings_with(request, {})
-    assert plain == {name: each.of(request) for name, each in SETTINGS.items()}
+    assert plain == {name: setting.of(request) for name, setting in SETTINGS.items()}
     stated = {"hand_eye": "x.yaml", "covariance": "none", "gauge": "se3", "deadline": 0.5}
     found = settings_with(request, stated)
     assert (found["hand_eye"], found["deadline"]) == ("x.yaml", 0.5)

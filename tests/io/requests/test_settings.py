@@ -49,7 +49,7 @@ def fields(whole: Any, path: str = "") -> Iterator[str]:
     for field in dataclasses.fields(whole):
         value, name = getattr(whole, field.name), f"{path}{field.name}"
         if name in OPTIONAL:
-            yield from (f"{name}.{each}" for each in OPTIONAL[name])
+            yield from (f"{name}.{item}" for item in OPTIONAL[name])
         elif dataclasses.is_dataclass(value) and name not in WHOLE:
             yield from fields(value, f"{name}.")
         else:
@@ -57,7 +57,7 @@ def fields(whole: Any, path: str = "") -> Iterator[str]:
 
 
 def test_every_field_of_a_request_is_the_target_of_a_row() -> None:
-    targets = [target for each in SETTINGS.values() for target in each.targets]
+    targets = [target for setting in SETTINGS.values() for target in setting.targets]
     assert {*targets, *INTERNAL} == set(fields(Request()))
     assert len(targets) == len(set(targets))
 
@@ -113,7 +113,7 @@ def test_a_default_that_is_stated_again_changes_nothing(name: str) -> None:
         given["association"] = "continuous"
     if name == "risk":
         given |= {"alert_limit": "1", "covariance": "message"}
-    other = {each: value for each, value in given.items() if each != name}
+    other = {item: value for item, value in given.items() if item != name}
     assert settings_of(request_from(given)) == settings_of(request_from(other))
 
 
@@ -124,12 +124,12 @@ def test_the_provenance_of_a_comparison_has_all_settings() -> None:
 
 def test_options_keys_and_parameters_are_those_of_the_rows() -> None:
     for name in VERBS:
-        options = {each.name for each in verb(name).params}
-        stated = {each.name for each in SETTINGS.values() if name in each.verbs}
+        options = {parameter.name for parameter in verb(name).params}
+        stated = {setting.name for setting in SETTINGS.values() if name in setting.verbs}
         if name != NODE:
             assert stated <= options
-    assert {each.name for each in SETTINGS.values() if NODE in each.verbs} <= {
-        each.name for each in PARAMETERS
+    assert {setting.name for setting in SETTINGS.values() if NODE in setting.verbs} <= {
+        parameter.name for parameter in PARAMETERS
     }
     assert len(PARAMETERS) <= 53  # 50, as_available, limits_age_s and rerun_points
     assert not settings_of_many_runs().keys() & {"correct", "watch_factor", "corrections"}

@@ -76,7 +76,7 @@ def test_errors_have_the_stamps_of_the_estimate_s_messages(
         assert topic.stamps == topic.times
         assert set(topic.times) <= in_bag
         assert topic.times == (archive["vio_odometry.stamps"] - 1_000_000).tolist()
-        assert {each.header.frame_id for each in topic.messages} == {"world"}
+        assert {message.header.frame_id for message in topic.messages} == {"world"}
 
 
 def test_vectors_are_as_long_as_the_errors(
@@ -140,7 +140,7 @@ def test_statistics_are_those_of_the_result(
         assert ate.times == [times[0], times[-1]]
     [message] = recorded["/diagnostics"].messages
     [status] = message.status
-    values = {each.key: each.value for each in status.values}
+    values = {value.key: value.value for value in status.values}
     assert status.name == "evaluator: vio_odometry"
     assert recorded["/diagnostics"].stamps == [times[-1]]
     assert int(values["pairs"]) == run_["association"]["pairs"]
@@ -157,7 +157,7 @@ def test_warnings_are_the_status(tmp_path: Path) -> None:
     outcome = run(pair.groundtruth, [pair.estimate])
     warned = dataclasses.replace(
         outcome.runs[0].evaluation,
-        remarks=tuple(warning("rain", each) for each in ("it rains", "a lot")),
+        remarks=tuple(warning("rain", name) for name in ("it rains", "a lot")),
     )
     outcome = dataclasses.replace(
         outcome, runs=(dataclasses.replace(outcome.runs[0], evaluation=warned),)
@@ -208,7 +208,7 @@ def test_live_errors_under_the_last_alignment_are_the_recorded_ones(
         ("attitude", errors.attitude_deg),
         ("heading", errors.along_cross_vertical),
     ):
-        [topic] = [each for each in topics if each.endswith(f"/stamped/{name}_error")]
+        [topic] = [item for item in topics if item.endswith(f"/stamped/{name}_error")]
         assert topics[topic].vectors == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
@@ -217,15 +217,15 @@ def test_vectors_are_about_the_groundtruth_frame_s_own_axes(gauge: str, tmp_path
     pair, up = make_pair(5, 100, smooth=True), UpAxis("-y")
     turn = Similarity(up.matrix.T, np.zeros(3))
     lying = [
-        dataclasses.replace(turn.trajectory(each), up=up)
-        for each in (pair.groundtruth, pair.estimate)
+        dataclasses.replace(turn.trajectory(item), up=up)
+        for item in (pair.groundtruth, pair.estimate)
     ]
     vectors = {}
     for name, sides in (("own", (pair.groundtruth, pair.estimate)), ("turned", tuple(lying))):
         request = Request(Protocol(gauge=gauge, lengths=()))
         write_error_recording(tmp_path / name, run(sides[0], [sides[1]], request))
         topics = read_recording(tmp_path / name)
-        vectors[name] = {each[-14:]: topics[each].vectors for each in topics if "stamped" in each}
+        vectors[name] = {item[-14:]: topics[item].vectors for item in topics if "stamped" in item}
     for topic in ("position_error", "rotation_error", "velocity_error"):
         own = vectors["own"][topic]
         assert len(own)
@@ -249,10 +249,10 @@ def test_estimates_that_would_be_called_alike_have_topics_of_their_own(tmp_path:
     outcome = run(pair.groundtruth, estimates)
     write_error_recording(tmp_path / "errors.mcap", outcome)
     topics = read_recording(tmp_path / "errors.mcap")
-    parts = {each.split("/")[2] for each in topics if each.startswith("/evaluator")}
+    parts = {topic.split("/")[2] for topic in topics if topic.startswith("/evaluator")}
     assert parts == {"a_b_1", "a_b_2", "topic_3"}
     [message] = topics["/diagnostics"].messages
-    assert [each.name for each in message.status] == [
+    assert [item.name for item in message.status] == [
         "evaluator: a_b_1",
         "evaluator: a_b_2",
         "evaluator: topic_3",
@@ -264,7 +264,7 @@ def test_positions_alone_are_recorded_without_rotations(tmp_path: Path) -> None:
     truth = dataclasses.replace(pair.groundtruth, quaternions=None)
     write_error_recording(tmp_path / "errors.mcap", run(truth, [pair.estimate]))
     topics = read_recording(tmp_path / "errors.mcap")
-    [root] = {"/".join(each.split("/")[:3]) for each in topics if each.startswith("/evaluator")}
+    [root] = {"/".join(topic.split("/")[:3]) for topic in topics if topic.startswith("/evaluator")}
     assert len(topics[f"{root}/stamped/position_error"].messages)
     assert not topics[f"{root}/stamped/rotation_error"].messages
     assert f"{root}/rotation_error" not in topics
@@ -294,7 +294,7 @@ def shifted(trajectory: Trajectory, by_ns: int) -> Trajectory:
 @pytest.mark.parametrize("by_s", [-2_000_000_000, 1_000_000_000])
 def test_stamps_that_ros_cannot_hold_are_refused(by_s: int, tmp_path: Path) -> None:
     pair = make_pair(1, 100, smooth=True)
-    sides = (shifted(each, by_s * NANOSECONDS) for each in (pair.groundtruth, pair.estimate))
+    sides = (shifted(item, by_s * NANOSECONDS) for item in (pair.groundtruth, pair.estimate))
     truth, estimate = sides
     with pytest.raises(InputError, match="before 1970 or after 2038"):
         write_error_recording(tmp_path / "errors.mcap", run(truth, [estimate]))
@@ -313,10 +313,10 @@ def test_unknown_rotations_stand_as_identities(tmp_path: Path) -> None:
     estimate = dataclasses.replace(pair.estimate, quaternions=None)
     write_error_recording(tmp_path / "errors.mcap", run(pair.groundtruth, [estimate]))
     topics = read_recording(tmp_path / "errors.mcap")
-    [path] = [each for each in topics if each.endswith("aligned_path")]
+    [path] = [topic for topic in topics if topic.endswith("aligned_path")]
     turned = topics[path].messages[0].poses[0].pose.orientation
-    [alignment] = [each for each in topics if each.endswith("/alignment")]
+    [alignment] = [topic for topic in topics if topic.endswith("/alignment")]
     turn = topics[alignment].messages[0].transform.rotation
-    both = [[each.x, each.y, each.z, each.w] for each in (turned, turn)]
+    both = [[item.x, item.y, item.z, item.w] for item in (turned, turn)]
     assert np.abs(lie.multiply(*np.array(both)[:, None])).shape == (1, 4)
     assert both[0] == pytest.approx(both[1], abs=1e-12)

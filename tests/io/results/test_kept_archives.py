@@ -41,9 +41,9 @@ def test_files_of_errors_contain_what_they_did(
     assert "status 0" in printed(typed, kept_runs, tmp_path, capsys)
     lines = []
     with np.load(tmp_path / "out" / ARCHIVE) as archive:
-        lines += [f"{key} {each.dtype} {shortened(each)}" for key, each in archive.items()]
+        lines += [f"{key} {item.dtype} {shortened(item)}" for key, item in archive.items()]
     table = parquet.read_table(tmp_path / "out" / TABLE)
-    lines += [f"{each.name} {each.type} {table[each.name].null_count}" for each in table.schema]
+    lines += [f"{item.name} {item.type} {table[item.name].null_count}" for item in table.schema]
     for topic, read in read_recording(tmp_path / "out.mcap").items():
         times = shortened((np.array(read.times) - 1_700_000_000 * 10**9) / 1e9)
         lines.append(f"{topic} {read.type} {len(read.times)} {times}")

@@ -171,7 +171,7 @@ def test_integrity_is_written_by_part() -> None:
     ]
     found = integrity_json(FAKE(risk=1e-3, exactness="exact", parts=parts))
     assert (found["risk"], found["exactness"]) == (1e-3, "exact")
-    assert [each["part"] for each in found["parts"]] == ["horizontal", "vertical"]
+    assert [part["part"] for part in found["parts"]] == ["horizontal", "vertical"]
     assert found["parts"][1] == {
         "part": "vertical",
         "unit": "m",
@@ -196,7 +196,7 @@ def test_likelihoods_of_gauges_are_written_with_their_directions() -> None:
     found = gauge_scores_json(scores)
     assert found["tilt_deg"] == [pytest.approx(3.0), pytest.approx(-4.0)]
     assert found["tilt_z"] == [0.5, 1.5]
-    likelihoods = [found[f"log_likelihood_{each}"] for each in ("sim3", "se3", "yaw")]
+    likelihoods = [found[f"log_likelihood_{name}"] for name in ("sim3", "se3", "yaw")]
     assert likelihoods == [1.0, 2.0, 3.0]
     assert (found["scale"], found["scale_z"]) == (pytest.approx(1.25), 2.5)
     scores.scale = None
@@ -211,8 +211,8 @@ def test_a_watch_is_written_with_times_of_the_recording() -> None:
         "nothing": (np.zeros(0), np.zeros(0)),
     }
     alarms = [
-        FAKE(signal=each, begin_s=1.25, last_s=3.0, is_over=over, peak=7.0, peak_s=2.0, limit=5.0)
-        for each, over in zip(names, (True, False), strict=True)
+        FAKE(signal=item, begin_s=1.25, last_s=3.0, is_over=over, peak=7.0, peak_s=2.0, limit=5.0)
+        for item, over in zip(names, (True, False), strict=True)
     ]
     book = FAKE(
         factor=1.5,
@@ -230,7 +230,7 @@ def test_a_watch_is_written_with_times_of_the_recording() -> None:
          "limit": 0.5}
     ]  # fmt: skip
     written = found.pop("alarms")
-    assert [each["level"] for each in written] == ["warning", "error"]
+    assert [item["level"] for item in written] == ["warning", "error"]
     assert written[0] == {
         "signal": "rate",
         "level": "warning",
@@ -267,10 +267,10 @@ def test_vectors_are_split_into_named_components() -> None:
         "aligned_quaternions": "xyzw",
         "consistency.errors": ("x", "y", "z", "roll", "pitch", "yaw"),
     }
-    names = [f"{name.replace('.', '_')}_{end}" for name, each in ends.items() for end in each]
+    names = [f"{name.replace('.', '_')}_{end}" for name, item in ends.items() for end in item]
     assert list(found) == ["stamps", *names]
-    for name, each in ends.items():
-        for at, end in enumerate(each):
+    for name, item in ends.items():
+        for at, end in enumerate(item):
             np.testing.assert_array_equal(
                 found[f"{name.replace('.', '_')}_{end}"], columns[name][:, at]
             )
@@ -288,5 +288,5 @@ def test_results_are_written_to_a_new_folder(tmp_path: Path) -> None:
             path = result_folder.write_result(FAKE(), folder)
         assert path == folder / "result.json"
         assert path.read_text() == f'{{\n  "number": {number}\n}}\n'
-        assert {each.name for each in folder.iterdir()} == {"a.npz", "b", "result.json"}
+        assert {item.name for item in folder.iterdir()} == {"a.npz", "b", "result.json"}
         (folder / result_folder.TABLE).touch()  # of another run

@@ -76,7 +76,7 @@ def test_times_next_to_an_array(tmp_path: Path) -> None:
     read = read_trajectory(path)
     assert_same(read, 1e-5)
     assert np.abs(read.stamps - FLIGHT.stamps).max() <= 128  # read as float64
-    assert any("tstamps_hall.npy" in each.text for each in read.reading.remarks)
+    assert any("tstamps_hall.npy" in remark.text for remark in read.reading.remarks)
     saved(tmp_path / "tstamps_hall.npy", np.arange(len(FLIGHT)) * 2.0)  # numbers of images
     read = read_trajectory(path)
     assert not read.reading.stamped
@@ -148,7 +148,7 @@ def test_json_lines(tmp_path: Path) -> None:
     assert_same(read)
     assert np.abs(read.stamps - FLIGHT.stamps).max() < 500
     assert read.reading.dropped["no_position_or_not_tracking"] == 2
-    numbered = [each.replace('"TRACKING"', "1") for each in lines]  # a code of another program
+    numbered = [line.replace('"TRACKING"', "1") for line in lines]  # a code of another program
     path.write_text("\n".join(numbered) + "\n")
     assert_same(read_trajectory(path))
     path.write_text('{"time": 1.0, "x": 1.0}\n{"time"\n')

@@ -48,7 +48,7 @@ def test_the_time_of_the_header_precedes_that_of_the_arrival(before: str, tmp_pa
     received = read.reading.receptions
     assert (received is not None) == ("receive_time" in before)
     if received is not None:
-        assert received.times.tolist() == [int(each[:-3]) * 10**9 + 250_000_000 for each in LATER]
+        assert received.times.tolist() == [int(item[:-3]) * 10**9 + 250_000_000 for item in LATER]
 
 
 def test_messages_as_json_lines(tmp_path: Path) -> None:
@@ -57,7 +57,7 @@ def test_messages_as_json_lines(tmp_path: Path) -> None:
     lines = [
         json.dumps(
             {
-                "header": {"stamp": {name: each[row] for name, each in parts.items()}},
+                "header": {"stamp": {name: part[row] for name, part in parts.items()}},
                 "pose": {"position": dict(zip("xyz", POSITIONS[row].tolist(), strict=True))},
             }
         )
@@ -85,7 +85,7 @@ def test_positions_are_in_the_unit_that_their_names_have(
     names = ",".join(form.format(axis, unit).removesuffix("_") for axis in "xyz")
     read = read_trajectory(written(tmp_path / "a.csv", f"t_ns,{names}", STAMPS))
     np.testing.assert_array_equal(read.positions, POSITIONS * metres)
-    said = [each.text for each in read.reading.remarks if each.code == "unit"]
+    said = [remark.text for remark in read.reading.remarks if remark.code == "unit"]
     assert said == ([f"positions converted from {unit} to m"] if metres != 1.0 else [])
 
 
@@ -115,7 +115,7 @@ def test_velocities_in_other_units_are_ignored(unit: str, is_read: bool, tmp_pat
         written(tmp_path / "a.csv", f"t_ns,x,y,z,{names}", STAMPS, *POSITIONS.T)
     )
     assert (read.velocities is not None) == is_read
-    said = [each.text for each in read.reading.remarks if "ignored" in each.text]
+    said = [remark.text for remark in read.reading.remarks if "ignored" in remark.text]
     assert said == ([] if is_read else [f"ignored columns: {names.replace(',', ', ')}"])
 
 
@@ -129,5 +129,5 @@ def test_a_header_has_the_names_of_columns(unit: str, count: float, tmp_path: Pa
 def test_a_column_without_a_name_is_named_by_its_place(tmp_path: Path) -> None:
     path = written(tmp_path / "a.csv", ",t_ns,x,y,z", range(4), STAMPS)
     assert "ignored columns: column 1" in [
-        each.text for each in read_trajectory(path).reading.remarks
+        remark.text for remark in read_trajectory(path).reading.remarks
     ]

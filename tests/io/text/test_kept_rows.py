@@ -29,7 +29,7 @@ MATRICES = np.stack(
 def rows(
     *columns: np.ndarray, separator: str = " ", times: str = "{:.9f}", unit: float = 1.0
 ) -> list[str]:
-    table = np.hstack([each.reshape(COUNT, -1) for each in columns])
+    table = np.hstack([column.reshape(COUNT, -1) for column in columns])
     return [
         separator.join([times.format(time / unit), *(f"{value:.6f}" for value in row)]).strip()
         for time, row in zip(TIMES, table, strict=True)

@@ -120,7 +120,7 @@ def test_times_in_the_folder_are_not_of_a_file_with_timestamps(tmp_path: Path) -
         f"{time:.6f} {numbers(np.concatenate([p, q]))}"
         for time, p, q in zip(TIMES, POSITIONS, XYZW, strict=True)
     ]
-    write(tmp_path / "times.txt", [f"{each}" for each in range(COUNT)])
+    write(tmp_path / "times.txt", [f"{index}" for index in range(COUNT)])
     check(read_trajectory(write(tmp_path / "slam.txt", rows)))
 
 
@@ -137,7 +137,7 @@ def test_frame_numbers_of_an_array_use_the_times_in_the_folder(tmp_path: Path) -
 def columns(*parts: object, digits: int) -> list[str]:
     """Return one text per row from arrays (N, ...), or from constants of all rows."""
     arrays = [np.broadcast_to(part, (COUNT, np.shape(part)[-1])) for part in parts]
-    return [" ".join(f"{each:.{digits}f}" for each in row) for row in np.hstack(arrays)]
+    return [" ".join(f"{item:.{digits}f}" for item in row) for row in np.hstack(arrays)]
 
 
 MATRICES = np.concatenate([TURNS.as_matrix(), POSITIONS[:, :, None]], axis=2)

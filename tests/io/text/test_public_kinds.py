@@ -187,7 +187,7 @@ def test_a_public_kind_is_read(kind: str, tmp_path: Path) -> None:
     path.write_text(text)
     found = read_trajectory(path)
     assert_right(found, rotations=rotations, times=times)
-    doubts = [each for each in found.reading.remarks if each.level is Level.WARNING]
+    doubts = [remark for remark in found.reading.remarks if remark.level is Level.WARNING]
     assert bool(doubts) == kind.startswith("commas")
 
 

@@ -96,14 +96,14 @@ def test_whole_numbers_in_equal_steps_count_the_rows_of_a_file_of_times(
     tmp_path: Path, numbers: tuple[float, ...], *, counts: bool
 ) -> None:
     (tmp_path / "times.txt").write_text("".join(f"{100 + row}.5\n" for row in range(9)))
-    rows = [f"{each} {row} 0 0 0 0 0 1" for row, each in enumerate(numbers)]
+    rows = [f"{number} {row} 0 0 0 0 0 1" for row, number in enumerate(numbers)]
     if numbers == (1, 1, 1):
         assert is_refused(read, tmp_path / "x.txt", *rows)
         return
     found = read(tmp_path / "x.txt", *rows)
     assert found.reading.numbered == counts
     if counts:
-        expected = [100_500_000_000 + int(each) * SECOND for each in numbers]
+        expected = [100_500_000_000 + int(number) * SECOND for number in numbers]
         assert found.stamps.tolist() == expected
 
 

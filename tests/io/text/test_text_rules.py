@@ -78,7 +78,7 @@ def test_angles_are_in_radians_up_to_a_turn(sign: float, angle: float, *, refuse
     )
     assert between.magnitude() < 1e-12
     np.testing.assert_array_equal(found.positions, [[0.0, 0.0, 0.0]])
-    assert [each.code for each in found.remarks] == ["no_height"]
+    assert [remark.code for remark in found.remarks] == ["no_height"]
 
 
 @given(st.lists(st.floats(-3, 3), min_size=3, max_size=3))
@@ -125,7 +125,7 @@ def test_covariances_are_symmetric_and_about_the_stated_axes(group: str, convent
     whole = half @ half.swapaxes(1, 2)
     if group == "variances":
         whole = whole * np.eye(6)
-    rows, columns = np.array([[int(digit) - 1 for digit in each[1:]] for each in GROUPS[group]]).T
+    rows, columns = np.array([[int(digit) - 1 for digit in item[1:]] for item in GROUPS[group]]).T
     turns = Rotation.random(3, random_state=4)
     groups = {
         "position": np.zeros((3, 3)),

@@ -39,7 +39,7 @@ def rows(*columns: list[str] | np.ndarray, separator: str = ",") -> str:
     texts = []
     for column in columns:
         if isinstance(column, list):
-            texts.append([[each] for each in column])
+            texts.append([[item] for item in column])
         else:
             texts.append([list(map(repr, row)) for row in column.reshape(3, -1).tolist()])
     lines = [[word for column in texts for word in column[row]] for row in range(3)]
@@ -103,7 +103,7 @@ def test_decimal_commas_are_named(text: str, tmp_path: Path) -> None:
 
 def test_other_columns_are_not_taken_for_an_id_or_for_a_quaternion(tmp_path: Path) -> None:
     level = np.tile([0.0, 0.0, 0.6, 0.8], (3, 1))
-    times = [f"{each}.25" for each in range(3)]
+    times = [f"{index}.25" for index in range(3)]
     status = rows(times, POSITIONS, level, ["0"] * 3)
     angles = rows(times, POSITIONS, RPY)
     for text in (status, angles):
@@ -127,7 +127,7 @@ def test_columns_that_are_not_used_are_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize("separator", ["T", " "])
 def test_calendar_dates_are_utc(separator: str, tmp_path: Path) -> None:
     seconds = np.array(STAMPS, dtype="datetime64[ns]").astype(str)
-    dates = [each.replace("T", separator) for each in seconds]
+    dates = [second.replace("T", separator) for second in seconds]
     found = read(tmp_path / "t.csv", "date,x,y,z,qx,qy,qz,qw\n" + rows(dates, POSITIONS, XYZW))
     assert is_the_pose(found)
     assert "dates read as UTC" in found.reading.said(Level.NOTE)
@@ -150,10 +150,10 @@ def echo_header(kind: str) -> str:
     names += [f"{pose}.position.{axis}" for axis in "xyz"]
     names += [f"{pose}.orientation.{axis}" for axis in "xyzw"]
     if kind == "odometry":
-        names += [f"field.pose.covariance{each}" for each in range(36)]
+        names += [f"field.pose.covariance{index}" for index in range(36)]
         names += [f"field.twist.twist.linear.{axis}" for axis in "xyz"]
         names += [f"field.twist.twist.angular.{axis}" for axis in "xyz"]
-        names += [f"field.twist.covariance{each}" for each in range(36)]
+        names += [f"field.twist.covariance{index}" for index in range(36)]
     return ",".join(names) + "\n"
 
 

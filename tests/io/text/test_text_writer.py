@@ -27,7 +27,7 @@ stamps = arrays.arrays(np.int64, st.integers(1, 30), elements=st.integers(-(2**6
 
 @given(stamps)
 def test_integers_are_exact(numbers: np.ndarray) -> None:
-    assert _integers(numbers.tolist()) == [str(each) for each in numbers.tolist()]
+    assert _integers(numbers.tolist()) == [str(number) for number in numbers.tolist()]
 
 
 @given(stamps)
