@@ -21,7 +21,7 @@ from benchmarks.diagnosis_runs import Pair
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Indices
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.evaluation import evaluate
 
@@ -31,8 +31,8 @@ def _still(pair: Pair) -> Pair:
 
 
 def _names_swapped(pair: Pair) -> Pair:
-    pair = change(pair, "truth", reading=Reading("run/vio_odometry.txt"))
-    return change(pair, "estimate", reading=Reading("run/groundtruth.txt"))
+    pair = change(pair, "truth", reading=SourceInfo("run/vio_odometry.txt"))
+    return change(pair, "estimate", reading=SourceInfo("run/groundtruth.txt"))
 
 
 def _positions_converted(pair: Pair) -> Pair:

@@ -13,7 +13,7 @@ from trajeval_ros.formatting.remarks import note
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Indices
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.reading import FORMAT, Reading
+from trajeval_ros.geometry.reading import FORMAT, SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 
 Make = Callable[[Pair], Pair]
@@ -254,7 +254,7 @@ def lever(pair: Pair) -> Pair:
 
 def lost_frames(pair: Pair) -> Pair:
     """Keep some poses of odometry, which has no keyframes."""
-    reading = Reading(remarks=(note(FORMAT, "format: nav_msgs/msg/Odometry"),))
+    reading = SourceInfo(remarks=(note(FORMAT, "format: nav_msgs/msg/Odometry"),))
     return change(keyframes(pair), "estimate", reading=reading)
 
 

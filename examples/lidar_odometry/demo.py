@@ -47,7 +47,7 @@ def run(folder: Path, estimators: Sequence[str], seconds: float, *, is_real_time
         InputError: A scan is not answered, an error is above its limit, or live and recorded
             results differ.
     """
-    make_way(folder)
+    remove_existing(folder)
     chosen = [estimator for estimator in estimators if is_there(estimator)]
     for estimator in estimators:
         if estimator not in chosen:
@@ -101,7 +101,7 @@ def topic_of(estimator: str) -> str:
     return f"/{Path(estimator).stem}"
 
 
-def make_way(folder: Path) -> None:
+def remove_existing(folder: Path) -> None:
     """Remove the results of an earlier demo, and nothing else."""
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
         if not _EARLIER.fullmatch(path.name):

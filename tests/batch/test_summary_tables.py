@@ -48,7 +48,8 @@ def summary(protocol: str = "default", cause: str = "other_run") -> ComparisonSu
 def test_every_number_of_a_run_with_a_mistake_has_its_mark_and_footnote() -> None:
     tables = matrices(summary())
     assert [item.name for item in tables] == [
-        "ate_position_m", "ate_rotation_deg", *(f"re_{metric}" for metric in METRICS), "time_offset_s",
+        "ate_position_m", "ate_rotation_deg", *(f"re_{metric}" for metric in METRICS),
+        "time_offset_s",
     ]  # fmt: skip
     for table in tables:
         marks = {name: {cell.note for cell in cells} for name, cells in table.rows}

@@ -171,7 +171,7 @@ def test_parameters_that_are_noise_are_not_applied(
     def fake(offset_s: float, skew: float) -> Any:
         given = dataclasses.replace(own, offset_s=offset_s, skew=skew, shift_s=0.75)
         return SimpleNamespace(
-            free=np.ones(10, dtype=bool), rig=given, solve_again=lambda *each: calls.append(item)
+            free=np.ones(10, dtype=bool), rig=given, solve_again=lambda *given: calls.append(given)
         )
 
     chosen, other = fake(0.25, 0.125), fake(0.5, 0.0625)

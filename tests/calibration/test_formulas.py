@@ -108,11 +108,16 @@ def test_either_side_has_the_same_jacobian(oriented: bool) -> None:
     truth, estimate, unknowns = flown(oriented=oriented, fault=fault)
     increments = Increments(truth, estimate)
     found = increments.linearise(unknowns)
-    twin, known = increments.twin(unknowns, found.rows)
+    jacobian_with_swapped_sides, known = increments.jacobian_with_swapped_sides(
+        unknowns, found.rows
+    )
     assert known.sum() > 300
     columns = [OFFSET, SKEW, TURN, LEVER, SCALE] if oriented else [OFFSET, SKEW, SCALE]
     for column in columns:
-        own, other = found.jacobian[known][..., column], twin[known][..., column]
+        own, other = (
+            found.jacobian[known][..., column],
+            jacobian_with_swapped_sides[known][..., column],
+        )
         size = np.abs(own).max()
         # The clock's derivatives are over +-20 and +-50 ms: an error of 1e-3.
         np.testing.assert_allclose(other, own, atol=5e-3 * size)
@@ -181,7 +186,7 @@ def test_closest_rotations_are_scipys(seed: int) -> None:
     assert np.linalg.det(closest_rotation(-targets, vectors)) == pytest.approx(1.0)
 
     def cost(angle: float) -> float:
-        return float(weights @ np.square(targets - vectors @ so3.about_gravity(angle).T).sum(1))
+        return float(weights @ np.square(targets - vectors @ so3.rot_z(angle).T).sum(1))
 
     level = closest_rotation(targets, vectors, weights, about_z=True)
     best = float(so3.yaw_of_matrix(level))
@@ -300,7 +305,7 @@ def test_reliability_is_the_correlation_of_both_jacobians() -> None:
 @pytest.mark.parametrize(("angle", "seen"), [(0.0199, 0), (0.0201, 2)])
 def test_lever_arms_of_positions_need_turns(angle: float, seen: int) -> None:
     # A turn by t about z moves a point by 2 sin(t / 2) per metre.
-    turned = np.tile(so3.about_gravity(2.0 * np.arcsin(angle / 2.0)) - np.eye(3), (5, 1, 1))
+    turned = np.tile(so3.rot_z(2.0 * np.arcsin(angle / 2.0)) - np.eye(3), (5, 1, 1))
     found = _turning(turned)
     assert int(found.seen.sum()) == seen
     if seen:

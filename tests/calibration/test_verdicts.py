@@ -18,7 +18,7 @@ from trajeval_ros.calibration.observability import Directions
 from trajeval_ros.calibration.significance import judge
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 
 FAULT = Fault(0.3, 0.0, (0.0, 0.0, 0.0), (0.1, 0.05, 0.2))
@@ -140,10 +140,10 @@ def test_a_short_run_has_an_offset_but_no_body() -> None:
 @pytest.mark.parametrize("side", [0, 1])
 def test_without_stamps_or_poses_there_is_nothing_to_compare(side: int) -> None:
     pair = list(fly(1, 20.0))
-    pair[side] = dataclasses.replace(pair[side], reading=Reading(stamped=False))
+    pair[side] = dataclasses.replace(pair[side], reading=SourceInfo(stamped=False))
     with pytest.raises(InputError, match="no timestamps"):
         calibrate(*pair)
-    pair[side] = dataclasses.replace(pair[side], reading=Reading())[:1]
+    pair[side] = dataclasses.replace(pair[side], reading=SourceInfo())[:1]
     with pytest.raises(InputError, match="fewer than two poses"):
         calibrate(*pair)
 

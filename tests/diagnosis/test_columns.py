@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from trajeval_ros.diagnosis.column_tests import columns_of_others
-from trajeval_ros.diagnosis.findings import Examined
+from trajeval_ros.diagnosis.findings import TestResult
 from trajeval_ros.diagnosis.input_pair import TimedPoses
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.gauge import Gauge
@@ -26,7 +26,7 @@ def seen_by(
     *,
     max_gap_s: float = 0.5,
     by_time: bool = True,
-) -> Examined:
+) -> TestResult:
     sides: dict[str, Any] = {
         side: SimpleNamespace(stamps=np.rint(poses.seconds * SECOND).astype(np.int64))
         for side, poses in (("groundtruth", groundtruth), ("estimate", estimate))
@@ -115,7 +115,7 @@ def test_degrees_have_the_extent_of_the_other_side_on_the_earth(
     sides = {side: degrees, other: metres}
     found = seen_by("degrees", **sides)
     if not is_seen:
-        assert found == Examined("degrees")
+        assert found == TestResult("degrees")
         return
     [seen] = found.seen
     assert seen.cause == "degrees"
@@ -169,7 +169,7 @@ def test_a_flat_side_has_one_constant_column_while_the_other_has_heights(
     found = seen_by("flat", **poses)
     assert not seen_by("flat", **poses, gauge=Gauge.PLANAR).seen
     if not is_seen:
-        assert found == Examined("flat")
+        assert found == TestResult("flat")
         return
     [seen] = found.seen
     height_m = float(full[:, 2].std())

@@ -17,7 +17,7 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry import so3
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.metrics.association import AssociationRule
 from trajeval_ros.metrics.named_protocols import protocol_named
 from trajeval_ros.pipeline.diagnosing import diagnose
@@ -228,7 +228,7 @@ def test_swapped_sides_are_named_by_their_names(
     truth: str, estimate: str, is_swapped: bool
 ) -> None:
     sides = (
-        dataclasses.replace(item, reading=Reading(source))
+        dataclasses.replace(item, reading=SourceInfo(source))
         for item, source in ((DRONE.truth, truth), (DRONE.estimate, estimate))
     )
     assert ("swapped" in _causes(*sides, Protocol(gauge="yaw"))) == is_swapped

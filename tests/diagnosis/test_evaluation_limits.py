@@ -13,7 +13,7 @@ from trajeval_ros.diagnosis.evaluation_tests import (
     few_pairs,
     frame_offset,
 )
-from trajeval_ros.diagnosis.findings import Examined
+from trajeval_ros.diagnosis.findings import TestResult
 from trajeval_ros.geometry.gauge import Gauge
 
 SECOND = 1_000_000_000
@@ -38,7 +38,7 @@ def test_twice_the_states_of_an_alignment_are_enough_pairs(
 
 def offset_of(
     mean: Any, share: float = 1.0, count: int = 40, gauge: Gauge = Gauge.NONE, axis: int = 2
-) -> Examined:
+) -> TestResult:
     """Return the test of errors of which the mean explains a share of the squares."""
     mean = np.asarray(mean, dtype=float)
     noise = np.zeros((count, 3))
@@ -106,7 +106,7 @@ def test_a_vertical_offset_may_be_of_the_geoid(
 
 def blocks_of(
     position: float, rotation: float, errors: tuple[float, float] = (1.0, 0.1), **changed: Any
-) -> Examined:
+) -> TestResult:
     """Return the test of standard deviations (all axes), of 1 m and 0.1 rad of errors."""
     count = changed.get("count", 60)
     vary = 1.0 + 1e-9 * np.arange(count)

@@ -8,7 +8,7 @@ import pytest
 
 from trajeval_ros.calibration.apply import Ate
 from trajeval_ros.diagnosis.causes import CAUSES
-from trajeval_ros.diagnosis.findings import Diagnosis, Examined, Finding, Seen, Tried
+from trajeval_ros.diagnosis.findings import Detection, Diagnosis, Finding, TestResult, Verification
 from trajeval_ros.pipeline.corrections import Corrections
 
 
@@ -33,17 +33,17 @@ from trajeval_ros.pipeline.corrections import Corrections
 def test_a_correction_may_not_increase_the_error_that_it_is_about(
     cause: str, position: float, rotation: float, *, grows: bool
 ) -> None:
-    tried = Tried(Ate(2.0, 8.0), Ate(2.0 * position, 8.0 * rotation))
+    tried = Verification(Ate(2.0, 8.0), Ate(2.0 * position, 8.0 * rotation))
     assert tried.ratios == pytest.approx((position, rotation))
     assert tried.raises_errors(cause) == grows
 
 
 def test_withheld_rotation_errors_count_as_180_deg() -> None:
-    assert Tried(Ate(2.0, None), Ate(1.0, 9.0)).ratios == (0.5, 0.05)
-    assert Tried(Ate(2.0, 90.0), Ate(1.0, None)).ratios == (0.5, 2.0)
-    assert Tried(Ate(2.0, None), Ate(1.0, None)).ratios == (0.5, 1.0)
-    assert Tried(None, Ate(1.0, 9.0)).ratios == (0.0, 1.0)
-    assert Tried(Ate(0.0, 0.0), Ate(0.0, 1.0)).ratios == (1.0, 2.0)
+    assert Verification(Ate(2.0, None), Ate(1.0, 9.0)).ratios == (0.5, 0.05)
+    assert Verification(Ate(2.0, 90.0), Ate(1.0, None)).ratios == (0.5, 2.0)
+    assert Verification(Ate(2.0, None), Ate(1.0, None)).ratios == (0.5, 1.0)
+    assert Verification(None, Ate(1.0, 9.0)).ratios == (0.0, 1.0)
+    assert Verification(Ate(0.0, 0.0), Ate(0.0, 1.0)).ratios == (1.0, 2.0)
 
 
 @pytest.mark.parametrize(
@@ -59,18 +59,18 @@ def test_withheld_rotation_errors_count_as_180_deg() -> None:
 def test_the_rotation_error_is_stated_if_it_decreases_more(
     position: float, rotation: float, *, of_rotation: bool
 ) -> None:
-    text = Tried(Ate(2.0, 10.0), Ate(2.0 * position, 10.0 * rotation), then="Y").text("X")
+    text = Verification(Ate(2.0, 10.0), Ate(2.0 * position, 10.0 * rotation), then="Y").text("X")
     assert text.startswith("rotation ATE 10 deg, " if of_rotation else "ATE 2 m, ")
     assert ", with X and Y " in text
 
 
-def seen_of(cause: str, **values: str | float) -> Seen:
+def seen_of(cause: str, **values: str | float) -> Detection:
     """Return a detected cause, with a number for all values that are not given."""
     texts = (CAUSES[cause].sentence, CAUSES[cause].advice, *CAUSES[cause].correction.values())
     names = {
         part.partition(":")[0].partition("}")[0] for text in texts for part in text.split("{")[1:]
     }
-    return Seen(cause, {**dict.fromkeys(names - {"owner"}, math.pi), **values})
+    return Detection(cause, {**dict.fromkeys(names - {"owner"}, math.pi), **values})
 
 
 def test_findings_are_sorted_by_severity() -> None:
@@ -80,7 +80,9 @@ def test_findings_are_sorted_by_severity() -> None:
         seen_of("wxyz", side="estimate"),
         seen_of("groundtruth_frozen"),
     )
-    diagnosis = Diagnosis.of([Examined("one", seen=seen[:2]), Examined("other", seen=seen[2:])])
+    diagnosis = Diagnosis.of(
+        [TestResult("one", seen=seen[:2]), TestResult("other", seen=seen[2:])]
+    )
     causes = [finding.cause for finding in diagnosis.findings]
     assert causes == ["groundtruth_frozen", "wxyz", "tilted", "scale"]
     assert diagnosis.suggested == diagnosis.findings[0]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from trajeval_ros.diagnosis.dropout_tests import _constant, groundtruth_defects, without_defects
-from trajeval_ros.diagnosis.findings import Examined, Seen
+from trajeval_ros.diagnosis.findings import Detection, TestResult
 from trajeval_ros.diagnosis.input_pair import TimedPoses
 from trajeval_ros.geometry.arrays import Floats
 
@@ -41,12 +41,12 @@ def held(steps: Floats, begin: int, end: int) -> None:
     steps[begin:end] = 0.0
 
 
-def seen_in(truth: Floats, own: Floats, max_gap_s: float = 0.5) -> dict[str, Seen]:
+def seen_in(truth: Floats, own: Floats, max_gap_s: float = 0.5) -> dict[str, Detection]:
     examined = groundtruth_defects(track(truth), in_units(track(own)), max_gap_s)
     return {item.cause: item for item in examined.seen}
 
 
-def frozen_at(intervals: list[tuple[int, int, float]], count: int = 200) -> dict[str, Seen]:
+def frozen_at(intervals: list[tuple[int, int, float]], count: int = 200) -> dict[str, Detection]:
     """Return what is seen if the groundtruth is held while the estimate moves some metres."""
     own = steps_of(count)
     for begin, end, moved_m in intervals:
@@ -123,7 +123,7 @@ def test_poses_held_at_rest_are_not_held_by_the_groundtruth(count: int, is_held:
         assert dict(seen.values) == pytest.approx({"held_s": 3 * STEP_S, "rate_hz": 1.0 / STEP_S})
 
 
-def glided(intervals: list[tuple[int, int, float]], count: int = 200) -> dict[str, Seen]:
+def glided(intervals: list[tuple[int, int, float]], count: int = 200) -> dict[str, Detection]:
     """Return what is seen if the groundtruth is linear while the estimate is off in the middle."""
     own = steps_of(count)
     truth = own.copy()
@@ -289,7 +289,7 @@ def test_a_groundtruth_that_is_constant_for_the_most_part_is_left(begin: int, ke
 
 def gaps(
     places: list[tuple[int, int, float]], count: int = 400, missing: tuple[int, ...] = ()
-) -> Examined:
+) -> TestResult:
     """Return the test of a groundtruth with gaps, in which the estimate is ahead of a line.
 
     At a third of each gap, by some metres. The estimate has no poses in the missing rows.

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from trajeval_ros.diagnosis.findings import Examined
+from trajeval_ros.diagnosis.findings import TestResult
 from trajeval_ros.diagnosis.input_pair import TimedPoses
 from trajeval_ros.diagnosis.input_tests import same_positions, standing_still, velocities
 from trajeval_ros.geometry.arrays import Floats
@@ -29,7 +29,7 @@ def walk(count: int = 100, seed: int = 0) -> Floats:
     return np.cumsum(steps, axis=0)
 
 
-def same(true: Floats, own: Floats, late_s: float = 0.0, *, by_time: bool = True) -> Examined:
+def same(true: Floats, own: Floats, late_s: float = 0.0, *, by_time: bool = True) -> TestResult:
     seconds = 0.1 * np.arange(max(len(true), len(own)))
     sides = TimedPoses(seconds[: len(true)], true), TimedPoses(seconds[: len(own)] + late_s, own)
     return same_positions(pair_of(*sides, by_time=by_time))

@@ -19,7 +19,7 @@ from benchmarks.diagnosis_users import USERS
 from trajeval_ros import Request, run
 from trajeval_ros.diagnosis.causes import CAUSES
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.reading import SourceInfo
 
 PAGE = ROOT / "docs" / "diagnosis.md"
 TEXT = PAGE.read_text("utf-8")
@@ -81,7 +81,7 @@ def shown(cause: str) -> Pair:
 def printed(cause: str) -> str:
     """Return the message of a cause."""
     if cause == "same_estimate":
-        one = dataclasses.replace(DRONE.estimate, reading=Reading("vio.txt"))
+        one = dataclasses.replace(DRONE.estimate, reading=SourceInfo("vio.txt"))
         diagnosis = run(DRONE.truth, [one, one], Request(DRONE.protocol)).runs[1].diagnosis
     else:
         diagnosis = found(shown(cause))

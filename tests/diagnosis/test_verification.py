@@ -14,7 +14,7 @@ from benchmarks.diagnosis_runs import Pair, simulated
 from benchmarks.diagnosis_users import USERS
 from trajeval_ros import Request, Trajectory, run
 from trajeval_ros.calibration.apply import Ate
-from trajeval_ros.diagnosis.findings import Tried
+from trajeval_ros.diagnosis.findings import Verification
 from trajeval_ros.geometry import lie
 
 DRONE = simulated(5000, "drone", "walk", 100.0)
@@ -300,7 +300,7 @@ def test_a_right_recording_is_not_evaluated_again(monkeypatch: pytest.MonkeyPatc
     ],
 )
 def test_advice_states_the_error_that_falls(before: Ate | None, after: Ate, told: str) -> None:
-    assert Tried(before, after).text("X") == told
+    assert Verification(before, after).text("X") == told
 
 
 def test_discontinuities_are_searched_for_after_a_convention_is_corrected() -> None:

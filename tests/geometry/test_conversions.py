@@ -19,7 +19,7 @@ from trajeval_ros.geometry.geodesy import Datum
 from trajeval_ros.geometry.inertial import InertialReadings
 from trajeval_ros.geometry.marker import HandEye, at_arms
 from trajeval_ros.geometry.pose_conventions import Conventions
-from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.trajectory_edits import flattened, merged
 from trajeval_ros.geometry.up_axis import UpAxis
@@ -161,7 +161,7 @@ def test_what_a_convention_needs() -> None:
     for wrong in ({"quaternion_order": "wxyz"}, {"inverse": "poses"}):
         with pytest.raises(InputError, match="orientations"):
             Conventions(**wrong).corrected(points)
-    unstamped = dataclasses.replace(points, reading=Reading(stamped=False))
+    unstamped = dataclasses.replace(points, reading=SourceInfo(stamped=False))
     with pytest.raises(InputError, match="no timestamps, which a clock rate needs"):
         Conventions(clock_rate=10.0).corrected(unstamped)
     late = dataclasses.replace(points, stamps=np.array([5, 3, 4]) * SECOND)
@@ -224,7 +224,7 @@ def test_axes_of_bodies_and_worlds() -> None:
     np.testing.assert_allclose(matrices_of(world), optical @ matrices_of(truth), atol=1e-14)
     with pytest.raises(InputError, match="no orientations"):
         with_body_axes(dataclasses.replace(truth, quaternions=None), "ros")
-    files = Reading(matrices=matrices_of(truth))
+    files = SourceInfo(matrices=matrices_of(truth))
     turned = upright(dataclasses.replace(truth, up=UpAxis("-y"), reading=files))
     assert turned.reading.matrices is not None
     np.testing.assert_allclose(turned.reading.matrices, matrices_of(turned), atol=1e-14)
@@ -280,7 +280,7 @@ def test_projections_keep_the_turn_about_the_normal(plane: str, normal: int) -> 
 def test_merging_needs_times_and_one_vertical_axis() -> None:
     truth = states()
     with pytest.raises(InputError, match="run has no timestamps, which --merge needs"):
-        merged([truth, dataclasses.replace(truth, reading=Reading(stamped=False))])
+        merged([truth, dataclasses.replace(truth, reading=SourceInfo(stamped=False))])
     with pytest.raises(InputError, match="the vertical axis is z"):
         merged([truth, dataclasses.replace(truth, up=UpAxis("-y"))])
     whole = merged([truth[3:], truth[:4]])
@@ -296,5 +296,5 @@ def test_fixes_that_are_unusable_are_told_with_their_source() -> None:
     quality = np.zeros((2, 11))
     quality[:, 0] = -1.0
     with pytest.raises(InputError, match=r"^/fix: no usable fix among 2 \(2 no fix\)"):
-        trajectory_of_rows("/fix", np.arange(2), np.ones((2, 3)), quality, Reading())
+        trajectory_of_rows("/fix", np.arange(2), np.ones((2, 3)), quality, SourceInfo())
     assert len(InertialReadings(np.arange(3), np.zeros((3, 3)), None)) == 3

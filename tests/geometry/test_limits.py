@@ -19,7 +19,7 @@ from trajeval_ros.geometry.frame_axes import between_own_axes, upright, with_wor
 from trajeval_ros.geometry.gauge import Gauge, Similarity
 from trajeval_ros.geometry.interpolation import bracket_stamps, columns_at, slerp_at, steps_at
 from trajeval_ros.geometry.pose_conventions import Conventions, mirrored_quaternions
-from trajeval_ros.geometry.receptions import LOG, Receptions
+from trajeval_ros.geometry.receptions import LOG, ReceiveTimes
 from trajeval_ros.geometry.stamp_trust import trusted_states
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.trajectory_edits import TimeSpan
@@ -35,8 +35,8 @@ from trajeval_ros.geometry.valid_poses import (
     add_counts,
     at_length_one,
     conflicts_of,
-    judge_poses,
     reasons,
+    valid_mask,
 )
 
 SECOND = 1_000_000_000
@@ -59,7 +59,7 @@ def test_extents_are_by_column() -> None:
 
 
 def test_rows_of_columns_that_exist() -> None:
-    both = Receptions(np.arange(4), "node", None, None, np.arange(4) + 10)
+    both = ReceiveTimes(np.arange(4), "node", None, None, np.arange(4) + 10)
     part = at_rows(both, ("times", "body_rates", "corrected"), slice(1, 3), by="log")
     assert part.times.tolist() == [1, 2]
     assert part.body_rates is None
@@ -179,13 +179,13 @@ def test_axes_that_are_there_already_are_refused() -> None:
 
 def test_times_of_reception_are_published_ones_if_they_differ() -> None:
     logged, published = np.array([10, 20, 31]) * SECOND, np.array([9, 18, 30]) * SECOND
-    found = Receptions.of_bag(logged, published)
+    found = ReceiveTimes.of_bag(logged, published)
     assert (found.by, found.recording_s) == ("publish", (1.0, 2.0))
     assert found.times is published
-    assert Receptions.of_bag(logged, published, LOG).times is logged
-    assert Receptions.of_bag(logged, logged.copy()).by == "log"
-    assert Receptions.of_bag(logged, np.array([0, 18, 30])).by == "log"
-    assert Receptions.of_bag(logged, np.array([1, 18, 30])).by == "publish"
+    assert ReceiveTimes.of_bag(logged, published, LOG).times is logged
+    assert ReceiveTimes.of_bag(logged, logged.copy()).by == "log"
+    assert ReceiveTimes.of_bag(logged, np.array([0, 18, 30])).by == "log"
+    assert ReceiveTimes.of_bag(logged, np.array([1, 18, 30])).by == "publish"
 
 
 def test_poses_that_are_usable() -> None:
@@ -193,12 +193,12 @@ def test_poses_that_are_usable() -> None:
     positions[1, 2], positions[2, 0], positions[3, 1] = 1e12, 1.0001e12, np.nan
     quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (6, 1))
     quaternions[4], quaternions[5] = [0, 0, 0, 0.99e-6], [0, 1.01e-6, 0, 0]
-    finite, nonzero = judge_poses(positions, quaternions)
+    finite, nonzero = valid_mask(positions, quaternions)
     assert finite.tolist() == [True, True, False, False, True, True]
     assert nonzero.tolist() == [True, True, True, True, False, True]
     quaternions[1, 0] = 1e200
-    assert not judge_poses(positions, quaternions)[0][1]
-    assert judge_poses(positions)[1].all()
+    assert not valid_mask(positions, quaternions)[0][1]
+    assert valid_mask(positions)[1].all()
 
 
 def test_unit_quaternions_keep_their_digits() -> None:

@@ -12,10 +12,10 @@ import pytest
 from trajeval_ros import Trajectory
 from trajeval_ros.cli.app import main
 from trajeval_ros.formatting.remarks import Level, damaged, note, remark_json, remark_of, warning
-from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.reading import SourceInfo
 
 COUNT = 6
-ROWS = Reading(
+ROWS = SourceInfo(
     "poses.txt",
     frame_numbers=np.arange(COUNT),
     matrices=np.arange(9.0 * COUNT).reshape(COUNT, 3, 3),
@@ -24,7 +24,7 @@ ROWS = Reading(
 )
 
 
-def made(reading: Reading) -> Trajectory:
+def made(reading: SourceInfo) -> Trajectory:
     return Trajectory(np.arange(COUNT), np.zeros((COUNT, 3)), reading=reading)
 
 
@@ -52,9 +52,9 @@ def test_invalid_rows_are_dropped_from_the_reading_too() -> None:
 
 
 @pytest.mark.parametrize(
-    "reading", [Reading(frame_numbers=np.arange(2)), Reading(matrices=np.zeros((COUNT, 3)))]
+    "reading", [SourceInfo(frame_numbers=np.arange(2)), SourceInfo(matrices=np.zeros((COUNT, 3)))]
 )
-def test_rows_of_another_shape_are_refused(reading: Reading) -> None:
+def test_rows_of_another_shape_are_refused(reading: SourceInfo) -> None:
     with pytest.raises(ValueError, match="has shape"):
         made(reading)
 
@@ -64,7 +64,7 @@ def test_states_at_other_times_have_no_data_by_row() -> None:
     assert moved.frame_numbers is moved.matrices is moved.fixes is None
     assert moved.remarks == ROWS.remarks
     assert ROWS.without("matrices").frame_numbers is ROWS.frame_numbers
-    assert made(Reading("x")).reading.without().source == "x"
+    assert made(SourceInfo("x")).reading.without().source == "x"
 
 
 def test_remarks_have_levels() -> None:

@@ -16,7 +16,7 @@ from ros_processes import assert_same, offline
 from strategies import make_pair, seeds
 
 from trajeval_ros.formatting.remarks import Level
-from trajeval_ros.geometry.stamp_trust import StampTrust, trusted_states
+from trajeval_ros.geometry.stamp_trust import OutlierStamps, trusted_states
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
 
@@ -63,7 +63,7 @@ def test_what_stands_alone_is_dropped(stamps: list[float], lone: list[float]) ->
 def test_batches_don_t_matter(stamps: list[int], cuts: list[int]) -> None:
     in_ns = np.array(stamps, dtype=np.int64) * (SECOND // 4)
     expected, whole = trusted_states(in_ns)
-    trust = StampTrust()
+    trust = OutlierStamps()
     parts = np.split(np.arange(len(in_ns)), sorted(cuts))
     found = [trust.take(in_ns[part], part)[1] for part in parts]
     found.append(trust.take(in_ns[:0], np.arange(0), at_end=True)[1])
@@ -72,7 +72,7 @@ def test_batches_don_t_matter(stamps: list[int], cuts: list[int]) -> None:
 
 
 def test_nothing_waits_for_ever() -> None:
-    trust = StampTrust()
+    trust = OutlierStamps()
     stuck = np.full(10_000, 5 * SECOND)
     passed = sum(len(trust.take(word)[0]) for word in np.split(stuck, 100))
     assert passed >= 9_000

@@ -14,7 +14,7 @@ from strategies import SAME_ROTATION_RAD, make_groundtruth, seeds
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Level
-from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.geometry.valid_poses import add_counts
@@ -44,7 +44,7 @@ def test_rows_that_are_no_poses_are_dropped_and_counted_by_reason() -> None:
         positions,
         quaternions,
         velocities=velocities,
-        reading=Reading(dropped={"half_a_line": 2}),
+        reading=SourceInfo(dropped={"half_a_line": 2}),
     )
     np.testing.assert_array_equal(read.stamps, stamps(6)[3:])
     np.testing.assert_array_equal(read.positions, positions[3:])

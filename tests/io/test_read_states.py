@@ -13,7 +13,7 @@ from tests.io.bags.test_pose_rules import poses
 from trajeval_ros import evaluate
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import note
-from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.pose_columns import PoseColumns
 from trajeval_ros.io.bags.topics import trajectory_of_columns
@@ -144,7 +144,7 @@ def line(stamps_s: list[float], places: list[float], **reading: Any) -> Trajecto
     positions = np.zeros((len(places), 3))
     positions[:, 1] = places
     stamps = np.round(np.array(stamps_s) * SECOND).astype(np.int64)
-    return Trajectory(stamps, positions, reading=Reading(**reading))
+    return Trajectory(stamps, positions, reading=SourceInfo(**reading))
 
 
 def test_key_figures_of_a_trajectory() -> None:

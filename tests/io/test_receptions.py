@@ -15,8 +15,8 @@ from ros_bags import ODOM, messages_of, path_message, transforms_message
 from trajeval_ros import Trajectory, simulate
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
-from trajeval_ros.geometry.reading import Reading
-from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.receptions import ReceiveTimes
 from trajeval_ros.io.bags.write_bag import write_bag
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.io.text.hints import TextHints
@@ -188,7 +188,7 @@ def test_written_receptions_are_read_back(tmp_path: Path) -> None:
     bag, folder = tmp_path / "run", tmp_path / "text"
     stamps = 1_700_000_000 * SECOND + np.arange(50) * 50_000_000
     delays = np.random.default_rng(0).integers(1_000, 300_000, 50) * 1000
-    reading = Reading(source="run:/vio", receptions=Receptions(stamps + delays))
+    reading = SourceInfo(source="run:/vio", receptions=ReceiveTimes(stamps + delays))
     turns = np.tile([0.0, 0.0, 0.0, 1.0], (50, 1))
     written = Trajectory(stamps, np.ones((50, 3)), turns, reading=reading)
     write_bag(bag, {"/vio": (written, "geometry_msgs/msg/PoseStamped")})

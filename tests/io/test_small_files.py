@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.marker import HandEye
 from trajeval_ros.io import growing_rows, npz_file, yaml_file
-from trajeval_ros.io.checks import check_stamps, judge_rotations, nearest, times
+from trajeval_ros.io.checks import check_rotations, check_stamps, nearest, times
 from trajeval_ros.io.growing_rows import GrowingRows
 from trajeval_ros.io.hand_eye_file import (
     hand_eye_json,
@@ -70,7 +70,7 @@ def test_a_square_length_beyond_two_percent_is_told(
 ) -> None:
     quaternions = np.tile([0.6, 0.0, 0.0, 0.8], (4, 1))
     quaternions[2] *= math.sqrt(1.0 + sign * off)
-    found, remarks = judge_rotations(quaternions)
+    found, remarks = check_rotations(quaternions)
     assert found is quaternions
     assert [remark.code for remark in remarks] == (["normalised"] if told else [])
 
@@ -79,31 +79,31 @@ def test_the_largest_deviation_of_a_length_is_told() -> None:
     quaternions = np.tile([0.6, 0.0, 0.0, 0.8], (5, 1))
     quaternions[1:4] *= np.array([[1.5], [0.25], [1.6]])
     quaternions[4] *= 1e-7  # no length, which is counted elsewhere
-    _, [remark] = judge_rotations(quaternions)
+    _, [remark] = check_rotations(quaternions)
     assert remark.text == "3 quaternions normalised, largest deviation: length 0.25"
     quaternions[3] *= 1.5
-    _, [remark] = judge_rotations(quaternions)
+    _, [remark] = check_rotations(quaternions)
     assert remark.text.endswith("length 2.4")
     barely = np.array([[0.6, 0.0, 0.0, 0.8], [0.0, 0.0, 0.0, 1.01e-6]])
-    assert len(judge_rotations(barely)[1]) == 1
+    assert len(check_rotations(barely)[1]) == 1
     barely[1, 3] = 0.99e-6
-    assert judge_rotations(barely)[1] == ()
+    assert check_rotations(barely)[1] == ()
 
 
 def test_rotations_that_are_all_the_identity_are_none() -> None:
     identities = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
-    found, [remark] = judge_rotations(identities)
+    found, [remark] = check_rotations(identities)
     assert (found, remark.code) == (None, "identity_rotations")
     assert remark.text.startswith("all rotations are the identity")
-    _, [remark] = judge_rotations(0.0 * identities)
+    _, [remark] = check_rotations(0.0 * identities)
     assert remark.text.startswith("all rotations have zero quaternions")
     alone = identities[:1]
-    assert judge_rotations(alone) == (alone, ())
+    assert check_rotations(alone) == (alone, ())
     for column in range(3):
         turned = identities.copy()
         turned[1, column] = 1e-3
-        assert judge_rotations(turned) == (turned, ())
-    assert judge_rotations(None)[1][0].code == "no_rotations"
+        assert check_rotations(turned) == (turned, ())
+    assert check_rotations(None)[1][0].code == "no_rotations"
 
 
 @settings(max_examples=8)

@@ -53,7 +53,7 @@ def test_a_search_lists_and_examines_a_limited_number(tmp_path: Path) -> None:
         assert found.others == (most == 6)
     seen: list[tuple[int, int]] = []
     with mock.patch.object(finding, "_MOST_FILES", 4):
-        found = find_sources(tmp_path, lambda *each: seen.append(item))
+        found = find_sources(tmp_path, lambda *counts: seen.append(counts))
     assert found.left_out == ("files after the first 4",)
     assert seen == [(row, 4) for row in range(4)]
     with mock.patch.object(finding, "_MOST_FILES", 6):

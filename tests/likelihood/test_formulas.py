@@ -341,7 +341,7 @@ def test_conditions_have_the_scale_and_the_tilt_of_the_alignment() -> None:
     error = generalised_absolute_error(Residuals(belief, rigid, Gauge.SE3))
     tilt = _tilt_of(error)
     # The yaw is taken away on the right.
-    level = turn @ so3.about_gravity(-float(so3.yaw_of_matrix(turn)))
+    level = turn @ so3.rot_z(-float(so3.yaw_of_matrix(turn)))
     np.testing.assert_allclose(tilt.values, so3.log(level)[:2], atol=1e-7)
     np.testing.assert_allclose(tilt.sigmas, np.sqrt(np.diag(error.covariance))[3:5])
 

@@ -70,9 +70,9 @@ def test_no_other_element_of_the_gauge_fits_better(
         step = 10.0 ** random.uniform(-4, 0) * random.normal(size=7)
         if not gauge.has_translation:
             step[3:6] = 0.0
-        if not gauge.turns_freely:
+        if not gauge.has_so3:
             step[:2] = 0.0
-        if not (gauge.turns_freely or gauge.turns_about_gravity_only):
+        if not (gauge.has_so3 or gauge.turns_about_gravity_only):
             step[2] = 0.0
         if not gauge.has_scale:
             step[6] = 0.0

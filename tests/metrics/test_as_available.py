@@ -19,8 +19,8 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.formatting.numbers import significant
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.gauge import Similarity
-from trajeval_ros.geometry.reading import Reading
-from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.receptions import ReceiveTimes
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.metrics.as_available import (
@@ -46,7 +46,7 @@ def received(
     velocities: np.ndarray | None = None,
     rates: np.ndarray | None = None,
 ) -> Trajectory:
-    reading = Reading(receptions=Receptions(times, body_rates=rates))
+    reading = SourceInfo(receptions=ReceiveTimes(times, body_rates=rates))
     return Trajectory(stamps, positions, quaternions, velocities=velocities, reading=reading)
 
 
@@ -112,7 +112,7 @@ def test_without_a_twist_the_numbers_of_its_prediction_are_withheld(lacks: str) 
         rates = None
     elif lacks == "a rate":
         receptions.body_rates[7, 1] = np.nan
-    reading = Reading(receptions=dataclasses.replace(receptions, body_rates=rates))
+    reading = SourceInfo(receptions=dataclasses.replace(receptions, body_rates=rates))
     moving = {"velocities": None, "motion": np.zeros_like(velocities)}.get(lacks, velocities)
     estimate = dataclasses.replace(estimate, velocities=moving, reading=reading)
     numbers = as_available(truth, estimate, IDENTITY, AvailabilityRule("twist"), 0.5).numbers
@@ -295,7 +295,7 @@ def test_corrected_pose_acts_from_its_reception_and_keeps_the_age_of_its_pose() 
     times = np.array([1_100, 1_500, 2_100]) * 10**6
     corrected = np.array([500, 1_500, 1_500]) * 10**6
     positions = np.column_stack([[1.0, 5.0, 6.0], np.zeros((3, 2))])
-    reading = Reading(receptions=Receptions(times, corrected=corrected))
+    reading = SourceInfo(receptions=ReceiveTimes(times, corrected=corrected))
     found = measured(truth, Trajectory(stamps, positions, reading=reading))
     samples = found.samples
     assert samples is not None
@@ -356,7 +356,7 @@ def test_reference(case: dict[str, Any]) -> None:
     folder = SHARED / "portable" / "pairs" / name
     truth, estimate = (read_trajectory(folder / f"{side}.txt") for side in ("gt", "est"))
     reading = dataclasses.replace(
-        estimate.reading, receptions=Receptions(formula(estimate.stamps, case))
+        estimate.reading, receptions=ReceiveTimes(formula(estimate.stamps, case))
     )
     estimate = dataclasses.replace(estimate, reading=reading)
     evaluation = evaluate(truth, estimate, Protocol(modality="stereo", lengths=()))
@@ -376,7 +376,7 @@ def test_reference(case: dict[str, Any]) -> None:
 
 def delayed(estimate: Trajectory, latency_s: float) -> Trajectory:
     times = estimate.stamps + round(latency_s * SECOND)
-    reading = dataclasses.replace(estimate.reading, receptions=Receptions(times))
+    reading = dataclasses.replace(estimate.reading, receptions=ReceiveTimes(times))
     return dataclasses.replace(estimate, reading=reading)
 
 

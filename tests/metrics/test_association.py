@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from strategies import START, make_estimate, make_groundtruth, seeds
 
 from trajeval_ros.exceptions import InputError, NoMatchError, SettingsError
-from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.metrics.association import AssociationRule, associate
 
@@ -265,7 +265,7 @@ def test_one_groundtruth_state_pairs_with_its_own_stamp_alone() -> None:
 
 
 def test_rows_dropped_by_the_reader_are_counted_too() -> None:
-    estimate = dataclasses.replace(at([0, 10, 500]), reading=Reading(dropped={"not_finite": 7}))
+    estimate = dataclasses.replace(at([0, 10, 500]), reading=SourceInfo(dropped={"not_finite": 7}))
     pairs = associate(at([0, 10, 20]), estimate, AssociationRule("linear"))
     assert pairs.dropped == {"not_finite": 7, "after_groundtruth": 1}
 
@@ -296,7 +296,7 @@ def test_files_without_stamps_pair_row_by_row() -> None:
     estimate = dataclasses.replace(
         groundtruth,
         stamps=np.arange(len(groundtruth)) * NANOSECONDS,
-        reading=Reading(stamped=False),
+        reading=SourceInfo(stamped=False),
     )
     pairs = associate(groundtruth, estimate, AssociationRule("linear"))
     assert pairs.rule.method == "index"

@@ -27,7 +27,7 @@ from strategies import along_line, make_element, make_groundtruth, moved, seeds
 from trajeval_ros import PROTOCOLS, Gauge, Trajectory, evaluate
 from trajeval_ros.exceptions import DegenerateGeometryError
 from trajeval_ros.metrics.moments import Moments, OrientationSum
-from trajeval_ros.metrics.rotation_freedom import OrientationEvidence, RotationFreedom
+from trajeval_ros.metrics.rotation_freedom import OrientationEvidence, RotationUncertainty
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
 
@@ -174,7 +174,7 @@ def test_limits(
     stds: float,
     expected: tuple[bool, bool, bool],
 ) -> None:
-    freedom = RotationFreedom(False, std_deg, OrientationEvidence(error, least, turn, stds))
+    freedom = RotationUncertainty(False, std_deg, OrientationEvidence(error, least, turn, stds))
     found = freedom.is_misleading, freedom.disagrees, bool(freedom.untrustworthy)
     assert found == expected
     assert bool(freedom.misleading) is expected[0]
@@ -297,7 +297,7 @@ def live(
 def test_live_is_offline(
     seed: int, gauge: Gauge, window: str, way: str, states_used: int | None
 ) -> None:
-    pairs = road(20.0, seed=seed) if gauge.turns_freely else flight(seed)
+    pairs = road(20.0, seed=seed) if gauge.has_so3 else flight(seed)
     protocol = dataclasses.replace(on(gauge, way), align_states=states_used)
     snapshot = live(*pairs, OnlineSettings(protocol, window)).snapshot()
     offline = evaluate(*pairs, protocol)

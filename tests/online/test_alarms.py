@@ -15,10 +15,10 @@ from trajeval_ros.formatting.remarks import Level, Remark, most_severe_first
 from trajeval_ros.geometry import lie
 from trajeval_ros.online.alarms import (
     LIMITED_QUANTITIES,
+    ActiveAlarms,
     AlarmLimits,
+    MaxSinceLast,
     Peak,
-    Peaks,
-    Standing,
     alarms,
 )
 from trajeval_ros.online.evaluator import OnlineEvaluator
@@ -56,7 +56,7 @@ def levels(
         quaternions=lie.multiply(lie.from_rotation_vector(turned), flight.quaternions),
     )
     live = OnlineEvaluator(OnlineSettings(Protocol(gauge="none", lengths=())))
-    peaks, seen = Peaks(), []
+    peaks, seen = MaxSinceLast(), []
     every = round(tick_s * 200)
     for tick, row in enumerate(range(0, len(flight), every)):
         for add, side in ((live.add_groundtruth, flight), (live.add_estimate, estimate)):
@@ -98,7 +98,7 @@ def test_all_excursions_of_a_tenth_of_a_second_are_seen(phase: float) -> None:
 
 
 def test_the_largest_value_counts_once_and_says_when_it_was() -> None:
-    peaks = Peaks()
+    peaks = MaxSinceLast()
     for value, stamp in ((0.1, 1), (0.9, 2), (0.4, 3), (None, None)):
         peaks.see("position_error_m", value, stamp)
     assert peaks.take() == {"position_error_m": Peak(0.9, 2)}
@@ -128,7 +128,7 @@ def test_drift_is_the_largest_of_the_sub_trajectories_that_ended() -> None:
     found = []
     for count in (1, 180):  # one by one, and all together
         protocol = Protocol(gauge="none", lengths=("4m", "3s"))
-        live, peaks = OnlineEvaluator(OnlineSettings(protocol)), Peaks()
+        live, peaks = OnlineEvaluator(OnlineSettings(protocol)), MaxSinceLast()
         live.add_groundtruth(trajectory(flight.stamps, rows))
         for begin in range(0, 180, count):
             part = slice(begin, begin + count)
@@ -145,7 +145,7 @@ def test_peaks_are_the_largest_errors_of_all_pairs_and_their_stamps(*, knows_up:
     flight = circling(4, 20)
     assert flight.quaternions is not None
     off = flight.positions + np.outer([0.1, 0.7, 0.2, 0.3], [1.0, 0.0, 0.0])
-    live, peaks = OnlineEvaluator(OnlineSettings(Protocol(gauge="none"))), Peaks()
+    live, peaks = OnlineEvaluator(OnlineSettings(Protocol(gauge="none"))), MaxSinceLast()
     live.add_groundtruth(trajectory(flight.stamps, states(flight.positions, flight.quaternions)))
     live.add_estimate(trajectory(flight.stamps, states(off, flight.quaternions)))
     live.up_axis_doubt = "" if knows_up else "y is up"
@@ -157,7 +157,7 @@ def test_peaks_are_the_largest_errors_of_all_pairs_and_their_stamps(*, knows_up:
 
 
 def test_what_stands_is_told_when_it_begins_gets_graver_and_ends() -> None:
-    standing = Standing()
+    standing = ActiveAlarms()
     warned = Remark(Level.WARNING, "alarm", "0.2 m is over 0.1 m", "position_error_m")
     worse = dataclasses.replace(warned, level=Level.ERROR, text="0.6 m is over 0.5 m")
     silent = Remark(Level.ERROR, "silence", "no estimate for 6 s", "estimate")
@@ -179,7 +179,7 @@ def test_an_error_comes_before_a_warning() -> None:
 
 def test_the_numbers_of_a_text_change_every_ten_seconds() -> None:
     now_s = 0.0
-    standing = Standing(lambda: now_s)
+    standing = ActiveAlarms(lambda: now_s)
     first = Remark(Level.WARNING, "hint", "0.2 m is over 0.1 m", "rate")
     later = dataclasses.replace(first, text="0.3 m is over 0.1 m")
     last = dataclasses.replace(first, text="-0.4 m is over 0.1 m")

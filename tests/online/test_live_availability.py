@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.metrics.test_as_available import IDENTITY, rough
-from trajeval_ros.geometry.reading import Reading
-from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.receptions import ReceiveTimes
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.as_available import AvailabilityRule, as_available
 from trajeval_ros.metrics.stream_health import UNKNOWN
@@ -23,7 +23,7 @@ def often_corrected(estimate: Trajectory, count: int) -> Trajectory:
     number = np.tile(np.arange(count), len(estimate))
     repeated = estimate[np.repeat(np.arange(len(estimate)), count)]
     times = np.repeat(receptions.times, count) + 3_000_000 * number
-    reading = Reading(receptions=Receptions(times, corrected=times))
+    reading = SourceInfo(receptions=ReceiveTimes(times, corrected=times))
     moved = repeated.positions + 0.01 * number[:, None]
     repeated = replace(repeated, positions=moved, reading=reading)
     return repeated[np.argsort(times, kind="stable")]
@@ -81,17 +81,17 @@ def test_nothing_is_reported_from_impossible_clocks_or_unknown_receptions() -> N
     ):
         live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
         live.add_groundtruth(truth)
-        live.add_estimate(replace(estimate, reading=Reading(receptions=Receptions(times))))
+        live.add_estimate(replace(estimate, reading=SourceInfo(receptions=ReceiveTimes(times))))
         assert live.update(IDENTITY) is None
         assert live.numbers == {}
         assert live.values["reception clock"] == verdict
 
 
-def states_on(stamps: np.ndarray, receptions: Receptions | None = None) -> Trajectory:
+def states_on(stamps: np.ndarray, receptions: ReceiveTimes | None = None) -> Trajectory:
     """Return poses that move along x at 2 m/s."""
     positions = np.outer(2.0 * stamps / 1e9, [1.0, 0.0, 0.0])
     quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (len(stamps), 1))
-    return Trajectory(stamps, positions, quaternions, reading=Reading(receptions=receptions))
+    return Trajectory(stamps, positions, quaternions, reading=SourceInfo(receptions=receptions))
 
 
 def fed(step_ms: int, until_ms: int, every_ms: int, deadline_s: float = 0.1) -> LiveAvailability:
@@ -104,7 +104,7 @@ def fed(step_ms: int, until_ms: int, every_ms: int, deadline_s: float = 0.1) -> 
         now = truth[(truth >= edges[0]) & (truth < edges[1])]
         live.add_groundtruth(states_on(now))
         now = messages[(messages + 30_000_000 >= edges[0]) & (messages + 30_000_000 < edges[1])]
-        live.add_estimate(states_on(now, Receptions(now + 30_000_000)))
+        live.add_estimate(states_on(now, ReceiveTimes(now + 30_000_000)))
         live.update(IDENTITY)
     return live
 
@@ -117,7 +117,7 @@ def test_a_twist_of_zero_is_used_once_there_was_another_one() -> None:
         for begin in range(0, len(stamps), 200):
             part = slice(begin, begin + 200)
             times = stamps[part] + 30_000_000
-            receptions = Receptions(times, body_rates=np.full((200, 3), rate))
+            receptions = ReceiveTimes(times, body_rates=np.full((200, 3), rate))
             velocities = np.zeros((200, 3))
             velocities[:, 0] = 2.0 if moves and begin < 400 else 0.0
             live.add_groundtruth(states_on(stamps[part]))
@@ -154,7 +154,7 @@ def test_a_deadline_is_missed_once_per_span_above_it(deadline_s: float, *, misse
 def test_samples_are_evaluated_twice_a_second() -> None:
     live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
     stamps = np.arange(0, 2000, 5) * 1_000_000
-    live.add_estimate(states_on(stamps, Receptions(stamps + 10_000_000)))
+    live.add_estimate(states_on(stamps, ReceiveTimes(stamps + 10_000_000)))
     evaluated = []
     for stamp in stamps:
         one = np.array([stamp])
@@ -171,7 +171,7 @@ def test_messages_without_a_reception_are_not_used() -> None:
     live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
     stamps = np.arange(3) * 10**9
     times = np.array([5, UNKNOWN, 2 * 10**9 + 5])
-    live.add_estimate(states_on(stamps, Receptions(times)))
+    live.add_estimate(states_on(stamps, ReceiveTimes(times)))
     live.store()
     assert live._messages["time"].tolist() == [5, 2 * 10**9 + 5]
 
@@ -182,7 +182,7 @@ def test_an_offset_moves_the_timestamps_and_not_the_receptions() -> None:
         live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
         stamps = np.arange(0, 2000, 5) * 1_000_000
         live.add_groundtruth(states_on(stamps))
-        live.add_estimate(states_on(stamps, Receptions(stamps + 50_000_000)))
+        live.add_estimate(states_on(stamps, ReceiveTimes(stamps + 50_000_000)))
         assert live.update(IDENTITY, offset_ns) is not None
         found.append(live.numbers)
     assert found[0]["available/age"] - found[1]["available/age"] == pytest.approx(0.02)
@@ -198,7 +198,7 @@ def test_memory_is_bounded_before_the_first_alignment(*, has_messages: bool) -> 
         stamps = (second * 100 + np.arange(100)) * 10_000_000
         live.add_groundtruth(states_on(stamps))
         if has_messages:
-            live.add_estimate(states_on(stamps, Receptions(stamps + 30_000_000)))
+            live.add_estimate(states_on(stamps, ReceiveTimes(stamps + 30_000_000)))
         live.update(None)
     assert len(live._truth) <= 1001
     assert len(live._messages) == (1001 if has_messages else 0)
@@ -206,7 +206,7 @@ def test_memory_is_bounded_before_the_first_alignment(*, has_messages: bool) -> 
     if has_messages:
         stamps = (6000 + np.arange(100)) * 10_000_000
         live.add_groundtruth(states_on(stamps))
-        live.add_estimate(states_on(stamps, Receptions(stamps + 30_000_000)))
+        live.add_estimate(states_on(stamps, ReceiveTimes(stamps + 30_000_000)))
         samples = live.update(IDENTITY)
         assert samples is not None
         assert len(samples.stamps) > 900
@@ -216,7 +216,7 @@ def test_there_is_no_error_before_the_first_message() -> None:
     live = LiveAvailability(AvailabilityRule("hold"), 0.5, 10.0)
     truth, stamps = np.arange(0, 3000, 5) * 1_000_000, np.arange(1000, 3000, 50) * 1_000_000
     live.add_groundtruth(states_on(truth))
-    live.add_estimate(states_on(stamps, Receptions(stamps + 30_000_000)))
+    live.add_estimate(states_on(stamps, ReceiveTimes(stamps + 30_000_000)))
     samples = live.update(IDENTITY)
     assert samples is not None
     assert samples.stamps[0] == 1_030_000_000

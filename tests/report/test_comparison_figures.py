@@ -17,7 +17,7 @@ from trajeval_ros.formatting import palette
 from trajeval_ros.geometry.up_axis import Z_UP
 from trajeval_ros.report import canvas
 from trajeval_ros.report.comparison_figures import Box, BoxPlot, ErrorsPlot, PathsPlot, figure_of
-from trajeval_ros.report.figure_style import FigureStyle, house_style
+from trajeval_ros.report.figure_style import FigureStyle, apply_style
 from trajeval_ros.report.page_figures import page_figure
 
 WIDTH_IN = 4.6
@@ -29,7 +29,7 @@ POSITIONS_ONLY = np.stack([TIME, 0.1 * TIME, np.full(50, np.nan)], axis=1)
 
 @pytest.fixture(autouse=True)
 def style() -> Iterator[None]:
-    with house_style(FigureStyle(width_in=WIDTH_IN)):
+    with apply_style(FigureStyle(width_in=WIDTH_IN)):
         yield
 
 

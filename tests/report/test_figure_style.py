@@ -28,7 +28,7 @@ from matplotlib.text import Text
 from trajeval_ros.report import canvas
 from trajeval_ros.report.absolute_figure import absolute_error
 from trajeval_ros.report.figure_output import save_all
-from trajeval_ros.report.figure_style import WIDTHS_IN, FigureStyle, house_style
+from trajeval_ros.report.figure_style import WIDTHS_IN, FigureStyle, apply_style
 from trajeval_ros.report.figures import draw, evaluation_drawings
 from trajeval_ros.report.relative_figure import relative_error
 from trajeval_ros.report.trajectory_figure import top_view
@@ -70,7 +70,7 @@ def test_figures_are_as_wide_as_asked_with_type_of_7_to_9_points(
     inches = WIDTHS_IN.get(width) or float(width)
     (path, *_) = save_all(evaluation_drawings(evaluations[:1]), tmp_path, style)
     assert width_of(path) == pytest.approx(inches, abs=0.01)
-    with house_style(style):
+    with apply_style(style):
         for drawing in DRAWINGS:
             figure = drawing(evaluations, [evaluation.estimate.name for evaluation in evaluations])
             figure.draw_without_rendering()
@@ -81,7 +81,7 @@ def test_figures_are_as_wide_as_asked_with_type_of_7_to_9_points(
 
 @pytest.mark.slow
 def test_no_legend_covers_data(evaluations: list[Evaluation]) -> None:
-    with house_style():
+    with apply_style():
         for drawing in DRAWINGS:
             for some in (evaluations[:1], evaluations):
                 figure = drawing(some, [item.estimate.name for item in some])
@@ -101,7 +101,7 @@ def test_no_legend_covers_data(evaluations: list[Evaluation]) -> None:
 
 def test_many_estimates_have_a_panel_each(evaluations: list[Evaluation]) -> None:
     names = [evaluation.estimate.name for evaluation in evaluations]
-    with house_style():
+    with apply_style():
         for drawing, panels in ((top_view, 5), (absolute_error, 10)):
             figure = drawing(evaluations, names)
             shown = [axes for axes in figure.axes if axes.get_visible()]
@@ -113,7 +113,7 @@ def test_many_estimates_have_a_panel_each(evaluations: list[Evaluation]) -> None
 
 
 def test_start_and_end_are_marked(evaluations: list[Evaluation]) -> None:
-    with house_style():
+    with apply_style():
         (axes,) = top_view(evaluations[:1], ["vio"]).axes
     matched = evaluations[0].association.groundtruth.positions
     marks = {line.get_label(): line.get_xydata()[0] for line in axes.lines}
@@ -126,7 +126,7 @@ def test_large_coordinates_are_subtracted_and_said() -> None:
     far = dataclasses.replace(
         flight.groundtruth, positions=flight.groundtruth.positions + [448_262.0, -5_411_932.0, 0.0]
     )
-    with house_style():
+    with apply_style():
         (axes,) = draw(evaluate(far, far[::10])).axes
     offset = {}
     for axis, name in ((axes.xaxis, "x"), (axes.yaxis, "y")):
@@ -202,7 +202,7 @@ def test_dark_styles_reach_everything(evaluations: list[Evaluation], tmp_path: P
     for path in paths:
         pixels = imread(path)[:, :, :3]
         assert np.median(pixels) == 0.0
-        with house_style(FigureStyle(file=sheet)):
+        with apply_style(FigureStyle(file=sheet)):
             assert canvas.groundtruth_colour() == "white"
             assert canvas.tint("#ff0000") == "#590000"
 
@@ -265,7 +265,7 @@ def test_the_ramp_is_viridis() -> None:
     import matplotlib
 
     shares = np.linspace(0.0, 1.0, 101)
-    with house_style():
+    with apply_style():
         ours = matplotlib.colormaps[matplotlib.rcParams["image.cmap"]](shares)
     theirs = matplotlib.colormaps["viridis"](0.2 + 0.8 * shares)
     np.testing.assert_allclose(ours, theirs, atol=4.0 / 255.0)

@@ -18,7 +18,7 @@ from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.pipeline.pipeline import evaluate
 from trajeval_ros.report import canvas
 from trajeval_ros.report.figure_output import save_all
-from trajeval_ros.report.figure_style import FigureStyle, house_style
+from trajeval_ros.report.figure_style import FigureStyle, apply_style
 from trajeval_ros.report.figures import draw, evaluation_drawings
 from trajeval_ros.report.line_thinning import MOST_POINTS, thinned
 from trajeval_ros.simulation.drifting_odometry import simulate
@@ -57,7 +57,7 @@ def _texts(evaluations: list[Evaluation], draw: str) -> str:
     for module in (absolute_figure, relative_figure, trajectory_figure):
         if hasattr(module, draw):
             names = canvas.short_names([evaluation.estimate.name for evaluation in evaluations])
-            with house_style():
+            with apply_style():
                 figure = getattr(module, draw)(evaluations, names)
                 figure.canvas.draw()
     return "\n".join(text.get_text() for text in figure.findobj(Text))
@@ -100,16 +100,16 @@ def test_what_the_user_has_set_goes_before_our_style_and_a_style_sheet_before_bo
     sheet = tmp_path / "ours.mplstyle"
     sheet.write_text("axes.facecolor: green\n")
     with matplotlib.rc_context({"axes.facecolor": "red", "font.size": 8.5}):
-        with house_style():
+        with apply_style():
             assert matplotlib.rcParams["axes.facecolor"] == "red"
             assert matplotlib.rcParams["font.size"] == 8.5
             assert matplotlib.rcParams["axes.labelsize"] == 8.0
-        with house_style(FigureStyle(file=sheet, width_in=3.5)):
+        with apply_style(FigureStyle(file=sheet, width_in=3.5)):
             assert matplotlib.rcParams["axes.facecolor"] == "green"
             assert matplotlib.rcParams["font.size"] == 8.5
             assert matplotlib.rcParams["figure.figsize"][0] == 3.5
         assert matplotlib.rcParams["axes.facecolor"] == "red"
-    with house_style(), matplotlib.rc_context():
+    with apply_style(), matplotlib.rc_context():
         assert matplotlib.rcParams["axes.facecolor"] == "white"
 
 
@@ -119,7 +119,7 @@ def test_several_estimates_have_their_own_colours_and_names(tmp_path: Path) -> N
     for path in save_all(evaluation_drawings(evaluations), tmp_path, FigureStyle()):
         assert _pixels(path).std() > 0.05
     pixels = _pixels(tmp_path / "relative_error.png")
-    with house_style():
+    with apply_style():
         tints = [canvas.tint(colour) for colour in palette.ESTIMATES[:4]]
     assert all(_colour_share(pixels, colour) > 1e-3 for colour in tints[:3])
     assert _colour_share(pixels, tints[3]) == 0.0
@@ -128,7 +128,7 @@ def test_several_estimates_have_their_own_colours_and_names(tmp_path: Path) -> N
 @pytest.mark.slow
 def test_more_estimates_than_colours(tmp_path: Path) -> None:
     assert len(save_all(evaluation_drawings([_evaluation()] * 8), tmp_path, FigureStyle())) == 4
-    with house_style():
+    with apply_style():
         assert len({canvas.line_style(place) for place in range(20)}) == 20
 
 
@@ -295,7 +295,7 @@ def test_boxes_and_whiskers_are_what_the_title_says() -> None:
 
     evaluation = _evaluation()
     assert evaluation.relative is not None
-    with house_style():
+    with apply_style():
         figure = relative_error([evaluation], ["vio"])
     assert "boxes: median and quartiles; whiskers: 5 % to 95 %" in figure.get_suptitle()
     (axes,) = (axis for axis in figure.axes if axis.get_ylabel() == "position error [m]")

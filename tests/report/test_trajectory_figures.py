@@ -16,7 +16,7 @@ import pytest
 from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.travelled import speeds
 from trajeval_ros.simulation.drifting_odometry import simulate
@@ -26,7 +26,7 @@ pytest.importorskip("matplotlib", reason="figures need the extra `plot`")
 from matplotlib.image import imread
 from paths import ROOT
 
-from trajeval_ros.report.figure_style import FigureStyle, house_style
+from trajeval_ros.report.figure_style import FigureStyle, apply_style
 from trajeval_ros.report.motion_figures import PLOTS, Colours, motion_drawings
 from trajeval_ros.report.plane_panels import PlanePanels
 
@@ -75,7 +75,7 @@ def test_speeds_of_a_circle() -> None:
 def test_every_plot_shows_the_trajectory_and_its_reference() -> None:
     flown = circle()
     reference = dataclasses.replace(circle(400), name="truth")
-    with house_style():
+    with apply_style():
         drawings = motion_drawings(PLOTS, [flown], reference)
         figures = {name: draw() for name, draw in drawings.items()}
     assert list(figures) == [
@@ -102,7 +102,7 @@ def test_the_path_is_coloured_by_its_error_with_a_bar() -> None:
     estimate = dataclasses.replace(reference, positions=off)
     for largest, wanted in ((None, np.percentile(ramp, 99.0)), (0.2, 0.2)):
         colours = Colours("error", largest)
-        with house_style():
+        with apply_style():
             (draw,) = motion_drawings(["xy"], [estimate], reference, colours=colours).values()
             figure = draw()
         panel, bar = figure.axes
@@ -157,9 +157,9 @@ def test_what_cannot_be_drawn_is_told_before_anything_is_read(
 def test_trajectories_without_stamps_are_drawn_over_the_index() -> None:
     made = circle()
     late = dataclasses.replace(made, stamps=made.stamps + 1_700_000_000 * NANOSECONDS)
-    counted = dataclasses.replace(made, reading=Reading("KITTI", stamped=False))
+    counted = dataclasses.replace(made, reading=SourceInfo("KITTI", stamped=False))
     labels = {"xyz": "z [m]", "rpy": "yaw [deg]", "speed": "turn [deg/pose]"}
-    with house_style():
+    with apply_style():
         for kind, drawing in zip(
             ("xy", *labels),
             motion_drawings(("xy", *labels), [counted], late).values(),
@@ -193,7 +193,7 @@ def test_five_paths_fill_rows_evenly_and_the_lowest_of_each_column_is_labelled(
 ) -> None:
     angle = np.linspace(0.0, 6.0, 50)
     truth = np.stack([np.cos(angle), 0.8 * np.sin(angle), 0.0 * angle], axis=1)
-    with house_style(FigureStyle.parse(None, width, None, has_titles=True)):
+    with apply_style(FigureStyle.parse(None, width, None, has_titles=True)):
         names = {index: f"vio_{index}" for index in range(5)}
         panels = PlanePanels([truth[:, :2]], names, "Trajectories on hall")
         for index in range(5):
@@ -224,7 +224,7 @@ def test_angles_are_within_half_a_turn_of_the_reference(
     # Pitches of a forward camera come close to 90 degrees, where unwrapped angles separate.
     truth, estimate = (recording(f"kitti/KITTI_00_{name}.txt") for name in ("gt", "ORB"))
     assert truth.quaternions is not None
-    with house_style():
+    with apply_style():
         figure = motion_drawings(["rpy"], [estimate], truth)["rpy_over_time"]()
     angles = np.degrees(np.unwrap(lie.euler_angles(truth.quaternions)[:, ::-1], axis=0))
     for axes, expected in zip(figure.axes, angles.T, strict=True):

@@ -15,7 +15,7 @@ from ros_bags import ODOM, POSE, Message, messages_of, odometry_message
 from trajeval_ros import simulate
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.online.alarms import LIMITED_QUANTITIES, AlarmLimits, Standing
+from trajeval_ros.online.alarms import LIMITED_QUANTITIES, ActiveAlarms, AlarmLimits
 from trajeval_ros.online.reports import Update
 from trajeval_ros.online.state_buffer import BufferLimits
 from trajeval_ros.ros import clock_remarks
@@ -120,7 +120,7 @@ def test_clocks_far_apart_are_one_remark_that_keeps_its_numbers(
     """A delay can't be measured by such clocks; and the offset has digits that can be typed."""
     live = Live(tmp_path / "live", ODOM)
     stamps = ESTIMATED.stamps + round(ahead_s * SECOND)
-    standing, said, told = Standing(), [], []
+    standing, said, told = ActiveAlarms(), [], []
     for second in np.arange(0.0, 6.0, 0.5):
         fly(
             live,

@@ -95,8 +95,9 @@ def published(
     try:
         for publisher in publishers.values():
             peer.until(
-                lambda: publisher.get_subscription_count() == 1, "the evaluator has subscribed"
-            )  # noqa: B023
+                lambda: publisher.get_subscription_count() == 1,  # noqa: B023
+                "the evaluator has subscribed",
+            )
         yield publishers
     finally:
         for publisher in publishers.values():

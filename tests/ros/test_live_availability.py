@@ -27,8 +27,8 @@ from ros_processes import ODOMETRY, Peer, assert_same, evaluating, offline
 
 from trajeval_ros import Trajectory, simulate
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.reading import Reading
-from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.receptions import ReceiveTimes
 from trajeval_ros.io.bags.pose_messages import decode_poses, decode_transforms
 from trajeval_ros.io.live.state_file import read_states
 from trajeval_ros.metrics.as_available import AvailabilityRule
@@ -54,7 +54,7 @@ def received(estimate: list[Message], seed: int = 0) -> list[Message]:
 def twisting(flight: Trajectory, rate: float = 0.3) -> Trajectory:
     """Return a trajectory with velocities and turn rates that are about right."""
     rates = rate * np.sin(np.arange(3 * len(flight)).reshape(-1, 3) / 7.0)
-    reading = Reading(receptions=Receptions(flight.stamps, body_rates=rates))
+    reading = SourceInfo(receptions=ReceiveTimes(flight.stamps, body_rates=rates))
     velocities = np.gradient(flight.positions, flight.stamps / 1e9, axis=0)
     return replace(flight, velocities=velocities, reading=reading)
 

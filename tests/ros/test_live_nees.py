@@ -34,7 +34,7 @@ from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.io.requests.request_from import protocol_from
 from trajeval_ros.io.results.result_json import integrity_json
-from trajeval_ros.online.alarms import LIMITED_QUANTITIES, AlarmLimits, Peaks, alarms
+from trajeval_ros.online.alarms import LIMITED_QUANTITIES, AlarmLimits, MaxSinceLast, alarms
 from trajeval_ros.online.error_topics import PROTECTION_LEVELS, integrity_numbers
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_settings import OnlineSettings
@@ -222,7 +222,7 @@ def test_alarms_have_limits_of_nees() -> None:
     evaluator = fed_evaluator()
     snapshot = evaluator.snapshot()
     assert snapshot.nees is not None
-    peaks = Peaks()
+    peaks = MaxSinceLast()
     peaks.see_snapshot(snapshot)
     limits = {limited_quantity.name: AlarmLimits() for limited_quantity in LIMITED_QUANTITIES}
     limits["nees"] = AlarmLimits(snapshot.nees.mean / 2)

@@ -79,7 +79,7 @@ def test_dropped_messages_are_those_of_the_loop(tmp_path: Path, messages_late: i
             unset = odometry_message(0, [0.0] * 3, [0.0, 0.0, 0.0, 1.0])
             loop[row] = (topic, kind, stamp, unset)
     live = Live(tmp_path / "live", ODOM)
-    for item in late([each for loop in loops for each in loop], messages_late):
+    for item in late([message for loop in loops for message in loop], messages_late):
         live.feed([item])
     live.end()
     runs = [result["runs"][0] for result in live.results]

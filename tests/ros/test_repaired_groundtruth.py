@@ -61,7 +61,7 @@ def test_nees_against_a_repaired_groundtruth_is_published_as_the_recording_has_i
         for name, messages, mean in zip(NEES_NUMBERS, heard, means, strict=True):
             peer.until(
                 lambda: any(message.data == pytest.approx(mean, rel=1e-9) for message in messages),  # noqa: B023
-                f"{name} {mean:g} of the whole run, after {[message.data for message in messages][-3:]}",
+                f"{name} {mean:g} of the whole run, after {[item.data for item in messages][-3:]}",
             )
         assert live.end() == 0
     assert_same(live.result, expected)

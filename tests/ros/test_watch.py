@@ -66,7 +66,7 @@ def test_an_injected_fault_is_the_alarm_that_the_recording_has(
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
     expected: dict[str, int] = {}
-    for alarm in sorted(offline["alarms"], key=lambda each: each["begin_ns"]):
+    for alarm in sorted(offline["alarms"], key=lambda found: found["begin_ns"]):
         expected.setdefault(alarm["signal"], alarm["begin_ns"])
     assert {
         "pair_percent_5s.vio",

@@ -8,7 +8,7 @@ from ros_bags import Message
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.fix_selection import trajectory_of_rows
 from trajeval_ros.geometry.geodesy import Datum, places_at
-from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.encode_messages import encode_fixes
 from trajeval_ros.io.bags.pose_messages import FIX_TYPE
@@ -36,7 +36,7 @@ def fixes_of(
     rows = quality(len(stamps)) if rows is None else rows
     attributes = {"child_frame": "gps", "name": "fix", **attributes}
     places = places_of(positions)
-    return trajectory_of_rows("run:/fix", stamps, places, rows, Reading(), **attributes)
+    return trajectory_of_rows("run:/fix", stamps, places, rows, SourceInfo(), **attributes)
 
 
 def fix_messages(fixes: Trajectory, topic: str, antenna: str = "gps") -> list[Message]:

@@ -90,7 +90,7 @@ def described(figure: Figure) -> str:
             lines.append(
                 f"{axis.axis_name}-axis {axis.get_label_text()!r} {axis.get_scale()} "
                 f"{_short(axis.get_view_interval())} grid {axis._major_tick_kw.get('gridOn')} "
-                f"{[get_ticklabel.get_text() for get_ticklabel in axis.get_ticklabels() if get_ticklabel.get_visible()]}"
+                f"{[tick.get_text() for tick in axis.get_ticklabels() if tick.get_visible()]}"
             )
         lines += [_legend(axes.get_legend())] if axes.get_legend() else []
         drawn = (axes.lines, axes.collections, axes.patches, axes.images, axes.texts)

@@ -115,7 +115,7 @@ def make_element(gauge: Gauge, seed: int, *, reach_m: float = 100.0) -> Similari
     if gauge.turns_about_gravity_only:
         angle = random.uniform(-np.pi, np.pi)
         rotation = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
-    elif gauge.turns_freely:
+    elif gauge.has_so3:
         rotation = Rotation.random(random_state=seed % 2**31).as_matrix()
     if gauge.has_scale:
         scale = float(np.exp(random.uniform(-1.5, 1.5)))

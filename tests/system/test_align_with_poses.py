@@ -57,7 +57,7 @@ def test_no_other_alignment_has_less_of_both_errors(seed: int, gauge: Gauge) -> 
     least, centre = cost(found.similarity), found.similarity.positions(q).mean(axis=0)
     for _ in range(20):
         step = 10.0 ** random.uniform(-4, -1) * random.normal(size=3)
-        step[:2] *= gauge.turns_freely
+        step[:2] *= gauge.has_so3
         growth = math.exp(step[2]) if gauge.has_scale else 1.0
         turn = growth * Rotation.from_rotvec(step).as_matrix()
         other = Similarity(

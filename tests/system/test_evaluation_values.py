@@ -13,7 +13,7 @@ from strategies import assert_same_numbers, make_element, make_estimate, make_gr
 from trajeval_ros.exceptions import DegenerateGeometryError, InputError
 from trajeval_ros.formatting.remarks import Level
 from trajeval_ros.geometry.gauge import Gauge, Similarity
-from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.metrics.alignment import align
 from trajeval_ros.metrics.association import AssociationRule
@@ -237,7 +237,7 @@ def test_one_rounding_of_coverage() -> None:
 def test_a_reason_for_dropping_that_is_new_breaks_no_evaluation() -> None:
     groundtruth = make_groundtruth(17, 400)
     lost = dataclasses.replace(
-        make_estimate(groundtruth, 18)[:60], reading=Reading(dropped={"half_a_line": 3})
+        make_estimate(groundtruth, 18)[:60], reading=SourceInfo(dropped={"half_a_line": 3})
     )
     result = evaluate(groundtruth, lost, BASE)
     assert result.association.dropped["half_a_line"] == 3

@@ -17,7 +17,7 @@ from paths import ROOT, TESTS
 
 import trajeval_ros
 from trajeval_ros.cli.app import main
-from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.io.bags.write_bag import write_bag
 from trajeval_ros.io.save_trajectories import save_trajectories
 from trajeval_ros.io.sources import read_trajectory
@@ -116,8 +116,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
         [0.05**2] * 3 + [0.01**2] * 3
     )
     topics = [
-        dataclasses.replace(truth, name="gt", reading=Reading()),
-        dataclasses.replace(estimate, name="vio", reading=Reading(), covariances=variances),
+        dataclasses.replace(truth, name="gt", reading=SourceInfo()),
+        dataclasses.replace(estimate, name="vio", reading=SourceInfo(), covariances=variances),
     ]
     (bag,) = save_trajectories(folder, topics, "mcap", "Odometry")
     bag.rename(folder / "flight.mcap")

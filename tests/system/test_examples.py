@@ -95,7 +95,7 @@ def test_demo_never_removes_other_files(tmp_path: Path) -> None:
     (tmp_path / "bag").mkdir()
     (tmp_path / "thesis.tex").write_text("mine")
     with pytest.raises(InputError, match=r"contains thesis\.tex; choose another folder"):
-        demo.make_way(tmp_path)
+        demo.remove_existing(tmp_path)
     assert (tmp_path / "thesis.tex").exists()
 
 
@@ -104,9 +104,9 @@ def test_demo_removes_the_results_of_an_earlier_one(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
         (tmp_path / name / "file").touch()
     (tmp_path / "rerun.png").touch()
-    demo.make_way(tmp_path)
+    demo.remove_existing(tmp_path)
     assert not any(tmp_path.iterdir())
-    demo.make_way(tmp_path / "new" / "folder")
+    demo.remove_existing(tmp_path / "new" / "folder")
     assert (tmp_path / "new" / "folder").is_dir()
 
 

@@ -55,11 +55,11 @@ def test_figures_show_names_and_no_formulas(evaluation: Evaluation) -> None:
     from matplotlib.text import Text
 
     from trajeval_ros.report import absolute_figure, canvas
-    from trajeval_ros.report.figure_style import house_style
+    from trajeval_ros.report.figure_style import apply_style
 
     [name] = canvas.short_names([NAME])
     assert name == SEEN
-    with house_style():
+    with apply_style():
         figure = absolute_figure.absolute_error([evaluation], [f"{name} {name}"])
         figure.canvas.draw()
         texts = [text for text in figure.findobj(Text) if isinstance(text, Text)]

@@ -22,7 +22,7 @@ from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.fix_selection import FixRule, trajectory_of_rows
 from trajeval_ros.geometry.geodesy import Datum, east_north_up
-from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.pose_messages import FIX_TYPE
 from trajeval_ros.io.bags.write_bag import ODOMETRY, write_bag
@@ -59,7 +59,7 @@ def test_each_reason_counts_by_itself() -> None:
     places[5, 0] = np.nan
     places[6, 2] = np.nan
     places[7, 0] = 95.0
-    found = trajectory_of_rows("x", np.arange(count), places, rows, Reading())
+    found = trajectory_of_rows("x", np.arange(count), places, rows, SourceInfo())
     assert found.stamps.tolist() == [0, 3, 8, 9, 10, 11]
     assert found.reading.dropped == {"no_fix": 3, "not_finite": 2, "no_height": 1}
 
@@ -68,7 +68,7 @@ def test_fixes_without_height_have_a_place_in_the_plane_alone() -> None:
     positions = np.arange(18.0).reshape(-1, 3)
     places = places_of(positions)
     places[[0, 3], 2] = np.nan
-    read = trajectory_of_rows("x", np.arange(6), places, quality(6), Reading())
+    read = trajectory_of_rows("x", np.arange(6), places, quality(6), SourceInfo())
     spatial = FixRule(datum=DATUM).applied(read)
     assert spatial.stamps.tolist() == [1, 2, 4, 5]
     assert spatial.reading.dropped == {"no_height": 2}
@@ -151,7 +151,7 @@ def test_a_receiver_that_repeats_itself() -> None:
 
 def test_latitude_and_longitude_of_zero_are_no_fix() -> None:
     with pytest.raises(InputError, match="4 no fix"):
-        trajectory_of_rows("x", np.arange(4), np.zeros((4, 3)), quality(4), Reading())
+        trajectory_of_rows("x", np.arange(4), np.zeros((4, 3)), quality(4), SourceInfo())
 
 
 def test_a_datum_on_another_continent() -> None:
@@ -164,7 +164,7 @@ def test_fixes_without_heights_are_for_the_plane() -> None:
     assert fixes.reading.fixes is not None
     places = fixes.reading.fixes.places.copy()
     places[:, 2] = np.nan
-    flat = trajectory_of_rows("x", fixes.stamps, places, quality(len(places)), Reading())
+    flat = trajectory_of_rows("x", fixes.stamps, places, quality(len(places)), SourceInfo())
     with pytest.raises(InputError, match="fixes have no height; use --gauge planar"):
         run(flat, [FLIGHT.estimate], Request(Protocol(gauge="yaw")))
     planar = Protocol(gauge="planar", lever_m=LEVER)

@@ -13,7 +13,7 @@ from strategies import Array, make_groundtruth
 
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.gauge import Gauge
-from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.sources import read_trajectory
 from trajeval_ros.metrics.named_protocols import PROTOCOLS
@@ -94,7 +94,7 @@ def test_relative_errors_are_the_devkits_on_sequence_00(
 
 
 def test_frames_pair_by_number_and_nothing_is_aligned() -> None:
-    groundtruth = dataclasses.replace(make_groundtruth(1, 60), reading=Reading(stamped=False))
+    groundtruth = dataclasses.replace(make_groundtruth(1, 60), reading=SourceInfo(stamped=False))
     shifted = dataclasses.replace(
         groundtruth,
         positions=groundtruth.positions + [3.0, 0.0, 0.0],
@@ -130,8 +130,8 @@ def test_frames_with_gaps_give_the_tools_numbers(recording: Callable[[str], Traj
 
 
 def test_trajectories_without_matrices_have_those_of_their_rotations() -> None:
-    groundtruth = dataclasses.replace(make_groundtruth(1, 60), reading=Reading(stamped=False))
-    estimate = dataclasses.replace(make_groundtruth(2, 60), reading=Reading(stamped=False))
+    groundtruth = dataclasses.replace(make_groundtruth(1, 60), reading=SourceInfo(stamped=False))
+    estimate = dataclasses.replace(make_groundtruth(2, 60), reading=SourceInfo(stamped=False))
     errors = []
     for form in ("matrices", "se3"):
         protocol = dataclasses.replace(PROTOCOLS["kitti"], lengths=metres(1), re_form=form)
@@ -225,5 +225,5 @@ def test_frames_that_repeat_or_go_back_are_refused(
 
 def make_groundtruth_of_frames() -> Trajectory:
     return dataclasses.replace(
-        make_groundtruth(1, 60), reading=Reading(stamped=False, frame_numbers=np.arange(60))
+        make_groundtruth(1, 60), reading=SourceInfo(stamped=False, frame_numbers=np.arange(60))
     )

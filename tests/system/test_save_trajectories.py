@@ -15,8 +15,8 @@ from strategies import SAME_ROTATION_RAD, make_groundtruth, seeds
 
 from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry import lie
-from trajeval_ros.geometry.reading import Reading
-from trajeval_ros.geometry.stamp_trust import LONE, StampTrust
+from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.stamp_trust import LONE, OutlierStamps
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.encode_messages import (
     encode_odometry,
@@ -115,7 +115,7 @@ def test_any_stamps_survive(stamps: list[int], way: tuple[str, str]) -> None:
         read = again(Path(folder), trajectory, (way[0], "PoseStamped"))
     expected = trajectory.stamps
     if way[0] == "mcap":  # where a stamp that stands alone is dropped, and counted
-        (expected,) = StampTrust().take(expected, at_end=True)
+        (expected,) = OutlierStamps().take(expected, at_end=True)
         assert read.reading.dropped.get(LONE, 0) == len(trajectory) - len(expected)
     np.testing.assert_array_equal(read.stamps, expected)
 
@@ -160,8 +160,8 @@ def test_messages_are_those_of_rosbags() -> None:
 
 
 def test_several_in_one_bag_keep_their_topics(tmp_path: Path) -> None:
-    one = dataclasses.replace(made(1), name="a", reading=Reading("run.mcap:/vio/odom"))
-    two = dataclasses.replace(made(2), name="b", reading=Reading("run.mcap:/gt/pose"))
+    one = dataclasses.replace(made(1), name="a", reading=SourceInfo("run.mcap:/vio/odom"))
+    two = dataclasses.replace(made(2), name="b", reading=SourceInfo("run.mcap:/gt/pose"))
     (path,) = save_trajectories(tmp_path, [one, two], "mcap")
     assert set(each_topic(str(path))) == {f"{path}:/vio/odom", f"{path}:/gt/pose"}
     np.testing.assert_array_equal(read_trajectory(f"{path}:/gt/pose").positions, two.positions)

@@ -195,7 +195,7 @@ def test_who_hands_over_never_waits_and_drops_are_counted_and_told(
     stream = DrawingThread(sink, sink)
     stream.put(lambda: sink.free.wait(PATIENCE_S))
     for index in range(5000):
-        stream.put(lambda item=item: drawn.append(item))
+        stream.put(lambda index=index: drawn.append(index))
     assert stream.dropped > 2000
     monkeypatch.setattr("trajeval_ros.viewer.stream._PATIENCE_S", 0.2)
     assert not stream.close()

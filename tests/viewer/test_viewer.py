@@ -18,7 +18,7 @@ from state_rows import as_drawn, states, trajectory
 from trajeval_ros import Gauge, Protocol, evaluate
 from trajeval_ros.cli.app import main
 from trajeval_ros.formatting.remarks import Level, Remark
-from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.receptions import ReceiveTimes
 from trajeval_ros.metrics.as_available import AsAvailable, AvailabilityRule, as_available
 from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.metrics.tracking_loss import FROZEN, Loss
@@ -63,7 +63,7 @@ def evaluated(
 
 def available_errors(evaluation: Evaluation) -> AsAvailable:
     """Return the as-available errors of poses that are received 0.1 s after their timestamps."""
-    estimate, times = evaluation.estimate, Receptions(evaluation.estimate.stamps + 100_000_000)
+    estimate, times = evaluation.estimate, ReceiveTimes(evaluation.estimate.stamps + 100_000_000)
     reading = dataclasses.replace(estimate.reading, receptions=times)
     return as_available(
         evaluation.groundtruth,

@@ -207,7 +207,7 @@ def test_what_is_not_detected_is_said_once() -> None:
     assert list(undetected_faults(["imu", "pair.a"], ["pair.a"], ["the IMU is odd"])) == [
         "no twist: disagreement of pose and velocity is not detected"
     ]
-    assert [undetected_fault.partition(":")[0] for undetected_fault in undetected_faults([], [], [])] == [
+    assert [text.partition(":")[0] for text in undetected_faults([], [], [])] == [
         "no twist", "no IMU", "no second estimate",
     ]  # fmt: skip
     (said,) = undetected_faults(["twist", "imu", "pair", "map"], ["imu", "pair"], [])

@@ -17,7 +17,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Floats
 from trajeval_ros.geometry.inertial import InertialReadings
-from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.watchdog.engine import Watchdog
 from trajeval_ros.watchdog.pair_signals import body_difference
 from trajeval_ros.watchdog.recording import Watched, WatchedRun, watched
@@ -342,7 +342,7 @@ def test_sources_of_another_clock_are_said() -> None:
 def test_an_estimate_without_stamps_or_orientations_is_refused() -> None:
     estimate = flight().estimate
     with pytest.raises(InputError, match="has no timestamps"):
-        watched(WatchedRun(dataclasses.replace(estimate, reading=Reading(stamped=False))))
+        watched(WatchedRun(dataclasses.replace(estimate, reading=SourceInfo(stamped=False))))
     with pytest.raises(InputError, match="has no orientations"):
         watched(WatchedRun(dataclasses.replace(estimate, quaternions=None)))
 

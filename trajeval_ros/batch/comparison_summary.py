@@ -117,7 +117,7 @@ class ComparisonSummary:
         named = [
             f"{item.span_s:.0f} s of {item.sequence} ({whole_percent(item.common_span)} of its "
             "groundtruth)"
-            for item in sorted(longest.values(), key=lambda each: each.common_span)
+            for item in sorted(longest.values(), key=lambda run: run.common_span)
         ]
         return ", ".join(named) if len(named) <= _MOST_SPANS else f"{named[0]} to {named[-1]}"
 

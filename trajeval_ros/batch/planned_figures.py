@@ -15,7 +15,7 @@ from trajeval_ros.metrics.sub_trajectories import Length
 from trajeval_ros.report.comparison_figures import Box, BoxPlot, ErrorsPlot, PathsPlot, figure_of
 from trajeval_ros.report.definitions import ABSOLUTE_LABELS, RELATIVE_LABELS
 from trajeval_ros.report.figure_output import save
-from trajeval_ros.report.figure_style import FigureStyle, house_style
+from trajeval_ros.report.figure_style import FigureStyle, apply_style
 from trajeval_ros.report.page_figures import page_figure
 from trajeval_ros.report.relative_figure import length_labels
 
@@ -65,7 +65,7 @@ def draw(planned: PlannedFigure, formats: tuple[str, ...]) -> DrawnFigure:
     """Draw a figure for the page and in the formats of its files; called in a worker."""
     stem = re.sub(r"[^\w.-]+", "_", planned.name)
     svg, files = "", {}
-    with house_style(FigureStyle(width_in=_WIDTH_IN)), tempfile.TemporaryDirectory() as folder:
+    with apply_style(FigureStyle(width_in=_WIDTH_IN)), tempfile.TemporaryDirectory() as folder:
         figure = figure_of(planned.plot)
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # the layout of the first drawing is kept

@@ -20,7 +20,7 @@ def closest_rotation(
     weighted = targets if weights is None else targets * weights[:, None]
     scatter = weighted.T @ vectors
     if about_z:
-        return so3.about_gravity(float(so3.yaw_of_matrix(scatter)))
+        return so3.rot_z(float(so3.yaw_of_matrix(scatter)))
     left, _, right = np.linalg.svd(scatter)
     proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     rotation: Floats = left @ proper @ right

@@ -223,7 +223,9 @@ class Increments:
             jacobian[:, POSITION, 8] = -steps
         return Linearised(residual, jacobian, self._since[rows], rows)
 
-    def twin(self, at: Unknowns, rows: NDArray[np.int64]) -> tuple[Floats, Booleans]:
+    def jacobian_with_swapped_sides(
+        self, at: Unknowns, rows: NDArray[np.int64]
+    ) -> tuple[Floats, Booleans]:
         """Return the Jacobian (N, 3 or 6, 9) with exchanged sides, and where it is known (N,).
 
         At the solution, either side predicts the other's motion. The parts in which both Jacobians

@@ -52,15 +52,20 @@ class Directions:
 def observability(increments: Increments, fitted: Fit) -> dict[str, Directions]:
     """Return the directions of `offset`, `skew`, `turn` and `lever` at a solution."""
     rows = fitted.linearised.rows
-    twin, known = increments.twin(fitted.unknowns, rows)
-    size = twin.shape[1]
+    jacobian_with_swapped_sides, known = increments.jacobian_with_swapped_sides(
+        fitted.unknowns, rows
+    )
+    size = jacobian_with_swapped_sides.shape[1]
     weights = np.repeat(fitted.weights, 3, axis=1)[known, :size]
-    own, twin = fitted.linearised.jacobian[known], twin[known]
+    own, jacobian_with_swapped_sides = (
+        fitted.linearised.jacobian[known],
+        jacobian_with_swapped_sides[known],
+    )
     blocks = {"offset": OFFSET, "skew": SKEW}
     if increments.has_turns:
         blocks |= {"turn": TURN, "lever": LEVER}
     found = {
-        name: _directions(own[..., columns], twin[..., columns], weights)
+        name: _directions(own[..., columns], jacobian_with_swapped_sides[..., columns], weights)
         for name, columns in blocks.items()
     }
     if increments.has_lever and not increments.has_turns:
@@ -68,7 +73,7 @@ def observability(increments: Increments, fitted: Fit) -> dict[str, Directions]:
     return found
 
 
-def _directions(own: Floats, twin: Floats, weights: Floats) -> Directions:
+def _directions(own: Floats, jacobian_with_swapped_sides: Floats, weights: Floats) -> Directions:
     """Return the directions of a parameter from both Jacobians (N, 3 or 6, k) and weights."""
 
     def product(left: Floats, right: Floats) -> Floats:
@@ -76,7 +81,11 @@ def _directions(own: Floats, twin: Floats, weights: Floats) -> Directions:
         summed: Floats = np.tensordot(weighted, right, axes=([0, 1], [0, 1]))
         return summed
 
-    mine, theirs, both = product(own, own), product(twin, twin), product(own, twin)
+    mine, theirs, both = (
+        product(own, own),
+        product(jacobian_with_swapped_sides, jacobian_with_swapped_sides),
+        product(own, jacobian_with_swapped_sides),
+    )
     directions = np.linalg.eigh(mine + theirs)[1].T
     along = [
         np.einsum("ka,ab,kb->k", directions, matrix, directions) for matrix in (mine, theirs, both)
@@ -118,7 +127,7 @@ def solve(increments: Increments, gauge: Gauge, with_skew: bool) -> CalibrationF
     """Fit all observable parameters; None if even the offset has no standard deviation."""
     if len(increments) < _FEWEST_PAIRS:
         return None
-    about_z = not gauge.turns_freely
+    about_z = not gauge.has_so3
     begin = increments.start(0.0, with_scale=gauge.has_scale, about_z=about_z)
     free = {"offset": np.eye(1), "turn": np.eye(3)}
     if about_z and not increments.has_turns:

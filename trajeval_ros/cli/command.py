@@ -39,8 +39,8 @@ class VerbCommand(click.Command):
             if is_single and order.count(parameter) > 1:
                 more = ", and for several robots list their runs for trajeval compare"
                 raise SettingsError(
-                    f"{parameter.opts[0]} is given {order.count(parameter)} times; give one per call"
-                    + (f"{more} (docs/compare.md)" if parameter.metavar == "SOURCE" else "")
+                    f"{parameter.opts[0]} is given {order.count(parameter)} times; give one per "
+                    "call" + (f"{more} (docs/compare.md)" if parameter.metavar == "SOURCE" else "")
                 )
         return super().parse_args(ctx, args)
 

@@ -98,11 +98,11 @@ def groundtruth(
         named = dataclasses.replace(found.fits.repaired, name=_NAME)
         saved = save_trajectories(output, [named], save_as, "Odometry")
     if figure is not None and found.fits is not None:
-        from trajeval_ros.report.figure_style import house_style
+        from trajeval_ros.report.figure_style import apply_style
         from trajeval_ros.report.figures import write_figure
         from trajeval_ros.report.groundtruth_report import groundtruth_figure
 
-        with house_style():
+        with apply_style():
             write_figure(groundtruth_figure(original, found, found.fits), figure)
     if rrd is not None and found.fits is not None:
         from trajeval_ros.metrics.evaluation import evaluate

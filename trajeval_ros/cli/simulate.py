@@ -17,8 +17,8 @@ from trajeval_ros.cli.simulated_bag import (
     FIX_TOPIC,
     GROUNDTRUTH_TOPIC,
     IMU_TOPIC,
-    make_way,
     make_way_for_covariance,
+    remove_existing,
 )
 from trajeval_ros.exceptions import SettingsError, require_one_of
 from trajeval_ros.formatting.numbers import counted
@@ -169,7 +169,7 @@ def _write_runs(
         bags = [output.with_name(f"{output.name}_{number}") for number in range(runs)]
     for bag in bags:
         make_way_for_covariance(_covariance_of(bag), overwrite=overwrite)
-        make_way(bag, overwrite=overwrite)
+        remove_existing(bag, overwrite=overwrite)
     output.parent.mkdir(parents=True, exist_ok=True)
     with progress(f"{runs} runs of {duration:g} s") as advance:
         for number, (bag, odometry) in enumerate(
@@ -236,7 +236,7 @@ def _write_drift(
     from trajeval_ros.simulation.simulated_sensors import imu_readings
 
     simulated = drifting_odometry.simulate(seed, duration, drives=gnss is not None)
-    make_way(output, overwrite=overwrite)
+    remove_existing(output, overwrite=overwrite)
     output.parent.mkdir(parents=True, exist_ok=True)
     groundtruth, more, options = simulated.groundtruth, "", ""
     estimate = simulated.estimate

@@ -13,7 +13,7 @@ FIX_TOPIC = "/fix"
 IMU_TOPIC = "/imu"
 
 
-def make_way(output: Path, *, overwrite: bool) -> None:
+def remove_existing(output: Path, *, overwrite: bool) -> None:
     """Remove the bag of an earlier simulation if `overwrite` is set; never remove other files."""
     if not output.exists() and not output.is_symlink():
         return

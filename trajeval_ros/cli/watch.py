@@ -154,11 +154,11 @@ def _deliver(
     if figure is not None:
         from trajeval_ros.io.source_names import names_of
         from trajeval_ros.report import canvas
-        from trajeval_ros.report.figure_style import house_style
+        from trajeval_ros.report.figure_style import apply_style
         from trajeval_ros.report.figures import write_figure
         from trajeval_ros.report.watch_report import watch_figure
 
-        with house_style():
+        with apply_style():
             drawn = watch_figure(seen, book, *canvas.short_names(names_of([estimate])))
             write_figure(drawn, figure)
     if not quiet and json != "-":

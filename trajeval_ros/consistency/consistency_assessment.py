@@ -302,7 +302,7 @@ def assess_marginals(
     why = unknown_covariances(own) or constant_covariances(covariances)
     if why:
         raise InputError(f"covariances of {name} are not valid: {why}; use --covariance none")
-    if len(axes) < POSE_DOF and gauge.turns_freely:
+    if len(axes) < POSE_DOF and gauge.has_so3:
         raise InputError(
             f"{name} has covariances of x, y and yaw only, which gauge {gauge.value} mixes with "
             "other axes; use gauge planar or yaw"

@@ -1,7 +1,7 @@
 """All causes of wrong results: name, message, advice and the option that corrects the mistake.
 
-A test returns a cause by name with its numbers (`Seen`). The texts are here, the most severe cause
-first. docs/diagnosis.md has the table that follows from this one.
+A test returns a cause by name with its numbers (`Detection`). The texts are here, the most severe
+cause first. docs/diagnosis.md has the table that follows from this one.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from trajeval_ros.calibration.clock_offset import masked_correlation, refined_peak
-from trajeval_ros.diagnosis.findings import Seen
+from trajeval_ros.diagnosis.findings import Detection
 from trajeval_ros.diagnosis.hypotheses import MISTAKE, ODDS
 from trajeval_ros.diagnosis.input_pair import SHORTEST_S, TimedPoses
 from trajeval_ros.geometry.arrays import Floats
@@ -289,7 +289,7 @@ class Clock:
         """Whether the likeliest offset is not near zero, whether it is significant or not."""
         return self.match is not None and abs(self.match.offset_s) > SMALL_S
 
-    def seen(self, offset_s: float, rate: float, span_s: float, applied_s: float) -> Seen:
+    def seen(self, offset_s: float, rate: float, span_s: float, applied_s: float) -> Detection:
         """Return the finding of an offset, or of a rate over a span if it is not zero.
 
         The offset of a rate is that at the first pose. `applied_s` is added to the timestamps
@@ -306,9 +306,9 @@ class Clock:
         }
         if rate:
             values |= {"ppm": 1e6 * rate, "growth_ms": 1e3 * rate * span_s}
-            return Seen("clock_drift", values)
+            return Detection("clock_drift", values)
         if abs(offset_s) < SMALL_S:
-            return Seen("small_clock_offset", values)
+            return Detection("small_clock_offset", values)
         whole = round(abs(offset_s))
         leap = _LEAP_S.get(whole, "") if abs(abs(offset_s) - whole) < SMALL_S else ""
-        return Seen("clock_offset", {**values, "known_as": f" ({leap})" if leap else ""})
+        return Detection("clock_offset", {**values, "known_as": f" ({leap})" if leap else ""})

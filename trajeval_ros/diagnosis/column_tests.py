@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trajeval_ros.diagnosis.findings import Examined, Seen
+from trajeval_ros.diagnosis.findings import Detection, TestResult
 from trajeval_ros.diagnosis.input_pair import FEWEST, SAMPLE, InputPair, TimedPoses, lengths
 from trajeval_ros.diagnosis.input_tests import other_side, sides_of
 from trajeval_ros.geometry import lie
@@ -24,7 +24,7 @@ _ALIKE = 2.0  # largest ratio of durations or lengths of the same run
 _STEPS_ALIKE, _SMALL, _TOGETHER = 0.8, 0.5, 10
 
 
-def columns_of_others(inputs: InputPair) -> list[Examined]:
+def columns_of_others(inputs: InputPair) -> list[TestResult]:
     """Apply the tests of this file."""
     sides = sides_of(inputs)
     if min(map(len, sides.values())) < FEWEST:
@@ -38,28 +38,28 @@ def columns_of_others(inputs: InputPair) -> list[Examined]:
     ]
 
 
-def _row_numbers(inputs: InputPair) -> Examined:
+def _row_numbers(inputs: InputPair) -> TestResult:
     stamps, others = inputs.estimate.stamps, inputs.groundtruth.stamps
     is_counted = bool((np.diff(stamps) == NANOSECONDS).all()) and stamps[0] < _NUMBERS_S * 1e9
     ratio = float(np.ptp(stamps)) / max(float(np.ptp(others)), 1.0)
     apart = not 1.0 / _ALIKE < ratio < _ALIKE or stamps[-1] < others[0]
-    seen = (Seen("row_numbers"),) if inputs.by_time and is_counted and apart else ()
-    return Examined("row numbers", {"span_ratio": ratio}, seen)
+    seen = (Detection("row_numbers"),) if inputs.by_time and is_counted and apart else ()
+    return TestResult("row numbers", {"span_ratio": ratio}, seen)
 
 
-def _degrees(sides: dict[str, TimedPoses], sizes: dict[str, Floats]) -> Examined:
+def _degrees(sides: dict[str, TimedPoses], sizes: dict[str, Floats]) -> TestResult:
     for side, size in sizes.items():
         other, columns = other_side(side), np.argsort(size)[:2]
         extent, moved = (float(np.linalg.norm(one)) for one in (size[columns], sizes[other]))
         ratio = moved / max(extent * _METRES_PER_DEG, 1e-12)
         likely = 1.0 / _FACTOR < ratio < _FACTOR and extent < _DEGREES and moved > _LEAST_M
         if likely and (np.abs(sides[side].positions[:, columns]) <= 180.0).all():
-            seen = Seen.of("degrees", side=side, other=other, path_m=moved, extent=extent)
-            return Examined("degrees", {"ratio": ratio}, (seen,))
-    return Examined("degrees")
+            seen = Detection.of("degrees", side=side, other=other, path_m=moved, extent=extent)
+            return TestResult("degrees", {"ratio": ratio}, (seen,))
+    return TestResult("degrees")
 
 
-def _flat(sides: dict[str, TimedPoses], sizes: dict[str, Floats], gauge: Gauge) -> Examined:
+def _flat(sides: dict[str, TimedPoses], sizes: dict[str, Floats], gauge: Gauge) -> TestResult:
     """Test for a constant column of one side while the other side moves in space.
 
     A side with roll and pitch is three-dimensional, and has a height that is not constant.
@@ -77,18 +77,18 @@ def _flat(sides: dict[str, TimedPoses], sizes: dict[str, Floats], gauge: Gauge) 
         is_high = height_m > _FLAT * sides[other].extent
         if gauge is not Gauge.PLANAR and (tilts > _TILTS or is_high):
             name = "xyz"[axis.argmax()]
-            seen = Seen.of("flat", side=side, other=other, axis=name, height_m=height_m)
-            return Examined("flat", {"height_m": height_m}, (seen,))
-    return Examined("flat")
+            seen = Detection.of("flat", side=side, other=other, axis=name, height_m=height_m)
+            return TestResult("flat", {"height_m": height_m}, (seen,))
+    return TestResult("flat")
 
 
-def _increments(inputs: InputPair) -> Examined:
+def _increments(inputs: InputPair) -> TestResult:
     """Compare the lengths of the estimate's positions with steps of the groundtruth."""
     test, (groundtruth, estimate) = "increments", inputs.in_order
     if not inputs.by_time or min(len(groundtruth), len(estimate)) < FEWEST:
-        return Examined(test, why_not="no timestamps")
+        return TestResult(test, why_not="no timestamps")
     if estimate.extent > _SMALL * groundtruth.extent:
-        return Examined(test)
+        return TestResult(test)
     at = groundtruth.at(estimate.seconds, inputs.max_gap_s)
     both = at.known[1:] & at.known[:-1]
     rows = [lengths(np.diff(at.positions, axis=0))[both], lengths(estimate.positions[1:])[both]]
@@ -97,9 +97,9 @@ def _increments(inputs: InputPair) -> Examined:
     blocks = np.arange(0, len(rows[0]), together)
     steps, sizes = (np.add.reduceat(row, blocks) for row in rows)
     if len(steps) < FEWEST or not (steps.std() > 0.0 and sizes.std() > 0.0):
-        return Examined(test, why_not="too few common poses")
+        return TestResult(test, why_not="too few common poses")
     peak = float(np.corrcoef(steps, sizes)[0, 1])
     ratio = median(sizes) / max(median(steps), 1e-12)
     is_alike = peak > _STEPS_ALIKE and 1.0 / _ALIKE < ratio < _ALIKE
-    seen = (Seen.of(test, peak=peak),) if is_alike else ()
-    return Examined(test, {"peak": peak, "ratio": ratio}, seen)
+    seen = (Detection.of(test, peak=peak),) if is_alike else ()
+    return TestResult(test, {"peak": peak, "ratio": ratio}, seen)

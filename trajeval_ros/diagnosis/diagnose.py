@@ -26,7 +26,7 @@ from trajeval_ros.diagnosis.evaluation_tests import (
     frame_offset,
     number_of_pairs,
 )
-from trajeval_ros.diagnosis.findings import Diagnosis, Examined, Finding, Seen
+from trajeval_ros.diagnosis.findings import Detection, Diagnosis, Finding, TestResult
 from trajeval_ros.diagnosis.input_pair import FEWEST, InputPair
 from trajeval_ros.diagnosis.input_tests import (
     duplicated_rows,
@@ -208,7 +208,7 @@ def same_estimate(estimate: InputSummary, others: Sequence[InputSummary]) -> Fin
     for other in others:
         if other.fingerprint == estimate.fingerprint:
             name = other.source or other.name or "another one"
-            return Finding.of(Seen.of("same_estimate", other=name))
+            return Finding.of(Detection.of("same_estimate", other=name))
     return None
 
 
@@ -224,7 +224,7 @@ def _tested(inputs: InputPair, losses: Sequence[Loss] = ()) -> Diagnosis:
     return Diagnosis.of([*of_sides.examined, *tests_of_motion(inputs)])
 
 
-def _tests_of_sides(inputs: InputPair) -> list[Examined]:
+def _tests_of_sides(inputs: InputPair) -> list[TestResult]:
     tests = (
         standing_still, rounded_stamps, same_positions, duplicated_rows, swapped_names,
     )  # fmt: skip

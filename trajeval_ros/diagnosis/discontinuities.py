@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from trajeval_ros.diagnosis.causes import CAUSES, DISCONTINUITIES, cause_name
-from trajeval_ros.diagnosis.findings import Diagnosis, Examined, Finding, Seen, Value
+from trajeval_ros.diagnosis.findings import Detection, Diagnosis, Finding, TestResult, Value
 from trajeval_ros.formatting.numbers import counted, four_digits
 from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
@@ -86,7 +86,7 @@ def changes_motions(evaluation: Evaluation) -> bool:
     return flips == ["sure"] or has_clock_step(evaluation)
 
 
-def examined_discontinuities(evaluation: Evaluation, known: Diagnosis) -> Examined:
+def examined_discontinuities(evaluation: Evaluation, known: Diagnosis) -> TestResult:
     """Return the discontinuities that cause errors, one per kind and side.
 
     `known`: other findings. Most explain steps; a frozen position is not repeated.
@@ -99,7 +99,7 @@ def examined_discontinuities(evaluation: Evaluation, known: Diagnosis) -> Examin
         for group in _grouped(events)
         if _is_cause(group, evaluation)
     ]
-    return Examined("discontinuities", scores, tuple(seen))
+    return TestResult("discontinuities", scores, tuple(seen))
 
 
 def about_small_discontinuities(evaluation: Evaluation, known: Diagnosis) -> Iterator[Remark]:
@@ -194,7 +194,7 @@ def _without_cuts_at(group: Sequence[Event], evaluation: Evaluation, whole_m: fl
     return whole_m if together is None else together
 
 
-def _seen(group: Sequence[Event], parts: Sequence[RunPart], first_ns: int) -> Seen:
+def _seen(group: Sequence[Event], parts: Sequence[RunPart], first_ns: int) -> Detection:
     """Return the cause of discontinuities of one kind and side: its largest one."""
     event = max(group, key=lambda event: (event.ratio, abs(event.s)))
     begin_s, end_s = ((ns - first_ns) / NANOSECONDS for ns in (event.t_ns, event.end_ns))
@@ -214,7 +214,7 @@ def _seen(group: Sequence[Event], parts: Sequence[RunPart], first_ns: int) -> Se
         "receptions": "; the receive times did not" if event.certainty == "sure" else "",
         "parts": _parts_text(parts) if event.kind in kinds.PARTING else "",
     }
-    return Seen(cause_name(event.kind, event.side), values)
+    return Detection(cause_name(event.kind, event.side), values)
 
 
 def _parts_text(parts: Sequence[RunPart]) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trajeval_ros.diagnosis.findings import Examined, Seen
+from trajeval_ros.diagnosis.findings import Detection, TestResult
 from trajeval_ros.diagnosis.input_pair import FEWEST, TimedPoses, lengths
 from trajeval_ros.geometry.arrays import Booleans, Floats, runs_of
 from trajeval_ros.geometry.trajectory_edits import evenly
@@ -26,18 +26,18 @@ _HOLE_M, _MOST_HOLES = 0.1, 20  # the same of gaps, and number that is compared
 
 def groundtruth_defects(
     groundtruth: TimedPoses, estimate: TimedPoses, max_gap_s: float
-) -> Examined:
+) -> TestResult:
     """Test for held poses, a frozen body, and dropouts that were filled up to `max_gap_s`."""
     test = "groundtruth defects"
     begin = max(groundtruth.seconds[0], estimate.seconds[0])
     end = min(groundtruth.seconds[-1], estimate.seconds[-1])
     if len(groundtruth) < FEWEST or len(estimate) < FEWEST or end <= begin:
-        return Examined(test, why_not="too few common poses")
+        return TestResult(test, why_not="too few common poses")
     some = _thinned(groundtruth)
     still, gliding = _constant(some)
     scores = {"still_share": float(still.mean()), "straight_share": float(gliding.mean())}
     if not (still.any() or gliding.any() or max_gap_s > _LONG_S):
-        return Examined(test, scores)
+        return TestResult(test, scores)
     # Metres per unit of the estimate.
     times = np.linspace(begin, end, 200)
     paths = [step_lengths(side.at(times).positions).sum() for side in (groundtruth, estimate)]
@@ -47,7 +47,7 @@ def groundtruth_defects(
         *_gliding(groundtruth, estimate, _stretches(some, _with_previous(gliding)), scale),
         *_holes(groundtruth, estimate, max_gap_s, scale),
     ]
-    return Examined(test, scores, tuple(seen))
+    return TestResult(test, scores, tuple(seen))
 
 
 def _thinned(groundtruth: TimedPoses) -> TimedPoses:
@@ -101,7 +101,7 @@ def _still(
     estimate: TimedPoses,
     stretches: tuple[Floats, Floats],
     scale: float,
-) -> list[Seen]:
+) -> list[Detection]:
     begin, end = stretches
     start, stop = (estimate.at(times, _LONG_S) for times in stretches)
     known = start.known & stop.known
@@ -111,13 +111,13 @@ def _still(
     held_s = float(long_s[moving].sum())
     if np.count_nonzero(moving) >= FEWEST and held_s > _HELD_SHARE * groundtruth.span_s:
         rate_hz = 1.0 / groundtruth.usual_step_s
-        return [Seen.of("groundtruth_held", held_s=median(long_s[moving]), rate_hz=rate_hz)]
+        return [Detection.of("groundtruth_held", held_s=median(long_s[moving]), rate_hz=rate_hz)]
     frozen = (long_s > _LONG_S) & (moved_m > _FROZEN_M)
     if not frozen.any():
         return []
     when, row = _longest(groundtruth, begin, long_s, np.where(frozen, long_s, 0.0))
     values = {"frozen_s": float(long_s[row]), "moved_m": float(moved_m[row])}
-    return [Seen("groundtruth_frozen", {**when, **values})]
+    return [Detection("groundtruth_frozen", {**when, **values})]
 
 
 def _gliding(
@@ -125,7 +125,7 @@ def _gliding(
     estimate: TimedPoses,
     stretches: tuple[Floats, Floats],
     scale: float,
-) -> list[Seen]:
+) -> list[Detection]:
     begin, end = stretches
     start, middle, stop = (
         estimate.at(times, _LONG_S) for times in (begin, (begin + end) / 2.0, end)
@@ -139,12 +139,12 @@ def _gliding(
     when, row = _longest(groundtruth, begin, long_s, np.where(bridged, bent_m, 0.0))
     values = {"bridged_s": float(long_s[row]), "bent_m": float(bent_m[row])}
     number = float(np.count_nonzero(bridged))
-    return [Seen("groundtruth_bridged", {**when, **values, "stretches": number})]
+    return [Detection("groundtruth_bridged", {**when, **values, "stretches": number})]
 
 
 def _holes(
     groundtruth: TimedPoses, estimate: TimedPoses, max_gap_s: float, scale: float
-) -> list[Seen]:
+) -> list[Detection]:
     """Test the gaps that the association interpolates."""
     steps_s = np.diff(groundtruth.seconds)
     holes = np.flatnonzero((steps_s > _LONG_S) & (steps_s <= max_gap_s))
@@ -167,4 +167,4 @@ def _holes(
         return []
     longest_s, percent = float(steps_s[holes].max()), 100.0 * inside / len(estimate)
     values = {"longest_s": longest_s, "percent": percent, "holes": float(len(holes))}
-    return [Seen("gap_bridged", {"max_gap_s": max_gap_s, "bent_m": worst_m, **values})]
+    return [Detection("gap_bridged", {"max_gap_s": max_gap_s, "bent_m": worst_m, **values})]

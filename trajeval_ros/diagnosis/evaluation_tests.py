@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trajeval_ros.consistency.constant_covariances import constant_covariances
-from trajeval_ros.diagnosis.findings import Examined, Seen, Value
+from trajeval_ros.diagnosis.findings import Detection, TestResult, Value
 from trajeval_ros.diagnosis.input_pair import FEWEST
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.geometry.gauge import Gauge
@@ -40,12 +40,12 @@ def few_pairs(protocol: Protocol, pairs: Association) -> str:
 
 def number_of_pairs(
     protocol: Protocol, pairs: Association, groundtruth: Trajectory, estimate: Trajectory
-) -> Examined:
+) -> TestResult:
     """Test the number of pairs of two trajectories, with advice on how to get more."""
     test, scores, rule = "number of pairs", {"pairs": float(len(pairs))}, pairs.rule
     warning = few_pairs(protocol, pairs)
     if not warning:
-        return Examined(test, scores)
+        return TestResult(test, scores)
     if protocol.gauge.has_translation:
         enough = protocol.gauge.enough_pairs(protocol.align_states)
         warning += (
@@ -69,14 +69,16 @@ def number_of_pairs(
             f"paired within {rule.max_time_difference_s:g} s: change the limit with "
             "--max-time-difference SECONDS"
         )
-    return Examined(test, scores, (Seen("few_pairs", {"text": warning, "more": more, **scores}),))
+    return TestResult(
+        test, scores, (Detection("few_pairs", {"text": warning, "more": more, **scores}),)
+    )
 
 
-def frame_offset(evaluation: Evaluation) -> Examined:
+def frame_offset(evaluation: Evaluation) -> TestResult:
     """Compare the errors with their mean, if the gauge assumes equal frames."""
     test = "frame offset"
     if evaluation.protocol.gauge is not Gauge.NONE:
-        return Examined(test, why_not="the alignment removes an offset")
+        return TestResult(test, why_not="the alignment removes an offset")
     apart = evaluation.association.groundtruth.positions - evaluation.aligned.positions
     mean = apart.mean(axis=0)
     total = float(np.mean(np.sum(apart**2, axis=1)))
@@ -84,7 +86,7 @@ def frame_offset(evaluation: Evaluation) -> Examined:
     length_m = float(np.linalg.norm(mean))
     scores = {"offset_m": length_m, "share": share}
     if len(apart) < FEWEST or length_m < _LEAST_OFFSET_M or share < _OFFSET_SHARE:
-        return Examined(test, scores)
+        return TestResult(test, scores)
     height = abs(float(mean @ evaluation.groundtruth.up.matrix[2]))
     level = float(np.sqrt(max(length_m**2 - height**2, 0.0)))
     is_geoid = level < _LEVEL * height and _GEOID_M[0] < height < _GEOID_M[1]
@@ -96,21 +98,21 @@ def frame_offset(evaluation: Evaluation) -> Examined:
         "percent": 100.0 * share,
         "kind": kind,
     }
-    return Examined(test, scores, (Seen("frames_apart", values),))
+    return TestResult(test, scores, (Detection("frames_apart", values),))
 
 
-def covariance_blocks(evaluation: Evaluation) -> Examined:
+def covariance_blocks(evaluation: Evaluation) -> TestResult:
     """Compare errors with standard deviations, of positions and of rotations."""
     test, pairs, errors = "covariance blocks", evaluation.association, evaluation.absolute
     covariances = pairs.estimate.covariances
     if covariances is None or errors.rotation_deg is None or len(pairs) < _FEWEST_COVARIANCES:
-        return Examined(test, why_not="no covariances in use, or too few pairs")
+        return TestResult(test, why_not="no covariances in use, or too few pairs")
     if constant_covariances(covariances):
-        return Examined(test, why_not="the covariances are constant")
+        return TestResult(test, why_not="the covariances are constant")
     variances = np.diagonal(covariances, axis1=1, axis2=2)
     usable = np.isfinite(variances).all(axis=1) & (variances > 0.0).all(axis=1)
     if np.count_nonzero(usable) < _FEWEST_COVARIANCES:
-        return Examined(test, why_not="the covariances are not positive")
+        return TestResult(test, why_not="the covariances are not positive")
     blocks = variances[usable, :3].sum(axis=1), variances[usable, 3:].sum(axis=1)
     squares = [errors.position_m[usable] ** 2, np.radians(errors.rotation_deg[usable]) ** 2]
     # Ratios of errors and standard deviations, median over states, as read and exchanged.
@@ -124,12 +126,12 @@ def covariance_blocks(evaluation: Evaluation) -> Examined:
     names = "position", "rotation", "position_if_exchanged", "rotation_if_exchanged"
     scores = dict(zip(names, (*as_read, *exchanged), strict=True))
     if not min(scores.values()) > 0.0:
-        return Examined(test, scores, why_not="the errors are zero")
+        return TestResult(test, scores, why_not="the errors are zero")
     logs, others = np.log10(as_read), np.log10(exchanged)
-    seen: tuple[Seen, ...] = ()
+    seen: tuple[Detection, ...] = ()
     if np.ptp(logs) > _APART and np.ptp(others) < _SAME and np.abs(others).max() < _NEAR:
         names = "as_read", "as_read_rotation", "exchanged", "exchanged_rotation"
-        seen = (Seen("covariance_order", dict(zip(names, scores.values(), strict=True))),)
+        seen = (Detection("covariance_order", dict(zip(names, scores.values(), strict=True))),)
     elif abs(logs[0]) < _SAME and abs(logs[1] + math.log10(math.degrees(1.0))) < _SAME:
-        seen = (Seen.of("covariance_degrees", times=1.0 / as_read[1]),)
-    return Examined(test, scores, seen)
+        seen = (Detection.of("covariance_degrees", times=1.0 / as_read[1]),)
+    return TestResult(test, scores, seen)

@@ -19,7 +19,7 @@ Value = float | str
 
 
 @dataclass(frozen=True)
-class Seen:
+class Detection:
     """A cause that a test detected."""
 
     cause: str  # its name in `CAUSES`
@@ -27,18 +27,18 @@ class Seen:
     values: Mapping[str, Value] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, cause: str, **values: Value) -> Seen:
+    def of(cls, cause: str, **values: Value) -> Detection:
         """Return a detected cause with the values of its texts."""
         return cls(cause, values)
 
 
 @dataclass(frozen=True)
-class Examined:
+class TestResult:
     """A test and its results."""
 
     test: str
     scores: Mapping[str, float] = field(default_factory=dict)  # statistics by name
-    seen: tuple[Seen, ...] = ()  # detected causes
+    seen: tuple[Detection, ...] = ()  # detected causes
     why_not: str = ""  # reason why the test is not applicable; "" if it is
 
 
@@ -55,7 +55,7 @@ _CLEARLY = 0.5  # ratio of decreases, from which on the rotation is stated in pl
 
 
 @dataclass(frozen=True)
-class Tried:
+class Verification:
     """Errors without and with the correction of a finding."""
 
     before: Ate | None  # None if nothing can be evaluated without it
@@ -66,7 +66,7 @@ class Tried:
     rotations_deg: tuple[float | None, float | None] = (None, None)
 
     @classmethod
-    def of(cls, before: Evaluation | None, after: Evaluation, then: str = "") -> Tried:
+    def of(cls, before: Evaluation | None, after: Evaluation, then: str = "") -> Verification:
         """Return the errors of two evaluations, or of one if there is none before."""
         from trajeval_ros.calibration.apply import Ate
 
@@ -147,10 +147,10 @@ class Finding:
     # does.
     correction: Mapping[str, str]
     evidence: Mapping[str, float]  # statistics by name
-    tried: Tried | None = None  # None if there is no correction, or no trial of it
+    tried: Verification | None = None  # None if there is no correction, or no trial of it
 
     @classmethod
-    def of(cls, seen: Seen) -> Finding:
+    def of(cls, seen: Detection) -> Finding:
         """Return the finding of a detected cause."""
         cause, side = CAUSES[seen.cause], str(seen.values.get("side", ""))
         values = {**seen.values, "owner": _OWNERS.get(side, f"the {side}'s")}
@@ -220,10 +220,10 @@ class Diagnosis:
 
     # Findings, the most severe one first; empty if no mistake was detected.
     findings: tuple[Finding, ...] = ()
-    examined: tuple[Examined, ...] = ()  # all tests with their statistics, in their order
+    examined: tuple[TestResult, ...] = ()  # all tests with their statistics, in their order
 
     @classmethod
-    def of(cls, examined: Sequence[Examined]) -> Diagnosis:
+    def of(cls, examined: Sequence[TestResult]) -> Diagnosis:
         """Return all findings of tests, sorted by severity."""
         findings = [Finding.of(seen) for test in examined for seen in test.seen]
         return cls((), tuple(examined)).with_others(findings)

@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 
-from trajeval_ros.diagnosis.findings import Examined, Seen, Value
+from trajeval_ros.diagnosis.findings import Detection, TestResult, Value
 from trajeval_ros.diagnosis.input_pair import FEWEST, SAMPLE, InputPair, TimedPoses, lengths
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, extents
@@ -51,7 +51,7 @@ def other_side(side: str) -> str:
     return "groundtruth" if side == "estimate" else "estimate"
 
 
-def rounded_stamps(inputs: InputPair) -> Examined:
+def rounded_stamps(inputs: InputPair) -> TestResult:
     """Test for rounded timestamps that several poses share."""
     seen = []
     for side, read in (("estimate", inputs.estimate), ("groundtruth", inputs.groundtruth)):
@@ -67,13 +67,13 @@ def rounded_stamps(inputs: InputPair) -> Examined:
             apart_s = np.diff(stamps).min() if len(stamps) > 1 else 0.0
             step_s = max(float(steps[0]), float(apart_s))
             values: dict[str, Value] = {"side": side, "step_s": step_s, "poses_per_stamp": shared}
-            seen.append(Seen("stamps_rounded", values))
-    return Examined("rounded stamps", seen=tuple(seen))
+            seen.append(Detection("stamps_rounded", values))
+    return TestResult("rounded stamps", seen=tuple(seen))
 
 
-def duplicated_rows(inputs: InputPair) -> Examined:
+def duplicated_rows(inputs: InputPair) -> TestResult:
     """Test for blocks of moving poses that occur twice, bit by bit, at one distance in rows."""
-    seen: list[Seen] = []
+    seen: list[Detection] = []
     scores: dict[str, float] = {}
     for side, poses in sides_of(inputs).items():
         if len(poses) < FEWEST:
@@ -82,8 +82,8 @@ def duplicated_rows(inputs: InputPair) -> Examined:
         scores[f"{side} share"] = share = min(1.0, repeats / min(_PROBES, len(poses)))
         if repeats >= FEWEST and extent > 1e-3 * _travelled(poses.positions):
             percent = 100.0 * share
-            seen.append(Seen.of("duplicated", side=side, percent=percent, rows_apart=apart))
-    return Examined("duplicated rows", scores, tuple(seen))
+            seen.append(Detection.of("duplicated", side=side, percent=percent, rows_apart=apart))
+    return TestResult("duplicated rows", scores, tuple(seen))
 
 
 def _repeats(poses: TimedPoses) -> tuple[int, float, float]:
@@ -112,7 +112,7 @@ def _repeats(poses: TimedPoses) -> tuple[int, float, float]:
     return int(numbers[most]), float(distances[most]), size
 
 
-def same_positions(inputs: InputPair) -> Examined:
+def same_positions(inputs: InputPair) -> TestResult:
     """Test whether the positions of both sides are equal at equal timestamps, or in equal rows.
 
     They are equal as written, or up to rounding after a rigid transformation.
@@ -128,17 +128,17 @@ def same_positions(inputs: InputPair) -> Examined:
         known = np.abs(many.seconds[place] - few.seconds[rows]) < _SAME_S
         rows, same = rows[known], place[known]
     elif len(few) != len(many):
-        return Examined(test, why_not="the numbers of rows differ")
+        return TestResult(test, why_not="the numbers of rows differ")
     if len(rows) < max(_FEWEST_EQUAL, _SHARED * min(len(few), _PROBES)):
-        return Examined(test, why_not=f"too few poses {where}")
+        return TestResult(test, why_not=f"too few poses {where}")
     one, other = few.positions[rows], many.positions[same]
     percent = 100.0 * _equal(one, other)
     if percent < _NEARLY_ALL_PERCENT and len(rows) >= FEWEST:
         percent, where = 100.0 * _equal_when_fitted(one, other), f"{where}, after a rigid fit,"
     scores = {"percent": percent}
     if not extents(one).any() or percent < _NEARLY_ALL_PERCENT:
-        return Examined(test, scores)
-    return Examined(test, scores, (Seen.of("identical", percent=percent, where=where),))
+        return TestResult(test, scores)
+    return TestResult(test, scores, (Detection.of("identical", percent=percent, where=where),))
 
 
 def _equal(one: Floats, other: Floats) -> float:
@@ -164,19 +164,19 @@ def is_at_rest(inputs: InputPair) -> bool:
     return max(_travelled(poses.positions) for poses in sides_of(inputs).values()) < _MOVED
 
 
-def standing_still(inputs: InputPair) -> Examined:
+def standing_still(inputs: InputPair) -> TestResult:
     """Test for a side that does not move while the other one moves."""
     test, sides = "standing still", sides_of(inputs)
     sizes = {side: _travelled(poses.positions) for side, poses in sides.items()}
     scores = {f"{side} path": size for side, size in sizes.items()}
     if min(map(len, sides.values())) < FEWEST or is_at_rest(inputs):
-        return Examined(test, scores, why_not="neither side moves")
+        return TestResult(test, scores, why_not="neither side moves")
     still, path_m = min(sizes, key=sizes.__getitem__), max(sizes.values())
     # Next to an estimate that diverges by far, all groundtruth is small.
     if sizes[still] > min(_STILL_SHARE * path_m, _MOVED):
-        return Examined(test, scores)
-    seen = Seen.of("stands_still", side=still, other=other_side(still), path_m=path_m)
-    return Examined(test, scores, (seen,))
+        return TestResult(test, scores)
+    seen = Detection.of("stands_still", side=still, other=other_side(still), path_m=path_m)
+    return TestResult(test, scores, (seen,))
 
 
 def _travelled(positions: Floats) -> float:
@@ -187,9 +187,9 @@ def _travelled(positions: Floats) -> float:
     return float(np.linalg.norm(ranked[len(some) - 1 - outliers] - ranked[outliers]))
 
 
-def velocities(groundtruth: TimedPoses, estimate: TimedPoses) -> Examined:
+def velocities(groundtruth: TimedPoses, estimate: TimedPoses) -> TestResult:
     """Compare velocities, as read and rotated to the world, with the rate of the positions."""
-    seen: list[Seen] = []
+    seen: list[Detection] = []
     scores: dict[str, float] = {}
     for side, poses in (("estimate", estimate), ("groundtruth", groundtruth)):
         if poses.velocities is None or poses.quaternions is None or len(poses) < FEWEST:
@@ -209,31 +209,33 @@ def velocities(groundtruth: TimedPoses, estimate: TimedPoses) -> Examined:
         scores |= {f"{side} as world": as_world, f"{side} as body": as_body}
         if as_world > 0.25 and as_body < 0.2 * as_world and as_body < 0.1:
             world, body = (100.0 * math.sqrt(share) for share in (as_world, as_body))
-            seen.append(Seen.of("twist_body", side=side, off_percent=world, turned_percent=body))
+            seen.append(
+                Detection.of("twist_body", side=side, off_percent=world, turned_percent=body)
+            )
     why_not = "" if scores else "no side has both velocities and orientations"
-    return Examined("velocities", scores, tuple(seen), why_not)
+    return TestResult("velocities", scores, tuple(seen), why_not)
 
 
-def rhythm(groundtruth: TimedPoses, estimate: TimedPoses, *, is_odometry: bool) -> Examined:
+def rhythm(groundtruth: TimedPoses, estimate: TimedPoses, *, is_odometry: bool) -> TestResult:
     """Test whether the estimate has only keyframes, or lost frames: few, at irregular times.
 
     Odometry is published once per frame and not optimised later.
     """
     test, rate_hz = "keyframes", (len(estimate) - 1) / max(estimate.span_s, 1e-9)
     if rate_hz >= _SLOW_HZ:
-        return Examined(test, {"rate_hz": rate_hz})
+        return TestResult(test, {"rate_hz": rate_hz})
     steps_s = np.diff(estimate.seconds)
     low, high = np.quantile(steps_s, [0.1, 0.9])
     spread = float(high - low) / median(steps_s)
     scores = {"rate_hz": rate_hz, "spread": spread}
     if spread > 0.5 and median(steps_s) > 4.0 * groundtruth.usual_step_s:
         cause = "frames_lost" if is_odometry else "keyframes"
-        seen = Seen.of(cause, rate_hz=rate_hz, of_hz=1.0 / float(low))
-        return Examined(test, scores, (seen,))
-    return Examined(test, scores)
+        seen = Detection.of(cause, rate_hz=rate_hz, of_hz=1.0 / float(low))
+        return TestResult(test, scores, (seen,))
+    return TestResult(test, scores)
 
 
-def swapped_names(inputs: InputPair) -> Examined:
+def swapped_names(inputs: InputPair) -> TestResult:
     """Test whether only the estimate has a name of groundtruth."""
     groundtruth, estimate = (
         side.reading.source or side.name for side in (inputs.groundtruth, inputs.estimate)
@@ -245,9 +247,9 @@ def swapped_names(inputs: InputPair) -> Examined:
     name = topic if is_topic else estimate.rpartition("/")[2]
     is_groundtruth = is_named_groundtruth(name) and _ESTIMATE.search(name) is None
     if not is_groundtruth or not groundtruth or is_named_groundtruth(groundtruth):
-        return Examined("source names")
-    seen = Seen.of("swapped", groundtruth=groundtruth, estimate=estimate)
-    return Examined("source names", seen=(seen,))
+        return TestResult("source names")
+    seen = Detection.of("swapped", groundtruth=groundtruth, estimate=estimate)
+    return TestResult("source names", seen=(seen,))
 
 
 def is_named_groundtruth(name: str) -> bool:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trajeval_ros.diagnosis.findings import Examined, Seen, Value
+from trajeval_ros.diagnosis.findings import Detection, TestResult, Value
 from trajeval_ros.diagnosis.input_pair import FEWEST
 from trajeval_ros.geometry.arrays import extents
 from trajeval_ros.geometry.trajectory import NANOSECONDS
@@ -62,7 +62,7 @@ def _size(positions: Floats) -> float:
     return float(np.linalg.norm(extents(positions)))
 
 
-def lost_tracking(losses: Sequence[Loss], pairs: Association, first_ns: int) -> Examined:
+def lost_tracking(losses: Sequence[Loss], pairs: Association, first_ns: int) -> TestResult:
     """Report losses, by times since `first_ns`, the groundtruth's first timestamp."""
     seen = []
     for kind in (DIVERGED, FROZEN):
@@ -82,5 +82,5 @@ def lost_tracking(losses: Sequence[Loss], pairs: Association, first_ns: int) -> 
             "moved_m": loss.moved_m,
         }
         of_start = begins_at_start(loss, pairs) and (loss.is_over or kind == DIVERGED)
-        seen.append(Seen(f"{kind}_at_start" if of_start else kind, values))
-    return Examined("lost tracking", {"losses": float(len(losses))}, tuple(seen))
+        seen.append(Detection(f"{kind}_at_start" if of_start else kind, values))
+    return TestResult("lost tracking", {"losses": float(len(losses))}, tuple(seen))

@@ -14,7 +14,7 @@ import numpy as np
 from trajeval_ros.diagnosis import naming
 from trajeval_ros.diagnosis.clocks import Clock
 from trajeval_ros.diagnosis.dropout_tests import groundtruth_defects, without_defects
-from trajeval_ros.diagnosis.findings import Examined, Seen
+from trajeval_ros.diagnosis.findings import Detection, TestResult
 from trajeval_ros.diagnosis.hypotheses import (
     AS_READ,
     EULER_HYPOTHESES,
@@ -61,12 +61,12 @@ _WANDER_S = 0.005  # of healthy clocks along a run: short runs show no rate
 _STEPS_APART = 0.05  # of a step of the estimate, healthy offset of its timestamps
 
 
-def tests_of_motion(inputs: InputPair) -> list[Examined]:
+def tests_of_motion(inputs: InputPair) -> list[TestResult]:
     """Apply all tests of motions."""
     groundtruth, estimate = inputs.in_order
     if min(groundtruth.span_s, estimate.span_s) < SHORTEST_S or len(estimate) < FEWEST:
-        return [Examined("motions", why_not=f"a side is shorter than {SHORTEST_S:g} s")]
-    examined: list[Examined] = []
+        return [TestResult("motions", why_not=f"a side is shorter than {SHORTEST_S:g} s")]
+    examined: list[TestResult] = []
     gap_s = max(inputs.max_gap_s, 4.0 * groundtruth.usual_step_s, _LEAST_GAP_S)
     clock, has_defects = Clock(), False
     if inputs.by_time:
@@ -99,15 +99,17 @@ class _Comparison:
     max_gap_s: float
     has_defects: bool  # of the groundtruth, which shift the motions by a part of a second
 
-    def of_few_motions(self) -> Examined:
+    def of_few_motions(self) -> TestResult:
         """Return the result if the groundtruth has gaps nearly everywhere."""
         match = self.clock.match
         if match is None or not self._rates_are_unrelated(match.peak) or is_at_rest(self.inputs):
             why_not = "too few short motions have groundtruth"
             return replace(self._clock_result(), test="models", scores={}, why_not=why_not)
-        return Examined("models", {"peak": match.peak}, (Seen.of("other_run", peak=match.peak),))
+        return TestResult(
+            "models", {"peak": match.peak}, (Detection.of("other_run", peak=match.peak),)
+        )
 
-    def results(self) -> list[Examined]:
+    def results(self) -> list[TestResult]:
         """Return the results of all tests."""
         scores = ModelScores(self.motions)
         models = scores.likeliest(HYPOTHESES)
@@ -138,8 +140,8 @@ class _Comparison:
         if rotates and unrelated.positions + MISTAKE > best.score + ODDS:
             seen = (naming.rotations(scores),)
             scale = self._scale_result(unrelated.scale, SPREADS["scale"].healthy ** 2)
-            return [self._clock_result(), Examined("models", statistics, seen), scale]
-        conventions: tuple[Seen, ...] = ()
+            return [self._clock_result(), TestResult("models", statistics, seen), scale]
+        conventions: tuple[Detection, ...] = ()
         if best.cause != AS_READ and best.score > as_read.score + ODDS:
             conventions = (naming.convention(scores, best, models, as_read),)
         else:
@@ -148,21 +150,21 @@ class _Comparison:
         parameters, scores = self._fitted(scores, best)
         results = [
             self._clock_result(parameters, states_rate=oriented and not conventions),
-            Examined("models", statistics, conventions),
+            TestResult("models", statistics, conventions),
             self._scale_result(parameters.scale, parameters.covariance[SCALE, SCALE].item()),
         ]
         if not (oriented and agrees):
             why_not = "rotations do not agree" if oriented else "no orientations"
-            return [*results, Examined("bodies", why_not=why_not)]
+            return [*results, TestResult("bodies", why_not=why_not)]
         if not self.inputs.gauge.turns_about_gravity_only:
             why_not = "the alignment includes roll and pitch, or no rotation"
-            results.append(Examined("vertical axes", why_not=why_not))
+            results.append(TestResult("vertical axes", why_not=why_not))
         elif not best.changes_axes:
             results.append(vertical_axes(scores, best, parameters.body, self.inputs))
         if best.hypothesis.cause == ROTATIONS:
-            return [*results, Examined("bodies", why_not="rotations do not agree")]
+            return [*results, TestResult("bodies", why_not="rotations do not agree")]
         of_bodies, bodies = naming.body_and_lever(scores, parameters, best)
-        return [*results, Examined("bodies", of_bodies, tuple(bodies))]
+        return [*results, TestResult("bodies", of_bodies, tuple(bodies))]
 
     def _rates_are_unrelated(self, correlation: float) -> bool:
         """Return whether a correlation of rates of motion is that of another run."""
@@ -180,10 +182,10 @@ class _Comparison:
         sizes_apart = np.abs(lengths(rotations) - lengths(read.rotations)) / unit
         return median(apart) > _MISFIT * (median(sizes_apart) + 0.01)
 
-    def _unrelated(self, statistics: dict[str, float], *, is_apart: bool) -> Examined:
+    def _unrelated(self, statistics: dict[str, float], *, is_apart: bool) -> TestResult:
         if is_at_rest(self.inputs):
             why_not = "both at rest; motions can't be compared"
-            return Examined("models", statistics, why_not=why_not)
+            return TestResult("models", statistics, why_not=why_not)
         match = self.clock.match
         if match is None or match.overlap_s <= _LONG_S:
             is_apart = False
@@ -191,8 +193,8 @@ class _Comparison:
             # The rates of one run correlate most without an offset, even if the estimate is bad.
             is_apart = match.peak < _UNRELATED_PEAK and self.clock.is_far
         if match is not None and is_apart:
-            return Examined("models", statistics, (Seen.of("other_run", peak=match.peak),))
-        return Examined("models", statistics, why_not="the motions do not agree")
+            return TestResult("models", statistics, (Detection.of("other_run", peak=match.peak),))
+        return TestResult("models", statistics, why_not="the motions do not agree")
 
     def _fitted(self, scores: ModelScores, model: Model) -> tuple[Parameters, ModelScores]:
         """Fit the parameters, a second time if the motions were sampled at wrong times."""
@@ -210,12 +212,12 @@ class _Comparison:
 
     def _clock_result(
         self, parameters: Parameters | None = None, *, states_rate: bool = False
-    ) -> Examined:
+    ) -> TestResult:
         """Return the offset or the rate of the clock, by the fit if there is one."""
         clock, match = self.clock, self.clock.match
         span_s, applied_s = self.estimate.span_s / clock.factor, self.inputs.time_offset_s
         if match is None:
-            return Examined("clocks", why_not="no timestamps, or too little common time")
+            return TestResult("clocks", why_not="no timestamps, or too little common time")
         statistics = {
             "offset_s": clock.offset_s,
             "peak": match.peak,
@@ -224,7 +226,7 @@ class _Comparison:
         }
         if parameters is None:
             coarse = clock.seen(clock.offset_s, clock.factor - 1.0, span_s, applied_s)
-            return Examined("clocks", statistics, (coarse,) * clock.is_stated)
+            return TestResult("clocks", statistics, (coarse,) * clock.is_stated)
         offset_s = clock.offset_s + parameters.offset_s
         rate = clock.factor * (1.0 + parameters.rate) - 1.0
         rows = {  # values, and healthy spreads of this run
@@ -247,9 +249,9 @@ class _Comparison:
         else:
             seen = clock.seen(offset_s, 0.0, span_s, applied_s)
             is_stated = clock.is_stated or odds["offset"] > ODDS
-        return Examined("clocks", statistics, (seen,) * is_stated)
+        return TestResult("clocks", statistics, (seen,) * is_stated)
 
-    def _scale_result(self, scale: float, variance: float) -> Examined:
+    def _scale_result(self, scale: float, variance: float) -> TestResult:
         statistics = {"scale": scale, "sigma_of_log": math.sqrt(variance)}
         seen = naming.unit_or_scale(scale, variance, self.motions, self.inputs.gauge)
-        return Examined("scale", statistics, tuple(seen))
+        return TestResult("scale", statistics, tuple(seen))

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trajeval_ros.diagnosis.findings import Finding, Seen, Value
+from trajeval_ros.diagnosis.findings import Detection, Finding, Value
 from trajeval_ros.diagnosis.hypotheses import (
     AS_READ,
     BOTH,
@@ -57,7 +57,9 @@ _WRITTEN = {
 }
 
 
-def convention(scores: ModelScores, best: Model, models: Sequence[Model], as_read: Model) -> Seen:
+def convention(
+    scores: ModelScores, best: Model, models: Sequence[Model], as_read: Model
+) -> Detection:
     """Return the finding that a model explains the motions better than the one as read."""
     ties = [model for model in models if model.score > best.score - TIE and model.cause != AS_READ]
     by_cause = {best.cause: best}
@@ -68,7 +70,7 @@ def convention(scores: ModelScores, best: Model, models: Sequence[Model], as_rea
         return rows[0]
     options = (Finding.of(row).conversion for row in rows)
     agreements = _agreements(best, as_read)
-    return Seen.of(
+    return Detection.of(
         "convention_tie",
         **agreements,
         causes=" or ".join(dict.fromkeys(map(_written, by_cause.values()))),
@@ -89,7 +91,9 @@ def _written(model: Model) -> str:
     return _WRITTEN[model.cause]
 
 
-def _of_model(scores: ModelScores, model: Model, ties: Sequence[Model], as_read: Model) -> Seen:
+def _of_model(
+    scores: ModelScores, model: Model, ties: Sequence[Model], as_read: Model
+) -> Detection:
     """Return the finding of a model, with its correction."""
     hypothesis, cause = model.hypothesis, model.cause
     if cause == ROTATIONS:
@@ -108,10 +112,10 @@ def _of_model(scores: ModelScores, model: Model, ties: Sequence[Model], as_read:
         similar = [tie for tie in ties if tie.cause == cause and tie.hypothesis is hypothesis]
         options = [option for tie in (model, *similar) for option in _axes_options(scores, tie)]
         values["axes"] = min(options, key=lambda option: round(option[0] / _TILTS_APART_DEG))[1]
-    return Seen(cause, values)
+    return Detection(cause, values)
 
 
-def rotations(scores: ModelScores, detail: str = "") -> Seen:
+def rotations(scores: ModelScores, detail: str = "") -> Detection:
     """Return the finding that positions agree, and rotations do not, or only as in `detail`."""
     read = scores.read(HYPOTHESES[0])
     groundtruth, estimate = (
@@ -130,7 +134,9 @@ def rotations(scores: ModelScores, detail: str = "") -> Seen:
         one, other = ("radians", "degrees")[:: 1 if ratio < 1.0 else -1]
         check = f"{one} were probably read as {other}"
     is_explained = float(how != "in no convention")
-    return Seen.of(ROTATIONS, how=how, check=check, angle_ratio=ratio, is_explained=is_explained)
+    return Detection.of(
+        ROTATIONS, how=how, check=check, angle_ratio=ratio, is_explained=is_explained
+    )
 
 
 def _axes_options(scores: ModelScores, model: Model) -> list[tuple[float, str]]:
@@ -172,7 +178,7 @@ def _axes(permutation: Floats) -> str:
 
 def unit_or_scale(
     scale: float, variance: float, motions: ShortMotions, gauge: Gauge
-) -> list[Seen]:
+) -> list[Detection]:
     """Return the finding that the unit or the scale of a side differs, if any.
 
     `scale`: groundtruth metres per unit of the estimate, with the variance of its logarithm.
@@ -184,7 +190,7 @@ def unit_or_scale(
     }
     if abs(log) > _DIVERGED:
         true_m, moved_m = float(steps[GROUNDTRUTH].sum()), float(steps[ESTIMATE].sum())
-        return [Seen.of("diverged_at_start", until="", true_m=true_m, moved_m=moved_m)]
+        return [Detection.of("diverged_at_start", until="", true_m=true_m, moved_m=moved_m)]
     is_fast = {
         side: median(sizes[sizes >= median(sizes)]) > _FAST_M for side, sizes in steps.items()
     }
@@ -212,7 +218,7 @@ def unit_or_scale(
         is_unit = is_unit and side == GROUNDTRUTH and is_fast[GROUNDTRUTH]
     if is_unit and not is_foot:
         factor = f"{_UNITS[unit]:g}"
-        return [Seen("unit", {"scale": scale, "side": side, "unit": unit, "factor": factor})]
+        return [Detection("unit", {"scale": scale, "side": side, "unit": unit, "factor": factor})]
     is_scale = abs(log) >= _LEAST_LOG_SCALE and any_scale - healthy >= ODDS + MISTAKE
     if not is_unit and (gauge.has_scale or not is_scale):
         return []
@@ -220,7 +226,7 @@ def unit_or_scale(
     if is_unit:
         convert = " (--gauge sim3), or convert feet: trajeval trajectory SOURCE --scale 0.3048"
         values = {"or_feet": ", or with groundtruth in feet", "or_convert": convert, "gauge": ""}
-    return [Seen("scale", {"scale": scale, **values})]
+    return [Detection("scale", {"scale": scale, **values})]
 
 
 def _log_density(value: float, variance: float) -> float:
@@ -229,7 +235,7 @@ def _log_density(value: float, variance: float) -> float:
 
 def body_and_lever(
     scores: ModelScores, parameters: Parameters, model: Model
-) -> tuple[dict[str, float], list[Seen]]:
+) -> tuple[dict[str, float], list[Detection]]:
     """Return statistics and findings about the body, with the pose that corrects them.
 
     The correction is the pose of the groundtruth's body in the estimate's, T_B_M.
@@ -260,10 +266,10 @@ def body_and_lever(
     seen = []
     if is_rotated:
         rest_deg = math.degrees(_sigma_of_length(rotation, covariance[BODY, BODY]))
-        seen.append(Seen.of("body", angle_deg=angle_deg, rest_deg=rest_deg, pose=pose))
+        seen.append(Detection.of("body", angle_deg=angle_deg, rest_deg=rest_deg, pose=pose))
     if has_lever:
         sigma_m = _sigma_of_length(lever, covariance[LEVER, LEVER])
-        seen.append(Seen.of("lever_arm", lever_m=lever_m, sigma_m=sigma_m, pose=pose))
+        seen.append(Detection.of("lever_arm", lever_m=lever_m, sigma_m=sigma_m, pose=pose))
     return statistics, seen
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, TypeAlias
 
 from trajeval_ros.diagnosis.causes import DISCONTINUITIES
-from trajeval_ros.diagnosis.findings import Diagnosis, Tried
+from trajeval_ros.diagnosis.findings import Diagnosis, Verification
 from trajeval_ros.exceptions import TrajevalError
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def verified(diagnosis: Diagnosis, before: Evaluation | None, reevaluate: Reeval
         options = dict.fromkeys(one.option for one in corrected if one.option != first.option)
         with contextlib.suppress(TrajevalError):
             after = reevaluate(steps)
-            is_possible, tried = True, Tried.of(before, after, " and ".join(options))
+            is_possible, tried = True, Verification.of(before, after, " and ".join(options))
             if not tried.raises_errors(first.cause):
                 checked = dataclasses.replace(first, tried=tried)
                 break

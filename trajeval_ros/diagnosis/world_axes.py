@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from trajeval_ros.diagnosis.findings import Examined, Seen
+from trajeval_ros.diagnosis.findings import Detection, TestResult
 from trajeval_ros.diagnosis.hypotheses import ODDS, TIE
 from trajeval_ros.diagnosis.input_pair import InputPair
 from trajeval_ros.diagnosis.motion_models import Model, ModelScores, bounded
@@ -48,7 +48,9 @@ def mean_direction(directions: Floats) -> Floats:
     return _unit(np.array([median(column) for column in directions.T]))
 
 
-def vertical_axes(scores: ModelScores, model: Model, body: Floats, inputs: InputPair) -> Examined:
+def vertical_axes(
+    scores: ModelScores, model: Model, body: Floats, inputs: InputPair
+) -> TestResult:
     """Compare the vertical axes of both worlds, with the body's rotation (3, 3)."""
     worlds = world_rotations(scores, model, body)
     by_axis = [lie.rotate(worlds, np.broadcast_to(axis, (len(worlds), 3))) for axis in np.eye(3)]
@@ -68,9 +70,9 @@ def vertical_axes(scores: ModelScores, model: Model, body: Floats, inputs: Input
     matrix = np.stack([mean_direction(by_axis[0]), mean_direction(by_axis[1]), up], axis=1)
     shared = _vertical_of_both(scores, model, matrix, inputs)
     if shared is not None:
-        return Examined(_TEST, statistics, (shared,))
+        return TestResult(_TEST, statistics, (shared,))
     if odds <= ODDS:
-        return Examined(_TEST, statistics)
+        return TestResult(_TEST, statistics)
     finding = _other_axis(scores, model, matrix, statistics, inputs)
     if finding is None:
         # Errors of orientations, or orientations of other axes, do not rotate the positions.
@@ -79,9 +81,11 @@ def vertical_axes(scores: ModelScores, model: Model, body: Floats, inputs: Input
         by_positions = scores.log_odds_of_worlds(model, worlds, level)
         statistics["log_odds_of_positions"] = by_positions
         if by_positions <= 0.0:
-            return Examined(_TEST, statistics)
-        finding = Seen("tilted", {name: statistics[name] for name in ("tilt_deg", "sigma_deg")})
-    return Examined(_TEST, statistics, (finding,))
+            return TestResult(_TEST, statistics)
+        finding = Detection(
+            "tilted", {name: statistics[name] for name in ("tilt_deg", "sigma_deg")}
+        )
+    return TestResult(_TEST, statistics, (finding,))
 
 
 def _other_axis(
@@ -90,7 +94,7 @@ def _other_axis(
     matrix: Floats,
     statistics: dict[str, float],
     inputs: InputPair,
-) -> Seen | None:
+) -> Detection | None:
     """Return the finding that another axis is vertical in a world; None if it is tilted."""
     ups = {"groundtruth": inputs.groundtruth.up, "estimate": inputs.estimate.up}
     # The vertical axis of a side in the frame of the other one.
@@ -100,7 +104,7 @@ def _other_axis(
         if axis == "z" or off_deg > max(_AXIS_DEG, statistics["sigma_deg"]):
             continue
         both = {name: _in_file(axis if name == side else "z", up) for name, up in ups.items()}
-        return Seen.of(
+        return Detection.of(
             "up_axis_or_mirrored" if axis == "-z" and _is_mirror(scores, model) else "up_axis",
             side=side,
             axis=both[side],
@@ -121,7 +125,7 @@ def _is_mirror(scores: ModelScores, model: Model) -> bool:
 
 def _vertical_of_both(
     scores: ModelScores, model: Model, matrix: Floats, inputs: InputPair
-) -> Seen | None:
+) -> Detection | None:
     """Return the finding that the groundtruth's x or y is vertical.
 
     Either the groundtruth itself shows it, or both sides rotate about the same axis.
@@ -146,7 +150,7 @@ def _vertical_of_both(
     return None
 
 
-def _sideways(row: int, matrix: Floats, inputs: InputPair) -> Seen:
+def _sideways(row: int, matrix: Floats, inputs: InputPair) -> Detection:
     """Return the finding that an axis of the groundtruth is vertical, with what corrects it."""
     up_of_groundtruth, up_of_estimate = inputs.groundtruth.up, inputs.estimate.up
     up, down = (_in_file(sign + "xyz"[row], up_of_groundtruth) for sign in ("", "-"))
@@ -157,7 +161,7 @@ def _sideways(row: int, matrix: Floats, inputs: InputPair) -> Seen:
     direction = -_unit(matrix[row])
     has_axis = float(np.abs(direction).max()) > _SHARED_AXIS
     ups = f"{down},{_in_file(nearest_axis(direction), up_of_estimate)}" if has_axis else ""
-    return Seen.of("groundtruth_up_axis", text=text, ups=ups, gauge="" if has_axis else "se3")
+    return Detection.of("groundtruth_up_axis", text=text, ups=ups, gauge="" if has_axis else "se3")
 
 
 def _in_file(axis: str, up: UpAxis) -> str:

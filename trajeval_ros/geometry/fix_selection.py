@@ -16,7 +16,7 @@ from trajeval_ros.exceptions import InputError, SettingsError
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps
 from trajeval_ros.geometry.fixes import STATUS_NO_FIX, STATUS_UNKNOWN, Fixes
 from trajeval_ros.geometry.geodesy import Datum, east_north_up
-from trajeval_ros.geometry.reading import NOT_READ, Reading
+from trajeval_ros.geometry.reading import NOT_READ, SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
 
 FRAME = "east_north_up"
@@ -120,7 +120,7 @@ class FixRule:
 
 
 def fix_trajectory(
-    stamps: Stamps, fixes: Fixes, reading: Reading = NOT_READ, **attributes: Any
+    stamps: Stamps, fixes: Fixes, reading: SourceInfo = NOT_READ, **attributes: Any
 ) -> Trajectory:
     """Return the trajectory of the usable fixes, in the frame of the first; count the others.
 
@@ -214,7 +214,7 @@ def trajectory_of_rows(
     stamps: Stamps,
     places: Floats,
     quality: Floats,
-    reading: Reading,
+    reading: SourceInfo,
     **attributes: Any,
 ) -> Trajectory:
     """Return the trajectory of GNSS fixes; invalid fixes are dropped and counted.

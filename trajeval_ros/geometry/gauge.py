@@ -133,7 +133,7 @@ class Gauge(Enum):
         return self in (Gauge.YAW, Gauge.PLANAR)
 
     @property
-    def turns_freely(self) -> bool:
+    def has_so3(self) -> bool:
         """Whether its rotations are all of SO(3)."""
         return self in (Gauge.SE3, Gauge.SIM3)
 
@@ -145,7 +145,7 @@ class Gauge(Enum):
     @property
     def minimum_states(self) -> int:
         """Least number of states whose positions determine an element (not on a line, for 3)."""
-        if self.turns_freely:
+        if self.has_so3:
             return 3
         return 2 if self.turns_about_gravity_only else 1
 

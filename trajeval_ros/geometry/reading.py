@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Level, Remark
 from trajeval_ros.geometry.arrays import Booleans, Floats, at_rows
-from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.receptions import ReceiveTimes
 from trajeval_ros.geometry.valid_poses import add_counts
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class DeclaredReset(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class SourceInfo:
     """How the N states of a trajectory were read; immutable."""
 
     source: str = ""  # the source, as the user names it; "" if there is none
@@ -68,7 +68,7 @@ class Reading:
     # not quite the rotations of `Trajectory.quaternions`.
     matrices: Floats | None = None
     # The times of reception of the N messages; None if unknown.
-    receptions: Receptions | None = None
+    receptions: ReceiveTimes | None = None
     # A `Trajectory` (its module needs this one) in order of reception, if poses were revised
     # afterwards: the last pose of each path, or transforms under the newest correction; or None.
     as_received: Any = None
@@ -98,24 +98,24 @@ class Reading:
                     "timestamp"
                 )
 
-    def __getitem__(self, rows: slice | NDArray[np.int64] | Booleans) -> Reading:
+    def __getitem__(self, rows: slice | NDArray[np.int64] | Booleans) -> SourceInfo:
         """Return the reading with the data of a slice, a mask or an array of indices."""
         return at_rows(self, _ROWS, rows)
 
-    def without(self, *names: str) -> Reading:
+    def without(self, *names: str) -> SourceInfo:
         """Return the reading without some data by row; without names, without all of them."""
         gone: dict[str, Any] = {
             name: None for name in names or _ROWS if getattr(self, name) is not None
         }
         return dataclasses.replace(self, **gone) if gone else self
 
-    def remarked(self, *remarks: Remark) -> Reading:
+    def remarked(self, *remarks: Remark) -> SourceInfo:
         """Return the reading with further remarks."""
         if not remarks:
             return self
         return dataclasses.replace(self, remarks=(*self.remarks, *remarks))
 
-    def with_dropped(self, counts: Mapping[str, int]) -> Reading:
+    def with_dropped(self, counts: Mapping[str, int]) -> SourceInfo:
         """Return the reading with further dropped rows, by reason."""
         return dataclasses.replace(self, dropped=add_counts(self.dropped, counts))
 
@@ -137,4 +137,4 @@ def require_column(name: str, column: object, shape: tuple[int, ...]) -> None:
         raise ValueError(f"{name} has shape {column.shape}, expected {shape}")
 
 
-NOT_READ = Reading()
+NOT_READ = SourceInfo()

@@ -13,7 +13,7 @@ LOG, PUBLISH = "log", "publish"  # clocks of a bag: of the recorder, and of the 
 
 
 @dataclass(frozen=True, eq=False)
-class Receptions:
+class ReceiveTimes:
     """When the N messages of poses were received."""
 
     times: Stamps  # (N,) int64, nanoseconds
@@ -32,12 +32,12 @@ class Receptions:
         """Return the number of messages."""
         return len(self.times)
 
-    def __getitem__(self, rows: Any) -> Receptions:
+    def __getitem__(self, rows: Any) -> ReceiveTimes:
         """Return those of a slice, a mask or an array of indices."""
         return at_rows(self, ("times", "body_rates", "corrected"), rows)
 
     @classmethod
-    def of_bag(cls, logged: Stamps, published: Stamps, wanted: str = "") -> Receptions:
+    def of_bag(cls, logged: Stamps, published: Stamps, wanted: str = "") -> ReceiveTimes:
         """Return the publish times where they differ from the log times, or the wanted ones.
 
         A recorder that is late delays its log times only. `logged`, `published`: (N,),

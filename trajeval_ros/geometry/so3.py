@@ -64,7 +64,7 @@ def yaw_of_matrix(matrix: Floats) -> Floats:
     return twist
 
 
-def about_gravity(angle: float) -> Floats:
+def rot_z(angle: float) -> Floats:
     """Return the rotation matrix (3, 3) about the z axis (gravity) by an angle, rad."""
     sine, cosine = np.sin(angle), np.cos(angle)
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])

@@ -29,7 +29,7 @@ _MOST_WAITING = 1000  # states with the same timestamp
 _LAST_GAP_NS = 60 * NANOSECONDS  # after a longer gap, the last timestamp of a stream is dropped
 
 
-class StampTrust:
+class OutlierStamps:
     """Filters the states of a stream by timestamp, at a constant cost."""
 
     def __init__(self) -> None:
@@ -114,7 +114,7 @@ class StampTrust:
         )
 
 
-def trusted_states(stamps: Stamps) -> tuple[NDArray[np.int64], StampTrust]:
+def trusted_states(stamps: Stamps) -> tuple[NDArray[np.int64], OutlierStamps]:
     """Return the trusted rows of a recording with N timestamps, and the filter with its counts."""
-    trust = StampTrust()
+    trust = OutlierStamps()
     return trust.take(stamps, np.arange(len(stamps)), at_end=True)[1], trust

@@ -21,10 +21,10 @@ from trajeval_ros.geometry.array_input import (
 )
 from trajeval_ros.geometry.arrays import Booleans, Floats, Stamps, at_rows
 from trajeval_ros.geometry.interpolation import Bracket, bracket_stamps, mix, slerp
-from trajeval_ros.geometry.reading import NOT_READ, Reading, require_column
+from trajeval_ros.geometry.reading import NOT_READ, SourceInfo, require_column
 from trajeval_ros.geometry.travelled import travelled_distance
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
-from trajeval_ros.geometry.valid_poses import LARGEST, at_length_one, conflicts_of, judge_poses
+from trajeval_ros.geometry.valid_poses import LARGEST, at_length_one, conflicts_of, valid_mask
 
 if TYPE_CHECKING:
     import pandas
@@ -86,7 +86,7 @@ class Trajectory:
     child_frame: str = ""
     up: UpAxis = Z_UP
     name: str = ""
-    reading: Reading = NOT_READ
+    reading: SourceInfo = NOT_READ
 
     def __post_init__(self) -> None:
         """Check types and shapes of the columns.
@@ -119,7 +119,7 @@ class Trajectory:
         stamps: NDArray[np.int64],
         positions: ArrayLike,
         quaternions: ArrayLike | None = None,
-        reading: Reading = NOT_READ,
+        reading: SourceInfo = NOT_READ,
         **columns: object,
     ) -> Trajectory:
         """Make a trajectory from raw numbers; invalid poses are dropped and counted.
@@ -133,7 +133,7 @@ class Trajectory:
 
         Rows with a position or quaternion that is not finite, or too large to be squared, are
         dropped as `not_finite`. Quaternions of (nearly) zero length are dropped as
-        `zero_quaternion`: see `judge_poses`. If a velocity or bias is not finite, that column is
+        `zero_quaternion`: see `valid_mask`. If a velocity or bias is not finite, that column is
         dropped with a remark. Covariances that are not finite are kept; their users check them.
         """
         position_rows = np.asarray(positions, dtype=np.float64)
@@ -142,7 +142,7 @@ class Trajectory:
         if quaternions is not None:
             quaternion_rows = np.asarray(quaternions, dtype=np.float64)
             require_shape(quaternion_rows, "quaternions", (len(stamps), 4))
-        finite, nonzero = judge_poses(position_rows, quaternion_rows)
+        finite, nonzero = valid_mask(position_rows, quaternion_rows)
         keep = finite & nonzero
         dropped = {
             "not_finite": int(np.count_nonzero(~finite)),
@@ -201,7 +201,7 @@ class Trajectory:
         reading = NOT_READ
         if times is None:
             rows = np.arange(len(places))
-            times, reading = rows * NANOSECONDS, Reading(stamped=False, frame_numbers=rows)
+            times, reading = rows * NANOSECONDS, SourceInfo(stamped=False, frame_numbers=rows)
         return cls.from_columns(times, places, turns, reading, **columns)
 
     @classmethod
@@ -414,7 +414,7 @@ class Trajectory:
             dropped = self.reading.dropped
             why = ", ".join(f"{count} {reason}" for reason, count in dropped.items())
             raise InputError(f"no usable pose in {name}" + (f" (dropped: {why})" if why else ""))
-        if not judge_poses(self.positions)[0].all():
+        if not valid_mask(self.positions)[0].all():
             raise InputError(
                 f"{name} has positions that are not finite or beyond {LARGEST:g} m; remove these "
                 "states"

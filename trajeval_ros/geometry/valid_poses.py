@@ -18,7 +18,7 @@ _SHORTEST = 1e-6  # least length of a quaternion
 _ROUNDING = 8.0 * float(np.finfo(np.float64).eps)
 
 
-def judge_poses(positions: Floats, quaternions: Floats | None = None) -> tuple[Booleans, Booleans]:
+def valid_mask(positions: Floats, quaternions: Floats | None = None) -> tuple[Booleans, Booleans]:
     """Return which rows are finite, (N,), and which have a quaternion of non-zero length, (N,).
 
     A diverged estimate can have finite numbers whose squares overflow; they count as infinite.

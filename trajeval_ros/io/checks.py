@@ -50,7 +50,7 @@ def times(stamps: NDArray[np.int64]) -> Booleans:
     return np.ones(len(stamps), dtype=bool)
 
 
-def judge_rotations(quaternions: Floats | None) -> tuple[Floats | None, tuple[Remark, ...]]:
+def check_rotations(quaternions: Floats | None) -> tuple[Floats | None, tuple[Remark, ...]]:
     """Return the quaternions (N, 4), xyzw, and remarks on them.
 
     The quaternions are None if the input is None, all zeros, or the identity everywhere. They are

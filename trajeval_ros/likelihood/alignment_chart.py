@@ -43,7 +43,7 @@ class Chart:
     @property
     def axes(self) -> Floats:
         """The axes (0, 1 or 3, 3) of phi."""
-        if self.gauge.turns_freely:
+        if self.gauge.has_so3:
             return np.eye(3)
         return np.eye(3)[2:] if self.gauge.turns_about_gravity_only else np.zeros((0, 3))
 
@@ -83,7 +83,7 @@ class Chart:
 
         It is uniform in yaw, translation and log scale, but not in rotation vectors of SO(3).
         """
-        if not self.gauge.turns_freely:
+        if not self.gauge.has_so3:
             return np.zeros(len(deltas))
         return se3.log_determinant(deltas[:, self.turns])
 

@@ -233,7 +233,7 @@ def _first_alignment(residuals: Residuals) -> Floats:
     scale = 1.0
     for _ in range(3 if gauge.has_scale else 1):
         both = turns + scale * spread
-        if gauge.turns_freely:
+        if gauge.has_so3:
             u, _, vt = np.linalg.svd(both)
             rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
         else:

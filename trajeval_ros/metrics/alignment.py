@@ -18,7 +18,7 @@ from trajeval_ros.geometry import lie, so3
 from trajeval_ros.geometry.arrays import Floats, extents
 from trajeval_ros.geometry.gauge import Gauge, Similarity
 from trajeval_ros.metrics.moments import Moments, OrientationSum
-from trajeval_ros.metrics.rotation_freedom import RotationFreedom, rotation_freedom
+from trajeval_ros.metrics.rotation_freedom import RotationUncertainty, rotation_freedom
 
 if TYPE_CHECKING:
     from trajeval_ros.metrics.protocol import Protocol
@@ -40,7 +40,7 @@ class Alignment:
     states_used: int  # number of states in the fit
     # Uncertainty of the fitted rotation; None for a gauge without rotation, and for an alignment
     # by the pose of one state.
-    freedom: RotationFreedom | None = None
+    freedom: RotationUncertainty | None = None
     # The alignment by positions alone if orientations were included in the fit; else None.
     by_positions: Similarity | None = None
 
@@ -91,7 +91,7 @@ def solve(
     states = int(moments.weight)
     if not gauge.has_translation:
         return Alignment(Similarity.identity(), states)
-    if not (gauge.turns_freely or gauge.turns_about_gravity_only):
+    if not (gauge.has_so3 or gauge.turns_about_gravity_only):
         return Alignment(_mean_to_mean(np.eye(3), 1.0, moments), states)
     similarity, best_scale, is_free = _fit(gauge, moments, np.zeros((3, 3)), 1.0)
     arm_m, by_positions = 0.0, None
@@ -130,7 +130,7 @@ def _fit(
         target = scale * sigma + pull
         rotation, curvature = _nearest_rotation(gauge, target)
         best_scale = _best_scale(rotation, sigma, moments)
-        if gauge.turns_freely:
+        if gauge.has_so3:
             best_scale = max(best_scale, 0.0)  # negative only by a pull that contradicts Sigma
         before, scale = scale, best_scale if gauge.has_scale else 1.0
         if not pull.any() or abs(scale - before) <= _SAME_SCALE * scale:
@@ -146,7 +146,7 @@ def _nearest_rotation(gauge: Gauge, target: Floats) -> tuple[Floats, float]:
     """
     if gauge.turns_about_gravity_only:
         sine, cosine = target[1, 0] - target[0, 1], target[0, 0] + target[1, 1]
-        return so3.about_gravity(np.arctan2(sine, cosine)), float(np.hypot(sine, cosine))
+        return so3.rot_z(np.arctan2(sine, cosine)), float(np.hypot(sine, cosine))
     # scipy's LAPACK takes a third of the time, but its import takes as long as an evaluation.
     u, d, vt = np.linalg.svd(target)
     flip = -1.0 if _is_mirrored(u @ vt) else 1.0
@@ -254,7 +254,7 @@ def align_first(
                 "on both sides; align more states"
             )
         between = lie.multiply(groundtruth_quaternion, lie.conjugate(estimate_quaternion))
-        if gauge.turns_freely:
+        if gauge.has_so3:
             rotation = lie.to_matrix(lie.normalized(between))
         else:
             if np.hypot(between[2], between[3]) < 1e-9:
@@ -262,7 +262,7 @@ def align_first(
                     "the first rotations differ by half a turn about a horizontal axis, so the "
                     "yaw is undetermined; check the vertical axes of both trajectories (--up)"
                 )
-            rotation = so3.about_gravity(float(lie.yaw(between)))
+            rotation = so3.rot_z(float(lie.yaw(between)))
     translation = groundtruth_position - rotation @ estimate_position
     similarity = Similarity(rotation, translation if gauge.has_translation else np.zeros(3))
     return Alignment(similarity, 1)

@@ -90,9 +90,9 @@ class Availability:
 
     motion: str  # prediction of a pose
     deadline_s: float  # largest age in time
-    received: str = ""  # what the times of reception are: see `Receptions.by`; empty if unknown
+    received: str = ""  # what the times of reception are: see `ReceiveTimes.by`; empty if unknown
     clock: ReceptionClock | None = None  # the comparison of clocks; None without receptions
-    recording_s: tuple[float, float] | None = None  # see `Receptions.recording_s`
+    recording_s: tuple[float, float] | None = None  # see `ReceiveTimes.recording_s`
     why_withheld: str = ""  # why there are no numbers; empty if there are
     rate_hz: int = RATE_HZ  # rate of the instants
     horizon_s: float = HORIZON_S  # longest prediction

@@ -145,8 +145,8 @@ def differences_at_ends(
     """
     first, last = turns
     # The alignment is eq. (19); for yaw its rotation is eq. (20).
-    about_gravity = form in ("gauge", "tutorial") and gauge.turns_about_gravity_only
-    alignment = lie.heading(first) if about_gravity else first
+    rot_z = form in ("gauge", "tutorial") and gauge.turns_about_gravity_only
+    alignment = lie.heading(first) if rot_z else first
     # eq. (14) with the alignment by the first state, relative to the first position.
     step = scale * lie.rotate(alignment, other[1] - other[0])
     # R (R_a R')^T; R R'^T is available for both states.

@@ -46,10 +46,10 @@ class OrientationEvidence:
 
 
 @dataclass(frozen=True)
-class RotationFreedom:
+class RotationUncertainty:
     """Uncertainty of an alignment's rotation."""
 
-    about_gravity: bool  # whether the gauge's rotation is about gravity only
+    rot_z: bool  # whether the gauge's rotation is about gravity only
     std_deg: float  # standard deviation about the least determined axis; infinite if undetermined
     # Comparison with the orientations; None without them on both sides.
     orientations: OrientationEvidence | None
@@ -128,7 +128,7 @@ class RotationFreedom:
 
     @property
     def _axis(self) -> str:
-        return "gravity" if self.about_gravity else "the direction of travel"
+        return "gravity" if self.rot_z else "the direction of travel"
 
 
 def rotation_freedom(
@@ -141,7 +141,7 @@ def rotation_freedom(
     best_scale: float,
     *,
     is_free: bool,
-) -> RotationFreedom:
+) -> RotationUncertainty:
     """Return the uncertainty of an alignment's rotation.
 
     The covariance is the sandwich H^-1 G H^-1 of the alignment's cost. Let a be the aligned
@@ -183,7 +183,7 @@ def rotation_freedom(
             turn_in_stds=math.sqrt(float(np.square(turn[axes] @ principal) @ (1.0 / spread))),
         )
     std_deg = math.degrees(math.sqrt(max(float(variances[-1]), 0.0)))
-    return RotationFreedom(
+    return RotationUncertainty(
         gauge.turns_about_gravity_only,
         std_deg,
         seen,

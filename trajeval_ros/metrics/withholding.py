@@ -36,7 +36,7 @@ def doubts_of(
         reasons[Premise.ALIGNMENT_ROTATION] = why
     if why and freedom is not None and freedom.other_body:
         reasons[Premise.BODY_ROTATION] = freedom.other_body
-    if freedom is not None and freedom.moves_positions and not freedom.about_gravity:
+    if freedom is not None and freedom.moves_positions and not freedom.rot_z:
         reasons[Premise.DIRECTIONS] = freedom.undetermined
     if protocol.re_form != "fitted":
         of_bodies = [reasons.get(p) for p in (Premise.ORIENTATIONS, Premise.BODY_ROTATION)]

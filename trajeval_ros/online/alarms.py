@@ -74,7 +74,7 @@ class Peak(NamedTuple):
     stamp: int | None = None  # timestamp of its pair, nanoseconds; None if it belongs to no pair
 
 
-class Peaks:
+class MaxSinceLast:
     """The largest values of limited quantities between two checks."""
 
     def __init__(self) -> None:
@@ -164,7 +164,7 @@ _SHOWN_S = 10.0  # a text stays this long before its numbers change, so that it 
 _NUMBERS = re.compile(r"[-+.,\d]+")
 
 
-class Standing:
+class ActiveAlarms:
     """The active remarks. Each is reported once when it starts, gets more severe, or ends.
 
     `clock` returns a time in seconds.

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from trajeval_ros.formatting.remarks import Remark
 from trajeval_ros.geometry.arrays import Booleans
 from trajeval_ros.geometry.gauge import Similarity
-from trajeval_ros.geometry.reading import Reading
-from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.receptions import ReceiveTimes
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP, UpAxis
 from trajeval_ros.metrics.as_available import Availability, AvailabilityRule, usable_messages
@@ -174,12 +174,12 @@ def received_poses(rows: Rows, up: UpAxis = Z_UP) -> Trajectory:
     """Return the messages in rows of type `MESSAGE`; without velocities if these are NaN."""
     positions, quaternions, velocities, rates = (rows["state"][:, part] for part in _PARTS)
     corrected = None if (rows["corrected"] == UNKNOWN).any() else rows["corrected"]
-    receptions = Receptions(rows["time"], "node", body_rates=rates, corrected=corrected)
+    receptions = ReceiveTimes(rows["time"], "node", body_rates=rates, corrected=corrected)
     return Trajectory.from_columns(
         rows["stamp"],
         positions,
         None if np.isnan(quaternions).any() else quaternions,
         velocities=None if np.isnan(velocities).any() else velocities,
         up=up,
-        reading=Reading(receptions=receptions),
+        reading=SourceInfo(receptions=receptions),
     )

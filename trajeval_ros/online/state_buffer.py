@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Indices, Stamps
-from trajeval_ros.geometry.reading import Reading
-from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.receptions import ReceiveTimes
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import Z_UP
 from trajeval_ros.geometry.valid_poses import add_counts, count_up
@@ -25,7 +25,7 @@ _ALL = slice(None)
 NOTHING: Mapping[str, int] = MappingProxyType({})  # no counts
 _FEWEST_ROWS = 1024  # of the arrays, so that a short stream is copied a few times only
 _NONE = np.empty(0, dtype=np.int64)
-NO_STATES = Trajectory(_NONE, np.empty((0, 3)), reading=Reading(receptions=Receptions(_NONE)))
+NO_STATES = Trajectory(_NONE, np.empty((0, 3)), reading=SourceInfo(receptions=ReceiveTimes(_NONE)))
 
 
 class Tail:
@@ -169,7 +169,7 @@ def joined(before: Trajectory, after: Trajectory) -> Trajectory:
         columns = {name: column(received, others, name) for name in names}
         receptions = replace(others, **columns)
     columns = {name: column(before, after, name) for name in ("stamps", *_STATE)}
-    return replace(after, **columns, reading=Reading(receptions=receptions))
+    return replace(after, **columns, reading=SourceInfo(receptions=receptions))
 
 
 def _unknown(name: str, shape: tuple[int, ...], kind: np.dtype[Any]) -> NDArray[Any]:

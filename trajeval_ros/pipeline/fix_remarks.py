@@ -89,7 +89,7 @@ def about_fixes(
         yield from _about_sigmas(fixes, evaluation)
     yield from _about_heights(evaluation)
     extent_m = float(extents(pairs.groundtruth.positions[:, :2]).max())
-    if extent_m > _EXTENT_M and not evaluation.protocol.gauge.turns_freely:
+    if extent_m > _EXTENT_M and not evaluation.protocol.gauge.has_so3:
         yield warning(
             "curvature_of_the_earth",
             f"the fixes extend over {extent_m / 1e3:.1f} km, where the curvature of the Earth "
@@ -141,7 +141,7 @@ def _about_sigmas(fixes: Fixes, evaluation: Evaluation) -> Iterator[Remark]:
 def _about_heights(evaluation: Evaluation) -> Iterator[Remark]:
     pairs, gauge = evaluation.association, evaluation.protocol.gauge
     groundtruth = pairs.groundtruth
-    if gauge.turns_freely and groundtruth.reading.fixes is not None:
+    if gauge.has_so3 and groundtruth.reading.fixes is not None:
         rotation = evaluation.alignment.similarity.rotation
         tilt_deg = float(np.degrees(np.arccos(np.clip(rotation[2, 2], -1.0, 1.0))))
         extent_m = float(extents(groundtruth.positions[:, :2]).max())

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trajeval_ros.consistency.covariance_request import CovarianceRequest
-from trajeval_ros.diagnosis.findings import Finding, Tried
+from trajeval_ros.diagnosis.findings import Finding, Verification
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import Remark, warning
 from trajeval_ros.geometry.gauge import Gauge
@@ -241,7 +241,7 @@ def _corrected(
             break
         changed = request.corrected(finding.correction)
         after = _evaluated(given, changed, same_as)
-        tried = Tried.of(found.evaluation, after.evaluation)
+        tried = Verification.of(found.evaluation, after.evaluation)
         is_hidden = finding.tried is not None and bool(finding.tried.then)
         if tried.raises_errors(finding.cause) and not is_hidden:
             if corrected:

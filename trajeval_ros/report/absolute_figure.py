@@ -50,7 +50,7 @@ def absolute_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> F
         rows += canvas.legend_above(axes)
     if withheld:
         reasons = dict.fromkeys(why_no_rotation(item) for item in evaluations)
-        canvas.say_instead(lower, f"Rotation error withheld: {'; '.join(reasons)}.")
+        canvas.annotate(lower, f"Rotation error withheld: {'; '.join(reasons)}.")
     else:
         rows += _draw_rotation(lower, evaluations, names)
     drawn = [upper, *middle] if withheld else [upper, *middle, lower]

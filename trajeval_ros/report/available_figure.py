@@ -61,7 +61,7 @@ def as_available_figure(evaluation: Evaluation, found: AsAvailable) -> Figure:
     latencies_s = (samples.messages.times - samples.messages.stamps) / NANOSECONDS
     right.hist(latencies_s, _BINS, color=canvas.tint(colour), edgecolor=colour, linewidth=0.5)
     for value, dashes in ((latency.median, "-"), (latency.p95, "--")):
-        right.axvline(value, color=canvas.ink(), linestyle=dashes, linewidth=0.9)
+        right.axvline(value, color=canvas.text_color(), linestyle=dashes, linewidth=0.9)
     median, p95 = significant(latency.median, 3), significant(latency.p95, 3)
     right.set_title(f"median {median} s, 95 % {p95} s", loc="left")
     right.set_xlabel("latency [s]")
@@ -83,6 +83,6 @@ def _draw_ages(axes: Axes, seconds: Floats, samples: AvailableSamples, deadline_
     axes.fill_between(
         seconds, 0.0, age_s, where=samples.ages[1] > 0, color=canvas.soft_ink(), alpha=0.5, lw=0
     )
-    axes.axhline(deadline_s, color=canvas.ink(), linewidth=0.8, linestyle=":")
+    axes.axhline(deadline_s, color=canvas.text_color(), linewidth=0.8, linestyle=":")
     axes.set_ylabel("age [s]")
     axes.set_title(f"dotted: deadline {deadline_s:g} s; grey: dropouts", loc="left")

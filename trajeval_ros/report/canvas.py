@@ -99,7 +99,7 @@ def groundtruth_colour() -> Any:
     return _setting("lines.color")
 
 
-def ink() -> Any:
+def text_color() -> Any:
     """Return the colour of text and marks."""
     return _setting("text.color")
 
@@ -140,7 +140,7 @@ def mark_ends(axes: Axes, path: Floats) -> None:
             marker=marker,
             markersize=5,
             markerfacecolor=paper(),
-            markeredgecolor=ink(),
+            markeredgecolor=text_color(),
             zorder=5,
             label=label,
         )
@@ -186,7 +186,7 @@ def draw_boxes(
         },
         whiskerprops=line,
         capprops=line,
-        medianprops={"color": ink(), "linewidth": 1.1},
+        medianprops={"color": text_color(), "linewidth": 1.1},
     )
 
 
@@ -257,7 +257,7 @@ def wrapped(label: str, room_in: float) -> str:
     return "\n".join(re.findall(rf".{{1,{letters}}}(?:(?<=[ /_])|$)|.{{1,{letters}}}", label))
 
 
-def say_instead(axes: Axes, sentence: str) -> None:
+def annotate(axes: Axes, sentence: str) -> None:
     """Write a sentence in place of a plot."""
     axes.grid(visible=False)
     axes.set_xticks([])

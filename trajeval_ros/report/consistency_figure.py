@@ -99,7 +99,7 @@ def _draw_nees(lowest: Axes, evaluation: Evaluation, consistency: Consistency) -
     lowest.set_ylabel("NEES / dof")
     if limit is not None:
         lowest.axhline(
-            limit, color=canvas.ink(), linestyle="--", linewidth=0.9,
+            limit, color=canvas.text_color(), linestyle="--", linewidth=0.9,
             label=f"pose / {moved + turned}: 95 % of consistent runs stay below",
         )  # fmt: skip
     canvas.legend_above(lowest)
@@ -178,9 +178,9 @@ def _draw(axes: Axes, part: PartIntegrity) -> None:
     axes.pcolormesh(
         edges, edges, np.ma.masked_equal(counts.T, 0), norm=LogNorm(), rasterized=True,
     )  # fmt: skip
-    axes.plot([low, high], [low, high], color=canvas.ink(), linewidth=0.8)
+    axes.plot([low, high], [low, high], color=canvas.text_color(), linewidth=0.8)
     for draw in (axes.axhline, axes.axvline):
-        draw(limit, color=canvas.ink(), linewidth=0.8, linestyle="--")
+        draw(limit, color=canvas.text_color(), linewidth=0.8, linestyle="--")
     axes.fill_between(
         [limit, high], low, limit, color=canvas.line_style(0)[0], alpha=0.15, linewidth=0, zorder=0
     )

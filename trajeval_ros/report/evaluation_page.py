@@ -61,11 +61,11 @@ def _plots(drawings: Mapping[str, Drawing]) -> list[Plot]:
     if not drawings:
         return []
     from trajeval_ros.report.figure_output import hide_title
-    from trajeval_ros.report.figure_style import FigureStyle, house_style
+    from trajeval_ros.report.figure_style import FigureStyle, apply_style
     from trajeval_ros.report.page_figures import page_figure
 
     plots = []
-    with house_style(FigureStyle(width_in=_WIDTH_IN)):
+    with apply_style(FigureStyle(width_in=_WIDTH_IN)):
         for name, draw in drawings.items():
             figure = draw()
             title, _, caption = str(figure.get_label()).partition("\n")

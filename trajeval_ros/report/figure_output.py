@@ -12,7 +12,7 @@ from trajeval_ros.formatting.escaping import latex_text, one_line
 from trajeval_ros.io.temporary import temporary_folder
 from trajeval_ros.io.writing import refused_by_disk
 from trajeval_ros.report.canvas import Drawing, grow
-from trajeval_ros.report.figure_style import TEX_SYSTEMS, FigureStyle, house_style
+from trajeval_ros.report.figure_style import TEX_SYSTEMS, FigureStyle, apply_style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,7 +54,7 @@ def save_all(figures: Mapping[str, Drawing], folder: Path, style: FigureStyle) -
     """Draw figures in a style, one after the other, and write them in all of its formats."""
     written = []
     with (
-        house_style(style),
+        apply_style(style),
         refused_by_disk(f"figures in {folder}"),
         temporary_folder("figures", folder) as made,
     ):

@@ -96,7 +96,7 @@ class FigureStyle:
         """Refuse what is not possible, before the evaluation."""
         if self == PLAIN:
             return  # default figures are omitted without matplotlib
-        with house_style(self):
+        with apply_style(self):
             if "pgf" in self.formats and not any(map(shutil.which, TEX_SYSTEMS)):
                 raise InputError(
                     f"format pgf needs LaTeX, one of {', '.join(TEX_SYSTEMS)}; install one, or "
@@ -124,7 +124,7 @@ def _width_in(text: str) -> float:
 
 
 @contextmanager
-def house_style(style: FigureStyle = PLAIN) -> Iterator[None]:
+def apply_style(style: FigureStyle = PLAIN) -> Iterator[None]:
     """Apply the default style, overridden by the user's matplotlib settings and by `style`.
 
     matplotlib's logged warnings are hidden: its first import warns of a home folder that is not

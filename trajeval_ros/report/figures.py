@@ -14,7 +14,7 @@ from trajeval_ros.metrics.evaluation import Evaluation
 from trajeval_ros.report import canvas
 from trajeval_ros.report.absolute_figure import absolute_error
 from trajeval_ros.report.figure_output import save
-from trajeval_ros.report.figure_style import FORMATS, house_style
+from trajeval_ros.report.figure_style import FORMATS, apply_style
 from trajeval_ros.report.relative_figure import relative_error
 from trajeval_ros.report.trajectory_figure import side_view, top_view
 
@@ -60,7 +60,7 @@ def draw(
     """
     require_one_of(kind, _DRAWINGS, "figure")
     given = [evaluations] if isinstance(evaluations, Evaluation) else list(evaluations)
-    with house_style():
+    with apply_style():
         figure = _DRAWINGS[kind](given, canvas.short_names([e.estimate.name for e in given]))
         if path is not None:
             write_figure(figure, Path(path))

@@ -99,7 +99,9 @@ def groundtruth_figure(original: Trajectory, found: ExaminedGroundtruth, fits: F
         jumps = [jump.stamp_ns for jump in fits.checks.jumps if jump.kind == kind]
         for number, stamp in enumerate(jumps):
             label, second = "" if number else "jump", (stamp - first) / NANOSECONDS
-            axes.axvline(second, color=canvas.ink(), linewidth=0.7, linestyle=":", label=label)
+            axes.axvline(
+                second, color=canvas.text_color(), linewidth=0.7, linestyle=":", label=label
+            )
         axes.set_yscale("log")
         axes.set_ylim(_LEAST / 1.5, 1.5 * max(10.0 * _LEAST, float(shown.max())))
         axes.yaxis.set_major_formatter("{x:g}")

@@ -69,5 +69,5 @@ def _page_colours() -> dict[str, str]:
         to_hex(matplotlib.rcParams["grid.color"]): "var(--grid)",
         to_hex(canvas.groundtruth_colour()): "var(--groundtruth)",
         to_hex(canvas.soft_ink()): "var(--soft)",
-        to_hex(canvas.ink()): "var(--ink)",
+        to_hex(canvas.text_color()): "var(--ink)",
     }

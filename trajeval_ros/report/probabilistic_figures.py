@@ -91,7 +91,7 @@ def mahalanobis_over_time(
         values = assessment.error.mahalanobis2 / assessment.error.residuals.axes
         label = f"{name}, chi2/dof {assessment.error.chi2_per_dof:.3g}"
         _draw_over_time(axes, place, assessment.stamps, values, origin, label)
-    axes.axhline(1.0, color=canvas.ink(), linewidth=0.8, linestyle="--")
+    axes.axhline(1.0, color=canvas.text_color(), linewidth=0.8, linestyle="--")
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter("{x:g}")
     axes.set_ylabel("squared Mahalanobis / dof")

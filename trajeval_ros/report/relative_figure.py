@@ -38,7 +38,7 @@ def relative_error(evaluations: Sequence[Evaluation], names: Sequence[str]) -> F
     everything = [segments for e in evaluations for segments in e.relative or ()]
     if not any(segments.count for segments in everything):
         figure = canvas.new_figure(0.9, title)
-        canvas.say_instead(figure.subplots(), _why_nothing(evaluations))
+        canvas.annotate(figure.subplots(), _why_nothing(evaluations))
         return figure
     in_metres = all(length.in_metres for length in lengths)
     metrics = [

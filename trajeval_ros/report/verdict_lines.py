@@ -220,7 +220,7 @@ def _spread(evaluation: Evaluation) -> str:
     rotation, freedom = evaluation.ate["rotation_deg"], evaluation.alignment.freedom
     if rotation is None or freedom is None or freedom.std_deg < _MOSTLY * rotation.rmse:
         return ""
-    angle = "yaw" if freedom.about_gravity else "rotation"
+    angle = "yaw" if freedom.rot_z else "rotation"
     return f", standard deviation of its {angle} {freedom.std_deg:.2g} deg"
 
 

@@ -148,7 +148,7 @@ def _draw(axes: Axes, seen: Watched, book: AlarmBook, names: Sequence[str]) -> N
             axes.axvspan(
                 alarm.begin_s, end_s, color=canvas.soft_ink(), alpha=0.25, linewidth=0, zorder=0
             )
-    axes.axhline(1.0, color=canvas.ink(), linewidth=0.8, linestyle="--")
+    axes.axhline(1.0, color=canvas.text_color(), linewidth=0.8, linestyle="--")
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter("{x:g}")
     axes.set_ylim(_LEAST, None)

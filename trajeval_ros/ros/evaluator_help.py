@@ -5,7 +5,8 @@ from __future__ import annotations
 from trajeval_ros.ros.parameter_table import PARAMETERS
 
 _LIST = "\n".join(
-    f"* `{parameter.name}` ({parameter.default if parameter.default not in ('', ['']) else 'empty'}): "
+    f"* `{parameter.name}` "
+    f"({parameter.default if parameter.default not in ('', ['']) else 'empty'}): "
     f"{parameter.description}{' Can be set during the run.' if parameter.is_live else ''}"
     for parameter in PARAMETERS
 )

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 from trajeval_ros.consistency.s_transformation import unknown_covariances
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.reading import Reading
-from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.receptions import ReceiveTimes
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.vertical_axis import up_axis_doubt
@@ -34,7 +34,7 @@ from trajeval_ros.metrics.discontinuities.events import (
     Event,
 )
 from trajeval_ros.metrics.stream_health import UNKNOWN
-from trajeval_ros.online.alarms import Peaks, Standing
+from trajeval_ros.online.alarms import ActiveAlarms, MaxSinceLast
 from trajeval_ros.online.evaluator import OnlineEvaluator
 from trajeval_ros.online.live_availability import LiveAvailability
 from trajeval_ros.online.live_clock import ClockReport, OnlineClock
@@ -106,7 +106,7 @@ class LiveEstimate:
         self.revised: RevisedPath | None = None  # the newest path, if the topic carries paths
         self.on_pairs: Callable[[LiveEstimate, PairedStates], object] | None = None  # draws them
         self.clock = clock  # estimate of its clock offset; none if the topic carries paths
-        self.peaks, self.standing = Peaks(), Standing()  # peaks since the last status
+        self.peaks, self.standing = MaxSinceLast(), ActiveAlarms()  # peaks since the last status
         self.slow = SlowEvaluation()  # hints, and the errors of the newest path
         self._given_up = None if settings.up is None else settings.up[1]
         self._paired_at = 0.0
@@ -175,8 +175,8 @@ class LiveEstimate:
             self._newest_path = decoded
             self.source.stream.count_new(first, int(messages.times[0]))
             newest = decoded[decoded.stamps.argsort(kind="stable")[-1:]]
-            receptions = Receptions(messages.times[: len(newest)], "node")
-            self._receive(replace(newest, reading=Reading(receptions=receptions)))
+            receptions = ReceiveTimes(messages.times[: len(newest)], "node")
+            self._receive(replace(newest, reading=SourceInfo(receptions=receptions)))
             self._add(states[new], None)
             return
         if len(decoded):

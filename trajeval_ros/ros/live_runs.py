@@ -64,7 +64,7 @@ class LiveRuns:
         self._ending: list[tuple[LiveRun, float]] = []  # and the times at which they end at last
         self._steps: dict[int, Event] = {}  # newest steps back of time, by source
         for source in sources:
-            source.stream.begins_anew = rule.on_time_jump == "reset"
+            source.stream.starts_new_run = rule.on_time_jump == "reset"
         self._enter(begin())
 
     @property

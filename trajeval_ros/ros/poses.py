@@ -12,12 +12,12 @@ from trajeval_ros.formatting.remarks import Level, Remark, note, warning
 from trajeval_ros.geometry.arrays import Indices, Stamps
 from trajeval_ros.geometry.fix_selection import FRAME
 from trajeval_ros.geometry.geodesy import Datum
-from trajeval_ros.geometry.reading import FORMAT, DeclaredReset, Reading
-from trajeval_ros.geometry.receptions import Receptions
-from trajeval_ros.geometry.stamp_trust import LONE, NEAR_NS, StampTrust, trusted_states
+from trajeval_ros.geometry.reading import FORMAT, DeclaredReset, SourceInfo
+from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.stamp_trust import LONE, NEAR_NS, OutlierStamps, trusted_states
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
-from trajeval_ros.geometry.valid_poses import add_counts, in_words, judge_poses
+from trajeval_ros.geometry.valid_poses import add_counts, in_words, valid_mask
 from trajeval_ros.io.bags.declared_resets import declared_resets
 from trajeval_ros.io.bags.pose_columns import Frames, PoseColumns
 from trajeval_ros.io.bags.pose_messages import PATH_TYPE, decode_path, decode_poses
@@ -70,13 +70,13 @@ class PoseStream:
         self.news: list[Remark] = []  # remarks that are not published yet
         self.trouble: Remark | None = None  # why messages currently contain no valid poses
         self.heard_at: float | None = None  # by `time.monotonic`
-        self.begins_anew = False  # whether a step back of time begins a new run
+        self.starts_new_run = False  # whether a step back of time begins a new run
         self.is_receiver = False  # whether `as_received` is called
         self._topic = topic
         self._type = ""
         self._frames: Frames | None = None
         self._previous: int | None = None
-        self._trust = StampTrust()
+        self._trust = OutlierStamps()
         self._newest_stamp = 0  # of the newest usable pose
         # States whose timestamps are under test; states are numbered in order of arrival.
         self._held, self._number = NO_STATES, 0
@@ -98,7 +98,7 @@ class PoseStream:
 
     def begin_anew(self) -> None:
         """Forget earlier messages: their time, and the origin of fixes."""
-        self._trust, self._held = StampTrust(), NO_STATES
+        self._trust, self._held = OutlierStamps(), NO_STATES
         self._previous, self.fixes.datum = None, None
 
     def forget_clocks(self) -> None:
@@ -106,7 +106,7 @@ class PoseStream:
         self.arrivals, self.clocks = Arrivals(), ComparedClocks()
 
     @property
-    def _all_trusts(self) -> Iterable[StampTrust]:
+    def _all_trusts(self) -> Iterable[OutlierStamps]:
         return [self._trust]
 
     @property
@@ -193,14 +193,14 @@ class PoseStream:
         """Return the valid poses, and the rows of their messages; count the others."""
         columns, velocities, dropped, _ = self._usable(columns)
         self._see_resets(columns)
-        finite, nonzero = judge_poses(columns.positions, columns.quaternions)
+        finite, nonzero = valid_mask(columns.positions, columns.quaternions)
         states = Trajectory.from_columns(
             columns.stamps,
             columns.positions,
             columns.quaternions,
             velocities=velocities,
             covariances=columns.covariances,
-            reading=Reading(receptions=_received(columns, arrived_ns)),
+            reading=SourceInfo(receptions=_received(columns, arrived_ns)),
         )
         if states.covariances is not None and not states.covariances.any():
             states = replace(states, covariances=None)  # zeros mean unknown
@@ -242,7 +242,7 @@ class PoseStream:
         if (mixed := self.fixes.mixed(antennas)) and status.note(note("frame_changed", mixed)):
             self.news.append(warning("data", f"{self._topic}: {mixed}"))
         columns = columns.rows_of(kept)
-        reading = Reading(fixes=fixes, receptions=_received(columns, arrived_ns))
+        reading = SourceInfo(fixes=fixes, receptions=_received(columns, arrived_ns))
         return Trajectory(columns.stamps, positions, reading=reading), columns.rows
 
     def _trusted(
@@ -271,7 +271,7 @@ class PoseStream:
             self.status.drop(LONE, self._trust.lone - before)
         return states, rows
 
-    def _tell_lone(self, trust: StampTrust) -> None:
+    def _tell_lone(self, trust: OutlierStamps) -> None:
         """Count isolated timestamps, and report them once."""
         if not trust.lone:
             return
@@ -306,7 +306,7 @@ class PoseStream:
 
     def _tell_step_back(self, back_s: float) -> None:
         """Report once that time steps back, because live errors use the newest pairs only."""
-        if self.begins_anew:
+        if self.starts_new_run:
             return  # the new run reports it
         if self.status.has(_STEPS_BACK) or back_s < NEAR_NS / NANOSECONDS:
             return
@@ -332,5 +332,5 @@ def arrivals_of(states: Trajectory) -> Stamps:
     return receptions.times
 
 
-def _received(columns: PoseColumns, arrived_ns: Stamps) -> Receptions:
-    return Receptions(arrived_ns[columns.rows], "node", body_rates=columns.body_rates)
+def _received(columns: PoseColumns, arrived_ns: Stamps) -> ReceiveTimes:
+    return ReceiveTimes(arrived_ns[columns.rows], "node", body_rates=columns.body_rates)

@@ -19,7 +19,7 @@ from trajeval_ros.ros.live_estimate import LiveEstimate
 from trajeval_ros.ros.live_run import LiveRun
 from trajeval_ros.viewer.live_scene import LiveScene
 from trajeval_ros.viewer.sinks import ServerTarget, sinks_for
-from trajeval_ros.viewer.stream import DrawingThread, give_way
+from trajeval_ros.viewer.stream import DrawingThread, lower_priority
 
 FILE = "run.rrd"
 
@@ -51,7 +51,7 @@ class RerunOutput:
         except TrajevalError as error:
             self.trouble = str(error)
         if self._streams:
-            give_way()
+            lower_priority()
             run.on_groundtruth = self._groundtruth
             for estimate in run.estimates:
                 estimate.on_pairs = self._pairs

@@ -12,7 +12,7 @@ from trajeval_ros.ros import parameters
 from trajeval_ros.ros.lifetime import StopSignal, ros, use_one_heap
 from trajeval_ros.ros.message_types import require_ros
 from trajeval_ros.ros.status_topics import log
-from trajeval_ros.viewer.stream import give_way
+from trajeval_ros.viewer.stream import lower_priority
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -69,7 +69,7 @@ def evaluate_live(arguments: Sequence[str]) -> int:
                 f"the node can't start: {said}; use_sim_time must be true or false"
             ) from error
         work = _evaluator_or_watch(node)
-        give_way()
+        lower_priority()
         executor = SingleThreadedExecutor()  # other executors ignore callback groups
         executor.add_node(node)
         duties = [

@@ -10,9 +10,9 @@ import numpy as np
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.remarks import note, warning
 from trajeval_ros.geometry.arrays import Indices, Stamps
-from trajeval_ros.geometry.reading import FORMAT, Reading
-from trajeval_ros.geometry.receptions import Receptions
-from trajeval_ros.geometry.stamp_trust import LONE, NEAR_NS, StampTrust
+from trajeval_ros.geometry.reading import FORMAT, SourceInfo
+from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.stamp_trust import LONE, NEAR_NS, OutlierStamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.bags.pose_messages import TransformColumns, decode_transforms
 from trajeval_ros.io.bags.received_transforms import (
@@ -55,7 +55,7 @@ class TransformStream(PoseStream):
         self.status.note(note(FORMAT, "format: TF"))
         self._parent, self._child = parent, child
         self._edges: dict[EdgeKey, Edge] = {}
-        self._trusts: dict[EdgeKey, StampTrust] = {}
+        self._trusts: dict[EdgeKey, OutlierStamps] = {}
         self._way: Way = []
         self._leading: EdgeKey | None = None
         self._until = NEVER
@@ -92,7 +92,7 @@ class TransformStream(PoseStream):
             arrived[-1] = arrived_ns[-1]
             self.status.stream.add(stamps, arrived)
         composed = compose(self._edges, self._way, stamps)
-        reading = Reading(receptions=Receptions(np.full(len(stamps), UNKNOWN), "node"))
+        reading = SourceInfo(receptions=ReceiveTimes(np.full(len(stamps), UNKNOWN), "node"))
         states = Trajectory.from_columns(stamps, *composed, reading=reading)
         for reason, number in states.reading.dropped.items():
             self.status.drop(reason, number)
@@ -131,7 +131,7 @@ class TransformStream(PoseStream):
                 self._keep(key, Edge.from_columns(columns.stamps, columns.numbers, True))
 
     @property
-    def _all_trusts(self) -> Iterable[StampTrust]:
+    def _all_trusts(self) -> Iterable[OutlierStamps]:
         return self._trusts.values()
 
     def tell_trouble(self) -> None:
@@ -142,7 +142,7 @@ class TransformStream(PoseStream):
 
     def _extend(self, key: EdgeKey, columns: TransformColumns) -> None:
         timed = columns.stamps != 0  # a timestamp that was not set
-        trust = self._trusts.setdefault(key, StampTrust())
+        trust = self._trusts.setdefault(key, OutlierStamps())
         before = trust.lone
         stamps, numbers = trust.take(
             columns.stamps[timed], columns.numbers[timed], at_end=self._is_over
@@ -151,7 +151,7 @@ class TransformStream(PoseStream):
             self._tell_lone(trust)
             self.status.drop(LONE, trust.lone - before)
         known = self._edges.get(key)
-        if self.begins_anew and len(stamps):
+        if self.starts_new_run and len(stamps):
             last = stamps[:1] if known is None or known.is_static else known.stamps[-1:]
             back = np.flatnonzero(np.diff(np.concatenate([last, stamps])) < -NEAR_NS)
             if len(back):

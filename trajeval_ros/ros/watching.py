@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from trajeval_ros.exceptions import SettingsError
 from trajeval_ros.formatting.remarks import Level, Remark, most_severe_first, warning
 from trajeval_ros.io.bags.rate_messages import IMU_TYPE
-from trajeval_ros.online.alarms import Standing
+from trajeval_ros.online.alarms import ActiveAlarms
 from trajeval_ros.ros.background import BackgroundTask
 from trajeval_ros.ros.live_watch import LiveWatch, WatchedMessages, WatchReport
 from trajeval_ros.ros.message_types import require_installed
@@ -155,7 +155,7 @@ class EstimateWatch:
         self._forget_gathered()
         self._report = WatchReport()
         self.name = f"{self._estimate.name} watch"  # subject of its events and its status
-        self._node, self.standing = node, Standing()
+        self._node, self.standing = node, ActiveAlarms()
 
     def match(self) -> list[Remark]:
         """Connect to the current publishers; return remarks."""

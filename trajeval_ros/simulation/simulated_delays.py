@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trajeval_ros.geometry.receptions import LOG, Receptions
+from trajeval_ros.geometry.receptions import LOG, ReceiveTimes
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 
@@ -32,6 +32,6 @@ def with_receptions(estimate: Trajectory, delay: Delay, seed: int) -> Trajectory
     delays_s = delay.constant_s + random.exponential(delay.mean_s, count)
     times = estimate.stamps + (delays_s * NANOSECONDS).astype(np.int64)
     kept = random.random(count) >= delay.lost
-    receptions = Receptions(np.maximum.accumulate(times), LOG)
+    receptions = ReceiveTimes(np.maximum.accumulate(times), LOG)
     reading = dataclasses.replace(estimate.reading, receptions=receptions)
     return dataclasses.replace(estimate, reading=reading)[kept]

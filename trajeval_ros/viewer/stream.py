@@ -26,7 +26,7 @@ _SWITCH_S = 0.0005
 Job = Callable[[], object]
 
 
-def give_way() -> None:
+def lower_priority() -> None:
     """Switch between Python's threads ten times as often as by default.
 
     Otherwise a drawing thread delays the thread that receives messages by 5 ms.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from strategies import seeds
 
-from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.receptions import ReceiveTimes
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.bags.received_transforms import (
     ReceivedChain,
@@ -69,7 +69,7 @@ def test_a_pose_is_of_the_newest_transforms_that_were_received(
         edges[key] = Edge.from_columns(dated, numbers, is_static=False)
     fixed = rng.normal(size=(1, 7))
     edges[FIXED] = Edge.from_columns(np.zeros(1, dtype=np.int64), fixed, is_static=True)
-    by = {key: (item, Receptions(item["time"])) for key, item in received.items()}
+    by = {key: (item, ReceiveTimes(item["time"])) for key, item in received.items()}
     way, leading, _ = find_chain(edges, "map", "tool", "t")
     assert leading == ODOM
     found = compose_received(ReceivedChain(edges, way, leading), by)

@@ -144,7 +144,7 @@ def _series(name: str) -> str:
 def _without_copies(files: list[Path], listed: set[str]) -> list[Path]:
     """Return the files without duplicates: as listed, otherwise as recorded."""
     by_plain = {
-        _plain(item.name): item for item in sorted(files, key=lambda each: each.name in listed)
+        _plain(file.name): file for file in sorted(files, key=lambda path: path.name in listed)
     }
     return [file for file in files if by_plain[_plain(file.name)] is file]
 

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.reading import Reading
-from trajeval_ros.geometry.receptions import Receptions
-from trajeval_ros.geometry.stamp_trust import StampTrust
+from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.receptions import ReceiveTimes
+from trajeval_ros.geometry.stamp_trust import OutlierStamps
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.geometry.valid_poses import judge_poses
+from trajeval_ros.geometry.valid_poses import valid_mask
 from trajeval_ros.io.bags.transform_tree import Edge, EdgeKey, Way, compose
 from trajeval_ros.metrics.stream_health import UNKNOWN
 
@@ -46,7 +46,7 @@ class ReceivedChain:
 
     def __init__(self, edges: Mapping[EdgeKey, Edge], way: Way, leading: EdgeKey) -> None:
         """Begin without received transforms; static ones are taken from `edges`."""
-        self._way, self.leading, self._trust = way, leading, StampTrust()
+        self._way, self.leading, self._trust = way, leading, OutlierStamps()
         self._static = {key: edges[key] for key, _ in way if edges[key].is_static}
         # The transforms from the ones in use on.
         self._moving = {key: NO_TRANSFORMS for key, _ in way if key not in self._static}
@@ -81,12 +81,12 @@ class ReceivedChain:
             if len(rows):
                 self._moving[key] = edge[rows[-1] :]
         self._until = int(events[-1]) if len(events) else self._until
-        reading = Reading(receptions=Receptions(events, "node", corrected=corrected))
+        reading = SourceInfo(receptions=ReceiveTimes(events, "node", corrected=corrected))
         return Trajectory(stamps, *compose(held, self._way, places), reading=reading)
 
     def _add(self, key: EdgeKey, new: Transforms, *, at_end: bool) -> None:
         """Take usable transforms; one that was received with the newest pose holds just after."""
-        finite, turned = judge_poses(new["numbers"][:, :3], new["numbers"][:, 3:])
+        finite, turned = valid_mask(new["numbers"][:, :3], new["numbers"][:, 3:])
         new = new[(new["stamp"] != 0) & (new["time"] != UNKNOWN) & finite & turned]
         new["time"] = np.maximum.accumulate(np.maximum(new["time"], self._until + 1))
         if key == self.leading:
@@ -99,11 +99,11 @@ class ReceivedChain:
 
 
 def compose_received(
-    chain: ReceivedChain, received: Mapping[EdgeKey, tuple[Transforms, Receptions]]
+    chain: ReceivedChain, received: Mapping[EdgeKey, tuple[Transforms, ReceiveTimes]]
 ) -> Trajectory:
     """Return the poses of a recording, by moving edge with what its times are."""
     found = chain.poses({key: item for key, (item, _) in received.items()}, at_end=True)
     receptions, (_, by) = found.reading.receptions, received[chain.leading]
     assert receptions is not None
     receptions = replace(receptions, by=by.by, recording_s=by.recording_s)
-    return replace(found, reading=Reading(receptions=receptions))
+    return replace(found, reading=SourceInfo(receptions=receptions))

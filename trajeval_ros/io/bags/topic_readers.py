@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.receptions import LOG, Receptions
+from trajeval_ros.geometry.receptions import LOG, ReceiveTimes
 from trajeval_ros.geometry.stamp_trust import trusted_states
 from trajeval_ros.geometry.valid_poses import add_counts
 from trajeval_ros.io.bags.bag import Bag, Key
@@ -117,15 +117,15 @@ class TransformReader:
             part = transforms, block.log_times[rows], block.publish_times[rows]
             self._parts.setdefault(edge, []).append(part)
 
-    def received(self, wanted: str) -> dict[EdgeKey, tuple[Transforms, Receptions]]:
+    def received(self, wanted: str) -> dict[EdgeKey, tuple[Transforms, ReceiveTimes]]:
         """Return the transforms of moving edges, and what their times of reception are.
 
-        `wanted`: the clock of the receptions, as in `Receptions.of_bag`.
+        `wanted`: the clock of the receptions, as in `ReceiveTimes.of_bag`.
         """
         found = {}
         for key in () if self._is_static else self._parts:
             stamps, numbers, logged, published = self._in_order(key)
-            receptions = Receptions.of_bag(logged, published, wanted)
+            receptions = ReceiveTimes.of_bag(logged, published, wanted)
             order = np.argsort(receptions.times, kind="stable")
             found[key] = transforms_of(stamps, numbers, receptions.times)[order], receptions
         return found
@@ -282,7 +282,7 @@ class _Poses:
         self._messages += len(log_times)
 
     def done(self) -> PoseColumns:
-        """Return all poses in order of their log times, with receptions as `Receptions.of_bag`."""
+        """Return all poses in order of their log times, with their times of reception."""
         none = np.zeros(0, dtype=np.int64)
         self._add(self._decoders.nothing(), none, none)
         columns = {name: column.done() for name, column in self._columns.items()}
@@ -299,7 +299,7 @@ class _Poses:
             undecodable=self._undecodable,
             dropped=self._dropped,
             receptions=replace(
-                Receptions.of_bag(columns["log"], columns["published"], self._received),
+                ReceiveTimes.of_bag(columns["log"], columns["published"], self._received),
                 body_rates=columns.get("body_rates"),
             ),
         )
@@ -347,7 +347,7 @@ class _LastPath:
         logged = np.concatenate([part.receptions.times for part in parts if part.receptions])
         every = parts[0] if len(parts) == 1 else parts[0].joined(parts[1])
         every = every.replaced(
-            receptions=Receptions(logged, LOG),
+            receptions=ReceiveTimes(logged, LOG),
             undecodable=sum(part.undecodable for part in parts),
         )
         order = np.lexsort((logged, every.stamps))

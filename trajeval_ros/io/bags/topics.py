@@ -13,7 +13,7 @@ from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Level, Remark, note
 from trajeval_ros.geometry.fix_selection import trajectory_of_rows
 from trajeval_ros.geometry.marker import HandEye
-from trajeval_ros.geometry.reading import FORMAT, Reading
+from trajeval_ros.geometry.reading import FORMAT, SourceInfo
 from trajeval_ros.geometry.stamp_trust import LONE, trusted_states
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
@@ -40,7 +40,7 @@ from trajeval_ros.io.bags.topic_readers import (
 )
 from trajeval_ros.io.bags.transform_tree import compose, find_chain, fixed_transform
 from trajeval_ros.io.bags.usable_poses import WORLD_TWIST, has_world_twist, usable_poses
-from trajeval_ros.io.checks import check_stamps, judge_rotations
+from trajeval_ros.io.checks import check_rotations, check_stamps
 
 
 @dataclass(frozen=True)
@@ -239,7 +239,7 @@ def trajectory_of_columns(
     count = len(columns.stamps)
     are_times = check_stamps(columns.stamps, f"{where}, header.stamp")
     columns, velocities, dropped, frame_changes = usable_poses(columns, are_times)
-    quaternions, judgement = judge_rotations(columns.quaternions)
+    quaternions, judgement = check_rotations(columns.quaternions)
     if velocities is not None and (
         quaternions is None or not velocities.any() or not np.isfinite(velocities).any()
     ):
@@ -262,7 +262,7 @@ def trajectory_of_columns(
             columns.stamps,
             columns.positions,
             columns.fix_quality,
-            Reading(
+            SourceInfo(
                 dropped=dropped, remarks=(*remarks, *receivers), receptions=columns.receptions
             ),
             child_frame=columns.frames[0][1],
@@ -281,7 +281,7 @@ def trajectory_of_columns(
         up=UpAxis.of_frame(columns.frames[0][1]),
         child_frame=columns.frames[0][2],
         name=name.strip("/"),
-        reading=Reading(
+        reading=SourceInfo(
             has_identity_rotations=columns.quaternions is not None and quaternions is None,
             dropped=dropped,
             remarks=(*remarks, *told, *frames, *judgement),
@@ -295,7 +295,7 @@ def trajectory_of_columns(
 
 def _as_received(columns: PoseColumns) -> Trajectory:
     rows = columns.rows_of(trusted_states(columns.stamps)[0])
-    reading = Reading(receptions=rows.receptions)
+    reading = SourceInfo(receptions=rows.receptions)
     return Trajectory.from_columns(rows.stamps, rows.positions, rows.quaternions, reading)
 
 
@@ -344,7 +344,7 @@ def _transform_trajectory(
         up=UpAxis.of_frame(parent),
         child_frame=child,
         name=f"{parent}.{child}",
-        reading=Reading(
+        reading=SourceInfo(
             dropped={
                 "undecodable": sum(item.undecodable for item in tree),
                 LONE: sum(item.lone for item in tree),

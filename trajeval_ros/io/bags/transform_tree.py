@@ -13,7 +13,7 @@ from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.trajectory import NANOSECONDS
-from trajeval_ros.geometry.valid_poses import judge_poses
+from trajeval_ros.geometry.valid_poses import valid_mask
 from trajeval_ros.io.checks import nearest, times
 
 EdgeKey = tuple[str, str]
@@ -41,7 +41,7 @@ class Edge:
         Transforms that are not poses or have no time are left out. Of several transforms with
         the same stamp, the last one is used.
         """
-        finite, turned = judge_poses(numbers[:, :3], numbers[:, 3:])
+        finite, turned = valid_mask(numbers[:, :3], numbers[:, 3:])
         usable = finite & turned & (is_static | times(stamps))
         stamps, numbers = stamps[usable], numbers[usable]
         lengths = np.linalg.norm(numbers[:, 3:], axis=1)

@@ -25,12 +25,12 @@ from trajeval_ros.formatting.remarks import Remark, remark_of, warning
 from trajeval_ros.geometry.arrays import Stamps
 from trajeval_ros.geometry.fix_selection import FixRule, trajectory_of_rows
 from trajeval_ros.geometry.geodesy import Datum
-from trajeval_ros.geometry.reading import DeclaredReset, Reading
-from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.reading import DeclaredReset, SourceInfo
+from trajeval_ros.geometry.receptions import ReceiveTimes
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.geometry.up_axis import UpAxis
 from trajeval_ros.geometry.valid_poses import add_counts
-from trajeval_ros.io.checks import judge_rotations
+from trajeval_ros.io.checks import check_rotations
 from trajeval_ros.io.hand_eye_file import hand_eye_of
 from trajeval_ros.io.live.fix_file import read_fix_rows
 from trajeval_ros.io.live.state_file import (
@@ -233,8 +233,8 @@ def _groundtruth(
     )
 
 
-def _reading(recorded: RecordedStates, counts: Mapping[str, Any]) -> Reading:
-    return Reading(
+def _reading(recorded: RecordedStates, counts: Mapping[str, Any]) -> SourceInfo:
+    return SourceInfo(
         source=str(recorded.description["source"]),
         dropped={str(reason): int(count) for reason, count in counts["dropped"].items()},
         remarks=tuple(map(remark_of, counts["notes"])),
@@ -245,7 +245,7 @@ def _reading(recorded: RecordedStates, counts: Mapping[str, Any]) -> Reading:
 def _trajectory(recorded: RecordedStates, counts: Mapping[str, Any], name: str) -> Trajectory:
     """Return recorded states as a trajectory, as the reader of a bag does."""
     states, reading = recorded.states, _reading(recorded, counts)
-    quaternions, remarks = judge_rotations(states.quaternions)
+    quaternions, remarks = check_rotations(states.quaternions)
     velocities, covariances = states.velocities, states.covariances
     is_moving = quaternions is not None and velocities is not None and velocities.any()
     return dataclasses.replace(
@@ -267,7 +267,7 @@ def _trajectory(recorded: RecordedStates, counts: Mapping[str, Any], name: str) 
     )
 
 
-def _in_order(receptions: Receptions | None) -> Receptions | None:
+def _in_order(receptions: ReceiveTimes | None) -> ReceiveTimes | None:
     """Return receptions if all are known, by a clock that did not start again."""
     if receptions is None or UNKNOWN in receptions.times:
         return None
@@ -288,7 +288,7 @@ def _with_poses_as_received(estimate: Trajectory, recorded: RecordedStates) -> T
     else:
         receptions = recorded.states.reading.receptions
         assert receptions is not None
-        received = dataclasses.replace(estimate, reading=Reading(receptions=receptions))
+        received = dataclasses.replace(estimate, reading=SourceInfo(receptions=receptions))
         received = received[receptions.times != UNKNOWN]
     reading = dataclasses.replace(estimate.reading, as_received=received)
     return dataclasses.replace(estimate, reading=reading)

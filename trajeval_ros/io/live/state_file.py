@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.formatting.install_command import install_command
 from trajeval_ros.geometry.arrays import Floats, Stamps
-from trajeval_ros.geometry.reading import Reading
-from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.reading import SourceInfo
+from trajeval_ros.geometry.receptions import ReceiveTimes
 from trajeval_ros.geometry.trajectory import Trajectory
 from trajeval_ros.io.json_file import require_schema
 from trajeval_ros.io.live.chunk_file import ChunkWriter, read_chunks
@@ -144,7 +144,7 @@ def _states_of(parts: list[NDArray[np.void]]) -> Trajectory:
         None if np.isnan(quaternions).any() else quaternions,
         velocities=velocities if np.isfinite(velocities).any() else None,
         covariances=covariances,
-        reading=Reading(receptions=Receptions(arrived.astype(np.int64), "node")),
+        reading=SourceInfo(receptions=ReceiveTimes(arrived.astype(np.int64), "node")),
     )
 
 

@@ -14,7 +14,7 @@ from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Remark, note
 from trajeval_ros.geometry.arrays import Booleans, Floats, Indices, Stamps
 from trajeval_ros.geometry.fix_selection import trajectory_of_rows
-from trajeval_ros.geometry.reading import Reading
+from trajeval_ros.geometry.reading import SourceInfo
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 
 ANY_GGA = rb"(?m)^\$..GGA,"  # start of a line with a fix
@@ -37,7 +37,7 @@ _QUALITIES = np.array([-1.0, 0.0, 1.0, 0.0, 2.0, 2.0, -1.0, -1.0, 0.0, 0.0])
 
 
 def fixes_of(
-    path: Path, stamps: Stamps, groups: Mapping[str, Floats], reading: Reading
+    path: Path, stamps: Stamps, groups: Mapping[str, Floats], reading: SourceInfo
 ) -> Trajectory:
     """Return the trajectory of the fixes in the columns of a file.
 
@@ -98,7 +98,7 @@ def read_nmea(path: Path) -> Trajectory:
         stamps,
         np.column_stack([level, heights.sum(axis=1)]),
         quality,
-        Reading(
+        SourceInfo(
             dropped={"undecodable": broken},
             remarks=(note("format", "format: NMEA 0183, GGA"), *timing),
         ),

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from trajeval_ros.exceptions import InputError, SettingsError, TrajevalError
 from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import note, warning
-from trajeval_ros.geometry.reading import FORMAT, NAMED_COLUMNS, Reading
+from trajeval_ros.geometry.reading import FORMAT, NAMED_COLUMNS, SourceInfo
 from trajeval_ros.geometry.trajectory import Trajectory
-from trajeval_ros.io.checks import check_stamps, judge_rotations
+from trajeval_ros.io.checks import check_rotations, check_stamps
 from trajeval_ros.io.text.arrow_rows import read_with_arrow
 from trajeval_ros.io.text.geographic import ANY_GGA, fixes_of, read_nmea
 from trajeval_ros.io.text.hints import NO_HINTS, TextHints
@@ -189,7 +189,7 @@ def trajectory_of(
         remarks.append(note("layout", layout.note))
     if layout.doubt:
         remarks.append(warning("quaternion_order", layout.doubt))
-    reading = Reading(
+    reading = SourceInfo(
         columns=layout.named(times.name),
         stamped=times.stamped,
         numbered=times.numbered or layout.time_name in (FRAME, FRAME_1),
@@ -211,7 +211,7 @@ def trajectory_of(
             path, stamps, received if times.kept is None else received[times.kept]
         )
     states = states_of(path, layout, groups, len(stamps))
-    quaternions, judgement = judge_rotations(states.quaternions)
+    quaternions, judgement = check_rotations(states.quaternions)
     trajectory = Trajectory.from_columns(
         stamps, states.positions, quaternions, velocities=states.velocities,
         gyroscope_biases=groups.get("gyroscope_bias"),

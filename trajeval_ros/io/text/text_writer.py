@@ -13,7 +13,7 @@ import numpy as np
 
 from trajeval_ros.geometry import lie
 from trajeval_ros.geometry.arrays import Floats
-from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.receptions import ReceiveTimes
 from trajeval_ros.geometry.trajectory import NANOSECONDS, Trajectory
 from trajeval_ros.io.text.names import RECEIVED
 from trajeval_ros.io.writing import write_whole
@@ -80,7 +80,7 @@ def _write(
     values: Floats,
     stamp_texts: Callable[[Sequence[int]], list[str]] | None,
     separator: str,
-    receptions: Receptions | None = None,
+    receptions: ReceiveTimes | None = None,
 ) -> None:
     def lines() -> Iterator[str]:
         yield header

@@ -16,7 +16,7 @@ from trajeval_ros.formatting.numbers import counted
 from trajeval_ros.formatting.remarks import Remark, note, warning
 from trajeval_ros.geometry.arrays import Floats, Stamps
 from trajeval_ros.geometry.reading import FRAMES_FROM_1
-from trajeval_ros.geometry.receptions import Receptions
+from trajeval_ros.geometry.receptions import ReceiveTimes
 from trajeval_ros.geometry.trajectory import NANOSECONDS
 from trajeval_ros.io.text.names import (
     AS_NAMED,
@@ -326,7 +326,7 @@ def nanosecond_parts(path: Path, column: Floats) -> Stamps:
     return column.astype(np.int64)
 
 
-def receptions_of(path: Path, stamps: Stamps, column: Any) -> Receptions | None:
+def receptions_of(path: Path, stamps: Stamps, column: Any) -> ReceiveTimes | None:
     """Return the times in the column `received`, exact to the nanosecond.
 
     `stamps`: (N,), nanoseconds. `column`: (N,), words or float64, in a unit of timestamps: the one
@@ -343,4 +343,4 @@ def receptions_of(path: Path, stamps: Stamps, column: Any) -> Receptions | None:
     unit = min(units, key=lambda unit: abs(median(values * unit - stamps)))
     if (np.abs(values) * unit >= 2.0**63).any():
         raise InputError(f"column {RECEIVED} has times after the year 2262; correct it")
-    return Receptions(to_stamps(column, values, unit))
+    return ReceiveTimes(to_stamps(column, values, unit))
