@@ -44,7 +44,7 @@ def test_rows_are_filtered_by_texts_and_by_missing_values(tmp_path: Path) -> Non
     table = ResultsTable(tmp_path / "t")
 
     def found(*allowed: str | None) -> str:
-        return "".join(row["algorithm"] for row in table.each(["algorithm"], length=allowed))
+        return "".join(row["algorithm"] for row in table.rows(["algorithm"], length=allowed))
 
     assert [found("8m"), found(None), found(""), found("4m", None), found()] == [
         "0", "1", "2", "13", "",

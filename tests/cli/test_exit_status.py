@@ -11,7 +11,7 @@ import pytest
 from comparison_runs import write_run
 
 from trajeval_ros.cli.app import main
-from trajeval_ros.cli.programs import DEBUG, INTERRUPTED, exit_status
+from trajeval_ros.cli.programs import INTERRUPTED, Debugging, exit_status
 from trajeval_ros.exceptions import InputError, SettingsError
 
 
@@ -85,7 +85,7 @@ def test_the_traceback_of_a_refusal_is_written_on_request(
     is_joint: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    monkeypatch.delenv(DEBUG, raising=False)
+    monkeypatch.setattr(Debugging, "path", None)
     damaged, traceback = tmp_path / "poses.npy", tmp_path / "traceback.txt"
     damaged.write_bytes(b"\x93NUMPY\x01\x00")
     words = [f"--debug={traceback}"] if is_joint else ["--debug", str(traceback)]
@@ -97,15 +97,23 @@ def test_the_traceback_of_a_refusal_is_written_on_request(
     assert text.index("ValueError: EOF") < text.index(
         "InputError: "
     )  # the cause, then the refusal
-    monkeypatch.delenv(DEBUG)
 
 
 def test_a_traceback_that_cannot_be_written_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delenv(DEBUG, raising=False)
+    monkeypatch.setattr(Debugging, "path", None)
     assert main(["--debug", f"{tmp_path}/none/x", "info", f"{tmp_path}/absent"]) == 2
-    monkeypatch.delenv(DEBUG)
     first, second = capsys.readouterr().err.splitlines()
     assert first.startswith(f"trajeval: {tmp_path}/none/x can't be written")
     assert f"{tmp_path}/absent" in second
+
+
+def test_causes_in_a_circle_have_a_traceback(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    error, cause = InputError("refused"), ValueError("damaged")
+    error.__cause__, cause.__cause__ = cause, error
+    monkeypatch.setattr(Debugging, "path", tmp_path / "traceback.txt")
+    assert exit_status(raising(error, cause)) == 2
+    assert "ValueError: damaged" in (tmp_path / "traceback.txt").read_text()

@@ -78,8 +78,6 @@ def test_values_that_are_not_valid(good: Path, capsys: pytest.CaptureFixture[str
     odom = f"{good}:/odom"
     assert "--factor must be from 0.1" in fails([odom, "--factor", "nan"], capsys)
     assert "one of alarm, error" in fails([odom, "--fail-on", "warning"], capsys)
-    assert "set --factor as it prints" in fails([odom, "--learn", "limits.yaml"], capsys)
-    assert "limits are fixed; set --factor" in fails([odom, "--limits", "a.yaml"], capsys)
 
 
 def test_sources_that_are_none(good: Path, capsys: pytest.CaptureFixture[str]) -> None:

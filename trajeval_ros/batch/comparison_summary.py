@@ -139,7 +139,7 @@ def summary_of(folder: Path) -> ComparisonSummary:
     if rows.settings["protocol"] == "kitti":
         kinds.append(POOLED)
     # Texts that occur in many rows are stored once.
-    for row in rows.each((*_NAMES, "kind", "metric", "rmse", "mean", "p95"), kind=kinds):
+    for row in rows.rows((*_NAMES, "kind", "metric", "rmse", "mean", "p95"), kind=kinds):
         run = tuple(intern(row[name]) for name in _NAMES)
         metric = intern(row["metric"])
         if row["kind"] == ATE:

@@ -180,7 +180,7 @@ class GateValues:
             )
         )
         names = ("algorithm", "sequence", "trial", column)
-        for row in self._table.each(names, status=OK, **rows):
+        for row in self._table.rows(names, status=OK, **rows):
             if row[column] is not None:
                 own = runs[row["algorithm"], row["sequence"]]
                 own[row["trial"]] = own[row["trial"]][0], row[column]

@@ -151,9 +151,9 @@ class ResultsTable:
         self, columns: Iterable[str], **allowed: str | Sequence[str | None]
     ) -> list[dict[str, Any]]:
         """Return columns of the rows in which other columns have allowed values."""
-        return list(self.each(columns, **allowed))
+        return list(self.rows(columns, **allowed))
 
-    def each(
+    def rows(
         self, columns: Iterable[str], **allowed: str | Sequence[str | None]
     ) -> Iterator[dict[str, Any]]:
         """Yield the same row by row; memory holds one group of rows."""

@@ -17,7 +17,7 @@ from typing import Any
 import click
 
 from trajeval_ros import __version__
-from trajeval_ros.cli.programs import DEBUG, INTERRUPTED, exit_status
+from trajeval_ros.cli.programs import INTERRUPTED, Debugging, exit_status
 from trajeval_ros.cli.replaced_words import REPLACED
 from trajeval_ros.exceptions import SettingsError
 
@@ -111,8 +111,7 @@ def _print_version(ctx: click.Context, _: click.Parameter, is_set: bool) -> None
 
 
 def _keep_traceback(_: click.Context, __: click.Parameter, path: str | None) -> None:
-    if path is not None:
-        os.environ[DEBUG] = path
+    Debugging.path = None if path is None else Path(path)
 
 
 app = VerbGroup(

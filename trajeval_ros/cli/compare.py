@@ -90,7 +90,7 @@ _PARAMETERS = (
         "error."),
     option("--figures", kind=click.IntRange(min=0), metavar="N", default=_MOST_FIGURES,
         panel=FIGURES,
-        help="Largest number of runs with figures, those with the largest errors first; 0 for "
+        help="Largest number of runs with figures, the largest errors first; 0 for "
         "none."),
     option("--transpose", kind=bool, panel=OUTPUT,
         help="Rows are sequences and columns are algorithms in tables.tex."),

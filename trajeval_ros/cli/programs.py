@@ -17,7 +17,6 @@ from typing import Any
 from trajeval_ros.exceptions import SettingsError, TrajevalError, reason_of
 
 INTERRUPTED = 130
-DEBUG = "TRAJEVAL_DEBUG"  # environment variable with the file of --debug
 _ROS_ARGUMENTS = "--ros-args"
 
 
@@ -52,9 +51,15 @@ def exit_status(work: Callable[[], int | None]) -> int:
     return status or 0
 
 
+class Debugging:
+    """Where the traceback of an error is written."""
+
+    path: Path | None = None  # file of --debug
+
+
 def _write_traceback(error: Exception) -> None:
     """Write where an error comes from, if --debug names a file; causes are included."""
-    if not (name := os.environ.get(DEBUG)):
+    if Debugging.path is None:
         return
     import traceback
 
@@ -62,12 +67,14 @@ def _write_traceback(error: Exception) -> None:
     from trajeval_ros.io.writing import write_text
 
     cause: BaseException | None = error
-    while cause is not None:
+    known = set()
+    while cause is not None and id(cause) not in known:  # causes can form a circle
+        known.add(id(cause))
         cause.__suppress_context__ = False
         cause = cause.__cause__ or cause.__context__
     text = "".join(traceback.format_exception(error))
     try:
-        write_text(Path(name), without_secrets(text), follow_link=True)
+        write_text(Debugging.path, without_secrets(text), follow_link=True)
     except TrajevalError as refusal:
         _fail(str(refusal))
 
