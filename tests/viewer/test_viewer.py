@@ -441,6 +441,7 @@ def test_live_lanes_show_status_and_alarms(tmp_path: Path) -> None:
 
 
 def test_a_lane_shows_a_frozen_estimate_from_its_begin_on() -> None:
+    pytest.importorskip("rerun", reason="rerun-sdk is missing, the extra `rerun`")
     drawn: list[tuple[int, str]] = []
     recording = SimpleNamespace(send=lambda *_: None, log=lambda time, *_: drawn.append(time))
     lanes, second = LiveLanes(cast("Any", recording)), 1_000_000_000
