@@ -205,9 +205,12 @@ class Campaign:
         ]
 
     def _results(self, folder: Path) -> Listing:
-        output = folder / self.verb.output
+        """Return checksums by file; pages have the command, with the folder in it."""
+        output, name = folder / self.verb.output, str(folder).encode()
         return {
-            str(path.relative_to(output)): hashlib.sha256(path.read_bytes()).hexdigest()
+            str(path.relative_to(output)): hashlib.sha256(
+                path.read_bytes().replace(name, b"FOLDER")
+            ).hexdigest()
             for path in output.rglob("*")
             if path.is_file()
             and ".trajeval-" not in str(path.relative_to(output))
@@ -278,9 +281,8 @@ def verbs(work: Path) -> list[Verb]:
         ),
         Verb(
             "finish",
-            lambda folder, setting: trajeval(
-                "finish", folder / "run", "--output", folder / "run",
-                *(["--quiet"] if setting else [])),
+            lambda folder, _: trajeval(
+                "finish", folder / "run", "--output", folder / "run", "--quiet"),
             "run",
             lay_pairs,
             marker="result.json",
