@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from comparison_runs import here, write_run, write_runs
+from comparison_runs import compare, here, write_run, write_runs
 
 from trajeval_ros.batch.comparison import run_plan
 from trajeval_ros.batch.config import plan_of
@@ -406,7 +406,7 @@ def test_a_folder_s_estimates_have_columns_and_a_rate_as_well(tmp_path: Path) ->
     w_first(estimate)
     out = tmp_path / "out"
     columns = ["--columns", "t x y z qw qx qy qz", "--quiet"]
-    assert main(["compare", "--figures", "0", str(tmp_path), "--output", str(out), *columns]) == 0
+    assert compare(tmp_path, *columns, output=out) == 0
     (turned,) = ResultsTable(out / RUNS).select(["rmse"], kind="ate", metric="rotation_deg")
     assert turned["rmse"] == pytest.approx(0.0, abs=1e-4)
 
@@ -417,22 +417,7 @@ def test_files_without_stamps_have_a_rate(tmp_path: Path) -> None:
         path = write_run(tmp_path / name, count=300)
         np.savetxt(path, np.loadtxt(path)[:, 1:], fmt="%.9f")
     out = tmp_path / "out"
-    assert (
-        main(
-            [
-                "compare",
-                "--figures",
-                "0",
-                str(tmp_path),
-                "--output",
-                str(out),
-                "--frame-rate",
-                "2",
-                "-q",
-            ]
-        )
-        == 0
-    )
+    assert compare(tmp_path, "--frame-rate", "2", "-q", output=out) == 0
     (row,) = ResultsTable(out / RUNS).select(["span_s"], kind="ate", metric="position_m")
     assert row["span_s"] == 149.5
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from comparison_runs import write_run, write_runs
+from comparison_runs import compare, write_run, write_runs
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 
@@ -69,22 +69,7 @@ def test_who_covers_less_than_the_others_is_never_the_best(tmp_path: Path) -> No
     config = write_runs(tmp_path, sequences=("hall",), trials=1)
     write_run(tmp_path / "good" / "hall_trial0.txt", 1.001, count=150, seconds=10.0)
     out = tmp_path / "out"
-    assert (
-        main(
-            [
-                "compare",
-                str(config),
-                "--figures",
-                "0",
-                "--output",
-                str(out),
-                "--quiet",
-                "--workers",
-                "1",
-            ]
-        )
-        == 0
-    )
+    assert compare(config, "--quiet", "--workers", "1", output=out) == 0
     absolute, *_, relative = matrices(summary_of(out))[:3]
     for table in (absolute, relative):
         cells = dict(table.rows)
@@ -107,22 +92,7 @@ def test_who_covers_less_than_the_others_is_never_the_best(tmp_path: Path) -> No
     assert "Compare only runs with the same coverage: use --common-time-span." in text
     # Where all cover as little, they compare.
     write_run(tmp_path / "bad" / "hall_trial0.txt", 1.03, count=150, seconds=10.0)
-    assert (
-        main(
-            [
-                "compare",
-                str(config),
-                "--figures",
-                "0",
-                "--output",
-                str(out),
-                "--quiet",
-                "--workers",
-                "1",
-            ]
-        )
-        == 0
-    )
+    assert compare(config, "--quiet", "--workers", "1", output=out) == 0
     assert matrices(summary_of(out))[0].ranks() == [[1], [2]]
     text = (out / "report.html").read_text()
     assert "good has the smallest position ATE on 1 of 1 sequence." in text

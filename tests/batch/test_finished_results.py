@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from comparison_runs import write_run
+from comparison_runs import compare, write_run
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
@@ -49,9 +49,7 @@ def results(folder: Path) -> list[str]:
 @pytest.mark.slow
 def test_finished_results_have_their_own_numbers(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert (
-        main(["compare", "--figures", "0", *results(folder), "--output", str(out), "--quiet"]) == 0
-    )
+    assert compare(*results(folder), "--quiet", output=out) == 0
     with (out / "ate_position_m.csv").open() as file:
         rows = {row["algorithm"]: row for row in csv.DictReader(file)}
     assert sorted(rows) == ["slam", "vio"]
@@ -141,13 +139,13 @@ def test_results_are_named_as_estimates_are(
     robots = [str(folder / "vio_hall"), str(folder / "slam_yard")]
     assert "NAME=RESULT" in FinishedResults(robots).advice
     given = [f"Team={robot}" for robot in robots]
-    assert main(["compare", "--figures", "0", *given, "--output", str(tmp_path / "out")]) == 0
+    assert compare(*given, output=tmp_path / "out") == 0
     summary = summary_of(tmp_path / "out")
     assert (summary.algorithms, summary.sequences) == (["Team"], ["hall", "yard"])
     assert [trial.status for trial in summary.trials] == ["ok", "ok"]
     assert "warning" not in capsys.readouterr().err
     assert not FinishedResults(results(folder)).advice
-    assert main(["compare", "--figures", "0", *robots, "--output", str(tmp_path / "apart")]) == 0
+    assert compare(*robots, output=tmp_path / "apart") == 0
     assert capsys.readouterr().err.count("give results of one algorithm one name") == 1
 
 
@@ -198,20 +196,7 @@ def test_changed_values_are_refused_before_anything_is_written(
         else:
             content["runs"][0]["estimate"] = [1]
         (copy / "result.json").write_text(json.dumps(content))
-    assert (
-        main(
-            [
-                "compare",
-                "--figures",
-                "0",
-                str(folder / "slam_hall"),
-                str(copy),
-                "--output",
-                str(output),
-            ]
-        )
-        == 2
-    )
+    assert compare(folder / "slam_hall", copy, output=output) == 2
     assert not [path for path in output.rglob("*") if path.is_file() and "lock" not in path.name]
 
 
@@ -220,7 +205,7 @@ def test_files_need_no_configuration(tmp_path: Path) -> None:
     first, second = (write_run(tmp_path / name, 1.01) for name in ("a.txt", "b.txt"))
     out = tmp_path / "out"
     given = [str(truth), str(first), f"Ours={second}", "--workers", "1", "--quiet"]
-    assert main(["compare", "--figures", "0", *given, "--output", str(out)]) == 0
+    assert compare(*given, output=out) == 0
     summary = summary_of(out)
     assert (summary.algorithms, summary.sequences) == (["a", "Ours"], ["truth"])
 
@@ -235,7 +220,7 @@ def test_a_missing_package_is_reported_before_the_evaluation(
     monkeypatch.setitem(sys.modules, package, None)
     truth = write_run(tmp_path / "truth.txt")
     out = tmp_path / "out"
-    assert main(["compare", "--figures", "0", str(truth), str(truth), "--output", str(out)]) == 2
+    assert compare(truth, truth, output=out) == 2
     said = capsys.readouterr().err
     assert package in said.lower()
     assert "pip install" in said

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from comparison_runs import here, write_run, write_runs
+from comparison_runs import compare, here, write_run, write_runs
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
@@ -158,16 +158,8 @@ def test_a_sequence_without_numbers_is_lost_and_the_rest_can_not_hide_it(
         (today / "good" / f"yard_trial{trial}.txt").write_text("nothing\n")
     shutil.rmtree(today / "old")
     old = str(yesterday / "old" / "runs.parquet")
-    arguments = [
-        "compare",
-        "--figures",
-        "0",
-        str(today / "runs.yaml"),
-        "--output",
-        str(today / "old"),
-    ]
     gate = ["--workers", "1", "--baseline", old, "--fail-if", GATE]
-    assert main([*arguments, *gate]) == 1
+    assert compare(today / "runs.yaml", *gate, output=today / "old") == 1
     printed = capsys.readouterr().out
     text = (today / "old" / "gates.md").read_text()
     assert printed.endswith(text)
@@ -178,14 +170,16 @@ def test_a_sequence_without_numbers_is_lost_and_the_rest_can_not_hide_it(
     # The same without the failure: nothing is worse, which isn't evidence that all is well.
     for trial in range(TRIALS):
         shutil.copy(yesterday / "good" / f"yard_trial{trial}.txt", today / "good")
-    assert main([*arguments, "-q", *gate]) == 0
+    assert compare(today / "runs.yaml", "-q", *gate, output=today / "old") == 0
     assert ": inconclusive" in (today / "old" / "gates.md").read_text()
     assert json.loads((today / "old" / "gates.json").read_text())["verdict"] == "undecided"
     capsys.readouterr()
-    assert main([*arguments, "-q", *gate, "--undecided", "fail"]) == 1
+    assert (
+        compare(today / "runs.yaml", "-q", *gate, "--undecided", "fail", output=today / "old") == 1
+    )
     assert "inconclusive, which fails by --undecided fail" in capsys.readouterr().err
     loose = [*gate[:-1], "ate.position_m.rmse worse than 90 %", "--undecided", "fail"]
-    assert main([*arguments, "-q", *loose]) == 0
+    assert compare(today / "runs.yaml", "-q", *loose, output=today / "old") == 0
     assert ": no worse than 90 %" in (today / "old" / "gates.md").read_text()
 
 
@@ -237,20 +231,12 @@ def test_nothing_but_failures_is_no_mistake_of_the_user(today: Path, yesterday: 
 def test_the_table_of_the_same_folder_can_be_the_baseline(today: Path) -> None:
     for trial in range(TRIALS):
         write_run(today / "good" / f"yard_trial{trial}.txt", 1.05 + 0.001 * trial)
-    arguments = [
-        "compare",
-        "--figures",
-        "0",
-        str(today / "runs.yaml"),
-        "--output",
-        str(today / "old"),
-        "-q",
-    ]
+    arguments = [today / "runs.yaml", "-q"]
     gate = ["--baseline", str(today / "old" / "runs.parquet"), "--fail-if", GATE]
-    assert main([*arguments, "--workers", "1", *gate]) == 1
-    assert main([*arguments, "--workers", "1", *gate]) == 0
+    assert compare(*arguments, "--workers", "1", *gate, output=today / "old") == 1
+    assert compare(*arguments, "--workers", "1", *gate, output=today / "old") == 0
     for more, is_paired in (["--paired"], True), ([], False):
-        assert main([*arguments, "--workers", "1", *gate, *more]) == 0
+        assert compare(*arguments, "--workers", "1", *gate, *more, output=today / "old") == 0
         (found,) = json.loads((today / "old" / "gates.json").read_text())["gates"]
         assert (found["paired"], found["verdict"] == "no worse") == (is_paired, is_paired)
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from comparison_runs import here, write_run, write_runs
+from comparison_runs import compare, here, write_run, write_runs
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 
@@ -18,7 +18,6 @@ from trajeval_ros.batch.comparison import run_plan
 from trajeval_ros.batch.config import plan_of
 from trajeval_ros.batch.finished_comparison import RUNS
 from trajeval_ros.batch.results_table import ResultsTable
-from trajeval_ros.cli.app import main
 from trajeval_ros.exceptions import InputError
 from trajeval_ros.geometry.gauge import Gauge
 from trajeval_ros.io.text.hints import SideHints
@@ -173,7 +172,7 @@ def test_what_a_manifest_gets_wrong_is_told_in_one_sentence(
     path = tmp_path / "runs.csv"
     path.write_text("\n".join(lines))
     out = tmp_path / "out"
-    assert main(["compare", "--figures", "0", str(path), "--output", str(out)]) == 2
+    assert compare(path, output=out) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert said in line
     assert "secret" not in line
@@ -211,21 +210,7 @@ def test_a_file_that_is_listed_and_not_there_is_a_failed_run(
 ) -> None:
     write_runs(tmp_path)
     path = write_manifest(tmp_path / "runs.csv", [*ROWS, ["bad", "hall", "2", "x.txt", "y.txt"]])
-    assert (
-        main(
-            [
-                "compare",
-                "--figures",
-                "0",
-                str(path),
-                "--workers",
-                "1",
-                "--output",
-                str(tmp_path / "out"),
-            ]
-        )
-        == 0
-    )
+    assert compare(path, "--workers", "1", output=tmp_path / "out") == 0
     said = capsys.readouterr()
     assert "8 runs evaluated, 1 failed or missing; report.html" in said.out
     assert f"warning: bad hall 2 failed: {tmp_path}/x.txt does not exist" in said.err
@@ -237,22 +222,7 @@ def test_a_comparison_without_any_number_is_an_error_with_a_report(
     rows = [["vio", "hall", trial, "x.txt", "y.txt"] for trial in "01"]
     path, out = write_manifest(tmp_path / "runs.csv", rows), tmp_path / "out"
     for _ in range(2):  # also if nothing has changed since
-        assert (
-            main(
-                [
-                    "compare",
-                    "--figures",
-                    "0",
-                    str(path),
-                    "--workers",
-                    "1",
-                    "--output",
-                    str(out),
-                    "-q",
-                ]
-            )
-            == 2
-        )
+        assert compare(path, "--workers", "1", "-q", output=out) == 2
         (line,) = capsys.readouterr().err.splitlines()
         first = f"all runs failed or are missing, first vio hall 0 failed: {tmp_path}/x.txt does"
         assert line.startswith(f"trajeval: {first}")

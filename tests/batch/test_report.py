@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from comparison_runs import write_runs
+from comparison_runs import compare, write_runs
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
@@ -188,22 +188,7 @@ def test_of_very_many_runs_details_are_of_those_that_stand_out(
     monkeypatch.setattr("trajeval_ros.batch.comparison_report._MOST_DETAILS", 3)
     config, out = write_runs(tmp_path, trials=3), tmp_path / "out"
     (tmp_path / "good" / "yard_trial1.txt").write_text("no trajectory\n")
-    assert (
-        main(
-            [
-                "compare",
-                str(config),
-                "--figures",
-                "0",
-                "--workers",
-                "1",
-                "--output",
-                str(out),
-                "-q",
-            ]
-        )
-        == 0
-    )
+    assert compare(config, "--workers", "1", "-q", output=out) == 0
     text = (out / "report.html").read_text()
     names = re.findall(r"<summary><b>([^<]*)</b>", text)
     assert names == ["good yard, trial 1", "bad hall, trial 1", "bad hall, trial 2"]
@@ -242,7 +227,7 @@ def test_a_tie_has_two_winners(tmp_path: Path) -> None:
     config = write_runs(tmp_path, algorithms=("one", "other"), trials=1)
     config.write_text(config.read_text() + "common_time_span: true\n")
     out = tmp_path / "out"
-    assert main(["compare", str(config), "--figures", "0", "--output", str(out), "--quiet"]) == 0
+    assert compare(config, "--quiet", output=out) == 0
     text = (out / "report.html").read_text()
     assert "one and other each have the smallest position ATE on 2 of 2 sequences." in text
 
@@ -253,8 +238,5 @@ def test_runs_that_are_cut_are_counted_once(
     config = write_runs(tmp_path, trials=1)
     config.write_text(config.read_text() + "common_time_span: true\n")
     for said in ("4 runs evaluated; report", "0 runs evaluated, 4 unchanged; report"):
-        assert (
-            main(["compare", str(config), "--figures", "0", "--output", str(tmp_path / "out")])
-            == 0
-        )
+        assert compare(config, output=tmp_path / "out") == 0
         assert said in capsys.readouterr().out

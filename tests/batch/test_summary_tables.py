@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from comparison_runs import compare
 
 pytest.importorskip("pyarrow", reason="pyarrow is missing, the extra `compare`")
 pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
@@ -15,7 +16,6 @@ pytest.importorskip("jinja2", reason="Jinja2 is missing, the extra `compare`")
 from trajeval_ros.batch.comparison_summary import ComparisonSummary, Trial
 from trajeval_ros.batch.results_table import FAILED, MISSING, OK, RE
 from trajeval_ros.batch.summary_tables import matrices
-from trajeval_ros.cli.app import main
 from trajeval_ros.io.requests.request_from import request_from
 from trajeval_ros.io.requests.settings_table import settings_of
 from trajeval_ros.report.matrix import to_csv, to_latex, to_markdown, with_common_notes
@@ -111,7 +111,7 @@ def test_kitti_has_the_tables_of_its_benchmark(shared_data: Path, tmp_path: Path
     folder, out = shared_data / "kitti_odom_eval", tmp_path / "out"
     sources = [str(folder / f"09_{item}.txt") for item in ("groundtruth", "frame_index")]
     given = ["--protocol", "kitti", "--gauge", "sim3", "--workers", "1", "--quiet"]
-    assert main(["compare", "--figures", "0", *sources, *given, "--output", str(out)]) == 0
+    assert compare(*sources, *given, output=out) == 0
     # By the tool of that folder, 7dof.
     for name, expected in (("kitti_percent", 2.884113), ("kitti_deg_per_100m", 0.249056)):
         (row,) = csv.DictReader((out / f"re_{name}.csv").read_text().splitlines())

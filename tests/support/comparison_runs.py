@@ -14,6 +14,7 @@ import numpy as np
 
 from trajeval_ros.batch.executors import Pool
 from trajeval_ros.batch.plan import PlannedRun
+from trajeval_ros.cli.app import main
 
 
 def write_run(path: Path, scale: float = 1.0, *, count: int = 300, seconds: float = 20.0) -> Path:
@@ -54,6 +55,11 @@ def write_runs(
     text = f"groundtruth: groundtruth/{{sequence}}.txt\nruns:\n{runs}lengths: [4, 8]\n"
     config.write_text(text)
     return config
+
+
+def compare(*words: object, output: Path) -> int:
+    """Run `trajeval compare` without figures, which take most of the time of small runs."""
+    return main(["compare", *map(str, words), "--figures", "0", "--output", str(output)])
 
 
 def here() -> Pool:
