@@ -433,13 +433,13 @@ def test_a_figure_shows_errors_ages_and_latencies() -> None:
     figure = as_available_figure(evaluate(truth, estimate, Protocol(gauge="none")), found)
     upper, detail, lower, right = figure.axes
     assert found.samples is not None
-    _, drawn = (get_line.get_ydata() for get_line in upper.get_lines())
+    _, drawn = (line.get_ydata() for line in upper.get_lines())
     # An age error of a straight drive is its speed times the age, largest at the gap's end.
     assert np.max(drawn) == pytest.approx(V * found.samples.age.max() / SECOND, rel=1e-6)
-    shown = np.concatenate([get_line.get_xdata() for get_line in detail.get_lines()])
+    shown = np.concatenate([line.get_xdata() for line in detail.get_lines()])
     assert shown.min() <= 41.0 <= shown.max()
     assert np.ptp(shown) <= 10.0
-    age, deadline = (np.asarray(get_line.get_ydata()) for get_line in lower.get_lines())
+    age, deadline = (np.asarray(line.get_ydata()) for line in lower.get_lines())
     np.testing.assert_allclose(age, found.samples.age / SECOND)
     assert set(deadline) == {found.numbers.deadline_s}
     assert sum(bar.get_height() for bar in right.patches) == len(estimate)

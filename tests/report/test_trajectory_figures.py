@@ -207,13 +207,7 @@ def test_five_paths_fill_rows_evenly_and_the_lowest_of_each_column_is_labelled(
         for axes, box in zip(shown, boxes, strict=True):
             below = any(round(other.x0) == round(box.x0) and other.y0 < box.y0 for other in boxes)
             assert axes.get_xlabel() == ("" if below else "x [m]")
-            assert (
-                any(
-                    get_major_tick.label1.get_visible()
-                    for get_major_tick in axes.xaxis.get_major_ticks()
-                )
-                != below
-            )
+            assert any(tick.label1.get_visible() for tick in axes.xaxis.get_major_ticks()) != below
         title = figure.texts[0].get_window_extent()
         assert all(axes.title.get_window_extent().y1 <= title.y0 for axes in shown)
 

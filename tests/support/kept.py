@@ -99,7 +99,7 @@ def described(figure: Figure) -> str:
 
 
 def _legend(legend: Any) -> str:
-    return f"legend {[get_text.get_text() for get_text in legend.get_texts()]} in {legend._ncols}"
+    return f"legend {[text.get_text() for text in legend.get_texts()]} in {legend._ncols}"
 
 
 def _artists(artists: Iterable[Any], *, has_places: bool = True) -> Iterator[str]:

@@ -61,8 +61,7 @@ def said(
         ate={"position_m": None if rmse is None else SimpleNamespace(rmse=rmse)},
     )
     return {
-        about_fix.code: about_fix.text
-        for about_fix in about_fixes(evaluation, own, "no covariance", of)
+        remark.code: remark.text for remark in about_fixes(evaluation, own, "no covariance", of)
     }
 
 

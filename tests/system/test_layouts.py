@@ -107,9 +107,9 @@ def test_rviz_shows_paths_that_are_there_in_their_frame(recorded: dict[str, Reco
     manager = read_mapping(RVIZ, "layout")["Visualization Manager"]
     frame = manager["Global Options"]["Fixed Frame"]
     paths = [
-        Display
-        for Display in manager["Displays"]
-        if Display["Class"] == "rviz_default_plugins/Path"
+        display
+        for display in manager["Displays"]
+        if display["Class"] == "rviz_default_plugins/Path"
     ]
     topics = [path["Topic"]["Value"] for path in paths]
     # Estimates that revise their past are seen live alone.

@@ -21,7 +21,7 @@ LIST = "1,25%,50%,75%,all"
 
 
 def test_shares_are_those_of_the_papers_table() -> None:
-    counts = [parse_first_state.count(1807) for parse_first_state in parse_first_states(LIST)]
+    counts = [states.count(1807) for states in parse_first_states(LIST)]
     assert counts == [1, 452, 904, 1355, None]
     assert FirstStates.parse("1%").count(10) == 1
 

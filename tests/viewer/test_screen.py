@@ -105,7 +105,7 @@ def test_views_have_nothing_to_report_at_three_times(
             state = viewer.get_state()
             assert len(state.views) >= 6
             assert [report for view in state.views for report in view.reports] == []
-        told = [get_log for get_log in viewer.get_logs() if get_log.level in ("WARN", "ERROR")]
+        told = [log for log in viewer.get_logs() if log.level in ("WARN", "ERROR")]
     assert [item.message for item in told if "oftware rasterizer" not in item.message] == []
     assert seen == sorted(seen)
 

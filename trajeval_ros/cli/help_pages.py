@@ -25,9 +25,7 @@ def help_of_verb(command: click.Command, ctx: click.Context, *, is_short: bool) 
         parameter for parameter in command.params if isinstance(parameter, click.Argument)
     ]
     options = [
-        get_parameter
-        for get_parameter in command.get_params(ctx)
-        if isinstance(get_parameter, click.Option)
+        parameter for parameter in command.get_params(ctx) if isinstance(parameter, click.Option)
     ]
     shown = [option for option in options if not is_short or _is_common(option)]
     panels: dict[str, list[click.Parameter]] = {}

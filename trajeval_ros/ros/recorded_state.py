@@ -93,8 +93,8 @@ def _warnings(run: LiveRun, estimate: LiveEstimate) -> Iterator[Remark]:
             )
     if estimate.stepped is not None:  # its recorded states are those after it
         yield about_clock_step(estimate.stepped)
-    for about_different_clock in about_different_clocks(run, estimate):
-        yield replace(about_different_clock, code=f"clock_{about_different_clock.subject}")
+    for remark in about_different_clocks(run, estimate):
+        yield replace(remark, code=f"clock_{remark.subject}")
     for code, said in (
         ("clock_offset", run.start.about_clocks),
         ("marker", run.body.said),
@@ -137,9 +137,7 @@ def why_no_pair(run: LiveRun) -> str:
         for source, status, dropped in found
     ]
     clocks = (
-        about_clock_fault.text
-        for estimate in run.estimates
-        for about_clock_fault in about_clock_faults(run, estimate)
+        remark.text for estimate in run.estimates for remark in about_clock_faults(run, estimate)
     )
     said = "no pairs of estimate and groundtruth, no result: " + ", ".join(counts)
     return "; ".join([said, *clocks])

@@ -42,7 +42,7 @@ def hints_about(
     of_clocks: bool,
 ) -> list[Remark]:
     """Return the mistakes that are found in pairs without losses, and differences of frames."""
-    found = [("frames", about_frame.text) for about_frame in about_frames(*bodies)]
+    found = [("frames", remark.text) for remark in about_frames(*bodies)]
     plain = replace(protocol, lengths=(), align_states=None, align_with="positions")
     if len(pairs):
         some = association_of(pairs, plain)

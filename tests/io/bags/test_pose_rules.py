@@ -174,7 +174,7 @@ def test_five_resets_are_listed(count: int) -> None:
         positions=np.zeros((count + 1, 3)),
     )
     resets = declared_resets(columns)
-    told = [about_reset.text for about_reset in about_resets(resets, SECOND // 2)]
+    told = [remark.text for remark in about_resets(resets, SECOND // 2)]
     assert list(about_resets(resets, None)) == []
     if not count:
         assert told == []
